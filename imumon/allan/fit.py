@@ -6,7 +6,8 @@ noise itself, until both agree: the quasi-likelihood of variances.  No slope is 
 
 1. `usable_range`: the shortest averaging times are left out where a filter of the device has shaped them, the
    longest where something else than noise has, such as a vibration; or the curve gets a model error.
-2. `find_correlated`: a first-order Gauss-Markov process is a term where the curve is far less likely without.
+2. `with_correlated`: a first-order Gauss-Markov process is a term where the curve is far less likely without:
+   with a correlation time that is short or long enough it can stand for any other term.
 3. Of all sets of terms the smallest is fitted to which no further term would add by more than `FITTED`
    standard deviations, by the covariance without that term.
 4. A term of it is reported when it adds by more than `SHOWN`; the others keep what is there, but not certain,
@@ -33,33 +34,38 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache, partial
 from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
 
-from imumon.allan.correlated import SHOWN, Family, find_correlated, may_be_correlated, uncertainty
-from imumon.allan.covariance import FLOOR_PER_INSTABILITY, SHAPES, markov_shape
+from imumon.allan import covariance
 from imumon.allan.parameters import NAMES
 from imumon.allan.problem import (
-    COLUMNS,
     EVERY,
     FILTER,
+    FLICKER,
     MARKOV,
     QUANTIZATION,
     RAMP,
+    TIME,
+    WALK,
     WHITE,
-    WITH_MARKOV,
     Problem,
     Solution,
     signed,
 )
-from imumon.blocks import FloatArray
+from imumon.allan.series import EvenSeries, octaves
+from imumon.blocks import FloatArray, IntArray
 
 FITTED, SHORT_FITTED = 2.0, 3.0
 """A term is in the fit when the data call for it by this many standard deviations; the second number is that
 of quantization and filter, at the short averaging times: with 2 the error of N in white noise is a quarter
 larger."""
+SHOWN = 3.5
+"""A term is in the result when the data call for it by so many standard deviations; noise alone does that
+once in some hundred curves."""
 LONGEST_START_S = 1.0
 """The shortest averaging times are left out, up to this one, where a filter of the device has shaped them."""
 BEYOND_FILTER = 1
@@ -74,12 +80,18 @@ ROUNDS, CLOSE, LARGEST_ERROR = 8, 0.05, 3.0
 """The model error is found to 5 %: chi-square falls with its square where it counts."""
 FEWEST, FEWEST_BEFORE = 5, 4
 """Averaging times that a fit must keep; and that one before a disturbance must have."""
-ALIKE = frozenset(map(COLUMNS.index, ("flicker", "walk")))
+LEAST_TIME = 4.0
+"""Samples: a shorter correlation cannot be distinguished from white noise behind a filter."""
+WITHIN = 0.25
+"""A process whose correlation time is a longer part of the longest trusted averaging time is, as far as the
+curve goes, a random walk: its highest point, at 1.89 times the correlation time, would have to be passed."""
+WITH_MARKOV = (*EVERY, MARKOV)
+ALIKE = frozenset((FLICKER, WALK))
 """Each of these can stand in the place of the other at the longest averaging times."""
 
 TERMS: dict[str, Callable[[float], float]] = {
     "angle_random_walk": lambda dt: dt,
-    "bias_instability": lambda _: FLOOR_PER_INSTABILITY**-2,
+    "bias_instability": lambda _: covariance.FLOOR_PER_INSTABILITY**-2,
     "rate_random_walk": lambda dt: 3.0 / dt,
     "quantization": lambda dt: dt**2 / 3.0,
     "rate_ramp": lambda dt: 2.0 / dt**2,
@@ -87,8 +99,8 @@ TERMS: dict[str, Callable[[float], float]] = {
 }
 """The terms in the order of the columns of what is fitted, and their squares per unit of their coefficients,
 the Allan variances at one sample, by the sample interval in s."""
-CORRELATION_TIME = NAMES[-1]
 AMBIGUOUS, DIGITS = "ambiguous", "digits"
+_WALK = np.array([0.0, 0.0, 1.0, 0.0])
 
 
 class Estimate(NamedTuple):
@@ -108,7 +120,7 @@ class Fit:
     """Allan variance at one sample of all that was fitted, and the variance of the correlated noise, (6,);
     that of quantization is negative where a filter in the device takes away more than quantization adds."""
     time: float
-    """Correlation time of the correlated noise, samples; NaN without any."""
+    """Correlation time of the correlated noise, samples, where there is any."""
     first: int
     last: int
     """The averaging times that were fitted: first..last.  Where `last` is not the longest trusted one, no
@@ -121,67 +133,88 @@ class Fit:
     """`AMBIGUOUS`: bias instability and random walk are not reported, because noise that is correlated for a
     while would be as likely.  `DIGITS`: nothing is, because the steps of the readings hide the noise."""
 
-    def less_certain(self, error: float, names: Sequence[str] = NAMES[:-1]) -> Fit:
-        """Return the terms where the squares of some may be wrong by this part: less certain, or none."""
-        if error > NO_SUM:
-            return replace(self, terms=dict.fromkeys(NAMES), withheld=DIGITS)
-        terms = dict(self.terms)
-        for name in names:
-            term = terms[name]
-            if term is not None:
-                terms[name] = Estimate(term.value, math.hypot(term.sd, 0.5 * error * term.value))
-        return replace(self, terms=terms)
-
-    def with_missing(self, share: float) -> Fit:
-        """Return the terms where this share of the samples is missing: means of fewer have more white noise.
-
-        Corrected on average only: shorter averaging times do not cross gaps.
-        """
-        fit = self.less_certain(min(0.5 * share, NO_SUM))
-        white = fit.terms["angle_random_walk"]
-        if white is None or not share:
-            return fit
-        kept = math.sqrt(1.0 - share)
-        return replace(fit, terms={**fit.terms, "angle_random_walk": Estimate(kept * white.value, white.sd)})
-
     def shares(self, m: FloatArray) -> FloatArray:
         """Return the Allan variance that each of `TERMS` makes at averaging factors, (n, 6)."""
-        shapes = [shape(m) for shape in SHAPES.values()]
-        shapes.append(markov_shape(m, self.time) if self.coefficients[MARKOV] else np.zeros(len(m)))
+        shapes = [*(shape(m) for shape in covariance.SHAPES.values()), covariance.markov_shape(m, self.time)]
         return np.column_stack(shapes) * self.coefficients
 
 
-def fit_terms(variances: FloatArray, family: Family, interval_s: float, last: int) -> Fit | None:
-    """Fit the terms to Allan variances at the averaging factors 0..last of `family`; None if too few."""
-    n = last + 1
+@dataclass(frozen=True, slots=True, eq=False)
+class Division:
+    """A record divided into runs, at each averaging factor; the same for all channels with the same gaps."""
+
+    factors: IntArray
+    runs: list[covariance.Runs]
+    trusted: int
+    """How many of the averaging times can be trusted, from the shortest on."""
+    times: list[float]
+    """Correlation times that are tried, samples, in octaves: beyond a filter, to the longest of these."""
+    at: Callable[[float], covariance.Covariances]
+    """Return the covariances for a correlation time, samples."""
+
+    @staticmethod
+    def of(series: EvenSeries) -> Division:
+        """Return the division of a channel."""
+        factors = octaves(series)
+        runs = [covariance.Runs.of(*series.runs(m), 2 * m) for m in factors.tolist()]
+        trusted = 0
+        for m, part in zip(factors.tolist(), runs, strict=True):
+            if covariance.freedom("allan", m, part, _WALK) < covariance.TRUSTED_FREEDOM:
+                break
+            trusted += 1
+        first = math.log2(max(LONGEST_START_S / series.interval_s, LEAST_TIME))
+        last = max(math.log2(factors[:trusted].max(initial=1)), first)
+        times = [float(time) for time in 2.0 ** np.arange(first, last + 1e-9)]
+        at = cache(partial(covariance.covariances_of, factors, runs))
+        for time in times:
+            at(time)  # now, and not once in each thread
+        return Division(factors, runs, trusted, times, at)
+
+
+def fit_terms(variances: FloatArray, division: Division, interval_s: float) -> Fit | None:
+    """Fit the terms to Allan variances at the trusted averaging factors; None if too few."""
+    n = division.trusted
     if n < 2 or not np.all(variances[:n] > 0.0):
         return None
-    whole = Problem(variances[:n], family.at(family.times[0]).part(0, n))
-    start, stop, error = usable_range(whole, interval_s)
-    described = error == 0.0 and stop == n
-    correlated = find_correlated(whole.part(start if described else 0, n), family)
-    problem, every, time = whole.part(start, stop, error), EVERY, np.nan
-    if correlated is not None:
-        time, problem = correlated
-        every, start, stop, error = WITH_MARKOV, n - len(problem), n, 0.0
-    smallest = _smallest(problem, every)
-    fitted = _with_alike(smallest) | ({FILTER} if start else frozenset())
-    solution = problem.fit(fitted, ALIKE | {FILTER})
+    whole = Problem(variances[:n], division.at(division.times[0]), 0, n)
+    usable = usable_range(whole, interval_s)
+    described = usable.model_error == 0.0 and usable.stop == n
+    correlated = with_correlated(usable if described else whole, division)
+    problem = correlated or usable
+    smallest = smallest_set(problem, EVERY if correlated is None else WITH_MARKOV)
+    fitted = _with_alike(smallest) | ({FILTER} if problem.start else frozenset())
+    solution = problem.fit(fitted)
     shown = [column for column in sorted(solution.columns) if _is_shown(problem, smallest, column)]
-    if error > NO_SUM:
-        shown = []
-    elif stop < n:
-        shown = [column for column in shown if column == WHITE]
     withheld = ""
-    doubtful = described and correlated is None and bool(ALIKE & {*shown})
-    if doubtful and may_be_correlated(problem, family, smallest.columns - ALIKE):
+    if problem.model_error > NO_SUM:
+        shown = []
+    elif problem.stop < n:
+        shown = [column for column in shown if column == WHITE]
+    elif described and not correlated and ALIKE & {*shown} and may_be_correlated(problem, division, smallest):
         withheld, shown = AMBIGUOUS, [column for column in shown if column not in ALIKE]
-    terms = _estimates(problem, solution, shown, time, interval_s)
-    return Fit(terms, signed(solution.coefficients), time, start, stop - 1, error, withheld)
+    sd = solution.sd({*fitted, TIME} if correlated else fitted)
+    terms: dict[str, Estimate | None] = dict.fromkeys(NAMES)
+    for column in shown:
+        name, square = [*TERMS.items()][column]
+        coefficient = float(solution.coefficients[column])
+        value = math.sqrt(coefficient * square(interval_s))
+        terms[name] = Estimate(value, 0.5 * value * sd[column] / coefficient)
+        if column == MARKOV:
+            time_s = problem.covariances.time * interval_s
+            terms[NAMES[-1]] = Estimate(time_s, time_s * sd[TIME] / coefficient)
+    return Fit(
+        terms,
+        signed(solution.coefficients),
+        problem.covariances.time,
+        problem.start,
+        problem.stop - 1,
+        problem.model_error,
+        withheld,
+    )
 
 
-def usable_range(problem: Problem, interval_s: float) -> tuple[int, int, float]:
-    """Return the first averaging time to fit, the one after the last, and the model error that is left.
+def usable_range(whole: Problem, interval_s: float) -> Problem:
+    """Return the averaging times to fit, with the model error that is left.
 
     The shortest averaging times are left out, one by one, while no sum of the terms describes the curve: a
     low-pass filter of the device lowers those that are not longer than itself, by a little longer ones as
@@ -189,86 +222,113 @@ def usable_range(problem: Problem, interval_s: float) -> tuple[int, int, float]:
     behind the short averaging times do not outvote the long ones.  When that is large, the averaging times
     before the disturbance are used.
     """
-    n, m = len(problem), problem.covariances.m
-    tried: list[tuple[float, int]] = []
-    for start in range(max(1, n - FEWEST + 1)):
-        if start and m[start] * interval_s > LONGEST_START_S:
+    tried = [_with_model_error(whole)]
+    for start in range(1, len(whole) - FEWEST + 1):
+        if tried[-1].model_error == 0.0 or whole.covariances.m[start] * interval_s > LONGEST_START_S:
             break
-        error, solution = _model_error(problem.part(start, n))
-        if not start or _is_filtered(problem, start, solution):
-            tried.append((error, start))
-        if tried[-1] == (0.0, start):
-            break
-    error, start = min(tried)
-    if error > NO_SUM and (stop := _good_beginning(problem)):
-        return 0, stop, 0.0
-    return min(start + BEYOND_FILTER, n - FEWEST) if start else 0, n, error
+        part = _with_model_error(replace(whole, start=start))
+        if _is_filtered(part):
+            tried.append(part)
+    best = min(tried, key=lambda part: part.model_error)
+    if best.model_error > NO_SUM:
+        # What disturbs the longer averaging times, such as a sine, begins like a ramp.  The last that would
+        # do is not taken: chi-square does not see a disturbance that has only just begun.
+        for stop in range(len(whole) - 1, FEWEST_BEFORE, -1):
+            if replace(whole, stop=stop).fit(EVERY).is_good():
+                return replace(whole, stop=stop - 1)
+    return replace(best, start=min(best.start + BEYOND_FILTER, len(whole) - FEWEST)) if best.start else best
 
 
-def _is_filtered(problem: Problem, start: int, solution: Solution) -> bool:
+def _with_model_error(problem: Problem) -> Problem:
+    """Return a problem with the error, if any, that brings chi-square to its degrees of freedom."""
+    solution = problem.fit(EVERY)
+    if solution.is_good():
+        return problem
+    problem = replace(problem, model_error=1.0)
+    for _ in range(ROUNDS):
+        solution = problem.fit(EVERY)
+        change = math.sqrt(solution.chi_square / solution.degrees_of_freedom)
+        problem = replace(problem, model_error=min(problem.model_error * change, LARGEST_ERROR))
+        if abs(change - 1.0) < CLOSE:
+            break
+    return problem
+
+
+def _is_filtered(part: Problem) -> bool:
     """Return whether what was left out lies below what the terms say of it, as behind a low-pass filter.
 
     Quantization is none behind a filter; where it is called for, it stands for the end of a bump.
     """
-    coefficients = solution.coefficients[:FILTER]
-    expected = problem.design[:start, :FILTER] @ coefficients
-    return coefficients[QUANTIZATION] == 0.0 and bool(
-        np.all(problem.variances[:start] <= FILTERED * expected)
-    )
+    coefficients = part.fit(EVERY).coefficients
+    expected = part.design[: part.start, :FILTER] @ coefficients[:FILTER]
+    below = np.all(part.variances[: part.start] <= FILTERED * expected)
+    return coefficients[QUANTIZATION] == 0.0 and bool(below)
 
 
-def _good_beginning(problem: Problem) -> int:
-    """Return how many averaging times from the shortest on a sum of the terms describes; 0 if too few.
+def with_correlated(plain: Problem, division: Division) -> Problem | None:
+    """Return a problem with the covariances of the likeliest correlation time.
 
-    What disturbs the longer ones, such as a sine, begins like a ramp.  The last that would do is not taken:
-    chi-square does not see a disturbance that has only just begun.
+    None where the other terms alone make the variances about as likely.
     """
-    for stop in range(len(problem) - 1, FEWEST_BEFORE, -1):
-        if problem.part(0, stop).fit(EVERY).is_good():
-            return stop - 1
-    return 0
+
+    def at(time: float) -> Problem:
+        return replace(plain, covariances=division.at(time))
+
+    def likelihood(time: float) -> float:
+        return at(time).fit(WITH_MARKOV).log_likelihood
+
+    longest = plain.covariances.m[plain.stop - 1]
+    tried = {time: likelihood(time) for time in division.times if time <= longest}
+    # As much as of any term; and of so many correlation times one does well by chance.
+    needed = plain.fit(EVERY).log_likelihood + 0.5 * SHOWN**2 + math.log(len(division.times))
+    best = max(tried, key=tried.__getitem__, default=0.0)
+    if not tried or tried[best] < needed:
+        return None
+    half = math.sqrt(2.0)
+    found = at(best * half ** _peak(likelihood(best / half), tried[best], likelihood(best * half)))
+    solution = found.fit(WITH_MARKOV)
+    is_likely = solution.log_likelihood >= needed and solution.is_good()
+    return found if is_likely and solution.columns >= {WHITE, MARKOV} else None
 
 
-def _model_error(problem: Problem) -> tuple[float, Solution]:
-    """Return the relative error per variance that brings chi-square to its degrees of freedom, or 0."""
-    solution = problem.fit(EVERY)
-    if solution.is_good():
-        return 0.0, solution
-    error = 1.0
-    for _ in range(ROUNDS):
-        solution = problem.part(0, len(problem), error).fit(EVERY)
-        change = math.sqrt(solution.chi_square / solution.degrees_of_freedom)
-        error = min(error * change, LARGEST_ERROR)
-        if abs(change - 1.0) < CLOSE:
-            break
-    return error, solution
+def _peak(left: float, middle: float, right: float) -> float:
+    """Return where a parabola through three values is highest, in steps from the middle; one at the most."""
+    bend = left - 2.0 * middle + right
+    if bend >= 0.0:
+        return 1.0 if right > left else -1.0
+    return min(max(0.5 * (left - right) / bend, -1.0), 1.0)
 
 
-def _smallest(problem: Problem, every: Sequence[int]) -> Solution:
-    """Return the fit of the smallest set of these terms that leaves no other called for."""
+def may_be_correlated(plain: Problem, division: Division, smallest: Solution) -> bool:
+    """Return whether a process short enough to show, in place of flicker and random walk, is as likely."""
+    needed, longest = plain.fit(EVERY).log_likelihood, plain.covariances.m[plain.stop - 1]
+    columns = smallest.columns - ALIKE | {MARKOV}
+    problems = [replace(plain, covariances=division.at(t)) for t in division.times if t <= WITHIN * longest]
+    return any(problem.fit(columns).log_likelihood > needed for problem in problems)
+
+
+def smallest_set(problem: Problem, every: Sequence[int]) -> Solution:
+    """Return the fit of the smallest set of these terms that leaves no other called for.
+
+    Of several the likeliest.  One piece of a random walk resembles a ramp, which must be more likely by as
+    much as a term that is shown.
+    """
+
+    def merit(solution: Solution) -> float:
+        return solution.log_likelihood - (0.5 * SHOWN**2 if RAMP in solution.columns else 0.0)
+
+    def is_complete(solution: Solution) -> bool:
+        return not any(
+            solution.called_for(column) > (SHORT_FITTED if column in (QUANTIZATION, FILTER) else FITTED)
+            for column in {*every} - solution.columns
+        )
+
     for size in range(1, len(every) - 1):
-        found: list[Solution] = []
-        for columns in combinations(every, size):
-            solution = problem.fit(columns)
-            if len(solution.columns) < size:
-                continue
-            if not any(_is_missing(problem, solution, column) for column in {*every} - {*columns}):
-                found.append(solution)
+        solutions = [problem.fit(columns) for columns in combinations(every, size)]
+        found = [each for each in solutions if len(each.columns) == size and is_complete(each)]
         if found:
-            return max(found, key=_merit)
+            return max(found, key=merit)
     return problem.fit(every)
-
-
-def _is_missing(problem: Problem, solution: Solution, column: int) -> bool:
-    """Return whether the data call for one more term."""
-    least = SHORT_FITTED if column in (QUANTIZATION, FILTER) else FITTED
-    return problem.called_for(solution, column) > least
-
-
-def _merit(solution: Solution) -> float:
-    """Return the logarithm of the likelihood; one piece of a random walk resembles a ramp, which must be more
-    likely by as much as a term that is shown."""
-    return solution.log_likelihood - (0.5 * SHOWN**2 if solution.coefficients[RAMP] else 0.0)
 
 
 def _with_alike(solution: Solution) -> frozenset[int]:
@@ -278,25 +338,7 @@ def _with_alike(solution: Solution) -> frozenset[int]:
 
 def _is_shown(problem: Problem, smallest: Solution, column: int) -> bool:
     """Return whether the fit without a term calls for it, whatever may stand for it."""
-    if column == FILTER:
-        return False
+    if column in (FILTER, MARKOV):
+        return column == MARKOV
     others = (_with_alike(smallest) if column in ALIKE else smallest.columns) - {column}
-    return column == MARKOV or not others or problem.called_for(problem.fit(others), column) > SHOWN
-
-
-def _estimates(
-    problem: Problem, solution: Solution, columns: Sequence[int], time: float, interval_s: float
-) -> dict[str, Estimate | None]:
-    """Return the terms of these columns, and None for every other; `time` is NaN without correlated noise."""
-    terms: dict[str, Estimate | None] = dict.fromkeys(NAMES)
-    covariance = solution.covariance
-    if not math.isnan(time):
-        covariance, of_time = uncertainty(problem, solution, time)
-        if MARKOV in columns:
-            time_s = time * interval_s
-            terms[CORRELATION_TIME] = Estimate(time_s, time_s * math.sqrt(of_time))
-    for column in columns:
-        coefficient, sd = float(solution.coefficients[column]), math.sqrt(covariance[column, column])
-        value = math.sqrt(coefficient * [*TERMS.values()][column](interval_s))
-        terms[NAMES[column]] = Estimate(value, 0.5 * value * sd / coefficient)
-    return terms
+    return not others or problem.fit(others).called_for(column) > SHOWN

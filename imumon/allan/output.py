@@ -1,19 +1,39 @@
-"""Results as remarks, as JSON, and as the noise section of a pipeline."""
+"""Results as remarks, as JSON, as the noise section of a pipeline, and for visual-inertial odometry.
+
+Kalibr, OpenVINS, VINS-Mono and VINS-Fusion have one number for three axes: the largest.  White noise N and
+bias random walk K are continuous-time densities, N in rad/s/√Hz or m/s²/√Hz, K in rad/s²/√Hz or m/s³/√Hz.
+
+- Kalibr's imu.yaml and OpenVINS' kalibr_imu_chain.yaml have N and K as they are (Kalibr's wiki, IMU Noise
+  Model).
+- VINS has standard deviations of a sample, N √f and K √f at the rate f: its propagation adds acc_w² Δt² a
+  step for K² Δt (read in integration_base.h).  Its midpoint rule takes the mean of two samples as independent
+  in each step, so that of the white noise it counts 1/√2.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import math
+import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from imumon.allan.analysis import Deviations, Result
 from imumon.allan.covariance import CONFIDENCE
-from imumon.allan.fit import AMBIGUOUS, DIGITS, NO_SUM, Estimate
+from imumon.allan.fit import AMBIGUOUS, DIGITS, NO_SUM
 from imumon.allan.parameters import TERMS_OF
-from imumon.allan.recording import GROUPS, UNITS, group_of, rate_hz
+from imumon.allan.recording import UNITS, by_text, group_of
 from imumon.config import dump_yaml
 from imumon.errors import ImumonError, Reason
 from imumon.files import check_output, write_text
+from imumon.geodesy import STANDARD_GRAVITY
+
+SENSORS = {"accel": ("accelerometer", "acc"), "gyro": ("gyroscope", "gyr")}
+"""Names of a sensor: ours, Kalibr's and that of VINS."""
+OPENCV = "%YAML:1.0\n"
+"""The first line of a file that OpenCV's FileStorage reads."""
 
 
 def check_outputs(plot: Path | None, *files: Path | None) -> None:
@@ -29,70 +49,78 @@ def check_outputs(plot: Path | None, *files: Path | None) -> None:
             check_output(path, replace=path is plot)
 
 
-STUCK = "the reading never changes: the channel is stuck, or its resolution too coarse; no terms"
-SHORT = "too short for a fit of the terms"
-FILTERED = "shorter averaging times are not fitted: no sum of the terms describes them (a filter?)"
-DIFFERS = "the curve differs so much from every sum of the terms; the standard deviations take that in"
-DISTURBED = (
-    "no sum of the terms describes longer averaging times (a vibration, a cycle, motion?): "
-    "only the angle random walk is reported"
-)
-UNLIKE = "no sum of the terms describes the curve (a vibration, a cycle, motion?): no term is reported"
-EITHER = (
-    "correlated noise describes the curve as well as bias instability or a random walk: neither is "
-    "reported; record for longer"
-)
-HIDDEN = "the steps of the readings hide the noise: no term is reported"
-ROUGH = "the steps of the readings add to the noise"
-
-
 def remarks(results: Mapping[str, Result]) -> list[str]:
     """Return why terms are less certain or missing, or from a part of the curve, with their channels."""
-    channels: dict[str, list[str]] = {}
-    for name, result in results.items():
-        for sentence, detail in _remarks(result, UNITS[group_of(name)]):
-            channels.setdefault(sentence, []).append(f"{name} {detail}".rstrip())
-    return [f"{', '.join(names)}: {sentence}" for sentence, names in channels.items()]
+    found = by_text(
+        (f"{name} {detail}".rstrip(), sentence)
+        for name, result in results.items()
+        for sentence, detail in _remarks(result, UNITS[group_of(name)])
+    )
+    return [f"{', '.join(names)}: {sentence}" for sentence, names in found.items()]
 
 
-def _remarks(result: Result, unit: str) -> Iterator[tuple[str, str]]:
-    """Yield sentences about one channel, each with the number that goes with it."""
-    fit, digits = result.fit, result.digits
+def _remarks(result: Result, unit: str) -> list[tuple[str, str]]:
+    """Return sentences about one channel, each with the number that goes with it."""
+    fit, digits, tau_s = result.fit, result.digits, result.tau_s
     if fit is None:
-        yield SHORT if result.allan.values.any() else STUCK, ""
-        return
-    if fit.first:
-        yield FILTERED, f"{result.tau_s[fit.first]:.2g} s"
-    if fit.model_error > NO_SUM and fit.withheld != DIGITS:
-        yield UNLIKE, ""
-    elif fit.model_error and fit.withheld != DIGITS:
-        yield DIFFERS, f"{50.0 * fit.model_error:.2g} %"
-    if fit.last < result.trusted - 1:
-        yield DISTURBED, f"{result.tau_s[fit.last]:.2g} s"
-    if fit.withheld == AMBIGUOUS:
-        yield EITHER, ""
+        stuck = "the reading never changes: the channel is stuck, or its resolution too coarse; no terms"
+        return [("too short for a fit of the terms" if result.allan.values.any() else stuck, "")]
+    walk, steps, added, hidden = fit.terms["angle_random_walk"], "", 0.0, fit.withheld == DIGITS
     if digits is not None:
         steps = f"{digits.step:.3g} {unit}, {1.0 / digits.ratio:.2g} times the noise"
-        walk = fit.terms["angle_random_walk"]
-        if fit.withheld == DIGITS:
-            yield HIDDEN, steps
-        elif walk is not None and 0.5 * digits.share * walk.value > walk.sd:
-            yield ROUGH, f"{steps}, {digits.share:.0%} of the variance"
+        added = 0.0 if walk is None else 0.5 * digits.share * walk.value - walk.sd
+    rows = [
+        (
+            fit.first > 0,
+            "shorter averaging times are not fitted: no sum of the terms describes them (a filter?)",
+            f"{tau_s[fit.first]:.2g} s",
+        ),
+        (
+            fit.model_error > NO_SUM and not hidden,
+            "no sum of the terms describes the curve (a vibration, a cycle, motion?): no term is reported",
+            "",
+        ),
+        (
+            0.0 < fit.model_error <= NO_SUM and not hidden,
+            "the curve differs so much from every sum of the terms; the standard deviations take that in",
+            f"{50.0 * fit.model_error:.2g} %",
+        ),
+        (
+            fit.last < result.trusted - 1,
+            "no sum of the terms describes longer averaging times (a vibration, a cycle, motion?): "
+            "only the angle random walk is reported",
+            f"{tau_s[fit.last]:.2g} s",
+        ),
+        (
+            fit.withheld == AMBIGUOUS,
+            "correlated noise describes the curve as well as bias instability or a random walk: neither is "
+            "reported; record for longer",
+            "",
+        ),
+        (hidden, "the steps of the readings hide the noise: no term is reported", steps),
+    ]
+    if digits is not None and added > 0.0:
+        share = f"{steps}, {digits.share:.0%} of the variance"
+        rows.append((True, "the steps of the readings add to the noise", share))
+    return [(sentence, detail) for applies, sentence, detail in rows if applies]
 
 
 def as_json(results: Mapping[str, Result]) -> dict[str, Any]:
     """Return what ``--json`` prints, one entry per channel; a term that the data do not show is null."""
-    return {name: _channel(name, result) for name, result in results.items()}
+    return {name: _channel(group_of(name), result) for name, result in results.items()}
 
 
-def _channel(name: str, result: Result) -> dict[str, Any]:
-    style, fit, series = TERMS_OF[group_of(name)], result.fit, result.series
-    terms = {name: _estimate(fit.terms[name] if fit else None, term.unit) for name, term in style.items()}
+def _channel(group: str, result: Result) -> dict[str, Any]:
+    fit, series, digits = result.fit, result.series, result.digits
+    terms = {} if fit is None else {name: term for name, term in fit.terms.items() if term is not None}
     return {
         "tau_s": result.tau_s.tolist(),
         "oadev": result.allan.values.tolist(),
-        "unit": UNITS[group_of(name)],
-        **terms,
+        "unit": UNITS[group],
+        **{
+            name: {**terms[name]._asdict(), "unit": style.unit} if name in terms else None
+            for name, style in TERMS_OF[group].items()
+        },
         "longest_tau_s": result.longest_tau_s,
         "confidence": CONFIDENCE,
         "oadev_interval": _interval(result.allan),
@@ -104,9 +132,9 @@ def _channel(name: str, result: Result) -> dict[str, Any]:
         "fit_tau_s": None if fit is None else result.tau_s[[fit.first, fit.last]].tolist(),
         "model_error": None if fit is None else fit.model_error,
         "withheld": None if fit is None else fit.withheld or None,
-        "step": None if result.digits is None else result.digits.step,
-        "noise_in_steps": None if result.digits is None else result.digits.ratio,
-        "rate_hz": rate_hz(series),
+        "step": None if digits is None else digits.step,
+        "noise_in_steps": None if digits is None else digits.ratio,
+        "rate_hz": series.rate_hz,
         "samples": series.used,
         "samples_left_out": series.samples - series.used,
         "samples_missing": int(series.gap_lengths.sum()),
@@ -115,25 +143,8 @@ def _channel(name: str, result: Result) -> dict[str, Any]:
     }
 
 
-def _estimate(estimate: Estimate | None, unit: str) -> dict[str, object] | None:
-    return None if estimate is None else {"value": estimate.value, "sd": estimate.sd, "unit": unit}
-
-
 def _interval(deviations: Deviations) -> dict[str, list[float]]:
     return {"low": deviations.low.tolist(), "high": deviations.high.tolist()}
-
-
-def noise_section(results: Mapping[str, Result]) -> dict[str, dict[str, list[float | None]]]:
-    """Return the terms in SI units, per sensor, each a list for x, y, z; None for what is not shown."""
-    section: dict[str, dict[str, list[float | None]]] = {}
-    for group in GROUPS:
-        axes = [results.get(f"{group}_{axis}") for axis in "xyz"]
-        if any(axes):
-            section[group] = {
-                style.key: [value_of(result, term) for result in axes]
-                for term, style in TERMS_OF[group].items()
-            }
-    return section
 
 
 def value_of(result: Result | None, term: str) -> float | None:
@@ -145,12 +156,88 @@ def value_of(result: Result | None, term: str) -> float | None:
 
 
 def write_noise(path: Path, results: Mapping[str, Result], source: Path) -> None:
-    """Write the noise section of a pipeline YAML.
+    """Write the noise section of a pipeline YAML: the terms in SI units per sensor, each for x, y, z.
 
     Raises OSError when the file cannot be written; one that was there before is untouched.
     """
-    head = [
-        f"# Noise of {source.name}, by Allan deviation; x, y, z; null: the data do not show it.",
-        "# SI units.  Bias instability B: the flat part of the Allan deviation is 0.664 B.",
-    ]
-    write_text(path, "\n".join(head) + "\n" + dump_yaml({"noise": noise_section(results)}, flow=None))
+    section = {
+        group: {
+            style.key: [value_of(results.get(f"{group}_{axis}"), term) for axis in "xyz"]
+            for term, style in styles.items()
+        }
+        for group, styles in TERMS_OF.items()
+        if any(group_of(name) == group for name in results)
+    }
+    head = (
+        f"# Noise of {source.name}, by Allan deviation; x, y, z; null: the data do not show it.\n"
+        "# SI units.  Bias instability B: the flat part of the Allan deviation is 0.664 B.\n"
+    )
+    write_text(path, head + dump_yaml({"noise": section}, flow=None))
+
+
+def write_kalibr(path: Path, results: Mapping[str, Result], source: Path) -> None:
+    """Write Kalibr's imu.yaml.
+
+    Raises BAD_DATA when a sensor is missing or shows no white noise; OSError when the file cannot be written.
+    """
+    body, head = _densities(results, source)
+    write_text(path, head + dump_yaml(body, flow=False))
+
+
+def write_openvins(path: Path, results: Mapping[str, Result], source: Path) -> None:
+    """Write OpenVINS' kalibr_imu_chain.yaml, without intrinsics or lever arm; raises as `write_kalibr`."""
+    body, head = _densities(results, source)
+    # Made anew each time: YAML writes a list that comes twice as a reference, which OpenCV does not read.
+    chain: dict[str, Any] = {
+        "T_i_b": np.eye(4).tolist(),
+        **body,
+        "time_offset": 0.0,
+        "model": "kalibr",
+        **{name: np.eye(3).tolist() for name in ("Tw", "R_IMUtoGYRO", "Ta", "R_IMUtoACC")},
+        "Tg": np.zeros((3, 3)).tolist(),
+    }
+    # OpenCV refuses a list that stands at the column of its key.
+    text = re.sub(r"^( *)- ", r"\1  - ", dump_yaml({"imu0": chain}, flow=None), flags=re.MULTILINE)
+    write_text(path, OPENCV + head + text)
+
+
+def write_vins(path: Path, results: Mapping[str, Result], source: Path) -> None:
+    """Write the IMU's lines of a configuration of VINS-Mono or VINS-Fusion; raises as `write_kalibr`."""
+    body, head = _densities(results, source)
+    rate = body["update_rate"]
+    head += f"# Of one sample at {rate:g} Hz: the densities times the root of the rate.\n"
+    values = {}
+    for name, short in SENSORS.values():
+        values[f"{short}_n"] = _rounded(math.sqrt(rate) * body[f"{name}_noise_density"])
+        values[f"{short}_w"] = _rounded(math.sqrt(rate) * body[f"{name}_random_walk"])
+    values["g_norm"] = STANDARD_GRAVITY
+    write_text(path, OPENCV + head + dump_yaml(values, flow=False))
+
+
+def _densities(results: Mapping[str, Result], source: Path) -> tuple[dict[str, Any], str]:
+    """Return densities, rate and topic by Kalibr's names, and the comments above them."""
+    head = (
+        f"# Noise of {source.name}, by Allan deviation; the largest of the three axes.\n"
+        "# rostopic is a guess: name your own.\n"
+    )
+    body: dict[str, Any] = {}
+    for group, (name, _) in SENSORS.items():
+        axes = [results.get(f"{group}_{axis}") for axis in "xyz"]
+        white, walk = (
+            max((value for result in axes if (value := value_of(result, term)) is not None), default=None)
+            for term in ("angle_random_walk", "rate_random_walk")
+        )
+        if white is None:
+            raise ImumonError(
+                Reason.BAD_DATA, f"odometry needs a noise density of the {name}, and the data show none"
+            )
+        if walk is None:
+            head += f"# {name}_random_walk: the data show none; 0 is not a fact of the sensor.\n"
+        body[f"{name}_noise_density"] = white
+        body[f"{name}_random_walk"] = 0.0 if walk is None else walk
+    some = next(result for name, result in results.items() if name.startswith("gyro"))
+    return {**body, "rostopic": "/imu0", "update_rate": _rounded(some.series.rate_hz)}, head
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.6g}")

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from imumon.allan.fit import NO_SUM
 from imumon.allan.series import PARTS, EvenSeries, even_channels
 from imumon.blocks import SampleBlock, join
-from imumon.columns import TEMPERATURES, Column
+from imumon.columns import TEMPERATURES
 from imumon.errors import ImumonError, Reason
 from imumon.estimation.rest.slots import COARSEST_STEPS
 from imumon.filters.rounding import digits
@@ -19,9 +19,8 @@ from imumon.recordings.reader import Stages, no_stages, open_recording
 from imumon.recordings.reduced import ACCEL, GYRO
 from imumon.recordings.source import Count, no_count
 
-GROUPS = ("gyro", "accel")
-CHANNELS = (*GYRO, *ACCEL)
 UNITS = {"gyro": "rad/s", "accel": "m/s^2"}
+CHANNELS = (*GYRO, *ACCEL)
 WANTED = ("device_time_ns", "segment", "at_rest", *CHANNELS, *TEMPERATURES)
 FEWEST_SAMPLES = 64
 LEAST_USED = 0.5
@@ -41,12 +40,11 @@ NORMAL_G = (9.3, 10.3)
 """Norm of the specific force at rest, m/s^2, with a few percent for an uncalibrated unit."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Channels:
+class Channels(NamedTuple):
     """The channels that are there, on an even grid, and what to say of them."""
 
     series: dict[str, EvenSeries]
-    warnings: tuple[str, ...]
+    warnings: list[str]
 
 
 def read_channels(path: Path, stages: Stages = no_stages, count: Count = no_count) -> Channels:
@@ -62,7 +60,11 @@ def read_channels(path: Path, stages: Stages = no_stages, count: Count = no_coun
         Takes how many more bytes were read, for a progress bar.
     """
     recording = open_recording(path, stages, count=count)
-    _check_units(path, recording.columns)
+    for name in CHANNELS:
+        unit, own = recording.columns[name].unit if name in recording.columns else "", UNITS[group_of(name)]
+        if unit not in ("", own):
+            hint = "a table from elsewhere becomes a session first: imumon import"
+            raise ImumonError(Reason.BAD_DATA, f"{path}: {name} is in {unit}, not in {own}", hint)
     blocks = [
         SampleBlock({name: block[name].copy() for name in WANTED if name in block})
         for block in recording.blocks()
@@ -75,30 +77,29 @@ def read_channels(path: Path, stages: Stages = no_stages, count: Count = no_coun
     if not names:
         lack = "holds no two numbers in" if there else "has none of the columns"
         raise ImumonError(Reason.BAD_DATA, f"{path}: {lack} {', '.join(there or CHANNELS)}")
-    time_ns, segment = samples["device_time_ns"], samples["segment"]
-    series = even_channels(time_ns, segment, {name: samples[name] for name in names})
-    _refuse(path, len(samples), names, series)
-    warnings = [*recording.warnings()]
+    channels = {name: samples[name] for name in names}
+    series = even_channels(samples["device_time_ns"], samples["segment"], channels)
+    _check_rate(path, len(samples), {name: series.get(name) for name in names})
+    warnings = recording.warnings()
     if empty := [name for name in there if name not in names]:
         warnings.append(f"{', '.join(empty)}: fewer than two numbers; left out")
-    warnings += [*_of_units(series), *_of_the_grid(series)]
-    warnings += [*_of_motion(samples, series, declared="at_rest" in recording.columns)]
-    return Channels(series, (*warnings, *_of_temperature(samples)))
+    warnings += _of_units(series)
+    of_grids = by_text((name, text) for name, channel in series.items() for text in _of_grid(channel))
+    for text, alike in of_grids.items():
+        warnings.append(text if len(alike) == len(series) else f"{', '.join(alike)}: {text}")
+    warnings += _of_motion(samples, series, declared="at_rest" in recording.columns)
+    return Channels(series, [*warnings, *_of_temperature(samples)])
 
 
-def _check_units(path: Path, columns: Mapping[str, Column]) -> None:
-    """Refuse a table that says itself that it is in other units."""
-    for name in CHANNELS:
-        unit = columns[name].unit if name in columns else ""
-        if unit and unit != UNITS[group_of(name)]:
-            raise ImumonError(
-                Reason.BAD_DATA,
-                f"{path}: {name} is in {unit}, not in {UNITS[group_of(name)]}",
-                "a table from elsewhere becomes a session first: imumon import",
-            )
+def by_text(found: Iterable[tuple[str, str]]) -> dict[str, list[str]]:
+    """Return pairs of a channel and a text as the channels of each text."""
+    channels: dict[str, list[str]] = {}
+    for channel, text in found:
+        channels.setdefault(text, []).append(channel)
+    return channels
 
 
-def _refuse(path: Path, rows: int, names: list[str], series: dict[str, EvenSeries]) -> None:
+def _check_rate(path: Path, rows: int, series: Mapping[str, EvenSeries | None]) -> None:
     """Raise where a deviation would mean nothing."""
     if rows < FEWEST_SAMPLES:
         raise ImumonError(
@@ -106,25 +107,24 @@ def _refuse(path: Path, rows: int, names: list[str], series: dict[str, EvenSerie
             f"{path}: has {rows} samples; an Allan deviation needs {FEWEST_SAMPLES} at the least",
             "record for ten times as long as the longest averaging time of interest",
         )
-    for name in names:
-        found = series.get(name)
-        used = 0.0 if found is None else found.used / found.samples
-        if used < LEAST_USED:
+    for name, channel in series.items():
+        used = 0.0 if channel is None else channel.used / channel.samples
+        if channel is None or used < LEAST_USED:
             raise ImumonError(
                 Reason.BAD_DATA,
                 f"{path}: {name}: only {used:.0%} of the samples come at an even rate",
                 "nothing is resampled: that would change the noise that is to be measured.  "
                 "Use the device's own time or counter; imumon import takes rate_hz for rows that are even",
             )
-        if found is not None and rate_hz(found) > FASTEST_HZ:
+        if channel.rate_hz > FASTEST_HZ:
             raise ImumonError(
                 Reason.BAD_DATA,
-                f"{path}: by device_time_ns the rate is {rate_hz(found):.3g} Hz",
+                f"{path}: by device_time_ns the rate is {channel.rate_hz:.3g} Hz",
                 "the column must hold nanoseconds; imumon import takes times in other units",
             )
 
 
-def _of_units(series: dict[str, EvenSeries]) -> Iterator[str]:
+def _of_units(series: Mapping[str, EvenSeries]) -> Iterator[str]:
     """Yield what looks like readings in other units."""
     gyros = [name for name in GYRO if name in series]
     fast = [name for name in gyros if np.median(np.abs(series[name].values)) > FASTEST_RAD_S]
@@ -138,19 +138,8 @@ def _of_units(series: dict[str, EvenSeries]) -> Iterator[str]:
             )
 
 
-def _of_the_grid(series: dict[str, EvenSeries]) -> list[str]:
-    """Report gaps, pieces and uneven times, of channels together where they have the same."""
-    channels: dict[str, list[str]] = {}
-    for name, channel in series.items():
-        for text in _of_one_grid(channel):
-            channels.setdefault(text, []).append(name)
-    return [
-        text if len(names) == len(series) else f"{', '.join(names)}: {text}"
-        for text, names in channels.items()
-    ]
-
-
-def _of_one_grid(channel: EvenSeries) -> Iterator[str]:
+def _of_grid(channel: EvenSeries) -> Iterator[str]:
+    """Yield gaps, pieces and uneven times of a channel."""
     lost, pieces = int(channel.gap_lengths.sum()), len(channel.islands) - 1
     if lost:
         yield (
@@ -165,37 +154,25 @@ def _of_one_grid(channel: EvenSeries) -> Iterator[str]:
     if channel.used < channel.samples:
         yield (
             f"{channel.samples - channel.used:,} of {channel.samples:,} samples do not come at the even "
-            f"rate of {rate_hz(channel):.6g} Hz and are left out"
+            f"rate of {channel.rate_hz:.6g} Hz and are left out"
         )
     if channel.jitter > MOST_JITTER:
         yield f"time from sample to sample varies by {channel.jitter:.0%} rms; taken as even"
 
 
-def _hidden(series: dict[str, EvenSeries]) -> list[str]:
-    """Return the channels whose steps hide their noise, or are coarser than the rest detector knows."""
-    coarsest = dict(zip(GROUPS, COARSEST_STEPS, strict=True))
-    found = {name: digits(channel.values[channel.there]) for name, channel in series.items()}
-    return [
-        name
-        for name, steps in found.items()
-        if steps is not None and (steps.error > NO_SUM or steps.step > coarsest[group_of(name)])
-    ]
-
-
-def _of_motion(samples: SampleBlock, series: dict[str, EvenSeries], *, declared: bool) -> Iterator[str]:
+def _of_motion(samples: SampleBlock, series: Mapping[str, EvenSeries], *, declared: bool) -> Iterator[str]:
     """Yield the share of motion: by the column ``at_rest`` of a table, else by the rest detector."""
     time_ns = samples["device_time_ns"]
     short = time_ns[-1] - time_ns[0] < LEAST_FOR_MOTION_S * 1e9
     if "at_rest" not in samples or (short and not declared):
         return
-    at_rest = samples["at_rest"]
-    known = at_rest[np.argmax(at_rest == 1) :]  # until the first rest nothing is known
-    share = float(np.mean(known != 1))
+    at_rest = samples["at_rest"] == 1
+    share = float(np.mean(~at_rest[np.argmax(at_rest) :]))  # until the first rest nothing is known
     if share <= MOVING_SHARE:
         return
-    if not declared and (hidden := _hidden(series)):
-        yield f"whether the unit moved is unknown: the steps of {', '.join(hidden)} are too coarse"
-    elif not declared and not (at_rest == 1).any():
+    if not declared and (coarse := [name for name, channel in series.items() if _is_coarse(name, channel)]):
+        yield f"whether the unit moved is unknown: the steps of {', '.join(coarse)} are too coarse"
+    elif not declared and not at_rest.any():
         yield (
             "the rest detector found no rest: the unit moved, or is noisier than a sensor at rest can be; an "
             "Allan deviation of a unit that moves is that of the motion"
@@ -206,6 +183,13 @@ def _of_motion(samples: SampleBlock, series: dict[str, EvenSeries], *, declared:
             f"the unit moved during {share:.1%} of the recording ({how}): "
             "an Allan deviation of a unit that moves is that of the motion; record it at rest"
         )
+
+
+def _is_coarse(name: str, channel: EvenSeries) -> bool:
+    """Return whether steps hide the noise of a channel, or are coarser than the rest detector knows."""
+    steps = digits(channel.values[channel.there])
+    coarsest = dict(zip(UNITS, COARSEST_STEPS, strict=True))[group_of(name)]
+    return steps is not None and (steps.error > NO_SUM or steps.step > coarsest)
 
 
 def _of_temperature(samples: SampleBlock) -> Iterator[str]:
@@ -223,11 +207,6 @@ def _of_temperature(samples: SampleBlock) -> Iterator[str]:
             f"the temperature moved between {low:.1f} and {high:.1f} °C: bias instability, random walk and "
             "ramp hold thermal drift"
         )
-
-
-def rate_hz(series: EvenSeries) -> float:
-    """Return the sample rate."""
-    return 1.0 / series.interval_s
 
 
 def group_of(channel: str) -> str:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -50,6 +51,11 @@ class EvenSeries:
         return len(self.values) - int(self.gap_lengths.sum())
 
     @property
+    def rate_hz(self) -> float:
+        """Sample rate."""
+        return 1.0 / self.interval_s
+
+    @property
     def duration_s(self) -> float:
         """Length of the grid."""
         return len(self.values) * self.interval_s
@@ -57,20 +63,26 @@ class EvenSeries:
     @property
     def there(self) -> BoolArray:
         """Which of the values are samples, (n,)."""
-        edges = np.zeros(len(self.values) + 1, np.int64)
-        np.add.at(edges, self.gap_starts, 1)
-        np.add.at(edges, self.gap_starts + self.gap_lengths, -1)
-        return np.asarray(np.cumsum(edges[:-1]) == 0)
+        n = len(self.values) + 1
+        ends = np.bincount(self.gap_starts + self.gap_lengths, minlength=n)
+        return np.asarray(np.cumsum(np.bincount(self.gap_starts, minlength=n) - ends)[:-1] == 0)
 
     def runs(self, m: int) -> tuple[IntArray, IntArray]:
         """Return starts and stops of the runs that differences of averaging factor m may span."""
         breaks = self.gap_lengths > m // PARTS
         edges = self.gap_starts[breaks]
         starts = np.concatenate([self.islands[:-1], edges + self.gap_lengths[breaks]])
-        stops = np.concatenate([edges, self.islands[1:]])
-        starts.sort()
-        stops.sort()
-        return starts, stops
+        return np.sort(starts), np.sort(np.concatenate([edges, self.islands[1:]]))
+
+
+def octaves(series: EvenSeries) -> IntArray:
+    """Return the averaging factors 1, 2, 4, ... for which a run is long enough."""
+    factors: list[int] = []
+    m = 1
+    while np.subtract(*series.runs(m)[::-1]).max(initial=0) >= 2 * m:
+        factors.append(m)
+        m *= 2
+    return np.array(factors, np.int64)
 
 
 def nominal_interval_ns(time_ns: IntArray, segment: IntArray) -> float:
@@ -84,8 +96,7 @@ def nominal_interval_ns(time_ns: IntArray, segment: IntArray) -> float:
     return float(near.mean())
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Grid:
+class _Grid(NamedTuple):
     """Where samples lie on an even grid: which are kept, at which position, and which begin an island."""
 
     interval_s: float
@@ -114,8 +125,7 @@ def even_channels(
         key = np.packbits(present).tobytes()
         if key not in grids:
             grids[key] = _grid(time_ns[present], segment[present])
-        grid = grids[key]
-        if grid is not None:
+        if (grid := grids[key]) is not None:
             series[name] = _filled(values[present], grid)
     return series
 
@@ -129,17 +139,15 @@ def _grid(time_ns: IntArray, segment: IntArray) -> _Grid | None:
     whole = np.rint(steps)
     even = (np.abs(steps - whole) <= JITTER) & (whole >= 1) & (whole - 1 <= n // LONGEST_GAP)
     even &= np.diff(segment) == 0
-    together = even & (whole == 1)
-    jitter = float(np.sqrt(np.mean((steps[together] - 1.0) ** 2))) if together.any() else 0.0
-    lengths = np.diff(np.concatenate([[0], np.flatnonzero(~even) + 1, [n]]))
-    kept = np.repeat(lengths >= SHORTEST_ISLAND, lengths)
+    together = steps[even & (whole == 1)]
+    jitter = float(np.sqrt(np.mean((together - 1.0) ** 2))) if len(together) else 0.0
+    island = np.cumsum(np.concatenate([[0], ~even]))
+    kept = np.bincount(island)[island] >= SHORTEST_ISLAND
     if not kept.any():
         return None
-    island = np.repeat(np.arange(len(lengths)), lengths)[kept]
-    first = np.diff(island, prepend=-1) != 0
-    advance = np.concatenate([[1], np.where(even, whole, 1).astype(np.int64)])[kept]
-    position = np.cumsum(np.where(first, 1, advance)) - 1
-    return _Grid(interval * 1e-9, kept, position, first, jitter)
+    first = np.concatenate([[True], ~even])[kept]
+    advance = np.concatenate([[1.0], np.where(even, whole, 1.0)])[kept]
+    return _Grid(interval * 1e-9, kept, np.cumsum(advance.astype(np.int64)) - 1, first, jitter)
 
 
 def _filled(values: FloatArray, grid: _Grid) -> EvenSeries:
@@ -147,13 +155,12 @@ def _filled(values: FloatArray, grid: _Grid) -> EvenSeries:
     n = int(grid.position[-1]) + 1
     laid, there = np.zeros(n), np.zeros(n, np.int64)
     laid[grid.position], there[grid.position] = values[grid.kept], 1
-    ahead = np.flatnonzero(np.diff(grid.position) > 1)
-    gap_starts, gap_lengths = grid.position[ahead] + 1, np.diff(grid.position)[ahead] - 1
-    islands = np.concatenate([grid.position[grid.first], [n]]).astype(np.int64)
-    island = np.searchsorted(islands, gap_starts, side="right")
-    low = np.maximum(gap_starts - gap_lengths, islands[island - 1])
-    high = np.minimum(gap_starts + 2 * gap_lengths, islands[island])
+    gaps = np.diff(grid.position) - 1
+    starts, lengths = grid.position[:-1][gaps > 0] + 1, gaps[gaps > 0]
+    islands = np.append(grid.position[grid.first], n)
+    island = np.searchsorted(islands, starts, side="right")
+    low = np.maximum(starts - lengths, islands[island - 1])
+    high = np.minimum(starts + 2 * lengths, islands[island])
     total, count = (np.concatenate([[0], np.cumsum(part)]) for part in (laid, there))
-    mean = (total[high] - total[low]) / (count[high] - count[low])
-    laid[there == 0] = np.repeat(mean, gap_lengths)
-    return EvenSeries(grid.interval_s, laid, islands, gap_starts, gap_lengths, len(values), grid.jitter)
+    laid[there == 0] = np.repeat((total[high] - total[low]) / (count[high] - count[low]), lengths)
+    return EvenSeries(grid.interval_s, laid, islands, starts, lengths, len(values), grid.jitter)

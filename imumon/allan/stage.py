@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -71,27 +71,29 @@ class AllanStage:
                 for axis in AXIS_COLORS
                 if f"{group}_{axis}" in self._channels
             }
-            curves = allan_curves(found, level.factor)
-            if curves:
+            shown = {axis: curve for axis, curve in found.items() if len(curve.tau_s) > 1}
+            if shown:
                 x, y = Axis("averaging time [s]", log=True), Axis(f"[{level.shown}]", log=True)
-                notes = tuple(_note(axis, found[axis], group) for axis in found)
-                charts.append(Chart(f"allan_{group}", TAB, title, x, y, tuple(curves), notes=notes))
+                notes = tuple(_note(axis, curve, group) for axis, curve in found.items())
+                curves = tuple(_curves(shown, level.factor))
+                charts.append(Chart(f"allan_{group}", TAB, title, x, y, curves, notes=notes))
         return charts
 
 
-def allan_curves(found: Mapping[str, LiveCurve], factor: float) -> list[Curve]:
-    """Return the curves of a chart: one per axis, and their intervals."""
-    shown = {axis: curve for axis, curve in found.items() if len(curve.tau_s) > 1}
-    if not shown:
-        return []
-    curves = [
-        Curve(axis, curve.tau_s, factor * curve.deviation, AXIS_COLORS[axis], width=2.0)
-        for axis, curve in shown.items()
-    ]
+def _curves(shown: Mapping[str, LiveCurve], factor: float) -> Iterator[Curve]:
+    """Yield the curve of each axis, upright bars over their intervals, and the line of white noise."""
     for axis, curve in shown.items():
-        x, y = _bars(curve)
-        curves.append(Curve(f"68 % {axis}", x, factor * y, AXIS_COLORS[axis], width=1.0, listed=False))
-    return [*curves, _guide(shown, factor)]
+        yield Curve(axis, curve.tau_s, factor * curve.deviation, AXIS_COLORS[axis], width=2.0)
+    for axis, curve in shown.items():
+        gap = np.full(len(curve.tau_s), np.nan)
+        x = np.column_stack([curve.tau_s, curve.tau_s, gap]).ravel()
+        y = factor * np.column_stack([curve.low, curve.high, gap]).ravel()
+        yield Curve(f"68 % {axis}", x, y, AXIS_COLORS[axis], width=1.0, listed=False)
+    # Slope -1/2, through the longest curve where its random walk is read.
+    curve = max(shown.values(), key=lambda one: len(one.tau_s))
+    near = _at_1_s(curve)
+    line = factor * curve.deviation[near] * np.sqrt(curve.tau_s[near] / curve.tau_s)
+    yield Curve("white noise", curve.tau_s, line, GREY, width=1.2, dashed=True)
 
 
 def _note(axis: str, curve: LiveCurve, group: str) -> str:
@@ -113,20 +115,3 @@ def _note(axis: str, curve: LiveCurve, group: str) -> str:
 def _at_1_s(curve: LiveCurve) -> int:
     """Return which point of a curve is the nearest to 1 s."""
     return int(np.argmin(np.abs(np.log(curve.tau_s))))
-
-
-def _guide(shown: Mapping[str, LiveCurve], factor: float) -> Curve:
-    """Return the line of white noise, slope -1/2, through the longest curve where its random walk is read."""
-    curve = max(shown.values(), key=lambda one: len(one.tau_s))
-    near = _at_1_s(curve)
-    line = factor * curve.deviation[near] * np.sqrt(curve.tau_s[near] / curve.tau_s)
-    return Curve("white noise", curve.tau_s, line, GREY, width=1.2, dashed=True)
-
-
-def _bars(curve: LiveCurve) -> tuple[FloatArray, FloatArray]:
-    """Return upright bars over the intervals, with breaks between."""
-    gap = np.full(len(curve.tau_s), np.nan)
-    return (
-        np.column_stack([curve.tau_s, curve.tau_s, gap]).ravel(),
-        np.column_stack([curve.low, curve.high, gap]).ravel(),
-    )

@@ -6,7 +6,7 @@ are those over a whole record but for rounding, however the stream is cut into b
 difference, as `imumon.allan.analysis.variances` does, changes an octave by a small part of its own
 uncertainty.
 
-Per stride of 1, 2, 4, ... samples a ring of 64 running sums is kept, of which an averaging time looks back at
+For each octave a ring of the last 64 running sums is kept, one a stride, of which a difference looks back at
 two: 18 kB for a channel, for averaging times of up to 2^35 samples.
 """
 
@@ -21,11 +21,11 @@ from imumon.allan.series import JITTER, nominal_interval_ns
 from imumon.blocks import FloatArray, IntArray
 from imumon.compiled import njit, record
 
-STRIDES_PER_TAU = 16
-FIRST_RING = 4
-"""The ring of stride 1 serves the octaves 0..4, every other ring one octave."""
-RINGS, RING = 32, 64
-OCTAVES = RINGS + FIRST_RING
+DENSE = 4
+"""Up to this octave differences are taken at every sample."""
+STRIDES_PER_TAU = 1 << DENSE
+RINGS, RING = 36, 64
+"""Octaves, and running sums that are kept of each."""
 LEARN = 64
 """Samples from which the interval is learned; as many steps in a row that do not fit it begin anew."""
 _SLOPES = np.array([-1.0, 0.0, 1.0, -2.0])
@@ -39,10 +39,10 @@ class _Run:
     offset: float
     """Time from sample to sample, 0 while it is being learned; what is taken from every value."""
     rings: FloatArray
-    """Running sums at the last positions of each stride, (RINGS, RING)."""
+    """Running sums at the last strides of each octave, (RINGS, RING)."""
     sums: FloatArray
     counts: IntArray
-    """Of the squared differences, (OCTAVES,)."""
+    """Of the squared differences, (RINGS,)."""
     position: int
     """Samples in the run; -1: there is no run."""
     total: float
@@ -78,20 +78,16 @@ def stream(time_ns: IntArray, segment: IntArray, values: FloatArray, run: _Run) 
         run.position += 1
         run.total += value - run.offset
         position, now = run.position, run.total
-        for ring in range(RINGS):
-            place = position >> ring
-            if place << ring != position:
+        for octave in range(RINGS):
+            shift, back = max(octave - DENSE, 0), 1 << min(octave, DENSE)
+            stride = position >> shift
+            if stride << shift != position:
                 break
-            run.rings[ring, place & (RING - 1)] = now
-            first = 0 if ring == 0 else FIRST_RING + ring
-            for octave in range(first, FIRST_RING + ring + 1):
-                if octave >= OCTAVES:
-                    break
-                back = 1 << (octave - ring)
-                if place < 2 * back:
-                    break
-                middle = run.rings[ring, (place - back) & (RING - 1)]
-                difference = now - 2.0 * middle + run.rings[ring, (place - 2 * back) & (RING - 1)]
+            ring = run.rings[octave]
+            ring[stride & (RING - 1)] = now
+            if stride >= 2 * back:
+                middle, first = ring[(stride - back) & (RING - 1)], ring[(stride - 2 * back) & (RING - 1)]
+                difference = now - 2.0 * middle + first
                 run.sums[octave] += difference * difference
                 run.counts[octave] += 1
     return len(values)
@@ -123,7 +119,7 @@ class StreamingAllan:
 
     def _begin(self) -> None:
         self._waiting: list[tuple[int, int, float]] = []
-        self._run = record(_Run, rings=(RINGS, RING), sums=OCTAVES, counts=OCTAVES)
+        self._run = record(_Run, rings=(RINGS, RING), sums=RINGS, counts=RINGS)
         self._run.position = -1
 
     def process(self, time_ns: IntArray, segment: IntArray, values: FloatArray) -> None:
@@ -166,8 +162,9 @@ class StreamingAllan:
         length = (run.counts[:n] - 1) * stride + 2.0 * m
         # Sixteen differences to an averaging time are those of an averaging factor of 16.
         used = np.minimum(m, STRIDES_PER_TAU)
-        samples = used * length / m
-        edf = np.array([_freedom(*octave) for octave in zip(used, samples, identify(variance), strict=True)])
+        runs = [Runs(np.array([length]), np.ones(1)) for length in used * length / m]
+        noises = np.eye(len(NOISES))[identify(variance)]
+        edf = np.array([freedom("allan", int(m), *of) for m, *of in zip(used, runs, noises, strict=True)])
         tau_s = np.asarray(m * run.interval_ns * 1e-9, np.float64)
         return LiveCurve(tau_s, np.sqrt(variance), *intervals(variance, edf), edf)
 
@@ -179,8 +176,3 @@ def identify(variance: FloatArray) -> IntArray:
     logs = np.log2(np.maximum(variance, 1e-300))
     slope = np.gradient(logs)
     return np.asarray(np.abs(slope[:, np.newaxis] - _SLOPES).argmin(axis=1), np.int64)
-
-
-def _freedom(m: float, samples: float, noise: int) -> float:
-    """Return the degrees of freedom of one uninterrupted run with one of `NOISES`."""
-    return freedom("allan", int(m), Runs(np.array([samples]), np.ones(1))).of(np.eye(len(NOISES))[noise])

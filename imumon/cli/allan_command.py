@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from pathlib import Path
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING
@@ -15,6 +14,17 @@ from imumon.cli.progress import reading_bar
 
 if TYPE_CHECKING:
     from imumon.allan.analysis import Result
+
+WRITERS = {
+    "plot": "plot:write_plot",
+    "noise": "output:write_noise",
+    "kalibr": "output:write_kalibr",
+    "openvins": "output:write_openvins",
+    "vins": "output:write_vins",
+}
+"""Modules and functions that write an output; they are loaded when it is wanted."""
+LARGE = 1e5
+"""From here on a number is written with a power of ten."""
 
 
 @click.command("allan")
@@ -39,7 +49,6 @@ def command(
     """
     from imumon.allan import output
     from imumon.allan.analysis import analyse
-    from imumon.allan.odometry import write_kalibr, write_openvins, write_vins
     from imumon.allan.recording import read_channels
     from imumon.estimation.gyro_bias.stage import RestDetector
 
@@ -49,25 +58,14 @@ def command(
         tell("deviations and terms of all channels")
         results = analyse(opened.series)
     warn([*opened.warnings, *output.remarks(results)])
-    writers: dict[str, Callable[[Path], None]] = {
-        "plot": lambda path: resolve_name("imumon.allan.plot:write_plot")(path, results, str(recording)),
-        "noise": lambda path: output.write_noise(path, results, recording),
-        "kalibr": lambda path: write_kalibr(path, results, recording),
-        "openvins": lambda path: write_openvins(path, results, recording),
-        "vins": lambda path: write_vins(path, results, recording),
-    }
     outputs = {name: path for name, path in ({"plot": plot, "noise": noise_out} | odometry).items() if path}
     for name, path in outputs.items():
-        writers[name](path)
+        resolve_name(f"imumon.allan.{WRITERS[name]}")(path, results, recording)
     if as_json:
         print_json(output.as_json(results))
     else:
         _show(results)
     print_rows({name: str(path) for name, path in outputs.items()})
-
-
-LARGE = 1e5
-"""From here on a number is written with a power of ten."""
 
 
 def _show(results: dict[str, Result]) -> None:

@@ -23,11 +23,11 @@ from imumon.cli.common import (
 )
 from imumon.cli.progress import announce, reading_bar, size_of
 from imumon.files import check_output, write_text
+from imumon.lab.calibration import SHOWN
 from imumon.lab.diagnose_command import chosen_drivers, read
 
 if TYPE_CHECKING:
     from imumon.lab.calibration.calibration import Calibration, Finding
-    from imumon.lab.diagnosis.extended import Driven
 
 STARTING_S, SAMPLES_PER_S, SPAN_PER_S = 2.0, 55_000.0, 670.0
 """For the estimate of the time.  Measured on one core: 19 s of computing for 21,600 samples of 3 h, 103 s for
@@ -110,18 +110,19 @@ def command(
         warnings += found
         result = calibrate(records, latitude, heading, serial, tell)
         result.warnings[:0] = warnings
+        model = result.model
         if chosen != []:
             from imumon.lab.diagnosis.extended import model_with_drivers
 
             runs = [read(path, None, at_rest=False, count=tell.count) for path in sessions]
-            driven = model_with_drivers(result.model, runs, chosen, tell)
-    model = result.model if driven is None else driven.model
+            driven = model_with_drivers(model, runs, chosen, tell)
+            model = driven.model
     written: dict[str, Path] = {}
     if autopilot is not None and export is not None:
         text, notes = parameters(model, autopilot, imu, device_ids)
         write_text(export, text)
         warn(notes)
-        written = {"parameters": export}
+        written["parameters"] = export
     model.write(out)
     if plot is not None:
         from imumon.lab.calibration.plot import write_calibration_plot
@@ -130,8 +131,15 @@ def command(
     errors = {str(path): errors_of_model(path, model) for path in sessions} if truth else {}
     warn([*result.warnings, *(driven.caveats if driven is not None else [])])
     if as_json:
-        compared = {"truth": {path: one.as_data() for path, one in errors.items()}} if truth else {}
-        print_json(_report(result, out) | _driven_report(driven) | compared | written)
+        report: dict[str, Any] = _report(result, out)
+        if driven is not None:
+            claims = {verdict.name: verdict.claims for verdict in driven.verdicts}
+            report["effects"] = {
+                name: [claim.finding.name for claim in claims.get(name, [])] for name in model.channels
+            }
+        if truth:
+            report["truth"] = {path: one.as_data() for path, one in errors.items()}
+        print_json(report | written)
     else:
         _show(result)
     if driven is not None:
@@ -144,12 +152,12 @@ def command(
 
 
 def _report(result: Calibration, out: Path) -> dict[str, Any]:
-    model = result.model
+    model, cells = result.model, result.cells
     return {
         "out": out,
         "rest_s": result.rest_s,
-        "temperature_range_degc": list(result.temperature_range),
-        "temperature_rate_rms_degc_per_s": result.rate_rms,
+        "temperature_range_degc": [float(cells.temperature.min()), float(cells.temperature.max())],
+        "temperature_rate_rms_degc_per_s": cells.rate_rms,
         "levels_degc": model.levels_degc,
         "earth_rate": model.earth_rate,
         "runs": [run.model_dump() for run in model.trained_on],
@@ -170,18 +178,8 @@ def _report(result: Calibration, out: Path) -> dict[str, Any]:
     }
 
 
-def _driven_report(driven: Driven | None) -> dict[str, Any]:
-    """Return what each channel has beside its curve, where drivers were asked for."""
-    if driven is None:
-        return {}
-    named = {verdict.name: [claim.finding.name for claim in verdict.claims] for verdict in driven.verdicts}
-    return {"effects": {name: named.get(name, []) for name in driven.model.channels}}
-
-
 def _show(result: Calibration) -> None:
     """Print the error of every candidate at levels left out, a line per channel."""
-    from imumon.lab.calibration.plot import SHOWN
-
     names = list(dict.fromkeys(name for f in result.findings.values() for name in f.choice.held_out_rms))
     heads = [name.replace("polynomial", "poly").replace("network", "net") for name in names]
     show("rms error at temperature levels left out; * is chosen")
@@ -197,30 +195,24 @@ def _show(result: Calibration) -> None:
 
 
 def _summary(result: Calibration, out: Path) -> dict[str, str]:
-    low, high = result.temperature_range
-    model = result.model
+    model, cells = result.model, result.cells
+    low, high = cells.temperature.min(), cells.temperature.max()
     rows = {
         "at rest": f"{result.rest_s / 3600:.2f} h, {len(model.levels_degc)} temperature levels",
-        "temperature": f"{low:.2f} to {high:.2f} °C, {result.rate_rms * 60:.2f} °C/min rms",
+        "temperature": f"{low:.2f} to {high:.2f} °C, {cells.rate_rms * 60:.2f} °C/min rms",
         "residual": _per_channel(result, lambda finding: finding.choice.residual_sd),
         "30 s of lag": _per_channel(result, lambda finding: finding.lag_rms) + ", if the gyro has it",
     }
     if any(finding.repeatability is not None for finding in result.findings.values()):
-        what = "by pose" if result.turned else "turn-on"
+        what = "by pose" if cells.turned else "turn-on"
         rows[what] = _per_channel(result, lambda finding: finding.repeatability)
-    rows["earth rate"] = (
-        "removed"
-        if model.earth_rate == "removed"
-        else "in the constant of the gyro curves (--latitude, --heading)"
-    )
-    rows["model"] = str(out)
-    return rows
+    included = "in the constant of the gyro curves (--latitude, --heading)"
+    rows["earth rate"] = "removed" if model.earth_rate == "removed" else included
+    return {**rows, "model": str(out)}
 
 
 def _per_channel(result: Calibration, of: Callable[[Finding], float | None]) -> str:
     """Return a number of each channel, those of one unit together."""
-    from imumon.lab.calibration.plot import SHOWN
-
     parts: dict[str, list[str]] = {}
     for name, finding in result.findings.items():
         unit, factor = SHOWN[result.model.channels[name].unit]

@@ -17,8 +17,8 @@ from study import Table
 from vqf import VQF
 
 from benchmarks.measure import Bar, Result, measure
-from imumon.allan.analysis import analyse, octaves, variances
-from imumon.allan.series import even_channels
+from imumon.allan.analysis import analyse, variances
+from imumon.allan.series import even_channels, octaves
 from imumon.allan.streaming import StreamingAllan
 from imumon.blocks import SampleBlock
 from imumon.estimation.gyro_bias.stage import GyroBias

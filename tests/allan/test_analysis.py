@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from imumon.allan.analysis import analyse, octaves, variances
+from imumon.allan.analysis import analyse, variances
 from imumon.allan.covariance import Kind
-from imumon.allan.series import EvenSeries, even_channels
+from imumon.allan.series import EvenSeries, even_channels, octaves
 from imumon.blocks import FloatArray
 from tests.allan.simulated import nist_1000, noise
 

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from imumon.allan.analysis import analyse, octaves, variances
-from imumon.allan.series import EvenSeries, even_channels
+from imumon.allan.analysis import analyse, variances
+from imumon.allan.series import EvenSeries, even_channels, octaves
 from imumon.blocks import FloatArray, IntArray
 from tests.allan.simulated import noise
 

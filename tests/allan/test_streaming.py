@@ -125,7 +125,7 @@ def test_the_degrees_of_freedom_are_those_of_the_batch() -> None:
     curve = streamed(record, []).curve()
     runs = Runs(np.array([float(n)]), np.ones(1))
     for row in (0, 3, 6, 9):
-        exact = freedom("allan", 2**row, runs).of(np.array([1.0, 0, 0, 0]))
+        exact = freedom("allan", 2**row, runs, np.array([1.0, 0, 0, 0]))
         assert curve.freedom[row] == pytest.approx(exact, rel=0.05)
     assert np.all(curve.low < curve.deviation)
     assert np.all(curve.deviation < curve.high)

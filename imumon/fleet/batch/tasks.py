@@ -210,7 +210,7 @@ def _samples(
 def _allan(path: Path, _: Job) -> Iterator[Row]:
     from imumon.allan.analysis import analyse
     from imumon.allan.parameters import TERMS_OF
-    from imumon.allan.recording import UNITS, group_of, rate_hz, read_channels
+    from imumon.allan.recording import UNITS, group_of, read_channels
     from imumon.estimation.gyro_bias.stage import RestDetector
 
     opened = read_channels(path, lambda _: [RestDetector()])
@@ -224,7 +224,7 @@ def _allan(path: Path, _: Job) -> Iterator[Row]:
             "lowest": float(result.allan.values[result.lowest]),
             "lowest_tau_s": float(result.tau_s[result.lowest]),
             "longest_tau_s": result.longest_tau_s,
-            "rate_hz": rate_hz(result.series), "duration_s": result.series.duration_s,
+            "rate_hz": result.series.rate_hz, "duration_s": result.series.duration_s,
             "warnings": [*opened.warnings],
         }  # fmt: skip
 

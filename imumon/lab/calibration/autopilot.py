@@ -15,7 +15,6 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from numpy.polynomial import Polynomial
 
 from imumon.blocks import FloatArray
 from imumon.errors import ImumonError, Reason
@@ -64,40 +63,36 @@ def parameters(
             f"an autopilot's calibration needs {LEAST_SPAN_DEGC:g} °C at least: calibrate over more",
         )
     notes = _notes(model, autopilot, low, high)
-    cubics: dict[str, list[list[float]]] = {}
     reference = ARDUPILOT_REFERENCE_DEGC if autopilot == "ardupilot" else 0.5 * (low + high)
+    cubics: dict[str, list[list[float]]] = {}
     for kind in kinds:
         found = [_cubic(model, f"{kind}_{axis}", np.linspace(low, high, POINTS), reference) for axis in "xyz"]
         cubics[kind] = [coefficients for coefficients, _ in found]
         notes += [note for _, note in found if note]
-    if ids is None or autopilot == "ardupilot":
-        return _ardupilot(cubics, f"INS_TCAL{imu + 1}", low, high), notes
-    return _px4(cubics, imu, ids, (low, high, reference)), notes
-
-
-def _ardupilot(cubics: dict[str, list[list[float]]], head: str, low: float, high: float) -> str:
-    """Return NAME,VALUE."""
-    rows = {"ENABLE": 1, "TMIN": low, "TMAX": high}
+    if ids is not None and autopilot == "px4":
+        return _px4(cubics, imu, ids, {"TMIN": low, "TMAX": high, "TREF": reference}), notes
+    head = f"INS_TCAL{imu + 1}"
+    rows = {"ENABLE": 1.0, "TMIN": low, "TMAX": high}
     for kind, axes in cubics.items():
         for axis, cubic in zip("XYZ", axes, strict=True):
             rows |= {f"{KINDS[kind][0]}{k}_{axis}": cubic[k] * ARDUPILOT_SCALE for k in (1, 2, 3)}
-    return "".join(f"{head}_{name},{value:.9g}\n" for name, value in rows.items())
+    return "".join(f"{head}_{name},{value:.9g}\n" for name, value in rows.items()), notes
 
 
-def _px4(
-    cubics: dict[str, list[list[float]]], imu: int, ids: tuple[int, int], degc: tuple[float, float, float]
-) -> str:
-    """Return the columns of QGroundControl; `degc` is TMIN, TMAX and TREF."""
-    rows: list[tuple[str, float, int]] = []
+def _px4(cubics: dict[str, list[list[float]]], imu: int, ids: tuple[int, int], degc: dict[str, float]) -> str:
+    """Return the columns of QGroundControl."""
+    rows: dict[str, float] = {}
     for (kind, axes), identifier in zip(cubics.items(), ids, strict=False):
-        short = KINDS[kind][1]
-        head = f"TC_{short}{imu}"
-        rows += [(f"TC_{short}_ENABLE", 1, INT), (f"{head}_ID", identifier, INT)]
-        rows += [(f"{head}_{name}", t, FLOAT) for name, t in zip(("TMIN", "TMAX", "TREF"), degc, strict=True)]
+        head = f"TC_{KINDS[kind][1]}{imu}"
+        rows |= {f"TC_{KINDS[kind][1]}_ENABLE": 1, f"{head}_ID": identifier}
+        rows |= {f"{head}_{name}": value for name, value in degc.items()}
         for at, (constant, *others) in enumerate(axes):
             coefficients = (0.0 if kind == "accel" else constant, *others)
-            rows += [(f"{head}_X{power}_{at}", value, FLOAT) for power, value in enumerate(coefficients)]
-    return "".join(f"1\t1\t{name}\t{value:.9g}\t{kind}\n" for name, value, kind in rows)
+            rows |= {f"{head}_X{power}_{at}": value for power, value in enumerate(coefficients)}
+    return "".join(
+        f"1\t1\t{name}\t{value:.9g}\t{INT if name.endswith(('_ENABLE', '_ID')) else FLOAT}\n"
+        for name, value in rows.items()
+    )
 
 
 def check_ids(autopilot: Autopilot | None, ids: tuple[int, int] | None) -> None:
@@ -121,29 +116,25 @@ def _cubic(model: BiasModel, name: str, degc: FloatArray, reference: float) -> t
             "export a model of imumon calibrate without effects, and see what it errs by in diagnose",
         )
     value = TO_BOARD[model.axes]["xyz".index(name[-1])] * channel.value(degc)
-    cubic = Polynomial.fit(degc - reference, value, 3)
-    error = float(np.sqrt(np.mean((cubic(degc - reference) - value) ** 2)))
-    found = np.zeros(4)
-    found[: len(cubic.convert().coef)] = cubic.convert().coef
-    missed = "" if error <= channel.residual_sd else (
+    coefficients = np.polynomial.polynomial.polyfit(degc - reference, value, 3)
+    missed = np.polynomial.polynomial.polyval(degc - reference, coefficients) - value
+    error = float(np.sqrt(np.mean(missed**2)))
+    note = (
         f"{name}: the cubic misses the curve by {error:.3g} {channel.unit} rms, more than the curve errs"
         f" ({channel.residual_sd:.3g}): calibrate over the temperatures of its work only"
-    )  # fmt: skip
-    return found.tolist(), missed
+    )
+    return coefficients.tolist(), note if error > channel.residual_sd else ""
 
 
 def _notes(model: BiasModel, autopilot: Autopilot, low: float, high: float) -> list[str]:
-    notes = [
+    notes = {
         f"outside {low:.1f} to {high:.1f} °C the correction stands still: do not trust offsets that the"
-        " autopilot finds at power-on there"
-    ]
-    if model.axes is None:
-        notes.append(
-            "the model does not say its axes: they are taken for those of the board, forward-right-down;"
-            " if they are not, the correction has the wrong sign"
-        )
-    if autopilot == "px4" and model.earth_rate == "included":
-        notes.append("the gyros' constant holds the earth rate of the test, up to 15 °/h")
-    if len(model.trained_on) < 2:
-        notes.append("the model is from one run: that it holds in another is not shown")
-    return notes
+        " autopilot finds at power-on there": True,
+        "the model does not say its axes: they are taken for those of the board, forward-right-down;"
+        " if they are not, the correction has the wrong sign": model.axes is None,
+        "the gyros' constant holds the earth rate of the test, up to 15 °/h": (
+            autopilot == "px4" and model.earth_rate == "included"
+        ),
+        "the model is from one run: that it holds in another is not shown": len(model.trained_on) < 2,
+    }
+    return [text for text, applies in notes.items() if applies]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Literal
@@ -14,9 +14,9 @@ from imumon.blocks import FloatArray
 from imumon.effects.thermal_lag import UNTOLD_S
 from imumon.errors import ImumonError, Reason
 from imumon.geodesy import DEG_PER_H
+from imumon.intake import RANGES
 from imumon.lab.calibration.cells import Cells, Channel, channel_of, group, levels
-from imumon.lab.calibration.record import BLOCK_S, Record, read_session
-from imumon.lab.calibration.refusal import check_columns, check_coverage
+from imumon.lab.calibration.record import BLOCK_S, LEAST_COVERED, Record, read_session
 from imumon.lab.calibration.selection import Choice, choose, slow_variance, turn_on_offsets
 from imumon.models.curves.points import Points
 from imumon.models.model import UNITS, BiasModel, ChannelModel, TrainedOn
@@ -29,6 +29,12 @@ Tell = Callable[[str], None]
 MANY_LEVELS = 6
 MARGIN = 0.005
 """Share of the span that the range is widened by, so that a level at its end is not now in and now out."""
+LEAST_SPAN_DEGC = 5.0
+LEAST_REST_S = 600.0
+WIDEST_HOLE = 0.4
+"""Share of the span without data that a curve cannot bridge."""
+MOST_LAG = 0.1
+"""Share of the span that the temperature may be wrong by for that reason."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,12 +67,13 @@ class Calibration:
 
     model: BiasModel
     findings: dict[str, Finding]
-    rest_s: float
-    temperature_range: tuple[float, float]
-    rate_rms: float
-    warnings: list[str] = field(default_factory=list)
-    turned: bool = False
-    """Whether its runs are in several poses: their offsets then hold what gravity and the earth rate do."""
+    cells: Cells
+    warnings: list[str]
+
+    @property
+    def rest_s(self) -> float:
+        """Time at rest, s."""
+        return float(self.cells.seconds.sum())
 
 
 def read_sessions(paths: Sequence[Path], count: Count = no_count) -> tuple[list[Record], list[str]]:
@@ -104,8 +111,6 @@ def calibrate(
             "leave --latitude and --heading away",
         )
     findings, channels, warnings = _all_channels(records, cells, tell)
-    warnings += _remarks(records, cells, findings)
-    known = cells.temperature
     return Calibration(
         model=BiasModel(
             made_by=f"imumon {__version__}",
@@ -122,11 +127,8 @@ def calibrate(
             channels=channels,
         ),
         findings=findings,
-        rest_s=float(cells.seconds.sum()),
-        temperature_range=(float(known.min()), float(known.max())),
-        rate_rms=float(np.sqrt(np.average(cells.rate**2, weights=cells.seconds))),
-        warnings=warnings,
-        turned=cells.turned,
+        cells=cells,
+        warnings=[*warnings, *_remarks(records, cells, findings)],
     )
 
 
@@ -165,7 +167,9 @@ def _all_channels(
         channel = channel.only(keep)
         choice = choose(channel, shifted, knots)
         own = not (cells.turned and name in ACCEL)
-        findings[name] = Finding(choice, shifted, channel.white, offset, _lag_rms(choice, cells), own)
+        missed = UNTOLD_S * cells.of("rate") * choice.curve.slope(cells.temperature)
+        lag_rms = float(np.sqrt(np.average(missed**2, weights=cells.seconds)))
+        findings[name] = Finding(choice, shifted, channel.white, offset, lag_rms, own)
         channels[name] = _channel_model(name, channel, choice, shifted)
     return findings, channels, warnings
 
@@ -197,20 +201,15 @@ def _channel_model(name: str, channel: Channel, choice: Choice, points: Points) 
     )
 
 
-def _lag_rms(choice: Choice, cells: Cells) -> float:
-    missed = UNTOLD_S * cells.rate * choice.curve.slope(cells.temperature)
-    return float(np.sqrt(np.average(missed**2, weights=cells.seconds)))
-
-
 def _trained_on(records: Sequence[Record], cells: Cells, findings: dict[str, Finding]) -> list[TrainedOn]:
     return [
         TrainedOn(
             session=records[run.record].name,
             run=run.index,
             sha256=records[run.record].sha256,
-            rest_s=run.rest_s,
-            blocks=run.blocks,
-            temperature_range_degc=list(run.temperature_range),
+            rest_s=float(run.seconds.sum()),
+            blocks=len(run.rows),
+            temperature_range_degc=[float(run.temperature.min()), float(run.temperature.max())],
             offset={
                 name: float(finding.offset[number])
                 for name, finding in findings.items()
@@ -248,8 +247,8 @@ def _remarks(records: Sequence[Record], cells: Cells, findings: dict[str, Findin
 def _one_way(cells: Cells) -> bool:
     """Return whether no run both rises and falls by a fifth of the span."""
     enough = 0.2 * float(np.ptp(cells.temperature))
-    for run in range(len(cells.runs)):
-        t = cells.temperature[cells.run == run]
+    for run in cells.runs:
+        t = run.temperature
         rise = float(np.max(t - np.minimum.accumulate(t)))
         fall = float(np.max(np.maximum.accumulate(t) - t))
         if min(rise, fall) > enough:
@@ -265,3 +264,75 @@ def _common(names: Sequence[str | None]) -> str | None:
 def _axes(given: Sequence[str | None]) -> Literal["FLU", "FRD"] | None:
     known = _common(given)
     return "FLU" if known == "FLU" else "FRD" if known == "FRD" else None
+
+
+def check_columns(records: Sequence[Record]) -> None:
+    """Raise BAD_DATA when a record has no gyro, a constant one, no temperature, or not that of the others."""
+    for record in records:
+        if lacking := [name for name in GYRO if not record.has(name)]:
+            raise _refusal(
+                f"{record.name}: no values of {', '.join(lacking)}",
+                "a bias model is made of angular rates; let the device send them, or name them in the map",
+            )
+        if any(record.temperature_column(name) is None for name in GYRO):
+            coldest, hottest, unit = RANGES["temperature"]
+            raise _refusal(
+                f"{record.name}: there is no temperature",
+                "let the device send its temperature, or name the column in the map with its unit; "
+                f"readings beyond {coldest:g} to {hottest:g} {unit}, and zero alone, are left out",
+            )
+        values = {name: record.of(name) for name in GYRO} if len(record.means) > 1 else {}
+        if stuck := [name for name, of in values.items() if np.nanmin(of) == np.nanmax(of)]:
+            raise _refusal(
+                f"{record.name}: {', '.join(stuck)} never changes from {record.of(stuck[0])[0]:g} rad/s",
+                "a sensor that measures is never so quiet: is it switched off, or the column a constant?",
+            )
+    thermometers = {str(record.temperature_column(GYRO[0])) for record in records}
+    if len(thermometers) > 1:
+        raise _refusal(
+            f"the sessions have different thermometers: {', '.join(sorted(thermometers))}",
+            "calibrate them apart: a curve is over one of them",
+        )
+
+
+def check_coverage(records: Sequence[Record], cells: Cells) -> None:
+    """Raise BAD_DATA when time at rest, span, holes or rate do not allow a model."""
+    rest_s = float(cells.seconds.sum())
+    if rest_s < LEAST_REST_S:
+        recorded_s = sum(float(record.means.span_s.sum()) for record in records)
+        raise _refusal(
+            f"{rest_s:.0f} s at rest, of {recorded_s:.0f} s with several samples in {BLOCK_S:g} s; "
+            f"a model needs {LEAST_REST_S:.0f}",
+            "let the unit stand still on a firm base for longer"
+            if recorded_s > 0.0
+            else f"record faster than every {LEAST_COVERED * BLOCK_S:g} s, or mend the unit of its time",
+        )
+    known = np.sort(cells.temperature)
+    low, high = float(known[0]), float(known[-1])
+    span = high - low
+    if span < LEAST_SPAN_DEGC:
+        raise _refusal(
+            f"the temperature at rest spans {span:.2f} °C ({low:.2f} to {high:.2f}); "
+            f"a model needs {LEAST_SPAN_DEGC:g}",
+            "record while the unit warms up or cools down over the range in which it will be used",
+        )
+    at = int(np.argmax(np.diff(known)))
+    hole = float(known[at + 1] - known[at])
+    if hole > WIDEST_HOLE * span:
+        raise _refusal(
+            f"nothing at rest from {known[at]:.2f} to {known[at + 1]:.2f} °C, {hole / span:.0%} of "
+            f"the span; a curve bridges {WIDEST_HOLE:.0%}",
+            "record levels in between",
+        )
+    wrong = UNTOLD_S * cells.rate_rms
+    if wrong > MOST_LAG * span:
+        raise _refusal(
+            f"the temperature moves at {60 * cells.rate_rms:.2f} °C/min (rms): a gyro {UNTOLD_S:g} s behind "
+            f"its thermometer would be wrong by {wrong:.2f} °C, {wrong / span:.0%} of the {span:.2f} °C "
+            f"span; a model allows {MOST_LAG:.0%}",
+            "heat and cool more slowly, hold levels, or cover a wider range",
+        )
+
+
+def _refusal(seen: str, hint: str) -> ImumonError:
+    return ImumonError(Reason.BAD_DATA, seen, hint)

@@ -56,35 +56,48 @@ class Channel:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Run:
-    """A stretch in one pose without a restart: (record, index within it), time at rest, temperature range.
-
-    `up`, (3,), is the direction of its specific force in body axes, NaN without accelerometers; `earth_rate`,
-    (3,) in rad/s there, is None without place, heading or accelerometers.
-    """
+    """A stretch in one pose without a restart, long enough: its blocks at rest, (n,)."""
 
     record: int
     index: int
-    rest_s: float
-    blocks: int
-    temperature_range: tuple[float, float]
-    up: FloatArray
-    earth_rate: FloatArray | None
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Cells:
-    """Blocks at rest of all records, grouped into runs and cells.
-
-    `block`, `run`, `cell` are (n,) for the n blocks at rest, `temperature` their °C, `rate` °C/s.
-    """
-
-    runs: tuple[Run, ...]
-    block: tuple[tuple[int, IntArray], ...]
-    run: IntArray
+    """Number of its record, and among the runs of that."""
+    rows: IntArray
+    """Its blocks in the record."""
     cell: IntArray
     seconds: FloatArray
     temperature: FloatArray
     rate: FloatArray
+    """°C and °C/s."""
+    up: FloatArray
+    """Direction of the specific force in body axes, (3,); NaN without accelerometers."""
+    earth_rate: FloatArray | None
+    """In body axes, (3,) in rad/s; None without place, heading or accelerometers."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cells:
+    """Blocks at rest of all records, grouped into runs and cells; arrays over all blocks, (n,)."""
+
+    runs: tuple[Run, ...]
+
+    def of(self, name: str) -> FloatArray:
+        """Return a field of all runs, one after the other."""
+        return np.concatenate([np.empty(0), *(getattr(run, name) for run in self.runs)])
+
+    @property
+    def seconds(self) -> FloatArray:
+        """Time that each block stands for."""
+        return self.of("seconds")
+
+    @property
+    def temperature(self) -> FloatArray:
+        """°C."""
+        return self.of("temperature")
+
+    @property
+    def rate_rms(self) -> float:
+        """Of the temperature, °C/s."""
+        return float(np.sqrt(np.average(self.of("rate") ** 2, weights=self.seconds)))
 
     @property
     def turned(self) -> bool:
@@ -103,31 +116,24 @@ def group(records: Sequence[Record], latitude_deg: float | None, heading_deg: fl
     """Group the blocks at rest; runs shorter than `SHORTEST_RUN_S` are left out."""
     chosen = [_usable(record) for record in records]
     temperatures = [main_temperature(record) for record in records]
-    known = np.concatenate([t[i] for t, i in zip(temperatures, chosen, strict=True)])
+    known = np.concatenate([t[rows] for t, rows in zip(temperatures, chosen, strict=True)])
     width = float(np.ptp(known)) / CELLS_PER_SPAN if len(known) else 0.0
     runs: list[Run] = []
-    blocks: list[tuple[int, IntArray]] = []
-    none, empty = np.empty(0, np.int64), np.empty(0)
-    parts: list[tuple[IntArray, IntArray, FloatArray, FloatArray, FloatArray]]
-    parts, cells = [(none, none, empty, empty, empty)], 0
-    for number, (record, chosen_rows, all_t) in enumerate(zip(records, chosen, temperatures, strict=True)):
-        for index, rows in enumerate(_runs(record, chosen_rows)):
-            seconds, t = _seconds(record, rows), all_t[rows]
+    cells = 0
+    for number, record in enumerate(records):
+        for index, rows in enumerate(_runs(record, chosen[number])):
+            seconds, t = _seconds(record, rows), temperatures[number][rows]
             if seconds.sum() < SHORTEST_RUN_S:
                 continue
             start_s = np.asarray(record.means.start_ns[rows] * 1e-9, np.float64)
             cell = _cells(start_s, seconds, t, width) + cells
             cells = int(cell[-1]) + 1
             rate = np.gradient(t, start_s) if len(rows) > 1 else np.zeros(1)
-            parts.append((np.full(len(rows), len(runs)), cell, seconds, t, rate))
-            blocks.append((number, rows))
-            ends = (float(t.min()), float(t.max()))
-            up = _up(record, rows)
-            earth = None
+            up, earth = _up(record, rows), None
             if latitude_deg is not None and heading_deg is not None and np.isfinite(up).all():
                 earth = earth_rate_in_body(up, np.deg2rad(heading_deg), np.deg2rad(latitude_deg))
-            runs.append(Run(number, index, float(seconds.sum()), len(rows), ends, up, earth))
-    return Cells(tuple(runs), tuple(blocks), *(np.concatenate(column) for column in zip(*parts, strict=True)))
+            runs.append(Run(number, index, rows, cell, seconds, t, rate, up, earth))
+    return Cells(tuple(runs))
 
 
 def channel_of(
@@ -137,22 +143,23 @@ def channel_of(
     column = next((found for record in records if (found := record.temperature_column(name))), None)
     if column is None or not all(record.has(name) for record in records):
         return None
-    values, whites, temperatures = [], [], []
-    for run, (number, rows) in zip(cells.runs, cells.block, strict=True):
-        record = records[number]
-        earth = run.earth_rate if name in GYRO else None
-        shift = 0.0 if earth is None else float(earth["xyz".index(name[-1])])
-        values.append(record.of(name)[rows] - shift)
-        whites.append(record.means.mean_variance(name)[rows])
-        temperatures.append(record.of(column)[rows])
-    value, white = np.concatenate(values), np.concatenate(whites)
-    temperature = np.concatenate(temperatures)
+    parts = []
+    for number, run in enumerate(cells.runs):
+        record, rows = records[run.record], run.rows
+        value = record.of(name)[rows]
+        if run.earth_rate is not None and name in GYRO:
+            value = value - run.earth_rate["xyz".index(name[-1])]
+        white, temperature = record.means.mean_variance(name)[rows], record.of(column)[rows]
+        parts.append((value, white, temperature, run.seconds, run.cell, np.full(len(rows), number)))
+    value, white, temperature, seconds, cell, run_of = (
+        np.concatenate(part) for part in zip(*parts, strict=True)
+    )
     good = np.isfinite(value) & np.isfinite(white) & np.isfinite(temperature)
     if not good.any() or np.ptp(value[good]) == 0.0:
         return None
-    _, first, cell = np.unique(cells.cell[good], return_index=True, return_inverse=True)
-    seconds = _sum(cell, cells.seconds[good])
-    share = cells.seconds[good] / seconds[cell]
+    _, first, cell = np.unique(cell[good], return_index=True, return_inverse=True)
+    whole = _sum(cell, seconds[good])
+    share = seconds[good] / whole[cell]
     mean_temperature = _sum(cell, share * temperature[good])
     return Channel(
         name=name,
@@ -160,18 +167,19 @@ def channel_of(
         temperature=mean_temperature,
         value=_sum(cell, share * value[good]),
         white=_sum(cell, share**2 * white[good]),
-        seconds=seconds,
-        run=cells.run[good][first],
+        seconds=whole,
+        run=run_of[good][first],
         level=nearest(mean_temperature, level_centers),
     )
 
 
 def levels(cells: Cells) -> FloatArray:
     """Return the temperature levels, °C upwards: where the temperature dwelt, else the middles of bands."""
-    if not len(cells.cell):
+    if not cells.runs:
         return np.empty(0)
-    seconds = np.bincount(cells.cell, cells.seconds)
-    temperature = np.bincount(cells.cell, cells.seconds * cells.temperature) / seconds
+    cell = np.concatenate([run.cell for run in cells.runs])
+    seconds = np.bincount(cell, cells.seconds)
+    temperature = np.bincount(cell, cells.seconds * cells.temperature) / seconds
     low, high = float(temperature.min()), float(temperature.max())
     width = (high - low) / BANDS
     dwelt = seconds > 0.7 * CELL_S
@@ -216,10 +224,9 @@ def _runs(record: Record, rows: IntArray) -> list[IntArray]:
         turned = bool(direction[i] @ origin < TURNED)  # without accelerometers NaN, which is not less
         if segment[i] != segment[i - 1] or turned:
             begins.append(i)
+        if begins[-1] == i or np.isnan(origin).any():
             origin = direction[i]
-        elif np.isnan(origin).any():
-            origin = direction[i]
-    return [rows[a:b] for a, b in zip(begins, [*begins[1:], len(rows)], strict=True)]
+    return np.split(rows, begins[1:])
 
 
 def _seconds(record: Record, rows: IntArray) -> FloatArray:

@@ -22,31 +22,22 @@ LEAST_POSES, POSES_OF_MISALIGNMENT = 6, 9
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Length:
-    """What follows from |f| = g of an accelerometer triad, at the middle of the temperatures.
-
-    Parameters
-    ----------
-    bias, bias_per_half : array of shape (3,)
-        m/s², and its linear change up to the warm end; the bias may be as curved as the declared model.
-    scale, scale_per_half : array of shape (3,)
-        Excess of the scale factors over 1; their mean includes the error of the assumed gravity.
-    misalignment : array of shape (3,)
-        Of yz, xz and xy, rad; NaN with too few poses.
-    bias_sd, scale_sd : array of shape (3,)
-        Standard deviations; infinite where the poses do not determine the parameter.
-    before, after : float
-        rms of |f| - g, m/s², with and without these errors.
-    """
+    """What follows from |f| = g of an accelerometer triad, at the middle of the temperatures; (3,) each."""
 
     bias: FloatArray
     bias_per_half: FloatArray
+    """m/s², and its linear change up to the warm end; it may be as curved as the declared model."""
     scale: FloatArray
     scale_per_half: FloatArray
+    """Excess of the scale factors over 1; their mean includes the error of the assumed gravity."""
     misalignment: FloatArray
+    """Of yz, xz and xy, rad; NaN with too few poses."""
     bias_sd: FloatArray
     scale_sd: FloatArray
+    """Standard deviations; infinite where the poses do not determine the parameter."""
     before: float
     after: float
+    """rms of |f| - g, m/s², with and without these errors."""
 
     @classmethod
     def from_poses(cls, force: FloatArray, warmth: FloatArray) -> tuple[int, Self] | None:

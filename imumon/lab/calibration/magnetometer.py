@@ -76,10 +76,10 @@ def fit_magnetometer(blocks: Iterable[SampleBlock], unit: str, source: str) -> M
     source : str
         Name for messages.
     """
-    found = [part for part in (_columns(block) for block in blocks) if part is not None and len(part)]
-    if not found:
+    found = [_columns(block) for block in blocks if block.mag is not None]
+    both = np.concatenate([np.empty((0, 6)), *found])
+    if not len(both):
         raise ImumonError(Reason.BAD_DATA, f"{source}: there is no magnetometer", "needs mag_x, mag_y, mag_z")
-    both = np.concatenate(found)
     mag, accel = both[:, :3], both[:, 3:]
     centre, matrix = _closed_form(mag) if len(mag) >= LEAST_POINTS else (mag.mean(0), np.eye(3))
     which = _spread((mag - centre) @ matrix)
@@ -94,12 +94,10 @@ def fit_magnetometer(blocks: Iterable[SampleBlock], unit: str, source: str) -> M
         )
     model = _fitted(readings, unit, coverage)
     if model is None or model.fit_sd > WORST_SD * model.field or model.residual_sd > MOST_LEFT * model.field:
-        what = "lie on no ellipsoid"
-        if model is not None:
-            what = (
-                f"leave {model.residual_sd / model.field:.1%} of the field beside an ellipsoid, and hard and "
-            )
-            what += f"soft iron are known to {model.fit_sd / model.field:.1%}"
+        what = "lie on no ellipsoid" if model is None else (
+            f"leave {model.residual_sd / model.field:.1%} of the field beside an ellipsoid, and hard and "
+            f"soft iron are known to {model.fit_sd / model.field:.1%}"
+        )  # fmt: skip
         # The directions of the field are not known then: those of gravity show what is missing.
         up = _unit(accel[np.isfinite(accel).all(1)])
         share, seen = covered(up)
@@ -127,13 +125,14 @@ def _cells() -> FloatArray:
     return np.column_stack([level * np.cos(turn), level * np.sin(turn), z])
 
 
-def _columns(block: SampleBlock) -> FloatArray | None:
+def _columns(block: SampleBlock) -> FloatArray:
     """Return whole readings of field and specific force, (n, 6); the force NaN where there is none."""
     mag, accel = block.mag, block.accel
     if mag is None:
-        return None
-    both = np.column_stack([mag, np.full_like(mag, np.nan) if accel is None else accel])
-    return both[np.isfinite(mag).all(1)]
+        return np.empty((0, 6))
+    return np.column_stack([mag, np.full_like(mag, np.nan) if accel is None else accel])[
+        np.isfinite(mag).all(1)
+    ]
 
 
 def _unit(vectors: FloatArray) -> FloatArray:
@@ -222,17 +221,14 @@ def _changed(jacobian: FloatArray, residual: FloatArray, scatter: float) -> Floa
 
     It is the square of half their difference, less the share of it that scatter makes in the mean.
     """
-    half = len(residual) // 2
-    found = []
-    for rows in (slice(None, half), slice(half, None)):
+    differ, covariance = np.zeros(9), np.zeros((9, 9))
+    for sign, rows in zip((1.0, -1.0), np.array_split(np.arange(len(residual)), 2), strict=True):
         normal = np.linalg.pinv(jacobian[rows].T @ jacobian[rows], hermitian=True)
-        found.append((normal @ jacobian[rows].T @ -residual[rows], normal * scatter))
-    (one, of_one), (other, of_other) = found
-    differ = one - other
-    square = float(differ @ np.linalg.pinv(of_one + of_other, hermitian=True) @ differ)
-    return np.asarray(
-        np.outer(differ, differ) / 4.0 * max(0.0, 1.0 - len(differ) * BY_CHANCE / max(square, 1e-300))
-    )
+        differ += sign * (normal @ jacobian[rows].T @ residual[rows])
+        covariance += normal * scatter
+    square = float(differ @ np.linalg.pinv(covariance, hermitian=True) @ differ)
+    beyond = max(0.0, 1.0 - len(differ) * BY_CHANCE / max(square, 1e-300))
+    return np.asarray(np.outer(differ, differ) / 4.0 * beyond)
 
 
 def slower_than_white(residual: FloatArray) -> float:
@@ -253,10 +249,9 @@ def _next(seen: FloatArray, directions: FloatArray, accel: FloatArray) -> str:
     """Say which side of the unit should point along the field, where most is missing."""
     missing = (_cells() * (1.0 - seen)[:, np.newaxis]).sum(0)
     axis = int(np.argmax(np.abs(missing)))
-    side = f"{'-' if missing[axis] < 0.0 else '+'}{'xyz'[axis]}"
+    side = f"turn the {'-' if missing[axis] < 0.0 else '+'}{'xyz'[axis]} axis"
     vertical = (directions * accel).sum(1)
-    vertical = vertical[np.isfinite(vertical)]
-    if not len(vertical):
-        return f"turn the {side} axis along the magnetic field"
+    if not np.isfinite(vertical).any():
+        return f"{side} along the magnetic field"
     # The specific force points up, and the field of the northern hemisphere down.
-    return f"turn the {side} axis {'down' if vertical.mean() < 0.0 else 'up'}, and around there"
+    return f"{side} {'down' if np.nanmean(vertical) < 0.0 else 'up'}, and around there"

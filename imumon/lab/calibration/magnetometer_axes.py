@@ -14,8 +14,8 @@ magnetometer is late.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 from itertools import permutations, product
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -27,18 +27,12 @@ from imumon.filters.slots import SlotGatherer, Slots
 from imumon.filters.turns import PAUSE_S
 from imumon.models.magnetometer import MagnetometerModel
 
-
-def _ways() -> FloatArray:
-    """Return the rotations that turn axes into axes, the identity first, (24, 3, 3)."""
-    signed = (
-        np.eye(3)[list(order)] * signs
-        for order in permutations(range(3))
-        for signs in product((1, -1), repeat=3)
-    )
-    return np.array([way for way in signed if np.linalg.det(way) > 0.0])
-
-
-WAYS = _ways()
+_SIGNED = [
+    np.eye(3)[list(order)] * signs
+    for order, signs in product(permutations(range(3)), product((1, -1), repeat=3))
+]
+WAYS = np.array([way for way in _SIGNED if np.linalg.det(way) > 0.0])
+"""The rotations that turn axes into axes, the identity first, (24, 3, 3)."""
 LOST = 0.01
 """rad²: variance of a turn for want of samples beyond which it is not compared with the field."""
 ALONG = 1e-6
@@ -61,22 +55,15 @@ SIGMAS = 4.0
 """By eight parts: beyond it is one in 200 (Student, seven degrees of freedom)."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Axes:
-    """The rotation from the magnetometer's axes to the gyros'.
-
-    Parameters
-    ----------
-    rotation : array (3, 3)
-    sd : float
-        Of its angle, rad.
-    follows : bool
-        Whether the field went as the gyros turned, in these axes.
-    """
+class Axes(NamedTuple):
+    """The rotation from the magnetometer's axes to the gyros'."""
 
     rotation: FloatArray
+    """(3, 3)."""
     sd: float
+    """Of its angle, rad."""
     follows: bool
+    """Whether the field went as the gyros turned, in these axes."""
 
     @property
     def way(self) -> int:
@@ -94,8 +81,7 @@ class Axes:
         return float(np.arccos(np.clip(0.5 * (np.trace(self.rotation) - 1.0), -1.0, 1.0)))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Pairs:
+class _Pairs(NamedTuple):
     """The field before and after turns, over its strength, (n, 3), the rates then, (n, 3), and the turns."""
 
     before: FloatArray
@@ -123,28 +109,30 @@ class Gathered:
             yield block
 
     def axes(self, model: MagnetometerModel) -> Axes | None:
-        """Return the axes of a magnetometer that is calibrated; None where the gyros do not tell."""
+        """Return the axes of a magnetometer that is calibrated; None where the gyros do not tell.
+
+        Slots count whose turn is known from the end of the one before.
+        """
         if not self._slots:
             return None
-        pairs = self._pairs(model)
-        return _fitted(pairs, model.residual_sd / model.field) if len(pairs.before) >= LEAST_SLOTS else None
-
-    def _pairs(self, model: MagnetometerModel) -> _Pairs:
-        """Return the slots whose turn is known from the end of the one before."""
-        last = np.concatenate([slots.last for slots in self._slots])
-        end_ns = np.concatenate([slots.end_ns for slots in self._slots])
-        begins = np.concatenate([slots.begins for slots in self._slots])
-        turns = [turn for slots in self._slots for turn in slots.turns]
-        rotation, by_bias, seconds, coning, fast, missed = (
-            np.array([getattr(turn, name) for turn in turns])
-            for name in ("rotation", "by_bias", "seconds", "coning", "fast", "missed")
+        last, end_ns, begins = (
+            np.concatenate([getattr(slots, name) for slots in self._slots])
+            for name in ("last", "end_ns", "begins")
         )
-        paused = np.abs(1e-9 * np.diff(end_ns) - seconds[1:]) >= PAUSE_S
-        uncertain = (coning**2).sum(1) + fast**2 + missed >= LOST
-        known = ~begins[1:] & ~paused & ~uncertain[1:] & np.isfinite(last[1:] + last[:-1]).all(1)
+        turns = [turn for slots in self._slots for turn in slots.turns]
+        seconds = np.array([turn.seconds for turn in turns])
+        uncertain = np.array([turn.coning @ turn.coning + turn.fast**2 + turn.missed for turn in turns])
+        known = ~begins[1:] & (np.abs(1e-9 * np.diff(end_ns) - seconds[1:]) < PAUSE_S)
+        known &= (uncertain[1:] < LOST) & np.isfinite(last[1:] + last[:-1]).all(1)
+        if known.sum() < LEAST_SLOTS:
+            return None
+        after = np.flatnonzero(known) + 1
         field, rate = model.corrected(last[:, 3:]) / model.field, last[:, :3]
-        parts = field[:-1], field[1:], rate[:-1], rate[1:], rotation[1:], by_bias[1:]
-        return _Pairs(*(part[known] for part in parts))
+        rotation, by_bias = (
+            np.array([getattr(turns[k], name) for k in after]) for name in ("rotation", "by_bias")
+        )
+        pairs = _Pairs(field[after - 1], field[after], rate[after - 1], rate[after], rotation, by_bias)
+        return _fitted(pairs, model.residual_sd / model.field)
 
 
 def doubts(axes: Axes | None, source: str) -> list[str]:
@@ -152,14 +140,14 @@ def doubts(axes: Axes | None, source: str) -> list[str]:
 
     Raises BAD_DATA where the magnetometer has other axes than the gyros.
     """
-    if axes is None:
-        return []
-    if not axes.follows:
+    if axes is not None and not axes.follows:
         return [
             "the field did not go as the gyros turned, in any axes: are unit and axes of the gyros right? "
             "The axes of the magnetometer were not checked"
         ]
-    if axes.is_significant and axes.way:
+    if axes is None or not axes.is_significant:
+        return []
+    if axes.way:
         raise ImumonError(
             Reason.BAD_DATA,
             f"{source}: the magnetometer has not the gyros' axes: their x, y, z are its "
@@ -168,13 +156,12 @@ def doubts(axes: Axes | None, source: str) -> list[str]:
             "(in a device file by a negative scale); turns do not tell which of the two it is: north of the "
             "magnetic equator the field must point down",
         )
-    if not axes.is_significant or axes.angle < SIGMAS * axes.sd:
-        return []
-    return [
+    text = (
         f"the magnetometer is turned by {np.degrees(axes.angle):.1f} ± {np.degrees(axes.sd):.1g}° against "
         "the gyros: headings are off by up to as much, and more where the field is steep; the model file "
         "does not hold that"
-    ]
+    )
+    return [text] if axes.angle >= SIGMAS * axes.sd else []
 
 
 def _fitted(pairs: _Pairs, noise: float) -> Axes:

@@ -9,6 +9,7 @@ import numpy as np
 
 from imumon.files import write_png
 from imumon.harmless import for_plot
+from imumon.lab.calibration import SHOWN
 from imumon.lab.calibration.calibration import Calibration
 from imumon.recordings.reduced import ACCEL
 
@@ -18,8 +19,6 @@ if TYPE_CHECKING:
 
     from imumon.lab.calibration.magnetometer import MagnetometerFit
 
-SHOWN = {"rad/s": ("°/h", 206264.80624709636), "m/s^2": ("mg", 1e3 / 9.80665)}
-"""What a person reads, and how many of it one of the model's units is."""
 COLUMNS = 3
 """Channels beside each other: those of one sensor."""
 PLANES = ((0, 1), (1, 2), (2, 0))

@@ -134,6 +134,15 @@ def test_runs_without_a_common_temperature_get_no_offset_and_that_is_said() -> N
     )
 
 
+def test_sessions_with_different_thermometers_are_refused() -> None:
+    t = soak(300.0)
+    columns = samples(t).columns
+    own = SampleBlock({**columns, **{f"temperature_{axis}": columns["temperature"] for axis in "xyz"}})
+    with pytest.raises(ImumonError, match="different thermometers: temperature, temperature_x") as caught:
+        calibrate([record(t), record_of([own], "own", "1" * 64)])
+    assert caught.value.reason is Reason.BAD_DATA
+
+
 @pytest.mark.usefixtures("fast")
 def test_a_restart_within_a_session_is_a_run_of_its_own() -> None:
     t = soak(300.0)
@@ -172,7 +181,7 @@ def test_a_bias_that_is_another_in_each_pose_is_said_and_gravity_is_no_turn_on_o
     down, up = (samples(t, accel=(0.0, 0.0, sign * GRAVITY)) for sign in (-1.0, 1.0))
     up = up.with_columns({"gyro_x": up["gyro_x"] + np.radians(20.0) / 3600.0})
     found = calibrate([record_of([one], name, name * 64) for name, one in (("0", down), ("1", up))])
-    assert found.turned
+    assert found.cells.turned
     assert [text for text in found.warnings if text.startswith("gyro_x: the bias differs by 14.1 °/h")]
     assert found.findings["accel_z"].repeatability is None
     assert "accel_z" not in found.model.trained_on[0].offset
