@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from imumon.recordings.source import Count
 
 SEVERAL = ("--train", "--test")
+COMMAND_LINE = click.core.ParameterSource.COMMANDLINE
 
 
 class _SeveralValues(click.Command):
@@ -128,6 +130,7 @@ def command(
         testing = [run for group in runs[split:] for run in group]
         beside = chosen_drivers(drivers)
         diagnosis = diagnose(training, testing, assumed, tell, sensors, model, beside)
+        diagnosis.given = _given(click.get_current_context())
         written = {"report": "report.html", "numbers": "report.json"}
         if with_model(diagnosis):
             extended_model(diagnosis).write(out / "model.yaml")
@@ -142,6 +145,19 @@ def command(
     print_rows({"conclusion": conclusion(diagnosis)})
     step = next_step(diagnosis, out)
     print_rows({"next": f"{step.what} {step.why} {step.command}".strip()})
+
+
+def _given(context: click.Context) -> str:
+    """Return the options of a diagnosis as they were given, to repeat it with another test."""
+    words: list[str] = []
+    for option in context.command.params:
+        name = str(option.name)
+        if name in ("test", "out", "as_json") or context.get_parameter_source(name) != COMMAND_LINE:
+            continue
+        value = context.params[name]
+        values = value if isinstance(value, tuple) else () if value is True else (value,)
+        words += [option.opts[0], *map(str, values)]
+    return shlex.join(words)
 
 
 def model_of(path: Path) -> BiasModel:

@@ -9,26 +9,24 @@ et al. 2011, doi:10.1214/10-STS347).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.polynomial import Polynomial
 
 from imumon.effects.library import EFFECTS
-from imumon.lab.diagnosis.axes import likeliest, search_sensor
-from imumon.lab.diagnosis.blocks import (
-    BLOCK_S,
-    LEAST_BLOCKS,
-    RunBlocks,
-    common_block_s,
-    make_blocks,
-    survey,
-)
-from imumon.lab.diagnosis.channel import CUBIC_DEGREE, Recorded, curves_of, temperature_of, without_model
+from imumon.lab.diagnosis.blocks import LEAST_BLOCKS, common_block_s, make_blocks, survey
 from imumon.lab.diagnosis.choice import least_gain
+from imumon.lab.diagnosis.diagnose import Recorded, likeliest, search_sensor
 from imumon.lab.diagnosis.extended import refitted
 from imumon.lab.diagnosis.fit import MATERIAL, fit
+from imumon.lab.diagnosis.known import (
+    CUBIC_DEGREE,
+    curves_of,
+    residual,
+    temperature_of,
+    within_range,
+    without_model,
+)
 from imumon.lab.diagnosis.likelihood import Likelihood
 from imumon.lab.diagnosis.runs import Run
 from imumon.lab.diagnosis.search import Search
@@ -57,39 +55,6 @@ class Better(NamedTuple):
     model: ChannelModel
 
 
-def residual(
-    run: Run,
-    model: BiasModel,
-    channels: Sequence[str],
-    drivers: Sequence[str] = (),
-    block_s: float = BLOCK_S,
-) -> RunBlocks:
-    """Return block means of what a model leaves of the channels, its effects integrated from power-on.
-
-    `drivers` are the recorded columns that may drive effects besides temperature, time and specific force.
-    """
-    temperatures = dict.fromkeys(temperature_of(name, model, [run]) for name in channels)
-    return make_blocks(without_model(run, model, channels), channels, list(temperatures), drivers, block_s)
-
-
-def within_range(model: BiasModel, run: Run, channels: Sequence[str], until_s: float | None = None) -> Run:
-    """Return a run at rest only where its temperatures are inside the range that a model was fitted on, or
-    those that the run itself had until then.
-
-    Outside that range the curve continues as a straight line, and what is left there is no effect.
-    """
-    inside = np.ones(len(run.time_s), bool)
-    for name in channels:
-        values = run.mean[temperature_of(name, model, [run])]
-        known = np.isfinite(values)
-        if until_s is None:
-            inside &= model.channels[name].inside(np.interp(run.time_s, run.time_s[known], values[known]))
-        else:
-            early = values[(run.time_s < until_s) & known]
-            inside &= (values >= early.min()) & (values <= early.max())
-    return replace(run, rest=np.where(inside, run.rest, 0.0))
-
-
 def better_models(run: Run, model: BiasModel, channels: Sequence[str]) -> list[Better]:
     """Return a better model of each channel that lacks an effect.
 
@@ -108,8 +73,8 @@ def better_models(run: Run, model: BiasModel, channels: Sequence[str]) -> list[B
     data = Recorded([left], [blocks], temperatures, degree, model=model)
     searched = search_sensor(data, channels, LASTING, stages=1)
     found = likeliest(searched, live=True)
-    of_poses = [one[0].channel.declared.own == "pose" for one in searched]
-    if found[0].channel.declared.own == "pose" and not all(of_poses):
+    of_poses = [one[0].channel.own == "pose" for one in searched]
+    if found[0].channel.own == "pose" and not all(of_poses):
         return []  # it may be the earth rate: `imumon diagnose` has more sessions to decide
     lacking = [one for one in found if any(not finding.known for finding in one.findings)]
     gain = sum(map(_gain_over_given, lacking))
@@ -136,11 +101,11 @@ def _better(found: Search, gain: float, model: BiasModel) -> Better:
     channel, lacking = found.channel, next(one for one in found.findings if not one.known)
     present, given = model.channels[channel.name], fit(channel.as_given(), [])
     fitted = fit(channel, found.model)
-    middle, half = channel.declared.middle_degc, channel.declared.half_span_degc
-    curve = Polynomial(fitted.declared, domain=[middle - half, middle + half])
     effects = [part.effect.with_start(part.start) for part in fitted.parts]
     # What is left holds the white noise of the means as well: the model's own error is no larger.
-    better = refitted(present, curve, effects, min(present.residual_sd, fitted.train_rms))
+    better = refitted(
+        present, channel.curve(fitted.declared), effects, min(present.residual_sd, fitted.train_rms)
+    )
     names = lacking.alike or [lacking.name]
     return Better(channel.name, names, gain, given.train_rms, fitted.train_rms, better)
 

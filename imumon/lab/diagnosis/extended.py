@@ -67,21 +67,22 @@ def _channel(verdict: ChannelVerdict, known: ChannelModel | None) -> ChannelMode
     scored = verdict.test_after
     rms = scored.rms if np.isfinite(scored.rms) else fitted.train_rms
     residual = float(np.sqrt(max(rms**2 - verdict.channel.floor.sd**2, 0.0)))
-    declared = verdict.channel.declared
-    middle, half = declared.middle_degc, declared.half_span_degc
+    channel, scale = verdict.channel, verdict.channel.scale
+    margin = WIDENED * scale.half_span
     present = known or ChannelModel.model_validate(
         {
-            "unit": verdict.channel.unit,
-            "temperature_column": verdict.channel.temperature,
-            "temperature_range_degc": [middle - WIDENED * half, middle + WIDENED * half],
+            "unit": channel.unit,
+            "temperature_column": channel.pool.temperature,
+            "temperature_range_degc": [scale.middle - margin, scale.middle + margin],
             "residual_sd": residual,
-            "curve": PolynomialCurve(center_degc=middle, half_width_degc=half, coefficients=[0.0]),
+            "curve": PolynomialCurve(
+                center_degc=scale.middle, half_width_degc=scale.half_span, coefficients=[0.0]
+            ),
         }
     )
-    curve = Polynomial(fitted.declared, domain=[middle - half, middle + half])
-    model = refitted(present, curve, effects, residual)
+    model = refitted(present, channel.curve(fitted.declared), effects, residual)
     if verdict.name.startswith("accel"):  # what it has at the middle is gravity
-        more = model.curve.value(middle) - present.curve.value(middle)
+        more = model.curve.value(scale.middle) - present.curve.value(scale.middle)
         model = model.model_copy(update={"curve": model.curve.minus(float(more))})
     return model
 

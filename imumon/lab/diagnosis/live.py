@@ -13,11 +13,11 @@ from imumon.charts import AXIS_COLORS, Axis, Chart, Curve
 from imumon.columns import Column
 from imumon.errors import ImumonError
 from imumon.geodesy import DEG_PER_H
-from imumon.lab.diagnosis.better import Better, Challenger, better_models, residual, within_range
+from imumon.lab.diagnosis.better import Better, Challenger, better_models
 from imumon.lab.diagnosis.blocks import common_block_s, make_blocks
-from imumon.lab.diagnosis.channel import temperature_of
 from imumon.lab.diagnosis.choice import PROVEN
 from imumon.lab.diagnosis.extended import trained_on
+from imumon.lab.diagnosis.known import residual, temperature_of, within_range
 from imumon.lab.diagnosis.runs import (
     DRIVERS,
     LONGEST_GAP_S,

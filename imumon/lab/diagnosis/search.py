@@ -24,8 +24,7 @@ from typing import NamedTuple
 import numpy as np
 
 from imumon.effects.base import Survey
-from imumon.lab.diagnosis.candidates import Candidate, Part, candidates
-from imumon.lab.diagnosis.channel import Channel
+from imumon.lab.diagnosis.candidates import Candidate, Channel, Part, candidates
 from imumon.lab.diagnosis.choice import (
     CLOSE_SHARE,
     PROVEN,

@@ -19,10 +19,20 @@ from imumon.lab.diagnosis.blocks import (
     LEAST_BLOCKS,
     LEAST_SLOTS,
     RunBlocks,
+    common_block_s,
     make_blocks,
 )
 from imumon.lab.diagnosis.quality import Fault, standing
-from imumon.lab.diagnosis.runs import CHANNELS, SHORTEST_RUN_S, Run, channels_of, unit_of
+from imumon.lab.diagnosis.runs import (
+    CHANNELS,
+    SHORTEST_RUN_S,
+    STRETCHES,
+    Run,
+    channels_of,
+    divided,
+    in_order,
+    unit_of,
+)
 
 LEAST_THERE = 0.1
 """Share of its time in which a channel that is used has samples."""
@@ -74,6 +84,23 @@ def _varies(mean: FloatArray, variance: FloatArray) -> bool:
     known, scatter = mean[np.isfinite(mean)], variance[np.isfinite(variance)]
     resolution = RESOLUTION * float(np.abs(known).max())
     return bool(np.ptp(known) > resolution or (scatter > resolution**2).any())
+
+
+def train_and_test(
+    train: Sequence[Run], test: Sequence[Run], channels: Sequence[str], remarks: list[str]
+) -> tuple[list[Run], list[Run]]:
+    """Return sound runs of training and test; parts of an only run are held out as a test."""
+    train, test = ([without_standstill(run, channels, remarks) for run in runs] for runs in (train, test))
+    test = in_order(train, test, remarks)
+    if test or len(train) > 1 or train[0].duration_s < 2 * LEAST_BLOCKS * common_block_s(train):
+        return train, test
+    remarks.append(
+        f"no test data: every other {train[0].duration_s / STRETCHES / 60:.0f} min of the one run are"
+        " held out as a test.  That is weaker than another power-on: what is particular to this run, and"
+        " any noise that is slower, is in both"
+    )
+    first, other = divided(train[0], channels)
+    return [first], [other]
 
 
 def without_standstill(run: Run, channels: Sequence[str], remarks: list[str]) -> Run:
@@ -172,18 +199,32 @@ def usable_blocks(
     return found
 
 
-def check_training(blocks: Sequence[RunBlocks], remarks: Sequence[str], block_s: float) -> None:
-    """Raise BAD_DATA when the unit was at rest for too short a time in training, with the remarks on that."""
+def training_blocks(
+    runs: Sequence[Run],
+    channels: Sequence[str],
+    temperatures: Sequence[str],
+    drivers: Sequence[str],
+    block_s: float,
+    remarks: list[str],
+) -> list[RunBlocks]:
+    """Return the training runs at rest as blocks.
+
+    Raises BAD_DATA when the unit was at rest for too short a time, with the remarks on that.
+    """
+    unused: list[str] = []
+    blocks = usable_blocks(runs, channels, temperatures, drivers, block_s, unused)
     total = sum(map(len, blocks))
     if total < LEAST_BLOCKS:
         short = f"too short: the training data has {total} means of {block_s:.0f} s at rest"
         needed = f"{LEAST_BLOCKS} are needed, {LEAST_BLOCKS * block_s / 60:.0f} min"
         raise ImumonError(
             Reason.BAD_DATA,
-            "; ".join([short, needed, *remarks]),
+            "; ".join([short, needed, *unused]),
             "record the unit at rest for an hour or more while its temperature changes;"
             " if it was at rest and is not detected to be, add --at-rest",
         )
+    remarks += unused
+    return blocks
 
 
 def usable_drivers(

@@ -14,8 +14,7 @@ import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.effects.library import separated_by
-from imumon.lab.diagnosis.candidates import Candidate
-from imumon.lab.diagnosis.channel import Channel
+from imumon.lab.diagnosis.candidates import Candidate, Channel
 from imumon.lab.diagnosis.choice import Finding
 from imumon.lab.diagnosis.fit import (
     CLEAN,
@@ -103,7 +102,6 @@ class ChannelVerdict:
     """Those of the findings that the present model has not."""
     unexplained: bool
     """More than 1.8 floors are left in training or, beside what is claimed, in the test."""
-    explained: float
     remark: str
     left_out: Sequence[dict[str, Any]]
     """What was found but made the test worse."""
@@ -242,7 +240,6 @@ class _Model(NamedTuple):
 
 def decide(found: Search, channel: Channel) -> ChannelVerdict:
     """Return the verdict on a channel, in the blocks that are scored, by what the search found in it."""
-    floor = channel.limit  # what digits make of a smooth bias is no structure
     baseline, left_out = fit(channel.as_given(), []), list[dict[str, Any]]()
     kept = _claimed(channel, found, baseline, left_out)
     after, (test_before, test_after) = kept.after, kept.tests
@@ -253,15 +250,7 @@ def decide(found: Search, channel: Channel) -> ChannelVerdict:
         test_after.rms = test_before.rms
     left = max(after.train_rms, test_after.left) if kept.new else after.train_rms
     covariance, spread = sigmas(found.channel, found.likelihood, [one.candidate for one in kept.findings])
-    claims, parts = [], iter(after.parts[len(channel.kept) :])
-    for finding, sigma in zip(kept.findings, spread, strict=True):
-        own = list(islice(parts, len(finding.candidate.parts)))
-        if not finding.known:
-            alone = _fit(channel, [finding])
-            share = explained_share(baseline.train_rms, alone.train_rms, channel.floor.sd)
-            size = float(np.sqrt(max(baseline.train_rms**2 - alone.train_rms**2, 0.0)))
-            claims.append(Claim(finding, own, share, size, score_test(channel, alone).rms, sigma))
-    refit = ["curve"] if channel.declared.degree else []
+    refit = ["curve"] if channel.degree else []
     refit += [one.name for one in kept.findings if one.known]
     return ChannelVerdict(
         found=found,
@@ -271,15 +260,27 @@ def decide(found: Search, channel: Channel) -> ChannelVerdict:
         test_before=test_before,
         test_after=test_after,
         findings=kept.findings,
-        claims=claims,
-        unexplained=found.many_events or left >= CLEAN * floor,
-        explained=explained_share(baseline.train_rms, after.train_rms, floor) if kept.new else 0.0,
+        claims=_claims(channel, kept, baseline, spread),
+        unexplained=found.many_events or left >= CLEAN * channel.limit,
         remark=kept.remark,
         left_out=left_out,
         predicts=predicts,
         refit=refit if channel.known is not None and predicts else [],
         declared_covariance=covariance,
     )
+
+
+def _claims(channel: Channel, kept: _Model, baseline: Fit, spread: Sequence[list[PartSigma]]) -> list[Claim]:
+    """Return what is claimed with its evidence: what each effect does alone."""
+    claims, parts = [], iter(kept.after.parts[len(channel.kept) :])
+    for finding, sigma in zip(kept.findings, spread, strict=True):
+        own = list(islice(parts, len(finding.candidate.parts)))
+        if not finding.known:
+            alone = _fit(channel, [finding])
+            share = explained_share(baseline.train_rms, alone.train_rms, channel.floor.sd)
+            size = float(np.sqrt(max(baseline.train_rms**2 - alone.train_rms**2, 0.0)))
+            claims.append(Claim(finding, own, share, size, score_test(channel, alone).rms, sigma))
+    return claims
 
 
 def _claimed(channel: Channel, found: Search, baseline: Fit, left_out: list[dict[str, Any]]) -> _Model:
@@ -325,11 +326,10 @@ def _not_worse(
         everything = _fit(channel, kept)
         carried = {part.effect.label for part in everything.parts if part.carries}
         with_it, trials = score_test(channel, everything).estimated_rms, []
-        for finding in kept:
+        for finding in (one for one in kept if one.name in carried):
             rest = _fit(channel, [one for one in kept if one is not finding])
             without = score_test(channel, rest, like=everything).estimated_rms
-            if without < with_it and finding.name in carried:
-                trials.append((without, finding))
+            trials += [(without, finding)] if without < with_it else []
         if not trials:
             break
         without, worst = min(trials, key=lambda trial: trial[0])
