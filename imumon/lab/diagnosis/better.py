@@ -18,7 +18,7 @@ from imumon.lab.diagnosis.blocks import LEAST_BLOCKS, common_block_s, make_block
 from imumon.lab.diagnosis.choice import least_gain
 from imumon.lab.diagnosis.diagnose import Recorded, likeliest, search_sensor
 from imumon.lab.diagnosis.extended import refitted
-from imumon.lab.diagnosis.fit import MATERIAL, fit
+from imumon.lab.diagnosis.fit import LEAST_TEST_BLOCKS, MATERIAL, fit
 from imumon.lab.diagnosis.known import (
     CUBIC_DEGREE,
     curves_of,
@@ -35,8 +35,6 @@ from imumon.models.model import BiasModel, ChannelModel
 
 LASTING = [name for name, kind in EFFECTS.items() if kind.scope not in ("run", "event")]
 """Effects that a model file can have."""
-LEAST_COMPARED = 10
-"""Means that have to be there before and after the better model was found."""
 
 
 class Better(NamedTuple):
@@ -142,7 +140,7 @@ class Challenger:
         for model, sign in ((self._present, -1.0), (self.model, 1.0)):
             blocks = residual(run, model, self._names, block_s=block_s)
             early = blocks.time_s < self.since_s
-            if min(early.sum(), (~early).sum()) < LEAST_COMPARED:
+            if min(early.sum(), (~early).sum()) < LEAST_TEST_BLOCKS:
                 return None
             left = [blocks.mean[name] - blocks.mean[name][early].mean() for name in self._names]
             likelihood = Likelihood([blocks])

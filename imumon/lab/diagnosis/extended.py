@@ -21,8 +21,6 @@ from imumon.models.curves.polynomial import HIGHEST_ORDER, PolynomialCurve
 from imumon.models.model import UNITS, BiasModel, ChannelModel, TrainedOn
 from imumon.version import __version__
 
-DECLARED = "polynomial 3 + offset"
-"""The degree is that of the model; each run has a turn-on offset, as in the calibration."""
 WIDENED = 1.01
 """Range of a curve over the one that it was fitted on, so that an end is not in and out by turns."""
 
@@ -164,7 +162,8 @@ def model_with_drivers(
 
     Raises BAD_DATA when the data is too short for it; BAD_CONFIG for a driver that is not there.
     """
-    diagnosis = diagnose(*latest(recordings), DECLARED, progress, model=model, drivers=drivers)
+    declared = "polynomial 3 + offset"  # the degree is that of the model, the offset as in the calibration
+    diagnosis = diagnose(*latest(recordings), declared, progress, model=model, drivers=drivers)
     found = [verdict for verdict in diagnosis.verdicts if verdict.predicts and _has_driver(verdict)]
     extended = extended_model(diagnosis).channels
     channels = {**model.channels, **{verdict.name: extended[verdict.name] for verdict in found}}

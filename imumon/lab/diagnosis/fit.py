@@ -194,6 +194,12 @@ def goes_on(channel: Channel, model: Fit) -> bool:
     return any(run in part.runs for part in model.parts for run in goes_on_from)
 
 
+def is_woven(channel: Channel) -> bool:
+    """Return whether the test lies between parts of the training, whose ends any smooth course joins."""
+    begun_in = [(run, at) for run in channel.test if (at := begun(channel, run)) is not None]
+    return any(run.time_s[0] < channel.pool.runs[at].time_s[-1] for run, at in begun_in)
+
+
 def begun(channel: Channel, run: RunBlocks) -> int | None:
     """Return the training run that a run goes on from; None where it begins with a power-on of its own."""
     names = [other.name for other in channel.pool.runs]

@@ -8,9 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from imumon.effects.base import Effect
+from imumon.effects.vibration import SECOND_NS
 from imumon.errors import ImumonError, Reason
 from imumon.lab.diagnosis.blocks import BLOCK_S, RunBlocks, make_blocks
-from imumon.lab.diagnosis.runs import SECOND_NS, Run, common_temperature
+from imumon.lab.diagnosis.runs import Run, common_temperature
 from imumon.models.curves.polynomial import PolynomialCurve
 from imumon.models.model import BiasModel, ChannelModel
 from imumon.models.predictor import BiasPredictor

@@ -11,6 +11,7 @@ import numpy as np
 from imumon.blocks import ColumnArray, FloatArray, SampleBlock
 from imumon.charts import AXIS_COLORS, Axis, Chart, Curve
 from imumon.columns import Column
+from imumon.effects.vibration import SECOND_NS
 from imumon.errors import ImumonError
 from imumon.geodesy import DEG_PER_H
 from imumon.lab.diagnosis.better import Better, Challenger, better_models
@@ -21,7 +22,6 @@ from imumon.lab.diagnosis.known import residual, temperature_of, within_range
 from imumon.lab.diagnosis.runs import (
     DRIVERS,
     LONGEST_GAP_S,
-    SECOND_NS,
     Origin,
     Run,
     add_vibration,

@@ -27,7 +27,6 @@ from imumon.lab.diagnosis.search import Progress
 from imumon.lab.diagnosis.verdict import ChannelVerdict
 from imumon.models.model import BiasModel
 
-CLASSES = {"named": "found", "nothing missing": "ok"}
 HOUR_S = 3600.0
 SCALES = {"rad/s": (1.0 / DEG_PER_H, "°/h"), "m/s^2": (1.0 / MICRO_G, "µg")}
 """Factor to the unit that a person reads, and that unit; others are read as they are."""
@@ -76,7 +75,7 @@ def write_page(diagnosis: Diagnosis, path: Path, progress: Progress | None = Non
                 "numbers": content["channels"][verdict.name],
                 "scale": scale,
                 "unit": unit,
-                "class": CLASSES.get(verdict.row.state, "open"),
+                "class": {"named": "found", "nothing missing": "ok"}.get(verdict.row.state, "open"),
                 "errors": _errors(verdict),
                 "curve": _curve(verdict),
                 "figures": _figures(diagnosis, verdict),

@@ -12,7 +12,7 @@ import numpy as np
 from imumon.blocks import BoolArray, FloatArray, IntArray, SampleBlock
 from imumon.clock.channel import CLOCK, UNIT, rate_ppm, with_delay
 from imumon.columns import KNOWN, TEMPERATURES
-from imumon.effects.vibration import VIBRATION
+from imumon.effects.vibration import SECOND_NS, VIBRATION
 from imumon.errors import ImumonError, Reason
 from imumon.lab.diagnosis.quality import Samples, Watcher
 from imumon.recordings.reader import Stages, no_stages, open_recording
@@ -25,7 +25,6 @@ SENSORS = ("gyro", "accel", CLOCK)
 DRIVERS = ("pressure", *(f"mag_{axis}" for axis in "xyz"))
 """Known columns that may drive a bias besides temperature and specific force."""
 READ = (*CHANNELS, *TEMPERATURES, *DRIVERS)
-SECOND_NS = 1_000_000_000
 FIRST_ROWS = 1000
 """Rows from which the rate of a log is estimated."""
 LONGEST_GAP_S = 6 * 3600
