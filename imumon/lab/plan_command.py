@@ -13,7 +13,7 @@ from imumon.cli.progress import reading_bar, rounded_time
 if TYPE_CHECKING:
     from imumon.lab.diagnosis.planning import Plan
 
-HOUR_TAKES_S = 0.5
+HOUR_TAKES_S = 0.4
 """s of one core for an hour that is simulated and searched."""
 
 

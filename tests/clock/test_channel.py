@@ -83,7 +83,7 @@ def test_a_crystals_parabola_is_the_curve_of_the_clock_and_nothing_else_is_missi
 def test_the_floor_is_what_the_delays_make_of_a_block() -> None:
     three = runs(late_parabola, seed=10)
     blocks = [make_blocks(run, [CLOCK], ["temperature"]) for run in three]
-    floor = white_floor(three, CLOCK, blocks).sd
+    floor = white_floor(CLOCK, blocks).sd
     errors = []
     for at, found in enumerate(blocks):
         truth = late_parabola(ramps(SECONDS, at != 1)[1])

@@ -14,19 +14,12 @@ from typing import NamedTuple
 import numpy as np
 
 from imumon.effects.library import EFFECTS
+from imumon.lab.diagnosis import known
 from imumon.lab.diagnosis.blocks import LEAST_BLOCKS, common_block_s, make_blocks, survey
 from imumon.lab.diagnosis.choice import least_gain
 from imumon.lab.diagnosis.diagnose import Recorded, likeliest, search_sensor
 from imumon.lab.diagnosis.extended import refitted
 from imumon.lab.diagnosis.fit import LEAST_TEST_BLOCKS, MATERIAL, fit
-from imumon.lab.diagnosis.known import (
-    CUBIC_DEGREE,
-    curves_of,
-    residual,
-    temperature_of,
-    within_range,
-    without_model,
-)
 from imumon.lab.diagnosis.likelihood import Likelihood
 from imumon.lab.diagnosis.runs import Run
 from imumon.lab.diagnosis.search import Search
@@ -60,15 +53,15 @@ def better_models(run: Run, model: BiasModel, channels: Sequence[str]) -> list[B
     named at a time, where the gain over the present model, of all channels that lack it, pays for the choice
     of effect, channels and curve (extended BIC).
     """
-    temperatures = {name: temperature_of(name, model, [run]) for name in channels}
+    temperatures = {name: known.temperature_of(name, model, [run]) for name in channels}
     used = list(dict.fromkeys(temperatures.values()))
-    left = without_model(run, curves_of(model), channels)
+    left = known.without_model(run, known.curves_of(model), channels)
     drivers = usable_drivers([run], [], used, None, [])
     blocks = make_blocks(left, channels, used, drivers, common_block_s([run]))
     if len(blocks) < LEAST_BLOCKS:
         return []
-    degree = CUBIC_DEGREE if survey([blocks], used[0], 0).thermal else 0
-    data = Recorded([left], [blocks], temperatures, degree, model=model)
+    degree = known.CUBIC_DEGREE if survey([blocks], used[0], 0).thermal else 0
+    data = Recorded([blocks], temperatures, degree, model=model)
     searched = search_sensor(data, channels, LASTING, stages=1)
     found = likeliest(searched, live=True)
     of_poses = [one[0].channel.own == "pose" for one in searched]
@@ -135,10 +128,10 @@ class Challenger:
 
         Temperatures outside those of the earlier part, from which the better model is, do not count.
         """
-        run = within_range(self.model, run, self._names, self.since_s)
+        run = known.within_range(self.model, run, self._names, self.since_s)
         block_s, ratio, squares = common_block_s([run]), 0.0, []
         for model, sign in ((self._present, -1.0), (self.model, 1.0)):
-            blocks = residual(run, model, self._names, block_s=block_s)
+            blocks = known.residual(run, model, self._names, block_s=block_s)
             early = blocks.time_s < self.since_s
             if min(early.sum(), (~early).sum()) < LEAST_TEST_BLOCKS:
                 return None

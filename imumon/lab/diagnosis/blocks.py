@@ -13,7 +13,7 @@ from imumon.clock.channel import CLOCK, block_noise
 from imumon.effects.base import Drive, DrivenEffect, Scale, Survey
 from imumon.effects.library import EFFECTS
 from imumon.effects.product import Product
-from imumon.lab.diagnosis.runs import Origin, Run
+from imumon.lab.diagnosis.runs import Run
 from imumon.recordings.reduced import ACCEL
 
 BLOCK_S = 30.0
@@ -40,7 +40,8 @@ times the median change."""
 class RunBlocks:
     """One run as block means at rest."""
 
-    name: str
+    run: Run
+    """What they are made of."""
     block_s: float
     """Nominal length of a block."""
     time_s: FloatArray
@@ -57,11 +58,13 @@ class RunBlocks:
     """Of each slot in the means, (slots,): samples, over those of a whole slot.  A block is a gap where it is
     less than half a block's."""
     slots: int
-    duration_s: float
     pose: IntArray
     """Number of the pose of each block, from 0, (n,)."""
-    origin: Origin | None = None
-    begun_in: str = ""
+
+    @property
+    def name(self) -> str:
+        """Name of the run."""
+        return self.run.name
 
     def __len__(self) -> int:
         return len(self.time_s)
@@ -106,7 +109,7 @@ def make_blocks(
     keep = share >= 0.5
     time_s, number, *columns = means[keep].T
     return RunBlocks(
-        name=run.name,
+        run=run,
         block_s=block_s,
         time_s=time_s,
         white=1.0 / share[keep],
@@ -115,10 +118,7 @@ def make_blocks(
         drives=drives,
         weight=weight,
         slots=slots,
-        duration_s=run.duration_s,
         pose=np.rint(number).astype(np.int64),
-        origin=run.origin,
-        begun_in=run.begun_in,
     )
 
 
@@ -207,7 +207,7 @@ class WhiteFloor(NamedTuple):
     source: str
 
 
-def white_floor(runs: Sequence[Run], channel: str, blocks: Sequence[RunBlocks]) -> WhiteFloor:
+def white_floor(channel: str, blocks: Sequence[RunBlocks]) -> WhiteFloor:
     """Return the white floor of a channel from the scatter inside blocks, averaged over these blocks.
 
     It is half the mean square difference of neighbouring parts of a block (an Allan variance), of 2 s in most
@@ -217,7 +217,7 @@ def white_floor(runs: Sequence[Run], channel: str, blocks: Sequence[RunBlocks]) 
     """
     slots, gaps = blocks[0].slots, np.concatenate([run.white for run in blocks]).mean()
     values = []
-    for run in runs:
+    for run in (one.run for one in blocks):
         rows = np.where(run.at_rest, run.mean[channel], np.nan)
         values.append(rows[: len(rows) // slots * slots].reshape(-1, slots))
     if channel == CLOCK:  # no step leads from one run to the next
@@ -233,7 +233,7 @@ def white_floor(runs: Sequence[Run], channel: str, blocks: Sequence[RunBlocks]) 
     squares = float(np.mean(spread**2)) if len(spread) else 0.0
     variance = squares / (2.0 * (1.0 - 1.0 / (number - 1) ** 2)) * step / slots
     sd = float(np.sqrt(variance)) * float(np.sqrt(gaps))
-    return WhiteFloor(sd, f"means of {step * runs[0].slot_s:.0f} s inside blocks")
+    return WhiteFloor(sd, f"means of {step * blocks[0].run.slot_s:.0f} s inside blocks")
 
 
 def survey(runs: Sequence[RunBlocks], temperature: str, degree: int) -> Survey:

@@ -56,14 +56,14 @@ class Candidate:
         return sum(len(part.effect.nonlinear) for part in self.parts)
 
     @property
+    def inputs(self) -> set[str]:
+        """What drives it besides time and temperature."""
+        return {name for part in self.parts for name in part.effect.inputs}
+
+    @property
     def scope(self) -> str:
         """Whose its coefficients are by nature, see `imumon.effects.base.Scope`."""
         return self.parts[0].effect.scope
-
-    @property
-    def is_plain(self) -> bool:
-        """Whether it is one part with no free start, of no other driver than the temperature."""
-        return len(self.parts) == 1 and not (self.free_start or self.choice)
 
     @property
     def carries(self) -> bool:

@@ -20,6 +20,7 @@ from imumon.effects.library import effects_for
 from imumon.errors import ImumonError, Reason
 from imumon.geodesy import EARTH_RATE
 from imumon.lab.calibration.gravity import Length
+from imumon.lab.diagnosis import known, usable
 from imumon.lab.diagnosis.blocks import (
     RunBlocks,
     at_poses,
@@ -30,24 +31,8 @@ from imumon.lab.diagnosis.blocks import (
 )
 from imumon.lab.diagnosis.candidates import Channel, Own, Pool, least_squares
 from imumon.lab.diagnosis.choice import PROVEN
-from imumon.lab.diagnosis.known import (
-    check_range,
-    curves_of,
-    effects_of,
-    order_of,
-    temperature_of,
-    without_model,
-)
 from imumon.lab.diagnosis.runs import SENSORS, Run, channels_of, common_temperature
 from imumon.lab.diagnosis.search import STAGES, Progress, Search, search
-from imumon.lab.diagnosis.usable import (
-    faults,
-    train_and_test,
-    training_blocks,
-    usable_blocks,
-    usable_channels,
-    usable_drivers,
-)
 from imumon.lab.diagnosis.verdict import ChannelVerdict, decide
 from imumon.models.curves.polynomial import CUBIC
 from imumon.models.model import BiasModel
@@ -62,14 +47,13 @@ EARTH_SPREAD = 2.1 * EARTH_RATE
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recorded:
-    """What is diagnosed: training runs, their blocks and those of the test, and what is declared of them.
+    """What is diagnosed: blocks of training and test, and what is declared of them.
 
     `temperatures` has that of each channel, `degree` is that of the declared polynomial, and `own` says
     whether each run, or each pose of each run, has a constant of its own.  With a `model` that is known, its
     curve is off the runs already.  The search is in `shorter` blocks where there are some.
     """
 
-    runs: Sequence[Run]
     blocks: Sequence[RunBlocks]
     temperatures: Mapping[str, str]
     degree: int
@@ -153,7 +137,7 @@ def diagnose(
         survey=survey(data.blocks, verdicts[0].channel.pool.temperature, data.degree),
         caveats=remarks,
         model=model,
-        held_out=any(run.share < 1.0 for run in data.runs),
+        held_out=any(one.run.share < 1.0 for one in data.blocks),
         length=length,
     )
 
@@ -169,22 +153,22 @@ def _prepared(
 ) -> Recorded:
     """Return what is searched; on what is not, and on limits, it adds to the remarks."""
     degree, own = parse_declared(declared)
-    channels = usable_channels(train, test, sensors, remarks)
-    train, test = train_and_test(train, test, channels, remarks)
+    channels = usable.usable_channels(train, test, sensors, remarks)
+    train, test = usable.train_and_test(train, test, channels, remarks)
     temperatures = _temperatures(channels, train, model)
     used = [*dict.fromkeys(temperatures.values())]
     if model is not None:
-        channels, curves = [*temperatures], curves_of(model)
-        train, test = ([without_model(run, curves, channels) for run in runs] for runs in (train, test))
-        degree = max(order_of(model.channels[name]) for name in channels)
+        channels, curves = [*temperatures], known.curves_of(model)
+        train, test = ([known.without_model(run, curves, channels) for run in runs] for runs in (train, test))
+        degree = max(known.order_of(model.channels[name]) for name in channels)
         if drivers is not None:
             there = (*drivers, *used)
             needed = BiasPredictor(model, channels).drivers
             drivers = [*drivers, *(name for name in needed if name not in there)]
-    others = usable_drivers(train, test, [*used, *channels], drivers, remarks)
+    others = usable.usable_drivers(train, test, [*used, *channels], drivers, remarks)
     block_s = common_block_s([*train, *test])
-    blocks = training_blocks(train, channels, used, others, block_s, remarks)
-    tested = usable_blocks(test, channels, used, others, block_s, remarks)
+    blocks = usable.training_blocks(train, channels, used, others, block_s, remarks)
+    tested = usable.usable_blocks(test, channels, used, others, block_s, remarks)
     shown = survey(blocks, used[0], degree)
     if not shown.thermal:
         degree = 0
@@ -193,15 +177,15 @@ def _prepared(
             " no curve over temperature is fitted, and no effect of temperature can be found"
         )
     elif model is not None:  # else no curve is fitted, and that of the model stays as it is
-        check_range(model, temperatures, blocks)
+        known.check_range(model, temperatures, blocks)
     if not tested:
         remarks.append("no run can be used as a test: there is no independent proof")
     if len(blocks) < 2:
         remarks.append(
             "one training run: what depends on time and what depends on temperature may look alike"
         )
-    shorter = usable_blocks(train, channels, used, others, search_block_s(blocks), [])
-    return Recorded(train, blocks, temperatures, degree, tested, shorter, own, model)
+    shorter = usable.usable_blocks(train, channels, used, others, search_block_s(blocks), [])
+    return Recorded(blocks, temperatures, degree, tested, shorter, own, model)
 
 
 def _temperatures(channels: Sequence[str], runs: Sequence[Run], model: BiasModel | None) -> dict[str, str]:
@@ -215,7 +199,7 @@ def _temperatures(channels: Sequence[str], runs: Sequence[Run], model: BiasModel
         return {
             name: common_temperature(f"temperature_{name[-1]}", runs, lacking, but=name) for name in channels
         }
-    found = {name: temperature_of(name, model, runs) for name in channels if name in model.channels}
+    found = {name: known.temperature_of(name, model, runs) for name in channels if name in model.channels}
     if not found:
         raise ImumonError(
             Reason.BAD_CONFIG,
@@ -306,10 +290,10 @@ def _channels(data: Recorded, group: Sequence[str], own: Own, blocks: Sequence[R
     pools = {name: Pool(blocks, name) for name in dict.fromkeys(data.temperatures[axis] for axis in group)}
     found = []
     for name in group:
-        pool, floor = pools[data.temperatures[name]], white_floor(data.runs, name, blocks)
-        known = None if data.model is None else effects_of(data.model.channels[name])
-        wrong = faults(data.runs, name, floor.sd)
-        found.append(Channel(name, floor, data.degree, own, pool, test, wrong, known))
+        pool, floor = pools[data.temperatures[name]], white_floor(name, blocks)
+        effects = None if data.model is None else known.effects_of(data.model.channels[name])
+        wrong = usable.faults([one.run for one in blocks], name, floor.sd)
+        found.append(Channel(name, floor, data.degree, own, pool, test, wrong, effects))
     return found
 
 

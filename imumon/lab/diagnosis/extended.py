@@ -31,7 +31,7 @@ def extended_model(diagnosis: Diagnosis) -> BiasModel:
     A jump, a turn-on offset and an amplitude that is another in each run are in the report alone.
     """
     known = diagnosis.model
-    origins = [run.origin for run in diagnosis.train if run.origin is not None]
+    origins = [one.run.origin for one in diagnosis.train if one.run.origin is not None]
     kept: dict[str, Any] = {
         name: distinct.pop()
         for name in ("device", "serial")
@@ -44,7 +44,7 @@ def extended_model(diagnosis: Diagnosis) -> BiasModel:
         made_by=f"imumon {__version__}",
         created=f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}",
         block_s=diagnosis.block_s,
-        trained_on=[trained_on(run) for run in diagnosis.train if run.origin is not None],
+        trained_on=[trained_on(one) for one in diagnosis.train if one.run.origin is not None],
         channels={
             verdict.name: _channel(verdict, known.channels[verdict.name] if known is not None else None)
             for verdict in with_model(diagnosis)
@@ -125,16 +125,16 @@ def refitted(
     return known.model_copy(update={**update, "curve": curve})
 
 
-def trained_on(run: RunBlocks) -> TrainedOn:
+def trained_on(blocks: RunBlocks) -> TrainedOn:
     """Return what a model states of a run that it was fitted to."""
-    assert run.origin is not None
-    temperature = np.concatenate(list(run.temperature.values()))
+    origin, temperature = blocks.run.origin, np.concatenate(list(blocks.temperature.values()))
+    assert origin is not None
     return TrainedOn(
-        session=run.origin.session,
-        run=run.origin.index,
-        sha256=run.origin.sha256,
-        rest_s=float(run.weight.sum()) * run.block_s / run.slots,
-        blocks=len(run),
+        session=origin.session,
+        run=origin.index,
+        sha256=origin.sha256,
+        rest_s=float(blocks.weight.sum()) * blocks.block_s / blocks.slots,
+        blocks=len(blocks),
         temperature_range_degc=[float(temperature.min()), float(temperature.max())],
     )
 
@@ -164,11 +164,11 @@ def model_with_drivers(
     """
     declared = "polynomial 3 + offset"  # the degree is that of the model, the offset as in the calibration
     diagnosis = diagnose(*latest(recordings), declared, progress, model=model, drivers=drivers)
-    found = [verdict for verdict in diagnosis.verdicts if verdict.predicts and _has_driver(verdict)]
+    found = [
+        verdict
+        for verdict in diagnosis.verdicts
+        if verdict.predicts and any(claim.finding.candidate.choice > 0.0 for claim in verdict.claims)
+    ]
     extended = extended_model(diagnosis).channels
     channels = {**model.channels, **{verdict.name: extended[verdict.name] for verdict in found}}
     return Driven(model.model_copy(update={"channels": channels}), found, diagnosis.caveats)
-
-
-def _has_driver(verdict: ChannelVerdict) -> bool:
-    return any(claim.finding.candidate.choice > 0.0 for claim in verdict.claims)

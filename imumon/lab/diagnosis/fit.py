@@ -203,7 +203,7 @@ def is_woven(channel: Channel) -> bool:
 def begun(channel: Channel, run: RunBlocks) -> int | None:
     """Return the training run that a run goes on from; None where it begins with a power-on of its own."""
     names = [other.name for other in channel.pool.runs]
-    return names.index(run.begun_in) if run.begun_in in names else None
+    return names.index(run.run.begun_in) if run.run.begun_in in names else None
 
 
 def _without_levels(residual: FloatArray, use: BoolArray, levels: IntArray) -> tuple[FloatArray, BoolArray]:

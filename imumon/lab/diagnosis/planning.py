@@ -379,7 +379,7 @@ def _searched(run: Run, channel: str, truth: Answer, effects: Sequence[str]) -> 
     blocks = [make_blocks(run, [channel], ["temperature"])]
     degree = len(truth.declared) - 1 if survey(blocks, "temperature", 0).thermal else 0
     shorter = [make_blocks(run, [channel], ["temperature"], block_s=search_block_s(blocks))]
-    data = Recorded([run], shorter, {channel: "temperature"}, degree)
+    data = Recorded(shorter, {channel: "temperature"}, degree)
     return likeliest(search_sensor(data, [channel], effects, max(1, len(truth.effects))))[0]
 
 

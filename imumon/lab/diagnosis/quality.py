@@ -37,11 +37,6 @@ class Samples(NamedTuple):
     atom: float = np.nan
     atom_share: float = 0.0
 
-    @property
-    def is_coarse(self) -> bool:
-        """Whether the steps are larger than the scatter of the samples."""
-        return self.step > self.scatter
-
 
 class Watcher:
     """Collects statistics of the samples of some channels while blocks pass."""

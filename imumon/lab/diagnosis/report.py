@@ -71,7 +71,7 @@ def _fastest(diagnosis: Diagnosis) -> float:
 
 
 def _runs(runs: Sequence[RunBlocks]) -> list[dict[str, Any]]:
-    return [{"name": run.name, "blocks": len(run), "duration_s": run.duration_s} for run in runs]
+    return [{"name": one.name, "blocks": len(one), "duration_s": one.run.duration_s} for one in runs]
 
 
 def _channel(verdict: ChannelVerdict) -> dict[str, Any]:
@@ -235,15 +235,11 @@ def _questions(verdict: ChannelVerdict) -> list[list[dict[str, Any]]]:
             opened.append([answer(beside, one) for one in (finding.candidate, *finding.others.values())])
     if verdict.unexplained and verdict.found.tables:
         tried = [one.candidate for one in _leaders(verdict, -1) if one.fit > 0.0]
-        further = [one for one in tried if one not in claimed and _may_be_tried(one)][:MOST_ANSWERS]
+        # A chamber, or poses, can make these show themselves in another run.
+        lasting = [one for one in tried if one.scope in ("shared", "either") and one not in claimed]
+        further = [one for one in lasting if one.inputs <= {ACCEL}][:MOST_ANSWERS]
         opened.append([answer(claimed, one) for one in (None, *further)])
     return opened
-
-
-def _may_be_tried(candidate: Candidate) -> bool:
-    """Return whether a chamber, or poses, can make an effect show itself in another run."""
-    inputs = {name for part in candidate.parts for name in part.effect.inputs}
-    return candidate.scope in ("shared", "either") and inputs <= {ACCEL}
 
 
 # In a few words

@@ -118,7 +118,8 @@ def without_standstill(run: Run, channels: Sequence[str], remarks: list[str]) ->
             continue
         share = float(still.sum() / np.isfinite(mean[name]).sum())
         # What stands still most of the time is not stuck.
-        if share > 0.5 or (name in run.samples and run.samples[name].is_coarse):
+        known = run.samples.get(name)
+        if share > 0.5 or (known is not None and known.step > known.scatter):
             remarks.append(f"{run.name}: {name} does not change in {share:.0%} of its time: too few digits")
             continue
         still_s = still.sum() * run.slot_s

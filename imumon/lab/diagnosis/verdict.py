@@ -387,8 +387,7 @@ def _tried(channel: Channel, found: Search, also: Sequence[Candidate]) -> Iterat
 
 
 def chosen_by_test(hits: Sequence[tuple[float, Finding]]) -> Finding | None:
-    """Return, of effects with what they leave of the test, the one that leaves least; effects of other names
-    are not told apart from it."""
+    """Return the effect that leaves least of the test; those of other names are not told apart from it."""
     if not hits:
         return None
     by_name: dict[str, Finding] = {}
