@@ -89,8 +89,8 @@ def profiles(
     longest time constant of the effects in question (0 without one); with `poses` it has to be turned.
     """
     at = 0.5 * (low + high)
-    held = [(f"switched on in equilibrium at {at:.0f} °C and held for {s / 3600:.0f} h", s) for s in HELD_S]
-    found = [Profile(title, Chamber(start_degc=at, steps=[Step(hold_s=s)]), s) for title, s in held]
+    held = f"switched on in equilibrium at {at:.0f} °C and held"
+    found = [Profile(held, Chamber(start_degc=at, steps=[Step(hold_s=s)]), s) for s in HELD_S]
     shapes: dict[str, list[Step]] = {}
     if high - low >= LEAST_SPAN_DEGC and fastest > 0.0:
         soaks = {*SOAKS_S, min(max(SETTLED * slowest_s, SOAKS_S[0]), 2.0 * SOAKS_S[1])}
@@ -248,7 +248,7 @@ def plan(report: Report, question: Question, most_s: float, progress: Progress |
     tried: dict[str, tuple[Evidence, Profile]] = {}
     left_h = MOST_SIMULATED_H
     for profile in profiles(low, high, report.fastest_degc_per_min, slowest_s, most_s, ACCEL in inputs):
-        if profile.shape in tried:
+        if profile.times > 1:
             found, shorter = tried[profile.shape]
             if found.ratio * profile.duration_s < shorter.duration_s:
                 continue
