@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -22,6 +22,7 @@ from imumon.cli.progress import reading_bar
 from imumon.errors import ImumonError, Reason
 
 if TYPE_CHECKING:
+    from imumon.lab.diagnosis.diagnose import Diagnosis
     from imumon.lab.diagnosis.runs import Run
     from imumon.models.model import BiasModel
     from imumon.recordings.source import Count
@@ -110,7 +111,7 @@ def command(
     from imumon.lab.diagnosis.diagnose import diagnose, parse_declared
     from imumon.lab.diagnosis.extended import extended_model, with_model
     from imumon.lab.diagnosis.page import write_page
-    from imumon.lab.diagnosis.report import conclusion, next_step, report, write_report
+    from imumon.lab.diagnosis.report import write_report
     from imumon.models.curves.polynomial import CUBIC
 
     if declared is not None and model_path is not None:
@@ -137,6 +138,13 @@ def command(
             written["model"] = "model.yaml"
         write_report(diagnosis, out / "report.json")
         write_page(diagnosis, out / "report.html", tell)
+    _show(diagnosis, out, written, as_json=as_json)
+
+
+def _show(diagnosis: Diagnosis, out: Path, written: Mapping[str, str], *, as_json: bool) -> None:
+    """Print the verdicts, what was written, and the next step."""
+    from imumon.lab.diagnosis.report import conclusion, next_step, report
+
     warn(diagnosis.caveats)
     if as_json:
         print_json(report(diagnosis, out))

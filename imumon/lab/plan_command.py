@@ -13,8 +13,8 @@ from imumon.cli.progress import reading_bar, rounded_time
 if TYPE_CHECKING:
     from imumon.lab.diagnosis.planning import Plan
 
-HOUR_TAKES_S = 0.4
-"""s of one core for an hour that is simulated and searched."""
+QUESTION_S = 180.0
+"""Longest search for the answer to a question."""
 
 
 @click.command("plan")
@@ -37,18 +37,12 @@ def command(report: Path, out: Path, hours: float, as_json: bool) -> None:
     Experiments are tried on simulated units that have what was fitted, each effect in question in turn, with
     the noise that was found.
     """
-    from imumon.lab.diagnosis.planning import (
-        MOST_SIMULATED_H,
-        load_report,
-        open_questions,
-        plan,
-        write_plan,
-    )
+    from imumon.lab.diagnosis.planning import load_report, open_questions, plan, write_plan
 
     content = load_report(report)
     questions = open_questions(content)
     if questions and not as_json:
-        at_most = rounded_time(MOST_SIMULATED_H * HOUR_TAKES_S * len(questions))
+        at_most = rounded_time(QUESTION_S * len(questions))
         say("INFO", f"questions that are open: {len(questions)}; the search takes at most about {at_most}")
     with results_folder(out), reading_bar([report], quiet=as_json) as tell:
         plans = [plan(content, question, hours * 3600.0, tell) for question in questions]

@@ -89,13 +89,8 @@ def make_blocks(
     valid = run.at_rest
     for name in channels:
         valid = valid & np.isfinite(run.mean[name])
-    wanted = [name for name in (*ACCEL, *drivers, *temperatures) if name in run.mean]
-    bridged = {name: _bridged(run, name) for name in wanted if np.isfinite(run.mean[name]).sum() > 1}
-    accel = np.column_stack([bridged[name] for name in ACCEL]) if bridged.keys() >= set(ACCEL) else None
-    others = {name: bridged[name] for name in drivers if name in bridged}
-    drives = {
-        name: Drive(run.time_s, bridged[name], accel, others) for name in temperatures if name in bridged
-    }
+    drives = _drives(run, temperatures, drivers)
+    accel = next((drive.accel for drive in drives.values()), None)
     slots = max(1, round(block_s / run.slot_s))
     pose = np.zeros(len(valid), np.int64) if accel is None else poses(accel, valid)
     valid = in_one_pose(valid, pose, slots)
@@ -120,6 +115,19 @@ def make_blocks(
         slots=slots,
         pose=np.rint(number).astype(np.int64),
     )
+
+
+def _drives(run: Run, temperatures: Sequence[str], drivers: Sequence[str]) -> dict[str, Drive]:
+    """Return what drives the effects, for each temperature that there is; missing values are interpolated."""
+    bridged = {
+        name: np.interp(run.time_s, run.time_s[known], run.mean[name][known])
+        for name in (*ACCEL, *drivers, *temperatures)
+        if name in run.mean and (known := np.isfinite(run.mean[name])).sum() > 1
+    }
+    accel = np.column_stack([bridged[name] for name in ACCEL]) if bridged.keys() >= set(ACCEL) else None
+    others = {name: bridged[name] for name in drivers if name in bridged}
+    there = [name for name in temperatures if name in bridged]
+    return {name: Drive(run.time_s, bridged[name], accel, others) for name in there}
 
 
 def poses(force: FloatArray, resting: BoolArray) -> IntArray:
@@ -192,12 +200,6 @@ def _block_means(columns: FloatArray, weight: FloatArray, width: int) -> tuple[F
     with np.errstate(invalid="ignore", divide="ignore"):
         means = np.add.reduceat(columns * weight[:, np.newaxis], starts, axis=0) / count[:, np.newaxis]
     return means, count / width
-
-
-def _bridged(run: Run, name: str) -> FloatArray:
-    """Return a column with missing values interpolated, (n,)."""
-    known = np.isfinite(run.mean[name])
-    return np.interp(run.time_s, run.time_s[known], run.mean[name][known])
 
 
 class WhiteFloor(NamedTuple):

@@ -134,7 +134,7 @@ class Pool:
     runs: Sequence[RunBlocks]
     temperature: str
     """Which temperature drives the effects."""
-    _columns: list[list[FloatArray]] = field(default_factory=list)
+    _columns: list[FloatArray] = field(default_factory=list)
     _spectra: list[int] = field(default_factory=list)
     _known: dict[tuple[int, str], tuple[Effect, list[int]]] = field(default_factory=dict)
 
@@ -157,11 +157,11 @@ class Pool:
 
     def matrix(self, terms: Sequence[Term]) -> FloatArray:
         """Return the columns of terms over all runs, (n, k): zero in runs that a term is not of."""
-        offsets = np.cumsum([0, *map(len, self.runs)]).tolist()
-        out = np.zeros((offsets[-1], len(terms)))
+        which = np.repeat(np.arange(len(self.runs)), [*map(len, self.runs)])
+        out = np.empty((len(which), len(terms)))
         for at, (column, scope) in enumerate(terms):
-            for run in range(len(self.runs)) if scope == SHARED else (scope,):
-                out[offsets[run] : offsets[run + 1], at] = self._columns[column][run]
+            values = self._columns[column]
+            out[:, at] = values if scope == SHARED else np.where(which == scope, values, 0.0)
         return out
 
     def design(self, found: Sequence[Candidate]) -> FloatArray:
@@ -173,7 +173,7 @@ class Pool:
         if key not in self._known:
             parts = [run.average(getattr(effect, what)(run.drives[self.temperature])) for run in self.runs]
             first, width = len(self._columns), parts[0].shape[1]
-            self._columns += [[part[:, i] for part in parts] for i in range(width)]
+            self._columns += [*np.concatenate(parts).T]
             self._spectra += [first if effect.one_sign and what == "columns" else -1] * width
             self._known[key] = effect, list(range(first, first + width))
         return self._known[key][1]

@@ -41,6 +41,10 @@ from imumon.models.predictor import BiasPredictor
 HIGHEST_DEGREE = 8
 SHORTER, LEAST_SEARCH_BLOCKS = (1, 2, 3), 200
 """Runs of fewer blocks are searched in halves or thirds of them: of few the one with a jump in it decides."""
+ON_POSES = (
+    "several poses: what is named g_sensitivity holds the vertical earth rate as well, up to 15.04 °/h per g",
+    "several poses: a sensitivity of the gyros to g cannot be distinguished from the earth rate",
+)
 EARTH_SPREAD = 2.1 * EARTH_RATE
 """rad/s: most that the constants of a gyro in two poses differ by the earth rate, and by 5 % of its scale."""
 
@@ -126,7 +130,8 @@ def diagnose(
         if group := channels_of([sensor], data.temperatures):
             found = likeliest(search_sensor(data, group, effects_for(group[0]), progress=progress))
             verdicts += map(decide, found, scored_channels(data, found))
-            remarks += _on_poses(data, found)
+            if group[0].startswith("gyro") and any(run.pose.any() for run in data.blocks):
+                remarks.append(ON_POSES[found[0].channel.own == "pose"])
     length = _length(data, remarks)
     return Diagnosis(
         declared=declared,
@@ -221,17 +226,6 @@ def _length(data: Recorded, remarks: list[str]) -> Length | None:
     poses, length = found
     remarks.append(length.described(poses))
     return length
-
-
-def _on_poses(data: Recorded, found: Sequence[Search]) -> list[str]:
-    """Return what several poses hide of gyros."""
-    channel = found[0].channel
-    if not channel.name.startswith("gyro") or not any(run.pose.any() for run in data.blocks):
-        return []
-    what = "what is named g_sensitivity holds the vertical earth rate as well, up to 15.04 °/h per g"
-    if channel.own == "pose":
-        what = "a sensitivity of the gyros to g cannot be distinguished from the earth rate"
-    return [f"several poses: {what}"]
 
 
 # The engine

@@ -64,29 +64,21 @@ def svg(draw: Callable[[Axes], None], size: tuple[float, float] = SIZE) -> str:
 
 def write_page(diagnosis: Diagnosis, path: Path, progress: Progress | None = None) -> None:
     """Write report.html; raises OSError when that fails."""
-    content, channels = report(diagnosis, path.parent), []
+    content, drawn = report(diagnosis, path.parent), {}
     for verdict in diagnosis.verdicts:
         if progress is not None:
             progress(f"drawing {verdict.name}")
-        scale, unit = shown(verdict.channel.unit)
-        channels.append(
-            {
-                "verdict": verdict,
-                "numbers": content["channels"][verdict.name],
-                "scale": scale,
-                "unit": unit,
-                "class": {"named": "found", "nothing missing": "ok"}.get(verdict.row.state, "open"),
-                "errors": _errors(verdict),
-                "curve": _curve(verdict),
-                "figures": _figures(diagnosis, verdict),
-            }
-        )
-    first = max(channels, key=lambda one: _weight(one["verdict"]))
-    picture = svg(lambda axes: _draw_errors(axes, diagnosis, first["verdict"]), WIDE)
+        drawn[verdict.name] = _figures(diagnosis, verdict)
+    first = max(diagnosis.verdicts, key=_weight)
     pages = environment()
     pages.filters["number"] = _number
+    pages.globals.update(errors=_errors, curve=_curve, shown=shown)
     text = pages.get_template("report.html.j2").render(
-        report=content, picture=picture, first=first, channels=channels
+        report=content,
+        picture=svg(lambda axes: _draw_errors(axes, diagnosis, first), WIDE),
+        first=first,
+        verdicts=diagnosis.verdicts,
+        drawn=drawn,
     )
     write_text(path, text)
 

@@ -6,6 +6,7 @@ The evidence is the difference of the gains, in BIC, between the effect that the
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
@@ -40,8 +41,8 @@ MARGIN = 1.4
 """The evidence that is planned for over what is needed: what is reached scatters."""
 TRIALS, PROOFS = 2, 3
 """Units on which a profile is tried, and others on which the evidence of the chosen one is stated."""
-MOST_SIMULATED_H = 300.0
-"""h that are simulated and searched for a question, but for the last proof."""
+TIME_UP_S = 150.0
+"""s after which no further profile is tried for a question; the last one takes up to half a minute more."""
 LONG_S = 1e5
 """Correlation time of a process that stands for a random walk of an accelerometer."""
 SCALES = {"gyro": (np.pi / 180.0, DEG_PER_H), "accel": (1e3 * MICRO_G, MICRO_G)}
@@ -234,8 +235,8 @@ def open_questions(report: Report) -> list[Question]:
 def plan(report: Report, question: Question, most_s: float, progress: Progress | None = None) -> Plan:
     """Return the shortest experiment that answers a question, with the evidence to expect of it.
 
-    A shape is repeated only where that can tell enough, as evidence grows no faster than time, and at most
-    `MOST_SIMULATED_H` are simulated.
+    A shape is repeated only where that can tell enough, as evidence grows no faster than time, and none is
+    tried after `TIME_UP_S`.
     """
     effects = [effect for answer in question.answers for effect in answer.effects]
     inputs = {name for effect in effects for name in effect.inputs}
@@ -246,15 +247,14 @@ def plan(report: Report, question: Question, most_s: float, progress: Progress |
     times = [getattr(effect, key) for effect in effects for key in effect.nonlinear if key.endswith("_s")]
     slowest_s, (low, high) = max(map(float, times), default=0.0), report.temperature_range_degc
     tried: dict[str, tuple[Evidence, Profile]] = {}
-    left_h = MOST_SIMULATED_H
+    began_s, late = time.monotonic(), ""
     for profile in profiles(low, high, report.fastest_degc_per_min, slowest_s, most_s, ACCEL in inputs):
         if profile.times > 1:
             found, shorter = tried[profile.shape]
             if found.ratio * profile.duration_s < shorter.duration_s:
                 continue
-        hours = len(question.answers) * profile.duration_s / 3600.0
-        left_h -= TRIALS * hours
-        if left_h < 0.0:
+        if time.monotonic() - began_s > TIME_UP_S:
+            late = f"; after {TIME_UP_S:.0f} s no further one was tried"
             break
         if progress is not None:
             progress(f"{question.name}: {profile.duration_s / 3600:.1f} h, {profile.title}")
@@ -262,7 +262,6 @@ def plan(report: Report, question: Question, most_s: float, progress: Progress |
         tried[profile.shape] = found, profile
         if found.ratio >= MARGIN:
             # What was chosen for its evidence has had luck as well: other units have to show it again.
-            left_h -= PROOFS * hours
             proof = evidence(report, question, profile, range(TRIALS, TRIALS + PROOFS), every)
             if proof.least >= proof.needed:
                 return Plan(question, profile, proof)
@@ -272,7 +271,7 @@ def plan(report: Report, question: Question, most_s: float, progress: Progress |
     why_not = (
         "no experiment that was tried decides it;"
         f" the best, {profile.duration_s / 3600:.1f} h {profile.title}, gives {found.value:.0f} of the"
-        f" {found.needed:.0f} in BIC that are needed for {found.truth} against {found.rival}"
+        f" {found.needed:.0f} in BIC that are needed for {found.truth} against {found.rival}{late}"
     )
     return Plan(question, why_not=why_not)
 
