@@ -129,9 +129,9 @@ class Challenger:
         Temperatures outside those of the earlier part, from which the better model is, do not count.
         """
         run = known.within_range(self.model, run, self._names, self.since_s)
-        block_s, ratio, squares = common_block_s([run]), 0.0, []
+        ratio, squares = 0.0, []
         for model, sign in ((self._present, -1.0), (self.model, 1.0)):
-            blocks = known.residual(run, model, self._names, block_s=block_s)
+            blocks = known.residual(run, model, self._names)
             early = blocks.time_s < self.since_s
             if min(early.sum(), (~early).sum()) < LEAST_TEST_BLOCKS:
                 return None

@@ -10,7 +10,7 @@ import numpy as np
 from imumon.effects.base import Effect
 from imumon.effects.vibration import SECOND_NS
 from imumon.errors import ImumonError, Reason
-from imumon.lab.diagnosis.blocks import BLOCK_S, RunBlocks, make_blocks
+from imumon.lab.diagnosis.blocks import RunBlocks, common_block_s, make_blocks
 from imumon.lab.diagnosis.runs import Run, common_temperature
 from imumon.models.curves.polynomial import PolynomialCurve
 from imumon.models.model import BiasModel, ChannelModel
@@ -84,19 +84,11 @@ def without_model(run: Run, model: BiasModel, channels: Sequence[str]) -> Run:
     return replace(run, mean={**run.mean, **changed})
 
 
-def residual(
-    run: Run,
-    model: BiasModel,
-    channels: Sequence[str],
-    drivers: Sequence[str] = (),
-    block_s: float = BLOCK_S,
-) -> RunBlocks:
-    """Return block means of what a model leaves of the channels, its effects integrated from power-on.
-
-    `drivers` are the recorded columns that may drive effects besides temperature, time and specific force.
-    """
+def residual(run: Run, model: BiasModel, channels: Sequence[str]) -> RunBlocks:
+    """Return block means of what a model leaves of the channels, its effects integrated from power-on."""
     temperatures = dict.fromkeys(temperature_of(name, model, [run]) for name in channels)
-    return make_blocks(without_model(run, model, channels), channels, list(temperatures), drivers, block_s)
+    left = without_model(run, model, channels)
+    return make_blocks(left, channels, [*temperatures], block_s=common_block_s([run]))
 
 
 def within_range(model: BiasModel, run: Run, channels: Sequence[str], until_s: float | None = None) -> Run:

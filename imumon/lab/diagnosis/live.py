@@ -222,8 +222,8 @@ def _charts(run: Run, present: BiasModel, better: BiasModel, one: Better) -> lis
     Block means at rest, °/h, less their mean, which is the turn-on bias.  The line through them is the
     difference of the two models.
     """
-    block_s, name = common_block_s([run]), one.channel
-    left, after = (residual(run, model, [name], block_s=block_s) for model in (present, better))
+    name = one.channel
+    left, after = (residual(run, model, [name]) for model in (present, better))
     both = left.mean[name], left.mean[name] - after.mean[name]
     points, line = ((part - part.mean()) / DEG_PER_H for part in both)
     axis, what = name[-1], one.names[0]
@@ -235,7 +235,7 @@ def _charts(run: Run, present: BiasModel, better: BiasModel, one: Better) -> lis
         Chart(
             f"model_lacks_over_{key}",
             RESIDUAL,
-            f"Gyro {axis} less the model, means of {block_s:.0f} s, and {what} through it",
+            f"Gyro {axis} less the model, means of {left.block_s:.0f} s, and {what} through it",
             Axis(label),
             Axis("[°/h]"),
             (

@@ -18,7 +18,7 @@ from imumon.errors import ImumonError, Reason
 from imumon.files import write_text
 from imumon.geodesy import DEG_PER_H, MICRO_G
 from imumon.harmless import for_html, for_plot
-from imumon.lab.diagnosis.blocks import BLOCK_S, RunBlocks
+from imumon.lab.diagnosis.blocks import RunBlocks
 from imumon.lab.diagnosis.diagnose import Diagnosis
 from imumon.lab.diagnosis.known import residual, temperature_of
 from imumon.lab.diagnosis.report import report
@@ -170,7 +170,7 @@ def _draw_errors(axes: Axes, diagnosis: Diagnosis, verdict: ChannelVerdict) -> N
 
 
 class Compared(NamedTuple):
-    """What two models leave of a channel in a run, as means of 30 s at rest."""
+    """What two models leave of a channel in a run, as block means at rest."""
 
     run: str
     channel: str
@@ -214,11 +214,10 @@ def write_comparison(compared: Sequence[Compared], names: tuple[str, str], sessi
         scale, unit = shown(unit_of(one.channel))
         numbers = [f"{value * scale:.3g}" for value in one.rms]
         drawn = [_drawn(one, names, over) for over in ("time since power-on, h", "temperature, °C")]
-        rows.append(
-            {"run": one.run, "channel": one.channel, "numbers": numbers, "unit": unit, "drawn": drawn}
-        )
-    content = {"rows": rows, "names": names, "session": session, "block_s": BLOCK_S}
-    write_text(path, environment().get_template("compared.html.j2").render(**content))
+        what = {"run": one.run, "channel": one.channel, "numbers": numbers}
+        rows.append({**what, "unit": unit, "drawn": drawn})
+    page, block_s = environment().get_template("compared.html.j2"), round(compared[0].left[0].block_s)
+    write_text(path, page.render(rows=rows, names=names, session=session, block_s=block_s))
 
 
 def _drawn(one: Compared, names: tuple[str, str], over: str) -> str:

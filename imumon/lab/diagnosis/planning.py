@@ -72,13 +72,20 @@ class Profile(NamedTuple):
     chamber: Chamber
     duration_s: float
     times: int = 1
-    turns: tuple[Turn, ...] = ()
+    in_poses: bool = False
 
     @property
     def title(self) -> str:
         """What is done, in words."""
         repeated = f", {self.times} times" if self.times > 1 else ""
-        return f"{self.shape}{repeated}{', in six poses' if self.turns else ''}"
+        return f"{self.shape}{repeated}{', in six poses' if self.in_poses else ''}"
+
+    @property
+    def turns(self) -> list[Turn]:
+        """Turns of the unit at equal intervals, into six poses, where it has to be turned."""
+        every = self.duration_s / (len(POSES) + 1)
+        turns = POSES if self.in_poses else ()
+        return [turn.model_copy(update={"at_s": (at + 1) * every}) for at, turn in enumerate(turns)]
 
 
 def profiles(
@@ -91,7 +98,7 @@ def profiles(
     """
     at = 0.5 * (low + high)
     held = f"switched on in equilibrium at {at:.0f} °C and held"
-    found = [Profile(held, Chamber(start_degc=at, steps=[Step(hold_s=s)]), s) for s in HELD_S]
+    found = [Profile(held, Chamber(start_degc=at, steps=[Step(hold_s=s)]), s, 1, poses) for s in HELD_S]
     shapes: dict[str, list[Step]] = {}
     if high - low >= LEAST_SPAN_DEGC and fastest > 0.0:
         soaks = {*SOAKS_S, min(max(SETTLED * slowest_s, SOAKS_S[0]), 2.0 * SOAKS_S[1])}
@@ -101,9 +108,8 @@ def profiles(
         for times in REPEATS:
             chamber = Chamber(start_degc=low, steps=steps * times)
             duration_s = max(float(chamber_knots(chamber)[0][-1]), SHORTEST_S)
-            found.append(Profile(f"from {low:.0f} °C {title}", chamber, duration_s, times))
-    found = [_in_poses(one) if poses else one for one in found if one.duration_s <= most_s]
-    return sorted(found, key=lambda one: one.duration_s)
+            found.append(Profile(f"from {low:.0f} °C {title}", chamber, duration_s, times, poses))
+    return sorted((one for one in found if one.duration_s <= most_s), key=lambda one: one.duration_s)
 
 
 def _thermal(low: float, high: float, rate: float, soak_s: float) -> dict[str, list[Step]]:
@@ -125,13 +131,6 @@ def _thermal(low: float, high: float, rate: float, soak_s: float) -> dict[str, l
         ],
         "turned round inside the span": [to(low + at * quarter, soak=0.0) for at in (4, 2, 4, 0, 2, 0)],
     }
-
-
-def _in_poses(profile: Profile) -> Profile:
-    """Return an experiment in which the unit is turned at equal intervals, into six poses."""
-    every = profile.duration_s / (len(POSES) + 1)
-    turns = tuple(turn.model_copy(update={"at_s": (at + 1) * every}) for at, turn in enumerate(POSES))
-    return profile._replace(turns=turns)
 
 
 # Questions, and what answers them
@@ -217,19 +216,14 @@ def load_report(path: Path) -> Report:
 def open_questions(report: Report) -> list[Question]:
     """Return the questions of a report, each once for the channels of a sensor that share it."""
     # A unit is simulated, which has gyros and accelerometers.
-    opened = [
-        (channel.before.train_rms / channel.noise_floor_rms, name, answers)
-        for name, channel in report.channels.items()
-        for answers in (channel.questions if name in UNITS else ())
-    ]
-    groups: dict[tuple[str, ...], list[tuple[str, list[Answer]]]] = {}
-    for _, name, answers in sorted(opened, key=lambda one: -one[0]):
-        key = (name[:-2], *sorted(answer.name for answer in answers))
-        groups.setdefault(key, []).append((name, answers))
-    return [
-        Question(name, tuple(other for other, _ in others), tuple(answers))
-        for (name, answers), *others in groups.values()
-    ]
+    channels = {name: channel for name, channel in report.channels.items() if name in UNITS}
+    floors = {name: one.before.train_rms / one.noise_floor_rms for name, one in channels.items()}
+    groups: dict[tuple[str, ...], list[Question]] = {}
+    for name in sorted(channels, key=lambda name: -floors[name]):
+        for answers in channels[name].questions:
+            key = (name[:-2], *sorted(answer.name for answer in answers))
+            groups.setdefault(key, []).append(Question(name, (), tuple(answers)))
+    return [first._replace(also=tuple(one.channel for one in others)) for first, *others in groups.values()]
 
 
 def plan(report: Report, question: Question, most_s: float, progress: Progress | None = None) -> Plan:
@@ -346,7 +340,7 @@ def scenario(report: Report, channel: str, profile: Profile, answer: Answer) -> 
         duration_s=profile.duration_s,
         latitude_deg=LATITUDE_DEG,
         chamber=profile.chamber,
-        motion=list(profile.turns),
+        motion=profile.turns,
     )
 
 
