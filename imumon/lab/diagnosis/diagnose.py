@@ -171,8 +171,9 @@ def _prepared(
             needed = BiasPredictor(model, channels).drivers
             drivers = [*drivers, *(name for name in needed if name not in there)]
     others = usable.usable_drivers(train, test, [*used, *channels], drivers, remarks)
-    block_s = common_block_s([*train, *test])
-    blocks = usable.training_blocks(train, channels, used, others, block_s, remarks)
+    block_s, earlier = common_block_s([*train, *test]), len(remarks)
+    blocks = usable.usable_blocks(train, channels, used, others, block_s, remarks)
+    usable.check_training(blocks, block_s, remarks[earlier:])
     tested = usable.usable_blocks(test, channels, used, others, block_s, remarks)
     shown = survey(blocks, used[0], degree)
     if not shown.thermal:

@@ -61,11 +61,9 @@ def with_model(diagnosis: Diagnosis) -> list[ChannelVerdict]:
 def _channel(verdict: ChannelVerdict, known: ChannelModel | None) -> ChannelModel:
     """Return the model of a channel: the known one, or none at all, with what was fitted."""
     fitted = verdict.after if verdict.predicts else verdict.before
-    effects = [part.effect.with_start(part.start) for part in fitted.parts if part.carries]
-    scored = verdict.test_after
-    rms = scored.rms if np.isfinite(scored.rms) else fitted.train_rms
-    residual = float(np.sqrt(max(rms**2 - verdict.channel.floor.sd**2, 0.0)))
-    channel, scale = verdict.channel, verdict.channel.scale
+    channel, scale, rms = verdict.channel, verdict.channel.scale, verdict.test_after.rms
+    rms = rms if np.isfinite(rms) else fitted.train_rms
+    residual = float(np.sqrt(max(rms**2 - channel.floor.sd**2, 0.0)))
     margin = WIDENED * scale.half_span
     present = known or ChannelModel.model_validate(
         {
@@ -78,23 +76,20 @@ def _channel(verdict: ChannelVerdict, known: ChannelModel | None) -> ChannelMode
             ),
         }
     )
-    model = refitted(present, channel.curve(fitted.declared), effects, residual)
+    model = refitted(present, channel, fitted, residual)
     if verdict.name.startswith("accel"):  # what it has at the middle is gravity
         more = model.curve.value(scale.middle) - present.curve.value(scale.middle)
         model = model.model_copy(update={"curve": model.curve.minus(float(more))})
     return model
 
 
-def refitted(
-    known: ChannelModel, more: Polynomial, effects: list[Effect], residual_sd: float
-) -> ChannelModel:
-    """Return a known model with a polynomial more in its curve, and these effects beside it.
+def refitted(known: ChannelModel, channel: Channel, fitted: Fit, residual_sd: float) -> ChannelModel:
+    """Return a known model with the fitted polynomial more in its curve, and what carries over beside it.
 
-    To what is no polynomial itself it is added as an effect.  The curve holds where it was fitted, which is
-    the domain of the polynomial.
+    To a curve that is no polynomial itself it is added as an effect.  The curve holds where it was fitted.
     """
-    curve, others, own = known.curve, list[Effect](), list[Polynomial]()
-    for effect in effects:
+    curve, more, others, own = known.curve, channel.curve(fitted.declared), list[Effect](), list[Polynomial]()
+    for effect in (part.effect.with_start(part.start) for part in fitted.parts if part.carries):
         part = effect.polynomial()
         if part is None or part.degree() > HIGHEST_ORDER:
             others.append(effect)

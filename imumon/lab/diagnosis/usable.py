@@ -200,32 +200,18 @@ def usable_blocks(
     return found
 
 
-def training_blocks(
-    runs: Sequence[Run],
-    channels: Sequence[str],
-    temperatures: Sequence[str],
-    drivers: Sequence[str],
-    block_s: float,
-    remarks: list[str],
-) -> list[RunBlocks]:
-    """Return the training runs at rest as blocks.
-
-    Raises BAD_DATA when the unit was at rest for too short a time, with the remarks on that.
-    """
-    unused: list[str] = []
-    blocks = usable_blocks(runs, channels, temperatures, drivers, block_s, unused)
+def check_training(blocks: Sequence[RunBlocks], block_s: float, remarks: Sequence[str]) -> None:
+    """Raise BAD_DATA when the unit was at rest for too short a time in training, with the remarks on that."""
     total = sum(map(len, blocks))
     if total < LEAST_BLOCKS:
         short = f"too short: the training data has {total} means of {block_s:.0f} s at rest"
         needed = f"{LEAST_BLOCKS} are needed, {LEAST_BLOCKS * block_s / 60:.0f} min"
         raise ImumonError(
             Reason.BAD_DATA,
-            "; ".join([short, needed, *unused]),
+            "; ".join([short, needed, *remarks]),
             "record the unit at rest for an hour or more while its temperature changes;"
             " if it was at rest and is not detected to be, add --at-rest",
         )
-    remarks += unused
-    return blocks
 
 
 def usable_drivers(
