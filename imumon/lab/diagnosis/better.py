@@ -92,11 +92,8 @@ def _better(found: Search, gain: float, model: BiasModel) -> Better:
     channel, lacking = found.channel, next(one for one in found.findings if not one.known)
     present, given = model.channels[channel.name], fit(channel.as_given(), [])
     fitted = fit(channel, found.model)
-    effects = [part.effect.with_start(part.start) for part in fitted.parts]
     # What is left holds the white noise of the means as well: the model's own error is no larger.
-    better = refitted(
-        present, channel.curve(fitted.declared), effects, min(present.residual_sd, fitted.train_rms)
-    )
+    better = refitted(present, channel, fitted, min(present.residual_sd, fitted.train_rms))
     names = lacking.alike or [lacking.name]
     return Better(channel.name, names, gain, given.train_rms, fitted.train_rms, better)
 

@@ -13,7 +13,9 @@ from numpy.polynomial import Chebyshev, Polynomial
 from imumon.effects.base import Effect
 from imumon.effects.temperature_curve import TemperatureCurve
 from imumon.lab.diagnosis.blocks import RunBlocks
+from imumon.lab.diagnosis.candidates import Channel
 from imumon.lab.diagnosis.diagnose import Diagnosis, diagnose
+from imumon.lab.diagnosis.fit import Fit
 from imumon.lab.diagnosis.runs import Run, latest
 from imumon.lab.diagnosis.search import Progress
 from imumon.lab.diagnosis.verdict import ChannelVerdict
