@@ -247,7 +247,7 @@ def plan(report: Report, question: Question, most_s: float, progress: Progress |
             found, shorter = tried[profile.shape]
             if found.ratio * profile.duration_s < shorter.duration_s:
                 continue
-        if time.monotonic() - began_s > TIME_UP_S:
+        if tried and time.monotonic() - began_s > TIME_UP_S:
             late = f"; after {TIME_UP_S:.0f} s no further one was tried"
             break
         if progress is not None:
