@@ -340,7 +340,7 @@ def scenario(report: Report, channel: str, profile: Profile, answer: Answer) -> 
         duration_s=profile.duration_s,
         latitude_deg=LATITUDE_DEG,
         chamber=profile.chamber,
-        motion=profile.turns,
+        motion=[*profile.turns],
     )
 
 
