@@ -93,7 +93,7 @@ def read(folder: Path, results: Path | None = None) -> tuple[list[Unit], list[Ou
 def _row(unit: Unit, unusual: Sequence[Outlier]) -> list[str]:
     from imumon.fleet.catalog.drift import drifts
     from imumon.fleet.catalog.tables import day
-    from imumon.lab.diagnosis.figures import shown
+    from imumon.lab.diagnosis.page import shown
 
     factor, _ = shown("rad/s")
     known = [drift for drift in drifts(unit) if drift.per_month == drift.per_month]

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import shlex
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,11 +22,13 @@ from imumon.cli.progress import reading_bar
 from imumon.errors import ImumonError, Reason
 
 if TYPE_CHECKING:
+    from imumon.lab.diagnosis.diagnose import Diagnosis
     from imumon.lab.diagnosis.runs import Run
     from imumon.models.model import BiasModel
     from imumon.recordings.source import Count
 
 SEVERAL = ("--train", "--test")
+COMMAND_LINE = click.core.ParameterSource.COMMANDLINE
 
 
 class _SeveralValues(click.Command):
@@ -108,7 +111,7 @@ def command(
     from imumon.lab.diagnosis.diagnose import diagnose, parse_declared
     from imumon.lab.diagnosis.extended import extended_model, with_model
     from imumon.lab.diagnosis.page import write_page
-    from imumon.lab.diagnosis.report import conclusion, next_step, report, write_report
+    from imumon.lab.diagnosis.report import write_report
     from imumon.models.curves.polynomial import CUBIC
 
     if declared is not None and model_path is not None:
@@ -128,12 +131,20 @@ def command(
         testing = [run for group in runs[split:] for run in group]
         beside = chosen_drivers(drivers)
         diagnosis = diagnose(training, testing, assumed, tell, sensors, model, beside)
+        diagnosis.given = _given(click.get_current_context())
         written = {"report": "report.html", "numbers": "report.json"}
         if with_model(diagnosis):
             extended_model(diagnosis).write(out / "model.yaml")
             written["model"] = "model.yaml"
         write_report(diagnosis, out / "report.json")
         write_page(diagnosis, out / "report.html", tell)
+    _show(diagnosis, out, written, as_json=as_json)
+
+
+def _show(diagnosis: Diagnosis, out: Path, written: Mapping[str, str], *, as_json: bool) -> None:
+    """Print the verdicts, what was written, and the next step."""
+    from imumon.lab.diagnosis.report import conclusion, next_step, report
+
     warn(diagnosis.caveats)
     if as_json:
         print_json(report(diagnosis, out))
@@ -142,6 +153,19 @@ def command(
     print_rows({"conclusion": conclusion(diagnosis)})
     step = next_step(diagnosis, out)
     print_rows({"next": f"{step.what} {step.why} {step.command}".strip()})
+
+
+def _given(context: click.Context) -> str:
+    """Return the options of a diagnosis as they were given, to repeat it with another test."""
+    words: list[str] = []
+    for option in context.command.params:
+        name = str(option.name)
+        if name in ("test", "out", "as_json") or context.get_parameter_source(name) != COMMAND_LINE:
+            continue
+        value = context.params[name]
+        values = value if isinstance(value, tuple) else () if value is True else (value,)
+        words += [option.opts[0], *map(str, values)]
+    return shlex.join(words)
 
 
 def model_of(path: Path) -> BiasModel:

@@ -7,11 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from imumon.cli.common import PATH, Number, json_option, print_json, print_rows, results_folder
-from imumon.cli.progress import reading_bar
+from imumon.cli.common import PATH, Number, json_option, print_json, print_rows, results_folder, say
+from imumon.cli.progress import reading_bar, rounded_time
 
 if TYPE_CHECKING:
     from imumon.lab.diagnosis.planning import Plan
+
+QUESTION_S = 180.0
+"""Longest search for the answer to a question."""
 
 
 @click.command("plan")
@@ -37,8 +40,12 @@ def command(report: Path, out: Path, hours: float, as_json: bool) -> None:
     from imumon.lab.diagnosis.planning import load_report, open_questions, plan, write_plan
 
     content = load_report(report)
+    questions = open_questions(content)
+    if questions and not as_json:
+        at_most = rounded_time(QUESTION_S * len(questions))
+        say("INFO", f"questions that are open: {len(questions)}; the search takes at most about {at_most}")
     with results_folder(out), reading_bar([report], quiet=as_json) as tell:
-        plans = [plan(content, question, hours * 3600.0, tell) for question in open_questions(content)]
+        plans = [plan(content, question, hours * 3600.0, tell) for question in questions]
         files = [write_plan(content, at + 1, made, out) for at, made in enumerate(plans)]
     described = [_described(made, paths) for made, paths in zip(plans, files, strict=True)]
     if as_json:

@@ -14,7 +14,8 @@ from closing_the_loop_measured import chamber_run, split
 from closing_the_loop_statistics import Result, is_outside, jobs, right, run_case
 from study import Options, Study, Table, spread
 
-from imumon.lab.diagnosis import axes, candidates, likelihood, search, verdict
+from imumon.lab.diagnosis import candidates, likelihood, search, verdict
+from imumon.lab.diagnosis import diagnose as engine
 from imumon.lab.diagnosis.candidates import Candidate
 from imumon.lab.diagnosis.choice import PROVEN
 from imumon.lab.diagnosis.diagnose import diagnose
@@ -60,7 +61,7 @@ MECHANISMS: Mapping[str, Change] = {
     "pairs of effects at once": [(search.Search, "_beside_partner", lambda _self, _scored, _best: {})],
     "exchange at the end": [(search.Search, "_refine", lambda self, exchange: _refine(self, exchange=False))],  # noqa: ARG005
     "least share of the largest effect": [(search, "SECOND_SHARE", 0.0)],
-    "shorter blocks for short runs": [(axes, "SHORTER", (1,))],
+    "shorter blocks for short runs": [(engine, "SHORTER", (1,))],
     "refinement of parameters": [(search, "REFINEMENTS", 0)],
     "flicker in the noise": _noise((0.0,), likelihood.WALK),
     "walk in the noise": _noise(likelihood.FLICKER, (0.0,)),

@@ -24,7 +24,7 @@ from study import Options, Study, Table, spread
 
 from imumon.blocks import SampleBlock
 from imumon.lab.diagnosis.blocks import make_blocks
-from imumon.lab.diagnosis.channel import least_squares
+from imumon.lab.diagnosis.candidates import least_squares
 from imumon.lab.diagnosis.live import LiveDiagnosis
 from imumon.lab.diagnosis.runs import Run
 from imumon.models.curves.polynomial import PolynomialCurve

@@ -11,11 +11,12 @@ import numpy as np
 from study import Options, Study, Table
 
 from imumon.blocks import FloatArray
+from imumon.effects.vibration import SECOND_NS
 from imumon.estimation.gyro_bias.stage import RestDetector
 from imumon.lab.diagnosis.diagnose import diagnose
 from imumon.lab.diagnosis.fit import FittedPart
 from imumon.lab.diagnosis.report import report
-from imumon.lab.diagnosis.runs import SECOND_NS, Run, read_runs
+from imumon.lab.diagnosis.runs import Run, read_runs
 from imumon.lab.diagnosis.verdict import ChannelVerdict
 
 SHARES = (0.4, 0.45, 0.5, 0.55, 0.6, 0.65, 0.7, 0.75, 0.8, 0.9)

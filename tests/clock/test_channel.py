@@ -72,18 +72,18 @@ def test_a_crystals_parabola_is_the_curve_of_the_clock_and_nothing_else_is_missi
 
     (verdict,) = diagnose(three[:2], three[2:], sensors=(CLOCK,)).verdicts
 
-    declared = verdict.channel.declared
+    scale = verdict.channel.scale
     assert not verdict.claims
     assert not verdict.unexplained
     assert verdict.channel.unit == "ppm"
-    assert verdict.before.declared[2] / declared.half_span_degc**2 == pytest.approx(PARABOLA_PPM, rel=0.15)
-    assert verdict.before.declared[0] == pytest.approx(parabola(np.array([declared.middle_degc]))[0], abs=0.5)
+    assert verdict.before.declared[2] / scale.half_span**2 == pytest.approx(PARABOLA_PPM, rel=0.15)
+    assert verdict.before.declared[0] == pytest.approx(parabola(np.array([scale.middle]))[0], abs=0.5)
 
 
 def test_the_floor_is_what_the_delays_make_of_a_block() -> None:
     three = runs(late_parabola, seed=10)
     blocks = [make_blocks(run, [CLOCK], ["temperature"]) for run in three]
-    floor = white_floor(three, CLOCK, blocks).sd
+    floor = white_floor(CLOCK, blocks).sd
     errors = []
     for at, found in enumerate(blocks):
         truth = late_parabola(ramps(SECONDS, at != 1)[1])

@@ -67,6 +67,16 @@ def test_a_diagnosis_that_fails_leaves_no_folder_behind_and_takes_none_away(
     assert list(tmp_path.iterdir()) == [there]
 
 
+def test_the_next_command_reads_the_recordings_as_this_one_did(tables: Path, tmp_path: Path) -> None:
+    given = ["--train", tables / "a.csv", "--channels", "gyro", "--map", tables / "map.yaml", "--at-rest"]
+    done = imumon("diagnose", *given, "--out", tmp_path / "found")
+    assert done.returncode == 0, done.stderr
+    again = f"imumon diagnose {' '.join(map(str, given))} --test NEW --out {tmp_path / 'found'}"
+    assert again in done.stderr
+    (step,) = json.loads((tmp_path / "found" / "report.json").read_text(encoding="utf-8"))["next"]
+    assert step["command"] == again
+
+
 def test_two_things_declared_are_refused(tables: Path) -> None:
     done = imumon(
         "diagnose",

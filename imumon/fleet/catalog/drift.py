@@ -9,7 +9,7 @@ import numpy as np
 
 from imumon.blocks import FloatArray, IntArray
 from imumon.fleet.catalog.units import Dated, Unit
-from imumon.lab.diagnosis.figures import shown
+from imumon.lab.diagnosis.page import shown
 from imumon.models.model import ChannelModel
 from imumon.recordings.reduced import GYRO
 

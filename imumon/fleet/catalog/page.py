@@ -18,8 +18,7 @@ from imumon.fleet.catalog.drift import Drift, Outlier, drifts
 from imumon.fleet.catalog.tables import day
 from imumon.fleet.catalog.units import Entry, Unit
 from imumon.harmless import for_plot
-from imumon.lab.diagnosis.figures import COLOURS, HOUR_S, shown, svg
-from imumon.lab.diagnosis.page import environment
+from imumon.lab.diagnosis.page import COLOURS, HOUR_S, environment, shown, svg
 from imumon.models.model import BiasModel
 from imumon.recordings.folder import Session, fingerprint
 from imumon.recordings.reader import open_recording

@@ -13,7 +13,7 @@ from imumon.clock.channel import CLOCK, block_noise
 from imumon.effects.base import Drive, DrivenEffect, Scale, Survey
 from imumon.effects.library import EFFECTS
 from imumon.effects.product import Product
-from imumon.lab.diagnosis.runs import Origin, Run
+from imumon.lab.diagnosis.runs import Run
 from imumon.recordings.reduced import ACCEL
 
 BLOCK_S = 30.0
@@ -40,7 +40,8 @@ times the median change."""
 class RunBlocks:
     """One run as block means at rest."""
 
-    name: str
+    run: Run
+    """What they are made of."""
     block_s: float
     """Nominal length of a block."""
     time_s: FloatArray
@@ -57,11 +58,13 @@ class RunBlocks:
     """Of each slot in the means, (slots,): samples, over those of a whole slot.  A block is a gap where it is
     less than half a block's."""
     slots: int
-    duration_s: float
     pose: IntArray
     """Number of the pose of each block, from 0, (n,)."""
-    origin: Origin | None = None
-    begun_in: str = ""
+
+    @property
+    def name(self) -> str:
+        """Name of the run."""
+        return self.run.name
 
     def __len__(self) -> int:
         return len(self.time_s)
@@ -86,13 +89,8 @@ def make_blocks(
     valid = run.at_rest
     for name in channels:
         valid = valid & np.isfinite(run.mean[name])
-    wanted = [name for name in (*ACCEL, *drivers, *temperatures) if name in run.mean]
-    bridged = {name: _bridged(run, name) for name in wanted if np.isfinite(run.mean[name]).sum() > 1}
-    accel = np.column_stack([bridged[name] for name in ACCEL]) if bridged.keys() >= set(ACCEL) else None
-    others = {name: bridged[name] for name in drivers if name in bridged}
-    drives = {
-        name: Drive(run.time_s, bridged[name], accel, others) for name in temperatures if name in bridged
-    }
+    drives = _drives(run, temperatures, drivers)
+    accel = next((drive.accel for drive in drives.values()), None)
     slots = max(1, round(block_s / run.slot_s))
     pose = np.zeros(len(valid), np.int64) if accel is None else poses(accel, valid)
     valid = in_one_pose(valid, pose, slots)
@@ -106,7 +104,7 @@ def make_blocks(
     keep = share >= 0.5
     time_s, number, *columns = means[keep].T
     return RunBlocks(
-        name=run.name,
+        run=run,
         block_s=block_s,
         time_s=time_s,
         white=1.0 / share[keep],
@@ -115,11 +113,21 @@ def make_blocks(
         drives=drives,
         weight=weight,
         slots=slots,
-        duration_s=run.duration_s,
         pose=np.rint(number).astype(np.int64),
-        origin=run.origin,
-        begun_in=run.begun_in,
     )
+
+
+def _drives(run: Run, temperatures: Sequence[str], drivers: Sequence[str]) -> dict[str, Drive]:
+    """Return what drives the effects, for each temperature that there is; missing values are interpolated."""
+    bridged = {
+        name: np.interp(run.time_s, run.time_s[known], run.mean[name][known])
+        for name in (*ACCEL, *drivers, *temperatures)
+        if name in run.mean and (known := np.isfinite(run.mean[name])).sum() > 1
+    }
+    accel = np.column_stack([bridged[name] for name in ACCEL]) if bridged.keys() >= set(ACCEL) else None
+    others = {name: bridged[name] for name in drivers if name in bridged}
+    there = [name for name in temperatures if name in bridged]
+    return {name: Drive(run.time_s, bridged[name], accel, others) for name in there}
 
 
 def poses(force: FloatArray, resting: BoolArray) -> IntArray:
@@ -194,12 +202,6 @@ def _block_means(columns: FloatArray, weight: FloatArray, width: int) -> tuple[F
     return means, count / width
 
 
-def _bridged(run: Run, name: str) -> FloatArray:
-    """Return a column with missing values interpolated, (n,)."""
-    known = np.isfinite(run.mean[name])
-    return np.interp(run.time_s, run.time_s[known], run.mean[name][known])
-
-
 class WhiteFloor(NamedTuple):
     """Standard deviation of the white noise of a block, and what it was taken from."""
 
@@ -207,7 +209,7 @@ class WhiteFloor(NamedTuple):
     source: str
 
 
-def white_floor(runs: Sequence[Run], channel: str, blocks: Sequence[RunBlocks]) -> WhiteFloor:
+def white_floor(channel: str, blocks: Sequence[RunBlocks]) -> WhiteFloor:
     """Return the white floor of a channel from the scatter inside blocks, averaged over these blocks.
 
     It is half the mean square difference of neighbouring parts of a block (an Allan variance), of 2 s in most
@@ -217,7 +219,7 @@ def white_floor(runs: Sequence[Run], channel: str, blocks: Sequence[RunBlocks]) 
     """
     slots, gaps = blocks[0].slots, np.concatenate([run.white for run in blocks]).mean()
     values = []
-    for run in runs:
+    for run in (one.run for one in blocks):
         rows = np.where(run.at_rest, run.mean[channel], np.nan)
         values.append(rows[: len(rows) // slots * slots].reshape(-1, slots))
     if channel == CLOCK:  # no step leads from one run to the next
@@ -233,7 +235,7 @@ def white_floor(runs: Sequence[Run], channel: str, blocks: Sequence[RunBlocks]) 
     squares = float(np.mean(spread**2)) if len(spread) else 0.0
     variance = squares / (2.0 * (1.0 - 1.0 / (number - 1) ** 2)) * step / slots
     sd = float(np.sqrt(variance)) * float(np.sqrt(gaps))
-    return WhiteFloor(sd, f"means of {step * runs[0].slot_s:.0f} s inside blocks")
+    return WhiteFloor(sd, f"means of {step * blocks[0].run.slot_s:.0f} s inside blocks")
 
 
 def survey(runs: Sequence[RunBlocks], temperature: str, degree: int) -> Survey:

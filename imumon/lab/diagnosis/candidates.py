@@ -1,19 +1,26 @@
-"""What may be added to the declared model: effects, the scope of their coefficients, their columns."""
+"""A channel with its declared model, and what may be added to that: effects and their columns."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Literal
 
 import numpy as np
+from numpy.polynomial import Polynomial
 
 from imumon.blocks import FloatArray, IntArray
-from imumon.effects.base import Effect, Survey
+from imumon.effects.base import Effect, Scale, Survey
 from imumon.effects.follower import may_sum
 from imumon.effects.library import EFFECTS
 from imumon.effects.temperature_curve import TemperatureCurve
-from imumon.lab.diagnosis.blocks import RunBlocks
+from imumon.lab.diagnosis.blocks import RunBlocks, WhiteFloor
+from imumon.lab.diagnosis.quality import Fault
+from imumon.lab.diagnosis.runs import unit_of
 
+Own = Literal["", "run", "pose"]
+"""Whether each run, or each pose of each run, has a constant of its own."""
 SHARED = -1
 """Scope: one coefficient for all runs; a number from 0 on is the one run that has it."""
 
@@ -49,14 +56,14 @@ class Candidate:
         return sum(len(part.effect.nonlinear) for part in self.parts)
 
     @property
+    def inputs(self) -> set[str]:
+        """What drives it besides time and temperature."""
+        return {name for part in self.parts for name in part.effect.inputs}
+
+    @property
     def scope(self) -> str:
         """Whose its coefficients are by nature, see `imumon.effects.base.Scope`."""
         return self.parts[0].effect.scope
-
-    @property
-    def is_plain(self) -> bool:
-        """Whether it is one part with no free start, of no other driver than the temperature."""
-        return len(self.parts) == 1 and not (self.free_start or self.choice)
 
     @property
     def carries(self) -> bool:
@@ -127,7 +134,7 @@ class Pool:
     runs: Sequence[RunBlocks]
     temperature: str
     """Which temperature drives the effects."""
-    _columns: list[list[FloatArray]] = field(default_factory=list)
+    _columns: list[FloatArray] = field(default_factory=list)
     _spectra: list[int] = field(default_factory=list)
     _known: dict[tuple[int, str], tuple[Effect, list[int]]] = field(default_factory=dict)
 
@@ -150,11 +157,11 @@ class Pool:
 
     def matrix(self, terms: Sequence[Term]) -> FloatArray:
         """Return the columns of terms over all runs, (n, k): zero in runs that a term is not of."""
-        offsets = np.cumsum([0, *map(len, self.runs)]).tolist()
-        out = np.zeros((offsets[-1], len(terms)))
+        which = np.repeat(np.arange(len(self.runs)), [*map(len, self.runs)])
+        out = np.empty((len(which), len(terms)))
         for at, (column, scope) in enumerate(terms):
-            for run in range(len(self.runs)) if scope == SHARED else (scope,):
-                out[offsets[run] : offsets[run + 1], at] = self._columns[column][run]
+            values = self._columns[column]
+            out[:, at] = values if scope == SHARED else np.where(which == scope, values, 0.0)
         return out
 
     def design(self, found: Sequence[Candidate]) -> FloatArray:
@@ -166,7 +173,120 @@ class Pool:
         if key not in self._known:
             parts = [run.average(getattr(effect, what)(run.drives[self.temperature])) for run in self.runs]
             first, width = len(self._columns), parts[0].shape[1]
-            self._columns += [[part[:, i] for part in parts] for i in range(width)]
+            self._columns += [*np.concatenate(parts).T]
             self._spectra += [first if effect.one_sign and what == "columns" else -1] * width
             self._known[key] = effect, list(range(first, first + width))
         return self._known[key][1]
+
+
+@dataclass(frozen=True, eq=False)
+class Channel:
+    """A channel over the runs that it is fitted to, and those that prove what was found.
+
+    The declared model of its bias is a polynomial of u = (T - middle) / half span, and a constant of its own
+    for each run, or each pose of each run, where `own` says so.
+    """
+
+    name: str
+    floor: WhiteFloor
+    """Of a block."""
+    degree: int
+    own: Own
+    pool: Pool
+    """Training runs, which temperature drives the channel, and the columns of effects over them."""
+    test: Sequence[RunBlocks]
+    faults: Sequence[Fault] = ()
+    """What is wrong with its data."""
+    known: tuple[Effect, ...] | None = None
+    """Effects of the present model, whose curve is off the means already; None without one."""
+    kept: tuple[Effect, ...] = ()
+    """Those of them that stay as they are; a search begins with the others, and fits them anew."""
+
+    @property
+    def unit(self) -> str:
+        """Unit of its bias."""
+        return unit_of(self.name)
+
+    @property
+    def blind(self) -> float:
+        """rms below which an effect may be a fault of the data."""
+        return max((fault.blind for fault in self.faults), default=0.0)
+
+    @property
+    def limit(self) -> float:
+        """rms that white noise and faults of the data together make of a block: no structure is below it."""
+        return float(np.hypot(self.floor.sd, self.blind))
+
+    @property
+    def coarse(self) -> bool:
+        """Whether faults of the data may make what matters of a smooth bias: an error of a floor."""
+        return self.blind >= self.floor.sd
+
+    @property
+    def refitted(self) -> bool:
+        """Whether the present model is fitted anew, its curve, or effects of it."""
+        return self.known is not None and bool(self.degree or len(self.kept) < len(self.known))
+
+    def as_given(self) -> Channel:
+        """Return it with the present model as it is, where there is one, but for a constant."""
+        return self if self.known is None else replace(self, degree=0, kept=self.known)
+
+    @cached_property
+    def scale(self) -> Scale:
+        """Middle and half of the span of the trained temperatures, °C."""
+        found = np.concatenate([run.temperature[self.pool.temperature] for run in self.pool.runs])
+        low, high = float(found.min()), float(found.max())
+        return Scale(0.5 * (low + high), max(0.5 * (high - low), 1e-3))
+
+    def powers(self, temperature: FloatArray, count: int) -> FloatArray:
+        """Return the first `count` of 1, u, u², ..., (n, count)."""
+        u = (temperature - self.scale.middle) / self.scale.half_span
+        return np.asarray(u[:, np.newaxis] ** np.arange(count))
+
+    def curve(self, coefficients: FloatArray) -> Polynomial:
+        """Return a fitted curve over the trained temperatures."""
+        middle, half_span = self.scale.middle, self.scale.half_span
+        return Polynomial(coefficients, domain=[middle - half_span, middle + half_span])
+
+    def levels(self, run: RunBlocks) -> IntArray:
+        """Return which of the constants of a run each block has, (n,), from 0."""
+        return run.pose if self.own == "pose" else np.zeros(len(run), np.int64)
+
+    @cached_property
+    def values(self) -> FloatArray:
+        """Block means over all training runs less the effects that stay as they are, (n,)."""
+        means = np.concatenate([run.mean[self.name] for run in self.pool.runs])
+        for effect in self.kept:
+            columns = self.pool.design([Candidate(effect.label, (Part(effect),))])
+            means = means - columns @ np.asarray(effect.coefficients)
+        return means
+
+    @cached_property
+    def base(self) -> FloatArray:
+        """Columns of the declared model over all training runs, (n, p): powers of u, and a constant for each
+        further run or pose that has one of its own."""
+        runs = self.pool.runs
+        temperature = np.concatenate([run.temperature[self.pool.temperature] for run in runs])
+        columns = self.powers(temperature, self.degree + 1)
+        if not self.own:
+            return columns
+        which = [np.column_stack([np.full(len(run), at), self.levels(run)]) for at, run in enumerate(runs)]
+        level = np.unique(np.concatenate(which), axis=0, return_inverse=True)[1].reshape(-1, 1)
+        return np.column_stack([columns, level == np.arange(1, level.max() + 1)]).astype(np.float64)
+
+    def design(self, found: Sequence[Candidate]) -> FloatArray:
+        """Return the columns of the declared model and of what was found, (n, k)."""
+        return np.column_stack([self.base, self.pool.design(found)])
+
+    def residual_rms(self, found: Sequence[Candidate]) -> float:
+        """Return the rms of what ordinary least squares leave beside what was found."""
+        columns = self.design(found)
+        left = self.values - columns @ least_squares(columns, self.values)
+        return float(np.sqrt(np.mean(left**2)))
+
+
+def least_squares(columns: FloatArray, values: FloatArray) -> FloatArray:
+    """Return the coefficients of ordinary least squares, the smallest where columns are collinear."""
+    norm = np.linalg.norm(columns, axis=0)
+    norm = np.where(norm > 0, norm, 1.0)
+    return np.asarray(np.linalg.lstsq(columns / norm, values, rcond=1e-10)[0] / norm)

@@ -1,52 +1,70 @@
-"""The whole diagnosis: runs in, verdicts out."""
+"""The whole diagnosis: runs in, verdicts out; and the engine that live search and plans use as well.
+
+That searches the axes of a sensor over each base: what effects are searched beside, the declared curve or the
+present model, as it is or fitted anew, with or without a constant in each pose.  The base counts that is
+likeliest with what was found beside it.
+"""
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from imumon.clock.channel import CLOCK
 from imumon.effects.base import LEAST_SPAN_DEGC, Survey
 from imumon.effects.library import effects_for
 from imumon.errors import ImumonError, Reason
+from imumon.geodesy import EARTH_RATE
 from imumon.lab.calibration.gravity import Length
-from imumon.lab.diagnosis.axes import likeliest, scored_channels, search_block_s, search_sensor
-from imumon.lab.diagnosis.blocks import LEAST_BLOCKS, RunBlocks, common_block_s, specific_force, survey
-from imumon.lab.diagnosis.channel import (
-    Declared,
-    Own,
-    Recorded,
-    check_range,
-    curves_of,
-    order_of,
-    temperature_of,
-    without_model,
+from imumon.lab.diagnosis import known, usable
+from imumon.lab.diagnosis.blocks import (
+    RunBlocks,
+    at_poses,
+    common_block_s,
+    specific_force,
+    survey,
+    white_floor,
 )
-from imumon.lab.diagnosis.runs import (
-    SENSORS,
-    STRETCHES,
-    Run,
-    channels_of,
-    common_temperature,
-    divided,
-    in_order,
-)
-from imumon.lab.diagnosis.search import Progress, Search
-from imumon.lab.diagnosis.usable import (
-    check_training,
-    usable_blocks,
-    usable_channels,
-    usable_drivers,
-    without_standstill,
-)
+from imumon.lab.diagnosis.candidates import Channel, Own, Pool, least_squares
+from imumon.lab.diagnosis.choice import PROVEN
+from imumon.lab.diagnosis.runs import SENSORS, Run, channels_of, common_temperature
+from imumon.lab.diagnosis.search import STAGES, Progress, Search, search
 from imumon.lab.diagnosis.verdict import ChannelVerdict, decide
 from imumon.models.curves.polynomial import CUBIC
 from imumon.models.model import BiasModel
 from imumon.models.predictor import BiasPredictor
 
 HIGHEST_DEGREE = 8
+SHORTER, LEAST_SEARCH_BLOCKS = (1, 2, 3), 200
+"""Runs of fewer blocks are searched in halves or thirds of them: of few the one with a jump in it decides."""
+ON_POSES = (
+    "several poses: what is named g_sensitivity holds the vertical earth rate as well, up to 15.04 °/h per g",
+    "several poses: a sensitivity of the gyros to g cannot be distinguished from the earth rate",
+)
+EARTH_SPREAD = 2.1 * EARTH_RATE
+"""rad/s: most that the constants of a gyro in two poses differ by the earth rate, and by 5 % of its scale."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recorded:
+    """What is diagnosed: blocks of training and test, and what is declared of them.
+
+    `temperatures` has that of each channel, `degree` is that of the declared polynomial, and `own` says
+    whether each run, or each pose of each run, has a constant of its own.  With a `model` that is known, its
+    curve is off the runs already.  The search is in `shorter` blocks where there are some.
+    """
+
+    blocks: Sequence[RunBlocks]
+    temperatures: Mapping[str, str]
+    degree: int
+    test: Sequence[RunBlocks] = ()
+    shorter: Sequence[RunBlocks] = ()
+    own: Own = ""
+    model: BiasModel | None = None
 
 
 @dataclass(slots=True)
@@ -54,7 +72,8 @@ class Diagnosis:
     """Verdicts on all channels, and caveats of the data.
 
     `model` is the present one, or None.  `held_out`: whether the test is part of the one run that there is.
-    `length` is what follows from |f| = g in several poses.
+    `length` is what follows from |f| = g in several poses, `given` the options of the command that made it,
+    all but the test and the folder.
     """
 
     declared: str
@@ -67,11 +86,11 @@ class Diagnosis:
     model: BiasModel | None = None
     held_out: bool = False
     length: Length | None = None
+    given: str = "--train SESSION"
 
 
-def parse_declared(text: str) -> tuple[int, bool]:
-    """Return degree and whether each run has an offset of its own, from ``polynomial 3`` or ``polynomial 3
-    + offset``.
+def parse_declared(text: str) -> tuple[int, Own]:
+    """Return degree and whose the constants are, from ``polynomial 3`` or ``polynomial 3 + offset``.
 
     Raises BAD_CONFIG for anything else.
     """
@@ -82,7 +101,7 @@ def parse_declared(text: str) -> tuple[int, bool]:
             f"--declared {text!r} is not understood",
             f"use 'polynomial N', N from 0 to {HIGHEST_DEGREE}; '+ offset' for a constant of each run",
         )
-    return int(match[1]), match[2] is not None
+    return int(match[1]), "run" if match[2] else ""
 
 
 def diagnose(
@@ -105,14 +124,14 @@ def diagnose(
     or a known one that holds at no temperature of the training.
     """
     remarks = [*dict.fromkeys(text for run in (*train, *test) for text in run.warnings)]
-    data = _prepared(train, test, parse_declared(declared), sensors, model, drivers, remarks)
+    data = _prepared(train, test, declared, sensors, model, drivers, remarks)
     verdicts: list[ChannelVerdict] = []
     for sensor in sensors:
-        group = channels_of([sensor], data.temperatures)
-        if group:
+        if group := channels_of([sensor], data.temperatures):
             found = likeliest(search_sensor(data, group, effects_for(group[0]), progress=progress))
             verdicts += map(decide, found, scored_channels(data, found))
-            remarks += _on_poses(data, found)
+            if group[0].startswith("gyro") and any(run.pose.any() for run in data.blocks):
+                remarks.append(ON_POSES[found[0].channel.own == "pose"])
     length = _length(data, remarks)
     return Diagnosis(
         declared=declared,
@@ -120,70 +139,43 @@ def diagnose(
         verdicts=verdicts,
         train=data.blocks,
         test=data.test,
-        survey=survey(data.blocks, verdicts[0].channel.temperature, data.degree),
+        survey=survey(data.blocks, verdicts[0].channel.pool.temperature, data.degree),
         caveats=remarks,
         model=model,
-        held_out=any(run.share < 1.0 for run in data.runs),
+        held_out=any(one.run.share < 1.0 for one in data.blocks),
         length=length,
     )
-
-
-def _length(data: Recorded, remarks: list[str]) -> Length | None:
-    """Return what |f| = g determines of the accelerometers in several poses, and add that in words."""
-    forces = [force for run in data.blocks if (force := specific_force(run)) is not None]
-    if len(channels_of(["accel"], data.temperatures)) < 3 or len(forces) < len(data.blocks):
-        return None
-    temperature = data.temperatures["accel_x"]
-    declared = Declared.over(data.blocks, temperature, data.degree, "pose")
-    powers = [declared.columns(run.temperature[temperature])[:, 1:] for run in data.blocks]
-    found = Length.from_poses(np.concatenate(forces), np.concatenate(powers))
-    if found is None:
-        return None
-    poses, length = found
-    remarks.append(length.described(poses))
-    return length
 
 
 def _prepared(
     train: Sequence[Run],
     test: Sequence[Run],
-    declared: tuple[int, bool],
+    declared: str,
     sensors: Sequence[str],
     model: BiasModel | None,
     drivers: Sequence[str] | None,
     remarks: list[str],
 ) -> Recorded:
     """Return what is searched; on what is not, and on limits, it adds to the remarks."""
-    degree, offsets = declared
-    channels = usable_channels(train, test, sensors, remarks)
-    train, test = _divided(train, test, channels, remarks)
-    if model is None:
-        # That of its axis, where there is one.
-        lacking = "there is no temperature in the training data, so there is no bias over it to diagnose"
-        temperatures = {
-            name: common_temperature(f"temperature_{name[-1]}", train, lacking, but=name) for name in channels
-        }
-    else:
-        temperatures = _temperatures_of(model, channels, train)
-        curves, channels = curves_of(model), list(temperatures)
-        train, test = ([without_model(run, curves, channels) for run in runs] for runs in (train, test))
-        degree = max(order_of(model.channels[name]) for name in channels)
+    degree, own = parse_declared(declared)
+    channels = usable.usable_channels(train, test, sensors, remarks)
+    train, test = usable.train_and_test(train, test, channels, remarks)
+    temperatures = _temperatures(channels, train, model)
+    used = [*dict.fromkeys(temperatures.values())]
+    if model is not None:
+        channels, curves = [*temperatures], known.curves_of(model)
+        train, test = ([known.without_model(run, curves, channels) for run in runs] for runs in (train, test))
+        degree = max(known.order_of(model.channels[name]) for name in channels)
         if drivers is not None:
-            there = (*drivers, *temperatures.values())
+            there = (*drivers, *used)
             needed = BiasPredictor(model, channels).drivers
             drivers = [*drivers, *(name for name in needed if name not in there)]
-    used = list(dict.fromkeys(temperatures.values()))
-    others = usable_drivers(train, test, [*used, *channels], drivers, remarks)
-    block_s = common_block_s([*train, *test])
-
-    def in_blocks(runs: Sequence[Run], length_s: float, remarks: list[str]) -> list[RunBlocks]:
-        return usable_blocks(runs, channels, used, others, length_s, remarks)
-
-    unused: list[str] = []
-    blocks = in_blocks(train, block_s, unused)
-    check_training(blocks, unused, block_s)
-    remarks += unused
-    tested, shown = in_blocks(test, block_s, remarks), survey(blocks, used[0], degree)
+    others = usable.usable_drivers(train, test, [*used, *channels], drivers, remarks)
+    block_s, earlier = common_block_s([*train, *test]), len(remarks)
+    blocks = usable.usable_blocks(train, channels, used, others, block_s, remarks)
+    usable.check_training(blocks, block_s, remarks[earlier:])
+    tested = usable.usable_blocks(test, channels, used, others, block_s, remarks)
+    shown = survey(blocks, used[0], degree)
     if not shown.thermal:
         degree = 0
         remarks.append(
@@ -191,21 +183,29 @@ def _prepared(
             " no curve over temperature is fitted, and no effect of temperature can be found"
         )
     elif model is not None:  # else no curve is fitted, and that of the model stays as it is
-        check_range(model, temperatures, blocks)
+        known.check_range(model, temperatures, blocks)
     if not tested:
         remarks.append("no run can be used as a test: there is no independent proof")
     if len(blocks) < 2:
         remarks.append(
             "one training run: what depends on time and what depends on temperature may look alike"
         )
-    shorter = in_blocks(train, search_block_s(blocks), [])
-    own: Own = "run" if offsets else ""
-    return Recorded(train, blocks, temperatures, degree, tested, shorter, own, model)
+    shorter = usable.usable_blocks(train, channels, used, others, search_block_s(blocks), [])
+    return Recorded(blocks, temperatures, degree, tested, shorter, own, model)
 
 
-def _temperatures_of(model: BiasModel, channels: Sequence[str], runs: Sequence[Run]) -> dict[str, str]:
-    """Return the temperature of each channel that the model has; raises BAD_CONFIG when it has none."""
-    found = {name: temperature_of(name, model, runs) for name in channels if name in model.channels}
+def _temperatures(channels: Sequence[str], runs: Sequence[Run], model: BiasModel | None) -> dict[str, str]:
+    """Return the temperature that the curve of each channel is over: the model's, or that of its axis, where
+    there is one.
+
+    Raises BAD_DATA without any; BAD_CONFIG when the model has none of the channels.
+    """
+    if model is None:
+        lacking = "there is no temperature in the training data, so there is no bias over it to diagnose"
+        return {
+            name: common_temperature(f"temperature_{name[-1]}", runs, lacking, but=name) for name in channels
+        }
+    found = {name: known.temperature_of(name, model, runs) for name in channels if name in model.channels}
     if not found:
         raise ImumonError(
             Reason.BAD_CONFIG,
@@ -215,29 +215,106 @@ def _temperatures_of(model: BiasModel, channels: Sequence[str], runs: Sequence[R
     return found
 
 
-def _divided(
-    train: Sequence[Run], test: Sequence[Run], channels: Sequence[str], remarks: list[str]
-) -> tuple[list[Run], list[Run]]:
-    """Return sound runs of training and test; parts of an only run are held out as a test."""
-    train, test = ([without_standstill(run, channels, remarks) for run in runs] for runs in (train, test))
-    test = in_order(train, test, remarks)
-    if test or len(train) > 1 or train[0].duration_s < 2 * LEAST_BLOCKS * common_block_s(train):
-        return train, test
-    remarks.append(
-        f"no test data: every other {train[0].duration_s / STRETCHES / 60:.0f} min of the one run are"
-        " held out as a test.  That is weaker than another power-on: what is particular to this run, and"
-        " any noise that is slower, is in both"
-    )
-    first, other = divided(train[0], channels)
-    return [first], [other]
+def _length(data: Recorded, remarks: list[str]) -> Length | None:
+    """Return what |f| = g determines of the accelerometers in several poses, and add that in words."""
+    forces = [force for run in data.blocks if (force := specific_force(run)) is not None]
+    if len(channels_of(["accel"], data.temperatures)) < 3 or len(forces) < len(data.blocks):
+        return None
+    channel = _channels(data, ["accel_x"], "pose", data.blocks)[0]
+    found = Length.from_poses(np.concatenate(forces), channel.base[:, 1 : data.degree + 1])
+    if found is None:
+        return None
+    poses, length = found
+    remarks.append(length.described(poses))
+    return length
 
 
-def _on_poses(data: Recorded, found: Sequence[Search]) -> list[str]:
-    """Return what several poses hide of gyros."""
-    channel = found[0].channel
-    if not channel.name.startswith("gyro") or not any(run.pose.any() for run in data.blocks):
-        return []
-    what = "what is named g_sensitivity holds the vertical earth rate as well, up to 15.04 °/h per g"
-    if channel.declared.own == "pose":
-        what = "a sensitivity of the gyros to g cannot be distinguished from the earth rate"
-    return [f"several poses: {what}"]
+# The engine
+
+
+def search_sensor(
+    data: Recorded,
+    group: Sequence[str],
+    effects: Sequence[str],
+    stages: int = STAGES,
+    progress: Progress | None = None,
+) -> list[list[Search]]:
+    """Return the search in the axes of a sensor beside each base that is possible.
+
+    In each pose, and each day, other sensors than gyros have another part of gravity, field or weather, which
+    is not known: they have a constant in each.  So may gyros have, by the earth rate.
+    """
+    owns: list[Own] = [data.own] if group[0].startswith(("gyro", CLOCK)) else []
+    blocks = data.shorter or data.blocks
+    turned = any(run.pose.max() > run.pose.min() for run in blocks)
+    if not owns or (group[0].startswith("gyro") and turned):
+        owns.append("pose")
+    found = []
+    for own in owns:
+        channels = _channels(data, group, own, blocks)
+        shown = survey(channels[0].pool.runs, channels[0].pool.temperature, data.degree)
+        found.append(search(channels, shown, effects, stages, progress))
+        if any(channel.refitted for channel in channels):
+            given = [channel.as_given() for channel in channels]
+            found.append(search(given, shown, effects, stages, progress))
+    return found
+
+
+def scored_channels(data: Recorded, found: Sequence[Search]) -> list[Channel]:
+    """Return the axes that were searched, over the base of the search, in the blocks that are scored."""
+    searched = [one.channel for one in found]
+    scored = _channels(data, [channel.name for channel in searched], searched[0].own, data.blocks)
+    return [
+        replace(channel, degree=like.degree, kept=like.kept)
+        for channel, like in zip(scored, searched, strict=True)
+    ]
+
+
+def search_block_s(blocks: Sequence[RunBlocks]) -> float:
+    """Return the length of the blocks to search in."""
+    longest = max(map(len, blocks))
+    part = next((part for part in SHORTER if part * longest >= LEAST_SEARCH_BLOCKS), SHORTER[-1])
+    return blocks[0].block_s / part
+
+
+def _channels(data: Recorded, group: Sequence[str], own: Own, blocks: Sequence[RunBlocks]) -> list[Channel]:
+    """Return the axes of a sensor over one base, in these blocks."""
+    test = data.test
+    if own == "pose":
+        blocks, test = at_poses(blocks), at_poses(test)
+    pools = {name: Pool(blocks, name) for name in dict.fromkeys(data.temperatures[axis] for axis in group)}
+    found = []
+    for name in group:
+        pool, floor = pools[data.temperatures[name]], white_floor(name, blocks)
+        effects = None if data.model is None else known.effects_of(data.model.channels[name])
+        wrong = usable.faults([one.run for one in blocks], name, floor.sd)
+        found.append(Channel(name, floor, data.degree, own, pool, test, wrong, effects))
+    return found
+
+
+def likeliest(searched: Sequence[list[Search]], *, live: bool = False) -> list[Search]:
+    """Return the search over the base that is likeliest with what was found beside it.
+
+    A present model is fitted anew only where that is proven; live, where it is likelier, for nothing is
+    written.  What constants in each pose explain as well may be the earth rate.  Larger ones are not its.
+    Live they are not paid for, as one session has hardly more poses than a sensitivity to g has coefficients:
+    effects have to be likelier than any earth rate.
+    """
+    several = len({found[0].channel.own for found in searched}) > 1
+
+    def order(axes: list[Search]) -> float:
+        criterion = sum(found.criterion() for found in axes)
+        if axes[0].channel.refitted and not live:
+            criterion -= PROVEN
+        if axes[0].channel.own != "pose" or not several:
+            return criterion
+        constants = []
+        for channel, model in ((found.channel, found.model) for found in axes):
+            coefficients = least_squares(channel.design(model), channel.values)
+            constants.append(coefficients[channel.degree + 1 : channel.base.shape[1]])
+        if max(np.ptp(np.append(values, 0.0)) for values in constants) > EARTH_SPREAD:
+            return -np.inf
+        price = math.log(len(axes[0].channel.values)) * sum(map(len, constants))
+        return criterion + PROVEN + (price if live else 0.0)
+
+    return max(searched, key=order)

@@ -13,7 +13,9 @@ from numpy.polynomial import Chebyshev, Polynomial
 from imumon.effects.base import Effect
 from imumon.effects.temperature_curve import TemperatureCurve
 from imumon.lab.diagnosis.blocks import RunBlocks
+from imumon.lab.diagnosis.candidates import Channel
 from imumon.lab.diagnosis.diagnose import Diagnosis, diagnose
+from imumon.lab.diagnosis.fit import Fit
 from imumon.lab.diagnosis.runs import Run, latest
 from imumon.lab.diagnosis.search import Progress
 from imumon.lab.diagnosis.verdict import ChannelVerdict
@@ -21,8 +23,6 @@ from imumon.models.curves.polynomial import HIGHEST_ORDER, PolynomialCurve
 from imumon.models.model import UNITS, BiasModel, ChannelModel, TrainedOn
 from imumon.version import __version__
 
-DECLARED = "polynomial 3 + offset"
-"""The degree is that of the model; each run has a turn-on offset, as in the calibration."""
 WIDENED = 1.01
 """Range of a curve over the one that it was fitted on, so that an end is not in and out by turns."""
 
@@ -33,7 +33,7 @@ def extended_model(diagnosis: Diagnosis) -> BiasModel:
     A jump, a turn-on offset and an amplitude that is another in each run are in the report alone.
     """
     known = diagnosis.model
-    origins = [run.origin for run in diagnosis.train if run.origin is not None]
+    origins = [one.run.origin for one in diagnosis.train if one.run.origin is not None]
     kept: dict[str, Any] = {
         name: distinct.pop()
         for name in ("device", "serial")
@@ -46,7 +46,7 @@ def extended_model(diagnosis: Diagnosis) -> BiasModel:
         made_by=f"imumon {__version__}",
         created=f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}",
         block_s=diagnosis.block_s,
-        trained_on=[trained_on(run) for run in diagnosis.train if run.origin is not None],
+        trained_on=[trained_on(one) for one in diagnosis.train if one.run.origin is not None],
         channels={
             verdict.name: _channel(verdict, known.channels[verdict.name] if known is not None else None)
             for verdict in with_model(diagnosis)
@@ -63,39 +63,35 @@ def with_model(diagnosis: Diagnosis) -> list[ChannelVerdict]:
 def _channel(verdict: ChannelVerdict, known: ChannelModel | None) -> ChannelModel:
     """Return the model of a channel: the known one, or none at all, with what was fitted."""
     fitted = verdict.after if verdict.predicts else verdict.before
-    effects = [part.effect.with_start(part.start) for part in fitted.parts if part.carries]
-    scored = verdict.test_after
-    rms = scored.rms if np.isfinite(scored.rms) else fitted.train_rms
-    residual = float(np.sqrt(max(rms**2 - verdict.channel.floor.sd**2, 0.0)))
-    declared = verdict.channel.declared
-    middle, half = declared.middle_degc, declared.half_span_degc
+    channel, scale, rms = verdict.channel, verdict.channel.scale, verdict.test_after.rms
+    rms = rms if np.isfinite(rms) else fitted.train_rms
+    residual = float(np.sqrt(max(rms**2 - channel.floor.sd**2, 0.0)))
+    margin = WIDENED * scale.half_span
     present = known or ChannelModel.model_validate(
         {
-            "unit": verdict.channel.unit,
-            "temperature_column": verdict.channel.temperature,
-            "temperature_range_degc": [middle - WIDENED * half, middle + WIDENED * half],
+            "unit": channel.unit,
+            "temperature_column": channel.pool.temperature,
+            "temperature_range_degc": [scale.middle - margin, scale.middle + margin],
             "residual_sd": residual,
-            "curve": PolynomialCurve(center_degc=middle, half_width_degc=half, coefficients=[0.0]),
+            "curve": PolynomialCurve(
+                center_degc=scale.middle, half_width_degc=scale.half_span, coefficients=[0.0]
+            ),
         }
     )
-    curve = Polynomial(fitted.declared, domain=[middle - half, middle + half])
-    model = refitted(present, curve, effects, residual)
+    model = refitted(present, channel, fitted, residual)
     if verdict.name.startswith("accel"):  # what it has at the middle is gravity
-        more = model.curve.value(middle) - present.curve.value(middle)
+        more = model.curve.value(scale.middle) - present.curve.value(scale.middle)
         model = model.model_copy(update={"curve": model.curve.minus(float(more))})
     return model
 
 
-def refitted(
-    known: ChannelModel, more: Polynomial, effects: list[Effect], residual_sd: float
-) -> ChannelModel:
-    """Return a known model with a polynomial more in its curve, and these effects beside it.
+def refitted(known: ChannelModel, channel: Channel, fitted: Fit, residual_sd: float) -> ChannelModel:
+    """Return a known model with the fitted polynomial more in its curve, and what carries over beside it.
 
-    To what is no polynomial itself it is added as an effect.  The curve holds where it was fitted, which is
-    the domain of the polynomial.
+    To a curve that is no polynomial itself it is added as an effect.  The curve holds where it was fitted.
     """
-    curve, others, own = known.curve, list[Effect](), list[Polynomial]()
-    for effect in effects:
+    curve, more, others, own = known.curve, channel.curve(fitted.declared), list[Effect](), list[Polynomial]()
+    for effect in (part.effect.with_start(part.start) for part in fitted.parts if part.carries):
         part = effect.polynomial()
         if part is None or part.degree() > HIGHEST_ORDER:
             others.append(effect)
@@ -126,16 +122,16 @@ def refitted(
     return known.model_copy(update={**update, "curve": curve})
 
 
-def trained_on(run: RunBlocks) -> TrainedOn:
+def trained_on(blocks: RunBlocks) -> TrainedOn:
     """Return what a model states of a run that it was fitted to."""
-    assert run.origin is not None
-    temperature = np.concatenate(list(run.temperature.values()))
+    origin, temperature = blocks.run.origin, np.concatenate(list(blocks.temperature.values()))
+    assert origin is not None
     return TrainedOn(
-        session=run.origin.session,
-        run=run.origin.index,
-        sha256=run.origin.sha256,
-        rest_s=float(run.weight.sum()) * run.block_s / run.slots,
-        blocks=len(run),
+        session=origin.session,
+        run=origin.index,
+        sha256=origin.sha256,
+        rest_s=float(blocks.weight.sum()) * blocks.block_s / blocks.slots,
+        blocks=len(blocks),
         temperature_range_degc=[float(temperature.min()), float(temperature.max())],
     )
 
@@ -163,12 +159,13 @@ def model_with_drivers(
 
     Raises BAD_DATA when the data is too short for it; BAD_CONFIG for a driver that is not there.
     """
-    diagnosis = diagnose(*latest(recordings), DECLARED, progress, model=model, drivers=drivers)
-    found = [verdict for verdict in diagnosis.verdicts if verdict.predicts and _has_driver(verdict)]
+    declared = "polynomial 3 + offset"  # the degree is that of the model, the offset as in the calibration
+    diagnosis = diagnose(*latest(recordings), declared, progress, model=model, drivers=drivers)
+    found = [
+        verdict
+        for verdict in diagnosis.verdicts
+        if verdict.predicts and any(claim.finding.candidate.choice > 0.0 for claim in verdict.claims)
+    ]
     extended = extended_model(diagnosis).channels
     channels = {**model.channels, **{verdict.name: extended[verdict.name] for verdict in found}}
     return Driven(model.model_copy(update={"channels": channels}), found, diagnosis.caveats)
-
-
-def _has_driver(verdict: ChannelVerdict) -> bool:
-    return any(claim.finding.candidate.choice > 0.0 for claim in verdict.claims)

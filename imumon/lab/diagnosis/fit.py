@@ -11,8 +11,7 @@ import numpy as np
 from imumon.blocks import BoolArray, FloatArray, IntArray
 from imumon.effects.base import Effect
 from imumon.lab.diagnosis.blocks import RunBlocks
-from imumon.lab.diagnosis.candidates import Candidate, Part
-from imumon.lab.diagnosis.channel import Channel, least_squares
+from imumon.lab.diagnosis.candidates import Candidate, Channel, Part, least_squares
 from imumon.lab.diagnosis.likelihood import Likelihood
 
 CLEAN = 1.8
@@ -81,7 +80,7 @@ class Fit:
 
 def fit(channel: Channel, found: Sequence[Candidate]) -> Fit:
     """Fit the declared model and the candidates by ordinary least squares."""
-    width, further = channel.base.shape[1], channel.declared.degree + 1
+    width, further = channel.base.shape[1], channel.degree + 1
     design = channel.design(found)
     coefficients = least_squares(design, channel.values)
     model = coefficients[:further].copy()
@@ -153,16 +152,16 @@ def score_test(channel: Channel, model: Fit, like: Fit | None = None) -> TestSco
     Blocks count after the state at power-on is forgotten, of the model `like` where one is given: the same
     for the models that are compared.
     """
-    trained = np.concatenate([run.temperature[channel.temperature] for run in channel.pool.runs])
+    trained = np.concatenate([run.temperature[channel.pool.temperature] for run in channel.pool.runs])
     left, estimated, counted, inside = [], [], [], 0
     for run in channel.test:
-        t = run.temperature[channel.temperature]
+        t = run.temperature[channel.pool.temperature]
         inside_range = (t >= trained.min()) & (t <= trained.max())
         inside += int(inside_range.sum())
         use = inside_range & _settled(channel, run, like or model)
         residual = run.mean[channel.name] - _predicted(channel, run, model)
-        if channel.declared.own:
-            residual, use = _without_levels(residual, use, channel.declared.levels(run))
+        if channel.own:
+            residual, use = _without_levels(residual, use, channel.levels(run))
         left.append(residual)
         estimated.append(residual - _estimated(channel, run, model, residual, use))
         counted.append(use)
@@ -195,10 +194,16 @@ def goes_on(channel: Channel, model: Fit) -> bool:
     return any(run in part.runs for part in model.parts for run in goes_on_from)
 
 
+def is_woven(channel: Channel) -> bool:
+    """Return whether the test lies between parts of the training, whose ends any smooth course joins."""
+    begun_in = [(run, at) for run in channel.test if (at := begun(channel, run)) is not None]
+    return any(run.time_s[0] < channel.pool.runs[at].time_s[-1] for run, at in begun_in)
+
+
 def begun(channel: Channel, run: RunBlocks) -> int | None:
     """Return the training run that a run goes on from; None where it begins with a power-on of its own."""
     names = [other.name for other in channel.pool.runs]
-    return names.index(run.begun_in) if run.begun_in in names else None
+    return names.index(run.run.begun_in) if run.run.begun_in in names else None
 
 
 def _without_levels(residual: FloatArray, use: BoolArray, levels: IntArray) -> tuple[FloatArray, BoolArray]:
@@ -214,9 +219,9 @@ def _without_levels(residual: FloatArray, use: BoolArray, levels: IntArray) -> t
 
 def _predicted(channel: Channel, run: RunBlocks, model: Fit) -> FloatArray:
     """Return the bias that a fitted model predicts of a run, (n,)."""
-    temperature = run.temperature[channel.temperature]
-    expected = channel.declared.columns(temperature, len(model.declared)) @ model.declared
-    drive, which = run.drives[channel.temperature], begun(channel, run)
+    temperature = run.temperature[channel.pool.temperature]
+    expected = channel.powers(temperature, len(model.declared)) @ model.declared
+    drive, which = run.drives[channel.pool.temperature], begun(channel, run)
     for part in model.parts:
         if part.carries:
             expected = expected + run.average(part.effect.simulate(drive))
@@ -229,7 +234,7 @@ def _settled(channel: Channel, run: RunBlocks, model: Fit) -> BoolArray:
     """Return at which blocks of a run no state at power-on matters any more, (n,)."""
     found = np.ones(len(run), bool)
     for part in model.parts:
-        settled = part.effect.settled(run.drives[channel.temperature])
+        settled = part.effect.settled(run.drives[channel.pool.temperature])
         found &= run.average(settled.astype(np.float64)) > 0.99
     return found
 
@@ -246,9 +251,9 @@ def _estimated(
     own = [part.effect for part in model.parts if not part.carries and which not in part.runs]
     if not own or int(use.sum()) < LEAST_TEST_BLOCKS:
         return np.zeros(len(run))
-    drive = run.drives[channel.temperature]
+    drive = run.drives[channel.pool.temperature]
     further = [run.average(one.columns(drive)) for one in own if one.scope == "either"]
-    levels = channel.declared.levels(run)
+    levels = channel.levels(run)
     columns = np.column_stack([levels[:, np.newaxis] == np.unique(levels[use]), *further]).astype(float)
     if any(one.scope == "event" for one in own):
         first = np.flatnonzero(use)[_jump_at(columns[use], residual[use])]
@@ -323,7 +328,7 @@ def sigmas(
                 if own is part:
                     sigma.searched[name] = relative * getattr(part.effect, name)
         parts.append(of_parts)
-    declared = linear[: channel.declared.degree + 1]
+    declared = linear[: channel.degree + 1]
     return declared @ declared.T, parts
 
 

@@ -1,34 +1,39 @@
-"""The diagnosis of the session that is running, as a stage behind the bias filter."""
+"""The diagnosis of the session that is running, as a stage behind the bias filter.
+
+A better model is found by the search and proven on what comes later: both models predict each block mean from
+those before it, with the noise that each had when the better one was found.  The ratio of the two likelihoods
+is a test martingale: were the present model right, it would exceed A with a probability of 1 / A at most,
+however often it is tested (Ville 1939; Shafer et al. 2011, doi:10.1214/10-STS347).
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
-from imumon.blocks import ColumnArray, FloatArray, SampleBlock
+from imumon.blocks import ColumnArray, SampleBlock
 from imumon.charts import AXIS_COLORS, Axis, Chart, Curve
 from imumon.columns import Column
+from imumon.effects.library import EFFECTS
+from imumon.effects.vibration import SECOND_NS
 from imumon.errors import ImumonError
 from imumon.geodesy import DEG_PER_H
-from imumon.lab.diagnosis.better import Better, Challenger, better_models, residual, within_range
-from imumon.lab.diagnosis.blocks import common_block_s, make_blocks
-from imumon.lab.diagnosis.channel import temperature_of
-from imumon.lab.diagnosis.choice import PROVEN
-from imumon.lab.diagnosis.extended import trained_on
-from imumon.lab.diagnosis.runs import (
-    DRIVERS,
-    LONGEST_GAP_S,
-    SECOND_NS,
-    Origin,
-    Run,
-    add_vibration,
-    further_columns,
-)
+from imumon.lab.diagnosis import known
+from imumon.lab.diagnosis.blocks import LEAST_BLOCKS, common_block_s, make_blocks, survey
+from imumon.lab.diagnosis.choice import PROVEN, least_gain
+from imumon.lab.diagnosis.diagnose import Recorded, likeliest, search_sensor
+from imumon.lab.diagnosis.extended import refitted, trained_on
+from imumon.lab.diagnosis.fit import LEAST_TEST_BLOCKS, MATERIAL, fit
+from imumon.lab.diagnosis.likelihood import Likelihood
+from imumon.lab.diagnosis.runs import DRIVERS, LONGEST_GAP_S, BoundedRun, Origin, Run, further_columns
+from imumon.lab.diagnosis.search import Search
+from imumon.lab.diagnosis.usable import usable_drivers
 from imumon.lane import LaneState, Level
-from imumon.models.model import BiasModel, TrainedOn
+from imumon.models.model import BiasModel, ChannelModel, TrainedOn
 from imumon.models.predictor import BiasPredictor
 from imumon.recordings.reduced import ACCEL, GYRO, KeptSlots, gatherer_of, kept_slots
 
@@ -40,10 +45,120 @@ REPLACED_AFTER = 2.0
 """Times the age at which a challenger was found: by then the last model that was found takes its place."""
 HELD_NS = 10 * SECOND_NS
 """Samples wait so long until they are reduced to seconds: short blocks then cost no more than long ones."""
-MOST_SLOTS = 7200
-"""Of a run in memory: two hours of seconds; a column takes 32 bytes of each."""
+LASTING = [name for name, kind in EFFECTS.items() if kind.scope not in ("run", "event")]
+"""Effects that a model file can have."""
 INK = (150, 155, 165)
 """Colour of the effect in a chart: it reads on both themes, and is no axis' colour."""
+
+
+class Better(NamedTuple):
+    """A better model of a channel.
+
+    `names` are the effects of which the present model lacks one, the best first; these data do not separate
+    them.  `gain` is in BIC over the present model, of all channels that lack an effect.  `before` and
+    `after` are the rms of the block means with the present model and a constant, and with the better model.
+    """
+
+    channel: str
+    names: list[str]
+    gain: float
+    before: float
+    after: float
+    model: ChannelModel
+
+
+def better_models(run: Run, model: BiasModel, channels: Sequence[str]) -> list[Better]:
+    """Return a better model of each channel that lacks an effect.
+
+    The search of the diagnosis, which begins with the present model, as it is and fitted anew.  One effect is
+    named at a time, where the gain over the present model, of all channels that lack it, pays for the choice
+    of effect, channels and curve (extended BIC).
+    """
+    temperatures = {name: known.temperature_of(name, model, [run]) for name in channels}
+    used = list(dict.fromkeys(temperatures.values()))
+    left = known.without_model(run, known.curves_of(model), channels)
+    drivers = usable_drivers([run], [], used, None, [])
+    blocks = make_blocks(left, channels, used, drivers, common_block_s([run]))
+    if len(blocks) < LEAST_BLOCKS:
+        return []
+    degree = known.CUBIC_DEGREE if survey([blocks], used[0], 0).thermal else 0
+    data = Recorded([blocks], temperatures, degree, model=model)
+    searched = search_sensor(data, channels, LASTING, stages=1)
+    found = likeliest(searched, live=True)
+    of_poses = [one[0].channel.own == "pose" for one in searched]
+    if found[0].channel.own == "pose" and not all(of_poses):
+        return []  # it may be the earth rate: `imumon diagnose` has more sessions to decide
+    lacking = [one for one in found if any(not finding.known for finding in one.findings)]
+    gain = sum(map(_gain_over_given, lacking))
+    if not gain > least_gain(len(LASTING) * (2 if degree else 1), len(channels)):
+        return []
+    every = [_better(one, gain, model) for one in lacking]
+    # What a model leaves hardly above the white noise is too small to matter.
+    return [
+        better
+        for better, one in zip(every, lacking, strict=True)
+        if better.before >= MATERIAL * one.channel.floor.sd
+    ]
+
+
+def _gain_over_given(found: Search) -> float:
+    """Return what a model gains over the present one as it is."""
+    given = found.channel.as_given()
+    price = given.base.shape[1] * found.likelihood.price
+    return found.criterion() - float(2.0 * found.likelihood.best(given.values, given.base)[0] - price)
+
+
+def _better(found: Search, gain: float, model: BiasModel) -> Better:
+    """Return the present model of a channel with what it lacks, fitted."""
+    channel, lacking = found.channel, next(one for one in found.findings if not one.known)
+    present, given = model.channels[channel.name], fit(channel.as_given(), [])
+    fitted = fit(channel, found.model)
+    # What is left holds the white noise of the means as well: the model's own error is no larger.
+    better = refitted(present, channel, fitted, min(present.residual_sd, fitted.train_rms))
+    names = lacking.alike or [lacking.name]
+    return Better(channel.name, names, gain, given.train_rms, fitted.train_rms, better)
+
+
+class Comparison(NamedTuple):
+    """Two models on what came later.
+
+    `ratio` is the logarithm of the likelihood ratio, the better model's over the present one's: above PROVEN
+    the better one has won, 1 in 3000 by chance, and below -PROVEN it has lost.  `before` and `after` are the
+    rms that the present and the better model leave, over the channels that differ.
+    """
+
+    ratio: float
+    before: float
+    after: float
+
+
+class Challenger:
+    """A better model of some channels that runs beside the present one since it was found."""
+
+    def __init__(self, present: BiasModel, found: Sequence[Better], since_s: float) -> None:
+        channels = {**present.channels, **{one.channel: one.model for one in found}}
+        self.model = present.model_copy(update={"channels": channels})
+        self.since_s = since_s
+        self._present, self._names = present, [one.channel for one in found]
+
+    def compare(self, run: Run) -> Comparison | None:
+        """Return how both models do on the part of a run that came later; None while that is too short.
+
+        Temperatures outside those of the earlier part, from which the better model is, do not count.
+        """
+        run = known.within_range(self.model, run, self._names, self.since_s)
+        ratio, squares = 0.0, []
+        for model, sign in ((self._present, -1.0), (self.model, 1.0)):
+            blocks = known.residual(run, model, self._names)
+            early = blocks.time_s < self.since_s
+            if min(early.sum(), (~early).sum()) < LEAST_TEST_BLOCKS:
+                return None
+            left = [blocks.mean[name] - blocks.mean[name][early].mean() for name in self._names]
+            likelihood = Likelihood([blocks])
+            ratio += sign * sum(likelihood.predictive(one, early) for one in left)
+            squares.append(np.mean([one[~early] ** 2 for one in left]))
+        before, after = np.sqrt(squares).tolist()
+        return Comparison(ratio, before, after)
 
 
 class LiveDiagnosis:
@@ -97,10 +212,10 @@ class LiveDiagnosis:
 
     def _reduce(self) -> None:
         if not self._names:
-            known = [name for name in (*ACCEL, *DRIVERS) if any(name in block for block in self._waiting)]
+            there = [name for name in (*ACCEL, *DRIVERS) if any(name in block for block in self._waiting)]
             made = self._made()
             more = [name for block in self._waiting for name in further_columns(block, made)]
-            self._names = [*dict.fromkeys([*self._gyros, *self._temperatures, *self._needed, *known, *more])]
+            self._names = [*dict.fromkeys([*self._gyros, *self._temperatures, *self._needed, *there, *more])]
             self._gatherer = gatherer_of(self._names, 1.0)
             self._begin()
         for block in self._waiting:
@@ -181,7 +296,7 @@ class LiveDiagnosis:
 
     def _run(self) -> Run:
         """Return the run so far, at rest only where the present model knows the temperature."""
-        return within_range(self._model, self._run_so_far.run(), self._gyros)
+        return known.within_range(self._model, self._run_so_far.run(), self._gyros)
 
     def evidence(self, session: str, sha256: str) -> TrainedOn:
         """Return what a learned model states of this session."""
@@ -222,20 +337,20 @@ def _charts(run: Run, present: BiasModel, better: BiasModel, one: Better) -> lis
     Block means at rest, °/h, less their mean, which is the turn-on bias.  The line through them is the
     difference of the two models.
     """
-    block_s, name = common_block_s([run]), one.channel
-    left, after = (residual(run, model, [name], block_s=block_s) for model in (present, better))
+    name = one.channel
+    left, after = (known.residual(run, model, [name]) for model in (present, better))
     both = left.mean[name], left.mean[name] - after.mean[name]
     points, line = ((part - part.mean()) / DEG_PER_H for part in both)
     axis, what = name[-1], one.names[0]
     over = {
         "time": (left.time_s / 60.0, "time since power-on [min]"),
-        "temperature": (left.temperature[temperature_of(name, present, [run])], "temperature [°C]"),
+        "temperature": (left.temperature[known.temperature_of(name, present, [run])], "temperature [°C]"),
     }
     return [
         Chart(
             f"model_lacks_over_{key}",
             RESIDUAL,
-            f"Gyro {axis} less the model, means of {block_s:.0f} s, and {what} through it",
+            f"Gyro {axis} less the model, means of {left.block_s:.0f} s, and {what} through it",
             Axis(label),
             Axis("[°/h]"),
             (
@@ -247,64 +362,3 @@ def _charts(run: Run, present: BiasModel, better: BiasModel, one: Better) -> lis
         )
         for key, (x, label) in over.items()
     ]
-
-
-class BoundedRun:
-    """Sums over slots of 1, 2, 4, ... s: where they would be too many, neighbours are added in pairs.
-
-    Gyros count at rest only, so that the rest of a slot counts in which the unit moved for a while.
-    """
-
-    def __init__(self, names: Sequence[str]) -> None:
-        self._names = list(names)
-        self._gyros = [at for at, name in enumerate(names) if name in GYRO]
-        self._sums = np.zeros((MOST_SLOTS, 4, len(names)))
-        """Samples, their sum, squares about the means of seconds, and degrees of freedom of these."""
-        self._width, self._last, self._begun_ns = 1, -1, 0
-
-    def elapsed_s(self, part: KeptSlots) -> FloatArray:
-        """Return the time from the first sample to the end of each second, (n,)."""
-        begun_ns = self._begun_ns if self._last >= 0 else int(part.start_ns[0])
-        return np.asarray((part.end_ns - begun_ns) / SECOND_NS)
-
-    def take(self, part: KeptSlots) -> None:
-        """Add seconds; the last column of the part is the share at rest, which is not one of the run's."""
-        if self._last < 0:
-            self._begun_ns = int(part.start_ns[0])
-        second = (part.start_ns - self._begun_ns) // SECOND_NS
-        self._last = int(second[-1])
-        while self._last // self._width >= MOST_SLOTS:
-            half = MOST_SLOTS // 2
-            self._sums[:half] = self._sums[::2] + self._sums[1::2]
-            self._sums[half:] = 0.0
-            self._width *= 2
-        count = part.count[:, :-1].astype(np.float64)
-        count[:, self._gyros] *= (part.mean[:, -1] == 1.0)[:, np.newaxis]
-        mean, variance = (np.where(count > 0, part_of[:, :-1], 0.0) for part_of in (part.mean, part.variance))
-        more = np.stack([count, mean * count, variance * count, np.maximum(count - 1.0, 0.0)], axis=1)
-        np.add.at(self._sums, second // self._width, more)
-
-    def run(self) -> Run:
-        """Return the run so far, in slots that have ended; at rest where a gyro was."""
-        n = max(1, (self._last + 1) // self._width)
-        count, total, scatter, free = self._sums[:n].swapaxes(0, 1)
-        there = [at for at in range(len(self._names)) if at in self._gyros or count[:, at].any()]
-
-        def ratio(sums: FloatArray, by: FloatArray) -> dict[str, FloatArray]:
-            values = np.where(by > 0, sums / np.maximum(by, 1.0), np.nan)
-            return {self._names[at]: values[:, at] for at in there}
-
-        mean, variance = ratio(total, count), ratio(scatter, free)
-        add_vibration(mean, variance)
-        if self._width > 1:
-            # The scatter of samples within seconds does not show that of means of many seconds.
-            variance = {name: np.full(n, np.nan) for name in variance}
-        return Run(
-            name="this session",
-            time_s=np.asarray((np.arange(n) + 0.5) * self._width),
-            count={self._names[at]: count[:, at].copy() for at in there},
-            mean=mean,
-            variance=variance,
-            rest=np.asarray((count[:, self._gyros] > 0).all(axis=1), np.float64),
-            slot_s=float(self._width),
-        )

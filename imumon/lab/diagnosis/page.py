@@ -2,29 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import io
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import matplotlib as mpl
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
+from imumon.blocks import FloatArray
 from imumon.errors import ImumonError, Reason
 from imumon.files import write_text
-from imumon.harmless import for_html
-from imumon.lab.diagnosis.better import residual
-from imumon.lab.diagnosis.blocks import BLOCK_S, RunBlocks
-from imumon.lab.diagnosis.channel import temperature_of
+from imumon.geodesy import DEG_PER_H, MICRO_G
+from imumon.harmless import for_html, for_plot
+from imumon.lab.diagnosis.blocks import RunBlocks
 from imumon.lab.diagnosis.diagnose import Diagnosis
-from imumon.lab.diagnosis.figures import AFTER, BEFORE, HOUR_S, errors_plot, figures, shown, svg
+from imumon.lab.diagnosis.known import residual, temperature_of
 from imumon.lab.diagnosis.report import report
 from imumon.lab.diagnosis.runs import Run, unit_of
 from imumon.lab.diagnosis.search import Progress
 from imumon.lab.diagnosis.verdict import ChannelVerdict
 from imumon.models.model import BiasModel
 
-CLASSES = {"named": "found", "nothing missing": "ok"}
+HOUR_S = 3600.0
+SCALES = {"rad/s": (1.0 / DEG_PER_H, "°/h"), "m/s^2": (1.0 / MICRO_G, "µg")}
+"""Factor to the unit that a person reads, and that unit; others are read as they are."""
+COLOURS = ("#1f4e79", "#c0504d", "#4f7f3f", "#8064a2", "#d08a2e", "#4bacc6")
+AFTER, BEFORE = COLOURS[:2]
+SIZE, WIDE = (5.2, 3.0), (9.6, 3.2)
 
 
 def environment(package: str = "imumon.lab.diagnosis") -> Environment:
@@ -37,44 +45,42 @@ def environment(package: str = "imumon.lab.diagnosis") -> Environment:
     )
 
 
+def shown(unit: str) -> tuple[float, str]:
+    """Return the factor to the unit that a person reads, and that unit."""
+    return SCALES.get(unit, (1.0, unit))
+
+
+def svg(draw: Callable[[Axes], None], size: tuple[float, float] = SIZE) -> str:
+    """Return what is drawn as SVG text."""
+    settings: Any = {"svg.fonttype": "path", "svg.hashsalt": "imumon", "font.size": 8}
+    with mpl.rc_context(settings):
+        figure = Figure(figsize=size, layout="constrained")
+        draw(figure.add_subplot())
+        text = io.StringIO()
+        figure.savefig(text, format="svg", metadata={"Date": None})
+    content = text.getvalue()
+    return content[content.index("<svg") :]
+
+
 def write_page(diagnosis: Diagnosis, path: Path, progress: Progress | None = None) -> None:
     """Write report.html; raises OSError when that fails."""
-    content = report(diagnosis, path.parent)
-    channels = []
+    content, drawn = report(diagnosis, path.parent), {}
     for verdict in diagnosis.verdicts:
         if progress is not None:
             progress(f"drawing {verdict.name}")
-        scale, unit = shown(verdict.channel.unit)
-        channels.append(
-            {
-                "verdict": verdict,
-                "numbers": content["channels"][verdict.name],
-                "scale": scale,
-                "unit": unit,
-                "class": CLASSES.get(verdict.row.state, "open"),
-                "errors": _errors(verdict),
-                "curve": _curve(verdict),
-                "figures": figures(diagnosis, verdict),
-            }
-        )
+        drawn[verdict.name] = _figures(diagnosis, verdict)
     first = max(diagnosis.verdicts, key=_weight)
     pages = environment()
     pages.filters["number"] = _number
+    pages.globals.update(errors=_errors, curve=_curve, shown=shown)
     text = pages.get_template("report.html.j2").render(
-        report=content, picture=errors_plot(diagnosis, first), sure=_how_sure(first), channels=channels
+        report=content,
+        picture=svg(lambda axes: _draw_errors(axes, diagnosis, first), WIDE),
+        first=first,
+        verdicts=diagnosis.verdicts,
+        drawn=drawn,
     )
     write_text(path, text)
-
-
-def _how_sure(verdict: ChannelVerdict) -> str:
-    """Return in a sentence what supports a verdict: the error in the test, and the white noise beside it."""
-    scale, unit = shown(verdict.channel.unit)
-    before, after = (_number(value, scale) for value in _errors(verdict))
-    floor = f"white noise alone would leave {_number(verdict.channel.floor.sd, scale)} {unit}"
-    if not before:
-        return f"There is no test that can be scored, so nothing proves it: {floor}."
-    becomes = f"goes from {before} {unit} to {after}" if verdict.claims else f"is {before}"
-    return f"On recordings that the fit has not used, the error of {verdict.name} {becomes} {unit}; {floor}."
 
 
 def _errors(verdict: ChannelVerdict) -> tuple[float, float]:
@@ -85,9 +91,9 @@ def _errors(verdict: ChannelVerdict) -> tuple[float, float]:
 
 def _curve(verdict: ChannelVerdict) -> list[tuple[float, float, float]]:
     """Return temperature, bias and its sigma at both ends and the middle of what training covered."""
-    declared = verdict.channel.declared
-    at = declared.middle_degc + declared.half_span_degc * np.array([-1.0, 0.0, 1.0])
-    columns = declared.columns(at, len(verdict.after.declared))
+    scale = verdict.channel.scale
+    at = scale.middle + scale.half_span * np.array([-1.0, 0.0, 1.0])
+    columns = verdict.channel.powers(at, len(verdict.after.declared))
     spread = np.sqrt(np.einsum("ij,jk,ik->i", columns, verdict.declared_covariance, columns))
     values = columns @ verdict.after.declared
     return list(zip(at.tolist(), values.tolist(), spread.tolist(), strict=True))
@@ -106,11 +112,65 @@ def _number(value: float | None, scale: float = 1.0, digits: int = 3) -> str:
     return f"{value:.0f}" if abs(value) >= 1000.0 else f"{value:.{digits}g}"
 
 
+def _figures(diagnosis: Diagnosis, verdict: ChannelVerdict) -> dict[str, str]:
+    """Return the plots of a channel, caption to SVG."""
+    runs, column = diagnosis.train, verdict.channel.pool.temperature
+    hours = [run.time_s / HOUR_S for run in runs]
+    degc = [run.temperature[column] for run in runs]
+    return {
+        "Training over time: what the declared model leaves (dots), and the effects (line)": svg(
+            lambda axes: _draw_training(axes, runs, verdict, hours, "time since power-on, h")
+        ),
+        "The same over temperature: a loop here is no curve": svg(
+            lambda axes: _draw_training(axes, runs, verdict, degc, "temperature, °C")
+        ),
+    }
+
+
+def _draw_training(
+    axes: Axes, runs: Sequence[RunBlocks], verdict: ChannelVerdict, over: Sequence[FloatArray], label: str
+) -> None:
+    scale, unit = shown(verdict.channel.unit)
+    ends = np.cumsum([len(run) for run in runs])[:-1]
+    before, after = (np.split(model.train, ends) for model in (verdict.before, verdict.after))
+    for at, run in enumerate(runs):
+        colour = COLOURS[at % len(COLOURS)]
+        axes.plot(over[at], before[at] * scale, ".", ms=3, color=colour, label=for_plot(run.name))
+        if verdict.claims:
+            axes.plot(over[at], (before[at] - after[at]) * scale, "-", lw=1, color=colour)
+    axes.set(xlabel=label, ylabel=f"left of {verdict.name}, {unit}")
+    axes.legend(fontsize=6)
+
+
+def _draw_errors(axes: Axes, diagnosis: Diagnosis, verdict: ChannelVerdict) -> None:
+    """Draw the errors of runs one after another, and the white noise of a mean."""
+    scale, unit = shown(verdict.channel.unit)
+    if diagnosis.test:
+        what, runs, score = "test", diagnosis.test, verdict.test_after
+        before, counted = verdict.test_before.residual, np.concatenate(score.counted)
+        after = score.estimated if score.left < score.rms else score.residual
+    else:
+        what, runs = "training", diagnosis.train
+        before, after = [verdict.before.train], [verdict.after.train]
+        counted = np.ones(len(after[0]), bool)
+    ends = np.cumsum([0.0, *(run.time_s[-1] for run in runs)])
+    time = np.concatenate([run.time_s + end for run, end in zip(runs, ends[:-1], strict=True)]) / HOUR_S
+    axes.plot(time, np.concatenate(before) * scale, ".", ms=4, color=BEFORE, label="before")
+    if verdict.claims:
+        axes.plot(time, np.concatenate(after) * scale, ".", ms=4, color=AFTER, label="after")
+    if not counted.all():
+        axes.plot(time[~counted], np.zeros(int((~counted).sum())), "k|", ms=4, label="not scored")
+    floor = verdict.channel.floor.sd * scale
+    axes.axhspan(-floor, floor, color="0.85", zorder=0, label="white noise of a mean")
+    axes.set(xlabel="time, h", ylabel=f"{what} error of {verdict.name}, {unit}")
+    axes.legend(fontsize=6)
+
+
 # Two models on the same recording
 
 
 class Compared(NamedTuple):
-    """What two models leave of a channel in a run, as means of 30 s at rest."""
+    """What two models leave of a channel in a run, as block means at rest."""
 
     run: str
     channel: str
@@ -154,11 +214,10 @@ def write_comparison(compared: Sequence[Compared], names: tuple[str, str], sessi
         scale, unit = shown(unit_of(one.channel))
         numbers = [f"{value * scale:.3g}" for value in one.rms]
         drawn = [_drawn(one, names, over) for over in ("time since power-on, h", "temperature, °C")]
-        rows.append(
-            {"run": one.run, "channel": one.channel, "numbers": numbers, "unit": unit, "drawn": drawn}
-        )
-    content = {"rows": rows, "names": names, "session": session, "block_s": BLOCK_S}
-    write_text(path, environment().get_template("compared.html.j2").render(**content))
+        what = {"run": one.run, "channel": one.channel, "numbers": numbers}
+        rows.append({**what, "unit": unit, "drawn": drawn})
+    page, block_s = environment().get_template("compared.html.j2"), round(compared[0].left[0].block_s)
+    write_text(path, page.render(rows=rows, names=names, session=session, block_s=block_s))
 
 
 def _drawn(one: Compared, names: tuple[str, str], over: str) -> str:

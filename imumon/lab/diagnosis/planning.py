@@ -6,6 +6,7 @@ The evidence is the difference of the gains, in BIC, between the effect that the
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
@@ -20,10 +21,9 @@ from imumon.effects.base import ACCEL, LEAST_SPAN_DEGC
 from imumon.effects.library import EFFECTS, AnyEffect, effects_for
 from imumon.files import write_text
 from imumon.geodesy import DEG_PER_H, MICRO_G
-from imumon.lab.diagnosis.axes import likeliest, search_block_s, search_sensor
 from imumon.lab.diagnosis.blocks import BLOCK_S, make_blocks, survey
-from imumon.lab.diagnosis.channel import Recorded
 from imumon.lab.diagnosis.choice import CLOSE, CLOSE_SHARE, PROVEN
+from imumon.lab.diagnosis.diagnose import Recorded, likeliest, search_block_s, search_sensor
 from imumon.lab.diagnosis.likelihood import TAUS_S
 from imumon.lab.diagnosis.report import NOTHING
 from imumon.lab.diagnosis.runs import Run, collect
@@ -41,8 +41,8 @@ MARGIN = 1.4
 """The evidence that is planned for over what is needed: what is reached scatters."""
 TRIALS, PROOFS = 2, 3
 """Units on which a profile is tried, and others on which the evidence of the chosen one is stated."""
-EVERY_SHAPE = 16
-"""So many profiles are tried whatever they tell: by then each shape has been."""
+TIME_UP_S = 150.0
+"""s after which no further profile is tried for a question; the last one takes up to half a minute more."""
 LONG_S = 1e5
 """Correlation time of a process that stands for a random walk of an accelerometer."""
 SCALES = {"gyro": (np.pi / 180.0, DEG_PER_H), "accel": (1e3 * MICRO_G, MICRO_G)}
@@ -66,12 +66,26 @@ POSES = (Turn(kind="turn", at_s=0.0, duration_s=10.0, roll_deg=90.0),) * 3 + (
 
 
 class Profile(NamedTuple):
-    """One experiment."""
+    """One experiment; those of one `shape` differ in how often that is repeated."""
 
-    title: str
+    shape: str
     chamber: Chamber
     duration_s: float
-    turns: tuple[Turn, ...] = ()
+    times: int = 1
+    in_poses: bool = False
+
+    @property
+    def title(self) -> str:
+        """What is done, in words."""
+        repeated = f", {self.times} times" if self.times > 1 else ""
+        return f"{self.shape}{repeated}{', in six poses' if self.in_poses else ''}"
+
+    @property
+    def turns(self) -> list[Turn]:
+        """Turns of the unit at equal intervals, into six poses, where it has to be turned."""
+        every = self.duration_s / (len(POSES) + 1)
+        turns = POSES if self.in_poses else ()
+        return [turn.model_copy(update={"at_s": (at + 1) * every}) for at, turn in enumerate(turns)]
 
 
 def profiles(
@@ -83,57 +97,40 @@ def profiles(
     longest time constant of the effects in question (0 without one); with `poses` it has to be turned.
     """
     at = 0.5 * (low + high)
-    found = [
-        Profile(
-            f"switched on in equilibrium at {at:.0f} °C and held",
-            Chamber(start_degc=at, steps=[Step(hold_s=held_s)]),
-            held_s,
-        )
-        for held_s in HELD_S
-    ]
+    held = f"switched on in equilibrium at {at:.0f} °C and held"
+    found = [Profile(held, Chamber(start_degc=at, steps=[Step(hold_s=s)]), s, 1, poses) for s in HELD_S]
+    shapes: dict[str, list[Step]] = {}
     if high - low >= LEAST_SPAN_DEGC and fastest > 0.0:
         soaks = {*SOAKS_S, min(max(SETTLED * slowest_s, SOAKS_S[0]), 2.0 * SOAKS_S[1])}
-        found += [
-            one
-            for soak_s in sorted(soaks)
-            for count in REPEATS
-            for one in _thermal(low, high, fastest, soak_s, count)
-        ]
-    if poses:
-        found = [_in_poses(one) for one in found]
+        for soak_s in sorted(soaks):
+            shapes |= _thermal(low, high, fastest, soak_s)
+    for title, steps in shapes.items():
+        for times in REPEATS:
+            chamber = Chamber(start_degc=low, steps=steps * times)
+            duration_s = max(float(chamber_knots(chamber)[0][-1]), SHORTEST_S)
+            found.append(Profile(f"from {low:.0f} °C {title}", chamber, duration_s, times, poses))
     return sorted((one for one in found if one.duration_s <= most_s), key=lambda one: one.duration_s)
 
 
-def _thermal(low: float, high: float, rate: float, soak_s: float, count: int) -> list[Profile]:
+def _thermal(low: float, high: float, rate: float, soak_s: float) -> dict[str, list[Step]]:
+    """Return courses of temperature from the low end, by what is done."""
+
     def to(target: float, how_fast: float = rate, soak: float = soak_s) -> Step:
         return Step(to_degc=target, rate_degc_per_min=how_fast, hold_s=soak)
 
-    quarter = 0.25 * (high - low)
-    stairs = [to(low + at * quarter) for at in (1, 2, 3, 4, 3, 2, 1, 0)]
-    inner = [to(low + at * quarter, soak=0.0) for at in (4, 2, 4, 0, 2, 0)]
-    soak = f"soaks of {soak_s / 60:.0f} min"
-    shapes: list[tuple[str, Sequence[Step]]] = [
-        (f"warmed and cooled at {rate:.2g} °C/min with {soak}", [to(high), to(low)]),
-        (
-            f"warmed and cooled at {rate:.2g} and {rate / SLOWER:.2g} °C/min with {soak}",
-            [to(high), to(low), to(high, rate / SLOWER), to(low, rate / SLOWER)],
-        ),
-        (f"in stairs of a quarter of the span with {soak}", stairs),
-        ("turned round inside the span", inner),
-    ]
-    times, found = f", {count} times" if count > 1 else "", []
-    for title, steps in shapes:
-        chamber = Chamber(start_degc=low, steps=[*steps] * count)
-        duration_s = max(float(chamber_knots(chamber)[0][-1]), SHORTEST_S)
-        found.append(Profile(f"from {low:.0f} °C {title}{times}", chamber, duration_s))
-    return found
-
-
-def _in_poses(profile: Profile) -> Profile:
-    """Return an experiment in which the unit is turned at equal intervals, into six poses."""
-    every = profile.duration_s / (len(POSES) + 1)
-    turns = tuple(turn.model_copy(update={"at_s": (at + 1) * every}) for at, turn in enumerate(POSES))
-    return Profile(f"{profile.title}, in six poses", profile.chamber, profile.duration_s, turns)
+    quarter, slow = 0.25 * (high - low), rate / SLOWER
+    soaks = f"soaks of {soak_s / 60:.0f} min"
+    return {
+        f"warmed and cooled at {rate:.2g} °C/min with {soaks}": [to(high), to(low)],
+        f"warmed and cooled at {rate:.2g} and {slow:.2g} °C/min with {soaks}": [
+            *(to(high), to(low)),
+            *(to(high, slow), to(low, slow)),
+        ],
+        f"in stairs of a quarter of the span with {soaks}": [
+            to(low + at * quarter) for at in (1, 2, 3, 4, 3, 2, 1, 0)
+        ],
+        "turned round inside the span": [to(low + at * quarter, soak=0.0) for at in (4, 2, 4, 0, 2, 0)],
+    }
 
 
 # Questions, and what answers them
@@ -219,54 +216,56 @@ def load_report(path: Path) -> Report:
 def open_questions(report: Report) -> list[Question]:
     """Return the questions of a report, each once for the channels of a sensor that share it."""
     # A unit is simulated, which has gyros and accelerometers.
-    opened = [
-        (channel.before.train_rms / channel.noise_floor_rms, name, answers)
-        for name, channel in report.channels.items()
-        for answers in (channel.questions if name in UNITS else ())
-    ]
-    groups: dict[tuple[str, ...], list[tuple[str, list[Answer]]]] = {}
-    for _, name, answers in sorted(opened, key=lambda one: -one[0]):
-        key = (name[:-2], *sorted(answer.name for answer in answers))
-        groups.setdefault(key, []).append((name, answers))
-    return [
-        Question(name, tuple(other for other, _ in others), tuple(answers))
-        for (name, answers), *others in groups.values()
-    ]
+    channels = {name: channel for name, channel in report.channels.items() if name in UNITS}
+    floors = {name: one.before.train_rms / one.noise_floor_rms for name, one in channels.items()}
+    groups: dict[tuple[str, ...], list[Question]] = {}
+    for name in sorted(channels, key=lambda name: -floors[name]):
+        for answers in channels[name].questions:
+            key = (name[:-2], *sorted(answer.name for answer in answers))
+            groups.setdefault(key, []).append(Question(name, (), tuple(answers)))
+    return [first._replace(also=tuple(one.channel for one in others)) for first, *others in groups.values()]
 
 
 def plan(report: Report, question: Question, most_s: float, progress: Progress | None = None) -> Plan:
-    """Return the shortest experiment that answers a question, with the evidence to expect of it."""
+    """Return the shortest experiment that answers a question, with the evidence to expect of it.
+
+    A shape is repeated only where that can tell enough, as evidence grows no faster than time, and none is
+    tried after `TIME_UP_S`.
+    """
     effects = [effect for answer in question.answers for effect in answer.effects]
     inputs = {name for effect in effects for name in effect.inputs}
     if why_not := _impossible(question, inputs - {ACCEL}):
         return Plan(question, why_not=why_not)
     in_question = {effect.name for effect in effects}
     few, every = [name for name in EFFECTS if name in in_question], effects_for(question.channel)
-    low, high = report.temperature_range_degc
     times = [getattr(effect, key) for effect in effects for key in effect.nonlinear if key.endswith("_s")]
-    slowest_s = max(map(float, times), default=0.0)
-    possible = profiles(low, high, report.fastest_degc_per_min, slowest_s, most_s, ACCEL in inputs)
-    if not possible:
-        return Plan(question, why_not="no profile is so short")
-    tried: list[tuple[Evidence, Profile]] = []
-    for profile in possible:
-        best = max(tried, key=lambda one: one[0].ratio, default=None)
-        if best is not None and len(tried) >= EVERY_SHAPE and best[0].ratio * most_s < best[1].duration_s:
-            break  # evidence grows no faster than time
+    slowest_s, (low, high) = max(map(float, times), default=0.0), report.temperature_range_degc
+    tried: dict[str, tuple[Evidence, Profile]] = {}
+    began_s, late = time.monotonic(), ""
+    for profile in profiles(low, high, report.fastest_degc_per_min, slowest_s, most_s, ACCEL in inputs):
+        if profile.times > 1:
+            found, shorter = tried[profile.shape]
+            if found.ratio * profile.duration_s < shorter.duration_s:
+                continue
+        if tried and time.monotonic() - began_s > TIME_UP_S:
+            late = f"; after {TIME_UP_S:.0f} s no further one was tried"
+            break
         if progress is not None:
             progress(f"{question.name}: {profile.duration_s / 3600:.1f} h, {profile.title}")
         found = evidence(report, question, profile, range(TRIALS), few)
-        tried.append((found, profile))
+        tried[profile.shape] = found, profile
         if found.ratio >= MARGIN:
             # What was chosen for its evidence has had luck as well: other units have to show it again.
             proof = evidence(report, question, profile, range(TRIALS, TRIALS + PROOFS), every)
             if proof.least >= proof.needed:
                 return Plan(question, profile, proof)
-    found, profile = max(tried, key=lambda one: one[0].ratio)
+    if not tried:
+        return Plan(question, why_not="no profile is so short")
+    found, profile = max(tried.values(), key=lambda one: one[0].ratio)
     why_not = (
         "no experiment that was tried decides it;"
         f" the best, {profile.duration_s / 3600:.1f} h {profile.title}, gives {found.value:.0f} of the"
-        f" {found.needed:.0f} in BIC that are needed for {found.truth} against {found.rival}"
+        f" {found.needed:.0f} in BIC that are needed for {found.truth} against {found.rival}{late}"
     )
     return Plan(question, why_not=why_not)
 
@@ -291,8 +290,7 @@ def evidence(
         if truth.name == NOTHING:
             continue  # that nothing is there shows in that an effect would show
         runs = [simulated_run(scenario(report, question.channel, profile, truth), seed) for seed in seeds]
-        degree = len(truth.declared) - 1
-        searches = [_searched(run, question.channel, degree, effects) for run in runs]
+        searches = [_searched(run, question.channel, truth, effects) for run in runs]
         for rival in question.answers:
             if rival is not truth:
                 each = [_difference(one, truth.name, rival.name) for one in searches]
@@ -342,7 +340,7 @@ def scenario(report: Report, channel: str, profile: Profile, answer: Answer) -> 
         duration_s=profile.duration_s,
         latitude_deg=LATITUDE_DEG,
         chamber=profile.chamber,
-        motion=list(profile.turns),
+        motion=[*profile.turns],
     )
 
 
@@ -369,13 +367,13 @@ def simulated_run(plan: Scenario, seed: int) -> Run:
     return collect([SampleBlock({**sent.columns, "at_rest": truth["at_rest"]})], plan.title)[0]
 
 
-def _searched(run: Run, channel: str, degree: int, effects: Sequence[str]) -> Search:
-    """Return the search of the diagnosis in one channel of a run."""
+def _searched(run: Run, channel: str, truth: Answer, effects: Sequence[str]) -> Search:
+    """Return the search of the diagnosis in one channel of a run, for as many effects as the unit has."""
     blocks = [make_blocks(run, [channel], ["temperature"])]
-    degree = degree if survey(blocks, "temperature", degree).thermal else 0
+    degree = len(truth.declared) - 1 if survey(blocks, "temperature", 0).thermal else 0
     shorter = [make_blocks(run, [channel], ["temperature"], block_s=search_block_s(blocks))]
-    data = Recorded([run], shorter, {channel: "temperature"}, degree)
-    return likeliest(search_sensor(data, [channel], effects))[0]
+    data = Recorded(shorter, {channel: "temperature"}, degree)
+    return likeliest(search_sensor(data, [channel], effects, max(1, len(truth.effects))))[0]
 
 
 def write_plan(report: Report, number: int, made: Plan, folder: Path) -> list[Path]:

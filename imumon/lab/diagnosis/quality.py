@@ -19,16 +19,9 @@ FREQUENT, TIMES_MORE = 0.01, 10.0
 class Samples(NamedTuple):
     """Statistics of the samples of a channel in a recording.
 
-    Parameters
-    ----------
-    step : float
-        Step of the grid on which the values lie; 0 when there is none.
-    scatter : float
-        Standard deviation of a sample about its neighbour.
-    ratio : float
-        Noise before rounding, in steps; infinite where steps are far finer.
-    atom, atom_share : float
-        The value that is far more frequent than its neighbours (NaN without one), and its share of samples.
+    `step` is that of the grid on which the values lie, 0 when there is none; `scatter` the standard deviation
+    of a sample about its neighbour; `ratio` the noise before rounding, in steps, infinite where these are far
+    finer; `atom` the value that is far more frequent than its neighbours (NaN without one).
     """
 
     step: float
@@ -36,11 +29,6 @@ class Samples(NamedTuple):
     ratio: float = np.inf
     atom: float = np.nan
     atom_share: float = 0.0
-
-    @property
-    def is_coarse(self) -> bool:
-        """Whether the steps are larger than the scatter of the samples."""
-        return self.step > self.scatter
 
 
 class Watcher:

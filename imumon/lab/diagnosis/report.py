@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from imumon.lab.diagnosis.candidates import Candidate
 from imumon.lab.diagnosis.choice import Scored
 from imumon.lab.diagnosis.diagnose import Diagnosis
 from imumon.lab.diagnosis.extended import with_model
-from imumon.lab.diagnosis.fit import FittedPart, fit, root_mean_square, score_test
+from imumon.lab.diagnosis.fit import Fit, FittedPart, explained_share, fit, root_mean_square, score_test
 from imumon.lab.diagnosis.likelihood import WALK_S
 from imumon.lab.diagnosis.verdict import ChannelVerdict, Claim
 from imumon.version import __version__
@@ -35,27 +35,23 @@ ISOTHERMAL = "at constant temperature, and run imumon allan on that."
 
 def report(diagnosis: Diagnosis, folder: Path | None = None) -> dict[str, Any]:
     """Return the report as it is written into a folder; absent numbers are None."""
-    given, survey = diagnosis.model, diagnosis.survey
+    given, survey, length = diagnosis.model, diagnosis.survey, diagnosis.length
+    ends = [survey.middle_degc + sign * survey.half_span_degc for sign in (-1.0, 1.0)]
     content = {
         "format": FORMAT,
         "imumon": __version__,
         "conclusion": conclusion(diagnosis),
-        "next": [asdict(next_step(diagnosis, folder))],
+        "next": [next_step(diagnosis, folder)._asdict()],
         "declared_model": diagnosis.declared if given is None else f"model of {given.created}",
         "block_s": diagnosis.block_s,
         "train": _runs(diagnosis.train),
         "test": _runs(diagnosis.test),
         "independent_test": bool(diagnosis.test) and not diagnosis.held_out,
         "held_out": diagnosis.held_out,
-        "temperature_range_degc": [
-            survey.middle_degc - survey.half_span_degc,
-            survey.middle_degc + survey.half_span_degc,
-        ],
+        "temperature_range_degc": ends,
         "fastest_degc_per_min": _fastest(diagnosis),
         "caveats": diagnosis.caveats,
-        "length_of_gravity": None
-        if diagnosis.length is None
-        else {name: np.asarray(value).tolist() for name, value in asdict(diagnosis.length).items()},
+        "length_of_gravity": length and {name: np.asarray(v).tolist() for name, v in asdict(length).items()},
         "channels": {verdict.name: _channel(verdict) for verdict in diagnosis.verdicts},
     }
     found: dict[str, Any] = plain(content)
@@ -68,59 +64,56 @@ def write_report(diagnosis: Diagnosis, path: Path) -> None:
 
 
 def _fastest(diagnosis: Diagnosis) -> float:
-    """Return the rate of the temperature that all but a twentieth of the training stays below."""
-    rates = [
-        np.abs(np.diff(t) / np.diff(run.time_s))
-        for run in diagnosis.train
-        for t in run.temperature.values()
-        if len(run) > 1
-    ]
-    return 60.0 * float(np.quantile(np.concatenate(rates), 0.95))
+    """Return the rate of the temperature that all but a twentieth of the training stays below, °C/min."""
+    each = [(run.time_s, t) for run in diagnosis.train for t in run.temperature.values()]
+    rates = np.concatenate([np.abs(np.diff(t) / np.diff(time_s)) for time_s, t in each])
+    return 60.0 * float(np.quantile(rates, 0.95))
 
 
 def _runs(runs: Sequence[RunBlocks]) -> list[dict[str, Any]]:
-    return [{"name": run.name, "blocks": len(run), "duration_s": run.duration_s} for run in runs]
+    return [{"name": one.name, "blocks": len(one), "duration_s": one.run.duration_s} for one in runs]
 
 
 def _channel(verdict: ChannelVerdict) -> dict[str, Any]:
-    floor, test, declared = verdict.channel.floor, verdict.test_after, verdict.channel.declared
+    channel, before, after = verdict.channel, verdict.test_before, verdict.test_after
     sets = [claim.finding.alike for claim in verdict.claims if claim.finding.alike]
+    explained = explained_share(verdict.before.train_rms, verdict.after.train_rms, channel.limit)
+    apart = [(first, other) for first, *others in sets for other in others]
     return {
         "verdict": verdict.row.state,
-        "unit": verdict.channel.unit,
-        "noise_floor_rms": floor.sd,
-        "noise_floor_from": floor.source,
+        "unit": channel.unit,
+        "noise_floor_rms": channel.floor.sd,
+        "noise_floor_from": channel.floor.source,
         "slow_noise": _slow_noise(verdict),
-        "before": {"train_rms": verdict.before.train_rms, "test_rms": verdict.test_before.rms},
+        "before": {"train_rms": verdict.before.train_rms, "test_rms": before.rms},
         "after": {
             "train_rms": verdict.after.train_rms,
-            "test_rms": test.rms,
-            "test_rms_tracked": test.estimated_rms,
+            "test_rms": after.rms,
+            "test_rms_tracked": after.estimated_rms,
         },
-        "coverage": test.coverage,
-        "scored": test.scored,
-        "explained_share": verdict.explained,
+        "coverage": after.coverage,
+        "scored": after.scored,
+        "explained_share": explained if verdict.claims else 0.0,
         "curve": {
             "coefficients": verdict.after.declared.tolist(),
             "sigma": np.sqrt(np.diag(verdict.declared_covariance)).tolist(),
-            "middle_degc": declared.middle_degc,
-            "half_span_degc": declared.half_span_degc,
+            "middle_degc": channel.scale.middle,
+            "half_span_degc": channel.scale.half_span,
         },
         "effects": [_effect(claim) for claim in verdict.claims],
-        "ranking": _ranking(verdict),
+        "ranking": [
+            {"name": one.family, "gain": one.gain, **_left(verdict, fit(channel, [one.candidate]))}
+            for one in _leaders(verdict, 0)[:MOST_RANKED]
+        ],
         "runs": list(_runs_left(verdict)),
         "indistinguishable": sets,
-        "to_separate": [
-            {"effects": [first, other], "by": separated_by(first, other)}
-            for first, *others in sets
-            for other in others
-        ],
+        "to_separate": [{"effects": [*pair], "by": separated_by(*pair)} for pair in apart],
         "questions": _questions(verdict),
         "turns": list(_turns(verdict)),
         "fitted_anew": verdict.refit,
         "left_out": verdict.left_out,
         "in_model_file": verdict.predicts,
-        "faults": [fault.text for fault in verdict.channel.faults],
+        "faults": [fault.text for fault in channel.faults],
         "unexplained": verdict.unexplained,
         "formula": None,
         "remark": verdict.remark,
@@ -150,14 +143,14 @@ def _slow_noise(verdict: ChannelVerdict) -> dict[str, float]:
 
 
 def _effect(claim: Claim) -> dict[str, Any]:
-    finding = claim.finding
+    finding, sigma = claim.finding, []
+    for one in claim.sigmas:
+        own = one.coefficients.tolist()
+        sigma.append({**one.searched, "coefficients": own[0] if len(own) == 1 else own})
     return {
         "name": finding.name,
         "parameters": _parameters(claim.parts),
-        "sigma": [
-            {**one.searched, "coefficients": (own[0] if len(own := one.coefficients) == 1 else own).tolist()}
-            for one in claim.sigmas
-        ],
+        "sigma": sigma,
         "carried_over": any(part.carries for part in claim.parts),
         "evidence": {
             "proven_by": "test" if finding.by_test else "training",
@@ -177,11 +170,9 @@ def _parameters(parts: Sequence[FittedPart]) -> dict[str, Any]:
     each = []
     for part in parts:
         found = part.effect.model_dump(exclude={"kind", "coefficients"})
-        found["coefficients"] = part.own[0].tolist() if not part.runs else part.own.tolist()
-        if part.runs:
-            found["runs"] = list(part.runs)
-        if len(part.start):
-            found["start"] = part.start.tolist()
+        found["coefficients"] = part.own.tolist() if part.runs else part.own[0].tolist()
+        found |= {"runs": list(part.runs)} if part.runs else {}
+        found |= {"start": part.start.tolist()} if len(part.start) else {}
         each.append(found)
     return each[0] if len(each) == 1 else {key: [found.get(key) for found in each] for key in each[0]}
 
@@ -192,24 +183,26 @@ def _leaders(verdict: ChannelVerdict, stage: int) -> list[Scored]:
     return sorted(tables[stage].values(), key=lambda one: -one.gain) if tables else []
 
 
-def _ranking(verdict: ChannelVerdict) -> list[dict[str, Any]]:
-    """Return the effects that gain most, with what each leaves alone of training and of the test."""
-    ranked = []
-    for one in _leaders(verdict, 0)[:MOST_RANKED]:
-        fitted = fit(verdict.channel, [one.candidate])
-        left = {"train_rms": fitted.train_rms, "test_rms": score_test(verdict.channel, fitted).rms}
-        ranked.append({"name": one.family, "gain": one.gain, **left})
-    return ranked
+def _left(verdict: ChannelVerdict, fitted: Fit) -> dict[str, float]:
+    """Return what a model leaves of training and of the test."""
+    return {"train_rms": fitted.train_rms, "test_rms": score_test(verdict.channel, fitted).rms}
+
+
+def _turns(verdict: ChannelVerdict) -> Iterator[dict[str, Any]]:
+    """Yield what was done in each stage of the search, and what is left after it."""
+    yield {"done": "what was assumed", "gain_bic": float("nan"), **_left(verdict, verdict.before)}
+    for one in verdict.found.stages:
+        yield {"done": one.done, "gain_bic": one.gain, **_left(verdict, fit(verdict.channel, one.model))}
 
 
 def _runs_left(verdict: ChannelVerdict) -> Iterator[dict[str, Any]]:
     """Yield what each run of training and test is left with; NaN where nothing counts."""
     channel, (before, after) = verdict.channel, (verdict.test_before, verdict.test_after)
     ends = np.cumsum([len(run) for run in channel.pool.runs])[:-1]
-    training = (np.split(one.train, ends) for one in (verdict.before, verdict.after))
-    test = (
+    training = [np.split(one.train, ends) for one in (verdict.before, verdict.after)]
+    test = [
         [part[use] for part, use in zip(one.residual, after.counted, strict=True)] for one in (before, after)
-    )
+    ]
     for is_test, runs, left in ((False, channel.pool.runs, training), (True, channel.test, test)):
         for run, first, last in zip(runs, *left, strict=True):
             yield {
@@ -222,52 +215,37 @@ def _runs_left(verdict: ChannelVerdict) -> Iterator[dict[str, Any]]:
             }
 
 
-def _turns(verdict: ChannelVerdict) -> Iterator[dict[str, Any]]:
-    """Yield what was done in each stage of the search, and what is left after it, in training and test."""
-    rows = [("what was assumed", verdict.before, float("nan"))]
-    rows += [(one.done, fit(verdict.channel, one.model), one.gain) for one in verdict.found.stages]
-    for done, model, gain in rows:
-        left = {"train_rms": model.train_rms, "test_rms": score_test(verdict.channel, model).rms}
-        yield {"done": done, "gain_bic": gain, **left}
-
-
 def _questions(verdict: ChannelVerdict) -> list[list[dict[str, Any]]]:
     """Return what is open, each question as its answers: an effect that may be the one, or `NOTHING`, whether
     it carries over, and the model that has it, fitted to the training, with effects as in a model file."""
     claimed, opened = [finding.candidate for finding in verdict.findings], []
+
+    def answer(beside: Sequence[Candidate], one: Candidate | None) -> dict[str, Any]:
+        model = fit(verdict.channel, beside if one is None else [*beside, one])
+        return {
+            "name": NOTHING if one is None else one.family,
+            "carries": one is None or one.carries,
+            "declared": model.declared.tolist(),
+            "effects": [part.effect.model_dump() for part in model.parts if part.carries],
+        }
+
     for finding in verdict.findings:
         if finding.others:
             beside = [other for other in claimed if other is not finding.candidate]
-            either = [finding.candidate, *finding.others.values()]
-            opened.append([_answer(verdict, beside, one) for one in either])
+            opened.append([answer(beside, one) for one in (finding.candidate, *finding.others.values())])
     if verdict.unexplained and verdict.found.tables:
         tried = [one.candidate for one in _leaders(verdict, -1) if one.fit > 0.0]
-        further = [one for one in tried if one not in claimed and _may_be_tried(one)][:MOST_ANSWERS]
-        opened.append([_answer(verdict, claimed, one) for one in (None, *further)])
+        # A chamber, or poses, can make these show themselves in another run.
+        lasting = [one for one in tried if one.scope in ("shared", "either") and one not in claimed]
+        further = [one for one in lasting if one.inputs <= {ACCEL}][:MOST_ANSWERS]
+        opened.append([answer(claimed, one) for one in (None, *further)])
     return opened
-
-
-def _may_be_tried(candidate: Candidate) -> bool:
-    """Return whether a chamber, or poses, can make an effect show itself in another run."""
-    inputs = {name for part in candidate.parts for name in part.effect.inputs}
-    return candidate.scope in ("shared", "either") and inputs <= {ACCEL}
-
-
-def _answer(verdict: ChannelVerdict, beside: Sequence[Candidate], one: Candidate | None) -> dict[str, Any]:
-    model = fit(verdict.channel, beside if one is None else [*beside, one])
-    return {
-        "name": NOTHING if one is None else one.family,
-        "carries": one is None or one.carries,
-        "declared": model.declared.tolist(),
-        "effects": [part.effect.model_dump() for part in model.parts if part.carries],
-    }
 
 
 # In a few words
 
 
-@dataclass(frozen=True, slots=True)
-class NextStep:
+class NextStep(NamedTuple):
     """What to do and why, and the command for it; empty where there is none."""
 
     what: str
@@ -285,44 +263,42 @@ def conclusion(diagnosis: Diagnosis) -> str:
 
 def next_step(diagnosis: Diagnosis, folder: Path | None) -> NextStep:
     """Return the one thing to do next; `folder` is that of the report, None where there is none."""
-    what, why, command = next(_steps(diagnosis, folder or Path()))
-    return NextStep(what, why, "" if folder is None else command)
+    step = next(_steps(diagnosis, folder or Path()))
+    return step if folder is not None else step._replace(command="")
 
 
-def _steps(diagnosis: Diagnosis, folder: Path) -> Iterator[tuple[str, str, str]]:
-    """Yield what there is to do, why, and the command, the most urgent first."""
-    verdicts = diagnosis.verdicts
+def _steps(diagnosis: Diagnosis, folder: Path) -> Iterator[NextStep]:
+    """Yield what there is to do, the most urgent first."""
+    verdicts, chosen = diagnosis.verdicts, bool(diagnosis.test) and not diagnosis.held_out
 
     def which(holds: Callable[[ChannelVerdict], bool]) -> str:
         return ", ".join(one.name for one in verdicts if holds(one))
 
     if names := which(_of_few_digits):
         what = f"Record {names} again with a range and digits that its noise and bias fit in."
-        yield what, "The steps of its values hide what matters.", ""
-    if not diagnosis.test or diagnosis.held_out or any(one.by_test for one in verdicts):
-        chosen = bool(diagnosis.test) and not diagnosis.held_out
+        yield NextStep(what, "The steps of its values hide what matters.")
+    if not chosen or any(one.by_test for one in verdicts):
         why = "The test has chosen the effect." if chosen else "Without a test nothing is proven."
-        again = " ".join(dict.fromkeys(run.name.partition(",")[0] for run in diagnosis.train))
-        command = f"imumon diagnose --train {again} --test NEW --out {folder}"
-        yield "Record another session from power-on and test on that.", why, command
+        command = f"imumon diagnose {diagnosis.given} --test NEW --out {folder}"
+        yield NextStep("Record another session from power-on and test on that.", why, command)
     if names := which(lambda one: one.unexplained):
         beside = "what else may drive it (supply, load, pressure, another thermometer)"
         why = "What is left jumps or comes in bursts, as no noise does, or it is slow noise of the unit."
-        yield f"Record {names} beside {beside}, {ISOTHERMAL}", why, ""
+        yield NextStep(f"Record {names} beside {beside}, {ISOTHERMAL}", why)
     sets = (one.finding.alike for verdict in verdicts for one in verdict.claims)
     if alike := next(filter(None, sets), []):
         why = f"{alike[0]} and {alike[1]} fit these recordings alike, and predict others differently."
         command = f"imumon plan {folder} --out {folder / 'next'}"
-        yield f"Record {separated_by(alike[0], alike[1])}.", why, command
+        yield NextStep(f"Record {separated_by(alike[0], alike[1])}.", why, command)
     if useful := [one for one in with_model(diagnosis) if one.claims and one.predicts]:
         least = min(one.test_after.rms / one.test_before.rms for one in useful)
         what = f"Use the model with what is named of {', '.join(one.name for one in useful)}."
         command = f"imumon monitor PORT --device NAME --model {folder / 'model.yaml'}"
-        yield what, f"Errors in the test fall by up to {1.0 - least:.0%}.", command
+        yield NextStep(what, f"Errors in the test fall by up to {1.0 - least:.0%}.", command)
     if names := which(lambda one: one.row.state == "not proven"):
         why = "What is left is little, noise or an effect too small to prove."
-        yield f"Record {names} {ISOTHERMAL}", why, ""
-    yield "Nothing has to be added.", "The declared model is enough on these recordings.", ""
+        yield NextStep(f"Record {names} {ISOTHERMAL}", why)
+    yield NextStep("Nothing has to be added.", "The declared model is enough on these recordings.")
 
 
 def _of_few_digits(verdict: ChannelVerdict) -> bool:

@@ -24,8 +24,7 @@ from typing import NamedTuple
 import numpy as np
 
 from imumon.effects.base import Survey
-from imumon.lab.diagnosis.candidates import Candidate, Part, candidates
-from imumon.lab.diagnosis.channel import Channel
+from imumon.lab.diagnosis.candidates import Candidate, Channel, Part, candidates
 from imumon.lab.diagnosis.choice import (
     CLOSE_SHARE,
     PROVEN,
@@ -212,8 +211,10 @@ class Search:
         does not carry over, else what gains less alone.
         """
         members = [self.refined(one.candidate, []) for one in best.values() if one.candidate.scope == "event"]
+        single = [one for one in scored if len(one.candidate.parts) == 1]
+        plain = [one for one in single if not (one.candidate.free_start or one.candidate.choice)]
         for family in best:
-            members += [one for one in scored if one.family == family and one.candidate.is_plain][-PAIR_LIST:]
+            members += [one for one in plain if one.family == family][-PAIR_LIST:]
         pairs = [two for two in combinations(members, 2) if two[0].family != two[1].family]
         both = [Candidate("pair", (*one.candidate.parts, *two.candidate.parts)) for one, two in pairs]
         found = list(zip([one.gain for one in self.scored(both, [])], pairs, strict=True))

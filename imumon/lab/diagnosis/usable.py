@@ -19,10 +19,20 @@ from imumon.lab.diagnosis.blocks import (
     LEAST_BLOCKS,
     LEAST_SLOTS,
     RunBlocks,
+    common_block_s,
     make_blocks,
 )
 from imumon.lab.diagnosis.quality import Fault, standing
-from imumon.lab.diagnosis.runs import CHANNELS, SHORTEST_RUN_S, Run, channels_of, unit_of
+from imumon.lab.diagnosis.runs import (
+    CHANNELS,
+    SHORTEST_RUN_S,
+    STRETCHES,
+    Run,
+    channels_of,
+    divided,
+    in_order,
+    unit_of,
+)
 
 LEAST_THERE = 0.1
 """Share of its time in which a channel that is used has samples."""
@@ -76,6 +86,23 @@ def _varies(mean: FloatArray, variance: FloatArray) -> bool:
     return bool(np.ptp(known) > resolution or (scatter > resolution**2).any())
 
 
+def train_and_test(
+    train: Sequence[Run], test: Sequence[Run], channels: Sequence[str], remarks: list[str]
+) -> tuple[list[Run], list[Run]]:
+    """Return sound runs of training and test; parts of an only run are held out as a test."""
+    train, test = ([without_standstill(run, channels, remarks) for run in runs] for runs in (train, test))
+    test = in_order(train, test, remarks)
+    if test or len(train) > 1 or train[0].duration_s < 2 * LEAST_BLOCKS * common_block_s(train):
+        return train, test
+    remarks.append(
+        f"no test data: every other {train[0].duration_s / STRETCHES / 60:.0f} min of the one run are"
+        " held out as a test.  That is weaker than another power-on: what is particular to this run, and"
+        " any noise that is slower, is in both"
+    )
+    first, other = divided(train[0], channels)
+    return [first], [other]
+
+
 def without_standstill(run: Run, channels: Sequence[str], remarks: list[str]) -> Run:
     """Return a run without the slots in which a channel stands still.
 
@@ -91,7 +118,8 @@ def without_standstill(run: Run, channels: Sequence[str], remarks: list[str]) ->
             continue
         share = float(still.sum() / np.isfinite(mean[name]).sum())
         # What stands still most of the time is not stuck.
-        if share > 0.5 or (name in run.samples and run.samples[name].is_coarse):
+        known = run.samples.get(name)
+        if share > 0.5 or (known is not None and known.step > known.scatter):
             remarks.append(f"{run.name}: {name} does not change in {share:.0%} of its time: too few digits")
             continue
         still_s = still.sum() * run.slot_s
@@ -172,7 +200,7 @@ def usable_blocks(
     return found
 
 
-def check_training(blocks: Sequence[RunBlocks], remarks: Sequence[str], block_s: float) -> None:
+def check_training(blocks: Sequence[RunBlocks], block_s: float, remarks: Sequence[str]) -> None:
     """Raise BAD_DATA when the unit was at rest for too short a time in training, with the remarks on that."""
     total = sum(map(len, blocks))
     if total < LEAST_BLOCKS:

@@ -8,14 +8,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.effects.library import separated_by
-from imumon.lab.diagnosis.candidates import Candidate
-from imumon.lab.diagnosis.channel import Channel
+from imumon.lab.diagnosis.candidates import Candidate, Channel
 from imumon.lab.diagnosis.choice import Finding
 from imumon.lab.diagnosis.fit import (
     CLEAN,
@@ -25,28 +24,26 @@ from imumon.lab.diagnosis.fit import (
     FittedPart,
     PartSigma,
     TestScore,
-    begun,
     explained_share,
     explains,
     fit,
     goes_on,
+    is_woven,
     score_test,
     sigmas,
 )
 from imumon.lab.diagnosis.search import MOST_NAMES, Search
 
-State = Literal["named", "unexplained", "nothing missing", "too few digits", "not proven", "faulty"]
-
 
 class Row(NamedTuple):
-    """A verdict: the first row of the table whose predicate holds."""
+    """A verdict: the first row of the table whose `predicate`, of `ChannelVerdict`, holds; an empty one does.
+
+    `state` is the kind of verdict in `report.json`, and the sentence has the names of what is claimed.
+    """
 
     predicate: str
-    """Of `ChannelVerdict`; empty where it always holds."""
-    state: State
-    """Which kind of verdict it is, in `report.json`."""
+    state: str
     sentence: str
-    """With the names of what is claimed."""
 
 
 VERDICTS = (
@@ -94,7 +91,7 @@ class ChannelVerdict:
     """In the blocks that are scored, where the search may have been in shorter ones."""
     before: Fit
     after: Fit
-    """Declared and extended model."""
+    """Declared and extended model, and how they do on the test."""
     test_before: TestScore
     test_after: TestScore
     findings: Sequence[Finding]
@@ -103,7 +100,6 @@ class ChannelVerdict:
     """Those of the findings that the present model has not."""
     unexplained: bool
     """More than 1.8 floors are left in training or, beside what is claimed, in the test."""
-    explained: float
     remark: str
     left_out: Sequence[dict[str, Any]]
     """What was found but made the test worse."""
@@ -119,8 +115,6 @@ class ChannelVerdict:
     def name(self) -> str:
         """Name of the channel."""
         return self.channel.name
-
-    # The predicates of the table, as the documentation defines them
 
     @property
     def claimed(self) -> bool:
@@ -242,8 +236,7 @@ class _Model(NamedTuple):
 
 def decide(found: Search, channel: Channel) -> ChannelVerdict:
     """Return the verdict on a channel, in the blocks that are scored, by what the search found in it."""
-    floor = channel.limit  # what digits make of a smooth bias is no structure
-    baseline, left_out = fit(channel.as_given(), []), list[dict[str, Any]]()
+    baseline, left_out = fit(channel.as_given(), []), list[Any]()
     kept = _claimed(channel, found, baseline, left_out)
     after, (test_before, test_after) = kept.after, kept.tests
     # Jumps of the test itself may make the prediction worse, whatever else was found.
@@ -253,15 +246,7 @@ def decide(found: Search, channel: Channel) -> ChannelVerdict:
         test_after.rms = test_before.rms
     left = max(after.train_rms, test_after.left) if kept.new else after.train_rms
     covariance, spread = sigmas(found.channel, found.likelihood, [one.candidate for one in kept.findings])
-    claims, parts = [], iter(after.parts[len(channel.kept) :])
-    for finding, sigma in zip(kept.findings, spread, strict=True):
-        own = list(islice(parts, len(finding.candidate.parts)))
-        if not finding.known:
-            alone = _fit(channel, [finding])
-            share = explained_share(baseline.train_rms, alone.train_rms, channel.floor.sd)
-            size = float(np.sqrt(max(baseline.train_rms**2 - alone.train_rms**2, 0.0)))
-            claims.append(Claim(finding, own, share, size, score_test(channel, alone).rms, sigma))
-    refit = ["curve"] if channel.declared.degree else []
+    refit = ["curve"] if channel.degree else []
     refit += [one.name for one in kept.findings if one.known]
     return ChannelVerdict(
         found=found,
@@ -271,9 +256,8 @@ def decide(found: Search, channel: Channel) -> ChannelVerdict:
         test_before=test_before,
         test_after=test_after,
         findings=kept.findings,
-        claims=claims,
-        unexplained=found.many_events or left >= CLEAN * floor,
-        explained=explained_share(baseline.train_rms, after.train_rms, floor) if kept.new else 0.0,
+        claims=_claims(channel, kept, baseline, spread),
+        unexplained=found.many_events or left >= CLEAN * channel.limit,
         remark=kept.remark,
         left_out=left_out,
         predicts=predicts,
@@ -282,19 +266,32 @@ def decide(found: Search, channel: Channel) -> ChannelVerdict:
     )
 
 
-def _claimed(channel: Channel, found: Search, baseline: Fit, left_out: list[dict[str, Any]]) -> _Model:
+def _claims(channel: Channel, kept: _Model, baseline: Fit, spread: Sequence[list[PartSigma]]) -> list[Claim]:
+    """Return what is claimed with its evidence: what each effect does alone."""
+    claims, parts = [], iter(kept.after.parts[len(channel.kept) :])
+    for finding, sigma in zip(kept.findings, spread, strict=True):
+        own = list(islice(parts, len(finding.candidate.parts)))
+        if not finding.known:
+            alone = fit(channel, [finding.candidate])
+            share = explained_share(baseline.train_rms, alone.train_rms, channel.floor.sd)
+            size = float(np.sqrt(max(baseline.train_rms**2 - alone.train_rms**2, 0.0)))
+            claims.append(Claim(finding, own, share, size, score_test(channel, alone).rms, sigma))
+    return claims
+
+
+def _claimed(channel: Channel, found: Search, baseline: Fit, left_out: list[Any]) -> _Model:
     """Return what of the findings stays: what training or the test proves, and the test does not refute."""
     floor = channel.limit
 
     def model(findings: list[Finding]) -> _Model:
-        after = _fit(channel, findings)
-        return _Model(
-            findings, after, (score_test(channel, baseline, like=after), score_test(channel, after))
-        )
+        after = fit(channel, [one.candidate for one in findings])
+        tests = score_test(channel, baseline, like=after), score_test(channel, after)
+        return _Model(findings, after, tests)
 
     # A jump that is too small to matter beside the rest is not told from the steps of a walk.
     lasting = [one for one in found.findings if one.candidate.scope != "event"]
-    small = found.many_events or _fit(channel, lasting).train_rms < MATERIAL * channel.floor.sd
+    without = fit(channel, [one.candidate for one in lasting]).train_rms
+    small = found.many_events or without < MATERIAL * channel.floor.sd
     nothing = model([one for one in found.findings if one.known])
     kept = model(_not_worse(channel, lasting if small else found.findings, left_out))
     if kept.new and (why := _refuted(channel, baseline, kept)):
@@ -313,23 +310,20 @@ def _claimed(channel: Channel, found: Search, baseline: Fit, left_out: list[dict
     return kept
 
 
-def _not_worse(
-    channel: Channel, findings: Sequence[Finding], left_out: list[dict[str, Any]]
-) -> list[Finding]:
+def _not_worse(channel: Channel, findings: list[Finding], left_out: list[Any]) -> list[Finding]:
     """Return the findings without those that the test refutes, being worse with them: they are left out.
 
     What does not carry over is estimated in the test with both, and predicts nothing that could be refuted.
     """
     kept = list(findings)
     while kept and channel.test:
-        everything = _fit(channel, kept)
+        everything = fit(channel, [one.candidate for one in kept])
         carried = {part.effect.label for part in everything.parts if part.carries}
         with_it, trials = score_test(channel, everything).estimated_rms, []
-        for finding in kept:
-            rest = _fit(channel, [one for one in kept if one is not finding])
+        for finding in (one for one in kept if one.name in carried):
+            rest = fit(channel, [one.candidate for one in kept if one is not finding])
             without = score_test(channel, rest, like=everything).estimated_rms
-            if without < with_it and finding.name in carried:
-                trials.append((without, finding))
+            trials += [(without, finding)] if without < with_it else []
         if not trials:
             break
         without, worst = min(trials, key=lambda trial: trial[0])
@@ -341,8 +335,7 @@ def _not_worse(
 def _refuted(channel: Channel, baseline: Fit, model: _Model) -> str:
     """Return what of training, or of the test, refutes a model; empty where nothing does.
 
-    What is estimated in the test counts only where nothing is left: a level and a jump take away some of
-    whatever is slow.
+    What is estimated in the test counts only where nothing is left, for it takes away some of all slow noise.
     """
     floor, (test_before, test_after) = channel.limit, model.tests
     if channel.test and not np.isfinite(test_after.rms):
@@ -362,19 +355,12 @@ def _proven_by_test(channel: Channel, found: Search, nothing: _Model) -> Finding
 
     Noise that wanders as fast as it does within minutes may go anywhere within the hour, so that no
     likelihood tells a loop that was gone through once from a wander.  But no wander goes the same way again.
-    Only effects count that make the training likelier, by more than their coefficients cost, and only a test
-    that is not woven into the training, where any smooth course joins the ends.  The test chooses here, so
-    effects of other names that explain it as well are not told apart.
+    Only effects count that make the training likelier, by more than their coefficients cost.  The test
+    chooses here, so effects of other names that explain it as well are not told apart.
     """
-    before = nothing.after
-    woven = [
-        run.time_s[0] < channel.pool.runs[at].time_s[-1]
-        for run in channel.test
-        if (at := begun(channel, run)) is not None
-    ]
-    if not channel.test or any(woven):
+    if not channel.test or is_woven(channel):
         return None
-    also = [finding.candidate for finding in nothing.findings]
+    before, also = nothing.after, [finding.candidate for finding in nothing.findings]
     hits: list[tuple[float, Finding]] = []
     for candidate, gain in _tried(channel, found, also):
         after = fit(channel, [*also, candidate])
@@ -401,8 +387,7 @@ def _tried(channel: Channel, found: Search, also: Sequence[Candidate]) -> Iterat
 
 
 def chosen_by_test(hits: Sequence[tuple[float, Finding]]) -> Finding | None:
-    """Return, of effects with what they leave of the test, the one that leaves least; effects of other names
-    are not told apart from it."""
+    """Return the effect that leaves least of the test; those of other names are not told apart from it."""
     if not hits:
         return None
     by_name: dict[str, Finding] = {}
@@ -412,7 +397,3 @@ def chosen_by_test(hits: Sequence[tuple[float, Finding]]) -> Finding | None:
     best.rivals = {name: finding.gain for name, finding in by_name.items()}
     best.others = {one.name: one.candidate for one in others[: MOST_NAMES - 1]}
     return best
-
-
-def _fit(channel: Channel, findings: Sequence[Finding]) -> Fit:
-    return fit(channel, [finding.candidate for finding in findings])

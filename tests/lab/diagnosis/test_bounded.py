@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from imumon.blocks import FloatArray
-from imumon.effects.vibration import VIBRATION
-from imumon.lab.diagnosis.live import MOST_SLOTS, BoundedRun
-from imumon.lab.diagnosis.runs import SECOND_NS
+from imumon.effects.vibration import SECOND_NS, VIBRATION
+from imumon.lab.diagnosis.runs import MOST_SLOTS, BoundedRun
 from imumon.recordings.reduced import ACCEL, KeptSlots
 
 SAMPLES = 10

@@ -9,8 +9,14 @@ import pytest
 
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.geodesy import EARTH_RATE, STANDARD_GRAVITY
-from imumon.lab.diagnosis.better import Better, Challenger, better_models
-from imumon.lab.diagnosis.live import FIRST_SEARCH_S, SEARCH_EVERY_S, LiveDiagnosis
+from imumon.lab.diagnosis.live import (
+    FIRST_SEARCH_S,
+    SEARCH_EVERY_S,
+    Better,
+    Challenger,
+    LiveDiagnosis,
+    better_models,
+)
 from imumon.lab.diagnosis.runs import LONGEST_GAP_S, Run
 from imumon.models.curves.points import Points
 from imumon.models.curves.polynomial import fit_polynomial

@@ -10,6 +10,7 @@ import pytest
 
 from imumon.cli import run as command
 from imumon.lab.diagnosis.diagnose import diagnose
+from imumon.lab.diagnosis.planning import profiles
 from imumon.lab.diagnosis.report import write_report
 from imumon.simulation.unit import SimulatedUnit, load_scenario
 from imumon.simulation.unit.thermal import chamber_temperature
@@ -55,6 +56,24 @@ def test_what_no_experiment_separates_is_said_and_no_file_is_written(
     assert "in BIC that are needed" in plan["why_not"]
     assert plan["files"] == []
     assert not list(tmp_path.iterdir())
+
+
+def test_a_plan_says_how_long_it_takes_and_when_the_time_is_up_what_was_best_so_far(
+    open_report: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("imumon.lab.diagnosis.planning.TIME_UP_S", 0.0)
+    assert command(["plan", str(open_report), "--out", str(tmp_path)]) == 0
+    shown = capsys.readouterr().err
+    assert "questions that are open: 1; the search takes at most about 3 min" in shown
+    assert "no experiment that was tried decides" in shown
+    assert "after 0 s no further one was tried" in shown
+
+
+def test_every_course_is_tried_once_and_lasts_at_most_as_long_as_is_asked_for() -> None:
+    found = profiles(10.0, 40.0, 1.0, 300.0, 4.0 * 3600.0, poses=False)
+    assert len({(one.title, one.duration_s) for one in found}) == len(found)
+    assert [one.duration_s for one in found] == sorted(one.duration_s for one in found)
+    assert found[-1].duration_s <= 4.0 * 3600.0
 
 
 def test_without_a_question_there_is_no_plan(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -71,9 +71,9 @@ def test_runs_that_move_or_lack_a_temperature_are_named_and_the_others_used() ->
         f"{train[0].name}: not used, the unit moves: at rest for 0% of its {SECONDS / 60:.0f} min",
         "bare: not used, it lacks temperature",
     ]
-    check_training(found, remarks, block_s)
+    check_training(found, block_s, remarks)
     with pytest.raises(ImumonError, match="the unit moves"):
-        check_training(usable_blocks([moving(train[0])], *NAMES, block_s, remarks), remarks, block_s)
+        check_training(usable_blocks([moving(train[0])], *NAMES, block_s, remarks), block_s, remarks)
     caveats = diagnose(train, [moving(test[0])]).caveats
     assert "no run can be used as a test: there is no independent proof" in caveats
     assert resting(train[1])
