@@ -12,20 +12,30 @@ from imumon.blocks import NO_INT, BoolArray, ColumnArray, FloatArray, IntArray, 
 from imumon.charts import Chart
 from imumon.columns import Column, vector_columns
 from imumon.errors import ImumonError, Reason
-from imumon.estimation.gyro_bias.estimator import SECOND_S, Estimator, Settings
+from imumon.estimation.gyro_bias.estimator import SECOND_S, Estimator
 from imumon.estimation.gyro_bias.modes import SLOPE_LEFT_PER_SIGMA, SLOPE_PER_SIGMA
-from imumon.estimation.gyro_bias.parameters import GyroBiasParameters
 from imumon.estimation.gyro_bias.place import Attitude
 from imumon.estimation.gyro_bias.prediction import LinearBias, at_samples
 from imumon.estimation.gyro_bias.thermal_input import ThermalInput, ThermalVariance, trust_in
 from imumon.estimation.gyro_bias.trail import BiasTrail
-from imumon.estimation.rest.parameters import RestParameters, retired
+from imumon.estimation.rest.parameters import GyroBiasParameters, RestParameters, retired
 from imumon.estimation.rest.slots import ACCEL, GATHERED, GYRO, SLOT_S, Timing, heading_of, readings_of
 from imumon.filters.segments import Breaks
 from imumon.filters.slots import SlotGatherer, Slots
 from imumon.models.model import BiasModel
 
 Mode = Literal["standard", "thermal", "learned"]
+LACKS_REST = (
+    "no column at_rest: the bias is not estimated (a rest detector gives it; assume_at_rest does without)"
+)
+LACKS_TEMPERATURE = "the bias model lacks its temperature: the bias is taken as constant"
+OUTSIDE = (
+    "the temperature is outside the range of the bias model, {:.1f} to {:.1f} °C: "
+    "the bias is extrapolated and its standard deviation widened"
+)
+JUMPED = "at rest the rate contradicted the bias, so it has jumped: the bias is estimated anew"
+BELIEVED = RestParameters(undecided_s=60.0)
+"""Where rest is given: a rate that differs for a minute is another bias."""
 LONGEST_PAUSE_S = 2.5
 """A rest goes on over a pause as long as this; it holds as long where readings are missing."""
 REST = (
@@ -101,29 +111,27 @@ class RestAndBias:
                 "give a model, or take the mode learned",
             )
         self._parameters, rest = parameters or GyroBiasParameters(), rest or RestParameters()
-        self._thermal = ThermalInput(model)
         slopes = (0.0, SLOPE_LEFT_PER_SIGMA if model else SLOPE_PER_SIGMA) if mode == "learned" else (0.0,)
-        latitude, heading = (
-            None if one is None else math.radians(one) for one in (latitude_deg, heading_deg)
+        self._thermal = ThermalInput(model)
+        self._estimator = Estimator(
+            self._parameters,
+            slopes,
+            BELIEVED if self._rest_given else rest,
+            ThermalVariance(None if model is None else trust_in(model)),
+            Attitude(*(None if one is None else math.radians(one) for one in (latitude_deg, heading_deg))),
         )
-        white_sd, flicker, walk = _declared(self._parameters)
-        settings = Settings(white_sd, flicker, walk, slopes, rest, self._rest_given)
-        thermal = ThermalVariance(None if model is None else trust_in(model))
-        self._estimator = Estimator(settings, thermal, Attitude(latitude, heading))
         self._timing = Timing()
         self._slots = SlotGatherer(GATHERED, round(SLOT_S * 1e9), turns=True)
-        self._bias = self._estimator.output(0.0)
-        self._bias_s = -math.inf
+        self._bias, self._bias_s = self._estimator.output(0.0), -math.inf
         """Last output of the estimator, and its time."""
         self._at_rest = 0
         self._trail = BiasTrail(model)
         self._breaks = Breaks()
         self._last_ns = NO_INT
+        self._notices = dict.fromkeys(_notices_of_place(latitude_deg, heading_deg), True)
+        """What has been or is to be reported, and whether it is to be."""
         keys = retired(self._parameters) + retired(rest)
-        self._notices = _notices_of_place(latitude_deg, heading_deg)
-        self._notices += [f"{key} is not used any more" for key in keys]
-        self._reported: set[str] = set()
-        self._lacks_rest = False
+        self._notices |= {f"{key} is not used any more": True for key in keys}
 
     def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
         """Return the new columns of a block; NaN where there is no estimate.
@@ -218,27 +226,27 @@ class RestAndBias:
         """Return the bias over temperature, beside the model's curve where there is a model."""
         return self._trail.charts()
 
-    def _given_rest(self, block: SampleBlock) -> BoolArray:
+    def _given_rest(self, block: SampleBlock) -> FloatArray:
+        """Return 1 at rest that is given, 0 in motion that is; NaN where it is to be detected, (n,)."""
+        if not self._rest_given:
+            return np.full(len(block), np.nan)
         if "at_rest" in block:
-            return np.asarray(block["at_rest"] == 1)
-        self._lacks_rest |= self._rest_given and not self._parameters.assume_at_rest
-        return np.full(len(block), self._parameters.assume_at_rest)
+            return np.asarray(block["at_rest"] == 1, np.float64)
+        if not self._parameters.assume_at_rest:
+            self._notices.setdefault(LACKS_REST, True)
+        return np.full(len(block), float(self._parameters.assume_at_rest))
 
     def notices(self) -> list[str]:
-        """Return, once each, what is missing, assumed, or out of range; for the log."""
-        conditions = dict.fromkeys(self._notices, True) | {
-            "no column at_rest: the bias is not estimated (a rest detector gives it; assume_at_rest does "
-            "without)": self._lacks_rest,
-            "the bias model lacks its temperature: the bias is taken as constant": self._thermal.lacking,
-            _outside(self._estimator.thermal.trust): self._thermal.outside,
-        }
-        texts = [text for text, true in conditions.items() if true and text not in self._reported]
-        self._reported.update(texts)
-        if self._estimator.jumped:
-            self._estimator.jumped = False
-            texts.append(
-                "at rest the rate contradicted the bias, so it has jumped: the bias is estimated anew"
-            )
+        """Return, once each, what is missing, assumed, or out of range, and each jump of the bias."""
+        if self._thermal.lacking:
+            self._notices.setdefault(LACKS_TEMPERATURE, True)
+        if self._thermal.outside and self._estimator.thermal.trust is not None:
+            _, _, low, high = self._estimator.thermal.trust
+            self._notices.setdefault(OUTSIDE.format(low.max(), high.min()), True)
+        self._notices[JUMPED] = self._estimator.jumped
+        self._estimator.jumped = False
+        texts = [text for text, pending in self._notices.items() if pending]
+        self._notices = dict.fromkeys(self._notices, False)
         return texts
 
 
@@ -266,18 +274,6 @@ class RestDetector(RestAndBias):
         return [text for text in super().notices() if "any more" in text]
 
 
-def _declared(parameters: GyroBiasParameters) -> list[FloatArray | None]:
-    """Return the declared white noise, B and K, (3,) each or None; B and K are declared together."""
-    white, b, k = (
-        parameters.angle_random_walk_rad_per_sqrt_s,
-        parameters.bias_instability_rad_per_s,
-        parameters.rate_random_walk_rad_per_s_per_sqrt_s,
-    )
-    if b is not None or k is not None:
-        b, k = b or 0.0, k or 0.0
-    return [None if value is None else np.full(3, value, np.float64) for value in (white, b, k)]
-
-
 def _notices_of_place(latitude_deg: float | None, heading_deg: float | None) -> list[str]:
     if latitude_deg is None:
         return [
@@ -291,13 +287,3 @@ def _notices_of_place(latitude_deg: float | None, heading_deg: float | None) -> 
             "gyro bias; its vertical part is not"
         ]
     return []
-
-
-def _outside(trust: FloatArray | None) -> str:
-    if trust is None:
-        return ""
-    _, _, low, high = trust
-    return (
-        f"the temperature is outside the range of the bias model, {low.max():.1f} to {high.min():.1f} °C: "
-        "the bias is extrapolated and its standard deviation widened"
-    )
