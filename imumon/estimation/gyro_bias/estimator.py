@@ -35,8 +35,6 @@ SECOND_S = 1.0 - 1e-6
 """Length of a measurement; slots of 0.25 s add up to it in spite of rounding."""
 UNDO_SLOTS = 2
 """Motion that begins within so many slots after a measurement takes it back from the filters."""
-LEAST_WHITE = 1e-18
-"""Variance of the mean of a second, (rad/s)²: less than any gyro has, and more than none."""
 
 
 @dataclass(slots=True, eq=False)
@@ -136,7 +134,7 @@ class Estimator:
     def _noise(self) -> FloatArray:
         """Return the variance of the mean of a second, (6,)."""
         covered_s = sum(one.covered_s for one in self.latest) / len(self.latest)
-        return np.maximum(self.quiet.noise * covered_s, LEAST_WHITE)
+        return np.maximum(self.quiet.noise * covered_s, 1e-18)  # less than any gyro has, more than none
 
     def _measurement(self, slots: Sequence[Slot]) -> Measurement:
         return measurement_of(slots, self.attitude.earth, self.force)
@@ -182,7 +180,7 @@ class Estimator:
             return
         white, b, k = self.parameters.per_axis
         count = bank.PRIOR_COUNT if white is None else bank.DECLARED_COUNT
-        sigma2 = self._noise()[GYRO] if white is None else np.maximum(white**2, LEAST_WHITE)
+        sigma2 = self._noise()[GYRO] if white is None else np.maximum(white**2, 1e-18)
         filters = bank.Bank.begin(modes_of(sigma2, b, k, self.slopes), sigma2, count, measurements[0])
         self.hypotheses = begun(filters, measurements, self.limits, slots[-1].rest_given is not None)
         self.added, self.updated = np.zeros(3), True

@@ -9,8 +9,8 @@ it fits the nominal bias           the present bias is the nominal one, and lear
 else                               the present bias is any other
 =================================  =====================================================
 
-What lies between both is a turn with a probability P(turn), by `imumon.estimation.rest.odds`.  So it is tested
-sequentially, each second:
+What lies between both is a turn with a probability P(turn), by `imumon.estimation.rest.odds`.  So it is
+tested sequentially, each second:
 
 =================================  =====================================================
 P(turn) up to 1/2                  rest: the present bias is shown

@@ -50,8 +50,6 @@ SENSITIVITY_SD = math.radians(0.05) / STANDARD_GRAVITY
 a second, smaller level a gyro between both was off by 9 sigma."""
 FASTEST_S = 0.02
 """Down to here the flicker of single samples goes on."""
-BEYOND_SLOWEST = 0.015
-"""Flicker slower than the slowest process, as a walk over σg, 1/√s."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,7 +93,7 @@ def modes_of(
     b, k, prior = (np.repeat(one, len(slopes), axis=-1) for one in (b, k, prior))
     variance = b**2 * math.log(TAUS_S[2] / TAUS_S[1]) / math.pi
     process = np.zeros((*b.shape, STATES))
-    process[..., WALK] = k**2 + BEYOND_SLOWEST**2 * variance
+    process[..., WALK] = k**2
     process[..., FLICKER] = variance[..., np.newaxis]
     process[..., SLOPE] = slope**2 / SLOPE_DEGC
     # What is faster than the fastest process, and that process at the end of a second less its mean over it:

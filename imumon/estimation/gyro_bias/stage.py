@@ -25,17 +25,8 @@ from imumon.filters.slots import SlotGatherer, Slots
 from imumon.models.model import BiasModel
 
 Mode = Literal["standard", "thermal", "learned"]
-LACKS_REST = (
-    "no column at_rest: the bias is not estimated (a rest detector gives it; assume_at_rest does without)"
-)
-LACKS_TEMPERATURE = "the bias model lacks its temperature: the bias is taken as constant"
-OUTSIDE = (
-    "the temperature is outside the range of the bias model, {:.1f} to {:.1f} °C: "
-    "the bias is extrapolated and its standard deviation widened"
-)
-JUMPED = "at rest the rate contradicted the bias, so it has jumped: the bias is estimated anew"
-BELIEVED = RestParameters(undecided_s=60.0)
-"""Where rest is given: a rate that differs for a minute is another bias."""
+BELIEVED_S = 60.0
+"""Where rest is given, a rate that differs for so long is another bias."""
 LONGEST_PAUSE_S = 2.5
 """A rest goes on over a pause as long as this; it holds as long where readings are missing."""
 REST = (
@@ -116,7 +107,7 @@ class RestAndBias:
         self._estimator = Estimator(
             self._parameters,
             slopes,
-            BELIEVED if self._rest_given else rest,
+            RestParameters(undecided_s=BELIEVED_S) if self._rest_given else rest,
             ThermalVariance(None if model is None else trust_in(model)),
             Attitude(*(None if one is None else math.radians(one) for one in (latitude_deg, heading_deg))),
         )
@@ -128,10 +119,11 @@ class RestAndBias:
         self._trail = BiasTrail(model)
         self._breaks = Breaks()
         self._last_ns = NO_INT
-        self._notices = dict.fromkeys(_notices_of_place(latitude_deg, heading_deg), True)
-        """What has been or is to be reported, and whether it is to be."""
         keys = retired(self._parameters) + retired(rest)
-        self._notices |= {f"{key} is not used any more": True for key in keys}
+        self._notices = _notices_of_place(latitude_deg, heading_deg)
+        self._notices += [f"{key} is not used any more" for key in keys]
+        self._reported: set[str] = set()
+        self._lacks_rest = False
 
     def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
         """Return the new columns of a block; NaN where there is no estimate.
@@ -232,21 +224,30 @@ class RestAndBias:
             return np.full(len(block), np.nan)
         if "at_rest" in block:
             return np.asarray(block["at_rest"] == 1, np.float64)
-        if not self._parameters.assume_at_rest:
-            self._notices.setdefault(LACKS_REST, True)
+        self._lacks_rest |= not self._parameters.assume_at_rest
         return np.full(len(block), float(self._parameters.assume_at_rest))
 
     def notices(self) -> list[str]:
         """Return, once each, what is missing, assumed, or out of range, and each jump of the bias."""
+        if self._lacks_rest:
+            self._notices.append(
+                "no column at_rest: the bias is not estimated (a rest detector gives it; assume_at_rest does "
+                "without)"
+            )
         if self._thermal.lacking:
-            self._notices.setdefault(LACKS_TEMPERATURE, True)
+            self._notices.append("the bias model lacks its temperature: the bias is taken as constant")
         if self._thermal.outside and self._estimator.thermal.trust is not None:
             _, _, low, high = self._estimator.thermal.trust
-            self._notices.setdefault(OUTSIDE.format(low.max(), high.min()), True)
-        self._notices[JUMPED] = self._estimator.jumped
-        self._estimator.jumped = False
-        texts = [text for text, pending in self._notices.items() if pending]
-        self._notices = dict.fromkeys(self._notices, False)
+            self._notices.append(
+                "the temperature is outside the range of the bias model, "
+                f"{low.max():.1f} to {high.min():.1f} °C: the bias is extrapolated and its standard deviation widened"
+            )
+        texts = [text for text in self._notices if text not in self._reported]
+        self._reported.update(texts)
+        if self._estimator.jumped:
+            self._estimator.jumped, jump = False, "at rest the rate contradicted the bias, so it has jumped"
+            texts.append(f"{jump}: the bias is estimated anew")
+        self._notices = []
         return texts
 
 

@@ -12,9 +12,6 @@ from imumon.models.model import BiasModel
 
 MOST_POINTS = 250
 """When more are kept, every second one is dropped, and from then on half as many are taken."""
-NOTE = "dots: estimates since the start; large: now"
-NOTE_WITH_MODEL = f"line: model; {NOTE}"
-"""What a chart says of its dots."""
 
 
 class BiasTrail:
@@ -48,7 +45,8 @@ class BiasTrail:
             at = np.linspace(low, high, 101)
             curves.append(Curve(f"{axis}, model", at, channel.value(at) / DEG_PER_H, color, width=1.2))
         x, y = Axis("temperature [°C]"), Axis("[°/h]")
-        notes = (NOTE_WITH_MODEL if self._channels else NOTE,)
+        note = "dots: estimates since the start; large: now"
+        notes = (f"line: model; {note}" if self._channels else note,)
         curves += _trails(degc, bias)
         title = "Gyro bias over temperature"
         charts = [Chart("gyro_bias", "Gyro bias", title, x, y, tuple(curves), notes=notes)]
@@ -56,7 +54,7 @@ class BiasTrail:
             expected = [channel.value(degc[:, j]) for j, channel in enumerate(self._channels)]
             left = _trails(degc, bias - np.column_stack(expected) / DEG_PER_H)
             title = "Gyro bias less the calibrated curve"
-            charts.append(Chart("gyro_bias_left", "Residual", title, x, y, tuple(left), notes=(NOTE,)))
+            charts.append(Chart("gyro_bias_left", "Residual", title, x, y, tuple(left), notes=(note,)))
         return charts
 
 

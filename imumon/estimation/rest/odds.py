@@ -5,21 +5,22 @@ and the gyros; Λ is the likelihood ratio of no turn over a turn, by the other s
 
     P(turn) = 1 / (1 + Λ_gravity Λ_heading (o_changed + o_nominal + o_first))
 
-==============  ==================================================  ============================================
-row             what it stands for                                  factor
-==============  ==================================================  ============================================
-`changed_bias`  the bias has changed; changes are half-Cauchy,      o = 2 D / (π (d/50 + 50/d) (1 + changes)),
-                scale 50 °/h, and one of all changes of the rate    10⁻⁹ if d > `largest_jump`
-`nominal_bias`  nothing has changed: the nominal bias is vague (σ)  o = 2 N(d; 0, σ²) d D (1 + (36/d)²)
-`first_turn`    the first rest was a turn, and this is the bias     o = 0.05 (first rate / this rate)³
-`gravity`       a turn about a tilted axis tilts the unit by the    Λ = 2 / (1 + L(tilt | turn) / L(tilt | none))
-                angle turned, and nothing else does                 e⁵⁰ where the turn would be seen for certain
-`heading`       magnetometer or yaw: a turn turns it by its angle   Λ = L(heading | none) / L(heading | turn)
-`time_excludes` undecided for longer than `undecided_s`: no turn    P(turn) = 0, unless Λ < e⁻² or
-                                                                    d > `largest_jump`
-==============  ==================================================  ============================================
+==============  ================================================  ============================================
+row             what it stands for                                factor
+==============  ================================================  ============================================
+changed_bias    the bias has changed: half-Cauchy, scale 50 °/h;  o = 2 D / (π (d/50 + 50/d) (1 + changes)),
+                and one of all changes so far is of the bias      10⁻⁹ if d > `largest_jump`
+nominal_bias    nothing has changed: the nominal bias is vague    o = 2 N(d; 0, σ²) d D (1 + (36/d)²)
+first_turn      the first rest was a turn, and this is the bias   o = 0.05 (first rate / this rate)³
+gravity         a turn about a tilted axis tilts the unit by the  Λ = 2 / (1 + L(tilt | turn) / L(tilt | no)),
+                angle turned; nothing else does                   e⁵⁰ for a level change without its tilt
+heading         a turn turns magnetometer or yaw by its angle     Λ = L(heading | no) / L(heading | turn)
+time_excludes   it has been undecided for `undecided_s`           P(turn) = 0, unless Λ < e⁻² or
+                                                                  d > `largest_jump`
+==============  ================================================  ============================================
 
-Turns are log-uniform from 36 °/h (0.01 °/s) to 300 °/s, so their density is 1/(D d), D = ln(30000).
+Turns are log-uniform from 36 °/h (0.01 °/s) to 300 °/s, so their density is 1/(D d), D = ln(30000);
+d and σ are in °/h here.
 """
 
 from __future__ import annotations
@@ -44,8 +45,10 @@ DECADES = math.log(FASTEST_TURN / SLOWEST_TURN)
 OBLIQUE = 0.3
 """Share of a rate across the vertical from which on gravity is compared: no turntable leans so much (17°)."""
 EXCLUDED_SIGMAS = 4.0
-"""Of the tilt that an oblique turn would be, where there is less than half of it; and of the nominal bias in
-the level axes: a smaller change of these may be wander beside a turn about the vertical."""
+"""An oblique turn by more than so many sigmas of the tilt is excluded where the unit has tilted by less than
+half as many, and the change is mostly about level axes."""
+MOSTLY_LEVEL = 0.6
+"""Share of the square of such a change that is about level axes: flicker moves all three."""
 HEADING_ERROR = 0.15
 """Error of a change of heading over that change: hard and soft iron.  Assumed."""
 HEADING_NOISE = 0.01
@@ -144,11 +147,10 @@ def gravity(rate: SteadyRate, drift: float) -> float:
     tilt = np.cross(force, rate.measurements[0].force) / size**2
     elapsed, largest = sum(one.covered_s for one in rate.measurements[1:]), float(rate.variance.max())
     variance = ((math.sqrt(2.0 * rate.force_variance) + drift * elapsed) / size) ** 2
-    spread, excluded = variance + largest * elapsed**2, EXCLUDED_SIGMAS**2
-    turn2, tilt2, left = float(turn @ turn), float(tilt @ tilt), tilt - turn
-    if turn2 > excluded * spread and 4.0 * tilt2 < excluded * variance and level2 > excluded * largest:
+    turn2, tilt2, left, excluded = float(turn @ turn), float(tilt @ tilt), tilt - turn, EXCLUDED_SIGMAS**2
+    if turn2 > excluded * variance > 4.0 * tilt2 and level2 > MOSTLY_LEVEL * rate.size**2:
         return MOST_LOG_RATIO
-    oblique = float(left @ left) / spread - tilt2 / variance
+    oblique = float(left @ left) / (variance + largest * elapsed**2) - tilt2 / variance
     return math.log(2.0) - float(np.logaddexp(-0.5 * oblique, 0.0))
 
 
