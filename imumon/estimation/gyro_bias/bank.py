@@ -130,8 +130,9 @@ class Bank:
     def with_noise_of(self, other: Bank) -> Bank:
         """Take σ² and the mode weights of another bank; the covariance of the states, P σ², stays."""
         ratio = self.scale / self.shape * other.shape / other.scale
-        noise = {"log_weight": other.log_weight, "shape": other.shape, "scale": other.scale}
-        return replace(self, covariance=self.covariance * ratio[..., np.newaxis, np.newaxis], **noise)
+        covariance = self.covariance * ratio[..., np.newaxis, np.newaxis]
+        weight, shape, scale = other.log_weight, other.shape, other.scale
+        return replace(self, covariance=covariance, log_weight=weight, shape=shape, scale=scale)
 
     def with_white(self, white: FloatArray) -> Bank:
         """Restart σ², the variance of the mean of a second, (rad/s)², (3,)."""

@@ -104,7 +104,7 @@ class Hypotheses:
     def ambiguity(self) -> FloatArray:
         """What the less likely hypothesis adds to sigma, (3,): a single measurement may fit by chance."""
         before, latest = self.ambiguities
-        return np.where(np.abs(before) > np.abs(latest), before, latest)
+        return np.asarray(np.where(np.abs(before) > np.abs(latest), before, latest))
 
     def decide(
         self, now: Measurement, parts: Sequence[Measurement], added: FloatArray, accel_noise: float

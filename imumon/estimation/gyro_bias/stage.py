@@ -109,7 +109,7 @@ class RestAndBias:
             slopes,
             RestParameters(undecided_s=BELIEVED_S) if self._rest_given else rest,
             ThermalVariance(None if model is None else trust_in(model)),
-            Attitude(*(None if one is None else math.radians(one) for one in (latitude_deg, heading_deg))),
+            Attitude(_radians(latitude_deg), _radians(heading_deg)),
         )
         self._timing = Timing()
         self._slots = SlotGatherer(GATHERED, round(SLOT_S * 1e9), turns=True)
@@ -240,7 +240,8 @@ class RestAndBias:
             _, _, low, high = self._estimator.thermal.trust
             self._notices.append(
                 "the temperature is outside the range of the bias model, "
-                f"{low.max():.1f} to {high.min():.1f} °C: the bias is extrapolated and its standard deviation widened"
+                f"{low.max():.1f} to {high.min():.1f} °C: the bias is extrapolated and its standard "
+                "deviation widened"
             )
         texts = [text for text in self._notices if text not in self._reported]
         self._reported.update(texts)
@@ -273,6 +274,10 @@ class RestDetector(RestAndBias):
     def notices(self) -> list[str]:
         """Return, once, which parameters are not used any more."""
         return [text for text in super().notices() if "any more" in text]
+
+
+def _radians(degrees: float | None) -> float | None:
+    return None if degrees is None else math.radians(degrees)
 
 
 def _notices_of_place(latitude_deg: float | None, heading_deg: float | None) -> list[str]:

@@ -54,7 +54,7 @@ class QuietDetector:
     mean: FloatArray = field(default_factory=partial(np.zeros, (2 * LENGTHS[-1], AXES)))
     within: FloatArray = field(default_factory=partial(np.full, (TRIAL, AXES), np.nan))
     """Variance of the samples of each slot."""
-    readable: BoolArray = field(default_factory=partial(np.zeros, (TRIAL, AXES), np.bool_))
+    readable: BoolArray = field(default_factory=lambda: np.zeros((TRIAL, AXES), np.bool_))
     """Whether an axis had readings."""
     slots: int = 0
     """Since the beginning or the last restart."""
