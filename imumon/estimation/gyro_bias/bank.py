@@ -32,8 +32,6 @@ from imumon.estimation.rest.slots import Measurement
 
 MEMORY_S = 600.0
 """Over which σ² is averaged."""
-LEAST_WEIGHT = 1e-4
-"""Of a mode over the likeliest: it may become likely again."""
 PRIOR_COUNT, DECLARED_COUNT = 3.0, 0.5 * MEMORY_S
 """a of a σ² that second differences of 16 slots have shown, and of one that is declared."""
 UNKNOWN = 1e8
@@ -101,7 +99,7 @@ class Bank:
         a, variance = self.shape, self.scale / self.shape
         likelihood = 0.5 * np.log(spread * variance) + (a + 0.5) * np.log1p(square / (2.0 * a * variance))
         weight = self.log_weight - likelihood
-        weight = np.maximum(weight - weight.max(1, keepdims=True), np.log(LEAST_WEIGHT))
+        weight = np.maximum(weight - weight.max(1, keepdims=True), np.log(1e-4))  # it may come back
         fade = min(1.0, 0.5 * MEMORY_S / (a + 0.5))
         scale = fade * (self.scale + 0.5 * square)
         return replace(self, log_weight=weight, shape=fade * (a + 0.5), scale=scale)

@@ -25,8 +25,6 @@ from imumon.filters.slots import SlotGatherer, Slots
 from imumon.models.model import BiasModel
 
 Mode = Literal["standard", "thermal", "learned"]
-BELIEVED_S = 60.0
-"""Where rest is given, a rate that differs for so long is another bias."""
 LONGEST_PAUSE_S = 2.5
 """A rest goes on over a pause as long as this; it holds as long where readings are missing."""
 REST = (
@@ -107,7 +105,7 @@ class RestAndBias:
         self._estimator = Estimator(
             self._parameters,
             slopes,
-            RestParameters(undecided_s=BELIEVED_S) if self._rest_given else rest,
+            RestParameters(undecided_s=60.0) if self._rest_given else rest,
             ThermalVariance(None if model is None else trust_in(model)),
             Attitude(_radians(latitude_deg), _radians(heading_deg)),
         )

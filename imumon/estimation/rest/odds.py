@@ -54,10 +54,6 @@ HEADING_ERROR = 0.15
 HEADING_NOISE = 0.01
 """rad, least standard deviation of a heading: a device gives its yaw in steps, and filters it."""
 MOST_LOG_RATIO = 50.0
-TURN_LOG_RATIO = -2.0
-"""ln Λ below which time does not exclude a turn."""
-IMPOSSIBLE = 1e-9
-"""Odds of a bias that has changed by more than it can: gravity and heading may still exclude a turn."""
 LEAST_MEASUREMENTS = 3
 """Least number of measurements by which gravity is compared."""
 BEGAN_TURNING = 0.05
@@ -103,7 +99,7 @@ def probability_of_turn(rate: SteadyRate, limits: RestParameters) -> float:
 def changed_bias(rate: SteadyRate, largest: float) -> float:
     """Return the odds that the bias has changed; none changes by more than `largest`, rad/s."""
     if rate.size > largest:
-        return IMPOSSIBLE
+        return 1e-9  # and not 0: gravity and heading may still exclude a turn
     u = max(rate.size, SLOWEST_TURN) / USUAL_CHANGE  # below the slowest turn the odds stay
     return 2.0 * DECADES / (math.pi * (u + 1.0 / u) * (1.0 + rate.changes))
 
@@ -179,7 +175,7 @@ def heading(measurements: Sequence[Measurement], bias: FloatArray) -> float:
 def time_excludes(rate: SteadyRate, log_ratio: float, limits: RestParameters) -> bool:
     """Return whether the rate has lasted for longer than a turn does."""
     late = rate.steady_s > limits.undecided_s and rate.size <= limits.largest_jump
-    return late and log_ratio >= TURN_LOG_RATIO
+    return late and log_ratio >= -2.0
 
 
 def _turned(measurements: Sequence[Measurement], bias: FloatArray) -> FloatArray:
