@@ -167,9 +167,9 @@ def heading(measurements: Sequence[Measurement], bias: FloatArray) -> float:
         up = np.array([[0.0, 0.0, 1.0]])
     north = vectors - (vectors * up).sum(1, keepdims=True) * up
     turned = np.unwrap(np.arctan2(north @ np.cross(up[-1], north[0]), north @ north[0]))
-    seen, noise2 = abs(float(turned[-1])), float((np.diff(turned, 2) ** 2).mean()) / 3.0
+    measured, noise2 = abs(float(turned[-1])), float((np.diff(turned, 2) ** 2).mean()) / 3.0
     variance = noise2 + HEADING_NOISE**2 + (HEADING_ERROR * angle) ** 2
-    return ((seen - angle) ** 2 - seen**2) / (2.0 * variance)
+    return ((measured - angle) ** 2 - measured**2) / (2.0 * variance)
 
 
 def time_excludes(rate: SteadyRate, log_ratio: float, limits: RestParameters) -> bool:

@@ -122,21 +122,17 @@ class QuietDetector:
         self._append(slot)
         self.slots, self.quiet_slots, self.noise_changed = self.slots + 1, self.quiet_slots + 1, False
         given, known = slot.rest_given, self.noise_slots > 0.0
-        if not (given if given is not None else known and not self.disturbed and self._fits(slot, drift)):
+        quiet = known and not self.disturbed and self._fits(slot, drift) if given is None else given
+        if not quiet:
             self._interrupt()
         elif known:
             self._learn(slot)
         self.disturbed = False
-        doubtful = self.unquiet >= SECOND_SLOTS and self.quiet_slots < TRIAL
         if given and not known and self.quiet_slots >= TRIAL:
             noise = _white_variance(self.mean[-TRIAL:])
             self._set_noise(noise, noise * slot.samples)
-        elif (
-            given is None
-            and (not known or doubtful)
-            and self.slots >= TRIAL
-            and not self.slots % SECOND_SLOTS
-        ):
+        doubtful = not known or (self.unquiet >= SECOND_SLOTS and self.quiet_slots < TRIAL)
+        if given is None and doubtful and self.slots >= TRIAL and self.slots % SECOND_SLOTS == 0:
             self._restart_noise(slot.samples)
 
     def _append(self, slot: Slot) -> None:
@@ -187,7 +183,7 @@ class QuietDetector:
             return
         gain = max(1.0 / MEMORY_SLOTS, 1.0 / (self.noise_slots + 1.0))
         self.noise_slots += 1.0
-        square = (np.diff(self.mean[-3:], 2, axis=0)[0]) ** 2 / 6.0
+        square = np.diff(self.mean[-3:], 2, axis=0)[0] ** 2 / 6.0
         self.noise = self.noise + gain * (np.minimum(square, 9.0 * self.noise) - self.noise)
         within = np.minimum(slot.variance, 4.0 * self.sample_noise)
         within = np.where(slot.samples >= 3.0, within, self.sample_noise)
