@@ -32,13 +32,10 @@ from imumon.estimation.rest.slots import Measurement
 
 MEMORY_S = 600.0
 """Over which σ² is averaged."""
-LEAST_WEIGHT = float(np.log(1e-4))
 PRIOR_COUNT, DECLARED_COUNT = 3.0, 0.5 * MEMORY_S
 """a of a σ² that second differences of 16 slots have shown, and of one that is declared."""
 UNKNOWN = 1e8
 """Prior variance of w over σ²: turn-on biases of any gyro."""
-LARGEST_SURPRISE = 25.0
-"""A squared innovation over its variance counts as no more for σ²: a knock is no noise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,6 +54,27 @@ class Bank:
     time_s: float
     degc: FloatArray
     """(3,)."""
+
+    @classmethod
+    def begin(cls, modes: Modes, white: FloatArray, count: float, first: Measurement) -> Bank:
+        """Return filters that know nothing of the bias before the first measurement.
+
+        `white` is σ², the variance of the mean rate of a second, (rad/s)², (3,), with `count` as its a.
+        """
+        variance = modes.process.copy()
+        variance[..., WALK], variance[..., SLOPE] = UNKNOWN, modes.process[..., SLOPE] * SLOPE_DEGC
+        variance[..., SENSITIVITY] = (SENSITIVITY_SD**2 / white)[:, np.newaxis, np.newaxis]
+        scale = np.repeat(count * white[:, np.newaxis], modes.count, 1)
+        start_s, zero = first.end_s - first.covered_s, np.zeros_like(variance)
+        covariance = variance[..., np.newaxis] * np.eye(STATES)
+        return cls(modes, zero, covariance, modes.log_prior, count, scale, start_s, first.degc)
+
+    def fits(self, now: Measurement, sigmas: float) -> bool:
+        """Return whether a mean is within so many sigmas of its prediction in each axis."""
+        prediction = self.prediction.at(now.end_s, now.degc)
+        bias, variance = prediction.bias(now.force)
+        variance = variance + prediction.white / now.covered_s
+        return bool(((now.rate - bias) ** 2 <= sigmas**2 * variance).all())
 
     def after(self, now: Measurement, jumped: bool = False) -> Bank:
         """Return the filters after a measurement; with `jumped` the bias may be any, and modes and σ²
@@ -81,21 +99,16 @@ class Bank:
         a, variance = self.shape, self.scale / self.shape
         likelihood = 0.5 * np.log(spread * variance) + (a + 0.5) * np.log1p(square / (2.0 * a * variance))
         weight = self.log_weight - likelihood
-        weight = np.maximum(weight - weight.max(1, keepdims=True), LEAST_WEIGHT)
+        weight = np.maximum(weight - weight.max(1, keepdims=True), np.log(1e-4))  # it may come back
         fade = min(1.0, 0.5 * MEMORY_S / (a + 0.5))
-        scale = fade * (self.scale + 0.5 * np.minimum(square, LARGEST_SURPRISE * variance))
+        scale = fade * (self.scale + 0.5 * square)
         return replace(self, log_weight=weight, shape=fade * (a + 0.5), scale=scale)
-
-    @property
-    def mode_probabilities(self) -> FloatArray:
-        """Probability of each mode, (3, F)."""
-        w = np.exp(self.log_weight)
-        return np.asarray(w / w.sum(1, keepdims=True))
 
     @cached_property
     def prediction(self) -> Prediction:
         """Mean and covariance over all modes, in absolute units."""
-        modes, w = self.modes, self.mode_probabilities
+        modes, w = self.modes, np.exp(self.log_weight)
+        w = w / w.sum(1, keepdims=True)
         white = w * self.scale / max(self.shape - 1.0, 1.0)
         mean = (w[:, np.newaxis] @ self.mean)[:, 0]
         off = self.mean - mean[:, np.newaxis]
@@ -116,26 +129,10 @@ class Bank:
         """Take σ² and the mode weights of another bank; the covariance of the states, P σ², stays."""
         ratio = self.scale / self.shape * other.shape / other.scale
         covariance = self.covariance * ratio[..., np.newaxis, np.newaxis]
-        return replace(
-            self, covariance=covariance, log_weight=other.log_weight, shape=other.shape, scale=other.scale
-        )
+        weight, shape, scale = other.log_weight, other.shape, other.scale
+        return replace(self, covariance=covariance, log_weight=weight, shape=shape, scale=scale)
 
     def with_white(self, white: FloatArray) -> Bank:
         """Restart σ², the variance of the mean of a second, (rad/s)², (3,)."""
         scale = np.repeat(PRIOR_COUNT * white[:, np.newaxis], self.modes.count, 1)
         return self.with_noise_of(replace(self, shape=PRIOR_COUNT, scale=scale))
-
-
-def start(modes: Modes, white: FloatArray, count: float, first: Measurement) -> Bank:
-    """Return filters that know nothing of the bias before the first measurement.
-
-    `white` is σ², the variance of the mean rate of a second, (rad/s)², (3,), with `count` as its a.
-    """
-    covariance = np.zeros((3, modes.count, STATES, STATES))
-    diagonal = np.einsum("...ii->...i", covariance)
-    diagonal[:] = modes.process
-    diagonal[..., WALK], diagonal[..., SLOPE] = UNKNOWN, modes.process[..., SLOPE] * SLOPE_DEGC
-    diagonal[..., SENSITIVITY] = (SENSITIVITY_SD**2 / white)[:, np.newaxis, np.newaxis]
-    scale = np.repeat(count * white[:, np.newaxis], modes.count, 1)
-    mean, log_weight = np.zeros((3, modes.count, STATES)), np.zeros((3, modes.count))
-    return Bank(modes, mean, covariance, log_weight, count, scale, first.end_s - first.covered_s, first.degc)

@@ -4,8 +4,9 @@
 `hypotheses` decides whether its mean rate is the bias, a changed bias or a turn, and `bank` filters the bias.
 While the unit moves, the variance of the bias grows with time, temperature, gaps and turns against the earth.
 
-Constants that assume a grade of sensors: `QUIET` (rest), `USUAL_CHANGE` and `TURNS` (odds), `SENSITIVITY_SD`
-(modes), `SCALE_SD` (place), `UNKNOWN_RATE` and `BIAS_WALK` (motion).  White noise and flicker are learned.
+Constants that assume a grade of sensors: `QUIET` (rest), `USUAL_CHANGE` and `SLOWEST_TURN` (odds),
+`SENSITIVITY_SD` (modes), `SCALE_SD` (place), `UNKNOWN_RATE` and `BIAS_WALK` (motion).  White noise and
+flicker are learned.
 """
 
 from __future__ import annotations
@@ -20,13 +21,12 @@ import numpy as np
 from imumon.blocks import FloatArray
 from imumon.estimation.gyro_bias import bank
 from imumon.estimation.gyro_bias.hypotheses import Hypotheses, begun
-from imumon.estimation.gyro_bias.modes import SENSITIVITY_SD, SLOPE, WALK, Modes, modes_of, unknown_modes
+from imumon.estimation.gyro_bias.modes import SENSITIVITY_SD, SLOPE, WALK, modes_of
 from imumon.estimation.gyro_bias.motion import Motion
 from imumon.estimation.gyro_bias.place import Attitude
 from imumon.estimation.gyro_bias.prediction import LinearBias
 from imumon.estimation.gyro_bias.thermal_input import ThermalVariance
-from imumon.estimation.rest.odds import compass_log_ratio
-from imumon.estimation.rest.parameters import RestParameters
+from imumon.estimation.rest.parameters import GyroBiasParameters, RestParameters
 from imumon.estimation.rest.quiet import SECOND_SLOTS, TRIAL, QuietDetector
 from imumon.estimation.rest.slots import ACCEL, GYRO, Measurement, Slot, measurement_of
 from imumon.geodesy import EARTH_RATE, STANDARD_GRAVITY
@@ -35,40 +35,16 @@ SECOND_S = 1.0 - 1e-6
 """Length of a measurement; slots of 0.25 s add up to it in spite of rounding."""
 UNDO_SLOTS = 2
 """Motion that begins within so many slots after a measurement takes it back from the filters."""
-BEGAN_LOG_RATIO = 8.0
-"""Log likelihood ratio by the compass from which on the recording began in a turn."""
-LEAST_WHITE = 1e-18
-"""Variance of the mean of a second, (rad/s)²: less than any gyro has, and more than none."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Settings:
-    """What is declared; None where it is not."""
-
-    white_sd: FloatArray | None
-    """Angle random walk, rad/√s, (3,)."""
-    flicker: FloatArray | None
-    walk: FloatArray | None
-    """B, rad/s, and K, rad/s/√s, (3,) each; both or none."""
-    slopes: tuple[float, ...]
-    """Standard deviations of the slope over temperature, over σ, 1/°C."""
-    rest: RestParameters
-    rest_given: bool
-    """Whether rest is given by `Slot.at_rest`, and not detected."""
-
-    def modes(self, white: FloatArray) -> Modes:
-        """Return the modes of the bank; `white`, (3,), is the variance of the mean of a second."""
-        if self.flicker is None or self.walk is None:
-            return unknown_modes(self.slopes)
-        b, k = ((one / np.sqrt(white))[:, np.newaxis] for one in (self.flicker, self.walk))
-        return modes_of(b, k, self.slopes)
 
 
 @dataclass(slots=True, eq=False)
 class Estimator:
     """All that is carried from slot to slot."""
 
-    settings: Settings
+    parameters: GyroBiasParameters
+    slopes: tuple[float, ...]
+    """Standard deviations of the slope over temperature, over σ, 1/°C."""
+    limits: RestParameters
     thermal: ThermalVariance
     attitude: Attitude
     quiet: QuietDetector = field(default_factory=QuietDetector)
@@ -88,18 +64,14 @@ class Estimator:
     """The last temperatures that were known, °C, (3,)."""
     motion: Motion = field(default_factory=Motion)
     """Estimates the bias from motion before the first rest."""
-    began_turning: bool = False
-    """Whether the first mean of the recording is a turn, by the compass."""
-    ambiguities: FloatArray = field(default_factory=partial(np.zeros, (2, 3)))
-    """What the less likely hypothesis adds to sigma, after the last two measurements, rad/s, (2, 3)."""
     updated: bool = True
     """Whether more than time has changed the bias; cleared by who takes `output`."""
 
     def restarted(self) -> Estimator:
         """Return what holds after a restart of the device: the noise is what it was, the bias is not."""
         self.quiet.restart()
-        thermal = ThermalVariance(self.thermal.trust)
-        return Estimator(self.settings, thermal, self.attitude.anew(), self.quiet, self.jumped)
+        thermal, place = ThermalVariance(self.thermal.trust), self.attitude.anew()
+        return Estimator(self.parameters, self.slopes, self.limits, thermal, place, self.quiet, self.jumped)
 
     @property
     def at_rest(self) -> bool:
@@ -111,9 +83,7 @@ class Estimator:
         """
         if not self.quiet.present[GYRO].all():
             return self.quiet.is_rest
-        if self.hypotheses is None or self.began_turning:
-            return False
-        return not (self.hypotheses.moved or self.hypotheses.turning)
+        return self.hypotheses is not None and not (self.hypotheses.moved or self.hypotheses.turning)
 
     def step(self, slot: Slot) -> FloatArray | None:
         """Take a slot; return the normalised innovations of the measurement it completes at rest, (3,)."""
@@ -122,10 +92,7 @@ class Estimator:
         self.degc = np.where(np.isfinite(slot.degc), slot.degc, self.degc)
         self.added = self.added + self.thermal.step(slot.degc, slot.power_on_sd)
         self.latest = [*self.latest[1 - TRIAL :], slot]
-        if self.settings.rest_given:
-            self.quiet.update_given(slot)
-        else:
-            self.quiet.update(slot, self.settings.rest.drift)
+        self.quiet.update(slot, self.limits.drift)
         innovation = None
         if not self.quiet.present[GYRO].all():
             return None
@@ -167,7 +134,7 @@ class Estimator:
     def _noise(self) -> FloatArray:
         """Return the variance of the mean of a second, (6,)."""
         covered_s = sum(one.covered_s for one in self.latest) / len(self.latest)
-        return np.maximum(self.quiet.noise * covered_s, LEAST_WHITE)
+        return np.maximum(self.quiet.noise * covered_s, 1e-18)  # less than any gyro has, more than none
 
     def _measurement(self, slots: Sequence[Slot]) -> Measurement:
         return measurement_of(slots, self.attitude.earth, self.force)
@@ -177,8 +144,8 @@ class Estimator:
         if self.hypotheses is not None:
             self.updated |= not self.hypotheses.moved
             self.hypotheses.move(undo=len(self.pending) < UNDO_SLOTS)
-        if self.began_turning:
-            self.hypotheses, self.began_turning = None, False
+            if self.hypotheses.began_turning:
+                self.hypotheses = None
         self.pending = []
 
     def _coast(self, slot: Slot) -> None:
@@ -201,7 +168,7 @@ class Estimator:
     def _begin(self) -> None:
         """Begin the filters with the first quiet second, or the slots of the trial that found the noise."""
         self.motion.interrupt()
-        if not self.quiet.noise_known or self.quiet.quiet_slots < SECOND_SLOTS:
+        if not self.quiet.noise_slots or self.quiet.quiet_slots < SECOND_SLOTS:
             return
         slots = self.latest[-self.quiet.quiet_slots :]
         self.attitude = self.attitude.anew()
@@ -211,11 +178,11 @@ class Estimator:
         measurements = [self._measurement([slots[k] for k in part]) for part in parts]
         if not np.isfinite([one.rate for one in measurements]).all():
             return
-        white, count = self._noise()[GYRO], bank.PRIOR_COUNT
-        if self.settings.white_sd is not None:
-            white, count = np.maximum(self.settings.white_sd**2, LEAST_WHITE), bank.DECLARED_COUNT
-        filters = bank.start(self.settings.modes(white), white, count, measurements[0])
-        self.hypotheses = begun(filters, measurements, self.settings.rest, self.settings.rest_given)
+        white, b, k = self.parameters.per_axis
+        count = bank.PRIOR_COUNT if white is None else bank.DECLARED_COUNT
+        sigma2 = self._noise()[GYRO] if white is None else np.maximum(white**2, 1e-18)
+        filters = bank.Bank.begin(modes_of(sigma2, b, k, self.slopes), sigma2, count, measurements[0])
+        self.hypotheses = begun(filters, measurements, self.limits, slots[-1].rest_given is not None)
         self.added, self.updated = np.zeros(3), True
 
     def _decide(self, hypotheses: Hypotheses) -> FloatArray | None:
@@ -234,12 +201,7 @@ class Estimator:
         parts = [self._measurement([slot]) for slot in slots]
         self.jumped |= hypotheses.decide(now, parts, self.added, accel_noise)
         self.added, self.updated = np.zeros(3), True
-        _, ambiguity = hypotheses.prediction(now.end_s, self.degc, self.force)
-        self.ambiguities = np.stack([self.ambiguities[1], ambiguity])
-        # A turn in the first rest is found by the compass, until another rate contradicts it.
-        if hypotheses.first_rate is not None and not hypotheses.changes and not self.settings.rest_given:
-            self.began_turning |= compass_log_ratio(hypotheses.recent, np.zeros(3)) < -BEGAN_LOG_RATIO
-        if self.began_turning and hypotheses.changes:
+        if hypotheses.began_turning and hypotheses.changes:
             self.quiet.restart()
             self._interrupt()
         elif self.attitude.turn.seconds and not hypotheses.turning:
@@ -251,25 +213,16 @@ class Estimator:
         """Return the bias from a time on.
 
         Its variance has these parts: the states of all modes, flicker of single samples, what `added` holds
-        of temperature, gaps and turns, the unknown part of the earth rate, and the turn hypothesis.
+        of temperature, gaps and turns, the unknown part of the earth rate, and the turn hypothesis, with the
+        largest error by rounding at rest.
         """
         if self.hypotheses is None:
-            bias, variance = self.motion.bias
+            terms, covariance = np.zeros((3, 4)), np.zeros((3, 4, 4))
+            terms[:, 0], variance = self.motion.bias
             any_pose = EARTH_RATE**2 + (SENSITIVITY_SD * STANDARD_GRAVITY) ** 2
-            return LinearBias.constant(bias, variance + any_pose)
-        prediction, _ = self.hypotheses.prediction(now_s, self.degc, self.force)
-        added = self.added + self.attitude.uncertain_earth
-        return prediction.output(added, self.force, self._turn_hypothesis(self.hypotheses))
-
-    def _turn_hypothesis(self, hypotheses: Hypotheses) -> FloatArray:
-        """Return the turn that may be a change of the bias, or the largest error by rounding, rad/s, (3,).
-
-        Of the last two measurements the larger one: a single one may fit by chance.
-        """
-        if hypotheses.moved and not hypotheses.doubted:
-            return np.zeros(3)
-        if self.began_turning:
-            return hypotheses.recent[-1].rate
-        before, latest = self.ambiguities
-        larger = np.where(np.abs(before) > np.abs(latest), before, latest)
-        return np.asarray(np.copysign(np.hypot(larger, self.quiet.rounding_error[GYRO]), larger))
+            covariance[:, 0, 0] = variance + any_pose
+            return LinearBias(terms, covariance, np.zeros(3), np.zeros(3))
+        prediction, turn = self.hypotheses.shown.prediction.at(now_s, self.degc), self.hypotheses.ambiguity
+        if not self.hypotheses.moved or self.hypotheses.doubted:
+            turn = np.copysign(np.hypot(turn, self.quiet.rounding_error[GYRO]), turn)
+        return prediction.output(self.added + self.attitude.uncertain_earth, self.force, turn)

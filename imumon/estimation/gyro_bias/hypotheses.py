@@ -1,8 +1,7 @@
 """The mean rate of a quiet second: the bias as before, a changed bias, or a turn?
 
 Two sets of filters stand for two hypotheses: the *nominal* bias was known before the present rate began, and
-the *present* one has learned that rate.  What lies between both may be a turn; of that the probability is
-P(turn), by `imumon.estimation.rest.odds`.  The first row that holds:
+the *present* one has learned that rate.  The first row that holds:
 
 =================================  =====================================================
 the mean fits the present bias     it learns
@@ -10,48 +9,48 @@ it fits the nominal bias           the present bias is the nominal one, and lear
 else                               the present bias is any other
 =================================  =====================================================
 
-While a turn is unlikely, the nominal bias follows 16 to 32 s behind, so it has not learned the beginning of a
-slow turn.  Else it stays, and the sigma contains the turn until it is excluded.
+What lies between both is a turn with a probability P(turn), by `imumon.estimation.rest.odds`.  So it is
+tested sequentially, each second:
+
+=================================  =====================================================
+P(turn) up to 1/2                  rest: the present bias is shown
+P(turn) above 1/2                  a turn: the nominal bias is shown
+above 1/4, until it is below 1/20  doubt: the nominal bias stays, through motion as well
+else                               it follows 16 to 32 s behind the present one, and has
+                                   not learned how a slow turn began
+=================================  =====================================================
+
+The sigma of what is shown contains what lies between, times the root of the probability of the other.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.estimation.gyro_bias.bank import Bank
-from imumon.estimation.gyro_bias.prediction import Prediction
-from imumon.estimation.rest.odds import (
-    LEAST_MEASUREMENTS,
-    compass_log_ratio,
-    first_turn_odds,
-    gravity_log_ratio,
-    nominal_odds,
-    probability_of_turn,
-)
+from imumon.estimation.rest.odds import LEAST_MEASUREMENTS, SteadyRate, heading, probability_of_turn
 from imumon.estimation.rest.parameters import RestParameters
 from imumon.estimation.rest.slots import Measurement
 
 FIT_SIGMAS = 4.5
 """Sigmas of an axis within which a mean fits; with 4, drifts of a warm-up contradicted the bias."""
 DOUBT, UNLIKELY_TURN = 0.25, 0.05
-"""Probability of a turn from which on the nominal bias stays, and up to which it then follows again."""
-TURN_LOG_RATIO = 2.0
-"""Log likelihood ratio of a turn over a changed bias, from which on time does not exclude a turn."""
+"""P(turn) from which on the nominal bias stays, and up to which it then follows again."""
 LAG_S = 16.0
 """By so much at least, and twice as much at most, the nominal bias follows the present one."""
 ONSET_S = 4.0
 """A change that motion follows sooner was its onset; an older one may end a turn in the first rest."""
-PATIENCE_S = 60.0
-"""Where rest is given, rest at another rate for so long is rest with another bias."""
 NEW_POSE = 0.3
 """m/s²: a specific force that differs by more from the first one is that of another pose."""
+BEGAN_LOG_RATIO = -8.0
+"""ln Λ by the heading up to which the recording began in a turn."""
 RECENT = 16
-"""Measurements of a rest that are kept: those that gravity and compass are compared over."""
+"""Measurements of a rate that are kept: those that gravity and heading are compared over."""
 
 
 @dataclass(slots=True, eq=False)
@@ -64,12 +63,11 @@ class Hypotheses:
     """The next nominal one."""
     recent: list[Measurement]
     """Of this rest, `RECENT` at most; none in motion."""
-    first_rate: FloatArray | None
-    """Mean of the first rest, (3,); None once the unit has been in another pose."""
-    first_force: FloatArray
-    """Specific force at the first rest, m/s², (3,)."""
+    first: Measurement | None
+    """The first rest, while it may have been a turn; None once the unit has been in another pose."""
     limits: RestParameters
     rest_given: bool
+    """Whether rest is given, and any steady rate is bias from `undecided_s` on."""
     undo: Bank | None = None
     """The present filters before the last second, which is taken back where motion follows at once."""
     changes: int = 0
@@ -80,8 +78,12 @@ class Hypotheses:
     """How long the present rate has lasted, s."""
     p_turn: float = 0.0
     """Probability that what lies between both is a turn."""
+    ambiguities: FloatArray = field(default_factory=partial(np.zeros, (2, 3)))
+    """What the less likely hypothesis adds to sigma, by the last two measurements, (2, 3)."""
     doubted: bool = False
     """Whether the nominal bias stays, as the present rate may be a turn."""
+    began_turning: bool = False
+    """Whether the recording began in a turn, by the heading."""
 
     @property
     def moved(self) -> bool:
@@ -91,47 +93,82 @@ class Hypotheses:
     @property
     def turning(self) -> bool:
         """Whether a turn is more likely than a changed bias."""
-        return self.p_turn > 0.5
+        return self.p_turn > 0.5 or self.began_turning
 
     @property
     def shown(self) -> Bank:
         """The filters of the more likely hypothesis."""
         return self.nominal if self.turning else self.present
 
+    @property
+    def ambiguity(self) -> FloatArray:
+        """What the less likely hypothesis adds to sigma, (3,): a single measurement may fit by chance."""
+        before, latest = self.ambiguities
+        return np.asarray(np.where(np.abs(before) > np.abs(latest), before, latest))
+
     def decide(
         self, now: Measurement, parts: Sequence[Measurement], added: FloatArray, accel_noise: float
     ) -> bool:
         """Take a measurement; return whether a changed bias has become the nominal one.
 
-        `parts` are its slots one by one, needed in the first seconds of a rest.  `added` is the variance by
+        `parts` are its slots one by one, needed in the first seconds of a rate.  `added` is the variance by
         which the bias may have changed since the one before, (rad/s)², (3,).  `accel_noise` is the variance
         of the mean force of a second, (m/s²)².
         """
         if added.any():
             self.map(lambda bank: bank.wider(added))
-        if self.moved and np.linalg.norm(now.force - self.first_force) > NEW_POSE:
-            self.first_rate = None  # it was in a hand, and not on a turntable
+        if self.moved and self.first and np.linalg.norm(now.force - self.first.force) > NEW_POSE:
+            self.first = None  # it was in a hand, and not on a turntable
         if self.moved and not self.doubted:
             self.nominal = self.newer = self.present
         self.recent = [*self.recent[1 - RECENT :], now]
         self._learn(now)
-        self.p_turn = self._probability_of_turn(now, parts, accel_noise)
+        evidence: Sequence[Measurement] = self.recent[-self.alike :]
+        if self.alike < LEAST_MEASUREMENTS:  # the rate may just have changed
+            evidence = self.recent if len(self.recent) >= LEAST_MEASUREMENTS else parts
+        self._weigh(now, evidence, accel_noise)
         return self._follow(now)
 
     def _learn(self, now: Measurement) -> None:
         """Update the present bias."""
         self.undo = None
-        if _fits(self.newer, now):
+        if self.newer.fits(now, FIT_SIGMAS):
             self.undo, self.present = self.present, self.present.after(now)
             self.steady_s += now.covered_s
             self.alike = min(self.alike + 1, len(self.recent))
             return
-        if _fits(self.nominal, now):
+        if self.nominal.fits(now, FIT_SIGMAS):
             self.present, self.changes = self.nominal.after(now), 0
         else:
             any_bias = self.nominal.with_noise_of(self.present)
             self.present, self.changes = any_bias.after(now, jumped=True), self.changes + 1
         self.newer, self.steady_s, self.alike = self.present, now.covered_s, 1
+
+    def _weigh(self, now: Measurement, evidence: Sequence[Measurement], accel_noise: float) -> None:
+        """Weigh a turn against the bias, by the latest measurements."""
+        nominal = self.nominal.prediction.at(now.end_s, now.degc)
+        bias, variance = nominal.bias(now.force, of_mean=True)
+        present, own = self.present.prediction.bias(now.force, of_mean=True)
+        change, aged = present - bias, self.changes > 0 and self.steady_s >= ONSET_S
+        first = self.first.rate if self.first and aged else None
+        noise, before = accel_noise / evidence[0].covered_s, max(self.changes - 1, 0)
+        rate = SteadyRate(
+            evidence, bias, variance, change, variance + own, before, self.steady_s, first, noise
+        )
+        self.p_turn = probability_of_turn(rate, self.limits)
+        if self.rest_given:
+            undecided = self.changes > 0 and self.steady_s <= self.limits.undecided_s
+            self.p_turn = 0.5 if undecided else 0.0
+        if self.turning:
+            square = (1.0 - self.p_turn) * change**2
+        else:  # the variance of the mixture: that of the nominal bias, which may be vague by then, counts
+            square = self.p_turn * (change**2 + np.maximum(variance - own, 0.0))
+        self.ambiguities = np.stack([self.ambiguities[1], np.copysign(np.sqrt(square), change)])
+        # A turn in the first rest is found by the heading, until another rate contradicts it.
+        if self.first and not self.changes:
+            self.began_turning |= heading(self.recent, np.zeros(3)) < BEGAN_LOG_RATIO
+        if self.began_turning:
+            self.ambiguities[:] = now.rate
 
     def _follow(self, now: Measurement) -> bool:
         """Let the nominal bias follow if a turn is unlikely; return whether it has changed."""
@@ -140,38 +177,13 @@ class Hypotheses:
             self.nominal = self.nominal.with_noise_of(self.present)
         elif self.changes and self.steady_s > LAG_S:
             self.nominal = self.newer = self.present
-            self.changes, self.first_rate = 0, None
+            self.changes, self.first = 0, None
             return True
         if now.end_s - self.newer.time_s >= LAG_S:
             if not (self.doubted or self.changes):
                 self.nominal = self.newer
             self.newer = self.present
         return False
-
-    def _probability_of_turn(
-        self, now: Measurement, parts: Sequence[Measurement], accel_noise: float
-    ) -> float:
-        """Return the probability of a turn that is not in the nominal bias."""
-        if self.rest_given:
-            return 0.5 if self.changes and self.steady_s <= PATIENCE_S else 0.0
-        evidence: Sequence[Measurement] = self.recent[-self.alike :]
-        if self.alike < LEAST_MEASUREMENTS:  # the rate may just have changed
-            evidence = self.recent if len(self.recent) >= LEAST_MEASUREMENTS else parts
-        nominal = self.nominal.prediction.at(now.end_s, now.degc)
-        bias, variance = nominal.bias(now.force, of_mean=True)
-        present, own = self.present.prediction.bias(now.force, of_mean=True)
-        change, limits = present - bias, self.limits
-        largest, noise = float(variance.max()), accel_noise / evidence[0].covered_s
-        ratio = gravity_log_ratio(evidence, bias, change, largest, noise, limits.accel_drift)
-        ratio += compass_log_ratio(evidence, bias)
-        others = nominal_odds(change, variance + own)
-        if self.first_rate is not None and self.changes and self.steady_s >= ONSET_S:
-            others += first_turn_odds(self.first_rate, now.rate)
-        within = math.sqrt(change @ change) <= limits.largest_jump
-        if self.steady_s > limits.undecided_s and within and ratio >= -TURN_LOG_RATIO:
-            return 0.0
-        before = max(self.changes - 1, 0)
-        return probability_of_turn(change, ratio, others, limits.largest_jump, before)
 
     def move(self, undo: bool) -> None:
         """Coast while the unit moves: a change of a few seconds was how the motion began.
@@ -184,24 +196,13 @@ class Hypotheses:
         if self.changes == 1 and self.steady_s < ONSET_S:
             self.present, self.changes, self.doubted = self.nominal, 0, False
         if not self.doubted:
-            self.p_turn = 0.0
+            self.p_turn, self.ambiguities = 0.0, np.zeros((2, 3))
         self.recent, self.alike = [], 0
 
     def map(self, function: Callable[[Bank], Bank]) -> None:
         """Apply a function to all filters."""
         self.present, self.nominal, self.newer = map(function, (self.present, self.nominal, self.newer))
         self.undo = None if self.undo is None else function(self.undo)
-
-    def prediction(self, now_s: float, degc: FloatArray, force: FloatArray) -> tuple[Prediction, FloatArray]:
-        """Return the more likely prediction at a time, and what the other adds to sigma, rad/s, (3,)."""
-        present, nominal = (one.prediction.at(now_s, degc) for one in (self.present, self.nominal))
-        (bias, variance), (before, vague) = present.bias(force), nominal.bias(force)
-        difference = bias - before
-        if self.turning:
-            return nominal, math.sqrt(1.0 - self.p_turn) * difference
-        # The variance of the mixture: that of the nominal bias, which may be vague by then, counts as well.
-        excess = np.maximum(vague - variance, 0.0)
-        return present, np.copysign(np.sqrt(self.p_turn * (difference**2 + excess)), difference)
 
 
 def begun(
@@ -210,13 +211,6 @@ def begun(
     """Return the hypotheses after the first measurements, by filters that know nothing of the bias."""
     for now in measurements:
         bank = bank.after(now)
-    rate, force = np.mean([one.rate for one in measurements], axis=0), measurements[0].force
-    return Hypotheses(bank, bank, bank, list(measurements), rate, force, limits, rest_given)
-
-
-def _fits(bank: Bank, now: Measurement) -> bool:
-    """Return whether a mean fits the prediction of filters in each axis."""
-    prediction = bank.prediction.at(now.end_s, now.degc)
-    bias, variance = prediction.bias(now.force)
-    variance = variance + prediction.white / now.covered_s
-    return bool(((now.rate - bias) ** 2 <= FIT_SIGMAS**2 * variance).all())
+    rate = np.asarray(np.mean([one.rate for one in measurements], axis=0))
+    first = measurements[0]._replace(rate=rate)
+    return Hypotheses(bank, bank, bank, list(measurements), first, limits, rest_given)

@@ -47,16 +47,6 @@ class Attitude:
         """Return the attitude before the first rest."""
         return Attitude(self.latitude, self.heading)
 
-    @property
-    def oriented(self) -> bool:
-        """Whether the earth rate is known in all three axes."""
-        return self.heading is not None and self.latitude is not None
-
-    @property
-    def horizontal(self) -> float:
-        """Horizontal earth rate, rad/s; the most it can be where the latitude is not known."""
-        return EARTH_RATE * (1.0 if self.latitude is None else math.cos(self.latitude))
-
     def follow(self, turn: Turn, bias: FloatArray) -> None:
         """Append a turn by rates with a bias, rad/s, (3,)."""
         self.turn = self.turn.then(turn.less(bias))
@@ -64,21 +54,27 @@ class Attitude:
     @property
     def uncertain_earth(self) -> FloatArray:
         """Variance of the earth rate that is known, or taken for bias, (rad/s)², (3,)."""
-        known = self.horizontal**2 * self.heading_variance * (1.0 - self.up**2)
-        return np.asarray(known + self._turned_earth() if self.turn.seconds else known)
+        known = self._level_variance(self.heading_variance)
+        return known + self._turned_earth() if self.turn.seconds else known
+
+    def _level_variance(self, heading_variance: float) -> FloatArray:
+        """Return the variance of the horizontal earth rate by that of the heading, rad², (3,)."""
+        level = EARTH_RATE * (1.0 if self.latitude is None else math.cos(self.latitude))
+        return np.asarray(level**2 * heading_variance * (1.0 - self.up**2))
 
     def _turned_earth(self) -> FloatArray:
         """Return the variance of what the turn does to the earth rate that is taken for bias, (3,).
 
         Its direction is not known.
         """
-        if self.oriented:
+        if self.latitude is not None and self.heading is not None:
             return np.zeros(3)
         change = self.turn.rotation.T - np.eye(3)
         square = (change * change) @ np.ones(3)
         if self.latitude is None:
             return np.asarray(EARTH_RATE**2 / 3.0 * square)
-        return np.asarray(0.5 * self.horizontal**2 * (square - (change @ self.up) ** 2))
+        level = EARTH_RATE * math.cos(self.latitude)
+        return np.asarray(0.5 * level**2 * (square - (change @ self.up) ** 2))
 
     def come_to_rest(self, force: FloatArray, prediction: Prediction | None) -> FloatArray:
         """Take the attitude of a new rest; return what that adds to the variance of the bias, (rad/s)², (3,).
@@ -89,16 +85,15 @@ class Attitude:
         added, size = self._turned_earth(), float(np.linalg.norm(force))
         if size > 0.0:
             before, self.up = self.up, force / size
-            if self.oriented:
-                added = self._find_north(before, None if self.lost else prediction)
+            if self.latitude is not None and self.heading is not None:
+                added = self._find_north(before, self.heading, None if self.lost else prediction)
             if self.latitude is not None:
                 self.earth = earth_rate_along(self.up, self.north, self.latitude)
         self.turn, self.lost = STILL, False
         return added
 
-    def _find_north(self, before: FloatArray, prediction: Prediction | None) -> FloatArray:
+    def _find_north(self, before: FloatArray, heading: float, prediction: Prediction | None) -> FloatArray:
         """Find north where the place is known; `before` is up, (3,), at the last rest, or zero."""
-        assert self.heading is not None
         northward = self.north @ self.turn.rotation
         northward -= (northward @ self.up) * self.up
         length, variance = float(np.linalg.norm(northward)), LOST_SD**2
@@ -106,11 +101,11 @@ class Attitude:
             self.north = northward / length
             variance = min(variance, self._heading_variance(before, prediction))
         else:
-            self.north = north_in_body(self.up, self.heading)
+            self.north = north_in_body(self.up, heading)
         if not before.any():
             return np.zeros(3)
         self.heading_variance = min(LOST_SD**2, self.heading_variance + variance)
-        return np.asarray(self.horizontal**2 * variance * (1.0 - self.up**2))
+        return self._level_variance(variance)
 
     def _heading_variance(self, up: FloatArray, prediction: Prediction) -> float:
         """Return the variance of the angle by which the gyros seem to have turned about the vertical, rad².

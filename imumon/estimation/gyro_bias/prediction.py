@@ -15,6 +15,19 @@ from imumon.blocks import BoolArray, FloatArray, IntArray
 from imumon.estimation.gyro_bias.modes import FLICKER, SENSITIVITY, STATES, measurement_row, propagated
 
 
+class LinearBias(NamedTuple):
+    """A bias as a linear function of the specific force f, t (1, f); NaN where nothing is known."""
+
+    terms: FloatArray
+    """t: bias without specific force, rad/s, and sensitivity, rad/s per m/s², (3, 4)."""
+    covariance: FloatArray
+    """C of t, (3, 4, 4)."""
+    force: FloatArray
+    """Mean f of the slot, m/s², (3,)."""
+    turn: FloatArray
+    """Turn hypothesis, rad/s, (3,); its square is not in C."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Prediction:
     """Mean and covariance of the states of three axes, absolute."""
@@ -32,11 +45,10 @@ class Prediction:
 
     def at(self, time_s: float, degc: FloatArray) -> Prediction:
         """Return the prediction at a later time and temperatures, (3,); NaN is no change."""
-        if time_s <= self.time_s:
+        dt, warming = time_s - self.time_s, degc - self.degc
+        if dt <= 0.0:
             return self
-        mean, covariance = propagated(
-            self.mean, self.covariance, self.process, time_s - self.time_s, degc - self.degc
-        )
+        mean, covariance = propagated(self.mean, self.covariance, self.process, dt, warming)
         known = np.where(np.isfinite(degc), degc, self.degc)
         return replace(self, mean=mean, covariance=covariance, time_s=time_s, degc=known)
 
@@ -50,31 +62,10 @@ class Prediction:
 
     def output(self, added: FloatArray, force: FloatArray, turn: FloatArray) -> LinearBias:
         """Return the bias with more variance, (rad/s)², at the mean force of a slot, m/s², (3,) each."""
-        select = np.zeros((4, STATES))
-        select[0], select[1:, SENSITIVITY] = measurement_row(np.zeros(3)), np.eye(3)
+        select = np.vstack([measurement_row(np.zeros(3)), np.eye(STATES)[SENSITIVITY]])
         covariance = select @ self.covariance @ select.T
         covariance[:, 0, 0] += self.fast + added
         return LinearBias(self.mean @ select.T, covariance, force, turn)
-
-
-class LinearBias(NamedTuple):
-    """A bias as a linear function of the specific force f, t (1, f); NaN where nothing is known."""
-
-    terms: FloatArray
-    """t: bias without specific force, rad/s, and sensitivity, rad/s per m/s², (3, 4)."""
-    covariance: FloatArray
-    """C of t, (3, 4, 4)."""
-    force: FloatArray
-    """Mean f of the slot, m/s², (3,)."""
-    turn: FloatArray
-    """Turn hypothesis, rad/s, (3,); its square is not in C."""
-
-    @classmethod
-    def constant(cls, bias: FloatArray, variance: FloatArray) -> LinearBias:
-        """Return a bias of any pose, rad/s, with its variance, (3,) each."""
-        terms, covariance = np.zeros((3, 4)), np.zeros((3, 4, 4))
-        terms[:, 0], covariance[:, 0, 0] = bias, variance
-        return cls(terms, covariance, np.zeros(3), np.zeros(3))
 
 
 def at_samples(

@@ -12,14 +12,13 @@ from imumon.blocks import NO_INT, BoolArray, ColumnArray, FloatArray, IntArray, 
 from imumon.charts import Chart
 from imumon.columns import Column, vector_columns
 from imumon.errors import ImumonError, Reason
-from imumon.estimation.gyro_bias.estimator import SECOND_S, Estimator, Settings
+from imumon.estimation.gyro_bias.estimator import SECOND_S, Estimator
 from imumon.estimation.gyro_bias.modes import SLOPE_LEFT_PER_SIGMA, SLOPE_PER_SIGMA
-from imumon.estimation.gyro_bias.parameters import GyroBiasParameters
 from imumon.estimation.gyro_bias.place import Attitude
 from imumon.estimation.gyro_bias.prediction import LinearBias, at_samples
 from imumon.estimation.gyro_bias.thermal_input import ThermalInput, ThermalVariance, trust_in
 from imumon.estimation.gyro_bias.trail import BiasTrail
-from imumon.estimation.rest.parameters import RestParameters, retired
+from imumon.estimation.rest.parameters import GyroBiasParameters, RestParameters, retired
 from imumon.estimation.rest.slots import ACCEL, GATHERED, GYRO, SLOT_S, Timing, heading_of, readings_of
 from imumon.filters.segments import Breaks
 from imumon.filters.slots import SlotGatherer, Slots
@@ -101,19 +100,18 @@ class RestAndBias:
                 "give a model, or take the mode learned",
             )
         self._parameters, rest = parameters or GyroBiasParameters(), rest or RestParameters()
-        self._thermal = ThermalInput(model)
         slopes = (0.0, SLOPE_LEFT_PER_SIGMA if model else SLOPE_PER_SIGMA) if mode == "learned" else (0.0,)
-        latitude, heading = (
-            None if one is None else math.radians(one) for one in (latitude_deg, heading_deg)
+        self._thermal = ThermalInput(model)
+        self._estimator = Estimator(
+            self._parameters,
+            slopes,
+            RestParameters(undecided_s=60.0) if self._rest_given else rest,
+            ThermalVariance(None if model is None else trust_in(model)),
+            Attitude(_radians(latitude_deg), _radians(heading_deg)),
         )
-        white_sd, flicker, walk = _declared(self._parameters)
-        settings = Settings(white_sd, flicker, walk, slopes, rest, self._rest_given)
-        thermal = ThermalVariance(None if model is None else trust_in(model))
-        self._estimator = Estimator(settings, thermal, Attitude(latitude, heading))
         self._timing = Timing()
         self._slots = SlotGatherer(GATHERED, round(SLOT_S * 1e9), turns=True)
-        self._bias = self._estimator.output(0.0)
-        self._bias_s = -math.inf
+        self._bias, self._bias_s = self._estimator.output(0.0), -math.inf
         """Last output of the estimator, and its time."""
         self._at_rest = 0
         self._trail = BiasTrail(model)
@@ -218,27 +216,37 @@ class RestAndBias:
         """Return the bias over temperature, beside the model's curve where there is a model."""
         return self._trail.charts()
 
-    def _given_rest(self, block: SampleBlock) -> BoolArray:
+    def _given_rest(self, block: SampleBlock) -> FloatArray:
+        """Return 1 at rest that is given, 0 in motion that is; NaN where it is to be detected, (n,)."""
+        if not self._rest_given:
+            return np.full(len(block), np.nan)
         if "at_rest" in block:
-            return np.asarray(block["at_rest"] == 1)
-        self._lacks_rest |= self._rest_given and not self._parameters.assume_at_rest
-        return np.full(len(block), self._parameters.assume_at_rest)
+            return np.asarray(block["at_rest"] == 1, np.float64)
+        self._lacks_rest |= not self._parameters.assume_at_rest
+        return np.full(len(block), float(self._parameters.assume_at_rest))
 
     def notices(self) -> list[str]:
-        """Return, once each, what is missing, assumed, or out of range; for the log."""
-        conditions = dict.fromkeys(self._notices, True) | {
-            "no column at_rest: the bias is not estimated (a rest detector gives it; assume_at_rest does "
-            "without)": self._lacks_rest,
-            "the bias model lacks its temperature: the bias is taken as constant": self._thermal.lacking,
-            _outside(self._estimator.thermal.trust): self._thermal.outside,
-        }
-        texts = [text for text, true in conditions.items() if true and text not in self._reported]
+        """Return, once each, what is missing, assumed, or out of range, and each jump of the bias."""
+        if self._lacks_rest:
+            self._notices.append(
+                "no column at_rest: the bias is not estimated (a rest detector gives it; assume_at_rest does "
+                "without)"
+            )
+        if self._thermal.lacking:
+            self._notices.append("the bias model lacks its temperature: the bias is taken as constant")
+        if self._thermal.outside and self._estimator.thermal.trust is not None:
+            _, _, low, high = self._estimator.thermal.trust
+            self._notices.append(
+                "the temperature is outside the range of the bias model, "
+                f"{low.max():.1f} to {high.min():.1f} °C: the bias is extrapolated and its standard "
+                "deviation widened"
+            )
+        texts = [text for text in self._notices if text not in self._reported]
         self._reported.update(texts)
         if self._estimator.jumped:
-            self._estimator.jumped = False
-            texts.append(
-                "at rest the rate contradicted the bias, so it has jumped: the bias is estimated anew"
-            )
+            self._estimator.jumped, jump = False, "at rest the rate contradicted the bias, so it has jumped"
+            texts.append(f"{jump}: the bias is estimated anew")
+        self._notices = []
         return texts
 
 
@@ -266,16 +274,8 @@ class RestDetector(RestAndBias):
         return [text for text in super().notices() if "any more" in text]
 
 
-def _declared(parameters: GyroBiasParameters) -> list[FloatArray | None]:
-    """Return the declared white noise, B and K, (3,) each or None; B and K are declared together."""
-    white, b, k = (
-        parameters.angle_random_walk_rad_per_sqrt_s,
-        parameters.bias_instability_rad_per_s,
-        parameters.rate_random_walk_rad_per_s_per_sqrt_s,
-    )
-    if b is not None or k is not None:
-        b, k = b or 0.0, k or 0.0
-    return [None if value is None else np.full(3, value, np.float64) for value in (white, b, k)]
+def _radians(degrees: float | None) -> float | None:
+    return None if degrees is None else math.radians(degrees)
 
 
 def _notices_of_place(latitude_deg: float | None, heading_deg: float | None) -> list[str]:
@@ -291,13 +291,3 @@ def _notices_of_place(latitude_deg: float | None, heading_deg: float | None) -> 
             "gyro bias; its vertical part is not"
         ]
     return []
-
-
-def _outside(trust: FloatArray | None) -> str:
-    if trust is None:
-        return ""
-    _, _, low, high = trust
-    return (
-        f"the temperature is outside the range of the bias model, {low.max():.1f} to {high.min():.1f} °C: "
-        "the bias is extrapolated and its standard deviation widened"
-    )

@@ -12,9 +12,6 @@ from imumon.models.model import BiasModel
 
 MOST_POINTS = 250
 """When more are kept, every second one is dropped, and from then on half as many are taken."""
-NOTE = "dots: estimates since the start; large: now"
-NOTE_WITH_MODEL = f"line: model; {NOTE}"
-"""What a chart says of its dots."""
 
 
 class BiasTrail:
@@ -41,30 +38,34 @@ class BiasTrail:
         if not self._points:
             return []
         degc, bias = np.hsplit(np.array(self._points), 2)
-        bias = bias / DEG_PER_H
-        curves = []
-        for (axis, color), channel in zip(AXIS_COLORS.items(), self._channels, strict=False):
+        lines, expected = [], np.zeros_like(bias)
+        for j, ((axis, color), channel) in enumerate(zip(AXIS_COLORS.items(), self._channels, strict=False)):
             low, high = channel.temperature_range_degc
             at = np.linspace(low, high, 101)
-            curves.append(Curve(f"{axis}, model", at, channel.value(at) / DEG_PER_H, color, width=1.2))
-        x, y = Axis("temperature [°C]"), Axis("[°/h]")
-        notes = (NOTE_WITH_MODEL if self._channels else NOTE,)
-        curves += _trails(degc, bias)
-        title = "Gyro bias over temperature"
-        charts = [Chart("gyro_bias", "Gyro bias", title, x, y, tuple(curves), notes=notes)]
-        if self._channels:
-            expected = [channel.value(degc[:, j]) for j, channel in enumerate(self._channels)]
-            left = _trails(degc, bias - np.column_stack(expected) / DEG_PER_H)
+            lines.append(Curve(f"{axis}, model", at, channel.value(at) / DEG_PER_H, color, width=1.2))
+            expected[:, j] = channel.value(degc[:, j])
+        dots = "dots: estimates since the start; large: now"
+        note = f"line: model; {dots}" if lines else dots
+        charts = [
+            _chart(
+                "gyro_bias", "Gyro bias", "Gyro bias over temperature", [*lines, *_trails(degc, bias)], note
+            )
+        ]
+        if lines:
             title = "Gyro bias less the calibrated curve"
-            charts.append(Chart("gyro_bias_left", "Residual", title, x, y, tuple(left), notes=(NOTE,)))
+            charts.append(_chart("gyro_bias_left", "Residual", title, _trails(degc, bias - expected), dots))
         return charts
 
 
-def _trails(degc: FloatArray, values: FloatArray) -> list[Curve]:
-    """Return where each axis has been, and where it is now as a larger point."""
+def _chart(name: str, tab: str, title: str, curves: list[Curve], note: str) -> Chart:
+    return Chart(name, tab, title, Axis("temperature [°C]"), Axis("[°/h]"), tuple(curves), notes=(note,))
+
+
+def _trails(degc: FloatArray, bias: FloatArray) -> list[Curve]:
+    """Return where each axis has been, and where it is now as a larger point; °C and rad/s, (n, 3)."""
     curves = []
     for j, (axis, color) in enumerate(AXIS_COLORS.items()):
-        x, y = degc[:, j], values[:, j]
+        x, y = degc[:, j], bias[:, j] / DEG_PER_H
         curves.append(Curve(f"{axis}, estimate", x, y, color, points=True, width=2.5))
         curves.append(Curve(f"now {axis}", x[-1:], y[-1:], color, points=True, width=9.0, listed=False))
     return curves

@@ -1,142 +1,183 @@
-"""A steady rate that is not the nominal bias: a turn, or a changed bias?
+"""P(turn): is a steady rate a turn, or the bias?  A Bayesian test of one hypothesis against three others.
 
-Odds are of another explanation over a turn; log ratios are log likelihood ratios of a changed bias over a
-turn.
+The rate differs by d from the nominal bias.  Each o is the odds of an explanation over a turn, by the prior
+and the gyros; Λ is the likelihood ratio of no turn over a turn, by the other sensors::
+
+    P(turn) = 1 / (1 + Λ_gravity Λ_heading (o_changed + o_nominal + o_first))
+
+==============  ================================================  ============================================
+row             what it stands for                                factor
+==============  ================================================  ============================================
+changed_bias    the bias has changed: half-Cauchy, scale 50 °/h;  o = 2 D / (π (d/50 + 50/d) (1 + changes)),
+                and one of all changes so far is of the bias      10⁻⁹ if d > `largest_jump`
+nominal_bias    nothing has changed: the nominal bias is vague    o = 2 N(d; 0, σ²) d D (1 + (36/d)²)
+first_turn      the first rest was a turn, and this is the bias   o = 0.05 (first rate / this rate)³
+gravity         a turn about a tilted axis tilts the unit by the  Λ = 2 / (1 + L(tilt | turn) / L(tilt | no)),
+                angle turned; nothing else does                   e⁵⁰ for a level change without its tilt
+heading         a turn turns magnetometer or yaw by its angle     Λ = L(heading | no) / L(heading | turn)
+time_excludes   it has been undecided for `undecided_s`           P(turn) = 0, unless Λ < e⁻² or
+                                                                  d > `largest_jump`
+==============  ================================================  ============================================
+
+Turns are log-uniform from 36 °/h (0.01 °/s) to 300 °/s, so their density is 1/(D d), D = ln(30000);
+d and σ are in °/h here.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from imumon.blocks import FloatArray
+from imumon.estimation.rest.parameters import RestParameters
 from imumon.estimation.rest.slots import Measurement
 from imumon.geodesy import DEG_PER_H, EARTH_RATE, STANDARD_GRAVITY
 
 USUAL_CHANGE = 50.0 * DEG_PER_H
-"""Changes of a bias are half-Cauchy of this scale, rad/s."""
-TURNS = np.radians([0.01, 300.0])
-"""Turns are as likely on a logarithmic scale between these, rad/s."""
+"""Scale of the half-Cauchy density of changes of a bias, rad/s."""
+SLOWEST_TURN, FASTEST_TURN = math.radians(0.01), math.radians(300.0)
+"""rad/s: turns are as likely on a logarithmic scale between these."""
+DECADES = math.log(FASTEST_TURN / SLOWEST_TURN)
+"""D of the table."""
 OBLIQUE = 0.3
 """Share of a rate across the vertical from which on gravity is compared: no turntable leans so much (17°)."""
 EXCLUDED_SIGMAS = 4.0
 """An oblique turn by more than so many sigmas of the tilt is excluded where the unit has tilted by less than
-half as many, where the change is more about level axes than about the vertical."""
-MOSTLY_LEVEL = 1.5
-"""Least square of the level part of such a change over that of the vertical one: flicker moves all axes."""
-COMPASS_ERROR = 0.15
+half as many, and the change is mostly about level axes."""
+MOSTLY_LEVEL = 0.6
+"""Share of the square of such a change that is about level axes: flicker moves all three."""
+HEADING_ERROR = 0.15
 """Error of a change of heading over that change: hard and soft iron.  Assumed."""
-COMPASS_NOISE = 0.01
+HEADING_NOISE = 0.01
 """rad, least standard deviation of a heading: a device gives its yaw in steps, and filters it."""
 MOST_LOG_RATIO = 50.0
-IMPOSSIBLE = 1e-9
-"""Odds of a bias that has changed by more than it can, over a turn: other sensors may exclude the turn."""
 LEAST_MEASUREMENTS = 3
 """Least number of measurements by which gravity is compared."""
 BEGAN_TURNING = 0.05
 """Prior that the first rest of a recording was a turn, where two steady means cannot both be the bias."""
 
 
-def probability_of_turn(
-    change: FloatArray, log_ratio: float, others: float, largest: float, changes: int
-) -> float:
-    """Return the probability that a mean which differs from the bias by `change`, rad/s, (3,), is a turn.
+@dataclass(frozen=True, slots=True, eq=False)
+class SteadyRate:
+    """A steady rate, and what was measured while it lasted; rates in rad/s."""
 
-    With equal priors, a log-uniform density of turns and a half-Cauchy one of changes of the bias, u in units
-    of `USUAL_CHANGE`, the odds are π/(2 ln(300/0.01)) (u + 1/u) (1 + changes): of as many changes as there
-    were one may be of the bias.  No bias changes by more than `largest`.  `log_ratio` is by other sensors,
-    and `others` are the odds of other explanations: `nominal_odds`, `first_turn_odds`.
-    """
-    size = math.sqrt(float(change @ change))
-    u = max(size, TURNS[0]) / USUAL_CHANGE  # below the slowest turn the odds stay
-    changed = 2.0 * math.log(TURNS[1] / TURNS[0]) / (math.pi * (u + 1.0 / u) * (1.0 + changes))
-    no_turn = (changed if size <= largest else IMPOSSIBLE) + others
-    return 1.0 / (1.0 + no_turn * math.exp(max(min(log_ratio, MOST_LOG_RATIO), -MOST_LOG_RATIO)))
+    measurements: Sequence[Measurement]
+    """Of this rate alone; slots of it where it is younger than three seconds."""
+    bias: FloatArray
+    variance: FloatArray
+    """Nominal bias and its variance, (3,)."""
+    change: FloatArray
+    change_variance: FloatArray
+    """The rate less that bias, and its variance, (3,)."""
+    changes: int
+    """How often the rate has changed before: of as many changes as there were one may be of the bias."""
+    steady_s: float
+    """For how long the rate has lasted."""
+    first: FloatArray | None
+    """Mean of the first rest, if that may have been a turn, (3,)."""
+    force_variance: float
+    """Of the mean specific force of a measurement, (m/s²)²."""
+
+    @property
+    def size(self) -> float:
+        """Size of the change, d."""
+        return math.sqrt(float(self.change @ self.change))
 
 
-def nominal_odds(change: FloatArray, variance: FloatArray) -> float:
-    """Return the odds of the nominal bias, high where its prediction is vague; rad/s, (rad/s)², (3,) each."""
-    tiny = 1e-24
-    size2 = float(change @ change) + tiny
-    along = (float(change**2 @ variance) + tiny * float(variance.max())) / size2
-    density = 2.0 * math.exp(-0.5 * size2 / along) / math.sqrt(2.0 * math.pi * along)
-    slow = 1.0 + float(TURNS[0]) ** 2 / size2  # slower turns are unlikely
-    return slow * density * math.sqrt(size2) * math.log(float(TURNS[1] / TURNS[0]))
-
-
-def gravity_log_ratio(
-    measurements: Sequence[Measurement],
-    bias: FloatArray,
-    change: FloatArray,
-    variance: float,
-    noise: float,
-    drift: float,
-) -> float:
-    """Return the log ratio by how gravity moved over some measurements of one rest.
-
-    A turn is about the vertical, or oblique.  An oblique one tilts the unit by the angle turned, a change of
-    the bias does not.
-
-    The rate differs by `change` from the bias, rad/s, (3,), which has a `variance` of an axis, (rad/s)².
-    `noise` is the variance of the force of a measurement, (m/s²)², and `drift` that of accelerometers, m/s³.
-    """
-    force = measurements[-1].force
-    gravity = math.sqrt(float(force @ force))
-    if len(measurements) < LEAST_MEASUREMENTS or not gravity > 0.5 * STANDARD_GRAVITY:
+def probability_of_turn(rate: SteadyRate, limits: RestParameters) -> float:
+    """Return P(turn) of a steady rate."""
+    log_ratio = gravity(rate, limits.accel_drift) + heading(rate.measurements, rate.bias)
+    if time_excludes(rate, log_ratio, limits):
         return 0.0
-    up = force / gravity
-    vertical2 = float(change @ up) ** 2
-    level2 = float(change @ change) - vertical2
-    if level2 < OBLIQUE**2 * (level2 + vertical2):
+    odds = changed_bias(rate, limits.largest_jump) + nominal_bias(rate) + first_turn(rate)
+    return 1.0 / (1.0 + odds * math.exp(max(min(log_ratio, MOST_LOG_RATIO), -MOST_LOG_RATIO)))
+
+
+def changed_bias(rate: SteadyRate, largest: float) -> float:
+    """Return the odds that the bias has changed; none changes by more than `largest`, rad/s."""
+    if rate.size > largest:
+        return 1e-9  # and not 0: gravity and heading may still exclude a turn
+    u = max(rate.size, SLOWEST_TURN) / USUAL_CHANGE  # below the slowest turn the odds stay
+    return 2.0 * DECADES / (math.pi * (u + 1.0 / u) * (1.0 + rate.changes))
+
+
+def nominal_bias(rate: SteadyRate) -> float:
+    """Return the odds that nothing has changed, high where the prediction of the nominal bias is vague."""
+    square = rate.size**2 + 1e-24
+    variance = float((rate.change**2 + 1e-24) @ rate.change_variance) / square
+    density = 2.0 * math.exp(-0.5 * square / variance) / math.sqrt(2.0 * math.pi * variance)
+    return density * math.sqrt(square) * DECADES * (1.0 + SLOWEST_TURN**2 / square)
+
+
+def first_turn(rate: SteadyRate) -> float:
+    """Return the odds that the first mean had a turn in it, and this one has none.
+
+    Of the biases of a gyro nobody knows the scale s: with a density of 1/s, a mean of size m is the bias
+    with a density of 1/m³.
+    """
+    if rate.first is None:
         return 0.0
-    elapsed = sum(one.covered_s for one in measurements[1:])
-    turn = _turned(measurements, bias)
+    now = rate.measurements[-1].rate
+    larger = (float(rate.first @ rate.first) + EARTH_RATE**2) / (float(now @ now) + EARTH_RATE**2)
+    return BEGAN_TURNING * math.sqrt(larger) ** 3
+
+
+def gravity(rate: SteadyRate, drift: float) -> float:
+    """Return ln Λ by how the unit has tilted; `drift` of accelerometers, m/s³.
+
+    A turn is about the vertical, or oblique: then it tilts the unit by the angle turned.
+    """
+    force = rate.measurements[-1].force
+    size = math.sqrt(float(force @ force))
+    if len(rate.measurements) < LEAST_MEASUREMENTS or not size > 0.5 * STANDARD_GRAVITY:
+        return 0.0
+    up = force / size
+    level2 = rate.size**2 - float(rate.change @ up) ** 2
+    if level2 < (OBLIQUE * rate.size) ** 2:
+        return 0.0
+    turn = _turned(rate.measurements, rate.bias)
     turn -= (turn @ up) * up
-    tilt = np.cross(force, measurements[0].force) / gravity**2
-    tilt_variance = ((math.sqrt(2.0 * noise) + drift * elapsed) / gravity) ** 2
-    turn2, tilt2 = float(turn @ turn), float(tilt @ tilt)
-    excluded = turn2 > EXCLUDED_SIGMAS**2 * tilt_variance > 4.0 * tilt2
-    if excluded and level2 > MOSTLY_LEVEL * vertical2:
+    tilt = np.cross(force, rate.measurements[0].force) / size**2
+    elapsed, largest = sum(one.covered_s for one in rate.measurements[1:]), float(rate.variance.max())
+    variance = ((math.sqrt(2.0 * rate.force_variance) + drift * elapsed) / size) ** 2
+    turn2, tilt2, left, excluded = float(turn @ turn), float(tilt @ tilt), tilt - turn, EXCLUDED_SIGMAS**2
+    if turn2 > excluded * variance > 4.0 * tilt2 and level2 > MOSTLY_LEVEL * rate.size**2:
         return MOST_LOG_RATIO
-    left = tilt - turn
-    oblique = float(left @ left) / (tilt_variance + variance * elapsed**2) - tilt2 / tilt_variance
+    oblique = float(left @ left) / (variance + largest * elapsed**2) - tilt2 / variance
     return math.log(2.0) - float(np.logaddexp(-0.5 * oblique, 0.0))
+
+
+def heading(measurements: Sequence[Measurement], bias: FloatArray) -> float:
+    """Return ln Λ by how the heading has turned, for rates less a bias, rad/s, (3,); 0 without a heading.
+
+    Both hypotheses give the angle since the first measurement, with one variance; its sense is not compared,
+    for not all devices count the yaw alike.
+    """
+    measurements = [one for one in measurements if np.isfinite(one.heading[0]) and one.force.any()]
+    if len(measurements) < 4:
+        return 0.0
+    vectors = np.array([one.heading for one in measurements])
+    force = np.array([one.force for one in measurements])
+    up = force / np.linalg.norm(force, axis=1, keepdims=True)
+    angle = abs(float(_turned(measurements, bias) @ up[-1]))
+    if not vectors[:, 2].any():  # a yaw has two components
+        up = np.array([[0.0, 0.0, 1.0]])
+    north = vectors - (vectors * up).sum(1, keepdims=True) * up
+    turned = np.unwrap(np.arctan2(north @ np.cross(up[-1], north[0]), north @ north[0]))
+    measured, noise2 = abs(float(turned[-1])), float((np.diff(turned, 2) ** 2).mean()) / 3.0
+    variance = noise2 + HEADING_NOISE**2 + (HEADING_ERROR * angle) ** 2
+    return ((measured - angle) ** 2 - measured**2) / (2.0 * variance)
+
+
+def time_excludes(rate: SteadyRate, log_ratio: float, limits: RestParameters) -> bool:
+    """Return whether the rate has lasted for longer than a turn does."""
+    late = rate.steady_s > limits.undecided_s and rate.size <= limits.largest_jump
+    return late and log_ratio >= -2.0
 
 
 def _turned(measurements: Sequence[Measurement], bias: FloatArray) -> FloatArray:
     """Return the angle turned since the first measurement, rad, (3,), if the bias is this, rad/s, (3,)."""
     return sum((one.covered_s * (one.rate - bias) for one in measurements[1:]), np.zeros(3))
-
-
-def compass_log_ratio(measurements: Sequence[Measurement], bias: FloatArray) -> float:
-    """Return the log ratio of no turn over one about the vertical by the rate less a bias, rad/s, (3,).
-
-    Both hypotheses give the angle by which the heading has turned since the first measurement, with one
-    variance; its sense is not compared, for not all devices count the yaw alike.
-    """
-    measurements = [one for one in measurements if np.isfinite(one.heading[0]) and one.force.any()]
-    if len(measurements) < 4:
-        return 0.0
-    heading = np.array([one.heading for one in measurements])
-    force = np.array([one.force for one in measurements])
-    up = force / np.linalg.norm(force, axis=1, keepdims=True)
-    angle = abs(float(_turned(measurements, bias) @ up[-1]))
-    if not heading[:, 2].any():  # a yaw has two components
-        up = np.array([[0.0, 0.0, 1.0]])
-    north = heading - (heading * up).sum(1, keepdims=True) * up
-    turned = np.unwrap(np.arctan2(north @ np.cross(up[-1], north[0]), north @ north[0]))
-    by_compass, noise2 = abs(float(turned[-1])), float((np.diff(turned, 2) ** 2).mean()) / 3.0
-    variance = noise2 + COMPASS_NOISE**2 + (COMPASS_ERROR * angle) ** 2
-    return ((by_compass - angle) ** 2 - by_compass**2) / (2.0 * variance)
-
-
-def first_turn_odds(first: FloatArray, now: FloatArray) -> float:
-    """Return the odds that the first mean, rad/s, (3,), had a turn in it, over that this one has.
-
-    Of the biases of a gyro nobody knows the scale s: with a density of 1/s, a mean of size m is the bias
-    with a density of 1/m³.
-    """
-    larger = (float(first @ first) + EARTH_RATE**2) / (float(now @ now) + EARTH_RATE**2)
-    return BEGAN_TURNING * math.sqrt(larger) ** 3

@@ -45,18 +45,17 @@ SLOWER = 16.0
 """In a trial: largest variance of slot means over that which their samples explain: more is slow motion."""
 SPIKE_SIGMAS = 8.0
 """A single sample so far from the mean at rest ends it."""
-TINY = 1e-24
 
 
 @dataclass(slots=True, eq=False)
 class QuietDetector:
-    """The last slots, the latest one last, and the noise at rest; units rad/s and m/s²."""
+    """The last slots, the latest one last, and the noise at rest; rad/s and m/s², arrays (..., 6)."""
 
-    mean: FloatArray = field(default_factory=partial(np.zeros, (TRIAL, AXES)))
+    mean: FloatArray = field(default_factory=partial(np.zeros, (2 * LENGTHS[-1], AXES)))
     within: FloatArray = field(default_factory=partial(np.full, (TRIAL, AXES), np.nan))
     """Variance of the samples of each slot."""
-    cumulative: FloatArray = field(default_factory=partial(np.zeros, (2 * LENGTHS[-1] + 1, AXES)))
-    """Sum of the means up to each slot."""
+    readable: BoolArray = field(default_factory=lambda: np.zeros((TRIAL, AXES), np.bool_))
+    """Whether an axis had readings."""
     slots: int = 0
     """Since the beginning or the last restart."""
     quiet_slots: int = 0
@@ -67,27 +66,31 @@ class QuietDetector:
     """Unquiet slots since the last quiet one."""
     short_rests: int = 0
     """Rests in a row that were shorter than a trial, with pauses of a second at most."""
-    noise_known: bool = False
     noise: FloatArray = field(default_factory=partial(np.zeros, AXES))
-    """Variance of the mean of a slot at rest, (6,)."""
     sample_noise: FloatArray = field(default_factory=partial(np.zeros, AXES))
-    """Variance of its samples at rest, (6,)."""
+    """Variance at rest of the mean of a slot, and of its samples."""
     noise_slots: float = 0.0
-    """Number of slots that the noise is averaged over."""
-    disturbed: bool = False
-    """Whether a single sample of the present slot was outside `band`."""
+    """Number of slots that the noise is averaged over; 0 while it is not known."""
     noise_changed: bool = False
     """Whether another noise has been found with this slot."""
-    present: BoolArray = field(default_factory=lambda: np.zeros(AXES, np.bool_))
-    """Axes that have readings, (6,)."""
-    absent_slots: int = 0
-    """Slots in a row in which one of these axes had none."""
+    disturbed: bool = False
+    """Whether a single sample of the present slot was outside `band`."""
     step: FloatArray = field(default_factory=partial(np.zeros, AXES))
-    """Step of the sensor, (6,); 0 while it is not known."""
+    """Step of the sensor; 0 while it is not known."""
 
     @property
-    def rounding(self) -> FloatArray:
-        """Variance that rounding gives a mean which the noise does not reach, (6,)."""
+    def present(self) -> BoolArray:
+        """Axes that have had readings lately, (6,)."""
+        return np.asarray(self.readable.any(0))
+
+    @property
+    def is_rest(self) -> bool:
+        """Whether it has been quiet for long enough."""
+        return self.quiet_slots >= (TRIAL if self.short_rests >= SHORT_RESTS else SECOND_SLOTS)
+
+    @property
+    def floor(self) -> FloatArray:
+        """Variance of a mean that rounding makes where the noise does not reach a step, (6,)."""
         return np.asarray(self.step**2 / 12.0)
 
     @property
@@ -96,7 +99,7 @@ class QuietDetector:
 
         Noise of variance v, in steps squared, makes it exp(-2 π² v) half steps (Widrow).
         """
-        noise = np.maximum(self.sample_noise / (self.step**2 + TINY) - 1.0 / 12.0, 0.0)
+        noise = np.maximum(self.sample_noise / (self.step**2 + 1e-24) - 1.0 / 12.0, 0.0)
         return np.asarray(0.5 * self.step * np.exp(-2.0 * np.pi**2 * noise))
 
     @property
@@ -111,59 +114,42 @@ class QuietDetector:
         """Count anew after a gap or a restart of the device; the noise stays."""
         self.slots = self.quiet_slots = self.unquiet = self.short_rests = 0
 
-    @property
-    def is_rest(self) -> bool:
-        """Whether it has been quiet for long enough."""
-        return self.quiet_slots >= (TRIAL if self.short_rests >= SHORT_RESTS else SECOND_SLOTS)
-
     def update(self, slot: Slot, drift: FloatArray) -> None:
-        """Detect rest at the end of a slot; `drift`, rad/s² and m/s³, (6,), is permitted at rest."""
-        self._append(slot)
-        step = np.minimum(np.where(self.step > 0.0, self.step, np.inf), slot.step)
-        step = np.where(np.isfinite(step), step, 0.0)
-        # The first step of a coarse sensor is outside a band that knew none.
-        self.disturbed &= not ((step > 0.0) & (self.step == 0.0)).any()
-        self.step = step
-        if self.noise_known:
-            self.quiet_slots += 1
-            if self.disturbed or self._moves(slot, drift):
-                self._interrupt()
-            else:
-                self.pause = 0
-                self._learn(slot)
-        self.disturbed = False
-        needed = not self.noise_known or (self.unquiet >= SECOND_SLOTS and self.quiet_slots < TRIAL)
-        if needed and self.slots >= TRIAL and self.slots % SECOND_SLOTS == 0:
-            self._restart_noise(slot.samples)
+        """Detect rest at the end of a slot; `drift`, rad/s² and m/s³, (6,), is permitted at rest.
 
-    def update_given(self, slot: Slot) -> None:
-        """Learn the noise from a slot whose rest is given."""
+        Where rest is given, only the noise is estimated.
+        """
         self._append(slot)
-        if not slot.at_rest:
-            self.quiet_slots = 0
-            return
-        self.quiet_slots += 1
-        if self.noise_known or self.quiet_slots < TRIAL:
+        self.slots, self.quiet_slots, self.noise_changed = self.slots + 1, self.quiet_slots + 1, False
+        given, known = slot.rest_given, self.noise_slots > 0.0
+        quiet = known and not self.disturbed and self._fits(slot, drift) if given is None else given
+        if not quiet:
+            self._interrupt()
+        elif known:
             self._learn(slot)
-        else:
-            noise = _white_variance(self.mean)
+        self.disturbed = False
+        if given and not known and self.quiet_slots >= TRIAL:
+            noise = _white_variance(self.mean[-TRIAL:])
             self._set_noise(noise, noise * slot.samples)
+        doubtful = not known or (self.unquiet >= SECOND_SLOTS and self.quiet_slots < TRIAL)
+        if given is None and doubtful and self.slots >= TRIAL and self.slots % SECOND_SLOTS == 0:
+            self._restart_noise(slot.samples)
 
     def _append(self, slot: Slot) -> None:
         """Append a slot; an axis without reading keeps its last mean, and 0 if it is absent."""
-        readable = np.isfinite(slot.mean)
-        new_axis = bool((readable > self.present).any())
-        self.absent_slots = self.absent_slots + 1 if (readable < self.present).any() else 0
-        if new_axis or self.absent_slots > TRIAL:
-            self.noise_known, self.absent_slots = False, 0
-            self.present = self.present | readable if new_axis else readable
-            self.restart()
-        mean = np.where(readable, slot.mean, np.where(self.present, self.mean[-1], 0.0))
-        values = mean, slot.variance, self.cumulative[-1] + mean
-        for latest, value in zip((self.mean, self.within, self.cumulative), values, strict=True):
+        before, readable = self.present, np.isfinite(slot.mean)
+        mean = np.where(readable, slot.mean, np.where(before, self.mean[-1], 0.0))
+        values = (self.mean, mean), (self.within, slot.variance), (self.readable, readable)
+        for latest, value in values:
             latest[:-1] = latest[1:]
             latest[-1] = value
-        self.slots, self.noise_changed = self.slots + 1, False
+        if (before != self.present).any():
+            self.noise_slots = 0.0
+            self.restart()
+        found = np.isfinite(slot.step) & ((slot.step < self.step) | (self.step == 0.0))
+        # The first step of a coarse sensor is outside a band that knew none.
+        self.disturbed &= not (found & (self.step == 0.0)).any()
+        self.step = np.where(found, slot.step, self.step)
 
     def _interrupt(self) -> None:
         """End the present rest, if there is one, at an unquiet slot."""
@@ -172,31 +158,32 @@ class QuietDetector:
         self.short_rests = 0 if self.pause > SECOND_SLOTS else self.short_rests + short
         self.quiet_slots, self.unquiet = 0, self.unquiet + 1
 
-    def _moves(self, slot: Slot, drift: FloatArray) -> bool:
-        """Return whether windows, or the samples of the slot, differ by more than noise and drift."""
+    def _fits(self, slot: Slot, drift: FloatArray) -> bool:
+        """Return whether windows, and the samples of the slot, differ by no more than noise and drift."""
         lengths = LENGTHS[self.quiet_slots >= 2 * LENGTHS]
         width = lengths[:, np.newaxis]
-        change = self.cumulative[-1] - 2.0 * self.cumulative[-1 - lengths] + self.cumulative[-1 - 2 * lengths]
+        sums = np.cumsum(self.mean[::-1], axis=0)  # of the latest 1, 2, 3 ... slots
+        change = 2.0 * sums[lengths - 1] - sums[2 * lengths - 1]
         excess = np.maximum(np.abs(change) / width - drift * slot.length_s * width, 0.0)
         # A shorter window has a smaller floor: a disturbance has had less time to act.
-        floor = QUIET**2 / np.maximum(1.0, 4.0 / width) + self.rounding
-        square = excess**2 / (2.0 * np.maximum(self.noise / width, floor))
+        least = QUIET**2 / np.maximum(1.0, 4.0 / width) + self.floor
+        square = excess**2 / (2.0 * np.maximum(self.noise / width, least))
         if (square.reshape(-1, 2, 3).sum(2) > CHI_SQUARE).any():
-            return True
+            return False
         # Wilson and Hilferty's chi-square, of three samples and more.
         k = 2.0 / (9.0 * np.maximum(0.5 * (slot.samples - 1.0), 1.0))
         factor = VARIANCE_FACTOR * (1.0 - k + VARIANCE_SIGMAS * np.sqrt(k)) ** 3
-        limit = np.maximum(factor * self.sample_noise, 1e-12) + 12.0 * self.rounding
-        return bool(((slot.variance > limit) & (slot.samples >= 3.0)).any())
+        limit = np.maximum(factor * self.sample_noise, 1e-12) + 12.0 * self.floor
+        return not ((slot.variance > limit) & (slot.samples >= 3.0)).any()
 
     def _learn(self, slot: Slot) -> None:
         """Learn the noise from second differences, in which a drift cancels."""
+        self.pause = 0
         if self.quiet_slots < 3:
             return
         gain = max(1.0 / MEMORY_SLOTS, 1.0 / (self.noise_slots + 1.0))
         self.noise_slots += 1.0
-        first, second, third = self.mean[-3:]
-        square = (third - 2.0 * second + first) ** 2 / 6.0
+        square = np.diff(self.mean[-3:], 2, axis=0)[0] ** 2 / 6.0
         self.noise = self.noise + gain * (np.minimum(square, 9.0 * self.noise) - self.noise)
         within = np.minimum(slot.variance, 4.0 * self.sample_noise)
         within = np.where(slot.samples >= 3.0, within, self.sample_noise)
@@ -210,42 +197,40 @@ class QuietDetector:
         if trial is None:
             return
         pairs = zip(trial, (self.noise, self.sample_noise), strict=True)
-        larger = any((new > NOISE_CHANGE * old + self.rounding).any() for new, old in pairs)
-        if larger or not self.noise_known:
+        larger = any((new > NOISE_CHANGE * old + self.floor).any() for new, old in pairs)
+        if larger or not self.noise_slots:
             self.quiet_slots, self.unquiet, self.short_rests = TRIAL, 0, 0
             self._set_noise(*trial)
 
     def _set_noise(self, noise: FloatArray, sample_noise: FloatArray) -> None:
-        self.noise_known, self.noise_changed, self.noise_slots = True, True, TRIAL - 2.0
+        self.noise_changed, self.noise_slots = True, TRIAL - 2.0
         self.noise, self.sample_noise = noise, sample_noise
 
     def _trial(self, count: FloatArray) -> tuple[FloatArray, FloatArray] | None:
         """Return the variance of slot means and of samples, (6,) each; None of what moves."""
-        noise = _white_variance(self.mean)
+        mean = self.mean[-TRIAL:]
+        noise = _white_variance(mean)
         enough = np.isfinite(self.within).all(0) & (count >= 3.0)
         samples = np.where(enough, np.where(enough, self.within, 0.0).mean(0), noise * count)
         # Where the noise at rest is known, what is far above it is suspicious, too.
-        quiet2 = np.minimum(QUIET**2, 9.0 * self.noise) if self.noise_known else QUIET**2
-        least = quiet2 + self.rounding
+        least = (np.minimum(QUIET**2, 9.0 * self.noise) if self.noise_slots else QUIET**2) + self.floor
         for length in (4, 8):  # noise averages out
-            means = self.mean.reshape(-1, length, AXES).mean(1)
-            ratio = means.var(0, ddof=1) / np.maximum(noise / length, least)
+            ratio = mean.reshape(-1, length, AXES).mean(1).var(0, ddof=1) / np.maximum(noise / length, least)
             if (ratio.reshape(2, 3).mean(1) > LARGEST_COLOUR).any():
                 return None
         # A hand is slow within a slot and fast between slots.
         slow = enough & (noise * count > SLOWER * samples) & (noise > least)
-        second = np.diff(self.mean, 2, axis=0) ** 2 / np.maximum(noise, least)
+        second = np.diff(mean, 2, axis=0) ** 2 / np.maximum(noise, least)
         first, last = (half.reshape(-1, 2, 3).sum((0, 2)) for half in (second[:7], second[7:]))
         uneven = np.maximum(first, last) > HALVES * np.minimum(first, last) + HALVES_OFFSET
         # Single samples are as loud as they are, and a gyro may be noisy: its samples are then white.
-        loud = np.maximum(self.mean.var(0), noise).reshape(2, 3).mean(1) > ROAD**2
+        loud = np.maximum(mean.var(0), noise).reshape(2, 3).mean(1) > ROAD**2
         road = loud & (count.reshape(2, 3).max(1) >= 3.0)
         white = (noise * count < 1.5 * samples) & (np.arange(AXES) < ACCEL.start)
         shaken = (samples > VIBRATION**2) | np.repeat(road, 3)
-        moves = slow.any() or uneven.any() or (shaken & ~white).any()
-        return None if moves else (noise, samples)
+        return None if slow.any() or uneven.any() or (shaken & ~white).any() else (noise, samples)
 
 
 def _white_variance(mean: FloatArray) -> FloatArray:
     """Return the variance of slot means, (n, 6), by their second differences: no drift is in it, (6,)."""
-    return np.asarray(np.maximum((np.diff(mean, 2, axis=0) ** 2).mean(0) / 6.0, TINY))
+    return np.asarray(np.maximum((np.diff(mean, 2, axis=0) ** 2).mean(0) / 6.0, 1e-24))

@@ -20,7 +20,7 @@ AXES = len(SENSORS)
 GYRO, ACCEL = slice(0, 3), slice(3, 6)
 MODELLED, DEGC, POWER_ON_SD, HEADING = (slice(AXES + 3 * i, AXES + 3 * i + 3) for i in range(4))
 REST_GIVEN, GATHERED = AXES + 12, AXES + 13
-"""The last column of the gathered values, whether rest is given; and the number of columns."""
+"""The last column of the gathered values, 1 for given rest and 0 for given motion; and how many there are."""
 COARSEST_STEPS = (0.035, 0.16)
 """No gyro (rad/s) and no accelerometer (m/s²) reads in coarser steps: 2 °/s is what may shake at rest."""
 
@@ -52,8 +52,8 @@ class Slot(NamedTuple):
     heading: FloatArray
     """A vector that turns with the heading, (3,): see `heading_of`."""
     turn: Turn
-    at_rest: bool
-    """Whether it was at rest throughout, where that is given."""
+    rest_given: bool | None
+    """Whether it was at rest throughout; None where that is to be detected."""
 
 
 class Measurement(NamedTuple):
@@ -100,10 +100,11 @@ class Timing:
         variance = ended.variance[:, :AXES] * several / (several - 1.0)
         steps = _steps(ended)
         for k, mean in enumerate(ended.mean):
+            given = float(ended.smallest[k, REST_GIVEN])
             yield Slot(
                 *self._times(ended, k), count[k], mean[:AXES], variance[k], steps[k], mean[MODELLED],
                 mean[DEGC], mean[POWER_ON_SD], mean[HEADING], ended.turns[k],
-                bool(ended.smallest[k, REST_GIVEN] == 1.0),
+                None if math.isnan(given) else given == 1.0,
             )  # fmt: skip
 
     def _times(self, ended: Slots, k: int) -> tuple[float, float, float, float]:
