@@ -25,8 +25,7 @@ import psutil
 
 from imumon.errors import ImumonError
 from imumon.heap import prepare_heap, trim_heap
-from imumon.view.items import ViewItem, merge
-from imumon.view.queue import DropOldestQueue
+from imumon.view.items import DropOldestQueue, ViewItem, merge
 from imumon.view.viewer import quiet_environment
 
 BATCH_S = 0.05

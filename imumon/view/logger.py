@@ -15,7 +15,6 @@ import rerun.blueprint as rrb
 from imumon.blocks import IntArray
 from imumon.harmless import for_markdown
 from imumon.lane import Level
-from imumon.view.attitude import DEVICE
 from imumon.view.blueprint import Contents, blueprint
 from imumon.view.items import (
     Drawing,
@@ -29,10 +28,9 @@ from imumon.view.items import (
     ViewItem,
     ViewSetup,
 )
-from imumon.view.lanes import COLORED_STATES, declare_lane, lane_path
-from imumon.view.log_text import LOG_TEXT, LogText
-from imumon.view.others import Others
-from imumon.view.panel_log import PanelLog
+from imumon.view.lanes import COLORED_STATES, LOG_TEXT, LogText, declare_lane, lane_path, lane_place
+from imumon.view.layout import DEVICE
+from imumon.view.panel_log import Others, PanelLog
 from imumon.view.pictures import Painter
 from imumon.view.rows import Rows, at_instants, log_markdown
 from imumon.view.window import slow_window
@@ -229,7 +227,7 @@ class StreamLogger:
         contents = Contents(
             panels=self._panels.shown,
             charts=tuple(self._painter.titles.values()),
-            lanes=tuple(sorted(map(lane_path, self._lanes))),
+            lanes=tuple(map(lane_path, sorted(self._lanes, key=lane_place))),
             log=self._has_log,
             status="status" in self._lasting,
             others=self._others.views,

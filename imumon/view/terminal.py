@@ -11,11 +11,9 @@ import numpy as np
 
 from imumon.harmless import for_log
 from imumon.view.cards import AXES, Cards, Reading, cell
-from imumon.view.items import Log, Numbers, Samples, State, ViewItem, ViewSetup, merge
-from imumon.view.lanes import states_text
-from imumon.view.log_text import dated
+from imumon.view.items import DropOldestQueue, Log, Numbers, Samples, State, ViewItem, ViewSetup, merge
+from imumon.view.lanes import dated, states_text
 from imumon.view.panel_log import ShownPanels
-from imumon.view.queue import DropOldestQueue
 from imumon.view.rows import Rows
 
 QUEUE_BYTES = 4 << 20

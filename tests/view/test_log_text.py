@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from imumon.view.items import Instant, Log
-from imumon.view.log_text import LINES, LogText
+from imumon.view.lanes import LINES, LogText
 
 
 def test_the_newest_line_stands_first_with_its_time_and_its_level() -> None:
