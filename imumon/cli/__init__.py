@@ -41,8 +41,8 @@ OWN = {
         "monitor": ("monitor_command:command", "Record a device and watch it live."),
         "replay": ("replay_command:command", "Run a recording again, bit for bit."),
         "view": ("view_command:command", "Show several sessions on one time axis."),
-        "mark": ("session_commands:mark", "Put a word into a recording while it runs."),
-        "recover": ("session_commands:recover", "Finish a session that was interrupted or damaged."),
+        "mark": ("table_commands:mark", "Put a word into a recording while it runs."),
+        "recover": ("table_commands:recover", "Finish a session that was interrupted or damaged."),
     },
     "Data in and out": {
         "decode": ("table_commands:decode", "Turn a raw capture or a session into a table."),

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from imumon.cli.common import PATH, json_option, note, print_json, show
+from imumon.cli.common import PATH, json_option, note, print_json, print_listing, show
 from imumon.errors import EXIT_NEGATIVE, EXIT_OK
 
 COLOURS = {"good": "green", "warning": "yellow", "fault": "red"}
@@ -50,13 +50,10 @@ def ports(as_json: bool) -> None:
     from imumon.transport.ports import list_ports
 
     found = list_ports()
-    if as_json:
-        print_json({"ports": [{**asdict(port), "usb_id": port.usb_id} for port in found]})
-        return
-    if not found:
+    if not found and not as_json:
         note("no serial ports exist; imumon virtual makes one without hardware")
+    lines = []
     for port in found:
-        show(str(port))
         facts = {
             "stable name": port.by_id,
             "driver": port.driver,
@@ -65,9 +62,8 @@ def ports(as_json: bool) -> None:
             "open in": ", ".join(port.holders),
             "access": None if port.accessible else "not for this user",
         }
-        for label, text in facts.items():
-            if text:
-                show(f"    {label:<14} {text}")
+        lines += [str(port), *(f"    {label:<14} {text}" for label, text in facts.items() if text)]
+    print_listing(as_json, {"ports": [{**asdict(port), "usb_id": port.usb_id} for port in found]}, lines)
 
 
 @click.command("devices")
@@ -86,15 +82,15 @@ def devices(name: str | None, as_json: bool) -> None:
         load_device(name)
         show(device_text(name)[0], newline=False)
         return
-    known = [load_device(one) for one in device_names()]
-    if as_json:
-        keys = {"title", "verified", "protocol", "rate_hz", "axes"}
-        rates = {device.name: {"baudrates": list(device.serial.baudrates)} for device in known}
-        print_json({device.name: device.model_dump(include=keys) | rates[device.name] for device in known})
-        return
-    for device in known:
-        show(f"{device.name:<14} {device.title} ({device.protocol}, {device.serial.baudrates[0]} baud)")
-        show(f"{'':<14} checked against {device.verified}")
+    data: dict[str, object] = {}
+    lines = []
+    for device in map(load_device, device_names()):
+        rates = list(device.serial.baudrates)
+        facts = device.model_dump(include={"title", "verified", "protocol", "rate_hz", "axes"})
+        data[device.name] = facts | {"baudrates": rates}
+        lines.append(f"{device.name:<14} {device.title} ({device.protocol}, {rates[0]} baud)")
+        lines.append(f"{'':<14} checked against {device.verified}")
+    print_listing(as_json, data, lines)
 
 
 @click.command("plugins")
@@ -110,12 +106,10 @@ def plugins(as_json: bool) -> int:
     from imumon.run.doctor import installed
 
     found = installed()
-    if as_json:
-        print_json({"plugins": [asdict(plugin) for plugin in found]})
-    elif not found:
-        show("no plug-ins")
-    for plugin in () if as_json else found:
-        show(f"{plugin.name:<14} {plugin.group} of {plugin.package} {plugin.version}".rstrip())
+    lines = [] if found else ["no plug-ins"]
+    for plugin in found:
+        lines.append(f"{plugin.name:<14} {plugin.group} of {plugin.package} {plugin.version}".rstrip())
         brings = f"loads; brings {', '.join(plugin.brings) or 'nothing'}"
-        show(f"{'':<14} {f'does NOT load: {plugin.problem}' if plugin.problem else brings}")
+        lines.append(f"{'':<14} {f'does NOT load: {plugin.problem}' if plugin.problem else brings}")
+    print_listing(as_json, {"plugins": [asdict(plugin) for plugin in found]}, lines)
     return EXIT_NEGATIVE if any(plugin.problem for plugin in found) else EXIT_OK

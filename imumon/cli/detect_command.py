@@ -80,16 +80,14 @@ def command(
     if folder is not None and folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
         raise ImumonError(Reason.EXISTS, f"{folder} is there already", "give the name of a new folder")
     received = dict[int | None, bytearray]()
-    rate: int | None = None
 
     def begin(settings: PortSettings) -> None:
-        nonlocal rate
         rate = settings.baudrate if settings.has_line else None
         received[rate] = bytearray()
         note(f"listening to {settings.url if rate is None else f'{rate} baud'}")
 
     def keep(data: bytes) -> None:
-        received[rate] += data
+        received[next(reversed(received))].extend(data)
 
     devices = {name: load_device(name) for name in names or device_names()}
     own_rates = [rate for device in devices.values() for rate in device.serial.baudrates[:1]]

@@ -30,8 +30,7 @@ from imumon.cli.common import (
     serial_option,
     window_option,
 )
-from imumon.cli.keys import Keys, single_keys
-from imumon.cli.live_run import PortRun
+from imumon.cli.live_run import Keys, PortRun, single_keys
 from imumon.cli.setup_options import SetupOptions, make_setup, setup_options
 from imumon.errors import EXIT_NEGATIVE, EXIT_OK, ImumonError, Reason
 from imumon.wings import offers

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -51,19 +51,11 @@ class StreamLogger:
     the columns that come.
 
     The sinks of `rec` are the caller's business.  With `live` the blueprint follows the last seconds, else it
-    shows all of a recording.  `show` takes the arrangement when it has changed; without, it is sent.
+    shows all of a recording.
     """
 
-    def __init__(
-        self,
-        rec: rr.RecordingStream,
-        setup: ViewSetup,
-        *,
-        live: bool,
-        show: Callable[[rrb.Blueprint], None] | None = None,
-    ) -> None:
+    def __init__(self, rec: rr.RecordingStream, setup: ViewSetup, *, live: bool) -> None:
         self._rec, self._setup, self._live = rec, setup, live
-        self._show = show or rec.send_blueprint
         self._panels, self._others = PanelLog(rec, setup, live=live), Others(rec, setup)
         self._painter = Painter(rec, live=live)
         self._lanes: dict[str, dict[str, Level]] = {}
@@ -237,7 +229,7 @@ class StreamLogger:
         if contents and (contents, self._timeline) != self._arranged:
             self._arranged, self._arranged_s = (contents, self._timeline), time.monotonic()
             self.arrangement = blueprint(self._setup, contents, self._timeline, live=self._live)
-            self._show(self.arrangement)
+            self._rec.send_blueprint(self.arrangement)
 
 
 def recorded_step(clock: IntArray | None) -> int:
