@@ -39,8 +39,8 @@ through it again and again took a tenth of the time that a recording needs to be
 OWN = {
     "Watch and record": {
         "monitor": ("monitor_command:command", "Record a device and watch it live."),
-        "replay": ("replay_command:command", "Run a recording again, bit for bit."),
-        "view": ("view_command:command", "Show several sessions on one time axis."),
+        "replay": ("replay_commands:replay", "Run a recording again, bit for bit."),
+        "view": ("replay_commands:view", "Show several sessions on one time axis."),
         "mark": ("table_commands:mark", "Put a word into a recording while it runs."),
         "recover": ("table_commands:recover", "Finish a session that was interrupted or damaged."),
     },
@@ -56,7 +56,7 @@ OWN = {
     "Devices": {
         "doctor": ("computer_commands:doctor", "Check what this computer lacks."),
         "ports": ("computer_commands:ports", "List serial ports."),
-        "detect": ("detect_command:command", "Find device and baud rate of a port."),
+        "detect": ("computer_commands:detect", "Find device and baud rate of a port."),
         "devices": ("computer_commands:devices", "List the devices that imumon knows."),
         "plugins": ("computer_commands:plugins", "List what other packages add, and whether it loads."),
     },

@@ -8,7 +8,7 @@ import shlex
 import sys
 import time
 from collections.abc import Callable, Sequence
-from contextlib import closing
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -39,7 +39,6 @@ if TYPE_CHECKING:
     from imumon.run.live import LiveRun, LiveSummary
     from imumon.run.narration import Progress
     from imumon.view.items import ViewSetup
-    from imumon.view.terminal import TerminalView
 
 
 def _live_outputs(function: Callable[..., int]) -> Callable[..., int]:
@@ -189,50 +188,38 @@ KEYS = "m: mark  s: start, stop"
 
 
 def _watch(live: PortRun, views: _Views) -> None:
-    """Wait for the end, with a status line or a screen on a terminal that can show one."""
-    with single_keys() as keys:
-        marking = _Marking(live.run, keys)
-        if views.terminal is not None:
-            _watch_in_terminal(live, views, views.terminal, marking)
-        else:
-            _watch_line(live, views, marking, keys.possible)
-
-
-def _watch_line(live: PortRun, views: _Views, marking: _Marking, has_keys: bool) -> None:
-    """Renew the status line until the end, and write log lines above it."""
-    interactive = is_terminal()
-    clear = CLEAR_LINE if interactive else ""
-    run, lines, stopped = live.run, live.lines, False
-    if has_keys and interactive:
-        lines.put("INFO", f"keys: {KEYS}")
-    while live.ending.wait():
-        marking.take()
-        views.announce(lines.put)
-        if not run.processing and not stopped:
-            stopped = True
-            lines.put("ERROR", "decoding stopped; reading and recording go on, decode the session afterwards")
-        lines.write(clear)
-        if interactive:
-            note(status_line(run.progress) + views.state, newline=False, control=clear)
-    note("", newline=False, control=clear)
-
-
-def _watch_in_terminal(live: PortRun, views: _Views, view: TerminalView, marking: _Marking) -> None:
-    """Draw the screen once a second, until the end; log lines are on it."""
+    """Wait for the end: renew a status line below the log lines, or once a second a screen that has both."""
     from imumon.view.terminal import Screen
 
-    screen = Screen(lambda text: note("", newline=False, control=text))
-    drawn = -math.inf
-    with closing(screen):
+    run, lines, view = live.run, live.lines, views.terminal
+    interactive = is_terminal() and view is None
+    clear = CLEAR_LINE if interactive else ""
+    drawn, stopped = -math.inf, False
+    with ExitStack() as stack:
+        keys = stack.enter_context(single_keys())
+        screen = Screen(lambda text: note("", newline=False, control=text)) if view is not None else None
+        if screen is not None:
+            stack.callback(screen.close)
+        if keys.possible and interactive:
+            lines.put("INFO", f"keys: {KEYS}")
+        marking = _Marking(run, keys)
         while live.ending.wait():
             marking.take()
-            views.announce(live.lines.put)
-            if time.monotonic() - drawn < SCREEN_S:
-                continue
-            drawn = time.monotonic()
-            columns, rows = os.get_terminal_size(sys.stderr.fileno())
-            status = f"{status_line(live.run.progress)}{views.state}  {KEYS}"
-            screen.show(view.lines(columns, rows, status), columns, rows)
+            views.announce(lines.put)
+            if not run.processing and not stopped:
+                stopped = True
+                text = "decoding stopped; reading and recording go on, decode the session afterwards"
+                lines.put("ERROR", text)
+            status = status_line(run.progress) + views.state
+            if view is None or screen is None:
+                lines.write(clear)
+                if interactive:
+                    note(status, newline=False, control=clear)
+            elif time.monotonic() - drawn >= SCREEN_S:
+                drawn = time.monotonic()
+                columns, rows = os.get_terminal_size(sys.stderr.fileno())
+                screen.show(view.lines(columns, rows, f"{status}  {KEYS}"), columns, rows)
+    note("", newline=False, control=clear)
 
 
 class _Marking:

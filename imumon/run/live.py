@@ -358,10 +358,13 @@ def arrived(items: SimpleQueue[Item]) -> Iterator[Reads | Event]:
     came = [items.get_nowait() for _ in range(items.qsize())]
     for event, group in groupby(came, lambda item: isinstance(item, Event)):
         run = list(group)
-        if event:
-            yield from (item for item in run if isinstance(item, Event))
-        else:
+        if not event:
             yield Reads.of([item for item in run if isinstance(item, Bytes)])
+        for item in run:
+            if isinstance(item, Event):
+                yield item
+                if item.kind is EventKind.CLOSED:
+                    return
 
 
 def summary_of(counters: PipelineCounters, unrecorded: int | None = None) -> dict[str, Any]:

@@ -186,8 +186,6 @@ def serve(run: Callable[[Connection, Connection], None], problem: Callable[[Imum
         code = 0
     except ImumonError as error:
         out.send(problem(error))
-    except (RuntimeError, OSError, EOFError) as error:
-        sys.stderr.write(f"{error}\n")
     except BaseException:
         traceback.print_exc()
         raise
