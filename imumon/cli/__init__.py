@@ -10,9 +10,8 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
-from functools import cache
+from contextlib import suppress
+from functools import cache, partial
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING
 
@@ -95,8 +94,11 @@ class _LazyGroup(click.Group):
         return list(_listed(ctx))
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        if ctx.params.get("without_plugins"):
-            ctx.with_resource(_without_plugins())  # before the command is imported, which may query the wings
+        if ctx.params.get("without_plugins"):  # before the command is imported, which may query the wings
+            from imumon.plugins import WITHOUT  # not for --help: it loads importlib.metadata
+
+            os.environ[WITHOUT] = "1"
+            ctx.call_on_close(partial(os.environ.pop, WITHOUT, None))
         found = commands().get(cmd_name) or commands(of_plugins=True).get(cmd_name)
         if found is None:
             return None
@@ -154,20 +156,6 @@ def _listed(ctx: click.Context) -> dict[str, Command]:
 @click.option("--without-plugins", is_flag=True, help="Load nothing that other packages add.")
 def cli(without_plugins: bool) -> None:
     """Watch, record and understand an IMU or AHRS on the bench."""
-
-
-@contextmanager
-def _without_plugins() -> Iterator[None]:
-    """Load no plug-ins, in child processes neither."""
-    from imumon.plugins import WITHOUT  # not for --help: it loads importlib.metadata
-
-    before = os.environ.get(WITHOUT)
-    os.environ[WITHOUT] = "1"
-    try:
-        yield
-    finally:
-        if before is None:
-            del os.environ[WITHOUT]
 
 
 def main() -> None:
