@@ -11,11 +11,11 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from imumon.cli.common import INTERRUPTED, note, say
+from imumon.cli.common import CLEAR_LINE, INTERRUPTED, is_terminal, note, say
 from imumon.errors import ImumonError, Reason
 from imumon.heap import prepare_heap
 from imumon.recordings import lines
@@ -151,6 +151,42 @@ class Lines(lines.Lines):
         for level, text in self.take():
             note("", newline=False, control=before)
             say(level, text)
+
+
+SCREEN_S = 1.0
+"""How often a screen is drawn: at 9600 baud a line takes 0.1 s, and some ten change."""
+
+
+def watch(
+    ending: Ending,
+    lines: Lines,
+    step: Callable[[], object],
+    status: Callable[[], str],
+    screen: Callable[[int, int], Sequence[str]] | None = None,
+) -> None:
+    """Wait for the end of a run, with a status line below the log lines on a terminal; call `step` meanwhile.
+
+    A `screen`, lines by columns and rows, is drawn instead where there is one.
+    """
+    if screen is None:
+        clear = CLEAR_LINE if is_terminal() else ""
+        while ending.wait():
+            step()
+            lines.write(clear)
+            if clear:
+                note(status(), newline=False, control=clear)
+        note("", newline=False, control=clear)
+        return
+    from imumon.view.terminal import Screen
+
+    drawn_s = -math.inf
+    with closing(Screen(lambda text: note("", newline=False, control=text))) as shown:
+        while ending.wait():
+            step()
+            if time.monotonic() - drawn_s >= SCREEN_S:
+                drawn_s = time.monotonic()
+                columns, rows = os.get_terminal_size(sys.stderr.fileno())
+                shown.show(screen(columns, rows), columns, rows)
 
 
 class Keys:

@@ -2,20 +2,14 @@
 
 from __future__ import annotations
 
-import math
-import os
 import shlex
-import sys
-import time
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 import click
 
 from imumon.cli.common import (
-    CLEAR_LINE,
     PATH,
     SECONDS,
     View,
@@ -25,12 +19,11 @@ from imumon.cli.common import (
     device_help,
     is_terminal,
     json_option,
-    note,
     print_result,
     serial_option,
     window_option,
 )
-from imumon.cli.live_run import Keys, PortRun, single_keys
+from imumon.cli.live_run import Keys, PortRun, single_keys, watch
 from imumon.cli.setup_options import SetupOptions, make_setup, setup_options
 from imumon.errors import EXIT_NEGATIVE, EXIT_OK, ImumonError, Reason
 from imumon.wings import offers
@@ -182,44 +175,33 @@ class _Views:
         self._recorder.close()
 
 
-SCREEN_S = 1.0
-"""At 9600 baud a line takes 0.1 s; some ten change."""
 KEYS = "m: mark  s: start, stop"
 
 
 def _watch(live: PortRun, views: _Views) -> None:
-    """Wait for the end: renew a status line below the log lines, or once a second a screen that has both."""
-    from imumon.view.terminal import Screen
+    """Wait for the end, and look after keys, views and the pipeline."""
+    run, lines, view, stopped = live.run, live.lines, views.terminal, False
 
-    run, lines, view = live.run, live.lines, views.terminal
-    interactive = is_terminal() and view is None
-    clear = CLEAR_LINE if interactive else ""
-    drawn, stopped = -math.inf, False
-    with ExitStack() as stack:
-        keys = stack.enter_context(single_keys())
-        screen = Screen(lambda text: note("", newline=False, control=text)) if view is not None else None
-        if screen is not None:
-            stack.callback(screen.close)
-        if keys.possible and interactive:
-            lines.put("INFO", f"keys: {KEYS}")
+    def step() -> None:
+        nonlocal stopped
+        marking.take()
+        views.announce(lines.put)
+        if not run.processing and not stopped:
+            stopped = True
+            lines.put("ERROR", "decoding stopped; reading and recording go on, decode the session afterwards")
+
+    def status() -> str:
+        return status_line(run.progress) + views.state
+
+    with single_keys() as keys:
         marking = _Marking(run, keys)
-        while live.ending.wait():
-            marking.take()
-            views.announce(lines.put)
-            if not run.processing and not stopped:
-                stopped = True
-                text = "decoding stopped; reading and recording go on, decode the session afterwards"
-                lines.put("ERROR", text)
-            status = status_line(run.progress) + views.state
-            if view is None or screen is None:
-                lines.write(clear)
-                if interactive:
-                    note(status, newline=False, control=clear)
-            elif time.monotonic() - drawn >= SCREEN_S:
-                drawn = time.monotonic()
-                columns, rows = os.get_terminal_size(sys.stderr.fileno())
-                screen.show(view.lines(columns, rows, f"{status}  {KEYS}"), columns, rows)
-    note("", newline=False, control=clear)
+        if view is not None:
+            draw = view.lines
+            watch(live.ending, lines, step, status, lambda c, r: draw(c, r, f"{status()}  {KEYS}"))
+            return
+        if keys.possible and is_terminal():
+            lines.put("INFO", f"keys: {KEYS}")
+        watch(live.ending, lines, step, status)
 
 
 class _Marking:
