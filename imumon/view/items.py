@@ -279,14 +279,16 @@ def merge(items: Iterable[ViewItem]) -> list[ViewItem]:
 
 
 def _joined(run: list[Samples]) -> Samples:
-    first = run[0]
     if len(run) == 1:
-        return first
-    device, host = (
-        None if times[0] is None else np.concatenate(times)
-        for times in ([item.device_ns for item in run], [item.host_ns for item in run])
-    )
-    return Samples(first.first, device, host, join([item.block for item in run]), first.stream)
+        return run[0]
+    device = _joined_times([item.device_ns for item in run])
+    host = _joined_times([item.host_ns for item in run])
+    return Samples(run[0].first, device, host, join([item.block for item in run]), run[0].stream)
+
+
+def _joined_times(times: list[IntArray | None]) -> IntArray | None:
+    present = [part for part in times if part is not None]
+    return np.concatenate(present) if present else None
 
 
 class DropOldestQueue:
