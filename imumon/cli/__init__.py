@@ -91,7 +91,7 @@ class _LazyGroup(click.Group):
     """Knows the names of its commands without importing them: the help must not wait for numpy."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        return list(_listed(ctx))
+        return [name for lines in _listed(ctx).values() for name in lines]
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if ctx.params.get("without_plugins"):  # before the command is imported, which may query the wings
@@ -113,11 +113,9 @@ class _LazyGroup(click.Group):
         return super().parse_args(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        for group in GROUPS:
-            lines = [(name, one.help) for name, one in _listed(ctx).items() if one.group == group]
-            if lines:
-                with formatter.section(group):
-                    formatter.write_dl(lines)
+        for group, lines in _listed(ctx).items():
+            with formatter.section(group):
+                formatter.write_dl([*lines.items()])
 
 
 def _short_help(ctx: click.Context) -> str:
@@ -128,22 +126,22 @@ def _short_help(ctx: click.Context) -> str:
         first = [(f"imumon {usage}", commands()[usage.split()[0]].help) for usage in START]
         formatter.write_dl(first, col_max=40)
     with formatter.section("All commands"):
-        names = [
-            (group, ", ".join(name for name, one in _listed(ctx).items() if one.group == group))
-            for group in GROUPS
-        ]
-        formatter.write_dl([(group, text) for group, text in names if text])
+        formatter.write_dl([(group, ", ".join(lines)) for group, lines in _listed(ctx).items()])
     formatter.write_paragraph()
     formatter.write_text("imumon --help has a line on each command, imumon COMMAND --help all about one.")
     return formatter.getvalue().rstrip("\n")
 
 
-def _listed(ctx: click.Context) -> dict[str, Command]:
-    """Return what the help lists; a wing that does not load is left out, `imumon plugins` says why."""
+def _listed(ctx: click.Context) -> dict[str, dict[str, str]]:
+    """Return help lines by group and command, without a wing that does not load: see `imumon plugins`."""
     try:
-        return commands(of_plugins=not ctx.params.get("without_plugins"))
+        known = commands(of_plugins=not ctx.params.get("without_plugins"))
     except ImumonError:
-        return commands()
+        known = commands()
+    found: dict[str, dict[str, str]] = {}
+    for name, command in known.items():
+        found.setdefault(command.group, {})[name] = command.help
+    return found
 
 
 @click.group(
