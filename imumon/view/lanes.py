@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Mapping
+from contextlib import suppress
 from datetime import datetime
 
 import numpy as np
@@ -60,26 +60,15 @@ def states_text(states: Mapping[str, str]) -> str:
 LOG_TEXT = "/log_text"
 """Entity of the text; all lines are in the log of the session."""
 LINES = 30
+"""So many of the newest are shown."""
 QUIET = ("INFO", "DEBUG", "TRACE")
 """Levels that are not shown."""
 
 
-class LogText:
-    """Keeps the last lines, the newest first."""
-
-    def __init__(self) -> None:
-        self._lines: deque[str] = deque(maxlen=LINES)
-
-    @property
-    def text(self) -> str:
-        """The lines as Markdown."""
-        return "\n\n".join(self._lines)
-
-    def add(self, line: Log) -> str:
-        """Take a line; return the text with it."""
-        mark = "" if line.level in QUIET else f"**{line.level}** "
-        self._lines.appendleft(f"`{clock(line.at.host_ns)}` {mark}{for_markdown(line.text)}")
-        return self.text
+def markdown(line: Log) -> str:
+    """Return a line with the time of the wall clock, and its level where that matters."""
+    mark = "" if line.level in QUIET else f"**{line.level}** "
+    return f"`{clock(line.at.host_ns)}` {mark}{for_markdown(line.text)}"
 
 
 def dated(line: Log) -> str:
@@ -90,9 +79,7 @@ def dated(line: Log) -> str:
 
 def clock(host_ns: int | None) -> str:
     """Return the time of day where this program runs; dashes where it is not known or damaged."""
-    if host_ns is None:
-        return "--:--:--"
-    try:
-        return datetime.fromtimestamp(host_ns * 1e-9).astimezone().strftime("%H:%M:%S")
-    except (OverflowError, OSError, ValueError):  # a damaged time
-        return "--:--:--"
+    if host_ns is not None:
+        with suppress(OverflowError, OSError, ValueError):  # a damaged time
+            return datetime.fromtimestamp(host_ns * 1e-9).astimezone().strftime("%H:%M:%S")
+    return "--:--:--"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections import deque
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Any
@@ -28,7 +29,7 @@ from imumon.view.items import (
     ViewItem,
     ViewSetup,
 )
-from imumon.view.lanes import COLORED_STATES, LOG_TEXT, LogText, declare_lane, lane_path, lane_place
+from imumon.view.lanes import COLORED_STATES, LINES, LOG_TEXT, declare_lane, lane_path, lane_place, markdown
 from imumon.view.layout import DEVICE
 from imumon.view.panel_log import Others, PanelLog
 from imumon.view.pictures import Painter
@@ -62,7 +63,8 @@ class StreamLogger:
         self._lasting: dict[str, Event] = {}
         self._early: list[Event] = []
         self._has_log = False
-        self._log_text = LogText()
+        self._lines: deque[str] = deque(maxlen=LINES)
+        """The newest log lines, the last one first."""
         self._timeline = "host_time"
         self._arranged: tuple[Contents, str] | None = None
         self._arranged_s = -math.inf
@@ -165,7 +167,11 @@ class StreamLogger:
                 self._log_kind(found, times)
 
     def _log_lines(self, lines: Sequence[Log], times: Rows, *, again: bool) -> None:
-        texts = [self._log_text.text if again else self._log_text.add(line) for line in lines]
+        texts = []
+        for line in lines:
+            if not again:
+                self._lines.appendleft(markdown(line))
+            texts.append("\n\n".join(self._lines))
         if times.indexes:
             self._has_log = True
             log_markdown(self._rec, LOG_TEXT, texts, times)
@@ -209,7 +215,7 @@ class StreamLogger:
             return
         self._log_events(list(self._lasting.values()), again=True)
         if self._has_log:
-            log_markdown(self._rec, LOG_TEXT, [self._log_text.text], self._newest)
+            log_markdown(self._rec, LOG_TEXT, ["\n\n".join(self._lines)], self._newest)
 
     def _arrange(self) -> None:
         """Send the blueprint when what there is to see has changed."""
