@@ -197,7 +197,13 @@ def _watch(live: PortRun, views: _Views) -> None:
         marking = _Marking(run, keys)
         if view is not None:
             draw = view.lines
-            watch(live.ending, lines, step, status, lambda c, r: draw(c, r, f"{status()}  {KEYS}"))
+            watch(
+                live.ending,
+                lines,
+                step,
+                status,
+                lambda columns, rows: draw(columns, rows, f"{status()}  {KEYS}"),
+            )
             return
         if keys.possible and is_terminal():
             lines.put("INFO", f"keys: {KEYS}")
