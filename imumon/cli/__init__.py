@@ -10,9 +10,8 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
-from functools import cache
+from contextlib import suppress
+from functools import cache, partial
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING
 
@@ -39,10 +38,10 @@ through it again and again took a tenth of the time that a recording needs to be
 OWN = {
     "Watch and record": {
         "monitor": ("monitor_command:command", "Record a device and watch it live."),
-        "replay": ("replay_command:command", "Run a recording again, bit for bit."),
-        "view": ("view_command:command", "Show several sessions on one time axis."),
-        "mark": ("session_commands:mark", "Put a word into a recording while it runs."),
-        "recover": ("session_commands:recover", "Finish a session that was interrupted or damaged."),
+        "replay": ("replay_commands:replay", "Run a recording again, bit for bit."),
+        "view": ("replay_commands:view", "Show several sessions on one time axis."),
+        "mark": ("table_commands:mark", "Put a word into a recording while it runs."),
+        "recover": ("table_commands:recover", "Finish a session that was interrupted or damaged."),
     },
     "Data in and out": {
         "decode": ("table_commands:decode", "Turn a raw capture or a session into a table."),
@@ -56,7 +55,7 @@ OWN = {
     "Devices": {
         "doctor": ("computer_commands:doctor", "Check what this computer lacks."),
         "ports": ("computer_commands:ports", "List serial ports."),
-        "detect": ("detect_command:command", "Find device and baud rate of a port."),
+        "detect": ("computer_commands:detect", "Find device and baud rate of a port."),
         "devices": ("computer_commands:devices", "List the devices that imumon knows."),
         "plugins": ("computer_commands:plugins", "List what other packages add, and whether it loads."),
     },
@@ -92,11 +91,14 @@ class _LazyGroup(click.Group):
     """Knows the names of its commands without importing them: the help must not wait for numpy."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        return list(_listed(ctx))
+        return [name for lines in _listed(ctx).values() for name in lines]
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        if ctx.params.get("without_plugins"):
-            ctx.with_resource(_without_plugins())  # before the command is imported, which may query the wings
+        if ctx.params.get("without_plugins"):  # before the command is imported, which may query the wings
+            from imumon.plugins import WITHOUT  # not for --help: it loads importlib.metadata
+
+            os.environ[WITHOUT] = "1"
+            ctx.call_on_close(partial(os.environ.pop, WITHOUT, None))
         found = commands().get(cmd_name) or commands(of_plugins=True).get(cmd_name)
         if found is None:
             return None
@@ -111,11 +113,9 @@ class _LazyGroup(click.Group):
         return super().parse_args(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        for group in GROUPS:
-            lines = [(name, one.help) for name, one in _listed(ctx).items() if one.group == group]
-            if lines:
-                with formatter.section(group):
-                    formatter.write_dl(lines)
+        for group, lines in _listed(ctx).items():
+            with formatter.section(group):
+                formatter.write_dl([*lines.items()])
 
 
 def _short_help(ctx: click.Context) -> str:
@@ -126,22 +126,22 @@ def _short_help(ctx: click.Context) -> str:
         first = [(f"imumon {usage}", commands()[usage.split()[0]].help) for usage in START]
         formatter.write_dl(first, col_max=40)
     with formatter.section("All commands"):
-        names = [
-            (group, ", ".join(name for name, one in _listed(ctx).items() if one.group == group))
-            for group in GROUPS
-        ]
-        formatter.write_dl([(group, text) for group, text in names if text])
+        formatter.write_dl([(group, ", ".join(lines)) for group, lines in _listed(ctx).items()])
     formatter.write_paragraph()
     formatter.write_text("imumon --help has a line on each command, imumon COMMAND --help all about one.")
     return formatter.getvalue().rstrip("\n")
 
 
-def _listed(ctx: click.Context) -> dict[str, Command]:
-    """Return what the help lists; a wing that does not load is left out, `imumon plugins` says why."""
+def _listed(ctx: click.Context) -> dict[str, dict[str, str]]:
+    """Return help lines by group and command, without a wing that does not load: see `imumon plugins`."""
     try:
-        return commands(of_plugins=not ctx.params.get("without_plugins"))
+        known = commands(of_plugins=not ctx.params.get("without_plugins"))
     except ImumonError:
-        return commands()
+        known = commands()
+    found: dict[str, dict[str, str]] = {}
+    for name, command in known.items():
+        found.setdefault(command.group, {})[name] = command.help
+    return found
 
 
 @click.group(
@@ -154,20 +154,6 @@ def _listed(ctx: click.Context) -> dict[str, Command]:
 @click.option("--without-plugins", is_flag=True, help="Load nothing that other packages add.")
 def cli(without_plugins: bool) -> None:
     """Watch, record and understand an IMU or AHRS on the bench."""
-
-
-@contextmanager
-def _without_plugins() -> Iterator[None]:
-    """Load no plug-ins, in child processes neither."""
-    from imumon.plugins import WITHOUT  # not for --help: it loads importlib.metadata
-
-    before = os.environ.get(WITHOUT)
-    os.environ[WITHOUT] = "1"
-    try:
-        yield
-    finally:
-        if before is None:
-            del os.environ[WITHOUT]
 
 
 def main() -> None:

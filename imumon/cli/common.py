@@ -43,7 +43,9 @@ def described_range(kind: click.IntRange | click.FloatRange, what: str = "") -> 
 class Number(click.FloatRange):
     """A number in a range; NaN, which compares as if it were in any range, is refused."""
 
-    name = "number"
+    def __init__(self, name: str = "number", **limits: Any) -> None:
+        super().__init__(**limits)
+        self.name = name
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
         """Return the number."""
@@ -58,12 +60,6 @@ class Number(click.FloatRange):
         return described_range(self, "seconds" if self.name == "seconds" else "")
 
 
-class Seconds(Number):
-    """A length of time."""
-
-    name = "seconds"
-
-
 class Whole(click.IntRange):
     """A whole number in a range."""
 
@@ -71,7 +67,7 @@ class Whole(click.IntRange):
     _describe_range = described_range
 
 
-SECONDS = Seconds(min=0, min_open=True, max=1e9)
+SECONDS = Number("seconds", min=0, min_open=True, max=1e9)
 """A length of time; the system cannot wait for much more."""
 PATH = click.Path(path_type=Path)
 TABLE = "Table to write: NAME.parquet, .csv, .npz, .mat, or .mcap (ROS 2)."
@@ -92,7 +88,7 @@ window_option = click.option(
     "--window",
     default=30,
     show_default=True,
-    type=Seconds(min=1, max=86_400),
+    type=Number("seconds", min=1, max=86_400),
     help="Length of time that the strips of the view show.",
 )
 bind_option = click.option(
@@ -129,6 +125,15 @@ def print_result(as_json: bool, data: Mapping[str, Any], rows: Mapping[str, str]
     if as_json:
         print_json(data)
     print_rows(rows)
+
+
+def print_listing(as_json: bool, data: Mapping[str, Any], lines: Iterable[str]) -> None:
+    """Write what there is on standard output: lines for a person, with ``--json`` the data."""
+    if as_json:
+        print_json(data)
+    else:
+        for line in lines:
+            show(line)
 
 
 def split_columns(text: str | None) -> list[str] | None:

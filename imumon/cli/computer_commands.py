@@ -1,14 +1,35 @@
-"""``imumon doctor``, ``ports``, ``devices``, ``plugins``: what there is on this computer."""
+"""``imumon doctor``, ``ports``, ``detect``, ``devices``, ``plugins``: what there is on this computer."""
 
 from __future__ import annotations
 
+import json
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-from imumon.cli.common import PATH, json_option, note, print_json, show
-from imumon.errors import EXIT_NEGATIVE, EXIT_OK
+from imumon.cli.common import (
+    PATH,
+    SECONDS,
+    Whole,
+    device_help,
+    json_option,
+    note,
+    print_json,
+    print_listing,
+    print_table,
+    results_folder,
+    show,
+)
+from imumon.errors import EXIT_NEGATIVE, EXIT_OK, ImumonError, Reason
+from imumon.files import check_output, plain, write_text
+from imumon.version import __version__
+
+if TYPE_CHECKING:
+    from imumon.transport.detect import Evidence
+    from imumon.transport.settings import PortSettings
 
 COLOURS = {"good": "green", "warning": "yellow", "fault": "red"}
 
@@ -50,13 +71,10 @@ def ports(as_json: bool) -> None:
     from imumon.transport.ports import list_ports
 
     found = list_ports()
-    if as_json:
-        print_json({"ports": [{**asdict(port), "usb_id": port.usb_id} for port in found]})
-        return
-    if not found:
+    if not found and not as_json:
         note("no serial ports exist; imumon virtual makes one without hardware")
+    lines = []
     for port in found:
-        show(str(port))
         facts = {
             "stable name": port.by_id,
             "driver": port.driver,
@@ -65,9 +83,8 @@ def ports(as_json: bool) -> None:
             "open in": ", ".join(port.holders),
             "access": None if port.accessible else "not for this user",
         }
-        for label, text in facts.items():
-            if text:
-                show(f"    {label:<14} {text}")
+        lines += [str(port), *(f"    {label:<14} {text}" for label, text in facts.items() if text)]
+    print_listing(as_json, {"ports": [{**asdict(port), "usb_id": port.usb_id} for port in found]}, lines)
 
 
 @click.command("devices")
@@ -86,15 +103,15 @@ def devices(name: str | None, as_json: bool) -> None:
         load_device(name)
         show(device_text(name)[0], newline=False)
         return
-    known = [load_device(one) for one in device_names()]
-    if as_json:
-        keys = {"title", "verified", "protocol", "rate_hz", "axes"}
-        rates = {device.name: {"baudrates": list(device.serial.baudrates)} for device in known}
-        print_json({device.name: device.model_dump(include=keys) | rates[device.name] for device in known})
-        return
-    for device in known:
-        show(f"{device.name:<14} {device.title} ({device.protocol}, {device.serial.baudrates[0]} baud)")
-        show(f"{'':<14} checked against {device.verified}")
+    data: dict[str, object] = {}
+    lines = []
+    for device in map(load_device, device_names()):
+        rates = list(device.serial.baudrates)
+        facts = device.model_dump(include={"title", "verified", "protocol", "rate_hz", "axes"})
+        data[device.name] = facts | {"baudrates": rates}
+        lines.append(f"{device.name:<14} {device.title} ({device.protocol}, {rates[0]} baud)")
+        lines.append(f"{'':<14} checked against {device.verified}")
+    print_listing(as_json, data, lines)
 
 
 @click.command("plugins")
@@ -110,12 +127,157 @@ def plugins(as_json: bool) -> int:
     from imumon.run.doctor import installed
 
     found = installed()
-    if as_json:
-        print_json({"plugins": [asdict(plugin) for plugin in found]})
-    elif not found:
-        show("no plug-ins")
-    for plugin in () if as_json else found:
-        show(f"{plugin.name:<14} {plugin.group} of {plugin.package} {plugin.version}".rstrip())
+    lines = [] if found else ["no plug-ins"]
+    for plugin in found:
+        lines.append(f"{plugin.name:<14} {plugin.group} of {plugin.package} {plugin.version}".rstrip())
         brings = f"loads; brings {', '.join(plugin.brings) or 'nothing'}"
-        show(f"{'':<14} {f'does NOT load: {plugin.problem}' if plugin.problem else brings}")
+        lines.append(f"{'':<14} {f'does NOT load: {plugin.problem}' if plugin.problem else brings}")
+    print_listing(as_json, {"plugins": [asdict(plugin) for plugin in found]}, lines)
     return EXIT_NEGATIVE if any(plugin.problem for plugin in found) else EXIT_OK
+
+
+@click.command("detect")
+@click.argument("port")
+@click.option("--device", "names", multiple=True, help=device_help + "  May be repeated; default: all.")
+@click.option("--baud", "rates", multiple=True, type=Whole(min=1), help="Rate to try; may be repeated.")
+@click.option("--seconds", default=1.5, show_default=True, type=SECONDS, help="Time at each rate.")
+@click.option(
+    "--propose",
+    "proposed",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="Write the proposed device file of an unknown device here; the file must not exist.",
+)
+@click.option(
+    "--save",
+    "folder",
+    type=PATH,
+    metavar="FOLDER",
+    help="Keep the bytes of each baud rate (RATE.bin) and evidence.json in a new folder, to report a device.",
+)
+@json_option
+def detect(
+    port: str,
+    names: tuple[str, ...],
+    rates: tuple[int, ...],
+    seconds: float,
+    proposed: Path | None,
+    folder: Path | None,
+    as_json: bool,
+) -> None:
+    """Find baud rate and protocol of the device on PORT by trying, and show the evidence.
+
+    \b
+    imumon detect /dev/ttyUSB0
+    imumon detect /dev/ttyUSB0 --save device-report   # to report a device
+
+    The port is opened at one baud rate after the other, and every known device is tried on the bytes that
+    arrive.  If the device is unknown but sends lines of text or binary packets of fixed length, imumon
+    proposes a device file with its reasons: check it, and give its path as --device.
+
+    Exit code 0: a device was found.  3: the port cannot be opened, no bytes arrived, or the bytes are
+    not packets of any device that was tried.
+    """
+    from imumon.protocols.device import device_names, load_device
+    from imumon.transport.detect import Verdict, baudrates_to_try, failure
+    from imumon.transport.detect import detect as try_devices
+
+    if proposed is not None:
+        check_output(proposed)
+    if folder is not None and folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
+        raise ImumonError(Reason.EXISTS, f"{folder} is there already", "give the name of a new folder")
+    received = dict[int | None, bytearray]()
+
+    def begin(settings: PortSettings) -> None:
+        rate = settings.baudrate if settings.has_line else None
+        received[rate] = bytearray()
+        note(f"listening to {settings.url if rate is None else f'{rate} baud'}")
+
+    def keep(data: bytes) -> None:
+        received[next(reversed(received))].extend(data)
+
+    devices = {name: load_device(name) for name in names or device_names()}
+    own_rates = [rate for device in devices.values() for rate in device.serial.baudrates[:1]]
+    evidence = try_devices(
+        port,
+        {name: device.decoder for name, device in devices.items()},
+        list(rates) or baudrates_to_try(own_rates),
+        seconds,
+        begin,
+        keep,
+    )
+    wrong = failure(port, evidence)
+    fit = [item for item in evidence if item.verdict is Verdict.FRAMES]
+    proposal = _propose(received, evidence) if wrong else None
+    found = [{"device": item.protocol, "baudrate": item.baudrate} for item in fit]
+    rows = [{**asdict(e), "share_framed": e.share_framed, "verdict": e.verdict.value} for e in evidence]
+    data = {"found": next(iter(found), None), "fit": found, "evidence": rows, "proposal": proposal}
+    if folder is not None:
+        _save(folder, received, data)
+    if as_json:
+        print_json(data)
+    else:
+        _show(evidence)
+        _suggest(port, fit)
+        if proposal:
+            show(f"\nno device file describes what came; this one may:\n\n{proposal}")
+    if proposal and proposed:
+        write_text(proposed, proposal)
+        note(f"look at {proposed}, then: imumon monitor {port} --device {proposed}")
+    if wrong:
+        raise wrong
+
+
+def _save(folder: Path, received: Mapping[int | None, bytearray], data: Mapping[str, object]) -> None:
+    """Write the bytes of each rate, and what was found in them, without the name of computer or port."""
+    names = {rate: "port.bin" if rate is None else f"{rate}.bin" for rate in received}
+    with results_folder(folder):
+        for rate, name in names.items():
+            (folder / name).write_bytes(received[rate])
+        facts = {"imumon": __version__, "files": [*names.values()], **data}
+        write_text(folder / "evidence.json", json.dumps(plain(facts), indent=2) + "\n")
+    note(f"{folder} has the bytes of {len(names)} baud rate(s) and evidence.json")
+
+
+def _propose(received: dict[int | None, bytearray], evidence: list[Evidence]) -> str | None:
+    """Return a device file for lines of text, or for binary packets of fixed length at one of the rates."""
+    from imumon.protocols import binary_proposal, text_proposal
+    from imumon.transport.detect import Verdict
+
+    last = max(evidence, key=lambda item: (item.tells_the_rate, item.text_share), default=None)
+    if last is not None and last.tells_the_rate:
+        return text_proposal.propose(bytes(received[last.baudrate]), last.seconds, last.baudrate)
+    if any(item.verdict is Verdict.PARTLY for item in evidence):
+        return None  # a known device whose bytes are damaged
+    seconds = {item.baudrate: item.seconds for item in evidence}
+    tried = [binary_proposal.propose(bytes(received[rate]), s, rate) for rate, s in seconds.items()]
+    found = max((one for one in tried if one is not None), key=lambda one: one[:2], default=None)
+    return found.text if found is not None else None
+
+
+def _suggest(port: str, fit: list[Evidence]) -> None:
+    """Show the command for each device that fits."""
+    if len(fit) > 1:
+        show("\nmore than one fits; the columns and their units show which it is")
+    for item in fit:
+        rate = f" --baud {item.baudrate}" if item.baudrate is not None else ""
+        show(f"\n{item.protocol}: imumon monitor {port} --device {item.protocol}{rate}")
+
+
+def _show(evidence: list[Evidence]) -> None:
+    from rich.table import Column
+
+    names = ("device", "baud", "bytes/s", "packets", "samples", "framed", "damaged", "verdict")
+    rows = (
+        (
+            item.protocol,
+            "-" if item.baudrate is None else str(item.baudrate),
+            f"{item.bytes_per_s:.0f}",
+            str(item.packets),
+            str(item.samples),
+            f"{item.share_framed:.0%}",
+            str(item.checksum_errors),
+            item.verdict.value,
+        )
+        for item in evidence
+    )
+    print_table([Column(name, no_wrap=name != names[-1]) for name in names], rows)

@@ -1,17 +1,21 @@
-"""What the commands that record a port share: settings, session, signals, log lines."""
+"""What the commands that record a port share: settings, session, signals, log lines, single keys."""
 
 from __future__ import annotations
 
 import gc
 import math
+import os
+import select
 import signal
 import sys
 import threading
 import time
+from collections.abc import Iterator
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from imumon.cli.common import INTERRUPTED, note, say
+from imumon.cli.common import CLEAR_LINE, INTERRUPTED, is_terminal, note, say
 from imumon.errors import ImumonError, Reason
 from imumon.heap import prepare_heap
 from imumon.recordings import lines
@@ -147,3 +151,95 @@ class Lines(lines.Lines):
         for level, text in self.take():
             note("", newline=False, control=before)
             say(level, text)
+
+
+SCREEN_S = 1.0
+"""How often a screen is drawn: at 9600 baud a line takes 0.1 s, and some ten change."""
+
+
+def watch(
+    ending: Ending,
+    lines: Lines,
+    step: Callable[[], object],
+    status: Callable[[], str],
+    screen: Callable[[int, int], Sequence[str]] | None = None,
+) -> None:
+    """Wait for the end of a run, with a status line below the log lines on a terminal; call `step` meanwhile.
+
+    A `screen`, lines by columns and rows, is drawn instead where there is one.
+    """
+    if screen is None:
+        clear = CLEAR_LINE if is_terminal() else ""
+        while ending.wait():
+            step()
+            lines.write(clear)
+            if clear:
+                note(status(), newline=False, control=clear)
+        note("", newline=False, control=clear)
+        return
+    from imumon.view.terminal import Screen
+
+    drawn_s = -math.inf
+    with closing(Screen(lambda text: note("", newline=False, control=text))) as shown:
+        while ending.wait():
+            step()
+            if time.monotonic() - drawn_s >= SCREEN_S:
+                drawn_s = time.monotonic()
+                columns, rows = os.get_terminal_size(sys.stderr.fileno())
+                shown.show(screen(columns, rows), columns, rows)
+
+
+class Keys:
+    """Reads keys as they are pressed, without waiting; none where standard input is no terminal."""
+
+    def __init__(self, descriptor: int | None) -> None:
+        self._descriptor = descriptor
+
+    @property
+    def possible(self) -> bool:
+        """Whether keys can come now; the system stops who reads a terminal from the background."""
+        if self._descriptor is None:
+            return False
+        try:
+            return os.tcgetpgrp(self._descriptor) == os.getpgrp()
+        except OSError:  # a terminal that controls no job
+            return True
+
+    def pressed(self) -> str:
+        """Return the keys since the last time."""
+        if self._descriptor is None or not self.possible:
+            return ""
+        try:
+            if not select.select([self._descriptor], [], [], 0)[0]:
+                return ""
+            pressed = os.read(self._descriptor, 100)
+        except OSError:
+            pressed = b""
+        if not pressed:  # the terminal was closed
+            self._descriptor = None
+        return pressed.decode(errors="replace")
+
+
+@contextmanager
+def single_keys() -> Iterator[Keys]:
+    """Let keys come without Enter and unseen, and give the terminal back as it was; Ctrl-C stays a signal.
+
+    None come to a command in the background.
+    """
+    keys = Keys(sys.stdin.fileno() if sys.stdin is not None and sys.stdin.isatty() else None)
+    if not keys.possible or sys.platform == "win32":
+        yield Keys(None)
+        return
+    import termios
+    import tty
+
+    before = termios.tcgetattr(sys.stdin)
+    tty.setcbreak(sys.stdin, termios.TCSANOW)
+    try:
+        yield keys
+    finally:
+        # The system would stop a command in the background that sets the terminal.
+        held = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTTOU})
+        with suppress(OSError, termios.error):  # the terminal was closed
+            termios.tcsetattr(sys.stdin, termios.TCSANOW, before)
+        signal.pthread_sigmask(signal.SIG_SETMASK, held)

@@ -2,20 +2,14 @@
 
 from __future__ import annotations
 
-import math
-import os
 import shlex
-import sys
-import time
 from collections.abc import Callable, Sequence
-from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 import click
 
 from imumon.cli.common import (
-    CLEAR_LINE,
     PATH,
     SECONDS,
     View,
@@ -25,13 +19,11 @@ from imumon.cli.common import (
     device_help,
     is_terminal,
     json_option,
-    note,
     print_result,
     serial_option,
     window_option,
 )
-from imumon.cli.keys import Keys, single_keys
-from imumon.cli.live_run import PortRun
+from imumon.cli.live_run import Keys, PortRun, single_keys, watch
 from imumon.cli.setup_options import SetupOptions, make_setup, setup_options
 from imumon.errors import EXIT_NEGATIVE, EXIT_OK, ImumonError, Reason
 from imumon.wings import offers
@@ -40,7 +32,6 @@ if TYPE_CHECKING:
     from imumon.run.live import LiveRun, LiveSummary
     from imumon.run.narration import Progress
     from imumon.view.items import ViewSetup
-    from imumon.view.terminal import TerminalView
 
 
 def _live_outputs(function: Callable[..., int]) -> Callable[..., int]:
@@ -184,56 +175,39 @@ class _Views:
         self._recorder.close()
 
 
-SCREEN_S = 1.0
-"""At 9600 baud a line takes 0.1 s; some ten change."""
 KEYS = "m: mark  s: start, stop"
 
 
 def _watch(live: PortRun, views: _Views) -> None:
-    """Wait for the end, with a status line or a screen on a terminal that can show one."""
-    with single_keys() as keys:
-        marking = _Marking(live.run, keys)
-        if views.terminal is not None:
-            _watch_in_terminal(live, views, views.terminal, marking)
-        else:
-            _watch_line(live, views, marking, keys.possible)
+    """Wait for the end, and look after keys, views and the pipeline."""
+    run, lines, view, stopped = live.run, live.lines, views.terminal, False
 
-
-def _watch_line(live: PortRun, views: _Views, marking: _Marking, has_keys: bool) -> None:
-    """Renew the status line until the end, and write log lines above it."""
-    interactive = is_terminal()
-    clear = CLEAR_LINE if interactive else ""
-    run, lines, stopped = live.run, live.lines, False
-    if has_keys and interactive:
-        lines.put("INFO", f"keys: {KEYS}")
-    while live.ending.wait():
+    def step() -> None:
+        nonlocal stopped
         marking.take()
         views.announce(lines.put)
         if not run.processing and not stopped:
             stopped = True
             lines.put("ERROR", "decoding stopped; reading and recording go on, decode the session afterwards")
-        lines.write(clear)
-        if interactive:
-            note(status_line(run.progress) + views.state, newline=False, control=clear)
-    note("", newline=False, control=clear)
 
+    def status() -> str:
+        return status_line(run.progress) + views.state
 
-def _watch_in_terminal(live: PortRun, views: _Views, view: TerminalView, marking: _Marking) -> None:
-    """Draw the screen once a second, until the end; log lines are on it."""
-    from imumon.view.terminal import Screen
-
-    screen = Screen(lambda text: note("", newline=False, control=text))
-    drawn = -math.inf
-    with closing(screen):
-        while live.ending.wait():
-            marking.take()
-            views.announce(live.lines.put)
-            if time.monotonic() - drawn < SCREEN_S:
-                continue
-            drawn = time.monotonic()
-            columns, rows = os.get_terminal_size(sys.stderr.fileno())
-            status = f"{status_line(live.run.progress)}{views.state}  {KEYS}"
-            screen.show(view.lines(columns, rows, status), columns, rows)
+    with single_keys() as keys:
+        marking = _Marking(run, keys)
+        if view is not None:
+            draw = view.lines
+            watch(
+                live.ending,
+                lines,
+                step,
+                status,
+                lambda columns, rows: draw(columns, rows, f"{status()}  {KEYS}"),
+            )
+            return
+        if keys.possible and is_terminal():
+            lines.put("INFO", f"keys: {KEYS}")
+        watch(live.ending, lines, step, status)
 
 
 class _Marking:

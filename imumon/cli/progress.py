@@ -7,7 +7,6 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 
 from imumon.cli.common import console, say
@@ -66,59 +65,48 @@ def progress_lines(state: Callable[[], str], *, quiet: bool) -> Iterator[None]:
         thread.join()
 
 
-@dataclass(frozen=True, slots=True)
 class ReadingProgress:
-    """How far work on recordings has come; called with what is being done now, it shows that."""
+    """How far work on a total has come; called with what is being done now, it shows that."""
 
-    count: Callable[[int], object]
-    """Takes how many more bytes were read."""
-    tell: Callable[[str], object]
+    def __init__(self, what: str, total: int | None) -> None:
+        self.what, self.total, self.done = for_log(what), total, 0
+        self.show: Callable[[], object] = lambda: None
+        """Draws the present state."""
+
+    def count(self, more: int) -> None:
+        """Add what was done since the last time."""
+        self.done += more
+        self.show()
 
     def __call__(self, text: str) -> None:
-        """Show what is being done now."""
-        self.tell(text)
+        """Show what is being done now, of which nobody knows how long it takes."""
+        self.what, self.total = for_log(text), None
+        self.show()
 
-
-Shown = Iterator[ReadingProgress]
+    def __str__(self) -> str:
+        return f"{self.what}: {self.done / self.total:.0%}" if self.total else self.what
 
 
 @contextmanager
-def bar(what: str, total: int | None, *, quiet: bool) -> Shown:
+def bar(what: str, total: int | None, *, quiet: bool) -> Iterator[ReadingProgress]:
     """Show how much of a total was done: a bar on a terminal, else lines; nothing when quiet."""
+    now = ReadingProgress(what, total)
     if not sys.stderr.isatty() or quiet:
-        with _lines(what, total, quiet=quiet) as shown:
-            yield shown
+        with progress_lines(now.__str__, quiet=quiet):
+            yield now
         return
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
     label, left = TextColumn("{task.description}", markup=False), TextColumn("left:")
     columns = (label, BarColumn(), TimeElapsedColumn(), left, TimeRemainingColumn())
     with Progress(*columns, console=console(error=True), transient=True) as drawn:
-        task = drawn.add_task(for_log(what), total=total)
-        yield ReadingProgress(
-            lambda more: drawn.advance(task, more),
-            lambda text: drawn.update(task, description=for_log(text), total=None),
-        )
+        task = drawn.add_task(now.what, total=total)
+        now.show = lambda: drawn.update(task, description=now.what, completed=now.done)
+        yield now
 
 
 @contextmanager
-def _lines(what: str, total: int | None, *, quiet: bool) -> Shown:
-    done, now = 0, ""
-
-    def count(more: int) -> None:
-        nonlocal done
-        done += more
-
-    def tell(text: str) -> None:
-        nonlocal now
-        now = text
-
-    with progress_lines(lambda: now or (f"{what}: {done / total:.0%}" if total else what), quiet=quiet):
-        yield ReadingProgress(count, tell)
-
-
-@contextmanager
-def reading_bar(paths: Sequence[Path], *, quiet: bool) -> Shown:
+def reading_bar(paths: Sequence[Path], *, quiet: bool) -> Iterator[ReadingProgress]:
     """Show how much of recordings has been read; then what follows, as the progress is called with it.
 
     `paths` are sessions, captures or tables, as they are read one after the other.

@@ -2,34 +2,26 @@
 
 from __future__ import annotations
 
-import math
-import os
-import sys
 import time
 from collections import deque
-from contextlib import closing
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from imumon.cli.common import (
-    CLEAR_LINE,
     PATH,
     SECONDS,
     View,
     bind_option,
     chosen_view,
-    is_terminal,
     json_option,
     note,
     print_json,
     print_rows,
     window_option,
 )
-from imumon.cli.live_run import Ending, Lines
-from imumon.cli.monitor_command import SCREEN_S
+from imumon.cli.live_run import Ending, Lines, watch
 from imumon.errors import EXIT_NEGATIVE, EXIT_OK, ImumonError
 
 if TYPE_CHECKING:
@@ -89,14 +81,10 @@ def command(
     ending, lines = Ending(seconds), Lines()
     publisher = _publisher(file, out, mode, window, bind)
     rack = Rack(out, lines.put, None if publisher is None else publisher.publish, window)
-    bench = _Bench(rack, watched, ending, lines)
     try:
         rack.change(plans)
         ending.begin()
-        if mode == "terminal":
-            bench.run_on_screen(file.stem)
-        else:
-            bench.run(publisher)
+        _watch(rack, watched, ending, lines, publisher, file.stem if mode == "terminal" else None)
     finally:
         rack.stop()
         if publisher is not None:
@@ -139,59 +127,40 @@ def trouble(unit: dict[str, Any]) -> str:
     return "; ".join(found)
 
 
-@dataclass(slots=True)
-class _Bench:
-    """A rack that is kept as its file says, until the end is asked for."""
+def _watch(
+    rack: Rack,
+    watched: Watched,
+    ending: Ending,
+    lines: Lines,
+    publisher: ViewPublisher | None,
+    title: str | None,
+) -> None:
+    """Keep a rack as its file says, until the end; with a title the terminal shows its table, else a line."""
+    from imumon.fleet.rack.description import load_rack
+    from imumon.fleet.rack.table import in_short, text_lines
 
-    rack: Rack
-    watched: Watched
-    ending: Ending
-    lines: Lines
+    log: deque[str] = deque(maxlen=LOG_LINES)
+    announced = ""
 
-    def run(self, publisher: ViewPublisher | None) -> None:
-        """Write log lines, and a status line on a terminal that can show one."""
-        from imumon.fleet.rack.table import in_short
+    def step() -> None:
+        nonlocal announced
+        rack.look()
+        if watched.has_changed():
+            try:
+                rack.change(load_rack(watched.path))
+            except ImumonError as error:  # a bad file changes nothing
+                lines.put("ERROR", f"{error.line}; the rack goes on as it is")
+        if publisher is not None and publisher.url not in ("", announced):
+            announced = publisher.url
+            lines.put("INFO", f"live view: {announced}")
 
-        interactive, announced = is_terminal(), ""
-        clear = CLEAR_LINE if interactive else ""
-        while self.ending.wait():
-            self._step()
-            if publisher is not None and publisher.url not in ("", announced):
-                announced = publisher.url
-                self.lines.put("INFO", f"live view: {announced}")
-            self.lines.write(clear)
-            if interactive:
-                view = "" if publisher is None else f"  view: {publisher.state}"
-                note(in_short(self.rack.rows) + view, newline=False, control=clear)
-        note("", newline=False, control=clear)
+    def status() -> str:
+        return in_short(rack.rows) + ("" if publisher is None else f"  view: {publisher.state}")
 
-    def run_on_screen(self, title: str) -> None:
-        """Draw the table once a second, the log below it."""
-        from imumon.fleet.rack.table import in_short, text_lines
-        from imumon.view.terminal import Screen
+    def screen(columns: int, rows: int) -> list[str]:
+        log.extend(f"{level} {text}" for level, text in lines.take())
+        shown = [f"rack {title}: {in_short(rack.rows)}", "", *text_lines(rack.rows), ""]
+        newest = list(log)[::-1][: max(rows - len(shown), 0)][::-1]
+        return [line[:columns] for line in [*shown, *newest][:rows]]
 
-        screen, drawn_s = Screen(lambda text: note("", newline=False, control=text)), -math.inf
-        log: deque[str] = deque(maxlen=LOG_LINES)
-        with closing(screen):
-            while self.ending.wait():
-                self._step()
-                log.extend(f"{level} {text}" for level, text in self.lines.take())
-                if time.monotonic() - drawn_s < SCREEN_S:
-                    continue
-                drawn_s = time.monotonic()
-                columns, rows = os.get_terminal_size(sys.stderr.fileno())
-                shown = [f"rack {title}: {in_short(self.rack.rows)}", "", *text_lines(self.rack.rows), ""]
-                newest = list(log)[::-1][: max(rows - len(shown), 0)][::-1]
-                screen.show([line[:columns] for line in [*shown, *newest][:rows]], columns, rows)
-
-    def _step(self) -> None:
-        """Look after the units, and read the file where it has changed; a bad one changes nothing."""
-        from imumon.fleet.rack.description import load_rack
-
-        self.rack.look()
-        if not self.watched.has_changed():
-            return
-        try:
-            self.rack.change(load_rack(self.watched.path))
-        except ImumonError as error:
-            self.lines.put("ERROR", f"{error.line}; the rack goes on as it is")
+    watch(ending, lines, step, status, None if title is None else screen)

@@ -37,6 +37,13 @@ GRAPHICS_CARDS = ("/dev/dri/renderD*", "/dev/nvidia[0-9]*")
 BYTES_PER_DAY = 400 * 60 * 86_400
 """A day of packets of 60 bytes at 400 Hz, as wire.mcap keeps them."""
 ANSWER_S = 10.0
+EXTRAS = {
+    "foxglove": "monitor --publish foxglove",
+    "ros2": "export --to mcap, import of ROS bags",
+    "autopilot": "import of .ulg",
+    "batch": "batch, sessions at URLs",
+}
+"""What the packages of each extra are for."""
 
 
 class State(Enum):
@@ -64,13 +71,29 @@ def examine(folder: Path) -> Iterator[Finding]:
 
 
 def packages() -> Iterator[Finding]:
-    """Name the versions of what imumon requires; `pip check` tells whether they fit."""
+    """Name the versions of what imumon requires, and what is missing; `pip check` tells whether they fit."""
     yield Finding("Python", State.GOOD, f"{platform.python_version()} on {platform.platform(terse=True)}")
-    required = [text for text in metadata.requires(DISTRIBUTION) or () if "extra ==" not in text]
-    names = [DISTRIBUTION, *(re.split(r"[^\w.-]", text)[0] for text in required)]
-    there = {distribution.name.lower() for distribution in metadata.distributions()}
-    versions = [f"{name} {metadata.version(name)}" for name in names if name.lower() in there]
+    there = {_canonical(one.name): one.version for one in metadata.distributions()}
+    names: dict[str, list[str]] = {"": [DISTRIBUTION]}
+    for text in metadata.requires(DISTRIBUTION) or ():
+        extra = re.search(r"extra == \W(\w+)", text)
+        names.setdefault(extra[1] if extra else "", []).append(_canonical(re.split(r"[^\w.-]", text)[0]))
+    missing = {extra: [one for one in of if one not in there] for extra, of in names.items()}
+    versions = [f"{name} {there[name]}" for name in names[""] if name in there]
     yield Finding("packages", State.GOOD, ", ".join(versions))
+    if lacking := missing.pop(""):
+        what = f"not installed: {', '.join(lacking)}; imumon needs each of them"
+        yield Finding("packages", State.FAULT, what, f"pip install {' '.join(lacking)}")
+    extras = [extra for extra in missing if missing[extra]]
+    if extras:
+        parts = [f"{', '.join(missing[extra])} (for {EXTRAS.get(extra, extra)})" for extra in extras]
+        remedy = f'where that is wanted: pip install "imumon[{",".join(extras)}]"'
+        yield Finding("optional packages", State.WARNING, f"not installed: {'; '.join(parts)}", remedy)
+
+
+def _canonical(name: str) -> str:
+    """Return the name of a package as all its spellings are written (PyPA, name normalization)."""
+    return re.sub(r"[-_.]+", "-", name).lower()
 
 
 def plug_ins() -> Iterator[Finding]:

@@ -18,13 +18,12 @@ SKIPPED = 0.25
 """Share of the bytes in no packet.  A length that is wrong by a byte loses every second packet."""
 
 LIMITS = {
-    "gyro": (*RANGES["gyro_"], "byte order, type and place of its fields"),
-    "accel": (*RANGES["accel_"], "byte order, type and place of its fields"),
-    "specific force": (*GRAVITIES, "times gravity", "byte order, scale and unit"),
+    "gyro": (*RANGES["gyro_"], 0.1, "byte order, type and place of its fields"),
+    "accel": (*RANGES["accel_"], 0.1, "byte order, type and place of its fields"),
+    "specific force": (*GRAVITIES, "times gravity", 0.5, "byte order, scale and unit"),
 }
-"""Least and greatest reading, the unit, and what in the device file readings beyond speak against."""
-IMPOSSIBLE = {"gyro": 0.1, "accel": 0.1, "specific force": 0.5}
-"""Share of readings beyond the limits: of floats with swapped bytes nearly half are."""
+"""Least and greatest reading, the unit, the share beyond that is too much (of floats with swapped bytes
+nearly half are), and what in the device file that speaks against."""
 
 
 class Doubts:
@@ -64,9 +63,9 @@ class Doubts:
                 f"{skipped / received:.0%} of the bytes are in no packet: is the {cause} right in the device"
                 " file?  Else the line is damaged, or something else sends on it"
             )
-        for name, (low, high, unit, cause) in LIMITS.items():
+        for name, (low, high, unit, share, cause) in LIMITS.items():
             beyond, count = self._counts[name]
-            if count >= LEAST_ROWS and beyond > IMPOSSIBLE[name] * count:
+            if count >= LEAST_ROWS and beyond > share * count:
                 texts.append(
                     f"{beyond / count:.0%} of the {name} readings are not within {low:g} to {high:g} {unit},"
                     f" as they must be: are {cause} right in the device file?"

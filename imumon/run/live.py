@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
+from itertools import groupby
 from pathlib import Path
 from queue import SimpleQueue
 from types import MappingProxyType
@@ -354,20 +355,16 @@ def arrived(items: SimpleQueue[Item]) -> Iterator[Reads | Event]:
     The time is slept through: to be woken by each read costs more than to decode it.
     """
     time.sleep(BATCH_S)
-    reads: list[Bytes] = []
-    for _ in range(items.qsize()):
-        item = items.get_nowait()
-        if isinstance(item, Bytes):
-            reads.append(item)
-            continue
-        if reads:
-            yield Reads.of(reads)
-            reads = []
-        yield item
-        if item.kind is EventKind.CLOSED:
-            return
-    if reads:
-        yield Reads.of(reads)
+    came = [items.get_nowait() for _ in range(items.qsize())]
+    for event, group in groupby(came, lambda item: isinstance(item, Event)):
+        run = list(group)
+        if not event:
+            yield Reads.of([item for item in run if isinstance(item, Bytes)])
+        for item in run:
+            if isinstance(item, Event):
+                yield item
+                if item.kind is EventKind.CLOSED:
+                    return
 
 
 def summary_of(counters: PipelineCounters, unrecorded: int | None = None) -> dict[str, Any]:

@@ -59,7 +59,10 @@ def recover(path: Path, device_name: str | None = None) -> Recovered:
         raise ImumonError(Reason.BAD_DATA, f"{path} is an imported session, which has no bytes", hint)
     refuse_recording(session.wire_path)
     source = source_of(session)
-    result = Recovered(session.path, _read_to_the_end(source))
+    assert isinstance(source.items, WireReader)
+    for _ in source.items.batches():
+        pass
+    result = Recovered(session.path, source.items.summary)
     sound = is_sound(result.before) and not bytes_missing(session, result.before)
     if sound and lost is None and session.state == "closed":
         result.warnings = source.warnings()
@@ -78,14 +81,6 @@ def recover(path: Path, device_name: str | None = None) -> Recovered:
         result.done.append(f"{METADATA_NAME}: closed, with the counters of what there is{made}")
     result.warnings = [*unknown, *source.warnings(), *warnings]
     return result
-
-
-def _read_to_the_end(source: Source) -> WireSummary:
-    """Read a wire file to its end, and return what it holds."""
-    assert isinstance(source.items, WireReader)
-    for _ in source.items.batches():
-        pass
-    return source.items.summary
 
 
 def _run_again(session: Session, source: Source) -> tuple[SessionMetadata, list[str]]:

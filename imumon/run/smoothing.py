@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 
 from imumon.estimation.attitude.stage import AttitudeEstimate
 from imumon.estimation.gyro_bias.stage import RestAndBias
 from imumon.estimation.smoothing.record import Record, Recorder, backward
-from imumon.estimation.smoothing.stage import Smoothed, SmoothedEstimates, still_heading
+from imumon.estimation.smoothing.stage import SmoothedEstimates, still_heading
 from imumon.estimation.temperature_rate.stage import TemperatureRate
-from imumon.pipeline import Estimator, SampleSink
+from imumon.pipeline import SampleSink
 from imumon.protocols.thermometer import TemperatureRateParameters
 from imumon.recordings.source import Source, run_over
 from imumon.run.setup import Setup, ZuptMode
@@ -22,30 +21,26 @@ NEEDED = (TemperatureRate, RestAndBias, AttitudeEstimate)
 
 
 def smoothed(source: Source, setup: Setup) -> SmoothedEstimates:
-    """Run over a recording, forward and backward; return the stage that puts the result beside its rows."""
+    """Run over a recording, forward and backward; return the stage that puts the result beside its rows.
+
+    The heading is that where the unit stood still, when the latitude is known.
+    """
     needed: tuple[type, ...] = NEEDED
     if setup.latitude_deg is not None:
-        from imumon.estimation.alignment.stage import Alignment
+        from imumon.estimation.alignment.stage import Alignment  # scipy.signal and .spatial take 0.7 s
 
         needed = (*NEEDED, Alignment)
     recorder = Recorder()
     pipeline = pipeline_of(source, setup, [SampleSink(recorder.add)], only=needed)
     for _ in run_over(source.items, pipeline):
         pass
-    record = recorder.finish()
+    record, heading = recorder.finish(), None
+    if setup.latitude_deg is not None:
+        stage = next(stage for stage in pipeline.estimators if isinstance(stage, Alignment))
+        heading = still_heading(record, stage.finish())
     given = source.device.temperature if source.device is not None else TemperatureRateParameters()
     against_time = backward(record, TemperatureRate(parameters=given), _bias(record, setup))
-    return SmoothedEstimates(record, against_time, _heading(record, pipeline.estimators, setup))
-
-
-def _heading(record: Record, stages: Sequence[Estimator], setup: Setup) -> Smoothed | None:
-    """Return the heading where the unit stood still, when the latitude is known."""
-    if setup.latitude_deg is None:
-        return None
-    from imumon.estimation.alignment.stage import Alignment
-
-    stage = next(stage for stage in stages if isinstance(stage, Alignment))
-    return still_heading(record, stage.finish())
+    return SmoothedEstimates(record, against_time, heading)
 
 
 def _bias(record: Record, setup: Setup) -> RestAndBias:

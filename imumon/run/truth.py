@@ -53,14 +53,6 @@ class MeanSquare:
         return math.sqrt(self.squares / self.count) if self.count else math.nan
 
 
-class Errors(MeanSquare):
-    """Errors of one quantity so far, in its unit, and `normalized`: each over its sigma."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.normalized = MeanSquare()
-
-
 @dataclass(slots=True, eq=False)
 class Truth:
     """The truth of a simulated session, and the errors of what was compared with it.
@@ -74,7 +66,8 @@ class Truth:
     true: Mapping[str, FloatArray]
     """What the estimates are compared with, (n,) each: gyro_bias_{x,y,z} in rad/s, temperatures in °C."""
     at_rest: IntArray
-    errors: dict[str, Errors] = field(default_factory=dict)
+    errors: dict[str, tuple[MeanSquare, MeanSquare]] = field(default_factory=dict)
+    """Of each quantity so far: in its unit, and over their sigmas."""
 
     def take(self, block: SampleBlock, estimates: Mapping[str, Estimate], *, at_rest: bool = False) -> None:
         """Compare estimates at the samples of a block.
@@ -89,11 +82,12 @@ class Truth:
             matched = matched & (self.at_rest[row] == 1)
         for name, (values, sigma) in estimates.items():
             true = self.true[name.replace("_estimate", "")][row]
-            errors, error = self.errors.setdefault(name, Errors()), np.where(matched, values - true, np.nan)
-            errors.take(error)
+            error = np.where(matched, values - true, np.nan)
+            absolute, normalized = self.errors.setdefault(name, (MeanSquare(), MeanSquare()))
+            absolute.take(error)
             if sigma is not None:
                 with np.errstate(divide="ignore", invalid="ignore"):
-                    errors.normalized.take(error / sigma)
+                    normalized.take(error / sigma)
 
     def through(self, blocks: Iterator[SampleBlock]) -> Iterator[SampleBlock]:
         """Pass blocks of a replay on, and compare the estimates in them."""
@@ -107,14 +101,14 @@ class Truth:
     def as_data(self) -> dict[str, dict[str, Any]]:
         """Return the errors for ``--json``, rates in °/h."""
         found = {}
-        for name, one in self.errors.items():
+        for name, (absolute, normalized) in self.errors.items():
             unit, factor = ("°/h", 1.0 / DEG_PER_H) if name in GYROS else ("°C", 1.0)
             found[name] = {
                 "unit": unit,
-                "samples": one.count,
-                "rms": factor * one.rms,
-                "rms_over_sigma": one.normalized.rms,
-                "largest": factor * one.largest,
+                "samples": absolute.count,
+                "rms": factor * absolute.rms,
+                "rms_over_sigma": normalized.rms,
+                "largest": factor * absolute.largest,
             }
         return found
 

@@ -9,8 +9,8 @@ from typing import Any, Literal
 import rerun.blueprint as rrb
 
 from imumon.view.items import ViewSetup
+from imumon.view.lanes import LOG_TEXT
 from imumon.view.layout import FIRST, SCENE, STRIPS, tab_of
-from imumon.view.log_text import LOG_TEXT
 from imumon.view.panel_log import card_path
 from imumon.view.panels import Panel
 from imumon.view.pictures import chart_view

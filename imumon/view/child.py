@@ -35,13 +35,9 @@ the newest first, and the server forgets the oldest.  Until a repetition arrives
 
 
 class Viewers:
-    """Serves the stream, and reports how that goes.
+    """Serves the stream, and finds out how that goes."""
 
-    `report` takes a `Report`, when there is a new one.
-    """
-
-    def __init__(self, start: Start, rec: rr.RecordingStream, report: Callable[[Report], None]) -> None:
-        self._report, self._reported = report, Report("")
+    def __init__(self, start: Start, rec: rr.RecordingStream) -> None:
         self._viewer: subprocess.Popen[bytes] | None = None
         if start.mode == "web":
             page = serve_page(rec, start.setup, start.port, start.bind)
@@ -56,17 +52,15 @@ class Viewers:
             self._viewer, text = start_viewer(self._port, url), "viewer open"
         self._serving = Report(text, url, self._port)
 
-    def poll(self) -> None:
-        """Find out whether the native viewer is still there."""
-        report, code = self._serving, None if self._viewer is None else self._viewer.poll()
+    def poll(self) -> Report:
+        """Return whether the native viewer is still there, and where to find what."""
+        serving, code = self._serving, None if self._viewer is None else self._viewer.poll()
         if code:
             text = f"the viewer could not start or go on (exit code {code}); try --view web"
-            report = replace(report, text=text)
-        elif code == 0 and probe(self._port) is not Answer.RERUN:  # nor did it pass the stream on
-            report = replace(report, text=f"viewer closed; `rerun {report.url}` brings it back")
-        if report != self._reported:
-            self._reported = report
-            self._report(report)
+            return replace(serving, text=text)
+        if code == 0 and probe(self._port) is not Answer.RERUN:  # nor did it pass the stream on
+            return replace(serving, text=f"viewer closed; `rerun {serving.url}` brings it back")
+        return serving
 
 
 def run(
@@ -77,17 +71,17 @@ def run(
     import rerun as rr
 
     rec = rr.RecordingStream(LIVE_APPLICATION, recording_id=start.setup.recording_id)
-    viewers = Viewers(start, rec, out.send)
+    viewers = Viewers(start, rec)
     logger = make_logger(rec, start.setup)
     logger.begin()
     logger.log(start.lasting)
     gc.freeze()  # or the circles of pictures wait until they are a quarter of all that was loaded
     repeated_s = time.monotonic()
-    viewers.poll()
+    out.send(viewers.poll())
     while True:
         if time.monotonic() - repeated_s > REPEAT_S:
             repeated_s = time.monotonic()
-            viewers.poll()
+            out.send(viewers.poll())
             logger.repeat()
         if stream.poll(POLL_S):
             try:

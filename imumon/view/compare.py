@@ -30,8 +30,8 @@ Alignment = Literal["power-on", "host"]
 
 
 @dataclass(slots=True)
-class _Compared:
-    """One line of a panel: what draws it of each session, and how far its axis reaches."""
+class _Quantity:
+    """One line of a panel, a view of its own: what draws it of each session, and how far its axis reaches."""
 
     panel: Strip
     number: int
@@ -54,38 +54,50 @@ class Comparison:
     def __init__(self, rec: rr.RecordingStream, setup: ViewSetup, align: Alignment) -> None:
         self._rec, self._setup, self._align = rec, setup, align
         strips = [panel for panel in PANELS if isinstance(panel, Strip)]
-        self._compared = [_Compared(panel, at) for panel in strips for at in range(len(panel.lines))]
-        self._sessions = 0
+        self._quantities = [_Quantity(panel, at) for panel in strips for at in range(len(panel.lines))]
         self._first_ns, self._last_ns = np.iinfo(np.int64).max, np.iinfo(np.int64).min
+        self._sessions = 0
+        self._panels: list[Strip] = []
+        """What draws the quantities of the present session."""
         rec.send_recording_name(setup.title)
 
-    def session(self, name: str) -> Session:
-        """Begin the next session; `name` is unlike those of the others."""
+    def begin(self, session: str) -> None:
+        """Begin the next session, whose name is unlike those of the others."""
         color = COLORS[self._sessions % len(COLORS)]
         self._sessions += 1
-        return Session(self, self._align, [(line, line.of(name, color)) for line in self._compared])
+        self._panels = [quantity.of(session, color) for quantity in self._quantities]
+        self._timebase = Timebase()
+        self._began_ns: int | None = None
 
-    def log(self, line: _Compared, panel: Strip, rows: Rows) -> None:
-        """Log what a session has of a line."""
-        if panel not in line.drawn:
-            if not panel.has_values(rows):
-                return
-            line.drawn.append(panel)
-            panel.declare(self._rec)
-        panel.log(self._rec, rows)
-        if (ends := panel.ends(rows)) is not None:
-            line.ends[panel.key] = ends
-        if rows.clock is not None:
-            self._first_ns = min(self._first_ns, int(rows.clock[0]))
-            self._last_ns = max(self._last_ns, int(rows.clock[-1]))
+    def log(self, block: SampleBlock) -> None:
+        """Log samples of the session, in order: of each half second the extremes, so that spikes stay."""
+        if not len(block):
+            return
+        rows = self._rows(self._timebase.samples(block))
+        if (clock := rows.clock) is None:
+            return
+        for quantity, panel in zip(self._quantities, self._panels, strict=True):
+            if not rows.columns.keys() >= set(panel.columns):
+                continue
+            if panel not in quantity.drawn:
+                if not panel.has_values(rows):
+                    continue
+                quantity.drawn.append(panel)
+                panel.declare(self._rec)
+            panel.log(self._rec, rows)
+            if (ends := panel.ends(rows)) is not None:
+                quantity.ends[panel.key] = ends
+            self._first_ns = min(self._first_ns, int(clock[0]))
+            self._last_ns = max(self._last_ns, int(clock[-1]))
 
     def arrange(self) -> rrb.Blueprint | None:
         """Send the arrangement, once all is logged, and return it; None when there is nothing to see."""
         tabs: dict[str, list[Any]] = {}
-        for line in self._compared:
-            if line.drawn:
-                place = line.panel.title if tab_of(line.panel.place) == FIRST else line.panel.place
-                tabs.setdefault(place, []).append(self._view(line))
+        for quantity in self._quantities:
+            if quantity.drawn:
+                place = quantity.panel.place
+                tab = quantity.panel.title if tab_of(place) == FIRST else place
+                tabs.setdefault(tab, []).append(self._view(quantity))
         if not tabs:
             return None
         grids = [rrb.Grid(*views, grid_columns=COLUMNS, name=name) for name, views in tabs.items()]
@@ -93,42 +105,6 @@ class Comparison:
         found = arranged(rrb.Tabs(*grids), timeline, play_state="paused")
         self._rec.send_blueprint(found)
         return found
-
-    def _view(self, line: _Compared) -> Any:
-        """Return the view of a line; its axis ends behind the data, where the names of the sessions stand."""
-        panel, (first, *others) = line.panel, line.drawn
-        until_ns = self._last_ns + NAMES_MARGIN * (self._last_ns - self._first_ns)
-        times = np.array([self._first_ns, until_ns], np.int64)
-        rows = Rows({}, None, *((times, None) if self._align == "power-on" else (None, times)))
-        lows, highs = zip(*line.ends.values(), strict=True)
-        rows.send(self._rec, entity(first.drawn), np.array([[min(lows), max(highs)]] * 2))
-        title = str(first.view(self._setup, Window()).name)
-        if len(panel.lines) > 1:
-            title = title.replace(panel.title, f"{panel.title}: {panel.lines[line.number].name}")
-        beside = [f"{other.drawn}/**" for other in others]
-        return series_view(first.drawn, title, Window(), beside, legend=True)
-
-
-class Session:
-    """Logs the samples of one session, blocks in order."""
-
-    def __init__(
-        self, comparison: Comparison, align: Alignment, lines: list[tuple[_Compared, Strip]]
-    ) -> None:
-        self._comparison, self._align, self._lines = comparison, align, lines
-        self._timebase = Timebase()
-        self._began_ns: int | None = None
-
-    def log(self, block: SampleBlock) -> None:
-        """Log samples: of each half second the extremes, so that spikes stay."""
-        if not len(block):
-            return
-        rows = self._rows(self._timebase.samples(block))
-        if rows.clock is None:
-            return
-        for line, panel in self._lines:
-            if rows.columns.keys() >= set(panel.columns):
-                self._comparison.log(line, panel, rows)
 
     def _rows(self, samples: Samples) -> Rows:
         columns = samples.block.columns
@@ -139,3 +115,17 @@ class Session:
             self._began_ns = int(device[0]) if self._began_ns is None else self._began_ns
             device = device - self._began_ns
         return Rows(columns, None, device, None, RECORDED_STEP_NS)
+
+    def _view(self, quantity: _Quantity) -> Any:
+        """Return the view of a line; its axis ends behind the data, where the names of the sessions stand."""
+        panel, (first, *others) = quantity.panel, quantity.drawn
+        until_ns = self._last_ns + NAMES_MARGIN * (self._last_ns - self._first_ns)
+        times = np.array([self._first_ns, until_ns], np.int64)
+        rows = Rows({}, None, *((times, None) if self._align == "power-on" else (None, times)))
+        lows, highs = zip(*quantity.ends.values(), strict=True)
+        rows.send(self._rec, entity(first.drawn), np.array([[min(lows), max(highs)]] * 2))
+        title = str(first.view(self._setup, Window()).name)
+        if len(panel.lines) > 1:
+            title = title.replace(panel.title, f"{panel.title}: {panel.lines[quantity.number].name}")
+        beside = [f"{other.drawn}/**" for other in others]
+        return series_view(first.drawn, title, Window(), beside, legend=True)

@@ -25,8 +25,7 @@ import psutil
 
 from imumon.errors import ImumonError
 from imumon.heap import prepare_heap, trim_heap
-from imumon.view.items import ViewItem, merge
-from imumon.view.queue import DropOldestQueue
+from imumon.view.items import DropOldestQueue, ViewItem, merge
 from imumon.view.viewer import quiet_environment
 
 BATCH_S = 0.05
@@ -187,8 +186,6 @@ def serve(run: Callable[[Connection, Connection], None], problem: Callable[[Imum
         code = 0
     except ImumonError as error:
         out.send(problem(error))
-    except (RuntimeError, OSError, EOFError) as error:
-        sys.stderr.write(f"{error}\n")
     except BaseException:
         traceback.print_exc()
         raise

@@ -1,13 +1,17 @@
-"""The lanes of states: their order, their names, their colours."""
+"""The lanes of states (their order, names and colours), and the newest log lines as a text."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
+from datetime import datetime
 
 import numpy as np
 import rerun as rr
 
+from imumon.harmless import for_markdown
 from imumon.lane import Level
+from imumon.view.items import Log
 
 NAMES = {
     "port": "Port",
@@ -25,9 +29,6 @@ NAMES = {
 }
 """What a person calls the lanes, from above: first what everything else depends on."""
 
-LAST = 9
-"""The viewer sorts by name: from here on the names themselves decide."""
-
 COLORS = {Level.GOOD: 0x2E9E5BFF, Level.WAIT: 0xE0A020FF, Level.BAD: 0xD64545FF, Level.PLAIN: 0x6C7A92FF}
 """0xRRGGBBAA."""
 
@@ -35,11 +36,14 @@ COLORED_STATES = 40
 """States of a lane that get a colour of ours; the viewer colours any others itself."""
 
 
+def lane_place(lane: str) -> int:
+    """Return the place of a lane, from 1; lanes of other packages' stages share the last one."""
+    return [*NAMES, lane].index(lane) + 1
+
+
 def lane_path(lane: str) -> str:
-    """Return the entity of a lane; lanes stand in the order of these, and the viewer shows no other name."""
-    names = list(NAMES)
-    place = min(names.index(lane) + 1 if lane in names else LAST, LAST)
-    return f"/{place}-{NAMES.get(lane, lane).replace(' ', '-')}"
+    """Return the entity of a lane; the viewer sorts by the number, and shows no other name."""
+    return f"/{lane_place(lane)}-{NAMES.get(lane, lane).replace(' ', '-')}"
 
 
 def declare_lane(rec: rr.RecordingStream, lane: str, states: Mapping[str, Level]) -> None:
@@ -50,6 +54,32 @@ def declare_lane(rec: rr.RecordingStream, lane: str, states: Mapping[str, Level]
 
 def states_text(states: Mapping[str, str]) -> str:
     """Return the state of every lane, in the order and under the names that a person knows."""
-    order = {name: at for at, name in enumerate(NAMES)}
-    lanes = sorted(states.items(), key=lambda item: order.get(item[0], len(order)))
-    return "  ".join(f"{NAMES.get(lane, lane)} {state}" for lane, state in lanes)
+    return "  ".join(f"{NAMES.get(lane, lane)} {states[lane]}" for lane in sorted(states, key=lane_place))
+
+
+LOG_TEXT = "/log_text"
+"""Entity of the text; all lines are in the log of the session."""
+LINES = 30
+"""So many of the newest are shown."""
+QUIET = ("INFO", "DEBUG", "TRACE")
+"""Levels that are not shown."""
+
+
+def markdown(line: Log) -> str:
+    """Return a line with the time of the wall clock, and its level where that matters."""
+    mark = "" if line.level in QUIET else f"**{line.level}** "
+    return f"`{clock(line.at.host_ns)}` {mark}{for_markdown(line.text)}"
+
+
+def dated(line: Log) -> str:
+    """Return a line as a terminal shows it: with the time of day, and its level where that matters."""
+    when = "" if line.at.host_ns is None else f"{clock(line.at.host_ns)} "
+    return f"{when}{line.level + ' ' if line.level not in QUIET else ''}{line.text}"
+
+
+def clock(host_ns: int | None) -> str:
+    """Return the time of day where this program runs; dashes where it is not known or damaged."""
+    if host_ns is not None:
+        with suppress(OverflowError, OSError, ValueError):  # a damaged time
+            return datetime.fromtimestamp(host_ns * 1e-9).astimezone().strftime("%H:%M:%S")
+    return "--:--:--"

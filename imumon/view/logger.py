@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections import deque
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -15,7 +16,6 @@ import rerun.blueprint as rrb
 from imumon.blocks import IntArray
 from imumon.harmless import for_markdown
 from imumon.lane import Level
-from imumon.view.attitude import DEVICE
 from imumon.view.blueprint import Contents, blueprint
 from imumon.view.items import (
     Drawing,
@@ -29,10 +29,9 @@ from imumon.view.items import (
     ViewItem,
     ViewSetup,
 )
-from imumon.view.lanes import COLORED_STATES, declare_lane, lane_path
-from imumon.view.log_text import LOG_TEXT, LogText
-from imumon.view.others import Others
-from imumon.view.panel_log import PanelLog
+from imumon.view.lanes import COLORED_STATES, LINES, LOG_TEXT, declare_lane, lane_path, lane_place, markdown
+from imumon.view.layout import DEVICE
+from imumon.view.panel_log import Others, PanelLog
 from imumon.view.pictures import Painter
 from imumon.view.rows import Rows, at_instants, log_markdown
 from imumon.view.window import slow_window
@@ -53,26 +52,19 @@ class StreamLogger:
     the columns that come.
 
     The sinks of `rec` are the caller's business.  With `live` the blueprint follows the last seconds, else it
-    shows all of a recording.  `show` takes the arrangement when it has changed; without, it is sent.
+    shows all of a recording.
     """
 
-    def __init__(
-        self,
-        rec: rr.RecordingStream,
-        setup: ViewSetup,
-        *,
-        live: bool,
-        show: Callable[[rrb.Blueprint], None] | None = None,
-    ) -> None:
+    def __init__(self, rec: rr.RecordingStream, setup: ViewSetup, *, live: bool) -> None:
         self._rec, self._setup, self._live = rec, setup, live
-        self._show = show or rec.send_blueprint
         self._panels, self._others = PanelLog(rec, setup, live=live), Others(rec, setup)
         self._painter = Painter(rec, live=live)
         self._lanes: dict[str, dict[str, Level]] = {}
         self._lasting: dict[str, Event] = {}
         self._early: list[Event] = []
         self._has_log = False
-        self._log_text = LogText()
+        self._lines: deque[str] = deque(maxlen=LINES)
+        """The newest log lines, the last one first."""
         self._timeline = "host_time"
         self._arranged: tuple[Contents, str] | None = None
         self._arranged_s = -math.inf
@@ -175,7 +167,11 @@ class StreamLogger:
                 self._log_kind(found, times)
 
     def _log_lines(self, lines: Sequence[Log], times: Rows, *, again: bool) -> None:
-        texts = [self._log_text.text if again else self._log_text.add(line) for line in lines]
+        texts = []
+        for line in lines:
+            if not again:
+                self._lines.appendleft(markdown(line))
+            texts.append("\n\n".join(self._lines))
         if times.indexes:
             self._has_log = True
             log_markdown(self._rec, LOG_TEXT, texts, times)
@@ -219,7 +215,7 @@ class StreamLogger:
             return
         self._log_events(list(self._lasting.values()), again=True)
         if self._has_log:
-            log_markdown(self._rec, LOG_TEXT, [self._log_text.text], self._newest)
+            log_markdown(self._rec, LOG_TEXT, ["\n\n".join(self._lines)], self._newest)
 
     def _arrange(self) -> None:
         """Send the blueprint when what there is to see has changed."""
@@ -229,7 +225,7 @@ class StreamLogger:
         contents = Contents(
             panels=self._panels.shown,
             charts=tuple(self._painter.titles.values()),
-            lanes=tuple(sorted(map(lane_path, self._lanes))),
+            lanes=tuple(map(lane_path, sorted(self._lanes, key=lane_place))),
             log=self._has_log,
             status="status" in self._lasting,
             others=self._others.views,
@@ -239,7 +235,7 @@ class StreamLogger:
         if contents and (contents, self._timeline) != self._arranged:
             self._arranged, self._arranged_s = (contents, self._timeline), time.monotonic()
             self.arrangement = blueprint(self._setup, contents, self._timeline, live=self._live)
-            self._show(self.arrangement)
+            self._rec.send_blueprint(self.arrangement)
 
 
 def recorded_step(clock: IntArray | None) -> int:

@@ -11,21 +11,6 @@ from imumon.view.viewer import LOCALHOST, VIEWER_PORT, WEB_PORT, Mode
 
 
 @dataclass(frozen=True, slots=True)
-class ViewState:
-    """How the live view is, for the status line."""
-
-    text: str
-    connected: bool
-    """Whether viewers can come to it."""
-    dropped: int
-    restarts: int
-
-    def __str__(self) -> str:
-        """Return one phrase."""
-        return f"{self.text}, {self.dropped} dropped" if self.dropped else self.text
-
-
-@dataclass(frozen=True, slots=True)
 class Start:
     """The first message to a view process: what to show and where; then come lists of items."""
 
@@ -42,11 +27,25 @@ class Start:
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """What a view process reports: a phrase; once it serves, what to open and the port of page or viewer."""
+    """What a view process reports: a phrase; once it serves, what to open and the port of page or viewer.
+
+    `dropped` and `restarts` are counted by who feeds it.
+    """
 
     text: str
     url: str = ""
     port: int = 0
+    dropped: int = 0
+    restarts: int = 0
+
+    @property
+    def connected(self) -> bool:
+        """Whether viewers can come to it."""
+        return bool(self.url)
+
+    def __str__(self) -> str:
+        """Return one phrase, for the status line."""
+        return f"{self.text}, {self.dropped} dropped" if self.dropped else self.text
 
 
 class ViewPublisher(FedProcess):
@@ -77,9 +76,9 @@ class ViewPublisher(FedProcess):
         return self
 
     @property
-    def state(self) -> ViewState:
+    def state(self) -> Report:
         """How the view is now."""
-        return ViewState(self._report.text, bool(self.url), self._queue.dropped, self._restarts)
+        return replace(self._report, dropped=self._queue.dropped, restarts=self._restarts)
 
     @property
     def url(self) -> str:

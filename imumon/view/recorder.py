@@ -13,9 +13,8 @@ import rerun as rr
 
 from imumon.errors import ImumonError, Reason
 from imumon.heap import trim_heap
-from imumon.view.items import ViewItem, ViewSetup, merge
+from imumon.view.items import DropOldestQueue, ViewItem, ViewSetup, merge
 from imumon.view.logger import StreamLogger
-from imumon.view.queue import DropOldestQueue
 from imumon.view.viewer import APPLICATION
 
 BATCH_S = 30.0

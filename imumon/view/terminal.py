@@ -9,13 +9,12 @@ from textwrap import wrap
 
 import numpy as np
 
+from imumon.blocks import ColumnArray
 from imumon.harmless import for_log
-from imumon.view.cards import AXES, Cards, Reading, cell
-from imumon.view.items import Log, Numbers, Samples, State, ViewItem, ViewSetup, merge
-from imumon.view.lanes import states_text
-from imumon.view.log_text import dated
+from imumon.view.cards import AXES, Reading, cell
+from imumon.view.items import DropOldestQueue, Log, Numbers, Samples, State, ViewItem, ViewSetup, merge
+from imumon.view.lanes import dated, states_text
 from imumon.view.panel_log import ShownPanels
-from imumon.view.queue import DropOldestQueue
 from imumon.view.rows import Rows
 
 QUEUE_BYTES = 4 << 20
@@ -33,7 +32,6 @@ class TerminalView:
     def __init__(self, setup: ViewSetup) -> None:
         self._setup = setup
         self._queue = DropOldestQueue(QUEUE_BYTES)
-        self._cards = Cards()
         self._panels = ShownPanels(setup)
         self._lanes: dict[str, str] = {}
         self._log: deque[str] = deque(maxlen=LOG_LINES)
@@ -46,7 +44,7 @@ class TerminalView:
     def lines(self, columns: int, rows: int, status: str) -> list[str]:
         """Return the text of a screen, at most so many rows, each at most so many columns wide."""
         self._take()
-        now = self._cards.take()
+        now = self._panels.cards.take()
         shown = (self._panels.readings[key] for key in self._panels.begun)
         numbers = [row for readings in shown if readings for row in self._rows(readings, now, columns)]
         head = f"{self._setup.title}  {status}"
@@ -62,19 +60,17 @@ class TerminalView:
     def _take(self) -> None:
         for item in merge(self._queue.take(0.0, 0.0)):
             if isinstance(item, Samples):
-                self._gather(Rows(item.block.columns, None, None, None))
+                self._gather(item.block.columns)
             elif isinstance(item, Numbers):
-                columns = {name: np.array([value]) for name, value in item.values.items()}
-                self._gather(Rows(columns, None, None, None))
+                self._gather({name: np.array([value]) for name, value in item.values.items()})
             elif isinstance(item, State):
                 self._lanes[item.lane] = item.state
             elif isinstance(item, Log):
                 self._log.append(dated(item))
 
-    def _gather(self, rows: Rows) -> None:
-        for panel in self._panels.drawing(rows):
-            self._panels.begins(panel, rows)
-            self._cards.add(self._panels.readings[panel.key], rows.columns)
+    def _gather(self, columns: Mapping[str, ColumnArray]) -> None:
+        for _ in self._panels.take(Rows(columns, None, None, None)):
+            pass
 
     def _rows(self, readings: Sequence[Reading], now: Mapping[str, float], columns: int) -> list[str]:
         """Return the rows of one panel: three axes beside each other, other values below each other."""

@@ -9,7 +9,6 @@ import socket
 import sys
 import threading
 import time
-import urllib.request
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing
 from functools import partial
@@ -19,6 +18,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import TYPE_CHECKING, Any
 from urllib.error import URLError
 from urllib.parse import quote, urlsplit
+from urllib.request import urlopen
 
 from imumon.errors import ImumonError, Reason
 from imumon.view.items import ViewSetup
@@ -87,7 +87,8 @@ def bundled_assets() -> dict[str, bytes]:
         deadline = time.monotonic() + FETCH_S
         while True:
             try:
-                return {path: _fetch(f"http://{address}:{port}{path}") for path in ASSETS}
+                site = f"http://{address}:{port}"
+                return {path: urlopen(site + path, timeout=FETCH_S).read() for path in ASSETS}
             except (URLError, ConnectionError, TimeoutError) as error:
                 if time.monotonic() > deadline or program.poll() is not None:
                     raise ImumonError(
@@ -97,12 +98,6 @@ def bundled_assets() -> dict[str, bytes]:
     finally:
         program.kill()
         program.wait()
-
-
-def _fetch(url: str) -> bytes:
-    with urllib.request.urlopen(url, timeout=FETCH_S) as response:
-        data: bytes = response.read()
-        return data
 
 
 def page(html: str, title: str) -> str:

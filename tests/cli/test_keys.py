@@ -11,7 +11,7 @@ from tests.waiting import LIMIT_S
 
 OWN = "import fcntl, termios; fcntl.ioctl(0, termios.TIOCSCTTY, 0)\n"
 PRESSED = f"""
-from imumon.cli.keys import single_keys
+from imumon.cli.live_run import single_keys
 import sys, time
 with single_keys() as keys:
     print("ready", keys.possible, flush=True)

@@ -38,7 +38,7 @@ def test_the_catalog_fits_a_narrow_terminal_and_tears_no_word(capsys: pytest.Cap
 
 
 def test_the_evidence_of_detect_fits_a_narrow_terminal(capsys: pytest.CaptureFixture[str]) -> None:
-    from imumon.cli.detect_command import _show as show_evidence
+    from imumon.cli.computer_commands import _show as show_evidence
 
     unread = Evidence("inertialsense", 3000000, 1.5, 400000, 399000, 0, 12345, 12345, 0, 0, 0.1, 0.2)
     show_evidence([unread])

@@ -37,6 +37,20 @@ def test_a_computer_that_runs_the_tests_has_no_fault(tmp_path: Path) -> None:
     assert not (tmp_path / "not").exists()
 
 
+def test_a_missing_package_is_named_with_what_needs_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    there = [one for one in metadata.distributions() if one.name not in ("scipy", "pyulog", "rosbags")]
+    monkeypatch.setattr(metadata, "distributions", lambda: there)
+    found = {finding.subject: finding for finding in doctor.packages() if finding.remedy}
+    assert found["packages"].state is State.FAULT
+    assert found["packages"].remedy == "pip install scipy"
+    optional = found["optional packages"]
+    assert optional.state is State.WARNING
+    assert "pyulog (for import of .ulg)" in optional.seen
+    assert "rosbags (for export --to mcap, import of ROS bags)" in optional.seen
+    assert "autopilot" in optional.remedy
+    assert "ros2" in optional.remedy
+
+
 def test_a_person_reads_a_line_per_finding(tmp_path: Path) -> None:
     said = imumon("doctor", tmp_path).stdout
     assert f"packages: imumon {metadata.version('imumon')}" in said

@@ -10,12 +10,11 @@ from rerun.chunk import RrdReader
 
 from imumon.blocks import ColumnArray, SampleBlock
 from imumon.charts import BLUE, GREEN, GREY, ORANGE, RED, VIOLET
-from imumon.view.attitude import xyzw
 from imumon.view.items import Instant, Log, Numbers, State, Status, Timebase, ViewItem, ViewSetup
-from imumon.view.layout import Line, Strip, read_as
-from imumon.view.log_text import LOG_TEXT
+from imumon.view.lanes import LOG_TEXT
+from imumon.view.layout import Line, Strip, read_as, xyzw
 from imumon.view.logger import StreamLogger, status_card
-from imumon.view.others import OTHER
+from imumon.view.panel_log import OTHER
 from imumon.view.panels import PANELS
 from imumon.view.rows import Rows
 from imumon.view.window import Window

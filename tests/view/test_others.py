@@ -9,7 +9,7 @@ import rerun as rr
 from support.picture_faults import scalars, stored
 
 from imumon.view.items import ViewSetup
-from imumon.view.others import OTHER, Others
+from imumon.view.panel_log import OTHER, Others
 from imumon.view.rows import Rows
 
 SETUP = ViewSetup("test", "test", units={"supply": "V", "gnss_height": "m", "gnss_depth": "m"})

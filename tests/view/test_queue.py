@@ -6,8 +6,7 @@ import time
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from imumon.view.items import Log, Samples, State, Status, Timebase, ViewItem
-from imumon.view.queue import DropOldestQueue
+from imumon.view.items import DropOldestQueue, Log, Samples, State, Status, Timebase, ViewItem
 from tests.view.streams import block
 from tests.waiting import LIMIT_S
 

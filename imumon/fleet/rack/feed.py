@@ -12,8 +12,17 @@ import psutil
 
 from imumon.blocks import SampleBlock
 from imumon.run.narration import Progress
-from imumon.view.items import Drawing, Event, Instant, Samples, State, ViewItem, first_of_steps, merge
-from imumon.view.queue import DropOldestQueue
+from imumon.view.items import (
+    Drawing,
+    DropOldestQueue,
+    Event,
+    Instant,
+    Samples,
+    State,
+    ViewItem,
+    first_of_steps,
+    merge,
+)
 
 QUEUE_BYTES = 4 << 20
 """A second of samples takes 200 kB at 400 Hz."""

@@ -13,6 +13,7 @@ from imumon.fleet.rack.items import OfUnit, Overview
 from imumon.fleet.rack.view import UnitsLogger
 from imumon.view.blueprint import arranged
 from imumon.view.items import (
+    DropOldestQueue,
     Instant,
     Log,
     Numbers,
@@ -23,7 +24,6 @@ from imumon.view.items import (
     ViewSetup,
     merge,
 )
-from imumon.view.queue import DropOldestQueue
 from tests.view.streams import block
 from tests.view.test_blueprint import blueprint_of
 
