@@ -11,12 +11,11 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 
 from imumon.blocks import NO_INT, BoolArray, ColumnArray, FloatArray, IntArray, SampleBlock
-from imumon.magnitudes import SpecificForce
+from imumon.magnitudes import SpecificForce, windows
 from imumon.protocols.ranges import Ranges
 
 RANGES: dict[str, tuple[float, float, str]] = {
@@ -47,9 +46,9 @@ one that is read more often than it measures, or has coarse steps, repeats itsel
 UNCHANGED_NS = 30_000_000_000
 """An axis that stays the same for so long beside one that does not is reported: no hand turns a unit about
 one axis for so long and keeps the others within a step."""
-AT_AN_EDGE, BEYOND_CHANCE = 0.5, 6.0
+AT_AN_EDGE, BEYOND_CHANCE = 0.5, 3.0
 """Noise below a step changes at most this share of an axis' readings, where it is between two steps, while
-the axes beside it may rightly stay on one; more by so many standard deviations is no chance."""
+the axes beside it may rightly stay on one; more by so many times the root of their number is no chance."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -234,8 +233,7 @@ class _Unchanged:
     """
 
     def __init__(self, sensor: str) -> None:
-        self._names = tuple(f"{sensor}_{axis}" for axis in "xyz")
-        self._unit = RANGES[f"{sensor}_"][2]
+        self._sensor = sensor
         self.found: dict[str, str] = {}
         """Warning by axis."""
         self._last = np.full(3, np.nan)
@@ -247,43 +245,37 @@ class _Unchanged:
 
     def process(self, sent: SampleBlock) -> None:
         """Take the rows in which any axis has a reading."""
-        if not all(name in sent for name in self._names):
+        values = sent.vector(self._sensor)
+        there = np.zeros(len(sent), np.bool_) if values is None else ~np.isnan(values).all(axis=1)
+        if values is None or not there.any():
             return
-        readings = np.stack([sent[name] for name in self._names])
-        there = ~np.isnan(readings).all(axis=0)
-        if not there.any():
-            return
-        readings, time_ns, segment = readings[:, there], sent["device_time_ns"][there], sent["segment"][there]
-        before = np.column_stack([self._last, readings[:, :-1]])
+        readings, time_ns, segment = values[there], sent["device_time_ns"][there], sent["segment"][there]
+        before = np.vstack([self._last, readings[:-1]])
         changed = (readings != before) & ~(np.isnan(readings) & np.isnan(before))
-        window = time_ns // UNCHANGED_NS
-        edges = np.flatnonzero((np.diff(window) != 0) | (np.diff(segment) != 0)) + 1
-        for begin, end in pairwise([0, *edges.tolist(), len(window)]):
-            now = int(segment[begin]), int(window[begin])
-            if now != self._window:
-                self._evaluate(before[:, begin])
-                self._window, self._began_ns = now, int(time_ns[begin])
-                self._readings, self._changes = -1, -changed[:, begin].astype(np.int64)
-            self._latest_ns = int(time_ns[end - 1])
-            self._readings += end - begin
-            self._changes += changed[:, begin:end].sum(axis=1)
-        self._last = readings[:, -1].copy()
+        for window, rows in windows(time_ns, segment, UNCHANGED_NS):
+            if window != self._window:
+                self._evaluate(before[rows.start])
+                self._window, self._began_ns = window, int(time_ns[rows.start])
+                self._readings, self._changes = -1, -changed[rows.start].astype(np.int64)
+            self._latest_ns = int(time_ns[rows.stop - 1])
+            self._readings += rows.stop - rows.start
+            self._changes += changed[rows].sum(axis=0)
+        self._last = readings[-1].copy()
 
     def _evaluate(self, values: FloatArray) -> None:
         """Report the axes that did not change in a whole window; `values` are its last readings."""
-        sd = (AT_AN_EDGE * (1.0 - AT_AN_EDGE) * self._readings) ** 0.5
-        lively = int(self._changes.argmax())
-        is_cut = self._latest_ns - self._began_ns < 0.95 * UNCHANGED_NS
-        if is_cut or self._changes[lively] <= AT_AN_EDGE * self._readings + BEYOND_CHANCE * sd:
+        changes, is_cut = self._changes.max(), self._latest_ns - self._began_ns < 0.95 * UNCHANGED_NS
+        if is_cut or changes <= AT_AN_EDGE * self._readings + BEYOND_CHANCE * self._readings**0.5:
             return
         since = f"for {UNCHANGED_NS * 1e-9:g} s and more, since {self._began_ns * 1e-9:.3f} s of device time"
+        lively = f"{self._sensor}_{'xyz'[self._changes.argmax()]}"
         for axis in np.flatnonzero(self._changes == 0):
-            name = self._names[axis]
+            name, unit = f"{self._sensor}_{'xyz'[axis]}", RANGES[f"{self._sensor}_"][2]
             what, why = f"{name} says nothing", "it is dead"
             if not np.isnan(values[axis]):
-                what = f"{name} says {values[axis]:g} {self._unit} without any change"
+                what = f"{name} says {values[axis]:g} {unit} without any change"
                 why = "it is stuck, or its noise is below its steps"
-            self.found.setdefault(name, f"{what} {since}, while {self._names[lively]} changes: {why}")
+            self.found.setdefault(name, f"{what} {since}, while {lively} changes: {why}")
 
 
 class _Clock:

@@ -5,9 +5,12 @@ At rest gravity says so within percents; here it is what holds in any motion.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from itertools import pairwise
+
 import numpy as np
 
-from imumon.blocks import NO_INT, SampleBlock
+from imumon.blocks import NO_INT, IntArray, SampleBlock
 from imumon.geodesy import STANDARD_GRAVITY
 
 GRAVITIES = (0.3, 3.0)
@@ -26,6 +29,15 @@ def rate_doubts(rate_hz: float) -> list[str]:
         f"the rows come at {rate_hz:.3g} Hz, as those of no inertial sensor: is the unit of the time right?"
     )
     return [text] if rate_hz < slowest or rate_hz > fastest else []
+
+
+def windows(time_ns: IntArray, segment: IntArray, length_ns: int) -> Iterator[tuple[tuple[int, int], slice]]:
+    """Yield each window of device time that rows are in, as its segment and number, and its rows."""
+    number = time_ns // length_ns
+    edges = np.flatnonzero((np.diff(number) != 0) | (np.diff(segment) != 0)) + 1
+    for begin, end in pairwise([0, *edges.tolist(), len(number)]):
+        if end > begin:
+            yield (int(segment[begin]), int(number[begin])), slice(begin, end)
 
 
 class SpecificForce:
@@ -49,15 +61,10 @@ class SpecificForce:
         magnitude = np.sqrt(np.einsum("ij,ij->i", accel, accel)) / STANDARD_GRAVITY
         time_ns = block["device_time_ns"]
         there = np.isfinite(magnitude) & (time_ns != NO_INT)
-        minute, segment = time_ns[there] // MINUTE_NS, block["segment"][there]
-        magnitude = magnitude[there]
-        if not len(magnitude):
-            return
-        edges = np.flatnonzero((np.diff(minute) != 0) | (np.diff(segment) != 0)) + 1
-        for first, part in zip([0, *edges.tolist()], np.split(magnitude, edges), strict=True):
-            now = int(segment[first]), int(minute[first])
-            if now != self._minute:
-                self._end(now)
+        for minute, rows in windows(time_ns[there], block["segment"][there], MINUTE_NS):
+            if minute != self._minute:
+                self._end(minute)
+            part = magnitude[there][rows]
             low, high = part < GRAVITIES[0], part > GRAVITIES[1]
             self._sums += [low.sum(), high.sum(), len(part), part[low | high].sum()]
 

@@ -30,7 +30,7 @@ from imumon.protocols.epochs import EpochAssembler, EpochCounters
 from imumon.protocols.ranges import Ranges
 from imumon.stage import Estimator as Estimator
 from imumon.stage import GuardedStage
-from imumon.transport.statistics import Counters
+from imumon.transport.statistics import Counters, StreamCounters
 
 UNDATED = NO_INT
 """Arrival time of bytes whose arrival nobody noted, as in a raw capture."""
@@ -53,22 +53,6 @@ class SampleSink:
     def notices(self) -> list[str]:
         """Return nothing."""
         return []
-
-
-@dataclass(frozen=True, slots=True)
-class StreamCounters:
-    """What came of a stream: packets, rows, its rate where none is missing, gaps, clocks that went back.
-
-    `incomplete` rows lack fields that all rows before them had; `dated_by` is that of `DeviceClock`.
-    """
-
-    packets: int
-    rows: int
-    rate_hz: float | None
-    gaps: int
-    incomplete: int
-    restarts: int
-    dated_by: str
 
 
 @dataclass(frozen=True, slots=True)

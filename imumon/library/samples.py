@@ -43,12 +43,10 @@ class Samples:
     side: Mapping[str, Samples] = field(default_factory=dict)
 
     def __repr__(self) -> str:
-        """Return the size in a line."""
         side = f", side streams {', '.join(self.side)}" if self.side else ""
         return f"<imumon.Samples: {len(self):,} rows of {len(self.columns)} columns{side}>"
 
     def __len__(self) -> int:
-        """Return the number of samples."""
         return len(self._table)
 
     @overload
@@ -65,7 +63,6 @@ class Samples:
         return nan_for_missing(self._table[key])
 
     def __contains__(self, name: object) -> bool:
-        """Return whether there is a column of this name."""
         return name in self._table
 
     @property

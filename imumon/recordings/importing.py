@@ -96,7 +96,7 @@ class TableImport:
         self.columns = _columns(self.map)
         """Columns of the samples with their units, in canonical order."""
         self._times = _RowTimes(table, self.map)
-        self._rows_in = self._rows_out = self._rows_bad = 0
+        self._rows_good = self._rows_bad = 0
         self._listed: list[BadRow] = []
 
     def blocks(self) -> Iterator[SampleBlock]:
@@ -107,16 +107,15 @@ class TableImport:
         """
         strict = self.map.bad_rows == "error"
         for part in self._parts:
-            self._rows_in += part.rows_in
+            self._rows_good += len(part.index)
             self._rows_bad += len(part.bad)
             self._listed += part.bad[: LISTED - len(self._listed)]
             if not (self._rows_bad and strict):
-                self._rows_out += len(part.index)
                 yield self._block(part)
         if self._rows_bad and strict:
             raise self._bad_rows_error()
-        if not self._rows_out:
-            raise ImumonError(Reason.BAD_DATA, f"{self.table}: none of its {self._rows_in} rows can be taken")
+        if not self._rows_good:
+            raise ImumonError(Reason.BAD_DATA, f"{self.table}: none of its {self._rows_bad} rows can be taken")
 
     def _block(self, part: Part) -> SampleBlock:
         time_ns, segments = self._times.take(part)
@@ -132,8 +131,8 @@ class TableImport:
         used = {source.column for source in self.map.sources()}
         used |= {self.map.time.column} if self.map.time else set()
         return ImportReport(
-            rows_in=self._rows_in,
-            rows_out=self._rows_out,
+            rows_in=self._rows_good + self._rows_bad,
+            rows_out=self._rows_good,
             rows_dropped=self._rows_bad,
             columns=tuple(self.columns),
             columns_unused=tuple(name for name in self._names if name not in used),
@@ -145,14 +144,21 @@ class TableImport:
         )
 
     def warnings(self) -> list[str]:
-        """Return what cannot be known of the times of the rows, once the blocks were read."""
-        return self._times.warnings()
+        """Return what cannot be known of the times of the rows."""
+        if self.map.time is None or self.map.time.wrap_ns is None:
+            return []
+        wrap = f"{float(self.map.time.wrap_ns) * 1e-9:g} s"
+        return [
+            f"{self.table}: time wraps every {wrap}, and how often it did in a gap cannot be known: one"
+            f" of {wrap} or longer comes out short by whole wraps"
+        ]
 
     def _bad_rows_error(self) -> ImumonError:
         shown = [f"{self.table}:{row.line}: {row.why}: {row.text!r}" for row in self._listed]
         if self._rows_bad > len(shown):
             shown.append(f"... and {self._rows_bad - len(shown)} more")
-        seen = f"{self.table}: {self._rows_bad} of {self._rows_in} rows cannot be taken; nothing was imported"
+        rows = self._rows_good + self._rows_bad
+        seen = f"{self.table}: {self._rows_bad} of {rows} rows cannot be taken; nothing was imported"
         return ImumonError(
             Reason.BAD_DATA,
             "\n".join([seen, *shown]),
@@ -215,30 +221,19 @@ class _RowTimes:
         self.segment = int(segments[-1])
         return times, segments
 
-    def warnings(self) -> list[str]:
-        """Return what cannot be known of these times."""
-        if self._wrap_ns is None:
-            return []
-        wrap = f"{float(self._wrap_ns) * 1e-9:g} s"
-        return [
-            f"{self._table}: time wraps every {wrap}, and how often it did in a gap cannot be known: one"
-            f" of {wrap} or longer comes out short by whole wraps"
-        ]
-
     def _times(self, part: Part) -> IntArray:
         if part.time_ns is None:
             # Each is rounded by itself so that no error adds up; a row that was dropped keeps its time.
             period_ns = 10**9 / Fraction(str(self._rate_hz))
             return np.array([round(row * period_ns) for row in part.index.tolist()], np.int64)
-        if self._wrap_ns is None or not len(part.time_ns):
+        if self._wrap_ns is None:
             return part.time_ns
-        before = part.time_ns[0] if self._last is None else self._counted
-        wraps = self._wraps + np.cumsum(np.diff(part.time_ns, prepend=before) < 0)
-        self._counted, self._wraps = int(part.time_ns[-1]), int(wraps[-1])
-        number, which = np.unique(np.append(wraps, wraps[-1] + 1), return_inverse=True)
-        # The next wrap as well: a time within it must fit in 64 bits.
-        whole = np.array([round(int(one) * self._wrap_ns) for one in number], np.int64)
-        return np.asarray(part.time_ns + whole[which[:-1]])
+        times = []
+        for counted in part.time_ns.tolist():
+            self._wraps += counted < self._counted
+            self._counted = counted
+            times.append(counted + round(self._wraps * self._wrap_ns))
+        return np.array(times, np.int64)
 
     def _error(self, time_ns: int, step_ns: int, line: int, line_before: int) -> ImumonError:
         verb, hint = (

@@ -16,6 +16,7 @@ from pydantic import Field, NonNegativeInt
 from imumon.config import StrictModel, dump_yaml, parse_yaml
 from imumon.errors import ImumonError, Reason
 from imumon.files import read_text, readable
+from imumon.transport.statistics import StreamCounters
 from imumon.version import __version__
 
 FORMAT: Final = "imumon-session/1"
@@ -44,22 +45,6 @@ class TableUsed(StrictModel):
     rows_dropped: NonNegativeInt
 
 
-class StreamSummary(StrictModel):
-    """What came of a stream of the device; `rate_hz` is the rate where nothing is missing.
-
-    `dated_by` says where the times are from: "clock" of the device, its "counter" or the "rows" at a nominal
-    rate, "arrival"; empty of a side stream, and where it was not noted.
-    """
-
-    packets: NonNegativeInt
-    rows: NonNegativeInt
-    rate_hz: float | None
-    gaps: NonNegativeInt
-    incomplete: NonNegativeInt
-    restarts: NonNegativeInt
-    dated_by: str = ""
-
-
 class SessionMetadata(StrictModel):
     """Everything about a session but its data; times are UTC.
 
@@ -82,7 +67,7 @@ class SessionMetadata(StrictModel):
     table: TableUsed | None = None
     versions: dict[str, str]
     counters: dict[str, int] = Field(default_factory=dict)
-    streams: dict[str, StreamSummary] = Field(default_factory=dict)
+    streams: dict[str, StreamCounters] = Field(default_factory=dict)
     events: NonNegativeInt = 0
     results_digest: str | None = None
     column_crc32: dict[str, NonNegativeInt] = Field(default_factory=dict)

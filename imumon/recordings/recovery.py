@@ -113,12 +113,12 @@ def _items(path: Path, writer: WireWriter, bytes_missing: int, ended_ns: int) ->
     for batch in reader.batches():
         items = [batch] if isinstance(batch, Event) else list(batch)
         times = [item.time_ns if isinstance(item, Event) else item.arrival_ns for item in items]
-        missing = reader.damage.messages - written
+        missing = reader.summary.damage.messages - written
         if missing:
             writer.missing(last_ns, times[0], missing)
         written, last_ns = written + missing, times[-1]
         yield from items
-    missing = reader.damage.messages - written
+    missing = reader.summary.damage.messages - written
     if missing or bytes_missing:
         writer.missing(last_ns, max(last_ns, ended_ns), missing, bytes_missing)
 

@@ -7,10 +7,10 @@ header, so that every program reads it, and the units in a second file beside it
 from __future__ import annotations
 
 import csv
-import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, Literal
 
 import numpy as np
@@ -57,14 +57,14 @@ class TableWriter:
         _check_suffix(path, Reason.BAD_CONFIG)
         check_output(path, replace=True)
         self.path = path
-        self._place = target(path)
         self.rows = 0
         self._columns = dict(columns)
         self._buffer: list[SampleBlock] = []
         self._buffered = 0
         self._names: list[str] = []
-        self._parts: list[Path] = []
-        self._part: Any = None
+        """Columns of the part that is being written."""
+        self._folder: TemporaryDirectory[str] | None = None
+        self._parts: list[pq.ParquetWriter] = []
 
     def announce(self, columns: Iterable[Column]) -> None:
         """Say which columns may come from now on, in the order which the table shall have."""
@@ -94,11 +94,11 @@ class TableWriter:
         """
         try:
             with naming(self.path):
-                self._flush()
+                if self._buffer:
+                    self._flush()
                 if not self._parts:
-                    self._names = list(self._columns)
-                    self._begin_part()
-                self._end_part()
+                    self._begin_part([*self._columns])
+                self._parts[-1].close()
                 self._finish()
         finally:
             self.abort()
@@ -107,17 +107,16 @@ class TableWriter:
         """Remove what was written; without effect after `close`."""
         self._buffer = []
         with suppress(OSError):
-            self._end_part()
-        for part in self._parts:
-            part.unlink(missing_ok=True)
+            if self._parts:
+                self._parts[-1].close()
         self._parts = []
+        if self._folder is not None:
+            self._folder.cleanup()
 
     def __enter__(self) -> TableWriter:
-        """Return itself."""
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        """Close, or drop everything when there was an error."""
         if kind is None:
             self.close()
         else:
@@ -125,46 +124,47 @@ class TableWriter:
 
     def _flush(self) -> None:
         """Write the buffer as one row group; a column that is new begins a new part."""
-        if not self._buffer:
-            return
         block = join(self._buffer)
         self._buffer, self._buffered = [], 0
         names = [name for name in self._columns if name in self._names or name in block]
         if names != self._names:
-            self._end_part()
-            self._names = names
-            self._begin_part()
-        self._part.write_table(_to_arrow(block, _schema(self._columns[name] for name in names)))
+            self._begin_part(names)
+        self._parts[-1].write_table(_to_arrow(block, self._schema()))
 
-    def _begin_part(self) -> None:
-        part = self._place.with_name(f".{self._place.name}.{os.getpid()}-{len(self._parts)}.part")
-        self._parts.append(part)
-        schema = _schema(self._columns[name] for name in self._names)
-        self._part = pq.ParquetWriter(part, schema, compression="zstd", use_dictionary=False)
+    def _begin_part(self, names: list[str]) -> None:
+        if self._folder is None:
+            self._folder = TemporaryDirectory(prefix=".imumon-", dir=target(self.path).parent)
+        if self._parts:
+            self._parts[-1].close()
+        self._names = names
+        self._parts.append(_parquet_writer(self._part(len(self._parts)), self._schema()))
 
-    def _end_part(self) -> None:
-        if self._part is not None:
-            part, self._part = self._part, None
-            part.close()
+    def _part(self, number: int) -> Path:
+        assert self._folder is not None
+        return Path(self._folder.name) / f"{number}.parquet"
+
+    def _schema(self) -> Any:
+        return _schema(self._columns[name] for name in self._names)
 
     def _finish(self) -> None:
         """Make the table of the parts: as it is when there is one, else with nulls for what came later."""
-        if self.path.suffix == ".parquet" and len(self._parts) == 1:
-            self._parts.pop().replace(self._place)
-            return
-        columns = [self._columns[name] for name in self._names]
-        schema = _schema(columns)
-        merged = self._place.with_name(f".{self._place.name}.{os.getpid()}.part")
-        tables = _merged(self._parts, schema)
-        self._parts = [*self._parts, merged]
-        if self.path.suffix == ".parquet":
-            with pq.ParquetWriter(merged, schema, compression="zstd", use_dictionary=False) as writer:
-                for table in tables:
-                    writer.write_table(table)
-        else:
-            _write_csv(merged, tables, schema)
-            _write_units(units_path(self.path), columns)
-        merged.replace(self._place)
+        parts, schema = [self._part(number) for number in range(len(self._parts))], self._schema()
+        whole = parts[0]
+        if self.path.suffix != ".parquet" or len(parts) > 1:
+            whole = self._part(len(parts))
+            tables = (_to_arrow(block, schema) for part in parts for block in iterate_table(part))
+            if self.path.suffix == ".parquet":
+                with _parquet_writer(whole, schema) as writer:
+                    for table in tables:
+                        writer.write_table(table)
+            else:
+                _write_csv(whole, tables, schema)
+                _write_units(units_path(self.path), [self._columns[name] for name in self._names])
+        whole.replace(target(self.path))
+
+
+def _parquet_writer(path: Path, schema: Any) -> Any:
+    return pq.ParquetWriter(path, schema, compression="zstd", use_dictionary=False)
 
 
 def iterate_samples(session: Session) -> Iterator[SampleBlock]:
@@ -351,14 +351,6 @@ def _batches(path: Path, schema: Any) -> Iterator[Any]:
     )
     with pa_csv.open_csv(path, convert_options=options) as reader:
         yield from reader
-
-
-def _merged(parts: Sequence[Path], schema: Any) -> Iterator[Any]:
-    """Yield tables of this schema from parts that have some of its columns each."""
-    for part in parts:
-        with pq.ParquetFile(part, pre_buffer=False) as file:
-            for batch in file.iter_batches(batch_size=READ_ROWS):
-                yield _to_arrow(_from_arrow(batch, batch.schema), schema)
 
 
 def _write_csv(path: Path, tables: Iterable[Any], schema: Any) -> None:

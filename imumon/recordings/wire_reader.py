@@ -138,14 +138,12 @@ def _mapped(path: Path) -> Iterator[mmap.mmap | bytes]:
 class WireReader:
     """Reads a wire file in order of arrival, in constant memory.
 
-    Each iteration reads the file anew; `summary` is that of the last iteration that came to the end.
+    Each iteration reads the file anew; `summary` is what the last one has found so far.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.summary = WireSummary()
-        self.damage = Damage()
-        """What was found so far by the iteration that goes on."""
 
     def __iter__(self) -> Iterator[Item]:
         """Yield the items in the order in which they were written, each read by itself.
@@ -175,9 +173,8 @@ class WireReader:
         """
         with _mapped(self.path) as data:
             contents = _Contents(self.path, data)
-            self.damage = contents.found.damage
+            self.summary = contents.found
             yield from contents.batches()
-        self.summary = contents.found
 
 
 class _Contents:
@@ -186,11 +183,12 @@ class _Contents:
     def __init__(self, path: Path, data: mmap.mmap | bytes) -> None:
         self.found = WireSummary()
         self._path, self._data = path, data
-        self._done = 0
-        """Up to where everything is read or given up."""
-        self._released = 0
-        self._next_sequence: int | None = None
-        """Of the next message, modulo 2^32; None before the first in a file without check records."""
+        self._done = self._released = 0
+        """Up to where everything is read or given up, and is no longer kept in memory."""
+        self._crc = 0
+        """CRC-32 of the file up to `_done`."""
+        self._next_sequence = 0
+        """Of the next message, modulo 2^32."""
         self._pieces: list[bytes] = []
         self._arrivals_ns: list[int] = []
         self._kept = 0
@@ -208,15 +206,14 @@ class _Contents:
         marker = -1
         while (marker := data.find(wf.MARKER, marker + 1)) >= 0:
             at = marker - RECORD.size
-            check = Check.unpack(data, at) if at >= 0 else None
-            if check is not None:
+            if at >= 0 and (check := Check.unpack(data, at)) is not None:
                 yield from self._block(check, at)
-                self._release(at)
         if not self._done:
             if not is_mcap and PROFILE not in head:
                 hint = "only wire files that imumon recorded can be replayed"
                 raise ImumonError(Reason.BAD_DATA, f"{self._path}: is not a wire file", hint)
-            self._done = yield from self._records(data, min(len(MAGIC), len(data)), sealed=False)
+            end = yield from self._records(data, min(len(MAGIC), len(data)), sealed=False)
+            self._finish(end)
         yield from self._reads()
         ended = self._ends_data()
         if ended:
@@ -230,8 +227,6 @@ class _Contents:
 
         A block whose messages were there before is in the file twice: it is passed over.
         """
-        if self._next_sequence is None:
-            self._next_sequence = 0
         begin, behind = end - check.size, end + CHECK_SIZE
         block = self._data[max(begin, 0) : end]
         if begin == 0:
@@ -246,7 +241,7 @@ class _Contents:
         if self._ahead(sequence) < 0:
             return
         yield from self._lose((begin if is_whole else behind) - self._done, time_ns, sequence)
-        self._done = behind
+        self._finish(behind)
         if is_whole:
             stop = yield from self._records(block, first, sealed=True)
             if stop < len(block):
@@ -259,11 +254,7 @@ class _Contents:
         if len(record) < RECORD.size + 4 or RECORD.unpack_from(record) != (wf.DATA_END_OP, 4):
             return False
         if expected := int.from_bytes(record[-4:], "little"):
-            crc, self._released = zlib.crc32(MAGIC), 0
-            for begin in range(len(MAGIC), at, READ_SIZE):
-                crc = zlib.crc32(self._data[begin : min(begin + READ_SIZE, at)], crc)
-                self._release(begin)
-            self.found.checksum_ok = crc == expected
+            self.found.checksum_ok = self._crc == expected
         return True
 
     def _compare_count(self) -> Generator[Reads]:
@@ -277,16 +268,18 @@ class _Contents:
                 return
             at += RECORD.size + length
 
-    def _release(self, before: int) -> None:
-        """Keep what was read out of the memory that is counted as that of this process."""
-        while before - self._released > RELEASE_SIZE and isinstance(self._data, mmap.mmap):
-            self._data.madvise(mmap.MADV_DONTNEED, self._released, RELEASE_SIZE)
-            self._released += RELEASE_SIZE
+    def _finish(self, end: int) -> None:
+        """Take what stands before this place as read: into the checksum, and out of the memory."""
+        while self._done < end:
+            stop = min(self._done + READ_SIZE, end)
+            piece = MAGIC + self._data[len(MAGIC) : stop] if not self._done else self._data[self._done : stop]
+            self._crc, self._done = zlib.crc32(piece, self._crc), stop
+            if stop - self._released > RELEASE_SIZE and isinstance(self._data, mmap.mmap):
+                self._data.madvise(mmap.MADV_DONTNEED, self._released, RELEASE_SIZE)
+                self._released += RELEASE_SIZE
 
     def _ahead(self, sequence: int) -> int:
         """Return how many messages are missing before one of this number; below 0 if it was there before."""
-        if self._next_sequence is None:
-            return 0
         half = (SEQUENCE_MASK + 1) // 2
         return (sequence - self._next_sequence + half & SEQUENCE_MASK) - half
 
@@ -299,8 +292,7 @@ class _Contents:
         if size or missing:
             yield from self._reads()
             self.found.damage.add(Place(self._done, size, self.found.last_ns, before_ns, missing))
-        if self._next_sequence is not None:
-            self._next_sequence = self._next_sequence + missing & SEQUENCE_MASK
+        self._next_sequence = self._next_sequence + missing & SEQUENCE_MASK
 
     def _error(self, what: str) -> ImumonError:
         hint = "a newer imumon wrote it, or only wire files that imumon recorded can be replayed"

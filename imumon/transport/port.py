@@ -131,11 +131,9 @@ class Port:
         _close_log(self._handle)
 
     def __enter__(self) -> Port:
-        """Return the port itself."""
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Close the port."""
         self.close()
 
     def _take(self, fd: int) -> bytes:

@@ -46,7 +46,6 @@ class PortInfo:
         return f"{self.vid:04x}:{self.pid:04x}" if self.vid is not None and self.pid is not None else ""
 
     def __str__(self) -> str:
-        """Return name, description and USB id in one line."""
         facts = ", ".join(fact for fact in (self.description, self.usb_id) if fact and fact != "n/a")
         return f"{self.device} ({facts})" if facts else self.device
 

@@ -31,7 +31,6 @@ class PortSettings:
     """Data bits 5 to 8; parity N, E, O, M or S; stop bits 1, 1.5 or 2."""
 
     def __post_init__(self) -> None:
-        """Check the values."""
         if not self.url:
             raise ImumonError(Reason.BAD_CONFIG, "the name of the port is empty")
         if not self.url.isprintable():
@@ -72,7 +71,6 @@ class PortSettings:
         return self.baudrate / self.bits_per_byte if self.has_line else None
 
     def __str__(self) -> str:
-        """Return the port as a person writes it, such as ``/dev/ttyUSB0 at 115200 8N1``."""
         if not self.has_line:
             return self.url
         return f"{self.url} at {self.baudrate} {self.bytesize}{self.parity}{self.stopbits:g}"
