@@ -15,7 +15,6 @@ from imumon.recordings.wire import WireWriter
 from imumon.recordings.wire_reader import WireReader, WireSummary
 from imumon.transport.reader import Bytes, Event
 
-ORIGINAL = "original"
 FLUSH_BYTES = 1 << 20
 
 
@@ -87,7 +86,11 @@ def rewrite(path: Path, bytes_missing: int = 0, ended_ns: int = 0) -> Path:
                     flushed = 0
         original = keep_original(path)
         partial.replace(path)
-        _sync_folder(path.parent)
+        folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
     finally:
         partial.unlink(missing_ok=True)
     return original
@@ -95,37 +98,25 @@ def rewrite(path: Path, bytes_missing: int = 0, ended_ns: int = 0) -> Path:
 
 def keep_original(path: Path) -> Path:
     """Give a file a second name, NAME.original or with a number, and return it."""
-    number = 1
-    while True:
-        original = path.with_name(f"{path.name}.{ORIGINAL}{'' if number == 1 else f'-{number}'}")
-        try:
-            original.hardlink_to(path)
-        except FileExistsError:
-            number += 1
-        else:
-            return original
+    number, original = 1, path.with_name(f"{path.name}.original")
+    while original.exists():
+        number += 1
+        original = path.with_name(f"{path.name}.original-{number}")
+    original.hardlink_to(path)
+    return original
 
 
 def _items(path: Path, writer: WireWriter, bytes_missing: int, ended_ns: int) -> Iterator[Bytes | Event]:
     """Yield what can be read; say where messages are missing before those behind the place."""
     reader = WireReader(path)
     written = last_ns = 0
-    for batch in reader.batches():
-        items = [batch] if isinstance(batch, Event) else list(batch)
-        times = [item.time_ns if isinstance(item, Event) else item.arrival_ns for item in items]
+    for item in reader:
+        time_ns = item.time_ns if isinstance(item, Event) else item.arrival_ns
         missing = reader.summary.damage.messages - written
         if missing:
-            writer.missing(last_ns, times[0], missing)
-        written, last_ns = written + missing, times[-1]
-        yield from items
+            writer.missing(last_ns, time_ns, missing)
+        written, last_ns = written + missing, time_ns
+        yield item
     missing = reader.summary.damage.messages - written
     if missing or bytes_missing:
         writer.missing(last_ns, max(last_ns, ended_ns), missing, bytes_missing)
-
-
-def _sync_folder(folder: Path) -> None:
-    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)

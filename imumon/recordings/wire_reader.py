@@ -233,11 +233,12 @@ class _Contents:
             block = MAGIC + block[len(MAGIC) :]  # the same in all files, should it be damaged
         is_whole = begin >= 0 and zlib.crc32(block) == check.crc
         at = first = len(MAGIC) if block.startswith(MAGIC) else 0
-        while is_whole and at < len(block) and block[at] != wf.MESSAGE_OP:
-            at += RECORD.size + RECORD.unpack_from(block, at)[1]
         sequence, time_ns = check.sequence, check.time_ns
-        if is_whole and at < len(block):
-            _, _, _, sequence, time_ns, _ = MESSAGE.unpack_from(block, at)
+        while is_whole and at < len(block):
+            if block[at] == wf.MESSAGE_OP:
+                _, _, _, sequence, time_ns, _ = MESSAGE.unpack_from(block, at)
+                break
+            at += RECORD.size + RECORD.unpack_from(block, at)[1]
         if self._ahead(sequence) < 0:
             return
         yield from self._lose((begin if is_whole else behind) - self._done, time_ns, sequence)
@@ -370,21 +371,17 @@ class _Contents:
         try:
             fields = json.loads(body)
             if fields["kind"] == wf.UNRECORDED:
-                self._unrecorded(fields, time_ns)
+                self.found.bytes_unrecorded += int(fields["bytes"])
+                if "after_ns" in fields:
+                    place = Place(0, 0, int(fields["after_ns"]), time_ns, int(fields["reads"]))
+                    self.found.damage.add(place)
+                    self.found.recovered.add(place)
                 return None
             event = Event(EventKind(fields["kind"]), time_ns, str(fields["detail"]))
         except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
             raise self._error(f"event at {time_ns} ns is not understood: {body[:200]!r}") from error
         self.found.events += 1
         return event
-
-    def _unrecorded(self, fields: dict[str, int], time_ns: int) -> None:
-        """Count what the file says is missing here."""
-        self.found.bytes_unrecorded += int(fields["bytes"])
-        if "after_ns" in fields:
-            place = Place(0, 0, int(fields["after_ns"]), time_ns, int(fields["reads"]))
-            self.found.damage.add(place)
-            self.found.recovered.add(place)
 
     def _rare(self, opcode: int, body: bytes) -> None:
         """Take in a rare record: header or metadata.

@@ -125,10 +125,9 @@ class Port:
         if self._native and self._fd is not None:
             terminal.set_exclusive(self._fd, False)
         self._fd = None
-        self._handle.close()
+        _close(self._handle)
         if self._socket is not None:
             self._socket.close()  # the rfc2217 handler forgets it when the peer has closed first
-        _close_log(self._handle)
 
     def __enter__(self) -> Port:
         return self
@@ -180,8 +179,7 @@ def open_port(settings: PortSettings) -> Port:
         handle.open()
         return Port(handle, settings)
     except OPEN_ERRORS as error:
-        handle.close()
-        _close_log(handle)
+        _close(handle)
         raise open_error(settings, error) from error
 
 
@@ -204,8 +202,9 @@ def _make_handle(settings: PortSettings) -> Handle:
     return handle
 
 
-def _close_log(handle: Handle) -> None:
-    """Close the file of ``spy://...?file=``, which pyserial leaves open."""
+def _close(handle: Handle) -> None:
+    """Close a handler, and the file of ``spy://...?file=``, which pyserial leaves open."""
+    handle.close()
     output = getattr(getattr(handle, "formatter", None), "output", None)
     if output not in (None, sys.stderr):
         output.close()
