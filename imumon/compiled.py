@@ -13,6 +13,7 @@ import logging
 from collections.abc import Callable, Sequence
 from functools import cache, partial
 from importlib.util import find_spec
+from operator import getitem
 from pathlib import Path
 from typing import Any, TypeVar, cast, overload
 
@@ -105,11 +106,7 @@ def _stored(made: Any) -> tuple[Callable[..., Any], tuple[Any, int]]:
     """Tell pickle that a record is part of an array: copied by itself, `alone` would no longer find it."""
     array = made.base
     address = made.__array_interface__["data"][0] - array.__array_interface__["data"][0]
-    return _restored, (array, address // array.itemsize)
-
-
-def _restored(array: Any, at: int) -> Any:
-    return array[at]
+    return getitem, (array, address // array.itemsize)
 
 
 copyreg.pickle(np.record, _stored)

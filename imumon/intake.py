@@ -104,9 +104,9 @@ class Intake:
         timely, rows = self._timely(block)
         columns = dict(timely.columns)
         for name, values in timely.columns.items():
-            limits = self._limits_of(name) if values.dtype == np.float64 else None
-            if limits is not None:
-                low, high, label = limits
+            limits = (one for start, one in self._limits.items() if name.startswith(start))
+            if values.dtype == np.float64 and (limit := next(limits, None)) is not None:
+                low, high, label = limit
                 self._leave_out((name,), (values < low) | (values > high), f"{name} {label}", columns)
         # What cannot be is no reading: it neither begins a sensor nor ends its standing still.
         for sensor, names in _sensors(columns):
@@ -151,9 +151,6 @@ class Intake:
         new = [text for what, text in every.items() if what not in self._reported]
         self._reported.update(every)
         return new
-
-    def _limits_of(self, name: str) -> tuple[float, float, str] | None:
-        return next((limits for start, limits in self._limits.items() if name.startswith(start)), None)
 
     def _leave_out(
         self, names: tuple[str, ...], rows: BoolArray, why: str, columns: dict[str, ColumnArray]

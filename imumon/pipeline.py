@@ -156,22 +156,11 @@ class Pipeline:
     def counters(self) -> PipelineCounters:
         """What became of every byte and packet so far."""
         raw = self._decoder.counters() if self._decoder is not None else Counters()
-        return PipelineCounters(
-            **asdict(raw),
-            counter_gaps=self._device_clock.counter_gaps,
-            packets_missing=self._device_clock.packets_missing,
-            clock_restarts=self._device_clock.resets,
-            samples=self._samples,
-            left_out=self._intake.left_out,
-            streams=self._stream_counters(),
-        )
-
-    def _stream_counters(self) -> dict[str, StreamCounters]:
         assembled = self._epochs.counters if self._epochs is not None else {}
-        counters = {}
+        streams = {}
         for stream, intervals in self._intervals.items():
             own, is_main = assembled.get(stream, EpochCounters()), stream == MAIN
-            counters[stream] = StreamCounters(
+            streams[stream] = StreamCounters(
                 packets=own.packets or intervals.rows,
                 rows=intervals.rows,
                 rate_hz=intervals.rate_hz,
@@ -180,7 +169,15 @@ class Pipeline:
                 restarts=self._device_clock.resets if is_main else intervals.backwards,
                 dated_by=self._device_clock.dated_by if is_main else "",
             )
-        return counters
+        return PipelineCounters(
+            **asdict(raw),
+            counter_gaps=self._device_clock.counter_gaps,
+            packets_missing=self._device_clock.packets_missing,
+            clock_restarts=self._device_clock.resets,
+            samples=self._samples,
+            left_out=self._intake.left_out,
+            streams=streams,
+        )
 
     def snapshot(self) -> bytes:
         """Return decoder, clocks and stages as they are now; `restore` goes on from there, bit for bit.

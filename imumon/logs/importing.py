@@ -49,7 +49,9 @@ def import_log(path: Path, sensor: str | None, out: Path) -> LogReport:
                 "make a table of it (mavlogdump.py --format csv), and give --map MAP.yaml",
             )
         write_text(table.with_suffix(".yaml"), text)
-        rows = import_table(table, table.with_suffix(".yaml"), out, _file_of(path), dropped)
+        files = [one for one in path.iterdir() if one.is_file()] if path.is_dir() else [path]
+        largest = max(files, key=lambda one: one.stat().st_size)  # whose fingerprint is kept, of a bag
+        rows = import_table(table, table.with_suffix(".yaml"), out, largest, dropped)
     rows = replace(rows, warnings=(*log.warnings, *rows.warnings))
     return LogReport(rows, log.sensor, log.others, log.scaling, log.damage)
 
@@ -73,10 +75,3 @@ def reader_of(path: Path) -> Reader:
         f"{path}: is no log of ArduPilot (.BIN), PX4 (.ulg) or Betaflight (blackbox_decode), and no ROS bag",
         "a table needs --map MAP.yaml, which says what is in which column",
     )
-
-
-def _file_of(path: Path) -> Path:
-    """Return the file that a fingerprint is taken of: of a bag that is a folder the largest."""
-    if not path.is_dir():
-        return path
-    return max((one for one in path.iterdir() if one.is_file()), key=lambda one: one.stat().st_size)

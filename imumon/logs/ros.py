@@ -44,7 +44,8 @@ def read(path: Path, sensor: str | None = None) -> Log:
     try:
         with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as bag:
             found = {one.topic for one in bag.connections if one.msgtype == IMU and one.msgcount}
-            topics = sorted(found, key=_raw_first)
+            # What a sensor sent comes before what was made of it, such as rates without their bias.
+            topics = sorted(found, key=lambda one: (one.removesuffix("_raw"), not one.endswith("_raw")))
             name, others = pick(path, topics, sensor)
             (gyro, *beside), undated = _collect(bag, [name, *(_first(bag, kind) for kind in BESIDE)])
     except ImumonError:
@@ -55,20 +56,12 @@ def read(path: Path, sensor: str | None = None) -> Log:
             f"{path}: cannot be read as a ROS bag: {str(error) or type(error).__name__}",
             "if it was cut or damaged, mend it first: mcap recover, ros2 bag reindex or rosbag reindex",
         ) from error
-    warnings = [_undated(name, undated[name], len(gyro.time_ns))] if undated[name] else []
-    return Log(name, others, gyro, beside, "FLU", SCALING, warnings=tuple(warnings))
-
-
-def _raw_first(topic: str) -> tuple[str, bool]:
-    """Sort by name, but what a sensor sent before what was made of it, such as rates without their bias."""
-    return topic.removesuffix("_raw"), not topic.endswith("_raw")
-
-
-def _undated(topic: str, count: int, n: int) -> str:
-    return (
-        f"{topic}: {count:,} of {n:,} headers have no time: the time at which the recorder received them"
-        " stands in, and its jitter and delay are not the sensor's"
+    received = (
+        f"{name}: {undated[name]:,} of {len(gyro.time_ns):,} headers have no time: the time at which the"
+        " recorder received them stands in, and its jitter and delay are not the sensor's"
     )
+    warnings = (received,) if undated[name] else ()
+    return Log(name, others, gyro, beside, "FLU", SCALING, warnings=warnings)
 
 
 def _vector(value: Any) -> list[float]:

@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import Any, BinaryIO, Literal
 from zipfile import BadZipFile
 
+import numpy as np
+
 from imumon.blocks import SampleBlock
 from imumon.columns import KNOWN, Column, ColumnType
 from imumon.errors import ImumonError, Reason
@@ -49,8 +51,6 @@ def convert(
 
 def write_npz(file: Path | BinaryIO, values: Mapping[str, Any], columns: Mapping[str, Column]) -> None:
     """Write the columns, and `units`, a text in JSON."""
-    import numpy as np
-
     units = json.dumps({name: column.unit for name, column in columns.items()})
     np.savez_compressed(file, units=np.array(units), **values)
 
@@ -60,8 +60,6 @@ def read_npz(path: Path) -> tuple[SampleBlock, dict[str, Column]]:
 
     Raises BAD_DATA when it cannot be read, or was not written by imumon.
     """
-    import numpy as np
-
     try:
         with np.load(BytesIO(path.read_bytes()), allow_pickle=False) as file:
             values = {name: file[name] for name in file.files}

@@ -6,7 +6,7 @@ has the samples as they were sent, for tables.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -135,11 +135,9 @@ def _open(path: Path, map_path: Path | None) -> Source:
     if "device_time_ns" not in columns:
         seen = f"{path}: has no column device_time_ns, so it is no table of imumon"
         raise ImumonError(Reason.BAD_DATA, seen, "a table from elsewhere needs a map: imumon import")
-    return Source(path, _with_segment(iterate_table(path)), None, None, tuple(columns.values()))
-
-
-def _with_segment(blocks: Iterable[SampleBlock]) -> Iterator[SampleBlock]:
-    """Yield tables without a column segment as one segment."""
-    for block in blocks:
-        extra = {} if "segment" in block else {"segment": np.zeros(len(block), np.int64)}
-        yield block.with_columns(extra)
+    # Without a column segment it is one segment.
+    blocks = (
+        block if "segment" in block else block.with_columns({"segment": np.zeros(len(block), np.int64)})
+        for block in iterate_table(path)
+    )
+    return Source(path, blocks, None, None, tuple(columns.values()))
