@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imumon.blocks import NO_INT, BoolArray, ColumnArray, FloatArray, IntArray, SampleBlock
+from imumon.blocks import NO_INT, BoolArray, ColumnArray, FloatArray, IntArray, SampleBlock, missing
 from imumon.magnitudes import SpecificForce, windows
 from imumon.protocols.ranges import Ranges
 
@@ -64,8 +64,7 @@ class Taken:
         """Return a column of the rows that were taken as one of all rows, missing in between."""
         if self.rows is None:
             return column
-        none = np.nan if column.dtype == np.float64 else np.iinfo(np.int64).min
-        whole = np.full(len(self.rows), none, column.dtype)
+        whole = missing(len(self.rows), column.dtype)
         whole[self.rows] = column
         return whole
 
@@ -101,7 +100,14 @@ class Intake:
 
     def process(self, block: SampleBlock) -> Taken:
         """Return what the stages may see of a block."""
-        timely, rows = self._timely(block)
+        timely, rows, is_dated = block, None, "device_time_ns" in block and "segment" in block
+        if is_dated:
+            kept, shift = self._clock.evaluate(block["device_time_ns"], block["segment"])
+            timely = block.with_columns({"segment": block["segment"] + shift})
+            if not kept.all():
+                rows = kept
+                self._left_out["rows whose time does not go on"] += int((~kept).sum())
+                timely = SampleBlock({name: values[kept] for name, values in timely.columns.items()})
         columns = dict(timely.columns)
         for name, values in timely.columns.items():
             limits = (one for start, one in self._limits.items() if name.startswith(start))
@@ -122,22 +128,11 @@ class Intake:
                 silent, why = self._begin(sensor, readings)
                 self._leave_out(names, silent, why, columns)
         taken = SampleBlock(columns)
-        if "device_time_ns" in timely and "segment" in timely:
+        if is_dated:
             for unchanged in self._unchanged.values():
                 unchanged.process(timely)
             self._force.look(taken)
         return Taken(taken, rows)
-
-    def _timely(self, block: SampleBlock) -> tuple[SampleBlock, BoolArray | None]:
-        """Return the rows whose time goes on, and which these are; None for all."""
-        if "device_time_ns" not in block or "segment" not in block:
-            return block, None
-        rows, shift = self._clock.evaluate(block["device_time_ns"], block["segment"])
-        block = block.with_columns({"segment": block["segment"] + shift})
-        if rows.all():
-            return block, None
-        self._left_out["rows whose time does not go on"] += int((~rows).sum())
-        return SampleBlock({name: values[rows] for name, values in block.columns.items()}), rows
 
     def notices(self, ended: bool = False) -> list[str]:
         """Return, once each, what is left out, at the end with how many, and what seems wrong otherwise."""

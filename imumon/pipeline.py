@@ -204,9 +204,7 @@ class Pipeline:
 
     def feed(self, data: bytes, arrival_ns: int = UNDATED) -> None:
         """Decode bytes that arrived at `arrival_ns` (Unix time, ns)."""
-        if self._decoder is None:
-            raise ValueError("a pipeline without a device takes samples, not bytes")
-        self._decoder.feed(data, arrival_ns)
+        self.feed_reads(np.frombuffer(data, np.uint8), np.array([len(data)]), np.array([arrival_ns]))
 
     def feed_reads(self, data: ByteArray, ends: IntArray, arrivals_ns: IntArray) -> None:
         """Decode the bytes of several reads: of each where it ends in the data, and when it arrived."""

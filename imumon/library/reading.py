@@ -17,7 +17,7 @@ from imumon.library import require, require_list, require_seconds
 from imumon.library.samples import TIMES, Samples
 from imumon.pipeline import Estimator, Pipeline
 from imumon.protocols.base import MAIN
-from imumon.recordings.conversions import CONVERTED, read_npz
+from imumon.recordings.exports import CONVERTED, read_npz
 from imumon.recordings.source import Source, no_samples, open_source, run_over
 from imumon.recordings.table import SUFFIXES, iterate_table, read_columns, units_path
 from imumon.run.setup import Setup, recorded_setup

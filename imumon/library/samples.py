@@ -14,8 +14,7 @@ from imumon.columns import Column
 from imumon.errors import ImumonError, Reason
 from imumon.files import as_path, check_output, replacing
 from imumon.protocols.base import MAIN
-from imumon.recordings.conversions import write_npz
-from imumon.recordings.side_tables import side_path
+from imumon.recordings.exports import side_path, write_npz
 from imumon.recordings.table import SUFFIXES, TableWriter, arrow_table
 
 TIMES = {"host_time_ns": "datetime64[ns]", "device_time_ns": "timedelta64[ns]"}

@@ -70,7 +70,7 @@ class Part:
 
 @dataclass(frozen=True, slots=True)
 class _Rows:
-    """Rows as they stand in the table: their lines, cells by column, whole texts, and those of a wrong width."""
+    """Rows as they stand in a table: lines, cells by column, whole texts, and those of a wrong width."""
 
     line: IntArray
     cells: Mapping[str, Any]
@@ -144,9 +144,7 @@ def _parts(
             line=rows.line[good],
             time_ns=None if times is None else times[good],
             values=values[:, good],
-            bad=[
-                BadRow(int(rows.line[row]), wrong[row], rows.text_of(row)[:SHOWN]) for row in sorted(wrong)
-            ],
+            bad=[BadRow(int(rows.line[row]), wrong[row], rows.text_of(row)[:SHOWN]) for row in sorted(wrong)],
         )
         first_row += len(rows.line)
 
@@ -277,9 +275,7 @@ def _of_date(moment: datetime) -> int:
     return ((since.days * 86_400 + since.seconds) * 10**6 + since.microseconds) * 1000
 
 
-def _times_of_text(
-    texts: Sequence[str | None], time: TimeColumn, decimal: str
-) -> tuple[IntArray, Wrong]:
+def _times_of_text(texts: Sequence[str | None], time: TimeColumn, decimal: str) -> tuple[IntArray, Wrong]:
     """Return times in ns, (n,), and what is wrong with which of them."""
     parse, wrap_ns = time_parser(time.unit, time.format), time.wrap_ns
     found, wrong = np.zeros(len(texts), np.int64), Wrong()

@@ -115,7 +115,9 @@ class TableImport:
         if self._rows_bad and strict:
             raise self._bad_rows_error()
         if not self._rows_good:
-            raise ImumonError(Reason.BAD_DATA, f"{self.table}: none of its {self._rows_bad} rows can be taken")
+            raise ImumonError(
+                Reason.BAD_DATA, f"{self.table}: none of its {self._rows_bad} rows can be taken"
+            )
 
     def _block(self, part: Part) -> SampleBlock:
         time_ns, segments = self._times.take(part)

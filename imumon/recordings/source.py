@@ -106,7 +106,18 @@ class Source:
             texts.append(
                 f"{summary.bytes_unrecorded:,} bytes could not be recorded at the time, or were lost since"
             )
-        texts += _damage(summary, name, self._began_ns())
+        damage = summary.damage
+        if damage.places:
+            is_damaged = damage.places > summary.recovered.places
+            verb = "is damaged" if is_damaged else "was damaged, before it was recovered,"
+            count = f"{damage.places:,} place{'s' if damage.places > 1 else ''}"
+            texts.append(
+                f"{name} {verb} in {count}, {damage.seconds:.3f} s in all: {damage.messages:,} reads or"
+                f" events missing, {damage.bytes:,} bytes of no use"
+            )
+        texts += [f"damaged: {self._described(place)}" for place in damage.where[:SHOWN_PLACES]]
+        if damage.places > SHOWN_PLACES:
+            texts.append(f"damaged: {damage.places - SHOWN_PLACES:,} more places, the first with --json")
         if summary.checksum_ok is False:
             texts.append(f"{name} was changed after it was recorded: its checksum differs")
         return texts
@@ -121,7 +132,7 @@ class Source:
             {
                 "offset": place.offset,
                 "bytes": place.size,
-                "at_s": None if (at_s := _since(self._began_ns(), place)) is None else round(at_s, 6),
+                "at_s": None if (at_s := self._since(place)) is None else round(at_s, 6),
                 "seconds": place.seconds,
                 "after_ns": place.after_ns or None,
                 "before_ns": place.before_ns or None,
@@ -141,8 +152,20 @@ class Source:
             }
         }
 
-    def _began_ns(self) -> int | None:
-        return None if self.session is None else self.session.metadata.created_ns
+    def _since(self, place: Place) -> float | None:
+        """Return when a damaged place begins, s after the start of the session; None where not known."""
+        if not place.after_ns or self.session is None:
+            return None
+        return (place.after_ns - self.session.metadata.created_ns) * 1e-9
+
+    def _described(self, place: Place) -> str:
+        where = f"{place.size:,} bytes at byte {place.offset:,}" if place.size else "cut out"
+        missing = f"{place.messages:,} missing" if place.messages or place.size else "how many is not known"
+        if not place.after_ns:
+            return f"{where}, before the first message ({missing})"
+        when = f"{place.seconds:.3f} s from {iso_utc(place.after_ns)}"
+        when += "" if (since := self._since(place)) is None else f", {since:.3f} s after the start"
+        return f"{where}, {when} ({missing})"
 
 
 def bytes_missing(session: Session, summary: WireSummary) -> int:
@@ -167,39 +190,6 @@ def no_samples(source: Source, pipeline: Pipeline) -> ImumonError:
         f"{others or 'no other'} messages",
         "is it another device, or text?",
     )
-
-
-def _since(began_ns: int | None, place: Place) -> float | None:
-    """Return when a damaged place begins, s after the start of the session; None where not known."""
-    return (place.after_ns - began_ns) * 1e-9 if place.after_ns and began_ns is not None else None
-
-
-def _damage(summary: WireSummary, name: str, began_ns: int | None) -> list[str]:
-    """Return what there is to say of damage: the sum, and the first places."""
-    texts, damage = [], summary.damage
-    if damage.places:
-        is_damaged = damage.places > summary.recovered.places
-        verb = "is damaged" if is_damaged else "was damaged, before it was recovered,"
-        count = f"{damage.places:,} place{'s' if damage.places > 1 else ''}"
-        texts.append(
-            f"{name} {verb} in {count}, {damage.seconds:.3f} s in all: {damage.messages:,} reads or events"
-            f" missing, {damage.bytes:,} bytes of no use"
-        )
-        texts += [f"damaged: {_place(place, began_ns)}" for place in damage.where[:SHOWN_PLACES]]
-        if damage.places > SHOWN_PLACES:
-            texts.append(f"damaged: {damage.places - SHOWN_PLACES:,} more places, the first with --json")
-    return texts
-
-
-def _place(place: Place, began_ns: int | None) -> str:
-    where = f"{place.size:,} bytes at byte {place.offset:,}" if place.size else "cut out"
-    missing = f"{place.messages:,} missing" if place.messages or place.size else "how many is not known"
-    if not place.after_ns:
-        return f"{where}, before the first message ({missing})"
-    since = _since(began_ns, place)
-    when = f"{place.seconds:.3f} s from {iso_utc(place.after_ns)}"
-    when += "" if since is None else f", {since:.3f} s after the start"
-    return f"{where}, {when} ({missing})"
 
 
 def open_source(path: Path, device_name: str | None = None, rate_hz: float | None = None) -> Source:
@@ -321,11 +311,9 @@ def feed(item: Item | Reads | SampleBlock, pipeline: Pipeline) -> int:
     if isinstance(item, SampleBlock):
         pipeline.push(item)
         return sum(values.nbytes for values in item.columns.values())
-    if isinstance(item, Reads):
-        pipeline.feed_reads(item.data, item.ends, item.arrivals_ns)
-        return len(item.data)
-    if isinstance(item, Bytes):
-        pipeline.feed(item.data, item.arrival_ns)
+    if isinstance(item, Bytes | Reads):
+        reads = item if isinstance(item, Reads) else Reads.of([item])
+        pipeline.feed_reads(reads.data, reads.ends, reads.arrivals_ns)
         return len(item.data)
     if item.kind is EventKind.OPENED:
         pipeline.port_opened()
