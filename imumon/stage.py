@@ -13,7 +13,7 @@ import numpy as np
 from imumon.blocks import ColumnArray, SampleBlock, missing, nan_for_missing
 from imumon.charts import Chart
 from imumon.columns import NAME, Column, ColumnType
-from imumon.errors import ImumonError, Reason
+from imumon.errors import ImumonError, bad_config
 from imumon.lane import LaneState
 from imumon.plugins import Plugin, described
 from imumon.units import parse_own_unit
@@ -249,7 +249,7 @@ def _lanes(states: object) -> Mapping[str, LaneState]:
 
 
 def _wrong(what: str, hint: str) -> ImumonError:
-    return ImumonError(Reason.BAD_CONFIG, what, hint)
+    return bad_config(what, hint)
 
 
 def _named(value: object) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 
 from imumon.blocks import NO_INT, BoolArray, SampleBlock, missing
 from imumon.columns import KNOWN, TIME_COLUMNS, Column
-from imumon.errors import ImumonError, Reason
+from imumon.errors import ImumonError, Reason, bad_config, bad_data
 from imumon.files import as_path
 from imumon.heap import trim_heap
 from imumon.library import require, require_list, require_seconds
@@ -173,8 +173,7 @@ class _Run:
 
     def absent(self, names: Sequence[str], there: Mapping[str, object]) -> ImumonError:
         """Return the error for columns that the samples do not have."""
-        return ImumonError(
-            Reason.BAD_CONFIG,
+        return bad_config(
             f"columns: there is no {', '.join(names)} in {self._source.path}",
             f"there are: {', '.join(there)}",
         )
@@ -206,8 +205,7 @@ def _table(path: Path, setup: Setup | None, columns: Sequence[str] | None) -> So
     Raises BAD_DATA for a table that imumon cannot read; BAD_CONFIG when a setup is given.
     """
     if setup is not None:
-        raise ImumonError(
-            Reason.BAD_CONFIG,
+        raise bad_config(
             f"setup: {path} is a table, and the estimators, which a setup is for, do not run over one",
             "leave setup out; imumon import makes a session of a table, and estimators run over that",
         )
@@ -219,8 +217,7 @@ def _table(path: Path, setup: Setup | None, columns: Sequence[str] | None) -> So
         block, there = read_npz(path)
         items = iter([block])
     else:
-        raise ImumonError(
-            Reason.BAD_DATA,
+        raise bad_data(
             f"{path}: of tables read takes {', '.join(SUFFIXES)} and .npz, not {path.suffix}",
             "export the session to one of these, or read the session; a raw capture needs device=",
         )
@@ -284,8 +281,7 @@ class _Span:
             self._start(block)
         restarted = "segment" in block and (block["segment"] != self._segment).any()
         if restarted and self._clock == "device_time_ns":
-            raise ImumonError(
-                Reason.BAD_DATA,
+            raise bad_data(
                 "begin_s, end_s: the device restarted, and the recording has no times of arrival",
                 "read the recording whole, and select by the columns segment and device_time_ns",
             )
@@ -297,10 +293,8 @@ class _Span:
     def _start(self, block: SampleBlock) -> None:
         self._clock = next((name for name in TIMES if name in block and block[name][0] != NO_INT), "")
         if not self._clock:
-            raise ImumonError(
-                Reason.BAD_DATA,
-                "begin_s, end_s: the first row has neither host_time_ns nor device_time_ns",
-                "read it whole",
+            raise bad_data(
+                "begin_s, end_s: the first row has neither host_time_ns nor device_time_ns", "read it whole"
             )
         self._first_ns = int(block[self._clock][0])
         self._segment = int(block["segment"][0]) if "segment" in block else 0

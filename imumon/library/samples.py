@@ -11,7 +11,7 @@ import numpy as np
 
 from imumon.blocks import NO_INT, ColumnArray, FloatArray, SampleBlock, nan_for_missing, with_nan
 from imumon.columns import Column
-from imumon.errors import ImumonError, Reason
+from imumon.errors import bad_config
 from imumon.files import as_path, check_output, replacing
 from imumon.protocols.base import MAIN
 from imumon.recordings.exports import side_path, write_npz
@@ -141,8 +141,7 @@ class Samples:
         """
         out = as_path("path", path)
         if out.suffix not in (*SUFFIXES, ".npz"):
-            raise ImumonError(
-                Reason.BAD_CONFIG,
+            raise bad_config(
                 f"{out}: a table cannot have the suffix {out.suffix!r}",
                 f"use {', '.join(SUFFIXES)} or .npz; imumon export writes other formats of a session",
             )

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from imumon.errors import ImumonError, Reason, missing_package
+from imumon.errors import ImumonError, bad_data, missing_package
 from imumon.logs.log import Log, Series, pick, triple
 from imumon.recordings.wire_format import is_own
 
@@ -35,7 +35,7 @@ def read(path: Path, sensor: str | None = None) -> Log:
     """
     if path.is_file() and is_own(path):
         advice = "imumon replay reads its session, imumon decode the file alone"
-        raise ImumonError(Reason.BAD_DATA, f"{path} is a recording of imumon, not a bag", advice)
+        raise bad_data(f"{path} is a recording of imumon, not a bag", advice)
     try:
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
@@ -51,8 +51,7 @@ def read(path: Path, sensor: str | None = None) -> Log:
     except ImumonError:
         raise
     except Exception as error:  # each format of a bag has errors of its own
-        raise ImumonError(
-            Reason.BAD_DATA,
+        raise bad_data(
             f"{path}: cannot be read as a ROS bag: {str(error) or type(error).__name__}",
             "if it was cut or damaged, mend it first: mcap recover, ros2 bag reindex or rosbag reindex",
         ) from error

@@ -18,7 +18,7 @@ import numpy as np
 
 from imumon.blocks import SampleBlock
 from imumon.columns import KNOWN, Column, ColumnType
-from imumon.errors import ImumonError, Reason
+from imumon.errors import bad_config, bad_data
 from imumon.files import check_output, naming, target
 from imumon.protocols.base import MAIN
 from imumon.recordings.table import CLOCKS, TableWriter, read_table
@@ -118,9 +118,9 @@ def _tables(
         absent = [name for name in columns or () if name not in there]
         if absent and there:
             seen = f"no column {', '.join(absent)} in these samples"
-            raise ImumonError(Reason.BAD_CONFIG, seen, f"there are: {', '.join(there)}")
+            raise bad_config(seen, f"there are: {', '.join(there)}")
         if not written:
-            raise ImumonError(Reason.BAD_DATA, "there are no samples, so there is no table to write")
+            raise bad_data("there are no samples, so there is no table to write")
     order = sorted(written, key=lambda stream: stream != MAIN)
     return Exported(main.rows, {stream: written[stream].path for stream in order})
 
@@ -152,8 +152,7 @@ def convert(
 
         written = write_ros2(tables, first, axes)
         if not written.streams:
-            raise ImumonError(
-                Reason.BAD_CONFIG,
+            raise bad_config(
                 f"there is nothing to write as messages of ROS 2: {'; '.join(written.left_out)}",
                 "leave --columns out, or name a whole vector: gyro_x,gyro_y,gyro_z",
             )
@@ -185,10 +184,8 @@ def read_npz(path: Path) -> tuple[SampleBlock, dict[str, Column]]:
             description = KNOWN[name].description if name in KNOWN else ""
             columns[name] = Column(name, units[name], dtype, description)
     except (OSError, ValueError, TypeError, KeyError, EOFError, BadZipFile) as error:
-        raise ImumonError(
-            Reason.BAD_DATA,
-            f"{path}: cannot be read as a table of imumon: {error}",
-            "imumon export writes one",
+        raise bad_data(
+            f"{path}: cannot be read as a table of imumon: {error}", "imumon export writes one"
         ) from error
     return block, columns
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Literal
 
 from imumon.config import dump_yaml
-from imumon.errors import ImumonError, Reason
+from imumon.errors import ImumonError, Reason, bad_config, bad_data
 from imumon.files import naming, write_text
 from imumon.recordings.metadata import SessionMetadata, is_of_another_version, read_metadata
 
@@ -88,8 +88,8 @@ def create_session(path: Path, metadata: SessionMetadata) -> Session:
         raise
     except OSError as error:
         remove_empty(session)
-        raise ImumonError(
-            Reason.BAD_CONFIG, f"the session {path} cannot be made: {error.strerror}", "give another folder"
+        raise bad_config(
+            f"the session {path} cannot be made: {error.strerror}", "give another folder"
         ) from error
     return session
 
@@ -155,15 +155,14 @@ def open_session(path: Path) -> Session:
     folder = _folder(path)
     if not (folder / METADATA_NAME).is_file():
         seen = f"{path} is not a session: {_what_is_at(folder)}"
-        raise ImumonError(Reason.BAD_DATA, seen, _advice(folder) or _HINT)
+        raise bad_data(seen, _advice(folder) or _HINT)
     try:
         session = Session(folder, read_metadata(folder / METADATA_NAME))
     except ImumonError as error:
         raise ImumonError(error.reason, error.seen, _advice(folder) or error.hint) from error
     if not session.truth_path.is_file():
-        raise ImumonError(
-            Reason.BAD_DATA,
-            f"{path}: the data of this session is missing: there is no file {session.truth_path.name}",
+        raise bad_data(
+            f"{path}: the data of this session is missing: there is no file {session.truth_path.name}"
         )
     return session
 

@@ -21,7 +21,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from imumon.blocks import FloatArray, IntArray
-from imumon.errors import ImumonError, Reason
+from imumon.errors import bad_config, bad_data
 from imumon.files import readable
 from imumon.recordings.map import TIMESTAMPS, TextFormat, TimeColumn
 from imumon.recordings.table import table_errors
@@ -90,7 +90,7 @@ def read_foreign(
     with readable(path), path.open("rb") as file:
         head = file.read(4096)
     if not head:
-        raise ImumonError(Reason.BAD_DATA, f"{path}: is empty")
+        raise bad_data(f"{path}: is empty")
     wanted = list(dict.fromkeys([*columns, *([time.column] if time is not None else [])]))
     if is_parquet := head.startswith(b"PAR1"):
         with table_errors(path):
@@ -101,16 +101,13 @@ def read_foreign(
         names = text_format.columns or _names(path, lines, text_format)
         rows = _text_rows(lines, names, text_format)
     if absent := [name for name in wanted if name not in names]:
-        raise ImumonError(
-            Reason.BAD_CONFIG,
+        raise bad_config(
             f"{path}: has no column {', '.join(map(repr, absent))}",
             f"it has: {', '.join(map(repr, names))}; for another layout of the text add to the map:"
             ' csv: {delimiter: ";"}, or csv: {header: false, columns: [NAME, ...]}',
         )
     if twice := [name for name in wanted if names.count(name) > 1]:
-        raise ImumonError(
-            Reason.BAD_DATA, f"{path}: column {', '.join(map(repr, twice))} is there more than once"
-        )
+        raise bad_data(f"{path}: column {', '.join(map(repr, twice))} is there more than once")
     numbers = partial(_numbers, path) if is_parquet else partial(_numbers_of_text, text_format.decimal)
     decimal = "." if is_parquet or (time is not None and time.unit == TIMESTAMPS) else text_format.decimal
     return names, _parts(rows, columns, numbers, time, decimal)
@@ -165,7 +162,7 @@ def _lines(path: Path, encoding: str, text_format: TextFormat) -> Iterator[tuple
 def _names(path: Path, lines: Iterator[tuple[int, str]], text_format: TextFormat) -> list[str]:
     _, line = next(lines, (0, None))
     if line is None:
-        raise ImumonError(Reason.BAD_DATA, f"{path}: has no line of column names")
+        raise bad_data(f"{path}: has no line of column names")
     return [name.strip() for name in _split(line, text_format.delimiter)]
 
 
@@ -202,8 +199,7 @@ def _encoding(path: Path, head: bytes) -> str:
         return "utf-16"
     control = sum(byte < 0x20 and byte not in b"\t\n\r\f\x1b" for byte in head)
     if control > CONTROL_SHARE * len(head):
-        raise ImumonError(
-            Reason.BAD_DATA,
+        raise bad_data(
             f"{path}: is neither text nor Parquet: {control} of its first {len(head)} bytes are controls",
             "a raw capture is decoded with: imumon decode FILE --device NAME",
         )
@@ -312,7 +308,7 @@ def _numbers(path: Path, name: str, column: Any) -> tuple[FloatArray, Wrong]:
     """Return the numbers of a column, NaN where there is none, and which are infinite."""
     kind = column.type
     if not (pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal(kind)):
-        raise ImumonError(Reason.BAD_DATA, f"{path}: column {name!r} is {kind}, not a number")
+        raise bad_data(f"{path}: column {name!r} is {kind}, not a number")
     cast = pc.cast(column, pa.float64(), safe=False).fill_null(math.nan)
     values = np.asarray(cast.to_numpy(zero_copy_only=False), np.float64)
     return values, dict.fromkeys(np.flatnonzero(np.isinf(values)).tolist(), "a value is infinite")

@@ -15,7 +15,7 @@ from imumon.blocks import ColumnArray, IntArray, SampleBlock
 from imumon.clock.rate import Intervals
 from imumon.columns import KNOWN, Column
 from imumon.config import parse_yaml
-from imumon.errors import ImumonError, Reason
+from imumon.errors import ImumonError, Reason, bad_data
 from imumon.files import read_text
 from imumon.magnitudes import rate_doubts
 from imumon.recordings.folder import SAMPLES_NAME, Session, fingerprint, whole_session
@@ -115,9 +115,7 @@ class TableImport:
         if self._rows_bad and strict:
             raise self._bad_rows_error()
         if not self._rows_good:
-            raise ImumonError(
-                Reason.BAD_DATA, f"{self.table}: none of its {self._rows_bad} rows can be taken"
-            )
+            raise bad_data(f"{self.table}: none of its {self._rows_bad} rows can be taken")
 
     def _block(self, part: Part) -> SampleBlock:
         time_ns, segments = self._times.take(part)
@@ -161,8 +159,7 @@ class TableImport:
             shown.append(f"... and {self._rows_bad - len(shown)} more")
         rows = self._rows_good + self._rows_bad
         seen = f"{self.table}: {self._rows_bad} of {rows} rows cannot be taken; nothing was imported"
-        return ImumonError(
-            Reason.BAD_DATA,
+        return bad_data(
             "\n".join([seen, *shown]),
             "mend the table, pass over lines before the data with csv: {skip_rows: N}"
             ' and comments with csv: {comment: "#"}, read decimal commas with csv: {decimal: ","},'
@@ -203,8 +200,7 @@ class _RowTimes:
         try:
             times = self._times(part)
         except OverflowError:
-            raise ImumonError(
-                Reason.BAD_DATA,
+            raise bad_data(
                 f"{self._table}: its times are beyond the 292 years that a time in ns can tell",
                 "check rate_hz, or wraps_at and the unit of time, in the map",
             ) from None
@@ -247,7 +243,7 @@ class _RowTimes:
             verb, hint = "is the same as", "if the rows are evenly spaced, give rate_hz: ... in place of time"
         after_s, before_s = time_ns * 1e-9, (time_ns - step_ns) * 1e-9
         seen = f"{self._table}:{line}: time {after_s:.9f} s {verb} {before_s:.9f} s of line {line_before}"
-        return ImumonError(Reason.BAD_DATA, seen, hint)
+        return bad_data(seen, hint)
 
 
 def _metadata(source: TableImport, report: ImportReport, file: Path) -> SessionMetadata:

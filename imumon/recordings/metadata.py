@@ -14,7 +14,7 @@ from typing import Any, Final, Literal
 from pydantic import Field, NonNegativeInt
 
 from imumon.config import StrictModel, dump_yaml, parse_yaml
-from imumon.errors import ImumonError, Reason
+from imumon.errors import ImumonError, Reason, bad_data
 from imumon.files import read_text, readable
 from imumon.transport.statistics import StreamCounters
 from imumon.version import __version__
@@ -136,6 +136,4 @@ def read_metadata(path: Path) -> SessionMetadata:
     try:
         return parse_yaml(text, SessionMetadata, str(path))
     except ImumonError as error:
-        raise ImumonError(
-            Reason.BAD_DATA, error.seen, f"this version of imumon reads sessions of format {FORMAT}"
-        ) from error
+        raise bad_data(error.seen, f"this version of imumon reads sessions of format {FORMAT}") from error

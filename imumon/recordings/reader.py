@@ -14,7 +14,7 @@ import numpy as np
 
 from imumon.blocks import SampleBlock
 from imumon.columns import Column
-from imumon.errors import ImumonError, Reason
+from imumon.errors import bad_data
 from imumon.pipeline import Estimator, Pipeline, SampleSink
 from imumon.protocols.device import DeviceFile
 from imumon.recordings.folder import fingerprint, is_session, lost_metadata, open_session
@@ -126,15 +126,14 @@ def _open(path: Path, map_path: Path | None) -> Source:
     if path.suffix not in SUFFIXES:
         if lost_metadata(path) is not None:
             open_session(path)  # raises, saying what to do
-        raise ImumonError(
-            Reason.BAD_DATA,
+        raise bad_data(
             f"{path} is neither a session nor a table ({', '.join(SUFFIXES)})",
             "a raw capture becomes a table first: imumon decode FILE --device NAME --out TABLE.parquet",
         )
     columns = read_columns(path)
     if "device_time_ns" not in columns:
         seen = f"{path}: has no column device_time_ns, so it is no table of imumon"
-        raise ImumonError(Reason.BAD_DATA, seen, "a table from elsewhere needs a map: imumon import")
+        raise bad_data(seen, "a table from elsewhere needs a map: imumon import")
     # Without a column segment it is one segment.
     blocks = (
         block if "segment" in block else block.with_columns({"segment": np.zeros(len(block), np.int64)})

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 
-from imumon.errors import ImumonError, Reason
+from imumon.errors import ImumonError, Reason, bad_config, bad_data
 from imumon.protocols.device import device_text, parse_device
 from imumon.recordings.metadata import SessionMetadata, begun_of
 from imumon.recordings.wire import WireWriter
@@ -44,10 +44,10 @@ def metadata_anew(path: Path, device_name: str | None) -> tuple[SessionMetadata,
     if begun is None:
         seen = f"{path} does not hold the session.yaml of its start: it is old, or its beginning is damaged"
         if device_name is None:
-            raise ImumonError(Reason.BAD_CONFIG, seen, "add --device NAME; imumon devices lists them")
+            raise bad_config(seen, "add --device NAME; imumon devices lists them")
         first = next(iter(WireReader(path)), None)
         if first is None:
-            raise ImumonError(Reason.BAD_DATA, f"{path} holds no message", "there is nothing to recover")
+            raise bad_data(f"{path} holds no message", "there is nothing to recover")
         at_ns = first.arrival_ns if isinstance(first, Bytes) else first.time_ns
         begun = SessionMetadata.begun("live", at_ns, device=device_name)
         unknown = [f"{seen}; only the device is known, and it began with its first message"]

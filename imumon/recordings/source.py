@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 from imumon.blocks import SampleBlock
 from imumon.columns import Column
-from imumon.errors import ImumonError, Reason
+from imumon.errors import ImumonError, Reason, bad_config, bad_data
 from imumon.files import readable
 from imumon.pipeline import UNDATED, Pipeline
 from imumon.protocols.device import DeviceFile, load_device, parse_device
@@ -180,11 +180,10 @@ def no_samples(source: Source, pipeline: Pipeline) -> ImumonError:
     """Return why a run over a source gave no rows."""
     counters = pipeline.counters
     if not counters.bytes_received:
-        return ImumonError(Reason.BAD_DATA, f"{source.path} is empty")
+        return bad_data(f"{source.path} is empty")
     others = ", ".join(f"{count} {name}" for name, count in counters.packets_by_type.items())
     device = source.device.name if source.device is not None else "table"
-    return ImumonError(
-        Reason.BAD_DATA,
+    return bad_data(
         f"no samples of {device} in the {counters.bytes_received:,} bytes of {source.path}: "
         f"{counters.checksum_errors} checksum errors, {counters.length_errors} length errors, "
         f"{others or 'no other'} messages",
@@ -210,8 +209,7 @@ def open_source(path: Path, device_name: str | None = None, rate_hz: float | Non
         elif wire is not None:
             device = wire_device(wire)
         else:
-            raise ImumonError(
-                Reason.BAD_CONFIG,
+            raise bad_config(
                 f"{path} is not a session, so its device must be named",
                 "add --device NAME; imumon devices lists them",
             )
@@ -219,8 +217,7 @@ def open_source(path: Path, device_name: str | None = None, rate_hz: float | Non
     session = open_session(path)
     if session.metadata.source == "import":
         if rate_hz is not None:
-            raise ImumonError(
-                Reason.BAD_CONFIG,
+            raise bad_config(
                 f"--rate, and the samples of {path} have their times already",
                 "rate_hz in the map of an import spaces rows without a time",
             )
@@ -239,7 +236,7 @@ def source_of(session: Session, device: DeviceFile | None = None) -> Source:
     if device is None:
         text = session.metadata.device_yaml
         if text is None:
-            raise ImumonError(Reason.BAD_DATA, f"{session.path}: session.yaml has no device_yaml")
+            raise bad_data(f"{session.path}: session.yaml has no device_yaml")
         device = parse_device(text, f"{session.path / METADATA_NAME} (device_yaml)")
     return Source(session.path, WireReader(session.wire_path), device, session)
 
@@ -253,7 +250,7 @@ def wire_device(wire: WireReader) -> DeviceFile:
     begun = begun_of(metadata)
     if begun is None or begun.device_yaml is None:
         hint = f"add --device {metadata.get('device', 'NAME')}, or the path of its file"
-        raise ImumonError(Reason.BAD_CONFIG, f"{wire.path} does not hold its device file", hint)
+        raise bad_config(f"{wire.path} does not hold its device file", hint)
     return parse_device(begun.device_yaml, f"{wire.path} (device_yaml)")
 
 

@@ -21,7 +21,7 @@ import pyarrow.parquet as pq
 from imumon.blocks import NO_INT, ColumnArray, SampleBlock, join
 from imumon.columns import KNOWN, Column, ColumnType
 from imumon.config import StrictModel, dump_yaml, load_yaml
-from imumon.errors import ImumonError, Reason
+from imumon.errors import ImumonError, Reason, bad_data
 from imumon.files import check_output, naming, target, write_text
 from imumon.harmless import for_csv
 from imumon.recordings.folder import Session
@@ -174,14 +174,13 @@ def iterate_samples(session: Session) -> Iterator[SampleBlock]:
     has bytes instead, which need a decoder.
     """
     if session.metadata.source != "import":
-        raise ImumonError(Reason.BAD_DATA, f"{session.path} holds bytes, not samples: it must be decoded")
+        raise bad_data(f"{session.path} holds bytes, not samples: it must be decoded")
     imported = session.metadata.table
     if imported is not None:
         with table_errors(session.samples_path):
             rows = int(pq.read_metadata(session.samples_path).num_rows)
         if rows != imported.rows_out:
-            raise ImumonError(
-                Reason.BAD_DATA,
+            raise bad_data(
                 f"{session.samples_path} was changed after the import: it has {rows:,} rows, and"
                 f" {imported.rows_out:,} were imported",
                 f"import {imported.file} again, into another folder",
@@ -195,7 +194,7 @@ def table_errors(path: Path) -> Iterator[None]:
     try:
         yield
     except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
-        raise ImumonError(Reason.BAD_DATA, f"{path}: cannot be read: {error}") from error
+        raise bad_data(f"{path}: cannot be read: {error}") from error
 
 
 def iterate_table(path: Path, columns: Sequence[str] | None = None) -> Iterator[SampleBlock]:
@@ -266,7 +265,7 @@ def _csv_columns(path: Path) -> dict[str, Column]:
     with path.open(encoding="utf-8-sig") as file:
         names = next(csv.reader(file), [])
     if not names:
-        raise ImumonError(Reason.BAD_DATA, f"{path}: cannot be read: it is empty")
+        raise bad_data(f"{path}: cannot be read: it is empty")
     units = units_path(path)
     units_of = load_yaml(units, _UnitsFile).columns if units.is_file() else {}
     columns = {name: KNOWN.get(name) or Column(name, "") for name in names}
@@ -281,7 +280,7 @@ def _parquet_column(path: Path, field: Any) -> Column:
     metadata = {key.decode(): value.decode() for key, value in (field.metadata or {}).items()}
     fallback = KNOWN.get(field.name) or Column(field.name, "")
     if not (pa.types.is_integer(field.type) or pa.types.is_floating(field.type)):
-        raise ImumonError(Reason.BAD_DATA, f"{path}: column {field.name!r} is {field.type}, not a number")
+        raise bad_data(f"{path}: column {field.name!r} is {field.type}, not a number")
     dtype: ColumnType = "int64" if pa.types.is_integer(field.type) else "float64"
     unit = metadata.get("unit", fallback.unit)
     return Column(field.name, unit, dtype, metadata.get("description", fallback.description))

@@ -24,7 +24,7 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Header, Metadata
 
-from imumon.errors import ImumonError, Reason
+from imumon.errors import ImumonError, bad_data
 from imumon.files import readable
 from imumon.recordings import wire_format as wf
 from imumon.recordings.wire_format import (
@@ -211,7 +211,7 @@ class _Contents:
         if not self._done:
             if not is_mcap and PROFILE not in head:
                 hint = "only wire files that imumon recorded can be replayed"
-                raise ImumonError(Reason.BAD_DATA, f"{self._path}: is not a wire file", hint)
+                raise bad_data(f"{self._path}: is not a wire file", hint)
             end = yield from self._records(data, min(len(MAGIC), len(data)), sealed=False)
             self._finish(end)
         yield from self._reads()
@@ -297,7 +297,7 @@ class _Contents:
 
     def _error(self, what: str) -> ImumonError:
         hint = "a newer imumon wrote it, or only wire files that imumon recorded can be replayed"
-        return ImumonError(Reason.BAD_DATA, f"{self._path}: {what}", hint)
+        return bad_data(f"{self._path}: {what}", hint)
 
     def _records(
         self, data: mmap.mmap | bytes, at: int, *, sealed: bool

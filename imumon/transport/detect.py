@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Protocol
 
-from imumon.errors import ImumonError, Reason
+from imumon.errors import ImumonError, Reason, bad_config
 from imumon.transport.errors import silent_error, wrong_baud_error
 from imumon.transport.port import open_port
 from imumon.transport.settings import PortSettings
@@ -225,7 +225,7 @@ def failure(url: str, evidence: Sequence[Evidence]) -> ImumonError | None:
     `evidence` is what `detect` returned, the best first.
     """
     if not evidence:
-        return ImumonError(Reason.BAD_CONFIG, "no protocol or no baud rate to try")
+        return bad_config("no protocol or no baud rate to try")
     best = evidence[0]
     if best.verdict is Verdict.FRAMES:
         return None
