@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -51,14 +51,11 @@ AT_AN_EDGE, BEYOND_CHANCE = 0.5, 3.0
 the axes beside it may rightly stay on one; more by so many times the root of their number is no chance."""
 
 
-@dataclass(frozen=True, slots=True)
-class Taken:
-    """What the stages see of a block."""
+class Taken(NamedTuple):
+    """What stages see of a block: its rows, without values that are left out, and which these are (None: all)."""
 
     block: SampleBlock
-    """Its rows that are taken, values that are not left out."""
     rows: BoolArray | None
-    """Which rows of the block these are; None for all."""
 
     def spread(self, column: ColumnArray) -> ColumnArray:
         """Return a column of the rows that were taken as one of all rows, missing in between."""

@@ -98,7 +98,12 @@ def read_foreign(
         rows = _parquet_rows(path, wanted)
     else:
         lines = _lines(path, _encoding(path, head), text_format)
-        names = text_format.columns or _names(path, lines, text_format)
+        names = text_format.columns
+        if names is None:
+            _, head_line = next(lines, (0, ""))
+            names = [name.strip() for name in _split(head_line, text_format.delimiter)]
+            if not head_line:
+                raise bad_data(f"{path}: has no line of column names")
         rows = _text_rows(lines, names, text_format)
     if absent := [name for name in wanted if name not in names]:
         raise bad_config(
@@ -157,13 +162,6 @@ def _lines(path: Path, encoding: str, text_format: TextFormat) -> Iterator[tuple
             text = line.strip(" \r\n")
             if number > skip and text and not (comment and text.startswith(comment)):
                 yield number, text
-
-
-def _names(path: Path, lines: Iterator[tuple[int, str]], text_format: TextFormat) -> list[str]:
-    _, line = next(lines, (0, None))
-    if line is None:
-        raise bad_data(f"{path}: has no line of column names")
-    return [name.strip() for name in _split(line, text_format.delimiter)]
 
 
 def _split(line: str, delimiter: str) -> list[str]:
@@ -295,13 +293,9 @@ def _parquet_rows(path: Path, wanted: Sequence[str]) -> Iterator[_Rows]:
     with table_errors(path), pq.ParquetFile(path, pre_buffer=False) as file:
         for batch in file.iter_batches(batch_size=ROWS_PER_PART, columns=wanted):
             line = np.arange(len(batch), dtype=np.int64) + first_row + 1
-            text_of = partial(_text_of, batch)
-            yield _Rows(line, {name: batch.column(name) for name in wanted}, text_of)
+            cells = {name: batch.column(name) for name in wanted}
+            yield _Rows(line, cells, lambda row, of=batch: str(of.slice(row, 1).to_pylist()[0]))
             first_row += len(batch)
-
-
-def _text_of(batch: Any, row: int) -> str:
-    return str(batch.slice(row, 1).to_pylist()[0])
 
 
 def _numbers(path: Path, name: str, column: Any) -> tuple[FloatArray, Wrong]:

@@ -71,8 +71,25 @@ def import_table(
         report = replace(
             report, rows_in=report.rows_in + rows_dropped, rows_dropped=report.rows_dropped + rows_dropped
         )
-        metadata = _metadata(source, report, made_of or table)
-        Session(partial, metadata).save(metadata)
+        now_ns, file = time.time_ns(), made_of or table
+        counters = {"samples": report.rows_out, "segments": report.segments}
+        begun = SessionMetadata.begun(
+            "import",
+            now_ns,
+            device="import",
+            axes=source.map.axes,
+            table=TableUsed(
+                file=file.name,
+                size_bytes=file.stat().st_size,
+                sha256=fingerprint(file),
+                map_yaml=source.map_text,
+                rows_in=report.rows_in,
+                rows_out=report.rows_out,
+                rows_dropped=report.rows_dropped,
+            ),
+            counters=counters | {SPAN: round(report.span_s * 1e9)},
+        )
+        Session(partial, begun).save(begun.closed(now_ns))
     return report
 
 
@@ -93,8 +110,11 @@ class TableImport:
         except ImumonError as error:
             where = f"{map_path}: " if error.reason is Reason.BAD_CONFIG else ""
             raise ImumonError(error.reason, f"{where}{error.seen}", error.hint) from error
-        self.columns = _columns(self.map)
+        self.columns = {name: KNOWN[name] for name in ("device_time_ns", "segment")}
         """Columns of the samples with their units, in canonical order."""
+        for one in self.map.sources():
+            column = KNOWN.get(one.target) or Column(one.target, "")
+            self.columns[one.target] = replace(column, unit=one.unit.target)
         self._times = _RowTimes(table, self.map)
         self._rows_good = self._rows_bad = 0
         self._listed: list[BadRow] = []
@@ -167,15 +187,6 @@ class TableImport:
         )
 
 
-def _columns(table_map: TableMap) -> dict[str, Column]:
-    """Return the columns of the session with their units, in canonical order."""
-    columns = {name: KNOWN[name] for name in ("device_time_ns", "segment")}
-    for source in table_map.sources():
-        column = KNOWN.get(source.target) or Column(source.target, "")
-        columns[source.target] = replace(column, unit=source.unit.target)
-    return columns
-
-
 class _RowTimes:
     """Times of the rows so far: even ones, counts that wrap, segments."""
 
@@ -244,24 +255,3 @@ class _RowTimes:
         after_s, before_s = time_ns * 1e-9, (time_ns - step_ns) * 1e-9
         seen = f"{self._table}:{line}: time {after_s:.9f} s {verb} {before_s:.9f} s of line {line_before}"
         return bad_data(seen, hint)
-
-
-def _metadata(source: TableImport, report: ImportReport, file: Path) -> SessionMetadata:
-    now_ns = time.time_ns()
-    begun = SessionMetadata.begun(
-        "import",
-        now_ns,
-        device="import",
-        axes=source.map.axes,
-        table=TableUsed(
-            file=file.name,
-            size_bytes=file.stat().st_size,
-            sha256=fingerprint(file),
-            map_yaml=source.map_text,
-            rows_in=report.rows_in,
-            rows_out=report.rows_out,
-            rows_dropped=report.rows_dropped,
-        ),
-        counters={"samples": report.rows_out, "segments": report.segments, SPAN: round(report.span_s * 1e9)},
-    )
-    return begun.closed(now_ns)

@@ -43,32 +43,18 @@ class Recording:
     """Blocks that have gone through the stages and were not yielded yet."""
     count: Count
     """Takes how many more bytes were read."""
-
-    @property
-    def name(self) -> str:
-        """Of its folder or file."""
-        path = self.truth if self.source.session is None else self.source.session.path
-        return path.name or str(path)
-
-    @property
-    def truth(self) -> Path:
-        """The file that everything follows from."""
-        return self.source.path if self.source.session is None else self.source.session.truth_path
-
-    @property
-    def device(self) -> str | None:
-        """What sent it; None for a table."""
-        return None if self.source.device is None else self.source.device.name
-
-    @property
-    def axes(self) -> str | None:
-        """In which body axes it is; None where nobody said it."""
-        return self.source.axes
-
-    @property
-    def columns(self) -> dict[str, Column]:
-        """Columns of a table or an imported session; empty for a recording that has to be decoded."""
-        return {column.name: column for column in self.source.imported}
+    truth: Path
+    """The file that everything follows from."""
+    name: str
+    """Of its folder or file."""
+    device: str | None
+    """What sent it; None for a table."""
+    axes: str | None
+    """In which body axes it is; None where nobody said it."""
+    serial: str | None
+    """Serial number of the unit, as its session has it."""
+    columns: dict[str, Column]
+    """Columns of a table or an imported session; empty for a recording that has to be decoded."""
 
     def blocks(self) -> Iterator[SampleBlock]:
         """Yield the samples in order, with device_time_ns, segment and what the stages add to them.
@@ -79,12 +65,6 @@ class Recording:
             blocks = [*self.processed]
             self.processed.clear()
             yield from blocks
-
-    @property
-    def serial(self) -> str | None:
-        """Serial number of the unit, as its session has it."""
-        session = self.source.session
-        return None if session is None else session.metadata.serial
 
     def warnings(self) -> list[str]:
         """Return, once the samples were read, what the recording lacks and what the stages say."""
@@ -109,11 +89,19 @@ def open_recording(
     `count`: takes how many more bytes were read, for a progress bar.
     """
     source = _open(path, map_path)
-    there = {column.name for column in source.imported}
+    session, there = source.session, {column.name: column for column in source.imported}
     made, processed = stages(source.device), list[SampleBlock]()
-    wanted = [stage for stage in made if there.isdisjoint(column.name for column in stage.columns)]
+    wanted = [stage for stage in made if there.keys().isdisjoint(column.name for column in stage.columns)]
     pipeline = Pipeline(source.device, [*wanted, SampleSink(processed.append)], source.range)
-    return Recording(source, pipeline, processed, count)
+    return Recording(
+        source, pipeline, processed, count,
+        truth=source.path if session is None else session.truth_path,
+        name=(path if session is None else session.path).name or str(path),
+        device=None if source.device is None else source.device.name,
+        axes=source.axes,
+        serial=None if session is None else session.metadata.serial,
+        columns=there,
+    )  # fmt: skip
 
 
 def _open(path: Path, map_path: Path | None) -> Source:

@@ -207,7 +207,11 @@ def open_source(path: Path, device_name: str | None = None, rate_hz: float | Non
         if device_name is not None:
             device = load_device(device_name)
         elif wire is not None:
-            device = wire_device(wire)
+            begun = begun_of(wire.metadata())
+            if begun is None or begun.device_yaml is None:
+                hint = f"add --device {wire.metadata().get('device', 'NAME')}, or the path of its file"
+                raise bad_config(f"{path} does not hold its device file", hint)
+            device = parse_device(begun.device_yaml, f"{path} (device_yaml)")
         else:
             raise bad_config(
                 f"{path} is not a session, so its device must be named",
@@ -239,19 +243,6 @@ def source_of(session: Session, device: DeviceFile | None = None) -> Source:
             raise bad_data(f"{session.path}: session.yaml has no device_yaml")
         device = parse_device(text, f"{session.path / METADATA_NAME} (device_yaml)")
     return Source(session.path, WireReader(session.wire_path), device, session)
-
-
-def wire_device(wire: WireReader) -> DeviceFile:
-    """Return the device of a wire file that stands alone, as it was when the file was recorded.
-
-    Raises BAD_CONFIG when the file does not hold it.
-    """
-    metadata = wire.metadata()
-    begun = begun_of(metadata)
-    if begun is None or begun.device_yaml is None:
-        hint = f"add --device {metadata.get('device', 'NAME')}, or the path of its file"
-        raise bad_config(f"{wire.path} does not hold its device file", hint)
-    return parse_device(begun.device_yaml, f"{wire.path} (device_yaml)")
 
 
 def capture_items(path: Path) -> Iterator[Item]:
