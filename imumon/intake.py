@@ -52,7 +52,7 @@ the axes beside it may rightly stay on one; more by so many times the root of th
 
 
 class Taken(NamedTuple):
-    """What stages see of a block: its rows, without values that are left out, and which these are (None: all)."""
+    """What stages see of a block: rows without values that are left out, and which these are; None: all."""
 
     block: SampleBlock
     rows: BoolArray | None

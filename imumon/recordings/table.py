@@ -129,7 +129,7 @@ class TableWriter:
         names = [name for name in self._columns if name in self._names or name in block]
         if names != self._names:
             self._begin_part(names)
-        self._parts[-1].write_table(_to_arrow(block, self._schema()))
+        self._parts[-1].write_table(arrow_table(block, self._present()))
 
     def _begin_part(self, names: list[str]) -> None:
         if self._folder is None:
@@ -137,29 +137,29 @@ class TableWriter:
         if self._parts:
             self._parts[-1].close()
         self._names = names
-        self._parts.append(_parquet_writer(self._part(len(self._parts)), self._schema()))
+        self._parts.append(_parquet_writer(self._part(len(self._parts)), _schema(self._present())))
 
     def _part(self, number: int) -> Path:
         assert self._folder is not None
         return Path(self._folder.name) / f"{number}.parquet"
 
-    def _schema(self) -> Any:
-        return _schema(self._columns[name] for name in self._names)
+    def _present(self) -> list[Column]:
+        return [self._columns[name] for name in self._names]
 
     def _finish(self) -> None:
         """Make the table of the parts: as it is when there is one, else with nulls for what came later."""
-        parts, schema = [self._part(number) for number in range(len(self._parts))], self._schema()
+        parts, columns = [self._part(number) for number in range(len(self._parts))], self._present()
         whole = parts[0]
         if self.path.suffix != ".parquet" or len(parts) > 1:
             whole = self._part(len(parts))
-            tables = (_to_arrow(block, schema) for part in parts for block in iterate_table(part))
+            tables = (arrow_table(block, columns) for part in parts for block in iterate_table(part))
             if self.path.suffix == ".parquet":
-                with _parquet_writer(whole, schema) as writer:
+                with _parquet_writer(whole, _schema(columns)) as writer:
                     for table in tables:
                         writer.write_table(table)
             else:
-                _write_csv(whole, tables, schema)
-                _write_units(units_path(self.path), [self._columns[name] for name in self._names])
+                _write_csv(whole, tables, self._names)
+                _write_units(units_path(self.path), columns)
         whole.replace(target(self.path))
 
 
@@ -309,10 +309,7 @@ def _schema(columns: Iterable[Column]) -> Any:
 
 def arrow_table(block: SampleBlock, columns: Iterable[Column]) -> Any:
     """Return a pyarrow table with these columns; missing values are null, a field's metadata has the unit."""
-    return _to_arrow(block, _schema(columns))
-
-
-def _to_arrow(block: SampleBlock, schema: Any) -> Any:
+    schema = _schema(columns)
     arrays = [
         _masked(block[field.name], field.type) if field.name in block else pa.nulls(len(block), field.type)
         for field in schema
@@ -352,13 +349,13 @@ def _batches(path: Path, schema: Any) -> Iterator[Any]:
         yield from reader
 
 
-def _write_csv(path: Path, tables: Iterable[Any], schema: Any) -> None:
+def _write_csv(path: Path, tables: Iterable[Any], names: Sequence[str]) -> None:
     options = pa_csv.WriteOptions(include_header=False, quoting_style="none")
     with path.open("wb") as file:
-        file.write(",".join(map(for_csv, schema.names)).encode() + b"\n")
+        file.write(",".join(map(for_csv, names)).encode() + b"\n")
         for table in tables:
-            texts = [_as_text(table.column(name)) for name in schema.names]
-            pa_csv.write_csv(pa.Table.from_arrays(texts, names=schema.names), file, options)
+            texts = [_as_text(table.column(name)) for name in names]
+            pa_csv.write_csv(pa.Table.from_arrays(texts, names=names), file, options)
 
 
 def _as_text(values: Any) -> Any:
