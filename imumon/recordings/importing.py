@@ -17,7 +17,7 @@ from imumon.columns import KNOWN, Column
 from imumon.config import parse_yaml
 from imumon.errors import ImumonError, Reason, bad_data
 from imumon.files import read_text
-from imumon.magnitudes import rate_doubts
+from imumon.intake import rate_doubts
 from imumon.recordings.folder import SAMPLES_NAME, Session, fingerprint, whole_session
 from imumon.recordings.foreign import BadRow, Part, read_foreign
 from imumon.recordings.map import TableMap
