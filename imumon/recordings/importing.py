@@ -18,10 +18,17 @@ from imumon.config import parse_yaml
 from imumon.errors import ImumonError, Reason, bad_data
 from imumon.files import read_text
 from imumon.intake import rate_doubts
-from imumon.recordings.folder import SAMPLES_NAME, Session, fingerprint, whole_session
+from imumon.recordings.folder import (
+    SAMPLES_NAME,
+    SPAN,
+    Session,
+    SessionMetadata,
+    TableUsed,
+    fingerprint,
+    whole_session,
+)
 from imumon.recordings.foreign import BadRow, Part, read_foreign
 from imumon.recordings.map import TableMap
-from imumon.recordings.metadata import SPAN, SessionMetadata, TableUsed
 from imumon.recordings.table import TableWriter
 
 LISTED = 10

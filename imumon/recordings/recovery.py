@@ -10,7 +10,7 @@ from pathlib import Path
 
 from imumon.errors import ImumonError, Reason, bad_config, bad_data
 from imumon.protocols.device import device_text, parse_device
-from imumon.recordings.metadata import SessionMetadata, begun_of
+from imumon.recordings.folder import SessionMetadata, begun_of
 from imumon.recordings.wire import WireWriter
 from imumon.recordings.wire_reader import WireReader, WireSummary
 from imumon.transport.reader import Bytes, Event

@@ -14,9 +14,8 @@ from imumon.files import readable
 from imumon.pipeline import UNDATED, Pipeline
 from imumon.protocols.device import DeviceFile, load_device, parse_device
 from imumon.protocols.ranges import Ranges, declared
-from imumon.recordings.folder import METADATA_NAME, Session, is_session, open_session
+from imumon.recordings.folder import METADATA_NAME, Session, begun_of, is_session, iso_utc, open_session
 from imumon.recordings.importing import TableImport
-from imumon.recordings.metadata import begun_of, iso_utc
 from imumon.recordings.table import SUFFIXES, iterate_samples, read_columns
 from imumon.recordings.wire_format import is_wire
 from imumon.recordings.wire_reader import Place, WireReader, WireSummary

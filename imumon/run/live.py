@@ -25,9 +25,8 @@ from imumon.geodesy import STANDARD_GRAVITY
 from imumon.models.model import BiasModel
 from imumon.pipeline import Digest, Estimator, Pipeline, PipelineCounters
 from imumon.protocols.device import DeviceFile
-from imumon.recordings.folder import create_session, remove_empty
+from imumon.recordings.folder import PortUsed, SessionMetadata, create_session, remove_empty
 from imumon.recordings.lines import LOG_NAME, SessionLog
-from imumon.recordings.metadata import PortUsed, SessionMetadata
 from imumon.recordings.recorder import Recorder
 from imumon.recordings.source import feed
 from imumon.recordings.wire import WireCounters, WireWriter
