@@ -1,4 +1,4 @@
-"""The session folder: made, found, opened; and its session.yaml: what was recorded, with what, how it ended."""
+"""The session folder, and its session.yaml: what was recorded, with what, when, and how it ended."""
 
 from __future__ import annotations
 

@@ -98,12 +98,12 @@ def read_foreign(
         rows = _parquet_rows(path, wanted)
     else:
         lines = _lines(path, _encoding(path, head), text_format)
-        names = text_format.columns
-        if names is None:
-            _, head_line = next(lines, (0, ""))
-            names = [name.strip() for name in _split(head_line, text_format.delimiter)]
-            if not head_line:
+        names = [*(text_format.columns or ())]
+        if text_format.header:
+            _, first = next(lines, (0, ""))
+            if not first:
                 raise bad_data(f"{path}: has no line of column names")
+            names = [name.strip() for name in _split(first, text_format.delimiter)]
         rows = _text_rows(lines, names, text_format)
     if absent := [name for name in wanted if name not in names]:
         raise bad_config(
@@ -294,7 +294,11 @@ def _parquet_rows(path: Path, wanted: Sequence[str]) -> Iterator[_Rows]:
         for batch in file.iter_batches(batch_size=ROWS_PER_PART, columns=wanted):
             line = np.arange(len(batch), dtype=np.int64) + first_row + 1
             cells = {name: batch.column(name) for name in wanted}
-            yield _Rows(line, cells, lambda row, of=batch: str(of.slice(row, 1).to_pylist()[0]))
+
+            def text_of(row: int, batch: Any = batch) -> str:
+                return str(batch.slice(row, 1).to_pylist()[0])
+
+            yield _Rows(line, cells, text_of)
             first_row += len(batch)
 
 
