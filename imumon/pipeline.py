@@ -11,6 +11,7 @@ import pickle
 import zlib
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from itertools import dropwhile
 from types import MappingProxyType
 
 import numpy as np
@@ -126,9 +127,8 @@ class Pipeline:
 
         From which sample on they are missing depends on the division into blocks.
         """
-        off = [stage.switched_off for stage in self._stages]
-        first = off.index(True) if True in off else len(off)
-        return frozenset(column.name for stage in self._stages[first:] for column in stage.columns)
+        failed = dropwhile(lambda stage: not stage.switched_off, self._stages)
+        return frozenset(column.name for stage in failed for column in stage.columns)
 
     @property
     def columns(self) -> list[Column]:

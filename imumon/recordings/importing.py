@@ -70,14 +70,11 @@ def import_table(
     `rows_dropped`: how many rows of that file are not in the table.
     """
     with whole_session(out) as partial:
-        source = TableImport(table, map_path)
+        source = TableImport(table, map_path, rows_dropped)
         with TableWriter(partial / SAMPLES_NAME, source.columns) as writer:
             for block in source.blocks():
                 writer.write(block)
         report = source.report()
-        report = replace(
-            report, rows_in=report.rows_in + rows_dropped, rows_dropped=report.rows_dropped + rows_dropped
-        )
         now_ns, file = time.time_ns(), made_of or table
         counters = {"samples": report.rows_out, "segments": report.segments}
         begun = SessionMetadata.begun(
@@ -105,9 +102,11 @@ class TableImport:
 
     Raises BAD_CONFIG for a wrong map or a column that the table lacks, with the file of the map;
     BAD_DATA for a table that cannot be read.
+
+    `rows_dropped`: rows of what the table was made of that are not in it.
     """
 
-    def __init__(self, table: Path, map_path: Path) -> None:
+    def __init__(self, table: Path, map_path: Path, rows_dropped: int = 0) -> None:
         self.table = table
         self.map_text = read_text(map_path)
         self.map = parse_yaml(self.map_text, TableMap, str(map_path))
@@ -123,7 +122,7 @@ class TableImport:
             column = KNOWN.get(one.target) or Column(one.target, "")
             self.columns[one.target] = replace(column, unit=one.unit.target)
         self._times = _RowTimes(table, self.map)
-        self._rows_good = self._rows_bad = 0
+        self._rows_good, self._rows_bad = 0, rows_dropped
         self._listed: list[BadRow] = []
 
     def blocks(self) -> Iterator[SampleBlock]:
@@ -137,9 +136,9 @@ class TableImport:
             self._rows_good += len(part.index)
             self._rows_bad += len(part.bad)
             self._listed += part.bad[: LISTED - len(self._listed)]
-            if not (self._rows_bad and strict):
+            if not (self._listed and strict):
                 yield self._block(part)
-        if self._rows_bad and strict:
+        if self._listed and strict:
             raise self._bad_rows_error()
         if not self._rows_good:
             raise bad_data(f"{self.table}: none of its {self._rows_bad} rows can be taken")
