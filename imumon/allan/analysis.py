@@ -108,7 +108,7 @@ def variances(series: EvenSeries, factors: IntArray) -> dict[Kind, FloatArray]:
     return dict(zip(COEFFICIENTS, found.T, strict=True))
 
 
-@inner(fastmath={"reassoc"})
+@partial(inner, fastmath={"reassoc"})
 def _all_runs(x: FloatArray, start: int, positions: int, m: int, window: float) -> tuple[float, float, float]:
     """Return the sums of squares of second differences, third differences, and windows of m of the second.
 
