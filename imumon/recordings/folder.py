@@ -13,6 +13,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
+from itertools import chain, count
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -192,8 +193,8 @@ def default_path(device: str, now_ns: int) -> Path:
     """Return ./sessions/<UTC stamp>-<device>, with a number added when that is taken."""
     stamp = datetime.fromtimestamp(now_ns // 1_000_000_000, UTC)
     path = DEFAULT_PARENT / f"{stamp:%Y%m%dT%H%M%SZ}-{device}"
-    candidates = (path.with_name(f"{path.name}-{number}") for number in range(2, 1000))
-    return path if not path.exists() else next(other for other in candidates if not other.exists())
+    numbered = (path.with_name(f"{path.name}-{number}") for number in count(2))
+    return next(one for one in chain([path], numbered) if not one.exists())
 
 
 def create_session(path: Path, metadata: SessionMetadata) -> Session:

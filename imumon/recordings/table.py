@@ -170,11 +170,8 @@ def _parquet_writer(path: Path, schema: Any) -> Any:
 def iterate_samples(session: Session) -> Iterator[SampleBlock]:
     """Yield the samples of an imported session in order.
 
-    Raises BAD_DATA when the table cannot be read, or is not the one that was imported, or when the session
-    has bytes instead, which need a decoder.
+    Raises BAD_DATA when the table cannot be read, or is not the one that was imported.
     """
-    if session.metadata.source != "import":
-        raise bad_data(f"{session.path} holds bytes, not samples: it must be decoded")
     imported = session.metadata.table
     if imported is not None:
         with table_errors(session.samples_path):
