@@ -13,7 +13,6 @@ import mmap
 import struct
 import zlib
 from collections.abc import Generator, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
@@ -124,17 +123,6 @@ class WireSummary:
     """What the recording program wanted to say."""
 
 
-@contextmanager
-def _mapped(path: Path) -> Iterator[mmap.mmap | bytes]:
-    """Give the bytes of a file, of which the system keeps in memory what is looked at."""
-    with readable(path), path.open("rb") as file:
-        if not path.stat().st_size:
-            yield b""
-            return
-        with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-            yield data
-
-
 class WireReader:
     """Reads a wire file in order of arrival, in constant memory.
 
@@ -161,20 +149,20 @@ class WireReader:
 
         Raises BAD_DATA when the file cannot be read, or is of another program.
         """
-        with _mapped(self.path) as data:
-            contents = _Contents(self.path, data)
-            next(contents.batches(), None)  # it stands before the first message
-        return contents.found.metadata
+        next(self.batches(), None)  # it stands before the first message
+        return self.summary.metadata
 
     def batches(self) -> Iterator[Reads | Event]:
         """Yield the items in the order in which they were written, reads that follow each other together.
 
         Raises BAD_DATA, when the file cannot be read or is not a wire file.
         """
-        with _mapped(self.path) as data:
-            contents = _Contents(self.path, data)
-            self.summary = contents.found
-            yield from contents.batches()
+        with readable(self.path), self.path.open("rb") as file:
+            size, number = self.path.stat().st_size, file.fileno()
+            # The system keeps in memory what is looked at.
+            contents = _Contents(self.path, mmap.mmap(number, 0, access=mmap.ACCESS_READ) if size else b"")
+        self.summary = contents.found
+        yield from contents.batches()
 
 
 class _Contents:
