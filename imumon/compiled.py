@@ -11,10 +11,11 @@ from __future__ import annotations
 import copyreg
 import logging
 from collections.abc import Callable, Sequence
-from functools import cache, partial
+from functools import cache
 from importlib.util import find_spec
+from operator import getitem
 from pathlib import Path
-from typing import Any, TypeVar, cast, overload
+from typing import Any, TypeVar, cast
 
 import numba
 import numpy as np
@@ -32,36 +33,22 @@ _announced: set[str] = set()
 """Modules of which it was logged that they are compiled."""
 
 
-@overload
-def njit(function: F) -> F: ...
-@overload
-def njit(**options: Any) -> Callable[[F], F]: ...
-def njit(function: F | None = None, **options: Any) -> F | Callable[[F], F]:
-    """Compile a function as `numba.njit` does, without the interpreter's lock, and keep the code.
-
-    The options are those of numba.
-    """
-    if function is None:
-        return partial(njit, **options)
-    kernel: Any = numba.njit(**{"nogil": True, "no_cfunc_wrapper": True, **options})(function)
+def njit(function: F, fastmath: bool = False) -> F:
+    """Compile a function as `numba.njit` does, without the interpreter's lock, and keep the code."""
+    options: Any = {"nogil": True, "no_cfunc_wrapper": True, "fastmath": fastmath}
+    kernel: Any = numba.njit(**options)(function)
     kernel._cache = _Cache(function)  # what numba's enable_caching does, with a cache of our own
     compiled: F = kernel
     return compiled
 
 
-@overload
-def inner(function: F) -> F: ...
-@overload
-def inner(**options: Any) -> Callable[[F], F]: ...
-def inner(function: F | None = None, **options: Any) -> F | Callable[[F], F]:
+def inner(function: F, fastmath: bool | set[str] = False) -> F:
     """Let compiled functions call this one; called from Python it is the plain function that it was.
 
     It is compiled as a part of the kernels that need it: without a way in from Python and a file of its own,
     a function of ten lines takes half as long.
     """
-    if function is None:
-        return partial(inner, **options)
-    part: F = register_jitable(no_cfunc_wrapper=True, **options)(function)
+    part: F = register_jitable(no_cfunc_wrapper=True, fastmath=fastmath)(function)
     return part
 
 
@@ -105,11 +92,7 @@ def _stored(made: Any) -> tuple[Callable[..., Any], tuple[Any, int]]:
     """Tell pickle that a record is part of an array: copied by itself, `alone` would no longer find it."""
     array = made.base
     address = made.__array_interface__["data"][0] - array.__array_interface__["data"][0]
-    return _restored, (array, address // array.itemsize)
-
-
-def _restored(array: Any, at: int) -> Any:
-    return array[at]
+    return getitem, (array, address // array.itemsize)
 
 
 copyreg.pickle(np.record, _stored)

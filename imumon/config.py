@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from imumon.errors import ImumonError, Reason
+from imumon.errors import ImumonError, bad_config
 from imumon.files import read_text
 
 MOST_CHARACTERS = 4 << 20
@@ -85,18 +85,18 @@ def parse_yaml(text: str, model: type[Model], source: str) -> Model:
     except yaml.MarkedYAMLError as error:
         line = error.problem_mark.line + 1 if error.problem_mark else 1
         problem = error.problem or "not YAML"
-        raise ImumonError(Reason.BAD_CONFIG, f"{source}:{line}: not valid YAML: {problem}") from error
+        raise bad_config(f"{source}:{line}: not valid YAML: {problem}") from error
     except (yaml.YAMLError, ValueError, AttributeError, IndexError, TypeError, ArithmeticError) as error:
         # All but the first come from values such as a date with a month 13.
-        raise ImumonError(Reason.BAD_CONFIG, f"{source}: not valid YAML: {error}") from error
+        raise bad_config(f"{source}: not valid YAML: {error}") from error
     if root is None or not isinstance(data, dict):
         kind = "an empty file" if data is None else f"a {type(data).__name__}"
-        raise ImumonError(Reason.BAD_CONFIG, f"{source}:1: expected a mapping of keys, got {kind}")
+        raise bad_config(f"{source}:1: expected a mapping of keys, got {kind}")
     try:
         return model.model_validate(data)
     except ValidationError as error:
         lines = [_describe(item, root, source) for item in error.errors()]
-        raise ImumonError(Reason.BAD_CONFIG, "\n".join(lines)) from error
+        raise bad_config("\n".join(lines)) from error
 
 
 def dump_yaml(data: Mapping[str, Any], *, flow: bool | None = False) -> str:
@@ -156,14 +156,14 @@ def _refuse_deep(text: str, source: str) -> None:
     """Refuse what is too long or nested too deeply, before the parser builds it: libyaml would crash."""
     if len(text) > MOST_CHARACTERS:
         what = f"{source}: has {len(text):,} characters, at most {MOST_CHARACTERS:,} may be"
-        raise ImumonError(Reason.BAD_CONFIG, what)
+        raise bad_config(what)
     depth, loader = 0, _Loader(text)
     while loader.check_event():
         event = loader.get_event()
         depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
         if depth > DEEPEST:
             what = f"{source}:{event.start_mark.line + 1}: nested more than {DEEPEST} deep"
-            raise ImumonError(Reason.BAD_CONFIG, f"{what}, which no file of imumon is")
+            raise bad_config(f"{what}, which no file of imumon is")
 
 
 def _refuse_unreasonable(root: yaml.Node | None, loader: Any, source: str) -> None:
@@ -211,4 +211,4 @@ def _refuse_number(node: yaml.ScalarNode, loader: Any, source: str) -> None:
 
 
 def _at(node: yaml.Node, source: str, seen: str) -> ImumonError:
-    return ImumonError(Reason.BAD_CONFIG, f"{source}:{node.start_mark.line + 1}: {seen}")
+    return bad_config(f"{source}:{node.start_mark.line + 1}: {seen}")

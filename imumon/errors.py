@@ -82,8 +82,16 @@ class ImumonError(Exception):
         return "; ".join(str(self).splitlines())
 
 
+def bad_config(seen: str, hint: str = "") -> ImumonError:
+    """Return the error of a wrong option, argument or file of settings."""
+    return ImumonError(Reason.BAD_CONFIG, seen, hint)
+
+
+def bad_data(seen: str, hint: str = "") -> ImumonError:
+    """Return the error of a capture, table or recording that does not hold what it should."""
+    return ImumonError(Reason.BAD_DATA, seen, hint)
+
+
 def missing_package(what: str, package: str, extra: str) -> ImumonError:
     """Return the error of what needs a package that few need, with the extra of imumon that brings it."""
-    return ImumonError(
-        Reason.BAD_CONFIG, f"{what} needs the package {package}", f'pip install "imumon[{extra}]"'
-    )
+    return bad_config(f"{what} needs the package {package}", f'pip install "imumon[{extra}]"')

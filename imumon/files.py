@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from imumon.errors import ImumonError, Reason
+from imumon.errors import ImumonError, Reason, bad_config, bad_data
 
 LARGEST_TEXT = 16 << 20
 """Bytes: four for each character of the longest document."""
@@ -31,7 +31,7 @@ def bundled(kind: str) -> dict[str, Path]:
 def as_path(argument: str, value: object) -> Path:
     """Return a path; raises BAD_CONFIG, naming the argument, for what is neither text nor a path."""
     if not isinstance(value, str | Path):
-        raise ImumonError(Reason.BAD_CONFIG, f"{argument}={value!r:.60}: expected a path")
+        raise bad_config(f"{argument}={value!r:.60}: expected a path")
     return Path(value)
 
 
@@ -58,7 +58,7 @@ def readable(path: Path, hint: str = "") -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise ImumonError(Reason.BAD_DATA, f"{path}: cannot be read: {error.strerror}", hint) from error
+        raise bad_data(f"{path}: cannot be read: {error.strerror}", hint) from error
 
 
 @contextmanager
@@ -119,7 +119,7 @@ def check_output(path: Path, *, replace: bool = False) -> None:
     place, hint = target(path), "nothing was overwritten; give another name"
     if str(path) == "-" or (path.exists() and not path.is_file()):
         what = "is a folder" if path.is_dir() else "is no file"
-        raise ImumonError(Reason.BAD_CONFIG, f"{path}: the output {what}", "give the name of a file to write")
+        raise bad_config(f"{path}: the output {what}", "give the name of a file to write")
     session = any((place.parent / name).exists() for name in TRUTH)
     if session and (place.name in TRUTH or (place.name in SESSION_FILES and place.exists())):
         what = f"{place.parent} is a session, whose {place.name} no output may be"
@@ -127,7 +127,7 @@ def check_output(path: Path, *, replace: bool = False) -> None:
     if path.exists() and not replace:
         raise ImumonError(Reason.EXISTS, f"{path} is there already", hint)
     if not place.parent.is_dir():
-        raise ImumonError(Reason.BAD_CONFIG, f"{path}: there is no folder {place.parent}", "make it first")
+        raise bad_config(f"{path}: there is no folder {place.parent}", "make it first")
 
 
 def plain(value: Any) -> Any:

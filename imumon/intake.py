@@ -10,13 +10,13 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
-from imumon.blocks import NO_INT, BoolArray, ColumnArray, FloatArray, IntArray, SampleBlock
-from imumon.magnitudes import SpecificForce
+from imumon.blocks import NO_INT, BoolArray, ColumnArray, FloatArray, IntArray, SampleBlock, missing
+from imumon.geodesy import STANDARD_GRAVITY
 from imumon.protocols.ranges import Ranges
 
 RANGES: dict[str, tuple[float, float, str]] = {
@@ -47,26 +47,29 @@ one that is read more often than it measures, or has coarse steps, repeats itsel
 UNCHANGED_NS = 30_000_000_000
 """An axis that stays the same for so long beside one that does not is reported: no hand turns a unit about
 one axis for so long and keeps the others within a step."""
-AT_AN_EDGE, BEYOND_CHANCE = 0.5, 6.0
+AT_AN_EDGE, BEYOND_CHANCE = 0.5, 3.0
 """Noise below a step changes at most this share of an axis' readings, where it is between two steps, while
-the axes beside it may rightly stay on one; more by so many standard deviations is no chance."""
+the axes beside it may rightly stay on one; more by so many times the root of their number is no chance."""
+GRAVITIES = (0.3, 3.0)
+"""Of the specific force, its median: what has less falls and what has more is thrown, neither for minutes."""
+MINUTE_NS, MINUTES = 60_000_000_000, 3
+"""So many in a row, the first of which may be cut short: rockets burn with three times gravity for a minute
+or two, parabolas last half a minute."""
+RATES_HZ = (0.1, 40e3)
+"""Of samples: slower is no motion sensor, and the fastest that is sold has 32 kHz (ICM-42688)."""
 
 
-@dataclass(frozen=True, slots=True)
-class Taken:
-    """What the stages see of a block."""
+class Taken(NamedTuple):
+    """What stages see of a block: rows without values that are left out, and which these are; None: all."""
 
     block: SampleBlock
-    """Its rows that are taken, values that are not left out."""
     rows: BoolArray | None
-    """Which rows of the block these are; None for all."""
 
     def spread(self, column: ColumnArray) -> ColumnArray:
         """Return a column of the rows that were taken as one of all rows, missing in between."""
         if self.rows is None:
             return column
-        none = np.nan if column.dtype == np.float64 else np.iinfo(np.int64).min
-        whole = np.full(len(self.rows), none, column.dtype)
+        whole = missing(len(self.rows), column.dtype)
         whole[self.rows] = column
         return whole
 
@@ -102,12 +105,19 @@ class Intake:
 
     def process(self, block: SampleBlock) -> Taken:
         """Return what the stages may see of a block."""
-        timely, rows = self._timely(block)
+        timely, rows, is_dated = block, None, "device_time_ns" in block and "segment" in block
+        if is_dated:
+            kept, shift = self._clock.evaluate(block["device_time_ns"], block["segment"])
+            timely = block.with_columns({"segment": block["segment"] + shift})
+            if not kept.all():
+                rows = kept
+                self._left_out["rows whose time does not go on"] += int((~kept).sum())
+                timely = SampleBlock({name: values[kept] for name, values in timely.columns.items()})
         columns = dict(timely.columns)
         for name, values in timely.columns.items():
-            limits = self._limits_of(name) if values.dtype == np.float64 else None
-            if limits is not None:
-                low, high, label = limits
+            limits = (one for start, one in self._limits.items() if name.startswith(start))
+            if values.dtype == np.float64 and (limit := next(limits, None)) is not None:
+                low, high, label = limit
                 self._leave_out((name,), (values < low) | (values > high), f"{name} {label}", columns)
         # What cannot be is no reading: it neither begins a sensor nor ends its standing still.
         for sensor, names in _sensors(columns):
@@ -123,22 +133,11 @@ class Intake:
                 silent, why = self._begin(sensor, readings)
                 self._leave_out(names, silent, why, columns)
         taken = SampleBlock(columns)
-        if "device_time_ns" in timely and "segment" in timely:
+        if is_dated:
             for unchanged in self._unchanged.values():
                 unchanged.process(timely)
             self._force.look(taken)
         return Taken(taken, rows)
-
-    def _timely(self, block: SampleBlock) -> tuple[SampleBlock, BoolArray | None]:
-        """Return the rows whose time goes on, and which these are; None for all."""
-        if "device_time_ns" not in block or "segment" not in block:
-            return block, None
-        rows, shift = self._clock.evaluate(block["device_time_ns"], block["segment"])
-        block = block.with_columns({"segment": block["segment"] + shift})
-        if rows.all():
-            return block, None
-        self._left_out["rows whose time does not go on"] += int((~rows).sum())
-        return SampleBlock({name: values[rows] for name, values in block.columns.items()}), rows
 
     def notices(self, ended: bool = False) -> list[str]:
         """Return, once each, what is left out, at the end with how many, and what seems wrong otherwise."""
@@ -152,9 +151,6 @@ class Intake:
         new = [text for what, text in every.items() if what not in self._reported]
         self._reported.update(every)
         return new
-
-    def _limits_of(self, name: str) -> tuple[float, float, str] | None:
-        return next((limits for start, limits in self._limits.items() if name.startswith(start)), None)
 
     def _leave_out(
         self, names: tuple[str, ...], rows: BoolArray, why: str, columns: dict[str, ColumnArray]
@@ -234,8 +230,7 @@ class _Unchanged:
     """
 
     def __init__(self, sensor: str) -> None:
-        self._names = tuple(f"{sensor}_{axis}" for axis in "xyz")
-        self._unit = RANGES[f"{sensor}_"][2]
+        self._sensor = sensor
         self.found: dict[str, str] = {}
         """Warning by axis."""
         self._last = np.full(3, np.nan)
@@ -247,43 +242,37 @@ class _Unchanged:
 
     def process(self, sent: SampleBlock) -> None:
         """Take the rows in which any axis has a reading."""
-        if not all(name in sent for name in self._names):
+        values = sent.vector(self._sensor)
+        there = np.zeros(len(sent), np.bool_) if values is None else ~np.isnan(values).all(axis=1)
+        if values is None or not there.any():
             return
-        readings = np.stack([sent[name] for name in self._names])
-        there = ~np.isnan(readings).all(axis=0)
-        if not there.any():
-            return
-        readings, time_ns, segment = readings[:, there], sent["device_time_ns"][there], sent["segment"][there]
-        before = np.column_stack([self._last, readings[:, :-1]])
+        readings, time_ns, segment = values[there], sent["device_time_ns"][there], sent["segment"][there]
+        before = np.vstack([self._last, readings[:-1]])
         changed = (readings != before) & ~(np.isnan(readings) & np.isnan(before))
-        window = time_ns // UNCHANGED_NS
-        edges = np.flatnonzero((np.diff(window) != 0) | (np.diff(segment) != 0)) + 1
-        for begin, end in pairwise([0, *edges.tolist(), len(window)]):
-            now = int(segment[begin]), int(window[begin])
-            if now != self._window:
-                self._evaluate(before[:, begin])
-                self._window, self._began_ns = now, int(time_ns[begin])
-                self._readings, self._changes = -1, -changed[:, begin].astype(np.int64)
-            self._latest_ns = int(time_ns[end - 1])
-            self._readings += end - begin
-            self._changes += changed[:, begin:end].sum(axis=1)
-        self._last = readings[:, -1].copy()
+        for window, rows in windows(time_ns, segment, UNCHANGED_NS):
+            if window != self._window:
+                self._evaluate(before[rows.start])
+                self._window, self._began_ns = window, int(time_ns[rows.start])
+                self._readings, self._changes = -1, -changed[rows.start].astype(np.int64)
+            self._latest_ns = int(time_ns[rows.stop - 1])
+            self._readings += rows.stop - rows.start
+            self._changes += changed[rows].sum(axis=0)
+        self._last = readings[-1].copy()
 
     def _evaluate(self, values: FloatArray) -> None:
         """Report the axes that did not change in a whole window; `values` are its last readings."""
-        sd = (AT_AN_EDGE * (1.0 - AT_AN_EDGE) * self._readings) ** 0.5
-        lively = int(self._changes.argmax())
-        is_cut = self._latest_ns - self._began_ns < 0.95 * UNCHANGED_NS
-        if is_cut or self._changes[lively] <= AT_AN_EDGE * self._readings + BEYOND_CHANCE * sd:
+        changes, is_cut = self._changes.max(), self._latest_ns - self._began_ns < 0.95 * UNCHANGED_NS
+        if is_cut or changes <= AT_AN_EDGE * self._readings + BEYOND_CHANCE * self._readings**0.5:
             return
         since = f"for {UNCHANGED_NS * 1e-9:g} s and more, since {self._began_ns * 1e-9:.3f} s of device time"
+        lively = f"{self._sensor}_{'xyz'[self._changes.argmax()]}"
         for axis in np.flatnonzero(self._changes == 0):
-            name = self._names[axis]
+            name, unit = f"{self._sensor}_{'xyz'[axis]}", RANGES[f"{self._sensor}_"][2]
             what, why = f"{name} says nothing", "it is dead"
             if not np.isnan(values[axis]):
-                what = f"{name} says {values[axis]:g} {self._unit} without any change"
+                what = f"{name} says {values[axis]:g} {unit} without any change"
                 why = "it is stuck, or its noise is below its steps"
-            self.found.setdefault(name, f"{what} {since}, while {self._names[lively]} changes: {why}")
+            self.found.setdefault(name, f"{what} {since}, while {lively} changes: {why}")
 
 
 class _Clock:
@@ -327,3 +316,62 @@ class _Clock:
             self._shift += 1
         self._last, self._rejected = (time_ns, segment), [0, 0]
         return True
+
+
+def rate_doubts(rate_hz: float) -> list[str]:
+    """Return the warning for a rate of samples, Hz, that no sensor has; none for NaN."""
+    slowest, fastest = RATES_HZ
+    text = (
+        f"the rows come at {rate_hz:.3g} Hz, as those of no inertial sensor: is the unit of the time right?"
+    )
+    return [text] if rate_hz < slowest or rate_hz > fastest else []
+
+
+def windows(time_ns: IntArray, segment: IntArray, length_ns: int) -> Iterator[tuple[tuple[int, int], slice]]:
+    """Yield each window of device time that rows are in, as its segment and number, and its rows."""
+    number = time_ns // length_ns
+    edges = np.flatnonzero((np.diff(number) != 0) | (np.diff(segment) != 0)) + 1
+    for begin, end in pairwise([0, *edges.tolist(), len(number)]):
+        if end > begin:
+            yield (int(segment[begin]), int(number[begin])), slice(begin, end)
+
+
+class SpecificForce:
+    """Judges the magnitude of the specific force minute by minute, whatever the division into blocks."""
+
+    def __init__(self) -> None:
+        self._minute = (NO_INT, NO_INT)
+        """Segment, and number of the minute in device time."""
+        self._sums = np.zeros(4)
+        """Readings in it that are below `GRAVITIES`, above, and all; and the sum of those beyond, in g."""
+        self._beyond = 0
+        """Minutes in a row most of which was below, or above: negative where below."""
+        self.found: str | None = None
+        """The warning, once it is certain."""
+
+    def look(self, block: SampleBlock) -> None:
+        """Take samples, with what is left out of them missing, where they have a time."""
+        accel = block.accel
+        if self.found is not None or accel is None or "device_time_ns" not in block:
+            return
+        magnitude = np.sqrt(np.einsum("ij,ij->i", accel, accel)) / STANDARD_GRAVITY
+        time_ns = block["device_time_ns"]
+        there = np.isfinite(magnitude) & (time_ns != NO_INT)
+        for minute, rows in windows(time_ns[there], block["segment"][there], MINUTE_NS):
+            if minute != self._minute:
+                self._end(minute)
+            part = magnitude[there][rows]
+            low, high = part < GRAVITIES[0], part > GRAVITIES[1]
+            self._sums += [low.sum(), high.sum(), len(part), part[low | high].sum()]
+
+    def _end(self, now: tuple[int, int]) -> None:
+        """Classify the minute that has ended."""
+        (low, high, every, total), (segment, minute) = self._sums.tolist(), self._minute
+        way = -1 if 2 * low > every else 1 if 2 * high > every else 0
+        self._beyond = way + (self._beyond if way * self._beyond > 0 else 0)
+        if abs(self._beyond) >= MINUTES and self.found is None:
+            what = f"the specific force is {total / (low + high):.2g} times gravity for minutes, which no "
+            self.found = f"{what}vehicle on earth bears: is its unit right?"
+        if now != (segment, minute + 1):
+            self._beyond = 0
+        self._minute, self._sums = now, np.zeros(4)

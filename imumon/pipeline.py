@@ -11,6 +11,7 @@ import pickle
 import zlib
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from itertools import dropwhile
 from types import MappingProxyType
 
 import numpy as np
@@ -30,7 +31,7 @@ from imumon.protocols.epochs import EpochAssembler, EpochCounters
 from imumon.protocols.ranges import Ranges
 from imumon.stage import Estimator as Estimator
 from imumon.stage import GuardedStage
-from imumon.transport.statistics import Counters
+from imumon.transport.statistics import Counters, StreamCounters
 
 UNDATED = NO_INT
 """Arrival time of bytes whose arrival nobody noted, as in a raw capture."""
@@ -53,22 +54,6 @@ class SampleSink:
     def notices(self) -> list[str]:
         """Return nothing."""
         return []
-
-
-@dataclass(frozen=True, slots=True)
-class StreamCounters:
-    """What came of a stream: packets, rows, its rate where none is missing, gaps, clocks that went back.
-
-    `incomplete` rows lack fields that all rows before them had; `dated_by` is that of `DeviceClock`.
-    """
-
-    packets: int
-    rows: int
-    rate_hz: float | None
-    gaps: int
-    incomplete: int
-    restarts: int
-    dated_by: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,9 +127,8 @@ class Pipeline:
 
         From which sample on they are missing depends on the division into blocks.
         """
-        off = [stage.switched_off for stage in self._stages]
-        first = off.index(True) if True in off else len(off)
-        return frozenset(column.name for stage in self._stages[first:] for column in stage.columns)
+        failed = dropwhile(lambda stage: not stage.switched_off, self._stages)
+        return frozenset(column.name for stage in failed for column in stage.columns)
 
     @property
     def columns(self) -> list[Column]:
@@ -172,22 +156,11 @@ class Pipeline:
     def counters(self) -> PipelineCounters:
         """What became of every byte and packet so far."""
         raw = self._decoder.counters() if self._decoder is not None else Counters()
-        return PipelineCounters(
-            **asdict(raw),
-            counter_gaps=self._device_clock.counter_gaps,
-            packets_missing=self._device_clock.packets_missing,
-            clock_restarts=self._device_clock.resets,
-            samples=self._samples,
-            left_out=self._intake.left_out,
-            streams=self._stream_counters(),
-        )
-
-    def _stream_counters(self) -> dict[str, StreamCounters]:
         assembled = self._epochs.counters if self._epochs is not None else {}
-        counters = {}
+        streams = {}
         for stream, intervals in self._intervals.items():
             own, is_main = assembled.get(stream, EpochCounters()), stream == MAIN
-            counters[stream] = StreamCounters(
+            streams[stream] = StreamCounters(
                 packets=own.packets or intervals.rows,
                 rows=intervals.rows,
                 rate_hz=intervals.rate_hz,
@@ -196,7 +169,15 @@ class Pipeline:
                 restarts=self._device_clock.resets if is_main else intervals.backwards,
                 dated_by=self._device_clock.dated_by if is_main else "",
             )
-        return counters
+        return PipelineCounters(
+            **asdict(raw),
+            counter_gaps=self._device_clock.counter_gaps,
+            packets_missing=self._device_clock.packets_missing,
+            clock_restarts=self._device_clock.resets,
+            samples=self._samples,
+            left_out=self._intake.left_out,
+            streams=streams,
+        )
 
     def snapshot(self) -> bytes:
         """Return decoder, clocks and stages as they are now; `restore` goes on from there, bit for bit.
@@ -223,9 +204,7 @@ class Pipeline:
 
     def feed(self, data: bytes, arrival_ns: int = UNDATED) -> None:
         """Decode bytes that arrived at `arrival_ns` (Unix time, ns)."""
-        if self._decoder is None:
-            raise ValueError("a pipeline without a device takes samples, not bytes")
-        self._decoder.feed(data, arrival_ns)
+        self.feed_reads(np.frombuffer(data, np.uint8), np.array([len(data)]), np.array([arrival_ns]))
 
     def feed_reads(self, data: ByteArray, ends: IntArray, arrivals_ns: IntArray) -> None:
         """Decode the bytes of several reads: of each where it ends in the data, and when it arrived."""

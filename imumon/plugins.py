@@ -10,7 +10,7 @@ from importlib.metadata import EntryPoint, entry_points
 from traceback import extract_tb
 from typing import Any
 
-from imumon.errors import ImumonError, Reason
+from imumon.errors import ImumonError, bad_config
 
 STAGES = "imumon.stages"
 """Callables without arguments that return a stage (`imumon.stage.Estimator`)."""
@@ -40,7 +40,7 @@ class Plugin:
         """Return the error that says what is wrong with it."""
         hint = f"mend it, run with imumon --without-plugins, or remove it: pip uninstall {self.package}"
         seen = f"the plug-in {self.name} of {self.package} ({self.group}) {what}"
-        return ImumonError(Reason.BAD_CONFIG, seen, hint)
+        return bad_config(seen, hint)
 
 
 def package_of(entry: EntryPoint) -> tuple[str, str]:

@@ -13,7 +13,7 @@ import numpy as np
 from imumon.blocks import ColumnArray, SampleBlock, missing, nan_for_missing
 from imumon.charts import Chart
 from imumon.columns import NAME, Column, ColumnType
-from imumon.errors import ImumonError, Reason
+from imumon.errors import bad_config
 from imumon.lane import LaneState
 from imumon.plugins import Plugin, described
 from imumon.units import parse_own_unit
@@ -89,14 +89,12 @@ class GuardedStage:
 
     def charts(self, live: bool) -> Sequence[Chart]:
         """Return its charts as they are now; empty while there is nothing to show."""
-        if (charts := getattr(self.stage, "charts", None)) is None:
-            return []
+        charts = getattr(self.stage, "charts", list)
         return self._call("charts", lambda: _each_is(Chart, charts(), "chart"), list[Chart](), live)
 
     def lanes(self, live: bool) -> Mapping[str, LaneState]:
         """Return the state of each of its lanes as it is now."""
-        if (lanes := getattr(self.stage, "lanes", None)) is None:
-            return {}
+        lanes = getattr(self.stage, "lanes", dict)
         return self._call("lanes", lambda: _lanes(lanes()), dict[str, LaneState](), live)
 
     def _call(
@@ -139,7 +137,7 @@ class GuardedStage:
             view.flags.writeable = False
         new = self.stage.process(SampleBlock(views))
         if not isinstance(new, Mapping):
-            raise _wrong(f"it returned {_named(new)}", "return a dict: an array for each column")
+            raise bad_config(f"it returned {_named(new)}", "return a dict: an array for each column")
         return self._checked(new, block) if len(block) else self._missing(block)
 
     def _missing(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
@@ -156,13 +154,13 @@ class GuardedStage:
         if self._types.keys() != new.keys():
             declared = {column.name: np.dtype(column.dtype) for column in self.columns}
             if there := ", ".join(name for name in new if name in block):
-                raise _wrong(f"it adds {there}, which is there already", "give it another name")
+                raise bad_config(f"it adds {there}, which is there already", "give it another name")
             if more := ", ".join(name for name in new if name not in declared):
                 what = f"it adds {more}, which its columns do not declare"
-                raise _wrong(what, "tables and view need its unit")
+                raise bad_config(what, "tables and view need its unit")
             if absent := ", ".join(sorted(declared.keys() - new.keys())):
                 what = f"it declares {absent}, which did not come"
-                raise _wrong(what, "return every column, NaN where there is nothing")
+                raise bad_config(what, "return every column, NaN where there is nothing")
             self._types = {name: declared[name] for name in new}
         for name, values in new.items():
             _check_column(name, values, self._types[name], len(block))
@@ -172,27 +170,31 @@ class GuardedStage:
 def check_stage(stage: Estimator) -> None:
     """Raise BAD_CONFIG for a stage that lacks something, or declares what no table can have."""
     if isinstance(stage, type):
-        raise _wrong(f"stage {stage.__name__} is a class", f"give a stage that it makes: {stage.__name__}()")
+        raise bad_config(
+            f"stage {stage.__name__} is a class", f"give a stage that it makes: {stage.__name__}()"
+        )
     for needed in ("columns", "process", "notices"):
         if not hasattr(stage, needed):
-            raise _wrong(f"{name_of(stage)} has no {needed}", "a stage has columns, process and notices")
+            raise bad_config(f"{name_of(stage)} has no {needed}", "a stage has columns, process and notices")
     for column in stage.columns:
         if not isinstance(column, Column):
-            raise _wrong(f"{name_of(stage)}: {column!r} is no column", "declare imumon.Column(name, unit)")
+            raise bad_config(
+                f"{name_of(stage)}: {column!r} is no column", "declare imumon.Column(name, unit)"
+            )
         named = f"{name_of(stage)}: {column.name}"
         if not isinstance(column.name, str) or not re.fullmatch(NAME, column.name):
-            raise _wrong(f"{named} is no name of a column", "small letters, digits and _")
+            raise bad_config(f"{named} is no name of a column", "small letters, digits and _")
         if column.dtype not in get_args(ColumnType):
-            raise _wrong(f"{named} has type {column.dtype!r}", f"use {' or '.join(get_args(ColumnType))}")
+            raise bad_config(f"{named} has type {column.dtype!r}", f"use {' or '.join(get_args(ColumnType))}")
         if is_own(stage):
             continue
         if not isinstance(column.unit, str) or not column.unit.strip():
-            raise _wrong(f"{named} has unit {column.unit!r}", 'give its unit; "1" where it has none')
+            raise bad_config(f"{named} has unit {column.unit!r}", 'give its unit; "1" where it has none')
         try:
             parse_own_unit(column.unit)
         except ValueError as error:
             hint = 'write it like rad/s, or "1" where there is no unit'
-            raise _wrong(f"{named}: {error}", hint) from error
+            raise bad_config(f"{named}: {error}", hint) from error
 
 
 def made_by(plugin: Plugin) -> Estimator:
@@ -227,29 +229,25 @@ def name_of(stage: object) -> str:
 def _check_column(name: str, values: object, dtype: np.dtype[Any], n: int) -> None:
     if not isinstance(values, np.ndarray) or values.ndim != 1:
         shown = f"an array of shape {values.shape}" if isinstance(values, np.ndarray) else _named(values)
-        raise _wrong(f"{name} is {shown}", "return an array of one dimension")
+        raise bad_config(f"{name} is {shown}", "return an array of one dimension")
     if len(values) != n:
-        raise _wrong(f"{name} has {len(values)} values for {n} samples", "return one for each")
+        raise bad_config(f"{name} has {len(values)} values for {n} samples", "return one for each")
     if values.dtype != dtype:
-        raise _wrong(f"{name} is {values.dtype} and declared as {dtype}", "return what is declared")
+        raise bad_config(f"{name} is {values.dtype} and declared as {dtype}", "return what is declared")
 
 
 def _each_is(kind: type[T], found: object, what: str) -> list[T]:
     """Return a list of a stage; raises BAD_CONFIG when it is none, or holds something else."""
     if not isinstance(found, list | tuple) or not all(isinstance(one, kind) for one in found):
-        raise _wrong(f"it returned what is no {what}", f"return a list of {kind.__name__}")
+        raise bad_config(f"it returned what is no {what}", f"return a list of {kind.__name__}")
     return [*found]
 
 
 def _lanes(states: object) -> Mapping[str, LaneState]:
     if not isinstance(states, Mapping) or not all(isinstance(name, str) for name in states):
-        raise _wrong("it returned what is no state", "return a dict of str: the state of each lane")
+        raise bad_config("it returned what is no state", "return a dict of str: the state of each lane")
     each = [LaneState(state) if isinstance(state, str) else state for state in states.values()]
     return dict(zip(states, _each_is(LaneState, each, "state"), strict=True))
-
-
-def _wrong(what: str, hint: str) -> ImumonError:
-    return ImumonError(Reason.BAD_CONFIG, what, hint)
 
 
 def _named(value: object) -> str:

@@ -9,7 +9,7 @@ from fractions import Fraction
 from functools import lru_cache
 
 from imumon.blocks import FloatArray
-from imumon.errors import ImumonError, Reason
+from imumon.errors import ImumonError, bad_config
 
 _PI = Fraction("3.1415926535897932384626433832795028841971693993751")
 _BASE = {"rad", "s", "m", "kg", "A", "K", "V", "N", "J", "W", "ohm", "Pa", "T", "Hz"}
@@ -71,10 +71,10 @@ def exact_conversion(unit: str, target: str) -> tuple[Fraction, Fraction]:
     given, wanted = _parsed(unit), _parsed(target)
     if given is None:
         what = f"unit {unit[:LONGEST]!r} is not known"
-        raise ImumonError(Reason.BAD_CONFIG, what, f"expected one like {target!r}")
+        raise bad_config(what, f"expected one like {target!r}")
     if wanted is None or given[1] != wanted[1]:
         what = f"unit {unit!r} does not measure what {target!r} measures"
-        raise ImumonError(Reason.BAD_CONFIG, what, f"expected one like {EXAMPLES.get(target, target)}")
+        raise bad_config(what, f"expected one like {EXAMPLES.get(target, target)}")
     return given[0] / wanted[0], (_at_zero(unit) - _at_zero(target)) / wanted[0]
 
 

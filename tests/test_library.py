@@ -20,7 +20,7 @@ from imumon.columns import Column
 from imumon.errors import ImumonError
 from imumon.pipeline import Pipeline
 from imumon.protocols.device import device_names, load_device
-from imumon.recordings.conversions import convert
+from imumon.recordings.exports import convert
 from imumon.recordings.table import TableWriter
 from imumon.run.stages import estimators
 from imumon.simulation.virtual_device import VirtualDevice

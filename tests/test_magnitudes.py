@@ -5,8 +5,7 @@ import pytest
 
 from imumon.blocks import SampleBlock
 from imumon.geodesy import STANDARD_GRAVITY
-from imumon.intake import Intake
-from imumon.magnitudes import SpecificForce, rate_doubts
+from imumon.intake import Intake, SpecificForce, rate_doubts
 
 
 def moved(factor: float, seconds: float = 300.0, rate_hz: float = 10.0, shakes: float = 0.3) -> SampleBlock:

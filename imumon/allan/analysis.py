@@ -83,7 +83,7 @@ def variances(series: EvenSeries, factors: IntArray) -> dict[Kind, FloatArray]:
     return dict(zip(DIFFERENCES, found.T, strict=True))
 
 
-@njit(fastmath={"reassoc"})
+@partial(njit, fastmath={"reassoc"})
 def sums_of_squares(x: FloatArray, starts: IntArray, stops: IntArray, m: int) -> tuple[FloatArray, IntArray]:
     """Return sums of squares and their numbers for Allan, modified Allan and Hadamard, (3,) each.
 

@@ -107,8 +107,8 @@ def replay(
     if compare_models is not None:
         return _compare(session, compare_models, out, as_json)
     from imumon.pipeline import Digest
+    from imumon.recordings.exports import Exported, export_run
     from imumon.recordings.folder import open_session
-    from imumon.recordings.side_tables import Exported, export_run
     from imumon.recordings.source import open_source
     from imumon.run.narration import Narrator, advised, describe_losses, describe_streams, view_setup
     from imumon.run.replay import Comparison, compare_with_live, digested, replay

@@ -30,7 +30,7 @@ from imumon.wings import offers
 
 if TYPE_CHECKING:
     from imumon.pipeline import Pipeline
-    from imumon.recordings.side_tables import Exported
+    from imumon.recordings.exports import Exported
     from imumon.recordings.source import Source
 
 KINDS = ["parquet", "csv", "npz", "mat", "mcap"]
@@ -60,7 +60,7 @@ def _write_table(
 ) -> None:
     """Decode a capture or a session into a table, and report what came."""
     from imumon.pipeline import Pipeline
-    from imumon.recordings.side_tables import Exported, export_run
+    from imumon.recordings.exports import Exported, export_run
     from imumon.recordings.source import no_samples, open_source, run_over
     from imumon.run.doubts import Doubts
     from imumon.run.narration import describe_losses, describe_streams

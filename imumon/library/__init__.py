@@ -7,13 +7,13 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from imumon.errors import ImumonError, Reason
+from imumon.errors import bad_config
 
 
 def require(ok: bool, name: str, value: object, expected: str) -> None:
     """Raise BAD_CONFIG, naming an argument, when it is not what was expected."""
     if not ok:
-        raise ImumonError(Reason.BAD_CONFIG, f"{name}={value!r:.60}: expected {expected}")
+        raise bad_config(f"{name}={value!r:.60}: expected {expected}")
 
 
 def require_list(name: str, value: object, expected: str) -> None:

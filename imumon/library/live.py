@@ -64,7 +64,6 @@ class Live:
         """Counters when the last valid row came."""
 
     def __repr__(self) -> str:
-        """Return device, port and state in a line."""
         samples = f"{self.counters.samples:,} samples"
         return f"<imumon.Live: {self._device.name} on {self._settings}, {self.state}, {samples}>"
 
@@ -100,7 +99,6 @@ class Live:
             self._run.stop()
 
     def __iter__(self) -> Self:
-        """Return itself."""
         return self
 
     def __next__(self) -> SampleBlock:
@@ -115,7 +113,6 @@ class Live:
         raise StopIteration
 
     def __aiter__(self) -> Self:
-        """Return itself."""
         return self
 
     async def __anext__(self) -> SampleBlock:
@@ -127,13 +124,11 @@ class Live:
         raise StopAsyncIteration
 
     def __enter__(self) -> Self:
-        """Return itself."""
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, where: TracebackType | None
     ) -> None:
-        """Close the port."""
         self.close()
 
     def _until_batch(self) -> float:

@@ -10,14 +10,14 @@ import numpy as np
 
 from imumon.blocks import NO_INT, BoolArray, SampleBlock, missing
 from imumon.columns import KNOWN, TIME_COLUMNS, Column
-from imumon.errors import ImumonError, Reason
+from imumon.errors import ImumonError, Reason, bad_config, bad_data
 from imumon.files import as_path
 from imumon.heap import trim_heap
 from imumon.library import require, require_list, require_seconds
 from imumon.library.samples import TIMES, Samples
 from imumon.pipeline import Estimator, Pipeline
 from imumon.protocols.base import MAIN
-from imumon.recordings.conversions import CONVERTED, read_npz
+from imumon.recordings.exports import CONVERTED, read_npz
 from imumon.recordings.source import Source, no_samples, open_source, run_over
 from imumon.recordings.table import SUFFIXES, iterate_table, read_columns, units_path
 from imumon.run.setup import Setup, recorded_setup
@@ -63,7 +63,7 @@ def read(
         Only rows from `begin_s` on and before `end_s`, in seconds since the first row, by host time, or by
         device time where no host time is known.
     """
-    run = _Run(path, device, setup, estimates, stages, columns, begin_s, end_s)
+    run = _Run(path, device, setup, estimates, stages, columns, _Span(begin_s, end_s))
     blocks: list[SampleBlock] = []
     aside: dict[str, list[SampleBlock]] = {}
     for block, side in run.blocks():
@@ -93,16 +93,12 @@ def read_blocks(
     Blocks have some thousands of rows.  A column that begins late is absent from the blocks before, unless
     `columns` names it.  Parameters and errors are those of `read`.
     """
-    run = _Run(path, device, setup, estimates, stages, columns, begin_s, end_s)
-
-    def parts() -> Iterator[Samples]:
-        for block, side in run.blocks():
-            if len(block) or side:
-                yield run.samples(
-                    block, {stream: run.samples(rows, stream=stream) for stream, rows in side.items()}
-                )
-
-    return parts()
+    run = _Run(path, device, setup, estimates, stages, columns, _Span(begin_s, end_s))
+    return (
+        run.samples(block, {stream: run.samples(rows, stream=stream) for stream, rows in side.items()})
+        for block, side in run.blocks()
+        if len(block) or side
+    )
 
 
 class _Run:
@@ -116,8 +112,7 @@ class _Run:
         estimates: bool,
         stages: Sequence[Estimator],
         columns: Sequence[str] | None,
-        begin_s: float | None,
-        end_s: float | None,
+        span: _Span,
     ) -> None:
         where = as_path("path", path)
         is_name = device is None or isinstance(device, str | Path)
@@ -129,8 +124,7 @@ class _Run:
             require_list("columns", columns, 'a list of names, as ["gyro_x"]')
             for name in columns:
                 require(isinstance(name, str), "columns", name, "names of columns")
-        self._columns = columns
-        self._span = _Span(begin_s, end_s) if begin_s is not None or end_s is not None else None
+        self._columns, self._span = columns, span
         if not where.exists():
             raise ImumonError(Reason.NOT_FOUND, f"{where}: there is no such file", "check path and folder")
         if device is None and where.is_file() and where.suffix in (*SUFFIXES, *CONVERTED):
@@ -149,11 +143,10 @@ class _Run:
         for block in run_over(self._source.items, self._pipeline):
             side = self._pipeline.side
             begun = begun or len(block) > 0 or bool(side)
-            if self._span is not None:
-                block = self._span.of(block)
-                side = {stream: self._span.of(rows, side=True) for stream, rows in side.items()}
+            block = self._span.of(block)
+            side = {stream: self._span.of(rows, side=True) for stream, rows in side.items()}
             yield self._chosen(block), {} if self._columns is not None else side
-            if self._span is not None and self._span.over:
+            if self._span.over:
                 break
         else:  # what is missing from a recording is known at its end
             for text in self._source.warnings():
@@ -168,8 +161,10 @@ class _Run:
 
         Raises BAD_CONFIG for one that can never come.
         """
-        if self._columns is None or not len(block):
-            return block if self._columns is None else SampleBlock({})
+        if self._columns is None:
+            return block
+        if not len(block):
+            return SampleBlock({})
         known = {column.name: column for column in self._source.columns(self._pipeline)}
         possible = {*block.columns, *known, *self._pipeline.units}
         if unknown := [name for name in self._columns if name not in possible]:
@@ -178,8 +173,7 @@ class _Run:
 
     def absent(self, names: Sequence[str], there: Mapping[str, object]) -> ImumonError:
         """Return the error for columns that the samples do not have."""
-        return ImumonError(
-            Reason.BAD_CONFIG,
+        return bad_config(
             f"columns: there is no {', '.join(names)} in {self._source.path}",
             f"there are: {', '.join(there)}",
         )
@@ -211,8 +205,7 @@ def _table(path: Path, setup: Setup | None, columns: Sequence[str] | None) -> So
     Raises BAD_DATA for a table that imumon cannot read; BAD_CONFIG when a setup is given.
     """
     if setup is not None:
-        raise ImumonError(
-            Reason.BAD_CONFIG,
+        raise bad_config(
             f"setup: {path} is a table, and the estimators, which a setup is for, do not run over one",
             "leave setup out; imumon import makes a session of a table, and estimators run over that",
         )
@@ -224,8 +217,7 @@ def _table(path: Path, setup: Setup | None, columns: Sequence[str] | None) -> So
         block, there = read_npz(path)
         items = iter([block])
     else:
-        raise ImumonError(
-            Reason.BAD_DATA,
+        raise bad_data(
             f"{path}: of tables read takes {', '.join(SUFFIXES)} and .npz, not {path.suffix}",
             "export the session to one of these, or read the session; a raw capture needs device=",
         )
@@ -282,14 +274,14 @@ class _Span:
 
     def of(self, block: SampleBlock, *, side: bool = False) -> SampleBlock:
         """Return the rows within the span."""
-        if not len(block) or (side and not self._clock):
+        whole = self._begin_s == 0.0 and self._end_s == np.inf
+        if whole or not len(block) or (side and not self._clock):
             return block
         if not self._clock:
             self._start(block)
         restarted = "segment" in block and (block["segment"] != self._segment).any()
         if restarted and self._clock == "device_time_ns":
-            raise ImumonError(
-                Reason.BAD_DATA,
+            raise bad_data(
                 "begin_s, end_s: the device restarted, and the recording has no times of arrival",
                 "read the recording whole, and select by the columns segment and device_time_ns",
             )
@@ -301,10 +293,8 @@ class _Span:
     def _start(self, block: SampleBlock) -> None:
         self._clock = next((name for name in TIMES if name in block and block[name][0] != NO_INT), "")
         if not self._clock:
-            raise ImumonError(
-                Reason.BAD_DATA,
-                "begin_s, end_s: the first row has neither host_time_ns nor device_time_ns",
-                "read it whole",
+            raise bad_data(
+                "begin_s, end_s: the first row has neither host_time_ns nor device_time_ns", "read it whole"
             )
         self._first_ns = int(block[self._clock][0])
         self._segment = int(block["segment"][0]) if "segment" in block else 0

@@ -11,11 +11,10 @@ import numpy as np
 
 from imumon.blocks import NO_INT, ColumnArray, FloatArray, SampleBlock, nan_for_missing, with_nan
 from imumon.columns import Column
-from imumon.errors import ImumonError, Reason
+from imumon.errors import bad_config
 from imumon.files import as_path, check_output, replacing
 from imumon.protocols.base import MAIN
-from imumon.recordings.conversions import write_npz
-from imumon.recordings.side_tables import side_path
+from imumon.recordings.exports import side_path, write_npz
 from imumon.recordings.table import SUFFIXES, TableWriter, arrow_table
 
 TIMES = {"host_time_ns": "datetime64[ns]", "device_time_ns": "timedelta64[ns]"}
@@ -43,12 +42,10 @@ class Samples:
     side: Mapping[str, Samples] = field(default_factory=dict)
 
     def __repr__(self) -> str:
-        """Return the size in a line."""
         side = f", side streams {', '.join(self.side)}" if self.side else ""
         return f"<imumon.Samples: {len(self):,} rows of {len(self.columns)} columns{side}>"
 
     def __len__(self) -> int:
-        """Return the number of samples."""
         return len(self._table)
 
     @overload
@@ -65,7 +62,6 @@ class Samples:
         return nan_for_missing(self._table[key])
 
     def __contains__(self, name: object) -> bool:
-        """Return whether there is a column of this name."""
         return name in self._table
 
     @property
@@ -145,8 +141,7 @@ class Samples:
         """
         out = as_path("path", path)
         if out.suffix not in (*SUFFIXES, ".npz"):
-            raise ImumonError(
-                Reason.BAD_CONFIG,
+            raise bad_config(
                 f"{out}: a table cannot have the suffix {out.suffix!r}",
                 f"use {', '.join(SUFFIXES)} or .npz; imumon export writes other formats of a session",
             )

@@ -138,18 +138,15 @@ def _messages(path: Path) -> tuple[dict[str, dict[str, Any]], Damage]:
         elif known.kept:
             name, row = known.row(data, at)
             rows.setdefault(name, []).append(row)
-    if len(data) - good >= BLOCK or _is_begun(data[good:], formats):
+    tail = data[good : good + len(HEAD)]
+    # The beginning of another message, which was cut.
+    is_begun = MARK.startswith(tail[:2]) and (len(tail) < len(HEAD) or tail[2] in formats)
+    if len(data) - good >= BLOCK or is_begun:
         damage = damage.and_at(good, len(data))
     return {
         name: dict(zip(KEPT[name.partition(".")[0]], np.array(found, np.float64).T, strict=True))
         for name, found in rows.items()
     }, damage
-
-
-def _is_begun(tail: bytes, formats: Mapping[int, _Format]) -> bool:
-    """Return whether what stands behind the last message is the beginning of another one, which was cut."""
-    head, number = tail[: len(MARK)], tail[len(MARK) : len(HEAD)]
-    return bool(head) and head == MARK[: len(head)] and (not number or number[0] in formats)
 
 
 def _walk(data: bytes, formats: Mapping[int, _Format]) -> Iterator[tuple[int, _Format]]:

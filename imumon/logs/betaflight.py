@@ -21,7 +21,7 @@ import pyarrow as pa
 from pyarrow import csv
 
 from imumon.blocks import FloatArray
-from imumon.errors import ImumonError, Reason
+from imumon.errors import bad_config, bad_data
 from imumon.files import readable
 from imumon.geodesy import STANDARD_GRAVITY
 from imumon.logs.log import AXES, Damage, Log, Series, named, nanoseconds, pick, triple
@@ -73,11 +73,11 @@ def read(path: Path, sensor: str | None = None) -> Log:
     end = data.find(b"\n", begin) + 1 or len(data)
     if TABLE.match(data, begin) is None:
         what = f"{path}: is a blackbox log as it was recorded"
-        raise ImumonError(Reason.BAD_CONFIG, what, f"blackbox_decode {path}")
+        raise bad_config(what, f"blackbox_decode {path}")
     titles = [title.strip() for title in data[begin:end].decode(errors="replace").split(",")]
     columns = _columns(titles)
     if "time" not in columns:
-        raise ImumonError(Reason.BAD_DATA, f"{path}: has no time in {', '.join(MICROSECONDS)}")
+        raise bad_data(f"{path}: has no time in {', '.join(MICROSECONDS)}")
     name, others = pick(path, [one for one in GYROS if f"{one}[0]" in columns], sensor)
     lines, source = (settings, f"the head of {path.name}") if settings else _beside(path)
     values, damage = _read_table(path, data[end:], titles, columns)
@@ -97,7 +97,7 @@ def _rate_scale(path: Path, lines: Lines, unit: str) -> tuple[float, str]:
     firmware = lines.get("Firmware type", "none")
     if firmware not in FIRMWARES:
         seen = f"{path}: the firmware is {firmware!r}, of which the unit of gyro_scale is not known"
-        raise ImumonError(Reason.BAD_CONFIG, seen, f"known are: {', '.join(FIRMWARES)}; else give --map")
+        raise bad_config(seen, f"known are: {', '.join(FIRMWARES)}; else give --map")
     finer, tenth = 1.0, ""
     if lines.get("blackbox_high_resolution", "0") != "0":
         finer, tenth = HIGH_RESOLUTION, "/10, as blackbox_high_resolution is on"
@@ -109,7 +109,7 @@ def _rate_scale(path: Path, lines: Lines, unit: str) -> tuple[float, str]:
     except (ValueError, struct.error):
         scale = math.nan
     if not 0.0 < scale < math.inf:
-        raise ImumonError(Reason.BAD_CONFIG, f"{path}: its gyro_scale is {text!r}, no number", HINT)
+        raise bad_config(f"{path}: its gyro_scale is {text!r}, no number", HINT)
     return math.radians(scale) / finer, f"raw x {scale:.6g} °/s{tenth}"
 
 
@@ -140,7 +140,7 @@ def _read_table(
             ),
         )
     except (pa.ArrowException, UnicodeDecodeError) as error:
-        raise ImumonError(Reason.BAD_DATA, f"{path}: cannot be read as a table: {error}") from error
+        raise bad_data(f"{path}: cannot be read as a table: {error}") from error
     values = {name: table[column.title].to_numpy() for name, column in columns.items()}
     return values, Damage(len(cut), sum(map(len, cut)))
 
@@ -180,7 +180,7 @@ def _beside(path: Path) -> tuple[Lines, str]:
             if 0 < number <= len(starts):
                 return _settings(data, starts[number - 1])[0], f"log {number} of {log.name}"
     seen = f"{path}: nothing says the scale of its gyro, nor whether the log has blackbox_high_resolution"
-    raise ImumonError(Reason.BAD_CONFIG, seen, HINT)
+    raise bad_config(seen, HINT)
 
 
 def _settings(data: bytes, at: int = 0) -> tuple[dict[str, str], int]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from imumon.errors import ImumonError, Reason
+from imumon.errors import bad_config, bad_data
 from imumon.files import readable, write_text
 from imumon.logs import ardupilot, betaflight, px4, ros
 from imumon.logs.log import Damage, Log
@@ -43,13 +43,14 @@ def import_log(path: Path, sensor: str | None, out: Path) -> LogReport:
         table = Path(folder) / "log.parquet"
         text, dropped = log.write(table)
         if dropped == len(log.gyro.time_ns):
-            raise ImumonError(
-                Reason.BAD_DATA,
+            raise bad_data(
                 f"{path}: none of the {dropped:,} samples of {log.sensor} has a time",
                 "make a table of it (mavlogdump.py --format csv), and give --map MAP.yaml",
             )
         write_text(table.with_suffix(".yaml"), text)
-        rows = import_table(table, table.with_suffix(".yaml"), out, _file_of(path), dropped)
+        files = [one for one in path.iterdir() if one.is_file()] if path.is_dir() else [path]
+        largest = max(files, key=lambda one: one.stat().st_size)  # whose fingerprint is kept, of a bag
+        rows = import_table(table, table.with_suffix(".yaml"), out, largest, dropped)
     rows = replace(rows, warnings=(*log.warnings, *rows.warnings))
     return LogReport(rows, log.sensor, log.others, log.scaling, log.damage)
 
@@ -64,19 +65,11 @@ def reader_of(path: Path) -> Reader:
         with readable(path), path.open("rb") as file:
             head = file.read(64)
         if not head:
-            raise ImumonError(Reason.BAD_DATA, f"{path}: is empty")
+            raise bad_data(f"{path}: is empty")
     for is_one, read in FORMATS:
         if is_one(path, head):
             return read
-    raise ImumonError(
-        Reason.BAD_CONFIG,
+    raise bad_config(
         f"{path}: is no log of ArduPilot (.BIN), PX4 (.ulg) or Betaflight (blackbox_decode), and no ROS bag",
         "a table needs --map MAP.yaml, which says what is in which column",
     )
-
-
-def _file_of(path: Path) -> Path:
-    """Return the file that a fingerprint is taken of: of a bag that is a folder the largest."""
-    if not path.is_dir():
-        return path
-    return max((one for one in path.iterdir() if one.is_file()), key=lambda one: one.stat().st_size)

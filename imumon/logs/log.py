@@ -19,7 +19,7 @@ from scipy.ndimage import median_filter
 
 from imumon.blocks import NO_INT, BoolArray, FloatArray, IntArray
 from imumon.config import dump_yaml
-from imumon.errors import ImumonError, Reason
+from imumon.errors import bad_config, bad_data
 
 TIME = "time_ns"
 AXES = "xyz"
@@ -196,9 +196,9 @@ def pick(
     """
     if not found:
         broken = f", of which {damage.size:,} bytes are damaged" if damage.places else ""
-        raise ImumonError(Reason.BAD_DATA, f"{path}: there is no gyro in this log{broken}")
+        raise bad_data(f"{path}: there is no gyro in this log{broken}")
     if wanted is not None and wanted not in found:
         seen = f"{path}: there is no sensor {wanted!r}"
-        raise ImumonError(Reason.BAD_CONFIG, seen, f"there are: {', '.join(found)}")
+        raise bad_config(seen, f"there are: {', '.join(found)}")
     name = found[0] if wanted is None else wanted
     return name, [one for one in found if one != name]

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from imumon.blocks import IntArray
-from imumon.errors import ImumonError, Reason, missing_package
+from imumon.errors import bad_data, missing_package
 from imumon.files import readable
 from imumon.logs import log as logs
 from imumon.logs.log import Damage, Log, Series, Wanted, named, triple
@@ -61,7 +61,7 @@ def read(path: Path, sensor: str | None = None) -> Log:
         with redirect_stdout(io.StringIO()):  # where it says what it makes of damage
             log = ULog(io.BytesIO(data), TOPICS)
     except Exception as error:  # pyulog raises whatever damaged bytes lead to
-        raise ImumonError(Reason.BAD_DATA, f"{path}: cannot be read as a ULog: {error}") from error
+        raise bad_data(f"{path}: cannot be read as a ULog: {error}") from error
     found = {f"{one.name}.{one.multi_id}": one.data for one in log.data_list}
     gyros = sorted(name for name in found if name.startswith("sensor_gyro."))
     name, others = logs.pick(path, gyros, sensor, damage)

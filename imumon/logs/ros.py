@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from imumon.errors import ImumonError, Reason, missing_package
+from imumon.errors import ImumonError, bad_data, missing_package
 from imumon.logs.log import Log, Series, pick, triple
 from imumon.recordings.wire_format import is_own
 
@@ -35,7 +35,7 @@ def read(path: Path, sensor: str | None = None) -> Log:
     """
     if path.is_file() and is_own(path):
         advice = "imumon replay reads its session, imumon decode the file alone"
-        raise ImumonError(Reason.BAD_DATA, f"{path} is a recording of imumon, not a bag", advice)
+        raise bad_data(f"{path} is a recording of imumon, not a bag", advice)
     try:
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
@@ -44,31 +44,23 @@ def read(path: Path, sensor: str | None = None) -> Log:
     try:
         with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as bag:
             found = {one.topic for one in bag.connections if one.msgtype == IMU and one.msgcount}
-            topics = sorted(found, key=_raw_first)
+            # What a sensor sent comes before what was made of it, such as rates without their bias.
+            topics = sorted(found, key=lambda one: (one.removesuffix("_raw"), not one.endswith("_raw")))
             name, others = pick(path, topics, sensor)
             (gyro, *beside), undated = _collect(bag, [name, *(_first(bag, kind) for kind in BESIDE)])
     except ImumonError:
         raise
     except Exception as error:  # each format of a bag has errors of its own
-        raise ImumonError(
-            Reason.BAD_DATA,
+        raise bad_data(
             f"{path}: cannot be read as a ROS bag: {str(error) or type(error).__name__}",
             "if it was cut or damaged, mend it first: mcap recover, ros2 bag reindex or rosbag reindex",
         ) from error
-    warnings = [_undated(name, undated[name], len(gyro.time_ns))] if undated[name] else []
-    return Log(name, others, gyro, beside, "FLU", SCALING, warnings=tuple(warnings))
-
-
-def _raw_first(topic: str) -> tuple[str, bool]:
-    """Sort by name, but what a sensor sent before what was made of it, such as rates without their bias."""
-    return topic.removesuffix("_raw"), not topic.endswith("_raw")
-
-
-def _undated(topic: str, count: int, n: int) -> str:
-    return (
-        f"{topic}: {count:,} of {n:,} headers have no time: the time at which the recorder received them"
-        " stands in, and its jitter and delay are not the sensor's"
+    received = (
+        f"{name}: {undated[name]:,} of {len(gyro.time_ns):,} headers have no time: the time at which the"
+        " recorder received them stands in, and its jitter and delay are not the sensor's"
     )
+    warnings = (received,) if undated[name] else ()
+    return Log(name, others, gyro, beside, "FLU", SCALING, warnings=warnings)
 
 
 def _vector(value: Any) -> list[float]:

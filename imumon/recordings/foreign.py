@@ -5,11 +5,12 @@ from __future__ import annotations
 import csv
 import math
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from decimal import Decimal, InvalidOperation
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from imumon.blocks import FloatArray, IntArray
-from imumon.errors import ImumonError, Reason
+from imumon.errors import bad_config, bad_data
 from imumon.files import readable
 from imumon.recordings.map import TIMESTAMPS, TextFormat, TimeColumn
 from imumon.recordings.table import table_errors
@@ -55,10 +56,8 @@ class BadRow:
 class Part:
     """Rows of a table as they come."""
 
-    rows_in: int
-    """Rows in the table, good and bad; blank lines are none."""
     index: IntArray
-    """Number of each good row among all rows, from 0, (n,)."""
+    """Number of each good row among all rows, from 0, (n,); blank lines are none."""
     line: IntArray
     """Line (text) or row (Parquet) of each good row, from 1, (n,)."""
     time_ns: IntArray | None
@@ -67,6 +66,16 @@ class Part:
     """The columns of data that were asked for, in the units of the table, (k, n); NaN where a cell is
     empty."""
     bad: list[BadRow]
+
+
+@dataclass(frozen=True, slots=True)
+class _Rows:
+    """Rows as they stand in a table: lines, cells by column, whole texts, and those of a wrong width."""
+
+    line: IntArray
+    cells: Mapping[str, Any]
+    text_of: Callable[[int], str]
+    wrong: Wrong = field(default_factory=dict)
 
 
 def read_foreign(
@@ -81,98 +90,106 @@ def read_foreign(
     with readable(path), path.open("rb") as file:
         head = file.read(4096)
     if not head:
-        raise ImumonError(Reason.BAD_DATA, f"{path}: is empty")
-    if head.startswith(b"PAR1"):
+        raise bad_data(f"{path}: is empty")
+    wanted = list(dict.fromkeys([*columns, *([time.column] if time is not None else [])]))
+    if is_parquet := head.startswith(b"PAR1"):
         with table_errors(path):
             names = list(pq.read_schema(path).names)
-        parts = _read_parquet(path, columns, time)
+        rows = _parquet_rows(path, wanted)
     else:
-        text = _Text(path, _encoding(path, head), text_format)
-        names, parts = text.names, text.parts(columns, time)
-    wanted = [*columns, *([time.column] if time is not None else [])]
+        lines = _lines(path, _encoding(path, head), text_format)
+        names = [*(text_format.columns or ())]
+        if text_format.header:
+            _, first = next(lines, (0, ""))
+            if not first:
+                raise bad_data(f"{path}: has no line of column names")
+            names = [name.strip() for name in _split(first, text_format.delimiter)]
+        rows = _text_rows(lines, names, text_format)
     if absent := [name for name in wanted if name not in names]:
-        raise ImumonError(
-            Reason.BAD_CONFIG,
+        raise bad_config(
             f"{path}: has no column {', '.join(map(repr, absent))}",
             f"it has: {', '.join(map(repr, names))}; for another layout of the text add to the map:"
             ' csv: {delimiter: ";"}, or csv: {header: false, columns: [NAME, ...]}',
         )
     if twice := [name for name in wanted if names.count(name) > 1]:
-        raise ImumonError(
-            Reason.BAD_DATA, f"{path}: column {', '.join(map(repr, twice))} is there more than once"
+        raise bad_data(f"{path}: column {', '.join(map(repr, twice))} is there more than once")
+    numbers = partial(_numbers, path) if is_parquet else partial(_numbers_of_text, text_format.decimal)
+    decimal = "." if is_parquet or (time is not None and time.unit == TIMESTAMPS) else text_format.decimal
+    return names, _parts(rows, columns, numbers, time, decimal)
+
+
+def _parts(
+    tables: Iterable[_Rows],
+    columns: Sequence[str],
+    numbers: Callable[[str, Any], tuple[FloatArray, Wrong]],
+    time: TimeColumn | None,
+    decimal: str,
+) -> Iterator[Part]:
+    """Yield the rows that can be taken, and those that cannot.
+
+    `numbers` are those in the cells of a column, and what is wrong with which of them.
+    """
+    first_row = 0
+    for rows in tables:
+        values, wrong, times = np.empty((len(columns), len(rows.line))), Wrong(), None
+        for column, name in enumerate(columns):
+            values[column], wrong_here = numbers(name, rows.cells[name])
+            wrong = wrong_here | wrong
+        if time is not None:
+            texts = pc.cast(rows.cells[time.column], pa.string()).to_pylist()
+            times, wrong_times = _times_of_text(texts, time, decimal)
+            wrong |= wrong_times
+        wrong |= rows.wrong
+        good = np.setdiff1d(np.arange(len(rows.line)), list(wrong))
+        yield Part(
+            index=good + first_row,
+            line=rows.line[good],
+            time_ns=None if times is None else times[good],
+            values=values[:, good],
+            bad=[BadRow(int(rows.line[row]), wrong[row], rows.text_of(row)[:SHOWN]) for row in sorted(wrong)],
         )
-    return names, parts
+        first_row += len(rows.line)
 
 
 # Text
 
 
-class _Text:
-    """A table of text, a row a line; bytes that are not text become part of a bad row."""
+def _lines(path: Path, encoding: str, text_format: TextFormat) -> Iterator[tuple[int, str]]:
+    """Yield number and text of each line that is neither blank nor a comment; what is no text is replaced."""
+    comment, skip = text_format.comment, text_format.skip_rows
+    with readable(path), path.open(encoding=encoding, errors="replace") as file:
+        for number, line in enumerate(file, 1):
+            text = line.strip(" \r\n")
+            if number > skip and text and not (comment and text.startswith(comment)):
+                yield number, text
 
-    def __init__(self, path: Path, encoding: str, text_format: TextFormat) -> None:
-        self._path, self._encoding, self._format = path, encoding, text_format
-        names = text_format.columns
-        if names is None:
-            _, line = next(self._lines(), (0, None))
-            if line is None:
-                raise ImumonError(Reason.BAD_DATA, f"{path}: has no line of column names")
-            names = [name.strip() for name in self._split(line)]
-        self.names = names
 
-    def parts(self, columns: Sequence[str], time: TimeColumn | None) -> Iterator[Part]:
-        """Yield the rows."""
-        first_row = 0
-        lines = islice(self._lines(), 1 if self._format.header else 0, None)
-        while rows := list(islice(lines, ROWS_PER_PART)):
-            yield self._part(rows, first_row, columns, time)
-            first_row += len(rows)
+def _split(line: str, delimiter: str) -> list[str]:
+    if delimiter == "whitespace":
+        return line.split()
+    if '"' in line:
+        with suppress(csv.Error):
+            return next(csv.reader([line], delimiter=delimiter))
+    return line.split(delimiter)
 
-    def _lines(self) -> Iterator[tuple[int, str]]:
-        """Yield number and text of each line that is neither blank nor a comment."""
-        comment, skip = self._format.comment, self._format.skip_rows
-        with readable(self._path), self._path.open(encoding=self._encoding, errors="replace") as file:
-            for number, line in enumerate(file, 1):
-                text = line.strip(" \r\n")
-                if number > skip and text and not (comment and text.startswith(comment)):
-                    yield number, text
 
-    def _split(self, line: str) -> list[str]:
-        delimiter = self._format.delimiter
-        if delimiter == "whitespace":
-            return line.split()
-        if '"' in line:
-            with suppress(csv.Error):
-                return next(csv.reader([line], delimiter=delimiter))
-        return line.split(delimiter)
-
-    def _part(
-        self, rows: list[tuple[int, str]], first_row: int, columns: Sequence[str], time: TimeColumn | None
-    ) -> Part:
-        width, decimal = len(self.names), self._format.decimal
-        cells, wrong_width = list[list[str]](), Wrong()
-        for at, (_, line) in enumerate(rows):
-            row = self._split(line)
+def _text_rows(
+    lines: Iterator[tuple[int, str]], names: list[str], text_format: TextFormat
+) -> Iterator[_Rows]:
+    width = len(names)
+    while rows := list(islice(lines, ROWS_PER_PART)):
+        numbers, texts = zip(*rows, strict=True)
+        cells, wrong = list[list[str]](), Wrong()
+        for at, line in enumerate(texts):
+            row = _split(line, text_format.delimiter)
             if len(row) == width + 1 and not row[-1]:  # a delimiter behind the last cell
                 row.pop()
             if len(row) != width:
-                wrong_width[at] = f"{len(row)} cells, expected {width}"
+                wrong[at] = f"{len(row)} cells, expected {width}"
                 row = [""] * width
             cells.append(row)
-        texts = dict(zip(self.names, zip(*cells, strict=True), strict=True))
-        values, wrong = np.empty((len(columns), len(rows))), Wrong()
-        for column, name in enumerate(columns):
-            values[column], wrong_here = _numbers_of_text(texts[name], decimal)
-            wrong = wrong_here | wrong
-        times = None
-        if time is not None:
-            is_date = time.unit == TIMESTAMPS
-            times, wrong_times = _times_of_text(
-                [text if is_date else text.replace(decimal, ".") for text in texts[time.column]], time
-            )
-            wrong |= wrong_times
-        lines = np.array([number for number, _ in rows], np.int64)
-        return _part(first_row, lines, times, values, wrong | wrong_width, lambda row: rows[row][1])
+        columns = dict(zip(names, map(pa.array, zip(*cells, strict=True)), strict=True))
+        yield _Rows(np.array(numbers, np.int64), columns, texts.__getitem__, wrong)
 
 
 def _encoding(path: Path, head: bytes) -> str:
@@ -180,17 +197,16 @@ def _encoding(path: Path, head: bytes) -> str:
         return "utf-16"
     control = sum(byte < 0x20 and byte not in b"\t\n\r\f\x1b" for byte in head)
     if control > CONTROL_SHARE * len(head):
-        raise ImumonError(
-            Reason.BAD_DATA,
+        raise bad_data(
             f"{path}: is neither text nor Parquet: {control} of its first {len(head)} bytes are controls",
             "a raw capture is decoded with: imumon decode FILE --device NAME",
         )
     return "utf-8-sig"
 
 
-def _numbers_of_text(texts: Sequence[str], decimal: str) -> tuple[FloatArray, Wrong]:
+def _numbers_of_text(decimal: str, _: str, texts: Any) -> tuple[FloatArray, Wrong]:
     """Return the numbers of a column, NaN where there is none, and what is wrong with which cells."""
-    text = pc.utf8_trim_whitespace(pa.array(texts, pa.string()))
+    text = pc.utf8_trim_whitespace(texts)
     plain = text if decimal == "." else pc.replace_substring(text, decimal, ".")
     number = pc.match_substring_regex(plain, _NUMBER)
     bare = pc.utf8_ltrim(pc.if_else(number, plain, "nan"), "+")
@@ -253,13 +269,13 @@ def _of_date(moment: datetime) -> int:
     return ((since.days * 86_400 + since.seconds) * 10**6 + since.microseconds) * 1000
 
 
-def _times_of_text(texts: Sequence[str | None], time: TimeColumn) -> tuple[IntArray, Wrong]:
+def _times_of_text(texts: Sequence[str | None], time: TimeColumn, decimal: str) -> tuple[IntArray, Wrong]:
     """Return times in ns, (n,), and what is wrong with which of them."""
     parse, wrap_ns = time_parser(time.unit, time.format), time.wrap_ns
     found, wrong = np.zeros(len(texts), np.int64), Wrong()
     for row, text in enumerate(texts):
         try:
-            time_ns = parse("" if text is None else text)
+            time_ns = parse("" if text is None else text.replace(decimal, "."))
         except ValueError as error:
             wrong[row] = "time is absent" if text is None else str(error)
             continue
@@ -272,56 +288,25 @@ def _times_of_text(texts: Sequence[str | None], time: TimeColumn) -> tuple[IntAr
 # Parquet
 
 
-def _read_parquet(path: Path, columns: Sequence[str], time: TimeColumn | None) -> Iterator[Part]:
-    """Yield the rows of a Parquet table; a row is bad when its time is absent or a value is infinite."""
-    wanted = list(dict.fromkeys([*columns, *([time.column] if time is not None else [])]))
+def _parquet_rows(path: Path, wanted: Sequence[str]) -> Iterator[_Rows]:
     first_row = 0
     with table_errors(path), pq.ParquetFile(path, pre_buffer=False) as file:
         for batch in file.iter_batches(batch_size=ROWS_PER_PART, columns=wanted):
-            yield _parse_batch(path, batch, columns, time, first_row)
+            line = np.arange(len(batch), dtype=np.int64) + first_row + 1
+            cells = {name: batch.column(name) for name in wanted}
+
+            def text_of(row: int, batch: Any = batch) -> str:
+                return str(batch.slice(row, 1).to_pylist()[0])
+
+            yield _Rows(line, cells, text_of)
             first_row += len(batch)
 
 
-def _parse_batch(
-    path: Path, batch: Any, columns: Sequence[str], time: TimeColumn | None, first_row: int
-) -> Part:
-    values = np.vstack([_numbers(path, name, batch.column(name)) for name in columns])
-    wrong = dict.fromkeys(np.flatnonzero(np.isinf(values).any(axis=0)).tolist(), "a value is infinite")
-    times = None
-    if time is not None:
-        texts = pc.cast(batch.column(time.column), pa.string()).to_pylist()
-        times, wrong_times = _times_of_text(texts, time)
-        wrong |= wrong_times
-    line = np.arange(len(batch), dtype=np.int64) + first_row + 1
-    return _part(first_row, line, times, values, wrong, lambda row: str(batch.slice(row, 1).to_pylist()[0]))
-
-
-def _numbers(path: Path, name: str, column: Any) -> FloatArray:
+def _numbers(path: Path, name: str, column: Any) -> tuple[FloatArray, Wrong]:
+    """Return the numbers of a column, NaN where there is none, and which are infinite."""
     kind = column.type
     if not (pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal(kind)):
-        raise ImumonError(Reason.BAD_DATA, f"{path}: column {name!r} is {kind}, not a number")
-    values = pc.cast(column, pa.float64(), safe=False).fill_null(math.nan)
-    return np.asarray(values.to_numpy(zero_copy_only=False), np.float64)
-
-
-# Both
-
-
-def _part(
-    first_row: int,
-    line: IntArray,
-    times: IntArray | None,
-    values: FloatArray,
-    wrong: Wrong,
-    text_of: Callable[[int], str],
-) -> Part:
-    """Return the rows that can be taken, and those that cannot."""
-    good = np.setdiff1d(np.arange(len(line)), list(wrong))
-    return Part(
-        rows_in=len(line),
-        index=good + first_row,
-        line=line[good],
-        time_ns=None if times is None else times[good],
-        values=values[:, good],
-        bad=[BadRow(int(line[row]), wrong[row], text_of(row)[:SHOWN]) for row in sorted(wrong)],
-    )
+        raise bad_data(f"{path}: column {name!r} is {kind}, not a number")
+    cast = pc.cast(column, pa.float64(), safe=False).fill_null(math.nan)
+    values = np.asarray(cast.to_numpy(zero_copy_only=False), np.float64)
+    return values, dict.fromkeys(np.flatnonzero(np.isinf(values)).tolist(), "a value is infinite")

@@ -15,13 +15,20 @@ from imumon.blocks import ColumnArray, IntArray, SampleBlock
 from imumon.clock.rate import Intervals
 from imumon.columns import KNOWN, Column
 from imumon.config import parse_yaml
-from imumon.errors import ImumonError, Reason
+from imumon.errors import ImumonError, Reason, bad_data
 from imumon.files import read_text
-from imumon.magnitudes import rate_doubts
-from imumon.recordings.folder import SAMPLES_NAME, Session, fingerprint, whole_session
+from imumon.intake import rate_doubts
+from imumon.recordings.folder import (
+    SAMPLES_NAME,
+    SPAN,
+    Session,
+    SessionMetadata,
+    TableUsed,
+    fingerprint,
+    whole_session,
+)
 from imumon.recordings.foreign import BadRow, Part, read_foreign
 from imumon.recordings.map import TableMap
-from imumon.recordings.metadata import SPAN, SessionMetadata, TableUsed
 from imumon.recordings.table import TableWriter
 
 LISTED = 10
@@ -63,16 +70,30 @@ def import_table(
     `rows_dropped`: how many rows of that file are not in the table.
     """
     with whole_session(out) as partial:
-        source = TableImport(table, map_path)
+        source = TableImport(table, map_path, rows_dropped)
         with TableWriter(partial / SAMPLES_NAME, source.columns) as writer:
             for block in source.blocks():
                 writer.write(block)
         report = source.report()
-        report = replace(
-            report, rows_in=report.rows_in + rows_dropped, rows_dropped=report.rows_dropped + rows_dropped
+        now_ns, file = time.time_ns(), made_of or table
+        counters = {"samples": report.rows_out, "segments": report.segments}
+        begun = SessionMetadata.begun(
+            "import",
+            now_ns,
+            device="import",
+            axes=source.map.axes,
+            table=TableUsed(
+                file=file.name,
+                size_bytes=file.stat().st_size,
+                sha256=fingerprint(file),
+                map_yaml=source.map_text,
+                rows_in=report.rows_in,
+                rows_out=report.rows_out,
+                rows_dropped=report.rows_dropped,
+            ),
+            counters=counters | {SPAN: round(report.span_s * 1e9)},
         )
-        metadata = _metadata(source, report, made_of or table)
-        Session(partial, metadata).save(metadata)
+        Session(partial, begun).save(begun.closed(now_ns))
     return report
 
 
@@ -81,9 +102,11 @@ class TableImport:
 
     Raises BAD_CONFIG for a wrong map or a column that the table lacks, with the file of the map;
     BAD_DATA for a table that cannot be read.
+
+    `rows_dropped`: rows of what the table was made of that are not in it.
     """
 
-    def __init__(self, table: Path, map_path: Path) -> None:
+    def __init__(self, table: Path, map_path: Path, rows_dropped: int = 0) -> None:
         self.table = table
         self.map_text = read_text(map_path)
         self.map = parse_yaml(self.map_text, TableMap, str(map_path))
@@ -93,10 +116,13 @@ class TableImport:
         except ImumonError as error:
             where = f"{map_path}: " if error.reason is Reason.BAD_CONFIG else ""
             raise ImumonError(error.reason, f"{where}{error.seen}", error.hint) from error
-        self.columns = _columns(self.map)
+        self.columns = {name: KNOWN[name] for name in ("device_time_ns", "segment")}
         """Columns of the samples with their units, in canonical order."""
+        for one in self.map.sources():
+            column = KNOWN.get(one.target) or Column(one.target, "")
+            self.columns[one.target] = replace(column, unit=one.unit.target)
         self._times = _RowTimes(table, self.map)
-        self._rows_in = self._rows_out = self._rows_bad = 0
+        self._rows_good, self._rows_bad = 0, rows_dropped
         self._listed: list[BadRow] = []
 
     def blocks(self) -> Iterator[SampleBlock]:
@@ -107,16 +133,15 @@ class TableImport:
         """
         strict = self.map.bad_rows == "error"
         for part in self._parts:
-            self._rows_in += part.rows_in
+            self._rows_good += len(part.index)
             self._rows_bad += len(part.bad)
             self._listed += part.bad[: LISTED - len(self._listed)]
-            if not (self._rows_bad and strict):
-                self._rows_out += len(part.index)
+            if not (self._listed and strict):
                 yield self._block(part)
-        if self._rows_bad and strict:
+        if self._listed and strict:
             raise self._bad_rows_error()
-        if not self._rows_out:
-            raise ImumonError(Reason.BAD_DATA, f"{self.table}: none of its {self._rows_in} rows can be taken")
+        if not self._rows_good:
+            raise bad_data(f"{self.table}: none of its {self._rows_bad} rows can be taken")
 
     def _block(self, part: Part) -> SampleBlock:
         time_ns, segments = self._times.take(part)
@@ -132,8 +157,8 @@ class TableImport:
         used = {source.column for source in self.map.sources()}
         used |= {self.map.time.column} if self.map.time else set()
         return ImportReport(
-            rows_in=self._rows_in,
-            rows_out=self._rows_out,
+            rows_in=self._rows_good + self._rows_bad,
+            rows_out=self._rows_good,
             rows_dropped=self._rows_bad,
             columns=tuple(self.columns),
             columns_unused=tuple(name for name in self._names if name not in used),
@@ -145,30 +170,27 @@ class TableImport:
         )
 
     def warnings(self) -> list[str]:
-        """Return what cannot be known of the times of the rows, once the blocks were read."""
-        return self._times.warnings()
+        """Return what cannot be known of the times of the rows."""
+        if self.map.time is None or self.map.time.wrap_ns is None:
+            return []
+        wrap = f"{float(self.map.time.wrap_ns) * 1e-9:g} s"
+        return [
+            f"{self.table}: time wraps every {wrap}, and how often it did in a gap cannot be known: one"
+            f" of {wrap} or longer comes out short by whole wraps"
+        ]
 
     def _bad_rows_error(self) -> ImumonError:
         shown = [f"{self.table}:{row.line}: {row.why}: {row.text!r}" for row in self._listed]
         if self._rows_bad > len(shown):
             shown.append(f"... and {self._rows_bad - len(shown)} more")
-        seen = f"{self.table}: {self._rows_bad} of {self._rows_in} rows cannot be taken; nothing was imported"
-        return ImumonError(
-            Reason.BAD_DATA,
+        rows = self._rows_good + self._rows_bad
+        seen = f"{self.table}: {self._rows_bad} of {rows} rows cannot be taken; nothing was imported"
+        return bad_data(
             "\n".join([seen, *shown]),
             "mend the table, pass over lines before the data with csv: {skip_rows: N}"
             ' and comments with csv: {comment: "#"}, read decimal commas with csv: {decimal: ","},'
             " or add bad_rows: drop to the map to import the others",
         )
-
-
-def _columns(table_map: TableMap) -> dict[str, Column]:
-    """Return the columns of the session with their units, in canonical order."""
-    columns = {name: KNOWN[name] for name in ("device_time_ns", "segment")}
-    for source in table_map.sources():
-        column = KNOWN.get(source.target) or Column(source.target, "")
-        columns[source.target] = replace(column, unit=source.unit.target)
-    return columns
 
 
 class _RowTimes:
@@ -195,8 +217,7 @@ class _RowTimes:
         try:
             times = self._times(part)
         except OverflowError:
-            raise ImumonError(
-                Reason.BAD_DATA,
+            raise bad_data(
                 f"{self._table}: its times are beyond the 292 years that a time in ns can tell",
                 "check rate_hz, or wraps_at and the unit of time, in the map",
             ) from None
@@ -215,30 +236,19 @@ class _RowTimes:
         self.segment = int(segments[-1])
         return times, segments
 
-    def warnings(self) -> list[str]:
-        """Return what cannot be known of these times."""
-        if self._wrap_ns is None:
-            return []
-        wrap = f"{float(self._wrap_ns) * 1e-9:g} s"
-        return [
-            f"{self._table}: time wraps every {wrap}, and how often it did in a gap cannot be known: one"
-            f" of {wrap} or longer comes out short by whole wraps"
-        ]
-
     def _times(self, part: Part) -> IntArray:
         if part.time_ns is None:
             # Each is rounded by itself so that no error adds up; a row that was dropped keeps its time.
             period_ns = 10**9 / Fraction(str(self._rate_hz))
             return np.array([round(row * period_ns) for row in part.index.tolist()], np.int64)
-        if self._wrap_ns is None or not len(part.time_ns):
+        if self._wrap_ns is None:
             return part.time_ns
-        before = part.time_ns[0] if self._last is None else self._counted
-        wraps = self._wraps + np.cumsum(np.diff(part.time_ns, prepend=before) < 0)
-        self._counted, self._wraps = int(part.time_ns[-1]), int(wraps[-1])
-        number, which = np.unique(np.append(wraps, wraps[-1] + 1), return_inverse=True)
-        # The next wrap as well: a time within it must fit in 64 bits.
-        whole = np.array([round(int(one) * self._wrap_ns) for one in number], np.int64)
-        return np.asarray(part.time_ns + whole[which[:-1]])
+        times = []
+        for counted in part.time_ns.tolist():
+            self._wraps += counted < self._counted
+            self._counted = counted
+            times.append(counted + round(self._wraps * self._wrap_ns))
+        return np.array(times, np.int64)
 
     def _error(self, time_ns: int, step_ns: int, line: int, line_before: int) -> ImumonError:
         verb, hint = (
@@ -250,25 +260,4 @@ class _RowTimes:
             verb, hint = "is the same as", "if the rows are evenly spaced, give rate_hz: ... in place of time"
         after_s, before_s = time_ns * 1e-9, (time_ns - step_ns) * 1e-9
         seen = f"{self._table}:{line}: time {after_s:.9f} s {verb} {before_s:.9f} s of line {line_before}"
-        return ImumonError(Reason.BAD_DATA, seen, hint)
-
-
-def _metadata(source: TableImport, report: ImportReport, file: Path) -> SessionMetadata:
-    now_ns = time.time_ns()
-    begun = SessionMetadata.begun(
-        "import",
-        now_ns,
-        device="import",
-        axes=source.map.axes,
-        table=TableUsed(
-            file=file.name,
-            size_bytes=file.stat().st_size,
-            sha256=fingerprint(file),
-            map_yaml=source.map_text,
-            rows_in=report.rows_in,
-            rows_out=report.rows_out,
-            rows_dropped=report.rows_dropped,
-        ),
-        counters={"samples": report.rows_out, "segments": report.segments, SPAN: round(report.span_s * 1e9)},
-    )
-    return begun.closed(now_ns)
+        return bad_data(seen, hint)

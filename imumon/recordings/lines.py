@@ -15,14 +15,19 @@ Line = tuple[str, str]
 
 
 class Lines:
-    """Log lines on their way to another thread or process; `put` may be called from any thread."""
+    """Log lines on their way to another thread or process; `put` may be called from any thread.
 
-    def __init__(self) -> None:
+    `say`: where each line goes besides: its level and its text.
+    """
+
+    def __init__(self, say: Callable[[str, str], object] = lambda *_: None) -> None:
         self._waiting: SimpleQueue[tuple[int, str, str]] = SimpleQueue()
+        self._say = say
 
     def put(self, level: str, text: str) -> None:
         """Take a line; returns at once."""
         self._waiting.put((time.time_ns(), level, text))
+        self._say(level, text)
 
     def take(self) -> list[Line]:
         """Return the lines since the last time."""
@@ -33,25 +38,15 @@ class Lines:
 
 
 class SessionLog(Lines):
-    """The log of a session, as lines of JSON: takes lines from any thread, and writes them in `write`.
+    """The log of a session, as lines of JSON appended to the file at `path`."""
 
-    `path`: file to append to; made with the first line.
-    `say`: where each line goes besides: its level and its text.
-    """
-
-    def __init__(self, path: Path, say: Callable[[str, str], None]) -> None:
-        super().__init__()
+    def __init__(self, path: Path, say: Callable[[str, str], object]) -> None:
+        super().__init__(say)
         self._path = path
-        self._say = say
-
-    def put(self, level: str, text: str) -> None:
-        """Take a line; returns at once."""
-        super().put(level, text)
-        self._say(level, text)
 
     def write(self) -> None:
         """Write the lines that wait; raises OSError when that fails, and they are lost."""
-        from imumon.recordings.metadata import iso_utc  # here, as it loads pydantic
+        from imumon.recordings.folder import iso_utc  # here, as it loads pydantic
 
         lines = [
             {"time": iso_utc(now_ns), "time_ns": now_ns, "level": level, "text": text}

@@ -6,7 +6,7 @@ has the samples as they were sent, for tables.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,7 +14,7 @@ import numpy as np
 
 from imumon.blocks import SampleBlock
 from imumon.columns import Column
-from imumon.errors import ImumonError, Reason
+from imumon.errors import bad_data
 from imumon.pipeline import Estimator, Pipeline, SampleSink
 from imumon.protocols.device import DeviceFile
 from imumon.recordings.folder import fingerprint, is_session, lost_metadata, open_session
@@ -43,32 +43,18 @@ class Recording:
     """Blocks that have gone through the stages and were not yielded yet."""
     count: Count
     """Takes how many more bytes were read."""
-
-    @property
-    def name(self) -> str:
-        """Of its folder or file."""
-        path = self.truth if self.source.session is None else self.source.session.path
-        return path.name or str(path)
-
-    @property
-    def truth(self) -> Path:
-        """The file that everything follows from."""
-        return self.source.path if self.source.session is None else self.source.session.truth_path
-
-    @property
-    def device(self) -> str | None:
-        """What sent it; None for a table."""
-        return None if self.source.device is None else self.source.device.name
-
-    @property
-    def axes(self) -> str | None:
-        """In which body axes it is; None where nobody said it."""
-        return self.source.axes
-
-    @property
-    def columns(self) -> dict[str, Column]:
-        """Columns of a table or an imported session; empty for a recording that has to be decoded."""
-        return {column.name: column for column in self.source.imported}
+    truth: Path
+    """The file that everything follows from."""
+    name: str
+    """Of its folder or file."""
+    device: str | None
+    """What sent it; None for a table."""
+    axes: str | None
+    """In which body axes it is; None where nobody said it."""
+    serial: str | None
+    """Serial number of the unit, as its session has it."""
+    columns: dict[str, Column]
+    """Columns of a table or an imported session; empty for a recording that has to be decoded."""
 
     def blocks(self) -> Iterator[SampleBlock]:
         """Yield the samples in order, with device_time_ns, segment and what the stages add to them.
@@ -79,12 +65,6 @@ class Recording:
             blocks = [*self.processed]
             self.processed.clear()
             yield from blocks
-
-    @property
-    def serial(self) -> str | None:
-        """Serial number of the unit, as its session has it."""
-        session = self.source.session
-        return None if session is None else session.metadata.serial
 
     def warnings(self) -> list[str]:
         """Return, once the samples were read, what the recording lacks and what the stages say."""
@@ -109,11 +89,19 @@ def open_recording(
     `count`: takes how many more bytes were read, for a progress bar.
     """
     source = _open(path, map_path)
-    there = {column.name for column in source.imported}
+    session, there = source.session, {column.name: column for column in source.imported}
     made, processed = stages(source.device), list[SampleBlock]()
-    wanted = [stage for stage in made if there.isdisjoint(column.name for column in stage.columns)]
+    wanted = [stage for stage in made if there.keys().isdisjoint(column.name for column in stage.columns)]
     pipeline = Pipeline(source.device, [*wanted, SampleSink(processed.append)], source.range)
-    return Recording(source, pipeline, processed, count)
+    return Recording(
+        source, pipeline, processed, count,
+        truth=source.path if session is None else session.truth_path,
+        name=(path if session is None else session.path).name or str(path),
+        device=None if source.device is None else source.device.name,
+        axes=source.axes,
+        serial=None if session is None else session.metadata.serial,
+        columns=there,
+    )  # fmt: skip
 
 
 def _open(path: Path, map_path: Path | None) -> Source:
@@ -126,20 +114,17 @@ def _open(path: Path, map_path: Path | None) -> Source:
     if path.suffix not in SUFFIXES:
         if lost_metadata(path) is not None:
             open_session(path)  # raises, saying what to do
-        raise ImumonError(
-            Reason.BAD_DATA,
+        raise bad_data(
             f"{path} is neither a session nor a table ({', '.join(SUFFIXES)})",
             "a raw capture becomes a table first: imumon decode FILE --device NAME --out TABLE.parquet",
         )
     columns = read_columns(path)
     if "device_time_ns" not in columns:
         seen = f"{path}: has no column device_time_ns, so it is no table of imumon"
-        raise ImumonError(Reason.BAD_DATA, seen, "a table from elsewhere needs a map: imumon import")
-    return Source(path, _with_segment(iterate_table(path)), None, None, tuple(columns.values()))
-
-
-def _with_segment(blocks: Iterable[SampleBlock]) -> Iterator[SampleBlock]:
-    """Yield tables without a column segment as one segment."""
-    for block in blocks:
-        extra = {} if "segment" in block else {"segment": np.zeros(len(block), np.int64)}
-        yield block.with_columns(extra)
+        raise bad_data(seen, "a table from elsewhere needs a map: imumon import")
+    # Without a column segment it is one segment.
+    blocks = (
+        block if "segment" in block else block.with_columns({"segment": np.zeros(len(block), np.int64)})
+        for block in iterate_table(path)
+    )
+    return Source(path, blocks, None, None, tuple(columns.values()))

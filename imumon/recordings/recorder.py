@@ -52,11 +52,6 @@ class Recorder:
         self._keeper = threading.Thread(target=self._keep, name="recorder, medium", daemon=True)
 
     @property
-    def counters(self) -> WireCounters:
-        """What was recorded so far; may be asked from any thread."""
-        return self._writer.counters
-
-    @property
     def problem(self) -> str | None:
         """Why writing fails at present, or None."""
         return next(iter(self._problems.values()), None)

@@ -8,14 +8,13 @@ from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 
-from imumon.errors import ImumonError, Reason
+from imumon.errors import ImumonError, Reason, bad_config, bad_data
 from imumon.protocols.device import device_text, parse_device
-from imumon.recordings.metadata import SessionMetadata, begun_of
+from imumon.recordings.folder import SessionMetadata, begun_of
 from imumon.recordings.wire import WireWriter
 from imumon.recordings.wire_reader import WireReader, WireSummary
 from imumon.transport.reader import Bytes, Event
 
-ORIGINAL = "original"
 FLUSH_BYTES = 1 << 20
 
 
@@ -45,10 +44,10 @@ def metadata_anew(path: Path, device_name: str | None) -> tuple[SessionMetadata,
     if begun is None:
         seen = f"{path} does not hold the session.yaml of its start: it is old, or its beginning is damaged"
         if device_name is None:
-            raise ImumonError(Reason.BAD_CONFIG, seen, "add --device NAME; imumon devices lists them")
+            raise bad_config(seen, "add --device NAME; imumon devices lists them")
         first = next(iter(WireReader(path)), None)
         if first is None:
-            raise ImumonError(Reason.BAD_DATA, f"{path} holds no message", "there is nothing to recover")
+            raise bad_data(f"{path} holds no message", "there is nothing to recover")
         at_ns = first.arrival_ns if isinstance(first, Bytes) else first.time_ns
         begun = SessionMetadata.begun("live", at_ns, device=device_name)
         unknown = [f"{seen}; only the device is known, and it began with its first message"]
@@ -87,7 +86,11 @@ def rewrite(path: Path, bytes_missing: int = 0, ended_ns: int = 0) -> Path:
                     flushed = 0
         original = keep_original(path)
         partial.replace(path)
-        _sync_folder(path.parent)
+        folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
     finally:
         partial.unlink(missing_ok=True)
     return original
@@ -95,37 +98,25 @@ def rewrite(path: Path, bytes_missing: int = 0, ended_ns: int = 0) -> Path:
 
 def keep_original(path: Path) -> Path:
     """Give a file a second name, NAME.original or with a number, and return it."""
-    number = 1
-    while True:
-        original = path.with_name(f"{path.name}.{ORIGINAL}{'' if number == 1 else f'-{number}'}")
-        try:
-            original.hardlink_to(path)
-        except FileExistsError:
-            number += 1
-        else:
-            return original
+    number, original = 1, path.with_name(f"{path.name}.original")
+    while original.exists():
+        number += 1
+        original = path.with_name(f"{path.name}.original-{number}")
+    original.hardlink_to(path)
+    return original
 
 
 def _items(path: Path, writer: WireWriter, bytes_missing: int, ended_ns: int) -> Iterator[Bytes | Event]:
     """Yield what can be read; say where messages are missing before those behind the place."""
     reader = WireReader(path)
     written = last_ns = 0
-    for batch in reader.batches():
-        items = [batch] if isinstance(batch, Event) else list(batch)
-        times = [item.time_ns if isinstance(item, Event) else item.arrival_ns for item in items]
-        missing = reader.damage.messages - written
+    for item in reader:
+        time_ns = item.time_ns if isinstance(item, Event) else item.arrival_ns
+        missing = reader.summary.damage.messages - written
         if missing:
-            writer.missing(last_ns, times[0], missing)
-        written, last_ns = written + missing, times[-1]
-        yield from items
-    missing = reader.damage.messages - written
+            writer.missing(last_ns, time_ns, missing)
+        written, last_ns = written + missing, time_ns
+        yield item
+    missing = reader.summary.damage.messages - written
     if missing or bytes_missing:
         writer.missing(last_ns, max(last_ns, ended_ns), missing, bytes_missing)
-
-
-def _sync_folder(folder: Path) -> None:
-    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)

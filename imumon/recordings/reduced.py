@@ -53,7 +53,6 @@ class Reduced:
     """Of the values, (n, m); NaN without any."""
 
     def __len__(self) -> int:
-        """Return the number of slots."""
         return len(self.segment)
 
     def of(self, name: str) -> FloatArray:
@@ -165,11 +164,9 @@ class KeptSlots:
         return cls(*(getattr(slots, field.name).copy() for field in fields(cls)))
 
     def __len__(self) -> int:
-        """Return the number of slots."""
         return len(self.begins)
 
     def __getitem__(self, which: slice) -> Self:
-        """Return some of the slots."""
         return type(self)(*(getattr(self, field.name)[which] for field in fields(self)))
 
 

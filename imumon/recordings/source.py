@@ -9,14 +9,13 @@ from typing import Any, Literal
 
 from imumon.blocks import SampleBlock
 from imumon.columns import Column
-from imumon.errors import ImumonError, Reason
+from imumon.errors import ImumonError, Reason, bad_config, bad_data
 from imumon.files import readable
 from imumon.pipeline import UNDATED, Pipeline
 from imumon.protocols.device import DeviceFile, load_device, parse_device
 from imumon.protocols.ranges import Ranges, declared
-from imumon.recordings.folder import METADATA_NAME, Session, is_session, open_session
+from imumon.recordings.folder import METADATA_NAME, Session, begun_of, is_session, iso_utc, open_session
 from imumon.recordings.importing import TableImport
-from imumon.recordings.metadata import begun_of, iso_utc
 from imumon.recordings.table import SUFFIXES, iterate_samples, read_columns
 from imumon.recordings.wire_format import is_wire
 from imumon.recordings.wire_reader import Place, WireReader, WireSummary
@@ -106,7 +105,18 @@ class Source:
             texts.append(
                 f"{summary.bytes_unrecorded:,} bytes could not be recorded at the time, or were lost since"
             )
-        texts += _damage(summary, name, self._began_ns())
+        damage = summary.damage
+        if damage.places:
+            is_damaged = damage.places > summary.recovered.places
+            verb = "is damaged" if is_damaged else "was damaged, before it was recovered,"
+            count = f"{damage.places:,} place{'s' if damage.places > 1 else ''}"
+            texts.append(
+                f"{name} {verb} in {count}, {damage.seconds:.3f} s in all: {damage.messages:,} reads or"
+                f" events missing, {damage.bytes:,} bytes of no use"
+            )
+        texts += [f"damaged: {self._described(place)}" for place in damage.where[:SHOWN_PLACES]]
+        if damage.places > SHOWN_PLACES:
+            texts.append(f"damaged: {damage.places - SHOWN_PLACES:,} more places, the first with --json")
         if summary.checksum_ok is False:
             texts.append(f"{name} was changed after it was recorded: its checksum differs")
         return texts
@@ -121,7 +131,7 @@ class Source:
             {
                 "offset": place.offset,
                 "bytes": place.size,
-                "at_s": None if (at_s := _since(self._began_ns(), place)) is None else round(at_s, 6),
+                "at_s": None if (at_s := self._since(place)) is None else round(at_s, 6),
                 "seconds": place.seconds,
                 "after_ns": place.after_ns or None,
                 "before_ns": place.before_ns or None,
@@ -141,8 +151,20 @@ class Source:
             }
         }
 
-    def _began_ns(self) -> int | None:
-        return None if self.session is None else self.session.metadata.created_ns
+    def _since(self, place: Place) -> float | None:
+        """Return when a damaged place begins, s after the start of the session; None where not known."""
+        if not place.after_ns or self.session is None:
+            return None
+        return (place.after_ns - self.session.metadata.created_ns) * 1e-9
+
+    def _described(self, place: Place) -> str:
+        where = f"{place.size:,} bytes at byte {place.offset:,}" if place.size else "cut out"
+        missing = f"{place.messages:,} missing" if place.messages or place.size else "how many is not known"
+        if not place.after_ns:
+            return f"{where}, before the first message ({missing})"
+        when = f"{place.seconds:.3f} s from {iso_utc(place.after_ns)}"
+        when += "" if (since := self._since(place)) is None else f", {since:.3f} s after the start"
+        return f"{where}, {when} ({missing})"
 
 
 def bytes_missing(session: Session, summary: WireSummary) -> int:
@@ -157,49 +179,15 @@ def no_samples(source: Source, pipeline: Pipeline) -> ImumonError:
     """Return why a run over a source gave no rows."""
     counters = pipeline.counters
     if not counters.bytes_received:
-        return ImumonError(Reason.BAD_DATA, f"{source.path} is empty")
+        return bad_data(f"{source.path} is empty")
     others = ", ".join(f"{count} {name}" for name, count in counters.packets_by_type.items())
     device = source.device.name if source.device is not None else "table"
-    return ImumonError(
-        Reason.BAD_DATA,
+    return bad_data(
         f"no samples of {device} in the {counters.bytes_received:,} bytes of {source.path}: "
         f"{counters.checksum_errors} checksum errors, {counters.length_errors} length errors, "
         f"{others or 'no other'} messages",
         "is it another device, or text?",
     )
-
-
-def _since(began_ns: int | None, place: Place) -> float | None:
-    """Return when a damaged place begins, s after the start of the session; None where not known."""
-    return (place.after_ns - began_ns) * 1e-9 if place.after_ns and began_ns is not None else None
-
-
-def _damage(summary: WireSummary, name: str, began_ns: int | None) -> list[str]:
-    """Return what there is to say of damage: the sum, and the first places."""
-    texts, damage = [], summary.damage
-    if damage.places:
-        is_damaged = damage.places > summary.recovered.places
-        verb = "is damaged" if is_damaged else "was damaged, before it was recovered,"
-        count = f"{damage.places:,} place{'s' if damage.places > 1 else ''}"
-        texts.append(
-            f"{name} {verb} in {count}, {damage.seconds:.3f} s in all: {damage.messages:,} reads or events"
-            f" missing, {damage.bytes:,} bytes of no use"
-        )
-        texts += [f"damaged: {_place(place, began_ns)}" for place in damage.where[:SHOWN_PLACES]]
-        if damage.places > SHOWN_PLACES:
-            texts.append(f"damaged: {damage.places - SHOWN_PLACES:,} more places, the first with --json")
-    return texts
-
-
-def _place(place: Place, began_ns: int | None) -> str:
-    where = f"{place.size:,} bytes at byte {place.offset:,}" if place.size else "cut out"
-    missing = f"{place.messages:,} missing" if place.messages or place.size else "how many is not known"
-    if not place.after_ns:
-        return f"{where}, before the first message ({missing})"
-    since = _since(began_ns, place)
-    when = f"{place.seconds:.3f} s from {iso_utc(place.after_ns)}"
-    when += "" if since is None else f", {since:.3f} s after the start"
-    return f"{where}, {when} ({missing})"
 
 
 def open_source(path: Path, device_name: str | None = None, rate_hz: float | None = None) -> Source:
@@ -218,10 +206,13 @@ def open_source(path: Path, device_name: str | None = None, rate_hz: float | Non
         if device_name is not None:
             device = load_device(device_name)
         elif wire is not None:
-            device = wire_device(wire)
+            begun = begun_of(wire.metadata())
+            if begun is None or begun.device_yaml is None:
+                hint = f"add --device {wire.metadata().get('device', 'NAME')}, or the path of its file"
+                raise bad_config(f"{path} does not hold its device file", hint)
+            device = parse_device(begun.device_yaml, f"{path} (device_yaml)")
         else:
-            raise ImumonError(
-                Reason.BAD_CONFIG,
+            raise bad_config(
                 f"{path} is not a session, so its device must be named",
                 "add --device NAME; imumon devices lists them",
             )
@@ -229,8 +220,7 @@ def open_source(path: Path, device_name: str | None = None, rate_hz: float | Non
     session = open_session(path)
     if session.metadata.source == "import":
         if rate_hz is not None:
-            raise ImumonError(
-                Reason.BAD_CONFIG,
+            raise bad_config(
                 f"--rate, and the samples of {path} have their times already",
                 "rate_hz in the map of an import spaces rows without a time",
             )
@@ -249,22 +239,9 @@ def source_of(session: Session, device: DeviceFile | None = None) -> Source:
     if device is None:
         text = session.metadata.device_yaml
         if text is None:
-            raise ImumonError(Reason.BAD_DATA, f"{session.path}: session.yaml has no device_yaml")
+            raise bad_data(f"{session.path}: session.yaml has no device_yaml")
         device = parse_device(text, f"{session.path / METADATA_NAME} (device_yaml)")
     return Source(session.path, WireReader(session.wire_path), device, session)
-
-
-def wire_device(wire: WireReader) -> DeviceFile:
-    """Return the device of a wire file that stands alone, as it was when the file was recorded.
-
-    Raises BAD_CONFIG when the file does not hold it.
-    """
-    metadata = wire.metadata()
-    begun = begun_of(metadata)
-    if begun is None or begun.device_yaml is None:
-        hint = f"add --device {metadata.get('device', 'NAME')}, or the path of its file"
-        raise ImumonError(Reason.BAD_CONFIG, f"{wire.path} does not hold its device file", hint)
-    return parse_device(begun.device_yaml, f"{wire.path} (device_yaml)")
 
 
 def capture_items(path: Path) -> Iterator[Item]:
@@ -321,11 +298,9 @@ def feed(item: Item | Reads | SampleBlock, pipeline: Pipeline) -> int:
     if isinstance(item, SampleBlock):
         pipeline.push(item)
         return sum(values.nbytes for values in item.columns.values())
-    if isinstance(item, Reads):
-        pipeline.feed_reads(item.data, item.ends, item.arrivals_ns)
-        return len(item.data)
-    if isinstance(item, Bytes):
-        pipeline.feed(item.data, item.arrival_ns)
+    if isinstance(item, Bytes | Reads):
+        reads = item if isinstance(item, Reads) else Reads.of([item])
+        pipeline.feed_reads(reads.data, reads.ends, reads.arrivals_ns)
         return len(item.data)
     if item.kind is EventKind.OPENED:
         pipeline.port_opened()

@@ -7,10 +7,10 @@ header, so that every program reads it, and the units in a second file beside it
 from __future__ import annotations
 
 import csv
-import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, Literal
 
 import numpy as np
@@ -21,7 +21,7 @@ import pyarrow.parquet as pq
 from imumon.blocks import NO_INT, ColumnArray, SampleBlock, join
 from imumon.columns import KNOWN, Column, ColumnType
 from imumon.config import StrictModel, dump_yaml, load_yaml
-from imumon.errors import ImumonError, Reason
+from imumon.errors import ImumonError, Reason, bad_data
 from imumon.files import check_output, naming, target, write_text
 from imumon.harmless import for_csv
 from imumon.recordings.folder import Session
@@ -57,14 +57,14 @@ class TableWriter:
         _check_suffix(path, Reason.BAD_CONFIG)
         check_output(path, replace=True)
         self.path = path
-        self._place = target(path)
         self.rows = 0
         self._columns = dict(columns)
         self._buffer: list[SampleBlock] = []
         self._buffered = 0
         self._names: list[str] = []
-        self._parts: list[Path] = []
-        self._part: Any = None
+        """Columns of the part that is being written."""
+        self._folder: TemporaryDirectory[str] | None = None
+        self._parts: list[pq.ParquetWriter] = []
 
     def announce(self, columns: Iterable[Column]) -> None:
         """Say which columns may come from now on, in the order which the table shall have."""
@@ -94,11 +94,11 @@ class TableWriter:
         """
         try:
             with naming(self.path):
-                self._flush()
+                if self._buffer:
+                    self._flush()
                 if not self._parts:
-                    self._names = list(self._columns)
-                    self._begin_part()
-                self._end_part()
+                    self._begin_part([*self._columns])
+                self._parts[-1].close()
                 self._finish()
         finally:
             self.abort()
@@ -107,17 +107,16 @@ class TableWriter:
         """Remove what was written; without effect after `close`."""
         self._buffer = []
         with suppress(OSError):
-            self._end_part()
-        for part in self._parts:
-            part.unlink(missing_ok=True)
+            if self._parts:
+                self._parts[-1].close()
         self._parts = []
+        if self._folder is not None:
+            self._folder.cleanup()
 
     def __enter__(self) -> TableWriter:
-        """Return itself."""
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        """Close, or drop everything when there was an error."""
         if kind is None:
             self.close()
         else:
@@ -125,63 +124,60 @@ class TableWriter:
 
     def _flush(self) -> None:
         """Write the buffer as one row group; a column that is new begins a new part."""
-        if not self._buffer:
-            return
         block = join(self._buffer)
         self._buffer, self._buffered = [], 0
         names = [name for name in self._columns if name in self._names or name in block]
         if names != self._names:
-            self._end_part()
-            self._names = names
-            self._begin_part()
-        self._part.write_table(_to_arrow(block, _schema(self._columns[name] for name in names)))
+            self._begin_part(names)
+        self._parts[-1].write_table(arrow_table(block, self._present()))
 
-    def _begin_part(self) -> None:
-        part = self._place.with_name(f".{self._place.name}.{os.getpid()}-{len(self._parts)}.part")
-        self._parts.append(part)
-        schema = _schema(self._columns[name] for name in self._names)
-        self._part = pq.ParquetWriter(part, schema, compression="zstd", use_dictionary=False)
+    def _begin_part(self, names: list[str]) -> None:
+        if self._folder is None:
+            self._folder = TemporaryDirectory(prefix=".imumon-", dir=target(self.path).parent)
+        if self._parts:
+            self._parts[-1].close()
+        self._names = names
+        self._parts.append(_parquet_writer(self._part(len(self._parts)), _schema(self._present())))
 
-    def _end_part(self) -> None:
-        if self._part is not None:
-            part, self._part = self._part, None
-            part.close()
+    def _part(self, number: int) -> Path:
+        assert self._folder is not None
+        return Path(self._folder.name) / f"{number}.parquet"
+
+    def _present(self) -> list[Column]:
+        return [self._columns[name] for name in self._names]
 
     def _finish(self) -> None:
         """Make the table of the parts: as it is when there is one, else with nulls for what came later."""
-        if self.path.suffix == ".parquet" and len(self._parts) == 1:
-            self._parts.pop().replace(self._place)
-            return
-        columns = [self._columns[name] for name in self._names]
-        schema = _schema(columns)
-        merged = self._place.with_name(f".{self._place.name}.{os.getpid()}.part")
-        tables = _merged(self._parts, schema)
-        self._parts = [*self._parts, merged]
-        if self.path.suffix == ".parquet":
-            with pq.ParquetWriter(merged, schema, compression="zstd", use_dictionary=False) as writer:
-                for table in tables:
-                    writer.write_table(table)
-        else:
-            _write_csv(merged, tables, schema)
-            _write_units(units_path(self.path), columns)
-        merged.replace(self._place)
+        parts, columns = [self._part(number) for number in range(len(self._parts))], self._present()
+        whole = parts[0]
+        if self.path.suffix != ".parquet" or len(parts) > 1:
+            whole = self._part(len(parts))
+            tables = (arrow_table(block, columns) for part in parts for block in iterate_table(part))
+            if self.path.suffix == ".parquet":
+                with _parquet_writer(whole, _schema(columns)) as writer:
+                    for table in tables:
+                        writer.write_table(table)
+            else:
+                _write_csv(whole, tables, self._names)
+                _write_units(units_path(self.path), columns)
+        whole.replace(target(self.path))
+
+
+def _parquet_writer(path: Path, schema: Any) -> Any:
+    return pq.ParquetWriter(path, schema, compression="zstd", use_dictionary=False)
 
 
 def iterate_samples(session: Session) -> Iterator[SampleBlock]:
     """Yield the samples of an imported session in order.
 
-    Raises BAD_DATA when the table cannot be read, or is not the one that was imported, or when the session
-    has bytes instead, which need a decoder.
+    Raises BAD_DATA when the table cannot be read, or is not the one that was imported.
     """
-    if session.metadata.source != "import":
-        raise ImumonError(Reason.BAD_DATA, f"{session.path} holds bytes, not samples: it must be decoded")
     imported = session.metadata.table
     if imported is not None:
         with table_errors(session.samples_path):
             rows = int(pq.read_metadata(session.samples_path).num_rows)
         if rows != imported.rows_out:
-            raise ImumonError(
-                Reason.BAD_DATA,
+            raise bad_data(
                 f"{session.samples_path} was changed after the import: it has {rows:,} rows, and"
                 f" {imported.rows_out:,} were imported",
                 f"import {imported.file} again, into another folder",
@@ -195,7 +191,7 @@ def table_errors(path: Path) -> Iterator[None]:
     try:
         yield
     except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
-        raise ImumonError(Reason.BAD_DATA, f"{path}: cannot be read: {error}") from error
+        raise bad_data(f"{path}: cannot be read: {error}") from error
 
 
 def iterate_table(path: Path, columns: Sequence[str] | None = None) -> Iterator[SampleBlock]:
@@ -266,7 +262,7 @@ def _csv_columns(path: Path) -> dict[str, Column]:
     with path.open(encoding="utf-8-sig") as file:
         names = next(csv.reader(file), [])
     if not names:
-        raise ImumonError(Reason.BAD_DATA, f"{path}: cannot be read: it is empty")
+        raise bad_data(f"{path}: cannot be read: it is empty")
     units = units_path(path)
     units_of = load_yaml(units, _UnitsFile).columns if units.is_file() else {}
     columns = {name: KNOWN.get(name) or Column(name, "") for name in names}
@@ -281,7 +277,7 @@ def _parquet_column(path: Path, field: Any) -> Column:
     metadata = {key.decode(): value.decode() for key, value in (field.metadata or {}).items()}
     fallback = KNOWN.get(field.name) or Column(field.name, "")
     if not (pa.types.is_integer(field.type) or pa.types.is_floating(field.type)):
-        raise ImumonError(Reason.BAD_DATA, f"{path}: column {field.name!r} is {field.type}, not a number")
+        raise bad_data(f"{path}: column {field.name!r} is {field.type}, not a number")
     dtype: ColumnType = "int64" if pa.types.is_integer(field.type) else "float64"
     unit = metadata.get("unit", fallback.unit)
     return Column(field.name, unit, dtype, metadata.get("description", fallback.description))
@@ -310,10 +306,7 @@ def _schema(columns: Iterable[Column]) -> Any:
 
 def arrow_table(block: SampleBlock, columns: Iterable[Column]) -> Any:
     """Return a pyarrow table with these columns; missing values are null, a field's metadata has the unit."""
-    return _to_arrow(block, _schema(columns))
-
-
-def _to_arrow(block: SampleBlock, schema: Any) -> Any:
+    schema = _schema(columns)
     arrays = [
         _masked(block[field.name], field.type) if field.name in block else pa.nulls(len(block), field.type)
         for field in schema
@@ -353,21 +346,13 @@ def _batches(path: Path, schema: Any) -> Iterator[Any]:
         yield from reader
 
 
-def _merged(parts: Sequence[Path], schema: Any) -> Iterator[Any]:
-    """Yield tables of this schema from parts that have some of its columns each."""
-    for part in parts:
-        with pq.ParquetFile(part, pre_buffer=False) as file:
-            for batch in file.iter_batches(batch_size=READ_ROWS):
-                yield _to_arrow(_from_arrow(batch, batch.schema), schema)
-
-
-def _write_csv(path: Path, tables: Iterable[Any], schema: Any) -> None:
+def _write_csv(path: Path, tables: Iterable[Any], names: Sequence[str]) -> None:
     options = pa_csv.WriteOptions(include_header=False, quoting_style="none")
     with path.open("wb") as file:
-        file.write(",".join(map(for_csv, schema.names)).encode() + b"\n")
+        file.write(",".join(map(for_csv, names)).encode() + b"\n")
         for table in tables:
-            texts = [_as_text(table.column(name)) for name in schema.names]
-            pa_csv.write_csv(pa.Table.from_arrays(texts, names=schema.names), file, options)
+            texts = [_as_text(table.column(name)) for name in names]
+            pa_csv.write_csv(pa.Table.from_arrays(texts, names=names), file, options)
 
 
 def _as_text(values: Any) -> Any:

@@ -120,23 +120,20 @@ class WireWriter:
 
     def write(self, item: Item) -> None:
         """Take an item in; it is on disk after the next `flush` that succeeds."""
-        counters, is_full = self.counters, self._spool.pending > PENDING_LIMIT
+        counters, is_read = self.counters, int(isinstance(item, Bytes))
+        size = len(item.data) if isinstance(item, Bytes) else 0
+        counters.reads += is_read
+        counters.bytes += size
+        counters.events += 1 - is_read
+        if len(self._spool.pending) > PENDING_LIMIT:
+            counters.bytes_unrecorded += size
+            self._gap.update(reads=is_read, bytes=size, events=1 - is_read)
+            return
         if isinstance(item, Bytes):
-            size = len(item.data)
-            counters.reads += 1
-            counters.bytes += size
-            if is_full:
-                counters.bytes_unrecorded += size
-                self._gap.update(reads=1, bytes=size)
-                return
             self._note_gap(item.arrival_ns)
             self._add(wf.WIRE_CHANNEL, item.arrival_ns, wf.CDR.pack(wf.CDR_LITTLE, size) + item.data)
             self._block_bytes += size
         else:
-            counters.events += 1
-            if is_full:
-                self._gap.update(events=1)
-                return
             self._note_gap(item.time_ns)
             self._add_event(item.kind.value, item.time_ns, {"detail": item.detail})
         if self._spool.tell() - self._block_start > BLOCK_BYTES:
@@ -203,15 +200,14 @@ class WireWriter:
 
     def _note_gap(self, time_ns: int) -> None:
         if self._gap.total():
-            lost = {name: self._gap[name] for name in ("reads", "bytes", "events")}
-            self._add_event(wf.UNRECORDED, time_ns, lost)
+            self._add_event(wf.UNRECORDED, time_ns, {"reads": 0, "bytes": 0, "events": 0} | self._gap)
             self._gap.clear()
 
     def _seal(self) -> None:
         """Write the check record of what came since the last one."""
         size = self._spool.tell() - self._block_start
         if size:
-            crc = self._spool.crc_from(self._block_start)
+            crc = zlib.crc32(self._spool.pending[-size:])  # none of it is written yet
             check = wf.Check(self._block_start, size, self._sequence & wf.SEQUENCE_MASK, crc, self._last_ns)
             self._spool.write(check.pack())
             self._block_start = self._spool.tell()
@@ -276,30 +272,22 @@ class _Spool:
         self._descriptor = descriptor
         made = os.fstat(descriptor)
         self.place = made.st_dev, made.st_ino
-        self._pending = bytearray()
+        self.pending = bytearray()
         self.crc = 0
         self.written = 0
         self.closed = False
 
-    @property
-    def pending(self) -> int:
-        return len(self._pending)
-
     def write(self, data: bytes) -> None:
-        self._pending += data
+        self.pending += data
         self.crc = zlib.crc32(data, self.crc)
 
-    def crc_from(self, begin: int) -> int:
-        """Return the CRC-32 of what stands behind a place of the file; none of it is written yet."""
-        return zlib.crc32(self._pending[begin - self.written :])
-
     def tell(self) -> int:
-        return self.written + len(self._pending)
+        return self.written + len(self.pending)
 
     def flush(self) -> None:
-        while self._pending:
-            count = os.write(self._descriptor, self._pending)
-            del self._pending[:count]
+        while self.pending:
+            count = os.write(self._descriptor, self.pending)
+            del self.pending[:count]
             self.written += count
 
     def sync(self) -> None:

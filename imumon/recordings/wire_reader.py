@@ -13,7 +13,6 @@ import mmap
 import struct
 import zlib
 from collections.abc import Generator, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
@@ -24,7 +23,7 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Header, Metadata
 
-from imumon.errors import ImumonError, Reason
+from imumon.errors import ImumonError, bad_data
 from imumon.files import readable
 from imumon.recordings import wire_format as wf
 from imumon.recordings.wire_format import (
@@ -124,28 +123,15 @@ class WireSummary:
     """What the recording program wanted to say."""
 
 
-@contextmanager
-def _mapped(path: Path) -> Iterator[mmap.mmap | bytes]:
-    """Give the bytes of a file, of which the system keeps in memory what is looked at."""
-    with readable(path), path.open("rb") as file:
-        if not path.stat().st_size:
-            yield b""
-            return
-        with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-            yield data
-
-
 class WireReader:
     """Reads a wire file in order of arrival, in constant memory.
 
-    Each iteration reads the file anew; `summary` is that of the last iteration that came to the end.
+    Each iteration reads the file anew; `summary` is what the last one has found so far.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.summary = WireSummary()
-        self.damage = Damage()
-        """What was found so far by the iteration that goes on."""
 
     def __iter__(self) -> Iterator[Item]:
         """Yield the items in the order in which they were written, each read by itself.
@@ -163,21 +149,20 @@ class WireReader:
 
         Raises BAD_DATA when the file cannot be read, or is of another program.
         """
-        with _mapped(self.path) as data:
-            contents = _Contents(self.path, data)
-            next(contents.batches(), None)  # it stands before the first message
-        return contents.found.metadata
+        next(self.batches(), None)  # it stands before the first message
+        return self.summary.metadata
 
     def batches(self) -> Iterator[Reads | Event]:
         """Yield the items in the order in which they were written, reads that follow each other together.
 
         Raises BAD_DATA, when the file cannot be read or is not a wire file.
         """
-        with _mapped(self.path) as data:
-            contents = _Contents(self.path, data)
-            self.damage = contents.found.damage
-            yield from contents.batches()
+        with readable(self.path), self.path.open("rb") as file:
+            size, number = self.path.stat().st_size, file.fileno()
+            # The system keeps in memory what is looked at.
+            contents = _Contents(self.path, mmap.mmap(number, 0, access=mmap.ACCESS_READ) if size else b"")
         self.summary = contents.found
+        yield from contents.batches()
 
 
 class _Contents:
@@ -186,11 +171,12 @@ class _Contents:
     def __init__(self, path: Path, data: mmap.mmap | bytes) -> None:
         self.found = WireSummary()
         self._path, self._data = path, data
-        self._done = 0
-        """Up to where everything is read or given up."""
-        self._released = 0
-        self._next_sequence: int | None = None
-        """Of the next message, modulo 2^32; None before the first in a file without check records."""
+        self._done = self._released = 0
+        """Up to where everything is read or given up, and is no longer kept in memory."""
+        self._crc = 0
+        """CRC-32 of the file up to `_done`."""
+        self._next_sequence = 0
+        """Of the next message, modulo 2^32."""
         self._pieces: list[bytes] = []
         self._arrivals_ns: list[int] = []
         self._kept = 0
@@ -208,15 +194,14 @@ class _Contents:
         marker = -1
         while (marker := data.find(wf.MARKER, marker + 1)) >= 0:
             at = marker - RECORD.size
-            check = Check.unpack(data, at) if at >= 0 else None
-            if check is not None:
+            if at >= 0 and (check := Check.unpack(data, at)) is not None:
                 yield from self._block(check, at)
-                self._release(at)
         if not self._done:
             if not is_mcap and PROFILE not in head:
                 hint = "only wire files that imumon recorded can be replayed"
-                raise ImumonError(Reason.BAD_DATA, f"{self._path}: is not a wire file", hint)
-            self._done = yield from self._records(data, min(len(MAGIC), len(data)), sealed=False)
+                raise bad_data(f"{self._path}: is not a wire file", hint)
+            end = yield from self._records(data, min(len(MAGIC), len(data)), sealed=False)
+            self._finish(end)
         yield from self._reads()
         ended = self._ends_data()
         if ended:
@@ -230,23 +215,22 @@ class _Contents:
 
         A block whose messages were there before is in the file twice: it is passed over.
         """
-        if self._next_sequence is None:
-            self._next_sequence = 0
         begin, behind = end - check.size, end + CHECK_SIZE
         block = self._data[max(begin, 0) : end]
         if begin == 0:
             block = MAGIC + block[len(MAGIC) :]  # the same in all files, should it be damaged
         is_whole = begin >= 0 and zlib.crc32(block) == check.crc
         at = first = len(MAGIC) if block.startswith(MAGIC) else 0
-        while is_whole and at < len(block) and block[at] != wf.MESSAGE_OP:
-            at += RECORD.size + RECORD.unpack_from(block, at)[1]
         sequence, time_ns = check.sequence, check.time_ns
-        if is_whole and at < len(block):
-            _, _, _, sequence, time_ns, _ = MESSAGE.unpack_from(block, at)
+        while is_whole and at < len(block):
+            if block[at] == wf.MESSAGE_OP:
+                _, _, _, sequence, time_ns, _ = MESSAGE.unpack_from(block, at)
+                break
+            at += RECORD.size + RECORD.unpack_from(block, at)[1]
         if self._ahead(sequence) < 0:
             return
         yield from self._lose((begin if is_whole else behind) - self._done, time_ns, sequence)
-        self._done = behind
+        self._finish(behind)
         if is_whole:
             stop = yield from self._records(block, first, sealed=True)
             if stop < len(block):
@@ -259,11 +243,7 @@ class _Contents:
         if len(record) < RECORD.size + 4 or RECORD.unpack_from(record) != (wf.DATA_END_OP, 4):
             return False
         if expected := int.from_bytes(record[-4:], "little"):
-            crc, self._released = zlib.crc32(MAGIC), 0
-            for begin in range(len(MAGIC), at, READ_SIZE):
-                crc = zlib.crc32(self._data[begin : min(begin + READ_SIZE, at)], crc)
-                self._release(begin)
-            self.found.checksum_ok = crc == expected
+            self.found.checksum_ok = self._crc == expected
         return True
 
     def _compare_count(self) -> Generator[Reads]:
@@ -277,16 +257,18 @@ class _Contents:
                 return
             at += RECORD.size + length
 
-    def _release(self, before: int) -> None:
-        """Keep what was read out of the memory that is counted as that of this process."""
-        while before - self._released > RELEASE_SIZE and isinstance(self._data, mmap.mmap):
-            self._data.madvise(mmap.MADV_DONTNEED, self._released, RELEASE_SIZE)
-            self._released += RELEASE_SIZE
+    def _finish(self, end: int) -> None:
+        """Take what stands before this place as read: into the checksum, and out of the memory."""
+        while self._done < end:
+            stop = min(self._done + READ_SIZE, end)
+            piece = MAGIC + self._data[len(MAGIC) : stop] if not self._done else self._data[self._done : stop]
+            self._crc, self._done = zlib.crc32(piece, self._crc), stop
+            if stop - self._released > RELEASE_SIZE and isinstance(self._data, mmap.mmap):
+                self._data.madvise(mmap.MADV_DONTNEED, self._released, RELEASE_SIZE)
+                self._released += RELEASE_SIZE
 
     def _ahead(self, sequence: int) -> int:
         """Return how many messages are missing before one of this number; below 0 if it was there before."""
-        if self._next_sequence is None:
-            return 0
         half = (SEQUENCE_MASK + 1) // 2
         return (sequence - self._next_sequence + half & SEQUENCE_MASK) - half
 
@@ -299,12 +281,11 @@ class _Contents:
         if size or missing:
             yield from self._reads()
             self.found.damage.add(Place(self._done, size, self.found.last_ns, before_ns, missing))
-        if self._next_sequence is not None:
-            self._next_sequence = self._next_sequence + missing & SEQUENCE_MASK
+        self._next_sequence = self._next_sequence + missing & SEQUENCE_MASK
 
     def _error(self, what: str) -> ImumonError:
         hint = "a newer imumon wrote it, or only wire files that imumon recorded can be replayed"
-        return ImumonError(Reason.BAD_DATA, f"{self._path}: {what}", hint)
+        return bad_data(f"{self._path}: {what}", hint)
 
     def _records(
         self, data: mmap.mmap | bytes, at: int, *, sealed: bool
@@ -378,21 +359,17 @@ class _Contents:
         try:
             fields = json.loads(body)
             if fields["kind"] == wf.UNRECORDED:
-                self._unrecorded(fields, time_ns)
+                self.found.bytes_unrecorded += int(fields["bytes"])
+                if "after_ns" in fields:
+                    place = Place(0, 0, int(fields["after_ns"]), time_ns, int(fields["reads"]))
+                    self.found.damage.add(place)
+                    self.found.recovered.add(place)
                 return None
             event = Event(EventKind(fields["kind"]), time_ns, str(fields["detail"]))
         except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
             raise self._error(f"event at {time_ns} ns is not understood: {body[:200]!r}") from error
         self.found.events += 1
         return event
-
-    def _unrecorded(self, fields: dict[str, int], time_ns: int) -> None:
-        """Count what the file says is missing here."""
-        self.found.bytes_unrecorded += int(fields["bytes"])
-        if "after_ns" in fields:
-            place = Place(0, 0, int(fields["after_ns"]), time_ns, int(fields["reads"]))
-            self.found.damage.add(place)
-            self.found.recovered.add(place)
 
     def _rare(self, opcode: int, body: bytes) -> None:
         """Take in a rare record: header or metadata.

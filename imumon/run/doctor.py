@@ -24,9 +24,9 @@ from imumon.plugins import DEVICES, EFFECTS, STAGES, WINGS, entries, load, packa
 from imumon.protocols.device import FOLDER, is_folder, load_device
 from imumon.stage import STAGE, is_callable, made_by
 from imumon.transport.errors import open_error
+from imumon.transport.port import latency_text
 from imumon.transport.ports import PortInfo, latency_timer_path, list_ports
 from imumon.transport.settings import PortSettings
-from imumon.transport.terminal import latency_text
 from imumon.view.viewer import has_display, quiet_environment, viewer_binary
 from imumon.wings import NEEDED, is_wing
 

@@ -8,8 +8,7 @@ import numpy as np
 
 from imumon.blocks import SampleBlock
 from imumon.geodesy import STANDARD_GRAVITY
-from imumon.intake import RANGES
-from imumon.magnitudes import GRAVITIES
+from imumon.intake import GRAVITIES, RANGES
 from imumon.pipeline import PipelineCounters
 
 LEAST_ROWS = 50

@@ -26,9 +26,8 @@ from imumon.geodesy import STANDARD_GRAVITY
 from imumon.models.model import BiasModel
 from imumon.pipeline import Digest, Estimator, Pipeline, PipelineCounters
 from imumon.protocols.device import DeviceFile
-from imumon.recordings.folder import create_session, remove_empty
+from imumon.recordings.folder import PortUsed, SessionMetadata, create_session, remove_empty
 from imumon.recordings.lines import LOG_NAME, SessionLog
-from imumon.recordings.metadata import PortUsed, SessionMetadata, StreamSummary
 from imumon.recordings.recorder import Recorder
 from imumon.recordings.source import feed
 from imumon.recordings.wire import WireCounters, WireWriter
@@ -373,8 +372,7 @@ def summary_of(counters: PipelineCounters, unrecorded: int | None = None) -> dic
     flat |= {f"packets_by_type.{name}": count for name, count in counters.packets_by_type.items()}
     if unrecorded is not None:
         flat["bytes_unrecorded"] = unrecorded
-    streams = {name: StreamSummary(**asdict(stream)) for name, stream in counters.streams.items()}
-    return {"counters": flat, "streams": streams}
+    return {"counters": flat, "streams": counters.streams}
 
 
 def nothing_decoded(

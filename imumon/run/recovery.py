@@ -6,8 +6,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from imumon.errors import ImumonError, Reason
-from imumon.recordings.folder import METADATA_NAME, WIRE_NAME, Session, lost_metadata, open_session
-from imumon.recordings.metadata import SessionMetadata
+from imumon.recordings.folder import (
+    METADATA_NAME,
+    WIRE_NAME,
+    Session,
+    SessionMetadata,
+    lost_metadata,
+    open_session,
+)
 from imumon.recordings.recovery import is_sound, keep_original, metadata_anew, refuse_recording, rewrite
 from imumon.recordings.source import Source, bytes_missing, run_over, source_of
 from imumon.recordings.wire_reader import WireReader, WireSummary

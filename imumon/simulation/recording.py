@@ -14,8 +14,7 @@ from imumon.blocks import IntArray
 from imumon.columns import KNOWN, Column
 from imumon.files import write_text
 from imumon.protocols.device import DeviceFile
-from imumon.recordings.folder import Session, create_session, whole_session
-from imumon.recordings.metadata import PortUsed, SessionMetadata
+from imumon.recordings.folder import PortUsed, Session, SessionMetadata, create_session, whole_session
 from imumon.recordings.table import TableWriter
 from imumon.recordings.wire import WireWriter
 from imumon.simulation.unit import TRUTH_COLUMNS, Scenario, SimulatedUnit

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Protocol
 
-from imumon.errors import ImumonError, Reason
+from imumon.errors import ImumonError, Reason, bad_config
 from imumon.transport.errors import silent_error, wrong_baud_error
 from imumon.transport.port import open_port
 from imumon.transport.settings import PortSettings
@@ -161,19 +161,23 @@ def detect(
             except ImumonError as error:
                 if error.reason is not Reason.BAD_CONFIG or rate == rates[-1]:
                     raise
-            if _is_enough(evidence):
+            is_silent = not any(item.bytes_received for item in evidence)
+            tried = {item.baudrate for item in evidence}
+            if any(item.tells_the_rate for item in evidence) or (is_silent and len(tried) >= SILENT_RATES):
                 break
         if any(item.verdict is Verdict.FRAMES for item in evidence):
             break
         rates = [item.baudrate for item in evidence if item.tells_the_rate and item.baudrate][:1] or rates
-    return sorted(evidence, key=_order)
-
-
-def _is_enough(evidence: Sequence[Evidence]) -> bool:
-    """Return whether a rate is found, or the port is silent."""
-    is_silent = not any(item.bytes_received for item in evidence)
-    rates = {item.baudrate for item in evidence}
-    return any(item.tells_the_rate for item in evidence) or (is_silent and len(rates) >= SILENT_RATES)
+    return sorted(
+        evidence,
+        key=lambda item: (
+            [*Verdict].index(item.verdict),
+            not item.samples,
+            -item.share_framed,
+            -item.packets,
+            item.checksum_errors,
+        ),
+    )
 
 
 def listen(
@@ -221,7 +225,7 @@ def failure(url: str, evidence: Sequence[Evidence]) -> ImumonError | None:
     `evidence` is what `detect` returned, the best first.
     """
     if not evidence:
-        return ImumonError(Reason.BAD_CONFIG, "no protocol or no baud rate to try")
+        return bad_config("no protocol or no baud rate to try")
     best = evidence[0]
     if best.verdict is Verdict.FRAMES:
         return None
@@ -270,14 +274,4 @@ def _decided(decoders: Iterable[Candidate], data: bytearray) -> bool:
         count.packets >= PLENTY_OF_PACKETS
         and count.bytes_in_packets >= FRAMED * (count.bytes_received - count.bytes_pending)
         for count in counts
-    )
-
-
-def _order(item: Evidence) -> tuple[int, bool, float, int, int]:
-    return (
-        [*Verdict].index(item.verdict),
-        not item.samples,
-        -item.share_framed,
-        -item.packets,
-        item.checksum_errors,
     )

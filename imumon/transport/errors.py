@@ -11,7 +11,7 @@ import termios
 from contextlib import suppress
 from pathlib import Path
 
-from imumon.errors import ImumonError, Reason
+from imumon.errors import ImumonError, Reason, bad_config
 from imumon.transport.ports import describe_ports, holders
 from imumon.transport.settings import PortSettings
 
@@ -37,7 +37,7 @@ def open_error(settings: PortSettings, error: Exception) -> ImumonError:
     number = _errno(error)
     if isinstance(error, ValueError):
         hint = "Check baud rate and URL; besides devices: socket://, rfc2217://, spy://, loop://, hwgrep://."
-        return ImumonError(Reason.BAD_CONFIG, f"{settings}: {error}", hint)
+        return bad_config(f"{settings}: {error}", hint)
     seen = f"{settings} cannot be opened: {_errno_text(number, error)}"
     if settings.scheme in NETWORK_SCHEMES:
         hint = "Check host and port, and that the server runs; a serial server often takes one client only."

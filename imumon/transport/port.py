@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import select
 import socket
+import struct
 import sys
+import termios
 import time
 from dataclasses import replace
 
 import serial
 from serial.urlhandler import protocol_socket
 
-from imumon.transport import terminal
 from imumon.transport.errors import OPEN_ERRORS, PORT_ERRORS, lost_error, open_error
-from imumon.transport.ports import holders
+from imumon.transport.ports import holders, latency_timer_ms, latency_timer_path
 from imumon.transport.settings import PortSettings
 
 READ_SIZE = 1 << 16
@@ -22,6 +24,9 @@ READ_SIZE = 1 << 16
 SLICE_S = 0.05
 """Longest wait inside a handler whose descriptor is not read directly."""
 WRITE_TIMEOUT_S = 1.0
+_SERIAL_STRUCT_BYTES = 128  # struct serial_struct of <linux/serial.h>, with room to grow
+_FLAGS_OFFSET = 16  # its int flags
+_ASYNC_LOW_LATENCY = 1 << 13
 
 
 class _SocketHandler(protocol_socket.Serial):
@@ -63,8 +68,8 @@ class Port:
         self.shared_with: tuple[str, ...] = ()
         """Other programs that had the port open already; what they read is missing here."""
         if self._native and self._fd is not None:
-            terminal.set_exclusive(self._fd, True)
-            self.low_latency = terminal.set_low_latency(self._fd, str(handle.port))
+            _set_exclusive(self._fd, True)
+            self.low_latency = _set_low_latency(self._fd, str(handle.port))
             self.shared_with = tuple(holders(str(handle.port)))
         if self._socket is not None:
             _keep_alive(self._socket)
@@ -123,19 +128,16 @@ class Port:
     def close(self) -> None:
         """Close everything the port holds; closing twice does no harm."""
         if self._native and self._fd is not None:
-            terminal.set_exclusive(self._fd, False)
+            _set_exclusive(self._fd, False)
         self._fd = None
-        self._handle.close()
+        _close(self._handle)
         if self._socket is not None:
             self._socket.close()  # the rfc2217 handler forgets it when the peer has closed first
-        _close_log(self._handle)
 
     def __enter__(self) -> Port:
-        """Return the port itself."""
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Close the port."""
         self.close()
 
     def _take(self, fd: int) -> bytes:
@@ -151,7 +153,7 @@ class Port:
             if not data and self._socket is not None:
                 raise lost_error(self.settings, "the peer closed the connection")
         if not data:
-            if terminal.hung_up(fd):
+            if _hung_up(fd):
                 raise lost_error(self.settings, "the device hung up (unplugged, or its driver let go)")
             self.vanished_reads += 1
         return data
@@ -182,8 +184,7 @@ def open_port(settings: PortSettings) -> Port:
         handle.open()
         return Port(handle, settings)
     except OPEN_ERRORS as error:
-        handle.close()
-        _close_log(handle)
+        _close(handle)
         raise open_error(settings, error) from error
 
 
@@ -206,8 +207,9 @@ def _make_handle(settings: PortSettings) -> Handle:
     return handle
 
 
-def _close_log(handle: Handle) -> None:
-    """Close the file of ``spy://...?file=``, which pyserial leaves open."""
+def _close(handle: Handle) -> None:
+    """Close a handler, and the file of ``spy://...?file=``, which pyserial leaves open."""
+    handle.close()
     output = getattr(getattr(handle, "formatter", None), "output", None)
     if output not in (None, sys.stderr):
         output.close()
@@ -219,3 +221,56 @@ def _keep_alive(connection: socket.socket) -> None:
     for name, value in (("TCP_KEEPIDLE", 5), ("TCP_KEEPINTVL", 2), ("TCP_KEEPCNT", 3)):
         if hasattr(socket, name):
             connection.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
+
+
+def _set_exclusive(fd: int, on: bool) -> None:
+    """Refuse (or allow) further opening, also by programs that ignore the lock that pyserial takes.
+
+    The flag outlives the descriptor while anyone holds the device, so it is taken back before closing.
+    """
+    try:
+        fcntl.ioctl(fd, termios.TIOCEXCL if on else termios.TIOCNXCL)
+    except OSError:  # the device is gone, which the next read tells with its reason
+        return
+
+
+def _hung_up(fd: int) -> bool:
+    """Return whether the device behind a terminal descriptor is gone."""
+    try:
+        termios.tcgetattr(fd)
+    except termios.error:
+        return True
+    return False
+
+
+def _set_low_latency(fd: int, device: str) -> str:
+    """Ask the driver not to hold bytes back; return what became of it and how to get more."""
+    accepted = sys.platform == "linux" and _request_low_latency(fd)
+    return latency_text(accepted, latency_timer_ms(device), str(latency_timer_path(device)))
+
+
+def latency_text(accepted: bool, timer_ms: int | None, timer_path: str) -> str:
+    """Describe the low-latency mode from what the driver accepted and its latency timer afterwards."""
+    if timer_ms is not None and timer_ms > 1:
+        return (
+            f"off, the adapter holds bytes back for up to {timer_ms} ms; to change it:"
+            f" echo 1 | sudo tee {timer_path}, or for good a udev rule:"
+            ' ACTION=="add", SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", ATTR{latency_timer}="1"'
+        )
+    if timer_ms is not None:
+        return f"on, latency timer {timer_ms} ms"
+    return "on" if accepted else "not offered by this driver"
+
+
+def _request_low_latency(fd: int) -> bool:
+    """Set the flag and read it back, since some drivers take the call and ignore the flag."""
+    buffer = bytearray(_SERIAL_STRUCT_BYTES)
+    try:
+        fcntl.ioctl(fd, termios.TIOCGSERIAL, buffer)
+        (flags,) = struct.unpack_from("i", buffer, _FLAGS_OFFSET)
+        struct.pack_into("i", buffer, _FLAGS_OFFSET, flags | _ASYNC_LOW_LATENCY)
+        fcntl.ioctl(fd, termios.TIOCSSERIAL, buffer)
+        fcntl.ioctl(fd, termios.TIOCGSERIAL, buffer)
+    except OSError:  # the driver has no such call, or this user may not make it
+        return False
+    return bool(struct.unpack_from("i", buffer, _FLAGS_OFFSET)[0] & _ASYNC_LOW_LATENCY)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import time
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -46,14 +47,13 @@ class PortInfo:
         return f"{self.vid:04x}:{self.pid:04x}" if self.vid is not None and self.pid is not None else ""
 
     def __str__(self) -> str:
-        """Return name, description and USB id in one line."""
         facts = ", ".join(fact for fact in (self.description, self.usb_id) if fact and fact != "n/a")
         return f"{self.device} ({facts})" if facts else self.device
 
 
 def list_ports() -> list[PortInfo]:
     """Return the serial ports that exist, by name."""
-    links = _by_id_links()
+    links = {os.path.realpath(link): str(link) for link in sorted(BY_ID.glob("*"))}
     found = [
         PortInfo(
             device=port.device,
@@ -117,24 +117,14 @@ def holders(device: str) -> list[str]:
     target = os.path.realpath(device)
     found: list[str] = []
     for process in sorted(PROC.glob("[0-9]*"), key=lambda folder: int(folder.name)):
-        if int(process.name) != os.getpid() and _has_open(process, target):
+        open_files = set[str]()
+        with suppress(OSError):  # another user's process, or it has just ended
+            for entry in (process / "fd").iterdir():
+                with suppress(OSError):  # closed since the folder was listed
+                    open_files.add(str(entry.readlink()))
+        if target in open_files and int(process.name) != os.getpid():
             found.append(f"{_command(process)} (pid {process.name})")
     return found
-
-
-def _has_open(process: Path, target: str) -> bool:
-    try:
-        with os.scandir(process / "fd") as entries:
-            return any(_link(Path(entry.path)) == target for entry in entries)
-    except OSError:  # another user's process, or it has just ended
-        return False
-
-
-def _link(path: Path) -> str:
-    try:
-        return str(path.readlink())
-    except OSError:  # closed since the folder was listed
-        return ""
 
 
 def _command(process: Path) -> str:
@@ -148,10 +138,3 @@ def _command(process: Path) -> str:
 
 def _sys_device(device: str) -> Path:
     return SYS_TTY / Path(os.path.realpath(device)).name / "device"
-
-
-def _by_id_links() -> dict[str, str]:
-    """Return the stable name of each device node that has one."""
-    if not BY_ID.is_dir():
-        return {}
-    return {os.path.realpath(link): str(link) for link in sorted(BY_ID.iterdir())}

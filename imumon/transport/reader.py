@@ -87,7 +87,6 @@ class Reads:
         return np.diff(self.ends, prepend=0)
 
     def __iter__(self) -> Iterator[Bytes]:
-        """Yield the reads one by one."""
         start = 0
         for end, arrival_ns in zip(self.ends.tolist(), self.arrivals_ns.tolist(), strict=True):
             yield Bytes(self.data[start:end].tobytes(), arrival_ns)
@@ -170,12 +169,10 @@ class Reader:
             self._thread = None
 
     def __enter__(self) -> Reader:
-        """Start reading."""
         self.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Stop reading."""
         self.stop()
 
     def _run(self, first: Port) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from imumon.errors import ImumonError, Reason
+from imumon.errors import bad_config
 
 _ALLOWED: dict[str, tuple[object, ...]] = {
     "bytesize": (5, 6, 7, 8),
@@ -31,19 +31,16 @@ class PortSettings:
     """Data bits 5 to 8; parity N, E, O, M or S; stop bits 1, 1.5 or 2."""
 
     def __post_init__(self) -> None:
-        """Check the values."""
         if not self.url:
-            raise ImumonError(Reason.BAD_CONFIG, "the name of the port is empty")
+            raise bad_config("the name of the port is empty")
         if not self.url.isprintable():
-            raise ImumonError(
-                Reason.BAD_CONFIG, f"the name of the port is not plain text: {self.url!a}", "link to it"
-            )
+            raise bad_config(f"the name of the port is not plain text: {self.url!a}", "link to it")
         if self.baudrate <= 0:
-            raise ImumonError(Reason.BAD_CONFIG, f"baud rate must be positive, got {self.baudrate}")
+            raise bad_config(f"baud rate must be positive, got {self.baudrate}")
         for name, allowed in _ALLOWED.items():
             if (given := getattr(self, name)) not in allowed:
                 expected = ", ".join(map(str, allowed))
-                raise ImumonError(Reason.BAD_CONFIG, f"{name} must be one of {expected}, got {given}")
+                raise bad_config(f"{name} must be one of {expected}, got {given}")
 
     @property
     def scheme(self) -> str:
@@ -72,7 +69,6 @@ class PortSettings:
         return self.baudrate / self.bits_per_byte if self.has_line else None
 
     def __str__(self) -> str:
-        """Return the port as a person writes it, such as ``/dev/ttyUSB0 at 115200 8N1``."""
         if not self.has_line:
             return self.url
         return f"{self.url} at {self.baudrate} {self.bytesize}{self.parity}{self.stopbits:g}"

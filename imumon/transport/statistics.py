@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 
@@ -87,6 +88,25 @@ class LinkStatistics:
     def _forget(self, bucket: int) -> None:
         while self._buckets and self._buckets[0][0] < bucket - LONGEST_WINDOW:
             self._buckets.popleft()
+
+
+@dataclass(frozen=True, slots=True)
+class StreamCounters:
+    """What came of a stream of a device.
+
+    `rate_hz` is the rate where nothing is missing, `incomplete` rows lack fields that all rows before them
+    had.  `dated_by` says where the times are from: "clock" of the device, its "counter" or the "rows" at a
+    nominal rate, "arrival"; empty of a side stream, and where it was not noted.
+    """
+
+    __pydantic_config__: ClassVar = {"strict": False, "extra": "forbid"}  # it is read from session.yaml
+    packets: int
+    rows: int
+    rate_hz: float | None
+    gaps: int
+    incomplete: int
+    restarts: int
+    dated_by: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -132,7 +132,7 @@ def test_a_full_disk_is_said_of_the_file_that_was_given(
 
     out = tmp_path / f"run{suffix}"
     out.write_text("old")
-    monkeypatch.setattr("imumon.recordings.side_tables.convert", full)
+    monkeypatch.setattr("imumon.recordings.exports.convert", full)
     monkeypatch.setattr(os, "fsync", full)
     what = ["report", made / "c"] if suffix == ".html" else ["decode", made / "a"]
     done = imumon(*what, "--out", out)

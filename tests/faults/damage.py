@@ -15,8 +15,7 @@ from imumon.config import dump_yaml
 from imumon.errors import ImumonError
 from imumon.files import write_text
 from imumon.protocols.device import device_text
-from imumon.recordings.folder import METADATA_NAME
-from imumon.recordings.metadata import SessionMetadata, read_metadata
+from imumon.recordings.folder import METADATA_NAME, SessionMetadata, read_metadata
 from imumon.recordings.wire import WireWriter
 from imumon.recordings.wire_format import CHECK_SIZE, MARKER, RECORD, WIRE_CHANNEL
 from imumon.recordings.wire_reader import WireReader, WireSummary

@@ -12,8 +12,8 @@ from imumon.errors import ImumonError, Reason
 from imumon.fleet.rack.description import load_rack
 from imumon.models.model import load_model
 from imumon.protocols.device import device_text, load_device
+from imumon.recordings.folder import read_metadata
 from imumon.recordings.importing import TableImport
-from imumon.recordings.metadata import read_metadata
 from imumon.run.setup import load_setup
 from imumon.simulation.unit import load_scenario
 from tests.faults.rows import Row

@@ -20,9 +20,8 @@ from imumon.config import dump_yaml
 from imumon.errors import ImumonError
 from imumon.pipeline import Pipeline
 from imumon.protocols.device import device_names, device_text, load_device
-from imumon.recordings.folder import METADATA_NAME, WIRE_NAME
+from imumon.recordings.folder import METADATA_NAME, WIRE_NAME, SessionMetadata
 from imumon.recordings.importing import import_table
-from imumon.recordings.metadata import SessionMetadata
 from imumon.recordings.reader import open_recording
 from imumon.recordings.source import open_source, run_over
 from imumon.recordings.table import TableWriter, read_table

@@ -11,8 +11,7 @@ import numpy as np
 
 from imumon.blocks import ColumnArray, IntArray, SampleBlock
 from imumon.protocols.device import parse_device
-from imumon.recordings.folder import create_session
-from imumon.recordings.metadata import PortUsed, SessionMetadata
+from imumon.recordings.folder import PortUsed, SessionMetadata, create_session
 from imumon.recordings.wire import WireWriter
 from imumon.transport.reader import Bytes, Event, EventKind
 

@@ -13,8 +13,7 @@ from imumon.harmless import LONGEST_LINE, for_csv, for_log, for_markdown, for_pl
 from imumon.lab.diagnosis.diagnose import diagnose
 from imumon.lab.diagnosis.page import write_page
 from imumon.pipeline import Pipeline
-from imumon.recordings.folder import create_session
-from imumon.recordings.metadata import SessionMetadata
+from imumon.recordings.folder import SessionMetadata, create_session
 from imumon.recordings.wire import WireWriter
 from imumon.run.narration import Narrator
 from imumon.transport.reader import Bytes, Event, EventKind

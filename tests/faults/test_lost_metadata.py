@@ -11,8 +11,7 @@ import pytest
 from mcap.writer import Writer
 
 from imumon.errors import ImumonError, Reason
-from imumon.recordings.folder import lost_metadata, open_session
-from imumon.recordings.metadata import SessionMetadata, begun_of
+from imumon.recordings.folder import SessionMetadata, begun_of, lost_metadata, open_session
 from imumon.recordings.source import open_source
 from imumon.recordings.wire import WireWriter
 from imumon.recordings.wire_reader import WireReader

@@ -17,9 +17,8 @@ from imumon.columns import KNOWN, Column
 from imumon.errors import ImumonError, Reason
 from imumon.logs.importing import import_log
 from imumon.pipeline import Pipeline
-from imumon.recordings.conversions import convert
+from imumon.recordings.exports import convert, export_run
 from imumon.recordings.ros2 import SECOND_NS, write_ros2
-from imumon.recordings.side_tables import export_run
 from imumon.recordings.source import open_source, run_over
 from imumon.recordings.table import TableWriter
 from tests.protocols.wire import mtdata2_gnss, mtdata2_inertial

@@ -9,8 +9,15 @@ import pytest
 
 from imumon.errors import ImumonError, Reason
 from imumon.recordings import folder
-from imumon.recordings.folder import create_session, default_path, is_session, open_session, sessions_in
-from imumon.recordings.metadata import PortUsed, SessionMetadata
+from imumon.recordings.folder import (
+    PortUsed,
+    SessionMetadata,
+    create_session,
+    default_path,
+    is_session,
+    open_session,
+    sessions_in,
+)
 
 NOW = 1_767_268_805_000_000_007
 DEVICE = "format: imumon-device/1\nname: test # µ\n\n  indented: 'x'\n"

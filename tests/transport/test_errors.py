@@ -11,8 +11,8 @@ import serial
 
 from imumon.errors import ImumonError, Reason
 from imumon.transport.errors import lost_error, open_error, silent_error, wrong_baud_error
+from imumon.transport.port import latency_text
 from imumon.transport.settings import PortSettings
-from imumon.transport.terminal import latency_text
 
 
 def denied(device: Path) -> ImumonError:

@@ -145,7 +145,7 @@ def test_low_latency_is_asked_for_at_every_opening(tmp_path: Path, monkeypatch: 
         asked.append(device)
         return f"opening {len(asked)}"
 
-    monkeypatch.setattr("imumon.transport.terminal.set_low_latency", ask)
+    monkeypatch.setattr("imumon.transport.port._set_low_latency", ask)
     sink = Collector()
     with VirtualPort(tmp_path / "ttyIMU") as device, reading(PortSettings(device.path), sink):
         device.unplug()

@@ -9,8 +9,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from imumon.errors import ImumonError, Reason, missing_package
-from imumon.recordings.folder import METADATA_NAME, WIRE_NAME, Session, is_session
-from imumon.recordings.metadata import read_metadata
+from imumon.recordings.folder import METADATA_NAME, WIRE_NAME, Session, is_session, read_metadata
 from imumon.recordings.table import SUFFIXES
 
 

@@ -20,8 +20,8 @@ from imumon.fleet.batch.limit import limited
 from imumon.fleet.batch.options import BatchOptions
 from imumon.fleet.batch.places import fetched
 from imumon.pipeline import Digest, Pipeline, SampleSink
+from imumon.recordings.exports import export_run
 from imumon.recordings.folder import is_session, open_session
-from imumon.recordings.side_tables import export_run
 from imumon.recordings.source import Source, open_source, run_over
 from imumon.run.replay import compare_with_live, digested
 from imumon.run.setup import parse_setup, recorded_setup

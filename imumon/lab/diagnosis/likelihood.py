@@ -10,6 +10,7 @@ the walk and the Gauss-Markov processes, the bias their sum::
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -216,7 +217,7 @@ def whiten(
     return np.asarray(whitened), np.asarray(sd)
 
 
-@njit(fastmath=True)
+@partial(njit, fastmath=True)
 def _innovations(
     decay: FloatArray, growth: FloatArray, white: FloatArray, columns: FloatArray
 ) -> tuple[FloatArray, FloatArray]:

@@ -10,7 +10,7 @@ import yaml
 
 from imumon.models.curves.polynomial import PolynomialCurve
 from imumon.models.model import BiasModel, ChannelModel, TrainedOn
-from imumon.recordings.metadata import iso_utc
+from imumon.recordings.folder import iso_utc
 from tests.fleet.batch.sessions import tiny
 
 DEG_PER_H = float(np.radians(1.0) / 3600.0)

@@ -16,7 +16,7 @@ from imumon.blocks import SampleBlock
 from imumon.columns import KNOWN, Column
 from imumon.errors import ImumonError, Reason
 from imumon.pipeline import Pipeline
-from imumon.recordings.side_tables import export_run, side_path
+from imumon.recordings.exports import export_run, side_path
 from imumon.recordings.source import open_source, run_over
 from imumon.recordings.table import read_table
 from tests.protocols.wire import mtdata2_gnss, mtdata2_inertial
