@@ -35,7 +35,8 @@ SESSIONS = (
     "SESSIONS are session folders, folders with sessions somewhere below, or URLs of either"
     " (s3://bucket/folder)."
 )
-SHOWN_FAILURES = 20
+SHOWN = 20
+"""Lines that are shown of what failed, and of what is missing."""
 FAILED_NAME = "failed.txt"
 """Lists all that failed, where that is more than is shown."""
 
@@ -186,8 +187,7 @@ def _run(
     retry: bool,
     as_json: bool,
 ) -> int:
-    from imumon.fleet.batch.dataset import ROWS, Dataset
-    from imumon.fleet.batch.options import BatchOptions
+    from imumon.fleet.batch.dataset import ROWS, BatchOptions, Dataset, lacking
     from imumon.fleet.batch.places import find
     from imumon.fleet.batch.tasks import Job
 
@@ -197,55 +197,55 @@ def _run(
     try:
         if retry:
             results.forget_failures()
-        done = results.done()
-        left = [place for place in every if place not in done]
+        before = results.done()
+        left = [place for place in every if place not in before]
         if left:
             jobs = (Job(place, options, str(results.folder), limit_s=timeout) for place in left)
             _work(jobs, len(left), results, scheduler, workers, quiet=as_json)
     except KeyboardInterrupt:
         results.write()
-        kept = f"{len(results.done().intersection(every)):,} of {len(every):,} sessions are done"
+        kept = f"{len(results.done().keys() & {*every}):,} of {len(every):,} sessions are done"
         note(f"imumon: interrupted: {kept}; the same command does the rest")
         raise
     finally:
         results.close()
-    failures = {place: why for place, why in results.failures().items() if place in set(every)}
-    _show_failures(failures, out / FAILED_NAME)
-    lacking = results.lacking(every)
-    _show_lacking(lacking)
+    done = {place: row for place, row in results.done().items() if place in {*every}}
+    failures = {place: f"{row['reason']}: {row['error']}" for place, row in done.items() if row["reason"]}
+    lacks = {place: texts for place in every if place in done and (texts := lacking(done[place]))}
+    _show_failures([f"{place}: {why}" for place, why in sorted(failures.items())], out / FAILED_NAME)
+    _warn_first(
+        [f"{place}: {text}" for place, texts in sorted(lacks.items()) for text in texts],
+        "more lines on missing parts, in the column warnings",
+    )
     reasons = Counter(why.partition(":")[0] for why in failures.values())
     if as_json:
         print_json(
             {"out": out, "sessions": len(every), "done_before": len(every) - len(left), "failed": failures,
-             "lacking": lacking}
+             "lacking": lacks}
         )  # fmt: skip
     print_rows(
         {
             "sessions": f"{len(every):,}, {len(every) - len(left):,} of them done before",
             "failed": ", ".join(f"{n:,} {reason}" for reason, n in reasons.most_common()) or "none",
-            "lacking": f"{len(lacking):,} with parts of the recording missing" if lacking else "none",
+            "lacking": f"{len(lacks):,} with parts of the recording missing" if lacks else "none",
             "table": str(out / ROWS / "*.parquet"),
         }
     )
     return EXIT_NEGATIVE if len(failures) == len(every) else EXIT_OK
 
 
-def _show_failures(failures: dict[str, str], path: Path) -> None:
+def _show_failures(lines: list[str], path: Path) -> None:
     """Name what failed; all of it in a file where that is too much for a screen."""
-    lines = [f"{place}: {why}" for place, why in sorted(failures.items())]
     path.unlink(missing_ok=True)
-    warn(lines[:SHOWN_FAILURES])
-    if len(lines) > SHOWN_FAILURES:
+    if len(lines) > SHOWN:
         write_text(path, "".join(f"{for_log(line)}\n" for line in lines))
-        warn([f"{len(lines) - SHOWN_FAILURES:,} more failed; all {len(lines):,} are in {path}"])
+    _warn_first(lines, f"more failed; all {len(lines):,} are in {path}")
 
 
-def _show_lacking(lacking: dict[str, list[str]]) -> None:
-    """Name the sessions of which parts of the recording are missing; the table has all of their warnings."""
-    lines = [f"{place}: {text}" for place, texts in sorted(lacking.items()) for text in texts]
-    warn(lines[:SHOWN_FAILURES])
-    if len(lines) > SHOWN_FAILURES:
-        warn([f"{len(lines) - SHOWN_FAILURES:,} more lines on missing parts, in the column warnings"])
+def _warn_first(lines: list[str], more: str) -> None:
+    """Warn of the first lines, and of how many more there are."""
+    hidden = [f"{len(lines) - SHOWN:,} {more}"] if len(lines) > SHOWN else []
+    warn([*lines[:SHOWN], *hidden])
 
 
 def _work(
