@@ -18,15 +18,15 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
 
-from imumon.blocks import ColumnArray, FloatArray, IntArray, SampleBlock
-from imumon.columns import TEMPERATURES, Column
+from imumon.blocks import FloatArray, IntArray
 from imumon.estimation.temperature_rate.output import RateEstimate
+from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.filters.segments import Breaks
 from imumon.papers.square_root import fit, pull_back, update
 
@@ -253,50 +253,16 @@ class FirRate:
         state.temperature = float(out[0])
 
 
-class FirStage:
+class FirStage(TemperatureRate):
     """The paper's filter as a stage, one for each temperature of the block.
 
-    Columns are ``fir_temperature_estimate``, ``fir_temperature_rate`` and their standard deviations, with the
-    ending of the channel (``_x`` of ``temperature_x``).  `retired` is whether the retired key ``method`` of a
-    device file asked for it.
+    `retired` is whether the retired key ``method`` of a device file asked for it.
     """
 
+    prefix, title = "fir_", "FIR-estimated"
+
     def __init__(self, params: Params, retired: bool = False) -> None:
-        self._params, self._retired = params, retired
-        self._filters: dict[str, FirRate] = {}
-
-    @property
-    def columns(self) -> Sequence[Column]:
-        """The columns that `process` adds so far."""
-        return [column for channel in self._filters for column in _columns(channel)]
-
-    def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
-        """Return the new columns of a block; NaN where there is no estimate."""
-        for channel in TEMPERATURES:
-            if channel in block and channel not in self._filters:
-                self._filters[channel] = FirRate(self._params)
-        found: dict[str, ColumnArray] = {}
-        for channel, one in self._filters.items():
-            reading = block[channel] if channel in block else np.full(len(block), np.nan)
-            series = one.process(block["device_time_ns"], block["segment"], np.asarray(reading, np.float64))
-            parts = (series.temperature, series.rate, series.temperature_sd, series.rate_sd)
-            found |= {column.name: part for column, part in zip(_columns(channel), parts, strict=True)}
-        return found
-
-    def notices(self) -> list[str]:
-        """Return, once, that a retired key asked for it; the default reports a wrong declared step."""
-        found = (
-            ["temperature: method is not used any more, it is as published: [fir]"] if self._retired else []
-        )
-        self._retired = False
-        return found
-
-
-def _columns(channel: str) -> list[Column]:
-    end = channel.removeprefix("temperature")
-    return [
-        Column(f"fir_temperature_estimate{end}", "degC", description=f"FIR estimate of {channel}"),
-        Column(f"fir_temperature_rate{end}", "degC/s", description=f"FIR estimate of the rate of {channel}"),
-        Column(f"fir_temperature_estimate_sd{end}", "degC", description="its standard deviation"),
-        Column(f"fir_temperature_rate_sd{end}", "degC/s", description="its standard deviation"),
-    ]
+        super().__init__(new_method=partial(FirRate, params))
+        if retired:
+            text = "temperature: method is not used any more, it is as published: [fir]"
+            self._notices[text] = False
