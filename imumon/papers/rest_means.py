@@ -8,9 +8,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-import numpy as np
-
-from imumon.blocks import FloatArray
 from imumon.filters.slots import Slots
 
 SLOT_S = 1.0
@@ -62,16 +59,8 @@ class RestMeans:
             row = []
             for count, mean in zip(slots.count[k], slots.mean[k], strict=True):
                 covered = float(count) * interval
-                believed = covered >= LEAST_S
-                row.append(
-                    RestMean(
-                        self._begins,
-                        elapsed,
-                        covered if believed else 0.0,
-                        float(mean) if believed else math.nan,
-                        interval,
-                    )
-                )
+                known = (covered, float(mean)) if covered >= LEAST_S else (0.0, math.nan)
+                row.append(RestMean(self._begins, elapsed, *known, interval))
             found.append(row)
             self._middle_ns, self._begins = middle_ns, False
         return found
@@ -98,10 +87,6 @@ class ExponentialMean:
             before = new.mean if math.isnan(self.mean) else self.mean
             self.mean = before + gain * (new.mean - before)
         return self.mean
-
-    def process(self, means: list[RestMean]) -> FloatArray:
-        """Return the mean after each second, (m,)."""
-        return np.array([self.step(new) for new in means])
 
 
 def hold(seconds: float) -> ExponentialMean:

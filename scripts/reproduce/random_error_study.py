@@ -101,7 +101,8 @@ def slow(name: str, rest: FloatArray, record: Record) -> Output:
     time_ns = np.rint(time_s * 1e9).astype(np.int64)
     means = means_of(time_ns, np.where(rest > 0, record.reading, np.nan))
     kind, seconds, _ = name.split()
-    values = (hold if kind == "hold" else ExponentialMean)(float(seconds)).process(means)
+    mean = (hold if kind == "hold" else ExponentialMean)(float(seconds))
+    values = np.array([mean.step(new) for new in means])
     shown = np.append(np.nan, values)[np.minimum(time_ns // 1_000_000_000, len(values))]
     return Output(shown, shown, np.full(n, np.nan))
 

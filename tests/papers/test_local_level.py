@@ -92,7 +92,7 @@ def test_means_of_a_recording_leave_out_seconds_that_are_mostly_missing() -> Non
 def test_the_exponential_mean_is_the_plain_mean_first_and_the_hold_stays() -> None:
     values = RNG.normal(size=300).tolist()
     fading, held = ExponentialMean(100.0), hold(60.0)
-    shown, kept = fading.process(seconds(values)), held.process(seconds(values))
+    shown, kept = (np.array([mean.step(new) for new in seconds(values)]) for mean in (fading, held))
     np.testing.assert_allclose(shown[:100], np.cumsum(values)[:100] / np.arange(1, 101), rtol=1e-9)
     step = shown[200] - shown[199]
     assert step == pytest.approx((1 - math.exp(-0.01)) * (values[200] - shown[199]))
