@@ -2,7 +2,7 @@
 
 After Kozlov and Tarygin, "Real-Time Estimation of Temperature Time Derivative in Inertial Measurement Unit by
 Finite-Impulse-Response Exponential Regression on Updates", Sensors 2020, 20(5), 1299.  Equation numbers are
-those of the paper, and `square_root` has its appendices.
+those of the paper.
 
 A measurement exists when the reading changes level (4), or when the model has left the reading (15).  In
 between, and until the oldest measurement expires, state and outputs are functions of time alone; so whole
@@ -12,6 +12,17 @@ The recursion is the paper's, with two safeguards that keep it a least-squares f
 is fitted anew from the buffer (a) when taking out a measurement would cost too many digits, and (b) every
 `REFIT_SPAN` time constants: moving t0 shrinks the covariance of γ by e^(-s) each time, and with it what is
 left of the start's 10⁶ °C, which after an hour would hold γ at zero as firmly as a measurement does.
+
+Least squares are in square-root form after Carlson and Potter, in the notation of the paper's appendices A to
+D, derived anew because signs are lost there.  The covariance is
+P = S Sᵀ with S upper triangular.
+
+For the update write P⁺ = S (E - f fᵀ / (σ² + fᵀf)) Sᵀ with f = Sᵀhᵀ, and d_j = σ² + Σ_{k≤j} f_k².
+The upper triangular B with B Bᵀ = E - f fᵀ/d_n has B_jj = √(d_{j-1}/d_j) and, for i < j,
+B_ij = -f_i f_j / √(d_{j-1} d_j).  Then S⁺ = S B: its column j is
+S_j √(d_{j-1}/d_j) - K_j f_j / √(d_{j-1} d_j) with K_j = Σ_{k<j} S_k f_k.
+The removal has P⁻ = S (E + f fᵀ / (σ² - fᵀf)) Sᵀ, that is the same with f² counted negatively:
+d_j = σ² - Σ_{k≤j} f_k², and B_ij = +f_i f_j / √(d_{j-1} d_j).
 """
 
 from __future__ import annotations
@@ -23,12 +34,12 @@ from functools import partial
 from itertools import pairwise
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
 from imumon.blocks import FloatArray, IntArray
 from imumon.estimation.temperature_rate.output import RateEstimate
 from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.filters.segments import Breaks
-from imumon.papers.square_root import fit, pull_back, update
 
 ORDER = 3
 """Coefficients of the model α + βu + γe^(-u) (13)."""
@@ -173,6 +184,60 @@ def evaluate(state: State, params: Params, seconds: FloatArray) -> FloatArray:
     temperature, rate = x[0] + u * x[1] + decay * x[2], (x[1] - decay * x[2]) / constant
     temperature_sd, rate_sd = np.sqrt(s[0, 0] ** 2 + t1**2 + t2**2), np.sqrt(s[1, 1] ** 2 + r2**2) / constant
     return np.array([temperature, rate, temperature_sd, rate_sd])
+
+
+def update(
+    x: FloatArray, s: FloatArray, z: float, h: FloatArray, sigma: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return x, (n,), and S, (n, n), with the measurement z = h x + noise taken in (eqs. 9 and 11)."""
+    return _change(x, s, z, h, sigma, 1.0)
+
+
+def pull_back(
+    x: FloatArray, s: FloatArray, z: float, h: FloatArray, sigma: float, least_share: float
+) -> tuple[FloatArray, FloatArray] | None:
+    """Return x and S with a measurement taken out again (eq. 12), or None if it cannot be.
+
+    The share of the measurement's variance that the others leave, 1 - h P hᵀ/σ², must exceed `least_share`:
+    below it they do not determine the state (share 0), or cancellation eats up the digits.
+    """
+    f = h @ s
+    if not sigma**2 - float(f @ f) > least_share * sigma**2:
+        return None
+    return _change(x, s, z, h, sigma, -1.0)
+
+
+def _change(
+    x: FloatArray, s: FloatArray, z: float, h: FloatArray, sigma: float, sign: float
+) -> tuple[FloatArray, FloatArray]:
+    """Take in (sign 1) or out (sign -1), column by column: B_ij = ∓f_i f_j / √(d_j-1 d_j)."""
+    f, changed, gain, before = h @ s, np.empty_like(s), np.zeros(len(x)), sigma**2
+    for j, f_j in enumerate(f.tolist()):
+        after = before + sign * f_j * f_j
+        changed[:, j] = math.sqrt(before / after) * s[:, j] - sign * f_j / math.sqrt(before * after) * gain
+        gain += f_j * s[:, j]
+        before = after
+    return x + sign * gain / before * (z - float(h @ x)), changed
+
+
+def fit(rows: FloatArray, z: FloatArray, sigma: float, start_sd: float) -> tuple[FloatArray, FloatArray]:
+    """Return x and S of a fit from scratch, by QR: no squares are formed, half of the condition is spared.
+
+    Parameters
+    ----------
+    rows : array (m, n)
+        h of each measurement.
+    z : array (m,)
+    sigma, start_sd : float
+        Standard deviation of a measurement, and of each element of x before.
+    """
+    n = rows.shape[1]
+    system = np.vstack([np.eye(n) / start_sd, rows / sigma])
+    q, r = np.linalg.qr(system)
+    x = solve_triangular(r, q.T @ np.concatenate([np.zeros(n), z / sigma]))
+    # R⁻¹ with a positive diagonal.
+    s = solve_triangular(r, np.eye(n))
+    return x, s * np.sign(np.diag(s))
 
 
 class FirRate:

@@ -20,8 +20,18 @@ from imumon.blocks import ColumnArray, FloatArray, IntArray, SampleBlock
 from imumon.columns import Column
 from imumon.models.model import BiasModel
 from imumon.papers.linear import LinearFilter, Model, SampleFilter
-from imumon.papers.local_level import LEAST_MEANS, LocalLevel, fit_local_level, from_noise, level_after
-from imumon.papers.rest_means import SLOT_S, ExponentialMean, RestMean, RestMeans, hold
+from imumon.papers.local_level import (
+    LEAST_MEANS,
+    SLOT_S,
+    ExponentialMean,
+    LocalLevel,
+    RestMean,
+    RestMeans,
+    fit_local_level,
+    from_noise,
+    hold,
+    level_after,
+)
 from imumon.papers.sigma_points import SigmaPointFilter
 from imumon.papers.slot_stage import SlotStage, at_rest, gyro_predictor
 from imumon.run.paper_parameters import RandomErrorParameters

@@ -16,8 +16,7 @@ from study import Options, Study, Table, rms
 from imumon.blocks import FloatArray
 from imumon.estimation.gyro_bias.stage import GyroBias
 from imumon.papers.linear import LinearFilter, Model
-from imumon.papers.local_level import means_of
-from imumon.papers.rest_means import ExponentialMean, hold
+from imumon.papers.local_level import ExponentialMean, hold, means_of
 from imumon.papers.sigma_points import SigmaPointFilter
 
 RATE_HZ = 100

@@ -10,14 +10,16 @@ from scipy.stats import multivariate_normal
 
 from imumon.errors import ImumonError
 from imumon.papers.local_level import (
+    ExponentialMean,
     LocalLevel,
+    RestMean,
     deviances,
     fit_local_level,
     from_noise,
+    hold,
     level_after,
     means_of,
 )
-from imumon.papers.rest_means import ExponentialMean, RestMean, hold
 
 RNG = np.random.default_rng(0)
 
