@@ -53,68 +53,42 @@ def command() -> None:
 
 
 TABLES = click.option("--tables", is_flag=True, help="Also write DIR/tables/SESSION.parquet.")
-SUBCOMMANDS: dict[str, tuple[str, str, str, list[Any]]] = {
-    "decode": ("Count, mean and scatter of every channel as sent.", "means", "", [TABLES]),
+PIPELINE = click.option("--pipeline", type=PATH, help="Pipeline file; default: as each session was recorded.")
+PLACE = (
+    click.option("--latitude", "latitude_deg", type=Number(min=-90, max=90),
+        help="Degrees north; with --heading the earth's rotation is removed."),
+    click.option("--heading", "heading_deg", type=Number(min=-360, max=360),
+        help="Direction of the x axis, degrees clockwise from north."),
+)  # fmt: skip
+DECLARED = click.option("--declared", help="Bias model that is assumed; see imumon diagnose.")
+SUBCOMMANDS: dict[str, tuple[str, str, str, tuple[Any, ...]]] = {
+    "decode": ("Count, mean and scatter of every channel as sent.", "means", "", (TABLES,)),
     "replay": (
-        "Count, mean and scatter of all channels and estimates.",
-        "estimates",
-        "",
-        [
-            TABLES,
-            click.option(
-                "--pipeline", type=PATH, help="Pipeline file; default: as each session was recorded."
-            ),
-        ],
+        "Count, mean and scatter of all channels and estimates.", "estimates", "", (TABLES, PIPELINE)
     ),
     "allan": (
-        "Noise of every channel, from its Allan curve.",
-        "noise",
-        "The terms have standard deviations.",
-        [],
+        "Noise of every channel, from its Allan curve.", "noise", "The terms have standard deviations.", ()
     ),
     "calibrate": (
         "Bias over temperature, a model for each session.",
-        "models",
-        "The models are DIR/models/SESSION.yaml.",
-        [
-            click.option(
-                "--latitude",
-                "latitude_deg",
-                type=Number(min=-90, max=90),
-                help="Degrees north; with --heading the earth's rotation is removed.",
-            ),
-            click.option(
-                "--heading",
-                "heading_deg",
-                type=Number(min=-360, max=360),
-                help="Direction of the x axis, degrees clockwise from north.",
-            ),
-        ],
+        "models", "The models are DIR/models/SESSION.yaml.", PLACE,
     ),
     "diagnose": (
         "Effects that a bias model lacks, for each session.",
-        "reports",
-        "The reports are DIR/reports/SESSION.json.",
-        [click.option("--declared", help="Bias model that is assumed; see imumon diagnose.")],
+        "reports", "The reports are DIR/reports/SESSION.json.", (DECLARED,),
     ),
-}
+}  # fmt: skip
 """What each does, the folder of the example, what is to be said of the results, and options of its own."""
 SHARED = (
     click.argument("sessions", nargs=-1, required=True),
     click.option("--out", required=True, type=PATH, help="Folder of the results."),
     click.option("--scheduler", help="Address of a Dask scheduler; default: processes on this computer."),
-    click.option(
-        "--workers",
-        type=Whole(min=1),
-        default=os.cpu_count(),
-        show_default=True,
-        help="Number of processes on this computer.",
-    ),
-    click.option(
-        "--timeout", type=SECONDS, help="Longest time for a session; one that takes longer has failed."
-    ),
+    click.option("--workers", type=Whole(min=1), default=os.cpu_count(), show_default=True,
+        help="Number of processes on this computer."),
+    click.option("--timeout", type=SECONDS,
+        help="Longest time for a session; one that takes longer has failed."),
     click.option("--retry", is_flag=True, help="Repeat the sessions that failed."),
-)
+)  # fmt: skip
 HELP = """{what}
 
 \b

@@ -7,8 +7,8 @@ import os
 import sys
 import time
 from collections import deque
+from collections.abc import Iterator
 from contextlib import closing
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -89,14 +89,14 @@ def command(
     ending, lines = Ending(seconds), Lines()
     publisher = _publisher(file, out, mode, window, bind)
     rack = Rack(out, lines.put, None if publisher is None else publisher.publish, window)
-    bench = _Bench(rack, watched, ending, lines)
+    steps = _steps(rack, watched, ending, lines)
     try:
         rack.change(plans)
         ending.begin()
         if mode == "terminal":
-            bench.run_on_screen(file.stem)
+            _show_on_screen(file.stem, rack, steps, lines)
         else:
-            bench.run(publisher)
+            _show_lines(rack, steps, lines, publisher)
     finally:
         rack.stop()
         if publisher is not None:
@@ -139,59 +139,54 @@ def trouble(unit: dict[str, Any]) -> str:
     return "; ".join(found)
 
 
-@dataclass(slots=True)
-class _Bench:
-    """A rack that is kept as its file says, until the end is asked for."""
+def _steps(rack: Rack, watched: Watched, ending: Ending, lines: Lines) -> Iterator[None]:
+    """Look after the units until the end is asked for; read the file where it has changed.
 
-    rack: Rack
-    watched: Watched
-    ending: Ending
-    lines: Lines
+    A bad file changes nothing.
+    """
+    from imumon.fleet.rack.description import load_rack
 
-    def run(self, publisher: ViewPublisher | None) -> None:
-        """Write log lines, and a status line on a terminal that can show one."""
-        from imumon.fleet.rack.table import in_short
+    while ending.wait():
+        rack.look()
+        if watched.has_changed():
+            try:
+                rack.change(load_rack(watched.path))
+            except ImumonError as error:
+                lines.put("ERROR", f"{error.line}; the rack goes on as it is")
+        yield
 
-        interactive, announced = is_terminal(), ""
-        clear = CLEAR_LINE if interactive else ""
-        while self.ending.wait():
-            self._step()
-            if publisher is not None and publisher.url not in ("", announced):
-                announced = publisher.url
-                self.lines.put("INFO", f"live view: {announced}")
-            self.lines.write(clear)
-            if interactive:
-                view = "" if publisher is None else f"  view: {publisher.state}"
-                note(in_short(self.rack.rows) + view, newline=False, control=clear)
-        note("", newline=False, control=clear)
 
-    def run_on_screen(self, title: str) -> None:
-        """Draw the table once a second, the log below it."""
-        from imumon.fleet.rack.table import in_short, text_lines
-        from imumon.view.terminal import Screen
+def _show_lines(rack: Rack, steps: Iterator[None], lines: Lines, publisher: ViewPublisher | None) -> None:
+    """Write log lines, and a status line on a terminal that can show one."""
+    from imumon.fleet.rack.table import in_short
 
-        screen, drawn_s = Screen(lambda text: note("", newline=False, control=text)), -math.inf
-        log: deque[str] = deque(maxlen=LOG_LINES)
-        with closing(screen):
-            while self.ending.wait():
-                self._step()
-                log.extend(f"{level} {text}" for level, text in self.lines.take())
-                if time.monotonic() - drawn_s < SCREEN_S:
-                    continue
-                drawn_s = time.monotonic()
-                columns, rows = os.get_terminal_size(sys.stderr.fileno())
-                shown = [f"rack {title}: {in_short(self.rack.rows)}", "", *text_lines(self.rack.rows), ""]
-                newest = list(log)[::-1][: max(rows - len(shown), 0)][::-1]
-                screen.show([line[:columns] for line in [*shown, *newest][:rows]], columns, rows)
+    interactive, announced = is_terminal(), ""
+    clear = CLEAR_LINE if interactive else ""
+    for _ in steps:
+        if publisher is not None and publisher.url not in ("", announced):
+            announced = publisher.url
+            lines.put("INFO", f"live view: {announced}")
+        lines.write(clear)
+        if interactive:
+            view = "" if publisher is None else f"  view: {publisher.state}"
+            note(in_short(rack.rows) + view, newline=False, control=clear)
+    note("", newline=False, control=clear)
 
-    def _step(self) -> None:
-        """Look after the units, and read the file where it has changed; a bad one changes nothing."""
-        from imumon.fleet.rack.description import load_rack
 
-        self.rack.look()
-        if not self.watched.has_changed():
-            return
-        try:
-            self.rack.change(load_rack(self.watched.path))
-        except ImumonError as error:
-            self.lines.put("ERROR", f"{error.line}; the rack goes on as it is")
+def _show_on_screen(title: str, rack: Rack, steps: Iterator[None], lines: Lines) -> None:
+    """Draw the table once a second, the log below it."""
+    from imumon.fleet.rack.table import in_short, text_lines
+    from imumon.view.terminal import Screen
+
+    screen, drawn_s = Screen(lambda text: note("", newline=False, control=text)), -math.inf
+    log: deque[str] = deque(maxlen=LOG_LINES)
+    with closing(screen):
+        for _ in steps:
+            log.extend(f"{level} {text}" for level, text in lines.take())
+            if time.monotonic() - drawn_s < SCREEN_S:
+                continue
+            drawn_s = time.monotonic()
+            columns, rows = os.get_terminal_size(sys.stderr.fileno())
+            shown = [f"rack {title}: {in_short(rack.rows)}", "", *text_lines(rack.rows), ""]
+            newest = list(log)[::-1][: max(rows - len(shown), 0)][::-1]
+            screen.show([line[:columns] for line in [*shown, *newest][:rows]], columns, rows)

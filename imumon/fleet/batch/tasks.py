@@ -169,7 +169,7 @@ class Moments:
 
 
 class _Channels:
-    """What was channels of each channel of a recording, as the stages see it."""
+    """Moments of each channel of a recording, as the stages see it."""
 
     def __init__(self) -> None:
         self.moments: dict[str, Moments] = {}
