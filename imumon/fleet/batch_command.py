@@ -116,7 +116,7 @@ def _run(
     from imumon.fleet.batch.tasks import Job
 
     options = BatchOptions.model_validate(_settings(name, **given))
-    every = [*dict.fromkeys(place for asked in sessions for place in find(asked))]
+    every = [*dict.fromkeys(place for one in sessions for place in find(one))]
     results = Dataset(out.absolute(), options)
     try:
         if retry:

@@ -137,7 +137,9 @@ class _Sensors:
         """Return what is sent of the next `CHUNK` samples, and the truth."""
         time_s = np.arange(first, first + CHUNK) / self._scenario.rate_hz
         temperature = self._temperature.process(time_s)
-        motion = self._motion(time_s)
+        events = self._scenario.motion
+        still = is_static(events, time_s[0], time_s[-1])  # then one row holds throughout
+        motion = movement(events, self._angles, time_s[-1:] if still else time_s)
         rate, force, field = self._in_body(motion)
         others = {
             name: np.interp(time_s, course.at_s, course.value) for name, course in self._drivers.items()
@@ -171,20 +173,12 @@ class _Sensors:
         }
         return _whole(sent), _whole(truth)
 
-    def _motion(self, time_s: FloatArray) -> Movement:
-        """Return the motion at these times, or a single row when nothing moves."""
-        events = self._scenario.motion
-        still = is_static(events, time_s[0], time_s[-1])
-        return movement(events, self._angles, time_s[-1:] if still else time_s)
-
     def _in_body(self, motion: Movement) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return angular rate, specific force and magnetic field in the axes of the unit."""
-        rate = body_rates(motion.angles, motion.rates) + to_body(motion.angles, self._earth)
-        force = to_body(motion.angles, self._up + motion.acceleration)
-        field = to_body(motion.angles, FIELD_UT)
-        if self._scenario.axes == "FLU":
-            return rate @ FRD_TO_FLU, force @ FRD_TO_FLU, field @ FRD_TO_FLU
-        return rate, force, field
+        angles, turned = motion.angles, FRD_TO_FLU if self._scenario.axes == "FLU" else np.eye(3)
+        rate = body_rates(angles, motion.rates) + to_body(angles, self._earth)
+        force, field = to_body(angles, self._up + motion.acceleration), to_body(angles, FIELD_UT)
+        return rate @ turned, force @ turned, field @ turned
 
 
 class LowPass:
