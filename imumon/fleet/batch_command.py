@@ -116,7 +116,7 @@ def _run(
     from imumon.fleet.batch.tasks import Job
 
     options = BatchOptions.model_validate(_settings(name, **given))
-    every = [*dict.fromkeys(place for one in sessions for place in find(one))]
+    every = dict.fromkeys(place for one in sessions for place in find(one))
     results = Dataset(out.absolute(), options)
     try:
         if retry:
@@ -128,12 +128,12 @@ def _run(
             _work(jobs, len(left), results, scheduler, workers, quiet=as_json)
     except KeyboardInterrupt:
         results.write()
-        kept = f"{len(results.done().keys() & {*every}):,} of {len(every):,} sessions are done"
+        kept = f"{len(results.done().keys() & every.keys()):,} of {len(every):,} sessions are done"
         note(f"imumon: interrupted: {kept}; the same command does the rest")
         raise
     finally:
         results.close()
-    done = {place: row for place, row in results.done().items() if place in {*every}}
+    done = {place: row for place, row in results.done().items() if place in every}
     failures = {place: f"{row['reason']}: {row['error']}" for place, row in done.items() if row["reason"]}
     lacks = {place: texts for place in every if place in done and (texts := lacking(done[place]))}
     _show_failures([f"{place}: {why}" for place, why in sorted(failures.items())], out / FAILED_NAME)

@@ -113,20 +113,12 @@ def hold(seconds: float) -> ExponentialMean:
 
 @dataclass(frozen=True, slots=True)
 class LocalLevel:
-    """Noise of a local level."""
+    """Noise of a local level: of samples Δt apart, R = white / Δt and q = δ¹² = walk Δt."""
 
     white: float
     """Density of the white noise, (rad/s)² s."""
     walk: float
     """(rad/s)²/s."""
-
-    def noise_variance(self, interval_s: float) -> float:
-        """Return R of a sample, (rad/s)²."""
-        return self.white / interval_s
-
-    def process_variance(self, interval_s: float) -> float:
-        """Return q = δ¹² of a sample, (rad/s)²."""
-        return self.walk * interval_s
 
 
 def means_of(time_ns: IntArray, reading: FloatArray) -> list[RestMean]:

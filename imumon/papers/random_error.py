@@ -98,7 +98,7 @@ class Axis:
 
 def _begun(method: str, local: LocalLevel, level: float, variance: float, interval_s: float) -> SampleFilter:
     """Return a filter that begins at a level in rad/s, with R and δ¹ of the noise; δ² = 0, φ = 0."""
-    noise, process = local.noise_variance(interval_s), local.process_variance(interval_s)
+    noise, process = local.white / interval_s, local.walk * interval_s
     delta1 = math.sqrt(process)
     # R bounds the start as well: a wide one would be over the limit of the risk.
     variance = min(variance, 0.5 * noise)

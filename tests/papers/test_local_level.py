@@ -77,8 +77,7 @@ def test_known_noise_gives_the_walk_of_the_best_average() -> None:
     flicker = from_noise(1e-4, 1e-5, None)
     h = (1e-5**2 / (math.pi / math.log(10))) / math.log(10) / 1e-8
     assert flicker.walk == pytest.approx((2 * h) ** 2 * 1e-8)
-    assert flicker.noise_variance(0.01) == pytest.approx(1e-6)
-    assert flicker.process_variance(0.01) == pytest.approx(flicker.walk * 0.01)
+    assert flicker.white / 0.01 == pytest.approx(1e-6)
 
 
 def test_means_of_a_recording_leave_out_seconds_that_are_mostly_missing() -> None:
