@@ -17,7 +17,7 @@ from imumon.fleet.rack.description import Plan
 from imumon.fleet.rack.feed import OfUnit, Overview, Vitals
 from imumon.fleet.rack.table import Row, markdown, row_of
 from imumon.fleet.rack.unit import Ended, Task, Update, run_unit
-from imumon.lane import LaneState, Level
+from imumon.lane import Level
 from imumon.recordings.lines import SessionLog
 from imumon.view.items import Instant, Log, State, ViewItem, ViewSetup
 
@@ -269,7 +269,7 @@ class Rack:
             unit.silent, unit.vitals = False, message.vitals
             unit.setup = message.setup or unit.setup
             if is_back:
-                self._lane(unit, LaneState("recording", Level.GOOD))
+                self._lane(unit, "recording", Level.GOOD)
             if message.setup is not None:
                 for item in message.items:
                     self._show(OfUnit(message.setup, item))
@@ -298,7 +298,7 @@ class Rack:
             unit.silent = True
             text = f"its process (pid {process.pid}) hangs: no word for {silent_s:.1f} s"
             self._say(unit, "ERROR", text)
-            self._lane(unit, LaneState("HANGS", Level.BAD))
+            self._lane(unit, "HANGS", Level.BAD)
 
     def _note_end(self, unit: Unit, code: int, lived_s: float) -> None:
         """Note that the process of a unit ended, maybe without being asked."""
@@ -312,16 +312,16 @@ class Rack:
             kept = f"; {unit.vitals.session} has what had arrived" if unit.vitals.session else ""
             text = f"its process died ({how}){kept}; a new one in {unit.pause():g} s"
             self._say(unit, "ERROR", text)
-            self._lane(unit, LaneState(f"DEAD: {how}", Level.BAD))
+            self._lane(unit, f"DEAD: {how}", Level.BAD)
 
     def _say(self, unit: Unit, level: str, text: str) -> None:
         self._log.put(level, f"{unit.plan.name}: {text}")
         if unit.setup is not None:
             self._show(OfUnit(unit.setup, Log(_now(), text, level)))
 
-    def _lane(self, unit: Unit, state: LaneState) -> None:
+    def _lane(self, unit: Unit, text: str, level: Level) -> None:
         if unit.setup is not None:
-            self._show(OfUnit(unit.setup, State(_now(), "unit", state.text, state.level)))
+            self._show(OfUnit(unit.setup, State(_now(), "unit", text, level)))
 
     def _show(self, item: ViewItem) -> None:
         if self._publish is not None:
