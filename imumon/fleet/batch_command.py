@@ -79,7 +79,7 @@ SUBCOMMANDS: dict[str, tuple[str, str, str, tuple[Any, ...]]] = {
     ),
 }  # fmt: skip
 """What each does, the folder of the example, what is to be said of the results, and options of its own."""
-SHARED = (
+SHARED: tuple[Any, ...] = (
     click.argument("sessions", nargs=-1, required=True),
     click.option("--out", required=True, type=PATH, help="Folder of the results."),
     click.option("--scheduler", help="Address of a Dask scheduler; default: processes on this computer."),
@@ -176,7 +176,7 @@ def _settings(
     command: str, pipeline: Path | None = None, declared: str | None = None, **given: Any
 ) -> dict[str, Any]:
     """Return the options of a batch as its folder keeps them."""
-    found = {"command": command, **given}
+    found: dict[str, Any] = {"command": command, **given}
     if pipeline is not None:
         from imumon.run.setup import load_setup
 

@@ -55,21 +55,23 @@ def record_session(
     refuse_overload(device, scenario)
     text = yaml.safe_dump(scenario.model_dump(exclude_defaults=True), sort_keys=False, allow_unicode=True)
     with whole_session(folder) as partial:
-        played = {"seed": seed, "rate_hz": scenario.rate_hz, "duration_s": scenario.duration_s}
         metadata = SessionMetadata.begun(
             "simulation",
             START_NS,
             device=device.name,
             axes=device.axes,
             device_yaml=device_yaml,
-            port=PortUsed(url=f"simulation: {scenario.title}", settings=played),
+            port=PortUsed(
+                url=f"simulation: {scenario.title}",
+                settings={"seed": seed, "rate_hz": scenario.rate_hz, "duration_s": scenario.duration_s},
+            ),
         )
         session = create_session(partial, metadata)
         write_text(partial / SCENARIO_NAME, text)
         if scenario.chamber.log is not None:
-            rows = np.column_stack(chamber_log(scenario, seed))
-            heads = {"header": "time_s,wall_degc,case_degc", "comments": ""}
-            np.savetxt(partial / CHAMBER_NAME, rows, fmt="%.3f", delimiter=",", **heads)
+            rows, heads = np.column_stack(chamber_log(scenario, seed)), "time_s,wall_degc,case_degc"
+            path = partial / CHAMBER_NAME
+            np.savetxt(path, rows, fmt="%.3f", delimiter=",", header=heads, comments="")
         closed = _record(session, scenario, device, seed, progress)
         session.save(closed)
     return Session(folder, closed)

@@ -73,7 +73,7 @@ RESULTS: dict[str, tuple[str, ...]] = {
 }
 """Columns of what each command says of a channel, in SI units."""
 _WHAT, _WHY = ("session", "device", "serial", "begun", "channel", "unit"), ("warnings", "reason", "error")
-_TYPES = {
+_TYPES: dict[str, pa.DataType] = {
     **dict.fromkeys((*_WHAT, *_WHY, "curve", "summary", "file"), pa.string()),
     **dict.fromkeys(("warnings", "effects"), pa.list_(pa.string())),
     **dict.fromkeys(("samples", "lost"), pa.int64()),

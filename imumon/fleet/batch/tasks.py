@@ -14,7 +14,7 @@ import json
 import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -74,8 +74,9 @@ def work(job: Job) -> list[Row]:
                 Reason.BAD_CONFIG, f"the worker has imumon {__version__}, the batch is of {job.version}"
             )
         folder = _folder()
-        is_limited = job.limit_s is not None and folder is not None  # only a worker may end
-        limit = limited(job.file("late", ".txt"), job.limit_s or 0.0) if is_limited else nullcontext()
+        limit: AbstractContextManager[None] = nullcontext()
+        if job.limit_s is not None and folder is not None:  # only a worker may end
+            limit = limited(job.file("late", ".txt"), job.limit_s)
         with limit, fetched(job.place, folder) as path:
             what |= _described(path)
             rows: list[Row] = [{**what, **row} for row in _COMMANDS[job.options.command](path, job)]

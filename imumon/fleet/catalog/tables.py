@@ -22,7 +22,7 @@ COLUMNS = {
     "models": ("unit", "device", "channel", "unit_of_bias", "time", *_DRIFT),
 }
 """Of each table; a model's row is the bias of a channel at a temperature that all its models know."""
-_TYPES = {
+_TYPES: dict[str, pa.DataType] = {
     **dict.fromkeys((*_RANGES, *_DRIFT), pa.float64()),
     **dict.fromkeys(("begun", "first", "last", "time"), pa.timestamp("ns", "UTC")),
     **dict.fromkeys(("lost", "sessions", "models"), pa.int64()),
