@@ -256,7 +256,7 @@ def test_a_session_that_hangs_has_failed_and_the_others_are_done(tmp_path: Path,
 
 def test_code_that_never_lets_go_of_the_interpreter_is_ended_too(tmp_path: Path) -> None:
     script = (
-        "import re, sys, pathlib\n\n"
+        "import re, sys, pathlib\nfrom imumon.fleet.batch.tasks import limited\n"
         "with limited(pathlib.Path(sys.argv[1]), 1.0):\n    re.match('(a+)+$', 'a' * 60 + 'b')\n"
     )
     done = subprocess.run([sys.executable, "-c", script, tmp_path / "note"], timeout=LIMIT_S, check=False)
