@@ -2,23 +2,15 @@
 
 from imumon.wing import Command, Wing
 
-_GROUP = "Many units"
+_TEXTS = {
+    "rack": "Record and watch many devices at once.",
+    "batch": "Run a command over many sessions, here or on a cluster.",
+    "catalog": "List the units of a folder of sessions, with what changed.",
+    "report": "Write the calibration record of a session or a unit as a page.",
+}
 WING = Wing(
     "fleet",
     commands={
-        "rack": Command(_GROUP, "Record and watch many devices at once.", "imumon.fleet.rack_command"),
-        "batch": Command(
-            _GROUP, "Run a command over many sessions, here or on a cluster.", "imumon.fleet.batch_command"
-        ),
-        "catalog": Command(
-            _GROUP,
-            "List the units of a folder of sessions, with what changed.",
-            "imumon.fleet.catalog_command",
-        ),
-        "report": Command(
-            _GROUP,
-            "Write the calibration record of a session or a unit as a page.",
-            "imumon.fleet.report_command",
-        ),
+        name: Command("Many units", text, f"imumon.fleet.{name}_command") for name, text in _TEXTS.items()
     },
 )

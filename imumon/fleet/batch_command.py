@@ -5,7 +5,8 @@ from __future__ import annotations
 import os
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -31,11 +32,8 @@ from imumon.harmless import for_log
 if TYPE_CHECKING:
     from imumon.fleet.batch.tasks import Job
 
-SESSIONS = (
-    "SESSIONS are session folders, folders with sessions somewhere below, or URLs of either"
-    " (s3://bucket/folder)."
-)
-SHOWN_FAILURES = 20
+SHOWN = 20
+"""Lines that are shown of what failed, and of what is missing."""
 FAILED_NAME = "failed.txt"
 """Lists all that failed, where that is more than is shown."""
 
@@ -54,130 +52,56 @@ def command() -> None:
     """
 
 
-def _subcommand(name: str, *options: Callable[[Any], Any]) -> Callable[[Any], click.Command]:
-    """Make a subcommand with the options that all have, and its own."""
-
-    def decorated(function: Any) -> click.Command:
-        shared = (
-            click.argument("sessions", nargs=-1, required=True),
-            click.option("--out", required=True, type=PATH, help="Folder of the results."),
-            click.option(
-                "--scheduler", help="Address of a Dask scheduler; default: processes on this computer."
-            ),
-            click.option(
-                "--workers",
-                type=Whole(min=1),
-                default=os.cpu_count(),
-                show_default=True,
-                help="Number of processes on this computer.",
-            ),
-            click.option(
-                "--timeout",
-                type=SECONDS,
-                help="Longest time for a session; one that takes longer has failed.",
-            ),
-            click.option("--retry", is_flag=True, help="Repeat the sessions that failed."),
-        )
-        for option in reversed((*shared, *options, json_option)):
-            function = option(function)
-        made: click.Command = command.command(name)(function)
-        made.help = str(made.help).format(sessions=SESSIONS)
-        return made
-
-    return decorated
-
-
-@_subcommand("decode", click.option("--tables", is_flag=True, help="Also write DIR/tables/SESSION.parquet."))
-def decode(tables: bool, **given: Any) -> int:
-    """Count, mean and scatter of every channel as sent.
-
-    \b
-    imumon batch decode sessions --out means
-
-    {sessions}
-    """
-    return _run({"command": "decode", "tables": tables}, **given)
-
-
-@_subcommand(
-    "replay",
-    click.option("--tables", is_flag=True, help="Also write DIR/tables/SESSION.parquet."),
-    click.option("--pipeline", type=PATH, help="Pipeline file; default: as each session was recorded."),
-)
-def replay(tables: bool, pipeline: Path | None, **given: Any) -> int:
-    """Count, mean and scatter of all channels and estimates.
-
-    \b
-    imumon batch replay sessions --out estimates
-
-    {sessions}
-    """
-    from imumon.run.setup import load_setup
-
-    text = None if pipeline is None else load_setup(pipeline).text()
-    return _run({"command": "replay", "tables": tables, "pipeline_yaml": text}, **given)
-
-
-@_subcommand("allan")
-def allan(**given: Any) -> int:
-    """Noise of every channel, from its Allan curve.
-
-    \b
-    imumon batch allan sessions --out noise
-
-    The terms have standard deviations.
-
-    {sessions}
-    """
-    return _run({"command": "allan"}, **given)
-
-
-@_subcommand(
-    "calibrate",
-    click.option(
-        "--latitude",
-        type=Number(min=-90, max=90),
-        help="Degrees north; with --heading the earth's rotation is removed.",
+TABLES = click.option("--tables", is_flag=True, help="Also write DIR/tables/SESSION.parquet.")
+PIPELINE = click.option("--pipeline", type=PATH, help="Pipeline file; default: as each session was recorded.")
+PLACE = (
+    click.option("--latitude", "latitude_deg", type=Number(min=-90, max=90),
+        help="Degrees north; with --heading the earth's rotation is removed."),
+    click.option("--heading", "heading_deg", type=Number(min=-360, max=360),
+        help="Direction of the x axis, degrees clockwise from north."),
+)  # fmt: skip
+DECLARED = click.option("--declared", help="Bias model that is assumed; see imumon diagnose.")
+SUBCOMMANDS: dict[str, tuple[str, str, str, tuple[Any, ...]]] = {
+    "decode": ("Count, mean and scatter of every channel as sent.", "means", "", (TABLES,)),
+    "replay": (
+        "Count, mean and scatter of all channels and estimates.", "estimates", "", (TABLES, PIPELINE)
     ),
-    click.option(
-        "--heading",
-        type=Number(min=-360, max=360),
-        help="Direction of the x axis, degrees clockwise from north.",
+    "allan": (
+        "Noise of every channel, from its Allan curve.", "noise", "The terms have standard deviations.", ()
     ),
-)
-def calibrate(latitude: float | None, heading: float | None, **given: Any) -> int:
-    """Bias over temperature, a model for each session.
+    "calibrate": (
+        "Bias over temperature, a model for each session.",
+        "models", "The models are DIR/models/SESSION.yaml.", PLACE,
+    ),
+    "diagnose": (
+        "Effects that a bias model lacks, for each session.",
+        "reports", "The reports are DIR/reports/SESSION.json.", (DECLARED,),
+    ),
+}  # fmt: skip
+"""What each does, the folder of the example, what is to be said of the results, and options of its own."""
+SHARED: tuple[Any, ...] = (
+    click.argument("sessions", nargs=-1, required=True),
+    click.option("--out", required=True, type=PATH, help="Folder of the results."),
+    click.option("--scheduler", help="Address of a Dask scheduler; default: processes on this computer."),
+    click.option("--workers", type=Whole(min=1), default=os.cpu_count(), show_default=True,
+        help="Number of processes on this computer."),
+    click.option("--timeout", type=SECONDS,
+        help="Longest time for a session; one that takes longer has failed."),
+    click.option("--retry", is_flag=True, help="Repeat the sessions that failed."),
+)  # fmt: skip
+HELP = """{what}
 
-    \b
-    imumon batch calibrate sessions --out models
+\b
+imumon batch {name} sessions --out {folder}
 
-    The models are DIR/models/SESSION.yaml.
+{results}
 
-    {sessions}
-    """
-    return _run({"command": "calibrate", "latitude_deg": latitude, "heading_deg": heading}, **given)
-
-
-@_subcommand("diagnose", click.option("--declared", help="Bias model that is assumed; see imumon diagnose."))
-def diagnose(declared: str | None, **given: Any) -> int:
-    """Effects that a bias model lacks, for each session.
-
-    \b
-    imumon batch diagnose sessions --out reports
-
-    The reports are DIR/reports/SESSION.json.
-
-    {sessions}
-    """
-    from imumon.lab.diagnosis.diagnose import parse_declared
-
-    if declared is not None:
-        parse_declared(declared)
-    return _run({"command": "diagnose"} | ({} if declared is None else {"declared": declared}), **given)
+SESSIONS are session folders, folders with sessions somewhere below, or URLs of either (s3://bucket/folder).
+"""
 
 
 def _run(
-    settings: dict[str, Any],
+    name: str,
     sessions: tuple[str, ...],
     out: Path,
     scheduler: str | None,
@@ -185,67 +109,84 @@ def _run(
     timeout: float | None,
     retry: bool,
     as_json: bool,
+    **given: Any,
 ) -> int:
-    from imumon.fleet.batch.dataset import ROWS, Dataset
-    from imumon.fleet.batch.options import BatchOptions
+    from imumon.fleet.batch.dataset import ROWS, BatchOptions, Dataset, lacking
     from imumon.fleet.batch.places import find
     from imumon.fleet.batch.tasks import Job
 
-    options = BatchOptions.model_validate(settings)
-    every = [*dict.fromkeys(place for given in sessions for place in find(given))]
+    options = BatchOptions.model_validate(_settings(name, **given))
+    every = dict.fromkeys(place for one in sessions for place in find(one))
     results = Dataset(out.absolute(), options)
     try:
         if retry:
             results.forget_failures()
-        done = results.done()
-        left = [place for place in every if place not in done]
+        before = results.done()
+        left = [place for place in every if place not in before]
         if left:
             jobs = (Job(place, options, str(results.folder), limit_s=timeout) for place in left)
             _work(jobs, len(left), results, scheduler, workers, quiet=as_json)
     except KeyboardInterrupt:
         results.write()
-        kept = f"{len(results.done().intersection(every)):,} of {len(every):,} sessions are done"
+        kept = f"{len(results.done().keys() & every.keys()):,} of {len(every):,} sessions are done"
         note(f"imumon: interrupted: {kept}; the same command does the rest")
         raise
     finally:
         results.close()
-    failures = {place: why for place, why in results.failures().items() if place in set(every)}
-    _show_failures(failures, out / FAILED_NAME)
-    lacking = results.lacking(every)
-    _show_lacking(lacking)
+    done = {place: row for place, row in results.done().items() if place in every}
+    failures = {place: f"{row['reason']}: {row['error']}" for place, row in done.items() if row["reason"]}
+    lacks = {place: texts for place in every if place in done and (texts := lacking(done[place]))}
+    _show_failures([f"{place}: {why}" for place, why in sorted(failures.items())], out / FAILED_NAME)
+    _warn_first(
+        [f"{place}: {text}" for place, texts in sorted(lacks.items()) for text in texts],
+        "more lines on missing parts, in the column warnings",
+    )
     reasons = Counter(why.partition(":")[0] for why in failures.values())
     if as_json:
         print_json(
             {"out": out, "sessions": len(every), "done_before": len(every) - len(left), "failed": failures,
-             "lacking": lacking}
+             "lacking": lacks}
         )  # fmt: skip
     print_rows(
         {
             "sessions": f"{len(every):,}, {len(every) - len(left):,} of them done before",
             "failed": ", ".join(f"{n:,} {reason}" for reason, n in reasons.most_common()) or "none",
-            "lacking": f"{len(lacking):,} with parts of the recording missing" if lacking else "none",
+            "lacking": f"{len(lacks):,} with parts of the recording missing" if lacks else "none",
             "table": str(out / ROWS / "*.parquet"),
         }
     )
     return EXIT_NEGATIVE if len(failures) == len(every) else EXIT_OK
 
 
-def _show_failures(failures: dict[str, str], path: Path) -> None:
+def _show_failures(lines: list[str], path: Path) -> None:
     """Name what failed; all of it in a file where that is too much for a screen."""
-    lines = [f"{place}: {why}" for place, why in sorted(failures.items())]
     path.unlink(missing_ok=True)
-    warn(lines[:SHOWN_FAILURES])
-    if len(lines) > SHOWN_FAILURES:
+    if len(lines) > SHOWN:
         write_text(path, "".join(f"{for_log(line)}\n" for line in lines))
-        warn([f"{len(lines) - SHOWN_FAILURES:,} more failed; all {len(lines):,} are in {path}"])
+    _warn_first(lines, f"more failed; all {len(lines):,} are in {path}")
 
 
-def _show_lacking(lacking: dict[str, list[str]]) -> None:
-    """Name the sessions of which parts of the recording are missing; the table has all of their warnings."""
-    lines = [f"{place}: {text}" for place, texts in sorted(lacking.items()) for text in texts]
-    warn(lines[:SHOWN_FAILURES])
-    if len(lines) > SHOWN_FAILURES:
-        warn([f"{len(lines) - SHOWN_FAILURES:,} more lines on missing parts, in the column warnings"])
+def _warn_first(lines: list[str], more: str) -> None:
+    """Warn of the first lines, and of how many more there are."""
+    hidden = [f"{len(lines) - SHOWN:,} {more}"] if len(lines) > SHOWN else []
+    warn([*lines[:SHOWN], *hidden])
+
+
+def _settings(
+    command: str, pipeline: Path | None = None, declared: str | None = None, **given: Any
+) -> dict[str, Any]:
+    """Return the options of a batch as its folder keeps them."""
+    found: dict[str, Any] = {"command": command, **given}
+    if pipeline is not None:
+        from imumon.run.setup import load_setup
+
+        found["pipeline_yaml"] = load_setup(pipeline).text()
+    if declared is not None:
+        from imumon.lab.diagnosis.diagnose import parse_declared
+
+        parse_declared(declared)
+        found["declared"] = declared
+    return found
 
 
 def _work(
@@ -270,3 +211,11 @@ def _work(
             bar.advance(task)
 
         run_jobs(client, jobs, take)
+
+
+for _name, (_what, _folder, _results, _own) in SUBCOMMANDS.items():
+    _function: Any = partial(_run, _name)
+    for _option in reversed((*SHARED, *_own, json_option)):
+        _function = _option(_function)
+    _text = HELP.format(what=_what, name=_name, folder=_folder, results=_results)
+    command.command(_name, help=_text)(_function)

@@ -93,24 +93,25 @@ def read(folder: Path, results: Path | None = None) -> tuple[list[Unit], list[Ou
 def _row(unit: Unit, unusual: Sequence[Outlier]) -> list[str]:
     from imumon.fleet.catalog.drift import drifts
     from imumon.fleet.catalog.tables import day
+    from imumon.fleet.catalog.units import BEST, COLDEST, HOTTEST, WORST
     from imumon.lab.diagnosis.page import shown
 
     factor, _ = shown("rad/s")
+    row = unit.row
     known = [drift for drift in drifts(unit) if drift.per_month == drift.per_month]
     drift = max(known, key=lambda one: abs(one.per_month), default=None)
     return [
-        unit.name, unit.device, str(len(unit.entries)), f"{unit.hours:.2f}",
-        day(min(unit.begun, default=None)), day(max(unit.begun, default=None)),
-        _from_to(unit.temperatures, 1.0), _from_to(unit.sigmas, factor), str(len(unit.models)),
+        unit.name, unit.device, str(row["sessions"]), f"{row['hours']:.2f}",
+        day(row["first"]), day(row["last"]), _from_to(row[COLDEST], row[HOTTEST]),
+        _from_to(factor * row[BEST], factor * row[WORST]), str(row["models"]),
         "-" if drift is None
         else f"{drift.channel} {factor * drift.per_month:+.2g} ± {factor * drift.per_month_sd:.1g}",
         str(sum(outlier.unit == unit.name for outlier in unusual)),
     ]  # fmt: skip
 
 
-def _from_to(of: tuple[float, float], factor: float) -> str:
-    low, high = of
-    return f"{factor * low:.3g} to {factor * high:.3g}" if low == low else "-"
+def _from_to(low: float, high: float) -> str:
+    return f"{low:.3g} to {high:.3g}" if low == low else "-"
 
 
 def _show(rows: Sequence[Sequence[str]]) -> None:

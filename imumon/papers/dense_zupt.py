@@ -17,13 +17,11 @@ from functools import cached_property
 
 import numpy as np
 
-from imumon.blocks import NO_INT, ColumnArray, FloatArray, SampleBlock
+from imumon.blocks import ColumnArray, FloatArray, SampleBlock
 from imumon.columns import Column
-from imumon.filters.slots import SlotGatherer
 from imumon.geodesy import EARTH_RATE, STANDARD_GRAVITY, body_to_ned
 from imumon.models.model import BiasModel
-from imumon.models.predictor import BiasPredictor
-from imumon.papers.shown import Shown
+from imumon.papers.slot_stage import SlotStage, at_rest, gyro_predictor, inertial
 
 STATES = 12
 PHI, VELOCITY, GYRO, ACCEL = (slice(k, k + 3) for k in range(0, STATES, 3))
@@ -82,12 +80,8 @@ class DenseSettings:
     @cached_property
     def noise(self) -> FloatArray:
         """Process noise of a step, (12, 12)."""
-        walks = (
-            self.angle_random_walk,
-            self.velocity_random_walk,
-            self.bias_random_walk,
-            self.accel_bias_random_walk,
-        )
+        white = self.angle_random_walk, self.velocity_random_walk
+        walks = *white, self.bias_random_walk, self.accel_bias_random_walk
         return np.diag(np.concatenate([np.broadcast_to(walk, 3) for walk in walks]) ** 2 * self.interval_s)
 
     @cached_property
@@ -204,7 +198,7 @@ def step(
     return np.asarray((z / np.sqrt(np.diag(total)))[:3])
 
 
-class DenseZupt:
+class DenseZupt(SlotStage):
     """ZUPT on calibrated data, or TCZUPT, as a stage: ``{method}_gyro_bias_{axis}`` of the raw rate, and sd.
 
     The first minute at rest is the initial zeroing.  In motion the bias is predicted only; after it the unit
@@ -229,14 +223,11 @@ class DenseZupt:
         model: BiasModel | None = None,
         assume_rest: bool = False,
     ) -> None:
+        super().__init__(10, SLOT_S, [6])
         self._method = method
         self._settings = replace(settings or DenseSettings(SLOT_S), interval_s=SLOT_S)
-        channels = [f"gyro_{a}" for a in "xyz" if model is not None and f"gyro_{a}" in model.channels]
-        self._predictor = BiasPredictor(model, channels) if model is not None else None
-        self._axes = ["xyz".index(name[-1]) for name in channels]
+        self._predictor, self._axes = gyro_predictor(model)
         self._assume_rest = assume_rest
-        self._gatherer = SlotGatherer(10, round(SLOT_S * 1e9))
-        self._shown = Shown([6])
         self._state: State | None = None
         self._resting: list[FloatArray] = []
 
@@ -255,24 +246,18 @@ class DenseZupt:
 
         Needs ``device_time_ns``, ``segment``, gyros, accelerometers and ``at_rest``.
         """
-        n, gyro, accel = len(block), block.gyro, block.accel
         curve, warming = self._model(block)
-        values = np.full((n, 10), np.nan)
-        if gyro is not None and accel is not None:
-            values[:, :3], values[:, 3:6] = gyro - curve, accel
-        values[:, 6:9] = warming
-        values[:, 9] = self._assume_rest
-        if "at_rest" in block:
-            values[:, 9] = (block["at_rest"] != 0) & (block["at_rest"] != NO_INT)
-        slots = self._gatherer.process(block["device_time_ns"], block["segment"], values)
-        outputs = np.full((len(slots), 6), np.nan)
+        values = np.column_stack([inertial(block), warming, at_rest(block, self._assume_rest)])
+        values[:, :3] -= curve
+        slots, breaks = self.slots(block, values)
+        results = np.full((len(slots), 6), np.nan)
         for k in range(len(slots)):
             if slots.begins[k]:
                 self._state, self._resting = None, []
             self._take(slots.mean[k], bool(slots.smallest[k, 9] == 1.0))
             if self._state is not None:
-                outputs[k] = *self._state.bias, *self._state.bias_sd
-        shown = self._shown.spread(slots.row, outputs, self._shown.breaks(block), n)
+                results[k] = *self._state.bias, *self._state.bias_sd
+        shown = self.spread(slots.row, results, breaks, len(block))
         shown[:, :3] += curve
         return {column.name: part for column, part in zip(self.columns, shown.T, strict=True)}
 
@@ -316,12 +301,8 @@ class DenseZupt:
             curve[:, self._axes] = predicted.bias
             return curve, warming
         none = np.full(len(block), np.nan)
-        rates = [name.replace("_estimate", "") for name in self._predictor.temperature_columns]
-        rates = [name.replace("temperature", "temperature_rate") for name in rates]
+        thermometers = [name.replace("_estimate", "") for name in self._predictor.temperature_columns]
+        rates = [name.replace("temperature", "temperature_rate") for name in thermometers]
         rate = np.column_stack([block.columns.get(name, none) for name in rates])
         warming[:, self._axes] = predicted.slope * rate
         return curve, warming
-
-    def notices(self) -> list[str]:
-        """Return nothing: the default says what is missing."""
-        return []

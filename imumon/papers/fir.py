@@ -2,7 +2,7 @@
 
 After Kozlov and Tarygin, "Real-Time Estimation of Temperature Time Derivative in Inertial Measurement Unit by
 Finite-Impulse-Response Exponential Regression on Updates", Sensors 2020, 20(5), 1299.  Equation numbers are
-those of the paper, and `square_root` has its appendices.
+those of the paper.
 
 A measurement exists when the reading changes level (4), or when the model has left the reading (15).  In
 between, and until the oldest measurement expires, state and outputs are functions of time alone; so whole
@@ -12,23 +12,34 @@ The recursion is the paper's, with two safeguards that keep it a least-squares f
 is fitted anew from the buffer (a) when taking out a measurement would cost too many digits, and (b) every
 `REFIT_SPAN` time constants: moving t0 shrinks the covariance of γ by e^(-s) each time, and with it what is
 left of the start's 10⁶ °C, which after an hour would hold γ at zero as firmly as a measurement does.
+
+Least squares are in square-root form after Carlson and Potter, in the notation of the paper's appendices A to
+D, derived anew because signs are lost there.  The covariance is
+P = S Sᵀ with S upper triangular.
+
+For the update write P⁺ = S (E - f fᵀ / (σ² + fᵀf)) Sᵀ with f = Sᵀhᵀ, and d_j = σ² + Σ_{k≤j} f_k².
+The upper triangular B with B Bᵀ = E - f fᵀ/d_n has B_jj = √(d_{j-1}/d_j) and, for i < j,
+B_ij = -f_i f_j / √(d_{j-1} d_j).  Then S⁺ = S B: its column j is
+S_j √(d_{j-1}/d_j) - K_j f_j / √(d_{j-1} d_j) with K_j = Σ_{k<j} S_k f_k.
+The removal has P⁻ = S (E + f fᵀ / (σ² - fᵀf)) Sᵀ, that is the same with f² counted negatively:
+d_j = σ² - Σ_{k≤j} f_k², and B_ij = +f_i f_j / √(d_{j-1} d_j).
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
-from imumon.blocks import ColumnArray, FloatArray, IntArray, SampleBlock
-from imumon.columns import TEMPERATURES, Column
+from imumon.blocks import FloatArray, IntArray
 from imumon.estimation.temperature_rate.output import RateEstimate
+from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.filters.segments import Breaks
-from imumon.papers.square_root import fit, pull_back, update
 
 ORDER = 3
 """Coefficients of the model α + βu + γe^(-u) (13)."""
@@ -175,6 +186,60 @@ def evaluate(state: State, params: Params, seconds: FloatArray) -> FloatArray:
     return np.array([temperature, rate, temperature_sd, rate_sd])
 
 
+def update(
+    x: FloatArray, s: FloatArray, z: float, h: FloatArray, sigma: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return x, (n,), and S, (n, n), with the measurement z = h x + noise taken in (eqs. 9 and 11)."""
+    return _change(x, s, z, h, sigma, 1.0)
+
+
+def pull_back(
+    x: FloatArray, s: FloatArray, z: float, h: FloatArray, sigma: float, least_share: float
+) -> tuple[FloatArray, FloatArray] | None:
+    """Return x and S with a measurement taken out again (eq. 12), or None if it cannot be.
+
+    The share of the measurement's variance that the others leave, 1 - h P hᵀ/σ², must exceed `least_share`:
+    below it they do not determine the state (share 0), or cancellation eats up the digits.
+    """
+    f = h @ s
+    if not sigma**2 - float(f @ f) > least_share * sigma**2:
+        return None
+    return _change(x, s, z, h, sigma, -1.0)
+
+
+def _change(
+    x: FloatArray, s: FloatArray, z: float, h: FloatArray, sigma: float, sign: float
+) -> tuple[FloatArray, FloatArray]:
+    """Take in (sign 1) or out (sign -1), column by column: B_ij = ∓f_i f_j / √(d_j-1 d_j)."""
+    f, changed, gain, before = h @ s, np.empty_like(s), np.zeros(len(x)), sigma**2
+    for j, f_j in enumerate(f.tolist()):
+        after = before + sign * f_j * f_j
+        changed[:, j] = math.sqrt(before / after) * s[:, j] - sign * f_j / math.sqrt(before * after) * gain
+        gain += f_j * s[:, j]
+        before = after
+    return x + sign * gain / before * (z - float(h @ x)), changed
+
+
+def fit(rows: FloatArray, z: FloatArray, sigma: float, start_sd: float) -> tuple[FloatArray, FloatArray]:
+    """Return x and S of a fit from scratch, by QR: no squares are formed, half of the condition is spared.
+
+    Parameters
+    ----------
+    rows : array (m, n)
+        h of each measurement.
+    z : array (m,)
+    sigma, start_sd : float
+        Standard deviation of a measurement, and of each element of x before.
+    """
+    n = rows.shape[1]
+    system = np.vstack([np.eye(n) / start_sd, rows / sigma])
+    q, r = np.linalg.qr(system)
+    x = solve_triangular(r, q.T @ np.concatenate([np.zeros(n), z / sigma]))
+    # R⁻¹ with a positive diagonal.
+    s = solve_triangular(r, np.eye(n))
+    return x, s * np.sign(np.diag(s))
+
+
 class FirRate:
     """Least squares of a short-term model over the level changes of the last few minutes."""
 
@@ -253,50 +318,16 @@ class FirRate:
         state.temperature = float(out[0])
 
 
-class FirStage:
+class FirStage(TemperatureRate):
     """The paper's filter as a stage, one for each temperature of the block.
 
-    Columns are ``fir_temperature_estimate``, ``fir_temperature_rate`` and their standard deviations, with the
-    ending of the channel (``_x`` of ``temperature_x``).  `retired` is whether the retired key ``method`` of a
-    device file asked for it.
+    `retired` is whether the retired key ``method`` of a device file asked for it.
     """
 
+    prefix, title = "fir_", "FIR-estimated"
+
     def __init__(self, params: Params, retired: bool = False) -> None:
-        self._params, self._retired = params, retired
-        self._filters: dict[str, FirRate] = {}
-
-    @property
-    def columns(self) -> Sequence[Column]:
-        """The columns that `process` adds so far."""
-        return [column for channel in self._filters for column in _columns(channel)]
-
-    def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
-        """Return the new columns of a block; NaN where there is no estimate."""
-        for channel in TEMPERATURES:
-            if channel in block and channel not in self._filters:
-                self._filters[channel] = FirRate(self._params)
-        found: dict[str, ColumnArray] = {}
-        for channel, one in self._filters.items():
-            reading = block[channel] if channel in block else np.full(len(block), np.nan)
-            series = one.process(block["device_time_ns"], block["segment"], np.asarray(reading, np.float64))
-            parts = (series.temperature, series.rate, series.temperature_sd, series.rate_sd)
-            found |= {column.name: part for column, part in zip(_columns(channel), parts, strict=True)}
-        return found
-
-    def notices(self) -> list[str]:
-        """Return, once, that a retired key asked for it; the default reports a wrong declared step."""
-        found = (
-            ["temperature: method is not used any more, it is as published: [fir]"] if self._retired else []
-        )
-        self._retired = False
-        return found
-
-
-def _columns(channel: str) -> list[Column]:
-    end = channel.removeprefix("temperature")
-    return [
-        Column(f"fir_temperature_estimate{end}", "degC", description=f"FIR estimate of {channel}"),
-        Column(f"fir_temperature_rate{end}", "degC/s", description=f"FIR estimate of the rate of {channel}"),
-        Column(f"fir_temperature_estimate_sd{end}", "degC", description="its standard deviation"),
-        Column(f"fir_temperature_rate_sd{end}", "degC/s", description="its standard deviation"),
-    ]
+        super().__init__(new_method=partial(FirRate, params))
+        if retired:
+            text = "temperature: method is not used any more, it is as published: [fir]"
+            self._notices[text] = False

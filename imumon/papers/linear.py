@@ -7,7 +7,7 @@ with V = e² at the first innovation, then V ← (ρV + e²)/(1 + ρ), ρ = 0.95
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -20,16 +20,15 @@ FORGETTING = 0.95
 
 
 @dataclass(frozen=True, slots=True)
-class ModelL:
-    """Model L and where it begins."""
+class Model:
+    """Where a filter begins: X = (x_k, x_k-1, φ, δ¹, δ²) of x_k = (1+φ) x_k-1 - φ x_k-2 + δ¹ a_k - δ² a_k-1.
 
-    phi: float
-    delta1: float
-    delta2: float
-    """Parameters of x_k = (1+φ) x_k-1 - φ x_k-2 + δ¹ a_k - δ² a_k-1."""
-    mean: tuple[float, float]
-    variance: tuple[float, float]
-    """(x_k, x_k-1) and the diagonal of its covariance."""
+    In model L the last three are known.
+    """
+
+    mean: Sequence[float]
+    variance: Sequence[float]
+    """X and the diagonal of its covariance, in the unit of the data and its square (φ has none)."""
     noise_variance: float
     """R, of one measurement."""
 
@@ -133,19 +132,18 @@ class LinearFilter(SampleFilter):
 
     Parameters
     ----------
-    model : ModelL
-        Model, start and R.
+    model : Model
     softening : float or None
         β of the strong-tracking filter; None for the plain Kalman filter.
     """
 
     _run = _run
 
-    def __init__(self, model: ModelL, softening: float | None = None) -> None:
-        process = model.delta1**2 + model.delta2**2
+    def __init__(self, model: Model, softening: float | None = None) -> None:
+        _, _, phi, delta1, delta2 = model.mean
         beta = -1.0 if softening is None else softening
-        mean, covariance = np.array(model.mean, np.float64), np.diag(np.array(model.variance, np.float64))
+        mean, variance = np.array(model.mean[:2], np.float64), np.array(model.variance[:2], np.float64)
         super().__init__(
-            Settings(model.phi, process, model.noise_variance, beta),
-            State(mean, covariance, np.full(1, np.nan)),
+            Settings(phi, delta1**2 + delta2**2, model.noise_variance, beta),
+            State(mean, np.diag(variance), np.full(1, np.nan)),
         )

@@ -16,16 +16,24 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from imumon.blocks import NO_INT, ColumnArray, FloatArray, IntArray, SampleBlock
+from imumon.blocks import ColumnArray, FloatArray, IntArray, SampleBlock
 from imumon.columns import Column
-from imumon.filters.slots import SlotGatherer
 from imumon.models.model import BiasModel
-from imumon.models.predictor import BiasPredictor
-from imumon.papers.linear import LinearFilter, ModelL, SampleFilter
-from imumon.papers.local_level import LEAST_MEANS, LocalLevel, fit_local_level, from_noise, level_after
-from imumon.papers.rest_means import SLOT_S, ExponentialMean, RestMean, RestMeans, hold
-from imumon.papers.shown import Shown
-from imumon.papers.sigma_points import ModelNL, SigmaPointFilter
+from imumon.papers.linear import LinearFilter, Model, SampleFilter
+from imumon.papers.local_level import (
+    LEAST_MEANS,
+    SLOT_S,
+    ExponentialMean,
+    LocalLevel,
+    RestMean,
+    RestMeans,
+    fit_local_level,
+    from_noise,
+    hold,
+    level_after,
+)
+from imumon.papers.sigma_points import SigmaPointFilter
+from imumon.papers.slot_stage import SlotStage, at_rest, gyro_predictor
 from imumon.run.paper_parameters import RandomErrorParameters
 
 AXES = "xyz"
@@ -90,19 +98,18 @@ class Axis:
 
 def _begun(method: str, local: LocalLevel, level: float, variance: float, interval_s: float) -> SampleFilter:
     """Return a filter that begins at a level in rad/s, with R and δ¹ of the noise; δ² = 0, φ = 0."""
-    noise, process = local.noise_variance(interval_s), local.process_variance(interval_s)
+    noise, process = local.white / interval_s, local.walk * interval_s
     delta1 = math.sqrt(process)
     # R bounds the start as well: a wide one would be over the limit of the risk.
     variance = min(variance, 0.5 * noise)
+    model = Model((level, level, 0.0, delta1, 0.0), (variance, variance, PHI_VARIANCE, 0.0, 0.0), noise)
     if method == LINEAR:
-        linear = ModelL(0.0, delta1, 0.0, (level, level), (variance, variance), noise)
-        return LinearFilter(linear, SOFTENING)
+        return LinearFilter(model, SOFTENING)
     mu = RISK / (2.0 * (noise + process)) if method == RISK_SENSITIVE else 0.0
-    model = ModelNL((level, level, 0.0, delta1, 0.0), (variance, variance, PHI_VARIANCE, 0.0, 0.0), noise)
     return SigmaPointFilter(model, (mu, 0.0, 0.0, 0.0, 0.0), PHI_LIMIT)
 
 
-class RandomErrorMethods:
+class RandomErrorMethods(SlotStage):
     """The published filters of the random error, with the means that they must beat.
 
     Columns are ``{method}_random_error_{axis}`` and ``{method}_random_error_sd_{axis}`` in rad/s, φ as
@@ -124,10 +131,9 @@ class RandomErrorMethods:
         given: RandomErrorParameters | None = None,
         model: BiasModel | None = None,
     ) -> None:
+        super().__init__(len(AXES), SLOT_S, (len(MEANS), len(AXES)))
         self.methods, self._given = methods, given or RandomErrorParameters()
-        self._modelled = [f"gyro_{a}" for a in AXES if model is not None and f"gyro_{a}" in model.channels]
-        self._predictor = BiasPredictor(model, self._modelled) if model is not None else None
-        self._gatherer = SlotGatherer(len(AXES), round(SLOT_S * 1e9))
+        self._predictor, self._modelled = gyro_predictor(model)
         self._means = RestMeans()
         noise: dict[str, LocalLevel] = {
             channel: from_noise(one.angle_random_walk, one.bias_instability, one.rate_random_walk)
@@ -135,7 +141,6 @@ class RandomErrorMethods:
         }
         mean_s, hold_s = self._given.mean_s, self._given.hold_s
         self._axes = {a: Axis(noise.get(f"gyro_{a}"), ExponentialMean(mean_s), hold(hold_s)) for a in AXES}
-        self._shown = Shown((len(MEANS), len(AXES)))
         self._last_ns: int | None = None
         self._retired = self._given.retired
 
@@ -163,12 +168,11 @@ class RandomErrorMethods:
         Needs ``device_time_ns`` and ``segment``; uses the gyros, ``at_rest``, and the temperatures of the
         model.
         """
-        n, times, segment = len(block), block["device_time_ns"], block["segment"]
+        n, times = len(block), block["device_time_ns"]
         found = {column.name: np.full(n, np.nan) for column in self.columns}
         readings = self._readings(block)
-        slots = self._gatherer.process(times, segment, readings)
+        slots, breaks = self.slots(block, readings)
         rows, means = slots.row.tolist(), self._means.process(slots)
-        breaks = self._shown.breaks(block)
         steps_ns = np.diff(times, prepend=times[:1] if self._last_ns is None else self._last_ns)
         shown = np.empty((len(means), len(MEANS), len(AXES)))
         for j, (name, axis) in enumerate(self._axes.items()):
@@ -182,7 +186,7 @@ class RandomErrorMethods:
                 else:
                     axis.filters = {}
             self._filter(name, slice(at, n), readings[:, j], steps_ns, found)
-        values = self._shown.spread(slots.row, shown, breaks, n)
+        values = self.spread(slots.row, shown, breaks, n)
         for i, (column, _) in enumerate(MEANS):
             for j, name in enumerate(AXES):
                 found[f"{column}_{name}"] = values[:, i, j]
@@ -215,13 +219,9 @@ class RandomErrorMethods:
         """Return the rates less the thermal bias, (n, 3), NaN where the unit is not at rest."""
         none = np.full(len(block), np.nan)
         readings = np.column_stack([block.columns.get(f"gyro_{axis}", none) for axis in AXES])
-        rest = np.full(len(block), self._given.assume_rest)
-        if "at_rest" in block:
-            rest = (block["at_rest"] != 0) & (block["at_rest"] != NO_INT)
-        readings[~rest] = np.nan
+        readings[~at_rest(block, self._given.assume_rest)] = np.nan
         if self._predictor is not None:
-            bias = self._predictor.of_block(block).bias
-            readings[:, [AXES.index(name[-1]) for name in self._modelled]] -= bias
+            readings[:, self._modelled] -= self._predictor.of_block(block).bias
         return readings
 
     def notices(self) -> list[str]:

@@ -26,12 +26,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from imumon.blocks import NO_INT, ColumnArray, FloatArray, SampleBlock
+from imumon.blocks import ColumnArray, FloatArray, SampleBlock
 from imumon.columns import Column
-from imumon.filters.slots import SlotGatherer
 from imumon.filters.turns import rotation_by
 from imumon.geodesy import EARTH_RATE, STANDARD_GRAVITY, heading_of
-from imumon.papers.shown import Shown
+from imumon.papers.slot_stage import SlotStage, inertial
 
 SLOT_S = 0.125
 """The loop follows errors of minutes; faster than this it only passes on noise, which the means take away."""
@@ -39,17 +38,16 @@ LONGEST_GAP_S = 2.0
 """After a longer gap the alignment begins anew."""
 LOOP, AVERAGE, CURVE = "fixed_gain_loop", "total_average", "curve_fit"
 METHODS = (LOOP, AVERAGE, CURVE)
-COLUMNS = (
-    Column(f"{LOOP}_heading", "rad", description="heading by the control rates of now"),
-    Column(f"{LOOP}_control_rate_east", "rad/s", description="control rate east of the fixed-gain loop"),
-    Column(f"{LOOP}_control_rate_north", "rad/s", description="control rate north of the fixed-gain loop"),
-    Column(f"{AVERAGE}_heading", "rad", description="heading by the total average of the control rates"),
-    Column(
-        f"{CURVE}_heading", "rad", description="heading by the line through the integral of the control rates"
-    ),
+COLUMNS = tuple(
+    Column(name, unit, description=text)
+    for name, unit, text in (
+        (f"{LOOP}_heading", "rad", "heading by the control rates of now"),
+        (f"{LOOP}_control_rate_east", "rad/s", "control rate east of the fixed-gain loop"),
+        (f"{LOOP}_control_rate_north", "rad/s", "control rate north of the fixed-gain loop"),
+        (f"{AVERAGE}_heading", "rad", "heading by the total average of the control rates"),
+        (f"{CURVE}_heading", "rad", "heading by the line through the integral of the control rates"),
+    )
 )
-
-
 COARSE_S = 30.0
 """s of averaging that the loop starts from."""
 CORNER, DAMPING = 4.0 * math.pi, 0.7
@@ -178,7 +176,7 @@ class State:
         return np.array([heading[0], *self.control, *heading[1:]])
 
 
-class SelfAlignment:
+class SelfAlignment(SlotStage):
     """The published alignment as a stage; it begins anew after motion, a gap or a restart of the device.
 
     Parameters
@@ -190,28 +188,22 @@ class SelfAlignment:
     """
 
     def __init__(self, latitude: float, methods: Sequence[str] = METHODS) -> None:
+        super().__init__(7, SLOT_S, [len(COLUMNS)])
         self._earth = earth_rate(latitude)
         self.columns = [column for column in COLUMNS if column.name.startswith(tuple(methods))]
-        self._gatherer = SlotGatherer(7, round(SLOT_S * 1e9))
         self._state = State()
         self._middle_ns = 0
-        self._shown = Shown([len(COLUMNS)])
 
     def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
         """Return the new columns of a block, NaN where there is no heading.
 
         Needs ``device_time_ns``, ``segment``, gyros and accelerometers; uses ``at_rest``.
         """
-        n, gyro, accel = len(block), block.gyro, block.accel
-        values = np.full((n, 7), np.nan)
-        if gyro is not None and accel is not None:
-            values[:, :3], values[:, 3:6] = gyro, accel
-        values[:, 6] = 1.0
+        rests = np.ones(len(block))
         if "at_rest" in block:
-            known = block["at_rest"]
-            values[:, 6] = (known != 0) | (known == NO_INT)
-        slots = self._gatherer.process(block["device_time_ns"], block["segment"], values)
-        outputs = np.empty((len(slots), len(COLUMNS)))
+            rests[block["at_rest"] == 0] = 0.0
+        slots, breaks = self.slots(block, np.column_stack([inertial(block), rests]))
+        results = np.empty((len(slots), len(COLUMNS)))
         for k in range(len(slots)):
             elapsed = (int(slots.middle_ns[k]) - self._middle_ns) * 1e-9
             self._middle_ns = int(slots.middle_ns[k])
@@ -223,11 +215,7 @@ class SelfAlignment:
                 # Whole slots: their middles differ by a sample as the samples fall.
                 interval = SLOT_S * max(round(elapsed / SLOT_S), 1)
                 self._state.take(self._earth, mean[:3], mean[3:6], interval)
-            outputs[k] = self._state.results(self._earth)
-        shown = self._shown.spread(slots.row, outputs, self._shown.breaks(block), n)
+            results[k] = self._state.results(self._earth)
+        shown = self.spread(slots.row, results, breaks, len(block))
         found = {column.name: values for column, values in zip(COLUMNS, shown.T, strict=True)}
         return {column.name: found[column.name] for column in self.columns}
-
-    def notices(self) -> list[str]:
-        """Return nothing: the paper reports no faults."""
-        return []

@@ -16,17 +16,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from imumon.blocks import FloatArray, IntArray
 from imumon.compiled import njit
-from imumon.papers.linear import SampleFilter, Series
+from imumon.papers.linear import Model, SampleFilter, Series
 
-STATES = ("x", "x_before", "phi", "delta1", "delta2")
-N = len(STATES)
+N = 5
 X, BEFORE, PHI, DELTA1, DELTA2 = range(N)
 """Places of the states in X."""
 NOISES = 2
@@ -38,17 +36,6 @@ STEP_CEILING = 0.9999
 """2 μ_i P_ii may not be more in any step; μ_i is shrunk for the step when it would."""
 REGULAR = 1.5
 """A step of so many intervals or more is a gap: φ says nothing of it."""
-
-
-@dataclass(frozen=True, slots=True)
-class ModelNL:
-    """Where model NL begins."""
-
-    mean: Sequence[float]
-    variance: Sequence[float]
-    """X and the diagonal of its covariance, in the unit of the data and its square (φ has none)."""
-    noise_variance: float
-    """R, of one measurement."""
 
 
 class Settings(NamedTuple):
@@ -216,8 +203,7 @@ class SigmaPointFilter(SampleFilter):
 
     Parameters
     ----------
-    model : ModelNL
-        Mean and covariance to start from, and R.
+    model : Model
     risk : sequence of 5 float
         Diagonal of μ in 1/unit²; zero for φ, δ¹ and δ², which nothing measures.
     phi_limit : float
@@ -226,9 +212,7 @@ class SigmaPointFilter(SampleFilter):
 
     _run = _run
 
-    def __init__(
-        self, model: ModelNL, risk: Sequence[float] = (0.0,) * N, phi_limit: float = math.inf
-    ) -> None:
+    def __init__(self, model: Model, risk: Sequence[float] = (0.0,) * N, phi_limit: float = math.inf) -> None:
         self.settings = Settings(model.noise_variance, np.array(risk, np.float64), phi_limit)
         factor = np.diag(np.sqrt(np.array(model.variance, np.float64)))
         self.state = State(np.array(model.mean, np.float64), factor, np.zeros(1, np.int64))

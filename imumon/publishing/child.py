@@ -10,21 +10,23 @@ import json
 import socket
 import time
 from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import replace
 from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING
 
-from imumon.publishing.messages import STATE, Message, Published, Value, messages
+from imumon.publishing.messages import Message, Published, Value, messages
 from imumon.publishing.publisher import Delivery
 from imumon.publishing.target import Target
 from imumon.view.fed import serve
-from imumon.view.items import ViewSetup
+from imumon.view.items import Instant, State, ViewSetup
 
 if TYPE_CHECKING:
     from imumon.publishing.foxglove import Foxglove
     from imumon.publishing.ros2 import Ros2
 
 REPEAT_S = 1.0
-"""How often states are said again."""
+"""How often states are sent again, for who came later: every message of a state has all of them."""
 REPORT_S = 0.25
 """How often the measuring process is told how it goes: as often as its status line is drawn."""
 BURST_BYTES = 1 << 16
@@ -55,11 +57,6 @@ class UdpJson:
                 time.sleep(PAUSE_S)
                 burst = 0
         return failed
-
-    def repeat(self, time_ns: int) -> None:
-        """Send the states again."""
-        if self._states:
-            self._put(_datagram(Message(STATE, time_ns, self._states)))
 
     def close(self) -> None:
         """Close the socket; the system sends what it has taken."""
@@ -101,23 +98,23 @@ def run(stream: Connection, out: Connection) -> None:
     """Send what comes until the stream ends."""
     outlet = make_outlet(*stream.recv())
     taken = failed = 0
+    state: State | None = None
     repeated_s = reported_s = time.monotonic()
-    while True:
-        if stream.poll(REPORT_S):
-            try:
+    with suppress(EOFError):
+        while True:
+            if stream.poll(REPORT_S):
                 items = stream.recv()
-            except EOFError:
-                outlet.close()
+                failed += outlet.send(items)
+                taken += sum(item.rows for item in items)
+                state = next((item for item in reversed(items) if isinstance(item, State)), state)
+            if state is not None and time.monotonic() - repeated_s >= REPEAT_S:
+                repeated_s = time.monotonic()
+                outlet.send([replace(state, at=Instant(None, None, time.time_ns()))])
+            if time.monotonic() - reported_s >= REPORT_S:
+                reported_s = time.monotonic()
                 out.send(Delivery(outlet.text, sent=taken - failed, dropped=failed))
-                return
-            failed += outlet.send(items)
-            taken += sum(item.rows for item in items)
-        if time.monotonic() - repeated_s >= REPEAT_S:
-            repeated_s = time.monotonic()
-            outlet.repeat(time.time_ns())
-        if time.monotonic() - reported_s >= REPORT_S:
-            reported_s = time.monotonic()
-            out.send(Delivery(outlet.text, sent=taken - failed, dropped=failed))
+    outlet.close()
+    out.send(Delivery(outlet.text, sent=taken - failed, dropped=failed))
 
 
 if __name__ == "__main__":

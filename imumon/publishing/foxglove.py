@@ -11,7 +11,7 @@ from foxglove.channels import LogChannel
 from foxglove.messages import Log as FoxgloveLog
 from foxglove.messages import LogLevel, Timestamp
 
-from imumon.columns import KNOWN
+from imumon.columns import KNOWN, Column
 from imumon.errors import ImumonError, Reason
 from imumon.publishing.messages import LOG, STATE, Message, Published, Value, messages, topic_of
 from imumon.publishing.target import Target
@@ -59,13 +59,8 @@ class Foxglove:
             if message.topic == LOG:
                 self._log.log(_log(message), log_time=message.time_ns)
             else:
-                self._put(message)
+                self._channels[message.topic].log(dict(message.values), log_time=message.time_ns)
         return 0
-
-    def repeat(self, time_ns: int) -> None:
-        """Say the states again."""
-        if self._states:
-            self._put(Message(STATE, time_ns, self._states))
 
     def close(self) -> None:
         """End the server."""
@@ -90,18 +85,14 @@ class Foxglove:
         """Return the properties of a JSON schema: unit and meaning of each column."""
         found = {}
         for name in sorted(columns):
-            known = KNOWN.get(name)
-            unit = self._units.get(name) or (known.unit if known is not None else "1")
-            meaning = known.description if known is not None else ""
-            found[name] = {"type": "number", "description": f"{unit}: {meaning}" if meaning else unit}
+            known = KNOWN.get(name, Column(name, "1"))
+            texts = (self._units.get(name) or known.unit, known.description)
+            found[name] = {"type": "number", "description": ": ".join(filter(None, texts))}
         return found
 
     def _channel(self, topic: str, properties: Mapping[str, Any]) -> foxglove.Channel:
         schema = {"type": "object", "title": f"imumon.{topic}", "properties": properties}
         return foxglove.Channel(f"/{topic}", schema=schema, context=self._context)
-
-    def _put(self, message: Message) -> None:
-        self._channels[message.topic].log(dict(message.values), log_time=message.time_ns)
 
 
 def _log(message: Message) -> FoxgloveLog:

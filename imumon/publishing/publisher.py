@@ -97,7 +97,11 @@ class Publishers:
 
     def __init__(self, publishers: Sequence[Publisher]) -> None:
         self._publishers = publishers
-        self._reported: dict[Publisher, str] = {}
+        self._reported: dict[Target, str] = {}
+
+    @property
+    def _states(self) -> list[tuple[Target, Delivery]]:
+        return [(one.target, one.state) for one in self._publishers]
 
     @property
     def publish(self) -> list[Callable[[ViewItem], None]]:
@@ -108,35 +112,30 @@ class Publishers:
     def text(self) -> str:
         """The part of a status line: where it goes, and what of it was dropped."""
         texts = []
-        for one in self._publishers:
-            state = one.state
+        for target, state in self._states:
             dropped = f", {state.dropped:,} dropped" if state.dropped else ""
             text = f"{state.sent:,} sent{dropped}" if state.ready else state.text
-            texts.append(f"  {one.target.kind}: {text}")
+            texts.append(f"  {target.kind}: {text}")
         return "".join(texts)
 
     @property
     def as_data(self) -> dict[str, object]:
         """What the command reports with --json."""
-        states = [(str(one.target), one.state) for one in self._publishers]
-        return {
-            "published": [{"to": to, "sent": state.sent, "dropped": state.dropped} for to, state in states]
-        }
+        states = self._states
+        return {"published": [{"to": str(to), "sent": of.sent, "dropped": of.dropped} for to, of in states]}
 
     @property
     def rows(self) -> dict[str, str]:
         """The row of the summary."""
-        states = [(one.target, one.state) for one in self._publishers]
-        texts = [f"{to}: {state.sent:,} sent, {state.dropped:,} dropped" for to, state in states]
+        texts = [f"{to}: {of.sent:,} sent, {of.dropped:,} dropped" for to, of in self._states]
         return {"published": "; ".join(texts)} if texts else {}
 
     def announce(self, tell: Callable[[str, str], None]) -> None:
         """Say how it goes, when that changes, and when the first is dropped."""
-        for one in self._publishers:
-            state = one.state
-            text = f"{one.target}: {state.text}" + (", some are dropped" if state.dropped else "")
-            if text != self._reported.get(one, ""):
-                self._reported[one] = text
+        for target, state in self._states:
+            text = f"{target}: {state.text}" + (", some are dropped" if state.dropped else "")
+            if text != self._reported.get(target, ""):
+                self._reported[target] = text
                 tell("INFO" if state.ready and not state.dropped else "WARN", f"published to {text}")
 
     def close(self) -> None:

@@ -55,9 +55,6 @@ class Ros2:
                     failed += not self._publish(topic, kind, message)
         return failed
 
-    def repeat(self, _: int) -> None:
-        """Do nothing: there are no states."""
-
     def close(self) -> None:
         """End the node."""
         self._node.destroy_node()
@@ -85,14 +82,10 @@ class Ros2:
         return True
 
 
-def _as_ros(values: Message) -> Message:
-    """Return the fields as Python has them in ROS, where a byte is of type bytes."""
-    return {name: _value(name, value) for name, value in values.items()}
-
-
-def _value(name: str, value: Any) -> Any:
+def _as_ros(value: Any, name: str = "") -> Any:
+    """Return a field as Python has it in ROS, where a byte is of type bytes."""
     if isinstance(value, dict):
-        return _as_ros(value)
+        return {key: _as_ros(one, key) for key, one in value.items()}
     if isinstance(value, list) and value and isinstance(value[0], dict):
         return [_as_ros(one) for one in value]
     return bytes([value]) if name == "level" else value

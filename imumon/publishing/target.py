@@ -6,13 +6,12 @@ import importlib.util
 import ipaddress
 import socket
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal
 
 from imumon.errors import ImumonError, Reason, missing_package
 from imumon.view.viewer import LOCALHOST
 
 Kind = Literal["udp-json", "foxglove", "ros2"]
-KINDS: tuple[Kind, ...] = get_args(Kind)
 PORTS: dict[Kind, int] = {"udp-json": 9870, "foxglove": 8765, "ros2": 0}
 """What PlotJuggler and Foxglove propose; ROS finds its readers by itself."""
 NETWORK = "network"
@@ -56,10 +55,10 @@ def parse_target(text: str) -> Target:
     Raises BAD_CONFIG when it cannot be read, the host is not known, or a package is missing.
     """
     name, _, address = text.partition("=")
-    kind = next((one for one in KINDS if one == name), None)
+    kind = next((one for one in PORTS if one == name), None)
     if kind is None:
         raise ImumonError(
-            Reason.BAD_CONFIG, f"--publish {text}: there is no {name!r}", f"one of: {', '.join(KINDS)}"
+            Reason.BAD_CONFIG, f"--publish {text}: there is no {name!r}", f"one of: {', '.join(PORTS)}"
         )
     _need_packages(kind)
     if kind == "ros2":

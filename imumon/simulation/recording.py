@@ -54,10 +54,23 @@ def record_session(
     refuse_overload(device, scenario)
     text = yaml.safe_dump(scenario.model_dump(exclude_defaults=True), sort_keys=False, allow_unicode=True)
     with whole_session(folder) as partial:
-        session = create_session(partial, _metadata(scenario, device, device_yaml, seed))
+        metadata = SessionMetadata.begun(
+            "simulation",
+            START_NS,
+            device=device.name,
+            axes=device.axes,
+            device_yaml=device_yaml,
+            port=PortUsed(
+                url=f"simulation: {scenario.title}",
+                settings={"seed": seed, "rate_hz": scenario.rate_hz, "duration_s": scenario.duration_s},
+            ),
+        )
+        session = create_session(partial, metadata)
         write_text(partial / SCENARIO_NAME, text)
         if scenario.chamber.log is not None:
-            _write_chamber(scenario, seed, partial / CHAMBER_NAME)
+            rows, heads = np.column_stack(chamber_log(scenario, seed)), "time_s,wall_degc,case_degc"
+            path = partial / CHAMBER_NAME
+            np.savetxt(path, rows, fmt="%.3f", delimiter=",", header=heads, comments="")
         closed = _record(session, scenario, device, seed, progress)
         session.save(closed)
     return Session(folder, closed)
@@ -112,12 +125,6 @@ def write_table(scenario: Scenario, seed: int, path: Path, progress: Progress) -
     return scenario.samples
 
 
-def _write_chamber(scenario: Scenario, seed: int, path: Path) -> None:
-    time_s, read = chamber_log(scenario, seed)
-    rows = np.column_stack([time_s, read])
-    np.savetxt(path, rows, fmt="%.3f", delimiter=",", header="time_s,wall_degc,case_degc", comments="")
-
-
 def _sizes(scenario: Scenario) -> Iterator[int]:
     """Yield the numbers of samples of the parts in which a scenario is computed."""
     for first in range(0, scenario.samples, CHUNK):
@@ -143,17 +150,3 @@ class _Arrivals:
         for begin, end, arrival_ns in zip(begins.tolist(), ends, arrival.tolist(), strict=True):
             yield Bytes(b"".join(packets[begin:end]), arrival_ns)
         self.last_ns = int(arrival[-1])
-
-
-def _metadata(scenario: Scenario, device: DeviceFile, device_yaml: str, seed: int) -> SessionMetadata:
-    return SessionMetadata.begun(
-        "simulation",
-        START_NS,
-        device=device.name,
-        axes=device.axes,
-        device_yaml=device_yaml,
-        port=PortUsed(
-            url=f"simulation: {scenario.title}",
-            settings={"seed": seed, "rate_hz": scenario.rate_hz, "duration_s": scenario.duration_s},
-        ),
-    )

@@ -8,6 +8,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
@@ -44,7 +45,7 @@ def refuse_overload(device: DeviceFile, scenario: Scenario) -> None:
         )
 
 
-class VirtualDevice:
+class VirtualDevice(AbstractContextManager["VirtualDevice"]):
     """Sends the packets of a device in real time from its own thread until it is closed.
 
     Raises BAD_CONFIG when the packets do not fit through the line at this rate.
@@ -102,10 +103,6 @@ class VirtualDevice:
         self._closing.set()
         self._thread.join()
         self.port.close()
-
-    def __enter__(self) -> VirtualDevice:
-        """Return the device, which sends already."""
-        return self
 
     def __exit__(self, *_: object) -> None:
         """Close the device."""

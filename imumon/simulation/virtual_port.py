@@ -8,7 +8,6 @@ can be pulled.  Needs Linux.
 from __future__ import annotations
 
 import array
-import contextlib
 import fcntl
 import math
 import os
@@ -17,6 +16,7 @@ import termios
 import threading
 import time
 import tty
+from contextlib import AbstractContextManager, suppress
 from pathlib import Path
 
 from imumon.errors import ImumonError, Reason
@@ -39,7 +39,7 @@ _TERMIOS2_INTS = 64  # 11 are used
 _CFLAG, _ISPEED, _OSPEED = 2, 9, 10  # position of these ints
 
 
-class VirtualPort:
+class VirtualPort(AbstractContextManager["VirtualPort"]):
     """A device on a cable; the host opens `path` as it would open ``/dev/ttyUSB0``.
 
     Raises EXISTS when there is something under the name of the link, unless it is a link that leads nowhere,
@@ -167,10 +167,6 @@ class VirtualPort:
         self._thread.join()
         self.unplug()
 
-    def __enter__(self) -> VirtualPort:
-        """Return the port itself."""
-        return self
-
     def __exit__(self, *_: object) -> None:
         """Close the port."""
         self.close()
@@ -227,7 +223,7 @@ class VirtualPort:
             self.bytes_lost += len(data)
             return
         sampled, taken = self._as_sampled(data), 0
-        with contextlib.suppress(BlockingIOError):
+        with suppress(BlockingIOError):
             taken = os.write(self._master, sampled)
         self.bytes_overrun += len(sampled) - taken
         self.bytes_sent += len(data)

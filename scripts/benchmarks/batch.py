@@ -12,8 +12,7 @@ from typing import Any
 from study import Cells, Table
 
 from benchmarks.measure import Bar, Result
-from imumon.fleet.batch.dataset import Dataset, Row
-from imumon.fleet.batch.options import BatchOptions
+from imumon.fleet.batch.dataset import BatchOptions, Dataset, Row
 from imumon.fleet.batch.running import run_jobs, workers
 from imumon.fleet.batch.tasks import Job, work
 from imumon.protocols.device import device_text, parse_device

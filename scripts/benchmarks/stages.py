@@ -23,9 +23,9 @@ from imumon.allan.streaming import StreamingAllan
 from imumon.blocks import SampleBlock
 from imumon.estimation.gyro_bias.stage import GyroBias
 from imumon.papers.dense_zupt import DenseSettings
-from imumon.papers.linear import LinearFilter, ModelL
+from imumon.papers.linear import LinearFilter, Model
 from imumon.papers.random_error import RandomErrorMethods
-from imumon.papers.sigma_points import ModelNL, SigmaPointFilter
+from imumon.papers.sigma_points import SigmaPointFilter
 from imumon.run.paper_parameters import RandomErrorParameters
 
 RATE_HZ = 100
@@ -74,8 +74,8 @@ def random_error() -> Result:
     reading = math.sqrt(noise) * np.random.default_rng(0).standard_normal(n)
     vector = np.repeat(np.radians(reading)[:, np.newaxis], 3, axis=1)
     record = sent(np.arange(n) / RATE_HZ, gyro=vector, at_rest=np.ones(n))
-    linear = ModelL(0.0, delta, 0.0, (0.0, 0.0), (1e-3, 1e-3), noise)
-    model = ModelNL((0.0, 0.0, 0.0, delta, 0.0), (1e-3, 1e-3, 0.01, 1e-6, 1e-6), noise)
+    linear = Model((0.0, 0.0, 0.0, delta, 0.0), (1e-3, 1e-3, 0.0, 0.0, 0.0), noise)
+    model = Model((0.0, 0.0, 0.0, delta, 0.0), (1e-3, 1e-3, 0.01, 1e-6, 1e-6), noise)
     risks = (0.5 / (2 * (noise + delta**2)), 0.0, 0.0, 0.0, 0.0)
     stage = partial(RandomErrorMethods, ("sr_rsukf",), RandomErrorParameters(learn_s=10.0))
     cost = microseconds(

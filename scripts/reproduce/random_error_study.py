@@ -15,10 +15,9 @@ from study import Options, Study, Table, rms
 
 from imumon.blocks import FloatArray
 from imumon.estimation.gyro_bias.stage import GyroBias
-from imumon.papers.linear import LinearFilter, ModelL
-from imumon.papers.local_level import means_of
-from imumon.papers.rest_means import ExponentialMean, hold
-from imumon.papers.sigma_points import ModelNL, SigmaPointFilter
+from imumon.papers.linear import LinearFilter, Model
+from imumon.papers.local_level import ExponentialMean, hold, means_of
+from imumon.papers.sigma_points import SigmaPointFilter
 
 RATE_HZ = 100
 WHITE_HZ, LOW_PASS_HZ = 1000, 40.0
@@ -74,17 +73,15 @@ def simulate(seconds: float, seed: int) -> Record:
 def published(name: str, delta: float, record: Record) -> Output:
     """Run a method of the paper, or the plain Kalman filter on model L as "KF"."""
     reading = record.reading
-    start = float(np.mean(reading[:RATE_HZ]))
+    start, spread = float(np.mean(reading[:RATE_HZ])), (0.1 * delta) ** 2
+    variances = (VARIANCE / 100, VARIANCE / 100, 0.01, spread, spread)
+    model = Model((start, start, 0.0, delta, 0.0), variances, VARIANCE)
     if name in ("STF", "KF"):
-        model = ModelL(0.0, delta, 0.0, (start, start), (VARIANCE / 100, VARIANCE / 100), VARIANCE)
         found = LinearFilter(model, 1.0 if name == "STF" else None).process(reading)
         return Output(found.predicted, found.estimate, found.sd)
     risk = float(name.split()[1]) if " " in name else 0.0
-    spread = (0.1 * delta) ** 2
-    variances = (VARIANCE / 100, VARIANCE / 100, 0.01, spread, spread)
-    nonlinear = ModelNL((start, start, 0.0, delta, 0.0), variances, VARIANCE)
     mu = risk / (2 * (VARIANCE + delta**2))
-    result = SigmaPointFilter(nonlinear, (mu, 0.0, 0.0, 0.0, 0.0)).process(reading)
+    result = SigmaPointFilter(model, (mu, 0.0, 0.0, 0.0, 0.0)).process(reading)
     return Output(result.predicted, result.estimate, result.sd)
 
 
@@ -103,7 +100,8 @@ def slow(name: str, rest: FloatArray, record: Record) -> Output:
     time_ns = np.rint(time_s * 1e9).astype(np.int64)
     means = means_of(time_ns, np.where(rest > 0, record.reading, np.nan))
     kind, seconds, _ = name.split()
-    values = (hold if kind == "hold" else ExponentialMean)(float(seconds)).process(means)
+    mean = (hold if kind == "hold" else ExponentialMean)(float(seconds))
+    values = np.array([mean.step(new) for new in means])
     shown = np.append(np.nan, values)[np.minimum(time_ns // 1_000_000_000, len(values))]
     return Output(shown, shown, np.full(n, np.nan))
 

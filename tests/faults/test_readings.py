@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from imumon.allan.recording import read_channels
 from imumon.estimation.gyro_bias.stage import RestDetector
-from imumon.fleet.batch.options import BatchOptions
+from imumon.fleet.batch.dataset import BatchOptions
 from imumon.fleet.batch.tasks import Job, work
 from imumon.lab.calibration.calibration import calibrate
 from imumon.lab.calibration.record import read_session

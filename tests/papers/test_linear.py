@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from imumon.blocks import FloatArray
-from imumon.papers.linear import LinearFilter, ModelL
+from imumon.papers.linear import LinearFilter, Model
 from tests.papers.plain_filters import CHECK_ROWS, check_signal
 
-CHECK = ModelL(0.3, 0.05, 0.02, (0.0, 0.0), (0.1, 0.1), 0.1)
+CHECK = Model((0.0, 0.0, 0.3, 0.05, 0.02), (0.1, 0.1, 0.0, 0.0, 0.0), 0.1)
 Q = 0.05**2 + 0.02**2
 
 
@@ -51,7 +51,7 @@ def batch(
 def test_the_filter_is_the_batch_fit_of_all_readings_so_far(phi: float) -> None:
     z = check_signal()[:80]
     expected, variance = batch(z, phi, Q, 0.1, 0.1)
-    result = LinearFilter(ModelL(phi, 0.05, 0.02, (0.0, 0.0), (0.1, 0.1), 0.1)).process(z)
+    result = LinearFilter(Model((0.0, 0.0, phi, 0.05, 0.02), (0.1, 0.1, 0.0, 0.0, 0.0), 0.1)).process(z)
     np.testing.assert_allclose(result.estimate, expected, rtol=0, atol=1e-10)
     np.testing.assert_allclose(result.sd**2, variance, rtol=0, atol=1e-10)
 

@@ -10,14 +10,16 @@ from scipy.stats import multivariate_normal
 
 from imumon.errors import ImumonError
 from imumon.papers.local_level import (
+    ExponentialMean,
     LocalLevel,
+    RestMean,
     deviances,
     fit_local_level,
     from_noise,
+    hold,
     level_after,
     means_of,
 )
-from imumon.papers.rest_means import ExponentialMean, RestMean, hold
 
 RNG = np.random.default_rng(0)
 
@@ -75,8 +77,7 @@ def test_known_noise_gives_the_walk_of_the_best_average() -> None:
     flicker = from_noise(1e-4, 1e-5, None)
     h = (1e-5**2 / (math.pi / math.log(10))) / math.log(10) / 1e-8
     assert flicker.walk == pytest.approx((2 * h) ** 2 * 1e-8)
-    assert flicker.noise_variance(0.01) == pytest.approx(1e-6)
-    assert flicker.process_variance(0.01) == pytest.approx(flicker.walk * 0.01)
+    assert flicker.white / 0.01 == pytest.approx(1e-6)
 
 
 def test_means_of_a_recording_leave_out_seconds_that_are_mostly_missing() -> None:
@@ -92,7 +93,7 @@ def test_means_of_a_recording_leave_out_seconds_that_are_mostly_missing() -> Non
 def test_the_exponential_mean_is_the_plain_mean_first_and_the_hold_stays() -> None:
     values = RNG.normal(size=300).tolist()
     fading, held = ExponentialMean(100.0), hold(60.0)
-    shown, kept = fading.process(seconds(values)), held.process(seconds(values))
+    shown, kept = (np.array([mean.step(new) for new in seconds(values)]) for mean in (fading, held))
     np.testing.assert_allclose(shown[:100], np.cumsum(values)[:100] / np.arange(1, 101), rtol=1e-9)
     step = shown[200] - shown[199]
     assert step == pytest.approx((1 - math.exp(-0.01)) * (values[200] - shown[199]))

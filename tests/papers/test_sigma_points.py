@@ -10,24 +10,23 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from imumon.blocks import FloatArray
-from imumon.papers.linear import LinearFilter, ModelL
+from imumon.papers.linear import LinearFilter, Model
 from imumon.papers.sigma_points import (
-    ModelNL,
     SigmaPointFilter,
     take_risk,
 )
 from tests.papers.plain_filters import CHECK_ROWS, SevenStates, check_signal
 
-CHECK = ModelNL((0.0, 0.0, 0.3, 0.05, 0.02), (0.1, 0.1, 0.01, 1e-4, 1e-4), 0.1)
+CHECK = Model((0.0, 0.0, 0.3, 0.05, 0.02), (0.1, 0.1, 0.01, 1e-4, 1e-4), 0.1)
 
 
 def on_x(mu: float) -> tuple[float, ...]:
     return (mu, 0.0, 0.0, 0.0, 0.0)
 
 
-def known(phi: float, delta: float, noise: float, start: float = 0.1) -> ModelNL:
+def known(phi: float, delta: float, noise: float, start: float = 0.1) -> Model:
     """Return a model whose parameters are certain: linear."""
-    return ModelNL((0.0, 0.0, phi, delta, 0.0), (start, start, 0.0, 0.0, 0.0), noise)
+    return Model((0.0, 0.0, phi, delta, 0.0), (start, start, 0.0, 0.0, 0.0), noise)
 
 
 @pytest.mark.parametrize(
@@ -46,7 +45,7 @@ def test_check_values(mu: float, x: list[float], phi: float) -> None:
 @pytest.mark.parametrize("mu", [0.0, 1.0])
 @pytest.mark.parametrize("phi", [0.3, 0.0, -0.6])
 def test_five_states_equal_seven(mu: float, phi: float) -> None:
-    model = ModelNL((0.02, 0.0, phi, 0.05, 0.02), CHECK.variance, 0.1)
+    model = Model((0.02, 0.0, phi, 0.05, 0.02), CHECK.variance, 0.1)
     twin = SevenStates(np.array(model.mean), np.diag(model.variance), 0.1, np.array(on_x(mu)))
     fast = SigmaPointFilter(model, on_x(mu))
     z = check_signal()[:600]
@@ -74,7 +73,7 @@ def test_no_risk_is_the_unscented_filter_and_risk_is_not() -> None:
 @pytest.mark.parametrize("phi", [0.0, 0.4, -0.5])
 def test_a_linear_model_gives_the_plain_kalman_filter(phi: float) -> None:
     z = check_signal()
-    linear = LinearFilter(ModelL(phi, 0.03, 0.0, (0.0, 0.0), (0.1, 0.1), 0.1)).process(z)
+    linear = LinearFilter(Model((0.0, 0.0, phi, 0.03, 0.0), (0.1, 0.1, 0.0, 0.0, 0.0), 0.1)).process(z)
     result = SigmaPointFilter(known(phi, 0.03, 0.1)).process(z)
     np.testing.assert_allclose(result.estimate, linear.estimate, rtol=0, atol=1e-9)
     np.testing.assert_allclose(result.sd**2, linear.sd**2, rtol=0, atol=1e-9)
@@ -141,7 +140,7 @@ def test_risk_on_what_is_not_measured_escapes_within_its_time(mu: float) -> None
 
 def test_a_risk_too_large_for_a_step_is_shrunk_and_counted() -> None:
     z = np.concatenate([np.zeros(100), np.linspace(0, 500, 500), np.zeros(100)])
-    model = ModelNL((0.0, 0.0, 0.0, 0.01, 0.0), (1e-3, 1e-3, 0.1, 0.0, 0.0), 0.1)
+    model = Model((0.0, 0.0, 0.0, 0.01, 0.0), (1e-3, 1e-3, 0.1, 0.0, 0.0), 0.1)
     filtered = SigmaPointFilter(model, on_x(0.9 / 0.2))
     result = filtered.process(z)
     assert filtered.state.shrunk[0] > 0
@@ -188,7 +187,7 @@ def motion(n: int, rng: np.random.Generator) -> FloatArray:
 @pytest.mark.parametrize("share", [0.0, 0.95])
 def test_a_long_record_of_noise_steps_gaps_and_motion_leave_no_nan(share: float) -> None:
     z = motion(300_000, np.random.default_rng(3))
-    model = ModelNL((0.0, 0.0, 0.0, 1e-2, 0.0), (1e-3, 1e-3, 0.1, 1e-6, 1e-6), 0.1103)
+    model = Model((0.0, 0.0, 0.0, 1e-2, 0.0), (1e-3, 1e-3, 0.1, 1e-6, 1e-6), 0.1103)
     for limit in (math.inf, 0.9):
         filtered = SigmaPointFilter(model, on_x(share / (2 * 0.1104)), limit)
         result = filtered.process(z)
@@ -205,7 +204,7 @@ def test_motion_drives_phi_out_unless_it_is_frozen() -> None:
     z[moving] += 50 * np.sin(2 * np.pi * 2 * np.arange(4000) / 100)
     rest = np.ones(20_000, bool)
     rest[moving] = False
-    model = ModelNL((0.0, 0.0, 0.0, 1e-3, 0.0), (1e-3, 1e-3, 0.1, 0.0, 0.0), 0.1103)
+    model = Model((0.0, 0.0, 0.0, 1e-3, 0.0), (1e-3, 1e-3, 0.1, 0.0, 0.0), 0.1103)
     free = SigmaPointFilter(model).process(z)
     assert np.abs(free.phi).max() > 2.0
     frozen = SigmaPointFilter(model).process(np.where(rest, z, np.nan))

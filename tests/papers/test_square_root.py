@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from imumon.blocks import FloatArray
-from imumon.papers.square_root import fit, pull_back, update
+from imumon.papers.fir import fit, pull_back, update
 
 SIGMA = 0.0125
 

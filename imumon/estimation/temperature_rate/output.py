@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -25,15 +24,14 @@ LAG_S = 3.0
 Ablation."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class RateEstimate:
-    """Temperature and its rate with their standard deviations, one value per sample."""
+class RateEstimate(NamedTuple):
+    """Temperature and its rate with their standard deviations: °C, °C/s, °C and °C/s; NaN where unknown."""
 
     temperature: FloatArray
     rate: FloatArray
     temperature_sd: FloatArray
     rate_sd: FloatArray
-    """°C, °C/s, °C and °C/s, (n,); NaN where there is no estimate."""
+    """One value per sample, (n,)."""
 
 
 class RateMethod(Protocol):

@@ -22,6 +22,9 @@ class TemperatureRate:
     the names of the results.  `new_method` makes the method of a channel, the multiple-model filter.
     """
 
+    prefix, title = "", "estimated"
+    """Of the names and of the descriptions of the results."""
+
     def __init__(
         self,
         parameters: TemperatureRateParameters | None = None,
@@ -39,7 +42,19 @@ class TemperatureRate:
     @property
     def columns(self) -> Sequence[Column]:
         """The columns that `process` adds so far."""
-        return [column for name in self._methods for column in _columns(name)]
+        found = []
+        for name in self._methods:
+            suffix = name.removeprefix("temperature")
+            of, sd = (f" of {name}" if suffix else ""), "its standard deviation"
+            for result, unit, text in (
+                ("estimate", "degC", f"{self.title} temperature{of}"),
+                ("rate", "degC/s", f"{self.title} rate{of}"),
+                ("estimate_sd", "degC", sd),
+                ("rate_sd", "degC/s", sd),
+            ):
+                column = f"{self.prefix}temperature_{result}{suffix}"
+                found.append(Column(column, unit, description=text))
+        return found
 
     def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
         """Return the new columns of a block; NaN where there is no estimate.
@@ -69,7 +84,7 @@ class TemperatureRate:
             text = f"{name}: it leapt to {method.stuck_degc:g} °C, as no temperature does, and stuck there: "
             self._notices.setdefault(text + "taken for a fault of the thermometer until it changes", False)
         estimates = np.full((4, len(block)), np.nan)
-        estimates[:, begun] = found.temperature, found.rate, found.temperature_sd, found.rate_sd
+        estimates[:, begun] = found
         return estimates
 
     def notices(self) -> list[str]:
@@ -77,14 +92,3 @@ class TemperatureRate:
         texts = [text for text, returned in self._notices.items() if not returned]
         self._notices.update(dict.fromkeys(texts, True))
         return texts
-
-
-def _columns(channel: str) -> list[Column]:
-    suffix = channel.removeprefix("temperature")
-    of = f" of {channel}" if suffix else ""
-    return [
-        Column(f"temperature_estimate{suffix}", "degC", description=f"estimated temperature{of}"),
-        Column(f"temperature_rate{suffix}", "degC/s", description=f"estimated rate{of}"),
-        Column(f"temperature_estimate_sd{suffix}", "degC", description="its standard deviation"),
-        Column(f"temperature_rate_sd{suffix}", "degC/s", description="its standard deviation"),
-    ]

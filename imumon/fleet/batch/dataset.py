@@ -6,15 +6,16 @@ import fcntl
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import pyarrow as pa
 import pyarrow.parquet as pq
+from pydantic import Field
 
-from imumon.config import dump_yaml, load_yaml
+from imumon.config import StrictModel, dump_yaml, load_yaml
 from imumon.errors import ImumonError, Reason
 from imumon.files import replacing, write_text
-from imumon.fleet.batch.options import BatchOptions
+from imumon.models.curves.polynomial import CUBIC
 from imumon.recordings.source import RECORDING
 
 ROWS, SETTINGS_NAME, LOCK_NAME = "rows", "batch.yaml", ".lock"
@@ -24,54 +25,73 @@ WRITE_SHARE = 0.02
 batch loses at most that, and there are some fifty files for every factor of e in its length."""
 
 Row = Mapping[str, Any]
-_NUMBER, _TEXT = pa.float64(), pa.string()
-_WHAT = [
-    ("session", _TEXT),
-    ("device", _TEXT),
-    ("serial", _TEXT),
-    ("begun", pa.timestamp("ns", "UTC")),
-    ("channel", _TEXT),
-    ("unit", _TEXT),
-]
-_TEXTS = [("warnings", pa.list_(_TEXT)), ("reason", _TEXT), ("error", _TEXT)]
-_SAMPLES = [
-    ("samples", pa.int64()),
-    *((name, _NUMBER) for name in ("mean", "sd", "least", "greatest")),
-    ("duration_s", _NUMBER),
-    ("lost", pa.int64()),
-    ("file", _TEXT),
-]
+"""Of a session and a channel: the columns of `schema_of` that it has."""
+
+
+class BatchOptions(StrictModel):
+    """A command and its options, the same for all sessions; kept in the folder of the results.
+
+    Parameters
+    ----------
+    tables : bool
+        Whether decode and replay write the samples of every session as well.
+    pipeline_yaml : str or None
+        For replay, instead of what a session was recorded with.
+    latitude_deg, heading_deg : float or None
+        For calibrate: with which the earth rate is removed.
+    declared : str
+        For diagnose: the bias model that is assumed.
+    """
+
+    format: Literal["imumon-batch/1"] = "imumon-batch/1"
+    command: Literal["decode", "replay", "calibrate", "allan", "diagnose"]
+    tables: bool = False
+    pipeline_yaml: str | None = None
+    latitude_deg: float | None = Field(default=None, ge=-90, le=90)
+    heading_deg: float | None = Field(default=None, ge=-360, le=360)
+    declared: str = CUBIC
+
+
+_SAMPLES = ("samples", "mean", "sd", "least", "greatest", "duration_s", "lost", "file")
 _NOISE = ("angle_random_walk", "bias_instability", "rate_random_walk", "quantization", "rate_ramp",
     "correlated_noise", "correlation_time")  # fmt: skip
-RESULTS: dict[str, list[tuple[str, pa.DataType]]] = {
+RESULTS: dict[str, tuple[str, ...]] = {
     "decode": _SAMPLES,
-    "replay": [*_SAMPLES, ("identical_to_live", pa.bool_())],
-    "allan": [
-        *((name, _NUMBER) for term in _NOISE for name in (term, f"{term}_sd")),
-        *((name, _NUMBER) for name in ("lowest", "lowest_tau_s", "longest_tau_s", "rate_hz", "duration_s")),
-    ],
-    "calibrate": [
-        ("curve", _TEXT),
-        *((name, _NUMBER) for name in ("residual_sd", "held_out_rms", "fit_rms", "lag_rms", "rest_s")),
-        *((name, _NUMBER) for name in ("lowest_degc", "highest_degc")),
-        ("file", _TEXT),
-    ],
-    "diagnose": [
-        ("effects", pa.list_(_TEXT)),
-        ("unexplained", pa.bool_()),
-        *((name, _NUMBER) for name in ("explained_share", "noise_floor_rms")),
-        *((name, _NUMBER) for name in ("train_rms_before", "train_rms_after")),
-        *((name, _NUMBER) for name in ("test_rms_before", "test_rms_after")),
-        ("summary", _TEXT),
-        ("file", _TEXT),
-    ],
+    "replay": (*_SAMPLES, "identical_to_live"),
+    "allan": (
+        *(name for term in _NOISE for name in (term, f"{term}_sd")),
+        *("lowest", "lowest_tau_s", "longest_tau_s", "rate_hz", "duration_s"),
+    ),
+    "calibrate": (
+        *("curve", "residual_sd", "held_out_rms", "fit_rms", "lag_rms", "rest_s"),
+        *("lowest_degc", "highest_degc", "file"),
+    ),
+    "diagnose": (
+        *("effects", "unexplained", "explained_share", "noise_floor_rms"),
+        *("train_rms_before", "train_rms_after", "test_rms_before", "test_rms_after", "summary", "file"),
+    ),
 }
-"""What each command says of a channel, in SI units."""
+"""Columns of what each command says of a channel, in SI units."""
+_WHAT, _WHY = ("session", "device", "serial", "begun", "channel", "unit"), ("warnings", "reason", "error")
+_TYPES: dict[str, pa.DataType] = {
+    **dict.fromkeys((*_WHAT, *_WHY, "curve", "summary", "file"), pa.string()),
+    **dict.fromkeys(("warnings", "effects"), pa.list_(pa.string())),
+    **dict.fromkeys(("samples", "lost"), pa.int64()),
+    **dict.fromkeys(("identical_to_live", "unexplained"), pa.bool_()),
+    "begun": pa.timestamp("ns", "UTC"),
+}
+"""Of the columns that are not float64."""
 
 
 def schema_of(command: str) -> pa.Schema:
     """Return the columns of the table of a command."""
-    return pa.schema([*_WHAT, *RESULTS[command], *_TEXTS])
+    names = (*_WHAT, *RESULTS[command], *_WHY)
+    return pa.schema([(name, _TYPES.get(name, pa.float64())) for name in names])
+
+
+def lacking(row: Row) -> list[str]:
+    """Return what the recording of a row lacks, one sentence each."""
+    return [text for text in row.get("warnings") or () if RECORDING in text]
 
 
 class Dataset:
@@ -120,28 +140,9 @@ class Dataset:
         """The files, in the order in which they were written."""
         return sorted((self.folder / ROWS).glob("*.parquet"))
 
-    def done(self) -> set[str]:
-        """Return the sessions that need not be done again."""
-        return set(self._rows_of(["session"]))
-
-    def failures(self) -> dict[str, str]:
-        """Return what failed, and why."""
-        return {
-            session: f"{row['reason']}: {row['error']}"
-            for session, row in self._rows_of(["session", "reason", "error"]).items()
-            if row["reason"]
-        }
-
-    def lacking(self, sessions: Sequence[str]) -> dict[str, list[str]]:
-        """Return what recordings lack, by session; those that lack nothing are not among them."""
-        rows = self._rows_of(["session", "warnings"])
-        texts = {session: rows.get(session, {}).get("warnings") or () for session in sessions}
-        found = {session: [text for text in of if RECORDING in text] for session, of in texts.items()}
-        return {session: of for session, of in found.items() if of}
-
-    def _rows_of(self, columns: list[str]) -> dict[str, Row]:
-        """Return these columns of one row of each session."""
-        tables = [pq.read_table(part, columns=columns) for part in self.parts]
+    def done(self) -> dict[str, Row]:
+        """Return the sessions that are in the table: warnings, and reason and error of a failure."""
+        tables = [pq.read_table(part, columns=["session", *_WHY]) for part in self.parts]
         return {row["session"]: row for table in tables for row in table.to_pylist()}
 
     def rows(self, sessions: Sequence[str]) -> dict[str, list[Row]]:

@@ -1,12 +1,20 @@
-"""One session through one command: what a worker does, and what it sends back."""
+"""One session through one command: what a worker does, and what it sends back.
+
+Code that hangs cannot be stopped from outside it, least of all a compiled loop or a file that never answers.
+So where a session has a limit of time its worker is ended by `faulthandler`, which needs nothing of Python to
+do that, and leaves a note.  Dask starts the worker again and gives the session to another, which finds the
+note.
+"""
 
 from __future__ import annotations
 
+import faulthandler
 import hashlib
 import json
 import sys
+import threading
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -15,9 +23,7 @@ import numpy as np
 
 from imumon.blocks import NO_INT, ColumnArray, SampleBlock
 from imumon.errors import ImumonError, Reason
-from imumon.fleet.batch.dataset import Row
-from imumon.fleet.batch.limit import limited
-from imumon.fleet.batch.options import BatchOptions
+from imumon.fleet.batch.dataset import BatchOptions, Row
 from imumon.fleet.batch.places import fetched
 from imumon.pipeline import Digest, Pipeline, SampleSink
 from imumon.recordings.exports import export_run
@@ -69,7 +75,7 @@ def work(job: Job) -> list[Row]:
             )
         folder = _folder()
         limit: AbstractContextManager[None] = nullcontext()
-        if job.limit_s is not None and folder is not None:  # where a worker may end
+        if job.limit_s is not None and folder is not None:  # only a worker may end
             limit = limited(job.file("late", ".txt"), job.limit_s)
         with limit, fetched(job.place, folder) as path:
             what |= _described(path)
@@ -102,6 +108,30 @@ def _folder() -> Path | None:
         return Path(get_worker().local_directory)
     except ValueError:
         return None
+
+
+_ALONE = threading.Lock()
+"""A process has one such clock: sessions with a limit run one after the other in it."""
+
+
+@contextmanager
+def limited(note: Path, limit_s: float) -> Iterator[None]:
+    """End this process where what follows takes longer, and say so in the note.
+
+    Raises TIMEOUT when there is such a note already; whoever finds it takes it away.
+    """
+    with suppress(FileNotFoundError):
+        late = note.stat().st_size > 0  # an empty one is of a worker that died before the time was over
+        note.unlink()
+        if late:
+            raise ImumonError(Reason.TIMEOUT, "was not done after its --timeout")
+    with _ALONE, note.open("w") as file:
+        faulthandler.dump_traceback_later(limit_s, exit=True, file=file)
+        try:
+            yield
+        finally:
+            faulthandler.cancel_dump_traceback_later()
+            note.unlink(missing_ok=True)
 
 
 def _described(path: Path) -> dict[str, Any]:
@@ -140,7 +170,7 @@ class Moments:
 
 
 class _Channels:
-    """What was channels of each channel of a recording, as the stages see it."""
+    """Moments of each channel of a recording, as the stages see it."""
 
     def __init__(self) -> None:
         self.moments: dict[str, Moments] = {}

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from imumon.blocks import FloatArray, IntArray
-from imumon.fleet.catalog.units import Dated, Unit
+from imumon.fleet.catalog.units import BEST, WORST, Dated, Unit
 from imumon.lab.diagnosis.page import shown
 from imumon.models.model import ChannelModel
 from imumon.recordings.reduced import GYRO
@@ -119,33 +119,24 @@ def outliers(units: Sequence[Unit]) -> list[Outlier]:
     """Return what is unusual, the worst first, among at least `FEWEST_UNITS` units of each device."""
     found: list[Outlier] = []
     for device in dict.fromkeys(unit.device for unit in units):
-        values = _quantities([unit for unit in units if unit.device == device])
-        for what, of in values.items():
-            found += _unusual(what, of)
+        for what, of in _quantities([unit for unit in units if unit.device == device]).items():
+            known = {name: value for name, value in of.items() if np.isfinite(value)}
+            if len(known) < FEWEST_UNITS:
+                continue
+            median = float(np.median([*known.values()]))
+            spread = float(np.median([abs(value - median) for value in known.values()]))
+            for name, value in known.items():
+                score = TO_SIGMA * (value - median) / spread if spread else 0.0
+                if abs(score) > OUTLYING:
+                    found.append(Outlier(name, what, value, median, score))
     return sorted(found, key=lambda outlier: -abs(outlier.score))
-
-
-def _unusual(what: str, of: Mapping[str, float]) -> list[Outlier]:
-    known = {name: value for name, value in of.items() if np.isfinite(value)}
-    if len(known) < FEWEST_UNITS:
-        return []
-    middle = float(np.median([*known.values()]))
-    spread = float(np.median(np.abs(np.array([*known.values()]) - middle)))
-    if spread == 0.0:
-        return []
-    scores = {name: TO_SIGMA * (value - middle) / spread for name, value in known.items()}
-    return [
-        Outlier(name, what, known[name], middle, score)
-        for name, score in scores.items()
-        if abs(score) > OUTLYING
-    ]
 
 
 def _quantities(units: Sequence[Unit]) -> dict[str, dict[str, float]]:
     """Return what units of a device are compared by: name to unit to value, in rad/s."""
     found: dict[str, dict[str, float]] = {
-        "smallest σ of the bias": {unit.name: unit.sigmas[0] for unit in units},
-        "largest σ of the bias": {unit.name: unit.sigmas[1] for unit in units},
+        "smallest σ of the bias": {unit.name: unit.row[BEST] for unit in units},
+        "largest σ of the bias": {unit.name: unit.row[WORST] for unit in units},
     }
     latest = {unit.name: unit.models[-1].model.channels for unit in units if unit.models}
     for channel in GYRO:

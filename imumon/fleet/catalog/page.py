@@ -16,7 +16,7 @@ from imumon.columns import TEMPERATURES
 from imumon.files import write_text
 from imumon.fleet.catalog.drift import Drift, Outlier, drifts
 from imumon.fleet.catalog.tables import day
-from imumon.fleet.catalog.units import Entry, Unit
+from imumon.fleet.catalog.units import BEST, COLDEST, HOTTEST, WORST, Entry, Unit
 from imumon.harmless import for_plot
 from imumon.lab.diagnosis.page import COLOURS, HOUR_S, environment, shown, svg
 from imumon.models.model import BiasModel
@@ -47,14 +47,13 @@ class Section:
 
 def write_unit(unit: Unit, unusual: Sequence[Outlier], path: Path) -> None:
     """Write the record of a unit; raises OSError when that fails."""
-    (low, high), (best, worst) = unit.temperatures, unit.sigmas
+    row = unit.row
     facts = {
         "serial number": unit.name,
         "device": unit.device,
-        "sessions": f"{len(unit.entries)}, {unit.hours:.2f} h, "
-        f"{day(min(unit.begun, default=None))} to {day(max(unit.begun, default=None))}",
-        "temperature": f"{low:.2f} to {high:.2f} °C",
-        "smallest σ of the gyro bias": f"{best * PER_HOUR:.3g} to {worst * PER_HOUR:.3g} {HOURLY}",
+        "sessions": f"{row['sessions']}, {row['hours']:.2f} h, {day(row['first'])} to {day(row['last'])}",
+        "temperature": f"{row[COLDEST]:.2f} to {row[HOTTEST]:.2f} °C",
+        "smallest σ of the gyro bias": f"{row[BEST] * PER_HOUR:.3g} to {row[WORST] * PER_HOUR:.3g} {HOURLY}",
         "made by": f"imumon {__version__}",
     }
     caveats = [str(outlier) for outlier in unusual if outlier.unit == unit.name]
@@ -63,8 +62,8 @@ def write_unit(unit: Unit, unusual: Sequence[Outlier], path: Path) -> None:
             "the models hold the earth rate of the place and the pose of their test (up to 15.04 °/h): what"
             " is called drift is one only if both stayed the same"
         )
-    drifted = drifts(unit)
-    sections = [_sessions(unit.entries), _drift(drifted), *map(_model, [d.model for d in unit.models[-1:]])]
+    models = [dated.model for dated in unit.models[-1:]]
+    sections = [_sessions(unit.entries), _drift(drifts(unit)), *map(_model, models)]
     _write(path, f"Calibration record of {unit.name}", facts, caveats, sections)
 
 
@@ -78,8 +77,7 @@ def write_session(session: Session, path: Path) -> list[str]:
     names = [*GYRO, *TEMPERATURES, *itertools.chain(*BIASES)]
     slot_s = max(1.0, np.nan_to_num(metadata.duration_s) / POINTS)
     means = reduce(recording.blocks(), names, slot_s)
-    counters = recording.pipeline.counters
-    port = metadata.port
+    counters, port = recording.pipeline.counters, metadata.port
     facts = {
         "serial number": metadata.serial or "not given",
         "device": metadata.device,
@@ -91,11 +89,9 @@ def write_session(session: Session, path: Path) -> list[str]:
         "versions": ", ".join(f"{name} {version}" for name, version in metadata.versions.items()),
         "made by": f"imumon {__version__}",
     }
-    model = setup.bias_model
-    sections = [_course(means), *([] if model is None else [_model(model)])]
-    title = f"Record of {session.path.name}"
+    sections = [_course(means), *([] if setup.bias_model is None else [_model(setup.bias_model)])]
     warnings = recording.warnings()
-    _write(path, title, facts, warnings, sections)
+    _write(path, f"Record of {session.path.name}", facts, warnings, sections)
     return warnings
 
 
@@ -103,18 +99,18 @@ def _write(
     path: Path, title: str, facts: Mapping[str, str], caveats: Sequence[str], sections: Sequence[Section]
 ) -> None:
     content = {"title": title, "facts": facts, "caveats": caveats, "sections": sections}
-    text = environment("imumon.fleet.catalog").get_template(TEMPLATE).render(**content)
-    write_text(path, text)
+    write_text(path, environment("imumon.fleet.catalog").get_template(TEMPLATE).render(**content))
 
 
 def _sessions(entries: Sequence[Entry]) -> Section:
     rows: list[Sequence[str | float]] = [
         [
-            entry.session.path.name, day(entry.session.metadata.created_ns), entry.hours, *entry.temperatures,
-            *(PER_HOUR * sigma for sigma in entry.sigmas),
-            np.nan if entry.lost is None else float(entry.lost), entry.failure,
+            entry.session.path.name, day(row["begun"]), row["hours"], row[COLDEST], row[HOTTEST],
+            PER_HOUR * row[BEST], PER_HOUR * row[WORST],
+            np.nan if row["lost"] is None else float(row["lost"]), row["error"] or "",
         ]
         for entry in entries
+        for row in [entry.row]
     ]  # fmt: skip
     heads = ["session", "day", "h", "from °C", "to °C", f"best σ, {HOURLY}", "worst", "packets lost", ""]
     words = "best, worst: the smallest σ that the gyro bias reached, on the best axis and on the worst."
@@ -134,25 +130,18 @@ def _drift(drifted: Sequence[Drift]) -> Section:
         "The bias of each model at the middle of the temperatures that all of them know. σ is of the curve"
         " and of the turn-on offset; that of the drift is larger where the models scatter more than they say."
     )
-    return Section(
-        "Drift", words, heads, rows, {"Bias by each model, less the first": svg(_over_months(drifted))}
-    )
 
-
-def _over_months(drifted: Sequence[Drift]) -> Callable[[Axes], None]:
     def draw(axes: Axes) -> None:
         for one, colour in zip(drifted, COLOURS, strict=False):
             when = one.time_ns.astype("datetime64[ns]").astype("datetime64[s]")
-            apart = PER_HOUR * (one.bias - one.bias[0])
-            axes.errorbar(
-                when, apart, PER_HOUR * one.sd, fmt="o-", ms=3, lw=1, capsize=2, color=colour,
-                label=one.channel,
-            )  # fmt: skip
+            apart, sd = PER_HOUR * (one.bias - one.bias[0]), PER_HOUR * one.sd
+            look: dict[str, Any] = {"fmt": "o-", "ms": 3, "lw": 1, "capsize": 2, "color": colour}
+            axes.errorbar(when, apart, sd, label=one.channel, **look)
         axes.set(ylabel=f"bias less the first model's, {HOURLY}")
         axes.tick_params(axis="x", rotation=30)
         axes.legend(fontsize=6)
 
-    return draw
+    return Section("Drift", words, heads, rows, {"Bias by each model, less the first": svg(draw)})
 
 
 def _model(model: BiasModel) -> Section:
@@ -167,9 +156,7 @@ def _model(model: BiasModel) -> Section:
             [name, *channel.temperature_range_degc, *(factor * float(x) for x in numbers), unit, effects]
         )
     data = "; ".join(f"{run.session} (SHA-256 {run.sha256[:16]}…)" for run in model.trained_on)
-    words = (
-        f"Made {model.created} by {model.made_by}; earth rate {model.earth_rate}. Of: {data or 'unknown'}."
-    )
+    made = f"Made {model.created} by {model.made_by}; earth rate {model.earth_rate}."
     heads = [
         "channel",
         "from °C",
@@ -186,7 +173,7 @@ def _model(model: BiasModel) -> Section:
         for kind, caption in kinds.items()
         if any(name.startswith(kind) for name in model.channels)
     }
-    return Section("Bias model", words, heads, rows, figures)
+    return Section("Bias model", f"{made} Of: {data or 'unknown'}.", heads, rows, figures)
 
 
 def _over_temperature(model: BiasModel, kind: str) -> Callable[[Axes], None]:

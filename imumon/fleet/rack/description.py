@@ -61,8 +61,7 @@ class Plan:
 
     name: str
     device_yaml: str
-    source: str
-    """Text of the device file, and what errors call it."""
+    """Text of the device file."""
     settings: PortSettings
     """The port."""
     serial: str | None
@@ -101,7 +100,7 @@ def _plan(name: str, place: Place, default: Shared, path: Path) -> Plan:
             setup = setup.with_options(model=load_model(path.parent / settings_of["model"]))
     except ImumonError as error:
         raise ImumonError(error.reason, f"{path}: {name}: {error.seen}", error.hint) from error
-    return Plan(name, device_yaml, source, settings, place.serial, setup.text())
+    return Plan(name, device_yaml, settings, place.serial, setup.text())
 
 
 def _beside(path: Path, device: str) -> str:

@@ -1,4 +1,4 @@
-"""What the process of a unit tells the rack: how the unit is, and a picture for the view that all share."""
+"""What the process of a unit tells the rack: how the unit is, and items for the view that all units share."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ from imumon.view.items import (
     Samples,
     State,
     ViewItem,
+    ViewSetup,
     first_of_steps,
     merge,
 )
@@ -50,9 +51,9 @@ class Vitals:
     packets_lost: int = 0
     """Missing by their counter, or damaged."""
     bytes_received: int = 0
-    at_s: float = 0.0
-    cpu_s: float = 0.0
-    """When this was, by a clock that only goes forwards, and the processor time since its process began."""
+    cpu: float = 0.0
+    mean_cpu: float = 0.0
+    """Share of a core that its process takes: since the last time, and since its port is open."""
     memory_mb: float = math.nan
     """MB: pages of its own, and its share of those that it has in common with other processes."""
 
@@ -75,6 +76,8 @@ class Feed:
         self._lanes: dict[str, str] = {}
         self._process = psutil.Process()
         self._memory_s = -math.inf
+        self._opened = self._before = time.monotonic(), time.process_time()
+        """Clock and processor time, s, at the beginning and at the last time."""
 
     @property
     def publish(self) -> Callable[[ViewItem], None]:
@@ -105,20 +108,58 @@ class Feed:
                 self._vitals = replace(self._vitals, bias=tuple(bias[row]), bias_sd=tuple(sd[row]))
 
     def _measure_cost(self, progress: Progress) -> None:
-        counters, now, memory_mb = progress.counters, time.monotonic(), self._vitals.memory_mb
-        if now - self._memory_s > MEMORY_S:
-            self._memory_s = now
+        memory_mb, now = self._vitals.memory_mb, (time.monotonic(), time.process_time())
+        if now[0] - self._memory_s > MEMORY_S:
+            self._memory_s = now[0]
             memory_mb = self._process.memory_full_info().pss / MEGABYTE
         self._vitals = replace(
             self._vitals,
             memory_mb=memory_mb,
             lanes=dict(self._lanes),
             packets_per_s=progress.packets_per_s,
-            packets_lost=counters.lost,
-            bytes_received=counters.bytes_received,
-            at_s=now,
-            cpu_s=time.process_time(),
+            packets_lost=progress.counters.lost,
+            bytes_received=progress.counters.bytes_received,
+            cpu=(now[1] - self._before[1]) / (now[0] - self._before[0]),
+            mean_cpu=(now[1] - self._opened[1]) / (now[0] - self._opened[0]),
         )
+        self._before = now
+
+
+@dataclass(frozen=True, slots=True)
+class OfUnit(ViewItem):
+    """An item of one unit; the title of the setup is its name."""
+
+    setup: ViewSetup
+    item: ViewItem
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the item."""
+        return self.item.nbytes
+
+    @property
+    def rows(self) -> int:
+        """Rows of the item."""
+        return self.item.rows
+
+    @property
+    def lasting(self) -> str | None:
+        """What the item replaces, of this unit."""
+        key = self.item.lasting
+        return None if key is None else f"{self.setup.title}: {key}"
+
+
+@dataclass(frozen=True, slots=True)
+class Overview(Event):
+    """All units at a glance, as Markdown, and their names in order."""
+
+    markdown: str
+    units: tuple[str, ...]
+
+    @property
+    def lasting(self) -> str:
+        """There is one page."""
+        return "overview"
 
 
 def picture(item: ViewItem) -> Samples | Event | None:

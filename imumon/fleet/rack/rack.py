@@ -14,11 +14,10 @@ from queue import SimpleQueue
 from typing import Any
 
 from imumon.fleet.rack.description import Plan
-from imumon.fleet.rack.feed import Vitals
-from imumon.fleet.rack.items import OfUnit, Overview
-from imumon.fleet.rack.table import Row, markdown
+from imumon.fleet.rack.feed import OfUnit, Overview, Vitals
+from imumon.fleet.rack.table import Row, markdown, row_of
 from imumon.fleet.rack.unit import Ended, Task, Update, run_unit
-from imumon.lane import LaneState, Level
+from imumon.lane import Level
 from imumon.recordings.lines import SessionLog
 from imumon.view.items import Instant, Log, State, ViewItem, ViewSetup
 
@@ -50,41 +49,28 @@ class Process:
         context = get_context("forkserver")
         context.set_forkserver_preload(["imumon.fleet.rack.preload"])
         self._ours, theirs = context.Pipe()
-        self.began_s = self.received_s = time.monotonic()
-        self._has_spoken = False
+        self.began_s = time.monotonic()
+        self.received_s = self.began_s + FIRST_WORD_S
+        """When it said something last; before its first word when that is due."""
         self._messages: SimpleQueue[Message] = SimpleQueue()
         self._process = context.Process(target=run_unit, args=(task, theirs), name=task.plan.name)
         self._process.start()
+        self.pid, self.kill = self._process.pid or 0, self._process.kill
         theirs.close()
         self._listener = threading.Thread(target=self._listen, daemon=True)
         self._listener.start()
-
-    @property
-    def pid(self) -> int:
-        """Number of the process."""
-        return self._process.pid or 0
-
-    @property
-    def silent_s(self) -> float:
-        """How long it has said nothing, s; of the wait for its first word what is too long."""
-        silent_s = time.monotonic() - self.received_s
-        return silent_s if self._has_spoken else silent_s - FIRST_WORD_S
 
     def hear(self) -> list[Message]:
         """Return what it has said since the last time."""
         messages = [self._messages.get_nowait() for _ in range(self._messages.qsize())]
         if messages:
-            self.received_s, self._has_spoken = time.monotonic(), True
+            self.received_s = time.monotonic()
         return messages
 
     def ask_to_end(self) -> None:
         """Ask it to close its session; returns at once."""
         with contextlib.suppress(OSError):  # it is gone
             self._ours.send(None)
-
-    def kill(self) -> None:
-        """End it, whatever it does."""
-        self._process.kill()
 
     @property
     def exit_code(self) -> int | None:
@@ -111,10 +97,6 @@ class Unit:
     process: Process | None = None
     vitals: Vitals = field(default_factory=Vitals)
     setup: ViewSetup | None = None
-    first: Vitals = field(default_factory=Vitals)
-    """What its process said first: from there on its cost counts, not that of its start."""
-    cpu: float = 0.0
-    """Share of a core, since it was last heard."""
     silent: bool = False
     """Whether its process does not say how it is."""
     end_by_s: float | None = None
@@ -147,22 +129,10 @@ class Unit:
         return "losses" if data.startswith("warning") else lanes.get("motion", "open")
 
     @property
-    def cpu_of_life(self) -> float:
-        """Share of a core that its process has taken."""
-        return share(self.first, self.vitals) or 0.0
-
-    @property
     def row(self) -> Row:
         """What the table shows: of a unit that has ended, the cost of its life."""
-        cpu = self.cpu if self.process is not None else self.cpu_of_life
-        return Row(self.plan.name, self.state, self.vitals, cpu, len(self.deaths))
-
-    def received(self, vitals: Vitals) -> None:
-        """Take how it is."""
-        if not self.first.at_s:
-            self.first = vitals
-        self.cpu = share(self.vitals, vitals) or self.cpu
-        self.vitals = vitals
+        cpu = self.vitals.mean_cpu if self.process is None else self.vitals.cpu
+        return row_of(self.plan.name, self.state, self.vitals, cpu, len(self.deaths))
 
     def pause(self) -> float:
         """Let it wait for its next process, longer each time; return how long, s."""
@@ -178,7 +148,7 @@ class Unit:
             "problem": self.problem,
             "deaths": self.deaths,
             "interrupted": self.interrupted,
-            "cpu": self.cpu_of_life,
+            "cpu": self.vitals.mean_cpu,
             "memory_mb": self.vitals.memory_mb,
         }
 
@@ -279,8 +249,7 @@ class Rack:
         except (OSError, EOFError) as error:  # no memory, or no processes, for one more
             self._say(unit, "ERROR", f"its process cannot be begun ({error}); again in {unit.pause():g} s")
             return
-        unit.silent = False
-        unit.vitals = unit.first = Vitals()
+        unit.silent, unit.vitals = False, Vitals()
 
     def _end(self, unit: Unit) -> None:
         unit.end_by_s = time.monotonic() + END_S
@@ -296,41 +265,40 @@ class Rack:
                 if message.summary is not None:
                     unit.summaries.append(message.summary)
                 continue
-            is_back = unit.silent or (unit.deaths and not unit.first.at_s)
-            unit.silent = False
-            unit.received(message.vitals)
+            is_back = unit.silent or (unit.deaths and not unit.vitals.session)
+            unit.silent, unit.vitals = False, message.vitals
             unit.setup = message.setup or unit.setup
             if is_back:
-                self._lane(unit, LaneState("recording", Level.GOOD))
+                self._lane(unit, "recording", Level.GOOD)
             if message.setup is not None:
                 for item in message.items:
                     self._show(OfUnit(message.setup, item))
 
     def _watch(self, unit: Unit) -> None:
         """Find out whether the process of a unit lives and speaks."""
-        process = unit.process
+        process, now_s = unit.process, time.monotonic()
         if process is None:
             return
-        code = process.exit_code
+        code, silent_s = process.exit_code, now_s - process.received_s
         if code is not None:
             process.close()
             self._hear(unit)
             unit.process = None
-            self._note_end(unit, code, time.monotonic() - process.began_s)
+            self._note_end(unit, code, now_s - process.began_s)
         elif unit.end_by_s is not None:
-            if time.monotonic() > unit.end_by_s:
+            if now_s > unit.end_by_s:
                 unit.end_by_s = math.inf
                 self._say(unit, "ERROR", "did not end, and was killed: what had arrived is on disk")
                 process.kill()
-        elif process.silent_s > KILLED_S:
-            self._say(unit, "ERROR", f"its process was ended after {process.silent_s:.0f} s without a word")
+        elif silent_s > KILLED_S:
+            self._say(unit, "ERROR", f"its process was ended after {silent_s:.0f} s without a word")
             process.kill()
-            process.received_s = time.monotonic()
-        elif process.silent_s > HANGS_S and not unit.silent:
+            process.received_s = now_s
+        elif silent_s > HANGS_S and not unit.silent:
             unit.silent = True
-            text = f"its process (pid {process.pid}) hangs: no word for {process.silent_s:.1f} s"
+            text = f"its process (pid {process.pid}) hangs: no word for {silent_s:.1f} s"
             self._say(unit, "ERROR", text)
-            self._lane(unit, LaneState("HANGS", Level.BAD))
+            self._lane(unit, "HANGS", Level.BAD)
 
     def _note_end(self, unit: Unit, code: int, lived_s: float) -> None:
         """Note that the process of a unit ended, maybe without being asked."""
@@ -344,27 +312,20 @@ class Rack:
             kept = f"; {unit.vitals.session} has what had arrived" if unit.vitals.session else ""
             text = f"its process died ({how}){kept}; a new one in {unit.pause():g} s"
             self._say(unit, "ERROR", text)
-            self._lane(unit, LaneState(f"DEAD: {how}", Level.BAD))
+            self._lane(unit, f"DEAD: {how}", Level.BAD)
 
     def _say(self, unit: Unit, level: str, text: str) -> None:
         self._log.put(level, f"{unit.plan.name}: {text}")
         if unit.setup is not None:
             self._show(OfUnit(unit.setup, Log(_now(), text, level)))
 
-    def _lane(self, unit: Unit, state: LaneState) -> None:
+    def _lane(self, unit: Unit, text: str, level: Level) -> None:
         if unit.setup is not None:
-            self._show(OfUnit(unit.setup, State(_now(), "unit", state.text, state.level)))
+            self._show(OfUnit(unit.setup, State(_now(), "unit", text, level)))
 
     def _show(self, item: ViewItem) -> None:
         if self._publish is not None:
             self._publish(item)
-
-
-def share(before: Vitals, now: Vitals) -> float | None:
-    """Return the share of a core that was taken between two times; None where the first was none."""
-    if not 0.0 < before.at_s < now.at_s:
-        return None
-    return (now.cpu_s - before.cpu_s) / (now.at_s - before.at_s)
 
 
 def _now() -> Instant:

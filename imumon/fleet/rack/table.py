@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from imumon.fleet.rack.feed import Vitals
 from imumon.geodesy import DEG_PER_H
@@ -18,33 +18,25 @@ LEFT = 2
 """Columns of words; the others are numbers and stand on the right."""
 
 
-@dataclass(frozen=True, slots=True)
-class Row:
-    """A unit: name, state, how it is, the share of a core that it takes, how often its process died."""
+Row = tuple[str, ...]
+"""What stands below `HEADINGS`."""
 
-    name: str
-    state: str
-    vitals: Vitals
-    cpu: float
-    deaths: int
 
-    @property
-    def cells(self) -> tuple[str, ...]:
-        """What stands below `HEADINGS`."""
-        vitals = self.vitals
-        return (
-            self.name,
-            self.state,
-            measured(vitals.temperature_deg, decimals=DIGITS["°C"]),
-            bias(vitals),
-            vitals.lanes.get("model", "–"),
-            f"{vitals.packets_per_s:.0f}",
-            f"{vitals.packets_lost:,}",
-            amount(vitals.bytes_received),
-            f"{self.cpu:.0%}",
-            measured(vitals.memory_mb, decimals=0),
-            str(self.deaths),
-        )
+def row_of(name: str, state: str, vitals: Vitals, cpu: float, deaths: int) -> Row:
+    """Return the row of a unit; `cpu` is the share of a core, `deaths` how often its process died."""
+    return (
+        name,
+        state,
+        measured(vitals.temperature_deg, decimals=DIGITS["°C"]),
+        bias(vitals),
+        vitals.lanes.get("model", "–"),
+        f"{vitals.packets_per_s:.0f}",
+        f"{vitals.packets_lost:,}",
+        amount(vitals.bytes_received),
+        f"{cpu:.0%}",
+        measured(vitals.memory_mb, decimals=0),
+        str(deaths),
+    )
 
 
 def bias(vitals: Vitals) -> str:
@@ -63,7 +55,7 @@ def amount(count: int) -> str:
 
 def text_lines(rows: Sequence[Row]) -> list[str]:
     """Return the table as text, a line for each row, its headings first."""
-    cells = [HEADINGS, *(row.cells for row in rows)]
+    cells = [HEADINGS, *rows]
     widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
     return [
         "  ".join(
@@ -77,13 +69,11 @@ def text_lines(rows: Sequence[Row]) -> list[str]:
 def markdown(rows: Sequence[Row]) -> str:
     """Return the table as Markdown."""
     marks = [":--" if place < LEFT else "--:" for place in range(len(HEADINGS))]
-    body = [[for_markdown(cell) for cell in row.cells] for row in rows]
+    body = [[for_markdown(cell) for cell in row] for row in rows]
     return "\n".join(f"| {' | '.join(line)} |" for line in [HEADINGS, marks, *body])
 
 
 def in_short(rows: Sequence[Row]) -> str:
     """Return how many units are in each state, in one line."""
-    counts: dict[str, int] = {}
-    for row in rows:
-        counts[row.state] = counts.get(row.state, 0) + 1
+    counts = Counter(row[HEADINGS.index("state")] for row in rows)
     return f"{len(rows)} units: " + ", ".join(f"{count} {state}" for state, count in counts.items())

@@ -83,7 +83,7 @@ def run_unit(task: Task, rack: Connection) -> None:
 def _run(task: Task, rack: Connection) -> None:
     plan, lines = task.plan, Lines()
     setup = Setup() if plan.pipeline_yaml is None else parse_setup(plan.pipeline_yaml, plan.name)
-    device = parse_device(plan.device_yaml, plan.source)
+    device = parse_device(plan.device_yaml, plan.name)
     # All is loaded before the port is open: a reader that waits for that comes too late for what is sent.
     warm_up(device, setup)
     from imumon.view.recorder import (

@@ -15,7 +15,7 @@ from typing import Any
 import rerun as rr
 import rerun.blueprint as rrb
 
-from imumon.fleet.rack.items import OfUnit, Overview
+from imumon.fleet.rack.feed import OfUnit, Overview
 from imumon.view.blueprint import arranged
 from imumon.view.child import run
 from imumon.view.fed import serve

@@ -58,9 +58,9 @@ class SimulatedUnit:
         self.scenario = scenario
         self._tick_ns = tick_ns
         self._sensors = _Sensors(scenario, seed)
-        self._chunk = SampleBlock({}), SampleBlock({})
-        self._used = CHUNK
-        self._computed = 0
+        self._left = self._sensors.chunk(0)
+        """What is sent of samples that are computed and not taken yet, and the truth."""
+        self._taken = 0
 
     def samples(self, n: int) -> SampleBlock:
         """Return the next n samples as an encoder takes them, counter and ticks counting from power-on."""
@@ -81,23 +81,19 @@ class SimulatedUnit:
         return SampleBlock({**times, **sent.columns}), SampleBlock({**times, **truth.columns})
 
     def _take(self, n: int) -> tuple[SampleBlock, SampleBlock]:
-        first = self._computed - (CHUNK - self._used)
-        index = np.arange(first, first + n)
+        parts, computed = [self._left], len(self._left[0])
+        while computed < n:
+            parts.append(self._sensors.chunk(self._taken + computed))
+            computed += CHUNK
+        sent, truth = (join(part) for part in zip(*parts, strict=True))
+        index = np.arange(self._taken, self._taken + n)
+        self._left, self._taken = (sent.rows(n, computed), truth.rows(n, computed)), self._taken + n
         ticks_per_sample = float(1_000_000_000 / self._tick_ns) / self.scenario.rate_hz
         counted = {
             "packet_counter": index,
             "device_ticks": np.rint(index * ticks_per_sample).astype(np.int64),
         }
-        parts: list[tuple[SampleBlock, SampleBlock]] = []
-        while n or not parts:
-            if self._used == CHUNK:
-                self._chunk = self._sensors.chunk(self._computed)
-                self._computed, self._used = self._computed + CHUNK, 0
-            end = min(self._used + n, CHUNK)
-            parts.append((self._chunk[0].rows(self._used, end), self._chunk[1].rows(self._used, end)))
-            n, self._used = n - (end - self._used), end
-        sent, truth = (join(part) for part in zip(*parts, strict=True))
-        return SampleBlock({**counted, **sent.columns}), truth
+        return SampleBlock({**counted, **sent.rows(0, n).columns}), truth.rows(0, n)
 
 
 _CONSTANT: dict[str, ColumnArray] = {
@@ -141,7 +137,9 @@ class _Sensors:
         """Return what is sent of the next `CHUNK` samples, and the truth."""
         time_s = np.arange(first, first + CHUNK) / self._scenario.rate_hz
         temperature = self._temperature.process(time_s)
-        motion = self._motion(time_s)
+        events = self._scenario.motion
+        still = is_static(events, time_s[0], time_s[-1])  # then one row holds throughout
+        motion = movement(events, self._angles, time_s[-1:] if still else time_s)
         rate, force, field = self._in_body(motion)
         others = {
             name: np.interp(time_s, course.at_s, course.value) for name, course in self._drivers.items()
@@ -175,20 +173,12 @@ class _Sensors:
         }
         return _whole(sent), _whole(truth)
 
-    def _motion(self, time_s: FloatArray) -> Movement:
-        """Return the motion at these times, or a single row when nothing moves."""
-        events = self._scenario.motion
-        still = is_static(events, time_s[0], time_s[-1])
-        return movement(events, self._angles, time_s[-1:] if still else time_s)
-
     def _in_body(self, motion: Movement) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return angular rate, specific force and magnetic field in the axes of the unit."""
-        rate = body_rates(motion.angles, motion.rates) + to_body(motion.angles, self._earth)
-        force = to_body(motion.angles, self._up + motion.acceleration)
-        field = to_body(motion.angles, FIELD_UT)
-        if self._scenario.axes == "FLU":
-            return rate @ FRD_TO_FLU, force @ FRD_TO_FLU, field @ FRD_TO_FLU
-        return rate, force, field
+        angles, turned = motion.angles, FRD_TO_FLU if self._scenario.axes == "FLU" else np.eye(3)
+        rate = body_rates(angles, motion.rates) + to_body(angles, self._earth)
+        force, field = to_body(angles, self._up + motion.acceleration), to_body(angles, FIELD_UT)
+        return rate @ turned, force @ turned, field @ turned
 
 
 class LowPass:

@@ -12,7 +12,7 @@ import pytest
 from pyarrow.fs import LocalFileSystem, S3FileSystem, copy_files
 
 from imumon.errors import ImumonError
-from imumon.fleet.batch.options import BatchOptions
+from imumon.fleet.batch.dataset import BatchOptions
 from imumon.fleet.batch.places import fetched, find
 from imumon.fleet.batch.tasks import Job, work
 from tests.fleet.batch.sessions import tiny

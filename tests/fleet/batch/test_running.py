@@ -19,11 +19,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from imumon.errors import ImumonError, Reason
-from imumon.fleet.batch.dataset import RESULTS, ROWS, Dataset, Row, schema_of
-from imumon.fleet.batch.limit import limited
-from imumon.fleet.batch.options import BatchOptions
+from imumon.fleet.batch.dataset import RESULTS, ROWS, BatchOptions, Dataset, Row, schema_of
 from imumon.fleet.batch.running import run_jobs, workers
-from imumon.fleet.batch.tasks import Job, work
+from imumon.fleet.batch.tasks import Job, limited, work
 from tests.cli.command import IMUMON, answer, imumon
 from tests.fleet.batch.sessions import tiny
 from tests.lab.calibration.records import few_steps
@@ -258,7 +256,7 @@ def test_a_session_that_hangs_has_failed_and_the_others_are_done(tmp_path: Path,
 
 def test_code_that_never_lets_go_of_the_interpreter_is_ended_too(tmp_path: Path) -> None:
     script = (
-        "import re, sys, pathlib\nfrom imumon.fleet.batch.limit import limited\n"
+        "import re, sys, pathlib\nfrom imumon.fleet.batch.tasks import limited\n"
         "with limited(pathlib.Path(sys.argv[1]), 1.0):\n    re.match('(a+)+$', 'a' * 60 + 'b')\n"
     )
     done = subprocess.run([sys.executable, "-c", script, tmp_path / "note"], timeout=LIMIT_S, check=False)
@@ -316,5 +314,5 @@ def test_a_long_session_has_rows_of_every_channel_that_the_table_takes(
     assert all(Path(row["file"]).is_file() for row in rows)
     table = pa.Table.from_pylist(rows, schema_of(command))
     assert set(rows[0]) <= set(table.column_names)
-    results = table.select([name for name, _ in RESULTS[command]]).to_pylist()
+    results = table.select(list(RESULTS[command])).to_pylist()
     assert all(value is not None for row in results for value in row.values())

@@ -22,7 +22,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def unit(name: str, constants: list[float]) -> Unit:
     models = [
-        Dated(model_of(name, month, "s", constant), round(month * MONTH_NS), "")
+        Dated(model_of(name, month, "s", constant), round(month * MONTH_NS))
         for month, constant in enumerate(constants)
     ]
     return Unit(name, "ax1", models=models)
@@ -52,7 +52,7 @@ def test_models_with_and_without_the_earth_rate_are_not_compared() -> None:
     made = unit("a", [0.0, 1.0])
     latest = made.models[-1]
     removed = {"earth_rate": "removed"}
-    made.models[-1] = Dated(latest.model.model_copy(update=removed), latest.time_ns, "")
+    made.models[-1] = Dated(latest.model.model_copy(update=removed), latest.time_ns)
     assert [len(drift.bias) for drift in drifts(made)] == [1, 1, 1]
 
 

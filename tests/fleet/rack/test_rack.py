@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from imumon.fleet.rack.description import load_rack
-from imumon.fleet.rack.items import OfUnit, Overview
+from imumon.fleet.rack.feed import OfUnit, Overview
 from imumon.fleet.rack.rack import Rack, Unit
 from imumon.fleet.rack.unit import Task, Update, run_unit
 from imumon.protocols.device import load_device

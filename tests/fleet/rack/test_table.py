@@ -3,7 +3,7 @@ from __future__ import annotations
 import math
 
 from imumon.fleet.rack.feed import Vitals
-from imumon.fleet.rack.table import HEADINGS, Row, amount, bias, in_short, markdown, text_lines
+from imumon.fleet.rack.table import HEADINGS, amount, bias, in_short, markdown, row_of, text_lines
 from imumon.geodesy import DEG_PER_H
 
 RESTING = Vitals(
@@ -26,13 +26,13 @@ def test_a_bias_has_the_digits_of_its_largest_sigma() -> None:
 
 
 def test_what_is_not_known_is_a_dash() -> None:
-    row = Row("a", "starting", Vitals(), 0.0, 0)
-    assert row.cells == ("a", "starting", "–", "–", "–", "0", "0", "0.0 MB", "0%", "–", "0")
+    row = row_of("a", "starting", Vitals(), 0.0, 0)
+    assert row == ("a", "starting", "–", "–", "–", "0", "0", "0.0 MB", "0%", "–", "0")
     assert math.isnan(Vitals().memory_mb)
 
 
 def test_terminal_and_viewer_have_the_same_cells() -> None:
-    rows = [Row("left", "rest", RESTING, 0.052, 0), Row("a|b", "DEAD (-9)", Vitals(), 0.0, 3)]
+    rows = [row_of("left", "rest", RESTING, 0.052, 0), row_of("a|b", "DEAD (-9)", Vitals(), 0.0, 3)]
     head, first, second = text_lines(rows)
     assert head.split("  ")[0] == "unit"
     assert first.split() == [

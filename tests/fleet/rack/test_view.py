@@ -8,8 +8,7 @@ import rerun.blueprint as rrb
 from rerun.chunk import RrdReader
 
 from imumon.fleet.rack import view
-from imumon.fleet.rack.feed import picture
-from imumon.fleet.rack.items import OfUnit, Overview
+from imumon.fleet.rack.feed import OfUnit, Overview, picture
 from imumon.fleet.rack.view import UnitsLogger
 from imumon.view.blueprint import arranged
 from imumon.view.items import (
