@@ -33,7 +33,7 @@ _announced: set[str] = set()
 """Modules of which it was logged that they are compiled."""
 
 
-def njit(function: F, fastmath: bool = False) -> F:
+def njit(function: F, fastmath: bool | set[str] = False) -> F:
     """Compile a function as `numba.njit` does, without the interpreter's lock, and keep the code."""
     options: Any = {"nogil": True, "no_cfunc_wrapper": True, "fastmath": fastmath}
     kernel: Any = numba.njit(**options)(function)
