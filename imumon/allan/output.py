@@ -26,7 +26,7 @@ from imumon.allan.fit import AMBIGUOUS, DIGITS, NO_SUM
 from imumon.allan.parameters import TERMS_OF
 from imumon.allan.recording import UNITS, by_text, group_of
 from imumon.config import dump_yaml
-from imumon.errors import ImumonError, Reason
+from imumon.errors import bad_config, bad_data
 from imumon.files import check_output, write_text
 from imumon.geodesy import STANDARD_GRAVITY
 
@@ -43,7 +43,7 @@ def check_outputs(plot: Path | None, *files: Path | None) -> None:
     PNG, and where there is no folder.
     """
     if plot is not None and plot.suffix.lower() != ".png":
-        raise ImumonError(Reason.BAD_CONFIG, f"{plot}: the picture is a PNG", "name it NAME.png")
+        raise bad_config(f"{plot}: the picture is a PNG", "name it NAME.png")
     for path in (plot, *files):
         if path is not None:
             check_output(path, replace=path is plot)
@@ -228,9 +228,7 @@ def _densities(results: Mapping[str, Result], source: Path) -> tuple[dict[str, A
             for term in ("angle_random_walk", "rate_random_walk")
         )
         if white is None:
-            raise ImumonError(
-                Reason.BAD_DATA, f"odometry needs a noise density of the {name}, and the data show none"
-            )
+            raise bad_data(f"odometry needs a noise density of the {name}, and the data show none")
         if walk is None:
             head += f"# {name}_random_walk: the data show none; 0 is not a fact of the sensor.\n"
         body[f"{name}_noise_density"] = white

@@ -12,7 +12,7 @@ from imumon.allan.fit import NO_SUM
 from imumon.allan.series import PARTS, EvenSeries, even_channels
 from imumon.blocks import SampleBlock, join
 from imumon.columns import TEMPERATURES
-from imumon.errors import ImumonError, Reason
+from imumon.errors import bad_data
 from imumon.estimation.rest.slots import COARSEST_STEPS
 from imumon.filters.rounding import digits
 from imumon.recordings.reader import Stages, no_stages, open_recording
@@ -64,19 +64,19 @@ def read_channels(path: Path, stages: Stages = no_stages, count: Count = no_coun
         unit, own = recording.columns[name].unit if name in recording.columns else "", UNITS[group_of(name)]
         if unit not in ("", own):
             hint = "a table from elsewhere becomes a session first: imumon import"
-            raise ImumonError(Reason.BAD_DATA, f"{path}: {name} is in {unit}, not in {own}", hint)
+            raise bad_data(f"{path}: {name} is in {unit}, not in {own}", hint)
     blocks = [
         SampleBlock({name: block[name].copy() for name in WANTED if name in block})
         for block in recording.blocks()
     ]
     if not blocks:
-        raise ImumonError(Reason.BAD_DATA, f"{path}: has no samples")
+        raise bad_data(f"{path}: has no samples")
     samples = join(blocks)
     there = [name for name in CHANNELS if name in samples]
     names = [name for name in there if np.isfinite(samples[name]).sum() > 1]
     if not names:
         lack = "holds no two numbers in" if there else "has none of the columns"
-        raise ImumonError(Reason.BAD_DATA, f"{path}: {lack} {', '.join(there or CHANNELS)}")
+        raise bad_data(f"{path}: {lack} {', '.join(there or CHANNELS)}")
     channels = {name: samples[name] for name in names}
     series = even_channels(samples["device_time_ns"], samples["segment"], channels)
     _check_rate(path, len(samples), {name: series.get(name) for name in names})
@@ -102,23 +102,20 @@ def by_text(found: Iterable[tuple[str, str]]) -> dict[str, list[str]]:
 def _check_rate(path: Path, rows: int, series: Mapping[str, EvenSeries | None]) -> None:
     """Raise where a deviation would mean nothing."""
     if rows < FEWEST_SAMPLES:
-        raise ImumonError(
-            Reason.BAD_DATA,
+        raise bad_data(
             f"{path}: has {rows} samples; an Allan deviation needs {FEWEST_SAMPLES} at the least",
             "record for ten times as long as the longest averaging time of interest",
         )
     for name, channel in series.items():
         used = 0.0 if channel is None else channel.used / channel.samples
         if channel is None or used < LEAST_USED:
-            raise ImumonError(
-                Reason.BAD_DATA,
+            raise bad_data(
                 f"{path}: {name}: only {used:.0%} of the samples come at an even rate",
                 "nothing is resampled: that would change the noise that is to be measured.  "
                 "Use the device's own time or counter; imumon import takes rate_hz for rows that are even",
             )
         if channel.rate_hz > FASTEST_HZ:
-            raise ImumonError(
-                Reason.BAD_DATA,
+            raise bad_data(
                 f"{path}: by device_time_ns the rate is {channel.rate_hz:.3g} Hz",
                 "the column must hold nanoseconds; imumon import takes times in other units",
             )

@@ -26,7 +26,7 @@ from imumon.cli.common import (
 )
 from imumon.cli.live_run import PortRun
 from imumon.cli.setup_options import SetupOptions, make_setup
-from imumon.errors import EXIT_NEGATIVE, EXIT_OK, ImumonError, Reason
+from imumon.errors import EXIT_NEGATIVE, EXIT_OK, ImumonError, Reason, bad_config, bad_data
 from imumon.estimation.alignment.report import (
     Estimate,
     Guide,
@@ -117,7 +117,7 @@ def _with_sigma(setup: Setup, until: float | None) -> Setup:
     if setup.latitude_deg is None:
         what = "the heading is found by the earth rate, and the latitude is not known"
         hint = "add --latitude DEGREES (north is positive), or latitude_deg to the pipeline file"
-        raise ImumonError(Reason.BAD_CONFIG, what, hint)
+        raise bad_config(what, hint)
     if until is None:
         return setup
     return setup.with_options(alignment=setup.alignment.model_copy(update={"settled_deg": until}))
@@ -170,7 +170,7 @@ def _needed(device: str | None, port: str) -> str:
     if device is None:
         what = f"{port} is a port, so its device must be named"
         hint = f"add --device NAME: {', '.join(device_names())}, or a file; imumon detect {port} may tell"
-        raise ImumonError(Reason.BAD_CONFIG, what, hint)
+        raise bad_config(what, hint)
     return device
 
 
@@ -205,7 +205,7 @@ def _no_reading(where: str, columns: set[str]) -> ImumonError:
     lacking = ", ".join(name for name in needed if name not in columns)
     found = f"there is no {lacking}" if lacking else "fewer than two samples have all six readings"
     hint = "the heading needs angular rate and specific force of all three axes, in the same packets"
-    return ImumonError(Reason.BAD_DATA, f"{where}: {found}", hint)
+    return bad_data(f"{where}: {found}", hint)
 
 
 def as_data(status: Status, positions: int = 1) -> dict[str, object]:

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Literal, TextIO
 
 import click
 
-from imumon.errors import ImumonError, Reason
+from imumon.errors import ImumonError, bad_config
 from imumon.files import plain
 from imumon.harmless import for_log, for_terminal
 
@@ -145,7 +145,7 @@ def split_columns(text: str | None) -> list[str] | None:
         return None
     names = [name.strip() for name in text.split(",")]
     if not all(names) or len(set(names)) < len(names):
-        raise ImumonError(Reason.BAD_CONFIG, f"--columns {text!r}: a name is empty or there twice")
+        raise bad_config(f"--columns {text!r}: a name is empty or there twice")
     return names
 
 
@@ -226,7 +226,7 @@ def chosen_view(view: View | None, bind: str) -> View:
     mode = view or default_mode()
     if mode == "terminal" and not is_terminal():
         what, hint = "standard error is no terminal", "run it in a terminal, or use --view web or none"
-        raise ImumonError(Reason.BAD_CONFIG, f"--view terminal: {what}", hint)
+        raise bad_config(f"--view terminal: {what}", hint)
     if mode == "native" and not has_display():
         what = "--view native: there is no display here, so no window opens; --view web shows the run in a"
         warn([f"{what} browser, monitor --view terminal where it runs"])
@@ -235,7 +235,7 @@ def chosen_view(view: View | None, bind: str) -> View:
             socket.create_server((bind, 0)).close()
         except (OSError, UnicodeError) as error:
             what, hint = "is no IPv4 address of this computer", "`ip -4 addr` lists them; 0.0.0.0 is all"
-            raise ImumonError(Reason.BAD_CONFIG, f"--bind {bind}: {what}", hint) from error
+            raise bad_config(f"--bind {bind}: {what}", hint) from error
         warn([f"--bind {bind}: every computer that reaches this one can read the live view"])
     return mode
 
@@ -276,7 +276,7 @@ def results_folder(out: Path) -> Iterator[None]:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         what = f"the folder {out} cannot be made: {error.strerror}"
-        raise ImumonError(Reason.BAD_CONFIG, what, "give another folder") from error
+        raise bad_config(what, "give another folder") from error
     try:
         yield
     finally:

@@ -25,7 +25,7 @@ from imumon.cli.common import (
 )
 from imumon.cli.live_run import Keys, PortRun, single_keys, watch
 from imumon.cli.setup_options import SetupOptions, make_setup, setup_options
-from imumon.errors import EXIT_NEGATIVE, EXIT_OK, ImumonError, Reason
+from imumon.errors import EXIT_NEGATIVE, EXIT_OK, bad_config
 from imumon.wings import offers
 
 if TYPE_CHECKING:
@@ -97,7 +97,7 @@ def command(
     if learn and setup.bias_model is None:
         what = "--learn: there is no bias model that could be better"
         hint = "add --model MODEL.yaml, made by: imumon calibrate SESSION... --out MODEL.yaml"
-        raise ImumonError(Reason.BAD_CONFIG, what, hint)
+        raise bad_config(what, hint)
     if learn:
         setup = setup.with_options(watch=setup.watch.model_copy(update={"learn": True}))
     live = PortRun(port, device, baud, setup, out, seconds, serial)

@@ -29,7 +29,7 @@ from imumon.cli.live_run import serve
 from imumon.cli.progress import reading_bar
 from imumon.cli.setup_options import SetupOptions, make_setup, setup_options
 from imumon.cli.table_commands import exported_as_data
-from imumon.errors import EXIT_NEGATIVE, EXIT_OK, ImumonError, Reason
+from imumon.errors import EXIT_NEGATIVE, EXIT_OK, ImumonError, Reason, bad_config, bad_data
 from imumon.files import check_output
 from imumon.wings import offers
 
@@ -178,7 +178,7 @@ def _truth(session: Path, setup: Setup) -> Truth:
 
     if setup.latitude_deg is not None and setup.heading_deg is None:
         what = "--truth with a latitude alone: only a part of the earth's rotation is removed from the bias"
-        raise ImumonError(Reason.BAD_CONFIG, what, "add --heading, or leave --latitude away")
+        raise bad_config(what, "add --heading, or leave --latitude away")
     return read_truth(session, earth_removed=setup.latitude_deg is not None)
 
 
@@ -186,7 +186,7 @@ def _compare(session: Path, given: tuple[Path, Path], out: Path | None, as_json:
     """Write the page of what two models leave of a session."""
     if out is None or out.suffix != ".html":
         what = "--compare-models makes a page, which has no name"
-        raise ImumonError(Reason.BAD_CONFIG, what, "add --out PAGE.html")
+        raise bad_config(what, "add --out PAGE.html")
     check_output(out)
     compare, *_ = offers("compare_models")  # that of imumon comes first
     data, rows = compare(session, given, out)
@@ -217,7 +217,7 @@ def _speed(text: str | None, view: str) -> float | None:
     except ValueError:
         speed = 0.0
     if not 0 < speed < 1e9:
-        raise ImumonError(Reason.BAD_CONFIG, f"--speed {text!r}: expected a positive number or max")
+        raise bad_config(f"--speed {text!r}: expected a positive number or max")
     return speed
 
 
@@ -283,7 +283,7 @@ def view(
                 titles.append(_log_session(*one, name, comparison, progress.count))
         if comparison.arrange() is None:
             hint = "an imported table has no times of a computer: --align power-on" if align == "host" else ""
-            raise ImumonError(Reason.BAD_DATA, "the sessions have no samples with such times", hint)
+            raise bad_data("the sessions have no samples with such times", hint)
         rec.flush()
     except BaseException:
         if out is not None:  # no file that is a part

@@ -24,7 +24,7 @@ from imumon.cli.common import (
     warn,
 )
 from imumon.cli.progress import reading_bar
-from imumon.errors import ImumonError, Reason
+from imumon.errors import ImumonError, Reason, bad_config
 from imumon.files import check_output
 from imumon.wings import offers
 
@@ -133,7 +133,7 @@ def _named(out: Path, kind: str) -> Path:
     check_output(out, replace=True)
     if out.exists() or out.suffix[1:] in KINDS:
         what = f"{out}: the output of --to {kind} ends in .{kind}"
-        raise ImumonError(Reason.BAD_CONFIG, what, f"name it {out.stem}.{kind}, or give another --to")
+        raise bad_config(what, f"name it {out.stem}.{kind}, or give another --to")
     return out.with_name(f"{out.name}.{kind}")
 
 
@@ -182,7 +182,7 @@ def import_(
         more = {"sensor": found.sensor + others, "scaling": found.scaling}
         chosen["damage"] = asdict(damage)
     elif sensor is not None:
-        raise ImumonError(Reason.BAD_CONFIG, "--sensor is for logs, --map for tables", "give one of them")
+        raise bad_config("--sensor is for logs, --map for tables", "give one of them")
     else:
         report = import_table(table, map_path, out)
     name_unit(out, serial)
@@ -217,7 +217,7 @@ def mark(session: Path, text: str, start: bool, stop: bool) -> None:
     from imumon.transport.reader import EventKind
 
     if start and stop:
-        raise ImumonError(Reason.BAD_CONFIG, "--start and --stop are both given", "give one of them")
+        raise bad_config("--start and --stop are both given", "give one of them")
     kind = EventKind.START if start else EventKind.STOP if stop else EventKind.MARK
     ask_for_mark(session, kind, text)
 

@@ -31,7 +31,7 @@ import numpy as np
 from imumon.blocks import NO_INT, IntArray, missing
 from imumon.clock.host import CRYSTAL_PPM
 from imumon.compiled import inner, njit, record, records
-from imumon.errors import ImumonError, Reason
+from imumon.errors import bad_config
 from imumon.protocols.base import Timing
 
 SLACK_NS = 10_000_000_000
@@ -181,8 +181,7 @@ class DeviceClock:
         """
         dated = self._sources[TICKS].limit and device_ticks is not None
         if n and not dated and not self._sources[ROWS].limit and arrival_ns is None:
-            raise ImumonError(
-                Reason.BAD_CONFIG,
+            raise bad_config(
                 "the samples have no device clock, no rate and no arrival times, so they cannot be dated",
                 "give rate_hz in the device file",
             )
@@ -202,8 +201,7 @@ def _check(timing: Timing) -> Fraction | None:
     can_tick = tick is None or (tick > 0 and tick.numerator * tick.denominator < 1 << 62)
     can_count = (bits is None or 1 <= bits <= 32) and 0 <= timing.tick_bits <= 64
     if not (can_tick and can_count and (rate_hz is None or 1e-3 <= rate_hz <= 1e6)):
-        raise ImumonError(
-            Reason.BAD_CONFIG,
+        raise bad_config(
             f"no device counts like this: {timing}",
             "a counter has 1 to 32 bits, a clock 0 to 64, a tick is a positive, simple fraction, a rate from"
             " 0.001 Hz to 1 MHz",

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 from imumon.configure.command_link import HEAR_S, CommandLink
 from imumon.configure.core import BAUD, CommandError, Family, Request, Wish
 from imumon.configure.measured_stream import Stream, measure
-from imumon.errors import ImumonError, Reason
+from imumon.errors import ImumonError, Reason, bad_config, bad_data
 from imumon.protocols.device import DeviceFile
 from imumon.transport.settings import PortSettings
 
@@ -76,8 +76,7 @@ def planned(family: Family, wish: Wish, now: int) -> list[Request]:
     Raises BAD_CONFIG when that depends on what the device sends now.
     """
     if (wish.rate_hz is None) != (wish.outputs is None):
-        raise ImumonError(
-            Reason.BAD_CONFIG,
+        raise bad_config(
             "a dry run sends nothing, so it does not know what the device sends now",
             "give both --rate and --outputs, or leave --dry-run out and --save too: flash stays as it is",
         )
@@ -110,7 +109,7 @@ def check_load(family: Family, values: Mapping[str, bytes], line: PortSettings) 
         (r for r in family.baud_codes if r / line.bits_per_byte * NEARLY_FULL >= needed), default=None
     )
     hint = "ask for fewer outputs or a lower rate"
-    raise ImumonError(Reason.BAD_CONFIG, seen, f"{hint}, or --baud {enough}" if enough else hint)
+    raise bad_config(seen, f"{hint}, or --baud {enough}" if enough else hint)
 
 
 class Configuration:
@@ -178,14 +177,12 @@ class Configuration:
         ]
         report.plan = [request for change in changes for request in family.write(change.name, change.after)]
         if any(change.name == BAUD and family.baud_of(change.before) is None for change in changes):
-            raise ImumonError(
-                Reason.BAD_DATA,
+            raise bad_data(
                 f"the device reports a baud rate that imumon could not put back: {report.before[BAUD]}",
                 "leave --baud out",
             )
         if changes and family.stores_at_once and not wish.save:
-            raise ImumonError(
-                Reason.BAD_CONFIG,
+            raise bad_config(
                 f"{family.title} devices write each setting into flash at once, so nothing was changed",
                 "add --save if the settings may stay for good (--dry-run shows them)",
             )

@@ -9,7 +9,7 @@ import click
 
 from imumon.cli.common import Number, Whole, device_help, json_option, note, print_json, print_rows, say, warn
 from imumon.cli.live_run import ending_signals
-from imumon.errors import ImumonError, Reason
+from imumon.errors import bad_config
 
 if TYPE_CHECKING:
     from imumon.configure.configuration import Report
@@ -64,9 +64,7 @@ def command(
     wish = Wish(rate, None if outputs is None else tuple(dict.fromkeys(_names(outputs))), baud, save)
     family.check(wish)
     if save and wish.only_reads:
-        raise ImumonError(
-            Reason.BAD_CONFIG, "--save, but nothing to save", "give --rate, --outputs or --baud"
-        )
+        raise bad_config("--save, but nothing to save", "give --rate, --outputs or --baud")
     report = Report(described.name, port, verified=family.verified)
     if dry_run:
         _plan(family, wish, at or described.serial.baudrates[0], report)
@@ -77,7 +75,7 @@ def command(
     from imumon.transport.settings import PortSettings
 
     if baud is not None and not PortSettings(port).has_line:
-        raise ImumonError(Reason.BAD_CONFIG, f"{port} has no line with a baud rate", "leave --baud out")
+        raise bad_config(f"{port} has no line with a baud rate", "leave --baud out")
     for number in ending_signals():
         signal.signal(number, signal.default_int_handler)
     link = connect(port, described, family, at)
@@ -97,7 +95,7 @@ def command(
 def _names(outputs: str) -> list[str]:
     names = [name.strip() for name in outputs.split(",")]
     if not all(names):
-        raise ImumonError(Reason.BAD_CONFIG, f"--outputs {outputs!r}: a name is empty")
+        raise bad_config(f"--outputs {outputs!r}: a name is empty")
     return names
 
 

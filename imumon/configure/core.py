@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from imumon.errors import ImumonError, Reason
+from imumon.errors import ImumonError, bad_config
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.framing import Candidates, Frame
 
@@ -259,7 +259,7 @@ class Family(ABC):
 
 
 def _refused(seen: str, there: Iterable[object]) -> ImumonError:
-    return ImumonError(Reason.BAD_CONFIG, seen, f"there are: {', '.join(map(str, there))}")
+    return bad_config(seen, f"there are: {', '.join(map(str, there))}")
 
 
 def no_rate(rate_hz: float, there: Sequence[float], why: str) -> ImumonError:
@@ -267,14 +267,12 @@ def no_rate(rate_hz: float, there: Sequence[float], why: str) -> ImumonError:
     below = max((rate for rate in there if rate <= rate_hz), default=None)
     above = min((rate for rate in there if rate >= rate_hz), default=None)
     near = " and ".join(f"{rate:.6g}" for rate in (below, above) if rate is not None)
-    return ImumonError(Reason.BAD_CONFIG, f"no rate of {rate_hz:g} Hz ({why})", f"nearest: {near} Hz")
+    return bad_config(f"no rate of {rate_hz:g} Hz ({why})", f"nearest: {near} Hz")
 
 
 def nothing_to_keep(what: str, option: str) -> ImumonError:
     """Return the error that something is to stay as it is, and there is nothing."""
-    return ImumonError(
-        Reason.BAD_CONFIG, f"the device sends nothing now, so there is no {what} to keep", option
-    )
+    return bad_config(f"the device sends nothing now, so there is no {what} to keep", option)
 
 
 def divisor(base_hz: float, rate_hz: float | None) -> int:
@@ -308,8 +306,7 @@ def family_of(device: DeviceFile) -> Family:
     Raises BAD_CONFIG when imumon has none for it.
     """
     if device.protocol not in FAMILIES:
-        raise ImumonError(
-            Reason.BAD_CONFIG,
+        raise bad_config(
             f"imumon does not configure {device.name} devices",
             "those that it does: xsens, microstrain, vectornav, witmotion; use the vendor's software",
         )

@@ -15,7 +15,7 @@ from functools import partial
 from imumon.configure import core
 from imumon.configure.core import Family, Message, Request
 from imumon.configure.firmware import Firmware, PacketKind, nearest
-from imumon.errors import ImumonError, Reason
+from imumon.errors import bad_config, bad_data
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.mip import ERRORS, SET_NAMES, MipDevice, MipEncoder
 from imumon.protocols.mip_fields import FILTER, SENSOR, Attitude, Clock, mip_fields
@@ -162,7 +162,7 @@ class Mip(Family):
         known_hz = {of: int.from_bytes((answer or b"")[:2], "big") for of, answer in answers.items()}
         rates = {of: base for of, base in known_hz.items() if base}
         if SENSOR not in rates:
-            raise ImumonError(Reason.BAD_DATA, "the device reports no base rate of its sensors")
+            raise bad_data("the device reports no base rate of its sensors")
         self.identity, self.modern, self.base_hz = tuple(filter(None, texts)), modern, rates
         self.settings = (*(name for name, of in OF_SET.items() if of in rates), core.BAUD)
         self.speed_in_base = core.known(ask, uart) is None
@@ -209,10 +209,8 @@ class Mip(Family):
     ) -> dict[str, bytes]:
         """Return formats and streams; see `Family.wanted`."""
         if outputs and "attitude" in outputs and self.attitude == "filter" and FILTER not in self.base_hz:
-            raise ImumonError(
-                Reason.BAD_CONFIG, "this device has no filter to take an attitude from",
-                "use a device file with attitude: imu (imumon devices microstrain)",
-            )  # fmt: skip
+            raise bad_config("this device has no filter to take an attitude from",
+                "use a device file with attitude: imu (imumon devices microstrain)")  # fmt: skip
         result: dict[str, bytes] = {}
         for of, name in FORMATS.items():
             if of not in self.base_hz:

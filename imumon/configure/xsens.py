@@ -13,7 +13,7 @@ from dataclasses import replace
 from imumon.configure import core
 from imumon.configure.core import Family, Message, Request
 from imumon.configure.firmware import Firmware, PacketKind, nearest
-from imumon.errors import ImumonError, Reason
+from imumon.errors import bad_config
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.tagged import XBUS, xbus_message
 from imumon.protocols.xsens import mtdata
@@ -137,11 +137,7 @@ class Xsens(Family):
             else:
                 timed += [(code, rate_hz) for code in IDENTIFIERS[name]]
         if not timed:
-            raise ImumonError(
-                Reason.BAD_CONFIG,
-                "a status alone has no rate" if always else "nothing to send",
-                "add inertial",
-            )
+            raise bad_config("a status alone has no rate" if always else "nothing to send", "add inertial")
         often = [
             (code, round(min(hz, rate_hz, MOST_HZ.get(code & 0xFFF0, FASTEST_HZ)))) for code, hz in timed
         ]

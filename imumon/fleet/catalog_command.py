@@ -23,7 +23,7 @@ from imumon.cli.common import (
     show,
     warn,
 )
-from imumon.errors import ImumonError, Reason
+from imumon.errors import bad_data
 
 if TYPE_CHECKING:
     from imumon.fleet.catalog.drift import Outlier
@@ -81,7 +81,7 @@ def read(folder: Path, results: Path | None = None) -> tuple[list[Unit], list[Ou
     from imumon.fleet.catalog.units import read_models, read_sessions, units_of
 
     if not folder.is_dir():
-        raise ImumonError(Reason.BAD_DATA, f"{folder} is no folder", "give the folder of the sessions")
+        raise bad_data(f"{folder} is no folder", "give the folder of the sessions")
     with console(error=True).status("reading") as status:
         entries, left_out = read_sessions(folder, results or folder / RESULTS, status.update)
     units = units_of(entries, read_models(folder))

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from imumon.cli.common import PATH, print_rows, warn
-from imumon.errors import ImumonError, Reason
+from imumon.errors import bad_config, bad_data
 from imumon.files import check_output
 
 
@@ -29,7 +29,7 @@ def command(what: str, out: Path, sessions: Path) -> None:
     imumon report 0380123 --sessions sessions --out unit.html
     """
     if out.suffix != ".html":
-        raise ImumonError(Reason.BAD_CONFIG, f"{out}: the record is a page", "name it NAME.html")
+        raise bad_config(f"{out}: the record is a page", "name it NAME.html")
     check_output(out, replace=True)
     from imumon.fleet.catalog.page import write_session, write_unit
     from imumon.fleet.catalog_command import read
@@ -39,8 +39,7 @@ def command(what: str, out: Path, sessions: Path) -> None:
         warn(write_session(open_session(Path(what)), out))
     else:
         if not sessions.is_dir():
-            raise ImumonError(
-                Reason.BAD_DATA,
+            raise bad_data(
                 f"{what} is no session, and there is no folder {sessions} with sessions of a unit {what}",
                 "give the folder of a session, or --sessions DIR",
             )
@@ -48,8 +47,7 @@ def command(what: str, out: Path, sessions: Path) -> None:
         unit = next((unit for unit in units if unit.name == what), None)
         if unit is None:
             names = ", ".join(unit.name for unit in units)
-            raise ImumonError(
-                Reason.BAD_DATA,
+            raise bad_data(
                 f"{what} is neither a session nor a unit of which there are sessions in {sessions}",
                 f"there are: {names}",
             )

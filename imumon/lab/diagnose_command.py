@@ -19,7 +19,7 @@ from imumon.cli.common import (
     with_warnings,
 )
 from imumon.cli.progress import reading_bar
-from imumon.errors import ImumonError, Reason
+from imumon.errors import bad_config
 
 if TYPE_CHECKING:
     from imumon.lab.diagnosis.diagnose import Diagnosis
@@ -115,9 +115,7 @@ def command(
     from imumon.models.curves.polynomial import CUBIC
 
     if declared is not None and model_path is not None:
-        raise ImumonError(
-            Reason.BAD_CONFIG, "--model and --declared are both given", "give one: each says what is assumed"
-        )
+        raise bad_config("--model and --declared are both given", "give one: each says what is assumed")
     model = model_of(model_path) if model_path is not None else None
     assumed = declared if declared is not None else CUBIC
     parse_declared(assumed)
@@ -178,7 +176,7 @@ def model_of(path: Path) -> BiasModel:
         return load_model(path)
     model = recorded_setup(open_session(path)).bias_model
     if model is None:
-        raise ImumonError(Reason.BAD_CONFIG, f"{path} ran without a bias model", "give a model file")
+        raise bad_config(f"{path} ran without a bias model", "give a model file")
     return model
 
 

@@ -9,7 +9,7 @@ import click
 
 from imumon.cli.common import PATH, json_option, print_json, print_rows, warn
 from imumon.cli.progress import reading_bar
-from imumon.errors import EXIT_NEGATIVE, EXIT_OK, ImumonError, Reason
+from imumon.errors import EXIT_NEGATIVE, EXIT_OK, ImumonError, bad_config, bad_data
 from imumon.files import check_output
 from imumon.lab.diagnose_command import model_of, read
 
@@ -59,9 +59,7 @@ def command(
     with reading_bar([session.path for session in sessions], quiet=as_json) as tell:
         usable = [runs for session in sessions if (runs := _read(session, tell.count))]
         if not usable:
-            raise ImumonError(
-                Reason.BAD_DATA, f"no session in {folder} can be used", "record the unit at rest for an hour"
-            )
+            raise bad_data(f"no session in {folder} can be used", "record the unit at rest for an hour")
         diagnosis = diagnose(*latest(usable), progress=tell, model=model)
     warn(diagnosis.caveats)
     better = any(verdict.predicts and (verdict.claims or verdict.refit) for verdict in with_model(diagnosis))
@@ -84,12 +82,10 @@ def _of_one(sessions: list[Session], wanted: dict[str, str | None], folder: Path
         names = sorted({name for session in found if (name := getattr(session.metadata, key)) is not None})
         if not found:
             what = "no session" if value is None else f"no session of {key} {value}"
-            raise ImumonError(
-                Reason.BAD_DATA, f"there is {what} in {folder}", "give the folder of the sessions"
-            )
+            raise bad_data(f"there is {what} in {folder}", "give the folder of the sessions")
         if len(names) > 1:
             seen = f"{folder} has sessions of {key} {', '.join(names)}"
-            raise ImumonError(Reason.BAD_CONFIG, seen, f"say which unit is meant: --{key} NAME")
+            raise bad_config(seen, f"say which unit is meant: --{key} NAME")
         sessions = found
     return sessions
 

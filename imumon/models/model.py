@@ -12,7 +12,7 @@ from pydantic import BeforeValidator, Field, FiniteFloat, NonNegativeInt, model_
 from imumon.blocks import BoolArray, FloatArray
 from imumon.config import StrictModel, dump_yaml, load_yaml
 from imumon.effects.library import AnyEffect
-from imumon.errors import ImumonError, Reason
+from imumon.errors import ImumonError, bad_config
 from imumon.files import as_path, write_text
 from imumon.models.curves.network import NetworkCurve
 from imumon.models.curves.polynomial import PolynomialCurve
@@ -178,4 +178,4 @@ def load_model(path: str | Path) -> BiasModel:
         return load_yaml(as_path("path", path), BiasModel)
     except ImumonError as error:
         hint = error.hint or f"a model file is what imumon calibrate writes, of format {FORMAT}"
-        raise ImumonError(Reason.BAD_CONFIG, error.seen, hint) from error
+        raise bad_config(error.seen, hint) from error

@@ -11,7 +11,7 @@ from imumon.blocks import BoolArray, FloatArray, IntArray, SampleBlock
 from imumon.effects.base import ACCEL, TEMPERATURE, Effect
 from imumon.effects.live import Carrier
 from imumon.effects.vibration import VIBRATION, Vibration
-from imumon.errors import ImumonError, Reason
+from imumon.errors import bad_config
 from imumon.models.model import REACH, BiasModel, ChannelModel
 
 NO_DRIVERS: Mapping[str, FloatArray] = {}
@@ -53,8 +53,7 @@ class BiasPredictor:
 
     def __init__(self, model: BiasModel, channels: Sequence[str]) -> None:
         if lacking := [name for name in channels if name not in model.channels]:
-            raise ImumonError(
-                Reason.BAD_CONFIG,
+            raise bad_config(
                 f"the bias model has no {', '.join(lacking)}; it has {', '.join(model.channels)}",
                 "calibrate with data that has these columns",
             )

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from imumon.blocks import FloatArray, IntArray
-from imumon.errors import ImumonError, Reason
+from imumon.errors import bad_data
 from imumon.filters.slots import SlotGatherer, Slots
 
 SLOT_S = 1.0
@@ -136,10 +136,8 @@ def fit_local_level(means: Sequence[RestMean]) -> LocalLevel:
     """
     count = sum(1 for mean in means if mean.covered_s > 0.0)
     if count < LEAST_MEANS:
-        raise ImumonError(
-            Reason.BAD_DATA,
-            f"{count} s of readings at rest",
-            f"noise can be fitted from {LEAST_MEANS} s on; hours are better",
+        raise bad_data(
+            f"{count} s of readings at rest", f"noise can be fitted from {LEAST_MEANS} s on; hours are better"
         )
     deviance, white = deviances(means, RATIOS)
     weights = np.exp(-0.5 * (deviance - deviance.min()))

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from imumon.blocks import IntArray, SampleBlock
-from imumon.errors import ImumonError, Reason
+from imumon.errors import bad_config
 
 T = TypeVar("T")
 
@@ -101,7 +101,7 @@ def chosen(names: Sequence[str], there: Mapping[str, T], what: str) -> list[T]:
     for name in names:
         if name not in there:
             known = ", ".join(sorted(there))
-            raise ImumonError(Reason.BAD_CONFIG, f"no {what} {name!r}", f"there are: {known}")
+            raise bad_config(f"no {what} {name!r}", f"there are: {known}")
     if not names:
-        raise ImumonError(Reason.BAD_CONFIG, "there is nothing to send")
+        raise bad_config("there is nothing to send")
     return [there[name] for name in names]

@@ -11,7 +11,7 @@ from typing import Literal, Self
 from pydantic import Field, PositiveFloat, PositiveInt, PrivateAttr, field_validator
 
 from imumon.config import StrictModel, parse_yaml
-from imumon.errors import ImumonError, Reason
+from imumon.errors import bad_config
 from imumon.files import bundled, read_text
 from imumon.plugins import DEVICES, plugins
 from imumon.protocols.base import Encoder
@@ -133,8 +133,7 @@ def device_text(name: str) -> tuple[str, str]:
     looks_like_path = name.endswith((".yaml", ".yml")) or "/" in name
     path = Path(name) if looks_like_path else _files().get(name)
     if path is None or ("\0" not in name and not path.exists()):
-        raise ImumonError(
-            Reason.BAD_CONFIG,
+        raise bad_config(
             f"no device {name!r}" + (": no such file" if looks_like_path else ""),
             f"known devices: {', '.join(device_names())}; or give the path of a device file (NAME.yaml)",
         )

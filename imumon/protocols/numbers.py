@@ -11,7 +11,7 @@ import numpy as np
 
 from imumon.blocks import NO_INT, BoolArray, ColumnArray, FloatArray, IntArray
 from imumon.columns import Column
-from imumon.errors import ImumonError, Reason
+from imumon.errors import bad_data
 from imumon.protocols.base import MAIN, ByteArray, Groups
 from imumon.protocols.framing import Found, windows
 
@@ -185,8 +185,7 @@ def _packed(where: str, value: Number, numbers: ColumnArray) -> ByteArray:
 
 def _refuse(bad: BoolArray, numbers: ColumnArray, where: str) -> None:
     if np.any(bad):
-        raise ImumonError(
-            Reason.BAD_DATA,
+        raise bad_data(
             f"{where}: {numbers[np.argmax(bad)]} does not fit ({np.sum(bad)} of {len(bad)} values)",
             "choose a wider number format or a larger scale, or leave the column out",
         )

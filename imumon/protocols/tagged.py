@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imumon.blocks import BoolArray, ColumnArray, IntArray, SampleBlock
-from imumon.errors import ImumonError, Reason
+from imumon.errors import bad_config
 from imumon.protocols.base import OTHER, ByteArray, Encoder, Timing
 from imumon.protocols.checks import Checksum
 from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, NO_PACKET, Found, Frame, counted_length
@@ -224,10 +224,10 @@ class TaggedEncoder(Encoder):
         self, form: Form, kind: int, fields: Sequence[tuple[int, Message]], derived: Sequence[Derived] = ()
     ) -> None:
         if empty := [field.name for _, field in fields if field.size < 0]:
-            raise ImumonError(Reason.BAD_CONFIG, f"{', '.join(empty)}: carries nothing that can be encoded")
+            raise bad_config(f"{', '.join(empty)}: carries nothing that can be encoded")
         longest = sum(form.header + field.size for _, field in fields)
         if longest > form.longest:
-            raise ImumonError(Reason.BAD_CONFIG, f"a packet with these fields has {longest} bytes, too many")
+            raise bad_config(f"a packet with these fields has {longest} bytes, too many")
         self._form, self._kind, self._fields, self._derived = form, kind, fields, derived
 
     def encode(self, block: SampleBlock) -> list[bytes]:

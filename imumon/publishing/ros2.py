@@ -7,7 +7,7 @@ import os
 from collections.abc import Sequence
 from typing import Any
 
-from imumon.errors import ImumonError, Reason
+from imumon.errors import bad_config
 from imumon.publishing.messages import CLOCKS, Published, topic_of
 from imumon.publishing.target import Target
 from imumon.recordings.ros2 import Message, Stream
@@ -38,7 +38,7 @@ class Ros2:
             self._ros.init()
             self._node = self._ros.create_node("imumon")
         except (ImportError, RuntimeError) as error:
-            raise ImumonError(Reason.BAD_CONFIG, f"ROS 2 cannot be started: {error}") from error
+            raise bad_config(f"ROS 2 cannot be started: {error}") from error
         self._setup = setup
         self._streams: dict[str, Stream] = {}
         self._publishers: dict[str, tuple[Any, Any]] = {}

@@ -8,7 +8,7 @@ import socket
 from dataclasses import dataclass
 from typing import Literal
 
-from imumon.errors import ImumonError, Reason, missing_package
+from imumon.errors import bad_config, missing_package
 from imumon.view.viewer import LOCALHOST
 
 Kind = Literal["udp-json", "foxglove", "ros2"]
@@ -57,14 +57,11 @@ def parse_target(text: str) -> Target:
     name, _, address = text.partition("=")
     kind = next((one for one in PORTS if one == name), None)
     if kind is None:
-        raise ImumonError(
-            Reason.BAD_CONFIG, f"--publish {text}: there is no {name!r}", f"one of: {', '.join(PORTS)}"
-        )
+        raise bad_config(f"--publish {text}: there is no {name!r}", f"one of: {', '.join(PORTS)}")
     _need_packages(kind)
     if kind == "ros2":
         if address not in ("", NETWORK):
-            raise ImumonError(
-                Reason.BAD_CONFIG,
+            raise bad_config(
                 f"--publish {text}: ROS 2 takes no address",
                 f"ros2 for this computer alone, ros2={NETWORK} for as far as ROS is set up to reach",
             )
@@ -77,8 +74,7 @@ def _need_packages(kind: Kind) -> None:
     if kind == "foxglove" and importlib.util.find_spec("foxglove") is None:
         raise missing_package("--publish foxglove", "foxglove-sdk", "foxglove")
     if kind == "ros2" and importlib.util.find_spec("rclpy") is None:
-        raise ImumonError(
-            Reason.BAD_CONFIG,
+        raise bad_config(
             "--publish ros2 needs rclpy, which comes with ROS 2 and with no package index",
             "source /opt/ros/DISTRO/setup.bash, then start imumon with the Python that ROS was built for",
         )
@@ -93,9 +89,7 @@ def _split(text: str, address: str, port: int) -> tuple[str, int]:
     elif address.count(":") == 1:
         host, number = address.split(":")
     if not (number.isascii() and number.isdigit() and 0 < int(number) <= _HIGHEST_PORT):
-        raise ImumonError(
-            Reason.BAD_CONFIG, f"--publish {text}: the port is {number!r}", "HOST:PORT, with 1 to 65535"
-        )
+        raise bad_config(f"--publish {text}: the port is {number!r}", "HOST:PORT, with 1 to 65535")
     return host or LOCALHOST, int(number)
 
 
@@ -104,7 +98,5 @@ def _resolved(text: str, host: str) -> str:
     try:
         found = socket.getaddrinfo(host, None, type=socket.SOCK_DGRAM)
     except (OSError, UnicodeError) as error:
-        raise ImumonError(
-            Reason.BAD_CONFIG, f"--publish {text}: the host {host!r} is not known", "give its address"
-        ) from error
+        raise bad_config(f"--publish {text}: the host {host!r} is not known", "give its address") from error
     return str(found[0][4][0]).partition("%")[0]

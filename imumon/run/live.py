@@ -21,7 +21,7 @@ import numpy as np
 
 from imumon.blocks import SampleBlock
 from imumon.columns import KNOWN
-from imumon.errors import ImumonError, Reason
+from imumon.errors import ImumonError, Reason, bad_config, bad_data
 from imumon.geodesy import STANDARD_GRAVITY
 from imumon.models.model import BiasModel
 from imumon.pipeline import Digest, Estimator, Pipeline, PipelineCounters
@@ -284,8 +284,7 @@ class LiveRun(DecodedPort):
         counters = self.pipeline.counters
         digest = self._digest.hexdigest() if self._finished else None
         if not self._finished and self._thread.ident is not None and self.failure is None:
-            self.failure = ImumonError(
-                Reason.BAD_DATA,
+            self.failure = bad_data(
                 f"decoding ended after {counters.packets:,} packets by a defect of imumon",
                 f"the recording is whole; please report the defect with it: {self.session.path}",
             )
@@ -332,7 +331,7 @@ class LiveRun(DecodedPort):
         except OSError as error:
             remove_empty(self.session)
             what = f"the recording {path} cannot be made: {error.strerror}"
-            raise ImumonError(Reason.BAD_CONFIG, what, "give another folder") from error
+            raise bad_config(what, "give another folder") from error
 
     def _hand_on(self, block: SampleBlock) -> None:
         self._digest.update(block, self.pipeline.side)

@@ -11,7 +11,7 @@ import os
 from contextlib import suppress
 from pathlib import Path
 
-from imumon.errors import ImumonError, Reason
+from imumon.errors import ImumonError, bad_config
 from imumon.harmless import for_log
 from imumon.recordings.folder import open_session
 from imumon.recordings.recovery import refuse_recording
@@ -30,11 +30,10 @@ def ask_for_mark(session: Path, kind: EventKind, text: str) -> None:
     what is to stop does not; BAD_DATA when there is no session.
     """
     if not text.strip():
-        raise ImumonError(Reason.BAD_CONFIG, "the text of the mark is empty", "say what is marked")
+        raise bad_config("the text of the mark is empty", "say what is marked")
     opened = open_session(session)
     if not _is_recorded(opened.wire_path):
-        raise ImumonError(
-            Reason.BAD_CONFIG,
+        raise bad_config(
             f"{session} is not being recorded",
             "marks are made while imumon monitor runs; its summary names the session",
         )
@@ -45,7 +44,7 @@ def ask_for_mark(session: Path, kind: EventKind, text: str) -> None:
             what, option = (
                 ("goes on already", "--stop ends") if goes_on else ("does not go on", "--start begins")
             )
-            raise ImumonError(Reason.BAD_CONFIG, f"the part {text!r} {what} in {session}", f"{option} it")
+            raise bad_config(f"the part {text!r} {what} in {session}", f"{option} it")
     append_request(opened.path, kind, text)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from imumon.errors import ImumonError, Reason
+from imumon.errors import bad_config, bad_data
 from imumon.recordings.folder import (
     METADATA_NAME,
     WIRE_NAME,
@@ -59,10 +59,10 @@ def recover(path: Path, device_name: str | None = None) -> Recovered:
     else:
         unknown, session = [], open_session(path)
         if device_name is not None:
-            raise ImumonError(Reason.BAD_CONFIG, f"--device, and {path} knows its device", "leave it out")
+            raise bad_config(f"--device, and {path} knows its device", "leave it out")
     if session.metadata.source == "import":
         hint = "it follows from its table: imumon import makes it anew"
-        raise ImumonError(Reason.BAD_DATA, f"{path} is an imported session, which has no bytes", hint)
+        raise bad_data(f"{path} is an imported session, which has no bytes", hint)
     refuse_recording(session.wire_path)
     source = source_of(session)
     assert isinstance(source.items, WireReader)

@@ -9,7 +9,7 @@ from pydantic import Field, ValidationError, field_validator
 
 from imumon.allan.parameters import AllanParameters, Noise
 from imumon.config import StrictModel, dump_yaml, parse_yaml
-from imumon.errors import ImumonError, Reason
+from imumon.errors import bad_config
 from imumon.estimation.alignment.parameters import AlignmentParameters, known_warm_up
 from imumon.estimation.attitude.parameters import AttitudeParameters
 from imumon.estimation.rest.parameters import GyroBiasParameters, RestParameters
@@ -61,10 +61,10 @@ class Setup(StrictModel):
                 super().__init__(**given)
             except ValidationError as error:
                 wrong = [f"{one['loc'][0]}={one['input']!r:.60}: {one['msg']}" for one in error.errors()]
-                raise ImumonError(Reason.BAD_CONFIG, f"Setup: {'; '.join(wrong)}") from error
+                raise bad_config(f"Setup: {'; '.join(wrong)}") from error
             if isinstance(self.model, str):  # only `load_setup` knows the folder that it is relative to
                 what = f"Setup: model={self.model!r}: expected a bias model"
-                raise ImumonError(Reason.BAD_CONFIG, what, "use imumon.load_model(path)")
+                raise bad_config(what, "use imumon.load_model(path)")
 
         # Else pydantic calls it for files as well, whose errors `parse_yaml` gives with their lines.
         __init__.__pydantic_base_init__ = True
@@ -147,7 +147,7 @@ class Setup(StrictModel):
         if self.zupt_mode == "thermal" and self.bias_model is None:
             what = "the thermal mode needs the bias over temperature, and there is no model"
             hint = "add --model MODEL.yaml, made by: imumon calibrate SESSION... --out MODEL.yaml"
-            raise ImumonError(Reason.BAD_CONFIG, what, hint)
+            raise bad_config(what, hint)
         return self
 
     def text(self) -> str | None:

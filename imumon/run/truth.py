@@ -12,7 +12,7 @@ import numpy as np
 
 from imumon.blocks import FloatArray, IntArray, SampleBlock
 from imumon.columns import TEMPERATURES
-from imumon.errors import ImumonError, Reason
+from imumon.errors import bad_data
 from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.geodesy import DEG_PER_H
 from imumon.models.model import BiasModel
@@ -121,8 +121,7 @@ def check_truth(sessions: Iterable[Path]) -> None:
     """Raise BAD_DATA for the first session that has no truth."""
     for session in sessions:
         if not (session / TRUTH_NAME).is_file():
-            raise ImumonError(
-                Reason.BAD_DATA,
+            raise bad_data(
                 f"{session}: there is no {TRUTH_NAME} in this session, so its errors are unknown",
                 "only a session of `imumon simulate` has true values; leave --truth away",
             )
@@ -136,12 +135,10 @@ def read_truth(session: Path, *, earth_removed: bool) -> Truth:
     check_truth([session])
     path = session / TRUTH_NAME
     if lacking := [name for name in NEEDED if name not in read_columns(path)]:
-        raise ImumonError(
-            Reason.BAD_DATA, f"{path}: has no {', '.join(lacking)}", "simulate the session anew"
-        )
+        raise bad_data(f"{path}: has no {', '.join(lacking)}", "simulate the session anew")
     table, _ = read_table(path)
     if not len(table):
-        raise ImumonError(Reason.BAD_DATA, f"{path}: has no rows", "simulate the session anew")
+        raise bad_data(f"{path}: has no rows", "simulate the session anew")
     true, at_rest = {name: table[name] for name in (*GYROS, *TEMPERATURES)}, table["at_rest"].astype(np.int64)
     if not earth_removed:
         for name, rate in zip(GYROS, RATES, strict=True):

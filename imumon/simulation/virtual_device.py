@@ -12,7 +12,7 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
-from imumon.errors import ImumonError, Reason
+from imumon.errors import ImumonError, bad_config
 from imumon.protocols.device import DeviceFile
 from imumon.simulation.unit import Scenario, SimulatedUnit, load_scenario
 from imumon.simulation.unit.unit import MICROSECOND
@@ -37,8 +37,7 @@ def refuse_overload(device: DeviceFile, scenario: Scenario) -> None:
     baudrate = device.serial.baudrates[0]
     load = packet_bytes * BITS_PER_BYTE * scenario.rate_hz / baudrate
     if load > 1.0:
-        raise ImumonError(
-            Reason.BAD_CONFIG,
+        raise bad_config(
             f"{scenario.rate_hz:g} packets/s of {packet_bytes} bytes are {load:.0%} of a line at {baudrate} "
             "baud",
             "choose a lower rate, or a device file with a higher baud rate first in its list",

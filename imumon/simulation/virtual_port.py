@@ -19,7 +19,7 @@ import tty
 from contextlib import AbstractContextManager, suppress
 from pathlib import Path
 
-from imumon.errors import ImumonError, Reason
+from imumon.errors import ImumonError, Reason, bad_config
 
 DRAIN_S = 10.0
 """How long the last bytes are waited for at the most."""
@@ -187,8 +187,8 @@ class VirtualPort(AbstractContextManager["VirtualPort"]):
                 raise ImumonError(
                     Reason.EXISTS, f"{link} exists already", "remove it, or choose another name for the link"
                 ) from error
-            raise ImumonError(
-                Reason.BAD_CONFIG, f"the link {link} cannot be made: {error.strerror}", "choose another name"
+            raise bad_config(
+                f"the link {link} cannot be made: {error.strerror}", "choose another name"
             ) from error
 
     def _send(self) -> None:

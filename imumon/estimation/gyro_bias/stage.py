@@ -11,7 +11,7 @@ import numpy as np
 from imumon.blocks import NO_INT, BoolArray, ColumnArray, FloatArray, IntArray, SampleBlock
 from imumon.charts import Chart
 from imumon.columns import Column, vector_columns
-from imumon.errors import ImumonError, Reason
+from imumon.errors import bad_config
 from imumon.estimation.gyro_bias.estimator import SECOND_S, Estimator
 from imumon.estimation.gyro_bias.modes import SLOPE_LEFT_PER_SIGMA, SLOPE_PER_SIGMA
 from imumon.estimation.gyro_bias.place import Attitude
@@ -94,10 +94,8 @@ class RestAndBias:
         rest: RestParameters | None = None,
     ) -> None:
         if mode == "thermal" and model is None:
-            raise ImumonError(
-                Reason.BAD_CONFIG,
-                "the thermal mode needs a bias model and has none",
-                "give a model, or take the mode learned",
+            raise bad_config(
+                "the thermal mode needs a bias model and has none", "give a model, or take the mode learned"
             )
         self._parameters, rest = parameters or GyroBiasParameters(), rest or RestParameters()
         slopes = (0.0, SLOPE_LEFT_PER_SIGMA if model else SLOPE_PER_SIGMA) if mode == "learned" else (0.0,)

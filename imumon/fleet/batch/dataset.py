@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 from pydantic import Field
 
 from imumon.config import StrictModel, dump_yaml, load_yaml
-from imumon.errors import ImumonError, Reason
+from imumon.errors import ImumonError, Reason, bad_config
 from imumon.files import replacing, write_text
 from imumon.models.curves.polynomial import CUBIC
 from imumon.recordings.source import RECORDING
@@ -126,7 +126,7 @@ class Dataset:
                 Reason.BUSY, f"another batch adds to {folder} now", "wait for its end"
             ) from error
         except OSError as error:
-            raise ImumonError(Reason.BAD_CONFIG, f"{folder}: cannot be made: {error.strerror}") from error
+            raise bad_config(f"{folder}: cannot be made: {error.strerror}") from error
         try:
             self._check(options)
         except (ImumonError, OSError):

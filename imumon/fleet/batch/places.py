@@ -8,7 +8,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from imumon.errors import ImumonError, Reason, missing_package
+from imumon.errors import bad_config, bad_data, missing_package
 from imumon.recordings.folder import METADATA_NAME, WIRE_NAME, Session, is_session, read_metadata
 from imumon.recordings.table import SUFFIXES
 
@@ -20,7 +20,7 @@ def find(place: str) -> list[str]:
     """
     found = _elsewhere(place) if is_url(place) else _here(Path(place))
     if not found:
-        raise ImumonError(Reason.BAD_DATA, f"{place}: there is no session", "give sessions, or their folder")
+        raise bad_data(f"{place}: there is no session", "give sessions, or their folder")
     return found
 
 
@@ -52,7 +52,7 @@ def fetched(place: str, folder: Path | None = None) -> Iterator[Path]:
                 truth = Session(copy, read_metadata(copy / METADATA_NAME)).truth_path
                 files.get_file(f"{path}/{truth.name}", str(truth))
         except OSError as error:
-            raise ImumonError(Reason.BAD_DATA, f"{place}: cannot be read: {error}") from error
+            raise bad_data(f"{place}: cannot be read: {error}") from error
         yield copy
 
 
@@ -73,7 +73,7 @@ def _elsewhere(place: str) -> list[str]:
         files.info(root)  # which says why where there is nothing: the search below passes over errors
         parts = [str(name).rpartition("/") for name in files.find(root)]
     except OSError as error:
-        raise ImumonError(Reason.BAD_DATA, f"{place}: cannot be read: {error}") from error
+        raise bad_data(f"{place}: cannot be read: {error}") from error
     found = {folder for folder, _, name in parts if name in (METADATA_NAME, WIRE_NAME)}
     below = [folder[len(root) :] for folder in sorted(found)]
     return [f"{address.rstrip('/')}{rest}{mark}{options}" for rest in below]
@@ -99,5 +99,5 @@ def _opened(place: str) -> tuple[Any, str]:
             return ArrowFSWrapper(system), str(path)
         files, path = url_to_fs(place)
     except (ImportError, ValueError, OSError, ArrowException) as error:
-        raise ImumonError(Reason.BAD_CONFIG, f"{place}: cannot be opened: {error}") from error
+        raise bad_config(f"{place}: cannot be opened: {error}") from error
     return files, str(path)

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from imumon.blocks import NO_INT, ColumnArray, SampleBlock
-from imumon.errors import ImumonError, Reason
+from imumon.errors import ImumonError, Reason, bad_config, bad_data
 from imumon.fleet.batch.dataset import BatchOptions, Row
 from imumon.fleet.batch.places import fetched
 from imumon.pipeline import Digest, Pipeline, SampleSink
@@ -70,9 +70,7 @@ def work(job: Job) -> list[Row]:
     what: dict[str, Any] = {"session": job.place}
     try:
         if job.version != __version__:
-            raise ImumonError(
-                Reason.BAD_CONFIG, f"the worker has imumon {__version__}, the batch is of {job.version}"
-            )
+            raise bad_config(f"the worker has imumon {__version__}, the batch is of {job.version}")
         folder = _folder()
         limit: AbstractContextManager[None] = nullcontext()
         if job.limit_s is not None and folder is not None:  # only a worker may end
@@ -81,9 +79,7 @@ def work(job: Job) -> list[Row]:
             what |= _described(path)
             rows: list[Row] = [{**what, **row} for row in _COMMANDS[job.options.command](path, job)]
         if not rows:
-            raise ImumonError(
-                Reason.BAD_DATA, f"{job.place}: has no channel that {job.options.command} knows"
-            )
+            raise bad_data(f"{job.place}: has no channel that {job.options.command} knows")
     except ImumonError as error:
         return [failure(job.place, error.reason.value, error.line, what)]
     except OSError as error:

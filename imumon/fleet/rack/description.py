@@ -9,7 +9,7 @@ from typing import Annotated, Final, Literal
 from pydantic import Field, StringConstraints
 
 from imumon.config import StrictModel, parse_yaml
-from imumon.errors import ImumonError, Reason
+from imumon.errors import ImumonError, bad_config
 from imumon.files import read_text
 from imumon.models.model import load_model
 from imumon.protocols.device import device_text, parse_device
@@ -80,16 +80,14 @@ def load_rack(path: Path) -> dict[str, Plan]:
     ports: dict[str, str] = {}
     for name, place in rack.units.items():
         if (other := ports.setdefault(place.port, name)) != name:
-            raise ImumonError(
-                Reason.BAD_CONFIG, f"{path}: units.{name}.port: {place.port} is the port of {other} already"
-            )
+            raise bad_config(f"{path}: units.{name}.port: {place.port} is the port of {other} already")
     return {name: _plan(name, place, rack.default, path) for name, place in rack.units.items()}
 
 
 def _plan(name: str, place: Place, default: Shared, path: Path) -> Plan:
     if place.device is None and default.device is None:
         text = "neither the unit nor the default says which device it is"
-        raise ImumonError(Reason.BAD_CONFIG, f"{path}: units.{name}.device: {text}")
+        raise bad_config(f"{path}: units.{name}.device: {text}")
     settings_of = {**default.model_dump(exclude_none=True), **place.model_dump(exclude_none=True)}
     try:
         device = _beside(path, settings_of["device"])

@@ -17,7 +17,7 @@ from typing import Literal
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.errors import ImumonError, Reason
+from imumon.errors import bad_config, bad_data
 from imumon.models.model import BiasModel
 
 Autopilot = Literal["ardupilot", "px4"]
@@ -53,12 +53,11 @@ def parameters(
     check_ids(autopilot, ids)
     kinds = [kind for kind in KINDS if all(f"{kind}_{axis}" in model.channels for axis in "xyz")]
     if "gyro" not in kinds:
-        raise ImumonError(Reason.BAD_CONFIG, "the model has not all three gyros", "calibrate all of them")
+        raise bad_config("the model has not all three gyros", "calibrate all of them")
     ranges = [model.channels[f"{kind}_{axis}"].temperature_range_degc for kind in kinds for axis in "xyz"]
     low, high = max(one[0] for one in ranges), min(one[1] for one in ranges)
     if high - low < LEAST_SPAN_DEGC:
-        raise ImumonError(
-            Reason.BAD_DATA,
+        raise bad_data(
             f"the channels are known from {low:.1f} to {high:.1f} °C only",
             f"an autopilot's calibration needs {LEAST_SPAN_DEGC:g} °C at least: calibrate over more",
         )
@@ -98,8 +97,7 @@ def _px4(cubics: dict[str, list[list[float]]], imu: int, ids: tuple[int, int], d
 def check_ids(autopilot: Autopilot | None, ids: tuple[int, int] | None) -> None:
     """Raise BAD_CONFIG where identifiers are needed and missing, which is known before any work."""
     if autopilot == "px4" and ids is None:
-        raise ImumonError(
-            Reason.BAD_CONFIG,
+        raise bad_config(
             "PX4 finds the calibration of a sensor by its identifier, which is not in the model",
             "give --device-ids GYRO ACCEL: sensor_gyro.device_id and sensor_accel.device_id of its log",
         )
@@ -110,8 +108,7 @@ def _cubic(model: BiasModel, name: str, degc: FloatArray, reference: float) -> t
     channel = model.channels[name]
     if channel.effects:
         names = ", ".join(dict.fromkeys(effect.name for effect in channel.effects))
-        raise ImumonError(
-            Reason.BAD_DATA,
+        raise bad_data(
             f"{name} has more than a curve over temperature ({names}), which no autopilot knows",
             "export a model of imumon calibrate without effects, and see what it errs by in diagnose",
         )

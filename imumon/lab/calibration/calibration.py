@@ -12,7 +12,7 @@ import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.effects.thermal_lag import UNTOLD_S
-from imumon.errors import ImumonError, Reason
+from imumon.errors import ImumonError, bad_config, bad_data
 from imumon.geodesy import DEG_PER_H
 from imumon.intake import RANGES
 from imumon.lab.calibration.cells import Cells, Channel, channel_of, group, levels
@@ -105,8 +105,7 @@ def calibrate(
     cells = group(records, latitude_deg, heading_deg)
     check_coverage(records, cells)
     if latitude_deg is not None and any(run.earth_rate is None for run in cells.runs):
-        raise ImumonError(
-            Reason.BAD_CONFIG,
+        raise bad_config(
             "the earth rate cannot be removed: the unit has no accelerometers",
             "leave --latitude and --heading away",
         )
@@ -136,8 +135,7 @@ def check_place(latitude_deg: float | None, heading_deg: float | None) -> None:
     """Raise BAD_CONFIG where only one of them is given."""
     if (latitude_deg is None) != (heading_deg is None):
         missing = "latitude" if latitude_deg is None else "heading"
-        raise ImumonError(
-            Reason.BAD_CONFIG,
+        raise bad_config(
             f"the earth rate needs latitude and heading; there is no {missing}",
             "give both, or neither: then the earth rate stays in the constant of the curves",
         )
@@ -335,4 +333,4 @@ def check_coverage(records: Sequence[Record], cells: Cells) -> None:
 
 
 def _refusal(seen: str, hint: str) -> ImumonError:
-    return ImumonError(Reason.BAD_DATA, seen, hint)
+    return bad_data(seen, hint)

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imumon.blocks import FloatArray, SampleBlock
-from imumon.errors import ImumonError, Reason
+from imumon.errors import bad_data
 from imumon.models.magnetometer import MagnetometerModel
 
 STEP_RAD = np.radians(1.0)
@@ -79,7 +79,7 @@ def fit_magnetometer(blocks: Iterable[SampleBlock], unit: str, source: str) -> M
     found = [_columns(block) for block in blocks if block.mag is not None]
     both = np.concatenate([np.empty((0, 6)), *found])
     if not len(both):
-        raise ImumonError(Reason.BAD_DATA, f"{source}: there is no magnetometer", "needs mag_x, mag_y, mag_z")
+        raise bad_data(f"{source}: there is no magnetometer", "needs mag_x, mag_y, mag_z")
     mag, accel = both[:, :3], both[:, 3:]
     centre, matrix = _closed_form(mag) if len(mag) >= LEAST_POINTS else (mag.mean(0), np.eye(3))
     which = _spread((mag - centre) @ matrix)
@@ -87,8 +87,7 @@ def fit_magnetometer(blocks: Iterable[SampleBlock], unit: str, source: str) -> M
     directions = _unit((readings - centre) @ matrix)
     coverage, seen = covered(directions)
     if len(which) < LEAST_POINTS or coverage < LEAST_COVERAGE:
-        raise ImumonError(
-            Reason.BAD_DATA,
+        raise bad_data(
             f"{source}: {coverage:.0%} of the directions were measured, {LEAST_COVERAGE:.0%} are needed",
             f"draw figure-eights while turning the unit over; next: {_next(seen, directions, accel[which])}",
         )
@@ -101,8 +100,7 @@ def fit_magnetometer(blocks: Iterable[SampleBlock], unit: str, source: str) -> M
         # The directions of the field are not known then: those of gravity show what is missing.
         up = _unit(accel[np.isfinite(accel).all(1)])
         share, seen = covered(up)
-        raise ImumonError(
-            Reason.BAD_DATA,
+        raise bad_data(
             f"{source}: the readings {what}; gravity was in {share:.0%} of the directions",
             "away from iron and cables, draw figure-eights while turning the unit over; next: "
             + _next(seen, up, up),

@@ -22,7 +22,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from imumon.blocks import FloatArray, SampleBlock
-from imumon.errors import ImumonError, Reason
+from imumon.errors import bad_data
 from imumon.filters.slots import SlotGatherer, Slots
 from imumon.filters.turns import PAUSE_S
 from imumon.models.magnetometer import MagnetometerModel
@@ -148,8 +148,7 @@ def doubts(axes: Axes | None, source: str) -> list[str]:
     if axes is None or not axes.is_significant:
         return []
     if axes.way:
-        raise ImumonError(
-            Reason.BAD_DATA,
+        raise bad_data(
             f"{source}: the magnetometer has not the gyros' axes: their x, y, z are its "
             + named(WAYS[axes.way]),
             "name the columns of mag in this order in the map or device file, and reverse what has a minus "

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from imumon.blocks import BoolArray, FloatArray, SampleBlock
 from imumon.columns import TEMPERATURES
-from imumon.errors import ImumonError, Reason
+from imumon.errors import bad_data
 from imumon.estimation.gyro_bias.stage import RestDetector
 from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.pipeline import Estimator
@@ -78,7 +78,7 @@ def read_session(path: Path, count: Count = no_count) -> tuple[Record, list[str]
     known = recording.name, recording.sha256(), recording.device, recording.axes, recording.serial
     record = record_of(recording.blocks(), *known)
     if not len(record.means):
-        raise ImumonError(Reason.BAD_DATA, f"{path}: there is no sample in this session")
+        raise bad_data(f"{path}: there is no sample in this session")
     return record, [f"{path}: {text}" for text in recording.warnings()]
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from imumon.clock.channel import CLOCK
 from imumon.effects.base import LEAST_SPAN_DEGC, Survey
 from imumon.effects.library import effects_for
-from imumon.errors import ImumonError, Reason
+from imumon.errors import bad_config
 from imumon.geodesy import EARTH_RATE
 from imumon.lab.calibration.gravity import Length
 from imumon.lab.diagnosis import known, usable
@@ -96,8 +96,7 @@ def parse_declared(text: str) -> tuple[int, Own]:
     """
     match = re.fullmatch(r"\s*polynomial\s+(\d+)(\s*\+\s*offset)?\s*", text)
     if match is None or int(match[1]) > HIGHEST_DEGREE:
-        raise ImumonError(
-            Reason.BAD_CONFIG,
+        raise bad_config(
             f"--declared {text!r} is not understood",
             f"use 'polynomial N', N from 0 to {HIGHEST_DEGREE}; '+ offset' for a constant of each run",
         )
@@ -207,8 +206,7 @@ def _temperatures(channels: Sequence[str], runs: Sequence[Run], model: BiasModel
         }
     found = {name: known.temperature_of(name, model, runs) for name in channels if name in model.channels}
     if not found:
-        raise ImumonError(
-            Reason.BAD_CONFIG,
+        raise bad_config(
             f"the model has {', '.join(model.channels)}; the data has {', '.join(channels)}",
             "give the model of this unit, or --declared",
         )

@@ -9,7 +9,7 @@ import numpy as np
 
 from imumon.effects.base import Effect
 from imumon.effects.vibration import SECOND_NS
-from imumon.errors import ImumonError, Reason
+from imumon.errors import bad_config
 from imumon.lab.diagnosis.blocks import RunBlocks, common_block_s, make_blocks
 from imumon.lab.diagnosis.runs import Run, common_temperature
 from imumon.models.curves.polynomial import PolynomialCurve
@@ -38,8 +38,7 @@ def check_range(model: BiasModel, temperatures: Mapping[str, str], runs: Sequenc
         found = np.concatenate([run.temperature[temperature] for run in runs])
         low, high = model.channels[name].temperature_range_degc
         if max(low, float(found.min())) >= min(high, float(found.max())):
-            raise ImumonError(
-                Reason.BAD_CONFIG,
+            raise bad_config(
                 f"the bias model of {name} holds from {low:.2f} to {high:.2f} °C, the training data has"
                 f" {found.min():.2f} to {found.max():.2f} °C: they do not overlap",
                 "give a model that was calibrated at these temperatures, or none: leave --model out",

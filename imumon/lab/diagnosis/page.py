@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from imumon.blocks import FloatArray
-from imumon.errors import ImumonError, Reason
+from imumon.errors import bad_data
 from imumon.files import write_text
 from imumon.geodesy import DEG_PER_H, MICRO_G
 from imumon.harmless import for_html, for_plot
@@ -199,8 +199,7 @@ def compare(runs: Sequence[Run], models: tuple[BiasModel, BiasModel]) -> list[Co
             at = {name: temperature_of(name, models[0], [run]) for name in names}
             found += [Compared(run.name, name, at[name], (left[0], left[1])) for name in names]
     if not found:
-        raise ImumonError(
-            Reason.BAD_DATA,
+        raise bad_data(
             "there is nothing to compare: no channel of both models, or no 30 s at rest",
             "give a session at rest of the unit that the models are of",
         )

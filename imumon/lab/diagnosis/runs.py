@@ -13,7 +13,7 @@ from imumon.blocks import BoolArray, FloatArray, IntArray, SampleBlock
 from imumon.clock.channel import CLOCK, UNIT, rate_ppm, with_delay
 from imumon.columns import KNOWN, TEMPERATURES
 from imumon.effects.vibration import SECOND_NS, VIBRATION
-from imumon.errors import ImumonError, Reason
+from imumon.errors import bad_data
 from imumon.lab.diagnosis.quality import Samples, Watcher
 from imumon.recordings.reader import Stages, no_stages, open_recording
 from imumon.recordings.reduced import ACCEL, GYRO, KeptSlots, Reduced, reduce
@@ -131,8 +131,7 @@ def read_runs(
     runs = [run for run in every if run.duration_s >= SHORTEST_RUN_S]
     if not runs:
         longest = max((run.duration_s for run in every), default=0.0)
-        raise ImumonError(
-            Reason.BAD_DATA,
+        raise bad_data(
             f"{path}: too short: its longest run is {longest:.0f} s; {SHORTEST_RUN_S:.0f} s are needed",
             "record the unit at rest for an hour or more while its temperature changes",
         )
@@ -239,7 +238,7 @@ def common_temperature(wanted: str, runs: Sequence[Run], lacking: str, but: str 
         if name != but and all(name in run.mean and np.isfinite(run.mean[name]).sum() > 1 for run in runs):
             return name
     hint = "record with the temperature switched on, or name its column in the map"
-    raise ImumonError(Reason.BAD_DATA, lacking, hint)
+    raise bad_data(lacking, hint)
 
 
 def unit_of(channel: str) -> str:

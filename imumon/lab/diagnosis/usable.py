@@ -12,7 +12,7 @@ import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.clock.channel import CLOCK
-from imumon.errors import ImumonError, Reason
+from imumon.errors import bad_config, bad_data
 from imumon.filters.rounding import largest_error, mean_error
 from imumon.lab.diagnosis.blocks import (
     BLOCK_S,
@@ -64,8 +64,7 @@ def usable_channels(
         else:
             found.append(name)
     if not found:
-        raise ImumonError(
-            Reason.BAD_DATA,
+        raise bad_data(
             f"no channel of {', '.join(sensors)} has data in every training run",
             "give sessions that have them, or a map that says which columns they are",
         )
@@ -206,8 +205,7 @@ def check_training(blocks: Sequence[RunBlocks], block_s: float, remarks: Sequenc
     if total < LEAST_BLOCKS:
         short = f"too short: the training data has {total} means of {block_s:.0f} s at rest"
         needed = f"{LEAST_BLOCKS} are needed, {LEAST_BLOCKS * block_s / 60:.0f} min"
-        raise ImumonError(
-            Reason.BAD_DATA,
+        raise bad_data(
             "; ".join([short, needed, *remarks]),
             "record the unit at rest for an hour or more while its temperature changes;"
             " if it was at rest and is not detected to be, add --at-rest",
@@ -230,8 +228,7 @@ def usable_drivers(
     there = dict.fromkeys(name for run in train for name in run.mean)
     possible = [name for name in there if name not in CHANNELS and name not in beside]
     if lacking := [name for name in wanted or () if name not in possible]:
-        raise ImumonError(
-            Reason.BAD_CONFIG,
+        raise bad_config(
             f"--drivers: {', '.join(lacking)} is not in the training data",
             f"there are {', '.join(possible) or 'none'}; a map names others with other: {{NAME: ...}}",
         )

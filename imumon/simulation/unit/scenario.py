@@ -13,7 +13,7 @@ from pydantic import Field, field_validator, model_validator
 
 from imumon.config import StrictModel, load_yaml, parse_yaml
 from imumon.effects.base import ACCEL
-from imumon.errors import ImumonError, Reason
+from imumon.errors import ImumonError, bad_config
 from imumon.files import bundled, read_text
 from imumon.simulation.unit.motion import Event
 from imumon.simulation.unit.parameters import Thermometer, UnitParameters
@@ -43,10 +43,8 @@ class _Based(StrictModel):
         base = parse_yaml(text, _Header, str(path)).base
         # A chain may be a circle, and is hard to read.
         if base is not None and load_yaml(cls._path(base), _Header).base is not None:
-            raise ImumonError(
-                Reason.BAD_CONFIG,
-                f"{path}: its base {base!r} has a base itself",
-                "name that one, and repeat the changes",
+            raise bad_config(
+                f"{path}: its base {base!r} has a base itself", "name that one, and repeat the changes"
             )
         return parse_yaml(text, cls, str(path))
 
@@ -65,10 +63,8 @@ class _Based(StrictModel):
             return Path(name)
         there = bundled(f"{cls.kind}s")
         if name not in there:
-            raise ImumonError(
-                Reason.BAD_CONFIG,
-                f"no {cls.kind} {name!r}",
-                f"there are {', '.join(sorted(there))}, or give a path (NAME.yaml)",
+            raise bad_config(
+                f"no {cls.kind} {name!r}", f"there are {', '.join(sorted(there))}, or give a path (NAME.yaml)"
             )
         return there[name]
 
