@@ -1,26 +1,48 @@
 """P(turn): is a steady rate a turn, or the bias?  A Bayesian test of one hypothesis against three others.
 
-The rate differs by d from the nominal bias.  Each o is the odds of an explanation over a turn, by the prior
-and the gyros; Λ is the likelihood ratio of no turn over a turn, by the other sensors::
+The rate differs by the vector d from the nominal bias; |d| is its size.  Each o is the odds of an explanation
+over a turn, by the prior and the gyros; Λ is the likelihood ratio of no turn over a turn, by the other
+sensors::
 
     P(turn) = 1 / (1 + Λ_gravity Λ_heading (o_changed + o_nominal + o_first))
 
-==============  ================================================  ============================================
-row             what it stands for                                factor
-==============  ================================================  ============================================
-changed_bias    the bias has changed: half-Cauchy, scale 50 °/h;  o = 2 D / (π (d/50 + 50/d) (1 + changes)),
-                and one of all changes so far is of the bias      10⁻⁹ if d > `largest_jump`
-nominal_bias    nothing has changed: the nominal bias is vague    o = 2 N(d; 0, σ²) d D (1 + (36/d)²)
-first_turn      the first rest was a turn, and this is the bias   o = 0.05 (first rate / this rate)³
-gravity         a turn about a tilted axis tilts the unit by the  Λ = 2 / (1 + L(tilt | turn) / L(tilt | no)),
-                angle turned; nothing else does                   e⁵⁰ for a level change without its tilt
-heading         a turn turns magnetometer or yaw by its angle     Λ = L(heading | no) / L(heading | turn)
-time_excludes   it has been undecided for `undecided_s`           P(turn) = 0, unless Λ < e⁻² or
-                                                                  d > `largest_jump`
-==============  ================================================  ============================================
+Explanations other than a turn:
 
-Turns are log-uniform from 36 °/h (0.01 °/s) to 300 °/s, so their density is 1/(D d), D = ln(30000);
-d and σ are in °/h here.
+==============  ============================================  ================================================
+row             what it stands for                            odds o over a turn
+==============  ============================================  ================================================
+changed_bias    the bias has changed: half-Cauchy, scale      2 D / (π (|d|/50 + 50/|d|) (1 + n)),
+                50 °/h; of all n + 1 changes so far, one is   10⁻⁹ if |d| > `largest_jump`
+                of the bias
+nominal_bias    nothing has changed: the nominal bias is      2 N(|d|; 0, σ²) |d| D (1 + (36/|d|)²)
+                vague
+first_turn      the first rest was a turn, and this is the    0.05 (first rate / this rate)³
+                bias
+==============  ============================================  ================================================
+
+Sensors:
+
+==============  ============================================  ================================================
+row             what it compares                              likelihood ratio Λ of no turn over a turn
+==============  ============================================  ================================================
+gravity         a turn about a tilted axis tilts the unit by  2 / (1 + L(tilt | turn) / L(tilt | no turn)),
+                the angle turned; nothing else does           e⁵⁰ for a level change without its tilt
+heading         a turn turns magnetometer or yaw by its       L(heading | no turn) / L(heading | turn)
+                angle
+==============  ============================================  ================================================
+
+Time limit:
+
+==============  ============================================  ================================================
+row             when                                          what follows
+==============  ============================================  ================================================
+time_excludes   the rate has lasted for `undecided_s`         P(turn) = 0, unless Λ_gravity Λ_heading < e⁻² or
+                                                              |d| > `largest_jump`
+==============  ============================================  ================================================
+
+Turns are log-uniform from 36 °/h (0.01 °/s) to 300 °/s, so their density is 1/(D |d|), D = ln(30000); n is
+the number of changes before the present one, σ² the variance of d along its direction.  |d| and σ are in °/h
+here.
 """
 
 from __future__ import annotations
