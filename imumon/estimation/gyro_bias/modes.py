@@ -34,9 +34,9 @@ FLOOR_OF_FLICKER = 0.664
 """Floor of the Allan deviation over B, sqrt(2 ln 2 / π) (IEEE 952)."""
 FLICKER_CORNERS_S = (100.0, 10.0, 1.0, 0.1)
 """Averaging times at which flicker overtakes white noise."""
-LEVEL_PRIOR = (2.0, 1.0, 4.0, 2.0, 1.0)
-"""Prior weights of these levels and of the walk: in the first seconds nobody can tell, and with equal ones a
-gyro of 40 °/h was off by 8.6 sigmas in them, with these by 6.9."""
+STRONG_FLICKER = 2.0
+"""Prior of flicker that overtakes at 1 s over that of any other level: of the first seconds nobody can tell,
+and in them a gyro of 40 °/h was off by 8 sigmas."""
 WALK_CORNER_S = 10.0
 """The same of a random walk: white noise and a walk of K are equal at √3 σ/K."""
 SLOPE_PER_SIGMA = 3.6
@@ -85,7 +85,7 @@ def modes_of(
         flicker = 1.0 / (FLOOR_OF_FLICKER * np.sqrt(corners))
         b = np.tile([*flicker, 0.05 * flicker[0]], (3, 1))
         k = np.tile([*0.0 * corners, math.sqrt(3.0) / WALK_CORNER_S], (3, 1))
-        prior = np.array([*LEVEL_PRIOR[: len(corners)], LEVEL_PRIOR[-1]])
+        prior = np.array([*np.where(corners == 1.0, STRONG_FLICKER, 1.0), 1.0])
     else:
         b, k = ((one / np.sqrt(white))[:, np.newaxis] for one in (b, k))
         prior = np.ones(1)
