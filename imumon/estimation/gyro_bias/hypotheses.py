@@ -15,7 +15,7 @@ tested sequentially, each second:
 =================================  =====================================================
 P(turn) up to 1/2                  rest: the present bias is shown
 P(turn) above 1/2                  a turn: the nominal bias is shown
-above 1/4, until it is below 1/20  doubt: the nominal bias stays, through motion as well
+above 1/10, until it is below 1/20 doubt: the nominal bias stays, through motion as well
 else                               it follows 16 to 32 s behind the present one, and has
                                    not learned how a slow turn began
 =================================  =====================================================
@@ -39,8 +39,9 @@ from imumon.estimation.rest.slots import Measurement
 
 FIT_SIGMAS = 4.5
 """Sigmas of an axis within which a mean fits; with 4, drifts of a warm-up contradicted the bias."""
-DOUBT, UNLIKELY_TURN = 0.25, 0.05
-"""P(turn) from which on the nominal bias stays, and up to which it then follows again."""
+DOUBT, UNLIKELY_TURN = 0.1, 0.05
+"""P(turn) from which on the nominal bias stays, and up to which it then follows again; by the gyros alone a
+turn of 36 °/h, the slowest that is considered, has 0.14."""
 LAG_S = 16.0
 """By so much at least, and twice as much at most, the nominal bias follows the present one."""
 ONSET_S = 4.0

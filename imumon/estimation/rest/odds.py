@@ -11,10 +11,10 @@ Explanations other than a turn:
 ==============  ============================================  ================================================
 row             what it stands for                            odds o over a turn
 ==============  ============================================  ================================================
-changed_bias    the bias has changed: half-Cauchy, scale      2 D / (π (|d|/50 + 50/|d|) (1 + n)),
+changed_bias    the bias has changed: half-Cauchy, scale      2 D c / (π (|d|/50 + 50/|d|) (1 + n)),
                 50 °/h; of all n + 1 changes so far, one is   10⁻⁹ if |d| > `largest_jump`
                 of the bias
-nominal_bias    nothing has changed: the nominal bias is      2 N(|d|; 0, σ²) |d| D (1 + (36/|d|)²)
+nominal_bias    nothing has changed: the nominal bias is      2 N(|d|; 0, σ²) |d| D c
                 vague
 first_turn      the first rest was a turn, and this is the    0.05 (first rate / this rate)³
                 bias
@@ -40,9 +40,9 @@ time_excludes   the rate has lasted for `undecided_s`         P(turn) = 0, unles
                                                               |d| > `largest_jump`
 ==============  ============================================  ================================================
 
-Turns are log-uniform from 36 °/h (0.01 °/s) to 300 °/s, so their density is 1/(D |d|), D = ln(30000); n is
-the number of changes before the present one, σ² the variance of d along its direction.  |d| and σ are in °/h
-here.
+Turns are log-uniform from 36 °/h (0.01 °/s) to 300 °/s, so their density is 1/(D |d|), D = ln(30000); slower
+ones are rare: c = 1 + (36/|d|)² divides their density.  n is the number of changes before the present one, σ²
+the variance of d along its direction.  |d| and σ are in °/h here.
 """
 
 from __future__ import annotations
@@ -122,8 +122,8 @@ def changed_bias(rate: SteadyRate, largest: float) -> float:
     """Return the odds that the bias has changed; none changes by more than `largest`, rad/s."""
     if rate.size > largest:
         return 1e-9  # and not 0: gravity and heading may still exclude a turn
-    u = max(rate.size, SLOWEST_TURN) / USUAL_CHANGE  # below the slowest turn the odds stay
-    return 2.0 * DECADES / (math.pi * (u + 1.0 / u) * (1.0 + rate.changes))
+    u = (rate.size + 1e-12) / USUAL_CHANGE
+    return 2.0 * DECADES * _rarity(rate.size**2) / (math.pi * (u + 1.0 / u) * (1.0 + rate.changes))
 
 
 def nominal_bias(rate: SteadyRate) -> float:
@@ -131,7 +131,12 @@ def nominal_bias(rate: SteadyRate) -> float:
     square = rate.size**2 + 1e-24
     variance = float((rate.change**2 + 1e-24) @ rate.change_variance) / square
     density = 2.0 * math.exp(-0.5 * square / variance) / math.sqrt(2.0 * math.pi * variance)
-    return density * math.sqrt(square) * DECADES * (1.0 + SLOWEST_TURN**2 / square)
+    return density * math.sqrt(square) * DECADES * _rarity(square)
+
+
+def _rarity(square: float) -> float:
+    """Return c, by which turns are rarer than log-uniform ones, from the square of their rate, (rad/s)²."""
+    return 1.0 + SLOWEST_TURN**2 / (square + 1e-24)
 
 
 def first_turn(rate: SteadyRate) -> float:
