@@ -153,12 +153,23 @@ def attitude_sigma() -> list[Axes]:
     drawn = axes("Turned by hand for 30 s, at rest for 10 s, and so on; no magnetometer", 2)
     pairs: list[tuple[str, FloatArray, FloatArray]] = [
         ("tilt", tilt, np.sqrt(2.0) * tilt_sd),
-        ("free heading", turn, heading_sd),
+        ("relative heading", turn, heading_sd),
     ]
     for ax, (name, error, sd) in zip(drawn, pairs, strict=True):
         ax.fill_between(t, np.degrees(sd), alpha=0.3, label=f"sigma of the {name}")
         ax.plot(t, np.degrees(error), linewidth=0.8, label="error")
         ax.set_ylabel(f"{name}, °")
+    upper, lower = drawn
+    upper.set_ylim(0.0, 5.0)  # the first sigma is some 80°, and would flatten all that follows
+    upper.annotate(
+        "gyros not confirmed yet", (23.8, 4.5), (29.0, 4.35), arrowprops={"arrowstyle": "->"}, fontsize=8
+    )
+    steep = np.hypot(truth[:, 2, 1], truth[:, 2, 2]) < np.sin(15.0 * DEG)
+    lower.fill_between(
+        t, 1.0, where=steep, transform=lower.get_xaxis_transform(), color="0.85", zorder=0,
+        label="x within 15° of the vertical",
+    )  # fmt: skip
+    lower.set_ylim(0.0, 15.0)
     return drawn
 
 

@@ -16,7 +16,7 @@ class AttitudeParameters(StrictModel):
     use_magnetometer : bool
         Whether the heading is taken from the magnetometer, where there is one.
     accel_bias_m_per_s2 : float, optional
-        Standard deviation of the accelerometers' error at rest.  When it is not given, 7.5 mg are taken, and
+        Standard deviation of the accelerometers' error at rest.  When it is not given, 7.6 mg are taken, and
         more where the magnitude of the specific force shows more.
     gyro_scale : float, optional
         Standard deviation of each element of the gyros' matrix of scale and misalignment: 1 % of a calibrated

@@ -1,4 +1,6 @@
-"""Standard deviation of VQF's vertical about each level axis, and of the heading; tables in docs/attitude.md.
+"""Standard deviation of VQF's vertical about each level axis, and of the heading.
+
+The equations are in docs/attitude.md and docs/appendix/attitude-details.md, under the same letters.
 
 VQF turns the specific force into axes that only the gyros carry, low-passes it there with the time constant
 τ = 3 s, and takes what is left for up, u.  True up stands still in these axes.  So an error of the tilt shows
@@ -6,8 +8,8 @@ as a change of u, whether accelerations or gyros cause it.  The element i, j of 
 misalignment turns the attitude wrong by that element times q_ij, the integral of c_i rate_j over a slot, with
 c_i the axis of gyro i in gyro-carried axes; q_ii is the turn about the gyro's own axis.
 
-A calibrated magnetometer ties the heading down: VQF follows the field with τ = 9 s.  H and V are the
-horizontal and the vertical field, and B its calibrated strength.
+A calibrated magnetometer ties the heading down: VQF follows the field with τ = 9 s.  B_h and B_v are the
+horizontal and the vertical field, and B_cal its calibrated strength.
 """
 
 from __future__ import annotations
@@ -29,19 +31,20 @@ SLOT_S = 0.5
 LAG_S = 2.0 * TAU_ACC_S
 """Lag of d, s, after which VQF's low-pass has forgotten; m is the mean over three.  Ablation."""
 ACCEL_SD = 0.075
-"""a0 of accelerometers that are not declared, m/s²: 7.5 mg, between 5 and 10 mg of a calibrated unit.  A
+"""a0 of accelerometers that are not declared, m/s²: 7.6 mg, between 5 and 10 mg of a calibrated unit.  A
 prior that a single pose cannot correct: it does not tell 5 mg from 40."""
 SCALE_SD = 0.02
 """s0 of gyros that are not declared: between 1 % of a calibrated unit and 3 % of an MPU-6050."""
 SCALE_TURN = 2.0
-"""g0, rad²: s0 counts like so much turn.  Ablation."""
+"""w0, rad²: s0 counts like so much turn.  Ablation."""
 CONFIRMING_TURN = 0.1
-"""rad² of tilt by turns about the gyros' own axes that confirm them: 18°.  With 0.05 a robot arm whose gyros
-x and y are exchanged is off by up to 10 sigma.  Ablation."""
+"""rad² of tilt by turns about the gyros' own axes that confirm them.  Each turn counts half: a quick tilt of
+18° that is held for 3 s and taken back is enough, or one of 26° alone.  With 0.05 a robot arm whose gyros x
+and y are exchanged is off by up to 10 sigma.  Ablation."""
 LARGEST_CHANGE = 0.05
 """Share of that tilt by which u may change.  Ablation."""
 IRON = 0.025
-"""i0, share of the field.  A prior, as `ACCEL_SD`: a single pose shows one of three components."""
+"""k_iron, share of the field.  A prior, as `ACCEL_SD`: a single pose shows one of three components."""
 IRON_MEMORY_S = 30.0
 """Time in which iron that has shown is forgotten, s: it may have been a magnet in the room, and the next pose
 shows it again.  Ablation."""
@@ -110,7 +113,7 @@ class Gyros:
     turned: float = 0.0
     """Sum of tilt²_ij, rad²."""
     followed: float = 0.0
-    """Sum of tilt²_ii that u has had the time to follow, rad²."""
+    """Half the sum of tilt²_ii that u has had the time to follow, rad²: of turns in 3 of the 6 s of a lag."""
 
     def learn(self, change: float, wrong_turns: FloatArray, up: FloatArray) -> None:
         """Take d, rad², and q_ij, (n, 3, 9), of the slots of the last lag."""
@@ -134,7 +137,7 @@ class Gyros:
 
     @property
     def variance(self) -> float:
-        """s² = (g0 s0² + Σ d) / (g0 + Σ tilt²_ij); no more than is declared: accelerations change u, too."""
+        """s² = (w0 s0² + Σ d) / (w0 + Σ tilt²_ij); no more than is declared: accelerations change u, too."""
         prior = (SCALE_SD if self.declared is None else self.declared) ** 2
         learned = (SCALE_TURN * prior + self.change) / (SCALE_TURN + self.turned)
         return learned if self.declared is None else min(learned, prior)
@@ -243,11 +246,13 @@ class HeadingSigma:
         return self._magnetic(slot.up_body, end, tilt_variance, relative) if end["north"] else relative
 
     def _magnetic(self, up_body: FloatArray, end: Rows, tilt_variance: float, relative: float) -> float:
-        """Return (c² + i² + V² tilt) / H² + h, NaN where the magnetometer is not calibrated.
+        """Return (e_cal² + e_iron² + B_v² θ²) / B_h² + v, NaN where the magnetometer is not calibrated.
 
-        c is the error of the calibration, and i the iron that came after it: i² = (i0 B)² + 2 · largest
+        θ² is the variance of the tilt and v that of the relative heading.  e_cal is the error of the
+        calibration, and e_iron the iron that came after it: e_iron² = (k_iron B_cal)² + 2 · largest
         (along² + across²) of the last half minute.  The 2 is a margin for the component that a pose does not
-        show; along = strength - B; across² = (H p)² - H² h - (c² + (i0 B)² + V² tilt), if positive.
+        show; along = strength - B_cal; across² = (B_h p)² - B_h² v - (e_cal² + (k_iron B_cal)² + B_v² θ²), if
+        positive.
         """
         if not math.isnan(self.delta):  # at first the field shows where north is: that is no change
             self.field_correction += math.remainder(end["delta"] - self.delta, 2.0 * math.pi)

@@ -99,7 +99,8 @@ class ChannelVerdict:
     claims: list[Claim]
     """Those of the findings that the present model has not."""
     unexplained: bool
-    """More than 1.8 floors are left in training or, beside what is claimed, in the test."""
+    """More than 1.8 floors are left in training, or in the test after the named effects; or a session has two
+    jumps."""
     remark: str
     left_out: Sequence[dict[str, Any]]
     """What was found but made the test worse."""
@@ -118,20 +119,21 @@ class ChannelVerdict:
 
     @property
     def claimed(self) -> bool:
-        """Either effects pass, and in training as well as in the test they explain 60 % of the excess or
-        leave less than 1.8 floors; or the test alone proves an effect."""
+        """(a) the effects that pass explain 60 % of the excess or leave less than 1.8 floors, in training and
+        in the test; or (b) one effect takes away 8 floors and 60 % of the excess of the test."""
         return bool(self.claims)
 
     @property
     def faulty(self) -> bool:
-        """Faults of the samples hide any effect."""
+        """One value of the samples is far too frequent (saturation, dead band, dropouts)."""
         return bool(np.isinf(self.channel.blind))
 
     @property
     def by_test(self) -> bool:
-        """The effect makes training likelier, and explains 60 % of the test's excess. But it was chosen with
-        the help of the test: training alone did not prove it, or what training alone would choose leaves more
-        than twice as much of the test."""
+        """The effect was chosen by the test, as in (b).
+
+        Training proves none, or what it proves leaves more than twice as much of the test.
+        """
         return any(claim.finding.by_test for claim in self.claims)
 
     @property
@@ -141,7 +143,7 @@ class ChannelVerdict:
 
     @property
     def hidden(self) -> bool:
-        """Steps of the samples may make as much as is left.
+        """The resolution (quantization) of the samples may make as much as is left.
 
         Even where nothing is left: a bias that stays within a step is not read at all.
         """
