@@ -42,7 +42,7 @@ def resting(n: int, rate_hz: float, seed: int = 0) -> Columns:
 
 
 def chamber() -> Columns:
-    block = samples(soak(200.0)[::6])
+    block = samples(soak(200.0)[::9])
     return {name: np.array(block[name]) for name in ("gyro_x", "gyro_y", "gyro_z", "temperature")}
 
 
@@ -189,7 +189,7 @@ PLACE = st.tuples(
 def test_readings_that_cannot_be_change_what_losing_them_changes(
     places: list[tuple[str, float, float, float]],
 ) -> None:
-    n, rate_hz = LENGTH_S * 4, 4.0
+    n, rate_hz = LENGTH_S * 2, 2.0
     sent, lost = resting(n, rate_hz), resting(n, rate_hz)
     for name, where, decades, sign in places:
         sent[name][int(where * n)] = sign * BEYOND[name.partition("_")[0]] * 10.0**decades
@@ -207,7 +207,7 @@ def test_readings_that_cannot_be_change_what_losing_them_changes(
 def test_losing_readings_changes_means_by_what_they_weighed(
     places: list[tuple[str, float, float, float]],
 ) -> None:
-    n, rate_hz = LENGTH_S * 4, 4.0
+    n, rate_hz = LENGTH_S * 2, 2.0
     clean, lost = resting(n, rate_hz), resting(n, rate_hz)
     for name, where, *_ in places:
         lost[name][int(where * n)] = np.nan

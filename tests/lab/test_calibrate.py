@@ -54,7 +54,7 @@ def write_truth(session: Path, temperature: FloatArray) -> None:
 
 @pytest.fixture(scope="module")
 def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return imported(tmp_path_factory.mktemp("calibrated"), soak(300.0)[::2])
+    return imported(tmp_path_factory.mktemp("calibrated"), soak(300.0)[::3])
 
 
 @pytest.fixture(scope="module")
@@ -90,7 +90,7 @@ def test_a_session_becomes_a_model(session: Path, tmp_path: Path) -> None:
 
 def test_the_table_for_people_marks_what_is_chosen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     few_steps(monkeypatch)
-    temperature = soak(300.0)[:3600:2]
+    temperature = soak(300.0)[:3600:4]
     session = imported(tmp_path, temperature)
     write_truth(session, temperature)
     done = imumon("calibrate", session, session, "--out", tmp_path / "model.yaml", "--truth")

@@ -89,8 +89,8 @@ def test_a_pause_forgets_the_extremes_of_the_temperature() -> None:
 
 
 def test_false_alarms_are_as_rare_as_promised() -> None:
-    # The mean time to one is 2 h at least: of 60 times 0.25 h, 7.5 would have one at the most, in the mean.
-    alarms = sum(alarm(*drive(seed, 0.25), 2.0) >= 0 for seed in range(60))
+    # The mean time to one is 0.8 h at least: of 60 times 0.1 h, 7.5 would have one at the most, in the mean.
+    alarms = sum(alarm(*drive(seed, 0.1), 0.8) >= 0 for seed in range(60))
     assert alarms <= 7.5 + 2 * np.sqrt(7.5)
 
 

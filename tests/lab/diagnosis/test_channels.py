@@ -79,7 +79,7 @@ def test_the_command_diagnoses_a_column_of_the_log_and_writes_no_model(tmp_path:
         columns = [run.time_s, gyro, run.mean["temperature"], run.mean["housing"]]
         head = "t,gx,gy,gz,temp,housing"
         path = tmp_path / f"{name}.csv"
-        np.savetxt(path, np.column_stack(columns), "%.9g", delimiter=",", header=head, comments="")
+        np.savetxt(path, np.column_stack(columns)[::2], "%.9g", delimiter=",", header=head, comments="")
     paths = [tmp_path / f"{name}.csv" for name in "abc"]
     given = ("--map", tmp_path / "map.yaml", "--channels", "housing", "--out", tmp_path / "found")
     done = imumon("diagnose", "--train", *paths[:2], "--test", paths[2], *given)

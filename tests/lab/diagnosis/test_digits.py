@@ -25,9 +25,9 @@ def creep(time: FloatArray, temperature: FloatArray) -> FloatArray:  # noqa: ARG
     return np.asarray(55.0 * np.log1p(time / 300.0))
 
 
-def rounded(seed: int, up: bool, rate: float, bias: Bias, sigmas: float, times: float) -> Run:
+def rounded(seed: int, up: bool, rate: float, bias: Bias, sigmas: float, times: float, seconds: int) -> Run:
     """Return a run with so many times the cubic curve, its samples rounded to steps of so many sigmas."""
-    time, temperature = ramps(4000, up, rate)
+    time, temperature = ramps(seconds, up, rate)
     at = np.repeat(times * cubic(temperature) + bias(time, temperature), RATE)
     values = at + SAMPLE_DPH * np.random.default_rng(seed).standard_normal(len(at))
     step = sigmas * SAMPLE_DPH
@@ -41,9 +41,9 @@ def rounded(seed: int, up: bool, rate: float, bias: Bias, sigmas: float, times: 
     return Run(f"run {seed}", time, count, mean, variance, np.ones(len(time)), samples=watcher.samples())
 
 
-def found(bias: Bias, sigmas: float, seed: int = 1, times: float = 20.0) -> Diagnosis:
+def found(bias: Bias, sigmas: float, seed: int = 1, times: float = 20.0, seconds: int = 3000) -> Diagnosis:
     runs = [
-        rounded(seed + at, up, rate, bias, sigmas, times)
+        rounded(seed + at, up, rate, bias, sigmas, times, seconds)
         for at, (up, rate) in enumerate(((True, 1.5), (False, 1.5), (True, 1.0)))
     ]
     return diagnose(runs[:2], runs[2:])
@@ -69,7 +69,7 @@ def test_an_effect_that_the_digits_hide_is_not_said_to_be_nothing() -> None:
 
 
 def test_an_effect_that_is_larger_than_the_digits_err_is_named_beside_them() -> None:
-    (verdict,) = found(creep, 6.0, 100, 8.0).verdicts
+    (verdict,) = found(creep, 6.0, 100, 8.0, 4000).verdicts
     assert verdict.row.state == "named"
     assert verdict.hidden
     assert "whether there is more" in verdict.in_short

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from imumon.blocks import FloatArray, SampleBlock
+from imumon.blocks import FloatArray, SampleBlock, join
 from imumon.estimation.gyro_bias.stage import GyroBias
 from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.lab.diagnosis.diagnose import diagnose
@@ -47,18 +47,37 @@ def models() -> dict[str, BiasModel]:
     return {"extended": found, "curve alone": found.model_copy(update={"channels": bare})}
 
 
-def bias_of(model: BiasModel, sent: SampleBlock, size: int) -> FloatArray:
-    """Return what the pipeline says of the bias, with zero-velocity updates in the first 250 s alone."""
+@pytest.fixture(scope="module")
+def other() -> tuple[SampleBlock, SampleBlock]:
+    """Another power-on, and its truth."""
+    return samples(9, 37.0, 16.0)
+
+
+def through(sent: SampleBlock, size: int, *stages: Estimator) -> SampleBlock:
+    """Return samples behind stages, in blocks; zero-velocity updates are in the first 250 s alone."""
     rest = (sent["device_time_ns"] - sent["device_time_ns"][0] < 250e9).astype(np.int64)
     block = sent.with_columns({"at_rest": rest})
-    stages: list[Estimator] = [TemperatureRate(), GyroBias(model=model, mode="thermal")]
     parts = []
     for at in range(0, len(block), size):
         part = block.rows(at, min(at + size, len(block)))
         for stage in stages:
             part = part.with_columns(stage.process(part))
-        parts.append(np.column_stack([part[f"gyro_bias_{axis}"] for axis in "xyz"]))
-    return np.concatenate(parts)
+        parts.append(part)
+    return join(parts)
+
+
+def bias_of(block: SampleBlock) -> FloatArray:
+    return np.column_stack([block[f"gyro_bias_{axis}"] for axis in "xyz"])
+
+
+@pytest.fixture(scope="module")
+def biases(models: dict[str, BiasModel], other: tuple[SampleBlock, SampleBlock]) -> dict[str, FloatArray]:
+    """What the pipeline says of the bias with each model."""
+    sent = through(other[0], 2000, TemperatureRate())
+    return {
+        name: bias_of(through(sent, 2000, GyroBias(model=model, mode="thermal")))
+        for name, model in models.items()
+    }
 
 
 def test_every_gyro_is_found_to_lag(models: dict[str, BiasModel]) -> None:
@@ -67,32 +86,33 @@ def test_every_gyro_is_found_to_lag(models: dict[str, BiasModel]) -> None:
         assert "thermal_lag" in [effect.name for effect in effects]
 
 
-def test_the_bias_in_motion_errs_much_less_with_the_extended_model(models: dict[str, BiasModel]) -> None:
-    sent, truth = samples(9, 37.0, 16.0)
-    known = np.column_stack([truth[f"gyro_bias_{axis}"] for axis in "xyz"])
+def test_the_bias_in_motion_errs_much_less_with_the_extended_model(
+    biases: dict[str, FloatArray], other: tuple[SampleBlock, SampleBlock]
+) -> None:
+    known = np.column_stack([other[1][f"gyro_bias_{axis}"] for axis in "xyz"])
     ramp = slice(int(400 * RATE_HZ), None)
-    errors = {
-        name: np.sqrt(np.mean((bias_of(model, sent, 5000) - known)[ramp] ** 2, axis=0))
-        for name, model in models.items()
-    }
+    errors = {name: np.sqrt(np.mean((bias - known)[ramp] ** 2, axis=0)) for name, bias in biases.items()}
     # x and y have the steeper curves: the lag matters most there.
     assert (errors["extended"] < np.array([0.2, 0.3, 0.8]) * errors["curve alone"]).all()
 
 
-def test_the_division_into_blocks_does_not_matter(models: dict[str, BiasModel]) -> None:
-    sent, _ = samples(9, 37.0, 16.0)
-    short = sent.rows(0, 6000)
-    whole = bias_of(models["extended"], short, 6000)
-    np.testing.assert_array_equal(bias_of(models["extended"], short, 37), whole)
+def test_the_division_into_blocks_does_not_matter(
+    models: dict[str, BiasModel], biases: dict[str, FloatArray], other: tuple[SampleBlock, SampleBlock]
+) -> None:
+    short = other[0].rows(0, int(600 * RATE_HZ))
+    found = through(short, 37, TemperatureRate(), GyroBias(model=models["extended"], mode="thermal"))
+    np.testing.assert_array_equal(bias_of(found), biases["extended"][: len(short)])
 
 
-def test_an_unknown_start_widens_the_bias_until_it_is_forgotten(models: dict[str, BiasModel]) -> None:
-    sent, _ = samples(9, 37.0, 16.0)
+def test_an_unknown_start_widens_the_bias_until_it_is_forgotten(
+    models: dict[str, BiasModel], other: tuple[SampleBlock, SampleBlock]
+) -> None:
+    moving = int(60 * RATE_HZ)
+    sent = other[0].rows(0, moving + 1)
     sd = {}
     for name, model in models.items():
         stage = GyroBias(model=model, mode="thermal")
-        rest = (np.arange(len(sent)) < 100).astype(np.int64)
+        rest = (np.arange(len(sent)) < 20 * RATE_HZ).astype(np.int64)
         found = stage.process(sent.with_columns({"at_rest": rest}))
         sd[name] = found["gyro_bias_sd_x"]
-    moving = int(60 * RATE_HZ)
     assert sd["extended"][moving] > 1.1 * sd["curve alone"][moving]

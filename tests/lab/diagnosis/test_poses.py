@@ -28,13 +28,13 @@ def nothing(_: FloatArray, __: FloatArray, force: FloatArray) -> FloatArray:
     return np.zeros_like(force)
 
 
-def posed(seed: int, up: bool, rate: float, sensor: str, errors: Errors, mag: bool) -> Run:
+def posed(seed: int, up: bool, rate: float, sensor: str, errors: Errors, mag: bool, seconds: int) -> Run:
     """Return a run in six poses with headings of their own."""
     random = np.random.default_rng(seed)
-    time, temperature = ramps(SECONDS, up, rate)
+    time, temperature = ramps(seconds, up, rate)
     sides = [Rotation.from_euler(a, d, True) for a, d in SIDES]
     turned = [Rotation.from_euler("z", random.uniform(0, 360), True) * side for side in sides]
-    which = random.permutation(6)[np.minimum(time * 6 // SECONDS, 5).astype(int)]
+    which = random.permutation(6)[np.minimum(time * 6 // seconds, 5).astype(int)]
     to_body = np.array([one.inv().as_matrix() for one in turned])[which]
     force = to_body @ np.array([0.0, 0.0, STANDARD_GRAVITY])
     d, latitude = np.radians(DECLINATION_DEG), np.radians(LATITUDE_DEG)
@@ -48,20 +48,20 @@ def posed(seed: int, up: bool, rate: float, sensor: str, errors: Errors, mag: bo
         "accel": force + error["accel"],
         "mag": field,
     }
-    mean = {"temperature": np.round((temperature + 0.01 * random.standard_normal(SECONDS)) * 16) / 16}
+    mean = {"temperature": np.round((temperature + 0.01 * random.standard_normal(seconds)) * 16) / 16}
     variance = {}
     for kind in ("gyro", "accel", *(["mag"] if mag else [])):
         for at, axis in enumerate("xyz"):
             name, noise = f"{kind}_{axis}", sd[kind]
-            mean[name] = true[kind][:, at] + noise * random.standard_normal(SECONDS)
-            variance[name] = noise**2 * SAMPLES * random.chisquare(SAMPLES - 1, SECONDS) / (SAMPLES - 1)
-    count = dict.fromkeys(mean, np.full(SECONDS, SAMPLES))
-    return Run(f"run {seed}", time, count, mean, variance, np.ones(SECONDS))
+            mean[name] = true[kind][:, at] + noise * random.standard_normal(seconds)
+            variance[name] = noise**2 * SAMPLES * random.chisquare(SAMPLES - 1, seconds) / (SAMPLES - 1)
+    count = dict.fromkeys(mean, np.full(seconds, SAMPLES))
+    return Run(f"run {seed}", time, count, mean, variance, np.ones(seconds))
 
 
-def found(sensor: str, errors: Errors, mag: bool = True) -> Diagnosis:
+def found(sensor: str, errors: Errors, mag: bool = True, seconds: int = SECONDS) -> Diagnosis:
     first, second, last = (
-        posed(seed, up, rate, sensor, errors, mag)
+        posed(seed, up, rate, sensor, errors, mag, seconds)
         for seed, up, rate in ((1, True, 1.5), (2, False, 1.5), (3, True, 1.0))
     )
     return diagnose([first, second], [last], sensors=(sensor,))
@@ -102,19 +102,24 @@ def test_a_scale_that_depends_on_temperature_is_a_product() -> None:
 
 @pytest.mark.parametrize("mag", [False, True])
 def test_the_earth_rate_of_every_pose_is_nothing_that_is_missing(mag: bool) -> None:
-    diagnosis = found("gyro", nothing, mag=mag)
+    diagnosis = found("gyro", nothing, mag, 3600)
     assert names(diagnosis) == [[], [], []]
     assert all(verdict.summary.startswith("nothing is missing") for verdict in diagnosis.verdicts)
     assert any("cannot be distinguished from the earth rate" in text for text in diagnosis.caveats)
 
 
 def test_a_sensitivity_to_g_beyond_the_earth_rate_is_named() -> None:
-    diagnosis = found("gyro", lambda _, __, force: np.asarray(force @ np.diag([8.0, -9.0, 10.0])), mag=False)
+    diagnosis = found(
+        "gyro", lambda _, __, force: np.asarray(force @ np.diag([8.0, -9.0, 10.0])), False, 3600
+    )
     assert all("g_sensitivity" in each for each in names(diagnosis))
 
 
 def test_a_jump_is_no_earth_rate_and_no_g_sensitivity() -> None:
-    diagnosis = found("gyro", lambda t, _, __: (t > 2300)[:, np.newaxis] * np.array([12.0, -9.0, 8.0]))
+    def jump(time: FloatArray, _: FloatArray, __: FloatArray) -> FloatArray:
+        return np.asarray((time > 2300)[:, np.newaxis] * np.array([12.0, -9.0, 8.0]))
+
+    diagnosis = found("gyro", jump, seconds=4200)
     assert [set(each) for each in names(diagnosis)] == [{"step"}] * 3
 
 
