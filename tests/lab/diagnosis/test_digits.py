@@ -34,10 +34,10 @@ def rounded(seed: int, up: bool, rate: float, bias: Bias, sigmas: float, times: 
     values = np.round(values / step) * step * DPH
     watcher = Watcher(["gyro_x"])
     list(watcher.through([SampleBlock({"gyro_x": values})]))
-    seconds = values.reshape(-1, RATE)
-    mean = {"gyro_x": seconds.mean(axis=1), "temperature": np.round(temperature * 16) / 16}
+    each = values.reshape(-1, RATE)
+    mean = {"gyro_x": each.mean(axis=1), "temperature": np.round(temperature * 16) / 16}
     count = dict.fromkeys(mean, np.full(len(time), float(RATE)))
-    variance = {"gyro_x": seconds.var(axis=1, ddof=1)}
+    variance = {"gyro_x": each.var(axis=1, ddof=1)}
     return Run(f"run {seed}", time, count, mean, variance, np.ones(len(time)), samples=watcher.samples())
 
 
