@@ -53,7 +53,7 @@ def model_of(serial: str, month: int, session: str, constant: float) -> BiasMode
 
 def fleet(folder: Path, units: int = 6, months: int = 4) -> Path:
     """Make units of which one is unusual, each with a session and a model a month."""
-    first = tiny(folder / "made", seconds=90.0, scenario="self-heating")
+    first = tiny(folder / "made", seconds=45.0, scenario="self-heating")
     text = yaml.safe_load((first / "session.yaml").read_text())
     noise = np.random.default_rng(1)
     for number in range(1, units + 1):

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from itertools import accumulate
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -31,11 +33,9 @@ def turns(
             for k, (a, b) in enumerate(phases)
         ]
     )
-    attitude, body = Rotation.identity(), []
-    for step in Rotation.from_rotvec(rate / rate_hz):
-        attitude = attitude * step
-        body.append(attitude.inv().apply([FIELD, UP]))
-    field, accel = np.array(body).swapaxes(0, 1)
+    steps = Rotation.from_rotvec(rate / rate_hz).as_matrix()
+    attitude = np.array(list(accumulate(steps, np.matmul)))
+    field, accel = FIELD @ attitude, UP @ attitude
     mag = np.roll(field, late, axis=0) @ way + HARD + 0.3 * rng.normal(size=(len(t), 3))
     mag = mag[np.arange(len(t)) // held * held]
     gyro = rate + BIAS + 0.002 * rng.normal(size=rate.shape)

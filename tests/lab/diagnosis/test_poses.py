@@ -102,7 +102,7 @@ def test_a_scale_that_depends_on_temperature_is_a_product() -> None:
 
 @pytest.mark.parametrize("mag", [False, True])
 def test_the_earth_rate_of_every_pose_is_nothing_that_is_missing(mag: bool) -> None:
-    diagnosis = found("gyro", nothing, mag, 3600)
+    diagnosis = found("gyro", nothing, mag, 3000)
     assert names(diagnosis) == [[], [], []]
     assert all(verdict.summary.startswith("nothing is missing") for verdict in diagnosis.verdicts)
     assert any("cannot be distinguished from the earth rate" in text for text in diagnosis.caveats)
@@ -110,7 +110,7 @@ def test_the_earth_rate_of_every_pose_is_nothing_that_is_missing(mag: bool) -> N
 
 def test_a_sensitivity_to_g_beyond_the_earth_rate_is_named() -> None:
     diagnosis = found(
-        "gyro", lambda _, __, force: np.asarray(force @ np.diag([8.0, -9.0, 10.0])), False, 3600
+        "gyro", lambda _, __, force: np.asarray(force @ np.diag([8.0, -9.0, 10.0])), False, 3000
     )
     assert all("g_sensitivity" in each for each in names(diagnosis))
 
