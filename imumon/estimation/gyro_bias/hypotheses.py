@@ -15,7 +15,8 @@ tested sequentially, each second:
 =================================  =====================================================
 P(turn) up to 1/2                  rest: the present bias is shown
 P(turn) above 1/2                  a turn: the nominal bias is shown
-above 1/10, until it is below 1/20 doubt: the nominal bias stays, through motion as well
+above 1/4 (1/10 if the rate has    doubt: the nominal bias stays, through motion as well
+changed), until it is below 1/20
 else                               it follows 16 to 32 s behind the present one, and has
                                    not learned how a slow turn began
 =================================  =====================================================
@@ -39,9 +40,10 @@ from imumon.estimation.rest.slots import Measurement
 
 FIT_SIGMAS = 4.5
 """Sigmas of an axis within which a mean fits; with 4, drifts of a warm-up contradicted the bias."""
-DOUBT, UNLIKELY_TURN = 0.1, 0.05
-"""P(turn) from which on the nominal bias stays, and up to which it then follows again; by the gyros alone a
-turn of 36 °/h, the slowest that is considered, has 0.14."""
+DOUBT, DOUBT_OF_CHANGE, UNLIKELY_TURN = 0.25, 0.1, 0.05
+"""P(turn) from which on the nominal bias stays, where the rate creeps (as the bias of a unit that warms up)
+and where it has changed, and up to which it then follows again; by the gyros alone a turn of 36 °/h, the
+slowest that is considered, has 0.14."""
 LAG_S = 16.0
 """By so much at least, and twice as much at most, the nominal bias follows the present one."""
 ONSET_S = 4.0
@@ -173,7 +175,8 @@ class Hypotheses:
 
     def _follow(self, now: Measurement) -> bool:
         """Let the nominal bias follow if a turn is unlikely; return whether it has changed."""
-        self.doubted = self.p_turn > (UNLIKELY_TURN if self.doubted else DOUBT)
+        begins = DOUBT_OF_CHANGE if self.changes else DOUBT
+        self.doubted = self.p_turn > (UNLIKELY_TURN if self.doubted else begins)
         if self.doubted:
             self.nominal = self.nominal.with_noise_of(self.present)
         elif self.changes and self.steady_s > LAG_S:
