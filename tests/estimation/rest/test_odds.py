@@ -32,7 +32,7 @@ def test_the_events_of_the_figure(dph: float, odds: float, p: float, added: int)
     assert round(dph * math.sqrt(min(p_turn, 1.0 - p_turn))) == added
 
 
-@pytest.mark.parametrize(("dph", "p"), [(22.0, 0.1), (324.5, 0.5)])
+@pytest.mark.parametrize(("dph", "p"), [(22.0, 0.1), (99.0, 0.25), (324.5, 0.5)])
 def test_below_this_a_turn_is_bias_and_below_that_it_is_rest(dph: float, p: float) -> None:
     below, above = (probability_of_turn(rate(dph + one), LIMITS) for one in (-1.0, 1.0))
     assert below < p < above
