@@ -68,7 +68,7 @@ class Solution:
         return dict(zip(columns, (np.sqrt(np.diag(inverse)) / scale).tolist(), strict=True))
 
     def called_for(self, column: int) -> float:
-        """Return by how many standard deviations the residual asks for one more term."""
+        """Return the significance of one more term in the residual, in standard deviations."""
         wanted = self.design[:, column]
         others = np.linalg.qr(self.design[:, sorted(self.columns)])[0]
         beyond = wanted - others @ (others.T @ wanted)

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from imumon.blocks import NO_INT, ColumnArray, FloatArray, IntArray, SampleBlock, missing
+from imumon.blocks import NO_INT, ColumnArray, FloatArray, IntArray, SampleBlock, join, missing
 from imumon.columns import TEMPERATURES
 from imumon.protocols.base import Timing
 from imumon.protocols.epochs import Epochs
@@ -29,16 +29,25 @@ class SideClock:
     def __init__(self, timing: Timing) -> None:
         self._timing = timing
         self._first = 0
-        # Ticks, device time, host time and segment; the first row stands for the time before any main row.
-        self._main = np.array([[NO_INT], [NO_INT], [NO_INT], [0]])
+        no_int = np.array([NO_INT])
+        self._main = SampleBlock(
+            {
+                "ticks": no_int,
+                "device_time_ns": no_int,
+                "host_time_ns": no_int,
+                "segment": np.zeros(1, np.int64),
+            }
+        )
+        """Main rows; the first stands for the time before any."""
 
     def follow(self, main: SampleBlock, ticks: IntArray | None) -> None:
         """Take the dated rows of the main stream that the next side rows refer to."""
         sent = missing(len(main), np.int64) if ticks is None else ticks
-        new = np.stack([sent, *(main[name] for name in ("device_time_ns", "host_time_ns", "segment"))])
-        drop = max(self._main.shape[1] - HISTORY - 1, 0)
+        times = {name: main[name] for name in ("device_time_ns", "host_time_ns", "segment")}
+        old = len(self._main)
+        drop = max(old - HISTORY - 1, 0)
         self._first += drop
-        self._main = np.hstack([self._main[:, drop:], new])
+        self._main = join([self._main.rows(drop, old), SampleBlock({"ticks": sent, **times})])
 
     def times(self, side: Epochs) -> dict[str, ColumnArray]:
         """Return the time columns of side rows.
@@ -47,7 +56,8 @@ class SideClock:
         main row a count stands for itself.
         """
         at = np.maximum(side.after, side.until - HISTORY) - self._first
-        ticks, device, host, segment = self._main[:, at]
+        main = {name: values[at] for name, values in self._main.columns.items()}
+        ticks, device, host = main["ticks"], main["device_time_ns"], main["host_time_ns"]
         block, n = side.block, len(side.block)
         counts = block.columns.get("device_ticks", missing(n, np.int64))
         arrival = block.columns.get("arrival_time_ns", missing(n, np.int64))
@@ -59,7 +69,7 @@ class SideClock:
             "device_time_ns": np.where(known, own, arrival),
             "arrival_time_ns": arrival,
             "host_time_ns": np.where((host == NO_INT) & (arrival == NO_INT), NO_INT, host_ns),
-            "segment": segment,
+            "segment": main["segment"],
         }
 
     def _on_main_clock(self, counts: IntArray, ticks: IntArray, device: IntArray) -> IntArray:

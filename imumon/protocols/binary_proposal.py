@@ -52,13 +52,18 @@ MOSTLY_TEXT: Final = 0.95
 
 
 class Proposal(NamedTuple):
-    """A device file, and how well it is founded; the best is the largest."""
+    """A device file, and how well it is founded."""
 
     checked: bool
     """Whether a checksum fits."""
     covered: float
     """Share of the bytes that are in packets."""
     text: str
+
+    @property
+    def weight(self) -> tuple[bool, float]:
+        """What orders proposals, the best last."""
+        return self.checked, self.covered
 
 
 def propose(data: bytes, seconds: float, baudrate: int | None) -> Proposal | None:
@@ -74,7 +79,7 @@ def propose(data: bytes, seconds: float, baudrate: int | None) -> Proposal | Non
         found += [proposal] if proposal is not None else []
         if proposal is not None and proposal.checked:
             break
-    return max(found, key=lambda one: one[:2], default=None)
+    return max(found, key=lambda one: one.weight, default=None)
 
 
 def _repeating(held: ByteArray) -> list[tuple[IntArray, int]]:
@@ -86,18 +91,19 @@ def _repeating(held: ByteArray) -> list[tuple[IntArray, int]]:
     pairs = held[:-1].astype(np.int64) << 8 | held[1:]
     often = np.argsort(np.bincount(pairs, minlength=1 << 16), kind="stable")[:-65:-1]
     places = [np.flatnonzero(pairs == pair) for pair in often]
-    found: dict[int, tuple[float, IntArray]] = {}
+    covered: dict[int, float] = {}
+    best: dict[int, IntArray] = {}
     for at in (*places, *(np.flatnonzero(held == byte) for byte in range(256))):
         distances = np.diff(at)
         count = np.bincount(distances[distances <= LONGEST], minlength=SHORTEST + 1)
         lengths = np.flatnonzero(count[SHORTEST:] >= max(LEAST_PACKETS, USUAL * len(distances))) + SHORTEST
         if len(lengths) == 1:
             length = int(lengths[0])
-            covered = float(count[length] * length) / len(held)
-            if covered > max(COVERED, found[length][0] if length in found else 0.0):
-                found[length] = covered, at
-    best = sorted(found.items(), key=lambda one: -one[1][0])[:TRIED_PATTERNS]
-    return [(at, length) for length, (_, at) in best]
+            share = float(count[length] * length) / len(held)
+            if share > covered.get(length, COVERED):
+                covered[length], best[length] = share, at
+    tried = sorted(covered, key=lambda length: -covered[length])[:TRIED_PATTERNS]
+    return [(best[length], length) for length in tried]
 
 
 def _proposal(

@@ -31,10 +31,10 @@ FROM_S = 20.0
 """The first row."""
 
 
-class Watched(TiltSigma):
+class Recorded(TiltSigma):
     """The estimate, with what each slot makes of it."""
 
-    seen: list[tuple[float, ...]]
+    slots: list[tuple[float, ...]]
 
     def step(self, slot: Slot) -> float:
         """Take a slot and keep its terms."""
@@ -42,7 +42,7 @@ class Watched(TiltSigma):
         change = float(((slot.up - self.lag[0][0]) ** 2).sum())
         late = 0.0 if slot.rest else self._not_followed(slot.up)
         terms = 0.5 * change, self.mean, late
-        self.seen.append((slot.rest, *terms, self.gyros.variance, self.gyros.confirmed, variance))
+        self.slots.append((slot.rest, *terms, self.gyros.variance, self.gyros.confirmed, variance))
         return variance
 
 
@@ -64,15 +64,15 @@ def turned() -> tuple[SampleBlock, FloatArray, FloatArray]:
 def tables(_: Options) -> Iterator[Table]:
     """Yield a row a second."""
     samples, angle, truth = turned()
-    Watched.seen = []
-    with patch.object(stage, "TiltSigma", Watched):
+    Recorded.slots = []
+    with patch.object(stage, "TiltSigma", Recorded):
         found = SampleBlock(dict(stage.AttitudeEstimate(axes="FLU").process(samples)))
     q = np.column_stack([found[f"attitude_estimate_{part}"] for part in "wxyz"])
     begun = int(np.argmax(np.isfinite(q[:, 0])))
     off = np.zeros(len(q))
     off[begun:] = np.linalg.norm(tilt_error(q[begun:], truth[begun:]), axis=1)
     rows: list[Cells] = []
-    for k, (rest, *squares, scale, confirmed, variance) in enumerate(Watched.seen):
+    for k, (rest, *squares, scale, confirmed, variance) in enumerate(Recorded.slots):
         t = SLOT_S * (k + 1)
         if t < FROM_S or t != round(t):
             continue

@@ -23,10 +23,11 @@ from imumon.estimation.gyro_bias import bank
 from imumon.estimation.gyro_bias.hypotheses import Hypotheses, begun
 from imumon.estimation.gyro_bias.modes import SENSITIVITY_SD, SLOPE, WALK, modes_of
 from imumon.estimation.gyro_bias.motion import Motion
+from imumon.estimation.gyro_bias.parameters import GyroBiasParameters
 from imumon.estimation.gyro_bias.place import Attitude
 from imumon.estimation.gyro_bias.prediction import LinearBias
 from imumon.estimation.gyro_bias.thermal_input import ThermalVariance
-from imumon.estimation.rest.parameters import GyroBiasParameters, RestParameters
+from imumon.estimation.rest.parameters import RestParameters
 from imumon.estimation.rest.quiet import SECOND_SLOTS, TRIAL, QuietDetector
 from imumon.estimation.rest.slots import ACCEL, GYRO, Measurement, Slot, measurement_of
 from imumon.geodesy import EARTH_RATE, STANDARD_GRAVITY

@@ -35,8 +35,8 @@ FLOOR_OF_FLICKER = 0.664
 FLICKER_CORNERS_S = (100.0, 10.0, 1.0, 0.1)
 """Averaging times at which flicker overtakes white noise."""
 STRONG_FLICKER = 2.0
-"""Prior of flicker that overtakes at 1 s over that of any other level: of the first seconds nobody can tell,
-and in them a gyro of 40 °/h was off by 8 sigmas."""
+"""Prior of flicker that overtakes at 1 s over that of any other level: it is not observable in the first
+seconds, and a gyro of 40 °/h was off by 8 sigmas in them."""
 WALK_CORNER_S = 10.0
 """The same of a random walk: white noise and a walk of K are equal at √3 σ/K."""
 SLOPE_PER_SIGMA = 3.6

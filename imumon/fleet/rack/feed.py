@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 import psutil
@@ -58,6 +59,17 @@ class Vitals:
     """MB: pages of its own, and its share of those that it has in common with other processes."""
 
 
+class Clocks(NamedTuple):
+    """Time that has elapsed, and that this process has used of a core, s."""
+
+    elapsed_s: float
+    cpu_s: float
+
+    def share_since(self, before: Clocks) -> float:
+        """Return the share of a core since an earlier time."""
+        return (self.cpu_s - before.cpu_s) / (self.elapsed_s - before.elapsed_s)
+
+
 class Feed:
     """Gathers the view items of a unit; `publish` may be called from any thread, `take` from one.
 
@@ -76,8 +88,8 @@ class Feed:
         self._lanes: dict[str, str] = {}
         self._process = psutil.Process()
         self._memory_s = -math.inf
-        self._opened = self._before = time.monotonic(), time.process_time()
-        """Clock and processor time, s, at the beginning and at the last time."""
+        self._opened = self._before = Clocks(time.monotonic(), time.process_time())
+        """At the beginning, and at the last time."""
 
     @property
     def publish(self) -> Callable[[ViewItem], None]:
@@ -108,9 +120,9 @@ class Feed:
                 self._vitals = replace(self._vitals, bias=tuple(bias[row]), bias_sd=tuple(sd[row]))
 
     def _measure_cost(self, progress: Progress) -> None:
-        memory_mb, now = self._vitals.memory_mb, (time.monotonic(), time.process_time())
-        if now[0] - self._memory_s > MEMORY_S:
-            self._memory_s = now[0]
+        memory_mb, now = self._vitals.memory_mb, Clocks(time.monotonic(), time.process_time())
+        if now.elapsed_s - self._memory_s > MEMORY_S:
+            self._memory_s = now.elapsed_s
             memory_mb = self._process.memory_full_info().pss / MEGABYTE
         self._vitals = replace(
             self._vitals,
@@ -119,8 +131,8 @@ class Feed:
             packets_per_s=progress.packets_per_s,
             packets_lost=progress.counters.lost,
             bytes_received=progress.counters.bytes_received,
-            cpu=(now[1] - self._before[1]) / (now[0] - self._before[0]),
-            mean_cpu=(now[1] - self._opened[1]) / (now[0] - self._opened[0]),
+            cpu=now.share_since(self._before),
+            mean_cpu=now.share_since(self._opened),
         )
         self._before = now
 

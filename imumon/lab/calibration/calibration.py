@@ -12,7 +12,7 @@ import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.effects.thermal_lag import UNTOLD_S
-from imumon.errors import ImumonError, bad_config, bad_data
+from imumon.errors import bad_config, bad_data
 from imumon.geodesy import DEG_PER_H
 from imumon.intake import RANGES
 from imumon.lab.calibration.cells import Cells, Channel, channel_of, group, levels
@@ -268,26 +268,26 @@ def check_columns(records: Sequence[Record]) -> None:
     """Raise BAD_DATA when a record has no gyro, a constant one, no temperature, or not that of the others."""
     for record in records:
         if lacking := [name for name in GYRO if not record.has(name)]:
-            raise _refusal(
+            raise bad_data(
                 f"{record.name}: no values of {', '.join(lacking)}",
                 "a bias model is made of angular rates; let the device send them, or name them in the map",
             )
         if any(record.temperature_column(name) is None for name in GYRO):
             coldest, hottest, unit = RANGES["temperature"]
-            raise _refusal(
+            raise bad_data(
                 f"{record.name}: there is no temperature",
                 "let the device send its temperature, or name the column in the map with its unit; "
                 f"readings beyond {coldest:g} to {hottest:g} {unit}, and zero alone, are left out",
             )
         values = {name: record.of(name) for name in GYRO} if len(record.means) > 1 else {}
         if stuck := [name for name, of in values.items() if np.nanmin(of) == np.nanmax(of)]:
-            raise _refusal(
+            raise bad_data(
                 f"{record.name}: {', '.join(stuck)} never changes from {record.of(stuck[0])[0]:g} rad/s",
                 "a sensor that measures is never so quiet: is it switched off, or the column a constant?",
             )
     thermometers = {str(record.temperature_column(GYRO[0])) for record in records}
     if len(thermometers) > 1:
-        raise _refusal(
+        raise bad_data(
             f"the sessions have different thermometers: {', '.join(sorted(thermometers))}",
             "calibrate them apart: a curve is over one of them",
         )
@@ -298,7 +298,7 @@ def check_coverage(records: Sequence[Record], cells: Cells) -> None:
     rest_s = float(cells.seconds.sum())
     if rest_s < LEAST_REST_S:
         recorded_s = sum(float(record.means.span_s.sum()) for record in records)
-        raise _refusal(
+        raise bad_data(
             f"{rest_s:.0f} s at rest, of {recorded_s:.0f} s with several samples in {BLOCK_S:g} s; "
             f"a model needs {LEAST_REST_S:.0f}",
             "let the unit stand still on a firm base for longer"
@@ -309,7 +309,7 @@ def check_coverage(records: Sequence[Record], cells: Cells) -> None:
     low, high = float(known[0]), float(known[-1])
     span = high - low
     if span < LEAST_SPAN_DEGC:
-        raise _refusal(
+        raise bad_data(
             f"the temperature at rest spans {span:.2f} °C ({low:.2f} to {high:.2f}); "
             f"a model needs {LEAST_SPAN_DEGC:g}",
             "record while the unit warms up or cools down over the range in which it will be used",
@@ -317,20 +317,16 @@ def check_coverage(records: Sequence[Record], cells: Cells) -> None:
     at = int(np.argmax(np.diff(known)))
     hole = float(known[at + 1] - known[at])
     if hole > WIDEST_HOLE * span:
-        raise _refusal(
+        raise bad_data(
             f"nothing at rest from {known[at]:.2f} to {known[at + 1]:.2f} °C, {hole / span:.0%} of "
             f"the span; a curve bridges {WIDEST_HOLE:.0%}",
             "record levels in between",
         )
     wrong = UNTOLD_S * cells.rate_rms
     if wrong > MOST_LAG * span:
-        raise _refusal(
+        raise bad_data(
             f"the temperature moves at {60 * cells.rate_rms:.2f} °C/min (rms): a gyro {UNTOLD_S:g} s behind "
             f"its thermometer would be wrong by {wrong:.2f} °C, {wrong / span:.0%} of the {span:.2f} °C "
             f"span; a model allows {MOST_LAG:.0%}",
             "heat and cool more slowly, hold levels, or cover a wider range",
         )
-
-
-def _refusal(seen: str, hint: str) -> ImumonError:
-    return bad_data(seen, hint)

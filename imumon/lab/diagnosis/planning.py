@@ -229,7 +229,7 @@ def open_questions(report: Report) -> list[Question]:
 def plan(report: Report, question: Question, most_s: float, progress: Progress | None = None) -> Plan:
     """Return the shortest experiment that answers a question, with the evidence to expect of it.
 
-    A shape is repeated only where that can tell enough, as evidence grows no faster than time, and none is
+    A shape is repeated only where that can decide, as evidence grows no faster than time, and none is
     tried after `TIME_UP_S`.
     """
     effects = [effect for answer in question.answers for effect in answer.effects]

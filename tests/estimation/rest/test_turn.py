@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from imumon.blocks import FloatArray, SampleBlock
-from imumon.estimation.gyro_bias.stage import RestDetector
+from imumon.estimation.gyro_bias.stage import RestAndBias, RestDetector
 from imumon.estimation.rest.parameters import RestParameters
 from tests.estimation.rest.scenes import DEG, GRAVITY, block, detect, flicker, noise, rolled
 
@@ -204,6 +204,15 @@ def test_with_a_magnetometer_a_recording_that_begins_in_a_turn_is_not_at_rest(ra
     assert np.abs(hypothesis[turning]).min() > 0.8 * abs(rate_dps) * DEG  # the whole of it may be in the bias
     assert rest[t > 110.0].all()
     assert np.abs(hypothesis[t > 110.0]).max() < 0.02 * DEG
+
+
+@pytest.mark.parametrize("rate_dps", [0.01, 0.02])
+def test_a_first_slow_turn_that_is_taken_for_rest_is_in_the_sigma(rate_dps: float) -> None:
+    samples, _ = turn(rate_dps, 5, 0.5, gyro_sd=5e-6)
+    result = RestAndBias().process(samples)
+    turning = samples["device_time_ns"] * 1e-9 > BEGIN_S + 1.0
+    off = np.abs(result["gyro_bias_z"] - 0.1 * DEG) / result["gyro_bias_sd_z"]
+    assert off[turning].max() < 7.0
 
 
 @pytest.mark.parametrize("degrees", [1.0, 8.0])
