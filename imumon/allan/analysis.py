@@ -123,16 +123,12 @@ def sums_of_squares(x: FloatArray, starts: IntArray, stops: IntArray, m: int) ->
 
 def analyse(series: Mapping[str, EvenSeries]) -> dict[str, Result]:
     """Return deviations and noise terms of channels; what follows from the gaps is worked out once."""
-    kinds = {_key(channel): channel for channel in series.values()}
+    # Channels whose samples are missing at the same places share these arrays (`even_channels`).
+    kinds = {id(channel.islands): channel for channel in series.values()}
     divisions = {key: Division.of(channel) for key, channel in kinds.items()}
     with ThreadPoolExecutor(os.cpu_count()) as threads:  # the kernels release the interpreter
-        results = threads.map(lambda channel: _analyse(channel, divisions[_key(channel)]), series.values())
+        results = threads.map(lambda one: _analyse(one, divisions[id(one.islands)]), series.values())
         return dict(zip(series, results, strict=True))
-
-
-def _key(series: EvenSeries) -> tuple[bytes, ...]:
-    """Return what two channels have in common whose samples are missing at the same places."""
-    return tuple(part.tobytes() for part in (series.islands, series.gap_starts, series.gap_lengths))
 
 
 def _analyse(series: EvenSeries, division: Division) -> Result:
@@ -166,19 +162,16 @@ def _less_certain(fit: Fit, samples: FloatArray, steps: Digits | None, missing: 
     """
     if steps is not None and steps.error > NO_SUM:
         return replace(fit, terms=dict.fromkeys(NAMES), withheld=DIGITS)
-    of_all = math.hypot(0.0 if steps is None else steps.error, min(0.5 * missing, NO_SUM))
-    terms = dict(fit.terms)
-    for name, term in terms.items():
-        if term is not None:
-            white = name == NAMES[0]
-            error = math.hypot(of_all, math.sqrt(_kurtosis(samples) / len(samples)) if white else 0.0)
-            kept = math.sqrt(1.0 - missing) if white else 1.0
-            terms[name] = Estimate(kept * term.value, math.hypot(term.sd, 0.5 * error * term.value))
+    error = math.hypot(0.0 if steps is None else steps.error, min(0.5 * missing, NO_SUM))
+    terms = {
+        name: None if term is None else Estimate(term.value, math.hypot(term.sd, 0.5 * error * term.value))
+        for name, term in fit.terms.items()
+    }
+    if (white := terms[NAMES[0]]) is not None:
+        square = np.square(np.diff(samples))
+        # The excess kurtosis of white noise is twice that of the differences of neighbours.
+        kurtosis = max(2.0 * (float(np.square(square).mean() / square.mean() ** 2) - 3.0), 0.0)
+        tails = 0.5 * math.sqrt(kurtosis / len(samples)) * white.value
+        kept = math.sqrt(1.0 - missing)
+        terms[NAMES[0]] = Estimate(kept * white.value, math.hypot(white.sd, tails))
     return replace(fit, terms=terms)
-
-
-def _kurtosis(samples: FloatArray) -> float:
-    """Return the excess kurtosis of white noise, by differences of neighbours: theirs is half of it."""
-    square = np.square(np.diff(samples))
-    mean = float(square.mean())
-    return max(2.0 * (float(np.square(square).mean()) / mean**2 - 3.0), 0.0) if mean else 0.0

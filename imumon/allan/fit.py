@@ -182,7 +182,8 @@ def fit_terms(variances: FloatArray, division: Division, interval_s: float) -> F
     correlated = with_correlated(usable if described else whole, division)
     problem = correlated or usable
     smallest = smallest_set(problem, EVERY if correlated is None else WITH_MARKOV)
-    fitted = _with_alike(smallest) | ({FILTER} if problem.start else frozenset())
+    alike = ALIKE if smallest.columns & ALIKE else frozenset()
+    fitted = smallest.columns | alike | ({FILTER} if problem.start else frozenset())
     solution = problem.fit(fitted)
     shown = [column for column in sorted(solution.columns) if _is_shown(problem, smallest, column)]
     withheld = ""
@@ -202,15 +203,9 @@ def fit_terms(variances: FloatArray, division: Division, interval_s: float) -> F
         if column == MARKOV:
             time_s = problem.covariances.time * interval_s
             terms[NAMES[-1]] = Estimate(time_s, time_s * sd[TIME] / coefficient)
-    return Fit(
-        terms,
-        signed(solution.coefficients),
-        problem.covariances.time,
-        problem.start,
-        problem.stop - 1,
-        problem.model_error,
-        withheld,
-    )
+    averaged = problem.start, problem.stop - 1
+    found = signed(solution.coefficients), problem.covariances.time
+    return Fit(terms, *found, *averaged, problem.model_error, withheld)
 
 
 def usable_range(whole: Problem, interval_s: float) -> Problem:
@@ -285,18 +280,13 @@ def with_correlated(plain: Problem, division: Division) -> Problem | None:
     if not tried or tried[best] < needed:
         return None
     half = math.sqrt(2.0)
-    found = at(best * half ** _peak(likelihood(best / half), tried[best], likelihood(best * half)))
+    left, right = likelihood(best / half), likelihood(best * half)
+    bend, slope, _ = np.polyfit((-1.0, 0.0, 1.0), (left, tried[best], right), 2)
+    peak = np.clip(-0.5 * slope / bend, -1.0, 1.0) if bend < 0.0 else np.sign(slope)
+    found = at(best * half ** float(peak))
     solution = found.fit(WITH_MARKOV)
     is_likely = solution.log_likelihood >= needed and solution.is_good()
     return found if is_likely and solution.columns >= {WHITE, MARKOV} else None
-
-
-def _peak(left: float, middle: float, right: float) -> float:
-    """Return where a parabola through three values is highest, in steps from the middle; one at the most."""
-    bend = left - 2.0 * middle + right
-    if bend >= 0.0:
-        return 1.0 if right > left else -1.0
-    return min(max(0.5 * (left - right) / bend, -1.0), 1.0)
 
 
 def may_be_correlated(plain: Problem, division: Division, smallest: Solution) -> bool:
@@ -331,14 +321,9 @@ def smallest_set(problem: Problem, every: Sequence[int]) -> Solution:
     return problem.fit(every)
 
 
-def _with_alike(solution: Solution) -> frozenset[int]:
-    """Return the columns of a solution, with what is not called for, but could stand in their place."""
-    return solution.columns | ALIKE if solution.columns & ALIKE else solution.columns
-
-
 def _is_shown(problem: Problem, smallest: Solution, column: int) -> bool:
     """Return whether the fit without a term calls for it, whatever may stand for it."""
     if column in (FILTER, MARKOV):
         return column == MARKOV
-    others = (_with_alike(smallest) if column in ALIKE else smallest.columns) - {column}
+    others = (smallest.columns | (ALIKE if column in ALIKE else frozenset())) - {column}
     return not others or problem.fit(others).called_for(column) > SHOWN

@@ -73,15 +73,13 @@ def read_channels(path: Path, stages: Stages = no_stages, count: Count = no_coun
         raise bad_data(f"{path}: has no samples")
     samples = join(blocks)
     there = [name for name in CHANNELS if name in samples]
-    names = [name for name in there if np.isfinite(samples[name]).sum() > 1]
-    if not names:
-        lack = "holds no two numbers in" if there else "has none of the columns"
-        raise bad_data(f"{path}: {lack} {', '.join(there or CHANNELS)}")
-    channels = {name: samples[name] for name in names}
+    channels = {name: samples[name] for name in there if np.isfinite(samples[name]).sum() > 1}
+    if not channels:
+        raise bad_data(f"{path}: holds no two numbers in any of {', '.join(CHANNELS)}")
     series = even_channels(samples["device_time_ns"], samples["segment"], channels)
-    _check_rate(path, len(samples), {name: series.get(name) for name in names})
+    _check_rate(path, len(samples), {name: series.get(name) for name in channels})
     warnings = recording.warnings()
-    if empty := [name for name in there if name not in names]:
+    if empty := [name for name in there if name not in channels]:
         warnings.append(f"{', '.join(empty)}: fewer than two numbers; left out")
     warnings += _of_units(series)
     of_grids = by_text((name, text) for name, channel in series.items() for text in _of_grid(channel))
@@ -190,20 +188,16 @@ def _is_coarse(name: str, channel: EvenSeries) -> bool:
 
 
 def _of_temperature(samples: SampleBlock) -> Iterator[str]:
-    there = [samples[name][np.isfinite(samples[name])] for name in TEMPERATURES if name in samples]
+    there = (samples[name][np.isfinite(samples[name])] for name in TEMPERATURES if name in samples)
     readings = next((part for part in there if len(part)), None)
     if readings is None:
-        yield (
-            "there is no temperature: thermal drift cannot be distinguished from bias instability and random"
-            " walk"
-        )
+        what = "thermal drift cannot be distinguished from bias instability and random walk"
+        yield f"there is no temperature: {what}"
         return
     low, high = np.percentile(readings, [0.5, 99.5])
     if high - low > WARMING_DEGC:
-        yield (
-            f"the temperature moved between {low:.1f} and {high:.1f} °C: bias instability, random walk and "
-            "ramp hold thermal drift"
-        )
+        what = "bias instability, random walk and ramp hold thermal drift"
+        yield f"the temperature moved between {low:.1f} and {high:.1f} °C: {what}"
 
 
 def group_of(channel: str) -> str:

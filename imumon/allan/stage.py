@@ -66,11 +66,8 @@ class AllanStage:
         charts = []
         for group, title in _TITLES.items():
             level = TERMS_OF[group]["bias_instability"]
-            found = {
-                axis: self._channels[f"{group}_{axis}"].curve().trusted()
-                for axis in AXIS_COLORS
-                if f"{group}_{axis}" in self._channels
-            }
+            channels = {axis: self._channels.get(f"{group}_{axis}") for axis in AXIS_COLORS}
+            found = {axis: one.curve().trusted() for axis, one in channels.items() if one is not None}
             shown = {axis: curve for axis, curve in found.items() if len(curve.tau_s) > 1}
             if shown:
                 x, y = Axis("averaging time [s]", log=True), Axis(f"[{level.shown}]", log=True)

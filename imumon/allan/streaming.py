@@ -118,7 +118,8 @@ class StreamingAllan:
         self._begin()
 
     def _begin(self) -> None:
-        self._waiting: list[tuple[int, int, float]] = []
+        self._waiting: list[tuple[IntArray, IntArray, FloatArray]] = []
+        """Samples from which the interval is not learned yet."""
         self._run = record(_Run, rings=(RINGS, RING), sums=RINGS, counts=RINGS)
         self._run.position = -1
 
@@ -139,18 +140,18 @@ class StreamingAllan:
 
     def _learn(self, time_ns: IntArray, segment: IntArray, values: FloatArray, start: int) -> int:
         """Gather samples until the interval is known, then add them; return the next row."""
-        for row in range(start, len(values)):
-            if np.isfinite(values[row]):
-                self._waiting.append((int(time_ns[row]), int(segment[row]), float(values[row])))
-            if len(self._waiting) == LEARN:
-                times, segments, first = (np.array(part) for part in zip(*self._waiting, strict=True))
-                self._waiting = []
-                self._run.interval_ns = nominal_interval_ns(times, segments)
-                self._run.offset = float(first[0])
-                if self._run.interval_ns:
-                    stream(times, segments, first, self._run)
-                return row + 1
-        return len(values)
+        lacking = LEARN - sum(len(part) for *_, part in self._waiting)
+        rows = (start + np.flatnonzero(np.isfinite(values[start:])))[:lacking]
+        self._waiting.append((time_ns[rows], segment[rows], values[rows]))
+        if len(rows) < lacking:
+            return len(values)
+        times, segments, first = (np.concatenate(part) for part in zip(*self._waiting, strict=True))
+        self._waiting.clear()
+        self._run.interval_ns = nominal_interval_ns(times, segments)
+        self._run.offset = float(first[0])
+        if self._run.interval_ns:
+            stream(times, segments, first, self._run)
+        return int(rows[-1]) + 1
 
     def curve(self) -> LiveCurve:
         """Return the curve so far; empty while there is none."""
