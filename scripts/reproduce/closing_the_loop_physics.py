@@ -64,14 +64,6 @@ def relays(rng: Generator, temperature: FloatArray) -> FloatArray:
 Physics = Callable[[Generator, list[Thermal], int], list[FloatArray]]
 
 
-def _rate(_: Generator, runs: list[Thermal], __: int) -> list[FloatArray]:
-    return [np.gradient(run.board) for run in runs]
-
-
-def _lag(_: Generator, runs: list[Thermal], __: int) -> list[FloatArray]:
-    return [run.die - run.board for run in runs]
-
-
 def _hysteresis(rng: Generator, runs: list[Thermal], axis: int) -> list[FloatArray]:
     seed = int(rng.integers(2**31))
     model = bouc_wen if seed % 2 else relays
@@ -180,8 +172,8 @@ def _dead_time(rng: Generator, runs: list[Thermal], _: int) -> list[FloatArray]:
 PHYSICS: dict[str, Physics] = {
     "stress_relaxation": _relaxation,
     "dead_time": _dead_time,
-    "temperature_rate": _rate,
-    "thermal_lag": _lag,
+    "temperature_rate": lambda _, runs, __: [np.gradient(run.board) for run in runs],
+    "thermal_lag": lambda _, runs, __: [run.die - run.board for run in runs],
     "bent": _bent,
     "hysteresis": _hysteresis,
     "warm_up": _warm_up,
