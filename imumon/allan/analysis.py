@@ -14,6 +14,7 @@ from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,11 +26,8 @@ from imumon.blocks import FloatArray, IntArray
 from imumon.compiled import njit
 from imumon.filters.rounding import Digits, digits
 
-_WHITE = np.array([1.0, 0.0, 0.0, 0.0])
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Deviations:
+class Deviations(NamedTuple):
     """One kind of deviation at the averaging times, (n,) each; NaN where the runs are too short for it."""
 
     values: FloatArray
@@ -48,8 +46,8 @@ class Result:
     allan: Deviations
     modified: Deviations
     hadamard: Deviations
-    """All overlapping, with intervals of `imumon.allan.covariance.CONFIDENCE`."""
-    noise: tuple[str, ...]
+    """Overlapping, with intervals of `imumon.allan.covariance.CONFIDENCE`."""
+    noise: list[str]
     """The term that the fit has most of at each averaging time."""
     fit: Fit | None
     """None when there are too few averaging times."""
@@ -125,7 +123,7 @@ def analyse(series: Mapping[str, EvenSeries]) -> dict[str, Result]:
     """Return deviations and noise terms of channels; what follows from the gaps is worked out once."""
     # Channels whose samples are missing at the same places share these arrays (`even_channels`).
     kinds = {id(channel.islands): channel for channel in series.values()}
-    divisions = {key: Division.of(channel) for key, channel in kinds.items()}
+    divisions = {key: Division(channel) for key, channel in kinds.items()}
     with ThreadPoolExecutor(os.cpu_count()) as threads:  # the kernels release the interpreter
         results = threads.map(lambda one: _analyse(one, divisions[id(one.islands)]), series.values())
         return dict(zip(series, results, strict=True))
@@ -137,11 +135,11 @@ def _analyse(series: EvenSeries, division: Division) -> Result:
     fit = fit_terms(found["allan"], division, series.interval_s)
     samples = series.values[series.there]
     steps = digits(samples)
-    noise, names = _WHITE, []
+    noise, names = np.array([1.0, 0.0, 0.0, 0.0]), list[str]()  # white alone where nothing is fitted
     if fit is not None:
         fit = _less_certain(fit, samples, steps, float(1.0 - series.there.mean()))
-        noise = np.maximum(fit.coefficients[:4], 0.0)
-        noise = noise if noise.any() else _WHITE
+        found_noise = np.maximum(fit.coefficients[:4], 0.0)
+        noise = found_noise if found_noise.any() else noise
         names = [NAMES[row] for row in fit.shares(factors.astype(np.float64)).argmax(axis=1)]
     deviations = {}
     for kind, values in found.items():
@@ -149,9 +147,7 @@ def _analyse(series: EvenSeries, division: Division) -> Result:
         known = np.where(np.isfinite(values) & (np.array(edf) > 0.0), edf, np.nan)
         deviations[kind] = Deviations(np.sqrt(values), *intervals(values, known))
     tau_s = factors.astype(np.float64) * series.interval_s
-    return Result(
-        series, tau_s, **deviations, noise=tuple(names), fit=fit, trusted=division.trusted, digits=steps
-    )
+    return Result(series, tau_s, **deviations, noise=names, fit=fit, trusted=division.trusted, digits=steps)
 
 
 def _less_certain(fit: Fit, samples: FloatArray, steps: Digits | None, missing: float) -> Fit:
@@ -172,6 +168,5 @@ def _less_certain(fit: Fit, samples: FloatArray, steps: Digits | None, missing: 
         # The excess kurtosis of white noise is twice that of the differences of neighbours.
         kurtosis = max(2.0 * (float(np.square(square).mean() / square.mean() ** 2) - 3.0), 0.0)
         tails = 0.5 * math.sqrt(kurtosis / len(samples)) * white.value
-        kept = math.sqrt(1.0 - missing)
-        terms[NAMES[0]] = Estimate(kept * white.value, math.hypot(white.sd, tails))
+        terms[NAMES[0]] = Estimate(math.sqrt(1.0 - missing) * white.value, math.hypot(white.sd, tails))
     return replace(fit, terms=terms)

@@ -176,16 +176,14 @@ class Covariances:
     """
 
     m: FloatArray
-    """Averaging factors, (n,)."""
     time: float
-    """Correlation time of the Gauss-Markov process, samples."""
+    """Averaging factors, (n,), and correlation time of the Gauss-Markov process, samples."""
     shapes: FloatArray
     """Expected variance per unit of the coefficients of `SHAPES` and of the Gauss-Markov process, and the
     derivative of the last by the logarithm of its time, (n, 7)."""
     quadratic: FloatArray
-    """A, (n, n, 5, 5)."""
     linear: FloatArray
-    """b, (n, n, 5)."""
+    """A, (n, n, 5, 5), and b, (n, n, 5)."""
 
     def matrix(self, coefficients: FloatArray) -> FloatArray:
         """Return the covariance matrix, (n, n), for the coefficients of the shapes, (6,)."""

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from imumon.allan.analysis import Deviations, Result
+from imumon.allan.analysis import Result
 from imumon.allan.covariance import CONFIDENCE
 from imumon.allan.fit import AMBIGUOUS, DIGITS, NO_SUM
 from imumon.allan.parameters import TERMS_OF
@@ -98,9 +98,11 @@ def as_json(results: Mapping[str, Result]) -> dict[str, Any]:
 def _channel(group: str, result: Result) -> dict[str, Any]:
     fit, series, digits = result.fit, result.series, result.digits
     terms = {} if fit is None else {name: term for name, term in fit.terms.items() if term is not None}
+    kinds = {"oadev": result.allan, "mdev": result.modified, "ohdev": result.hadamard}
+    intervals = {name: {"low": of.low.tolist(), "high": of.high.tolist()} for name, of in kinds.items()}
     return {
         "tau_s": result.tau_s.tolist(),
-        "oadev": result.allan.values.tolist(),
+        **{name: of.values.tolist() for name, of in kinds.items()},
         "unit": UNITS[group],
         **{
             name: {**terms[name]._asdict(), "unit": style.unit} if name in terms else None
@@ -108,12 +110,8 @@ def _channel(group: str, result: Result) -> dict[str, Any]:
         },
         "longest_tau_s": result.longest_tau_s,
         "confidence": CONFIDENCE,
-        "oadev_interval": _interval(result.allan),
-        "mdev": result.modified.values.tolist(),
-        "mdev_interval": _interval(result.modified),
-        "ohdev": result.hadamard.values.tolist(),
-        "ohdev_interval": _interval(result.hadamard),
-        "noise": list(result.noise),
+        **{f"{name}_interval": interval for name, interval in intervals.items()},
+        "noise": result.noise,
         "fit_tau_s": None if fit is None else result.tau_s[[fit.first, fit.last]].tolist(),
         "model_error": None if fit is None else fit.model_error,
         "withheld": None if fit is None else fit.withheld or None,
@@ -126,10 +124,6 @@ def _channel(group: str, result: Result) -> dict[str, Any]:
         "pieces": len(series.islands) - 1,
         "duration_s": series.duration_s,
     }
-
-
-def _interval(deviations: Deviations) -> dict[str, list[float]]:
-    return {"low": deviations.low.tolist(), "high": deviations.high.tolist()}
 
 
 def value_of(result: Result | None, term: str) -> float | None:

@@ -60,8 +60,8 @@ def _draw(axes: Any, group: str, results: Mapping[str, Result]) -> None:
         axes.plot(tau, factor * allan.values, color=color, lw=0.8)
         if result.fit is not None:
             drawn |= {"", *_draw_fit(axes, result.fit, tau, factor, color)}
-    if trusted_s := [result.longest_tau_s for result in results.values() if result.trusted]:
-        longest = max(trusted_s)
+    longest = max((result.longest_tau_s for result in results.values() if result.trusted), default=0.0)
+    if longest:
         axes.axvline(longest, color="0.6", lw=0.8)
         axes.annotate(
             "longest trusted τ", (longest, 0.99), xycoords=("data", "axes fraction"), rotation=90,

@@ -77,12 +77,10 @@ class EvenSeries:
 
 def octaves(series: EvenSeries) -> IntArray:
     """Return the averaging factors 1, 2, 4, ... for which a run is long enough."""
-    factors: list[int] = []
-    m = 1
-    while np.subtract(*series.runs(m)[::-1]).max(initial=0) >= 2 * m:
-        factors.append(m)
-        m *= 2
-    return np.array(factors, np.int64)
+    n = 0
+    while np.subtract(*series.runs(1 << n)[::-1]).max(initial=0) >= 2 << n:
+        n += 1
+    return np.asarray(1 << np.arange(n, dtype=np.int64))
 
 
 def nominal_interval_ns(time_ns: IntArray, segment: IntArray) -> float:
@@ -109,12 +107,8 @@ def even_channels(
 ) -> dict[str, EvenSeries]:
     """Put the finite values of each channel on an even grid; channels without two neighbours are left out.
 
-    Parameters
-    ----------
-    time_ns, segment : arrays of int64, (n,)
-        Device time, and the count of its restarts.
-    channels : mapping of str to array, (n,)
-        NaN where the channel has no sample: a channel slower than the packets has its own interval.
+    Device time, the count of its restarts, and channels are (n,), NaN where a channel has no sample: one that
+    is slower than the packets has its own interval.
     """
     grids: dict[bytes, _Grid | None] = {}
     series = {}
