@@ -51,14 +51,10 @@ class VirtualDevice(AbstractContextManager["VirtualDevice"]):
 
     Parameters
     ----------
-    device : DeviceFile
-        Format, baud rate, packet rate and body axes.
     link : Path or None
         Name of a symlink to the port.
     rate_hz : float or None
         Packets per second; those of the scenario, else the device file's own, when None.
-    seed : int
-        Seed of the simulated unit.
     port : VirtualPort or None
         Port to send through; one is made when None.  Closed with the device.
     scenario : Scenario or None
@@ -86,7 +82,6 @@ class VirtualDevice(AbstractContextManager["VirtualDevice"]):
         """What answers commands, of the wing that has some for it; None for a device that does not listen."""
         self._sending: Any = None
         self._closing = threading.Event()
-        self.packets_sent = 0
         self.failure: ImumonError | None = None
         """Why nothing is sent any more: a value of the simulated unit does not fit its field."""
         self.port = port or VirtualPort(link, device.serial.baudrates[0])
@@ -114,12 +109,6 @@ class VirtualDevice(AbstractContextManager["VirtualDevice"]):
         self._packets = deque[bytes]()
 
     def _run(self) -> None:
-        try:
-            self._send()
-        except ImumonError as error:
-            self.failure = error
-
-    def _send(self) -> None:
         start, sent = time.monotonic(), 0
         while not self._closing.is_set():
             if self._rebooted:
@@ -128,13 +117,17 @@ class VirtualDevice(AbstractContextManager["VirtualDevice"]):
                 start, sent = time.monotonic(), 0
             due = int((time.monotonic() - start) * self._rate_hz) - sent
             if due > 0:
-                self._send_samples(due)
+                try:
+                    self._send(due)
+                except ImumonError as error:
+                    self.failure = error
+                    return
                 sent += due
             next_due = start + (sent + 1) / self._rate_hz
             wait = max(next_due - time.monotonic(), TICK_S if self._rate_hz > 1 / TICK_S else 0.0)
             self._closing.wait(wait if self.firmware is None else min(wait, TICK_S))
 
-    def _send_samples(self, n: int) -> None:
+    def _send(self, n: int) -> None:
         if self._sending is not None:
             self.port.write(self._sending.encode(self._unit.samples(n)))
         else:
@@ -143,7 +136,6 @@ class VirtualDevice(AbstractContextManager["VirtualDevice"]):
                 self._packets.extend(self._encoder.encode(self._unit.samples(ahead)))
             for _ in range(n):
                 self.port.write(self._packets.popleft())
-        self.packets_sent += n
 
     def _reboot(self) -> None:
         self._rebooted = False

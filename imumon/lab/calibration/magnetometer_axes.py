@@ -179,12 +179,13 @@ def doubts(axes: Axes | None, source: str) -> list[str]:
             "(in a device file by a negative scale); turns do not tell which of the two it is: north of the "
             "magnetic equator the field must point down",
         )
-    text = (
+    if axes.angle < SIGMAS * axes.sd:
+        return []
+    return [
         f"the magnetometer is turned by {np.degrees(axes.angle):.1f} ± {np.degrees(axes.sd):.1g}° against "
         "the gyros: headings are off by up to as much, and more where the field is steep; the model file "
         "does not hold that"
-    )
-    return [text] if axes.angle >= SIGMAS * axes.sd else []
+    ]
 
 
 def named(way: FloatArray) -> str:
