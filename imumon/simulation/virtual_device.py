@@ -82,6 +82,7 @@ class VirtualDevice(AbstractContextManager["VirtualDevice"]):
         """What answers commands, of the wing that has some for it; None for a device that does not listen."""
         self._sending: Any = None
         self._closing = threading.Event()
+        self.packets_sent = 0
         self.failure: ImumonError | None = None
         """Why nothing is sent any more: a value of the simulated unit does not fit its field."""
         self.port = port or VirtualPort(link, device.serial.baudrates[0])
@@ -136,6 +137,7 @@ class VirtualDevice(AbstractContextManager["VirtualDevice"]):
                 self._packets.extend(self._encoder.encode(self._unit.samples(ahead)))
             for _ in range(n):
                 self.port.write(self._packets.popleft())
+        self.packets_sent += n
 
     def _reboot(self) -> None:
         self._rebooted = False

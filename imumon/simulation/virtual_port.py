@@ -17,6 +17,7 @@ import threading
 import time
 import tty
 from contextlib import AbstractContextManager, suppress
+from functools import partial
 from pathlib import Path
 
 from imumon.errors import ImumonError, Reason, bad_config
@@ -201,7 +202,7 @@ class VirtualPort(AbstractContextManager["VirtualPort"]):
                 whole = rate * self.held_s
                 if self.held_s > CHUNK_S:
                     left_s = max(free_at + self.held_s - time.monotonic(), 0.0)
-                    self._changed.wait_for(lambda n=whole: self._closing or len(self._backlog) >= n, left_s)
+                    self._changed.wait_for(partial(self._has, whole), left_s)
                 size = min(len(self._backlog), math.ceil(whole))
             free_at += size / rate
             time.sleep(max(free_at - time.monotonic(), 0.0))
@@ -210,6 +211,9 @@ class VirtualPort(AbstractContextManager["VirtualPort"]):
                 self._deliver(data)
                 del self._backlog[:size]
                 self._changed.notify_all()
+
+    def _has(self, size: float) -> bool:
+        return self._closing or len(self._backlog) >= size
 
     def _deliver(self, data: bytes) -> None:
         """Hand bytes to the host, if there is one and it has room."""

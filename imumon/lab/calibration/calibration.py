@@ -165,7 +165,7 @@ def _all_channels(
         channel = channel.only(keep)
         choice = choose(channel, shifted, knots)
         own = not (cells.turned and name in ACCEL)
-        missed = UNTOLD_S * cells.of("rate") * choice.curve.slope(cells.temperature)
+        missed = UNTOLD_S * cells.rate * choice.curve.slope(cells.temperature)
         lag_rms = float(np.sqrt(np.average(missed**2, weights=cells.seconds)))
         findings[name] = Finding(choice, shifted, channel.white, offset, lag_rms, own)
         channels[name] = _channel_model(name, channel, choice, shifted)
