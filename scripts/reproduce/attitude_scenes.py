@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from handled_units import SENSORS, waves
@@ -58,7 +59,7 @@ class Record:
 
     samples: SampleBlock
     attitude: FloatArray
-    axes: str
+    axes: Literal["FRD", "FLU"]
 
 
 def still(_: np.random.Generator, t: FloatArray, __: FloatArray) -> Moves:

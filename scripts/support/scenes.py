@@ -46,23 +46,16 @@ READ_S = 0.01
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """One run: what sends, what the estimators are told, and how it is looked at.
-
-    Parameters
-    ----------
-    shows : str
-        For the list in the docs.
-    record : callable
-        Returns what came over the port, given a folder to work in.
-    live : bool
-        As it was seen live; else as a recording is opened afterwards.
-    """
+    """One run: what sends, what the estimators are told, and how it is looked at."""
 
     shows: str
+    """For the list in the docs."""
     device: str
     record: Callable[[Path], Iterator[Item]]
+    """Returns what came over the port, given a folder to work in."""
     setup: Callable[[], Setup] = field(default=Setup)
     live: bool = True
+    """As it was seen live; else as a recording is opened afterwards."""
     baudrate: int | None = None
 
 
