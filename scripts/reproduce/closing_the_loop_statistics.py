@@ -121,7 +121,7 @@ def run_case(job: tuple[Setting, int]) -> list[Result]:
         names = tuple(sorted(case.truth[channel])), tuple(one.name for one in findings)
         sets = tuple(tuple(one.alike) for one in findings if one.alike)
         before, after = verdict.test_before, verdict.test_after
-        errors = (one / case.floor for one in (before.rms, after.rms, after.estimated_rms))
+        errors = before.rms / case.floor, after.rms / case.floor, after.estimated_rms / case.floor
         of_case = setting.label, setting.size, seed, channel
         found.append(Result(*of_case, *names, sets, verdict.unexplained, *errors, seconds))
     return found
