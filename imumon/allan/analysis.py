@@ -14,6 +14,7 @@ from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,11 +26,8 @@ from imumon.blocks import FloatArray, IntArray
 from imumon.compiled import njit
 from imumon.filters.rounding import Digits, digits
 
-_WHITE = np.array([1.0, 0.0, 0.0, 0.0])
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Deviations:
+class Deviations(NamedTuple):
     """One kind of deviation at the averaging times, (n,) each; NaN where the runs are too short for it."""
 
     values: FloatArray
@@ -48,8 +46,8 @@ class Result:
     allan: Deviations
     modified: Deviations
     hadamard: Deviations
-    """All overlapping, with intervals of `imumon.allan.covariance.CONFIDENCE`."""
-    noise: tuple[str, ...]
+    """Overlapping, with intervals of `imumon.allan.covariance.CONFIDENCE`."""
+    noise: list[str]
     """The term that the fit has most of at each averaging time."""
     fit: Fit | None
     """None when there are too few averaging times."""
@@ -123,16 +121,12 @@ def sums_of_squares(x: FloatArray, starts: IntArray, stops: IntArray, m: int) ->
 
 def analyse(series: Mapping[str, EvenSeries]) -> dict[str, Result]:
     """Return deviations and noise terms of channels; what follows from the gaps is worked out once."""
-    kinds = {_key(channel): channel for channel in series.values()}
-    divisions = {key: Division.of(channel) for key, channel in kinds.items()}
+    # Channels whose samples are missing at the same places share these arrays (`even_channels`).
+    kinds = {id(channel.islands): channel for channel in series.values()}
+    divisions = {key: Division(channel) for key, channel in kinds.items()}
     with ThreadPoolExecutor(os.cpu_count()) as threads:  # the kernels release the interpreter
-        results = threads.map(lambda channel: _analyse(channel, divisions[_key(channel)]), series.values())
+        results = threads.map(lambda one: _analyse(one, divisions[id(one.islands)]), series.values())
         return dict(zip(series, results, strict=True))
-
-
-def _key(series: EvenSeries) -> tuple[bytes, ...]:
-    """Return what two channels have in common whose samples are missing at the same places."""
-    return tuple(part.tobytes() for part in (series.islands, series.gap_starts, series.gap_lengths))
 
 
 def _analyse(series: EvenSeries, division: Division) -> Result:
@@ -141,11 +135,11 @@ def _analyse(series: EvenSeries, division: Division) -> Result:
     fit = fit_terms(found["allan"], division, series.interval_s)
     samples = series.values[series.there]
     steps = digits(samples)
-    noise, names = _WHITE, []
+    noise, names = np.array([1.0, 0.0, 0.0, 0.0]), list[str]()  # white alone where nothing is fitted
     if fit is not None:
         fit = _less_certain(fit, samples, steps, float(1.0 - series.there.mean()))
-        noise = np.maximum(fit.coefficients[:4], 0.0)
-        noise = noise if noise.any() else _WHITE
+        found_noise = np.maximum(fit.coefficients[:4], 0.0)
+        noise = found_noise if found_noise.any() else noise
         names = [NAMES[row] for row in fit.shares(factors.astype(np.float64)).argmax(axis=1)]
     deviations = {}
     for kind, values in found.items():
@@ -153,9 +147,7 @@ def _analyse(series: EvenSeries, division: Division) -> Result:
         known = np.where(np.isfinite(values) & (np.array(edf) > 0.0), edf, np.nan)
         deviations[kind] = Deviations(np.sqrt(values), *intervals(values, known))
     tau_s = factors.astype(np.float64) * series.interval_s
-    return Result(
-        series, tau_s, **deviations, noise=tuple(names), fit=fit, trusted=division.trusted, digits=steps
-    )
+    return Result(series, tau_s, **deviations, noise=names, fit=fit, trusted=division.trusted, digits=steps)
 
 
 def _less_certain(fit: Fit, samples: FloatArray, steps: Digits | None, missing: float) -> Fit:
@@ -166,19 +158,15 @@ def _less_certain(fit: Fit, samples: FloatArray, steps: Digits | None, missing: 
     """
     if steps is not None and steps.error > NO_SUM:
         return replace(fit, terms=dict.fromkeys(NAMES), withheld=DIGITS)
-    of_all = math.hypot(0.0 if steps is None else steps.error, min(0.5 * missing, NO_SUM))
-    terms = dict(fit.terms)
-    for name, term in terms.items():
-        if term is not None:
-            white = name == NAMES[0]
-            error = math.hypot(of_all, math.sqrt(_kurtosis(samples) / len(samples)) if white else 0.0)
-            kept = math.sqrt(1.0 - missing) if white else 1.0
-            terms[name] = Estimate(kept * term.value, math.hypot(term.sd, 0.5 * error * term.value))
+    error = math.hypot(0.0 if steps is None else steps.error, min(0.5 * missing, NO_SUM))
+    terms = {
+        name: None if term is None else Estimate(term.value, math.hypot(term.sd, 0.5 * error * term.value))
+        for name, term in fit.terms.items()
+    }
+    if (white := terms[NAMES[0]]) is not None:
+        square = np.square(np.diff(samples))
+        # The excess kurtosis of white noise is twice that of the differences of neighbours.
+        kurtosis = max(2.0 * (float(np.square(square).mean() / square.mean() ** 2) - 3.0), 0.0)
+        tails = 0.5 * math.sqrt(kurtosis / len(samples)) * white.value
+        terms[NAMES[0]] = Estimate(math.sqrt(1.0 - missing) * white.value, math.hypot(white.sd, tails))
     return replace(fit, terms=terms)
-
-
-def _kurtosis(samples: FloatArray) -> float:
-    """Return the excess kurtosis of white noise, by differences of neighbours: theirs is half of it."""
-    square = np.square(np.diff(samples))
-    mean = float(square.mean())
-    return max(2.0 * (float(np.square(square).mean()) / mean**2 - 3.0), 0.0) if mean else 0.0

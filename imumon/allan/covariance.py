@@ -88,8 +88,6 @@ TAILS = (1.0, 3.0, 8.0)
 """Lags beyond the span of a difference, in units of the longer m, up to which flicker noise is followed."""
 SMALL = 0.05
 """Below it a series of five terms is exact to rounding."""
-GROUPS = 24
-"""Runs of different length are summed up as so many kinds at the most."""
 STEP = 1.01
 """Ratio of the correlation times between which the derivative by the time is taken."""
 
@@ -129,18 +127,16 @@ class Runs(NamedTuple):
 
     @staticmethod
     def of(starts: IntArray, stops: IntArray, least: int) -> Runs:
-        """Return the runs of this length or more, joined to `GROUPS` kinds of similar length."""
-        lengths = np.sort((stops - starts).astype(np.float64))
-        lengths = lengths[lengths >= least]
-        parts = [part for part in np.array_split(lengths, min(GROUPS, len(lengths))) if len(part)]
-        return Runs(np.array([part.mean() for part in parts]), np.array([float(len(p)) for p in parts]))
+        """Return the runs of this length or more."""
+        lengths = stops - starts
+        found, counts = np.unique(lengths[lengths >= least], return_counts=True)
+        return Runs(found.astype(np.float64), counts.astype(np.float64))
 
 
 def _lags(knots: set[int], longer: int) -> tuple[FloatArray, FloatArray]:
     """Return lags and weights for a sum over all integer lags of what has kinks at the knots."""
-    low, high = min(knots), max(knots)
-    tails = {round(tail * longer) for tail in TAILS}
-    edges = sorted(knots | {low - tail for tail in tails} | {high + tail for tail in tails})
+    tails = [round(tail * longer) for tail in TAILS]
+    edges = sorted(knots | {min(knots) - tail for tail in tails} | {max(knots) + tail for tail in tails})
     lags, weights = [np.array(edges, np.float64)], [np.ones(len(edges))]
     for left, right in pairwise(edges):
         inside = right - left - 1
@@ -180,16 +176,14 @@ class Covariances:
     """
 
     m: FloatArray
-    """Averaging factors, (n,)."""
     time: float
-    """Correlation time of the Gauss-Markov process, samples."""
+    """Averaging factors, (n,), and correlation time of the Gauss-Markov process, samples."""
     shapes: FloatArray
     """Expected variance per unit of the coefficients of `SHAPES` and of the Gauss-Markov process, and the
     derivative of the last by the logarithm of its time, (n, 7)."""
     quadratic: FloatArray
-    """A, (n, n, 5, 5)."""
     linear: FloatArray
-    """b, (n, n, 5)."""
+    """A, (n, n, 5, 5), and b, (n, n, 5)."""
 
     def matrix(self, coefficients: FloatArray) -> FloatArray:
         """Return the covariance matrix, (n, n), for the coefficients of the shapes, (6,)."""
@@ -200,15 +194,9 @@ class Covariances:
 
 
 def covariances_of(factors: IntArray, runs: Sequence[Runs], time: float) -> Covariances:
-    """Return shapes and covariances; of two averaging factors the runs of the longer one count.
+    """Return shapes and covariances at averaging factors, (n,), with the runs at each.
 
-    Parameters
-    ----------
-    factors : array of int64, (n,)
-    runs : sequence of Runs
-        At each averaging factor.
-    time : float
-        Correlation time of the Gauss-Markov process, samples.
+    Of two factors the runs of the longer one count; `time` is that of the Gauss-Markov process, samples.
     """
     m = factors.astype(np.float64)
     by_time = (markov_shape(m, time * STEP) - markov_shape(m, time / STEP)) / (2.0 * math.log(STEP))

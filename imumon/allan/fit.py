@@ -32,7 +32,7 @@ correlation time T    (3 - 4 exp(-tau/T) + exp(-2tau/T)))  1.89 T
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from itertools import combinations
@@ -57,7 +57,7 @@ from imumon.allan.problem import (
     signed,
 )
 from imumon.allan.series import EvenSeries, octaves
-from imumon.blocks import FloatArray, IntArray
+from imumon.blocks import FloatArray
 
 FITTED, SHORT_FITTED = 2.0, 3.0
 """A term is in the fit when the data call for it by this many standard deviations; the second number is that
@@ -89,16 +89,6 @@ WITH_MARKOV = (*EVERY, MARKOV)
 ALIKE = frozenset((FLICKER, WALK))
 """Each of these can stand in the place of the other at the longest averaging times."""
 
-TERMS: dict[str, Callable[[float], float]] = {
-    "angle_random_walk": lambda dt: dt,
-    "bias_instability": lambda _: covariance.FLOOR_PER_INSTABILITY**-2,
-    "rate_random_walk": lambda dt: 3.0 / dt,
-    "quantization": lambda dt: dt**2 / 3.0,
-    "rate_ramp": lambda dt: 2.0 / dt**2,
-    "correlated_noise": lambda _: 1.0,
-}
-"""The terms in the order of the columns of what is fitted, and their squares per unit of their coefficients,
-the Allan variances at one sample, by the sample interval in s."""
 AMBIGUOUS, DIGITS = "ambiguous", "digits"
 _WALK = np.array([0.0, 0.0, 1.0, 0.0])
 
@@ -134,41 +124,29 @@ class Fit:
     while would be as likely.  `DIGITS`: nothing is, because the steps of the readings hide the noise."""
 
     def shares(self, m: FloatArray) -> FloatArray:
-        """Return the Allan variance that each of `TERMS` makes at averaging factors, (n, 6)."""
+        """Return the Allan variance that each of the first six terms makes at averaging factors, (n, 6)."""
         shapes = [*(shape(m) for shape in covariance.SHAPES.values()), covariance.markov_shape(m, self.time)]
         return np.column_stack(shapes) * self.coefficients
 
 
-@dataclass(frozen=True, slots=True, eq=False)
 class Division:
     """A record divided into runs, at each averaging factor; the same for all channels with the same gaps."""
 
-    factors: IntArray
-    runs: list[covariance.Runs]
-    trusted: int
-    """How many of the averaging times can be trusted, from the shortest on."""
-    times: list[float]
-    """Correlation times that are tried, samples, in octaves: beyond a filter, to the longest of these."""
-    at: Callable[[float], covariance.Covariances]
-    """Return the covariances for a correlation time, samples."""
-
-    @staticmethod
-    def of(series: EvenSeries) -> Division:
-        """Return the division of a channel."""
-        factors = octaves(series)
-        runs = [covariance.Runs.of(*series.runs(m), 2 * m) for m in factors.tolist()]
-        trusted = 0
-        for m, part in zip(factors.tolist(), runs, strict=True):
-            if covariance.freedom("allan", m, part, _WALK) < covariance.TRUSTED_FREEDOM:
-                break
-            trusted += 1
+    def __init__(self, series: EvenSeries) -> None:
+        self.factors = octaves(series)
+        self.runs = [covariance.Runs.of(*series.runs(m), 2 * m) for m in self.factors.tolist()]
+        each = zip(self.factors.tolist(), self.runs, strict=True)
+        few = [covariance.freedom("allan", *one, _WALK) < covariance.TRUSTED_FREEDOM for one in each]
+        self.trusted = [*few, True].index(True)
+        """How many of the averaging times can be trusted, from the shortest on."""
         first = math.log2(max(LONGEST_START_S / series.interval_s, LEAST_TIME))
-        last = max(math.log2(factors[:trusted].max(initial=1)), first)
-        times = [float(time) for time in 2.0 ** np.arange(first, last + 1e-9)]
-        at = cache(partial(covariance.covariances_of, factors, runs))
-        for time in times:
-            at(time)  # now, and not once in each thread
-        return Division(factors, runs, trusted, times, at)
+        last = max(math.log2(self.factors[: self.trusted].max(initial=1)), first)
+        self.times = [float(time) for time in 2.0 ** np.arange(first, last + 1e-9)]
+        """Correlation times that are tried, samples, in octaves: beyond a filter, to the longest of these."""
+        self.at = cache(partial(covariance.covariances_of, self.factors, self.runs))
+        """Return the covariances for a correlation time, samples."""
+        for time in self.times:
+            self.at(time)  # now, and not once in each thread
 
 
 def fit_terms(variances: FloatArray, division: Division, interval_s: float) -> Fit | None:
@@ -182,7 +160,8 @@ def fit_terms(variances: FloatArray, division: Division, interval_s: float) -> F
     correlated = with_correlated(usable if described else whole, division)
     problem = correlated or usable
     smallest = smallest_set(problem, EVERY if correlated is None else WITH_MARKOV)
-    fitted = _with_alike(smallest) | ({FILTER} if problem.start else frozenset())
+    alike = ALIKE if smallest.columns & ALIKE else frozenset()
+    fitted = smallest.columns | alike | ({FILTER} if problem.start else frozenset())
     solution = problem.fit(fitted)
     shown = [column for column in sorted(solution.columns) if _is_shown(problem, smallest, column)]
     withheld = ""
@@ -194,23 +173,19 @@ def fit_terms(variances: FloatArray, division: Division, interval_s: float) -> F
         withheld, shown = AMBIGUOUS, [column for column in shown if column not in ALIKE]
     sd = solution.sd({*fitted, TIME} if correlated else fitted)
     terms: dict[str, Estimate | None] = dict.fromkeys(NAMES)
+    # Squares of the terms per unit of their coefficients, the Allan variances at one sample.
+    dt, flat = interval_s, covariance.FLOOR_PER_INSTABILITY**-2
+    squares = (dt, flat, 3.0 / dt, dt**2 / 3.0, 2.0 / dt**2, 1.0)
     for column in shown:
-        name, square = [*TERMS.items()][column]
         coefficient = float(solution.coefficients[column])
-        value = math.sqrt(coefficient * square(interval_s))
-        terms[name] = Estimate(value, 0.5 * value * sd[column] / coefficient)
+        value = math.sqrt(coefficient * squares[column])
+        terms[NAMES[column]] = Estimate(value, 0.5 * value * sd[column] / coefficient)
         if column == MARKOV:
             time_s = problem.covariances.time * interval_s
             terms[NAMES[-1]] = Estimate(time_s, time_s * sd[TIME] / coefficient)
-    return Fit(
-        terms,
-        signed(solution.coefficients),
-        problem.covariances.time,
-        problem.start,
-        problem.stop - 1,
-        problem.model_error,
-        withheld,
-    )
+    averaged = problem.start, problem.stop - 1
+    found = signed(solution.coefficients), problem.covariances.time
+    return Fit(terms, *found, *averaged, problem.model_error, withheld)
 
 
 def usable_range(whole: Problem, interval_s: float) -> Problem:
@@ -222,8 +197,8 @@ def usable_range(whole: Problem, interval_s: float) -> Problem:
     behind the short averaging times do not outvote the long ones.  When that is large, the averaging times
     before the disturbance are used.
     """
-    tried = [_with_model_error(whole)]
-    for start in range(1, len(whole) - FEWEST + 1):
+    n, tried = whole.stop, [_with_model_error(whole)]
+    for start in range(1, n - FEWEST + 1):
         if tried[-1].model_error == 0.0 or whole.covariances.m[start] * interval_s > LONGEST_START_S:
             break
         part = _with_model_error(replace(whole, start=start))
@@ -233,16 +208,15 @@ def usable_range(whole: Problem, interval_s: float) -> Problem:
     if best.model_error > NO_SUM:
         # What disturbs the longer averaging times, such as a sine, begins like a ramp.  The last that would
         # do is not taken: chi-square does not see a disturbance that has only just begun.
-        for stop in range(len(whole) - 1, FEWEST_BEFORE, -1):
+        for stop in range(n - 1, FEWEST_BEFORE, -1):
             if replace(whole, stop=stop).fit(EVERY).is_good():
                 return replace(whole, stop=stop - 1)
-    return replace(best, start=min(best.start + BEYOND_FILTER, len(whole) - FEWEST)) if best.start else best
+    return replace(best, start=min(best.start + BEYOND_FILTER, n - FEWEST)) if best.start else best
 
 
 def _with_model_error(problem: Problem) -> Problem:
     """Return a problem with the error, if any, that brings chi-square to its degrees of freedom."""
-    solution = problem.fit(EVERY)
-    if solution.is_good():
+    if problem.fit(EVERY).is_good():
         return problem
     problem = replace(problem, model_error=1.0)
     for _ in range(ROUNDS):
@@ -271,11 +245,8 @@ def with_correlated(plain: Problem, division: Division) -> Problem | None:
     None where the other terms alone make the variances about as likely.
     """
 
-    def at(time: float) -> Problem:
-        return replace(plain, covariances=division.at(time))
-
     def likelihood(time: float) -> float:
-        return at(time).fit(WITH_MARKOV).log_likelihood
+        return replace(plain, covariances=division.at(time)).fit(WITH_MARKOV).log_likelihood
 
     longest = plain.covariances.m[plain.stop - 1]
     tried = {time: likelihood(time) for time in division.times if time <= longest}
@@ -285,18 +256,13 @@ def with_correlated(plain: Problem, division: Division) -> Problem | None:
     if not tried or tried[best] < needed:
         return None
     half = math.sqrt(2.0)
-    found = at(best * half ** _peak(likelihood(best / half), tried[best], likelihood(best * half)))
+    left, right = likelihood(best / half), likelihood(best * half)
+    bend, slope, _ = np.polyfit((-1.0, 0.0, 1.0), (left, tried[best], right), 2)
+    peak = np.clip(-0.5 * slope / bend, -1.0, 1.0) if bend < 0.0 else np.sign(slope)
+    found = replace(plain, covariances=division.at(best * half ** float(peak)))
     solution = found.fit(WITH_MARKOV)
     is_likely = solution.log_likelihood >= needed and solution.is_good()
     return found if is_likely and solution.columns >= {WHITE, MARKOV} else None
-
-
-def _peak(left: float, middle: float, right: float) -> float:
-    """Return where a parabola through three values is highest, in steps from the middle; one at the most."""
-    bend = left - 2.0 * middle + right
-    if bend >= 0.0:
-        return 1.0 if right > left else -1.0
-    return min(max(0.5 * (left - right) / bend, -1.0), 1.0)
 
 
 def may_be_correlated(plain: Problem, division: Division, smallest: Solution) -> bool:
@@ -314,9 +280,6 @@ def smallest_set(problem: Problem, every: Sequence[int]) -> Solution:
     much as a term that is shown.
     """
 
-    def merit(solution: Solution) -> float:
-        return solution.log_likelihood - (0.5 * SHOWN**2 if RAMP in solution.columns else 0.0)
-
     def is_complete(solution: Solution) -> bool:
         return not any(
             solution.called_for(column) > (SHORT_FITTED if column in (QUANTIZATION, FILTER) else FITTED)
@@ -324,21 +287,16 @@ def smallest_set(problem: Problem, every: Sequence[int]) -> Solution:
         )
 
     for size in range(1, len(every) - 1):
-        solutions = [problem.fit(columns) for columns in combinations(every, size)]
-        found = [each for each in solutions if len(each.columns) == size and is_complete(each)]
-        if found:
-            return max(found, key=merit)
+        solutions = map(problem.fit, combinations(every, size))
+        if found := [each for each in solutions if len(each.columns) == size and is_complete(each)]:
+            ramp = 0.5 * SHOWN**2
+            return max(found, key=lambda one: one.log_likelihood - ramp * (RAMP in one.columns))
     return problem.fit(every)
-
-
-def _with_alike(solution: Solution) -> frozenset[int]:
-    """Return the columns of a solution, with what is not called for, but could stand in their place."""
-    return solution.columns | ALIKE if solution.columns & ALIKE else solution.columns
 
 
 def _is_shown(problem: Problem, smallest: Solution, column: int) -> bool:
     """Return whether the fit without a term calls for it, whatever may stand for it."""
     if column in (FILTER, MARKOV):
         return column == MARKOV
-    others = (_with_alike(smallest) if column in ALIKE else smallest.columns) - {column}
+    others = (smallest.columns | (ALIKE if column in ALIKE else frozenset())) - {column}
     return not others or problem.fit(others).called_for(column) > SHOWN

@@ -14,13 +14,13 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from imumon.allan.analysis import Deviations, Result
+from imumon.allan.analysis import Result
 from imumon.allan.covariance import CONFIDENCE
 from imumon.allan.fit import AMBIGUOUS, DIGITS, NO_SUM
 from imumon.allan.parameters import TERMS_OF
@@ -44,9 +44,8 @@ def check_outputs(plot: Path | None, *files: Path | None) -> None:
     """
     if plot is not None and plot.suffix.lower() != ".png":
         raise bad_config(f"{plot}: the picture is a PNG", "name it NAME.png")
-    for path in (plot, *files):
-        if path is not None:
-            check_output(path, replace=path is plot)
+    for path in filter(None, (plot, *files)):
+        check_output(path, replace=path is plot)
 
 
 def remarks(results: Mapping[str, Result]) -> list[str]:
@@ -59,50 +58,36 @@ def remarks(results: Mapping[str, Result]) -> list[str]:
     return [f"{', '.join(names)}: {sentence}" for sentence, names in found.items()]
 
 
-def _remarks(result: Result, unit: str) -> list[tuple[str, str]]:
-    """Return sentences about one channel, each with the number that goes with it."""
+def _remarks(result: Result, unit: str) -> Iterator[tuple[str, str]]:
+    """Yield sentences about one channel, each with the number that goes with it."""
     fit, digits, tau_s = result.fit, result.digits, result.tau_s
     if fit is None:
         stuck = "the reading never changes: the channel is stuck, or its resolution too coarse; no terms"
-        return [("too short for a fit of the terms" if result.allan.values.any() else stuck, "")]
-    walk, steps, added, hidden = fit.terms["angle_random_walk"], "", 0.0, fit.withheld == DIGITS
+        yield ("too short for a fit of the terms" if result.allan.values.any() else stuck), ""
+        return
+    hidden, disturbance = fit.withheld == DIGITS, "(a vibration, a cycle, motion?)"
+    if fit.first > 0:
+        what = "shorter averaging times are not fitted: no sum of the terms describes them (a filter?)"
+        yield what, f"{tau_s[fit.first]:.2g} s"
+    if fit.model_error > NO_SUM and not hidden:
+        yield f"no sum of the terms describes the curve {disturbance}: no term is reported", ""
+    elif fit.model_error > 0.0 and not hidden:
+        what = "the curve differs so much from every sum of the terms; the standard deviations take that in"
+        yield what, f"{50.0 * fit.model_error:.2g} %"
+    if fit.last < result.trusted - 1:
+        what = f"no sum of the terms describes longer averaging times {disturbance}: "
+        yield what + "only the angle random walk is reported", f"{tau_s[fit.last]:.2g} s"
+    if fit.withheld == AMBIGUOUS:
+        what = "correlated noise describes the curve as well as bias instability or a random walk: "
+        yield what + "neither is reported; record for longer", ""
     if digits is not None:
         steps = f"{digits.step:.3g} {unit}, {1.0 / digits.ratio:.2g} times the noise"
-        added = 0.0 if walk is None else 0.5 * digits.share * walk.value - walk.sd
-    rows = [
-        (
-            fit.first > 0,
-            "shorter averaging times are not fitted: no sum of the terms describes them (a filter?)",
-            f"{tau_s[fit.first]:.2g} s",
-        ),
-        (
-            fit.model_error > NO_SUM and not hidden,
-            "no sum of the terms describes the curve (a vibration, a cycle, motion?): no term is reported",
-            "",
-        ),
-        (
-            0.0 < fit.model_error <= NO_SUM and not hidden,
-            "the curve differs so much from every sum of the terms; the standard deviations take that in",
-            f"{50.0 * fit.model_error:.2g} %",
-        ),
-        (
-            fit.last < result.trusted - 1,
-            "no sum of the terms describes longer averaging times (a vibration, a cycle, motion?): "
-            "only the angle random walk is reported",
-            f"{tau_s[fit.last]:.2g} s",
-        ),
-        (
-            fit.withheld == AMBIGUOUS,
-            "correlated noise describes the curve as well as bias instability or a random walk: neither is "
-            "reported; record for longer",
-            "",
-        ),
-        (hidden, "the steps of the readings hide the noise: no term is reported", steps),
-    ]
-    if digits is not None and added > 0.0:
-        share = f"{steps}, {digits.share:.0%} of the variance"
-        rows.append((True, "the steps of the readings add to the noise", share))
-    return [(sentence, detail) for applies, sentence, detail in rows if applies]
+        walk = fit.terms["angle_random_walk"]
+        if hidden:
+            yield "the steps of the readings hide the noise: no term is reported", steps
+        elif walk is not None and 0.5 * digits.share * walk.value > walk.sd:
+            share = f"{steps}, {digits.share:.0%} of the variance"
+            yield "the steps of the readings add to the noise", share
 
 
 def as_json(results: Mapping[str, Result]) -> dict[str, Any]:
@@ -113,9 +98,11 @@ def as_json(results: Mapping[str, Result]) -> dict[str, Any]:
 def _channel(group: str, result: Result) -> dict[str, Any]:
     fit, series, digits = result.fit, result.series, result.digits
     terms = {} if fit is None else {name: term for name, term in fit.terms.items() if term is not None}
+    kinds = {"oadev": result.allan, "mdev": result.modified, "ohdev": result.hadamard}
+    intervals = {name: {"low": of.low.tolist(), "high": of.high.tolist()} for name, of in kinds.items()}
     return {
         "tau_s": result.tau_s.tolist(),
-        "oadev": result.allan.values.tolist(),
+        **{name: of.values.tolist() for name, of in kinds.items()},
         "unit": UNITS[group],
         **{
             name: {**terms[name]._asdict(), "unit": style.unit} if name in terms else None
@@ -123,12 +110,8 @@ def _channel(group: str, result: Result) -> dict[str, Any]:
         },
         "longest_tau_s": result.longest_tau_s,
         "confidence": CONFIDENCE,
-        "oadev_interval": _interval(result.allan),
-        "mdev": result.modified.values.tolist(),
-        "mdev_interval": _interval(result.modified),
-        "ohdev": result.hadamard.values.tolist(),
-        "ohdev_interval": _interval(result.hadamard),
-        "noise": list(result.noise),
+        **{f"{name}_interval": interval for name, interval in intervals.items()},
+        "noise": result.noise,
         "fit_tau_s": None if fit is None else result.tau_s[[fit.first, fit.last]].tolist(),
         "model_error": None if fit is None else fit.model_error,
         "withheld": None if fit is None else fit.withheld or None,
@@ -141,10 +124,6 @@ def _channel(group: str, result: Result) -> dict[str, Any]:
         "pieces": len(series.islands) - 1,
         "duration_s": series.duration_s,
     }
-
-
-def _interval(deviations: Deviations) -> dict[str, list[float]]:
-    return {"low": deviations.low.tolist(), "high": deviations.high.tolist()}
 
 
 def value_of(result: Result | None, term: str) -> float | None:

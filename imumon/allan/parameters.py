@@ -41,15 +41,8 @@ class AccelNoise(StrictModel):
     correlation_time_s: Axes = NONE
 
 
-NAMES = (
-    "angle_random_walk",
-    "bias_instability",
-    "rate_random_walk",
-    "quantization",
-    "rate_ramp",
-    "correlated_noise",
-    "correlation_time",
-)
+_WHITE_TO_QUANTIZATION = ("angle_random_walk", "bias_instability", "rate_random_walk", "quantization")
+NAMES = (*_WHITE_TO_QUANTIZATION, "rate_ramp", "correlated_noise", "correlation_time")
 """The terms of a fit, in the order of the fields of a sensor's noise."""
 _DEG = math.degrees(1.0)
 

@@ -60,8 +60,8 @@ def _draw(axes: Any, group: str, results: Mapping[str, Result]) -> None:
         axes.plot(tau, factor * allan.values, color=color, lw=0.8)
         if result.fit is not None:
             drawn |= {"", *_draw_fit(axes, result.fit, tau, factor, color)}
-    if any(result.trusted for result in results.values()):
-        longest = max(result.longest_tau_s for result in results.values() if result.trusted)
+    longest = max((result.longest_tau_s for result in results.values() if result.trusted), default=0.0)
+    if longest:
         axes.axvline(longest, color="0.6", lw=0.8)
         axes.annotate(
             "longest trusted τ", (longest, 0.99), xycoords=("data", "axes fraction"), rotation=90,
@@ -92,10 +92,9 @@ def _draw_fit(axes: Any, fit: Fit, tau_s: FloatArray, factor: float, color: str)
     deviation = factor * np.sqrt(np.maximum(parts.sum(axis=0), 0.0))
     axes.plot(tau, deviation, color=color, lw=1.0, ls="--")
     several = np.count_nonzero(fit.coefficients) > 1
-    drawn = [term for term in STYLES if several and fit.terms[term] is not None]
-    for term, part in zip(STYLES, parts, strict=True):
-        if term in drawn:
-            line = factor * np.sqrt(np.maximum(part, 0.0))
-            line[line < 0.5 * deviation.min()] = np.nan
-            axes.plot(tau, line, color=color, lw=0.9, ls=STYLES[term])
-    return drawn
+    drawn = {term: part for term, part in zip(STYLES, parts, strict=True) if several and fit.terms[term]}
+    for term, part in drawn.items():
+        line = factor * np.sqrt(np.maximum(part, 0.0))
+        line[line < 0.5 * deviation.min()] = np.nan
+        axes.plot(tau, line, color=color, lw=0.9, ls=STYLES[term])
+    return [*drawn]

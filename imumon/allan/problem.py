@@ -91,10 +91,6 @@ class Problem:
     model_error: float = 0.0
     """Part of each variance that no sum of the terms describes."""
 
-    def __len__(self) -> int:
-        """Return the number of averaging times that are to be described."""
-        return self.stop - self.start
-
     @property
     def design(self) -> FloatArray:
         """Return the expected variance per unit of each coefficient, (n, 8)."""

@@ -28,20 +28,16 @@ LEAST_USED = 0.5
 WARMING_DEGC = 0.5
 MOST_JITTER = 0.05
 """Share of the interval: less variation of the time from sample to sample is not reported."""
-MOVING_SHARE = 0.01
-"""Less is put down to the detector."""
-LEAST_FOR_MOTION_S = 10.0
-"""The rest detector cannot tell before."""
-FASTEST_HZ = 5e4
-"""No IMU sends faster; a column device_time_ns in another unit would."""
-FASTEST_RAD_S = 100.0
-"""No gyro measures more (5700 deg/s)."""
+MOVING_SHARE, LEAST_FOR_MOTION_S = 0.01, 10.0
+"""Less is put down to the rest detector, which cannot tell before so many s."""
+FASTEST_HZ, FASTEST_RAD_S = 5e4, 100.0
+"""No IMU sends faster; a column device_time_ns in another unit would.  No gyro measures more (5700 deg/s)."""
 NORMAL_G = (9.3, 10.3)
 """Norm of the specific force at rest, m/s^2, with a few percent for an uncalibrated unit."""
 
 
 class Channels(NamedTuple):
-    """The channels that are there, on an even grid, and what to say of them."""
+    """The channels that are there, on an even grid, and warnings about them."""
 
     series: dict[str, EvenSeries]
     warnings: list[str]
@@ -50,14 +46,8 @@ class Channels(NamedTuple):
 def read_channels(path: Path, stages: Stages = no_stages, count: Count = no_count) -> Channels:
     """Read the gyro and accelerometer channels of a session, or of a table of samples.
 
-    Raises BAD_DATA when there is nothing to read, no such channel, too few samples or no even rate.
-
-    Parameters
-    ----------
-    stages : callable
-        A rest detector, which tells motion where the table has no column ``at_rest``.
-    count : callable
-        Takes how many more bytes were read, for a progress bar.
+    Raises BAD_DATA when there is nothing to read, no such channel, too few samples or no even rate.  `stages`
+    has a rest detector, which tells motion where the table has no column ``at_rest``.
     """
     recording = open_recording(path, stages, count=count)
     for name in CHANNELS:
@@ -73,15 +63,13 @@ def read_channels(path: Path, stages: Stages = no_stages, count: Count = no_coun
         raise bad_data(f"{path}: has no samples")
     samples = join(blocks)
     there = [name for name in CHANNELS if name in samples]
-    names = [name for name in there if np.isfinite(samples[name]).sum() > 1]
-    if not names:
-        lack = "holds no two numbers in" if there else "has none of the columns"
-        raise bad_data(f"{path}: {lack} {', '.join(there or CHANNELS)}")
-    channels = {name: samples[name] for name in names}
+    channels = {name: samples[name] for name in there if np.isfinite(samples[name]).sum() > 1}
+    if not channels:
+        raise bad_data(f"{path}: holds no two numbers in any of {', '.join(CHANNELS)}")
     series = even_channels(samples["device_time_ns"], samples["segment"], channels)
-    _check_rate(path, len(samples), {name: series.get(name) for name in names})
+    _check_rate(path, len(samples), {name: series.get(name) for name in channels})
     warnings = recording.warnings()
-    if empty := [name for name in there if name not in names]:
+    if empty := [name for name in there if name not in channels]:
         warnings.append(f"{', '.join(empty)}: fewer than two numbers; left out")
     warnings += _of_units(series)
     of_grids = by_text((name, text) for name, channel in series.items() for text in _of_grid(channel))
@@ -102,10 +90,9 @@ def by_text(found: Iterable[tuple[str, str]]) -> dict[str, list[str]]:
 def _check_rate(path: Path, rows: int, series: Mapping[str, EvenSeries | None]) -> None:
     """Raise where a deviation would mean nothing."""
     if rows < FEWEST_SAMPLES:
-        raise bad_data(
-            f"{path}: has {rows} samples; an Allan deviation needs {FEWEST_SAMPLES} at the least",
-            "record for ten times as long as the longest averaging time of interest",
-        )
+        what = f"has {rows} samples; an Allan deviation needs {FEWEST_SAMPLES} at the least"
+        advice = "record for ten times as long as the longest averaging time of interest"
+        raise bad_data(f"{path}: {what}", advice)
     for name, channel in series.items():
         used = 0.0 if channel is None else channel.used / channel.samples
         if channel is None or used < LEAST_USED:
@@ -123,36 +110,28 @@ def _check_rate(path: Path, rows: int, series: Mapping[str, EvenSeries | None]) 
 
 def _of_units(series: Mapping[str, EvenSeries]) -> Iterator[str]:
     """Yield what looks like readings in other units."""
-    gyros = [name for name in GYRO if name in series]
-    fast = [name for name in gyros if np.median(np.abs(series[name].values)) > FASTEST_RAD_S]
+    rates = {name: np.median(np.abs(series[name].values)) for name in GYRO if name in series}
+    fast = [name for name, rate in rates.items() if rate > FASTEST_RAD_S]
     if fast:
         yield f"{', '.join(fast)}: turns faster than any gyro measures: it is not in rad/s"
-    if all(name in series for name in ACCEL):
-        norm = float(np.linalg.norm([series[name].values.mean() for name in ACCEL]))
-        if not NORMAL_G[0] < norm < NORMAL_G[1]:
-            yield (
-                f"the mean specific force is {norm:.4g} m/s^2, not gravity: it is not in m/s^2, or not whole"
-            )
+    norm = float(np.linalg.norm([series[name].values.mean() for name in ACCEL if name in series]))
+    if series.keys() >= {*ACCEL} and not NORMAL_G[0] < norm < NORMAL_G[1]:
+        yield f"the mean specific force is {norm:.4g} m/s^2, not gravity: it is not in m/s^2, or not whole"
 
 
 def _of_grid(channel: EvenSeries) -> Iterator[str]:
     """Yield gaps, pieces and uneven times of a channel."""
     lost, pieces = int(channel.gap_lengths.sum()), len(channel.islands) - 1
+    odd, rate = channel.samples - channel.used, f"{channel.rate_hz:.6g} Hz"
     if lost:
-        yield (
-            f"{len(channel.gap_lengths):,} gaps, {lost:,} of {len(channel.values):,} samples missing: "
-            f"their neighbours' mean in averaging times {PARTS} times as long, crossed by no shorter one"
-        )
+        how = f"their neighbours' mean in averaging times {PARTS} times as long, crossed by no shorter one"
+        yield f"{len(channel.gap_lengths):,} gaps, {lost:,} of {len(channel.values):,} samples missing: {how}"
     if pieces > 1:
-        yield (
-            f"{pieces} pieces that nothing crosses (restarts, long or uneven gaps): "
-            "the longest limits the averaging time"
-        )
-    if channel.used < channel.samples:
-        yield (
-            f"{channel.samples - channel.used:,} of {channel.samples:,} samples do not come at the even "
-            f"rate of {channel.rate_hz:.6g} Hz and are left out"
-        )
+        what = "nothing crosses (restarts, long or uneven gaps): the longest limits the averaging time"
+        yield f"{pieces} pieces that {what}"
+    if odd:
+        what = f"do not come at the even rate of {rate} and are left out"
+        yield f"{odd:,} of {channel.samples:,} samples {what}"
     if channel.jitter > MOST_JITTER:
         yield f"time from sample to sample varies by {channel.jitter:.0%} rms; taken as even"
 
@@ -167,19 +146,16 @@ def _of_motion(samples: SampleBlock, series: Mapping[str, EvenSeries], *, declar
     share = float(np.mean(~at_rest[np.argmax(at_rest) :]))  # until the first rest nothing is known
     if share <= MOVING_SHARE:
         return
-    if not declared and (coarse := [name for name, channel in series.items() if _is_coarse(name, channel)]):
+    advice = "an Allan deviation of a unit that moves is that of the motion; record it at rest"
+    if declared:
+        yield f"the unit moved during {share:.1%} of the recording (column at_rest): {advice}"
+    elif coarse := [name for name, channel in series.items() if _is_coarse(name, channel)]:
         yield f"whether the unit moved is unknown: the steps of {', '.join(coarse)} are too coarse"
-    elif not declared and not at_rest.any():
-        yield (
-            "the rest detector found no rest: the unit moved, or is noisier than a sensor at rest can be; an "
-            "Allan deviation of a unit that moves is that of the motion"
-        )
+    elif not at_rest.any():
+        what = "the unit moved, or is noisier than a sensor at rest can be"
+        yield f"the rest detector found no rest: {what}; {advice}"
     else:
-        how = "column at_rest" if declared else "by the rest detector"
-        yield (
-            f"the unit moved during {share:.1%} of the recording ({how}): "
-            "an Allan deviation of a unit that moves is that of the motion; record it at rest"
-        )
+        yield f"the unit moved during {share:.1%} of the recording (by the rest detector): {advice}"
 
 
 def _is_coarse(name: str, channel: EvenSeries) -> bool:
@@ -190,20 +166,16 @@ def _is_coarse(name: str, channel: EvenSeries) -> bool:
 
 
 def _of_temperature(samples: SampleBlock) -> Iterator[str]:
-    there = [samples[name][np.isfinite(samples[name])] for name in TEMPERATURES if name in samples]
+    there = (samples[name][np.isfinite(samples[name])] for name in TEMPERATURES if name in samples)
     readings = next((part for part in there if len(part)), None)
     if readings is None:
-        yield (
-            "there is no temperature: thermal drift cannot be distinguished from bias instability and random"
-            " walk"
-        )
+        what = "thermal drift cannot be distinguished from bias instability and random walk"
+        yield f"there is no temperature: {what}"
         return
     low, high = np.percentile(readings, [0.5, 99.5])
     if high - low > WARMING_DEGC:
-        yield (
-            f"the temperature moved between {low:.1f} and {high:.1f} °C: bias instability, random walk and "
-            "ramp hold thermal drift"
-        )
+        what = "bias instability, random walk and ramp hold thermal drift"
+        yield f"the temperature moved between {low:.1f} and {high:.1f} °C: {what}"
 
 
 def group_of(channel: str) -> str:

@@ -10,7 +10,7 @@ unknown or great length.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -77,12 +77,10 @@ class EvenSeries:
 
 def octaves(series: EvenSeries) -> IntArray:
     """Return the averaging factors 1, 2, 4, ... for which a run is long enough."""
-    factors: list[int] = []
-    m = 1
-    while np.subtract(*series.runs(m)[::-1]).max(initial=0) >= 2 * m:
-        factors.append(m)
-        m *= 2
-    return np.array(factors, np.int64)
+    n = 0
+    while np.subtract(*series.runs(1 << n)[::-1]).max(initial=0) >= 2 << n:
+        n += 1
+    return np.asarray(1 << np.arange(n, dtype=np.int64))
 
 
 def nominal_interval_ns(time_ns: IntArray, segment: IntArray) -> float:
@@ -97,13 +95,11 @@ def nominal_interval_ns(time_ns: IntArray, segment: IntArray) -> float:
 
 
 class _Grid(NamedTuple):
-    """Where samples lie on an even grid: which are kept, at which position, and which begin an island."""
+    """Where samples lie on an even grid: which are kept, at which position; and a series without values."""
 
-    interval_s: float
     kept: BoolArray
     position: IntArray
-    first: BoolArray
-    jitter: float
+    series: EvenSeries
 
 
 def even_channels(
@@ -111,12 +107,8 @@ def even_channels(
 ) -> dict[str, EvenSeries]:
     """Put the finite values of each channel on an even grid; channels without two neighbours are left out.
 
-    Parameters
-    ----------
-    time_ns, segment : arrays of int64, (n,)
-        Device time, and the count of its restarts.
-    channels : mapping of str to array, (n,)
-        NaN where the channel has no sample: a channel slower than the packets has its own interval.
+    Device time, the count of its restarts, and channels are (n,), NaN where a channel has no sample: one that
+    is slower than the packets has its own interval.
     """
     grids: dict[bytes, _Grid | None] = {}
     series = {}
@@ -126,7 +118,7 @@ def even_channels(
         if key not in grids:
             grids[key] = _grid(time_ns[present], segment[present])
         if (grid := grids[key]) is not None:
-            series[name] = _filled(values[present], grid)
+            series[name] = replace(grid.series, values=_filled(values[present][grid.kept], grid))
     return series
 
 
@@ -145,22 +137,23 @@ def _grid(time_ns: IntArray, segment: IntArray) -> _Grid | None:
     kept = np.bincount(island)[island] >= SHORTEST_ISLAND
     if not kept.any():
         return None
-    first = np.concatenate([[True], ~even])[kept]
-    advance = np.concatenate([[1.0], np.where(even, whole, 1.0)])[kept]
-    return _Grid(interval * 1e-9, kept, np.cumsum(advance.astype(np.int64)) - 1, first, jitter)
+    advance = np.concatenate([[1], np.where(even, whole, 1.0).astype(np.int64)])[kept]
+    position = np.cumsum(advance) - 1
+    islands = np.append(position[np.concatenate([[True], ~even])[kept]], position[-1] + 1)
+    gaps = np.diff(position) - 1
+    starts, lengths = position[:-1][gaps > 0] + 1, gaps[gaps > 0]
+    series = EvenSeries(interval * 1e-9, np.empty(0), islands, starts, lengths, n, jitter)
+    return _Grid(kept, position, series)
 
 
-def _filled(values: FloatArray, grid: _Grid) -> EvenSeries:
-    """Lay the samples out at their positions."""
-    n = int(grid.position[-1]) + 1
-    laid, there = np.zeros(n), np.zeros(n, np.int64)
-    laid[grid.position], there[grid.position] = values[grid.kept], 1
-    gaps = np.diff(grid.position) - 1
-    starts, lengths = grid.position[:-1][gaps > 0] + 1, gaps[gaps > 0]
-    islands = np.append(grid.position[grid.first], n)
+def _filled(values: FloatArray, grid: _Grid) -> FloatArray:
+    """Return the samples at their positions, and between them the mean of their neighbours."""
+    islands, starts, lengths = grid.series.islands, grid.series.gap_starts, grid.series.gap_lengths
+    laid, there = np.zeros(islands[-1]), np.zeros(islands[-1], np.int64)
+    laid[grid.position], there[grid.position] = values, 1
     island = np.searchsorted(islands, starts, side="right")
     low = np.maximum(starts - lengths, islands[island - 1])
     high = np.minimum(starts + 2 * lengths, islands[island])
     total, count = (np.concatenate([[0], np.cumsum(part)]) for part in (laid, there))
     laid[there == 0] = np.repeat((total[high] - total[low]) / (count[high] - count[low]), lengths)
-    return EvenSeries(grid.interval_s, laid, islands, starts, lengths, len(values), grid.jitter)
+    return laid

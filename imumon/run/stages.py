@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from imumon.allan.stage import AllanStage
+from imumon.allan.live import AllanStage
 from imumon.estimation.attitude.stage import AttitudeEstimate
 from imumon.estimation.gyro_bias.stage import RestAndBias
 from imumon.estimation.spectrum.stage import LiveSpectrum

@@ -51,14 +51,10 @@ class VirtualDevice(AbstractContextManager["VirtualDevice"]):
 
     Parameters
     ----------
-    device : DeviceFile
-        Format, baud rate, packet rate and body axes.
     link : Path or None
         Name of a symlink to the port.
     rate_hz : float or None
         Packets per second; those of the scenario, else the device file's own, when None.
-    seed : int
-        Seed of the simulated unit.
     port : VirtualPort or None
         Port to send through; one is made when None.  Closed with the device.
     scenario : Scenario or None
@@ -114,12 +110,6 @@ class VirtualDevice(AbstractContextManager["VirtualDevice"]):
         self._packets = deque[bytes]()
 
     def _run(self) -> None:
-        try:
-            self._send()
-        except ImumonError as error:
-            self.failure = error
-
-    def _send(self) -> None:
         start, sent = time.monotonic(), 0
         while not self._closing.is_set():
             if self._rebooted:
@@ -128,13 +118,17 @@ class VirtualDevice(AbstractContextManager["VirtualDevice"]):
                 start, sent = time.monotonic(), 0
             due = int((time.monotonic() - start) * self._rate_hz) - sent
             if due > 0:
-                self._send_samples(due)
+                try:
+                    self._send(due)
+                except ImumonError as error:
+                    self.failure = error
+                    return
                 sent += due
             next_due = start + (sent + 1) / self._rate_hz
             wait = max(next_due - time.monotonic(), TICK_S if self._rate_hz > 1 / TICK_S else 0.0)
             self._closing.wait(wait if self.firmware is None else min(wait, TICK_S))
 
-    def _send_samples(self, n: int) -> None:
+    def _send(self, n: int) -> None:
         if self._sending is not None:
             self.port.write(self._sending.encode(self._unit.samples(n)))
         else:

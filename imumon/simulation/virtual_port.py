@@ -17,6 +17,7 @@ import threading
 import time
 import tty
 from contextlib import AbstractContextManager, suppress
+from functools import partial
 from pathlib import Path
 
 from imumon.errors import ImumonError, Reason, bad_config
@@ -40,7 +41,7 @@ _CFLAG, _ISPEED, _OSPEED = 2, 9, 10  # position of these ints
 
 
 class VirtualPort(AbstractContextManager["VirtualPort"]):
-    """A device on a cable; the host opens `path` as it would open ``/dev/ttyUSB0``.
+    """A device on a cable, 8N1; the host opens `path` as it would open ``/dev/ttyUSB0``.
 
     Raises EXISTS when there is something under the name of the link, unless it is a link that leads nowhere,
     as a killed process leaves it; BAD_CONFIG when the link cannot be made.
@@ -50,8 +51,6 @@ class VirtualPort(AbstractContextManager["VirtualPort"]):
     link : Path or None
         Name of a symlink to the device node, made here and removed by `unplug` and `close`; it stays the same
         when the device is plugged in again, as under ``/dev/serial/by-id``.
-    baudrate : int
-        Rate of the device, 8N1.
     """
 
     def __init__(self, link: Path | None = None, baudrate: int = 115200) -> None:
@@ -184,12 +183,10 @@ class VirtualPort(AbstractContextManager["VirtualPort"]):
         except OSError as error:
             self._close_master()
             if isinstance(error, FileExistsError):
-                raise ImumonError(
-                    Reason.EXISTS, f"{link} exists already", "remove it, or choose another name for the link"
-                ) from error
-            raise bad_config(
-                f"the link {link} cannot be made: {error.strerror}", "choose another name"
-            ) from error
+                advice = "remove it, or choose another name for the link"
+                raise ImumonError(Reason.EXISTS, f"{link} exists already", advice) from error
+            what = f"the link {link} cannot be made: {error.strerror}"
+            raise bad_config(what, "choose another name") from error
 
     def _send(self) -> None:
         """Take bytes from the backlog when the line has carried them, and hand them to the host."""
@@ -202,10 +199,11 @@ class VirtualPort(AbstractContextManager["VirtualPort"]):
                 if self._closing:
                     return
                 rate = self.baudrate / BITS_PER_BYTE
+                whole = rate * self.held_s
                 if self.held_s > CHUNK_S:
                     left_s = max(free_at + self.held_s - time.monotonic(), 0.0)
-                    self._changed.wait_for(self._chunk_is_full, left_s)
-                size = min(len(self._backlog), math.ceil(rate * self.held_s))
+                    self._changed.wait_for(partial(self._has, whole), left_s)
+                size = min(len(self._backlog), math.ceil(whole))
             free_at += size / rate
             time.sleep(max(free_at - time.monotonic(), 0.0))
             with self._changed:
@@ -214,8 +212,8 @@ class VirtualPort(AbstractContextManager["VirtualPort"]):
                 del self._backlog[:size]
                 self._changed.notify_all()
 
-    def _chunk_is_full(self) -> bool:
-        return self._closing or len(self._backlog) >= self.baudrate / BITS_PER_BYTE * self.held_s
+    def _has(self, size: float) -> bool:
+        return self._closing or len(self._backlog) >= size
 
     def _deliver(self, data: bytes) -> None:
         """Hand bytes to the host, if there is one and it has room."""
@@ -252,11 +250,6 @@ class Sampler:
     """What a UART makes of a line whose bits last `ratio` of its own bit times.
 
     The line is taken as one stream of bytes without pauses, so the result does not depend on how it is cut.
-
-    Parameters
-    ----------
-    ratio : float
-        Bit rate of the sender divided by that of the receiver.
     """
 
     def __init__(self, ratio: float) -> None:
@@ -271,7 +264,8 @@ class Sampler:
         line = self._line
         line += b"".join(map(_LEVELS.__getitem__, data))
         received = bytearray()
-        while (start := self._start_bit()) is not None:
+        # Where the line falls from 1 to 0.
+        while start := 1 + line.find(b"\x01\x00", int(self._position)):
             stop = start + self._stop
             if stop >= len(line):
                 break
@@ -284,11 +278,6 @@ class Sampler:
         del self._line[:used]
         self._position -= used
         return bytes(received)
-
-    def _start_bit(self) -> int | None:
-        """Return where the line falls from 1 to 0 next."""
-        found = self._line.find(b"\x01\x00", int(self._position))
-        return None if found < 0 else found + 1
 
 
 def _leads_to(link: Path, node: str) -> bool:

@@ -18,8 +18,8 @@ from vqf import VQF
 
 from benchmarks.measure import Bar, Result, measure
 from imumon.allan.analysis import analyse, variances
+from imumon.allan.live import StreamingAllan
 from imumon.allan.series import even_channels, octaves
-from imumon.allan.streaming import StreamingAllan
 from imumon.blocks import SampleBlock
 from imumon.estimation.gyro_bias.stage import GyroBias
 from imumon.papers.dense_zupt import DenseSettings

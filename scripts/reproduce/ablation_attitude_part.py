@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from ablations import Change, Outcome, ablation
-from attitude_scenes import SCENES, calibrated, simulate
+from attitude_scenes import SCENES, Record, calibrated, simulate
 from attitude_table import heading_error, rms, tilt_error
 from broad import measured
+from samples import without
 
-from imumon.blocks import FloatArray, SampleBlock
+from imumon.blocks import FloatArray
 from imumon.estimation.attitude import sigma
 from imumon.estimation.attitude.parameters import AttitudeParameters
 from imumon.estimation.attitude.stage import AttitudeEstimate
@@ -74,23 +75,12 @@ VARIANTS: dict[str, Change] = {
 """What is left out or set otherwise."""
 
 
-@dataclass(frozen=True, eq=False)
-class Input:
-    """A record as the stage before leaves it, the true attitude, (n, 3, 3), and the body axes."""
-
-    samples: SampleBlock
-    truth: FloatArray
-    axes: Any
-
-
 @cache
-def simulated(name: str, with_mag: bool, seed: int) -> Input:
-    """Return a record of a scene."""
+def simulated(name: str, with_mag: bool, seed: int) -> Record:
+    """Return a record of a scene as the stage before the attitude leaves it."""
     record = simulate(SCENES[name], RATE_HZ, seed)
-    columns = record.samples.columns.items()
-    samples = SampleBlock({key: each for key, each in columns if with_mag or not key.startswith("mag")})
-    samples = samples.with_columns(RestAndBias(mode="learned").process(samples))
-    return Input(samples, record.attitude, record.axes)
+    samples = record.samples if with_mag else without(record.samples, "mag")
+    return replace(record, samples=samples.with_columns(RestAndBias(mode="learned").process(samples)))
 
 
 def outcomes(seeds: range, data: Path) -> Iterator[Outcome]:
@@ -106,13 +96,13 @@ def outcomes(seeds: range, data: Path) -> Iterator[Outcome]:
         yield _outcome(f"{trial.name}, free heading", trial.turn, trial.turn_sd)
 
 
-def _errors(given: Input, with_mag: bool) -> list[FloatArray]:
+def _errors(given: Record, with_mag: bool) -> list[FloatArray]:
     """Return error and sigma of the tilt, and of the heading, rad, (n,) each."""
     found = AttitudeEstimate(axes=given.axes, magnetometer=calibrated()).process(given.samples)
     q = np.column_stack([found[f"attitude_estimate_{part}"] for part in "wxyz"])
     tilt_sd, heading_sd = (found[f"attitude_estimate_{name}_sd"] for name in ("tilt", "heading"))
     began, since = (int(np.argmax(np.isfinite(of))) for of in (q[:, 0], heading_sd))
-    q, truth = q[began:], given.truth[began:]
+    q, truth = q[began:], given.attitude[began:]
     tilt, turn = tilt_error(q, truth), heading_error(q, truth, since - began, not with_mag)
     return [tilt.ravel(), np.repeat(tilt_sd[began:], 2), turn, heading_sd[began:]]
 

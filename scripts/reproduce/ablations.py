@@ -56,17 +56,8 @@ def ablation(
     variants: Mapping[str, Change],
     outcomes: Callable[[range, Path], Iterator[Outcome]],
 ) -> Study:
-    """Return the study of an estimator's mechanisms.
-
-    Parameters
-    ----------
-    title : str
-        A sentence above the table.
-    variants : dict
-        Names, and what is changed.
-    outcomes : callable
-        Yields the outcome of every scene, on seeds and a folder of recordings.
-    """
+    """Return the study of an estimator's mechanisms: a sentence above the table, what is changed, by name,
+    and what yields the outcome of every scene, on seeds and a folder of recordings."""
 
     def tables(given: Options) -> Iterator[Table]:
         most = 2 if given.quick else None

@@ -43,52 +43,37 @@ ACCEL_BIAS_UG = 30.0
 
 @dataclass(frozen=True)
 class Scene:
-    """One kind of site.
-
-    Parameters
-    ----------
-    arw : float
-        deg/√h.
-    tilts, turns : tuple of tuple
-        How the unit moves, and turns about the vertical: functions of alignment_site_tilts and numbers.
-    warm_up : (float, float)
-        µg of both level accelerometers, and s.
-    bias_deg_per_h : float
-        Of each gyro, its sign drawn.
-    east_bias_deg_per_h : float
-        Of nothing but a gyro that points east, as the unit then stands.
-    flicker_deg_per_h : float
-        Standard deviation of a Gauss-Markov process of 100 s in each gyro.
-    vrw : float
-        m/s/√s.
-    lever_m : float
-        How far above the pivot of a tilt the accelerometers are; they see its acceleration, too.
-    steps_ug : float
-        Standard deviation of jumps of each accelerometer, one in 100 s.
-    force_ug : float
-        Bias of each level accelerometer, its sign drawn.
-    any_attitude : bool
-        The body stands on any of its sides, rather than level.
-    lean_deg : float
-        By which the axis of the turn leans, in a direction that is drawn.
-    """
+    """One kind of site."""
 
     name: str
     tilts: tuple[tuple[Any, ...], ...] = ()
+    """How the unit moves: functions of alignment_site_tilts and numbers."""
     arw: float = SITE_ARW
+    """deg/√h."""
     warm_up: tuple[float, float] = (0.0, 150.0)
+    """µg of both level accelerometers, and s."""
     bias_deg_per_h: float = 0.0
+    """Of each gyro, its sign drawn."""
     east_bias_deg_per_h: float = 0.0
+    """Of nothing but a gyro that points east, as the unit then stands."""
     flicker_deg_per_h: float = 0.0
+    """Standard deviation of a Gauss-Markov process of 100 s in each gyro."""
     vrw: float = VRW
+    """m/s/√s."""
     lever_m: float = 0.0
+    """How far above the pivot of a tilt the accelerometers are; they see its acceleration, too."""
     steps_ug: float = 0.0
+    """Standard deviation of jumps of each accelerometer, one in 100 s."""
     force_ug: float = 0.0
+    """Bias of each level accelerometer, its sign drawn."""
     latitude_deg: float = LATITUDE_DEG
     rate_hz: float = RATE_HZ
     any_attitude: bool = False
+    """The body stands on any of its sides, rather than level."""
     turns: tuple[tuple[Any, ...], ...] = ()
+    """About the vertical: functions of alignment_site_tilts and numbers."""
     lean_deg: float = 0.0
+    """By which the axis of the turn leans, in a direction that is drawn."""
     parameters: Mapping[str, float | None] = field(default_factory=dict)
 
 

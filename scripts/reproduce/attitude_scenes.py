@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from handled_units import SENSORS, waves
@@ -37,28 +38,19 @@ Moves = tuple[FloatArray, FloatArray]
 
 @dataclass(frozen=True)
 class Scene:
-    """A unit and how it moves.
-
-    Parameters
-    ----------
-    moves : callable
-        Of a generator, seconds (n,) and how much of the motion there is, 0 to 1, (n,).
-    magnet : str
-        "": none; "near": one comes near and goes away; "body": one was fixed to the unit after calibration;
-        "put on": one is put on the unit after a minute.
-    swap : array (3, 3)
-        What the gyros read of the rate: the identity but where axes or signs are mixed up.
-    warms : bool
-    accel_sd, scale_sd : float
-        Turn-on error of its accelerometers, m/s²; scale and misalignment of its gyros.
-    """
+    """A unit and how it moves."""
 
     moves: Callable[[np.random.Generator, FloatArray, FloatArray], Moves]
+    """Of a generator, seconds (n,) and how much of the motion there is, 0 to 1, (n,)."""
     magnet: str = ""
+    """None; "near": one comes near and goes away; "body": one was fixed to the unit after calibration; "put
+    on": one is put on the unit after a minute."""
     swap: tuple[tuple[float, ...], ...] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    """What the gyros read of the rate: the identity but where axes or signs are mixed up."""
     warms: bool = False
     accel_sd: float = ACCEL_SD
     scale_sd: float = SCALE_SD
+    """Turn-on error of its accelerometers, m/s²; scale and misalignment of its gyros."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +59,7 @@ class Record:
 
     samples: SampleBlock
     attitude: FloatArray
-    axes: str
+    axes: Literal["FRD", "FLU"]
 
 
 def still(_: np.random.Generator, t: FloatArray, __: FloatArray) -> Moves:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from itertools import product
-from typing import Literal, cast
 
 import broad
 import imufusion
@@ -37,11 +36,9 @@ QUICK_S = 30.0
 
 def by_vqf(samples: SampleBlock, dt: float) -> FloatArray:
     """Return the attitude by VQF with its defaults, w, x, y, z, (n, 4)."""
-    gyro, accel = matrix(samples, "gyro"), matrix(samples, "accel")
-    if "mag_x" in samples:
-        found = VQF(dt).updateBatch(gyro, accel, matrix(samples, "mag"))
-        return np.asarray(found["quat9D"])
-    return np.asarray(VQF(dt).updateBatch(gyro, accel)["quat6D"])
+    mag = matrix(samples, "mag") if "mag_x" in samples else None
+    found = VQF(dt).updateBatch(matrix(samples, "gyro"), matrix(samples, "accel"), mag)
+    return np.asarray(found["quat6D" if mag is None else "quat9D"])
 
 
 def by_imufusion(samples: SampleBlock, dt: float) -> FloatArray:
@@ -89,8 +86,7 @@ def errors(record: Record, with_mag: bool, dt: float) -> tuple[FloatArray, ...]:
     Returns errors of the tilt, (methods, 2 n), and its sigma, and the same of the heading, (methods, n), rad.
     """
     samples = record.samples if with_mag else without(record.samples, "mag")
-    axes = cast(Literal["FRD", "FLU"], record.axes)
-    attitude = AttitudeEstimate(AttitudeParameters(), axes, calibrated())
+    attitude = AttitudeEstimate(AttitudeParameters(), record.axes, calibrated())
     estimated = samples
     for stage in (TemperatureRate(), RestAndBias(mode="learned"), attitude):
         estimated = estimated.with_columns(stage.process(estimated))

@@ -194,7 +194,7 @@ def _scaled(
         row[axis] = 0.0 if setting.latitude_deg is not None else row[axis]
         parts = [pose @ row for pose in poses]
     else:
-        parts = PHYSICS[name](rng, thermal, axis)
+        parts = [*PHYSICS[name](rng, thermal, axis)]
     if setting.unequal:
         parts = [part * factor for part, factor in zip(parts, (0.3, 1.0, 0.6), strict=True)]
     factor = _factor(parts, [run.board for run in thermal], axis, setting.size * noise_rms)

@@ -8,7 +8,7 @@ thermometer sits where the heat comes later.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -61,15 +61,7 @@ def relays(rng: Generator, temperature: FloatArray) -> FloatArray:
     return out
 
 
-Physics = Callable[[Generator, list[Thermal], int], list[FloatArray]]
-
-
-def _rate(_: Generator, runs: list[Thermal], __: int) -> list[FloatArray]:
-    return [np.gradient(run.board) for run in runs]
-
-
-def _lag(_: Generator, runs: list[Thermal], __: int) -> list[FloatArray]:
-    return [run.die - run.board for run in runs]
+Physics = Callable[[Generator, list[Thermal], int], Iterable[FloatArray]]
 
 
 def _hysteresis(rng: Generator, runs: list[Thermal], axis: int) -> list[FloatArray]:
@@ -88,14 +80,12 @@ def _drift(rng: Generator, runs: list[Thermal], _: int) -> list[FloatArray]:
     return [(run.time_s / SECONDS) ** power for run in runs]
 
 
-def _periodic(rng: Generator, runs: list[Thermal], _: int) -> list[FloatArray]:
+def _periodic(rng: Generator, runs: list[Thermal], _: int) -> Iterator[FloatArray]:
     period, phase = rng.uniform(130, 900), rng.uniform(0, 1)
-    found = []
     for run in runs:
         wander = np.cumsum(rng.standard_normal(len(run.time_s))) * 2e-4
         turn = run.time_s / period + phase + wander
-        found.append(2 * np.abs(2 * (turn - np.floor(turn + 0.5))) - 1)
-    return found
+        yield 2 * np.abs(2 * (turn - np.floor(turn + 0.5))) - 1
 
 
 def _step(rng: Generator, runs: list[Thermal], _: int) -> list[FloatArray]:
@@ -105,11 +95,6 @@ def _step(rng: Generator, runs: list[Thermal], _: int) -> list[FloatArray]:
 def _curve(rng: Generator, runs: list[Thermal], _: int) -> list[FloatArray]:
     at, width = rng.uniform(20, 32), rng.uniform(5, 8)
     return [np.tanh((run.board - at) / width) for run in runs]
-
-
-def _bent(rng: Generator, runs: list[Thermal], _: int) -> list[FloatArray]:
-    """Return a curve over the die's temperature."""
-    return _curve(rng, [replace(run, board=run.die) for run in runs], 0)
 
 
 def _offset(rng: Generator, runs: list[Thermal], _: int) -> list[FloatArray]:
@@ -122,30 +107,25 @@ def _telegraph(rng: Generator, runs: list[Thermal], _: int) -> list[FloatArray]:
     return [np.where(np.cumsum(rng.random(len(run.time_s)) < 1 / hold) % 2 == 0, 1.0, -1.0) for run in runs]
 
 
-def _wander(rng: Generator, runs: list[Thermal], _: int) -> list[FloatArray]:
+def _wander(rng: Generator, runs: list[Thermal], _: int) -> Iterator[FloatArray]:
     decay = np.exp(-1 / rng.uniform(300, 900))
-    found = []
     for run in runs:
         drive = rng.standard_normal(len(run.time_s)) * np.sqrt(1 - decay**2)
         drive[0] = rng.standard_normal()
-        found.append(np.asarray(lfilter([1.0], [1.0, -decay], drive)))
-    return found
+        yield np.asarray(lfilter([1.0], [1.0, -decay], drive))
 
 
-def _bursts(rng: Generator, runs: list[Thermal], _: int) -> list[FloatArray]:
-    found = []
+def _bursts(rng: Generator, runs: list[Thermal], _: int) -> Iterator[FloatArray]:
     for run in runs:
         out = np.zeros(len(run.time_s))
         for start in rng.uniform(0, SECONDS, rng.integers(10, 25)):
             length = rng.uniform(20, 250)
             out += rng.normal() * ((run.time_s > start) & (run.time_s < start + length))
-        found.append(out)
-    return found
+        yield out
 
 
-def _supply(rng: Generator, runs: list[Thermal], _: int) -> list[FloatArray]:
-    """Return a supply that a load switches at odd times and that sags and recovers between."""
-    found = []
+def _supply(rng: Generator, runs: list[Thermal], _: int) -> Iterator[FloatArray]:
+    """Yield a supply that a load switches at odd times and that sags and recovers between."""
     for run in runs:
         level, target, out = 0.0, 0.0, np.empty(len(run.time_s))
         tau = rng.uniform(60, 200)
@@ -154,8 +134,7 @@ def _supply(rng: Generator, runs: list[Thermal], _: int) -> list[FloatArray]:
                 target = rng.normal()
             level += (target - level) / tau
             out[at] = level
-        found.append(out)
-    return found
+        yield out
 
 
 def _relaxation(rng: Generator, runs: list[Thermal], _: int) -> list[FloatArray]:
@@ -165,24 +144,22 @@ def _relaxation(rng: Generator, runs: list[Thermal], _: int) -> list[FloatArray]
     return [np.exp(-run.time_s[:, np.newaxis] / taus) @ weights for run in runs]
 
 
-def _dead_time(rng: Generator, runs: list[Thermal], _: int) -> list[FloatArray]:
-    """Return what heat does that goes through twenty layers one after another."""
+def _dead_time(rng: Generator, runs: list[Thermal], _: int) -> Iterator[FloatArray]:
+    """Yield what heat does that goes through twenty layers one after another."""
     layers, total = 20, rng.uniform(60, 300)
-    found = []
     for run in runs:
         value = run.board
         for _ in range(layers):
             value = behind(value, total / layers)
-        found.append(run.board - value)
-    return found
+        yield run.board - value
 
 
 PHYSICS: dict[str, Physics] = {
     "stress_relaxation": _relaxation,
     "dead_time": _dead_time,
-    "temperature_rate": _rate,
-    "thermal_lag": _lag,
-    "bent": _bent,
+    "temperature_rate": lambda _, runs, __: [np.gradient(run.board) for run in runs],
+    "thermal_lag": lambda _, runs, __: [run.die - run.board for run in runs],
+    "bent": lambda rng, runs, _: _curve(rng, [replace(run, board=run.die) for run in runs], 0),
     "hysteresis": _hysteresis,
     "warm_up": _warm_up,
     "drift": _drift,

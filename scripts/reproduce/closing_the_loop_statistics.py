@@ -115,26 +115,15 @@ def run_case(job: tuple[Setting, int]) -> list[Result]:
     began = time.perf_counter()
     used: list[str] | None = [] if setting.label.startswith(HIDDEN) else None
     diagnosis = diagnose(case.runs[:2], case.runs[2:], sensors=("gyro",), drivers=used)
-    seconds = time.perf_counter() - began
-    found = []
+    seconds, found = time.perf_counter() - began, list[Result]()
     for channel, verdict in enumerate(diagnosis.verdicts):
+        findings = [claim.finding for claim in verdict.claims]
+        names = tuple(sorted(case.truth[channel])), tuple(one.name for one in findings)
+        sets = tuple(tuple(one.alike) for one in findings if one.alike)
         before, after = verdict.test_before, verdict.test_after
-        found.append(
-            Result(
-                setting.label,
-                setting.size,
-                seed,
-                channel,
-                tuple(sorted(case.truth[channel])),
-                tuple(claim.finding.name for claim in verdict.claims),
-                tuple(tuple(claim.finding.alike) for claim in verdict.claims if claim.finding.alike),
-                verdict.unexplained,
-                before.rms / case.floor,
-                after.rms / case.floor,
-                after.estimated_rms / case.floor,
-                seconds,
-            )
-        )
+        errors = before.rms / case.floor, after.rms / case.floor, after.estimated_rms / case.floor
+        of_case = setting.label, setting.size, seed, channel
+        found.append(Result(*of_case, *names, sets, verdict.unexplained, *errors, seconds))
     return found
 
 

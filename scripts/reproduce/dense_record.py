@@ -12,15 +12,8 @@ from imumon.papers.dense_zupt import DenseSettings, begin, step
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DenseRun:
-    """What the filter says at each sample.
-
-    Parameters
-    ----------
-    bias, bias_sd : array (n, 3)
-        rad/s, body axes.
-    innovation : array (n, 3)
-        Zero-velocity innovations north, east, down, each over its standard deviation.
-    """
+    """Bias and its sd at each sample, (n, 3), rad/s, body axes; and the zero-velocity innovations north,
+    east, down over their standard deviations, (n, 3)."""
 
     bias: FloatArray
     bias_sd: FloatArray
@@ -36,11 +29,10 @@ def dense_filter(
     up: FloatArray | None = None,
     every: int = 1,
 ) -> DenseRun:
-    """Filter a record at rest.
+    """Filter a record at rest, so many samples to a step, between which the bias moves by the drift alone.
 
     Parameters
     ----------
-    settings : DenseSettings
     gyro, accel : array (n, 3)
         rad/s and m/s^2, body axes.
     bias : array (3,)
@@ -50,8 +42,6 @@ def dense_filter(
         b(T_k) - b(T_k-1) in the better one.  None for the standard filter.
     up : array (3,), optional
         Direction of the specific force at the start; by default that of the first second.
-    every : int
-        Samples to a step; between its steps the bias moves by the drift alone.
     """
     n = len(gyro)
     drift = np.zeros((n, 3)) if drift is None else drift

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from samples import sent
 from scipy.signal import lfilter
+from study import matrix
 
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.estimation.gyro_bias.stage import RestAndBias
@@ -35,27 +36,22 @@ POWER_ON_DEGC = 85.0
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """What a scene is: time, s; temperature and rate; the bias beside that of the temperature, deg/h; what is
-    lost on the way; what the thermometer reads instead, NaN where nothing; vibration, m/s²; corners, s.
-
-    Parameters
-    ----------
-    t, degc, unread, vibration : array (n,)
-    dph : array (n, 3)
-    kept : array of bool (n,)
-    step_degc, noise_degc, lag_s : float
-        Of the thermometer, and of the gyros behind it.
-    """
+    """What a scene is."""
 
     t: FloatArray
     degc: FloatArray
+    """Time, s, and temperature, (n,)."""
     dph: FloatArray
+    """Bias beside that of the temperature, deg/h, (n, 3)."""
     kept: npt.NDArray[np.bool_]
+    """Samples that are not lost on the way, (n,)."""
     misread: FloatArray
     vibration: FloatArray
+    """What the thermometer reads instead, NaN where nothing; and m/s², (n,)."""
     step_degc: float = 0.1
     noise_degc: float = 0.02
     lag_s: float = 30.0
+    """Of the thermometer, and of the gyros behind it."""
     corners_s: tuple[float, ...] = ()
 
 
@@ -220,12 +216,10 @@ def met(make: Callable[[np.random.Generator], Truth], seed: int) -> Outcome:
     pipeline = Pipeline(None, [TemperatureRate(), RestAndBias(mode="learned")])
     pipeline.push(samples)
     samples = pipeline.take()
-    slope = np.diff(scene.degc) / np.diff(
-        scene.t
-    )  # since the sample before: what comes is of the next corner
+    # Since the sample before: what comes is of the next corner.
+    slope = np.diff(scene.degc) / np.diff(scene.t)
     slope = np.concatenate([slope[:1], slope])[scene.kept]
-    off = np.stack([samples[f"gyro_bias_{axis}"] for axis in "xyz"], 1) - bias
-    sd = np.stack([samples[f"gyro_bias_sd_{axis}"] for axis in "xyz"], 1)
+    off, sd = matrix(samples, "gyro_bias") - bias, matrix(samples, "gyro_bias_sd")
     degc = samples["temperature_estimate"] - scene.degc[scene.kept]
     rate = samples["temperature_rate"] - slope
     corners = np.array([-math.inf, *scene.corners_s])

@@ -46,59 +46,39 @@ SENSORS = {
 
 @dataclass(frozen=True)
 class Case:
-    """How a unit is handled.
-
-    Parameters
-    ----------
-    sensor : str
-    per_g : float
-        Largest entry of the matrix of sensitivity to the specific force, deg/s/g.
-    rest_s, motion_s : float
-        Length of rests (the first lasts a minute) and of what lies between; no rests where rest_s is 0.
-    rests : int
-    temperature : str
-        "constant", "ramp" (2 °C/min) or "warm-up" (20 °C, time constant 400 s).
-    place : bool
-        Whether the estimator knows latitude and heading.
-    motion : str
-        "hand": turned to any pose and shaken; else one of `DRIVES`.
-    scale_sd, accel_sd : float
-        Scale and misalignment of the gyros, and turn-on error of the accelerometers, m/s².
-    """
+    """How a unit is handled."""
 
     sensor: str = "industrial"
     per_g: float = 0.02
+    """Largest entry of the matrix of sensitivity to the specific force, deg/s/g."""
     rest_s: float = 12.0
     motion_s: float = 20.0
+    """Length of rests (the first lasts a minute) and of what lies between; no rests where rest_s is 0."""
     rests: int = 10
     temperature: str = "constant"
+    """Or "ramp" (2 °C/min), or "warm-up" (20 °C, time constant 400 s)."""
     place: bool = False
+    """Whether the estimator knows latitude and heading."""
     motion: str = "hand"
+    """Turned to any pose and shaken; else one of `DRIVES`."""
     scale_sd: float = 0.0
     accel_sd: float = 0.0
+    """Scale and misalignment of the gyros, and turn-on error of the accelerometers, m/s²."""
 
 
 @dataclass(frozen=True)
 class Drive:
-    """How something is driven about on the level; frequencies from, to, Hz.
-
-    Parameters
-    ----------
-    speed : float
-        Mean, m/s; half of that are its changes.
-    yaw_rate : float
-        rms, rad/s.
-    slowest_hz : float
-        Of the changes of both; the fastest is 0.1 Hz.
-    sway, shake : (float, float, float)
-        rms of what tilts it, rad, and shakes it, m/s², and frequencies.
-    """
+    """How something is driven about on the level."""
 
     speed: float
+    """Mean, m/s; half of that are its changes."""
     yaw_rate: float
+    """rms, rad/s."""
     slowest_hz: float
+    """Of the changes of both; the fastest is 0.1 Hz."""
     sway: tuple[float, float, float] = (0.03, 0.05, 1.0)
     shake: tuple[float, float, float] = (1.0, 2.0, 15.0)
+    """rms of what tilts it, rad, and shakes it, m/s², and the lowest and highest frequency, Hz."""
 
 
 DRIVES = {

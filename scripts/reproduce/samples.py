@@ -22,21 +22,15 @@ from imumon.simulation.unit.unit import SimulatedUnit
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """What a unit sent, and the truth.
-
-    Parameters
-    ----------
-    samples : SampleBlock
-    bias, earth : array (n, 3)
-        rad/s in body axes; the earth rate, of the last rest where the unit is in motion, is part of the bias
-        for those who do not know latitude and heading.
-    rest : array of bool (n,)
-    """
+    """What a unit sent, and the truth."""
 
     samples: SampleBlock
     bias: FloatArray
     earth: FloatArray
+    """rad/s in body axes, (n, 3); the earth rate, of the last rest where the unit is in motion, is part of
+    the bias for those who do not know latitude and heading."""
     rest: BoolArray
+    """(n,)."""
 
     @property
     def time_s(self) -> FloatArray:

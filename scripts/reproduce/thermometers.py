@@ -6,9 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from samples import sent
 from scipy.signal import lfilter
 
-from imumon.blocks import FloatArray, SampleBlock
+from imumon.blocks import FloatArray
 from imumon.estimation.temperature_rate.output import RateMethod
 from imumon.estimation.temperature_rate.stage import TemperatureRate
 
@@ -19,34 +20,22 @@ PER_HOUR = 3600.0
 STEADY_S, SETTLED_S = 1800.0, 600.0
 ONSET_S = 20.0
 """After the begin of a ramp, and of a record."""
-BLOCK_S = 10.0
 
 
 @dataclass(frozen=True, slots=True)
 class Kind:
-    """A thermometer in a stream.
-
-    Parameters
-    ----------
-    name : str
-    step : float
-        Quantization step in °C; 0 for none.
-    noise : function of number of refreshes, their rate in Hz and a generator
-        Noise before the quantizer, °C.
-    rate_hz : float
-        Of the stream.
-    refresh_s : float
-        Every so often there is a new reading, which is repeated in between; 0 for every sample.
-    after : function of the readings, optional
-        What happens to the numbers on their way.
-    """
+    """A thermometer in a stream."""
 
     name: str
     step: float
+    """Quantization, °C; 0 for none."""
     noise: Noise
+    """Before the quantizer, °C: of the number of refreshes, their rate in Hz and a generator."""
     rate_hz: float = 100.0
     refresh_s: float = 0.0
+    """Every so often there is a new reading, which is repeated in between; 0 for every sample."""
     after: Callable[[FloatArray], FloatArray] | None = None
+    """What happens to the readings on their way."""
 
     def read(self, temperature: FloatArray, rng: Generator) -> FloatArray:
         """Return the readings of a temperature at the stream's samples, (n,)."""
@@ -216,17 +205,10 @@ def errors(
 ) -> dict[str, FloatArray]:
     """Return once a second: time, errors of temperature and rate (°C, °C/h), and both in units of sigma."""
     t, temperature, rate, reading = play(kind, profile, seconds, seed)
-    stage = TemperatureRate(new_method=new_method)
-    time_ns = np.round(t * 1e9).astype(np.int64)
-    length = max(round(BLOCK_S * kind.rate_hz), 1)
-    parts = []
-    for i in range(0, len(t), length):
-        rows = slice(i, i + length)
-        columns = {"device_time_ns": time_ns[rows], "segment": np.zeros(len(t[rows]), np.int64)}
-        parts.append(stage.process(SampleBlock({**columns, "temperature": reading[rows]})))
+    found = TemperatureRate(new_method=new_method).process(sent(t, temperature=reading))
     names = ("temperature_estimate", "temperature_rate", "temperature_estimate_sd", "temperature_rate_sd")
     each = slice(max(round(kind.rate_hz), 1) - 1, None, max(round(kind.rate_hz), 1))
-    estimate, slope, sd, slope_sd = (np.concatenate([part[name] for part in parts])[each] for name in names)
+    estimate, slope, sd, slope_sd = (found[name][each] for name in names)
     off, slope_off = estimate - temperature[each], slope - rate[each]
     return {
         "t": t[each],

@@ -26,26 +26,16 @@ from imumon.transport.reader import Bytes, Event, EventKind, Item
 from imumon.transport.settings import PortSettings
 from imumon.view.items import ViewItem, ViewSetup
 
-SHAKING = [
-    Vibration(
-        kind="vibration",
-        at_s=0.0,
-        duration_s=20.0,
-        frequency_hz=frequency_hz,
-        acceleration_m_per_s2=(0.0, 0.0, amplitude),
-        tilt_deg=(0.01 * amplitude, 0.0, 0.0),
-    )
-    for frequency_hz, amplitude in ((47.0, 0.4), (133.0, 0.2))
+_SHAKEN = [
+    {"frequency_hz": 47.0, "acceleration_m_per_s2": (0.0, 0.0, 0.4), "tilt_deg": (0.004, 0.0, 0.0)},
+    {"frequency_hz": 133.0, "acceleration_m_per_s2": (0.0, 0.0, 0.2), "tilt_deg": (0.002, 0.0, 0.0)},
 ]
+_FAST = {"kind": "vibration", "at_s": 0.0, "duration_s": 20.0}
+SHAKING = [Vibration.model_validate(_FAST | shaken) for shaken in _SHAKEN]
 """A motor and what it drives."""
-HANDLING = Handling(
-    kind="handling",
-    at_s=0.0,
-    rounds=5,
-    every_s=120.0,
-    rest_s=10.0,
-    swing_deg=(15.0, 10.0, 25.0),
-    heading_deg=45.0,
+_ROUNDS = {"at_s": 0.0, "rounds": 5, "every_s": 120.0, "rest_s": 10.0}
+HANDLING = Handling.model_validate(
+    _ROUNDS | {"kind": "handling", "swing_deg": (15.0, 10.0, 25.0), "heading_deg": 45.0}
 )
 """As in the scenario warm-up, by gentler hands."""
 TURNING = Chamber(start_degc=25.0, steps=[Step(to_degc=to, rate_degc_per_min=2.0) for to in (40.0, 25.0) * 5])
@@ -56,23 +46,16 @@ READ_S = 0.01
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """One run: what sends, what the estimators are told, and how it is looked at.
-
-    Parameters
-    ----------
-    shows : str
-        For the list in the docs.
-    record : callable
-        Returns what came over the port, given a folder to work in.
-    live : bool
-        As it was seen live; else as a recording is opened afterwards.
-    """
+    """One run: what sends, what the estimators are told, and how it is looked at."""
 
     shows: str
+    """For the list in the docs."""
     device: str
     record: Callable[[Path], Iterator[Item]]
+    """Returns what came over the port, given a folder to work in."""
     setup: Callable[[], Setup] = field(default=Setup)
     live: bool = True
+    """As it was seen live; else as a recording is opened afterwards."""
     baudrate: int | None = None
 
 

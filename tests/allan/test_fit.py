@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from imumon.allan.analysis import analyse
-from imumon.allan.fit import DIGITS, TERMS, Fit
+from imumon.allan.fit import DIGITS, Fit
+from imumon.allan.parameters import NAMES
 from imumon.allan.series import even_channels
 from imumon.blocks import FloatArray
 from tests.allan.simulated import correlated, noise
@@ -52,7 +53,7 @@ def test_terms_are_found_within_their_standard_deviations(truth: dict[str, float
         assert abs(errors.mean()) < 0.7, name
         assert 0.7 < np.sqrt(np.mean(errors**2)) < 1.5, name
         assert np.mean(np.abs(errors) < 2) > 0.82, name
-    for term in TERMS:
+    for term in NAMES:
         if term not in truth:
             assert sum(fit.terms[term] is not None for fit in found) <= 2, term
 

@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
@@ -110,13 +109,14 @@ def calibrate(
             "leave --latitude and --heading away",
         )
     findings, channels, warnings = _all_channels(records, cells, tell)
+    axes = _common([record.axes for record in records])
     return Calibration(
         model=BiasModel(
             made_by=f"imumon {__version__}",
             created=f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}",
             device=_common([record.device for record in records]),
             serial=serial or _common([record.serial for record in records]),
-            axes=_axes([record.axes for record in records]),
+            axes="FLU" if axes == "FLU" else "FRD" if axes == "FRD" else None,
             earth_rate="included" if latitude_deg is None else "removed",
             latitude_deg=latitude_deg,
             heading_deg=heading_deg,
@@ -165,7 +165,7 @@ def _all_channels(
         channel = channel.only(keep)
         choice = choose(channel, shifted, knots)
         own = not (cells.turned and name in ACCEL)
-        missed = UNTOLD_S * cells.of("rate") * choice.curve.slope(cells.temperature)
+        missed = UNTOLD_S * cells.rate * choice.curve.slope(cells.temperature)
         lag_rms = float(np.sqrt(np.average(missed**2, weights=cells.seconds)))
         findings[name] = Finding(choice, shifted, channel.white, offset, lag_rms, own)
         channels[name] = _channel_model(name, channel, choice, shifted)
@@ -245,23 +245,15 @@ def _remarks(records: Sequence[Record], cells: Cells, findings: dict[str, Findin
 def _one_way(cells: Cells) -> bool:
     """Return whether no run both rises and falls by a fifth of the span."""
     enough = 0.2 * float(np.ptp(cells.temperature))
-    for run in cells.runs:
-        t = run.temperature
-        rise = float(np.max(t - np.minimum.accumulate(t)))
-        fall = float(np.max(np.maximum.accumulate(t) - t))
-        if min(rise, fall) > enough:
-            return False
-    return True
+    every = [run.temperature for run in cells.runs]
+    rises = [np.ptp(t - np.minimum.accumulate(t)) > enough for t in every]
+    falls = [np.ptp(np.maximum.accumulate(t) - t) > enough for t in every]
+    return not any(np.logical_and(rises, falls))
 
 
 def _common(names: Sequence[str | None]) -> str | None:
     known = {name for name in names if name is not None}
     return known.pop() if len(known) == 1 else None
-
-
-def _axes(given: Sequence[str | None]) -> Literal["FLU", "FRD"] | None:
-    known = _common(given)
-    return "FLU" if known == "FLU" else "FRD" if known == "FRD" else None
 
 
 def check_columns(records: Sequence[Record]) -> None:
@@ -298,29 +290,26 @@ def check_coverage(records: Sequence[Record], cells: Cells) -> None:
     rest_s = float(cells.seconds.sum())
     if rest_s < LEAST_REST_S:
         recorded_s = sum(float(record.means.span_s.sum()) for record in records)
-        raise bad_data(
-            f"{rest_s:.0f} s at rest, of {recorded_s:.0f} s with several samples in {BLOCK_S:g} s; "
-            f"a model needs {LEAST_REST_S:.0f}",
-            "let the unit stand still on a firm base for longer"
-            if recorded_s > 0.0
-            else f"record faster than every {LEAST_COVERED * BLOCK_S:g} s, or mend the unit of its time",
-        )
+        recorded = f"{recorded_s:.0f} s with several samples in {BLOCK_S:g} s"
+        advice = "let the unit stand still on a firm base for longer"
+        if not recorded_s:
+            advice = f"record faster than every {LEAST_COVERED * BLOCK_S:g} s, or mend the unit of its time"
+        raise bad_data(f"{rest_s:.0f} s at rest, of {recorded}; a model needs {LEAST_REST_S:.0f}", advice)
     known = np.sort(cells.temperature)
     low, high = float(known[0]), float(known[-1])
     span = high - low
     if span < LEAST_SPAN_DEGC:
+        spanned = f"{span:.2f} °C ({low:.2f} to {high:.2f})"
         raise bad_data(
-            f"the temperature at rest spans {span:.2f} °C ({low:.2f} to {high:.2f}); "
-            f"a model needs {LEAST_SPAN_DEGC:g}",
+            f"the temperature at rest spans {spanned}; a model needs {LEAST_SPAN_DEGC:g}",
             "record while the unit warms up or cools down over the range in which it will be used",
         )
     at = int(np.argmax(np.diff(known)))
-    hole = float(known[at + 1] - known[at])
-    if hole > WIDEST_HOLE * span:
+    below, above = float(known[at]), float(known[at + 1])
+    if above - below > WIDEST_HOLE * span:
+        share = f"{(above - below) / span:.0%} of the span; a curve bridges {WIDEST_HOLE:.0%}"
         raise bad_data(
-            f"nothing at rest from {known[at]:.2f} to {known[at + 1]:.2f} °C, {hole / span:.0%} of "
-            f"the span; a curve bridges {WIDEST_HOLE:.0%}",
-            "record levels in between",
+            f"nothing at rest from {below:.2f} to {above:.2f} °C, {share}", "record levels in between"
         )
     wrong = UNTOLD_S * cells.rate_rms
     if wrong > MOST_LAG * span:

@@ -76,28 +76,18 @@ class Run:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cells:
-    """Blocks at rest of all records, grouped into runs and cells; arrays over all blocks, (n,)."""
+    """Blocks at rest of all records, grouped into runs and cells; arrays over the blocks of all, (n,)."""
 
     runs: tuple[Run, ...]
-
-    def of(self, name: str) -> FloatArray:
-        """Return a field of all runs, one after the other."""
-        return np.concatenate([np.empty(0), *(getattr(run, name) for run in self.runs)])
-
-    @property
-    def seconds(self) -> FloatArray:
-        """Time that each block stands for."""
-        return self.of("seconds")
-
-    @property
-    def temperature(self) -> FloatArray:
-        """°C."""
-        return self.of("temperature")
+    seconds: FloatArray
+    temperature: FloatArray
+    rate: FloatArray
+    """Time that each block stands for, s; °C and °C/s."""
 
     @property
     def rate_rms(self) -> float:
         """Of the temperature, °C/s."""
-        return float(np.sqrt(np.average(self.of("rate") ** 2, weights=self.seconds)))
+        return float(np.sqrt(np.average(self.rate**2, weights=self.seconds)))
 
     @property
     def turned(self) -> bool:
@@ -133,7 +123,11 @@ def group(records: Sequence[Record], latitude_deg: float | None, heading_deg: fl
             if latitude_deg is not None and heading_deg is not None and np.isfinite(up).all():
                 earth = earth_rate_in_body(up, np.deg2rad(heading_deg), np.deg2rad(latitude_deg))
             runs.append(Run(number, index, rows, cell, seconds, t, rate, up, earth))
-    return Cells(tuple(runs))
+    every = (
+        np.concatenate([np.empty(0), *(getattr(run, name) for run in runs)])
+        for name in ("seconds", "temperature", "rate")
+    )
+    return Cells(tuple(runs), *every)
 
 
 def channel_of(
@@ -215,14 +209,14 @@ def _runs(record: Record, rows: IntArray) -> list[IntArray]:
     """Divide blocks where the device restarted or was turned."""
     if not len(rows):
         return []
-    segment = record.means.segment[rows]
+    restarted = np.diff(record.means.segment[rows], prepend=record.means.segment[rows[0]]) != 0
     accel = np.column_stack([record.of(name)[rows] for name in ACCEL])
     with np.errstate(invalid="ignore", divide="ignore"):
         direction = accel / np.linalg.norm(accel, axis=1, keepdims=True)
     begins, origin = [0], direction[0]
     for i in range(1, len(rows)):
-        turned = bool(direction[i] @ origin < TURNED)  # without accelerometers NaN, which is not less
-        if segment[i] != segment[i - 1] or turned:
+        # Without accelerometers the cosine is NaN, which is not less.
+        if restarted[i] or direction[i] @ origin < TURNED:
             begins.append(i)
         if begins[-1] == i or np.isnan(origin).any():
             origin = direction[i]
@@ -237,14 +231,12 @@ def _seconds(record: Record, rows: IntArray) -> FloatArray:
 
 def _cells(time_s: FloatArray, seconds: FloatArray, temperature: FloatArray, width: float) -> IntArray:
     """Number cells of blocks in order: not longer than `CELL_S`, not wider than `width` °C."""
-    cell = np.zeros(len(time_s), np.int64)
-    first = 0
+    begins, first = np.zeros(len(time_s), np.int64), 0
     for i in range(1, len(time_s)):
         over = time_s[i] + seconds[i] - time_s[first] > CELL_S + 1e-6
         if over or abs(temperature[i] - temperature[first]) > width:
-            cell[i:] += 1
-            first = i
-    return cell
+            begins[i], first = 1, i
+    return np.cumsum(begins)
 
 
 def _up(record: Record, rows: IntArray) -> FloatArray:

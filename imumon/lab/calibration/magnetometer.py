@@ -24,7 +24,11 @@ from imumon.models.magnetometer import MagnetometerModel
 STEP_RAD = np.radians(1.0)
 """A reading counts when its direction differs by so much from the last that did: rest must not weigh more."""
 CELLS = 60
-"""Directions are counted in so many cells of equal area, each about 30° wide."""
+_K = np.arange(CELLS) + 0.5
+_Z, _TURN = 1.0 - 2.0 * _K / CELLS, np.pi * (1.0 + np.sqrt(5.0)) * _K
+MIDDLES = np.column_stack([*(np.sqrt(1.0 - _Z**2) * (np.cos(_TURN), np.sin(_TURN))), _Z])
+"""Directions are counted in so many cells of equal area, each about 30° wide, whose middles, (CELLS, 3), are
+on a spiral by the golden angle."""
 LEAST_COVERAGE = 0.5
 """Of the cells.  Seen from one side only an ellipsoid's far side is extrapolated."""
 LEAST_POINTS = 100
@@ -76,8 +80,13 @@ def fit_magnetometer(blocks: Iterable[SampleBlock], unit: str, source: str) -> M
     source : str
         Name for messages.
     """
-    found = [_columns(block) for block in blocks if block.mag is not None]
+    found = [
+        np.column_stack([mag, np.full_like(mag, np.nan) if block.accel is None else block.accel])
+        for block in blocks
+        if (mag := block.mag) is not None
+    ]
     both = np.concatenate([np.empty((0, 6)), *found])
+    both = both[np.isfinite(both[:, :3]).all(1)]
     if not len(both):
         raise bad_data(f"{source}: there is no magnetometer", "needs mag_x, mag_y, mag_z")
     mag, accel = both[:, :3], both[:, 3:]
@@ -93,10 +102,11 @@ def fit_magnetometer(blocks: Iterable[SampleBlock], unit: str, source: str) -> M
         )
     model = _fitted(readings, unit, coverage)
     if model is None or model.fit_sd > WORST_SD * model.field or model.residual_sd > MOST_LEFT * model.field:
-        what = "lie on no ellipsoid" if model is None else (
-            f"leave {model.residual_sd / model.field:.1%} of the field beside an ellipsoid, and hard and "
-            f"soft iron are known to {model.fit_sd / model.field:.1%}"
-        )  # fmt: skip
+        what = "lie on no ellipsoid"
+        if model is not None:
+            left, known = model.residual_sd / model.field, model.fit_sd / model.field
+            what = f"leave {left:.1%} of the field beside an ellipsoid, and hard and soft iron"
+            what += f" are known to {known:.1%}"
         # The directions of the field are not known then: those of gravity show what is missing.
         up = _unit(accel[np.isfinite(accel).all(1)])
         share, seen = covered(up)
@@ -111,26 +121,8 @@ def fit_magnetometer(blocks: Iterable[SampleBlock], unit: str, source: str) -> M
 
 def covered(directions: FloatArray) -> tuple[float, FloatArray]:
     """Return the share of all directions that unit vectors, (n, 3), were in, and which cells, (CELLS,)."""
-    counts = np.bincount(np.argmax(directions @ _cells().T, axis=1), minlength=CELLS)
+    counts = np.bincount(np.argmax(directions @ MIDDLES.T, axis=1), minlength=CELLS)
     return float(np.mean(counts > 0)), np.asarray(counts > 0, np.float64)
-
-
-def _cells() -> FloatArray:
-    """Return the middles of cells of equal area on the sphere, (CELLS, 3): a spiral by the golden angle."""
-    k = np.arange(CELLS) + 0.5
-    z, turn = 1.0 - 2.0 * k / CELLS, np.pi * (1.0 + np.sqrt(5.0)) * k
-    level = np.sqrt(1.0 - z * z)
-    return np.column_stack([level * np.cos(turn), level * np.sin(turn), z])
-
-
-def _columns(block: SampleBlock) -> FloatArray:
-    """Return whole readings of field and specific force, (n, 6); the force NaN where there is none."""
-    mag, accel = block.mag, block.accel
-    if mag is None:
-        return np.empty((0, 6))
-    return np.column_stack([mag, np.full_like(mag, np.nan) if accel is None else accel])[
-        np.isfinite(mag).all(1)
-    ]
 
 
 def _unit(vectors: FloatArray) -> FloatArray:
@@ -139,10 +131,8 @@ def _unit(vectors: FloatArray) -> FloatArray:
 
 def _spread(vectors: FloatArray) -> list[int]:
     """Return the rows whose direction differs by `STEP_RAD` from the last that was taken."""
-    directions, least = _unit(vectors), float(np.cos(STEP_RAD))
-    rows: list[int] = []
-    last = np.zeros(3)
-    for k, direction in enumerate(directions):
+    rows, last, least = list[int](), np.zeros(3), float(np.cos(STEP_RAD))
+    for k, direction in enumerate(_unit(vectors)):
         if direction @ last < least:
             rows.append(k)
             last = direction
@@ -245,7 +235,7 @@ def slower_than_white(residual: FloatArray) -> float:
 
 def _next(seen: FloatArray, directions: FloatArray, accel: FloatArray) -> str:
     """Say which side of the unit should point along the field, where most is missing."""
-    missing = (_cells() * (1.0 - seen)[:, np.newaxis]).sum(0)
+    missing = (1.0 - seen) @ MIDDLES
     axis = int(np.argmax(np.abs(missing)))
     side = f"turn the {'-' if missing[axis] < 0.0 else '+'}{'xyz'[axis]} axis"
     vertical = (directions * accel).sum(1)

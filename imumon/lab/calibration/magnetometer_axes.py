@@ -1,9 +1,9 @@
 """Whether a magnetometer has the gyros' axes: the field of a recording beside how the gyros say it turned.
 
-The field stays where it is while the unit turns.  With C the gyros' turn from one moment to a later one,
-P the matrix that takes the magnetometer's axes to the gyros', and q what iron on the unit adds there::
+The field stays where it is while the unit turns.  With C the gyros' turn from one moment to a later one, and
+P the matrix that takes the magnetometer's axes to the gyros'::
 
-    P field_0 - q = C (P field_1 - q)
+    P field_0 = C P field_1
 
 Of the 24 rotations that turn axes into axes the one is taken that leaves least; P and -P leave the same, as
 no turn shows whether a magnetometer has the field or its reverse.  From there least squares find the
@@ -14,7 +14,6 @@ magnetometer is late.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from itertools import permutations, product
 from typing import NamedTuple
 
 import numpy as np
@@ -25,18 +24,14 @@ from imumon.blocks import FloatArray, SampleBlock
 from imumon.errors import bad_data
 from imumon.filters.slots import SlotGatherer, Slots
 from imumon.filters.turns import PAUSE_S
+from imumon.lab.calibration.magnetometer import slower_than_white
 from imumon.models.magnetometer import MagnetometerModel
 
-_SIGNED = [
-    np.eye(3)[list(order)] * signs
-    for order, signs in product(permutations(range(3)), product((1, -1), repeat=3))
-]
-WAYS = np.array([way for way in _SIGNED if np.linalg.det(way) > 0.0])
+_WAYS = Rotation.create_group("O").as_matrix().round() + 0.0  # no negative zeros
+WAYS: FloatArray = _WAYS[np.argsort(-np.trace(_WAYS, axis1=1, axis2=2), kind="stable")]
 """The rotations that turn axes into axes, the identity first, (24, 3, 3)."""
 LOST = 0.01
 """rad²: variance of a turn for want of samples beyond which it is not compared with the field."""
-ALONG = 1e-6
-"""Share of the squares of turns about other axes, below which iron along an axis does not show."""
 SLOT_NS = 500_000_000
 """A hand turns a unit by tenths of a radian meanwhile, and by less than half a circle."""
 LEAST_SLOTS = 20
@@ -49,10 +44,8 @@ WORST_SD = np.radians(10.0)
 MOST_LEFT, BEYOND = 0.25, 3.0
 """Of the squares of how the field went, and of what the fit of its strength left: what is left beyond both
 has not gone as the gyros turned, in any axes."""
-PARTS = 8
-"""Of a record: long enough to differ by themselves, and enough for a standard deviation to a quarter."""
 SIGMAS = 4.0
-"""By eight parts: beyond it is one in 200 (Student, seven degrees of freedom)."""
+"""An angle is reported as a mounting error from so many of its standard deviations on."""
 
 
 class Axes(NamedTuple):
@@ -81,7 +74,7 @@ class Axes(NamedTuple):
         return float(np.arccos(np.clip(0.5 * (np.trace(self.rotation) - 1.0), -1.0, 1.0)))
 
 
-class _Pairs(NamedTuple):
+class Turns(NamedTuple):
     """The field before and after turns, over its strength, (n, 3), the rates then, (n, 3), and the turns."""
 
     before: FloatArray
@@ -89,7 +82,38 @@ class _Pairs(NamedTuple):
     rate_before: FloatArray
     rate_after: FloatArray
     rotation: FloatArray
+    """From the axes after to those before, (n, 3, 3)."""
     by_bias: FloatArray
+    """Angle by a bias of the gyros, s, (n, 3, 3)."""
+
+    def residual(self, way: FloatArray, x: FloatArray) -> FloatArray:
+        """Return what is left of the fields, (3n,).
+
+        `x` is the rotation vector from `way`, rad, the bias of the gyros, rad/s, and the lateness of the
+        magnetometer, s.  A field that is late by tau is off by tau times its rate, -rate x field.
+        """
+        bias, late_s = x[3:6], x[6]
+        axes = Rotation.from_rotvec(x[:3]).as_matrix() @ way
+        before, after = self.before @ axes.T, self.after @ axes.T
+        before = before - late_s * np.cross(self.rate_before - bias, before)
+        after = after - late_s * np.cross(self.rate_after - bias, after)
+        turned = np.einsum("nij,nj->ni", self.rotation, after)
+        return np.asarray(before - Rotation.from_rotvec(-self.by_bias @ bias).apply(turned)).reshape(-1)
+
+    def axes(self, noise: float) -> Axes:
+        """Return the axes of a magnetometer whose field scatters by `noise` over its strength."""
+        way = min(WAYS, key=lambda one: float((self.residual(one, np.zeros(7)) ** 2).sum()))
+        solved = least_squares(lambda x: self.residual(way, x), np.zeros(7), x_scale="jac", method="lm")
+        left, jacobian = np.asarray(solved.fun), np.asarray(solved.jac)
+        variance = float(left @ left) / (len(left) - 7)
+        went = float(((self.after - self.before) ** 2).sum()) / len(left)
+        follows = variance < MOST_LEFT * went or variance < (BEYOND * noise) ** 2
+        # A field that differs from place to place, and errors that go with the turns, are not white.
+        slower = max(slower_than_white(axis) for axis in left.reshape(-1, 3).T)
+        covariance = variance * slower * np.linalg.pinv(jacobian.T @ jacobian, hermitian=True)
+        sd = float(np.sqrt(np.linalg.eigvalsh(covariance[:3, :3])[-1]))
+        rotation = Rotation.from_rotvec(solved.x[:3]).as_matrix() @ way
+        return Axes(rotation, float(np.hypot(sd, GYRO_SCALE)), follows)
 
 
 class Gathered:
@@ -131,8 +155,8 @@ class Gathered:
         rotation, by_bias = (
             np.array([getattr(turns[k], name) for k in after]) for name in ("rotation", "by_bias")
         )
-        pairs = _Pairs(field[after - 1], field[after], rate[after - 1], rate[after], rotation, by_bias)
-        return _fitted(pairs, model.residual_sd / model.field)
+        compared = Turns(field[after - 1], field[after], rate[after - 1], rate[after], rotation, by_bias)
+        return compared.axes(model.residual_sd / model.field)
 
 
 def doubts(axes: Axes | None, source: str) -> list[str]:
@@ -155,73 +179,13 @@ def doubts(axes: Axes | None, source: str) -> list[str]:
             "(in a device file by a negative scale); turns do not tell which of the two it is: north of the "
             "magnetic equator the field must point down",
         )
-    text = (
+    if axes.angle < SIGMAS * axes.sd:
+        return []
+    return [
         f"the magnetometer is turned by {np.degrees(axes.angle):.1f} ± {np.degrees(axes.sd):.1g}° against "
         "the gyros: headings are off by up to as much, and more where the field is steep; the model file "
         "does not hold that"
-    )
-    return [text] if axes.angle >= SIGMAS * axes.sd else []
-
-
-def _fitted(pairs: _Pairs, noise: float) -> Axes:
-    """Return the axes by pairs of fields, whose scatter over their strength is `noise`."""
-    way = WAYS[int(left_by_ways(pairs.before, pairs.after, pairs.rotation).argmin())]
-    solved = least_squares(lambda x: _left(pairs, way, x), np.zeros(7), x_scale="jac", method="lm")
-    left = np.asarray(solved.fun)
-    variance = float(left @ left) / (len(left) - 7)
-    went = float(((pairs.after - pairs.before) ** 2).sum()) / len(left)
-    follows = variance < MOST_LEFT * went or variance < (BEYOND * noise) ** 2
-    sd = np.sqrt(np.linalg.eigvalsh(_covariance(left, np.asarray(solved.jac))[:3, :3])[-1])
-    rotation = Rotation.from_rotvec(solved.x[:3]).as_matrix() @ way
-    return Axes(rotation, float(np.hypot(sd, GYRO_SCALE)), follows)
-
-
-def left_by_ways(before: FloatArray, after: FloatArray, rotation: FloatArray) -> FloatArray:
-    """Return the sum of the squares that each of `WAYS` leaves over, with the iron that leaves least, (24,).
-
-    Parameters
-    ----------
-    before, after : arrays (n, 3)
-        The field before and after turns, over its strength.
-    rotation : array (n, 3, 3)
-        The turns.
-    """
-    by_iron = rotation - np.eye(3)
-    turned = np.einsum("nij,wjk,nk->nwi", rotation, WAYS, after)
-    left = np.einsum("wij,nj->nwi", WAYS, before) - turned
-    square = np.einsum("nij,nik->jk", by_iron, by_iron)
-    pull = np.einsum("nij,nwi->wj", by_iron, left)
-    explained = np.einsum("wi,ij,wj->w", pull, np.linalg.pinv(square, ALONG, hermitian=True), pull)
-    return np.asarray((left**2).sum((0, 2)) - explained)
-
-
-def _covariance(left: FloatArray, jacobian: FloatArray) -> FloatArray:
-    """Return the covariance of least squares by how `PARTS` of the record differ, (7, 7).
-
-    What is left is not white: a field differs from place to place, and gyros and magnetometer have errors
-    that go with the turns.
-    """
-    inverse = np.linalg.pinv(jacobian.T @ jacobian, hermitian=True)
-    rows = np.array_split(np.arange(len(left) // 3), PARTS)
-    pulls = np.array(
-        [(left.reshape(-1, 3, 1)[part] * jacobian.reshape(-1, 3, 7)[part]).sum((0, 1)) for part in rows]
-    )
-    return np.asarray(inverse @ (pulls.T @ pulls) @ inverse * PARTS / (PARTS - 1))
-
-
-def _left(pairs: _Pairs, way: FloatArray, x: FloatArray) -> FloatArray:
-    """Return what is left of the fields, (3n,).
-
-    `x` is the rotation vector from `way`, rad, the bias of the gyros, rad/s, and the lateness of the
-    magnetometer, s.  A field that is late by tau is off by tau times its rate, -rate x field.
-    """
-    bias, late_s = x[3:6], x[6]
-    axes = Rotation.from_rotvec(x[:3]).as_matrix() @ way
-    before, after = pairs.before @ axes.T, pairs.after @ axes.T
-    before = before - late_s * np.cross(pairs.rate_before - bias, before)
-    after = after - late_s * np.cross(pairs.rate_after - bias, after)
-    turned = np.einsum("nij,nj->ni", pairs.rotation, after)
-    return np.asarray(before - Rotation.from_rotvec(-pairs.by_bias @ bias).apply(turned)).reshape(-1)
+    ]
 
 
 def named(way: FloatArray) -> str:

@@ -20,13 +20,7 @@ def generator(seed: int, name: str) -> np.random.Generator:
 
 
 class White:
-    """Independent normal values.
-
-    Parameters
-    ----------
-    sd : sequence of float
-        Standard deviation of a sample, for each of k columns.
-    """
+    """Independent normal values; `sd` is the standard deviation of a sample of each of k columns."""
 
     def __init__(self, sd: Sequence[float] | FloatArray, random: np.random.Generator) -> None:
         self._sd, self._random = np.asarray(sd, np.float64), random
@@ -72,10 +66,7 @@ class GaussMarkov:
 class RandomWalk:
     """Sums of independent normal steps, from 0 at power-on.
 
-    Parameters
-    ----------
-    density : sequence of float
-        Standard deviation after one second, for each of k columns.
+    `density` is the standard deviation after one second, of each of k columns.
     """
 
     def __init__(

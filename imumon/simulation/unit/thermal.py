@@ -72,16 +72,9 @@ class SensorTemperature:
 
 
 class Thermometers:
-    """Readings of the thermometers: noise, quantization, and held between readings.
+    """Readings of k thermometers: noise, quantization, and held between readings.
 
-    Parameters
-    ----------
-    count : int
-        Number of thermometers k.
-    rate_hz : float
-        Packets per second; a reading is held for a whole number of packets.
-    name : str
-        Of their noise.
+    `rate_hz` are packets per second; a reading is held for a whole number of packets.
     """
 
     def __init__(

@@ -44,14 +44,8 @@ class SimulatedUnit:
     """A unit that plays a scenario; the same seed gives the same samples, to the bit, however the run is cut.
 
     Sensors see motion, earth rate and gravity in the scenario's axes; bias and noise are added, and a
-    second-order low-pass goes over the sum.  After the scenario's duration it goes on as it is.
-
-    Parameters
-    ----------
-    seed : int
-        Seed of all noise and of the turn-on biases.
-    tick_ns : Fraction
-        Unit in which the device counts its time.
+    second-order low-pass goes over the sum.  After the scenario's duration it goes on as it is.  `tick_ns` is
+    the unit in which the device counts its time.
     """
 
     def __init__(self, scenario: Scenario, seed: int = 0, tick_ns: Fraction = MICROSECOND) -> None:
@@ -89,10 +83,8 @@ class SimulatedUnit:
         index = np.arange(self._taken, self._taken + n)
         self._left, self._taken = (sent.rows(n, computed), truth.rows(n, computed)), self._taken + n
         ticks_per_sample = float(1_000_000_000 / self._tick_ns) / self.scenario.rate_hz
-        counted = {
-            "packet_counter": index,
-            "device_ticks": np.rint(index * ticks_per_sample).astype(np.int64),
-        }
+        ticks = np.rint(index * ticks_per_sample).astype(np.int64)
+        counted = {"packet_counter": index, "device_ticks": ticks}
         return SampleBlock({**counted, **sent.rows(0, n).columns}), truth.rows(0, n)
 
 
@@ -185,12 +177,8 @@ class LowPass:
     """Second-order Butterworth filter (bilinear) on each column, settled on the first deterministic sample.
 
     At packet rates up to twice its cut-off it does nothing: a unit that sends as slowly as that averages its
-    samples over the packet's period, which leaves the density of the noise as it is.
-
-    Parameters
-    ----------
-    start : array of shape (k,)
-        The signal before the first sample, without noise.
+    samples over the packet's period, which leaves the density of the noise as it is.  `start`, (k,), is the
+    signal before the first sample, without noise.
     """
 
     def __init__(self, cutoff_hz: float | None, rate_hz: float, start: FloatArray) -> None:

@@ -10,10 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from imumon.allan.covariance import NOISES, Runs, freedom
+from imumon.allan.live import RING, RINGS, STRIDES_PER_TAU, AllanStage, StreamingAllan, identify
 from imumon.allan.parameters import AllanParameters
 from imumon.allan.series import EvenSeries, even_channels
-from imumon.allan.stage import AllanStage
-from imumon.allan.streaming import RING, RINGS, STRIDES_PER_TAU, StreamingAllan, identify
 from imumon.blocks import FloatArray, IntArray, SampleBlock
 from tests.allan.simulated import noise
 

@@ -1,4 +1,4 @@
-"""The Allan deviation of a stream, octave by octave, in constant memory.
+"""Live Allan curves, octave by octave, in constant memory: a stage of the pipeline that makes charts.
 
 The definition is the overlapping one, with the differences of averaging factor m taken at every
 max(1, m // 16)-th sample of a run: all of them up to m = 31, sixteen to each averaging time above.  The sums
@@ -12,14 +12,20 @@ two: 18 kB for a channel, for averaging times of up to 2^35 samples.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from imumon.allan.covariance import NOISES, TRUSTED_FREEDOM, Runs, freedom, intervals
+from imumon.allan.parameters import TERMS_OF, AllanParameters
 from imumon.allan.series import JITTER, nominal_interval_ns
-from imumon.blocks import FloatArray, IntArray
+from imumon.blocks import ColumnArray, FloatArray, IntArray, SampleBlock
+from imumon.charts import AXIS_COLORS, GREY, Axis, Chart, Curve
+from imumon.columns import Column
 from imumon.compiled import njit, record
+from imumon.estimation.rest.parameters import retired
 
 DENSE = 4
 """Up to this octave differences are taken at every sample."""
@@ -28,6 +34,10 @@ RINGS, RING = 36, 64
 """Octaves, and running sums that are kept of each."""
 LEARN = 64
 """Samples from which the interval is learned; as many steps in a row that do not fit it begin anew."""
+TAB = "Allan"
+_TITLE = "Allan deviation of the {}, at rest; upright bars: 68 % intervals"
+_MEASURED = {"gyro": "angular rate", "accel": "specific force"}
+CHANNELS = tuple(f"{group}_{axis}" for group in _MEASURED for axis in AXIS_COLORS)
 _SLOPES = np.array([-1.0, 0.0, 1.0, -2.0])
 """Exponent of the Allan variance over tau of each of `NOISES`."""
 
@@ -103,9 +113,8 @@ class LiveCurve(NamedTuple):
     freedom: FloatArray
 
     def trusted(self) -> LiveCurve:
-        """Return the part with enough degrees of freedom."""
-        few = np.flatnonzero(self.freedom < TRUSTED_FREEDOM)
-        n = int(few[0]) if len(few) else len(self.tau_s)
+        """Return the part up to the first averaging time without enough degrees of freedom."""
+        n = int(np.argmax([*(self.freedom < TRUSTED_FREEDOM), True]))
         return LiveCurve(*(part[:n] for part in self))
 
 
@@ -118,7 +127,8 @@ class StreamingAllan:
         self._begin()
 
     def _begin(self) -> None:
-        self._waiting: list[tuple[int, int, float]] = []
+        self._waiting: list[tuple[IntArray, IntArray, FloatArray]] = []
+        """Samples from which the interval is not learned yet."""
         self._run = record(_Run, rings=(RINGS, RING), sums=RINGS, counts=RINGS)
         self._run.position = -1
 
@@ -139,18 +149,18 @@ class StreamingAllan:
 
     def _learn(self, time_ns: IntArray, segment: IntArray, values: FloatArray, start: int) -> int:
         """Gather samples until the interval is known, then add them; return the next row."""
-        for row in range(start, len(values)):
-            if np.isfinite(values[row]):
-                self._waiting.append((int(time_ns[row]), int(segment[row]), float(values[row])))
-            if len(self._waiting) == LEARN:
-                times, segments, first = (np.array(part) for part in zip(*self._waiting, strict=True))
-                self._waiting = []
-                self._run.interval_ns = nominal_interval_ns(times, segments)
-                self._run.offset = float(first[0])
-                if self._run.interval_ns:
-                    stream(times, segments, first, self._run)
-                return row + 1
-        return len(values)
+        lacking = LEARN - sum(len(part) for *_, part in self._waiting)
+        rows = (start + np.flatnonzero(np.isfinite(values[start:])))[:lacking]
+        self._waiting.append((time_ns[rows], segment[rows], values[rows]))
+        if len(rows) < lacking:
+            return len(values)
+        times, segments, first = (np.concatenate(part) for part in zip(*self._waiting, strict=True))
+        self._waiting.clear()
+        self._run.interval_ns = nominal_interval_ns(times, segments)
+        self._run.offset = float(first[0])
+        if self._run.interval_ns:
+            stream(times, segments, first, self._run)
+        return int(rows[-1]) + 1
 
     def curve(self) -> LiveCurve:
         """Return the curve so far; empty while there is none."""
@@ -176,3 +186,90 @@ def identify(variance: FloatArray) -> IntArray:
     logs = np.log2(np.maximum(variance, 1e-300))
     slope = np.gradient(logs)
     return np.asarray(np.abs(slope[:, np.newaxis] - _SLOPES).argmin(axis=1), np.int64)
+
+
+class AllanStage:
+    """Allan deviations of the gyros and accelerometers, as they come.
+
+    With a column ``at_rest`` only samples at rest count; motion ends a run as a gap does.  The keys of its
+    parameters are not used any more; those that are given are named once.
+    """
+
+    columns: Sequence[Column] = ()
+    """None: a curve over averaging time is not a quantity of each sample."""
+
+    def __init__(self, parameters: AllanParameters | None = None) -> None:
+        self._retired = [] if parameters is None else retired(parameters)
+        self._channels: dict[str, StreamingAllan] = {}
+        self._restarts = 0
+
+    def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
+        """Take the samples of a block; needs ``device_time_ns`` and ``segment``."""
+        rest = block.columns.get("at_rest")
+        for name in CHANNELS:
+            if name in block:
+                values: FloatArray = np.asarray(block[name], np.float64)
+                if rest is not None:
+                    values = np.where(rest == 1, values, np.nan)
+                channel = self._channels.setdefault(name, StreamingAllan())
+                channel.process(block["device_time_ns"], block["segment"], values)
+        return {}
+
+    def notices(self) -> list[str]:
+        """Say once which keys are not used any more, and that the rate changed and the curves began anew."""
+        restarts = max((channel.restarts for channel in self._channels.values()), default=0)
+        new, self._restarts = restarts > self._restarts, restarts
+        keys, self._retired = self._retired, []
+        texts = [f"allan: {key} is not used any more" for key in keys]
+        return texts + (["the sample rate changed: the Allan curves begin anew"] if new else [])
+
+    def charts(self) -> Sequence[Chart]:
+        """Return one log-log chart per sensor; none while no averaging time can be trusted."""
+        charts = []
+        for group, measured in _MEASURED.items():
+            level = TERMS_OF[group]["bias_instability"]
+            channels = {axis: self._channels.get(f"{group}_{axis}") for axis in AXIS_COLORS}
+            found = {axis: one.curve().trusted() for axis, one in channels.items() if one is not None}
+            shown = {axis: curve for axis, curve in found.items() if len(curve.tau_s) > 1}
+            if shown:
+                x, y = Axis("averaging time [s]", log=True), Axis(f"[{level.shown}]", log=True)
+                curves = tuple(_curves(shown, level.factor))
+                notes = tuple(_note(axis, curve, group) for axis, curve in found.items())
+                key, title = f"allan_{group}", _TITLE.format(measured)
+                charts.append(Chart(key, TAB, title, x, y, curves, notes=notes))
+        return charts
+
+
+def _curves(shown: Mapping[str, LiveCurve], factor: float) -> Iterator[Curve]:
+    """Yield the curve of each axis, upright bars over their intervals, and the line of white noise."""
+    for axis, curve in shown.items():
+        yield Curve(axis, curve.tau_s, factor * curve.deviation, AXIS_COLORS[axis], width=2.0)
+    for axis, curve in shown.items():
+        x = np.repeat(curve.tau_s, 3)
+        y = factor * np.column_stack([curve.low, curve.high, np.full_like(curve.low, np.nan)]).ravel()
+        yield Curve(f"68 % {axis}", x, y, AXIS_COLORS[axis], width=1.0, listed=False)
+    # Slope -1/2, through the longest curve where its random walk is read.
+    curve = max(shown.values(), key=lambda one: len(one.tau_s))
+    near = _at_1_s(curve)
+    line = factor * curve.deviation[near] * np.sqrt(curve.tau_s[near] / curve.tau_s)
+    yield Curve("white noise", curve.tau_s, line, GREY, width=1.2, dashed=True)
+
+
+def _note(axis: str, curve: LiveCurve, group: str) -> str:
+    """Return what can be read off a curve: at 1 s the random walk, with its interval, and the lowest."""
+    text = least = "-"
+    if len(curve.tau_s):
+        level, walk = TERMS_OF[group]["bias_instability"], TERMS_OF[group]["angle_random_walk"]
+        near, lowest = _at_1_s(curve), int(np.argmin(curve.deviation))
+        if 0.5 <= curve.tau_s[near] <= 2.0:
+            scale = walk.factor * math.sqrt(curve.tau_s[near])
+            reach = 0.5 * (curve.high[near] - curve.low[near]) * scale
+            text = f"{curve.deviation[near] * scale:.3g} ± {reach:.2g} {walk.shown}"
+        so_far = " so far" if lowest == len(curve.tau_s) - 1 else ""
+        least = f"{level.factor * curve.deviation[lowest]:.3g} {level.shown}{so_far}"
+    return f"{axis}  random walk {text:24} lowest {least}"
+
+
+def _at_1_s(curve: LiveCurve) -> int:
+    """Return which point of a curve is the nearest to 1 s."""
+    return int(np.argmin(np.abs(np.log(curve.tau_s))))
