@@ -33,6 +33,14 @@ def test_every_way_is_found_whatever_the_sign(sign: float) -> None:
         assert nearest(sign * way, k) == k
 
 
+def test_turns_about_one_axis_with_iron_left_over_are_evidence_of_no_axes() -> None:
+    turns = Rotation.from_rotvec(np.outer(np.linspace(0.0, 20.0, 200), [0.0, 0.0, 1.0]))
+    field = turns.inv().apply(FIELD) + np.array([0.09, 0.04, 0.03])
+    relative, still = (turns[:-1].inv() * turns[1:]).as_matrix(), np.zeros((199, 3))
+    by_bias = np.broadcast_to(0.5 * np.eye(3), (199, 3, 3))
+    assert not Turns(field[:-1], field[1:], still, still, relative, by_bias).axes(0.02).is_significant
+
+
 def test_a_way_is_named_with_its_reverse() -> None:
     swapped = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
     assert named(swapped) == "+y, +x, -z or -y, -x, +z"
