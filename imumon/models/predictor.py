@@ -99,7 +99,7 @@ class BiasPredictor:
         held = self._held(segment, np.column_stack(columns))
         bias, slope, inside = np.empty((n, k)), np.empty((n, k)), np.empty((n, k), bool)
         for at, model in enumerate(self._models):
-            bias[:, at], slope[:, at] = model.value(held[:, at]), model.slope(held[:, at])
+            bias[:, at], slope[:, at] = model.value_and_slope(held[:, at])
             inside[:, at] = model.inside(held[:, at])
         drivers = dict(zip(self._others, held[:, k:].T, strict=False))
         if self._forced and accel is not None:
