@@ -98,8 +98,8 @@ class Accelerometers:
         """a², (m/s²)²; the 2 in it is a margin, as e shows one of three components."""
         if self.declared is not None:
             return self.declared**2
-        known = self.slots > 0.0
-        return ACCEL_SD**2 + 2.0 * float(np.mean((self.excess[known] / self.slots[known]) ** 2))
+        squares = (self.excess / np.maximum(self.slots, 1.0)) ** 2
+        return ACCEL_SD**2 + 2.0 * float(squares.sum()) / max(np.count_nonzero(self.slots), 1)
 
 
 @dataclass(slots=True)

@@ -120,7 +120,9 @@ class AttitudeEstimate:
         begins |= (interval_ns > GAP_NS) | (interval_ns < 0)
         attitude = self._attitudes + np.cumsum(begins)
         self._attitudes = int(attitude[-1])
-        field = _vector(block, "mag" if self._parameters.use_magnetometer else "")
+        field = _vector(block, "mag")
+        if not self._parameters.use_magnetometer:
+            field[:] = math.nan
         if self._magnetometer is not None:
             field = self._magnetometer.corrected(field)
         angle = 1e-9 * interval_ns[:, np.newaxis] * rate
