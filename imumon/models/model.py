@@ -82,7 +82,8 @@ class ChannelModel(StrictModel):
     def value_and_slope(self, temperature: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Return both."""
         t = np.asarray(temperature, np.float64)
-        near = np.clip(t, *self.temperature_range_degc)
+        low, high = self.temperature_range_degc
+        near = np.clip(t, low, high)
         beyond, slope = t - near, self.curve.slope(near)
         bounded = np.clip(beyond, -self.reach_degc, self.reach_degc)
         value = self.curve.value(near) + np.where(beyond == 0.0, 0.0, slope * bounded)

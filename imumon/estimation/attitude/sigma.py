@@ -99,7 +99,8 @@ class Accelerometers:
         if self.declared is not None:
             return self.declared**2
         squares = (self.excess / np.maximum(self.slots, 1.0)) ** 2
-        return ACCEL_SD**2 + 2.0 * float(squares.sum()) / max(np.count_nonzero(self.slots), 1)
+        faces = int(np.count_nonzero(self.slots))
+        return ACCEL_SD**2 + 2.0 * float(squares.sum()) / max(faces, 1)
 
 
 @dataclass(slots=True)
