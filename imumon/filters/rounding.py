@@ -35,15 +35,9 @@ LEAST_PROBABILITY = 1e-12
 
 
 def mean_error(step: float, ratio: float) -> float:
-    """Return by how much the mean of rounded samples errs at the most, for noise of `ratio` steps."""
-    return step / np.pi * float(np.exp(-2.0 * (np.pi * ratio) ** 2))
+    """Return by how much the mean of rounded samples errs at the most, for noise of `ratio` steps.
 
-
-def largest_error(step: float, ratio: float) -> float:
-    """Return by how much the mean of rounded samples errs at the most, by all terms of that series.
-
-    `mean_error` is the first one, which with less noise than a fifth of a step is not all: without noise
-    the error is half a step at the most.
+    It is of all terms of that series: without noise the error is half a step.
     """
     k = np.arange(1, TERMS + 1)
     sizes = np.exp(-2.0 * (np.pi * k * ratio) ** 2) / (np.pi * k)
@@ -76,7 +70,7 @@ class Digits:
         A slow signal of less than a step is passed on with a gain that differs from one by the slope of the
         error of the mean, 2 exp(-2 pi² ratio²); its variance by twice that.
         """
-        return 4.0 * np.pi * mean_error(1.0, self.ratio)
+        return 4.0 * float(np.exp(-2.0 * (np.pi * self.ratio) ** 2))
 
     @property
     def share(self) -> float:

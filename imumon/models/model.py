@@ -73,20 +73,21 @@ class ChannelModel(StrictModel):
 
     def value(self, temperature: npt.ArrayLike) -> FloatArray:
         """Return the bias at temperatures in °C, in `unit`; outside the range see `REACH`."""
-        t = np.asarray(temperature, np.float64)
-        near = self._nearest(t)
-        beyond = np.clip(t - near, -self.reach_degc, self.reach_degc)
-        return self.curve.value(near) + np.where(beyond == 0.0, 0.0, self.curve.slope(near) * beyond)
+        return self.value_and_slope(temperature)[0]
 
     def slope(self, temperature: npt.ArrayLike) -> FloatArray:
         """Return db/dT at temperatures in °C, in `unit` per °C: the exact derivative of `value`."""
-        t = np.asarray(temperature, np.float64)
-        near = self._nearest(t)
-        return np.where(np.abs(t - near) > self.reach_degc, 0.0, self.curve.slope(near))
+        return self.value_and_slope(temperature)[1]
 
-    def _nearest(self, temperature: FloatArray) -> FloatArray:
+    def value_and_slope(self, temperature: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Return both."""
+        t = np.asarray(temperature, np.float64)
         low, high = self.temperature_range_degc
-        return np.clip(temperature, low, high)
+        near = np.clip(t, low, high)
+        beyond, slope = t - near, self.curve.slope(near)
+        bounded = np.clip(beyond, -self.reach_degc, self.reach_degc)
+        value = self.curve.value(near) + np.where(beyond == 0.0, 0.0, slope * bounded)
+        return value, np.where(np.abs(beyond) > self.reach_degc, 0.0, slope)
 
     def inside(self, temperature: npt.ArrayLike) -> BoolArray:
         """Tell which temperatures in °C the curve is supported at."""

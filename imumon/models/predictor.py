@@ -12,11 +12,9 @@ from imumon.effects.base import ACCEL, TEMPERATURE, Effect
 from imumon.effects.live import Carrier
 from imumon.effects.vibration import VIBRATION, Vibration
 from imumon.errors import bad_config
-from imumon.models.model import REACH, BiasModel, ChannelModel
+from imumon.models.model import REACH, BiasModel
 
 NO_DRIVERS: Mapping[str, FloatArray] = {}
-PIECES = 2048
-"""Pieces of the table that stands for a curve live; its error is 1e-9 of the curve's span or less."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,9 +37,7 @@ class BiasPredictor:
 
     Where there is no temperature the last one holds.  After a restart of the device (a new segment) there is
     none until the next reading: nobody knows how long the unit was off.  Outside the calibrated range see
-    `imumon.models.model.REACH`; effects see a temperature that is held there, and so any other driver.  Costs
-    about 0.1 µs per sample and channel, whatever the curve, and 50 µs per block; an effect costs 40 to 90 ns
-    in long blocks, and 0.2 ms for each block.
+    `imumon.models.model.REACH`; effects see a temperature that is held there, and so any other driver.
 
     Raises BAD_CONFIG when the model lacks a channel.
 
@@ -60,11 +56,7 @@ class BiasPredictor:
         models = [model.channels[name] for name in channels]
         self.temperature_columns = tuple(channel.temperature_column for channel in models)
         """Column to take each channel's temperature from."""
-        ranges = [channel.temperature_range_degc for channel in models]
-        self._low, self._high = np.array(ranges, np.float64).reshape(-1, 2).T
-        self._reach = np.array([channel.reach_degc for channel in models])
-        self._per_degc = PIECES / (self._high - self._low)
-        self._cubics = np.stack([_cubics(m) for m in models]) if models else np.empty((0, PIECES, 4))
+        self._models = models
         self._effects = [(at, effect, Carrier(effect)) for at, m in enumerate(models) for effect in m.effects]
         inputs = dict.fromkeys(name for _, effect, _ in self._effects for name in effect.inputs)
         self._vibration = Vibration() if VIBRATION in inputs else None
@@ -96,7 +88,7 @@ class BiasPredictor:
         others : mapping of str to array (n,)
             The columns `drivers`; without one of them the bias of a channel that needs it is NaN.
         """
-        n, k = len(time_ns), len(self._low)
+        n, k = len(time_ns), len(self._models)
         if temperature.shape != (n, k) or len(segment) != n:
             raise ValueError(f"temperature of shape {temperature.shape} for {n} samples of {k} channels")
         if self._vibration is not None and accel is not None and VIBRATION not in others:
@@ -105,23 +97,23 @@ class BiasPredictor:
         if self._forced:
             columns.append(np.full((n, 3), np.nan) if accel is None else accel)
         held = self._held(segment, np.column_stack(columns))
-        near = np.clip(held[:, :k], self._low, self._high)
-        bias, slope = self._curve(near)
-        outside = held[:, :k] - near
-        bias += np.where(outside == 0.0, 0.0, slope * np.clip(outside, -self._reach, self._reach))
-        slope[np.abs(outside) > self._reach] = 0.0
+        bias, slope, inside = np.empty((n, k)), np.empty((n, k)), np.empty((n, k), bool)
+        for at, model in enumerate(self._models):
+            bias[:, at], slope[:, at] = model.value_and_slope(held[:, at])
+            inside[:, at] = model.inside(held[:, at])
         drivers = dict(zip(self._others, held[:, k:].T, strict=False))
         if self._forced and accel is not None:
             drivers[ACCEL] = held[:, -3:]
         variance = np.zeros((n, k))
         for at, effect, carrier in self._effects:
             within = _within(effect, drivers)
-            low, high = self._low[at] - self._reach[at], self._high[at] + self._reach[at]
-            within[TEMPERATURE] = np.clip(held[:, at], low, high)
+            low, high = self._models[at].temperature_range_degc
+            reach = self._models[at].reach_degc
+            within[TEMPERATURE] = np.clip(held[:, at], low - reach, high + reach)
             added, start_sd = carrier.process(time_ns, segment, within)
             bias[:, at] += added
             variance[:, at] += start_sd**2
-        return Prediction(bias, slope, outside == 0.0, np.sqrt(variance))
+        return Prediction(bias, slope, inside, np.sqrt(variance))
 
     def of_block(self, block: SampleBlock) -> Prediction:
         """Return the expected bias at the samples of a block; columns that it lacks are missing."""
@@ -143,14 +135,6 @@ class BiasPredictor:
         self._last, self._segment = held[-1].copy(), int(segment[-1])
         return held
 
-    def _curve(self, temperature: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return value and slope of the curves at temperatures within their ranges, (n, k) each."""
-        position = (temperature - self._low) * self._per_degc
-        piece = np.minimum(np.where(np.isnan(position), 0.0, position).astype(np.int64), PIECES - 1)
-        s = position - piece
-        c0, c1, c2, c3 = self._cubics[np.arange(len(self._low)), piece].transpose(2, 0, 1)
-        return c0 + s * (c1 + s * (c2 + s * c3)), (c1 + s * (2.0 * c2 + 3.0 * s * c3)) * self._per_degc
-
 
 def _within(effect: Effect, drivers: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
     """Return the drivers of an effect, held where they leave what training showed."""
@@ -160,15 +144,3 @@ def _within(effect: Effect, drivers: Mapping[str, FloatArray]) -> dict[str, Floa
             far = scale.half_span * (1.0 + 2.0 * REACH)
             found[name] = np.clip(values, scale.middle - far, scale.middle + far)
     return found
-
-
-def _cubics(channel: ChannelModel) -> FloatArray:
-    """Return the curve over `PIECES` pieces of its range as cubics of 0 to 1, (PIECES, 4).
-
-    They have the curve's values and slopes where they meet.
-    """
-    low, high = channel.temperature_range_degc
-    at, width = np.linspace(low, high, PIECES + 1), (high - low) / PIECES
-    value, slope = channel.curve.value(at), channel.curve.slope(at) * width
-    y0, y1, d0, d1 = value[:-1], value[1:], slope[:-1], slope[1:]
-    return np.column_stack([y0, d0, 3.0 * (y1 - y0) - 2.0 * d0 - d1, 2.0 * (y0 - y1) + d0 + d1])

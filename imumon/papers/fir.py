@@ -39,7 +39,7 @@ from scipy.linalg import solve_triangular
 from imumon.blocks import FloatArray, IntArray
 from imumon.estimation.temperature_rate.output import RateEstimate
 from imumon.estimation.temperature_rate.stage import TemperatureRate
-from imumon.filters.segments import Breaks
+from imumon.filters.slots import Breaks
 
 ORDER = 3
 """Coefficients of the model α + βu + γe^(-u) (13)."""

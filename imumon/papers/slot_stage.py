@@ -7,8 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from imumon.blocks import NO_INT, BoolArray, FloatArray, IntArray, SampleBlock
-from imumon.filters.segments import Breaks
-from imumon.filters.slots import SlotGatherer, Slots, held
+from imumon.filters.slots import Breaks, SlotGatherer, Slots, held
 from imumon.models.model import BiasModel
 from imumon.models.predictor import BiasPredictor
 

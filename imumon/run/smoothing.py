@@ -8,8 +8,7 @@ import numpy as np
 
 from imumon.estimation.attitude.stage import AttitudeEstimate
 from imumon.estimation.gyro_bias.stage import RestAndBias
-from imumon.estimation.smoothing.record import Record, Recorder, backward
-from imumon.estimation.smoothing.stage import SmoothedEstimates, still_heading
+from imumon.estimation.smoothing.stage import Record, Recorder, SmoothedEstimates, backward, still_heading
 from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.pipeline import SampleSink
 from imumon.protocols.thermometer import TemperatureRateParameters

@@ -29,7 +29,6 @@ MAGNETIC = ("by hand", "by hand, magnet on the body", "by hand, magnet put on", 
 RATE_HZ, FLOOR_DEG = 50.0, 0.01
 TITLE = "Attitude, °: the angles are those of VQF in all rows, so the first columns are of the median sigma."
 _learned: Callable[[sigma.Gyros], float] = sigma.Gyros.variance.fget  # type: ignore[attr-defined]  # mypy takes the property for its value
-_step = sigma.TiltSigma.step
 
 
 def _prior(_: sigma.Gyros) -> float:
@@ -44,11 +43,6 @@ def _nothing(*_: Any) -> float:
     return 0.0
 
 
-def _as_in_motion(tilt: sigma.TiltSigma, slot: sigma.Slot) -> float:
-    tilt.rested |= slot.rest
-    return _step(tilt, slot._replace(rest=False))
-
-
 VARIANTS: dict[str, Change] = {
     "lag 3 s, which never confirms gyros": [(sigma, "LAG_S", 3.0)],
     "lag 12 s": [(sigma, "LAG_S", 12.0)],
@@ -58,7 +52,7 @@ VARIANTS: dict[str, Change] = {
     "s0 4 %": [(sigma, "SCALE_SD", 0.04)],
     "w0 0.5 rad²": [(sigma, "SCALE_TURN", 0.5)],
     "w0 8 rad²": [(sigma, "SCALE_TURN", 8.0)],
-    "no delay": [(sigma.TiltSigma, "_not_followed", _nothing)],
+    "no delay": [(sigma.TiltSigma, "not_followed", _nothing)],
     "gyros are always confirmed": [(sigma.Gyros, "confirmed", True)],
     "confirmed at 1 rad²": [(sigma, "CONFIRMING_TURN", 1.0)],
     "largest change 1 %": [(sigma, "LARGEST_CHANGE", 0.01)],
@@ -66,7 +60,6 @@ VARIANTS: dict[str, Change] = {
     "a0 5 mg": [(sigma, "ACCEL_SD", 0.05)],
     "a0 15 mg": [(sigma, "ACCEL_SD", 0.15)],
     "force less gravity not used": [(sigma.Accelerometers, "learn", _nothing)],
-    "rest not used": [(sigma.TiltSigma, "step", _as_in_motion)],
     "k_iron 1 %": [(sigma, "IRON", 0.01)],
     "k_iron 4 %": [(sigma, "IRON", 0.04)],
     "iron forgotten in 0.1 s": [(sigma, "IRON_MEMORY_S", 0.1)],

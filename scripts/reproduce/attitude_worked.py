@@ -40,7 +40,7 @@ class Recorded(TiltSigma):
         """Take a slot and keep its terms."""
         variance = super().step(slot)
         change = float(((slot.up - self.lag[0][0]) ** 2).sum())
-        late = 0.0 if slot.rest else self._not_followed(slot.up)
+        late = self.not_followed(slot.up)
         terms = 0.5 * change, self.mean, late
         self.slots.append((slot.rest, *terms, self.gyros.variance, self.gyros.confirmed, variance))
         return variance

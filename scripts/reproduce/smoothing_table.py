@@ -13,9 +13,8 @@ from imumon.blocks import FloatArray, SampleBlock
 from imumon.estimation.alignment.parameters import AlignmentParameters
 from imumon.estimation.alignment.stage import Alignment
 from imumon.estimation.gyro_bias.stage import RestAndBias
-from imumon.estimation.smoothing.record import Record as Forward
-from imumon.estimation.smoothing.record import Recorder, backward
-from imumon.estimation.smoothing.stage import SmoothedEstimates, still_heading
+from imumon.estimation.smoothing.stage import Record as Forward
+from imumon.estimation.smoothing.stage import Recorder, SmoothedEstimates, backward, still_heading
 from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.geodesy import DEG_PER_H
 from imumon.simulation.unit import load_scenario

@@ -9,6 +9,7 @@ from __future__ import annotations
 import copyreg
 import math
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -24,31 +25,21 @@ count, and at 50 Hz the attitude begins after 0.3 s."""
 TAU_ACC_S, TAU_MAG_S = 3.0, 9.0
 """VQF's defaults, s: so slowly the vertical follows the accelerometers, and the heading the magnetometer."""
 ROW = np.dtype(
-    [(name, np.float64, (3,)) for name in ("angle", "path", "field", "slot_path")]
-    + [(name, np.float64, (4,)) for name in ("quat6d", "acc_quat", "gyr_quat")]
-    + [(name, np.float64) for name in ("low_force", "delta", "tilt", "heading", "gyros")]
+    [(name, np.float64, (4,)) for name in ("quat6d", "acc_quat", "gyr_quat")]
+    + [(name, np.float64) for name in ("low_force", "delta")]
     + [(name, np.int64) for name in ("north", "follows")]
 )
-"""A sample and what is made of it; NaN before the filter has begun.
+"""What VQF makes of a sample; NaN and 0 before it has begun.
 
-angle : turn since the sample before, rad, zero at rest
-path : running sum of the angles, rad
-field : latest magnetic field, any unit; NaN before the first
-quat6d, acc_quat, gyr_quat : VQF's quaternions w, x, y, z, from body to level axes without north; from
-    gyro-carried to level; from body to gyro-carried
+quat6d, acc_quat, gyr_quat : quaternions w, x, y, z, from body to level axes without north; from gyro-carried
+    to level; from body to gyro-carried
 low_force : magnitude of the low-passed specific force, m/s²
 delta : counterclockwise angle from quat6d to the attitude, rad: VQF's by the field, or that to the declared
     heading
 north, follows : whether the field has shown north, and whether the heading follows it: VQF rejects a
     disturbed field for some time
-tilt, heading, gyros, slot_path : at the end of the latest slot the variances of both, rad²,
-    `sigma.Gyros.turn_variance`, and the path
 """
 Rows = npt.NDArray[np.void]
-BEFORE_FIRST: Rows = np.zeros(1, ROW)
-"""What holds before the first sample."""
-for _name in ("field", "tilt", "heading"):
-    BEFORE_FIRST[_name] = math.nan
 
 
 def _restored(intervals_s: Sequence[float], params: dict[str, Any], state: dict[str, Any]) -> VQF:
@@ -88,12 +79,18 @@ def heading(q: FloatArray) -> FloatArray:
 
 
 class Fusion:
-    """Attitude until the next restart or gap; a relative heading begins at `begins_at`, rad."""
+    """Attitude by VQF, anew after each restart or gap; a relative heading begins at `begins_at`, rad."""
 
     def __init__(self, begins_at: float) -> None:
         self._begins_at = begins_at
+        self.restarts = 0
+        """How often an attitude has ended, for another to begin."""
+        self._begin()
+
+    def _begin(self) -> None:
         self._first: list[int] = []
-        self._mags = 0
+        self._fields = 0
+        """Times of the samples whose rate is learned, ns, and how many of them have a field."""
         self._vqf: VQF | None = None
         self._interval_s = 0.0
         self._bias_known = False
@@ -110,51 +107,62 @@ class Fusion:
         return not math.isnan(self._delta)
 
     def process(
-        self, rows: Rows, time_ns: IntArray, accel: FloatArray, has_mag: BoolArray, bias_known: bool
-    ) -> None:
-        """Follow rows, (n,), and fill in what is found.
+        self, begins: BoolArray, bias_known: BoolArray, time_ns: IntArray, *sensors: FloatArray
+    ) -> Rows:
+        """Return the rows, (n,), of samples; an attitude begins where `begins`.
 
-        `accel` (n, 3) is the specific force, m/s², zero where there is none; `has_mag` (n,) is where `field`
-        is of this very row.  VQF estimates the bias unless it is known, and the angles are without it.
+        The sensors, (n, 3) each, are the turn since the sample before, rad, zero at rest; the specific force,
+        m/s², and the magnetic field, any unit, both zero where there is none.  VQF estimates the bias unless
+        it is known, and the angles are without it.
         """
-        start = self._learn_rate(time_ns, accel, has_mag)
-        if start == len(rows) or self._vqf is None:
-            return
+        rows = np.zeros(len(time_ns), ROW)
+        for name in ("quat6d", "acc_quat", "gyr_quat", "low_force", "delta"):
+            rows[name] = math.nan
+        changes = np.flatnonzero(begins | np.diff(bias_known, prepend=False)).tolist()
+        for start, stop in pairwise(sorted({0, len(rows), *changes})):
+            if begins[start]:
+                self.restarts += self.begun
+                self._begin()
+            angle, accel, field = (values[start:stop] for values in sensors)
+            first = self._learn_rate(time_ns[start:stop], accel, field)
+            if first < stop - start:
+                part = rows[start + first : stop]
+                self._follow(part, angle[first:], accel[first:], field[first:], bool(bias_known[start]))
+        return rows
+
+    def _follow(
+        self, rows: Rows, angle: FloatArray, accel: FloatArray, field: FloatArray, bias_known: bool
+    ) -> None:
+        """Fill in rows, once the rate is known."""
+        vqf = self._vqf
+        assert vqf is not None
         if bias_known != self._bias_known:
             self._bias_known = bias_known
-            self._vqf.setBiasEstimate(np.zeros(3), math.radians(self._vqf.params["biasSigmaInit"]))
-            self._vqf.setMotionBiasEstEnabled(not bias_known)
-            self._vqf.setRestBiasEstEnabled(not bias_known)
-        rows, accel, has_mag = rows[start:], accel[start:], has_mag[start:]
-        inputs = [rows["angle"] * (1.0 / self._interval_s), accel]
-        with_mag = self.north or bool(has_mag.any())
-        if with_mag:
-            inputs.append(np.where(has_mag[:, np.newaxis], rows["field"], 0.0))
-        found = self._vqf.updateBatchFullState(*inputs)
+            vqf.setBiasEstimate(np.zeros(3), math.radians(vqf.params["biasSigmaInit"]))
+            vqf.setMotionBiasEstEnabled(not bias_known)
+            vqf.setRestBiasEstEnabled(not bias_known)
+        found = vqf.updateBatchFullState(angle * (1.0 / self._interval_s), accel, field)
         for name, of_vqf in (("quat6d", "quat6D"), ("acc_quat", "accQuat"), ("gyr_quat", "gyrQuat")):
             rows[name] = found[of_vqf]
         rows["low_force"] = np.sqrt((found["lastAccLp"] ** 2).sum(1))
         if not self.begun:
             self._delta = float(heading(rows["quat6d"][:1])[0]) - self._begins_at
-        rows["delta"] = self._delta
-        if not with_mag:
-            return
-        north = self.north | np.logical_or.accumulate(has_mag)
-        rows["north"], rows["delta"] = north, np.where(north, found["delta"], self._delta)
+        rows["north"] = self.north | np.logical_or.accumulate(field.any(axis=1))
+        rows["delta"] = np.where(rows["north"], found["delta"], self._delta)
         # Before it has taken a field as its reference VQF calls every field disturbed, and follows it.
         disturbed = found["magDistDetected"] & (found["magRefNorm"] > 0.0)
-        rows["follows"] = ~disturbed | (found["magRejectT"] > self._vqf.params["magMaxRejectionTime"])
-        self.north, self.disturbed = True, bool(disturbed[-1])
+        rows["follows"] = ~disturbed | (found["magRejectT"] > vqf.params["magMaxRejectionTime"])
+        self.north, self.disturbed = bool(rows["north"][-1]), bool(disturbed[-1])
 
-    def _learn_rate(self, time_ns: IntArray, accel: FloatArray, has_mag: BoolArray) -> int:
+    def _learn_rate(self, time_ns: IntArray, accel: FloatArray, field: FloatArray) -> int:
         """Take the rate from the first intervals; return the first row that the filter may have."""
         start = 0
         while self._vqf is None and start < len(time_ns):
             self._first.append(int(time_ns[start]))
-            self._mags += bool(has_mag[start])
+            self._fields += bool(field[start].any())
             if len(self._first) > RATE_SAMPLES and accel[start].any():
                 self._interval_s = max(float(np.median(np.diff(self._first))), 1.0) * 1e-9
-                mag_s = self._interval_s * (len(self._first) / self._mags if self._mags else 1.0)
-                self._vqf = VQF(self._interval_s, magTs=mag_s, tauAcc=TAU_ACC_S, tauMag=TAU_MAG_S)
+                field_s = self._interval_s * (len(self._first) / self._fields if self._fields else 1.0)
+                self._vqf = VQF(self._interval_s, magTs=field_s, tauAcc=TAU_ACC_S, tauMag=TAU_MAG_S)
             start += 1
         return start

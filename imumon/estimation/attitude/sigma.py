@@ -16,13 +16,13 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass, field
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.estimation.attitude.fusion import TAU_ACC_S, TAU_MAG_S, Rows
+from imumon.estimation.attitude.fusion import TAU_ACC_S, TAU_MAG_S
 from imumon.geodesy import STANDARD_GRAVITY
 from imumon.models.magnetometer import MagnetometerModel
 
@@ -51,23 +51,25 @@ shows it again.  Ablation."""
 
 
 class Slot(NamedTuple):
-    """Half a second of motion or rest; vectors in gyro-carried axes unless stated otherwise.
+    """Half a second of motion or rest.
 
-    `rest` is whether the unit was at rest for the whole slot; `up` and `up_body` (3,) are u at its end, in
-    gyro-carried and in body axes; `force` (3,) is the mean specific force and `low_force` the magnitude of
-    the low-passed one at its end, m/s², NaN where there is none.  `wrong_turns` (3, 9) are the q_ij, rad, in
-    column 3 i + j; `missed` is the variance of the angle by samples that are missing, rad², and `bias_sd` the
-    standard deviation of the gyro bias about the vertical, rad/s, NaN while it is not known.
+    end : `fusion.ROW` of the first sample behind it
+    rest : whether the unit was at rest for the whole slot, with a known bias
+    up, up_body : (3,) u at its end, in gyro-carried and in body axes
+    wrong_turns : (3, 9) the q_ij, rad, in gyro-carried axes, in column 3 i + j; zero at rest
+    missed : variance of the angle by samples that are missing, rad²
+    bias_sd : standard deviation of the gyro bias about the vertical, rad/s; NaN while it is not known
+    field : (3,) latest magnetic field in body axes, in the unit of the calibration; NaN before the first
     """
 
+    end: Any
     rest: bool
     up: FloatArray
     up_body: FloatArray
-    force: FloatArray
-    low_force: float
     wrong_turns: FloatArray
     missed: float
     bias_sd: float
+    field: FloatArray
 
 
 def tilt_squared(wrong_turns: FloatArray, up: FloatArray) -> FloatArray:
@@ -75,32 +77,30 @@ def tilt_squared(wrong_turns: FloatArray, up: FloatArray) -> FloatArray:
     return np.asarray((wrong_turns * wrong_turns).sum(0) - (up @ wrong_turns) ** 2)
 
 
-@dataclass(slots=True)
 class Accelerometers:
     """Size of the accelerometers' error: a² = a0² + 2 mean e², e the mean of |low-passed force| - g of each
     face of the body that was up; a declared a is taken as it is."""
 
-    declared: float | None
-    face_s: FloatArray = field(default_factory=lambda: np.zeros(6))
-    """Time for which each face was up, s."""
-    face_sum: FloatArray = field(default_factory=lambda: np.zeros(6))
-    """Integral of |low-passed force| - g over it, m/s."""
+    def __init__(self, declared: float | None) -> None:
+        self.declared = declared
+        self.slots, self.excess = np.zeros((2, 6))
+        """Of each face: slots in which it was up, and the sum of |low-passed force| - g over them, m/s²."""
 
     def learn(self, up_body: FloatArray, low_force: float) -> None:
         """Take a slot."""
         axis = int(np.argmax(np.abs(up_body)))
         face = 2 * axis + int(up_body[axis] > 0.0)
-        self.face_s[face] += SLOT_S
-        self.face_sum[face] += SLOT_S * (low_force - STANDARD_GRAVITY)
+        self.slots[face] += 1.0
+        self.excess[face] += low_force - STANDARD_GRAVITY
 
     @property
     def variance(self) -> float:
         """a², (m/s²)²; the 2 in it is a margin, as e shows one of three components."""
         if self.declared is not None:
             return self.declared**2
-        known = self.face_s > 0.0
-        e2 = (self.face_sum[known] / self.face_s[known]) ** 2
-        return ACCEL_SD**2 + 2.0 * float(e2.mean() if len(e2) else 0.0)
+        squares = (self.excess / np.maximum(self.slots, 1.0)) ** 2
+        faces = int(np.count_nonzero(self.slots))
+        return ACCEL_SD**2 + 2.0 * float(squares.sum()) / max(faces, 1)
 
 
 @dataclass(slots=True)
@@ -118,22 +118,20 @@ class Gyros:
     def learn(self, change: float, wrong_turns: FloatArray, up: FloatArray) -> None:
         """Take d, rad², and q_ij, (n, 3, 9), of the slots of the last lag."""
         share = SLOT_S / LAG_S  # successive lags overlap
-        own = wrong_turns[: -round(TAU_ACC_S / SLOT_S)].sum(0)[:, ::4]
-        # A turn counts as a quarter of a circle at most: by half a circle each way the vertical is the same.
-        circle = np.maximum((own**2).sum(0) / (0.5 * math.pi) ** 2, 1.0)
+        followed = wrong_turns[: -round(TAU_ACC_S / SLOT_S)].sum(0)
         self.change += share * change
         self.turned += share * float(tilt_squared(wrong_turns.sum(0), up).sum())
-        self.followed += share * float((tilt_squared(own, up) / circle).sum())
+        self.followed += share * float(tilt_squared(followed, up)[::4].sum())
 
     @property
     def confirmed(self) -> bool:
         """Whether the gyros have turned the vertical as they should."""
-        return self.followed > CONFIRMING_TURN and self.change < LARGEST_CHANGE * self.followed
+        return self.followed > CONFIRMING_TURN and not self.contradicted
 
     @property
     def contradicted(self) -> bool:
         """Whether they have turned it enough and not as they should."""
-        return self.followed > CONFIRMING_TURN and not self.confirmed
+        return self.followed > CONFIRMING_TURN and self.change >= LARGEST_CHANGE * self.followed
 
     @property
     def variance(self) -> float:
@@ -160,39 +158,32 @@ class TiltSigma:
         self.lag: deque[tuple[FloatArray, FloatArray]] = deque(maxlen=round(LAG_S / SLOT_S) + 1)
         """u and q_ij of the slots of the last lag, and those before it."""
         self.mean = 0.0
-        """m, the mean of d/4 over 18 s of motion, rad²: d is of two axes, and u is off at both moments."""
+        """m, the mean of d/4 over 18 s, rad²: d is of two axes, and u is off at both moments."""
         self.late = np.zeros((3, 9))
         """q_ij that are forgotten within τ, rad."""
         self.rested = False
         """Whether the unit has been at rest since the attitude began."""
 
     def step(self, slot: Slot) -> float:
-        """Take a slot; return the variance at its end, rad²; NaN while nothing is known.
+        """Take a slot; return the variance at its end, max(m, d/2, l) + a²/g², rad².
 
-        At rest it is |u - f/|f||² / 2 + a²/g², with the mean specific force f.
+        d/2, as u was right where a motion begins: all its change is error.  NaN for 6 s where the attitude
+        begins in motion: there is no earlier vertical to compare with.
         """
-        self.lag.append((slot.up, np.zeros((3, 9)) if slot.rest else slot.wrong_turns))
+        self.lag.append((slot.up, slot.wrong_turns))
         change = float(((slot.up - self.lag[0][0]) ** 2).sum())
-        if math.isfinite(slot.low_force):
-            self.accelerometers.learn(slot.up_body, slot.low_force)
+        self.accelerometers.learn(slot.up_body, float(slot.end["low_force"]))
         latest = list(self.lag)[-round(LAG_S / SLOT_S) :]
         self.gyros.learn(change, np.array([wrong_turns for _, wrong_turns in latest]), slot.up)
-        if slot.rest:
-            self.rested, self.late = True, np.zeros((3, 9))
-            variance = 0.5 * float(((slot.up - slot.force / np.linalg.norm(slot.force)) ** 2).sum())
-        else:
-            variance = self._in_motion(slot, change)
-        return variance + self.accelerometers.variance / STANDARD_GRAVITY**2
-
-    def _in_motion(self, slot: Slot, change: float) -> float:
-        """Return max(m, d/2, l), rad²; d/2 as u was right where a motion begins: all its change is error."""
+        self.rested |= slot.rest
         self.mean += SLOT_S / (3.0 * LAG_S) * (0.25 * change - self.mean)
         self.late = math.exp(-SLOT_S / TAU_ACC_S) * self.late + slot.wrong_turns
         if not self.rested and SLOT_S * len(self.lag) < LAG_S:
-            return math.nan  # begun in motion: there is no earlier vertical to compare with
-        return max(self.mean, 0.5 * change, self._not_followed(slot.up))
+            return math.nan
+        changed = max(self.mean, 0.5 * change, self.not_followed(slot.up))
+        return changed + self.accelerometers.variance / STANDARD_GRAVITY**2
 
-    def _not_followed(self, up: FloatArray) -> float:
+    def not_followed(self, up: FloatArray) -> float:
         """Return l, rad², by turns of the last τ, which u has not followed yet."""
         return 0.5 * self.gyros.error_variance(tilt_squared(self.late, up))
 
@@ -221,11 +212,8 @@ class HeadingSigma:
         self.iron = 0.0
         """Largest along² + across² lately, in the square of the field's unit."""
 
-    def step(self, slot: Slot, end: Rows, tilt_variance: float) -> float:
-        """Process a slot; return the variance of the heading, or of its change where it is relative, rad².
-
-        `end` is the last sample of the slot, a `fusion.ROW` with the field in the unit of the calibration.
-        """
+    def step(self, slot: Slot, tilt_variance: float) -> float:
+        """Take a slot; return the variance of the heading, or of its change where it is relative, rad²."""
         if math.isnan(slot.bias_sd):
             self.about_up, self.earlier, self.moving_s = np.zeros(9), 0.0, 0.0
         bias_sd = math.hypot(slot.bias_sd, self.earth_rate)
@@ -236,16 +224,16 @@ class HeadingSigma:
             self.moving_s += SLOT_S
             self.about_up += slot.up @ slot.wrong_turns
             self.earlier += slot.missed
-        if end["north"] and end["follows"]:  # the field corrects what is older than τ
+        if slot.end["north"] and slot.end["follows"]:  # the field corrects what is older than τ
             keep = math.exp(-SLOT_S / TAU_MAG_S)
             self.about_up *= keep
             self.moving_s *= keep
             self.earlier *= keep**2
             self.field_correction *= keep
         relative = self.gyros.error_variance(self.about_up**2) + self.earlier + (bias_sd * self.moving_s) ** 2
-        return self._magnetic(slot.up_body, end, tilt_variance, relative) if end["north"] else relative
+        return self._magnetic(slot, tilt_variance, relative) if slot.end["north"] else relative
 
-    def _magnetic(self, up_body: FloatArray, end: Rows, tilt_variance: float, relative: float) -> float:
+    def _magnetic(self, slot: Slot, tilt_variance: float, relative: float) -> float:
         """Return (e_cal² + e_iron² + B_v² θ²) / B_h² + v, NaN where the magnetometer is not calibrated.
 
         θ² is the variance of the tilt and v that of the relative heading.  e_cal is the error of the
@@ -255,15 +243,15 @@ class HeadingSigma:
         positive.
         """
         if not math.isnan(self.delta):  # at first the field shows where north is: that is no change
-            self.field_correction += math.remainder(end["delta"] - self.delta, 2.0 * math.pi)
-        self.delta, magnetometer = float(end["delta"]), self.magnetometer
-        strength, vertical = float(np.linalg.norm(end["field"])), float(end["field"] @ up_body)
-        horizontal2 = max(strength**2 - vertical**2, 0.0)
+            self.field_correction += math.remainder(slot.end["delta"] - self.delta, 2.0 * math.pi)
+        self.delta, magnetometer = float(slot.end["delta"]), self.magnetometer
+        strength, vertical = float(np.linalg.norm(slot.field)), float(slot.field @ slot.up_body)
+        horizontal2 = strength**2 - vertical**2
         if magnetometer is None or not horizontal2 > 0.0:
             return math.nan
         prior = magnetometer.error_sd**2 + (IRON * magnetometer.field) ** 2 + vertical**2 * tilt_variance
         across2 = horizontal2 * (self.field_correction**2 - relative) - prior
         self.iron *= math.exp(-SLOT_S / IRON_MEMORY_S)
-        if end["follows"] and math.isfinite(across2):
+        if slot.end["follows"] and math.isfinite(across2):
             self.iron = max(self.iron, (strength - magnetometer.field) ** 2 + max(across2, 0.0))
         return (prior + 2.0 * self.iron) / horizontal2 + relative

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from itertools import pairwise
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
-from imumon.blocks import NO_INT, BoolArray, ColumnArray, FloatArray, IntArray, SampleBlock, missing
+from imumon.blocks import NO_INT, BoolArray, ColumnArray, FloatArray, SampleBlock, missing
 from imumon.columns import Column
-from imumon.estimation.attitude.fusion import BEFORE_FIRST, Fusion, Rows, heading, matrices
+from imumon.estimation.attitude.fusion import Fusion, Rows, heading, matrices
 from imumon.estimation.attitude.parameters import AttitudeParameters
 from imumon.estimation.attitude.sigma import SLOT_S, Accelerometers, Gyros, HeadingSigma, Slot, TiltSigma
 from imumon.estimation.rest.parameters import retired
-from imumon.filters.slots import SlotGatherer, Slots
+from imumon.filters.slots import SlotGatherer, Slots, held
 from imumon.geodesy import EARTH_RATE, LEAST_HORIZONTAL
 from imumon.lane import LaneState, Level
 from imumon.models.magnetometer import MagnetometerModel
@@ -67,22 +66,25 @@ class AttitudeEstimate:
         self._magnetometer = magnetometer
         self._heading = math.radians(heading_deg or 0.0)
         self._slots = SlotGatherer(10, int(SLOT_S * 1e9), turns=True)
-        """Of rate, specific force and sigma of the gyro bias, three each, and whether the unit is at rest."""
+        """Of rate, sigma of the gyro bias and magnetic field, three each, and whether the unit is at rest."""
         self._accelerometers, self._gyros = Accelerometers(given.accel_bias_m_per_s2), Gyros(given.gyro_scale)
         # Where the latitude is known its vertical part is not in the bias, and turns the heading.  Elsewhere
         # it is in the bias, whose standard deviation has what is no bias after a turn.
         self._earth_rate = EARTH_RATE * abs(math.sin(math.radians(latitude_deg or 0.0)))
+        self._fusion, self._field = Fusion(self._heading), np.full(3, math.nan)
         self._begin()
-        self._last = BEFORE_FIRST
+        self._path = np.zeros(3)
+        """Sum of the angles of all samples, rad."""
+        self._shown = np.array([math.nan, math.nan, 0.0, 0.0, 0.0, 0.0])
+        """Of the latest slot: variances of tilt and heading, rad², `Gyros.turn_variance`, and the path."""
         self._last_time: tuple[int, int] | None = None
-        self._restarts = 0
-        """How often an attitude has ended, for another to begin."""
+        self._attitudes = 0
+        """How often one had to begin anew."""
         self._device_has_attitude = False
         self._reported: set[str] = set()
 
     def _begin(self) -> None:
-        """Begin an attitude; what is known of the sensors stays."""
-        self._fusion = Fusion(self._heading)
+        """Begin the sigma of an attitude; what is known of the sensors stays."""
         self._tilt_sigma = TiltSigma(self._accelerometers, self._gyros)
         self._heading_sigma = HeadingSigma(self._gyros, self._magnetometer, self._earth_rate)
 
@@ -100,97 +102,77 @@ class AttitudeEstimate:
         usable = np.flatnonzero((block["device_time_ns"] != NO_INT) & _finite(gyro))
         if len(usable):
             block = SampleBlock({name: values[usable] for name, values in block.columns.items()})
-            for values, each in zip(found.values(), self._output(self._estimate(block)), strict=True):
+            for values, each in zip(found.values(), self._estimate(block), strict=True):
                 values[usable] = each
         return found
 
-    def _estimate(self, block: SampleBlock) -> Rows:
-        """Return the rows of samples with a time and a rate."""
+    def _estimate(self, block: SampleBlock) -> list[ColumnArray]:
+        """Return the columns of samples with a time and a rate."""
         time_ns, rate = block["device_time_ns"], np.asarray(block.gyro)
-        corrected, accel = block.vector("gyro_corrected"), np.asarray(block.accel)
-        known = np.zeros(len(block), bool) if corrected is None else _finite(corrected)
-        rate = rate if corrected is None else np.where(known[:, np.newaxis], corrected, rate)
+        corrected, bias_sd = (_vector(block, name) for name in ("gyro_corrected", "gyro_bias_sd"))
+        known = _finite(corrected)
         rest = known & (block["at_rest"] == 1 if "at_rest" in block else False)
-        begins, interval_s = self._intervals(time_ns, block["segment"])
-        bias_sd = block.vector("gyro_bias_sd")
-        bias_sd = np.full_like(rate, math.nan) if bias_sd is None else bias_sd
-        values = np.column_stack([rate, accel, bias_sd, rest])
-        slots = self._slots.process(time_ns, block["segment"], values)
-        rows, has_mag = self._rows(block, np.where(rest, 0.0, interval_s)[:, np.newaxis] * rate)
-        accel = np.where(_finite(accel)[:, np.newaxis], accel, 0.0)
-        changes = np.flatnonzero(begins | np.diff(known, prepend=False))
-        k = 0
-        for start, stop in pairwise(sorted({0, len(block), *changes.tolist()})):
-            part = slice(start, stop)
-            if begins[start]:
-                self._restarts += self._fusion.begun
-                self._begin()
-                rows["tilt"][start:] = rows["heading"][start:] = math.nan
-            self._fusion.process(rows[part], time_ns[part], accel[part], has_mag[part], bool(known[start]))
-            while k < len(slots) and slots.row[k] < stop:
-                self._end_slot(rows[slots.row[k] :], slots, k)
-                k += 1
-        self._last = rows[-1:].copy()
-        return rows
-
-    def _intervals(self, time_ns: IntArray, segment: IntArray) -> tuple[BoolArray, FloatArray]:
-        """Return whether an attitude begins (restart, gap), and the time since the row before, s; (n,)."""
-        last_ns, last_segment = self._last_time or (int(time_ns[0]), int(segment[0]))
-        self._last_time = int(time_ns[-1]), int(segment[-1])
-        interval = np.diff(time_ns, prepend=last_ns)
-        restarted = np.diff(segment, prepend=last_segment) != 0
-        return restarted | (interval > GAP_NS) | (interval < 0), np.asarray(interval * 1e-9)
-
-    def _rows(self, block: SampleBlock, angle: FloatArray) -> tuple[Rows, BoolArray]:
-        """Return the samples before the filter has seen them, (n,), and whether each has a field, (n,)."""
-        rows = np.repeat(self._last, len(block))
-        rows["angle"] = angle
-        rows["path"] = np.cumsum(np.vstack([self._last["path"], angle]), axis=0)[1:]
-        mag = block.mag if self._parameters.use_magnetometer else None
-        field = np.full_like(angle, math.nan) if mag is None else mag
+        rate = np.where(known[:, np.newaxis], corrected, rate) * ~rest[:, np.newaxis]
+        last_ns, last_segment = self._last_time or (time_ns[0], block["segment"][0])
+        self._last_time = time_ns[-1], block["segment"][-1]
+        interval_ns = np.diff(time_ns, prepend=last_ns)
+        begins = np.diff(block["segment"], prepend=last_segment) != 0
+        begins |= (interval_ns > GAP_NS) | (interval_ns < 0)
+        attitude = self._attitudes + np.cumsum(begins)
+        self._attitudes = int(attitude[-1])
+        field = _vector(block, "mag")
+        if not self._parameters.use_magnetometer:
+            field[:] = math.nan
         if self._magnetometer is not None:
             field = self._magnetometer.corrected(field)
-        has_mag = _finite(field)
-        latest = np.maximum.accumulate(np.where(has_mag, np.arange(1, len(rows) + 1), 0))
-        rows["field"] = np.vstack([self._last["field"], field])[latest]
-        for name in ("quat6d", "acc_quat", "gyr_quat", "low_force"):
-            rows[name] = math.nan
-        return rows, has_mag
+        angle = 1e-9 * interval_ns[:, np.newaxis] * rate
+        sensors = angle, _complete(np.asarray(block.accel)), _complete(field)
+        rows = self._fusion.process(begins, known, time_ns, *sensors)
+        path = np.cumsum(np.vstack([self._path, angle]), axis=0)[1:]
+        slots = self._slots.process(time_ns, attitude, np.column_stack([rate, bias_sd, field, rest]))
+        ended = [[*self._end_slot(rows[row], slots, k), *path[row]] for k, row in enumerate(slots.row)]
+        shown = held(slots.row, np.reshape(ended, (-1, 6)), self._shown, len(rows))
+        self._path, self._shown = path[-1], shown[-1]
+        return self._output(rows, angle, path, shown)
 
-    def _end_slot(self, rows: Rows, slots: Slots, k: int) -> None:
-        """Estimate how far the attitude is off at the end of a slot; it holds for the rows behind it."""
-        end, turn = rows[0], slots.turns[k]
-        if np.isnan(end["quat6d"][0]):
-            return
+    def _end_slot(self, end: Any, slots: Slots, k: int) -> tuple[float, float, float]:
+        """Return the variances of tilt and heading, rad², and of a turn over its square, behind slot k.
+
+        `end` is the first row behind the slot; they are NaN where an attitude begins with it.
+        """
+        if slots.begins[k]:
+            self._begin()
+        turn, bias_sd, field = slots.turns[k], slots.last[k, 3:6], slots.last[k, 6:9]
+        self._field = np.where(np.isfinite(field), field, self._field)
+        if not end["low_force"] > 0.0:
+            return math.nan, math.nan, 0.0
         body, leveled, carried = matrices(np.array([end["quat6d"], end["acc_quat"], end["gyr_quat"]]))
-        force = carried @ slots.mean[k, 3:6]
         slot = Slot(
-            rest=bool(slots.smallest[k, 9] == 1.0 and force @ force > 0.0),
+            end,
+            rest=bool(slots.smallest[k, 9] == 1.0),
             up=leveled[2],
             up_body=body[2],
-            force=force,
-            low_force=float(end["low_force"]) or math.nan,
             wrong_turns=carried @ turn.rotation.T @ turn.by_scale.reshape(3, 9),
             missed=turn.missed,
-            bias_sd=float(np.linalg.norm(body[2] * slots.last[k, 6:9])),
+            bias_sd=float(np.linalg.norm(body[2] * bias_sd)),
+            field=self._field,
         )
-        rows["tilt"] = tilt = self._tilt_sigma.step(slot)
-        rows["heading"] = self._heading_sigma.step(slot, end, tilt)
-        rows["slot_path"], rows["gyros"] = end["path"], self._gyros.turn_variance
+        tilt = self._tilt_sigma.step(slot)
+        return tilt, self._heading_sigma.step(slot, tilt), self._gyros.turn_variance
 
-    def _output(self, rows: Rows) -> list[ColumnArray]:
-        """Return the columns of rows, (n,) each."""
+    def _output(
+        self, rows: Rows, angle: FloatArray, path: FloatArray, shown: FloatArray
+    ) -> list[ColumnArray]:
+        """Return the columns of rows, (n,) each; `shown` (n, 6) is of the latest slot."""
         c, s = np.cos(0.5 * rows["delta"]), np.sin(0.5 * rows["delta"])
         w, x, y, z = rows["quat6d"].T
         q = np.column_stack([c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w])
         up = matrices(q)[:, 2]
         # What was turned wrong since the latest slot, and half an interval: a rate may be the mean of the
         # interval before or that of the moment.
-        since = ((rows["path"] - rows["slot_path"]) ** 2).sum(1) * rows["gyros"]
-        since += (rows["angle"] ** 2).sum(1) / 12.0
-        tilt = rows["tilt"] + since
-        heading_variance = rows["heading"] + since + tilt_into_heading(up, tilt)
-        variances = np.array([tilt, heading_variance])
+        since = ((path - shown[:, 3:]) ** 2).sum(1) * shown[:, 2] + (angle**2).sum(1) / 12.0
+        tilt = shown[:, 0] + since
+        variances = np.array([tilt, shown[:, 1] + since + tilt_into_heading(up, tilt)])
         # More than a radian is no small angle, and its standard deviation means nothing.
         tilt_sd, heading_sd = np.sqrt(np.where(variances < 1.0, variances, math.nan))
         known = np.isfinite(up[:, 2])
@@ -199,7 +181,7 @@ class AttitudeEstimate:
         # The third axis of the level frame that the body axes are like, in body axes.
         along, across, third = -self._down * up.T
         roll, pitch = np.arctan2(across, third), -np.arcsin(np.clip(along, -1.0, 1.0))
-        north = np.where(np.isnan(q[:, 0]), NO_INT, rows["north"])
+        north = np.where(known, rows["north"], NO_INT)
         return [*q.T, roll, pitch, tilt_sd, heading(q), heading_sd, north]
 
     def lanes(self) -> Mapping[str, LaneState]:
@@ -223,6 +205,7 @@ class AttitudeEstimate:
 
     def _conditions(self) -> dict[str, bool]:
         north, begun = self._fusion.north, self._fusion.begun
+        restarts = self._fusion.restarts
         reference = f"counts from {math.degrees(self._heading):.0f}°"
         return {
             "attitude: in turns the accelerometers show another vertical than the gyros carry, so the "
@@ -235,9 +218,9 @@ class AttitudeEstimate:
             "record a figure-eight, then: imumon magnetometer SESSION --out MODEL.yaml": (
                 north and self._magnetometer is None
             ),
-            f"attitude: reinitialized, {self._restarts} times so far, after a restart or a gap of more than "
+            f"attitude: reinitialized, {restarts} times so far, after a restart or a gap of more than "
             f"{GAP_NS * 1e-9:g} s, in which the unit may have turned"
-            + ("" if north else f": the relative heading {reference} again"): self._restarts > 0,
+            + ("" if north else f": the relative heading {reference} again"): restarts > 0,
         }
 
 
@@ -253,6 +236,17 @@ def tilt_into_heading(up: FloatArray, tilt_variance: FloatArray) -> FloatArray:
     return np.where(is_open, np.inf, slope2 * tilt_variance)
 
 
+def _vector(block: SampleBlock, name: str) -> FloatArray:
+    """Return a vector of the samples, (n, 3); NaN where a block lacks it."""
+    vectors = block.vector(name)
+    return np.full((len(block), 3), math.nan) if vectors is None else vectors
+
+
 def _finite(vectors: FloatArray) -> BoolArray:
-    """Return which vectors have all components, (n,)."""
+    """Return which vectors, (n, 3), have all components, (n,)."""
     return np.asarray(np.isfinite(vectors[:, 0] + vectors[:, 1] + vectors[:, 2]))
+
+
+def _complete(vectors: FloatArray) -> FloatArray:
+    """Return vectors, (n, 3), zero where a component is missing: for VQF there is no reading then."""
+    return np.where(_finite(vectors)[:, np.newaxis], vectors, 0.0)

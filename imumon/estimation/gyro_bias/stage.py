@@ -21,8 +21,7 @@ from imumon.estimation.gyro_bias.thermal_input import ThermalInput, ThermalVaria
 from imumon.estimation.gyro_bias.trail import BiasTrail
 from imumon.estimation.rest.parameters import RestParameters, retired
 from imumon.estimation.rest.slots import ACCEL, GATHERED, GYRO, SLOT_S, Timing, heading_of, readings_of
-from imumon.filters.segments import Breaks
-from imumon.filters.slots import SlotGatherer, Slots
+from imumon.filters.slots import Breaks, SlotGatherer, Slots
 from imumon.models.model import BiasModel
 
 Mode = Literal["standard", "thermal", "learned"]

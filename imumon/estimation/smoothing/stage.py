@@ -1,6 +1,11 @@
-"""The smoothed estimates beside the samples, in a second run over the same recording.
+"""Temperature, gyro bias and heading at each time of a recording from earlier and later samples.
 
-Each is one estimate from a forward and a backward filter (Fraser and Potter 1969).  If their errors are
+A `Recorder` keeps the forward run as means over short slots, `backward` runs the same stages over them with
+time reversed, and `SmoothedEstimates` puts both together beside the samples, in a second run over the same
+recording.  Reversed in time, a rotation by ω is one by -ω: the rates change their sign, and so does the
+estimated bias.
+
+Each estimate is one from a forward and a backward filter (Fraser and Potter 1969).  If their errors are
 independent, their difference has the variance P_f + P_b, and the weights are the inverse variances.  Let r be
 the rms over a recording of the normalised residual |f - b| / sqrt(P_f + P_b)::
 
@@ -18,16 +23,125 @@ from typing import NamedTuple
 
 import numpy as np
 
-from imumon.blocks import ColumnArray, FloatArray, SampleBlock
+from imumon.blocks import NO_INT, ColumnArray, FloatArray, IntArray, SampleBlock
 from imumon.columns import Column
 from imumon.estimation.alignment.report import PositionHeading
-from imumon.estimation.smoothing.record import QUANTITIES, Record, value_and_sd
+from imumon.estimation.rest.slots import SENSORS
+from imumon.filters.slots import SlotGatherer, Slots
+from imumon.pipeline import Estimator
 
+SLOT_NS = 31_250_000
+"""Half of the shortest slot over which a stage integrates rotations."""
 SUSPECT = 2.0
 """A standard normal value exceeds this in magnitude with a probability of 5 %."""
 MEDIAN = 0.6745
 """Median of the magnitude of a standard normal value."""
+REVERSED = {"temperature_estimate": 1.0, "temperature_rate": -1.0, "gyro_bias": -1.0}
+"""What is smoothed, and its sign when time is reversed."""
 UNITS = {"temperature_estimate": "degC", "temperature_rate": "degC/s", "gyro_bias": "rad/s", "heading": "rad"}
+SUFFIXES = ("", "_x", "_y", "_z")
+"""Of the columns of a thermometer: of the unit, and of the sensors of its axes."""
+THERMOMETERS = tuple(f"temperature{suffix}" for suffix in SUFFIXES)
+QUANTITIES = [(name, suffix) for name in REVERSED for suffix in SUFFIXES[name == "gyro_bias" :]]
+"""A quantity, and the suffix of its columns."""
+
+
+def value_and_sd(quantity: str, suffix: str = "") -> tuple[str, str]:
+    """Return the names of the columns of a quantity and of its standard deviation."""
+    return f"{quantity}{suffix}", f"{quantity}_sd{suffix}"
+
+
+NAMES = (
+    *SENSORS,
+    *THERMOMETERS,
+    "at_rest",
+    *(name for quantity in QUANTITIES for name in value_and_sd(*quantity)),
+    *(f"gyro_random_error_{axis}" for axis in "xyz"),
+    "attitude_estimate_heading",
+    "heading",
+)
+"""Columns of a record."""
+
+
+class Record(NamedTuple):
+    """n slots of a recording, in order.
+
+    `stop` (n,) is the row of the recording after the last of each slot, `run` (n,) the number of the segment,
+    counted from restart to restart, and `middle_ns` (n,) the device time.  `columns` are means of the
+    sensors, (n,) each; the last value of temperatures, rest and estimates.
+    """
+
+    stop: IntArray
+    run: IntArray
+    middle_ns: IntArray
+    columns: dict[str, FloatArray]
+
+    def vector(self, name: str) -> FloatArray:
+        """Return the three axes of a column, (n, 3)."""
+        return np.column_stack([self.columns[f"{name}_{axis}"] for axis in "xyz"])
+
+
+class Recorder:
+    """Averages the blocks of a run into slots; the result does not depend on the division into blocks."""
+
+    def __init__(self) -> None:
+        self._slots = SlotGatherer(len(NAMES), SLOT_NS)
+        self._rows = 0
+        self._parts: list[tuple[ColumnArray, ...]] = []
+
+    def add(self, block: SampleBlock) -> None:
+        """Take the next rows."""
+        n = len(block)
+        missing = np.full(n, np.nan)
+        values = np.column_stack([block.columns.get(name, missing) for name in NAMES])
+        time_ns = block.columns.get("device_time_ns", np.full(n, NO_INT))
+        self._keep(self._slots.process(time_ns, block["segment"], values))
+        self._rows += n
+
+    def _keep(self, slots: Slots) -> None:
+        """Keep copies: what the gatherer returns holds the memory of all its results."""
+        values = np.hstack([slots.mean[:, : len(SENSORS)], slots.last[:, len(SENSORS) :]])
+        self._parts.append((slots.row + self._rows, slots.begins, slots.middle_ns, values))
+
+    def finish(self) -> Record:
+        """Return the record of all rows."""
+        self._keep(self._slots.finish())
+        stop, begins, middle_ns, values = (np.concatenate(part) for part in zip(*self._parts, strict=True))
+        columns = np.ascontiguousarray(values.T)
+        return Record(stop, np.cumsum(begins), middle_ns, dict(zip(NAMES, columns, strict=True)))
+
+
+def backward(record: Record, temperature: Estimator, bias: Estimator) -> dict[str, FloatArray]:
+    """Return temperature, its rate and the bias, with their sigmas, by what comes later, (n,) each.
+
+    The stages are new.  That of the bias has no bias model: the modelled bias is subtracted from the rates
+    here.  Time counts from the end of each run, and the order of the runs is reversed.
+    """
+    ends = np.flatnonzero(np.diff(record.run, append=-1))
+    last_ns = record.middle_ns[ends][np.searchsorted(record.run[ends], record.run)]
+    # The modelled bias: zero without a model, NaN while it is not known.
+    model = record.vector("gyro_bias") - record.vector("gyro_random_error")
+    modelled = (np.nan_to_num(model) != 0.0).any(0)
+    model = np.where(np.isfinite(model) | modelled, model, 0.0)
+    present = [name for name in THERMOMETERS if np.isfinite(record.columns[name]).any()]
+    columns: dict[str, ColumnArray] = {
+        "device_time_ns": last_ns - record.middle_ns,
+        "segment": record.run.max(initial=0) - record.run,
+        **{name: record.columns[name] for name in (*SENSORS[3:], *present)},
+    }
+    for name, modelled_bias in zip(SENSORS[:3], model.T, strict=True):
+        columns[name] = modelled_bias - record.columns[name]
+    block = SampleBlock({name: np.ascontiguousarray(values[::-1]) for name, values in columns.items()})
+    block = block.with_columns(temperature.process(block))
+    block = block.with_columns(bias.process(block))
+    found = {}
+    for quantity, suffix in QUANTITIES:
+        value, sd = value_and_sd(quantity, suffix)
+        if value in block:
+            found[value], found[sd] = REVERSED[quantity] * block[value][::-1], block[sd][::-1]
+    for j, axis in enumerate("xyz"):
+        found[f"gyro_bias_{axis}"] += model[:, j]
+    return found
 
 
 class Smoothed(NamedTuple):
@@ -80,7 +194,7 @@ def still_heading(record: Record, positions: Sequence[PositionHeading]) -> Smoot
 class SmoothedEstimates:
     """Estimates from forward and backward filters; ``gyro_bias_sd_x`` becomes ``gyro_bias_smoothed_sd_x``.
 
-    `record` is of the first run, `backward` (n,) each what `record.backward` returns, and `heading` what
+    `record` is of the first run, `backward` (n,) each what `backward` returns, and `heading` what
     `still_heading` returns.
     """
 
@@ -89,31 +203,30 @@ class SmoothedEstimates:
     ) -> None:
         self._stop = record.stop
         self._rows = 0
-        found = {}
+        self._values: dict[str, FloatArray] = {}
+        self.residuals: dict[str, float] = {}
+        """r of `combine`, by quantity."""
+        self.columns: tuple[Column, ...] = ()
+        """The columns that `process` adds."""
         for quantity, suffix in QUANTITIES:
             names = value_and_sd(quantity, suffix)
             if names[0] in backward:
                 directions = [of[name] for of in (record.columns, backward) for name in names]
-                found[quantity, suffix] = combine(*directions)
+                self._add(quantity, suffix, combine(*directions))
         if heading is not None:
-            found["heading", ""] = heading
-        self.residuals = {
-            f"{quantity}{suffix}": each.residual
-            for (quantity, suffix), each in found.items()
-            if math.isfinite(each.residual)
-        }
-        """r of `combine`, by quantity."""
-        self._values: dict[str, FloatArray] = {}
-        self.columns: tuple[Column, ...] = ()
-        """The columns that `process` adds."""
-        for (quantity, suffix), each in found.items():
-            if np.isfinite(each.sd).any():
-                value, sd = value_and_sd(f"{quantity}_smoothed", suffix)
-                self._values |= {value: each.value, sd: each.sd}
-                text, unit = "with what came later", UNITS[quantity]
-                self.columns += (Column(value, unit, description=text),)
-                self.columns += (Column(sd, unit, description=f"standard deviation {text}"),)
+            self._add("heading", "", heading)
         self._reported = False
+
+    def _add(self, quantity: str, suffix: str, found: Smoothed) -> None:
+        """Add the columns of a quantity, unless it is known nowhere."""
+        if math.isfinite(found.residual):
+            self.residuals[f"{quantity}{suffix}"] = found.residual
+        if np.isfinite(found.sd).any():
+            value, sd = value_and_sd(f"{quantity}_smoothed", suffix)
+            self._values |= {value: found.value, sd: found.sd}
+            text, unit = "with what came later", UNITS[quantity]
+            self.columns += (Column(value, unit, description=text),)
+            self.columns += (Column(sd, unit, description=f"standard deviation {text}"),)
 
     def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
         """Return the new columns of a block; the blocks must be the rows of the first run, in their order."""

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -80,30 +79,26 @@ class LiveSpectrum:
         time_ns, values = time_ns[start:], values[start:]
         if len(time_ns) < FEWEST:
             return []
-        found = {
-            name: spectrum
-            for name, channel in zip(CHANNELS, values.T, strict=True)
-            if (spectrum := _spectrum(time_ns, channel, interval_ns)) is not None
-        }
-        return [chart for group in _GROUPS if (chart := _chart(group, found)) is not None]
+        channels = dict(zip(CHANNELS, values.T, strict=True))
+        found = [_chart(group, time_ns, channels, interval_ns) for group in _GROUPS]
+        return [chart for chart in found if chart is not None]
 
 
-def _spectrum(time_ns: IntArray, values: FloatArray, interval_ns: float) -> Spectrum | None:
-    """Return the spectrum on an even grid: a lost packet is a straight line; None with few values."""
-    known = np.isfinite(values)
-    if known.mean() < 0.5:
-        return None
-    even = np.arange(time_ns[0], time_ns[-1], interval_ns)
-    filled = np.interp(even, time_ns[known], values[known])
-    return welch(filled, interval_ns * 1e-9, 2 * max(len(even) // PARTS, 1))
-
-
-def _chart(group: str, found: Mapping[str, Spectrum]) -> Chart | None:
+def _chart(
+    group: str, time_ns: IntArray, channels: Mapping[str, FloatArray], interval_ns: float
+) -> Chart | None:
+    """Return the spectra of a sensor on an even grid, in which a lost packet is a straight line."""
     title, unit, factor = _GROUPS[group]
     curves, notes = [], []
+    even = np.arange(time_ns[0], time_ns[-1], interval_ns)
     for axis, color in AXIS_COLORS.items():
-        spectrum = found.get(f"{group}_{axis}")
-        if spectrum is None or not (spectrum.density[1:] > 0).any():
+        values = channels[f"{group}_{axis}"]
+        known = np.isfinite(values)
+        if known.mean() < 0.5:
+            continue
+        filled = np.interp(even, time_ns[known], values[known])
+        spectrum = welch(filled, interval_ns * 1e-9, 2 * max(len(even) // PARTS, 1))
+        if not (spectrum.density[1:] > 0).any():
             continue
         density = factor * np.sqrt(spectrum.density[1:])
         curves.append(Curve(axis, spectrum.frequency_hz[1:], density, color, width=1.2))
@@ -129,8 +124,7 @@ OVERLAP_COST = 19.0 / 18.0
 on overlapped segments, 1 + 2 ρ² with ρ² = (1/6)²."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Spectrum:
+class Spectrum(NamedTuple):
     """A one-sided power spectral density, unit² per Hz, at frequencies, (n,) each, of so many segments."""
 
     frequency_hz: FloatArray

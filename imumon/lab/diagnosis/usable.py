@@ -13,7 +13,7 @@ import numpy as np
 from imumon.blocks import FloatArray
 from imumon.clock.channel import CLOCK
 from imumon.errors import bad_config, bad_data
-from imumon.filters.rounding import largest_error, mean_error
+from imumon.filters.rounding import mean_error
 from imumon.lab.diagnosis.blocks import (
     BLOCK_S,
     LEAST_BLOCKS,
@@ -137,7 +137,7 @@ def faults(runs: Sequence[Run], channel: str, floor: float) -> list[Fault]:
     coarse = [
         Fault(
             f"quantized: steps of {one.step:.3g} {unit}, about {1 / one.ratio:.2g} times the noise",
-            largest_error(one.step, one.ratio),
+            mean_error(one.step, one.ratio),
         )
         for one in recordings
         if one.step > 0.0 and not mean_error(one.step, one.ratio) < 0.5 * floor

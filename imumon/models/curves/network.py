@@ -67,15 +67,15 @@ class NetworkCurve(StrictModel):
     def value(self, temperature: npt.ArrayLike) -> FloatArray:
         """Return b at temperatures in °C, in the unit of the channel."""
         _, second = self._layers(temperature)
-        output = second @ np.array(self.output_weights) + self.output_bias
+        output = _times(second, np.array(self.output_weights)) + self.output_bias
         return np.asarray(self.offset + self.scale * output)
 
     def slope(self, temperature: npt.ArrayLike) -> FloatArray:
         """Return db/dT at temperatures in °C, in the unit of the channel per °C; by the chain rule."""
         first, second = self._layers(temperature)
         inner = (1.0 - first**2) * np.array(self.first_weights)
-        outer = (1.0 - second**2) * (inner @ np.array(self.second_weights).T)
-        return np.asarray(outer @ np.array(self.output_weights)) * (self.scale / self.half_width_degc)
+        outer = (1.0 - second**2) * _times(inner[..., np.newaxis, :], np.array(self.second_weights))
+        return _times(outer, np.array(self.output_weights)) * (self.scale / self.half_width_degc)
 
     def minus(self, constant: float) -> NetworkCurve:
         """Return the curve lowered by a constant."""
@@ -92,7 +92,12 @@ def _hidden(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the outputs of both hidden layers at u, (...,), each (..., n)."""
     first = np.tanh(u[..., np.newaxis] * w1 + b1)
-    return first, np.tanh(first @ w2.T + b2)
+    return first, np.tanh(_times(first[..., np.newaxis, :], w2) + b2)
+
+
+def _times(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return the sum of products over the last axis; in matrix products, digits depend on the other rows."""
+    return np.asarray((a * b).sum(axis=-1))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -5,7 +5,7 @@ import pytest
 from imumon.effects.since_power_on import StressRelaxation, WarmUp
 from imumon.estimation.alignment.parameters import known_warm_up
 from imumon.estimation.alignment.stage import Alignment
-from imumon.estimation.smoothing.record import value_and_sd
+from imumon.estimation.smoothing.stage import value_and_sd
 from imumon.geodesy import MICRO_G
 from imumon.models.curves.polynomial import PolynomialCurve
 from imumon.models.model import BiasModel, ChannelModel

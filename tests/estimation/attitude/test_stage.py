@@ -378,8 +378,8 @@ def test_gyros_that_were_shown_to_be_bad_widen_the_heading_up_to_what_is_declare
     sensitivity = np.zeros((3, 9))
     sensitivity[2, 8] = 1.0  # a radian about the vertical, by the third gyro
     up = np.array([0.0, 0.0, 1.0])
-    slot = Slot(False, up, up, STANDARD_GRAVITY * up, STANDARD_GRAVITY, sensitivity, 0.0, 0.0)
-    variance = HeadingSigma(learned, None, 0.0).step(slot, np.zeros(1, ROW)[0], 0.0)
+    slot = Slot(np.zeros(1, ROW)[0], False, up, up, sensitivity, 0.0, 0.0, np.zeros(3))
+    variance = HeadingSigma(learned, None, 0.0).step(slot, 0.0)
     assert np.sqrt(variance) == pytest.approx(expected, rel=0.01)
 
 

@@ -5,8 +5,7 @@ import math
 import numpy as np
 
 from imumon.blocks import FloatArray, SampleBlock
-from imumon.estimation.smoothing.record import Recorder
-from imumon.estimation.smoothing.stage import Smoothed, still_heading
+from imumon.estimation.smoothing.stage import Recorder, Smoothed, still_heading
 from tests.estimation.alignment.units import aligned, error_deg, samples, scenario
 
 RATE_HZ = 50.0

@@ -8,8 +8,7 @@ import pytest
 
 from imumon.blocks import FloatArray, SampleBlock, join
 from imumon.estimation.gyro_bias.stage import GyroBias, RestAndBias
-from imumon.estimation.smoothing.record import Recorder, backward
-from imumon.estimation.smoothing.stage import SmoothedEstimates
+from imumon.estimation.smoothing.stage import Recorder, SmoothedEstimates, backward
 from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.geodesy import DEG_PER_H
 from imumon.simulation.unit.scenario import Scenario

@@ -10,9 +10,8 @@ import pytest
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.estimation.gyro_bias.stage import GyroBias
 from imumon.estimation.temperature_rate.stage import TemperatureRate
-from imumon.estimation.watch import evidence
-from imumon.estimation.watch.evidence import Pattern
-from imumon.estimation.watch.stage import ModelWatch
+from imumon.estimation.watch import stage as evidence
+from imumon.estimation.watch.stage import ModelWatch, Pattern
 from imumon.models.curves.polynomial import PolynomialCurve
 from imumon.models.model import BiasModel, ChannelModel
 from imumon.simulation.unit import SimulatedUnit, load_scenario
