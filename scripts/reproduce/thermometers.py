@@ -9,7 +9,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from imumon.blocks import FloatArray, SampleBlock
-from imumon.estimation.temperature_rate.output import RateMethod
+from imumon.estimation.temperature_rate.method import RateMethod
 from imumon.estimation.temperature_rate.stage import TemperatureRate
 
 Generator = np.random.Generator

@@ -73,16 +73,16 @@ def evaluate(thermometer: Thermometer, slot: Slot, filters: Filters) -> tuple[Co
     white, step, n = NOISE[0], thermometer.step, thermometer.independent(slot)
     mean, variance = filters.reading
     square_rate = filters.x[RATE, CODE] ** 2 + filters.p[RATE, RATE, CODE]
-    sigma = np.sqrt(white[CODE] * step**2 + square_rate * slot.spacing_s**2 / 12.0)
+    sigma = np.sqrt(white[CODE] * step**2 + square_rate * thermometer.spacing_s**2 / 12.0)
     codes = Codes(slot, step, n, white[CODE], sigma, mean[CODE], variance[CODE])
     span = (slot.highest - slot.lowest) / step
     output_only = None
-    if span > 1.5 and slot.high > slot.low:
+    if span > 1.5 and slot.largest > slot.smallest:
         of_codes = _many_codes(codes)
     elif 0.5 <= span <= 1.5:
         of_codes = _two_codes(codes)
     else:
-        of_codes, confined = _one_code(codes, NOISE[2, CODE])
+        of_codes, confined = _one_code(codes, 1.0 - np.exp(-thermometer.spacing_s / NOISE[2, CODE]))
         output_only = Correction(*(np.concatenate([part, np.zeros_like(mean[MEAN])]) for part in confined))
     # The mean of a slot is on a lattice of d/n.
     noise = white[MEAN] * thermometer.variance + (step / n) ** 2 / (2.0 * math.pi)
@@ -111,12 +111,12 @@ def _many_codes(codes: Codes) -> Correction:
     """
     slot, step, n, white, sigma, mean, variance = codes
     ripple = np.exp(-2.0 * np.pi**2 * white)
-    offset = (slot.mean - slot.low) / step
+    offset = (slot.mean - slot.smallest) / step
     place = np.full_like(ripple, offset)
     for _ in range(4):  # solve for x
         place = offset + np.minimum(ripple, 0.4) / math.pi * np.sin(2.0 * math.pi * place)
     noise = np.maximum(sigma**2, slot.variance) / n + (ripple * step / math.pi) ** 2 / 8.0
-    found = _gaussian(mean, variance, slot.low + step * place, noise, step / n)
+    found = _gaussian(mean, variance, slot.smallest + step * place, noise, step / n)
     return found._replace(log_likelihood=found.log_likelihood + _scatter(codes, place, ripple))
 
 
@@ -150,9 +150,10 @@ def _two_codes(codes: Codes) -> Correction:
     return found._replace(log_likelihood=found.log_likelihood + within)
 
 
-def _one_code(codes: Codes, slow_s: FloatArray) -> tuple[Correction, Correction]:
+def _one_code(codes: Codes, renewed: FloatArray) -> tuple[Correction, Correction]:
     """Confine y to the code; its edges are as soft as the extreme of n readings, moved in by its median.
 
+    `renewed` is the share of the slow error that is new: to that share, a code that stays is new evidence.
     Returns what enters the states, and what does not.
     """
     slot, step, n, _, sigma, mean, variance = codes
@@ -164,8 +165,6 @@ def _one_code(codes: Codes, slow_s: FloatArray) -> tuple[Correction, Correction]
     shift, kept, log_mass = truncated((-half - off) / total, (half - off) / total)
     sd = np.sqrt(variance)
     enters = (sd < SOFT * softness) | (sd > WIDE * step) | (log_mass < math.log(SURPRISE))
-    # A slow error is renewed with its correlation time: to that share, a code that stays is new evidence.
-    renewed = 1.0 - np.exp(-slot.spacing_s / slow_s)
     log = np.where(enters, log_mass, RENEWAL * renewed * log_mass)
     gain = variance / total
     change, narrowing = gain * shift, gain**2 * (kept - 1.0)

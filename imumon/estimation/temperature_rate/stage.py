@@ -10,8 +10,7 @@ import numpy as np
 
 from imumon.blocks import ColumnArray, FloatArray, SampleBlock
 from imumon.columns import TEMPERATURES, Column
-from imumon.estimation.temperature_rate.method import MultipleModelRate
-from imumon.estimation.temperature_rate.output import RateMethod
+from imumon.estimation.temperature_rate.method import MultipleModelRate, RateMethod
 from imumon.protocols.thermometer import TemperatureRateParameters
 
 
