@@ -6,8 +6,7 @@ The gate decides what of a thermometer is a fault and not a temperature.
 from __future__ import annotations
 
 import math
-from enum import Enum, auto
-from typing import NamedTuple, Protocol
+from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
 
@@ -54,6 +53,9 @@ LAG_S = 3.0
 """Time constant with which the rate in the output follows the estimate, s, so that it does not jump.
 Ablation."""
 
+Outcome = Literal["predict", "use", "restart"]
+"""A slot only predicts (nothing is learned of the thermometer), is a measurement, or a restart."""
+
 
 class RateEstimate(NamedTuple):
     """Temperature and its rate with their standard deviations: °C, °C/s, °C and °C/s; NaN where unknown."""
@@ -89,14 +91,6 @@ class Output(NamedTuple):
     """Standard deviation of a single reading, °C."""
 
 
-class Outcome(Enum):
-    """A slot only predicts (nothing is learned of the thermometer), is a measurement, or a restart."""
-
-    PREDICT = auto()
-    USE = auto()
-    RESTART = auto()
-
-
 class MultipleModelRate:
     """Temperature and rate of one thermometer by a multiple-model Kalman filter.
 
@@ -109,8 +103,8 @@ class MultipleModelRate:
         """Where readings stuck last after a leap that no temperature makes, °C; NaN if they never did."""
         self._gatherer = SlotGatherer(1, round(SLOT_S * 1e9))
         self._begin(0)
-        self._output_ns: IntArray = np.array(0, np.int64)
-        self._segment: IntArray = np.array(NO_INT, np.int64)
+        self._ended: IntArray = np.array([0, NO_INT])
+        """End of the last slot, ns, and its segment."""
 
     def process(self, time_ns: IntArray, segment: IntArray, reading: FloatArray) -> RateEstimate:
         """Return the estimates of samples that follow those of the last call; the same in blocks of any size.
@@ -121,12 +115,11 @@ class MultipleModelRate:
         n, before = len(reading), np.array(self._output)
         slots = self._gatherer.process(time_ns, segment, reading[:, np.newaxis])
         outputs = np.array([self._update(slots, i) for i in range(len(slots))]).reshape(-1, len(before))
-        output_ns = held(slots.row, slots.end_ns, self._output_ns, n)
-        output_segment = held(slots.row, slots.segment, self._segment, n)
-        if len(slots):
-            self._output_ns, self._segment = np.array(slots.end_ns[-1]), np.array(slots.segment[-1])
-        age = np.asarray((time_ns - output_ns) * 1e-9, np.float64)
-        known = (segment == output_segment) & (age >= 0.0)
+        ends = np.stack([slots.end_ns, slots.segment], 1)
+        end_ns, of_segment = held(slots.row, ends, self._ended, n).T
+        self._ended = np.array([self._ended, *ends])[-1]
+        age = np.asarray((time_ns - end_ns) * 1e-9, np.float64)
+        known = (segment == of_segment) & (age >= 0.0)
         return extrapolate(age, known, reading, Output(*held(slots.row, outputs, before, n).T))
 
     def _begin(self, origin_ns: int) -> None:
@@ -141,30 +134,25 @@ class MultipleModelRate:
         """Process a slot; return the output from its end on."""
         if slots.begins[i]:
             self._begin(int(slots.start_ns[i]))
-        slot = self._slot(slots, i)
-        if slot.end_s - self.thermometer.used_s > GAP_S:
+        thermometer, slot = self.thermometer, self._slot(slots, i)
+        if slot.end_s - thermometer.used_s > GAP_S:
             self._filters, self._output = None, Output()
         if self._filters is not None:
-            self._filters = predict(self.thermometer, self._filters, slot.time_s)
-        shown = self._measure(slot)
+            self._filters = predict(thermometer, self._filters, slot.time_s)
+        new, shown = thermometer.unrepeated(slot), self._filters
+        outcome = self._gate(new) if new else "predict"
+        if new and outcome == "restart":
+            thermometer.means = ()
+            thermometer.learn(new)
+            shown = self._filters = start(thermometer, new)
+            self._output = Output()
+        elif new and self._filters is not None and outcome == "use":
+            thermometer.learn(new)
+            entering, showing = evaluate(thermometer, new, self._filters)
+            shown, self._filters = correct(self._filters, showing), correct(self._filters, entering)
         if shown is not None:
-            self._output = output(self.thermometer, shown, self._output, slot.end_s)
+            self._output = output(thermometer, shown, self._output, slot.end_s)
         return self._output
-
-    def _measure(self, slot: Slot) -> Filters | None:
-        """Correct the filters by new readings of a slot; return those to show, None without an estimate."""
-        thermometer, filters = self.thermometer, self._filters
-        new = thermometer.unrepeated(slot)
-        outcome = self._gate(new) if new else Outcome.PREDICT
-        if new is None or outcome is Outcome.PREDICT:
-            return filters
-        thermometer.learn(new, anew=outcome is Outcome.RESTART)
-        if outcome is Outcome.RESTART or filters is None:
-            self._filters, self._output = start(thermometer, new), Output()
-            return self._filters
-        entering, confining = evaluate(thermometer, new, filters)
-        self._filters = correct(filters, entering)
-        return correct(self._filters, confining) if confining else self._filters
 
     def _gate(self, slot: Slot) -> Outcome:
         """Return the outcome of a slot that has readings: that of the first row that holds."""
@@ -172,20 +160,20 @@ class MultipleModelRate:
         span = slot.largest - slot.smallest
         no_value = thermometer.is_dead(slot) or span > SPIKE * max(1.0, thermometer.step)
         table = (
-            (no_value, Outcome.PREDICT),  # noise of more than a step has stopped, or there is a spike
+            (no_value, "predict"),  # noise of more than a step has stopped, or there is a spike
             # An outlier that has not moved, as 85 °C of a restart.
-            (slot.smallest == slot.largest == self._outlier_degc, Outcome.PREDICT),
-            (self._filters is None, Outcome.RESTART),
-            (self._is_near(slot), Outcome.USE),  # a temperature may be there by now
+            (slot.smallest == slot.largest == self._outlier_degc, "predict"),
+            (self._filters is None, "restart"),
+            (self._is_near(slot), "use"),  # a temperature may be there by now
             # The reading had never changed: it was a value at power-on.
-            (math.isnan(thermometer.last_change), Outcome.RESTART),
+            (math.isnan(thermometer.last_change), "restart"),
             # Repeated readings were taken for new ones.
-            (not thermometer.repeat_s and thermometer.leaps(slot), Outcome.RESTART),
-            (self._rejected + 1 >= GATE_SLOTS, Outcome.RESTART),  # a new temperature
-            (True, Outcome.PREDICT),
+            (not thermometer.repeat_s and thermometer.leaps(slot), "restart"),
+            (self._rejected + 1 >= GATE_SLOTS, "restart"),  # a new temperature
+            (True, "predict"),
         )
         outcome = next(outcome for holds, outcome in table if holds)
-        if outcome is not Outcome.PREDICT:
+        if outcome != "predict":
             self._rejected, self._outlier_degc = 0, math.nan
         elif not no_value:
             self._rejected, self._outlier_degc = self._rejected + 1, slot.last
@@ -197,7 +185,8 @@ class MultipleModelRate:
         """Return whether a temperature may have got there since it was last observed."""
         if self._filters is None:
             return False
-        thermometer, (mean, variance) = self.thermometer, self._filters.expected
+        thermometer = self.thermometer
+        mean, variance = mixture(self._filters.mu, *self._filters.reading)
         noise = variance + thermometer.step**2 + thermometer.scatter + thermometer.rho
         moved = FASTEST_RATE * (slot.time_s - thermometer.used_s + SLOT_S)
         reach = max(GATE_STEPS * thermometer.step, moved, GATE_SIGMA * math.sqrt(noise))
@@ -207,23 +196,11 @@ class MultipleModelRate:
         thermometer = self.thermometer
         start_s, end_s = (int(ns[i] - self._origin_ns) * 1e-9 for ns in (slots.start_ns, slots.end_ns))
         gap_s, self._end_s = (end_s - self._end_s) / int(slots.samples[i]), end_s
-        first = float(slots.first[i, 0])
-        before = thermometer.last if start_s - thermometer.used_s < thermometer.neighbour_s else first
-        return Slot(
-            time_s=0.5 * (start_s + end_s),
-            end_s=end_s,
-            gap_s=gap_s,
-            before=before,
-            count=int(slots.count[i, 0]),
-            changes=max(int(slots.changes[i, 0]), int(before != first)),
-            step_squares=float(slots.step_squares[i, 0]),
-            mean=float(slots.mean[i, 0]),
-            variance=float(slots.variance[i, 0]),
-            smallest=float(slots.smallest[i, 0]),
-            largest=float(slots.largest[i, 0]),
-            first=first,
-            last=float(slots.last[i, 0]),
-        )
+        values = [getattr(slots, name)[i, 0].item() for name in Slot._fields[4:]]
+        slot = Slot(0.5 * (start_s + end_s), end_s, gap_s, thermometer.last, *values)
+        if start_s - thermometer.used_s > thermometer.neighbour_s:
+            return slot._replace(before=slot.first)
+        return slot._replace(changes=max(slot.changes, int(slot.before != slot.first)))
 
 
 def output(thermometer: Thermometer, filters: Filters, before: Output, end_s: float) -> Output:
@@ -246,7 +223,7 @@ def output(thermometer: Thermometer, filters: Filters, before: Output, end_s: fl
         rate_sd=math.sqrt(rate_variance),
         rate_offset=0.0 if math.isnan(offset) else offset,
         late_s=SLOT_S + thermometer.neighbour_s,
-        reading_sd=thermometer.reading_sd,
+        reading_sd=math.sqrt(thermometer.step**2 / 12.0 + max(thermometer.scatter, thermometer.rho)),
     )
 
 
@@ -254,17 +231,16 @@ def extrapolate(age: FloatArray, known: BoolArray, reading: FloatArray, shown: O
     """Return the estimates at samples from the output of the last slot; all arrays are (n,).
 
     Before the first slot of a segment ends, and behind a gap until the next slot ends, there is the reading,
-    with its standard deviation (NaN while it is unknown), and any rate.
+    with its standard deviation (NaN while it is unknown), and the last rate or zero, which may be any.
     """
-    late = known & (age > shown.late_s) & np.isfinite(shown.rate)
-    known = known & ~late
+    known = known & (age <= shown.late_s)
     fading = np.exp(-age / LAG_S, where=known, out=np.zeros_like(age)) * shown.rate_offset
     # A slot is known when the next begins; readings farther apart leave the temperature to the rate.
     waited = np.maximum(age - 2.0 * SLOT_S, 0.0)
     unknown = 0.0 * reading
     return RateEstimate(
         temperature=np.where(known, shown.temperature + age * shown.rate, reading),
-        rate=np.where(known, shown.rate + fading, unknown + np.where(late, shown.rate, 0.0)),
+        rate=np.where(known, shown.rate + fading, unknown + np.nan_to_num(shown.rate)),
         temperature_sd=np.where(
             known, np.hypot(shown.temperature_sd, waited * shown.rate_sd), unknown + shown.reading_sd
         ),

@@ -15,7 +15,7 @@ SLOT_S = 1.0
 UNKNOWN_STEP_DEGC = 1.0
 """Step that is assumed until a reading changes, °C: that of the coarsest thermometers."""
 LARGEST_STEP_DEGC = 2.0
-"""A first change that is larger is no step, °C."""
+"""A change that is larger is no step, °C."""
 MEMORY_SLOTS = 32
 """Length of running means.  Ablation: 16 and 64 change errors by at most 9 %."""
 REVERSALS = 3
@@ -38,8 +38,6 @@ class Slot(NamedTuple):
     """Readings; without any, all below is NaN or zero."""
     changes: int
     """How many readings differ from the one before, in the slot and into it."""
-    step_squares: float
-    """Sum of the squares of these differences, °C²."""
     mean: float
     variance: float
     """°C²."""
@@ -47,6 +45,11 @@ class Slot(NamedTuple):
     largest: float
     first: float
     last: float
+
+    @property
+    def independent(self) -> int:
+        """Independent readings: equal neighbours may be one reading, or of noise below a step."""
+        return min(self.changes + 1, self.count)
 
     @property
     def lowest(self) -> float:
@@ -74,10 +77,6 @@ class Thermometer:
     """Variance ρ of a slot's mean, from second differences of three slots, °C²."""
     scatter: float = 0.0
     """Mean variance of the readings of slots in which they change, °C²."""
-    independence: float = 1.0
-    """Mean share of independent readings in these slots (von Neumann's ratio)."""
-    changed_slots: int = 0
-    """Slots in these two means."""
     reversals: int = 0
     """How often a reading went back to where it came from."""
     leapt: bool = False
@@ -100,7 +99,7 @@ class Thermometer:
 
     @property
     def repeat_s(self) -> float:
-        """How long a reading is repeated: the least time between changes; 0 unless noise or a leap shows it."""
+        """How long a reading is repeated: the least time between changes, once noise or a leap shows it."""
         repeats = (self.leapt or self.reversals >= REVERSALS) and self.interval_s > 1.5 * self.gap_s
         return min(self.interval_s, MOST_REPEAT_S) if repeats else 0.0
 
@@ -118,15 +117,6 @@ class Thermometer:
     def variance(self) -> float:
         """Variance that a slot's mean has at least, ρ or that of rounding, °C²."""
         return max(self.rho, self.step**2 / 12.0)
-
-    @property
-    def reading_sd(self) -> float:
-        """Standard deviation of a single reading, °C; NaN before the first slot."""
-        return math.sqrt(self.step**2 / 12.0 + max(self.scatter, self.rho)) if self.slots else math.nan
-
-    def independent(self, slot: Slot) -> float:
-        """Return how many independent readings a slot has, 1 at least."""
-        return max(self.independence * slot.count, 1.0)
 
     def is_dead(self, slot: Slot) -> bool:
         """Return whether noise of more than a step has stopped for a minute and ten slots."""
@@ -160,50 +150,43 @@ class Thermometer:
         last = slot.last
         return slot._replace(count=1, mean=last, variance=0.0, smallest=last, largest=last, first=last)
 
-    def learn(self, slot: Slot, anew: bool) -> None:
-        """Learn from a slot, no reading of which is a repeat; `anew`: the filters begin anew with it."""
+    def learn(self, slot: Slot) -> None:
+        """Learn from a slot, no reading of which is a repeat."""
         self.slots += 1
-        self.means = (slot.mean,) if anew else (*self.means[-2:], slot.mean)
+        self.means = (*self.means[-2:], slot.mean)
         if len(self.means) == 3:
             bend = (self.means[0] - 2.0 * self.means[1] + self.means[2]) ** 2 / 6.0
             self.rho = averaged(self.rho, bend, self.slots - 2)
         if slot.changes:
-            self.learn_step(abs(slot.first - slot.before))
-            self.learn_step(slot.highest - slot.lowest)
-            if not anew:
-                self._learn_scatter(slot)
-            if math.isfinite(self.last_change):
-                self._learn_repeats(slot)
-            self.last_change = slot.last - slot.before
+            self._learn_change(slot)
         if slot.changes or math.isnan(self.changed_s):
             self.changed_s = slot.time_s
         self.used_s, self.last, self.gap_s = slot.time_s, slot.last, slot.gap_s
 
+    def _learn_change(self, slot: Slot) -> None:
+        """Learn from a slot in which the reading changes, or which begins with another than the last."""
+        self.learn_step(abs(slot.first - slot.before) or slot.highest - slot.lowest)
+        if len(self.means) > 1:
+            variance = slot.variance + 0.5 * (self.means[-1] - self.means[-2]) ** 2
+            self.scatter = averaged(self.scatter, variance, self.slots)
+        change, silent_s = slot.last - slot.before, slot.time_s - self.changed_s
+        if math.isfinite(self.last_change):
+            back = change * self.last_change < 0.0 and silent_s < MOST_REPEAT_S
+            self.reversals += back or slot.changes > (slot.highest - slot.lowest) / self.step + 0.5
+            self.leapt |= self.leaps(slot)
+            apart_s = silent_s if slot.changes <= 1 else SLOT_S / slot.changes
+            self.interval_s = min(apart_s, 1.01 * max(self.interval_s, slot.gap_s))
+        self.last_change = change
+
     def learn_step(self, change: float) -> None:
         """Learn the step from the distance of two readings, °C."""
-        if not change > 1e-5 or (self.steps == 0 and change > LARGEST_STEP_DEGC):
+        if not 1e-5 < change <= LARGEST_STEP_DEGC:
             return  # readings that are equal but for their format, or the end of a fault
         if self.steps == 0 or change < 0.75 * self.step:
             self.step, self.steps = change, 1
         elif change < 1.25 * self.step:  # 0.0625 with two digits is off by a sixth
             self.steps += 1
             self.step = averaged(self.step, change, self.steps)
-
-    def _learn_scatter(self, slot: Slot) -> None:
-        variance = slot.variance + 0.5 * (self.means[-1] - self.means[-2]) ** 2
-        ratio = min(slot.step_squares / (2.0 * slot.count * variance), 1.0) if variance else 1.0
-        self.changed_slots += 1
-        self.scatter = averaged(self.scatter, variance, self.changed_slots)
-        self.independence = averaged(self.independence, ratio, self.changed_slots)
-
-    def _learn_repeats(self, slot: Slot) -> None:
-        silent_s = slot.time_s - self.changed_s
-        one_way = (slot.highest - slot.lowest) / self.step
-        back = (slot.last - slot.before) * self.last_change < 0.0 and silent_s < MOST_REPEAT_S
-        self.reversals += slot.changes > one_way + 0.5 or back
-        self.leapt |= self.leaps(slot)
-        apart_s = silent_s if slot.changes <= 1 else SLOT_S / slot.changes
-        self.interval_s = min(apart_s, 1.01 * max(self.interval_s, slot.gap_s))
 
 
 def averaged(mean: float, value: float, count: int) -> float:
