@@ -77,8 +77,8 @@ def _count(_: Thermometer, slot: Slot) -> float:
     return float(slot.count)
 
 
-def _entering_only(*given: Any) -> tuple[Correction, None]:
-    return evaluate(*given)[0], None
+def _entering_only(*given: Any) -> list[Correction]:
+    return evaluate(*given)[:1] * 2
 
 
 VARIANTS: dict[str, Change] = {

@@ -17,12 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.estimation.temperature_rate.thermometer import (
-    FASTEST_RATE,
-    UNSEEN_RATE,
-    Slot,
-    Thermometer,
-)
+from imumon.estimation.temperature_rate.thermometer import FASTEST_RATE, UNSEEN_RATE, Slot, Thermometer
 
 STATES = 4
 TEMPERATURE, RATE, ACCELERATION, ERROR = range(STATES)
@@ -33,8 +28,6 @@ LONG_S = 900.0
 the reading gains in it is not known of the temperature.  Ablation."""
 LEAST_PROBABILITY = 1e-14
 """Least probability of a filter, so that none is lost for ever.  Ablation."""
-
-
 NoiseModel = tuple[float, float, float, float]
 """Variances of the white noise and of the slow error e, the correlation time τ of e, s, and the variance per
 second of the random walk that is part of 1/f noise.
@@ -132,7 +125,7 @@ def mix(filters: Filters, dt: float) -> Filters:
     transition = change / 2.0 * (np.eye(m, k=1) + np.eye(m, k=-1))
     transition[np.diag_indices(m)] += 1.0 - transition.sum(axis=1)
     predicted = mu @ transition
-    centre = (mu * x).sum(-1, keepdims=True) / mu.sum(-1, keepdims=True)
+    centre = x.mean(-1, keepdims=True)
     off = x - centre
     mixed = (mu * off) @ transition / predicted
     second = (mu * (p + off[:, np.newaxis] * off)) @ transition / predicted
@@ -174,7 +167,5 @@ def correct(filters: Filters, correction: Correction) -> Filters:
 
 def mixture(mu: FloatArray, mean: FloatArray, variance: FloatArray) -> tuple[float, float]:
     """Return mean and variance of one quantity over all filters; arrays are (k, m)."""
-    centre = float(mean.flat[int(mu.argmax())])  # a large mean costs no digits
-    off = mean - centre
-    shift = float((mu * off).sum())
-    return centre + shift, float((mu * (variance + (off - shift) ** 2)).sum())
+    of_all = float((mu * mean).sum())
+    return of_all, float((mu * (variance + (mean - of_all) ** 2)).sum())

@@ -8,8 +8,8 @@ one of its own.
 | the slot | filters | what enters the state |
 |---|---|---|
 | one code in it, more than a step from the last reading | code models | as one code |
-| more than two codes | code models | z = mean less ripple, R = max(s², variance)/n |
-| two codes | code models | z = edge + s Φ⁻¹(p), R = s² p(1-p)/(n f²) |
+| more than two codes | code models | z = mean less ripple, R = max(s², variance)/n + (β d/π)²/8 |
+| two codes | code models | z = edge + s Φ⁻¹(p), R = s² p(1-p)/(n f²) + (0.1 s Φ⁻¹(p))² |
 | one code: edge soft, a surprise, or prediction wide | code models | y is in the code: truncated Gaussian |
 | one code | code models | nothing; the code only confines the output |
 | any | mean models | z = mean, R = share of ρ + (d/n)²/2π |
@@ -39,6 +39,8 @@ SURPRISE = 0.02
 """A code is a surprise for a filter that gave it less than this probability.  Ablation."""
 WIDE = 1.5
 """A prediction is wide whose sigma exceeds so many steps.  Ablation."""
+SPACING = 0.1
+"""Relative standard deviation of the σ of a code model: half the distance of two models.  Ablation."""
 RENEWAL = 0.1
 """Share of the log likelihood of a code that stays, per renewal of the slow error.  Ablation."""
 
@@ -49,7 +51,7 @@ class Codes(NamedTuple):
     slot: Slot
     step: float
     """d, °C."""
-    n: int
+    n: float
     """Independent readings, 1 at least."""
     sigma: FloatArray
     """s, °C."""
@@ -63,7 +65,7 @@ def evaluate(thermometer: Thermometer, slot: Slot, filters: Filters) -> list[Cor
 
     The first is what enters the states, the second all that the slot shows, for the output.
     """
-    white, step, n = NOISE[0], thermometer.step, slot.independent
+    white, step, n = NOISE[0], thermometer.step, thermometer.independent(slot)
     mean, variance = filters.reading
     square_rate = filters.x[RATE, CODE] ** 2 + filters.p[RATE, RATE, CODE]
     sigma = np.sqrt(white[CODE] * step**2 + square_rate * thermometer.spacing_s**2 / 12.0)
@@ -106,12 +108,23 @@ def _many_codes(codes: Codes) -> Correction:
     place = np.full_like(ripple, offset)
     for _ in range(4):  # solve for x
         place = offset + np.minimum(ripple, 0.4) / math.pi * np.sin(2.0 * math.pi * place)
-    noise = np.maximum(sigma**2, slot.variance) / n
+    noise = np.maximum(sigma**2, slot.variance) / n + (ripple * step / math.pi) ** 2 / 8.0
     found = _gaussian(mean, variance, slot.smallest + step * place, noise, step / n)
-    # χ² of readings that scatter more than noise and rounding.  In the mean, half the time, it is 1/2.
-    excess = np.maximum(slot.variance / (sigma**2 + step**2 / 12.0), 1.0)
-    scatter = 0.25 - 0.5 * n * (excess - 1.0 - np.log(excess))
-    return found._replace(log_likelihood=found.log_likelihood + scatter)
+    return found._replace(log_likelihood=found.log_likelihood + _scatter(codes, place, ripple))
+
+
+def _scatter(codes: Codes, place: FloatArray, ripple: FloatArray) -> FloatArray:
+    """Return the log likelihood of readings that scatter more than noise and rounding: χ² of n.
+
+    Rounded readings have the variance s² + d²/12 and its first harmonic in the place, both in steps.
+    """
+    cosine, sine = ripple * np.cos(2.0 * math.pi * place), ripple * np.sin(2.0 * math.pi * place)
+    variance = (codes.sigma / codes.step) ** 2
+    harmonic = -cosine * (1.0 / math.pi**2 + 4.0 * variance) - (sine / math.pi) ** 2
+    rounded = variance + np.maximum(1.0 / 12.0 + harmonic, 0.0)
+    excess = np.maximum(codes.slot.variance / (codes.step**2 * rounded), 1.0)
+    # In the mean it is zero: half the time it is -χ²/2, -1/4.
+    return np.asarray(0.25 - 0.5 * codes.n * (excess - 1.0 - np.log(excess)))
 
 
 def _two_codes(codes: Codes) -> Correction:
@@ -121,7 +134,7 @@ def _two_codes(codes: Codes) -> Correction:
     share = min(max(share, 0.5 / slot.count), 1.0 - 0.5 / slot.count)
     quantile = float(ndtri(share))
     density = math.exp(-0.5 * quantile**2) / ROOT_2_PI
-    noise = sigma**2 * share * (1.0 - share) / (n * density**2)
+    noise = sigma**2 * (share * (1.0 - share) / (n * density**2) + (SPACING * quantile) ** 2)
     z = 0.5 * (slot.lowest + slot.highest) + sigma * quantile
     found = _gaussian(mean, variance, z, noise, sigma / (density * n))
     # All n readings are of these two codes: models of more noise would have read a third.

@@ -46,7 +46,7 @@ LINEARITY, HYSTERESIS = 0.05, 0.5
 long as readings have not gone back.  Ablation."""
 SLOW_MEAN = 0.5
 """The mean of a slow error is known to so many of its sigmas.  Ablation."""
-RAMP_S = 80.0
+RAMP_S = 75.0
 """A rate is not known better than the temperature's sigma over this time, s: a ramp may just have begun.
 Ablation."""
 LAG_S = 3.0
@@ -156,19 +156,15 @@ class MultipleModelRate:
 
     def _gate(self, slot: Slot) -> Outcome:
         """Return the outcome of a slot that has readings: that of the first row that holds."""
-        thermometer = self.thermometer
-        span = slot.largest - slot.smallest
+        thermometer, span = self.thermometer, slot.largest - slot.smallest
         no_value = thermometer.is_dead(slot) or span > SPIKE * max(1.0, thermometer.step)
         table = (
             (no_value, "predict"),  # noise of more than a step has stopped, or there is a spike
-            # An outlier that has not moved, as 85 °C of a restart.
-            (slot.smallest == slot.largest == self._outlier_degc, "predict"),
+            (slot.smallest == slot.largest == self._outlier_degc, "predict"),  # it sticks, as at 85 °C
             (self._filters is None, "restart"),
-            (self._is_near(slot), "use"),  # a temperature may be there by now
-            # The reading had never changed: it was a value at power-on.
-            (math.isnan(thermometer.last_change), "restart"),
-            # Repeated readings were taken for new ones.
-            (not thermometer.repeat_s and thermometer.leaps(slot), "restart"),
+            (self._filters and self._is_near(slot, self._filters), "use"),
+            (math.isnan(thermometer.last_change), "restart"),  # until now it was a value of power-on
+            (not thermometer.repeat_s and thermometer.leaps(slot), "restart"),  # repeats were taken for new
             (self._rejected + 1 >= GATE_SLOTS, "restart"),  # a new temperature
             (True, "predict"),
         )
@@ -181,12 +177,10 @@ class MultipleModelRate:
                 self.stuck_degc = slot.last
         return outcome
 
-    def _is_near(self, slot: Slot) -> bool:
+    def _is_near(self, slot: Slot, filters: Filters) -> bool:
         """Return whether a temperature may have got there since it was last observed."""
-        if self._filters is None:
-            return False
         thermometer = self.thermometer
-        mean, variance = mixture(self._filters.mu, *self._filters.reading)
+        mean, variance = mixture(filters.mu, *filters.reading)
         noise = variance + thermometer.step**2 + thermometer.scatter + thermometer.rho
         moved = FASTEST_RATE * (slot.time_s - thermometer.used_s + SLOT_S)
         reach = max(GATE_STEPS * thermometer.step, moved, GATE_SIGMA * math.sqrt(noise))
@@ -213,7 +207,7 @@ def output(thermometer: Thermometer, filters: Filters, before: Output, end_s: fl
     variance += SLOW_MEAN**2 * float((mu * (slow + walk * LONG_S)).sum())
     variance += edge_sd**2 + (rate * thermometer.repeat_s) ** 2 / 3.0
     # A ramp that has just begun is hidden by the temperature's sigma and the step.
-    rate_variance += (variance + thermometer.step**2 / 12.0) / RAMP_S**2
+    rate_variance += max(variance, thermometer.step**2 / 12.0) / RAMP_S**2
     offset = before.rate + math.exp(-(end_s - before.end_s) / LAG_S) * before.rate_offset - rate
     return Output(
         end_s=end_s,

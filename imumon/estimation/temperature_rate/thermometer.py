@@ -38,6 +38,8 @@ class Slot(NamedTuple):
     """Readings; without any, all below is NaN or zero."""
     changes: int
     """How many readings differ from the one before, in the slot and into it."""
+    step_squares: float
+    """Sum of the squares of these differences, °C²."""
     mean: float
     variance: float
     """°C²."""
@@ -45,11 +47,6 @@ class Slot(NamedTuple):
     largest: float
     first: float
     last: float
-
-    @property
-    def independent(self) -> int:
-        """Independent readings: equal neighbours may be one reading, or of noise below a step."""
-        return min(self.changes + 1, self.count)
 
     @property
     def lowest(self) -> float:
@@ -77,6 +74,10 @@ class Thermometer:
     """Variance ρ of a slot's mean, from second differences of three slots, °C²."""
     scatter: float = 0.0
     """Mean variance of the readings of slots in which they change, °C²."""
+    independence: float = 1.0
+    """Mean share of independent readings in these slots (von Neumann's ratio)."""
+    changed_slots: int = 0
+    """Slots in these two means."""
     reversals: int = 0
     """How often a reading went back to where it came from."""
     leapt: bool = False
@@ -117,6 +118,10 @@ class Thermometer:
     def variance(self) -> float:
         """Variance that a slot's mean has at least, ρ or that of rounding, °C²."""
         return max(self.rho, self.step**2 / 12.0)
+
+    def independent(self, slot: Slot) -> float:
+        """Return how many independent readings a slot has, 1 at least."""
+        return max(self.independence * slot.count, 1.0)
 
     def is_dead(self, slot: Slot) -> bool:
         """Return whether noise of more than a step has stopped for a minute and ten slots."""
@@ -168,7 +173,10 @@ class Thermometer:
         self.learn_step(abs(slot.first - slot.before) or slot.highest - slot.lowest)
         if len(self.means) > 1:
             variance = slot.variance + 0.5 * (self.means[-1] - self.means[-2]) ** 2
-            self.scatter = averaged(self.scatter, variance, self.slots)
+            share = slot.step_squares / max(2.0 * slot.count * variance, slot.step_squares)
+            self.changed_slots += 1
+            self.scatter = averaged(self.scatter, variance, self.changed_slots)
+            self.independence = averaged(self.independence, share, self.changed_slots)
         change, silent_s = slot.last - slot.before, slot.time_s - self.changed_s
         if math.isfinite(self.last_change):
             back = change * self.last_change < 0.0 and silent_s < MOST_REPEAT_S
