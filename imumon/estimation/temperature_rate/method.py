@@ -6,6 +6,7 @@ The gate decides what of a thermometer is a fault and not a temperature.
 from __future__ import annotations
 
 import math
+from dataclasses import fields, replace
 from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
@@ -53,6 +54,8 @@ LAG_S = 3.0
 """Time constant with which the rate in the output follows the estimate, s, so that it does not jump.
 Ablation."""
 
+SLOT_VALUES = tuple(field.name for field in fields(Slot))[4:]
+"""Those fields that are as in `Slots`: all after `before`."""
 Outcome = Literal["predict", "use", "restart"]
 """A slot only predicts (nothing is learned of the thermometer), is a measurement, or a restart."""
 
@@ -158,7 +161,7 @@ class MultipleModelRate:
         """Return the outcome of a slot that has readings: that of the first row that holds."""
         thermometer, span = self.thermometer, slot.largest - slot.smallest
         no_value = thermometer.is_dead(slot) or span > SPIKE * max(1.0, thermometer.step)
-        table = (
+        table: tuple[tuple[object, Outcome], ...] = (
             (no_value, "predict"),  # noise of more than a step has stopped, or there is a spike
             (slot.smallest == slot.largest == self._outlier_degc, "predict"),  # it sticks, as at 85 °C
             (self._filters is None, "restart"),
@@ -190,11 +193,11 @@ class MultipleModelRate:
         thermometer = self.thermometer
         start_s, end_s = (int(ns[i] - self._origin_ns) * 1e-9 for ns in (slots.start_ns, slots.end_ns))
         gap_s, self._end_s = (end_s - self._end_s) / int(slots.samples[i]), end_s
-        values = [getattr(slots, name)[i, 0].item() for name in Slot._fields[4:]]
+        values = [getattr(slots, name)[i, 0].item() for name in SLOT_VALUES]
         slot = Slot(0.5 * (start_s + end_s), end_s, gap_s, thermometer.last, *values)
-        if start_s - thermometer.used_s > thermometer.neighbour_s:
-            return slot._replace(before=slot.first)
-        return slot._replace(changes=max(slot.changes, int(slot.before != slot.first)))
+        if start_s - thermometer.used_s >= thermometer.neighbour_s:
+            return replace(slot, before=slot.first)
+        return replace(slot, changes=max(slot.changes, int(slot.before != slot.first)))
 
 
 def output(thermometer: Thermometer, filters: Filters, before: Output, end_s: float) -> Output:

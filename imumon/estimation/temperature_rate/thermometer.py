@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import dataclass, replace
 
 FASTEST_RATE = 20.0 / 60.0
 """Fastest that a thermometer beside an IMU moves, °C/s: 20 °C/min, twice a fast chamber."""
@@ -24,7 +23,8 @@ MOST_REPEAT_S = 60.0
 """Longest time that a reading is taken to be repeated, s."""
 
 
-class Slot(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class Slot:
     """The readings of one slot; values are in °C, times in s since the segment began."""
 
     time_s: float
@@ -153,7 +153,7 @@ class Thermometer:
         if not slot.changes and slot.time_s - self.used_s < self.repeat_s + SLOT_S:
             return None
         last = slot.last
-        return slot._replace(count=1, mean=last, variance=0.0, smallest=last, largest=last, first=last)
+        return replace(slot, count=1, mean=last, variance=0.0, smallest=last, largest=last, first=last)
 
     def learn(self, slot: Slot) -> None:
         """Learn from a slot, no reading of which is a repeat."""
