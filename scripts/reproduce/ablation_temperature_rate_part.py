@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,14 +13,13 @@ from thermometers import KINDS, PER_HOUR, Profile, constant, drifting, errors, r
 
 from imumon.blocks import FloatArray
 from imumon.estimation.temperature_rate import filter as filter_module
-from imumon.estimation.temperature_rate import measurement, method, output, thermometer
+from imumon.estimation.temperature_rate import measurement, method, thermometer
 from imumon.estimation.temperature_rate.filter import (
     CODE_MODELS,
     JERK_PSDS,
     MEAN_MODELS,
     Correction,
     NoiseModel,
-    code_model,
 )
 from imumon.estimation.temperature_rate.measurement import evaluate
 from imumon.estimation.temperature_rate.method import MultipleModelRate
@@ -47,7 +46,14 @@ SCENES: list[tuple[str, str, Profile, float, float]] = [
 ]
 STEPS_DEGC = (0.0, 0.0625, 0.5, 1.0)
 
-SLOW_CODES = tuple(model for model in CODE_MODELS if model.slow)
+_, SLOW, _, WALK = range(4)
+"""Fields of a noise model."""
+SLOW_CODES = tuple(model for model in CODE_MODELS if model[SLOW])
+
+
+def _white(sds: Iterable[float]) -> tuple[NoiseModel, ...]:
+    """Return code models of white noise with these standard deviations, steps."""
+    return tuple((sd**2, 0.0, 1e9, 0.0) for sd in sds)
 
 
 def _noise(
@@ -71,8 +77,8 @@ def _count(_: Thermometer, slot: Slot) -> float:
     return float(slot.count)
 
 
-def _entering_only(*given: Any) -> tuple[Correction, None]:
-    return evaluate(*given)[0], None
+def _entering_only(*given: Any) -> list[Correction]:
+    return evaluate(*given)[:1] * 2
 
 
 VARIANTS: dict[str, Change] = {
@@ -86,28 +92,24 @@ VARIANTS: dict[str, Change] = {
     "all readings independent": [(Thermometer, "independent", _count)],
     "no repeats known by a leap": [(Thermometer, "leaps", _never)],
     "no repeats known": [(thermometer, "MOST_REPEAT_S", 0.0)],
-    "7 white sigmas, not 13": _noise(
-        (*(code_model(w) for w in (0.02, 0.06, 0.12, 0.2, 0.28, 0.36, 0.45)), *SLOW_CODES)
-    ),
-    "10 white sigmas, not 13": _noise(
-        (*(code_model(0.02 * 25.0 ** (i / 9.0)) for i in range(10)), *SLOW_CODES)
-    ),
-    "no code models with a slow error": _noise(tuple(model for model in CODE_MODELS if not model.slow)),
+    "7 white sigmas, not 13": _noise((*_white((0.02, 0.06, 0.12, 0.2, 0.28, 0.36, 0.45)), *SLOW_CODES)),
+    "10 white sigmas, not 13": _noise((*_white(0.02 * 25.0 ** (i / 9.0) for i in range(10)), *SLOW_CODES)),
+    "no code models with a slow error": _noise(tuple(model for model in CODE_MODELS if not model[SLOW])),
     "no mean models with a slow error": _noise(means=MEAN_MODELS[:1]),
     "no 1/f models": _noise(
-        tuple(model for model in CODE_MODELS if not model.walk_per_s),
-        tuple(model for model in MEAN_MODELS if not model.walk_per_s),
+        tuple(model for model in CODE_MODELS if not model[WALK]),
+        tuple(model for model in MEAN_MODELS if not model[WALK]),
     ),
     "5 jerk PSDs, not 9": [(filter_module, "JERK_PSDS", JERK_PSDS[::2])],
     "the jerk PSD changes once in 10,000 s, not 500": [(filter_module, "CHANGE_PER_S", 1e-4)],
     "the jerk PSD changes once in 100 s, not 500": [(filter_module, "CHANGE_PER_S", 1e-2)],
     "least probability of a filter 1e-30": [(filter_module, "LEAST_PROBABILITY", 1e-30)],
     "any acceleration at the start": [(filter_module, "LONG_S", 1e30)],
-    "no walk in the output": [(output, "LONG_S", 0.0)],
-    "mean of a slow error known": [(output, "SLOW_MEAN", 0.0)],
-    "edges known from the start": [(output, "HYSTERESIS", 0.05)],
-    "no ramp that may have begun": [(output, "RAMP_S", 1e9)],
-    "no output lag": [(output, "LAG_S", 1e-3)],
+    "no walk in the output": [(method, "LONG_S", 0.0)],
+    "mean of a slow error known": [(method, "SLOW_MEAN", 0.0)],
+    "edges known from the start": [(method, "HYSTERESIS", 0.05)],
+    "no ramp that may have begun": [(method, "RAMP_S", 1e9)],
+    "no output lag": [(method, "LAG_S", 1e-3)],
     "a code is a surprise below 10 %, not 2": [(measurement, "SURPRISE", 0.1)],
     "soft below 1 sigma, not 2": [(measurement, "SOFT", 1.0)],
     "wide beyond 3 steps, not 1.5": [(measurement, "WIDE", 3.0)],

@@ -10,7 +10,7 @@ from samples import sent
 from scipy.signal import lfilter
 
 from imumon.blocks import FloatArray
-from imumon.estimation.temperature_rate.output import RateMethod
+from imumon.estimation.temperature_rate.method import RateMethod
 from imumon.estimation.temperature_rate.stage import TemperatureRate
 
 Generator = np.random.Generator

@@ -17,13 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.estimation.temperature_rate.thermometer import (
-    FASTEST_RATE,
-    SLOT_S,
-    UNSEEN_RATE,
-    Slot,
-    Thermometer,
-)
+from imumon.estimation.temperature_rate.thermometer import FASTEST_RATE, UNSEEN_RATE, Slot, Thermometer
 
 STATES = 4
 TEMPERATURE, RATE, ACCELERATION, ERROR = range(STATES)
@@ -34,55 +28,30 @@ LONG_S = 900.0
 the reading gains in it is not known of the temperature.  Ablation."""
 LEAST_PROBABILITY = 1e-14
 """Least probability of a filter, so that none is lost for ever.  Ablation."""
+NoiseModel = tuple[float, float, float, float]
+"""Variances of the white noise and of the slow error e, the correlation time τ of e, s, and the variance per
+second of the random walk that is part of 1/f noise.
 
-
-class NoiseModel(NamedTuple):
-    """One hypothesis of the sensor noise.
-
-    A *code model* reads the code in which T + e + white noise is; its unit of variance is d², of the step d.
-    A *mean model* measures a slot's mean; its unit is ρ, the variance of this mean from slot to slot.
-    """
-
-    white: float
-    """Variance of the white noise, units."""
-    slow: float = 0.0
-    """Variance of the slow error e, units."""
-    slow_s: float = 1e9
-    """Correlation time τ of e, s."""
-    walk_per_s: float = 0.0
-    """Variance per second of the random walk that is part of 1/f noise, units/s."""
-
-
-def code_model(white_sd: float, slow_sd: float = 0.0, slow_s: float = 1e9, walk: float = 0.0) -> NoiseModel:
-    """Return a code model by standard deviations in steps; e also moves within a slot, by σ √(1 s/(3 τ))."""
-    slow = slow_sd**2
-    return NoiseModel(white_sd**2 + slow * SLOT_S / (3.0 * slow_s), slow, slow_s, walk * slow)
-
-
-def mean_model(slow: float = 0.0, slow_s: float = 1e9, walk_per_s: float = 0.0) -> NoiseModel:
-    """Return a mean model, a share of whose ρ is the slow error."""
-    return NoiseModel(1.0 - slow, slow, slow_s, walk_per_s)
-
-
-CODE_MODELS = (
-    *(
-        code_model(white_sd)
-        for white_sd in (0.02, 0.035, 0.05, 0.065, 0.08, 0.1, 0.125, 0.16, 0.2, 0.25, 0.32, 0.4, 0.5)
-    ),
-    code_model(0.1, 0.25, 5.0),
-    code_model(0.1, 0.6, 5.0),
-    code_model(0.1, 0.6, 40.0),
-    code_model(0.1, 0.4, 3.0, 0.01),
+A *code model* reads the code in which T + e + white noise is; its unit of variance is d², of the step d.  In
+its white noise is how e moves within a slot, σ² (1 s)/(3 τ).  A *mean model* measures a slot's mean; its unit
+is ρ, the variance of this mean from slot to slot, a share of which is the slow error.
+"""
+WHITE_SDS = (0.02, 0.035, 0.05, 0.065, 0.08, 0.1, 0.125, 0.16, 0.2, 0.25, 0.32, 0.4, 0.5)
+"""Steps; a quarter apart where the ripple of a mean depends on it most."""
+CODE_MODELS: tuple[NoiseModel, ...] = (
+    *((sd**2, 0.0, 1e9, 0.0) for sd in WHITE_SDS),
+    (0.014, 0.06, 5.0, 0.0),
+    (0.034, 0.36, 5.0, 0.0),
+    (0.013, 0.36, 40.0, 0.0),
+    (0.028, 0.16, 3.0, 0.0016),
 )
-"""White noise of 0.02 to 0.5 steps, a quarter apart where the ripple of a mean depends on it most, and slow
-errors of seconds to a minute."""
-MEAN_MODELS = (
-    mean_model(),
-    *(mean_model(share, slow_s) for share in (0.3, 1.0) for slow_s in (5.0, 40.0)),
-    *(mean_model(share, 3.0, walk) for share, walk in ((0.3, 0.01), (1.0, 0.01), (1.0, 0.05))),
+MEAN_MODELS: tuple[NoiseModel, ...] = (
+    (1.0, 0.0, 1e9, 0.0),
+    *((1.0 - share, share, slow_s, 0.0) for share in (0.3, 1.0) for slow_s in (5.0, 40.0)),
+    *((1.0 - share, share, 3.0, walk) for share, walk in ((0.3, 0.01), (1.0, 0.01), (1.0, 0.05))),
 )
 NOISE: FloatArray = np.array([*CODE_MODELS, *MEAN_MODELS], np.float64).T[:, :, np.newaxis]
-"""The four fields of every `NoiseModel`, (4, k, 1)."""
+"""All models, (4, k, 1)."""
 CODE, MEAN = slice(0, len(CODE_MODELS)), slice(len(CODE_MODELS), None)
 """Rows of the code and of the mean models."""
 JERK_PSDS = 10.0 ** (-23.0 + 2.5 * np.arange(9.0))
@@ -120,11 +89,6 @@ class Filters(NamedTuple):
         variance = p[TEMPERATURE, TEMPERATURE] + 2.0 * p[TEMPERATURE, ERROR] + p[ERROR, ERROR]
         return x[TEMPERATURE] + x[ERROR], variance
 
-    @property
-    def expected(self) -> tuple[float, float]:
-        """Mean and variance of y over all filters, °C and °C²."""
-        return mixture(self.mu, *self.reading)
-
 
 def start(thermometer: Thermometer, slot: Slot) -> Filters:
     """Return filters that begin at a slot's mean with any rate."""
@@ -161,7 +125,7 @@ def mix(filters: Filters, dt: float) -> Filters:
     transition = change / 2.0 * (np.eye(m, k=1) + np.eye(m, k=-1))
     transition[np.diag_indices(m)] += 1.0 - transition.sum(axis=1)
     predicted = mu @ transition
-    centre = (mu * x).sum(-1, keepdims=True) / mu.sum(-1, keepdims=True)
+    centre = x.mean(-1, keepdims=True)
     off = x - centre
     mixed = (mu * off) @ transition / predicted
     second = (mu * (p + off[:, np.newaxis] * off)) @ transition / predicted
@@ -182,18 +146,13 @@ def predict(thermometer: Thermometer, filters: Filters, time_s: float) -> Filter
     by_jerk = np.array([[dt**2 / 2.0], [dt], [1.0]])  # Q is the integral of (t²/2, t, 1) times its transpose
     q = dt * by_jerk * by_jerk.T / np.array([[5.0, 4.0, 3.0], [4.0, 3.0, 2.0], [3.0, 2.0, 1.0]])
     x, p, mu, _ = mix(filters, dt)
-    x = _times(f, x) * decay
-    p = _times(f, _times(f, p).swapaxes(0, 1)) * (decay * decay[:, np.newaxis])
+    x = np.tensordot(f, x, 1) * decay
+    p = np.tensordot(f, np.tensordot(f, p, 1).swapaxes(0, 1), 1) * (decay * decay[:, np.newaxis])
     variance, walk = slow_error(thermometer)
     p[:ERROR, :ERROR] += q[:, :, np.newaxis, np.newaxis] * JERK_PSDS
     p[ERROR, ERROR] += variance * (1.0 - decay[ERROR] ** 2)
     p[TEMPERATURE, TEMPERATURE] += walk * dt
     return Filters(x, p, mu, max(time_s, filters.time_s))
-
-
-def _times(f: FloatArray, array: FloatArray) -> FloatArray:
-    """Return F times an array of states, (4, ...)."""
-    return np.asarray((f @ array.reshape(STATES, -1)).reshape(array.shape))
 
 
 def correct(filters: Filters, correction: Correction) -> Filters:
@@ -208,7 +167,5 @@ def correct(filters: Filters, correction: Correction) -> Filters:
 
 def mixture(mu: FloatArray, mean: FloatArray, variance: FloatArray) -> tuple[float, float]:
     """Return mean and variance of one quantity over all filters; arrays are (k, m)."""
-    centre = float(mean.flat[int(mu.argmax())])  # a large mean costs no digits
-    off = mean - centre
-    shift = float((mu * off).sum())
-    return centre + shift, float((mu * (variance + (off - shift) ** 2)).sum())
+    of_all = float((mu * mean).sum())
+    return of_all, float((mu * (variance + (mean - of_all) ** 2)).sum())

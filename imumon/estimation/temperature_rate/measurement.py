@@ -14,10 +14,7 @@ one of its own.
 | one code | code models | nothing; the code only confines the output |
 | any | mean models | z = mean, R = share of ρ + (d/n)²/2π |
 
-"y is in the code" is one statement, however often it is read.  Of n readings the extreme one has the sigma
-s_n = s/√(1 + 2 ln n), which is how sharp the edge of a code is.  An edge is *soft* for a filter that predicts
-y better than 2 s_n: then each reading is independent evidence.  A code is a *surprise* for a filter that gave
-it less than 2 %.  A prediction is *wide* if it knows y to no better than 1.5 d.
+"y is in the code" is one statement, however often it is read.  At a soft edge each reading is evidence.
 
 Log likelihoods are of probabilities of a slot's mean on its lattice of d/n, so that all rows can be compared.
 With R = (d/n)²/2π the density 1/√(2πR) times d/n is 1: no point of the lattice has a probability above it.
@@ -56,8 +53,6 @@ class Codes(NamedTuple):
     """d, °C."""
     n: float
     """Independent readings, 1 at least."""
-    white: FloatArray
-    """σ²/d²."""
     sigma: FloatArray
     """s, °C."""
     mean: FloatArray
@@ -65,29 +60,27 @@ class Codes(NamedTuple):
     """Of y as these models predict it, °C and °C²."""
 
 
-def evaluate(thermometer: Thermometer, slot: Slot, filters: Filters) -> tuple[Correction, Correction | None]:
+def evaluate(thermometer: Thermometer, slot: Slot, filters: Filters) -> list[Correction]:
     """Return the evidence of a slot with readings for all filters, by the table above.
 
-    The second is for the output only, of a code that does not enter the states; None where there is none.
+    The first is what enters the states, the second all that the slot shows, for the output.
     """
     white, step, n = NOISE[0], thermometer.step, thermometer.independent(slot)
     mean, variance = filters.reading
     square_rate = filters.x[RATE, CODE] ** 2 + filters.p[RATE, RATE, CODE]
-    sigma = np.sqrt(white[CODE] * step**2 + square_rate * slot.spacing_s**2 / 12.0)
-    codes = Codes(slot, step, n, white[CODE], sigma, mean[CODE], variance[CODE])
+    sigma = np.sqrt(white[CODE] * step**2 + square_rate * thermometer.spacing_s**2 / 12.0)
+    codes = Codes(slot, step, n, sigma, mean[CODE], variance[CODE])
     span = (slot.highest - slot.lowest) / step
-    output_only = None
-    if span > 1.5 and slot.high > slot.low:
-        of_codes = _many_codes(codes)
+    if span > 1.5 and slot.largest > slot.smallest:
+        of_codes = [_many_codes(codes)] * 2
     elif 0.5 <= span <= 1.5:
-        of_codes = _two_codes(codes)
+        of_codes = [_two_codes(codes)] * 2
     else:
-        of_codes, confined = _one_code(codes, NOISE[2, CODE])
-        output_only = Correction(*(np.concatenate([part, np.zeros_like(mean[MEAN])]) for part in confined))
+        of_codes = _one_code(codes, 1.0 - np.exp(-thermometer.spacing_s / NOISE[2, CODE]))
     # The mean of a slot is on a lattice of d/n.
     noise = white[MEAN] * thermometer.variance + (step / n) ** 2 / (2.0 * math.pi)
     of_means = _gaussian(mean[MEAN], variance[MEAN], slot.mean, noise, step / n)
-    return Correction(*map(np.concatenate, zip(of_codes, of_means, strict=True))), output_only
+    return [Correction(*map(np.concatenate, zip(each, of_means, strict=True))) for each in of_codes]
 
 
 def _gaussian(
@@ -109,14 +102,14 @@ def _many_codes(codes: Codes) -> Correction:
 
     Widrow and Kollar, Quantization Noise (2008), ch. 4.
     """
-    slot, step, n, white, sigma, mean, variance = codes
-    ripple = np.exp(-2.0 * np.pi**2 * white)
-    offset = (slot.mean - slot.low) / step
+    slot, step, n, sigma, mean, variance = codes
+    ripple = np.exp(-2.0 * np.pi**2 * (sigma / step) ** 2)
+    offset = (slot.mean - slot.smallest) / step
     place = np.full_like(ripple, offset)
     for _ in range(4):  # solve for x
         place = offset + np.minimum(ripple, 0.4) / math.pi * np.sin(2.0 * math.pi * place)
     noise = np.maximum(sigma**2, slot.variance) / n + (ripple * step / math.pi) ** 2 / 8.0
-    found = _gaussian(mean, variance, slot.low + step * place, noise, step / n)
+    found = _gaussian(mean, variance, slot.smallest + step * place, noise, step / n)
     return found._replace(log_likelihood=found.log_likelihood + _scatter(codes, place, ripple))
 
 
@@ -126,22 +119,22 @@ def _scatter(codes: Codes, place: FloatArray, ripple: FloatArray) -> FloatArray:
     Rounded readings have the variance s² + d²/12 and its first harmonic in the place, both in steps.
     """
     cosine, sine = ripple * np.cos(2.0 * math.pi * place), ripple * np.sin(2.0 * math.pi * place)
-    harmonic = -cosine * (1.0 / math.pi**2 + 4.0 * codes.white) - (sine / math.pi) ** 2
-    rounded = codes.sigma**2 + codes.step**2 * np.maximum(1.0 / 12.0 + harmonic, 0.0)
-    excess = np.maximum(codes.slot.variance / rounded, 1.0)
+    variance = (codes.sigma / codes.step) ** 2
+    harmonic = -cosine * (1.0 / math.pi**2 + 4.0 * variance) - (sine / math.pi) ** 2
+    rounded = variance + np.maximum(1.0 / 12.0 + harmonic, 0.0)
+    excess = np.maximum(codes.slot.variance / (codes.step**2 * rounded), 1.0)
     # In the mean it is zero: half the time it is -χ²/2, -1/4.
     return np.asarray(0.25 - 0.5 * codes.n * (excess - 1.0 - np.log(excess)))
 
 
 def _two_codes(codes: Codes) -> Correction:
     """Correct by the share of readings above the edge between the two codes."""
-    slot, step, n, _, sigma, mean, variance = codes
+    slot, step, n, sigma, mean, variance = codes
     share = (slot.mean - slot.lowest) / (slot.highest - slot.lowest)
     share = min(max(share, 0.5 / slot.count), 1.0 - 0.5 / slot.count)
     quantile = float(ndtri(share))
     density = math.exp(-0.5 * quantile**2) / ROOT_2_PI
-    binomial = share * (1.0 - share) / (n * density**2)
-    noise = sigma**2 * (binomial + (SPACING * quantile) ** 2)
+    noise = sigma**2 * (share * (1.0 - share) / (n * density**2) + (SPACING * quantile) ** 2)
     z = 0.5 * (slot.lowest + slot.highest) + sigma * quantile
     found = _gaussian(mean, variance, z, noise, sigma / (density * n))
     # All n readings are of these two codes: models of more noise would have read a third.
@@ -150,12 +143,13 @@ def _two_codes(codes: Codes) -> Correction:
     return found._replace(log_likelihood=found.log_likelihood + within)
 
 
-def _one_code(codes: Codes, slow_s: FloatArray) -> tuple[Correction, Correction]:
+def _one_code(codes: Codes, renewed: FloatArray) -> list[Correction]:
     """Confine y to the code; its edges are as soft as the extreme of n readings, moved in by its median.
 
-    Returns what enters the states, and what does not.
+    `renewed` is the share of the slow error that is new: to that share, a code that stays is new evidence.
+    Returns what enters the states, and all that the code shows.
     """
-    slot, step, n, _, sigma, mean, variance = codes
+    slot, step, n, sigma, mean, variance = codes
     extreme = float(ndtri(2.0 ** (-1.0 / n)))
     softness = sigma / math.sqrt(1.0 + 2.0 * math.log(n))
     half = np.maximum(0.5 * step - extreme * sigma, 0.1 * step)
@@ -164,15 +158,13 @@ def _one_code(codes: Codes, slow_s: FloatArray) -> tuple[Correction, Correction]
     shift, kept, log_mass = truncated((-half - off) / total, (half - off) / total)
     sd = np.sqrt(variance)
     enters = (sd < SOFT * softness) | (sd > WIDE * step) | (log_mass < math.log(SURPRISE))
-    # A slow error is renewed with its correlation time: to that share, a code that stays is new evidence.
-    renewed = 1.0 - np.exp(-slot.spacing_s / slow_s)
-    log = np.where(enters, log_mass, RENEWAL * renewed * log_mass)
     gain = variance / total
     change, narrowing = gain * shift, gain**2 * (kept - 1.0)
-    return (
-        Correction(enters * change, enters * narrowing, log),
-        Correction(~enters * change, ~enters * narrowing, ~enters * log_mass),
-    )
+    evidence = np.where(enters, 1.0, RENEWAL * renewed) * log_mass
+    return [
+        Correction(enters * change, enters * narrowing, evidence),
+        Correction(change, narrowing, log_mass),
+    ]
 
 
 def truncated(low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -6,17 +6,27 @@ The gate decides what of a thermometer is a fault and not a temperature.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from enum import Enum, auto
+from dataclasses import fields, replace
+from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
 
-from imumon.blocks import NO_INT, FloatArray, IntArray
-from imumon.estimation.temperature_rate.filter import Filters, correct, predict, start
+from imumon.blocks import NO_INT, BoolArray, FloatArray, IntArray
+from imumon.estimation.temperature_rate.filter import (
+    LONG_S,
+    RATE,
+    TEMPERATURE,
+    Filters,
+    correct,
+    mixture,
+    predict,
+    slow_error,
+    start,
+)
 from imumon.estimation.temperature_rate.measurement import evaluate
-from imumon.estimation.temperature_rate.output import Output, RateEstimate, extrapolate, output
 from imumon.estimation.temperature_rate.thermometer import (
     FASTEST_RATE,
+    REVERSALS,
     SLOT_S,
     UNKNOWN_STEP_DEGC,
     Slot,
@@ -32,61 +42,56 @@ SPIKE = 8.0
 GAP_S = 600.0
 """After so long without a reading, or of a sensor that is dead or sticks, there is no estimate, s.  Assumed:
 in that time a board goes through half a warm-up."""
+LINEARITY, HYSTERESIS = 0.05, 0.5
+"""Standard deviation of the place of an edge, steps: of a good converter; of one that may have hysteresis, as
+long as readings have not gone back.  Ablation."""
+SLOW_MEAN = 0.5
+"""The mean of a slow error is known to so many of its sigmas.  Ablation."""
+RAMP_S = 75.0
+"""A rate is not known better than the temperature's sigma over this time, s: a ramp may just have begun.
+Ablation."""
+LAG_S = 3.0
+"""Time constant with which the rate in the output follows the estimate, s, so that it does not jump.
+Ablation."""
+
+SLOT_VALUES = tuple(field.name for field in fields(Slot))[4:]
+"""Those fields that are as in `Slots`: all after `before`."""
+Outcome = Literal["predict", "use", "restart"]
+"""A slot only predicts (nothing is learned of the thermometer), is a measurement, or a restart."""
 
 
-class Outcome(Enum):
-    """A slot only predicts (nothing is learned of the thermometer), is a measurement, or a restart."""
+class RateEstimate(NamedTuple):
+    """Temperature and its rate with their standard deviations: °C, °C/s, °C and °C/s; NaN where unknown."""
 
-    PREDICT = auto()
-    USE = auto()
-    RESTART = auto()
+    temperature: FloatArray
+    rate: FloatArray
+    temperature_sd: FloatArray
+    rate_sd: FloatArray
+    """One value per sample, (n,)."""
 
 
-@dataclass(slots=True)
-class Gate:
-    """State of the gate in one segment."""
+class RateMethod(Protocol):
+    """A method that estimates the rate sample by sample, from readings up to that sample."""
 
-    used_s: float = -math.inf
-    """Time of the last slot that was a temperature, s."""
-    rejected: int = 0
-    """Outliers in a row."""
-    outlier_degc: float = math.nan
-    """Last reading of the last of them, °C."""
+    def process(self, time_ns: IntArray, segment: IntArray, reading: FloatArray) -> RateEstimate:
+        """Return the estimates of samples that follow those of the last call."""
 
-    def decide(self, slot: Slot, thermometer: Thermometer, expected: tuple[float, float] | None) -> Outcome:
-        """Return the outcome of a slot that has readings: that of the first row that holds.
 
-        `expected` are mean and variance of the predicted reading, °C and °C²; None without an estimate.
-        """
-        no_value = thermometer.is_dead(slot) or slot.high - slot.low > SPIKE * max(1.0, thermometer.step)
-        stuck = slot.low == slot.high == self.outlier_degc
-        near = expected is not None and self._is_near(slot, thermometer, *expected)
-        power_on = math.isnan(thermometer.last_change)
-        repeats = not thermometer.repeat_s and thermometer.leaps(slot)
-        lasts = self.rejected + 1 >= GATE_SLOTS
-        table = (
-            (no_value, Outcome.PREDICT),  # noise of more than a step has stopped, or there is a spike
-            (stuck, Outcome.PREDICT),  # an outlier that has not moved, as 85 °C of a restart
-            (expected is None, Outcome.RESTART),
-            (near, Outcome.USE),  # a temperature may be there by now
-            (power_on, Outcome.RESTART),  # the reading had never changed: it was a value at power-on
-            (repeats, Outcome.RESTART),  # repeated readings were taken for new ones
-            (lasts, Outcome.RESTART),  # a new temperature
-            (True, Outcome.PREDICT),
-        )
-        outcome = next(outcome for holds, outcome in table if holds)
-        if outcome is not Outcome.PREDICT:
-            self.used_s, self.rejected, self.outlier_degc = slot.time_s, 0, math.nan
-        elif not no_value:
-            self.rejected, self.outlier_degc = self.rejected + 1, slot.last
-        return outcome
+class Output(NamedTuple):
+    """Estimate from the end of a slot on: a temperature of constant rate."""
 
-    def _is_near(self, slot: Slot, thermometer: Thermometer, mean: float, variance: float) -> bool:
-        """Return whether a temperature may have got there since it was last observed."""
-        noise = variance + thermometer.step**2 + thermometer.scatter + thermometer.rho
-        moved = FASTEST_RATE * (slot.time_s - self.used_s + SLOT_S)
-        reach = max(GATE_STEPS * thermometer.step, moved, GATE_SIGMA * math.sqrt(noise))
-        return max(slot.high - mean, mean - slot.low) < reach
+    end_s: float = 0.0
+    temperature: float = math.nan
+    rate: float = math.nan
+    """°C and °C/s."""
+    temperature_sd: float = math.nan
+    rate_sd: float = math.nan
+    rate_offset: float = 0.0
+    """Rate of the output until `end_s` less the new rate, °C/s; it decays with `LAG_S`."""
+    late_s: float = math.inf
+    """Age from which on readings are missing, s."""
+    reading_sd: float = math.nan
+    """Standard deviation of a single reading, °C."""
 
 
 class MultipleModelRate:
@@ -101,8 +106,8 @@ class MultipleModelRate:
         """Where readings stuck last after a leap that no temperature makes, °C; NaN if they never did."""
         self._gatherer = SlotGatherer(1, round(SLOT_S * 1e9))
         self._begin(0)
-        self._output_ns: IntArray = np.array(0, np.int64)
-        self._segment: IntArray = np.array(NO_INT, np.int64)
+        self._ended: IntArray = np.array([0, NO_INT])
+        """End of the last slot, ns, and its segment."""
 
     def process(self, time_ns: IntArray, segment: IntArray, reading: FloatArray) -> RateEstimate:
         """Return the estimates of samples that follow those of the last call; the same in blocks of any size.
@@ -113,77 +118,128 @@ class MultipleModelRate:
         n, before = len(reading), np.array(self._output)
         slots = self._gatherer.process(time_ns, segment, reading[:, np.newaxis])
         outputs = np.array([self._update(slots, i) for i in range(len(slots))]).reshape(-1, len(before))
-        output_ns = held(slots.row, slots.end_ns, self._output_ns, n)
-        output_segment = held(slots.row, slots.segment, self._segment, n)
-        if len(slots):
-            self._output_ns, self._segment = np.array(slots.end_ns[-1]), np.array(slots.segment[-1])
-        age = np.asarray((time_ns - output_ns) * 1e-9, np.float64)
-        known = (segment == output_segment) & (age >= 0.0)
+        ends = np.stack([slots.end_ns, slots.segment], 1)
+        end_ns, of_segment = held(slots.row, ends, self._ended, n).T
+        self._ended = np.array([self._ended, *ends])[-1]
+        age = np.asarray((time_ns - end_ns) * 1e-9, np.float64)
+        known = (segment == of_segment) & (age >= 0.0)
         return extrapolate(age, known, reading, Output(*held(slots.row, outputs, before, n).T))
 
     def _begin(self, origin_ns: int) -> None:
         self.thermometer.begin()
-        self._gate, self._output = Gate(), Output()
         self._filters: Filters | None = None
+        self._output = Output()
+        self._rejected, self._outlier_degc = 0, math.nan
+        """Outliers in a row, and the last reading of the last of them, °C."""
         self._origin_ns, self._end_s = origin_ns, 0.0
-        self._last, self._last_s = math.nan, -math.inf
-        """Latest reading that was no fault, °C, and the end of its slot, s."""
 
     def _update(self, slots: Slots, i: int) -> Output:
         """Process a slot; return the output from its end on."""
         if slots.begins[i]:
             self._begin(int(slots.start_ns[i]))
-        slot = self._slot(slots, i)
-        if slot.end_s - self._gate.used_s > GAP_S:
+        thermometer, slot = self.thermometer, self._slot(slots, i)
+        if slot.end_s - thermometer.used_s > GAP_S:
             self._filters, self._output = None, Output()
         if self._filters is not None:
-            self._filters = predict(self.thermometer, self._filters, slot.time_s)
-        shown = self._measure(slot)
+            self._filters = predict(thermometer, self._filters, slot.time_s)
+        new, shown = thermometer.unrepeated(slot), self._filters
+        outcome = self._gate(new) if new else "predict"
+        if new and outcome == "restart":
+            thermometer.means = ()
+            thermometer.learn(new)
+            shown = self._filters = start(thermometer, new)
+            self._output = Output()
+        elif new and self._filters is not None and outcome == "use":
+            thermometer.learn(new)
+            entering, showing = evaluate(thermometer, new, self._filters)
+            shown, self._filters = correct(self._filters, showing), correct(self._filters, entering)
         if shown is not None:
-            self._output = output(self.thermometer, shown, self._output, slot.end_s)
+            self._output = output(thermometer, shown, self._output, slot.end_s)
         return self._output
 
-    def _measure(self, slot: Slot) -> Filters | None:
-        """Correct the filters by new readings of a slot; return those to show, None without an estimate."""
-        thermometer, filters = self.thermometer, self._filters
-        new, outcome = thermometer.unrepeated(slot), None
-        if new is not None:
-            outcome = self._gate.decide(new, thermometer, filters.expected if filters else None)
-        if outcome is Outcome.PREDICT:
-            if self._gate.rejected >= GATE_SLOTS:
-                self.stuck_degc = self._gate.outlier_degc
-            return filters
-        if slot.count:
-            self._last, self._last_s = slot.last, slot.end_s
-        if new is None:
-            return filters
-        thermometer.learn(new, anew=outcome is Outcome.RESTART)
-        if outcome is Outcome.RESTART or filters is None:
-            self._filters, self._output = start(thermometer, new), Output()
-            return self._filters
-        entering, confining = evaluate(thermometer, new, filters)
-        self._filters = correct(filters, entering)
-        return correct(self._filters, confining) if confining else self._filters
+    def _gate(self, slot: Slot) -> Outcome:
+        """Return the outcome of a slot that has readings: that of the first row that holds."""
+        thermometer, span = self.thermometer, slot.largest - slot.smallest
+        no_value = thermometer.is_dead(slot) or span > SPIKE * max(1.0, thermometer.step)
+        table: tuple[tuple[object, Outcome], ...] = (
+            (no_value, "predict"),  # noise of more than a step has stopped, or there is a spike
+            (slot.smallest == slot.largest == self._outlier_degc, "predict"),  # it sticks, as at 85 °C
+            (self._filters is None, "restart"),
+            (self._filters and self._is_near(slot, self._filters), "use"),
+            (math.isnan(thermometer.last_change), "restart"),  # until now it was a value of power-on
+            (not thermometer.repeat_s and thermometer.leaps(slot), "restart"),  # repeats were taken for new
+            (self._rejected + 1 >= GATE_SLOTS, "restart"),  # a new temperature
+            (True, "predict"),
+        )
+        outcome = next(outcome for holds, outcome in table if holds)
+        if outcome != "predict":
+            self._rejected, self._outlier_degc = 0, math.nan
+        elif not no_value:
+            self._rejected, self._outlier_degc = self._rejected + 1, slot.last
+            if self._rejected >= GATE_SLOTS:
+                self.stuck_degc = slot.last
+        return outcome
+
+    def _is_near(self, slot: Slot, filters: Filters) -> bool:
+        """Return whether a temperature may have got there since it was last observed."""
+        thermometer = self.thermometer
+        mean, variance = mixture(filters.mu, *filters.reading)
+        noise = variance + thermometer.step**2 + thermometer.scatter + thermometer.rho
+        moved = FASTEST_RATE * (slot.time_s - thermometer.used_s + SLOT_S)
+        reach = max(GATE_STEPS * thermometer.step, moved, GATE_SIGMA * math.sqrt(noise))
+        return max(slot.largest - mean, mean - slot.smallest) < reach
 
     def _slot(self, slots: Slots, i: int) -> Slot:
+        thermometer = self.thermometer
         start_s, end_s = (int(ns[i] - self._origin_ns) * 1e-9 for ns in (slots.start_ns, slots.end_ns))
-        first = float(slots.first[i, 0])
-        before = self._last if start_s - self._last_s < self.thermometer.neighbour_s else first
-        gap_s = (end_s - self._end_s) / int(slots.samples[i])
-        self._end_s = end_s
-        return Slot(
-            time_s=0.5 * (start_s + end_s),
-            end_s=end_s,
-            gap_s=gap_s,
-            spacing_s=max(SLOT_S, gap_s),
-            count=int(slots.count[i, 0]),
-            mean=float(slots.mean[i, 0]),
-            variance=float(slots.variance[i, 0]),
-            low=float(slots.smallest[i, 0]),
-            high=float(slots.largest[i, 0]),
-            before=before,
-            first=first,
-            last=float(slots.last[i, 0]),
-            changes=max(int(slots.changes[i, 0]), int(before != first)),
-            step_squares=float(slots.step_squares[i, 0]),
-        )
+        gap_s, self._end_s = (end_s - self._end_s) / int(slots.samples[i]), end_s
+        values = [getattr(slots, name)[i, 0].item() for name in SLOT_VALUES]
+        slot = Slot(0.5 * (start_s + end_s), end_s, gap_s, thermometer.last, *values)
+        if start_s - thermometer.used_s >= thermometer.neighbour_s:
+            return replace(slot, before=slot.first)
+        return replace(slot, changes=max(slot.changes, int(slot.before != slot.first)))
+
+
+def output(thermometer: Thermometer, filters: Filters, before: Output, end_s: float) -> Output:
+    """Return mean and standard deviation of the mixture from the end of a slot on."""
+    mu, x, p = filters.mu, filters.x, filters.p
+    temperature, variance = mixture(mu, x[TEMPERATURE], p[TEMPERATURE, TEMPERATURE])
+    rate, rate_variance = mixture(mu, x[RATE], p[RATE, RATE])
+    slow, walk = slow_error(thermometer)
+    edge_sd = thermometer.step * (LINEARITY if thermometer.reversals >= REVERSALS else HYSTERESIS)
+    variance += SLOW_MEAN**2 * float((mu * (slow + walk * LONG_S)).sum())
+    variance += edge_sd**2 + (rate * thermometer.repeat_s) ** 2 / 3.0
+    # A ramp that has just begun is hidden by the temperature's sigma and the step.
+    rate_variance += max(variance, thermometer.step**2 / 12.0) / RAMP_S**2
+    offset = before.rate + math.exp(-(end_s - before.end_s) / LAG_S) * before.rate_offset - rate
+    return Output(
+        end_s=end_s,
+        temperature=temperature + (end_s - filters.time_s) * rate,
+        rate=rate,
+        temperature_sd=math.sqrt(variance),
+        rate_sd=math.sqrt(rate_variance),
+        rate_offset=0.0 if math.isnan(offset) else offset,
+        late_s=SLOT_S + thermometer.neighbour_s,
+        reading_sd=math.sqrt(thermometer.step**2 / 12.0 + max(thermometer.scatter, thermometer.rho)),
+    )
+
+
+def extrapolate(age: FloatArray, known: BoolArray, reading: FloatArray, shown: Output) -> RateEstimate:
+    """Return the estimates at samples from the output of the last slot; all arrays are (n,).
+
+    Before the first slot of a segment ends, and behind a gap until the next slot ends, there is the reading,
+    with its standard deviation (NaN while it is unknown), and the last rate or zero, which may be any.
+    """
+    known = known & (age <= shown.late_s)
+    fading = np.exp(-age / LAG_S, where=known, out=np.zeros_like(age)) * shown.rate_offset
+    # A slot is known when the next begins; readings farther apart leave the temperature to the rate.
+    waited = np.maximum(age - 2.0 * SLOT_S, 0.0)
+    unknown = 0.0 * reading
+    return RateEstimate(
+        temperature=np.where(known, shown.temperature + age * shown.rate, reading),
+        rate=np.where(known, shown.rate + fading, unknown + np.nan_to_num(shown.rate)),
+        temperature_sd=np.where(
+            known, np.hypot(shown.temperature_sd, waited * shown.rate_sd), unknown + shown.reading_sd
+        ),
+        rate_sd=np.where(known, np.hypot(shown.rate_sd, fading), unknown + FASTEST_RATE),
+    )

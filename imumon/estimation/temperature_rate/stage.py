@@ -10,8 +10,7 @@ import numpy as np
 
 from imumon.blocks import ColumnArray, FloatArray, SampleBlock
 from imumon.columns import TEMPERATURES, Column
-from imumon.estimation.temperature_rate.method import MultipleModelRate
-from imumon.estimation.temperature_rate.output import RateMethod
+from imumon.estimation.temperature_rate.method import MultipleModelRate, RateMethod
 from imumon.protocols.thermometer import TemperatureRateParameters
 
 
@@ -77,7 +76,7 @@ class TemperatureRate:
         """
         reading = block.columns.get(name, np.full(len(block), np.nan))
         begun = np.logical_or.accumulate(np.isfinite(reading)) | (name in self._begun)
-        if begun[-1:].any():
+        if begun.any():
             self._begun.add(name)
         found = method.process(block["device_time_ns"][begun], block["segment"][begun], reading[begun])
         if isinstance(method, MultipleModelRate) and math.isfinite(method.stuck_degc):

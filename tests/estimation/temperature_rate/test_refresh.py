@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from imumon.blocks import FloatArray
-from imumon.estimation.temperature_rate.filter import MEAN_MODELS, mean_model, slow_error
+from imumon.estimation.temperature_rate.filter import MEAN_MODELS, slow_error
 from imumon.estimation.temperature_rate.method import MultipleModelRate
 from imumon.estimation.temperature_rate.thermometer import Thermometer
 from tests.estimation.temperature_rate.records import clock, quantized, steady
@@ -100,10 +100,10 @@ def test_readings_far_apart_are_neighbours_whatever_the_jitter(interval_s: float
 
 
 def test_the_slow_error_of_a_sensor_read_every_10_s_is_what_its_spacing_shows() -> None:
-    row = MEAN_MODELS.index(mean_model(1.0, 5.0)) - len(MEAN_MODELS)
+    row = MEAN_MODELS.index((0.0, 1.0, 5.0, 0.0)) - len(MEAN_MODELS)
     thermometer = Thermometer(0.001, rho=0.01)
     of_a_second, _ = slow_error(thermometer)
-    thermometer.spacing_s = 10.0
+    thermometer.gap_s = 10.0
     variance, _ = slow_error(thermometer)
     assert of_a_second[row, 0] == pytest.approx(0.01 / 0.1318, rel=0.01)
     assert variance[row, 0] == pytest.approx(0.01 / 0.8258, rel=0.01)
