@@ -80,7 +80,7 @@ def run(package: Path, **environment: str) -> tuple[str, list[str]]:
     return done.stdout.strip(), sorted(re.findall(r"^compiling (?:made\.)?(\w+)", done.stderr, re.MULTILINE))
 
 
-def test_an_edit_of_any_file_and_an_index_that_names_a_class_that_has_gone_compile_anew(package: Path) -> None:
+def test_an_edit_of_any_file_and_an_index_that_names_a_lost_class_compile_anew(package: Path) -> None:
     assert run(package) == ("7.0 1.5", ["inner", "outer", "unrelated"])
     assert run(package) == ("7.0 1.5", [])
     (package / "constants.py").write_text("FACTOR = 5.0\n")
