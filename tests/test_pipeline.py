@@ -65,7 +65,7 @@ def run(pieces: list[tuple[bytes, int]], take_every: int) -> tuple[SampleBlock, 
 @given(cuts=st.lists(st.integers(1, 57), max_size=12), take_every=st.integers(1, 50))
 @settings(max_examples=20, deadline=None)
 def test_samples_do_not_depend_on_chunks_or_blocks(cuts: list[int], take_every: int) -> None:
-    pieces = stream(60)
+    pieces = stream(30)
     whole, reference = run(pieces, 1)
     cut_pieces = []
     for number, (data, arrival) in enumerate(pieces):
@@ -87,7 +87,7 @@ def test_samples_do_not_depend_on_chunks_or_blocks(cuts: list[int], take_every: 
 @settings(max_examples=20, deadline=None)
 def test_reads_given_together_are_those_given_one_by_one(together: list[int], cut: int) -> None:
     # The last byte of a packet comes alone, or with the next packet: the arrivals differ within a read.
-    whole = b"".join(data for data, _ in stream(60))
+    whole = b"".join(data for data, _ in stream(30))
     reads = [(whole[at : at + cut], START + at) for at in range(0, len(whole), cut)]
     one_by_one, reference = run(reads, 3)
     pipeline, at, turn = Pipeline(AX1, [CountingEstimator()]), 0, 0

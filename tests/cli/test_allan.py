@@ -44,15 +44,15 @@ def write(path: Path, columns: dict[str, Any]) -> Path:
     return path
 
 
-def columns(walk: float = 0.1) -> dict[str, Any]:
+def columns(walk: float = 0.1, n: int = N) -> dict[str, Any]:
     made: dict[str, Any] = {
-        "device_time_ns": np.arange(N) * round(INTERVAL_S * 1e9),
-        "segment": np.zeros(N, np.int64),
-        "temperature": np.full(N, 25.0),
+        "device_time_ns": np.arange(n) * round(INTERVAL_S * 1e9),
+        "segment": np.zeros(n, np.int64),
+        "temperature": np.full(n, 25.0),
     }
     for seed, name in enumerate(CHANNELS):
         size = WHITE * (1 + seed)
-        made[name] = noise(seed, N, INTERVAL_S, white=size, walk=walk * size) + (
+        made[name] = noise(seed, n, INTERVAL_S, white=size, walk=walk * size) + (
             9.81 if name == "accel_z" else 0
         )
     return made
@@ -152,11 +152,12 @@ def test_people_read_degrees_and_hours(table: Path) -> None:
 
 @pytest.mark.parametrize("said", ["at_rest", "nothing"])
 def test_motion_is_told_with_its_share(tmp_path: Path, said: str) -> None:
-    made = columns(walk=0.03)  # with more, a bias may leave its law while it moves, and look like a turn
-    moving = slice(10_000, 14_000)
-    made["gyro_x"][moving] += 0.3 * np.sin(np.arange(4000) * INTERVAL_S)
+    n = N // 2
+    made = columns(0.03, n)  # with more walk, a bias may leave its law while it moves, and look like a turn
+    moving = slice(5000, 7000)
+    made["gyro_x"][moving] += 0.3 * np.sin(np.arange(2000) * INTERVAL_S)
     if said == "at_rest":
-        made["at_rest"] = np.ones(N, np.int64)
+        made["at_rest"] = np.ones(n, np.int64)
         made["at_rest"][moving] = 0
     done = allan(write(tmp_path / "t.parquet", made))
     assert done.returncode == 0
@@ -165,9 +166,9 @@ def test_motion_is_told_with_its_share(tmp_path: Path, said: str) -> None:
 
 
 def test_a_session_is_read_like_a_table(tmp_path: Path) -> None:
-    made = columns()
+    made = columns(n=4000)
     names = ["gyro_x", "gyro_y", "gyro_z"]
-    rows = np.column_stack([np.arange(4000) * INTERVAL_S, *(made[name][:4000] for name in names)])
+    rows = np.column_stack([np.arange(4000) * INTERVAL_S, *(made[name] for name in names)])
     header = ",".join(["t", *names])
     np.savetxt(tmp_path / "t.csv", rows, delimiter=",", header=header, comments="")
     (tmp_path / "map.yaml").write_text(
@@ -186,15 +187,15 @@ def test_a_session_is_read_like_a_table(tmp_path: Path) -> None:
 
 
 def test_thermal_drift_is_told(tmp_path: Path) -> None:
-    made = columns()
-    made["temperature"] = np.linspace(20, 24, N)
+    made = columns(n=5000)
+    made["temperature"] = np.linspace(20, 24, 5000)
     assert "the temperature moved between 20.0 and 24.0" in allan(write(tmp_path / "t.csv", made)).stderr
 
 
 def test_what_has_no_even_rate_is_refused_with_the_reason(tmp_path: Path) -> None:
-    made = columns()
+    made = columns(n=5000)
     rng = np.random.default_rng(0)
-    made["device_time_ns"] = np.cumsum(rng.integers(1_000_000, 100_000_000, N))
+    made["device_time_ns"] = np.cumsum(rng.integers(1_000_000, 100_000_000, 5000))
     done = allan(write(tmp_path / "t.parquet", made))
     assert done.returncode == 4
     assert "even rate" in done.stderr
@@ -202,8 +203,7 @@ def test_what_has_no_even_rate_is_refused_with_the_reason(tmp_path: Path) -> Non
 
 
 def test_too_little_data_is_refused(tmp_path: Path) -> None:
-    made = {name: values[:10] for name, values in columns().items()}
-    done = allan(write(tmp_path / "t.parquet", made))
+    done = allan(write(tmp_path / "t.parquet", columns(n=10)))
     assert done.returncode == 4
     assert done.stdout == ""
 

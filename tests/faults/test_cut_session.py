@@ -35,7 +35,7 @@ def test_every_command_says_how_many_bytes_are_missing(cut: Path, tmp_path: Path
         "replay": ["replay", cut],
         "allan": ["allan", cut],
         "report": ["report", cut, "--out", tmp_path / "r.html"],
-        "batch": ["batch", "decode", cut.parent, "--out", tmp_path / "b"],
+        "batch": ["batch", "decode", cut.parent, "--out", tmp_path / "b", "--workers", 1],
         "catalog": ["catalog", cut.parent, "--results", tmp_path / "c"],
     }[command]
     assert REPORTED in imumon(*given).stderr

@@ -103,7 +103,8 @@ def test_a_lacking_model_is_warned_of_learned_live_and_the_next_session_is_bette
     learned = session / "learned-model.yaml"
     assert load_model(learned).trained_on[-1].session == "first"
     device, next_one = parse_device(text, source), session.with_name("next")
-    plan = scenario(25.0, 35.0, 25.0, 35.0, 25.0, 35.0).played(RATE_HZ, device.axes)
+    plan = scenario(25.0, 35.0, 25.0, 35.0).model_copy(update={"duration_s": 1200.0})
+    plan = plan.played(RATE_HZ, device.axes)
     record_session(plan, device, text, 3, next_one, lambda _: None)
     page = tmp_path / "compared.html"
     found = answer("replay", next_one, "--compare-models", session, learned, "--out", page)

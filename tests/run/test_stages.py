@@ -79,7 +79,7 @@ def test_join_keeps_blocks_in_order() -> None:
 
 def test_published_methods_run_beside_the_defaults_and_change_nothing_of_them() -> None:
     rng = np.random.default_rng(0)
-    n = 7000
+    n = 4000
     block = warming(n, 0)
     columns = {f"gyro_{a}": 1e-4 + 1e-3 * rng.standard_normal(n) for a in "xyz"}
     columns |= {f"accel_{a}": (9.8 if a == "z" else 0.0) + 1e-3 * rng.standard_normal(n) for a in "xyz"}

@@ -90,7 +90,7 @@ def test_what_a_scheduler_lost_is_no_failure_and_is_done_by_the_same_command(
     out, good, add = tmp_path / "out", [sessions / f"s{n:02}" for n in range(5)], Dataset.add
     with (
         dask("scheduler", "--host", address, "--no-dashboard") as scheduler,
-        dask("worker", address, "--nthreads", "1", "--no-dashboard"),
+        dask("worker", address, "--nthreads", "1", "--no-dashboard", "--no-nanny"),
     ):
 
         def killing(self: Dataset, rows: Any) -> None:
@@ -140,7 +140,7 @@ def test_ctrl_c_on_a_terminal_says_in_one_line_how_to_go_on(tmp_path: Path) -> N
         (lab / f"s{number:03}").mkdir()
         shutil.copy(first / "session.yaml", lab / f"s{number:03}")
         (lab / f"s{number:03}" / "wire.mcap").symlink_to(first / "wire.mcap")
-    command = [IMUMON, "batch", "replay", str(lab), "--out", str(tmp_path / "out"), "--workers", "2"]
+    command = [IMUMON, "batch", "replay", str(lab), "--out", str(tmp_path / "out"), "--workers", "1"]
     with subprocess.Popen(
         [sys.executable, "-c", TERMINAL, *command],
         stdin=subprocess.PIPE,
@@ -217,7 +217,10 @@ def test_nothing_is_lost_or_doubled_when_a_worker_dies_with_results_not_yet_fetc
     assert sorted(row["error"].rpartition(" ")[2] for row in taken) == sorted(str(n) for n in range(40))
 
 
-def test_a_session_that_kills_its_workers_is_a_failure(tmp_path: Path, client: Any) -> None:
+def test_a_session_that_kills_its_workers_is_a_failure(
+    tmp_path: Path, client: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(client.cluster.scheduler, "allowed_failures", 0)  # the first worker is enough
     deadly = Job(str(tmp_path), DECODE, str(tmp_path))
     good = Job(str(tiny(tmp_path / "good")), DECODE, str(tmp_path))
     taken: list[Row] = []
