@@ -55,6 +55,9 @@ def scripts(tree: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """The folder of the scripts, which may be imported, and leave settings as they were."""
     folder = tree / "scripts" / "reproduce"
     monkeypatch.syspath_prepend(folder)
+    for name, module in list(sys.modules.items()):  # of the repository, whose docs they would write
+        if str(getattr(module, "__file__", "")).startswith(f"{ROOT / 'scripts'}{os.sep}"):
+            monkeypatch.delitem(sys.modules, name)
     with patch.dict(os.environ):
         yield folder
 
