@@ -14,8 +14,7 @@ from functools import partial
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.estimation.gyro_bias.modes import SENSITIVITY
-from imumon.estimation.gyro_bias.prediction import Prediction
+from imumon.estimation.gyro_bias.bank import SENSITIVITY, Prediction
 from imumon.filters.turns import STILL, Turn
 from imumon.geodesy import EARTH_RATE, LEAST_HORIZONTAL, STANDARD_GRAVITY, earth_rate_along, north_in_body
 
