@@ -156,9 +156,7 @@ class Hypotheses:
         change, aged = present - bias, self.changes > 0 and self.steady_s >= ONSET_S
         first = self.first.rate if self.first and aged else None
         noise, before = accel_noise / evidence[0].covered_s, max(self.changes - 1, 0)
-        rate = SteadyRate(
-            evidence, bias, variance, change, variance + own, before, self.steady_s, first, noise
-        )
+        rate = SteadyRate(evidence, bias, variance, change, before, self.steady_s, first, noise)
         self.p_turn = probability_of_turn(rate, self.limits)
         if self.rest_given:
             undecided = self.changes > 0 and self.steady_s <= self.limits.undecided_s
@@ -191,15 +189,13 @@ class Hypotheses:
         return False
 
     def move(self, undo: bool) -> None:
-        """Coast while the unit moves: a change of a few seconds was how the motion began.
+        """Coast while the unit moves.
 
         With `undo` the last measurement is taken back: motion may begin before it is detected.
         """
         if undo and self.undo is not None:
             self.present = self.undo
         self.undo = None
-        if self.changes == 1 and self.steady_s < ONSET_S:
-            self.present, self.changes, self.doubted = self.nominal, 0, False
         if not self.doubted:
             self.p_turn, self.ambiguities = 0.0, np.zeros((2, 3))
         self.recent, self.alike = [], 0
