@@ -110,14 +110,11 @@ class Hypotheses:
         before, latest = self.ambiguities
         return np.asarray(np.where(np.abs(before) > np.abs(latest), before, latest))
 
-    def decide(
-        self, now: Measurement, parts: Sequence[Measurement], added: FloatArray, accel_noise: float
-    ) -> bool:
+    def decide(self, now: Measurement, added: FloatArray, accel_noise: float) -> bool:
         """Take a measurement; return whether a changed bias has become the nominal one.
 
-        `parts` are its slots one by one, needed in the first seconds of a rate.  `added` is the variance by
-        which the bias may have changed since the one before, (rad/s)², (3,).  `accel_noise` is the variance
-        of the mean force of a second, (m/s²)².
+        `added` is the variance by which the bias may have changed since the one before, (rad/s)², (3,).
+        `accel_noise` is the variance of the mean force of a second, (m/s²)².
         """
         if added.any():
             self.map(lambda bank: bank.wider(added))
@@ -127,10 +124,8 @@ class Hypotheses:
             self.nominal = self.newer = self.present
         self.recent = [*self.recent[1 - RECENT :], now]
         self._learn(now)
-        evidence: Sequence[Measurement] = self.recent[-self.alike :]
-        if self.alike < LEAST_MEASUREMENTS:  # the rate may just have changed
-            evidence = self.recent if len(self.recent) >= LEAST_MEASUREMENTS else parts
-        self._weigh(now, evidence, accel_noise)
+        # Where the rate has just changed, with what was before it.
+        self._weigh(now, self.recent[-max(self.alike, LEAST_MEASUREMENTS) :], accel_noise)
         return self._follow(now)
 
     def _learn(self, now: Measurement) -> None:
