@@ -48,7 +48,7 @@ sigma, with 0.1 for both a warm-up of 60 to 92 °/h/K has a sigma of 195 °/h in
 LAG_S = 16.0
 """By so much at least, and twice as much at most, the nominal bias follows the present one."""
 ONSET_S = 4.0
-"""A change that motion follows sooner was its onset; an older one may end a turn in the first rest."""
+"""A rate that is younger is not weighed as the end of a turn in the first rest."""
 NEW_POSE = 0.3
 """m/s²: a specific force that differs by more from the first one is that of another pose."""
 BEGAN_LOG_RATIO = -8.0
