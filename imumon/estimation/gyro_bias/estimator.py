@@ -180,9 +180,8 @@ class Estimator:
         slots = self.latest[-self.quiet.quiet_slots :]
         self.attitude = self.attitude.anew()
         self.attitude.come_to_rest(self.force, None)
-        whole_s = max(round(sum(one.length_s for one in slots)), 1)
-        parts = np.array_split(np.arange(len(slots)), min(whole_s, len(slots)))
-        measurements = [self._measurement([slots[k] for k in part]) for part in parts]
+        seconds = range(0, len(slots), SECOND_SLOTS)
+        measurements = [self._measurement(slots[k : k + SECOND_SLOTS]) for k in seconds]
         if not np.isfinite([one.rate for one in measurements]).all():
             return
         white, b, k = self.parameters.per_axis
