@@ -30,6 +30,7 @@ FIRST_S = 60.0
 """Of a turn, before which nothing is known of the flicker."""
 VARIANTS: dict[str, Change] = {
     "one level of flicker, 10 s": [(bank, "FLICKER_CORNERS_S", (10.0,))],
+    "no random walk": [(bank, "WALK_CORNER_S", 1e6)],
     "no sensitivity": [(bank, "SENSITIVITY_SD", 1e-9)],
     "no flicker within a slot": [(bank, "FASTEST_S", 1.0)],
     "nominal bias follows at once": [(hypotheses, "LAG_S", 1.0)],
@@ -37,6 +38,7 @@ VARIANTS: dict[str, Change] = {
     "nominal bias stays from P(turn) of 0.1 on": [(hypotheses, "DOUBT", 0.1)],
     "a mean fits by 5.5 sigma, not 4.5": [(hypotheses, "FIT_SIGMAS", 5.5)],
     "no test by gravity": [(odds, "OBLIQUE", 1e9)],
+    "a vague prediction does not explain a rate": [(odds, "nominal_bias", lambda *_: 0.0)],
     "rest after one second, however short the last rests": [(quiet, "SHORT_RESTS", 10**9)],
 }
 

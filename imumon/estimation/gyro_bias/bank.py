@@ -48,11 +48,13 @@ TAUS_S = np.array([1.0, 30.0, 1000.0])
 """Time constants of the flicker: from a second to the longest rest that matters."""
 FLOOR_OF_FLICKER = 0.664
 """Floor of the Allan deviation over B, sqrt(2 ln 2 / π) (IEEE 952)."""
-FLICKER_CORNERS_S = (40000.0, 100.0, 10.0, 1.0, 0.1)
-"""Averaging times at which flicker overtakes white noise; the first is as good as none."""
+FLICKER_CORNERS_S = (100.0, 10.0, 1.0, 0.1)
+"""Averaging times at which flicker overtakes white noise."""
 STRONG_FLICKER = 2.0
 """Prior of flicker that overtakes at 1 s over that of any other level: it is not observable in the first
 seconds, and a gyro of 40 °/h was off by 8 sigmas in them."""
+WALK_CORNER_S = 10.0
+"""The same of a random walk: white noise and a walk of K are equal at √3 σ/K."""
 SLOPE_PER_SIGMA = 3.6
 """Standard deviation of the slope over σ, 1/°C: 60 °/h/°C for a gyro of 0.28 °/√h."""
 SLOPE_LEFT_PER_SIGMA = 0.25
@@ -290,8 +292,10 @@ def _modes(
     b, k = noise
     if b is None or k is None:
         corners = np.array(FLICKER_CORNERS_S)
-        b = np.tile(1.0 / (FLOOR_OF_FLICKER * np.sqrt(corners)), (3, 1))
-        k, prior = np.zeros_like(b), np.where(corners == 1.0, STRONG_FLICKER, 1.0)
+        flicker = 1.0 / (FLOOR_OF_FLICKER * np.sqrt(corners))
+        b = np.tile([*flicker, 0.05 * flicker[0]], (3, 1))
+        k = np.tile([*0.0 * corners, math.sqrt(3.0) / WALK_CORNER_S], (3, 1))
+        prior = np.array([*np.where(corners == 1.0, STRONG_FLICKER, 1.0), 1.0])
     else:
         b, k = ((one / np.sqrt(white))[:, np.newaxis] for one in (b, k))
         prior = np.ones(1)

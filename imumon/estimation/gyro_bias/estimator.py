@@ -204,7 +204,8 @@ class Estimator:
         mean, variance = prediction.bias(now.force)
         innovation = (now.rate - mean) / np.sqrt(variance + self.added + prediction.white / now.covered_s)
         accel_noise = float(self._noise()[ACCEL].max()) if self.quiet.present[ACCEL].all() else math.inf
-        self.jumped |= hypotheses.decide(now, self.added, accel_noise)
+        parts = [self._measurement([slot]) for slot in slots]
+        self.jumped |= hypotheses.decide(now, parts, self.added, accel_noise)
         self.added, self.updated = np.zeros(3), True
         if hypotheses.began_turning and hypotheses.changes:
             self.quiet.restart()

@@ -48,7 +48,7 @@ sigma, with 0.1 for both a warm-up of 60 to 92 °/h/K has a sigma of 195 °/h in
 LAG_S = 16.0
 """By so much at least, and twice as much at most, the nominal bias follows the present one."""
 ONSET_S = 4.0
-"""A rate that is younger is not weighed as the end of a turn in the first rest."""
+"""A change that motion follows sooner was its onset; an older one may end a turn in the first rest."""
 NEW_POSE = 0.3
 """m/s²: a specific force that differs by more from the first one is that of another pose."""
 BEGAN_LOG_RATIO = -8.0
@@ -110,11 +110,14 @@ class Hypotheses:
         before, latest = self.ambiguities
         return np.asarray(np.where(np.abs(before) > np.abs(latest), before, latest))
 
-    def decide(self, now: Measurement, added: FloatArray, accel_noise: float) -> bool:
+    def decide(
+        self, now: Measurement, parts: Sequence[Measurement], added: FloatArray, accel_noise: float
+    ) -> bool:
         """Take a measurement; return whether a changed bias has become the nominal one.
 
-        `added` is the variance by which the bias may have changed since the one before, (rad/s)², (3,).
-        `accel_noise` is the variance of the mean force of a second, (m/s²)².
+        `parts` are its slots one by one, needed in the first seconds of a rate.  `added` is the variance by
+        which the bias may have changed since the one before, (rad/s)², (3,).  `accel_noise` is the variance
+        of the mean force of a second, (m/s²)².
         """
         if added.any():
             self.map(lambda bank: bank.wider(added))
@@ -124,8 +127,10 @@ class Hypotheses:
             self.nominal = self.newer = self.present
         self.recent = [*self.recent[1 - RECENT :], now]
         self._learn(now)
-        # Where the rate has just changed, with what was before it.
-        self._weigh(now, self.recent[-max(self.alike, LEAST_MEASUREMENTS) :], accel_noise)
+        evidence: Sequence[Measurement] = self.recent[-self.alike :]
+        if self.alike < LEAST_MEASUREMENTS:  # the rate may just have changed
+            evidence = self.recent if len(self.recent) >= LEAST_MEASUREMENTS else parts
+        self._weigh(now, evidence, accel_noise)
         return self._follow(now)
 
     def _learn(self, now: Measurement) -> None:
@@ -151,7 +156,9 @@ class Hypotheses:
         change, aged = present - bias, self.changes > 0 and self.steady_s >= ONSET_S
         first = self.first.rate if self.first and aged else None
         noise, before = accel_noise / evidence[0].covered_s, max(self.changes - 1, 0)
-        rate = SteadyRate(evidence, bias, variance, change, before, self.steady_s, first, noise)
+        rate = SteadyRate(
+            evidence, bias, variance, change, variance + own, before, self.steady_s, first, noise
+        )
         self.p_turn = probability_of_turn(rate, self.limits)
         if self.rest_given:
             undecided = self.changes > 0 and self.steady_s <= self.limits.undecided_s
@@ -184,13 +191,15 @@ class Hypotheses:
         return False
 
     def move(self, undo: bool) -> None:
-        """Coast while the unit moves.
+        """Coast while the unit moves: a change of a few seconds was how the motion began.
 
         With `undo` the last measurement is taken back: motion may begin before it is detected.
         """
         if undo and self.undo is not None:
             self.present = self.undo
         self.undo = None
+        if self.changes == 1 and self.steady_s < ONSET_S:
+            self.present, self.changes, self.doubted = self.nominal, 0, False
         if not self.doubted:
             self.p_turn, self.ambiguities = 0.0, np.zeros((2, 3))
         self.recent, self.alike = [], 0

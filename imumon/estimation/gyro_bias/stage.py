@@ -72,10 +72,10 @@ class RestAndBias:
     model : BiasModel or None
         Bias over temperature.
     mode : "standard", "thermal" or "learned"
-        standard: the bias is flicker noise, and a random walk where one is declared; a model, if there is
-        one, has calibrated the data.  thermal: raw data, and the model's increments are added to the bias
-        (TCZUPT; with the same noise these two are one filter).  learned: the slope over temperature is
-        estimated as well, and used where the evidence is for it.
+        standard: the bias is a random walk with flicker noise, of data that the model, if there is one, has
+        calibrated.  thermal: raw data, and the model's increments are added to the bias (TCZUPT; with the
+        same noise these two are one filter).  learned: the slope over temperature is estimated as well, and
+        used where the evidence is for it.
     latitude_deg, heading_deg : float or None
         Of the place, and of the body's x axis (where that is vertical: of -z) at the first rest, clockwise
         from north.

@@ -1,10 +1,10 @@
-"""P(turn): is a steady rate a turn, or the bias?  A Bayesian test of one hypothesis against two others.
+"""P(turn): is a steady rate a turn, or the bias?  A Bayesian test of one hypothesis against three others.
 
 The rate differs by the vector d from the nominal bias; |d| is its size.  Each o is the odds of an explanation
 over a turn, by the prior and the gyros; Λ is the likelihood ratio of no turn over a turn, by the other
 sensors; a function each::
 
-    P(turn) = 1 / (1 + Λ_gravity Λ_heading (o_changed + o_first)),    0 where `time_excludes` a turn
+    P(turn) = 1 / (1 + Λ_gravity Λ_heading (o_changed + o_nominal + o_first)),  0 where `time_excludes` a turn
 
 Turns are log-uniform from 36 °/h (0.01 °/s) to 300 °/s, so their density is 1/(D |d|), D = ln(30000); slower
 ones are rare: c = 1 + (36/|d|)² divides their density.
@@ -57,7 +57,8 @@ class SteadyRate:
     variance: FloatArray
     """Nominal bias and its variance, (3,)."""
     change: FloatArray
-    """The rate less that bias, (3,)."""
+    change_variance: FloatArray
+    """The rate less that bias, and its variance, (3,)."""
     changes: int
     """How often the rate has changed before: of as many changes as there were one may be of the bias."""
     steady_s: float
@@ -78,7 +79,7 @@ def probability_of_turn(rate: SteadyRate, limits: RestParameters) -> float:
     log_ratio = gravity(rate, limits.accel_drift) + heading(rate.measurements, rate.bias)
     if time_excludes(rate, log_ratio, limits):
         return 0.0
-    odds = changed_bias(rate, limits.largest_jump) + first_turn(rate)
+    odds = changed_bias(rate, limits.largest_jump) + nominal_bias(rate) + first_turn(rate)
     return 1.0 / (1.0 + odds * math.exp(max(min(log_ratio, MOST_LOG_RATIO), -MOST_LOG_RATIO)))
 
 
@@ -91,8 +92,23 @@ def changed_bias(rate: SteadyRate, largest: float) -> float:
     if rate.size > largest:
         return 1e-9  # and not 0: gravity and heading may still exclude a turn
     u = (rate.size + 1e-12) / USUAL_CHANGE
-    rarity = 1.0 + SLOWEST_TURN**2 / (rate.size**2 + 1e-24)
-    return 2.0 * DECADES * rarity / (math.pi * (u + 1.0 / u) * (1.0 + rate.changes))
+    return 2.0 * DECADES * _rarity(rate.size**2) / (math.pi * (u + 1.0 / u) * (1.0 + rate.changes))
+
+
+def nominal_bias(rate: SteadyRate) -> float:
+    """Return the odds that nothing has changed and the nominal bias is vague: 2 N(|d|; 0, σ²) |d| D c.
+
+    σ² is the variance of d along its direction.
+    """
+    square = rate.size**2 + 1e-24
+    variance = float((rate.change**2 + 1e-24) @ rate.change_variance) / square
+    density = 2.0 * math.exp(-0.5 * square / variance) / math.sqrt(2.0 * math.pi * variance)
+    return density * math.sqrt(square) * DECADES * _rarity(square)
+
+
+def _rarity(square: float) -> float:
+    """Return c, by which turns are rarer than log-uniform ones, from the square of their rate, (rad/s)²."""
+    return 1.0 + SLOWEST_TURN**2 / (square + 1e-24)
 
 
 def first_turn(rate: SteadyRate) -> float:

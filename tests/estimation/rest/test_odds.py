@@ -21,7 +21,7 @@ def rate(dph: float, changes: int = 0) -> SteadyRate:
     unknown, change = np.full(3, np.nan), np.array([0.0, 0.0, dph * DEG_PER_H])
     force, variance = np.array([0.0, 0.0, GRAVITY]), np.full(3, DEG_PER_H**2)
     measured = [Measurement(float(s), 1.0, change, force, unknown, unknown) for s in range(3)]
-    return SteadyRate(measured, np.zeros(3), variance, change, changes, 3.0, None, 1e-6)
+    return SteadyRate(measured, np.zeros(3), variance, change, variance, changes, 3.0, None, 1e-6)
 
 
 @pytest.mark.parametrize(("dph", "odds", "p", "added"), [(1800.0, 0.18, 0.85, 707), (180.0, 1.76, 0.36, 108)])
