@@ -13,7 +13,7 @@ from rest_scenes import SENSORS, TURN_RATE_HZ, measure_with_bias, steady_turn
 from samples import sent
 
 from imumon.blocks import FloatArray, SampleBlock
-from imumon.estimation.gyro_bias import bank, hypotheses, modes
+from imumon.estimation.gyro_bias import bank, hypotheses
 from imumon.estimation.gyro_bias.stage import RestAndBias
 from imumon.estimation.rest import odds, quiet
 from imumon.geodesy import DEG_PER_H
@@ -29,10 +29,10 @@ FLOOR_DPH = 1.0
 FIRST_S = 60.0
 """Of a turn, before which nothing is known of the flicker."""
 VARIANTS: dict[str, Change] = {
-    "one level of flicker, 10 s": [(modes, "FLICKER_CORNERS_S", (10.0,))],
-    "no random walk": [(modes, "WALK_CORNER_S", 1e6)],
+    "one level of flicker, 10 s": [(bank, "FLICKER_CORNERS_S", (10.0,))],
+    "no random walk": [(bank, "WALK_CORNER_S", 1e6)],
     "no sensitivity": [(bank, "SENSITIVITY_SD", 1e-9)],
-    "no flicker within a slot": [(modes, "FASTEST_S", 1.0)],
+    "no flicker within a slot": [(bank, "FASTEST_S", 1.0)],
     "nominal bias follows at once": [(hypotheses, "LAG_S", 1.0)],
     "nominal bias never stays": [(hypotheses, "DOUBT", 1.0), (hypotheses, "UNLIKELY_TURN", 1.0)],
     "nominal bias stays from P(turn) of 0.1 on": [(hypotheses, "DOUBT", 0.1)],

@@ -1,35 +1,71 @@
-"""A bank of Kalman filters, one for each mode, of unknown white noise σ² (West & Harrison, 1997, ch. 4).
+"""Kalman filters of a gyro's bias, one for each mode: a hypothesis of its noise and of its slope.
 
-The modes are fixed: static multiple models (Bar-Shalom et al., 2001, section 11.6.2).
+The model
+---------
+Per axis the state is::
 
-Each filter has its mean x, its covariance P over σ², and of σ² an inverse-gamma posterior IG(a, β).  Gains do
-not depend on σ², and S here is the innovation covariance over σ².  The predictive density of a measurement
-is Student's t with 2 a degrees of freedom and squared scale S β/a, and it weighs the modes
-of each axis: its noise and slope.
+    x = [w, g1, g2, g3, s, m1, m2, m3]
+
+    w   walk, rad/s                 w' = w + s dT + N(0, K² dt)
+    gi  flicker, rad/s              gi' = e^(-dt/τi) gi + N(0, σg² (1 - e^(-2 dt/τi))),  τ = 1, 30, 1000 s
+    s   slope over temperature      s' = s + N(0, σs² |dT| / 30 °C)
+    m   sensitivity to the specific force, rad/s per m/s², constant
+
+    bias = w + g1 + g2 + g3 + m f = H x
+
+Three Gauss-Markov processes of one variance, a decade and a half apart, are flicker noise of coefficient B:
+σg² = B² ln(τ3/τ2) / π: flicker has a variance of B² ln(ratio) / π in each interval of time constants.
+
+Modes
+-----
+The modes are fixed: static multiple models (Bar-Shalom et al., 2001, section 11.6.2).  White noise σ² (of the
+mean of a second) is not known (West & Harrison, 1997, ch. 4): each filter has its mean x, its covariance P
+over σ², and of σ² an inverse-gamma posterior IG(a, β).  Gains do not depend on σ², and S here is the
+innovation covariance over σ².  The predictive density of a measurement is Student's t with 2 a degrees of
+freedom and squared scale S β/a, and it weighs the modes of each axis.
+
+All modes have one F, so the moments of their mixture, the *prediction*, propagate as those of each of them.
+It is evaluated at each sample: a unit in the hand is in another pose a quarter of a second later.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
-from imumon.blocks import FloatArray
-from imumon.estimation.gyro_bias.modes import (
-    SENSITIVITY,
-    SENSITIVITY_SD,
-    SLOPE,
-    SLOPE_DEGC,
-    STATES,
-    WALK,
-    Modes,
-    measurement_row,
-    propagated,
-)
-from imumon.estimation.gyro_bias.prediction import Prediction
+from imumon.blocks import BoolArray, FloatArray, IntArray
 from imumon.estimation.rest.slots import Measurement
+from imumon.geodesy import STANDARD_GRAVITY
 
+STATES = 8
+WALK, FLICKER, SLOPE, SENSITIVITY = 0, slice(1, 4), 4, slice(5, 8)
+TAUS_S = np.array([1.0, 30.0, 1000.0])
+"""Time constants of the flicker: from a second to the longest rest that matters."""
+FLOOR_OF_FLICKER = 0.664
+"""Floor of the Allan deviation over B, sqrt(2 ln 2 / π) (IEEE 952)."""
+FLICKER_CORNERS_S = (100.0, 10.0, 1.0, 0.1)
+"""Averaging times at which flicker overtakes white noise."""
+STRONG_FLICKER = 2.0
+"""Prior of flicker that overtakes at 1 s over that of any other level: it is not observable in the first
+seconds, and a gyro of 40 °/h was off by 8 sigmas in them."""
+WALK_CORNER_S = 10.0
+"""The same of a random walk: white noise and a walk of K are equal at √3 σ/K."""
+SLOPE_PER_SIGMA = 3.6
+"""Standard deviation of the slope over σ, 1/°C: 60 °/h/°C for a gyro of 0.28 °/√h."""
+SLOPE_LEFT_PER_SIGMA = 0.25
+"""The same of what a model's curve leaves."""
+SLOPE_DEGC = 30.0
+"""Difference of temperature over which a slope changes by as much as itself."""
+SENSITIVITY_SD = math.radians(0.05) / STANDARD_GRAVITY
+"""Standard deviation of an entry of the matrix of sensitivity, rad/s per m/s², of an uncompensated gyro; with
+a second, smaller level a gyro between both was off by 9 sigma."""
+FASTEST_S = 0.02
+"""Down to here the flicker of single samples goes on."""
 MEMORY_S = 600.0
 """Over which σ² is averaged."""
 PRIOR_COUNT, DECLARED_COUNT = 3.0, 0.5 * MEMORY_S
@@ -38,11 +74,109 @@ UNKNOWN = 1e8
 """Prior variance of w over σ²: turn-on biases of any gyro."""
 
 
+def propagated(
+    mean: FloatArray, covariance: FloatArray, process: FloatArray, dt: float, warming: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return F x, (3, ..., 8), and F P Fᵀ + Q, (3, ..., 8, 8), over dt seconds and `warming` °C, (3,).
+
+    NaN is no change of temperature; `process` is `Bank.process`.
+    """
+    warming, keeps = np.nan_to_num(warming), np.exp(-dt / TAUS_S)
+    f = np.zeros((3, STATES, STATES))
+    f[:] = np.diag([1.0, *keeps, 1.0, 1.0, 1.0, 1.0])
+    f[:, WALK, SLOPE] = warming
+    grows = np.zeros((3, STATES))
+    grows[:, WALK], grows[:, FLICKER], grows[:, SLOPE] = dt, 1.0 - keeps**2, np.abs(warming)
+    modes = (1,) * (mean.ndim - 2)
+    f, grows = f.reshape(3, *modes, STATES, STATES), grows.reshape(3, *modes, STATES)
+    covariance = f @ covariance @ f.swapaxes(-1, -2)
+    np.einsum("...ii->...i", covariance)[...] += process * grows
+    return (f @ mean[..., np.newaxis])[..., 0], covariance
+
+
+def measurement_row(force: FloatArray) -> FloatArray:
+    """Return H, (8,), at a specific force, m/s², (3,); zero where it is not known."""
+    return np.array([1.0, 1.0, 1.0, 1.0, 0.0, *force])
+
+
+class LinearBias(NamedTuple):
+    """A bias as a linear function of the specific force f, t (1, f); NaN where nothing is known."""
+
+    terms: FloatArray
+    """t: bias without specific force, rad/s, and sensitivity, rad/s per m/s², (3, 4)."""
+    covariance: FloatArray
+    """C of t, (3, 4, 4)."""
+    force: FloatArray
+    """Mean f of the slot, m/s², (3,)."""
+    turn: FloatArray
+    """Turn hypothesis, rad/s, (3,); its square is not in C."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Prediction:
+    """Mean and covariance of the states of three axes, absolute."""
+
+    mean: FloatArray
+    covariance: FloatArray
+    process: FloatArray
+    """(3, 8), (3, 8, 8), and the process noise as `Bank.process` has it, (3, 8)."""
+    fast: FloatArray
+    white: FloatArray
+    """Variance of the flicker of single samples, and of the white noise of a second, (rad/s)², (3,)."""
+    time_s: float
+    degc: FloatArray
+    """°C, (3,)."""
+
+    def at(self, time_s: float, degc: FloatArray) -> Prediction:
+        """Return the prediction at a later time and temperatures, (3,); NaN is no change."""
+        dt, warming = time_s - self.time_s, degc - self.degc
+        if dt <= 0.0:
+            return self
+        mean, covariance = propagated(self.mean, self.covariance, self.process, dt, warming)
+        known = np.where(np.isfinite(degc), degc, self.degc)
+        return replace(self, mean=mean, covariance=covariance, time_s=time_s, degc=known)
+
+    def bias(self, force: FloatArray, of_mean: bool = False) -> tuple[FloatArray, FloatArray]:
+        """Return bias and variance at a specific force, (3,) each; `of_mean` without the fastest flicker."""
+        h = measurement_row(force)
+        mean = self.mean @ h
+        if of_mean:
+            h[FLICKER.start] = 0.0
+        return mean, np.maximum(self.covariance @ h @ h, 0.0)
+
+    def output(self, added: FloatArray, force: FloatArray, turn: FloatArray) -> LinearBias:
+        """Return the bias with more variance, (rad/s)², at the mean force of a slot, m/s², (3,) each."""
+        select = np.vstack([measurement_row(np.zeros(3)), np.eye(STATES)[SENSITIVITY]])
+        covariance = select @ self.covariance @ select.T
+        covariance[:, 0, 0] += self.fast + added
+        return LinearBias(self.mean @ select.T, covariance, force, turn)
+
+
+def at_samples(
+    rows: IntArray, every: list[LinearBias], force: FloatArray, moving: BoolArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return bias t (1, f), variance (1, f) C (1, f) and turn hypothesis of samples, (n, 3) each.
+
+    `every` bias but the first holds from its row on, (m,).  f is the specific force of the sample, (n, 3); at
+    rest, where its noise is no change of pose, and without accelerometers, that of the slot.  The sums are of
+    few terms each, so they are the same whatever the division into blocks.
+    """
+    which = np.searchsorted(rows, np.arange(len(moving)), side="right")
+    terms, covariance, of_slot, turn = (np.array(one)[which] for one in zip(*every, strict=True))
+    row = np.ones((len(force), 1, 4))
+    row[:, 0, 1:] = np.where((moving & np.isfinite(force).all(1))[:, np.newaxis], force, of_slot)
+    variance = ((covariance * row[:, np.newaxis]).sum(3) * row).sum(2)
+    return (terms * row).sum(2), np.maximum(variance, 0.0), turn
+
+
 @dataclass(frozen=True, eq=False)
 class Bank:
     """The filters at a time, (3 axes, F modes, ...)."""
 
-    modes: Modes
+    process: FloatArray
+    """Q over σ²: of w per second, of each gi when it is in equilibrium, of s per °C, (3, F, 8)."""
+    fast: FloatArray
+    """Variance over σ² of flicker of a sample that the filter does not follow, (3, F)."""
     mean: FloatArray
     covariance: FloatArray
     """P, over σ²."""
@@ -56,18 +190,28 @@ class Bank:
     """(3,)."""
 
     @classmethod
-    def begin(cls, modes: Modes, white: FloatArray, count: float, first: Measurement) -> Bank:
+    def begin(
+        cls,
+        noise: Sequence[FloatArray | None],
+        slopes: Sequence[float],
+        white: FloatArray,
+        count: float,
+        first: Measurement,
+    ) -> Bank:
         """Return filters that know nothing of the bias before the first measurement.
 
-        `white` is σ², the variance of the mean rate of a second, (rad/s)², (3,), with `count` as its a.
+        `noise` are declared B, rad/s, and K, rad/s/√s, (3,) each, or None; `slopes` standard deviations of
+        the slope over σ, 1/°C; `white` is σ², the variance of the mean rate of a second, (rad/s)², (3,), with
+        `count` as its a.
         """
-        variance = modes.process.copy()
-        variance[..., WALK], variance[..., SLOPE] = UNKNOWN, modes.process[..., SLOPE] * SLOPE_DEGC
+        process, fast, log_prior = _modes(noise, slopes, white)
+        variance = process.copy()
+        variance[..., WALK], variance[..., SLOPE] = UNKNOWN, process[..., SLOPE] * SLOPE_DEGC
         variance[..., SENSITIVITY] = (SENSITIVITY_SD**2 / white)[:, np.newaxis, np.newaxis]
-        scale = np.repeat(count * white[:, np.newaxis], modes.count, 1)
+        scale = np.repeat(count * white[:, np.newaxis], fast.shape[1], 1)
         start_s, zero = first.end_s - first.covered_s, np.zeros_like(variance)
         covariance = variance[..., np.newaxis] * np.eye(STATES)
-        return cls(modes, zero, covariance, modes.log_prior, count, scale, start_s, first.degc)
+        return cls(process, fast, zero, covariance, log_prior, count, scale, start_s, first.degc)
 
     def fits(self, now: Measurement, sigmas: float) -> bool:
         """Return whether a mean is within so many sigmas of its prediction in each axis."""
@@ -80,7 +224,7 @@ class Bank:
         """Return the filters after a measurement; with `jumped` the bias may be any, and modes and σ²
         stay."""
         dt, warming = now.end_s - self.time_s, now.degc - self.degc
-        mean, covariance = propagated(self.mean, self.covariance, self.modes.process, dt, warming)
+        mean, covariance = propagated(self.mean, self.covariance, self.process, dt, warming)
         if jumped:
             covariance[..., WALK, WALK] += UNKNOWN
         h = measurement_row(now.force)
@@ -107,16 +251,16 @@ class Bank:
     @cached_property
     def prediction(self) -> Prediction:
         """Mean and covariance over all modes, in absolute units."""
-        modes, w = self.modes, np.exp(self.log_weight)
+        w = np.exp(self.log_weight)
         w = w / w.sum(1, keepdims=True)
         white = w * self.scale / max(self.shape - 1.0, 1.0)
         mean = (w[:, np.newaxis] @ self.mean)[:, 0]
         off = self.mean - mean[:, np.newaxis]
-        flat = self.covariance.reshape(3, modes.count, -1)
+        flat = self.covariance.reshape(*w.shape, -1)
         within = (white[:, np.newaxis] @ flat).reshape(3, STATES, STATES)
         covariance = within + (off * w[..., np.newaxis]).transpose(0, 2, 1) @ off
-        process = (white[:, np.newaxis] @ modes.process)[:, 0]
-        fast = (white * modes.fast).sum(1)
+        process = (white[:, np.newaxis] @ self.process)[:, 0]
+        fast = (white * self.fast).sum(1)
         return Prediction(mean, covariance, process, fast, white.sum(1), self.time_s, self.degc)
 
     def wider(self, variance: FloatArray) -> Bank:
@@ -134,5 +278,35 @@ class Bank:
 
     def with_white(self, white: FloatArray) -> Bank:
         """Restart σ², the variance of the mean of a second, (rad/s)², (3,)."""
-        scale = np.repeat(PRIOR_COUNT * white[:, np.newaxis], self.modes.count, 1)
+        scale = np.repeat(PRIOR_COUNT * white[:, np.newaxis], self.fast.shape[1], 1)
         return self.with_noise_of(replace(self, shape=PRIOR_COUNT, scale=scale))
+
+
+def _modes(
+    noise: Sequence[FloatArray | None], slopes: Sequence[float], white: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return each noise level with each slope: process, (3, F, 8), fast, and ln of the prior, (3, F).
+
+    See `Bank.begin` for the arguments.
+    """
+    b, k = noise
+    if b is None or k is None:
+        corners = np.array(FLICKER_CORNERS_S)
+        flicker = 1.0 / (FLOOR_OF_FLICKER * np.sqrt(corners))
+        b = np.tile([*flicker, 0.05 * flicker[0]], (3, 1))
+        k = np.tile([*0.0 * corners, math.sqrt(3.0) / WALK_CORNER_S], (3, 1))
+        prior = np.array([*np.where(corners == 1.0, STRONG_FLICKER, 1.0), 1.0])
+    else:
+        b, k = ((one / np.sqrt(white))[:, np.newaxis] for one in (b, k))
+        prior = np.ones(1)
+    slope = np.tile(slopes, len(prior))
+    b, k, prior = (np.repeat(one, len(slopes), axis=-1) for one in (b, k, prior))
+    variance = b**2 * math.log(TAUS_S[2] / TAUS_S[1]) / math.pi
+    process = np.zeros((*b.shape, STATES))
+    process[..., WALK] = k**2
+    process[..., FLICKER] = variance[..., np.newaxis]
+    process[..., SLOPE] = slope**2 / SLOPE_DEGC
+    # What is faster than the fastest process, and that process at the end of a second less its mean over it:
+    # 1 + 0.736 - 2 x 0.632 of its variance.
+    fast = b**2 / math.pi * math.log(TAUS_S[0] / FASTEST_S) + 0.47 * variance
+    return process, fast, np.tile(np.log(prior), (3, 1))

@@ -5,7 +5,7 @@
 While the unit moves, the variance of the bias grows with time, temperature, gaps and turns against the earth.
 
 Constants that assume a grade of sensors: `QUIET` (rest), `USUAL_CHANGE` and `SLOWEST_TURN` (odds),
-`SENSITIVITY_SD` (modes), `SCALE_SD` (place), `UNKNOWN_RATE` and `BIAS_WALK` (motion).  White noise and
+`SENSITIVITY_SD` (bank), `SCALE_SD` (place), `UNKNOWN_RATE` and `BIAS_WALK` (motion).  White noise and
 flicker are learned.
 """
 
@@ -19,14 +19,20 @@ from functools import partial
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.estimation.gyro_bias import bank
+from imumon.estimation.gyro_bias.bank import (
+    DECLARED_COUNT,
+    PRIOR_COUNT,
+    SENSITIVITY_SD,
+    SLOPE,
+    WALK,
+    Bank,
+    LinearBias,
+)
 from imumon.estimation.gyro_bias.hypotheses import Hypotheses, begun
-from imumon.estimation.gyro_bias.modes import SENSITIVITY_SD, SLOPE, WALK, modes_of
 from imumon.estimation.gyro_bias.motion import Motion
 from imumon.estimation.gyro_bias.parameters import GyroBiasParameters
 from imumon.estimation.gyro_bias.place import Attitude
-from imumon.estimation.gyro_bias.prediction import LinearBias
-from imumon.estimation.gyro_bias.thermal_input import ThermalVariance
+from imumon.estimation.gyro_bias.thermal import ThermalVariance
 from imumon.estimation.rest.parameters import RestParameters
 from imumon.estimation.rest.quiet import SECOND_SLOTS, TRIAL, QuietDetector
 from imumon.estimation.rest.slots import ACCEL, GYRO, Measurement, Slot, measurement_of
@@ -174,15 +180,14 @@ class Estimator:
         slots = self.latest[-self.quiet.quiet_slots :]
         self.attitude = self.attitude.anew()
         self.attitude.come_to_rest(self.force, None)
-        whole_s = max(round(sum(one.length_s for one in slots)), 1)
-        parts = np.array_split(np.arange(len(slots)), min(whole_s, len(slots)))
-        measurements = [self._measurement([slots[k] for k in part]) for part in parts]
+        seconds = range(0, len(slots), SECOND_SLOTS)
+        measurements = [self._measurement(slots[k : k + SECOND_SLOTS]) for k in seconds]
         if not np.isfinite([one.rate for one in measurements]).all():
             return
         white, b, k = self.parameters.per_axis
-        count = bank.PRIOR_COUNT if white is None else bank.DECLARED_COUNT
+        count = PRIOR_COUNT if white is None else DECLARED_COUNT
         sigma2 = self._noise()[GYRO] if white is None else np.maximum(white**2, 1e-18)
-        filters = bank.Bank.begin(modes_of(sigma2, b, k, self.slopes), sigma2, count, measurements[0])
+        filters = Bank.begin((b, k), self.slopes, sigma2, count, measurements[0])
         self.hypotheses = begun(filters, measurements, self.limits, slots[-1].rest_given is not None)
         self.added, self.updated = np.zeros(3), True
 

@@ -14,8 +14,7 @@ from functools import partial
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.estimation.gyro_bias.modes import SENSITIVITY
-from imumon.estimation.gyro_bias.prediction import Prediction
+from imumon.estimation.gyro_bias.bank import SENSITIVITY, Prediction
 from imumon.filters.turns import STILL, Turn
 from imumon.geodesy import EARTH_RATE, LEAST_HORIZONTAL, STANDARD_GRAVITY, earth_rate_along, north_in_body
 
@@ -65,16 +64,12 @@ class Attitude:
     def _turned_earth(self) -> FloatArray:
         """Return the variance of what the turn does to the earth rate that is taken for bias, (3,).
 
-        Its direction is not known.
+        Its direction is not known; with the latitude alone the whole is counted, not the level part.
         """
         if self.latitude is not None and self.heading is not None:
             return np.zeros(3)
         change = self.turn.rotation.T - np.eye(3)
-        square = (change * change) @ np.ones(3)
-        if self.latitude is None:
-            return np.asarray(EARTH_RATE**2 / 3.0 * square)
-        level = EARTH_RATE * math.cos(self.latitude)
-        return np.asarray(0.5 * level**2 * (square - (change @ self.up) ** 2))
+        return np.asarray(EARTH_RATE**2 / 3.0 * (change**2).sum(1))
 
     def come_to_rest(self, force: FloatArray, prediction: Prediction | None) -> FloatArray:
         """Take the attitude of a new rest; return what that adds to the variance of the bias, (rad/s)², (3,).

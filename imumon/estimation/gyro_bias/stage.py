@@ -12,13 +12,16 @@ from imumon.blocks import NO_INT, BoolArray, ColumnArray, FloatArray, IntArray, 
 from imumon.charts import Chart
 from imumon.columns import Column, vector_columns
 from imumon.errors import bad_config
+from imumon.estimation.gyro_bias.bank import (
+    SLOPE_LEFT_PER_SIGMA,
+    SLOPE_PER_SIGMA,
+    LinearBias,
+    at_samples,
+)
 from imumon.estimation.gyro_bias.estimator import SECOND_S, Estimator
-from imumon.estimation.gyro_bias.modes import SLOPE_LEFT_PER_SIGMA, SLOPE_PER_SIGMA
 from imumon.estimation.gyro_bias.parameters import GyroBiasParameters
 from imumon.estimation.gyro_bias.place import Attitude
-from imumon.estimation.gyro_bias.prediction import LinearBias, at_samples
-from imumon.estimation.gyro_bias.thermal_input import ThermalInput, ThermalVariance, trust_in
-from imumon.estimation.gyro_bias.trail import BiasTrail
+from imumon.estimation.gyro_bias.thermal import BiasTrail, ThermalInput, ThermalVariance, trust_in
 from imumon.estimation.rest.parameters import RestParameters, retired
 from imumon.estimation.rest.slots import ACCEL, GATHERED, GYRO, SLOT_S, Timing, heading_of, readings_of
 from imumon.filters.slots import Breaks, SlotGatherer, Slots

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from imumon.estimation.gyro_bias.stage import GyroBias
-from imumon.estimation.gyro_bias.trail import MOST_POINTS, BiasTrail
+from imumon.estimation.gyro_bias.thermal import MOST_POINTS, BiasTrail
 from tests.estimation.gyro_bias.records import DPH, Truth, record, slope_model, vector
 
 
