@@ -2,12 +2,47 @@
 
 The rate differs by the vector d from the nominal bias; |d| is its size.  Each o is the odds of an explanation
 over a turn, by the prior and the gyros; Λ is the likelihood ratio of no turn over a turn, by the other
-sensors; a function each::
+sensors::
 
-    P(turn) = 1 / (1 + Λ_gravity Λ_heading (o_changed + o_nominal + o_first)),  0 where `time_excludes` a turn
+    P(turn) = 1 / (1 + Λ_gravity Λ_heading (o_changed + o_nominal + o_first))
+
+Explanations other than a turn:
+
+==============  ============================================  ================================================
+row             what it stands for                            odds o over a turn
+==============  ============================================  ================================================
+changed_bias    the bias has changed: half-Cauchy, scale      2 D c / (π (|d|/50 + 50/|d|) (1 + n)),
+                50 °/h; prior odds 1 : 1 + n, as a hand       10⁻⁹ if |d| > `largest_jump`
+                changes its rate more often than a bias does
+nominal_bias    nothing has changed: the nominal bias is      2 N(|d|; 0, σ²) |d| D c
+                vague
+first_turn      the first rest was a turn, and this is the    0.05 (first rate / this rate)³
+                bias
+==============  ============================================  ================================================
+
+Sensors:
+
+==============  ============================================  ================================================
+row             what it compares                              likelihood ratio Λ of no turn over a turn
+==============  ============================================  ================================================
+gravity         a turn about a tilted axis tilts the unit by  2 / (1 + L(tilt | turn) / L(tilt | no turn)),
+                the angle turned; nothing else does           e⁵⁰ for a level change without its tilt
+heading         a turn turns magnetometer or yaw by its       L(heading | no turn) / L(heading | turn)
+                angle
+==============  ============================================  ================================================
+
+Time limit:
+
+==============  ============================================  ================================================
+row             when                                          what follows
+==============  ============================================  ================================================
+time_excludes   the rate has lasted for `undecided_s`         P(turn) = 0, unless Λ_gravity Λ_heading < e⁻² or
+                                                              |d| > `largest_jump`
+==============  ============================================  ================================================
 
 Turns are log-uniform from 36 °/h (0.01 °/s) to 300 °/s, so their density is 1/(D |d|), D = ln(30000); slower
-ones are rare: c = 1 + (36/|d|)² divides their density.
+ones are rare: c = 1 + (36/|d|)² divides their density.  n is the number of changes before the present one, σ²
+the variance of d along its direction.  |d| and σ are in °/h here.
 """
 
 from __future__ import annotations
@@ -84,11 +119,7 @@ def probability_of_turn(rate: SteadyRate, limits: RestParameters) -> float:
 
 
 def changed_bias(rate: SteadyRate, largest: float) -> float:
-    """Return the odds that the bias has changed, 2 D c / (π (|d|/50 + 50/|d|) (1 + n)), |d| in °/h.
-
-    Changes are half-Cauchy, and none is larger than `largest`, rad/s.  Of all n + 1 changes so far, one is of
-    the bias.
-    """
+    """Return the odds that the bias has changed; none changes by more than `largest`, rad/s."""
     if rate.size > largest:
         return 1e-9  # and not 0: gravity and heading may still exclude a turn
     u = (rate.size + 1e-12) / USUAL_CHANGE
@@ -96,10 +127,7 @@ def changed_bias(rate: SteadyRate, largest: float) -> float:
 
 
 def nominal_bias(rate: SteadyRate) -> float:
-    """Return the odds that nothing has changed and the nominal bias is vague: 2 N(|d|; 0, σ²) |d| D c.
-
-    σ² is the variance of d along its direction.
-    """
+    """Return the odds that nothing has changed, high where the prediction of the nominal bias is vague."""
     square = rate.size**2 + 1e-24
     variance = float((rate.change**2 + 1e-24) @ rate.change_variance) / square
     density = 2.0 * math.exp(-0.5 * square / variance) / math.sqrt(2.0 * math.pi * variance)
@@ -112,7 +140,7 @@ def _rarity(square: float) -> float:
 
 
 def first_turn(rate: SteadyRate) -> float:
-    """Return the odds that the first mean had a turn in it, and this one has none: 0.05 (first / this)³.
+    """Return the odds that the first mean had a turn in it, and this one has none.
 
     Of the biases of a gyro nobody knows the scale s: with a density of 1/s, a mean of size m is the bias
     with a density of 1/m³.
@@ -127,8 +155,7 @@ def first_turn(rate: SteadyRate) -> float:
 def gravity(rate: SteadyRate, drift: float) -> float:
     """Return ln Λ by how the unit has tilted; `drift` of accelerometers, m/s³.
 
-    A turn is about the vertical, or oblique: then it tilts the unit by the angle turned, and nothing else
-    does.  Λ = 2 / (1 + L(tilt | turn) / L(tilt | no turn)).
+    A turn is about the vertical, or oblique: then it tilts the unit by the angle turned.
     """
     force = rate.measurements[-1].force
     size = math.sqrt(float(force @ force))
