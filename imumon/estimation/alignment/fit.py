@@ -34,7 +34,7 @@ OVERLAP = 1.0 / 6.0
 """Correlation of white noise in neighbouring Hann cells: the mean of their product over that of a square."""
 TREND_ORDER = 5
 """Coefficients of the polynomial trend that is removed before the scatter is computed; at most a quarter of
-the cells."""
+the used cells."""
 KNOCK = 10.0
 """Residual, in medians of the residuals, above which a cell is rejected.  Ablation: without it, a knock that
 tilts the unit by 0.005° leaves a heading error of 1.1° after 2 minutes, not 0.01°."""
@@ -220,7 +220,7 @@ def _scatter(values: ColumnArray, used: BoolArray, order: int) -> tuple[float, B
 
     `values` (cells,) are real, or complex with the same variance in both parts.
     """
-    order = max(1, min(order, len(values) // 4))
+    order = max(1, min(order, int(used.sum()) // 4))
     basis, square = _trend(len(values), order), np.zeros(len(values))
     for _ in range(3):  # a knock hides smaller ones
         square = np.abs(values - basis @ np.linalg.lstsq(basis[used], values[used], rcond=None)[0]) ** 2
