@@ -157,7 +157,9 @@ class Aligner:
         self.posterior = new._replace(sd=min(max(new.sd, moved), ANY_ANGLE_SD))
         self.fitted_variance = here.azimuth_variance
         self.history.append((self.rest_s, new.north, self.posterior.sd))
-        settled = self.observable and self.heading_sd <= self.wanted_sd
+        # Settled when sigma falls to the wanted one, and no longer when it exceeds 1.25 times that.
+        wanted = self.wanted_sd * (1.0 if self.settled_s is None else 1.25)
+        settled = self.observable and self.heading_sd <= wanted
         self.settled_s = (self.settled_s or here.ended_s) if settled else None
 
     @property

@@ -50,8 +50,8 @@ class Status(NamedTuple):
     until then, None if unknown or never; `wanted_sd` is the sigma wanted.
 
     `positions` counts the positions, the present one included; `position_s` is the time at rest in it, and
-    `position_sd` that of the heading by its white noise alone.  `turned` is the angle about the vertical
-    since the previous position, clockwise, also during a turn, while `moving`.
+    `position_sd` that of the heading by its white noise alone.  `turned` is the change of heading since
+    the previous position, also during a turn, while `moving`.
     """
 
     moving: bool
