@@ -52,7 +52,7 @@ WORSE = np.array(
 """Factors by which some gyros or all are worse than that, (35, 3): up to 31 °/h for the best of them."""
 P_WORSE = 0.003
 """Prior probability of any of these factors: assumed, as rare as a normal value beyond three sigmas.
-Ablation: without them, errors are up to 39 sigma."""
+Ablation: without them, errors are up to 40 sigma."""
 SHARES = np.exp(-0.5 * (LOG_SIZES / LOG_SIZE_SD) ** 2)
 P_SIZES = np.r_[(1.0 - P_WORSE) * SHARES / SHARES.sum(), np.full(len(WORSE), P_WORSE / len(WORSE))]
 """Prior probabilities of the sizes and of the factors, (44,)."""
