@@ -52,7 +52,7 @@ VARIANTS: Mapping[str, Change] = {
     "settling: all exponentials": [(fit, "TILTS", _tilts(8))],
     "settling: prior of 0.03": [(fit, "P_SETTLES", 0.03)],
     "averaging: the best hypothesis": [(aligner, "fit_position", _best)],
-    "gyros worse than the others": [(posterior, "P_SIZES", np.r_[posterior.P_SIZES[:9], np.full(35, 1e-15)])],
+    "gyros worse than the others": [(posterior, "P_WORSE", 1e-12)],
     "sigma of a heading that moves from fit to fit": [(aligner, "RECENT_SHARE", 0.0)],
 }
 """What is left out or set otherwise."""

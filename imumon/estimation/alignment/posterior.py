@@ -50,12 +50,9 @@ WORSE = np.array(
     ]
 )
 """Factors by which some gyros or all are worse than that, (35, 3): up to 31 °/h for the best of them."""
-P_WORSE = 0.003
-"""Prior probability of any of these factors: assumed, as rare as a normal value beyond three sigmas.
-Ablation: without them, errors are up to 40 sigma."""
-SHARES = np.exp(-0.5 * (LOG_SIZES / LOG_SIZE_SD) ** 2)
-P_SIZES = np.r_[(1.0 - P_WORSE) * SHARES / SHARES.sum(), np.full(len(WORSE), P_WORSE / len(WORSE))]
-"""Prior probabilities of the sizes and of the factors, (44,)."""
+P_WORSE, P_WORSE_THAN_DECLARED = 0.003, 0.001
+"""Prior probabilities of any of these factors (assumed): over the regression, as rare as a normal value
+beyond three sigmas, and over a declared bias.  Ablation: without them, errors are up to 40 sigma."""
 DIRECTIONS = np.linspace(0.0, 2.0 * np.pi, 32, endpoint=False)
 """Starting points of the search for peaks on the circle, rad."""
 QUARTIC = 0.152
@@ -65,11 +62,12 @@ QUARTIC = 0.152
 class SensorErrors(NamedTuple):
     """Standard deviations of the errors of gyros and accelerometers.
 
-    `sizes` (44, 3) of the gyros' biases, rad/s, have the probabilities `P_SIZES`; `flicker` is what changes
-    from position to position, rad/s; `scale` is a ratio; `accel_bias` is in g.
+    `sizes` (s, 3) of the gyros' biases, rad/s, have the log probabilities `log_prior` (s,); `flicker` is what
+    changes from position to position, rad/s; `scale` is a ratio; `accel_bias` is in g.
     """
 
     sizes: FloatArray
+    log_prior: FloatArray
     flicker: float
     scale: float
     accel_bias: float
@@ -79,15 +77,18 @@ def sensor_errors(noise: float, parameters: AlignmentParameters) -> SensorErrors
     """Return the declared errors, and the regression on an angular random walk, rad/√s, for the others."""
     ratio = noise / (math.radians(0.1) / 60.0)
     bias = min(GYRO_BIAS * max(ratio, LEAST_NOISE) ** BIAS_POWER, EARTH_RATE)
-    alike = bias * np.exp(LOG_SIZES)
+    alike, share, p_worse = bias * np.exp(LOG_SIZES), np.exp(-0.5 * (LOG_SIZES / LOG_SIZE_SD) ** 2), P_WORSE
     if parameters.gyro_bias_sd_deg_per_h is not None:
-        alike[:] = max(parameters.gyro_bias_sd_deg_per_h * DEG_PER_H, 1e-11)  # zero has no logarithm
-        bias = max(bias, alike[0])
+        declared = max(parameters.gyro_bias_sd_deg_per_h * DEG_PER_H, 1e-11)  # zero has no logarithm
+        bias, p_worse = max(bias, declared), P_WORSE_THAN_DECLARED
+        alike, share = np.array([declared]), np.ones(1)
     poorer = min(max(ratio, 1.0) ** ERROR_POWER, MOST_ERROR)
     ppm, micro_g = parameters.gyro_scale_sd_ppm, parameters.accel_bias_sd_ug
     flicker = parameters.gyro_flicker_deg_per_h
+    worse = np.full(len(WORSE), p_worse / len(WORSE))
     return SensorErrors(
         sizes=np.concatenate([np.tile(alike[:, None], (1, 3)), bias * WORSE]),
+        log_prior=np.log(np.concatenate([(1.0 - p_worse) * share / share.sum(), worse])),
         # A declared error of scale and misalignment changes the earth rate as a bias of that position would.
         flicker=math.hypot((flicker or 0.0) * DEG_PER_H, (ppm or 0.0) * 1e-6 * EARTH_RATE),
         scale=GYRO_SCALE * poorer if ppm is None else ppm * 1e-6,
@@ -118,7 +119,7 @@ def heading_posterior(
     matrix, vector, log_density = _linear_model(fits, azimuth_variances, latitude, errors.flicker)
     sizes = np.hypot(errors.sizes, errors.accel_bias * EARTH_RATE * math.sin(latitude))
     matrix, vector, log_factor = eliminate(matrix[:, None], vector[:, None], sizes)
-    log_weight = (log_density[:, None] + log_factor + np.log(P_SIZES)).ravel()
+    log_weight = (log_density[:, None] + log_factor + errors.log_prior).ravel()
     part, angle, height, sharpness = peaks(matrix.reshape(-1, 2, 2), vector.reshape(-1, 2))
     # Each peak is a von Mises distribution with this concentration; moments of their mixture.
     log_mass = log_weight[part] + height + np.log(i0e(sharpness))
@@ -132,7 +133,7 @@ def heading_posterior(
         north=north,
         sd=min(math.sqrt(np.sum(mass * (spread + off**2))), ANY_ANGLE_SD),
         bias_size=math.sqrt(mass @ np.mean(sizes**2, axis=1)[part % len(sizes)]),
-        worse=float(mass @ (part % len(sizes) >= len(LOG_SIZES))),
+        worse=float(mass @ (part % len(sizes) >= len(sizes) - len(WORSE))),
     )
 
 
