@@ -27,15 +27,7 @@ from imumon.cli.common import (
 from imumon.cli.live_run import PortRun
 from imumon.cli.setup_options import SetupOptions, make_setup
 from imumon.errors import EXIT_NEGATIVE, EXIT_OK, ImumonError, Reason, bad_config, bad_data
-from imumon.estimation.alignment.report import (
-    Estimate,
-    Guide,
-    Status,
-    estimator_rows,
-    heading_text,
-    rows,
-    to_go_text,
-)
+from imumon.estimation.alignment.report import Estimate, Guide, Status
 
 if TYPE_CHECKING:
     from imumon.estimation.alignment.stage import Alignment
@@ -106,8 +98,8 @@ def command(
         print_json(as_data(status, positions) | {"left_out": ran.counters.left_out})
     else:
         if status.rest_s > 0.0:
-            print_table(["estimator", "heading [°]", "σ [°]"], estimator_rows(status))
-        show("\n".join(labelled(rows(status))))
+            print_table(["estimator", "heading [°]", "σ [°]"], status.estimator_rows())
+        show("\n".join(labelled(status.rows())))
     settled = status.settled_s is not None and status.positions >= positions
     return EXIT_OK if settled else EXIT_NEGATIVE
 
@@ -195,7 +187,7 @@ def _live(live: PortRun, positions: int) -> Pipeline:
 
 def _progress(status: Status, instruction: str = "") -> str:
     """Return what the terminal's line shows: state, sigma on its way to the one wanted, and time to go."""
-    text = f"{status.phase}: {heading_text(status)}; {to_go_text(status)}"
+    text = f"{status.phase}: {status.heading_text}; {status.to_go_text}"
     return f"{instruction}; {text}" if instruction else text
 
 
@@ -213,7 +205,7 @@ def as_data(status: Status, positions: int = 1) -> dict[str, object]:
     unknown = Estimate(math.nan, math.nan)
 
     def degrees(one: Estimate) -> tuple[float, float]:
-        return math.degrees(one.heading) % 360.0, math.degrees(one.sd)
+        return math.degrees(one.heading), math.degrees(one.sd)
 
     estimators = {
         name: dict(zip(("heading_deg", "sd_deg"), degrees(one if one.known else unknown), strict=True))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import cmath
 import math
+from collections import deque
 from collections.abc import Sequence
 
 import numpy as np
@@ -13,13 +14,13 @@ from imumon.estimation.alignment.fit import fit_position
 from imumon.estimation.alignment.parameters import AlignmentParameters
 from imumon.estimation.alignment.position import (
     CALM_SLOTS,
+    MOST_PENDING,
     SLOT_S,
     Motion,
     Position,
     Slot,
     direction_of,
     upright,
-    yaw_between,
 )
 from imumon.estimation.alignment.posterior import HeadingPosterior, heading_posterior, sensor_errors
 from imumon.estimation.alignment.report import ANY_ANGLE_SD, Estimate, PositionHeading, Status
@@ -36,8 +37,6 @@ RECENT_SHARE = 0.5
 ablation: without it, six of 41 sites were over 7 sigma off once, not two."""
 NEW_POSITION = 0.01
 """rad: a turn by less does not separate the bias from the earth rate."""
-LONGEST_MOTION_S = 120.0
-"""After a longer motion the alignment starts anew: the rates in the first rest may have been a turn."""
 MOST_FITS = 400
 """Headings that are kept, for the chart and for sigma."""
 
@@ -59,7 +58,7 @@ class Aligner:
         """Of the last fit; None before it."""
         self.means: dict[str, tuple[float, float]] = {}
         """North by means of the gyros, rad, counter-clockwise in the reference frame, and sigma."""
-        self.history: list[tuple[float, float, float]] = []
+        self.history: deque[tuple[float, float, float]] = deque(maxlen=MOST_FITS)
         """Time at rest, s, north and sigma of each fit."""
         self.rest_s, self.due_s = 0.0, FIRST_FIT_S
         """Time at rest, and that at which the next fit is due."""
@@ -73,17 +72,18 @@ class Aligner:
         motion = self.motion
         rest, begins = motion.step(slot, at_rest, turn)
         if not rest:
-            lost = motion.moving and slot.ended_s - motion.begun_s > LONGEST_MOTION_S
-            return f"the unit turned at {motion.begun_s:.1f} s for {LONGEST_MOTION_S:g} s" if lost else None
+            # The rates in the first rest may have been a turn.
+            if motion.moving and len(motion.pending) == MOST_PENDING:
+                return f"the unit turned at {motion.begun_s:.1f} s for {SLOT_S * MOST_PENDING:g} s"
+            return None
         if begins and not self.positions:
             force = _mean_force(rest)
             self._begin(Position(rest[0].number, upright(forward(force / np.linalg.norm(force)), force)))
         elif begins and not self._end_turn(rest):
             return f"the unit turned at {motion.begun_s:.1f} s by an angle that is not known"
-        here = self.positions[-1]
         for one in rest:
-            here.add(one)
-            self.rest_s += SLOT_S * one.length
+            self.positions[-1].add(one)
+        self.rest_s += SLOT_S * len(rest)
         motion.add_rest(rest)
         if self.rest_s >= self.due_s:
             self._update_heading()
@@ -100,16 +100,16 @@ class Aligner:
         attitude = upright(self.attitude[0], _mean_force(rest[CALM_SLOTS // 2 :]))
         # Gravity shows how wrong the horizontal axes are; the vertical one may be as wrong.
         lean = (self.attitude @ attitude[2])[:2]
-        variance = motion.azimuth_variance(before.attitude[2], self.errors.scale)
-        variance += max(0.5 * float(lean @ lean) - variance - 2.0 * self.errors.accel_bias**2, 0.0)
+        by_lean = 0.5 * float(lean @ lean) - 2.0 * self.errors.accel_bias**2
+        variance = max(motion.azimuth_variance(before.attitude[2], self.errors.scale), by_lean)
         if variance > ANY_ANGLE_SD**2:
             return False
         new = angle_of(motion.turn.rotation) > NEW_POSITION
-        angle, sd = -yaw_between(before.attitude, attitude), math.sqrt(variance)
+        angle, sd = math.degrees(_turned(before.attitude, attitude)), math.degrees(math.sqrt(variance))
         seconds, what = motion.ended_s - motion.begun_s, "a new position, " if new else ""
         self.events.append(
             f"alignment: the unit turned at {motion.begun_s:.1f} s for {seconds:.1f} s: left out; {what}"
-            f"turned by {math.degrees(angle):.2f}° ± {math.degrees(sd):.2f}° about the vertical"
+            f"turned by {angle:.2f}° ± {sd:.2f}° about the vertical"
         )
         before.fit = before.fit and before.fit.averaged()
         before.sums = np.empty((0, 7))
@@ -156,7 +156,7 @@ class Aligner:
         moved = max((abs(math.remainder(new.north - north, 2.0 * math.pi)) for north in recent), default=0.0)
         self.posterior = new._replace(sd=min(max(new.sd, moved), ANY_ANGLE_SD))
         self.fitted_variance = here.azimuth_variance
-        self.history = [*self.history[1 - MOST_FITS :], (self.rest_s, new.north, self.posterior.sd)]
+        self.history.append((self.rest_s, new.north, self.posterior.sd))
         # Settled when sigma falls to the wanted one, and no longer when it exceeds 1.25 times that.
         wanted = self.wanted_sd * (1.0 if self.settled_s is None else 1.25)
         settled = self.observable and self.heading_sd <= wanted
@@ -170,8 +170,7 @@ class Aligner:
         here = self.positions[-1]
         variance = self.posterior.sd**2 + here.azimuth_variance - self.fitted_variance
         variance += here.yaw_since_fit**2
-        if self.motion.moving:
-            variance += self.motion.azimuth_variance(here.attitude[2], self.errors.scale)
+        variance += self.motion.azimuth_variance(here.attitude[2], self.errors.scale)
         return min(math.sqrt(variance), ANY_ANGLE_SD)
 
     @property
@@ -185,10 +184,10 @@ class Aligner:
         if self.posterior is None:
             return {}
         direction = direction_of(self.attitude) if self.observable else math.nan
-        joint = (self.posterior.north, self.heading_sd)
+        north_and_sd = {"joint": (self.posterior.north, self.heading_sd), **self.means}
         return {
             name: Estimate((north - direction) % (2.0 * math.pi), sd)
-            for name, (north, sd) in {"joint": joint, **self.means}.items()
+            for name, (north, sd) in north_and_sd.items()
         }
 
     @property
@@ -196,12 +195,10 @@ class Aligner:
         """Time until the wanted sigma, if all of sigma that is no bias is noise; None if unknown or never."""
         if self.posterior is None or not self.observable:
             return None
-        if self.heading_sd <= self.wanted_sd:
-            return 0.0
         alone = self.positions[-1].number == 1  # several positions separate the bias from the earth rate
         by_bias = alone * (self.posterior.bias_size / self.earth_horizontal) ** 2
-        left, noise = self.wanted_sd**2 - by_bias, max(self.heading_sd**2 - by_bias, 0.0)
-        return max(self.rest_s * (noise / left - 1.0), 1.0) if left > 0.0 else None
+        noise, wanted = self.heading_sd**2 - by_bias, self.wanted_sd**2 - by_bias
+        return max(self.rest_s * (noise / wanted - 1.0), 0.0) if wanted > 0.0 else None
 
     def status(self, elapsed_s: float) -> Status:
         """Return the state so long after the first sample."""
@@ -220,7 +217,7 @@ class Aligner:
             positions=number,
             position_s=here.rest_s,
             position_sd=math.sqrt(by_noise) / self.earth_horizontal,
-            turned=-yaw_between(before[-1], self.attitude) if before else 0.0,
+            turned=_turned(before[-1], self.attitude) if before else 0.0,
         )
 
     def headings(self, run: int) -> list[PositionHeading]:
@@ -240,4 +237,9 @@ class Aligner:
 
 def _mean_force(slots: Sequence[Slot]) -> FloatArray:
     """Return the mean specific force of slots, m/s², (3,)."""
-    return np.asarray(np.mean([slot.values[3:] for slot in slots], axis=0))
+    return np.asarray(np.mean([slot.force for slot in slots], axis=0))
+
+
+def _turned(before: FloatArray, after: FloatArray) -> float:
+    """Return the change of heading between two attitudes, rad, clockwise."""
+    return math.remainder(direction_of(before) - direction_of(after), 2.0 * math.pi)

@@ -27,14 +27,14 @@ from imumon.estimation.alignment.position import Position, PositionFit, upright
 from imumon.geodesy import EARTH_RATE, STANDARD_GRAVITY
 
 CELLS = (96, 24, 6)
-"""Candidate numbers of cells in a record; ablation: 48 alone makes 2.6 times the error."""
+"""Candidate numbers of cells in a record; ablation: 48 alone makes 2.5 times the error."""
 MIN_CELLS = 5
 """Fewer used cells give no scatter about a trend."""
 OVERLAP = 1.0 / 6.0
 """Correlation of white noise in neighbouring Hann cells: the mean of their product over that of a square."""
 TREND_ORDER = 5
 """Coefficients of the polynomial trend that is removed before the scatter is computed; at most a quarter of
-the cells."""
+the used cells."""
 KNOCK = 10.0
 """Residual, in medians of the residuals, above which a cell is rejected.  Ablation: without it, a knock that
 tilts the unit by 0.005° leaves a heading error of 1.1° after 2 minutes, not 0.01°."""
@@ -220,7 +220,7 @@ def _scatter(values: ColumnArray, used: BoolArray, order: int) -> tuple[float, B
 
     `values` (cells,) are real, or complex with the same variance in both parts.
     """
-    order = max(1, min(order, len(values) // 4))
+    order = max(1, min(order, int(used.sum()) // 4))
     basis, square = _trend(len(values), order), np.zeros(len(values))
     for _ in range(3):  # a knock hides smaller ones
         square = np.abs(values - basis @ np.linalg.lstsq(basis[used], values[used], rcond=None)[0]) ** 2

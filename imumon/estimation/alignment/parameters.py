@@ -106,9 +106,8 @@ def known_warm_up(model: BiasModel | None) -> KnownWarmUp | None:
     The effect adds c exp(-t / T) to a bias, which is a warm-up by -c.  Its standard deviation is the
     channel's residual, unless an accelerometer has other effects: it may drift by these.
     """
-    channels = {} if model is None else model.channels
-    accels = [channels.get(f"accel_{axis}") for axis in "xyz"]
-    effects = [[] if accel is None else accel.effects for accel in accels]
+    accels = [model.channels.get(f"accel_{axis}") for axis in "xyz"] if model else []
+    effects = [accel.effects if accel else [] for accel in accels]
     found = [next((effect for effect in of if isinstance(effect, WarmUp)), None) for of in effects]
     warm_ups = [one for one in found if one is not None]
     if not warm_ups:

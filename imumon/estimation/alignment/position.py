@@ -32,32 +32,20 @@ SWAYING_RATE = 20e-3
 CALM_SLOTS, SWAYING_SLOTS, MEDIAN_SLOTS = 8, 40, 120
 """Slots: 2 s of calm are a rest, 10 s of sway at the start; the rate at rest is the median of 30 s."""
 MOST_PENDING = 480
-"""Slots: 2 minutes of a motion, or before the first rest, may turn out to be rest; what is older is lost."""
+"""Slots: 2 minutes before the first rest may turn out to be rest; a motion of 2 minutes is a restart."""
 SAME_ATTITUDE, SHORT_PATH = 1e-3, 20e-3
 """rad: a turn by less (0.06°, the noise of 1 °/√h in 10 s) on a path of less leaves the attitude as it is."""
 
 
 class Slot(NamedTuple):
-    """Means over the samples of one slot.
+    """Mean rate, rad/s, (3,), and specific force, m/s², (3,), over a slot, in body axes.
 
-    `number` counts slots of `SLOT_S` since the first sample of the segment.  The samples stand for the last
-    `length` slots: those since the slot with samples before.  `values` (6,) are the mean rate, rad/s, and the
-    mean specific force, m/s², in body axes.
+    `number` counts slots of `SLOT_S` since the first sample of the segment.
     """
 
     number: int
-    length: int
-    values: FloatArray
-
-    @property
-    def rate(self) -> FloatArray:
-        """Mean rate, rad/s, (3,)."""
-        return self.values[:3]
-
-    @property
-    def ended_s(self) -> float:
-        """End, s since the first sample."""
-        return SLOT_S * (self.number + 1)
+    rate: FloatArray
+    force: FloatArray
 
 
 class PositionFit(NamedTuple):
@@ -115,16 +103,13 @@ class Position:
     def add(self, slot: Slot) -> None:
         """Add a slot at rest."""
         if self.fit is not None:
-            still = float(self.attitude[2] @ slot.rate) - self.fit.vertical
-            self.yaw_since_fit += SLOT_S * slot.length * still
-        end = slot.number + 1 - self.first_slot
-        while end > CAPACITY * self.slots_per_row:
+            self.yaw_since_fit += SLOT_S * (float(self.attitude[2] @ slot.rate) - self.fit.vertical)
+        self.slots = slot.number + 1 - self.first_slot
+        while self.slots > CAPACITY * self.slots_per_row:
             pairs = self.sums.reshape(-1, 2, 7).sum(axis=1)
             self.sums = np.concatenate([pairs, np.zeros_like(pairs)])
             self.slots_per_row *= 2
-        for k in range(max(end - slot.length, 0), end):
-            self.sums[k // self.slots_per_row] += np.concatenate([[1.0], slot.values])
-        self.slots = end
+        self.sums[(self.slots - 1) // self.slots_per_row] += np.concatenate([[1.0], slot.rate, slot.force])
 
     def forget_half(self) -> None:
         """Drop the first half of the rows."""
@@ -177,12 +162,6 @@ def direction_of(attitude: FloatArray) -> float:
     return math.atan2(ahead[1], ahead[0])
 
 
-def yaw_between(before: FloatArray, after: FloatArray) -> float:
-    """Return the angle about the vertical between two attitudes, rad, counter-clockwise from above."""
-    turn = after @ before.T
-    return math.atan2(turn[1, 0] - turn[0, 1], turn[0, 0] + turn[1, 1])
-
-
 class Motion:
     """The motion detector."""
 
@@ -197,8 +176,13 @@ class Motion:
         """Slots of the motion; before the first rest, those that may belong to it."""
         self.turn: Turn = STILL
         """Since the motion began."""
-        self.begun_s = self.ended_s = 0.0
-        """Of the motion, s since the first sample."""
+        self.ended_s = 0.0
+        """End of the motion, s since the first sample."""
+
+    @property
+    def begun_s(self) -> float:
+        """Beginning of the motion, s since the first sample."""
+        return SLOT_S * self.pending[0].number
 
     @property
     def moving(self) -> bool:
@@ -213,30 +197,31 @@ class Motion:
         """
         if self.rest_rate is None:
             self.pending.append(slot)
-            return (list(self.pending), True) if at_rest and self._first_rest() else ([], False)
+            begins = at_rest and self._first_rest()
+            return (list(self.pending) if begins else []), begins
         in_motion = self._is_motion(slot)
         if not (self.pending or in_motion):
             return [slot], False
-        if not self.pending:
-            self.begun_s = slot.ended_s - SLOT_S
-        if in_motion:
-            self.ended_s = slot.ended_s
         self.pending.append(slot)
+        if in_motion:
+            self.ended_s = SLOT_S * (slot.number + 1)
         self.turn = self.turn.then(turn.less(self.rest_rate))
         calm = list(self.pending)[-CALM_SLOTS:]
-        if any(self._is_motion(one) for one in calm):
+        if any(map(self._is_motion, calm)):
             return [], False
         turned = angle_of(self.turn.rotation) > SAME_ATTITUDE or self.turn.path > SHORT_PATH
         return calm if turned else list(self.pending), turned
 
     def _first_rest(self) -> bool:
         """Return whether the unit rests for the first time; if so, drop the slots before that rest."""
-        rates = np.array([one.rate for one in self.pending])[-SWAYING_SLOTS:]
-        calm = len(rates) >= CALM_SLOTS and np.ptp(rates[-CALM_SLOTS:], axis=0).max() < MOTION_RATE
-        if not (calm or (len(rates) == SWAYING_SLOTS and np.ptp(rates, axis=0).max() < SWAYING_RATE)):
+        rates = np.array([one.rate for one in self.pending])
+        for slots, limit in ((CALM_SLOTS, MOTION_RATE), (SWAYING_SLOTS, SWAYING_RATE)):
+            if len(rates) >= slots and np.ptp(rates[-slots:], axis=0).max() < limit:
+                break
+        else:
             return False
-        self._update_rest_rate(rates[-CALM_SLOTS:] if calm else rates)
-        while any(self._is_motion(one) for one in self.pending):
+        self._update_rest_rate(rates[-slots:])
+        while any(map(self._is_motion, self.pending)):
             self.pending.popleft()
         return True
 
@@ -252,7 +237,7 @@ class Motion:
         """Take slots at rest, with which a motion ends; update the median every 10 s."""
         for slot in rest:
             self.recent.append(slot.rate)
-            if slot.number % SWAYING_SLOTS < slot.length:
+            if slot.number % SWAYING_SLOTS == 0:
                 self._update_rest_rate(np.array(self.recent))
         self.pending.clear()
         self.turn = STILL
@@ -264,6 +249,7 @@ class Motion:
         misalignment.
         """
         # The earth rate turns against the body: up to all of it is wrong while it turns by a radian.
-        drift = EARTH_RATE * (self.ended_s - self.begun_s) * min(self.turn.path, 1.0)
+        seconds = self.ended_s - self.begun_s if self.pending else 0.0
+        drift = EARTH_RATE * seconds * min(self.turn.path, 1.0)
         by_scale = scale_sd**2 * float(np.sum(self.turn.scale_about(up) ** 2))
         return by_scale + self.turn.sampling_variance(up) + drift**2

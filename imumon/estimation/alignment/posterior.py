@@ -52,7 +52,7 @@ WORSE = np.array(
 """Factors by which some gyros or all are worse than that, (35, 3): up to 31 °/h for the best of them."""
 P_WORSE, P_WORSE_THAN_DECLARED = 0.003, 0.001
 """Prior probabilities of any of these factors (assumed): over the regression, as rare as a normal value
-beyond three sigmas, and over a declared bias.  Ablation: without them, errors are up to 39 sigma."""
+beyond three sigmas, and over a declared bias.  Ablation: without them, errors are up to 40 sigma."""
 DIRECTIONS = np.linspace(0.0, 2.0 * np.pi, 32, endpoint=False)
 """Starting points of the search for peaks on the circle, rad."""
 QUARTIC = 0.152

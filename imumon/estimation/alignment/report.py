@@ -50,8 +50,8 @@ class Status(NamedTuple):
     until then, None if unknown or never; `wanted_sd` is the sigma wanted.
 
     `positions` counts the positions, the present one included; `position_s` is the time at rest in it, and
-    `position_sd` that of the heading by its white noise alone.  `turned` is the angle about the vertical
-    since the previous position, clockwise, also during a turn, while `moving`.
+    `position_sd` that of the heading by its white noise alone.  `turned` is the change of heading since
+    the previous position, also during a turn, while `moving`.
     """
 
     moving: bool
@@ -88,50 +88,50 @@ class Status(NamedTuple):
         )
         return next((phase for condition, phase in table if condition), "coarse")
 
+    @property
+    def heading_text(self) -> str:
+        """The heading with its sigma, or the reason why there is none."""
+        if self.shown is None:
+            return "no heading yet"
+        if not self.observable:
+            return "heading not observable with this gyro"
+        return f"{math.degrees(self.shown.heading):.3f}° ± {math.degrees(self.shown.sd):.3f}°"
 
-def heading_text(status: Status) -> str:
-    """Return the heading with its sigma, or the reason why there is none."""
-    if status.shown is None:
-        return "no heading yet"
-    if not status.observable:
-        return "heading not observable with this gyro"
-    return f"{math.degrees(status.shown.heading) % 360.0:.3f}° ± {math.degrees(status.shown.sd):.3f}°"
+    @property
+    def to_go_text(self) -> str:
+        """The predicted time to the wanted sigma, or why there is none."""
+        wanted = f"{math.degrees(self.wanted_sd):g}°"
+        to_go = f"{wanted} not in reach with the bias of these sensors"
+        if self.remaining_s is not None:
+            to_go = f"about {self.remaining_s:.0f} s to {wanted}"
+        return {
+            "waiting": "waiting",
+            "settled": "settled",
+            "disturbed": f"disturbed, turned by {math.degrees(self.turned):.0f}°",
+            "coarse": f"coarse, {self.rest_s:.0f} s of rest",
+        }.get(self.phase, to_go)
 
+    def rows(self) -> dict[str, str]:
+        """Return texts by label: the heading, whether it settled, and the conditions that limit it."""
+        wanted = f"(σ ≤ {math.degrees(self.wanted_sd):g}°)"
+        settled = f"no {wanted}: {self.to_go_text}"
+        if self.settled_s is not None:
+            settled = f"yes, {self.settled_s:.1f} s after the first sample {wanted}"
+        counted = f"{min(self.rest_s, self.elapsed_s):.0f} of {self.elapsed_s:.0f} s counted"
+        texts = {"heading": self.heading_text, "settled": settled, "data": counted}
+        if self.positions > 1:
+            texts["positions"] = f"{self.positions}, the last turned by {math.degrees(self.turned):.1f}°"
+        return texts
 
-def to_go_text(status: Status) -> str:
-    """Return the predicted time to the wanted sigma, or why there is none."""
-    wanted = f"{math.degrees(status.wanted_sd):g}°"
-    time = f"about {status.remaining_s:.0f} s to {wanted}" if status.remaining_s is not None else ""
-    return {
-        "waiting": "waiting",
-        "settled": "settled",
-        "disturbed": f"disturbed, turned by {math.degrees(status.turned):.0f}°",
-        "coarse": f"coarse, {status.rest_s:.0f} s of rest",
-    }.get(status.phase, time or f"{wanted} not in reach with the bias of these sensors")
-
-
-def rows(status: Status) -> dict[str, str]:
-    """Return texts by label: the heading, whether it settled, and the conditions that limit it."""
-    wanted = f"(σ ≤ {math.degrees(status.wanted_sd):g}°)"
-    settled = f"no {wanted}: {to_go_text(status)}"
-    if status.settled_s is not None:
-        settled = f"yes, {status.settled_s:.1f} s after the first sample {wanted}"
-    counted = f"{min(status.rest_s, status.elapsed_s):.0f} of {status.elapsed_s:.0f} s counted"
-    texts = {"heading": heading_text(status), "settled": settled, "data": counted}
-    if status.positions > 1:
-        texts["positions"] = f"{status.positions}, the last turned by {math.degrees(status.turned):.1f}°"
-    return texts
-
-
-def estimator_rows(status: Status) -> list[tuple[str, str, str]]:
-    """Return name, heading and sigma of each estimator in degrees; the one shown is marked."""
-    found = []
-    for name, one in status.estimates.items():
-        mark = " *" if name == "joint" and status.observable else ""
-        heading = f"{math.degrees(one.heading) % 360.0:.4f}" if math.isfinite(one.heading) else "-"
-        cells = (heading, f"{math.degrees(one.sd):.4f}") if one.known else ("-", "not known")
-        found.append((name.replace("_", " ") + mark, *cells))
-    return found
+    def estimator_rows(self) -> list[tuple[str, str, str]]:
+        """Return name, heading and sigma of each estimator in degrees; the one shown is marked."""
+        found = []
+        for name, one in self.estimates.items():
+            mark = " *" if name == "joint" and self.observable else ""
+            heading = f"{math.degrees(one.heading):.4f}" if math.isfinite(one.heading) else "-"
+            cells = (heading, f"{math.degrees(one.sd):.4f}") if one.known else ("-", "not known")
+            found.append((name.replace("_", " ") + mark, *cells))
+        return found
 
 
 class Guide:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Literal
 
 import numpy as np
@@ -15,9 +15,10 @@ from imumon.columns import Column
 from imumon.estimation.alignment.aligner import Aligner
 from imumon.estimation.alignment.parameters import AlignmentParameters
 from imumon.estimation.alignment.position import CALM_SLOTS, SLOT_S, Slot, direction_of
-from imumon.estimation.alignment.report import PositionHeading, heading_text, to_go_text
+from imumon.estimation.alignment.report import Estimate, PositionHeading
 from imumon.estimation.rest.parameters import retired
 from imumon.filters.slots import SlotGatherer, Slots, held
+from imumon.filters.turns import STILL
 from imumon.geodesy import DEG_PER_H
 from imumon.lane import LaneState, Level
 
@@ -46,9 +47,8 @@ class Alignment:
         sent: Collection[str] = (),
     ) -> None:
         self._parameters = parameters or AlignmentParameters()
-        self._retired = retired(self._parameters)
         self._latitude_deg = latitude_deg
-        self._events: list[str] = []
+        self._events = [f"alignment: {name} is not used any more" for name in retired(self._parameters)]
         """Messages that were not reported yet."""
         self._aligner = Aligner(self._parameters, latitude_deg, self._events)
         self._earlier: list[PositionHeading] = []
@@ -64,8 +64,8 @@ class Alignment:
         self._recent: deque[FloatArray] = deque(maxlen=CALM_SLOTS)
         """Specific force, m/s², and magnetic field of the last 2 s, (6,); the mean force is up at rest."""
         self._reported: set[str] = set()
-        self._row: dict[str, float] = {}
-        """Columns after the last slot; empty before the first sample."""
+        self._row: list[float] = []
+        """Values of `columns` after the last slot; empty before the first sample."""
         self.status = self._aligner.status(0.0)
         """State after the last block; may be read by another thread."""
 
@@ -95,14 +95,12 @@ class Alignment:
         n = len(block)
         if not self._row:
             self._prefix = "aligned_" if "roll" in block or "pitch" in block else self._prefix
-            self._row = dict.fromkeys((column.name for column in self.columns), math.nan)
+            self._row = [math.nan] * len(self.columns)
         slots = self._slots.process(block["device_time_ns"], block["segment"], _inputs(block))
-        names, before = list(self._row), np.array(list(self._row.values()))
-        rows = np.empty((len(slots), len(names)))
+        before, rows = np.array(self._row), np.empty((len(slots), len(self._row)))
         for k in range(len(slots)):
             self._process_slot(slots, k)
-            self._row = self._make_row()
-            rows[k] = list(self._row.values())
+            self._row = rows[k] = self._make_row()
         out = held(slots.row, rows, before, n).T
         # The columns of one segment do not hold in a new one.
         other = held(slots.row, slots.segment, np.array(self._segment), n) != block["segment"]
@@ -110,7 +108,7 @@ class Alignment:
         if len(slots):
             self._segment = int(slots.segment[-1])
             self.status = self._aligner.status(SLOT_S * (self._index + 1))
-        return dict(zip(names, out, strict=True))
+        return {column.name: values for column, values in zip(self.columns, out, strict=True)}
 
     def _process_slot(self, slots: Slots, k: int) -> None:
         """Advance the aligner by slot k, unless it has no whole sample of gyros and accelerometers."""
@@ -121,16 +119,19 @@ class Alignment:
         if not slots.count[k, :6].min():
             return
         index = (int(slots.start_ns[k]) - self._origin_ns) // self._slots.length_ns
-        length, end_s = index - self._index, SLOT_S * (self._index + 1)
-        if SLOT_S * length > LONGEST_GAP_S:
-            self._restart(f"samples are missing at {end_s:.1f} s for {SLOT_S * (length - 1):.1f} s")
+        missing, end_s = index - self._index - 1, SLOT_S * (self._index + 1)
+        if SLOT_S * (missing + 1) > LONGEST_GAP_S:
+            self._restart(f"samples are missing at {end_s:.1f} s for {SLOT_S * missing:.1f} s")
+        mean, turn = slots.mean[k].copy(), slots.turns[k]
+        # The samples stand for the slots since those before them, but longer without samples is no rest.
+        for number in range(max(self._index + 1, index - CALM_SLOTS + 1), index + 1):
+            self._recent.append(mean[3:9])
+            at_rest = bool(slots.smallest[k, -1] > 0.0)
+            lost = self._aligner.step(Slot(number, mean[:3], mean[3:6]), at_rest, turn)
+            if lost is not None:
+                self._restart(lost)
+            turn = STILL
         self._index = index
-        mean = slots.mean[k].copy()
-        self._recent.append(mean[3:9])
-        slot = Slot(index, min(length, CALM_SLOTS), mean[:6])  # longer without samples is no rest
-        lost = self._aligner.step(slot, bool(slots.smallest[k, -1] > 0.0), slots.turns[k])
-        if lost is not None:
-            self._restart(lost)
 
     def _restart(self, why: str) -> None:
         """Drop all positions, and report the reason."""
@@ -143,25 +144,21 @@ class Alignment:
         """Fit the rest since the last fit; return the heading in each position."""
         return self._earlier + self._aligner.headings(self._run)
 
-    def _make_row(self) -> dict[str, float]:
-        aligner = self._aligner
-        row = dict.fromkeys(self._row, math.nan)
+    def _make_row(self) -> list[float]:
+        """Return the values of `columns`, NaN where unknown."""
+        aligner, magnetic = self._aligner, math.nan
         if not aligner.positions:
-            return row
-        row["heading_sd"] = aligner.heading_sd
-        for name, estimate in aligner.estimates.items():
-            column = "heading" if name == "joint" else f"heading_{name}"
-            row[column], row[f"{column}_sd"] = estimate.heading, estimate.sd
+            return [math.nan] * len(self._row)
+        estimates, unknown = aligner.estimates, Estimate(math.nan, math.nan)
+        joint, gyro, hann = (estimates.get(name, unknown) for name in ("joint", "gyro_mean", "hann_mean"))
         recent, attitude = np.array(self._recent), aligner.attitude
         if len(field := recent[np.isfinite(recent[:, 3:]).all(axis=1), 3:]):
-            ahead, left, _ = (attitude @ field.mean(axis=0)).tolist()
-            row["heading_magnetic"] = (math.atan2(left, ahead) - direction_of(attitude)) % (2.0 * math.pi)
+            ahead, left, _ = attitude @ field.mean(axis=0)
+            magnetic = (math.atan2(left, ahead) - direction_of(attitude)) % (2.0 * math.pi)
         up = attitude[2] if aligner.motion.moving else recent[:, :3].sum(axis=0)
         angles, first = self._roll_and_pitch(up), self._roll_and_pitch(aligner.positions[0].attitude[2])
-        for name, angle, at_first in zip(("roll", "pitch"), angles, first, strict=True):
-            row[self._prefix + name] = angle
-            row[f"{name}_drift"] = math.remainder(angle - at_first, 2.0 * math.pi)
-        return row
+        drifts = [math.remainder(now - then, 2.0 * math.pi) for now, then in zip(angles, first, strict=True)]
+        return [*joint, *angles, *drifts, magnetic, *gyro, *hann]
 
     def _roll_and_pitch(self, up: FloatArray) -> tuple[float, float]:
         """Return roll and pitch, rad, ZYX, from a vertical in body axes, (3,)."""
@@ -190,37 +187,35 @@ class Alignment:
             Chart(
                 "alignment_progress", "Alignment", "Sigma of the heading shown",
                 Axis("observed time [s]", log=True), Axis("σ [°]", log=True), curves,
-                headline=f"{heading_text(self.status)}; {to_go_text(self.status)}",
+                headline=f"{self.status.heading_text}; {self.status.to_go_text}",
             )
         ]  # fmt: skip
 
     def notices(self) -> list[str]:
         """Return, once each, motions and restarts, and conditions that limit the heading."""
-        texts = self._events + [f"alignment: {name} is not used any more" for name in self._retired]
-        self._retired = []
+        texts = self._events.copy()
         self._events.clear()
-        new = [text for text, true in self._conditions().items() if true and text not in self._reported]
+        new = [text for text in self._conditions() if text not in self._reported]
         self._reported.update(new)
         return texts + new
 
-    def _conditions(self) -> dict[str, bool]:
+    def _conditions(self) -> Iterator[str]:
         status, posterior = self.status, self._aligner.posterior
-        declared = self._parameters.gyro_bias_sd_deg_per_h
+        declared = self._parameters.gyro_bias_sd_deg_per_h is not None
         horizontal = self._aligner.earth_horizontal / DEG_PER_H
-        a_degree = f"{math.radians(horizontal):.2g} °/h of the gyro that points east turn the heading by 1°"
-        return {
-            "heading not observable with this gyro: its bias is not small beside the earth's horizontal rate "
-            f"of {horizontal:.1f} °/h; a turn by half a circle, and a rest, separate them": (
-                status.phase == "not observable"
-            ),
-            "alignment: the gyros' turn-on bias is not declared (gyro_bias_sd_deg_per_h); sigma takes it for "
-            f"that of gyros of such noise: {a_degree}; a turn by half a circle and a rest remove it": (
-                declared is None and status.positions == 1 and status.phase in ("aligning", "settled")
-            ),
-            "alignment: the rates contradict the declared bias of the gyros, or the latitude is wrong": (
-                declared is not None and posterior is not None and posterior.worse > 0.5
-            ),
-        }
+        if status.phase == "not observable":
+            yield (
+                "heading not observable with this gyro: its bias is not small beside the earth's horizontal "
+                f"rate of {horizontal:.1f} °/h; a turn by half a circle, and a rest, separate them"
+            )
+        if not declared and status.positions == 1 and status.phase in ("aligning", "settled"):
+            yield (
+                "alignment: the gyros' turn-on bias is not declared (gyro_bias_sd_deg_per_h); sigma takes it "
+                f"for that of gyros of such noise: {math.radians(horizontal):.2g} °/h of the gyro that "
+                "points east turn the heading by 1°; a turn by half a circle and a rest remove it"
+            )
+        if declared and posterior is not None and posterior.worse > 0.5:
+            yield "alignment: the rates contradict the declared bias of the gyros, or the latitude is wrong"
 
 
 def _inputs(block: SampleBlock) -> FloatArray:

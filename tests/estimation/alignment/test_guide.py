@@ -2,7 +2,7 @@ from __future__ import annotations
 
 from imumon.blocks import SampleBlock
 from imumon.estimation.alignment.parameters import AlignmentParameters
-from imumon.estimation.alignment.report import Guide, to_go_text
+from imumon.estimation.alignment.report import Guide
 from imumon.estimation.alignment.stage import Alignment
 from tests.estimation.alignment.units import samples, scenario
 
@@ -31,7 +31,7 @@ def test_how_far_the_unit_has_turned_is_reported_during_the_turn() -> None:
     turn = {"kind": "turn", "at_s": 20.0, "duration_s": 8.0, "heading_deg": 170.0}
     stage = Alignment(AlignmentParameters(), 36.0)
     stage.process(samples(scenario(40.0, rate_hz=100.0, motion=[turn])).rows(0, 2400))
-    assert to_go_text(stage.status) == "disturbed, turned by 75°"
+    assert stage.status.to_go_text == "disturbed, turned by 75°"
 
 
 def test_one_position_needs_no_words_and_ends_when_settled() -> None:

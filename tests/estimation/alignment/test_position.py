@@ -15,7 +15,7 @@ def test_merged_rows_keep_time_and_mean() -> None:
     record, rng = Position(100, np.eye(3)), np.random.default_rng(1)
     slots = rng.normal(size=(2 * CAPACITY + 6, 6))
     for k, values in enumerate(slots):
-        record.add(Slot(100 + k, 1, values))
+        record.add(Slot(100 + k, values[:3], values[3:]))
     valid, means = record.rows()
     assert record.row_s == 1.0
     assert valid.all()
@@ -27,13 +27,13 @@ def test_merged_rows_keep_time_and_mean() -> None:
     np.testing.assert_allclose(record.rows()[1], means[1024:])
 
 
-def test_a_slot_fills_the_rows_since_the_slot_before_it() -> None:
+def test_slots_without_samples_are_rows_without_values() -> None:
     record = Position(0, np.eye(3))
-    for index, length, value in ((0, 1, 1.0), (3, 3, 3.0), (6, 2, 4.0)):
-        record.add(Slot(index, length, np.full(6, value)))
+    for number in (0, 1, 3):
+        record.add(Slot(number, np.full(3, float(number)), np.zeros(3)))
     valid, means = record.rows()
-    assert valid.tolist() == [True, True, True, True, False, True, True]
-    assert means[valid, 0].tolist() == [1.0, 3.0, 3.0, 3.0, 4.0, 4.0]
+    assert valid.tolist() == [True, True, False, True]
+    assert means[valid, 0].tolist() == [0.0, 1.0, 3.0]
 
 
 @pytest.mark.parametrize("rate_hz", [1.0, 2.9, 3.5, 4.0])

@@ -9,7 +9,7 @@ import pytest
 from imumon.blocks import SampleBlock
 from imumon.cli.align_command import as_data
 from imumon.estimation.alignment.parameters import AlignmentParameters
-from imumon.estimation.alignment.report import ANY_ANGLE_SD, estimator_rows
+from imumon.estimation.alignment.report import ANY_ANGLE_SD
 from imumon.estimation.alignment.stage import Alignment
 from tests.estimation.alignment.units import (
     INPUTS,
@@ -67,7 +67,7 @@ def test_a_mems_gyro_never_shows_a_north(seed: int, bias: float) -> None:
 def test_a_mean_that_tells_nothing_is_any_angle_and_said_so(declared: float) -> None:
     plan = scenario(40.0, arw=MEMS_ARW, rate_hz=50.0)
     stage, out = aligned(samples(plan), {"gyro_bias_sd_deg_per_h": declared})
-    shown = {name: cells for name, *cells in estimator_rows(stage.status)}
+    shown = {name: cells for name, *cells in stage.status.estimator_rows()}
     for name in ("gyro_mean", "hann_mean"):
         assert out[f"heading_{name}_sd"][-1] == ANY_ANGLE_SD
         assert shown[name.replace("_", " ")] == ["-", "not known"]
@@ -152,6 +152,22 @@ def test_rows_without_rates_gaps_and_restarts_are_survived() -> None:
     out = stage.process(again.rows(0, 100))
     assert np.isnan(out["heading"]).all()
     assert stage.status.phase == "coarse"
+
+
+@pytest.mark.parametrize("seed", [11, 19])
+def test_a_link_with_pauses_leaves_few_cells_and_an_honest_sigma(seed: int) -> None:
+    block, rng = samples(scenario(110.0, rate_hz=20.0, arw=1e-3), seed), np.random.default_rng(seed)
+    t, start = np.arange(len(block)) / 20.0, 6.0
+    keep = np.ones(len(block), bool)
+    while start < t[-1]:
+        keep[(t >= start) & (t < start + 3.0)] = False
+        start += 3.0 + rng.uniform(4.0, 14.0)
+    received = SampleBlock({name: block[name][keep] for name in INPUTS})
+    _, out = aligned(received, {"accel_bias_sd_ug": 30.0})
+    shown = np.isfinite(out["heading"])
+    off = np.remainder(out["heading"] - math.radians(30.0) + math.pi, 2.0 * math.pi) - math.pi
+    assert shown.mean() > 0.8
+    assert np.abs(off[shown] / out["heading_sd"][shown]).max() < 4.0
 
 
 @pytest.mark.parametrize("rate_hz", [1.0, 5.0, 1000.0])
