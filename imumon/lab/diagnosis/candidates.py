@@ -12,7 +12,6 @@ from numpy.polynomial import Polynomial
 
 from imumon.blocks import FloatArray, IntArray
 from imumon.effects.base import Effect, Scale, Survey
-from imumon.effects.follower import may_sum
 from imumon.effects.library import EFFECTS
 from imumon.effects.temperature_curve import TemperatureCurve
 from imumon.lab.diagnosis.blocks import RunBlocks, WhiteFloor
@@ -111,8 +110,6 @@ def candidates(survey: Survey, families: Iterable[str] = tuple(EFFECTS)) -> list
                 found += [Candidate(name, part, free_start=True) for part in single]
             if family.scope == "either" and survey.runs > 1:
                 found += [Candidate(name, (Part(effect, every),)) for effect in grid]
-            groups = family.sums(grid) if may_sum(survey, 2) else []
-            found += [Candidate(name, tuple(map(Part, group))) for group in groups]
     return found
 
 
