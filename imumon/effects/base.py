@@ -235,7 +235,7 @@ class Effect(StrictModel):
         raise NotImplementedError
 
     def columns(self, drive: Drive) -> FloatArray:
-        """Return the columns (n, k) of a whole run, where an operator may look ahead as well."""
+        """Return the columns (n, k) of a whole run from power-on."""
         return self.advance(Memory(), drive)
 
     def added(self, memory: Memory, drive: Drive) -> FloatArray:
