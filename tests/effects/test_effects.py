@@ -19,7 +19,6 @@ from imumon.effects.library import EFFECTS
 from imumon.effects.live import Carrier
 from imumon.effects.product import GSensitivity
 from imumon.effects.since_power_on import StressRelaxation
-from imumon.effects.temperature_rate import TemperatureRate
 from imumon.effects.thermal_lag import DeadTime, ThermalLag
 from imumon.effects.vibration import Vibration
 
