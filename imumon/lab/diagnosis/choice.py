@@ -70,6 +70,8 @@ class Finding:
     rivals: dict[str, float] = field(default_factory=dict)
     others: dict[str, Candidate] = field(default_factory=dict)
     """The best of each other family that cannot be told apart from it."""
+    size: float = 0.0
+    """rms of what it took away from training when it was found."""
     by_test: bool = False
     """Whether the test alone proves it."""
     known: bool = False

@@ -45,8 +45,10 @@ PAIR_LIST = 4
 """Best candidates of each family that are tried in pairs."""
 LEAST_SIZE = 0.3
 """White floors (rms) that an effect takes away, at least."""
+SECOND_SHARE = 0.2
+"""And this share of what the largest effect before it takes away."""
 JUMP_SHARE = 0.5
-"""A second jump in a run takes away this share of every other effect: those of telegraph noise are alike."""
+"""A second jump in a run counts from this share on: the jumps of a telegraph noise are of one size."""
 REFINEMENTS = 4
 """Levels of the pattern search; steps are 0.35 of those of the level before."""
 
@@ -240,11 +242,10 @@ class Search:
         is_event = best.candidate.scope == "event"
         jumped = {run for one in model if one.family == name for run in one.parts[0].runs}
         again = is_event and not jumped.isdisjoint(best.candidate.parts[0].runs)
-        least = [LEAST_SIZE * self.channel.floor.sd, self.channel.blind]
-        for one in self.findings if again else []:
-            beside = [*self._beside(one), best.candidate]
-            least.append(JUMP_SHARE * self._taken_away(one.candidate, beside))
-        if self._taken_away(best.candidate, model) < max(least):
+        size = self._taken_away(best.candidate, model)
+        share = JUMP_SHARE if again else SECOND_SHARE
+        least = [share * self._size_beside(one, best.candidate) for one in self.findings]
+        if size < max(LEAST_SIZE * self.channel.floor.sd, self.channel.blind, *least):
             self.finished = is_event
             return False
         self.many_events |= again
@@ -256,7 +257,7 @@ class Search:
         gain = max(best.gain, table[name].gain)  # beside a partner the latter is more
         rivals = {**{other: one.gain for other, one in table.items()}, name: gain}
         alike = {other: table[other].candidate for other in others[: MOST_NAMES - 1]}
-        self.findings.append(Finding(best.candidate, gain, selection.gain, rivals, alike))
+        self.findings.append(Finding(best.candidate, gain, selection.gain, rivals, alike, size))
         if len(self.findings) > 1:
             self._refine(exchange=False)
         self.stages.append(Stage(name, self.model, gain))
@@ -266,6 +267,15 @@ class Search:
         """Return the rms that a candidate takes away beside a model, by ordinary least squares."""
         without, with_it = (self.channel.residual_rms(one) for one in (model, [*model, candidate]))
         return float(np.sqrt(max(without**2 - with_it**2, 0.0)))
+
+    def _size_beside(self, finding: Finding, candidate: Candidate) -> float:
+        """Return the rms that a finding takes away beside the others and a candidate.
+
+        One of the same family counts with what it took away alone, for two of a kind share it.
+        """
+        if finding.name == candidate.family and candidate.scope != "event":
+            return finding.size
+        return self._taken_away(finding.candidate, [*self._beside(finding), candidate])
 
     def eliminate(self) -> None:
         """Drop what others make needless, and refine what is left, each beside the others.
