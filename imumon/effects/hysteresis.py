@@ -22,9 +22,8 @@ Shape = Literal["play", "smooth"]
 class Hysteresis(Follower):
     """What follows is dragged along with a backlash of this half width, or in a smooth loop (Dahl's).
 
-    Sums of several widths make any loop (Prandtl and Ishlinskii); the powers let its width change with
-    temperature.  A smooth loop goes behind a backlash of half width `slack`, so that the noise of a
-    thermometer moves nothing.
+    The powers let its width change with temperature.  A smooth loop goes behind a backlash of half width
+    `slack`, so that the noise of a thermometer moves nothing.
     """
 
     kind: Literal["hysteresis"] = "hysteresis"

@@ -55,11 +55,6 @@ class Candidate:
         return sum(len(part.effect.nonlinear) for part in self.parts)
 
     @property
-    def inputs(self) -> set[str]:
-        """What drives it besides time and temperature."""
-        return {name for part in self.parts for name in part.effect.inputs}
-
-    @property
     def scope(self) -> str:
         """Whose its coefficients are by nature, see `imumon.effects.base.Scope`."""
         return self.parts[0].effect.scope

@@ -190,8 +190,7 @@ def _rms_of(parts: Sequence[FloatArray], counted: Sequence[BoolArray]) -> float:
 
 def goes_on(channel: Channel, model: Fit) -> bool:
     """Return whether the test goes on from a training run that has coefficients of its own."""
-    goes_on_from = [begun(channel, run) for run in channel.test]
-    return any(run in part.runs for part in model.parts for run in goes_on_from)
+    return any(begun(channel, run) in part.runs for part in model.parts for run in channel.test)
 
 
 def is_woven(channel: Channel) -> bool:
