@@ -109,8 +109,7 @@ def candidates(survey: Survey, families: Iterable[str] = tuple(EFFECTS)) -> list
 
 
 def _late_curve(late: Effect, survey: Survey) -> tuple[Part, ...]:
-    """Return a curve that is itself late: its powers less those of the late temperature, and the powers that
-    the declared curve has not."""
+    """Return a curve that is itself late: powers less late powers, and those that are not declared."""
     more = late.width - survey.degree
     if more <= 0:
         return (Part(late),)
