@@ -211,11 +211,6 @@ class Effect(StrictModel):
         """Return the effects worth trying where the whole curve is late."""
         return []
 
-    @classmethod
-    def sums(cls, grid: Sequence[Self]) -> list[tuple[Self, ...]]:  # noqa: ARG003 - for those that need it
-        """Return sums of effects of the grid that are worth trying as one."""
-        return []
-
     def fits_in(self, duration_s: float, survey: Survey) -> bool:  # noqa: ARG002 - for events
         """Return whether it can happen in a run of this length."""
         return True
@@ -240,7 +235,7 @@ class Effect(StrictModel):
         raise NotImplementedError
 
     def columns(self, drive: Drive) -> FloatArray:
-        """Return the columns (n, k) of a whole run, where an operator may look ahead as well."""
+        """Return the columns (n, k) of a whole run from power-on."""
         return self.advance(Memory(), drive)
 
     def added(self, memory: Memory, drive: Drive) -> FloatArray:

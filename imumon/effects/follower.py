@@ -32,8 +32,7 @@ class Follower(ScaledEffect):
 
     @classmethod
     def forms(cls, survey: Survey) -> list[dict[str, Any]]:
-        """Return orders and scale to try: none at constant temperature, the cubic only where two runs can
-        show it."""
+        """Return orders and scale to try: none at constant temperature, the cubic where runs can show it."""
         if not survey.thermal:
             return []
         orders = (1, 3) if may_sum(survey, 4) else (1,)

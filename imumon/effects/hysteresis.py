@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import asdict
-from itertools import combinations
 from typing import Literal, Self, get_args
 
 import numpy as np
@@ -15,8 +13,6 @@ from imumon.effects.follower import Follower
 
 SHARES = (0.05, 0.1, 0.2, 0.4)
 """Half widths of a loop of another driver, of its span."""
-MOST_IN_SUMS = 9
-"""Widths of which sums are tried."""
 SLACK_DEGC = 0.15
 """Way of the thermometer that its noise and its steps make up."""
 
@@ -26,9 +22,8 @@ Shape = Literal["play", "smooth"]
 class Hysteresis(Follower):
     """What follows is dragged along with a backlash of this half width, or in a smooth loop (Dahl's).
 
-    Sums of several widths make any loop (Prandtl and Ishlinskii); the powers let its width change with
-    temperature.  A smooth loop goes behind a backlash of half width `slack`, so that the noise of a
-    thermometer moves nothing.
+    The powers let its width change with temperature.  A smooth loop goes behind a backlash of half width
+    `slack`, so that the noise of a thermometer moves nothing.
     """
 
     kind: Literal["hysteresis"] = "hysteresis"
@@ -59,19 +54,8 @@ class Hysteresis(Follower):
 
     @classmethod
     def of_curve(cls, survey: Survey) -> list[Self]:  # noqa: ARG003 - whatever the runs can show
-        """Return none: sums of loops have any shape."""
+        """Return none: a loop of the third order bends as well."""
         return []
-
-    @classmethod
-    def sums(cls, grid: Sequence[Self]) -> list[tuple[Self, ...]]:
-        """Return sums of two and three backlashes, and of two smooth loops, of widths over the whole grid."""
-        found = list[tuple[Self, ...]]()
-        for shape, sizes in (("play", (2, 3)), ("smooth", (2,))):
-            loops = [loop for loop in grid if loop.order == 1 and loop.shape == shape]
-            spread = np.linspace(0, len(loops) - 1, min(MOST_IN_SUMS, len(loops))).round().astype(int)
-            few = [loops[index] for index in np.unique(spread).tolist()]
-            found += [group for size in sizes for group in combinations(few, size)]
-        return found
 
     def follow(self, memory: Memory, drive: Drive) -> FloatArray:
         """Return what is dragged along."""

@@ -13,8 +13,7 @@ from imumon.effects.base import RATIO, Drive, Memory, NotNegative, Positive, Sur
 from imumon.effects.follower import SHORTEST_S, Follower
 
 UNTOLD_S = 30.0
-"""How far a gyro's temperature may be behind the thermometer's (sd): half of the lag that means of 30 s
-separate from a rate."""
+"""sd of a gyro's lag behind the thermometer: half of the lag that means of 30 s separate from a rate."""
 SPACING_S = 0.25
 """One temperature is remembered of each such interval; the temperature of a unit is straight in between."""
 START_SD_DEGC = 1.0

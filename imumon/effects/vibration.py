@@ -20,8 +20,7 @@ class Vibration:
         self._last = np.full(1, np.nan)
 
     def process(self, time_ns: IntArray, segment: IntArray, accel: FloatArray) -> FloatArray:
-        """Return it at the next samples, (n,); `accel` is the specific force in m/s², (n, 3), NaN where there
-        is none."""
+        """Return it at the next samples, (n,); `accel` is the specific force in m/s², (n, 3), or NaN."""
         ended = self._slots.process(time_ns, segment, accel)
         count = ended.count.astype(np.float64)
         with np.errstate(invalid="ignore", divide="ignore"):

@@ -28,6 +28,7 @@ from imumon.lab.diagnose_command import chosen_drivers, read
 
 if TYPE_CHECKING:
     from imumon.lab.calibration.calibration import Calibration, Finding
+    from imumon.lab.diagnosis.verdict import ChannelVerdict
 
 STARTING_S, SAMPLES_PER_S, SPAN_PER_S = 2.0, 55_000.0, 670.0
 """For the estimate of the time.  Measured on one core: 19 s of computing for 21,600 samples of 3 h, 103 s for
@@ -99,7 +100,9 @@ def command(
     check_ids(autopilot, device_ids)
     if truth:
         check_truth(sessions)
-    chosen, driven = chosen_drivers(drivers), None
+    chosen = chosen_drivers(drivers)
+    driven: list[ChannelVerdict] | None = None
+    caveats: list[str] = []
     warnings: list[str] = []
     samples, span_s = size_of(sessions)
     expected_s = STARTING_S + samples / SAMPLES_PER_S + span_s / SPAN_PER_S
@@ -115,8 +118,7 @@ def command(
             from imumon.lab.diagnosis.extended import model_with_drivers
 
             runs = [read(path, None, at_rest=False, count=tell.count) for path in sessions]
-            driven = model_with_drivers(model, runs, chosen, tell)
-            model = driven.model
+            model, driven, caveats = model_with_drivers(model, runs, chosen, tell)
     written: dict[str, Path] = {}
     if autopilot is not None and export is not None:
         text, notes = parameters(model, autopilot, imu, device_ids)
@@ -129,11 +131,11 @@ def command(
 
         write_calibration_plot(plot, result, ", ".join(path.name for path in sessions))
     errors = {str(path): errors_of_model(path, model) for path in sessions} if truth else {}
-    warn([*result.warnings, *(driven.caveats if driven is not None else [])])
+    warn([*result.warnings, *caveats])
     if as_json:
         report: dict[str, Any] = _report(result, out)
         if driven is not None:
-            claims = {verdict.name: verdict.claims for verdict in driven.verdicts}
+            claims = {verdict.name: verdict.claims for verdict in driven}
             report["effects"] = {
                 name: [claim.finding.name for claim in claims.get(name, [])] for name in model.channels
             }
@@ -143,7 +145,7 @@ def command(
     else:
         _show(result)
     if driven is not None:
-        print_rows({verdict.name: verdict.summary for verdict in driven.verdicts} or NO_DRIVER)
+        print_rows({verdict.name: verdict.summary for verdict in driven} or NO_DRIVER)
     written |= {} if plot is None else {"picture": plot}
     print_rows(_summary(result, out) | {name: str(path) for name, path in written.items()})
     for name, one in errors.items():

@@ -70,12 +70,7 @@ MECHANISMS: Mapping[str, Change] = {
     "eight floors of what the test proves": [(verdict, "PROVEN_FLOORS", 0.0)],
     "free state at power-on": _untried(lambda one: one.free_start),
     "coefficients of each run": _untried(lambda one: one.scope == "either" and not one.carries),
-    "sums of loops and lags": _untried(
-        lambda one: len(one.parts) > 1 and not any(part.effect.polynomial() is not None for part in one.parts)
-    ),
-    "a curve that is late as a whole": _untried(
-        lambda one: any(part.effect.polynomial() is not None for part in one.parts[1:])
-    ),
+    "a curve that is late as a whole": _untried(lambda one: len(one.parts) > 1),
     "followers of the third order": _untried(lambda one: getattr(one.parts[0].effect, "order", 1) > 1),
     "smooth loops": _untried(
         lambda one: any(getattr(part.effect, "shape", "") == "smooth" for part in one.parts)

@@ -19,7 +19,6 @@ from imumon.effects.library import EFFECTS
 from imumon.effects.live import Carrier
 from imumon.effects.product import GSensitivity
 from imumon.effects.since_power_on import StressRelaxation
-from imumon.effects.temperature_rate import TemperatureRate
 from imumon.effects.thermal_lag import DeadTime, ThermalLag
 from imumon.effects.vibration import Vibration
 
@@ -87,10 +86,7 @@ def test_live_it_is_what_is_simulated(effect: Effect) -> None:
     since = replace(drive, time_s=drive.time_s - drive.time_s[0])
     bias, _ = live(effect, drive, 100)
     expected = effect.simulate(since)
-    # The rate has a filter live and none over a whole run: it is late by the filter's time.
-    filtered = isinstance(effect, TemperatureRate) and effect.of_temperature
-    tolerance = 0.02 if filtered else 1e-6 * np.ptp(expected) + 1e-9
-    assert np.median(np.abs(bias - expected)) <= tolerance
+    assert np.median(np.abs(bias - expected)) <= 1e-6 * np.ptp(expected) + 1e-9
     assert np.abs(bias).max() > 1e-4
 
 

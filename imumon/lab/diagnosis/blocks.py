@@ -12,6 +12,7 @@ from imumon.blocks import BoolArray, FloatArray, IntArray
 from imumon.clock.channel import CLOCK, block_noise
 from imumon.effects.base import Drive, DrivenEffect, Scale, Survey
 from imumon.effects.library import EFFECTS
+from imumon.effects.operators import play
 from imumon.effects.product import Product
 from imumon.lab.diagnosis.runs import Run
 from imumon.recordings.reduced import ACCEL
@@ -263,13 +264,6 @@ def survey(runs: Sequence[RunBlocks], temperature: str, degree: int) -> Survey:
 
 
 def _turns(temperature: FloatArray, size: float) -> int:
-    """Count the turns after which the temperature goes back by more than `size`."""
-    turns, direction = 0, 0
-    low = high = float(temperature[0])
-    for value in temperature.tolist():
-        low, high = min(low, value), max(high, value)
-        if direction >= 0 and value < high - size:
-            turns, direction, low = turns + (direction > 0), -1, value
-        elif direction <= 0 and value > low + size:
-            turns, direction, high = turns + (direction < 0), 1, value
-    return turns
+    """Count the turns after which the temperature goes back by more than `size`: by a backlash as wide."""
+    direction = np.sign(np.diff(play(temperature, 0.5 * size, np.nan)))
+    return int(np.count_nonzero(np.diff(direction[direction != 0])))

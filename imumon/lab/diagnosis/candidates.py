@@ -12,7 +12,6 @@ from numpy.polynomial import Polynomial
 
 from imumon.blocks import FloatArray, IntArray
 from imumon.effects.base import Effect, Scale, Survey
-from imumon.effects.follower import may_sum
 from imumon.effects.library import EFFECTS
 from imumon.effects.temperature_curve import TemperatureCurve
 from imumon.lab.diagnosis.blocks import RunBlocks, WhiteFloor
@@ -54,11 +53,6 @@ class Candidate:
     def nonlinear(self) -> int:
         """Number of nonlinear parameters."""
         return sum(len(part.effect.nonlinear) for part in self.parts)
-
-    @property
-    def inputs(self) -> set[str]:
-        """What drives it besides time and temperature."""
-        return {name for part in self.parts for name in part.effect.inputs}
 
     @property
     def scope(self) -> str:
@@ -111,14 +105,11 @@ def candidates(survey: Survey, families: Iterable[str] = tuple(EFFECTS)) -> list
                 found += [Candidate(name, part, free_start=True) for part in single]
             if family.scope == "either" and survey.runs > 1:
                 found += [Candidate(name, (Part(effect, every),)) for effect in grid]
-            groups = family.sums(grid) if may_sum(survey, 2) else []
-            found += [Candidate(name, tuple(map(Part, group))) for group in groups]
     return found
 
 
 def _late_curve(late: Effect, survey: Survey) -> tuple[Part, ...]:
-    """Return a curve that is itself late: its powers less those of the late temperature, and the powers that
-    the declared curve has not."""
+    """Return a curve that is itself late: powers less late powers, and those that are not declared."""
     more = late.width - survey.degree
     if more <= 0:
         return (Part(late),)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
 
@@ -136,22 +135,11 @@ def trained_on(blocks: RunBlocks) -> TrainedOn:
     )
 
 
-@dataclass(frozen=True, slots=True)
-class Driven:
-    """A model with the drivers that were found, the verdicts on the channels that have one, and remarks."""
-
-    model: BiasModel
-    verdicts: list[ChannelVerdict]
-    caveats: list[str]
-
-
 def model_with_drivers(
-    model: BiasModel,
-    recordings: Sequence[Sequence[Run]],
-    drivers: Sequence[str] | None,
-    progress: Progress,
-) -> Driven:
-    """Return a calibrated model with what is proven of recorded drivers; None: of all that vary.
+    model: BiasModel, recordings: Sequence[Sequence[Run]], drivers: Sequence[str] | None, progress: Progress
+) -> tuple[BiasModel, list[ChannelVerdict], list[str]]:
+    """Return a calibrated model with what is proven of recorded drivers (None: of all that vary), the
+    verdicts on the channels that have one, and remarks.
 
     The search is that of `diagnose.diagnose`, the latest recording is its test.  A channel in
     which a driver is found gets all that was found in it, for the rest was fitted beside the driver; the
@@ -168,4 +156,4 @@ def model_with_drivers(
     ]
     extended = extended_model(diagnosis).channels
     channels = {**model.channels, **{verdict.name: extended[verdict.name] for verdict in found}}
-    return Driven(model.model_copy(update={"channels": channels}), found, diagnosis.caveats)
+    return model.model_copy(update={"channels": channels}), found, diagnosis.caveats

@@ -15,8 +15,7 @@ from imumon.lab.diagnosis.candidates import Candidate, Channel, Part, least_squa
 from imumon.lab.diagnosis.likelihood import Likelihood
 
 CLEAN = 1.8
-"""Residual in white floors below which nothing is missing; slow noise of the same size as the white is
-allowed."""
+"""Residual in white floors below which nothing is missing: as much slow noise as white is allowed."""
 MATERIAL = 1.3
 """Of a model that leaves less than so many floors, what is missing is too small to matter."""
 EXPLAINED = 0.6
@@ -190,8 +189,7 @@ def _rms_of(parts: Sequence[FloatArray], counted: Sequence[BoolArray]) -> float:
 
 def goes_on(channel: Channel, model: Fit) -> bool:
     """Return whether the test goes on from a training run that has coefficients of its own."""
-    goes_on_from = [begun(channel, run) for run in channel.test]
-    return any(run in part.runs for part in model.parts for run in goes_on_from)
+    return any(begun(channel, run) in part.runs for part in model.parts for run in channel.test)
 
 
 def is_woven(channel: Channel) -> bool:
@@ -275,8 +273,7 @@ def _jump_at(columns: FloatArray, residual: FloatArray) -> int:
 
 
 def explained_share(before: float, after: float, floor: float) -> float:
-    """Return which share of the excess of the mean square over the white floor is explained; 0 where there
-    is none, or nothing is known."""
+    """Return the share of the excess of the mean square over the white floor that is explained, or 0."""
     excess = before**2 - floor**2
     return 1.0 - (after**2 - floor**2) / excess if excess > 0 and np.isfinite(after) else 0.0
 
@@ -335,8 +332,7 @@ def sigmas(
 def _slopes(
     channel: Channel, model: Sequence[Candidate], coefficients: FloatArray
 ) -> tuple[FloatArray, list[tuple[Part, str]]]:
-    """Return how the model changes with the logarithm of each searched parameter, (n, p), and which they
-    are."""
+    """Return how the model changes with the logarithm of each searched parameter, (n, p), and these."""
     slopes, names = [np.empty((len(channel.values), 0))], []
     for one, where, starts in _layout(channel, model):
         own = coefficients[where.start : starts.stop]

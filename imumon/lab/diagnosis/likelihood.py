@@ -37,11 +37,6 @@ RIDGE = 1e-9
 """On the diagonal of normalised equations, so that collinear terms can be solved for."""
 
 
-_Group = tuple[IntArray, IntArray, BoolArray]
-"""Candidates of so many terms each: which they are (count,), their terms (count, size), and whether a term
-and the next are of one sign (count, size - 1)."""
-
-
 class Likelihood:
     """Log-likelihoods of the n block means of some runs, for a base (n, p) that the model so far has."""
 
@@ -135,8 +130,11 @@ def no_larger(start: Noise) -> list[Noise]:
     return [point for point in GRID if sum(point) <= sum(start)]
 
 
-def _by_size(groups: Sequence[Sequence[int]], spectra: IntArray) -> list[_Group]:
-    """Return, for each number of terms, the candidates that have it."""
+def _by_size(
+    groups: Sequence[Sequence[int]], spectra: IntArray
+) -> list[tuple[IntArray, IntArray, BoolArray]]:
+    """Return, for each number of terms, which candidates have it (count,), their terms (count, size), and
+    whether a term and the next are of one sign (count, size - 1)."""
     found = []
     for size in sorted({len(group) for group in groups} - {0}):
         which = [at for at, group in enumerate(groups) if len(group) == size]
@@ -150,7 +148,7 @@ def _explained(
     residual: FloatArray,
     basis: FloatArray,
     matrix: FloatArray,
-    groups: Sequence[_Group],
+    groups: Sequence[tuple[IntArray, IntArray, BoolArray]],
     count: int,
 ) -> FloatArray:
     """Return by how much each candidate lowers the sum of squares of the whitened residual.

@@ -137,8 +137,7 @@ class Challenger:
 
     def __init__(self, present: BiasModel, found: Sequence[Better], since_s: float) -> None:
         channels = {**present.channels, **{one.channel: one.model for one in found}}
-        self.model = present.model_copy(update={"channels": channels})
-        self.since_s = since_s
+        self.model, self.since_s = present.model_copy(update={"channels": channels}), since_s
         self._present, self._names = present, [one.channel for one in found]
 
     def compare(self, run: Run) -> Comparison | None:

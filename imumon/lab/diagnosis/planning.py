@@ -199,8 +199,7 @@ class Evidence(NamedTuple):
 
 
 class Plan(NamedTuple):
-    """The next experiment for a question; `profile` and `expected` are None where nothing that was tried
-    tells, and `why_not` says why."""
+    """The next experiment for a question; `why_not` says why there is no `profile` that tells."""
 
     question: Question
     profile: Profile | None = None

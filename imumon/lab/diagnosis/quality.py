@@ -42,21 +42,18 @@ class Watcher:
     def through(self, blocks: Iterable[SampleBlock]) -> Iterator[SampleBlock]:
         """Yield the blocks unchanged."""
         for block in blocks:
-            self._take(block)
+            chosen = slice(-self._phase % self._stride, None, self._stride)
+            self._phase = (self._phase + len(block)) % self._stride
+            self._count += len(block) // self._stride + 1
+            for name in self._kept.keys() & block.columns.keys():
+                values = block[name]
+                steps = np.diff(values, prepend=np.nan)
+                self._kept[name].append(np.column_stack([values, steps])[chosen].astype(np.float64))
+            if self._count > KEPT:
+                joined = {name: np.concatenate(kept) for name, kept in self._kept.items() if kept}
+                self._kept = {name: [values[::2]] for name, values in joined.items()}
+                self._stride, self._count = 2 * self._stride, self._count // 2
             yield block
-
-    def _take(self, block: SampleBlock) -> None:
-        chosen = slice(-self._phase % self._stride, None, self._stride)
-        self._phase = (self._phase + len(block)) % self._stride
-        self._count += len(block) // self._stride + 1
-        for name in self._kept.keys() & block.columns.keys():
-            values = block[name]
-            steps = np.diff(values, prepend=np.nan)
-            self._kept[name].append(np.column_stack([values, steps])[chosen].astype(np.float64))
-        if self._count > KEPT:
-            joined = {name: np.concatenate(kept) for name, kept in self._kept.items() if kept}
-            self._kept = {name: [values[::2]] for name, values in joined.items()}
-            self._stride, self._count = 2 * self._stride, self._count // 2
 
     def samples(self) -> dict[str, Samples]:
         """Return the statistics of each channel that has values."""

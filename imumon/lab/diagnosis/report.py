@@ -237,7 +237,7 @@ def _questions(verdict: ChannelVerdict) -> list[list[dict[str, Any]]]:
         tried = [one.candidate for one in _leaders(verdict, -1) if one.fit > 0.0]
         # A chamber, or poses, can make these show themselves in another run.
         lasting = [one for one in tried if one.scope in ("shared", "either") and one not in claimed]
-        further = [one for one in lasting if one.inputs <= {ACCEL}][:MOST_ANSWERS]
+        further = [one for one in lasting if {*one.parts[0].effect.inputs} <= {ACCEL}][:MOST_ANSWERS]
         opened.append([answer(claimed, one) for one in (None, *further)])
     return opened
 

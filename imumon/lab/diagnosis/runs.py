@@ -61,8 +61,7 @@ class Run:
     count: dict[str, FloatArray]
     mean: dict[str, FloatArray]
     variance: dict[str, FloatArray]
-    """Samples in each slot, their mean (SI units, temperatures in °C) and variance (NaN with fewer than two),
-    (n,) each."""
+    """Samples in each slot, their mean (SI units, °C) and variance (NaN with fewer than two), (n,) each."""
     rest: FloatArray
     """Share of the samples at which the unit was at rest, (n,)."""
     origin: Origin | None = None
@@ -223,8 +222,7 @@ def add_vibration(mean: dict[str, FloatArray], variance: Mapping[str, FloatArray
 
 
 def channels_of(sensors: Iterable[str], there: Container[str]) -> list[str]:
-    """Return the columns of sensors, of those that there are: of gyro gyro_x, gyro_y and gyro_z, of pressure
-    itself."""
+    """Return the columns there of sensors: of gyro gyro_x, gyro_y and gyro_z, of pressure itself."""
     every = [name for sensor in sensors for name in (sensor, *(f"{sensor}_{axis}" for axis in "xyz"))]
     return [name for name in dict.fromkeys(every) if name in there]
 
@@ -249,8 +247,7 @@ def unit_of(channel: str) -> str:
 
 
 def latest(recordings: Sequence[Sequence[Run]]) -> tuple[list[Run], list[Run]]:
-    """Return the runs of all recordings but the last, and those of the last: the test, unless it is the only
-    one."""
+    """Return the runs of all recordings but the last, and those of the last, the test; of one, no test."""
     *earlier, last = recordings
     return [run for runs in earlier or [last] for run in runs], list(last) if earlier else []
 
