@@ -88,7 +88,7 @@ VARIANTS: dict[str, Change] = {
     "a code never replaces a wide prediction": [(measurement, "WIDE", 1e9)],
     "a code that does not enter does not confine the output": [(method, "evaluate", _entering_only)],
     "the scatter of readings is no evidence": [(measurement, "_scatter", _nothing)],
-    "σ of a model exact": [(measurement, "SPACING", 0.0)],
+    "σ of a model exact": [(measurement, "SIGMA_ERROR", 0.0)],
     "all readings independent": [(Thermometer, "independent", _count)],
     "no repeats known by a leap": [(Thermometer, "leaps", _never)],
     "no repeats known": [(thermometer, "MOST_REPEAT_S", 0.0)],

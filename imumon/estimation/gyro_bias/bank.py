@@ -70,8 +70,9 @@ MEMORY_S = 600.0
 """Over which σ² is averaged."""
 PRIOR_COUNT, DECLARED_COUNT = 3.0, 0.5 * MEMORY_S
 """a of a σ² that second differences of 16 slots have shown, and of one that is declared."""
-UNKNOWN = 1e8
-"""Prior variance of w over σ²: turn-on biases of any gyro."""
+UNKNOWN, TURN_ON = 1e8, np.radians(3.0)
+"""Prior variance of w over σ², and at least the square of this, rad/s: turn-on biases of any gyro.  Beside a
+smaller one, of a gyro that hardly scatters, the first mean would be a sensitivity to g."""
 
 
 def propagated(
@@ -206,7 +207,8 @@ class Bank:
         """
         process, fast, log_prior = _modes(noise, slopes, white)
         variance = process.copy()
-        variance[..., WALK], variance[..., SLOPE] = UNKNOWN, process[..., SLOPE] * SLOPE_DEGC
+        variance[..., WALK] = np.maximum(UNKNOWN, TURN_ON**2 / white)[:, np.newaxis]
+        variance[..., SLOPE] = process[..., SLOPE] * SLOPE_DEGC
         variance[..., SENSITIVITY] = (SENSITIVITY_SD**2 / white)[:, np.newaxis, np.newaxis]
         scale = np.repeat(count * white[:, np.newaxis], fast.shape[1], 1)
         start_s, zero = first.end_s - first.covered_s, np.zeros_like(variance)
@@ -226,7 +228,7 @@ class Bank:
         dt, warming = now.end_s - self.time_s, now.degc - self.degc
         mean, covariance = propagated(self.mean, self.covariance, self.process, dt, warming)
         if jumped:
-            covariance[..., WALK, WALK] += UNKNOWN
+            covariance[..., WALK, WALK] += np.maximum(UNKNOWN, TURN_ON**2 * self.shape / self.scale)
         h = measurement_row(now.force)
         cross = (covariance.reshape(-1, STATES) @ h).reshape(mean.shape)  # P Hᵀ
         spread = cross @ h + 1.0 / now.covered_s  # S

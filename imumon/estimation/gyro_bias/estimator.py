@@ -38,6 +38,8 @@ from imumon.estimation.rest.quiet import SECOND_SLOTS, TRIAL, QuietDetector
 from imumon.estimation.rest.slots import ACCEL, GYRO, Measurement, Slot, measurement_of
 from imumon.geodesy import EARTH_RATE, STANDARD_GRAVITY
 
+LEAST_WHITE = 1e-15
+"""Variance of the mean of a second, (rad/s)²: 0.0065 °/h, less than any gyro has.  Assumed."""
 SECOND_S = 1.0 - 1e-6
 """Length of a measurement; slots of 0.25 s add up to it in spite of rounding."""
 UNDO_SLOTS = 2
@@ -141,7 +143,7 @@ class Estimator:
     def _noise(self) -> FloatArray:
         """Return the variance of the mean of a second, (6,)."""
         covered_s = sum(one.covered_s for one in self.latest) / len(self.latest)
-        return np.maximum(self.quiet.noise * covered_s, 1e-18)  # less than any gyro has, more than none
+        return np.maximum(self.quiet.noise * covered_s, LEAST_WHITE)
 
     def _measurement(self, slots: Sequence[Slot]) -> Measurement:
         return measurement_of(slots, self.attitude.earth, self.force)
@@ -186,7 +188,7 @@ class Estimator:
             return
         white, b, k = self.parameters.per_axis
         count = PRIOR_COUNT if white is None else DECLARED_COUNT
-        sigma2 = self._noise()[GYRO] if white is None else np.maximum(white**2, 1e-18)
+        sigma2 = self._noise()[GYRO] if white is None else np.maximum(white**2, LEAST_WHITE)
         filters = Bank.begin((b, k), self.slopes, sigma2, count, measurements[0])
         self.hypotheses = begun(filters, measurements, self.limits, slots[-1].rest_given is not None)
         self.added, self.updated = np.zeros(3), True
@@ -219,8 +221,8 @@ class Estimator:
         """Return the bias from a time on.
 
         Its variance has these parts: the states of all modes, flicker of single samples, what `added` holds
-        of temperature, gaps and turns, the unknown part of the earth rate, and the turn hypothesis, with the
-        largest error by rounding at rest.
+        of temperature, gaps and turns, the unknown part of the earth rate, the turn hypothesis, and the largest
+        error by rounding at rest: of the turn hypothesis there, and as of a bias in motion.
         """
         if self.hypotheses is None:
             terms, covariance = np.zeros((3, 4)), np.zeros((3, 4, 4))
@@ -229,6 +231,7 @@ class Estimator:
             covariance[:, 0, 0] = variance + any_pose
             return LinearBias(terms, covariance, np.zeros(3), np.zeros(3))
         prediction, turn = self.hypotheses.shown.prediction.at(now_s, self.degc), self.hypotheses.ambiguity
+        added, rounding = self.added + self.attitude.uncertain_earth, self.quiet.rounding_error[GYRO]
         if not self.hypotheses.moved or self.hypotheses.doubted:
-            turn = np.copysign(np.hypot(turn, self.quiet.rounding_error[GYRO]), turn)
-        return prediction.output(self.added + self.attitude.uncertain_earth, self.force, turn)
+            return prediction.output(added, self.force, np.copysign(np.hypot(turn, rounding), turn))
+        return prediction.output(added + rounding**2, self.force, turn)

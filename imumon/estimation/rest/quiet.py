@@ -27,6 +27,8 @@ CHI_SQUARE = 42.0
 """Three axes together: once in 2e8 for Gaussian noise of known variance."""
 QUIET = np.repeat([3.5e-4, 5e-3], 3)
 """Standard deviation of a mean of a second that is always quiet, rad/s (72 °/h) and m/s² (0.03°)."""
+UNSEEN_STEP = np.repeat([np.radians(2000.0 / 2**15), 0.0], 3)
+"""rad/s, and not used for m/s²: the step of gyros that measure to 2000 °/s with 16 bits."""
 VIBRATION = np.repeat([3.5e-2, 0.5], 3)
 """rad/s and m/s², rms within a slot: more is motion.  VQF's limits (Laidig and Seel 2023)."""
 ROAD = np.array([2.5e-3, 0.021])
@@ -97,10 +99,12 @@ class QuietDetector:
     def rounding_error(self) -> FloatArray:
         """Largest error of a mean by rounding to steps of the sensor, (6,).
 
-        Noise of variance v, in steps squared, makes it exp(-2 π² v) half steps (Widrow).
+        Noise of variance v, in steps squared, makes it exp(-2 π² v) half steps (Widrow).  Readings that are
+        all equal show no step: they may have any, up to `UNSEEN_STEP`.
         """
-        noise = np.maximum(self.sample_noise / (self.step**2 + 1e-24) - 1.0 / 12.0, 0.0)
-        return np.asarray(0.5 * self.step * np.exp(-2.0 * np.pi**2 * noise))
+        step = np.where((self.step == 0.0) & (self.sample_noise == 0.0), UNSEEN_STEP, self.step)
+        noise = np.maximum(self.sample_noise / (step**2 + 1e-24) - 1.0 / 12.0, 0.0)
+        return np.asarray(0.5 * step * np.exp(-2.0 * np.pi**2 * noise))
 
     @property
     def band(self) -> tuple[FloatArray, FloatArray]:

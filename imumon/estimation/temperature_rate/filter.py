@@ -22,25 +22,26 @@ from imumon.estimation.temperature_rate.thermometer import FASTEST_RATE, UNSEEN_
 STATES = 4
 TEMPERATURE, RATE, ACCELERATION, ERROR = range(STATES)
 START_ACCELERATION = UNSEEN_RATE / 300.0
-"""Standard deviation of the acceleration at the start, °C/s²: an unobserved rate comes about within 5 min."""
+"""Standard deviation of the acceleration at the start, °C/s²: the rate of a warm-up comes about in 5 min."""
 LONG_S = 900.0
-"""At the start a temperature has no more acceleration than its jerk makes in this time, s, and what a walk of
-the reading gains in it is not known of the temperature.  Ablation."""
+"""s.  The variance of the acceleration at the start is at most what the jerk makes of it in this time.  And
+the variance that a walk of the reading gains in this time is never known.  Ablation."""
 LEAST_PROBABILITY = 1e-14
 """Least probability of a filter, so that none is lost for ever.  Ablation."""
 NoiseModel = tuple[float, float, float, float]
 """Variances of the white noise and of the slow error e, the correlation time τ of e, s, and the variance per
-second of the random walk that is part of 1/f noise.
+second of the random walk that is part of 1/f noise (of mean models: per slot).
 
 A *code model* reads the code in which T + e + white noise is; its unit of variance is d², of the step d.  In
-its white noise is how e moves within a slot, σ² (1 s)/(3 τ).  A *mean model* measures a slot's mean; its unit
-is ρ, the variance of this mean from slot to slot, a share of which is the slow error.
+its white noise is how e, of variance V, moves within a slot, V (1 s)/(3 τ).  A *mean model* measures a
+slot's mean; its unit is max(ρ, d²/12), with ρ the variance of this mean from slot to slot, and a share of
+that is the slow error.
 """
 WHITE_SDS = (0.02, 0.035, 0.05, 0.065, 0.08, 0.1, 0.125, 0.16, 0.2, 0.25, 0.32, 0.4, 0.5)
 """Steps; a quarter apart where the ripple of a mean depends on it most."""
 CODE_MODELS: tuple[NoiseModel, ...] = (
     *((sd**2, 0.0, 1e9, 0.0) for sd in WHITE_SDS),
-    (0.014, 0.06, 5.0, 0.0),
+    (0.014, 0.06, 5.0, 0.0),  # these four: white noise of 0.1 step, 0.1² + V/(3 τ)
     (0.034, 0.36, 5.0, 0.0),
     (0.013, 0.36, 40.0, 0.0),
     (0.028, 0.16, 3.0, 0.0016),
@@ -107,8 +108,8 @@ def slow_error(thermometer: Thermometer) -> tuple[FloatArray, FloatArray]:
     _, slow, slow_s, walk_per_s = NOISE
     # Of the variance of e, second differences of slot means, ρ, show (1 - φ)(3 - φ)/3.
     keep = np.exp(-thermometer.spacing_s / slow_s)
-    scale = thermometer.variance / ((1.0 - keep) * (3.0 - keep) / 3.0)
-    walk_scale = np.full_like(slow_s, thermometer.variance / thermometer.spacing_s)
+    scale = thermometer.mean_variance / ((1.0 - keep) * (3.0 - keep) / 3.0)
+    walk_scale = np.full_like(slow_s, thermometer.mean_variance / thermometer.spacing_s)
     scale[CODE] = walk_scale[CODE] = thermometer.step**2
     return slow * scale, walk_per_s * walk_scale
 
@@ -135,7 +136,8 @@ def mix(filters: Filters, dt: float) -> Filters:
 def predict(thermometer: Thermometer, filters: Filters, time_s: float) -> Filters:
     """Mix the filters of each noise model and advance all to a time: x = F x, P = F P Fᵀ + Q.
 
-    T, r and a move with white jerk; e decays by φ = exp(-dt/τ).
+    T, r and a move with white jerk; e decays by φ = exp(-dt/τ).  A walk of the reading has no state of its
+    own: it is process noise of T, and what it gains in `LONG_S` is added in the output.
     """
     dt = max(time_s - filters.time_s, 0.0)
     f: FloatArray = np.eye(STATES)  # with 1 in place of φ, which depends on the noise model

@@ -1,9 +1,9 @@
 """What the readings of a slot show of y = T + e, for all filters at once: one decision table.
 
 d is the step, n the number of independent readings, p the share of readings above an edge, f the normal
-density at Φ⁻¹(p).  s² = σ² + (r² + P_rr) Δ²/12 is the noise of a model and the motion within the slot, Δ the
-spacing of slots, β = exp(-2π²σ²/d²).  Rows are evaluated top down; the last reading before the slot counts as
-one of its own.
+density at Φ⁻¹(p).  s² = σ² + (r² + P_rr) Δ²/12 is the noise of a model and the motion since the last slot
+that was used, Δ before, and β = exp(-2π²s²/d²).  Of the rows of the code models the first that holds counts;
+the last row always does.  The last reading before the slot counts as one of its codes.
 
 | the slot | filters | what enters the state |
 |---|---|---|
@@ -11,8 +11,8 @@ one of its own.
 | more than two codes | code models | z = mean less ripple, R = max(s², variance)/n + (β d/π)²/8 |
 | two codes | code models | z = edge + s Φ⁻¹(p), R = s² p(1-p)/(n f²) + (0.1 s Φ⁻¹(p))² |
 | one code: edge soft, a surprise, or prediction wide | code models | y is in the code: truncated Gaussian |
-| one code | code models | nothing; the code only confines the output |
-| any | mean models | z = mean, R = share of ρ + (d/n)²/2π |
+| one code | code models | nothing, and little likelihood; the code only confines the output |
+| any | mean models | z = mean, R = share of max(ρ, d²/12) + (d/n)²/2π |
 
 "y is in the code" is one statement, however often it is read.  At a soft edge each reading is evidence.
 
@@ -39,7 +39,7 @@ SURPRISE = 0.02
 """A code is a surprise for a filter that gave it less than this probability.  Ablation."""
 WIDE = 1.5
 """A prediction is wide whose sigma exceeds so many steps.  Ablation."""
-SPACING = 0.1
+SIGMA_ERROR = 0.1
 """Relative standard deviation of the σ of a code model: half the distance of two models.  Ablation."""
 RENEWAL = 0.1
 """Share of the log likelihood of a code that stays, per renewal of the slow error.  Ablation."""
@@ -53,7 +53,7 @@ class Codes(NamedTuple):
     """d, °C."""
     n: float
     """Independent readings, 1 at least."""
-    sigma: FloatArray
+    noise_sd: FloatArray
     """s, °C."""
     mean: FloatArray
     variance: FloatArray
@@ -68,8 +68,8 @@ def evaluate(thermometer: Thermometer, slot: Slot, filters: Filters) -> list[Cor
     white, step, n = NOISE[0], thermometer.step, thermometer.independent(slot)
     mean, variance = filters.reading
     square_rate = filters.x[RATE, CODE] ** 2 + filters.p[RATE, RATE, CODE]
-    sigma = np.sqrt(white[CODE] * step**2 + square_rate * thermometer.spacing_s**2 / 12.0)
-    codes = Codes(slot, step, n, sigma, mean[CODE], variance[CODE])
+    noise_sd = np.sqrt(white[CODE] * step**2 + square_rate * thermometer.spacing_s**2 / 12.0)
+    codes = Codes(slot, step, n, noise_sd, mean[CODE], variance[CODE])
     span = (slot.highest - slot.lowest) / step
     if span > 1.5 and slot.largest > slot.smallest:
         of_codes = [_many_codes(codes)] * 2
@@ -78,7 +78,7 @@ def evaluate(thermometer: Thermometer, slot: Slot, filters: Filters) -> list[Cor
     else:
         of_codes = _one_code(codes, 1.0 - np.exp(-thermometer.spacing_s / NOISE[2, CODE]))
     # The mean of a slot is on a lattice of d/n.
-    noise = white[MEAN] * thermometer.variance + (step / n) ** 2 / (2.0 * math.pi)
+    noise = white[MEAN] * thermometer.mean_variance + (step / n) ** 2 / (2.0 * math.pi)
     of_means = _gaussian(mean[MEAN], variance[MEAN], slot.mean, noise, step / n)
     return [Correction(*map(np.concatenate, zip(each, of_means, strict=True))) for each in of_codes]
 
@@ -90,25 +90,28 @@ def _gaussian(
     noise: FloatArray,
     lattice: FloatArray | float,
 ) -> Correction:
-    """Correct by y = z with the variance R: v² / S; `lattice`, times the density of z, is a probability."""
-    total = variance + noise
-    innovation = z - mean
-    log = np.log(lattice / ROOT_2_PI) - 0.5 * np.log(total) - 0.5 * innovation**2 / total
-    return Correction(variance * innovation / total, -(variance**2) / total, log)
+    """Correct by y = z with the noise R: the mean by P (z - mean)/S, the variance by -P²/S, with S = P + R.
+
+    P is the variance of y; `lattice`, times the density of z, is a probability.
+    """
+    innovation, innovation_variance = z - mean, variance + noise
+    log = np.log(lattice / ROOT_2_PI) - 0.5 * np.log(innovation_variance)
+    log -= 0.5 * innovation**2 / innovation_variance
+    return Correction(variance * innovation / innovation_variance, -(variance**2) / innovation_variance, log)
 
 
 def _many_codes(codes: Codes) -> Correction:
-    """Correct by the mean: with white noise, E[mean] = x - β/π sin 2πx in steps, β = exp(-2π²σ²).
+    """Correct by the mean: with white noise, E[mean] = x - β/π sin 2πx in steps, β = exp(-2π²s²).
 
     Widrow and Kollar, Quantization Noise (2008), ch. 4.
     """
-    slot, step, n, sigma, mean, variance = codes
-    ripple = np.exp(-2.0 * np.pi**2 * (sigma / step) ** 2)
+    slot, step, n, noise_sd, mean, variance = codes
+    ripple = np.exp(-2.0 * np.pi**2 * (noise_sd / step) ** 2)
     offset = (slot.mean - slot.smallest) / step
     place = np.full_like(ripple, offset)
     for _ in range(4):  # solve for x
         place = offset + np.minimum(ripple, 0.4) / math.pi * np.sin(2.0 * math.pi * place)
-    noise = np.maximum(sigma**2, slot.variance) / n + (ripple * step / math.pi) ** 2 / 8.0
+    noise = np.maximum(noise_sd**2, slot.variance) / n + (ripple * step / math.pi) ** 2 / 8.0
     found = _gaussian(mean, variance, slot.smallest + step * place, noise, step / n)
     return found._replace(log_likelihood=found.log_likelihood + _scatter(codes, place, ripple))
 
@@ -119,26 +122,26 @@ def _scatter(codes: Codes, place: FloatArray, ripple: FloatArray) -> FloatArray:
     Rounded readings have the variance s² + d²/12 and its first harmonic in the place, both in steps.
     """
     cosine, sine = ripple * np.cos(2.0 * math.pi * place), ripple * np.sin(2.0 * math.pi * place)
-    variance = (codes.sigma / codes.step) ** 2
+    variance = (codes.noise_sd / codes.step) ** 2
     harmonic = -cosine * (1.0 / math.pi**2 + 4.0 * variance) - (sine / math.pi) ** 2
     rounded = variance + np.maximum(1.0 / 12.0 + harmonic, 0.0)
     excess = np.maximum(codes.slot.variance / (codes.step**2 * rounded), 1.0)
-    # In the mean it is zero: half the time it is -χ²/2, -1/4.
+    # Its mean is made zero: half the time it is -χ²/2, of mean -1/2.
     return np.asarray(0.25 - 0.5 * codes.n * (excess - 1.0 - np.log(excess)))
 
 
 def _two_codes(codes: Codes) -> Correction:
     """Correct by the share of readings above the edge between the two codes."""
-    slot, step, n, sigma, mean, variance = codes
+    slot, step, n, noise_sd, mean, variance = codes
     share = (slot.mean - slot.lowest) / (slot.highest - slot.lowest)
     share = min(max(share, 0.5 / slot.count), 1.0 - 0.5 / slot.count)
     quantile = float(ndtri(share))
     density = math.exp(-0.5 * quantile**2) / ROOT_2_PI
-    noise = sigma**2 * (share * (1.0 - share) / (n * density**2) + (SPACING * quantile) ** 2)
-    z = 0.5 * (slot.lowest + slot.highest) + sigma * quantile
-    found = _gaussian(mean, variance, z, noise, sigma / (density * n))
+    noise = noise_sd**2 * (share * (1.0 - share) / (n * density**2) + (SIGMA_ERROR * quantile) ** 2)
+    z = 0.5 * (slot.lowest + slot.highest) + noise_sd * quantile
+    found = _gaussian(mean, variance, z, noise, noise_sd / (density * n))
     # All n readings are of these two codes: models of more noise would have read a third.
-    apart = step / sigma
+    apart = step / noise_sd
     within = n * np.log(np.maximum(ndtr(apart - quantile) - ndtr(-apart - quantile), 1e-300))
     return found._replace(log_likelihood=found.log_likelihood + within)
 
@@ -149,16 +152,16 @@ def _one_code(codes: Codes, renewed: FloatArray) -> list[Correction]:
     `renewed` is the share of the slow error that is new: to that share, a code that stays is new evidence.
     Returns what enters the states, and all that the code shows.
     """
-    slot, step, n, sigma, mean, variance = codes
+    slot, step, n, noise_sd, mean, variance = codes
     extreme = float(ndtri(2.0 ** (-1.0 / n)))
-    softness = sigma / math.sqrt(1.0 + 2.0 * math.log(n))
-    half = np.maximum(0.5 * step - extreme * sigma, 0.1 * step)
-    total = np.sqrt(variance + softness**2)
+    softness = noise_sd / math.sqrt(1.0 + 2.0 * math.log(n))
+    half = np.maximum(0.5 * step - extreme * noise_sd, 0.1 * step)
+    total_sd = np.sqrt(variance + softness**2)
     off = mean - slot.last
-    shift, kept, log_mass = truncated((-half - off) / total, (half - off) / total)
+    shift, kept, log_mass = truncated((-half - off) / total_sd, (half - off) / total_sd)
     sd = np.sqrt(variance)
     enters = (sd < SOFT * softness) | (sd > WIDE * step) | (log_mass < math.log(SURPRISE))
-    gain = variance / total
+    gain = variance / total_sd
     change, narrowing = gain * shift, gain**2 * (kept - 1.0)
     evidence = np.where(enters, 1.0, RENEWAL * renewed) * log_mass
     return [

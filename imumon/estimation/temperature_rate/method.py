@@ -41,7 +41,7 @@ SPIKE = 8.0
 """A slot has a spike that spans more than so many °C and more than so many steps.  Assumed."""
 GAP_S = 600.0
 """After so long without a reading, or of a sensor that is dead or sticks, there is no estimate, s.  Assumed:
-in that time a board goes through half a warm-up."""
+in that time a board goes through most of a warm-up."""
 LINEARITY, HYSTERESIS = 0.05, 0.5
 """Standard deviation of the place of an edge, steps: of a good converter; of one that may have hysteresis, as
 long as readings have not gone back.  Ablation."""
@@ -89,7 +89,7 @@ class Output(NamedTuple):
     rate_offset: float = 0.0
     """Rate of the output until `end_s` less the new rate, °C/s; it decays with `LAG_S`."""
     late_s: float = math.inf
-    """Age from which on readings are missing, s."""
+    """Age beyond which the output does not hold, as readings are missing, s."""
     reading_sd: float = math.nan
     """Standard deviation of a single reading, °C."""
 
@@ -163,7 +163,7 @@ class MultipleModelRate:
         no_value = thermometer.is_dead(slot) or span > SPIKE * max(1.0, thermometer.step)
         table: tuple[tuple[object, Outcome], ...] = (
             (no_value, "predict"),  # noise of more than a step has stopped, or there is a spike
-            (slot.smallest == slot.largest == self._outlier_degc, "predict"),  # it sticks, as at 85 °C
+            (slot.smallest == slot.largest == self._outlier_degc, "predict"),  # the outlier before: it sticks
             (self._filters is None, "restart"),
             (self._filters and self._is_near(slot, self._filters), "use"),
             (math.isnan(thermometer.last_change), "restart"),  # until now it was a value of power-on
@@ -192,16 +192,21 @@ class MultipleModelRate:
     def _slot(self, slots: Slots, i: int) -> Slot:
         thermometer = self.thermometer
         start_s, end_s = (int(ns[i] - self._origin_ns) * 1e-9 for ns in (slots.start_ns, slots.end_ns))
-        gap_s, self._end_s = (end_s - self._end_s) / int(slots.samples[i]), end_s
+        sample_s, self._end_s = (end_s - self._end_s) / int(slots.samples[i]), end_s
         values = [getattr(slots, name)[i, 0].item() for name in SLOT_VALUES]
-        slot = Slot(0.5 * (start_s + end_s), end_s, gap_s, thermometer.last, *values)
+        slot = Slot(0.5 * (start_s + end_s), end_s, sample_s, thermometer.last, *values)
         if start_s - thermometer.used_s >= thermometer.neighbour_s:
             return replace(slot, before=slot.first)
         return replace(slot, changes=max(slot.changes, int(slot.before != slot.first)))
 
 
 def output(thermometer: Thermometer, filters: Filters, before: Output, end_s: float) -> Output:
-    """Return mean and standard deviation of the mixture from the end of a slot on."""
+    """Return mean and standard deviation of the mixture from the end of a slot on, with what it lacks.
+
+    To the variance of the temperature are added: what of a slow error and of a walk is never known, the place
+    of the edges, and the time for which a reading is repeated.  To that of the rate: a ramp may just have
+    begun, hidden by the temperature's sigma or by rounding, whichever is larger.
+    """
     mu, x, p = filters.mu, filters.x, filters.p
     temperature, variance = mixture(mu, x[TEMPERATURE], p[TEMPERATURE, TEMPERATURE])
     rate, rate_variance = mixture(mu, x[RATE], p[RATE, RATE])
@@ -209,7 +214,6 @@ def output(thermometer: Thermometer, filters: Filters, before: Output, end_s: fl
     edge_sd = thermometer.step * (LINEARITY if thermometer.reversals >= REVERSALS else HYSTERESIS)
     variance += SLOW_MEAN**2 * float((mu * (slow + walk * LONG_S)).sum())
     variance += edge_sd**2 + (rate * thermometer.repeat_s) ** 2 / 3.0
-    # A ramp that has just begun is hidden by the temperature's sigma and the step.
     rate_variance += max(variance, thermometer.step**2 / 12.0) / RAMP_S**2
     offset = before.rate + math.exp(-(end_s - before.end_s) / LAG_S) * before.rate_offset - rate
     return Output(
@@ -228,7 +232,7 @@ def extrapolate(age: FloatArray, known: BoolArray, reading: FloatArray, shown: O
     """Return the estimates at samples from the output of the last slot; all arrays are (n,).
 
     Before the first slot of a segment ends, and behind a gap until the next slot ends, there is the reading,
-    with its standard deviation (NaN while it is unknown), and the last rate or zero, which may be any.
+    with its standard deviation (NaN while it is unknown), and the last rate or zero, ± `FASTEST_RATE`.
     """
     known = known & (age <= shown.late_s)
     fading = np.exp(-age / LAG_S, where=known, out=np.zeros_like(age)) * shown.rate_offset

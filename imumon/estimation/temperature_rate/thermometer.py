@@ -6,9 +6,10 @@ import math
 from dataclasses import dataclass, replace
 
 FASTEST_RATE = 20.0 / 60.0
-"""Fastest that a thermometer beside an IMU moves, °C/s: 20 °C/min, twice a fast chamber."""
+"""Fastest that a thermometer beside an IMU moves, °C/s: 20 °C/min, twice a fast chamber.  Also the standard
+deviation of a rate that is not known."""
 UNSEEN_RATE = 200.0 / 3600.0
-"""Standard deviation of an unobserved rate, °C/s: of a board that warms by 20 °C with 6 min, at its start."""
+"""Rate at the start of a warm-up, °C/s: of a board that warms by 20 °C with a time constant of 6 min."""
 SLOT_S = 1.0
 """Samples are summarised over slots of this length, s."""
 UNKNOWN_STEP_DEGC = 1.0
@@ -30,7 +31,7 @@ class Slot:
     time_s: float
     """Middle of the slot, which its mean refers to."""
     end_s: float
-    gap_s: float
+    sample_s: float
     """Time between two samples."""
     before: float
     """The last reading that was used before the slot; the first in it if that is long ago."""
@@ -68,12 +69,13 @@ class Thermometer:
     the first change."""
     steps: int = 0
     """Changes by one step."""
-    slots: int = 0
-    """Slots that were used."""
+    bends: int = 0
+    """Second differences of the means of three slots."""
     rho: float = 0.0
-    """Variance ρ of a slot's mean, from second differences of three slots, °C²."""
+    """Variance ρ of a slot's mean, from these, °C²."""
     scatter: float = 0.0
-    """Mean variance of the readings of slots in which they change, °C²."""
+    """Mean variance of the readings of slots in which they change, with half the square by which the mean
+    changed: noise from slot to slot, °C²."""
     independence: float = 1.0
     """Mean share of independent readings in these slots (von Neumann's ratio)."""
     changed_slots: int = 0
@@ -83,8 +85,8 @@ class Thermometer:
     leapt: bool = False
     """Whether a reading has skipped a code after a silence: a temperature passes each, a repeat does not."""
     interval_s: float = math.inf
-    """Least time between two changes."""
-    gap_s: float = 0.0
+    """Least time between two changes; each change forgets a hundredth."""
+    sample_s: float = 0.0
     """Time between two samples."""
 
     means: tuple[float, ...] = ()
@@ -101,13 +103,13 @@ class Thermometer:
     @property
     def repeat_s(self) -> float:
         """How long a reading is repeated: the least time between changes, once noise or a leap shows it."""
-        repeats = (self.leapt or self.reversals >= REVERSALS) and self.interval_s > 1.5 * self.gap_s
+        repeats = (self.leapt or self.reversals >= REVERSALS) and self.interval_s > 1.5 * self.sample_s
         return min(self.interval_s, MOST_REPEAT_S) if repeats else 0.0
 
     @property
     def spacing_s(self) -> float:
         """Time from one slot that is used to the next, s."""
-        return max(SLOT_S, self.gap_s, self.repeat_s)
+        return max(SLOT_S, self.sample_s, self.repeat_s)
 
     @property
     def neighbour_s(self) -> float:
@@ -115,7 +117,7 @@ class Thermometer:
         return max(10.0, 3.0 * self.spacing_s)
 
     @property
-    def variance(self) -> float:
+    def mean_variance(self) -> float:
         """Variance that a slot's mean has at least, ρ or that of rounding, °C²."""
         return max(self.rho, self.step**2 / 12.0)
 
@@ -157,23 +159,25 @@ class Thermometer:
 
     def learn(self, slot: Slot) -> None:
         """Learn from a slot, no reading of which is a repeat."""
-        self.slots += 1
-        self.means = (*self.means[-2:], slot.mean)
+        apart = slot.time_s - self.used_s > self.neighbour_s  # a ramp over a gap is no noise
+        self.means = (slot.mean,) if apart else (*self.means[-2:], slot.mean)
         if len(self.means) == 3:
             bend = (self.means[0] - 2.0 * self.means[1] + self.means[2]) ** 2 / 6.0
-            self.rho = averaged(self.rho, bend, self.slots - 2)
+            self.bends += 1
+            self.rho = averaged(self.rho, bend, self.bends)
         if slot.changes:
             self._learn_change(slot)
         if slot.changes or math.isnan(self.changed_s):
             self.changed_s = slot.time_s
-        self.used_s, self.last, self.gap_s = slot.time_s, slot.last, slot.gap_s
+        self.used_s, self.last, self.sample_s = slot.time_s, slot.last, slot.sample_s
 
     def _learn_change(self, slot: Slot) -> None:
         """Learn from a slot in which the reading changes, or which begins with another than the last."""
         self.learn_step(abs(slot.first - slot.before) or slot.highest - slot.lowest)
         if len(self.means) > 1:
             variance = slot.variance + 0.5 * (self.means[-1] - self.means[-2]) ** 2
-            share = slot.step_squares / max(2.0 * slot.count * variance, slot.step_squares)
+            most = max(2.0 * slot.count * variance, slot.step_squares)
+            share = slot.step_squares / most if most > 0.0 else 1.0
             self.changed_slots += 1
             self.scatter = averaged(self.scatter, variance, self.changed_slots)
             self.independence = averaged(self.independence, share, self.changed_slots)
@@ -183,7 +187,7 @@ class Thermometer:
             self.reversals += back or slot.changes > (slot.highest - slot.lowest) / self.step + 0.5
             self.leapt |= self.leaps(slot)
             apart_s = silent_s if slot.changes <= 1 else SLOT_S / slot.changes
-            self.interval_s = min(apart_s, 1.01 * max(self.interval_s, slot.gap_s))
+            self.interval_s = min(apart_s, 1.01 * max(self.interval_s, slot.sample_s))
         self.last_change = change
 
     def learn_step(self, change: float) -> None:

@@ -11,7 +11,7 @@ import pytest
 from imumon.blocks import ColumnArray, FloatArray, SampleBlock, join
 from imumon.errors import ImumonError
 from imumon.estimation.gyro_bias.parameters import GyroBiasParameters
-from imumon.estimation.gyro_bias.stage import GyroBias
+from imumon.estimation.gyro_bias.stage import GyroBias, RestAndBias
 from imumon.geodesy import body_to_ned
 from imumon.pipeline import Estimator
 from tests.estimation.gyro_bias.records import (
@@ -24,6 +24,7 @@ from tests.estimation.gyro_bias.records import (
     vector,
     with_rest,
 )
+from tests.estimation.rest.scenes import block as scene
 
 SLOW = Truth(rate_hz=20.0)
 QUIET = Truth(rate_hz=20.0, arw=ARW / 10, flicker=0.0)
@@ -248,6 +249,20 @@ def test_constant_readings_are_survived() -> None:
     added = run(block.with_columns(constant))
     assert np.isfinite(vector(added)[200:]).all()
     assert added["gyro_bias_x"][-1] == pytest.approx(constant["gyro_x"][0], abs=0.1 * DPH)
+
+
+def test_a_coarse_gyro_whose_readings_do_not_change_at_rest_keeps_its_bias_when_it_is_turned_over() -> None:
+    t, step, bias = np.arange(6000) / 50.0, math.radians(0.06), math.radians(0.31)
+    angle = math.pi * np.clip((t - 60.0) / 4.0, 0.0, 1.0)
+    turning = np.where((t > 60.0) & (t < 64.0), math.pi / 4.0, 0.0)
+    rate = np.stack([turning + bias, -0.4 * bias + 0.0 * t, 0.2 * bias + 0.0 * t], axis=1)
+    force = np.stack([0.0 * t, GRAVITY * np.sin(angle), GRAVITY * np.cos(angle)], axis=1)
+    noise = 0.005 * np.random.default_rng(3).normal(size=force.shape)
+    samples = scene(t, step * np.round(rate / step), force + noise)
+    added = RestAndBias().process(samples)
+    error = vector(added)[50 * 55 :] - bias * np.array([1.0, -0.4, 0.2])
+    assert np.abs(error).max() < step
+    assert np.abs(error / vector(added, "gyro_bias_sd")[50 * 55 :]).max() < 2.0
 
 
 def test_the_thermal_mode_needs_a_model() -> None:

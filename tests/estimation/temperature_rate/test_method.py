@@ -172,9 +172,9 @@ def test_a_spike_at_the_end_of_a_silent_slot_restarts_nothing() -> None:
 
 
 def test_equal_readings_two_codes_from_the_last_are_known_to_a_code_not_better() -> None:
-    thermometer = Thermometer(0.1, slots=1)
+    thermometer = Thermometer(0.1)
     slot = Slot(
-        time_s=0.5, end_s=1.0, gap_s=0.5, before=25.0, count=2, changes=1, step_squares=0.04, mean=25.2,
+        time_s=0.5, end_s=1.0, sample_s=0.5, before=25.0, count=2, changes=1, step_squares=0.04, mean=25.2,
         variance=0.0, smallest=25.2, largest=25.2, first=25.2, last=25.2,
     )  # fmt: skip
     filters = start_filters(thermometer, slot)

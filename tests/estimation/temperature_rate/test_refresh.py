@@ -103,7 +103,7 @@ def test_the_slow_error_of_a_sensor_read_every_10_s_is_what_its_spacing_shows() 
     row = MEAN_MODELS.index((0.0, 1.0, 5.0, 0.0)) - len(MEAN_MODELS)
     thermometer = Thermometer(0.001, rho=0.01)
     of_a_second, _ = slow_error(thermometer)
-    thermometer.gap_s = 10.0
+    thermometer.sample_s = 10.0
     variance, _ = slow_error(thermometer)
     assert of_a_second[row, 0] == pytest.approx(0.01 / 0.1318, rel=0.01)
     assert variance[row, 0] == pytest.approx(0.01 / 0.8258, rel=0.01)
