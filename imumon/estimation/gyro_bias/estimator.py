@@ -221,8 +221,8 @@ class Estimator:
         """Return the bias from a time on.
 
         Its variance has these parts: the states of all modes, flicker of single samples, what `added` holds
-        of temperature, gaps and turns, the unknown part of the earth rate, the turn hypothesis, and the largest
-        error by rounding at rest: of the turn hypothesis there, and as of a bias in motion.
+        of temperature, gaps and turns, the unknown part of the earth rate, the turn hypothesis, and the
+        largest error by rounding: at rest as a part of the turn hypothesis.
         """
         if self.hypotheses is None:
             terms, covariance = np.zeros((3, 4)), np.zeros((3, 4, 4))

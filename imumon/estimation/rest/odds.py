@@ -27,8 +27,8 @@ row             what it compares                              likelihood ratio �
 ==============  ============================================  ================================================
 gravity         a turn about a tilted axis tilts the unit by  2 / (1 + L(tilt | turn) / L(tilt | no turn)),
                 the angle turned; nothing else does           e⁵⁰ for a level change without its tilt
-heading         a turn turns magnetometer or yaw by its       L(heading | no turn) / L(heading | turn)
-                angle
+heading         a turn turns magnetometer or yaw by its       1 / (0.95 L(heading | turn) / L(heading | no
+                angle, unless that is stuck or iron is near   turn) + 0.05)
 ==============  ============================================  ================================================
 
 Time limit:
@@ -75,6 +75,9 @@ HEADING_ERROR = 0.15
 """Error of a change of heading over that change: hard and soft iron.  Assumed."""
 HEADING_NOISE = 0.01
 """rad, least standard deviation of a heading: a device gives its yaw in steps, and filters it."""
+STUCK_HEADING = 0.05
+"""Prior probability that a magnetometer or a yaw does not turn with the unit: stuck, or iron turns along.
+Without it a turn of 0.5 °/s was rest beside a stuck one, with a bias off by 153 sigma."""
 MOST_LOG_RATIO = 50.0
 LEAST_MEASUREMENTS = 3
 """Least number of measurements by which gravity is compared."""
@@ -196,7 +199,8 @@ def heading(measurements: Sequence[Measurement], bias: FloatArray) -> float:
     turned = np.unwrap(np.arctan2(north @ np.cross(up[-1], north[0]), north @ north[0]))
     measured, noise2 = abs(float(turned[-1])), float((np.diff(turned, 2) ** 2).mean()) / 3.0
     variance = noise2 + HEADING_NOISE**2 + (HEADING_ERROR * angle) ** 2
-    return ((measured - angle) ** 2 - measured**2) / (2.0 * variance)
+    follows = (measured**2 - (measured - angle) ** 2) / (2.0 * variance)  # ln L(turn) / L(no turn)
+    return -float(np.logaddexp(math.log(1.0 - STUCK_HEADING) + follows, math.log(STUCK_HEADING)))
 
 
 def time_excludes(rate: SteadyRate, log_ratio: float, limits: RestParameters) -> bool:
