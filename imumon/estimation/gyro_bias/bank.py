@@ -70,6 +70,10 @@ MEMORY_S = 600.0
 """Over which σ² is averaged."""
 PRIOR_COUNT, DECLARED_COUNT = 3.0, 0.5 * MEMORY_S
 """a of a σ² that second differences of 16 slots have shown, and of one that is declared."""
+LEAST_WEIGHT = 1e-4
+"""Least weight of a mode over the largest, so that it may come back."""
+FLICKER_OF_WALK = 0.05
+"""Flicker of the mode with a random walk, over the least of the others.  Assumed: hardly any."""
 UNKNOWN, TURN_ON = 1e8, np.radians(3.0)
 """Prior variance of w over σ², and at least the square of this, rad/s: turn-on biases of any gyro.  Beside a
 smaller one, of a gyro that hardly scatters, the first mean would be a sensitivity to g."""
@@ -182,7 +186,7 @@ class Bank:
     covariance: FloatArray
     """P, over σ²."""
     log_weight: FloatArray
-    """Logarithm of the likelihood of each mode, largest 0, (3, F)."""
+    """Logarithm of prior times likelihood of each mode, but for a constant, (3, F)."""
     shape: float
     scale: FloatArray
     """a, and β in (rad/s)², (3, F)."""
@@ -241,11 +245,12 @@ class Bank:
         return bank if jumped else bank._weighed(innovation**2 / spread, spread)
 
     def _weighed(self, square: FloatArray, spread: FloatArray) -> Bank:
-        """Weigh the modes by their likelihoods, and learn σ², by squared innovations over S and S, (3, F)."""
+        """Weigh the modes by their likelihoods (Student's t), and learn σ², by squared innovations over S and
+        S, (3, F)."""
         a, variance = self.shape, self.scale / self.shape
-        likelihood = 0.5 * np.log(spread * variance) + (a + 0.5) * np.log1p(square / (2.0 * a * variance))
-        weight = self.log_weight - likelihood
-        weight = np.maximum(weight - weight.max(1, keepdims=True), np.log(1e-4))  # it may come back
+        minus_log = 0.5 * np.log(spread * variance) + (a + 0.5) * np.log1p(square / (2.0 * a * variance))
+        weight = self.log_weight - minus_log
+        weight = np.maximum(weight - weight.max(1, keepdims=True), np.log(LEAST_WEIGHT))
         fade = min(1.0, 0.5 * MEMORY_S / (a + 0.5))
         scale = fade * (self.scale + 0.5 * square)
         return replace(self, log_weight=weight, shape=fade * (a + 0.5), scale=scale)
@@ -295,7 +300,7 @@ def _modes(
     if b is None or k is None:
         corners = np.array(FLICKER_CORNERS_S)
         flicker = 1.0 / (FLOOR_OF_FLICKER * np.sqrt(corners))
-        b = np.tile([*flicker, 0.05 * flicker[0]], (3, 1))
+        b = np.tile([*flicker, FLICKER_OF_WALK * flicker[0]], (3, 1))
         k = np.tile([*0.0 * corners, math.sqrt(3.0) / WALK_CORNER_S], (3, 1))
         prior = np.array([*np.where(corners == 1.0, STRONG_FLICKER, 1.0), 1.0])
     else:

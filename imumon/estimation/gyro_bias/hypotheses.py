@@ -1,7 +1,8 @@
 """The mean rate of a quiet second: the bias as before, a changed bias, or a turn?
 
 Two sets of filters stand for two hypotheses: the *nominal* bias was known before the present rate began, and
-the *present* one has learned that rate.  The first row that holds:
+the *present* one has learned that rate.  A mean is compared with the present bias as it was up to 16 s ago
+(`newer`), so that a ramp is not followed.  The first row that holds:
 
 =================================  =====================================================
 the mean fits the present bias     it learns
@@ -64,7 +65,7 @@ class Hypotheses:
     present: Bank
     nominal: Bank
     newer: Bank
-    """The next nominal one."""
+    """The present filters as they were up to `LAG_S` ago: the next nominal ones."""
     recent: list[Measurement]
     """Of this rest, `RECENT` at most; none in motion."""
     first: Measurement | None

@@ -62,8 +62,8 @@ USUAL_CHANGE = 50.0 * DEG_PER_H
 """Scale of the half-Cauchy density of changes of a bias, rad/s."""
 SLOWEST_TURN, FASTEST_TURN = math.radians(0.01), math.radians(300.0)
 """rad/s: turns are as likely on a logarithmic scale between these."""
-DECADES = math.log(FASTEST_TURN / SLOWEST_TURN)
-"""D of the table."""
+LOG_RANGE = math.log(FASTEST_TURN / SLOWEST_TURN)
+"""D of the table, a natural logarithm."""
 OBLIQUE = 0.3
 """Share of a rate across the vertical from which on gravity is compared: no turntable leans so much (17°)."""
 EXCLUDED_SIGMAS = 4.0
@@ -98,7 +98,8 @@ class SteadyRate:
     change_variance: FloatArray
     """The rate less that bias, and its variance, (3,)."""
     changes: int
-    """How often the rate has changed before: of as many changes as there were one may be of the bias."""
+    """n: how often the rate has changed before since it fitted the nominal bias.  The prior odds of a changed
+    bias are 1 to 1 + n."""
     steady_s: float
     """For how long the rate has lasted."""
     first: FloatArray | None
@@ -108,7 +109,7 @@ class SteadyRate:
 
     @property
     def size(self) -> float:
-        """Size of the change, d."""
+        """Size of the change, |d|, rad/s."""
         return math.sqrt(float(self.change @ self.change))
 
 
@@ -126,7 +127,7 @@ def changed_bias(rate: SteadyRate, largest: float) -> float:
     if rate.size > largest:
         return 1e-9  # and not 0: gravity and heading may still exclude a turn
     u = (rate.size + 1e-12) / USUAL_CHANGE
-    return 2.0 * DECADES * _rarity(rate.size**2) / (math.pi * (u + 1.0 / u) * (1.0 + rate.changes))
+    return 2.0 * LOG_RANGE * _rarity(rate.size**2) / (math.pi * (u + 1.0 / u) * (1.0 + rate.changes))
 
 
 def nominal_bias(rate: SteadyRate) -> float:
@@ -134,7 +135,7 @@ def nominal_bias(rate: SteadyRate) -> float:
     square = rate.size**2 + 1e-24
     variance = float((rate.change**2 + 1e-24) @ rate.change_variance) / square
     density = 2.0 * math.exp(-0.5 * square / variance) / math.sqrt(2.0 * math.pi * variance)
-    return density * math.sqrt(square) * DECADES * _rarity(square)
+    return density * math.sqrt(square) * LOG_RANGE * _rarity(square)
 
 
 def _rarity(square: float) -> float:
