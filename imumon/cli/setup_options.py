@@ -42,8 +42,9 @@ _OPTIONS = (
         "--zupt",
         type=click.Choice(["standard", "thermal", "learned"]),
         help="How the gyro bias is carried through motion after it was measured at rest (zero-velocity"
-        " update, ZUPT): held constant (standard), along the curve of --model (thermal), or along a curve"
-        " that is learned in this run (learned).  Default: thermal with --model, else learned.",
+        " update, ZUPT): held constant (standard without --model), along the curve of --model (thermal),"
+        " or along a curve that is learned in this run (learned).  Default: thermal with --model, else"
+        " learned.",
     ),
     click.option("--random-error", type=click.Choice(["drift", "sr_rsukf"]), hidden=True),
     click.option(
