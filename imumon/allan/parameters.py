@@ -41,22 +41,23 @@ class AccelNoise(StrictModel):
     correlation_time_s: Axes = NONE
 
 
-_WHITE_TO_QUANTIZATION = ("angle_random_walk", "bias_instability", "rate_random_walk", "quantization")
-NAMES = (*_WHITE_TO_QUANTIZATION, "rate_ramp", "correlated_noise", "correlation_time")
+NAMES = (
+    "angle_random_walk", "bias_instability", "rate_random_walk", "quantization", "rate_ramp",
+    "correlated_noise", "correlation_time",
+)  # fmt: skip
 """The terms of a fit, in the order of the fields of a sensor's noise."""
 _DEG = math.degrees(1.0)
 
 
 class TermOfSensor(NamedTuple):
-    """How a term of one sensor is reported."""
+    """How a term of one sensor is reported: field of the noise section and SI unit, and for people its name,
+    its unit, and how many of that are one SI unit."""
 
     key: str
     unit: str
-    """Field of the noise section, and SI unit."""
     title: str
     shown: str
     factor: float
-    """What a person reads: its name, its unit, and how many of it are one SI unit."""
 
 
 def _terms(section: type[StrictModel], *rows: tuple[str, str, str, float]) -> dict[str, TermOfSensor]:

@@ -47,7 +47,7 @@ def read_channels(path: Path, stages: Stages = no_stages, count: Count = no_coun
     """Read the gyro and accelerometer channels of a session, or of a table of samples.
 
     Raises BAD_DATA when there is nothing to read, no such channel, too few samples or no even rate.  `stages`
-    has a rest detector, which tells motion where the table has no column ``at_rest``.
+    has a rest detector, which detects motion where the table has no column ``at_rest``.
     """
     recording = open_recording(path, stages, count=count)
     for name in CHANNELS:

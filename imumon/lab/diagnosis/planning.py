@@ -199,7 +199,7 @@ class Evidence(NamedTuple):
 
 
 class Plan(NamedTuple):
-    """The next experiment for a question; `why_not` says why there is no `profile` that tells."""
+    """The next experiment for a question; `why_not` is why there is no `profile` for it."""
 
     question: Question
     profile: Profile | None = None

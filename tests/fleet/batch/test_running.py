@@ -217,10 +217,7 @@ def test_nothing_is_lost_or_doubled_when_a_worker_dies_with_results_not_yet_fetc
     assert sorted(row["error"].rpartition(" ")[2] for row in taken) == sorted(str(n) for n in range(40))
 
 
-def test_a_session_that_kills_its_workers_is_a_failure(
-    tmp_path: Path, client: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(client.cluster.scheduler, "allowed_failures", 0)  # the first worker is enough
+def test_a_session_that_kills_its_workers_is_a_failure(tmp_path: Path, client: Any) -> None:
     deadly = Job(str(tmp_path), DECODE, str(tmp_path))
     good = Job(str(tiny(tmp_path / "good")), DECODE, str(tmp_path))
     taken: list[Row] = []
