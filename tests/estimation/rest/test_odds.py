@@ -1,4 +1,4 @@
-"""The numbers of P(turn) that docs/rest-detector.md works through."""
+"""The numbers of P(turn) that docs/rest-detector.md and its details work through."""
 
 from __future__ import annotations
 
