@@ -11,6 +11,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from imumon.geodesy import EARTH_RATE
 from imumon.lab.calibration.gravity import Length
 from imumon.lab.diagnosis import known, usable
 from imumon.lab.diagnosis.blocks import (
+    LEAST_BLOCKS,
     RunBlocks,
     at_poses,
     common_block_s,
@@ -31,7 +33,8 @@ from imumon.lab.diagnosis.blocks import (
 )
 from imumon.lab.diagnosis.candidates import Channel, Own, Pool, least_squares
 from imumon.lab.diagnosis.choice import PROVEN
-from imumon.lab.diagnosis.runs import SENSORS, Run, channels_of, common_temperature
+from imumon.lab.diagnosis.fit import is_woven
+from imumon.lab.diagnosis.runs import SENSORS, Run, channels_of
 from imumon.lab.diagnosis.search import STAGES, Progress, Search, search
 from imumon.lab.diagnosis.verdict import ChannelVerdict, decide
 from imumon.models.curves.polynomial import CUBIC
@@ -141,7 +144,7 @@ def diagnose(
         survey=survey(data.blocks, verdicts[0].channel.pool.temperature, data.degree),
         caveats=remarks,
         model=model,
-        held_out=any(one.run.share < 1.0 for one in data.blocks),
+        held_out=is_woven(verdicts[0].channel),
         length=length,
     )
 
@@ -159,21 +162,21 @@ def _prepared(
     degree, own = parse_declared(declared)
     channels = usable.usable_channels(train, test, sensors, remarks)
     train, test = usable.train_and_test(train, test, channels, remarks)
-    temperatures = _temperatures(channels, train, model)
+    if model is not None:
+        channels = known.channels_with_model(channels, model)
+    temperatures = {name: known.temperature_of(name, model, train) for name in channels}
     used = [*dict.fromkeys(temperatures.values())]
     if model is not None:
-        channels, curves = [*temperatures], known.curves_of(model)
-        train, test = ([known.without_model(run, curves, channels) for run in runs] for runs in (train, test))
+        train, test = ([known.without_curves(one, model, channels) for one in runs] for runs in (train, test))
         degree = max(known.order_of(model.channels[name]) for name in channels)
         if drivers is not None:
-            there = (*drivers, *used)
-            needed = BiasPredictor(model, channels).drivers
-            drivers = [*drivers, *(name for name in needed if name not in there)]
+            needed = dict.fromkeys([*drivers, *BiasPredictor(model, channels).drivers])
+            drivers = [name for name in needed if name in drivers or name not in used]
     others = usable.usable_drivers(train, test, [*used, *channels], drivers, remarks)
-    block_s, earlier = common_block_s([*train, *test]), len(remarks)
-    blocks = usable.usable_blocks(train, channels, used, others, block_s, remarks)
-    usable.check_training(blocks, block_s, remarks[earlier:])
-    tested = usable.usable_blocks(test, channels, used, others, block_s, remarks)
+    made = partial(usable.usable_blocks, channels=channels, temperatures=used, drivers=others)
+    block_s = common_block_s([*train, *test])
+    blocks = made(train, block_s=block_s, remarks=remarks, least=LEAST_BLOCKS)
+    tested = made(test, block_s=block_s, remarks=remarks)
     shown = survey(blocks, used[0], degree)
     if not shown.thermal:
         degree = 0
@@ -189,28 +192,8 @@ def _prepared(
         remarks.append(
             "one training run: what depends on time and what depends on temperature may look alike"
         )
-    shorter = usable.usable_blocks(train, channels, used, others, search_block_s(blocks), [])
+    shorter = made(train, block_s=search_block_s(blocks), remarks=[])
     return Recorded(blocks, temperatures, degree, tested, shorter, own, model)
-
-
-def _temperatures(channels: Sequence[str], runs: Sequence[Run], model: BiasModel | None) -> dict[str, str]:
-    """Return the temperature that the curve of each channel is over: the model's, or that of its axis, where
-    there is one.
-
-    Raises BAD_DATA without any; BAD_CONFIG when the model has none of the channels.
-    """
-    if model is None:
-        lacking = "there is no temperature in the training data, so there is no bias over it to diagnose"
-        return {
-            name: common_temperature(f"temperature_{name[-1]}", runs, lacking, but=name) for name in channels
-        }
-    found = {name: known.temperature_of(name, model, runs) for name in channels if name in model.channels}
-    if not found:
-        raise bad_config(
-            f"the model has {', '.join(model.channels)}; the data has {', '.join(channels)}",
-            "give the model of this unit, or --declared",
-        )
-    return found
 
 
 def _length(data: Recorded, remarks: list[str]) -> Length | None:

@@ -15,8 +15,9 @@ from imumon.lab.diagnosis.blocks import RunBlocks
 from imumon.lab.diagnosis.candidates import Channel
 from imumon.lab.diagnosis.diagnose import Diagnosis, diagnose
 from imumon.lab.diagnosis.fit import Fit
-from imumon.lab.diagnosis.runs import Run, latest
+from imumon.lab.diagnosis.runs import Run
 from imumon.lab.diagnosis.search import Progress
+from imumon.lab.diagnosis.usable import latest
 from imumon.lab.diagnosis.verdict import ChannelVerdict
 from imumon.models.curves.polynomial import HIGHEST_ORDER, PolynomialCurve
 from imumon.models.model import UNITS, BiasModel, ChannelModel, TrainedOn

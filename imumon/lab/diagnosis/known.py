@@ -7,11 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from imumon.columns import TEMPERATURES
 from imumon.effects.base import Effect
 from imumon.effects.vibration import SECOND_NS
-from imumon.errors import bad_config
+from imumon.errors import bad_config, bad_data
 from imumon.lab.diagnosis.blocks import RunBlocks, common_block_s, make_blocks
-from imumon.lab.diagnosis.runs import Run, common_temperature
+from imumon.lab.diagnosis.runs import Run
 from imumon.models.curves.polynomial import PolynomialCurve
 from imumon.models.model import BiasModel, ChannelModel
 from imumon.models.predictor import BiasPredictor
@@ -20,13 +21,32 @@ CUBIC_DEGREE = 3
 """As what is assumed without a model: other curves keep their shape, and have a cubic added."""
 
 
-def temperature_of(channel: str, model: BiasModel, runs: Sequence[Run]) -> str:
-    """Return the temperature in the runs that the model's curve of a channel is over.
+def channels_with_model(channels: Sequence[str], model: BiasModel) -> list[str]:
+    """Return the channels that a model has; raises BAD_CONFIG where it has none of them."""
+    if found := [name for name in channels if name in model.channels]:
+        return found
+    raise bad_config(
+        f"the model has {', '.join(model.channels)}; the data has {', '.join(channels)}",
+        "give the model of this unit, or --declared",
+    )
 
-    Raises BAD_DATA when a run lacks it.
+
+def temperature_of(channel: str, model: BiasModel | None, runs: Sequence[Run]) -> str:
+    """Return the temperature that the curve of a channel is over: that of the model, or of its axis, or
+    another that every run has.
+
+    Raises BAD_DATA without any.
     """
-    name = model.channels[channel].temperature_column.replace("_estimate", "")
-    return common_temperature(name, runs, f"the bias model needs {name}, which not every run has")
+    wanted = f"temperature_{channel[-1]}"
+    if model is not None:
+        wanted = model.channels[channel].temperature_column.replace("_estimate", "")
+    for name in (wanted, *TEMPERATURES):
+        if name != channel and all(np.isfinite(run.mean.get(name, np.nan)).sum() > 1 for run in runs):
+            return name
+    raise bad_data(
+        "there is no temperature that every run has, and a bias model is over one",
+        "record with the temperature switched on, or name its column in the map",
+    )
 
 
 def check_range(model: BiasModel, temperatures: Mapping[str, str], runs: Sequence[RunBlocks]) -> None:
@@ -56,15 +76,13 @@ def effects_of(channel: ChannelModel) -> tuple[Effect, ...]:
     return tuple(effect for effect in channel.effects if effect.polynomial() is None)
 
 
-def curves_of(model: BiasModel) -> BiasModel:
-    """Return a model without its effects, but for those that are part of its curves."""
-    channels = {
-        name: channel.model_copy(
-            update={"effects": [one for one in channel.effects if one.polynomial() is not None]}
-        )
-        for name, channel in model.channels.items()
-    }
-    return model.model_copy(update={"channels": channels})
+def without_curves(run: Run, model: BiasModel, channels: Sequence[str]) -> Run:
+    """Return a run with the curves of a model, and no effect beside them, taken from its channels."""
+    curves = {}
+    for name, channel in model.channels.items():
+        parts = [effect for effect in channel.effects if effect.polynomial() is not None]
+        curves[name] = channel.model_copy(update={"effects": parts})
+    return without_model(run, model.model_copy(update={"channels": curves}), channels)
 
 
 def without_model(run: Run, model: BiasModel, channels: Sequence[str]) -> Run:

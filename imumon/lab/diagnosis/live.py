@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -76,7 +75,7 @@ def better_models(run: Run, model: BiasModel, channels: Sequence[str]) -> list[B
     """
     temperatures = {name: known.temperature_of(name, model, [run]) for name in channels}
     used = list(dict.fromkeys(temperatures.values()))
-    left = known.without_model(run, known.curves_of(model), channels)
+    left = known.without_curves(run, model, channels)
     drivers = usable_drivers([run], [], used, None, [])
     blocks = make_blocks(left, channels, used, drivers, common_block_s([run]))
     if len(blocks) < LEAST_BLOCKS:
@@ -223,25 +222,16 @@ class LiveDiagnosis:
         self._waiting = []
 
     def _take(self, slots: KeptSlots) -> None:
-        """Take the seconds that have ended; a new segment is a new run, and what comes after a long gap."""
-        if not len(slots):
-            return
-        gap_ns = np.diff(slots.start_ns, prepend=self._last_ns)
-        self._last_ns = int(slots.end_ns[-1])
-        begins = slots.begins | (gap_ns > LONGEST_GAP_S * SECOND_NS)
-        for start, stop in pairwise([0, *np.flatnonzero(begins).tolist(), len(slots)]):
-            if stop > start:
-                if begins[start]:
-                    self._begin()
-                self._follow(slots[start:stop])
+        """Take the seconds that have ended, and search wherever that is due.
 
-    def _follow(self, part: KeptSlots) -> None:
-        """Take seconds of one run, and stop wherever a search is due."""
-        while len(part):
-            elapsed = self._run_so_far.elapsed_s(part)
-            count = min(int(np.searchsorted(elapsed, self._next_search_s)) + 1, len(part))
-            self._run_so_far.take(part[:count])
-            now_s, part = float(elapsed[count - 1]), part[count:]
+        A new segment is a new run, and what comes after a long gap.
+        """
+        for second in (slots[at : at + 1] for at in range(len(slots))):
+            gap_ns = int(second.start_ns[0]) - self._last_ns
+            self._last_ns = int(second.end_ns[0])
+            if second.begins[0] or gap_ns > LONGEST_GAP_S * SECOND_NS:
+                self._begin()
+            now_s = self._run_so_far.take(second)
             if now_s >= self._next_search_s:
                 self._next_search_s = (now_s // SEARCH_EVERY_S + 1.0) * SEARCH_EVERY_S
                 self._compare()

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from imumon.blocks import BoolArray, FloatArray, SampleBlock
+from imumon.blocks import FloatArray, SampleBlock
 from imumon.filters.rounding import digits, grid_step
 
 KEPT = 100_000
@@ -83,17 +83,6 @@ def _samples(values: FloatArray, steps: FloatArray) -> Samples:
     if coarse or len(distinct) < 3 or share < FREQUENT or count[at] < TIMES_MORE * beside:
         return found
     return found._replace(atom=float(distinct[at]), atom_share=share)
-
-
-def standing(mean: FloatArray, variance: FloatArray, least: float) -> BoolArray:
-    """Return the slots in which a channel has one value for at least so many of them, (n,)."""
-    same = (np.diff(mean, prepend=np.nan) == 0.0) & ~(variance > 0.0)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]])))
-    still = np.zeros(len(mean), np.bool_)
-    for start, stop in edges.reshape(-1, 2).tolist():
-        # The slot before the first that repeats has the value as well.
-        still[start - 1 : stop] = stop - start + 1 >= least
-    return still
 
 
 class Fault(NamedTuple):

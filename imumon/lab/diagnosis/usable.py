@@ -1,17 +1,19 @@
-"""The channels, drivers and runs that a diagnosis can use.
+"""The channels, drivers and runs that a diagnosis can use, and which runs are its test.
 
 On what is left out each function adds to `remarks`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.ndimage import binary_opening
 
-from imumon.blocks import FloatArray
+from imumon.blocks import BoolArray, FloatArray
 from imumon.clock.channel import CLOCK
+from imumon.effects.vibration import SECOND_NS
 from imumon.errors import bad_config, bad_data
 from imumon.filters.rounding import mean_error
 from imumon.lab.diagnosis.blocks import (
@@ -22,24 +24,23 @@ from imumon.lab.diagnosis.blocks import (
     common_block_s,
     make_blocks,
 )
-from imumon.lab.diagnosis.quality import Fault, standing
-from imumon.lab.diagnosis.runs import (
-    CHANNELS,
-    SHORTEST_RUN_S,
-    STRETCHES,
-    Run,
-    channels_of,
-    divided,
-    in_order,
-    unit_of,
-)
+from imumon.lab.diagnosis.quality import Fault
+from imumon.lab.diagnosis.runs import CHANNELS, MOSTLY, SHORTEST_RUN_S, Run, channels_of, unit_of
 
+STRETCHES = 12
+"""Alternating stretches of a single run for training and test; of two halves one may lack an end of the
+temperatures, of single blocks both have the same flicker."""
+LONGEST_PAUSE_S = 60.0
+"""A recording that begins later than this after another, by the device's clock, begins at power-on."""
 LEAST_THERE = 0.1
 """Share of its time in which a channel that is used has samples."""
 MANY_GAPS = 0.2
 """Share of a run left out that is reported."""
 RESOLUTION = 1e-12
 """Share of its value below which the changes of a channel are rounding in the computation of its means."""
+
+
+# Channels and drivers
 
 
 def usable_channels(
@@ -54,22 +55,18 @@ def usable_channels(
     found = []
     for name in channels_of(sensors, {name for run in train for name in run.variance}):
         lacking = [run.name for run in train if _share_there(run, name) <= LEAST_THERE]
-        if len(lacking) == len(train):
-            continue
         if lacking:
             remarks.append(f"{name} is left out: {', '.join(lacking)} hardly has it")
-        elif not any(_varies(run.mean[name], run.variance[name]) for run in train):
+        elif not any(_varies(run.mean[name]) for run in train):
             value = float(np.nanmean(train[0].mean[name]))
             remarks.append(f"{name} is left out: it has one value throughout, {value:g} {unit_of(name)}")
-        else:
+        elif name != CLOCK or len(sensors) == 1 or all(CLOCK in run.mean for run in test):
             found.append(name)
     if not found:
         raise bad_data(
             f"no channel of {', '.join(sensors)} has data in every training run",
             "give sessions that have them, or a map that says which columns they are",
         )
-    if len(found) > 1 and not all(CLOCK in run.mean for run in (*train, *test)):
-        found = [name for name in found if name != CLOCK]
     return found
 
 
@@ -78,138 +75,9 @@ def _share_there(run: Run, name: str) -> float:
     return float(np.isfinite(run.mean[name]).mean()) if name in run.mean else 0.0
 
 
-def _varies(mean: FloatArray, variance: FloatArray) -> bool:
-    """Return whether a channel changes by more than the rounding of its means, in or between its slots."""
-    known, scatter = mean[np.isfinite(mean)], variance[np.isfinite(variance)]
-    resolution = RESOLUTION * float(np.abs(known).max())
-    return bool(np.ptp(known) > resolution or (scatter > resolution**2).any())
-
-
-def train_and_test(
-    train: Sequence[Run], test: Sequence[Run], channels: Sequence[str], remarks: list[str]
-) -> tuple[list[Run], list[Run]]:
-    """Return sound runs of training and test; parts of an only run are held out as a test."""
-    train, test = ([without_standstill(run, channels, remarks) for run in runs] for runs in (train, test))
-    test = in_order(train, test, remarks)
-    if test or len(train) > 1 or train[0].duration_s < 2 * LEAST_BLOCKS * common_block_s(train):
-        return train, test
-    remarks.append(
-        f"no test data: every other {train[0].duration_s / STRETCHES / 60:.0f} min of the one run are"
-        " held out as a test.  That is weaker than another power-on: what is particular to this run, and"
-        " any noise that is slower, is in both"
-    )
-    first, other = divided(train[0], channels)
-    return [first], [other]
-
-
-def without_standstill(run: Run, channels: Sequence[str], remarks: list[str]) -> Run:
-    """Return a run without the slots in which a channel stands still.
-
-    Noise never gives the same value for as long as a block, but a stuck sensor does, one at its limit, and
-    one whose digits are coarser than its noise.  The last stays.
-    """
-    mean, variance = dict(run.mean), dict(run.variance)
-    for name in channels:
-        if name not in mean:
-            continue
-        still = standing(mean[name], variance[name], max(LEAST_SLOTS, BLOCK_S / run.slot_s))
-        if not still.any():
-            continue
-        share = float(still.sum() / np.isfinite(mean[name]).sum())
-        # What stands still most of the time is not stuck.
-        known = run.samples.get(name)
-        if share > 0.5 or (known is not None and known.step > known.scatter):
-            remarks.append(f"{run.name}: {name} does not change in {share:.0%} of its time: too few digits")
-            continue
-        still_s = still.sum() * run.slot_s
-        remarks.append(f"{run.name}: {name} is stuck or saturated for {still_s:.0f} s; they are left out")
-        mean[name], variance[name] = (np.where(still, np.nan, of[name]) for of in (mean, variance))
-    return replace(run, mean=mean, variance=variance)
-
-
-def faults(runs: Sequence[Run], channel: str, floor: float) -> list[Fault]:
-    """Return the worst fault of each kind in the samples of a channel: digits too coarse for their noise to
-    average what lies between them, and a value that is too frequent.
-
-    `floor` is the white noise of a mean of a block.
-    """
-    recordings, unit = [run.samples[channel] for run in runs if channel in run.samples], unit_of(channel)
-    coarse = [
-        Fault(
-            f"quantized: steps of {one.step:.3g} {unit}, about {1 / one.ratio:.2g} times the noise",
-            mean_error(one.step, one.ratio),
-        )
-        for one in recordings
-        if one.step > 0.0 and not mean_error(one.step, one.ratio) < 0.5 * floor
-    ]
-    frequent = [
-        Fault(
-            "frequent value, as of a dead-band, saturation or dropouts:"
-            f" {one.atom_share:.1%} of the samples are {one.atom + 0.0:.4g} {unit}",
-            np.inf,
-        )
-        for one in recordings
-        if one.atom_share > 0.0
-    ]
-    return [max(kind, key=lambda fault: fault.blind) for kind in (coarse, frequent) if kind]
-
-
-def resting(run: Run) -> bool:
-    """Return whether the unit was at rest for most of a run."""
-    return any(_rest_share(run, name) >= 0.5 for name in CHANNELS if name in run.mean)
-
-
-def _rest_share(run: Run, channel: str) -> float:
-    there = np.isfinite(run.mean[channel])
-    return float(run.at_rest[there].mean()) if there.any() else 0.0
-
-
-def usable_blocks(
-    runs: Sequence[Run],
-    channels: Sequence[str],
-    temperatures: Sequence[str],
-    drivers: Sequence[str],
-    block_s: float,
-    remarks: list[str],
-) -> list[RunBlocks]:
-    """Return the runs at rest as blocks."""
-    found = []
-    for run in runs:
-        lacking = [name for name in (*channels, *temperatures) if name not in run.mean]
-        if lacking:
-            remarks.append(f"{run.name}: not used, it lacks {', '.join(lacking)}")
-            continue
-        at_rest = _rest_share(run, channels[0])
-        if at_rest < 0.5:
-            of = f"at rest for {at_rest:.0%} of its {run.duration_s / 60:.0f} min"
-            remarks.append(f"{run.name}: not used, the unit moves: {of}")
-            continue
-        blocks = make_blocks(run, channels, temperatures, drivers, block_s)
-        if len(blocks) * block_s < SHORTEST_RUN_S:
-            few = f"{len(blocks)} blocks of {block_s:.0f} s at rest are too few"
-            remarks.append(f"{run.name}: not used, {few}")
-            continue
-        found.append(blocks)
-        known = np.isfinite(run.mean[channels[0]])
-        there = float(known[np.argmax(known) :].mean())  # what goes on from another run begins late
-        if there < run.share * (1.0 - MANY_GAPS):
-            remarks.append(f"{run.name}: samples in {there:.0%} of its time only; gaps are left out")
-        if at_rest < 1.0 - MANY_GAPS:
-            remarks.append(f"{run.name}: at rest for {at_rest:.0%} of its time; the rest is left out")
-    return found
-
-
-def check_training(blocks: Sequence[RunBlocks], block_s: float, remarks: Sequence[str]) -> None:
-    """Raise BAD_DATA when the unit was at rest for too short a time in training, with the remarks on that."""
-    total = sum(map(len, blocks))
-    if total < LEAST_BLOCKS:
-        short = f"too short: the training data has {total} means of {block_s:.0f} s at rest"
-        needed = f"{LEAST_BLOCKS} are needed, {LEAST_BLOCKS * block_s / 60:.0f} min"
-        raise bad_data(
-            "; ".join([short, needed, *remarks]),
-            "record the unit at rest for an hour or more while its temperature changes;"
-            " if it was at rest and is not detected to be, add --at-rest",
-        )
+def _varies(mean: FloatArray) -> bool:
+    """Return whether the means of a channel change by more than the rounding in their computation."""
+    return bool(np.nanmax(mean) - np.nanmin(mean) > RESOLUTION * np.nanmax(np.abs(mean)))
 
 
 def usable_drivers(
@@ -242,4 +110,179 @@ def usable_drivers(
             remarks.append(f"{name} is hardly recorded in {', '.join(runs)}: no effect of it is looked for")
         else:
             found.append(name)
+    return found
+
+
+# Training and test
+
+
+def latest(recordings: Sequence[Sequence[Run]]) -> tuple[list[Run], list[Run]]:
+    """Return the runs of all recordings but the last, and those of the last, the test; of one, no test."""
+    *earlier, last = recordings
+    return [run for runs in earlier or [last] for run in runs], list(last) if earlier else []
+
+
+def train_and_test(
+    train: Sequence[Run], test: Sequence[Run], channels: Sequence[str], remarks: list[str]
+) -> tuple[list[Run], list[Run]]:
+    """Return the runs of training and test without what stands still.
+
+    A test that the training has, by its bytes, is left out.  One that continues another run, by the device's
+    clock, has its time and temperatures.  Of an only run every other stretch is held out as a test.
+    """
+    train, test = ([without_standstill(run, channels, remarks) for run in runs] for runs in (train, test))
+    found = list[Run]()
+    for run in test:
+        if run.origin and any((run.origin, run.start_ns) == (one.origin, one.start_ns) for one in train):
+            remarks.append(f"{run.name}: not used as a test, the training has the same recording")
+            continue
+        before = (one for one in (*found, *train) if -1.0 <= _pause_s(one, run) <= LONGEST_PAUSE_S)
+        if one := next(before, None):
+            remarks.append(
+                f"{run.name} goes on where {one.name} ended, by the device's clock: time since power-on,"
+                " lag and loop go on as well"
+            )
+        found.append(_continued(one, run) if one else run)
+    if found or len(train) > 1 or train[0].duration_s < 2 * LEAST_BLOCKS * common_block_s(train):
+        return train, found
+    remarks.append(
+        f"no test data: every other {train[0].duration_s / STRETCHES / 60:.0f} min of the one run are"
+        " held out as a test.  That is weaker than another power-on: what is particular to this run, and"
+        " any noise that is slower, is in both"
+    )
+    return _divided(train[0], channels)
+
+
+def _divided(run: Run, channels: Sequence[str]) -> tuple[list[Run], list[Run]]:
+    """Return a run with every other stretch of the channels, and with the others: the test.
+
+    Both have the whole course of everything else, and of time.
+    """
+    n = len(run.time_s)
+    tested = (np.arange(n) * STRETCHES // n) % 2 == 1
+
+    def only(kept: BoolArray) -> dict[str, FloatArray]:
+        return run.mean | {name: np.where(kept, run.mean[name], np.nan) for name in channels}
+
+    other = replace(run, mean=only(tested), name=f"{run.name}, held out", begun_in=run.name)
+    return [replace(run, mean=only(~tested))], [other]
+
+
+def _pause_s(before: Run, after: Run) -> float:
+    """Return the time between two runs by the device's clock, s; infinite where it is not known."""
+    if before.start_ns is None or after.start_ns is None or before.slot_s != after.slot_s:
+        return np.inf
+    return (after.start_ns - before.start_ns) / SECOND_NS - before.duration_s
+
+
+def _continued(before: Run, after: Run) -> Run:
+    """Return a run with the time and the drivers of the one that it continues; only its own samples count."""
+    first = len(before.time_s) + max(0, round(_pause_s(before, after) / after.slot_s))
+
+    def later(columns: Mapping[str, FloatArray], missing: float = np.nan) -> dict[str, FloatArray]:
+        return {name: np.append(np.full(first, missing), values) for name, values in columns.items()}
+
+    mean = later(after.mean)
+    for name in mean.keys() & before.mean.keys() - {*CHANNELS}:
+        mean[name][: len(before.time_s)] = before.mean[name]
+    return replace(
+        after,
+        time_s=(np.arange(first + len(after.time_s), dtype=np.float64) + 0.5) * after.slot_s,
+        count=later(after.count, 0.0),
+        mean=mean,
+        variance=later(after.variance),
+        rest=np.append(np.zeros(first), after.rest),
+        start_ns=before.start_ns,
+        begun_in=before.begun_in or before.name,
+    )
+
+
+# What cannot be fitted
+
+
+def without_standstill(run: Run, channels: Sequence[str], remarks: list[str]) -> Run:
+    """Return a run without the slots in which a channel has one value for as long as a block.
+
+    Noise never does that, but a stuck sensor, and one at its limit.  One whose digits are coarser than its
+    noise does so most of the time, and keeps its values.
+    """
+    mean, least = dict(run.mean), max(LEAST_SLOTS, round(BLOCK_S / run.slot_s))
+    for name in (name for name in channels if name in mean):
+        same = (np.diff(mean[name], prepend=np.nan) == 0.0) & ~(run.variance[name] > 0.0)
+        still = binary_opening(same, np.ones(least))
+        if not still.any():
+            continue
+        still |= np.append(still[1:], False)  # the slot before the first that repeats has the value as well
+        share = float(still.sum() / np.isfinite(mean[name]).sum())
+        known = run.samples.get(name)
+        if share > 0.5 or (known is not None and known.step > known.scatter):
+            remarks.append(f"{run.name}: {name} does not change in {share:.0%} of its time: too few digits")
+            continue
+        still_s = still.sum() * run.slot_s
+        remarks.append(f"{run.name}: {name} is stuck or saturated for {still_s:.0f} s; they are left out")
+        mean[name] = np.where(still, np.nan, mean[name])
+    return replace(run, mean=mean)
+
+
+def faults(runs: Sequence[Run], channel: str, floor: float) -> list[Fault]:
+    """Return the worst fault of each kind in the samples of a channel: digits too coarse for their noise to
+    average what lies between them, and a value that is too frequent.
+
+    `floor` is the white noise of a mean of a block.
+    """
+    unit, coarse, frequent = unit_of(channel), list[Fault](), list[Fault]()
+    for one in (run.samples[channel] for run in runs if channel in run.samples):
+        error = mean_error(one.step, one.ratio) if one.step > 0.0 else 0.0
+        if not error < 0.5 * floor:
+            steps = f"steps of {one.step:.3g} {unit}, about {1 / one.ratio:.2g} times the noise"
+            coarse.append(Fault(f"quantized: {steps}", error))
+        if one.atom_share > 0.0:
+            share = f"{one.atom_share:.1%} of the samples are {one.atom + 0.0:.4g} {unit}"
+            what = "frequent value, as of a dead-band, saturation or dropouts"
+            frequent.append(Fault(f"{what}: {share}", np.inf))
+    return [max(kind, key=lambda fault: fault.blind) for kind in (coarse, frequent) if kind]
+
+
+def usable_blocks(
+    runs: Sequence[Run],
+    channels: Sequence[str],
+    temperatures: Sequence[str],
+    drivers: Sequence[str],
+    block_s: float,
+    remarks: list[str],
+    least: int = 0,
+) -> list[RunBlocks]:
+    """Return the runs at rest as blocks.
+
+    Raises BAD_DATA, with the reasons, where they have fewer blocks than `least`.
+    """
+    found, earlier = [], len(remarks)
+    for run in runs:
+        lacking = [name for name in (*channels, *temperatures) if name not in run.mean]
+        if lacking:
+            remarks.append(f"{run.name}: not used, it lacks {', '.join(lacking)}")
+            continue
+        if run.rest_share < MOSTLY:
+            of = f"at rest for {run.rest_share:.0%} of its {run.duration_s / 60:.0f} min"
+            remarks.append(f"{run.name}: not used, the unit moves: {of}")
+            continue
+        blocks = make_blocks(run, channels, temperatures, drivers, block_s)
+        if len(blocks) * block_s < SHORTEST_RUN_S:
+            remarks.append(f"{run.name}: not used, too few means of {block_s:.0f} s at rest: {len(blocks)}")
+            continue
+        found.append(blocks)
+        there = run.count[channels[0]] > 0
+        begun = np.argmax(there)  # what goes on from another run begins late
+        share = float((there & run.at_rest)[begun:].mean())
+        if share < 1.0 - MANY_GAPS:
+            remarks.append(f"{run.name}: used in {share:.0%} of its time; gaps and motion are left out")
+    total = sum(map(len, found))
+    if total < least:
+        short = f"too short: the training data has {total} means of {block_s:.0f} s at rest"
+        needed = f"{least} are needed, {least * block_s / 60:.0f} min"
+        raise bad_data(
+            "; ".join([short, needed, *remarks[earlier:]]),
+            "record the unit at rest for an hour or more while its temperature changes;"
+            " if it was at rest and is not detected to be, add --at-rest",
+        )
     return found

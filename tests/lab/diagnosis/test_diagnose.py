@@ -500,8 +500,10 @@ def test_data_that_cannot_show_anything_are_refused_in_words(change, said: str) 
 def test_gaps_are_left_out_and_said() -> None:
     train, test = three(lag)
     holes = train[0].mean["gyro_x"].copy()
-    holes[1000:1840] = np.nan
-    train[0] = replace(train[0], mean={**train[0].mean, "gyro_x": holes})
+    samples = train[0].count["gyro_x"].copy()
+    holes[1000:1840], samples[1000:1840] = np.nan, 0.0
+    mean, count = {**train[0].mean, "gyro_x": holes}, {**train[0].count, "gyro_x": samples}
+    train[0] = replace(train[0], mean=mean, count=count)
     diagnosis = diagnose(train, test)
     assert any("72% of its time" in text for text in diagnosis.caveats)
     assert "thermal_lag" in names(diagnosis)
