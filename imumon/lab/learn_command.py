@@ -46,8 +46,8 @@ def command(
     """
     from imumon.lab.diagnosis.diagnose import diagnose
     from imumon.lab.diagnosis.extended import extended_model, with_model
+    from imumon.lab.diagnosis.prepare import latest
     from imumon.lab.diagnosis.report import report
-    from imumon.lab.diagnosis.usable import latest
     from imumon.recordings.folder import sessions_in
 
     check_output(out)

@@ -15,9 +15,9 @@ from imumon.lab.diagnosis.blocks import RunBlocks
 from imumon.lab.diagnosis.candidates import Channel
 from imumon.lab.diagnosis.diagnose import Diagnosis, diagnose
 from imumon.lab.diagnosis.fit import Fit
+from imumon.lab.diagnosis.prepare import latest
 from imumon.lab.diagnosis.runs import Run
 from imumon.lab.diagnosis.search import Progress
-from imumon.lab.diagnosis.usable import latest
 from imumon.lab.diagnosis.verdict import ChannelVerdict
 from imumon.models.curves.polynomial import HIGHEST_ORDER, PolynomialCurve
 from imumon.models.model import UNITS, BiasModel, ChannelModel, TrainedOn
@@ -90,7 +90,10 @@ def refitted(known: ChannelModel, channel: Channel, fitted: Fit, residual_sd: fl
 
     To a curve that is no polynomial itself it is added as an effect.  The curve holds where it was fitted.
     """
-    curve, more, others, own = known.curve, channel.curve(fitted.declared), list[Effect](), list[Polynomial]()
+    curve, middle, half = known.curve, channel.scale.middle, channel.scale.half_span
+    low, high = middle - half, middle + half
+    more = Polynomial(fitted.declared, domain=[low, high])
+    others, own = list[Effect](), list[Polynomial]()
     for effect in (part.effect.with_start(part.start) for part in fitted.parts if part.carries):
         part = effect.polynomial()
         if part is None or part.degree() > HIGHEST_ORDER:
@@ -98,8 +101,6 @@ def refitted(known: ChannelModel, channel: Channel, fitted: Fit, residual_sd: fl
         else:
             own.append(part)
     parts = [part for effect in known.effects if (part := effect.polynomial()) is not None]
-    low, high = more.domain.tolist()
-    middle, half = 0.5 * (low + high), 0.5 * (high - low)
     update: dict[str, Any] = {"residual_sd": residual_sd, "held_out_rms": {}, "effects": others}
     if more.degree() > 0 or own:
         margin, (known_low, known_high) = (WIDENED - 1.0) * half, known.temperature_range_degc

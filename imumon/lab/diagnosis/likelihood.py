@@ -51,7 +51,11 @@ class Likelihood:
 
     def best(self, values: FloatArray, base: FloatArray) -> tuple[float, Noise]:
         """Return the best log-likelihood of values (n,), and its noise on the whole grid."""
-        return max((self.at(values, base, noise), noise) for noise in GRID)
+        found = []
+        for noise in GRID:
+            left, _ = self.left(values, base, noise)
+            found.append((float(self._of(left @ left, noise)), noise))
+        return max(found)
 
     def predictive(self, values: FloatArray, early: BoolArray) -> float:
         """Return the predictive log-likelihood of later values, given the early ones and their noise."""
@@ -63,11 +67,6 @@ class Likelihood:
             later = -0.5 * np.sum(white[~early] ** 2) / variance
             found.append((fit, float(later - np.log(sd[~early] * np.sqrt(variance)).sum())))
         return max(found)[1]
-
-    def at(self, values: FloatArray, base: FloatArray, noise: Noise) -> float:
-        """Return the log-likelihood of values (n,) with a noise."""
-        left, _ = self.left(values, base, noise)
-        return float(self._of(left @ left, noise))
 
     def scan(
         self,
@@ -130,15 +129,13 @@ def no_larger(start: Noise) -> list[Noise]:
     return [point for point in GRID if sum(point) <= sum(start)]
 
 
-def _by_size(
-    groups: Sequence[Sequence[int]], spectra: IntArray
-) -> list[tuple[IntArray, IntArray, BoolArray]]:
+def _by_size(terms: Sequence[Sequence[int]], spectra: IntArray) -> list[tuple[IntArray, IntArray, BoolArray]]:
     """Return, for each number of terms, which candidates have it (count,), their terms (count, size), and
     whether a term and the next are of one sign (count, size - 1)."""
     found = []
-    for size in sorted({len(group) for group in groups} - {0}):
-        which = [at for at, group in enumerate(groups) if len(group) == size]
-        places = np.array([groups[at] for at in which])
+    for size in sorted({len(group) for group in terms} - {0}):
+        which = [at for at, group in enumerate(terms) if len(group) == size]
+        places = np.array([terms[at] for at in which])
         this, following = spectra[places[:, :-1]], spectra[places[:, 1:]]
         found.append((np.array(which), places, (this == following) & (this >= 0)))
     return found

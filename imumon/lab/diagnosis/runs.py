@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from imumon.clock.channel import CLOCK, UNIT, rate_ppm, with_delay
 from imumon.columns import KNOWN, TEMPERATURES
 from imumon.effects.vibration import SECOND_NS, VIBRATION
 from imumon.errors import bad_data
-from imumon.lab.diagnosis.quality import Samples, Watcher
+from imumon.filters.rounding import digits, grid_step
 from imumon.recordings.reader import Stages, no_stages, open_recording
 from imumon.recordings.reduced import ACCEL, GYRO, KeptSlots, Reduced, reduce
 from imumon.recordings.source import Count, no_count
@@ -35,6 +36,26 @@ MOSTLY = 0.5
 """Share of its time from which on a run counts as one of a unit at rest."""
 MOST_SLOTS = 7200
 """Of a run in memory: two hours of seconds; a column takes 32 bytes of each."""
+
+KEPT = 100_000
+"""Samples of a channel that are kept, evenly spaced over the recording, to bound the memory."""
+FREQUENT, TIMES_MORE = 0.01, 10.0
+"""A value with this share of all samples, and so many times more than its neighbours, is not by chance."""
+
+
+class Samples(NamedTuple):
+    """Statistics of the samples of a channel in a recording.
+
+    `step` is that of the grid on which the values lie, 0 when there is none; `scatter` the standard deviation
+    of a sample about its neighbour; `ratio` the noise before rounding, in steps, infinite where these are far
+    finer; `atom` the value that is far more frequent than its neighbours (NaN without one).
+    """
+
+    step: float
+    scatter: float
+    ratio: float = np.inf
+    atom: float = np.nan
+    atom_share: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +88,8 @@ class Run:
     """Device time of the first sample; None when it is not known."""
     begun_in: str = ""
     """Name of the run that began at this power-on, where that is another: its jumps persist in this one."""
+    woven: bool = False
+    """Whether it lies between parts of the training, whose ends any smooth course joins."""
     warnings: tuple[str, ...] = ()
     """Why its numbers may not be fit for an estimate; the device has corrected its rates itself, say."""
     slot_s: float = 1.0
@@ -224,6 +247,63 @@ def unit_of(channel: str) -> str:
     if channel == CLOCK:
         return UNIT
     return KNOWN[channel].unit if channel in KNOWN else ""
+
+
+# Samples one by one, which means of blocks would hide
+
+
+class Watcher:
+    """Collects statistics of the samples of some channels while blocks pass."""
+
+    def __init__(self, channels: Sequence[str]) -> None:
+        self._kept: dict[str, list[FloatArray]] = {name: [] for name in channels}
+        """Samples, and the step to each from the one before, (n, 2)."""
+        self._stride, self._phase, self._count = 1, 0, 0
+
+    def through(self, blocks: Iterable[SampleBlock]) -> Iterator[SampleBlock]:
+        """Yield the blocks unchanged."""
+        for block in blocks:
+            chosen = slice(-self._phase % self._stride, None, self._stride)
+            self._phase = (self._phase + len(block)) % self._stride
+            self._count += len(block) // self._stride + 1
+            for name in self._kept.keys() & block.columns.keys():
+                values = block[name]
+                steps = np.diff(values, prepend=np.nan)
+                self._kept[name].append(np.column_stack([values, steps])[chosen].astype(np.float64))
+            if self._count > KEPT:
+                joined = {name: np.concatenate(kept) for name, kept in self._kept.items() if kept}
+                self._kept = {name: [values[::2]] for name, values in joined.items()}
+                self._stride, self._count = 2 * self._stride, self._count // 2
+            yield block
+
+    def samples(self) -> dict[str, Samples]:
+        """Return the statistics of each channel that has values."""
+        joined = {name: np.concatenate([*kept, np.empty((0, 2))]).T for name, kept in self._kept.items()}
+        return {
+            name: _samples(values[np.isfinite(values)], steps[np.isfinite(values)])
+            for name, (values, steps) in joined.items()
+            if np.isfinite(values).sum() > 2 and np.isfinite(steps).any()
+        }
+
+
+def _samples(values: FloatArray, steps: FloatArray) -> Samples:
+    """Return the statistics; what a stuck sensor repeats counts once, so that no value of it is frequent."""
+    fresh, known = steps != 0.0, np.isfinite(steps)
+    scatter = float(np.sqrt(np.mean(steps[known] ** 2) / 2.0))
+    moved = steps[known & fresh]
+    noise = float(np.sqrt(np.mean(moved**2) / 2.0)) if len(moved) else np.nan
+    distinct, where = np.unique(values, return_inverse=True)
+    count = np.bincount(where, weights=fresh)
+    step = grid_step(distinct, len(values))
+    rounded = digits(values) if step > 0.0 else None
+    found = Samples(step, scatter, np.inf if rounded is None else rounded.ratio)
+    at = int(np.argmax(count))
+    beside = max([*count[max(at - 1, 0) : at], *count[at + 1 : at + 2], 1.0])
+    share = float(count[at] / max(count.sum(), 1.0))
+    coarse = step > 0.0 and not step < noise
+    if coarse or len(distinct) < 3 or share < FREQUENT or count[at] < TIMES_MORE * beside:
+        return found
+    return found._replace(atom=float(distinct[at]), atom_share=share)
 
 
 # The recording that is running

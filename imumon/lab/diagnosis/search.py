@@ -9,14 +9,17 @@ curve, Z the columns of the effects with nonlinear parameters theta, W, F and R 
 
 with r, q, s, b and c at the maximum of L, the noise no larger than it is without the effect.  A gain is twice
 the logarithm of a Bayes factor: while nothing is missing it ever exceeds g with a probability of exp(-g / 2)
-at most, however often it is tested (Ville 1939; Shafer et al. 2011, doi:10.1214/10-STS347).  Which effect is
-added to which axes, see `choice`.
+at most, however often it is tested (Ville 1939; Shafer et al. 2011, doi:10.1214/10-STS347).
+
+One package has one physics, so what an effect gains on several axes adds up; the choice of one of e effects
+on any of the sets of m axes costs 2 ln(e (2^m - 1)) (extended BIC: Chen & Chen 2008,
+doi:10.1093/biomet/asn034).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 from operator import attrgetter
 from typing import NamedTuple
@@ -25,18 +28,15 @@ import numpy as np
 
 from imumon.effects.base import Survey
 from imumon.lab.diagnosis.candidates import Candidate, Channel, Part, candidates
-from imumon.lab.diagnosis.choice import (
-    CLOSE_SHARE,
-    PROVEN,
-    Finding,
-    Scored,
-    Selection,
-    Table,
-    least_gain,
-    select,
-)
 from imumon.lab.diagnosis.likelihood import Likelihood, Noise, no_larger
 
+PROVEN = 8.0
+"""Gain above which an effect is proven: e^-4 by chance."""
+CLOSE = 10.0
+"""Families whose gains differ by less are not told apart."""
+CLOSE_SHARE = 0.15
+"""Nor those that differ by less than this share of the best gain: no regressor has exactly the shape of the
+physics, and with a large effect the shape decides."""
 MOST_NAMES = 3
 """Effects that are named in a set of those not told apart."""
 STAGES = 5
@@ -45,22 +45,71 @@ PAIR_LIST = 4
 """Best candidates of each family that are tried in pairs."""
 LEAST_SIZE = 0.3
 """White floors (rms) that an effect takes away, at least."""
-SECOND_SHARE = 0.2
-"""And this share of what the largest effect before it takes away."""
-JUMP_SHARE = 0.5
-"""A second jump in a run counts from this share on: the jumps of a telegraph noise are of one size."""
+SECOND_SHARE, JUMP_SHARE = 0.2, 0.5
+"""And this share of what each effect before it took away; of a jump, that of another in the same run: the
+jumps of a telegraph noise are of one size."""
 REFINEMENTS = 4
 """Levels of the pattern search; steps are 0.35 of those of the level before."""
 
 Progress = Callable[[str], None]
 
 
-class Stage(NamedTuple):
-    """A stage of the search: what was done, the model that it led to, and its gain where there was one."""
+class Scored(NamedTuple):
+    """A candidate with its gain over the model so far.
 
-    done: str
-    model: Sequence[Candidate]
-    gain: float = float("nan")
+    `fit` is the gain without the price of the nonlinear parameters and of the choice.  `partner` names the
+    effect beside which it gains so much, where neither gains it alone.
+    """
+
+    candidate: Candidate
+    gain: float
+    fit: float
+    partner: str = ""
+
+    @property
+    def family(self) -> str:
+        """Name of its effect."""
+        return self.candidate.family
+
+
+Table = Mapping[str, Scored]
+"""The best candidate of each family."""
+
+
+@dataclass(slots=True, eq=False)
+class Finding:
+    """An effect that was chosen for a channel, or that the present model has.
+
+    `gain` is that over the model before it, `pooled_gain` the same summed over the channels that show it, and
+    `rivals` has the gain of every family at that stage.
+    """
+
+    candidate: Candidate
+    """With refined parameters; coefficients come with the fit."""
+    gain: float = 0.0
+    pooled_gain: float = 0.0
+    rivals: dict[str, float] = field(default_factory=dict)
+    others: dict[str, Candidate] = field(default_factory=dict)
+    """The best of each other family that cannot be told apart from it."""
+    size: float = 0.0
+    """rms of what it took away from training when it was found."""
+    by_test: bool = False
+    """Whether the test alone proves it."""
+    known: bool = False
+    """Whether it is of the present model, and fitted anew."""
+
+    @property
+    def name(self) -> str:
+        """Name of the effect."""
+        return self.candidate.family
+
+    @property
+    def alike(self) -> list[str]:
+        """It and the families that cannot be told apart from it; empty when there is no other."""
+        return [self.name, *self.others] if self.others else []
+
+
+# All axes of a sensor
 
 
 def search(
@@ -95,6 +144,11 @@ def search(
     return searches
 
 
+def least_gain(effects: int, channels: int) -> float:
+    """Return the gain that proves one of so many effects on any set of so many channels."""
+    return PROVEN + 2.0 * float(np.log(max(1, effects) * (2**channels - 1)))
+
+
 def _add(active: Sequence[Search], least: float) -> None:
     """Add to each channel the effect that gains most on all the channels that show it; finish the others."""
     searches = {one.channel.name: one for one in active}
@@ -110,26 +164,81 @@ def _add(active: Sequence[Search], least: float) -> None:
         searches[name].finished = True
 
 
+class Selection(NamedTuple):
+    """Effects of which channels lack one, the one that is chosen first; these data do not tell them apart.
+    `gain` is what it gains on all of these channels."""
+
+    names: list[str]
+    channels: list[str]
+    gain: float
+
+
+def select(tables: Mapping[str, Table], least: float, there: Mapping[str, Sequence[str]]) -> Selection | None:
+    """Return the effect that gains most on all the channels that show it, if that is more than `least`.
+
+    Of effects that gain alike, what carries over goes before an event, and what is `there` already before
+    what is new.
+    """
+    names = dict.fromkeys(name for table in tables.values() for name in table)
+    on = {name: [channel for channel in tables if _shows(tables[channel], name, least)] for name in names}
+    total = {name: sum(tables[channel][name].gain for channel in on[name]) for name in names}
+    proven = [name for name in names if total[name] > least]
+    if not proven:
+        return None
+
+    def order(name: str) -> tuple[bool, bool, float]:
+        carries = tables[on[name][0]][name].candidate.scope != "event"
+        return carries, any(name in there.get(channel, ()) for channel in on[name]), total[name]
+
+    chosen = max((name for name in proven if _near(total[name], max(total.values()))), key=order)
+    channels = on[chosen]
+    together = {
+        name: sum(tables[channel][name].gain if name in tables[channel] else -np.inf for channel in channels)
+        for name in names
+    }
+    apart = {chosen, *(tables[channel][chosen].partner for channel in channels)}
+    alike = [name for name in names if together[name] > least and _near(together[name], total[chosen])]
+    others = sorted((name for name in alike if name not in apart), key=lambda name: -together[name])
+    return Selection([chosen, *others], channels, total[chosen])
+
+
+def _shows(table: Table, name: str, least: float) -> bool:
+    """Return whether a channel shows an effect, and does not prove another in its place.
+
+    An event has a time of its own in each channel, so that each has to prove its own.
+    """
+    if name not in table:
+        return False
+    best = max(one.gain for one in table.values())
+    own = PROVEN if table[name].candidate.scope == "event" else 0.0
+    return table[name].gain > max(own, best - max(least, CLOSE_SHARE * best))
+
+
+def _near(gain: float, best: float) -> bool:
+    """Return whether a gain is too near to the best for a proof."""
+    return best - gain < max(CLOSE, CLOSE_SHARE * best)
+
+
+# One axis
+
+
 class Search:
     """The search in one channel, and what it found.
 
     `findings` are the effects in the order in which they were found, those of the present model first;
     `many_events` says that a run has more than one event, such as two jumps, which no effect explains.
-    `tables` has the best candidates of each stage, `stages` what was done; `survey` is what the runs can
-    show, `tried` what may be added.
+    `tables` has the best candidates of each stage, `stages` what was done, with the model that it led to and
+    its gain (NaN without); `survey` is what the runs can show, `tried` what may be added.
     """
 
     def __init__(
         self, channel: Channel, survey: Survey, likelihood: Likelihood, tried: Sequence[Candidate]
     ) -> None:
         self.channel, self.survey, self.likelihood, self.tried = channel, survey, likelihood, tried
-        self.findings = [
-            Finding(Candidate(effect.label, (Part(effect),)), known=True)
-            for effect in channel.known or ()
-            if effect not in channel.kept
-        ]
+        again = [effect for effect in channel.known or () if effect not in channel.kept]
+        self.findings = [Finding(Candidate((Part(effect),)), known=True) for effect in again]
         self.tables: list[Table] = []
-        self.stages: list[Stage] = []
+        self.stages: list[tuple[str, Sequence[Candidate], float]] = []
         self.many_events = self.finished = False
         self._fitted: dict[tuple[int, ...], tuple[Channel, Sequence[Candidate], float, Noise]] = {}
 
@@ -138,10 +247,8 @@ class Search:
         """The candidates of the findings, beside the declared curve."""
         return [finding.candidate for finding in self.findings]
 
-    # A model: the declared curve with candidates
-
     def fitted(self, model: Sequence[Candidate]) -> tuple[float, Noise]:
-        """Return the log-likelihood of a model, and its noise."""
+        """Return the log-likelihood of the declared curve with candidates, and its noise."""
         key = (id(self.channel), *map(id, model))  # both are kept, so that no other has their id
         if key not in self._fitted:
             best = self.likelihood.best(self.channel.values, self.channel.design(model))
@@ -163,14 +270,13 @@ class Search:
         """
         if not tried:
             return []
-        price, channel = self.likelihood.price, self.channel
-        terms = [channel.pool.terms(candidate) for candidate in tried]
+        price, channel, pool = self.likelihood.price, self.channel, self.channel.pool
+        terms = [pool.terms(candidate) for candidate in tried]
         starts = list(dict.fromkeys(tuple(start) for _, start in terms if start))
         every = [*([*own, *start] for own, start in terms), *map(list, starts)]
         before, noise = self.fitted(model)
-        after = self.likelihood.scan(
-            channel.values, channel.design(model), channel.pool, every, no_larger(noise)
-        )
+        base = channel.design(model)
+        after = self.likelihood.scan(channel.values, base, pool, every, no_larger(noise))
         ratio = (2.0 * (after - before)).tolist()
         alone = dict(zip(starts, ratio[len(tried) :], strict=True))
         found = []
@@ -190,12 +296,6 @@ class Search:
             best = max([best, *self.scored(tried, model)], key=attrgetter("gain"))
         return best
 
-    def _beside(self, finding: Finding) -> list[Candidate]:
-        """Return the candidates of the other findings."""
-        return [other.candidate for other in self.findings if other is not finding]
-
-    # One stage
-
     def tabulate(self, pairs: bool) -> None:
         """Add a table: the best of each family beside what was found so far, at first in pairs as well."""
         scored = sorted(self.scored(self.tried, self.model), key=attrgetter("gain"))
@@ -203,7 +303,7 @@ class Search:
         beside = self._beside_partner(scored, best) if pairs and not self.findings else {}
         self.tables.append(best | beside)
 
-    def _beside_partner(self, scored: Sequence[Scored], best: Table) -> dict[str, Scored]:
+    def _beside_partner(self, scored: Sequence[Scored], best: Table) -> Table:
         """Return what effects gain beside the partner in the best pair, where both are needed.
 
         Two effects at once hide one another: the one that replaces both best may be neither.  A pair counts
@@ -216,7 +316,7 @@ class Search:
         for family in best:
             members += [one for one in plain if one.family == family][-PAIR_LIST:]
         pairs = [two for two in combinations(members, 2) if two[0].family != two[1].family]
-        both = [Candidate("pair", (*one.candidate.parts, *two.candidate.parts)) for one, two in pairs]
+        both = [Candidate((*one.candidate.parts, *two.candidate.parts)) for one, two in pairs]
         found = list(zip([one.gain for one in self.scored(both, [])], pairs, strict=True))
         alone = max([PROVEN, *(one.gain for one in members)])
         gain, two = max(found, key=lambda pair: pair[0], default=(0.0, ()))
@@ -240,12 +340,12 @@ class Search:
         table, name, model = self.tables[-1], selection.names[0], self.model
         best = self.refined(table[name].candidate, model)
         is_event = best.candidate.scope == "event"
-        jumped = {run for one in model if one.family == name for run in one.parts[0].runs}
-        again = is_event and not jumped.isdisjoint(best.candidate.parts[0].runs)
-        size = self._taken_away(best.candidate, model)
-        share = JUMP_SHARE if again else SECOND_SHARE
-        least = [share * self._size_beside(one, best.candidate) for one in self.findings]
-        if size < max(LEAST_SIZE * self.channel.floor.sd, self.channel.blind, *least):
+        jumped = [one.parts[0].runs for one in model if one.family == name]
+        again = is_event and best.candidate.parts[0].runs in jumped
+        without, with_it = (self.channel.residual_rms(one) for one in (model, [*model, best.candidate]))
+        size = float(np.sqrt(max(without**2 - with_it**2, 0.0)))
+        least = (JUMP_SHARE if again else SECOND_SHARE) * max([0.0, *(one.size for one in self.findings)])
+        if size < max(LEAST_SIZE * self.channel.floor.sd, self.channel.blind, least):
             self.finished = is_event
             return False
         self.many_events |= again
@@ -260,22 +360,12 @@ class Search:
         self.findings.append(Finding(best.candidate, gain, selection.gain, rivals, alike, size))
         if len(self.findings) > 1:
             self._refine(exchange=False)
-        self.stages.append(Stage(name, self.model, gain))
+        self.stages.append((name, self.model, gain))
         return True
 
-    def _taken_away(self, candidate: Candidate, model: Sequence[Candidate]) -> float:
-        """Return the rms that a candidate takes away beside a model, by ordinary least squares."""
-        without, with_it = (self.channel.residual_rms(one) for one in (model, [*model, candidate]))
-        return float(np.sqrt(max(without**2 - with_it**2, 0.0)))
-
-    def _size_beside(self, finding: Finding, candidate: Candidate) -> float:
-        """Return the rms that a finding takes away beside the others and a candidate.
-
-        One of the same family counts with what it took away alone, for two of a kind share it.
-        """
-        if finding.name == candidate.family and candidate.scope != "event":
-            return finding.size
-        return self._taken_away(finding.candidate, [*self._beside(finding), candidate])
+    def _beside(self, finding: Finding) -> list[Candidate]:
+        """Return the candidates of the other findings."""
+        return [other.candidate for other in self.findings if other is not finding]
 
     def eliminate(self) -> None:
         """Drop what others make needless, and refine what is left, each beside the others.
@@ -295,7 +385,8 @@ class Search:
             return
         self._refine(exchange=True)
         if changed := [finding.name for finding in self.findings if finding.name not in before]:
-            self.stages.append(Stage(f"{' and '.join(changed)} fits better beside the rest", self.model))
+            done = f"{' and '.join(changed)} fits better beside the rest"
+            self.stages.append((done, self.model, float("nan")))
 
     def _refine(self, exchange: bool) -> None:
         """Refine each finding beside the others; with `exchange` one that fits as well may take its place."""
@@ -304,4 +395,7 @@ class Search:
             names += finding.others if exchange else []
             tried = [one for one in self.tried if one.family in names and one.carries]
             best = max(self.scored([finding.candidate, *tried], beside), key=attrgetter("gain"))
-            finding.becomes(self.refined(best.candidate, beside).candidate)
+            if best.family != finding.name:
+                del finding.others[best.family]
+                finding.others = {finding.name: finding.candidate, **finding.others}
+            finding.candidate = self.refined(best.candidate, beside).candidate

@@ -1,6 +1,7 @@
-"""The channels, drivers and runs that a diagnosis can use, and which runs are its test.
+"""What of the recordings is searched: channels, drivers and runs of training and test, less what a known
+model expects of them.
 
-On what is left out each function adds to `remarks`.
+On what is left out functions add to `remarks`.
 """
 
 from __future__ import annotations
@@ -13,19 +14,15 @@ from scipy.ndimage import binary_opening
 
 from imumon.blocks import BoolArray, FloatArray
 from imumon.clock.channel import CLOCK
+from imumon.columns import TEMPERATURES
 from imumon.effects.vibration import SECOND_NS
 from imumon.errors import bad_config, bad_data
 from imumon.filters.rounding import mean_error
-from imumon.lab.diagnosis.blocks import (
-    BLOCK_S,
-    LEAST_BLOCKS,
-    LEAST_SLOTS,
-    RunBlocks,
-    common_block_s,
-    make_blocks,
-)
-from imumon.lab.diagnosis.quality import Fault
+from imumon.lab.diagnosis.blocks import BLOCK_S, LEAST_BLOCKS, RunBlocks, common_block_s, make_blocks
 from imumon.lab.diagnosis.runs import CHANNELS, MOSTLY, SHORTEST_RUN_S, Run, channels_of, unit_of
+from imumon.models.curves.polynomial import PolynomialCurve
+from imumon.models.model import BiasModel, ChannelModel
+from imumon.models.predictor import BiasPredictor
 
 STRETCHES = 12
 """Alternating stretches of a single run for training and test; of two halves one may lack an end of the
@@ -36,6 +33,20 @@ LEAST_THERE = 0.1
 """Share of its time in which a channel that is used has samples."""
 MANY_GAPS = 0.2
 """Share of a run left out that is reported."""
+CUBIC_DEGREE = 3
+"""As what is assumed without a model: other curves keep their shape, and have a cubic added."""
+
+
+def channels_with_model(channels: Sequence[str], model: BiasModel) -> list[str]:
+    """Return the channels that a model has; raises BAD_CONFIG where it has none of them."""
+    if found := [name for name in channels if name in model.channels]:
+        return found
+    raise bad_config(
+        f"the model has {', '.join(model.channels)}; the data has {', '.join(channels)}",
+        "give the model of this unit, or --declared",
+    )
+
+
 RESOLUTION = 1e-12
 """Share of its value below which the changes of a channel are rounding in the computation of its means."""
 
@@ -164,7 +175,7 @@ def _divided(run: Run, channels: Sequence[str]) -> tuple[list[Run], list[Run]]:
     def only(kept: BoolArray) -> dict[str, FloatArray]:
         return run.mean | {name: np.where(kept, run.mean[name], np.nan) for name in channels}
 
-    other = replace(run, mean=only(tested), name=f"{run.name}, held out", begun_in=run.name)
+    other = replace(run, mean=only(tested), name=f"{run.name}, held out", begun_in=run.name, woven=True)
     return [replace(run, mean=only(~tested))], [other]
 
 
@@ -206,7 +217,7 @@ def without_standstill(run: Run, channels: Sequence[str], remarks: list[str]) ->
     Noise never does that, but a stuck sensor, and one at its limit.  One whose digits are coarser than its
     noise does so most of the time, and keeps its values.
     """
-    mean, least = dict(run.mean), max(LEAST_SLOTS, round(BLOCK_S / run.slot_s))
+    mean, least = dict(run.mean), round(common_block_s([run]) / run.slot_s)
     for name in (name for name in channels if name in mean):
         same = (np.diff(mean[name], prepend=np.nan) == 0.0) & ~(run.variance[name] > 0.0)
         still = binary_opening(same, np.ones(least))
@@ -224,23 +235,23 @@ def without_standstill(run: Run, channels: Sequence[str], remarks: list[str]) ->
     return replace(run, mean=mean)
 
 
-def faults(runs: Sequence[Run], channel: str, floor: float) -> list[Fault]:
-    """Return the worst fault of each kind in the samples of a channel: digits too coarse for their noise to
-    average what lies between them, and a value that is too frequent.
+def faults(runs: Sequence[Run], channel: str, floor: float) -> dict[str, float]:
+    """Return the worst fault of each kind in the samples of a channel, and what it makes of a smooth bias:
+    digits too coarse for their noise to average what lies between them, and a value that is too frequent.
 
     `floor` is the white noise of a mean of a block.
     """
-    unit, coarse, frequent = unit_of(channel), list[Fault](), list[Fault]()
+    unit, kinds = unit_of(channel), (dict[str, float](), dict[str, float]())
     for one in (run.samples[channel] for run in runs if channel in run.samples):
         error = mean_error(one.step, one.ratio) if one.step > 0.0 else 0.0
         if not error < 0.5 * floor:
-            steps = f"steps of {one.step:.3g} {unit}, about {1 / one.ratio:.2g} times the noise"
-            coarse.append(Fault(f"quantized: {steps}", error))
+            times = f"about {1 / one.ratio:.2g} times the noise"
+            kinds[0][f"quantized: steps of {one.step:.3g} {unit}, {times}"] = error
         if one.atom_share > 0.0:
             share = f"{one.atom_share:.1%} of the samples are {one.atom + 0.0:.4g} {unit}"
-            what = "frequent value, as of a dead-band, saturation or dropouts"
-            frequent.append(Fault(f"{what}: {share}", np.inf))
-    return [max(kind, key=lambda fault: fault.blind) for kind in (coarse, frequent) if kind]
+            kinds[1][f"frequent value, as of a dead-band, saturation or dropouts: {share}"] = np.inf
+    worst = [max(kind.items(), key=lambda item: item[1]) for kind in kinds if kind]
+    return dict(worst)
 
 
 def usable_blocks(
@@ -250,12 +261,9 @@ def usable_blocks(
     drivers: Sequence[str],
     block_s: float,
     remarks: list[str],
-    least: int = 0,
+    training: bool = False,
 ) -> list[RunBlocks]:
-    """Return the runs at rest as blocks.
-
-    Raises BAD_DATA, with the reasons, where they have fewer blocks than `least`.
-    """
+    """Return the runs at rest as blocks; raises BAD_DATA, with the reasons, where they are too few to train on."""
     found, earlier = [], len(remarks)
     for run in runs:
         lacking = [name for name in (*channels, *temperatures) if name not in run.mean]
@@ -277,12 +285,105 @@ def usable_blocks(
         if share < 1.0 - MANY_GAPS:
             remarks.append(f"{run.name}: used in {share:.0%} of its time; gaps and motion are left out")
     total = sum(map(len, found))
-    if total < least:
+    if training and total < LEAST_BLOCKS:
         short = f"too short: the training data has {total} means of {block_s:.0f} s at rest"
-        needed = f"{least} are needed, {least * block_s / 60:.0f} min"
+        needed = f"{LEAST_BLOCKS} are needed, {LEAST_BLOCKS * block_s / 60:.0f} min"
         raise bad_data(
             "; ".join([short, needed, *remarks[earlier:]]),
             "record the unit at rest for an hour or more while its temperature changes;"
             " if it was at rest and is not detected to be, add --at-rest",
         )
     return found
+
+
+# A model that is known
+
+
+def temperature_of(channel: str, model: BiasModel | None, runs: Sequence[Run]) -> str:
+    """Return the temperature that the curve of a channel is over: that of the model, or of its axis, or
+    another that every run has.
+
+    Raises BAD_DATA without any.
+    """
+    wanted = f"temperature_{channel[-1]}"
+    if model is not None:
+        wanted = model.channels[channel].temperature_column.replace("_estimate", "")
+    for name in (wanted, *TEMPERATURES):
+        if name != channel and all(np.isfinite(run.mean.get(name, np.nan)).sum() > 1 for run in runs):
+            return name
+    raise bad_data(
+        "there is no temperature that every run has, and a bias model is over one",
+        "record with the temperature switched on, or name its column in the map",
+    )
+
+
+def check_range(model: BiasModel, temperatures: Mapping[str, str], runs: Sequence[RunBlocks]) -> None:
+    """Refuse a model whose curves hold at no temperature of the runs: nothing of them could be fitted anew.
+
+    Raises BAD_CONFIG, naming both ranges.
+    """
+    for name, temperature in temperatures.items():
+        found = np.concatenate([run.temperature[temperature] for run in runs])
+        low, high = model.channels[name].temperature_range_degc
+        if max(low, float(found.min())) >= min(high, float(found.max())):
+            raise bad_config(
+                f"the bias model of {name} holds from {low:.2f} to {high:.2f} °C, the training data has"
+                f" {found.min():.2f} to {found.max():.2f} °C: they do not overlap",
+                "give a model that was calibrated at these temperatures, or none: leave --model out",
+            )
+
+
+def order_of(channel: ChannelModel) -> int:
+    """Return the degree of the polynomial by which a curve is fitted anew: its own, or a cubic's."""
+    curve = channel.curve
+    return len(curve.coefficients) - 1 if isinstance(curve, PolynomialCurve) else CUBIC_DEGREE
+
+
+def without_curves(run: Run, model: BiasModel, channels: Sequence[str]) -> Run:
+    """Return a run with the curves of a model, and no effect beside them, taken from its channels."""
+    curves = {}
+    for name, channel in model.channels.items():
+        parts = [effect for effect in channel.effects if effect.polynomial() is not None]
+        curves[name] = channel.model_copy(update={"effects": parts})
+    return without_model(run, model.model_copy(update={"channels": curves}), channels)
+
+
+def without_model(run: Run, model: BiasModel, channels: Sequence[str]) -> Run:
+    """Return a run with what a model expects taken from its channels, effects integrated from power-on."""
+    channels = [name for name in channels if name in run.mean]
+    temperatures = [temperature_of(name, model, [run]) for name in channels]
+    force = [run.mean[f"accel_{axis}"] for axis in "xyz" if f"accel_{axis}" in run.mean]
+    expected = BiasPredictor(model, channels).process(
+        np.round(run.time_s * SECOND_NS).astype(np.int64),
+        np.zeros(len(run.time_s), np.int64),
+        np.column_stack([run.mean[name] for name in temperatures]),
+        np.column_stack(force) if len(force) == 3 else None,
+        run.mean,
+    )
+    changed = {name: run.mean[name] - expected.bias[:, at] for at, name in enumerate(channels)}
+    return replace(run, mean={**run.mean, **changed})
+
+
+def residual(run: Run, model: BiasModel, channels: Sequence[str]) -> RunBlocks:
+    """Return block means of what a model leaves of the channels, its effects integrated from power-on."""
+    temperatures = dict.fromkeys(temperature_of(name, model, [run]) for name in channels)
+    left = without_model(run, model, channels)
+    return make_blocks(left, channels, [*temperatures], block_s=common_block_s([run]))
+
+
+def within_range(model: BiasModel, run: Run, channels: Sequence[str], until_s: float | None = None) -> Run:
+    """Return a run at rest only where its temperatures are inside the range that a model was fitted on, or
+    those that the run itself had until then.
+
+    Outside that range the curve continues as a straight line, and what is left there is no effect.
+    """
+    inside = np.ones(len(run.time_s), bool)
+    for name in channels:
+        values = run.mean[temperature_of(name, model, [run])]
+        known = np.isfinite(values)
+        if until_s is None:
+            inside &= model.channels[name].inside(np.interp(run.time_s, run.time_s[known], values[known]))
+        else:
+            early = values[(run.time_s < until_s) & known]
+            inside &= (values >= early.min()) & (values <= early.max())
+    return replace(run, rest=np.where(inside, run.rest, 0.0))
