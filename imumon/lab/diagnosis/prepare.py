@@ -263,7 +263,7 @@ def usable_blocks(
     remarks: list[str],
     training: bool = False,
 ) -> list[RunBlocks]:
-    """Return the runs at rest as blocks; raises BAD_DATA, with the reasons, where they are too few to train on."""
+    """Return the runs at rest as blocks; raises BAD_DATA, saying why, where they are too few for training."""
     found, earlier = [], len(remarks)
     for run in runs:
         lacking = [name for name in (*channels, *temperatures) if name not in run.mean]

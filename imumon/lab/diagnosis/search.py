@@ -46,8 +46,8 @@ PAIR_LIST = 4
 LEAST_SIZE = 0.3
 """White floors (rms) that an effect takes away, at least."""
 SECOND_SHARE, JUMP_SHARE = 0.2, 0.5
-"""And this share of what each effect before it took away; of a jump, that of another in the same run: the
-jumps of a telegraph noise are of one size."""
+"""And this share of what each effect before it takes away; a second jump in a run counts from the other share
+on: the jumps of a telegraph noise are of one size."""
 REFINEMENTS = 4
 """Levels of the pattern search; steps are 0.35 of those of the level before."""
 
@@ -342,10 +342,9 @@ class Search:
         is_event = best.candidate.scope == "event"
         jumped = [one.parts[0].runs for one in model if one.family == name]
         again = is_event and best.candidate.parts[0].runs in jumped
-        without, with_it = (self.channel.residual_rms(one) for one in (model, [*model, best.candidate]))
-        size = float(np.sqrt(max(without**2 - with_it**2, 0.0)))
-        least = (JUMP_SHARE if again else SECOND_SHARE) * max([0.0, *(one.size for one in self.findings)])
-        if size < max(LEAST_SIZE * self.channel.floor.sd, self.channel.blind, least):
+        size, share = self._size(best.candidate, model), JUMP_SHARE if again else SECOND_SHARE
+        least = [share * self._size_beside(one, best.candidate) for one in self.findings]
+        if size < max(LEAST_SIZE * self.channel.floor.sd, self.channel.blind, *least):
             self.finished = is_event
             return False
         self.many_events |= again
@@ -362,6 +361,20 @@ class Search:
             self._refine(exchange=False)
         self.stages.append((name, self.model, gain))
         return True
+
+    def _size(self, candidate: Candidate, model: Sequence[Candidate]) -> float:
+        """Return the rms that a candidate takes away beside a model, by ordinary least squares."""
+        without, with_it = (self.channel.residual_rms(one) for one in (model, [*model, candidate]))
+        return float(np.sqrt(max(without**2 - with_it**2, 0.0)))
+
+    def _size_beside(self, finding: Finding, candidate: Candidate) -> float:
+        """Return the rms that a finding takes away beside the others and a candidate.
+
+        One of the same family counts with what it took away alone, for two of a kind share it.
+        """
+        if finding.name == candidate.family and candidate.scope != "event":
+            return finding.size
+        return self._size(finding.candidate, [*self._beside(finding), candidate])
 
     def _beside(self, finding: Finding) -> list[Candidate]:
         """Return the candidates of the other findings."""
