@@ -101,8 +101,12 @@ def make_blocks(
     slots = max(1, round(block_s / run.slot_s))
     pose = np.zeros(len(valid), np.int64) if accel is None else poses(accel, valid)
     valid = in_one_pose(valid, pose, slots)
+    count = run.count[channels[0]]
+    some = count > 0
+    whole = some & np.append(some[1:], False) & np.append(False, some[:-1])  # no gap cuts it
     weight = np.zeros(len(valid))
-    weight[valid] = run.count[channels[0]][valid] / run.samples_per_slot(channels[0])
+    if valid.any():
+        weight[valid] = count[valid] / count[whole if whole.any() else some].mean()
     values = [np.where(valid, run.mean[name], 0.0) for name in channels]
     temperature = [drive.temperature_degc for drive in drives.values()]
     every = np.column_stack([run.time_s, pose.astype(np.float64), *values, *temperature])

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -117,6 +117,61 @@ def _late_curve(late: Effect, survey: Survey) -> tuple[Part, ...]:
     middle, half_span = survey.middle_degc, survey.half_span_degc
     powers = TemperatureCurve(middle=middle, half_span=half_span, first_power=survey.degree + 1, powers=more)
     return Part(late), Part(powers)
+
+
+class Scored(NamedTuple):
+    """A candidate with its gain over the model so far.
+
+    `fit` is the gain without the price of the nonlinear parameters and of the choice.  `partner` names the
+    effect beside which it gains so much, where neither gains it alone.
+    """
+
+    candidate: Candidate
+    gain: float
+    fit: float
+    partner: str = ""
+
+    @property
+    def family(self) -> str:
+        """Name of its effect."""
+        return self.candidate.family
+
+
+Table = Mapping[str, Scored]
+"""The best candidate of each family."""
+
+
+@dataclass(slots=True, eq=False)
+class Finding:
+    """An effect that was chosen for a channel, or that the present model has.
+
+    `gain` is that over the model before it, `pooled_gain` the same summed over the channels that show it, and
+    `rivals` has the gain of every family at that stage.
+    """
+
+    candidate: Candidate
+    """With refined parameters; coefficients come with the fit."""
+    gain: float = 0.0
+    pooled_gain: float = 0.0
+    rivals: dict[str, float] = field(default_factory=dict)
+    others: dict[str, Candidate] = field(default_factory=dict)
+    """The best of each other family that cannot be told apart from it."""
+    size: float = 0.0
+    """rms of what it took away from training when it was found."""
+    by_test: bool = False
+    """Whether the test alone proves it."""
+    known: bool = False
+    """Whether it is of the present model, and fitted anew."""
+
+    @property
+    def name(self) -> str:
+        """Name of the effect."""
+        return self.candidate.family
+
+    @property
+    def alike(self) -> list[str]:
+        """It and the families that cannot be told apart from it; empty when there is no other."""
+        return [self.name, *self.others] if self.others else []
 
 
 @dataclass(slots=True)

@@ -99,7 +99,7 @@ def diagnose(
     train: Sequence[Run],
     test: Sequence[Run],
     declared: str = CUBIC,
-    progress: Progress | None = None,
+    progress: Progress = None,
     sensors: Sequence[str] = SENSORS,
     model: BiasModel | None = None,
     drivers: Sequence[str] | None = None,
@@ -201,29 +201,29 @@ def _length(data: Recorded, remarks: list[str]) -> Length | None:
 
 def search_sensor(
     data: Recorded,
-    group: Sequence[str],
-    effects: Sequence[str],
+    axes: Sequence[str],
+    names: Sequence[str],
     stages: int = STAGES,
-    progress: Progress | None = None,
+    progress: Progress = None,
 ) -> list[list[Search]]:
     """Return the search in the axes of a sensor beside each base that is possible.
 
     In each pose, and each day, other sensors than gyros have another part of gravity, field or weather, which
     is not known: they have a constant in each.  So may gyros have, by the earth rate.
     """
-    owns: list[Own] = [data.own] if group[0].startswith(("gyro", CLOCK)) else []
+    owns: list[Own] = [data.own] if axes[0].startswith(("gyro", CLOCK)) else []
     blocks = data.shorter or data.blocks
     turned = any(run.pose.max() > run.pose.min() for run in blocks)
-    if not owns or (group[0].startswith("gyro") and turned):
+    if not owns or (axes[0].startswith("gyro") and turned):
         owns.append("pose")
     found = []
     for own in owns:
-        channels = _channels(data, group, own, blocks)
+        channels = _channels(data, axes, own, blocks)
         shown = survey(channels[0].pool.runs, channels[0].pool.temperature, data.degree)
-        found.append(search(channels, shown, effects, stages, progress))
+        found.append(search(channels, shown, names, stages, progress))
         if any(channel.refitted for channel in channels):
             given = [channel.as_given() for channel in channels]
-            found.append(search(given, shown, effects, stages, progress))
+            found.append(search(given, shown, names, stages, progress))
     return found
 
 

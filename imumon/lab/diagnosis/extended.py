@@ -34,11 +34,8 @@ def extended_model(diagnosis: Diagnosis) -> BiasModel:
     """
     known = diagnosis.model
     origins = [one.run.origin for one in diagnosis.train if one.run.origin is not None]
-    kept: dict[str, Any] = {
-        name: distinct.pop()
-        for name in ("device", "serial")
-        if len(distinct := {getattr(origin, name) for origin in origins}) == 1
-    }
+    each = {name: {getattr(origin, name) for origin in origins} for name in ("device", "serial")}
+    kept: dict[str, Any] = {name: values.pop() for name, values in each.items() if len(values) == 1}
     if known is not None:
         names = ("device", "serial", "axes", "earth_rate", "latitude_deg", "heading_deg", "levels_degc")
         kept = {name: getattr(known, name) for name in names}
@@ -151,11 +148,8 @@ def model_with_drivers(
     """
     declared = "polynomial 3 + offset"  # the degree is that of the model, the offset as in the calibration
     diagnosis = diagnose(*latest(recordings), declared, progress, model=model, drivers=drivers)
-    found = [
-        verdict
-        for verdict in diagnosis.verdicts
-        if verdict.predicts and any(claim.finding.candidate.choice > 0.0 for claim in verdict.claims)
-    ]
+    useful = [one for one in diagnosis.verdicts if one.predicts]
+    found = [one for one in useful if any(claim.finding.candidate.choice > 0.0 for claim in one.claims)]
     extended = extended_model(diagnosis).channels
     channels = {**model.channels, **{verdict.name: extended[verdict.name] for verdict in found}}
     return model.model_copy(update={"channels": channels}), found, diagnosis.caveats

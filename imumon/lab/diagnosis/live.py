@@ -23,6 +23,7 @@ from imumon.errors import ImumonError
 from imumon.geodesy import DEG_PER_H
 from imumon.lab.diagnosis import prepare
 from imumon.lab.diagnosis.blocks import LEAST_BLOCKS, common_block_s, make_blocks, survey
+from imumon.lab.diagnosis.candidates import Pool
 from imumon.lab.diagnosis.diagnose import Recorded, likeliest, search_sensor
 from imumon.lab.diagnosis.extended import refitted, trained_on
 from imumon.lab.diagnosis.fit import LEAST_TEST_BLOCKS, fit
@@ -128,9 +129,9 @@ class Challenger:
 
         That is the logarithm of the likelihood ratio, the better model's over the present one's, and the rms
         that the present and the better model leave, over the channels that differ.  Temperatures outside
-        those of the earlier part, from which the better model is, do not count.
+        those of the better model do not count.
         """
-        run = prepare.within_range(self.model, run, self._names, self.since_s)
+        run = prepare.within_range(self.model, run, self._names)
         ratio, squares = 0.0, []
         for model, sign in ((self._present, -1.0), (self.model, 1.0)):
             blocks = prepare.residual(run, model, self._names)
@@ -138,7 +139,7 @@ class Challenger:
             if min(early.sum(), (~early).sum()) < LEAST_TEST_BLOCKS:
                 return None
             left = [blocks.mean[name] - blocks.mean[name][early].mean() for name in self._names]
-            likelihood = Likelihood([blocks])
+            likelihood = Likelihood(Pool([blocks], "temperature"))
             ratio += sign * sum(likelihood.predictive(one, early) for one in left)
             squares.append(np.mean([one[~early] ** 2 for one in left]))
         before, after = np.sqrt(squares).tolist()
@@ -233,10 +234,8 @@ class LiveDiagnosis:
             self._report(f"the better model is dropped: what came later is less likely with it ({change})")
         elif ratio > PROVEN:
             self.offered = challenger
-            self._report(
-                f"a better model has won on what came later: {change} (likelihood ratio e^{ratio:.0f});"
-                " it is kept with the session when that ends"
-            )
+            won = f"a better model has won on what came later: {change} (likelihood ratio e^{ratio:.0f})"
+            self._report(f"{won}; it is kept with the session when that ends")
 
     def _search(self, elapsed_s: float) -> None:
         """Search the run so far for what the model lacks, until a better one has won, and report that."""

@@ -66,7 +66,7 @@ def svg(draw: Callable[[Axes], None], size: tuple[float, float] = SIZE) -> str:
     return content[content.index("<svg") :]
 
 
-def write_page(diagnosis: Diagnosis, path: Path, progress: Progress | None = None) -> None:
+def write_page(diagnosis: Diagnosis, path: Path, progress: Progress = None) -> None:
     """Write report.html; raises OSError when that fails."""
     drawn, verdicts = {}, diagnosis.verdicts
     for verdict in verdicts:

@@ -210,7 +210,7 @@ def open_questions(report: Report) -> list[Question]:
     return [first._replace(also=tuple(one.channel for one in others)) for first, *others in groups.values()]
 
 
-def plan(report: Report, question: Question, most_s: float, progress: Progress | None = None) -> Plan:
+def plan(report: Report, question: Question, most_s: float, progress: Progress = None) -> Plan:
     """Return the shortest experiment that answers a question, with the evidence to expect of it.
 
     A shape is repeated only where that can decide, as evidence grows no faster than time, and none is

@@ -149,10 +149,8 @@ def train_and_test(
             continue
         before = (one for one in (*found, *train) if -1.0 <= _pause_s(one, run) <= LONGEST_PAUSE_S)
         if one := next(before, None):
-            remarks.append(
-                f"{run.name} goes on where {one.name} ended, by the device's clock: time since power-on,"
-                " lag and loop go on as well"
-            )
+            what = "time since power-on, lag and loop go on as well"
+            remarks.append(f"{run.name} goes on where {one.name} ended, by the device's clock: {what}")
         found.append(_continued(one, run) if one else run)
     if found or len(train) > 1 or train[0].duration_s < 2 * LEAST_BLOCKS * common_block_s(train):
         return train, found
@@ -371,9 +369,8 @@ def residual(run: Run, model: BiasModel, channels: Sequence[str]) -> RunBlocks:
     return make_blocks(left, channels, [*temperatures], block_s=common_block_s([run]))
 
 
-def within_range(model: BiasModel, run: Run, channels: Sequence[str], until_s: float | None = None) -> Run:
-    """Return a run at rest only where its temperatures are inside the range that a model was fitted on, or
-    those that the run itself had until then.
+def within_range(model: BiasModel, run: Run, channels: Sequence[str]) -> Run:
+    """Return a run at rest only where its temperatures are inside the range that a model was fitted on.
 
     Outside that range the curve continues as a straight line, and what is left there is no effect.
     """
@@ -381,9 +378,5 @@ def within_range(model: BiasModel, run: Run, channels: Sequence[str], until_s: f
     for name in channels:
         values = run.mean[temperature_of(name, model, [run])]
         known = np.isfinite(values)
-        if until_s is None:
-            inside &= model.channels[name].inside(np.interp(run.time_s, run.time_s[known], values[known]))
-        else:
-            early = values[(run.time_s < until_s) & known]
-            inside &= (values >= early.min()) & (values <= early.max())
+        inside &= model.channels[name].inside(np.interp(run.time_s, run.time_s[known], values[known]))
     return replace(run, rest=np.where(inside, run.rest, 0.0))

@@ -14,12 +14,11 @@ from imumon.effects.base import ACCEL
 from imumon.effects.library import separated_by
 from imumon.files import plain, write_text
 from imumon.lab.diagnosis.blocks import RunBlocks
-from imumon.lab.diagnosis.candidates import Candidate
+from imumon.lab.diagnosis.candidates import Candidate, Scored
 from imumon.lab.diagnosis.diagnose import Diagnosis
 from imumon.lab.diagnosis.extended import with_model
 from imumon.lab.diagnosis.fit import Fit, FittedPart, fit, root_mean_square, score_test
 from imumon.lab.diagnosis.likelihood import WALK_S
-from imumon.lab.diagnosis.search import Scored
 from imumon.lab.diagnosis.verdict import ChannelVerdict, Claim, explained_share
 from imumon.version import __version__
 
@@ -174,8 +173,7 @@ def _parameters(parts: Sequence[FittedPart]) -> dict[str, Any]:
 
 def _leaders(verdict: ChannelVerdict, stage: int) -> list[Scored]:
     """Return the best of each family at a stage of the search, the best of all first."""
-    tables = verdict.found.tables
-    return sorted(tables[stage].values(), key=lambda one: -one.gain) if tables else []
+    return sorted(verdict.found.tables[stage].values(), key=lambda one: -one.gain)
 
 
 def _left(verdict: ChannelVerdict, fitted: Fit) -> dict[str, float]:
@@ -226,7 +224,7 @@ def _questions(verdict: ChannelVerdict) -> list[list[dict[str, Any]]]:
         if finding.others:
             beside = [other for other in claimed if other is not finding.candidate]
             opened.append([answer(beside, one) for one in (finding.candidate, *finding.others.values())])
-    if verdict.unexplained and verdict.found.tables:
+    if verdict.unexplained:
         tried = [one.candidate for one in _leaders(verdict, -1) if one.fit > 0.0]
         # A chamber, or poses, can make these show themselves in another run.
         lasting = [one for one in tried if one.scope in ("shared", "either") and one not in claimed]

@@ -113,13 +113,6 @@ class Run:
         there = np.any([*self.count.values()], axis=0)
         return float(self.at_rest[there].mean()) if there.any() else 0.0
 
-    def samples_per_slot(self, channel: str) -> float:
-        """Return the mean number of samples in a slot that no gap cuts: its neighbours have samples, too."""
-        some = self.count[channel] > 0
-        whole = some & np.append(some[1:], False) & np.append(False, some[:-1])
-        chosen = whole if whole.any() else some
-        return float(self.count[channel][chosen].mean()) if chosen.any() else 0.0
-
 
 def read_runs(
     path: Path,
@@ -167,11 +160,8 @@ def read_runs(
 
 def further_columns(block: SampleBlock, made: Container[str]) -> list[str]:
     """Return the measured columns beyond the known ones: no counters, and none that stages made."""
-    return [
-        name
-        for name, values in block.columns.items()
-        if name not in KNOWN and name not in made and values.dtype == np.float64
-    ]
+    measured = [name for name, values in block.columns.items() if values.dtype == np.float64]
+    return [name for name in measured if name not in KNOWN and name not in made]
 
 
 def _slot_s(blocks: Sequence[SampleBlock], channels: Sequence[str]) -> float:

@@ -19,7 +19,7 @@ doi:10.1093/biomet/asn034).
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from itertools import combinations
 from operator import attrgetter
 from typing import NamedTuple
@@ -27,7 +27,7 @@ from typing import NamedTuple
 import numpy as np
 
 from imumon.effects.base import Survey
-from imumon.lab.diagnosis.candidates import Candidate, Channel, Part, candidates
+from imumon.lab.diagnosis.candidates import Candidate, Channel, Finding, Part, Scored, Table, candidates
 from imumon.lab.diagnosis.likelihood import Likelihood, Noise, no_larger
 
 PROVEN = 8.0
@@ -51,83 +51,26 @@ on: the jumps of a telegraph noise are of one size."""
 REFINEMENTS = 4
 """Levels of the pattern search; steps are 0.35 of those of the level before."""
 
-Progress = Callable[[str], None]
-
-
-class Scored(NamedTuple):
-    """A candidate with its gain over the model so far.
-
-    `fit` is the gain without the price of the nonlinear parameters and of the choice.  `partner` names the
-    effect beside which it gains so much, where neither gains it alone.
-    """
-
-    candidate: Candidate
-    gain: float
-    fit: float
-    partner: str = ""
-
-    @property
-    def family(self) -> str:
-        """Name of its effect."""
-        return self.candidate.family
-
-
-Table = Mapping[str, Scored]
-"""The best candidate of each family."""
-
-
-@dataclass(slots=True, eq=False)
-class Finding:
-    """An effect that was chosen for a channel, or that the present model has.
-
-    `gain` is that over the model before it, `pooled_gain` the same summed over the channels that show it, and
-    `rivals` has the gain of every family at that stage.
-    """
-
-    candidate: Candidate
-    """With refined parameters; coefficients come with the fit."""
-    gain: float = 0.0
-    pooled_gain: float = 0.0
-    rivals: dict[str, float] = field(default_factory=dict)
-    others: dict[str, Candidate] = field(default_factory=dict)
-    """The best of each other family that cannot be told apart from it."""
-    size: float = 0.0
-    """rms of what it took away from training when it was found."""
-    by_test: bool = False
-    """Whether the test alone proves it."""
-    known: bool = False
-    """Whether it is of the present model, and fitted anew."""
-
-    @property
-    def name(self) -> str:
-        """Name of the effect."""
-        return self.candidate.family
-
-    @property
-    def alike(self) -> list[str]:
-        """It and the families that cannot be told apart from it; empty when there is no other."""
-        return [self.name, *self.others] if self.others else []
+Progress = Callable[[str], None] | None
+"""Takes what is done next."""
 
 
 # All axes of a sensor
 
 
 def search(
-    channels: Sequence[Channel],
-    survey: Survey,
-    names: Sequence[str],
-    stages: int = STAGES,
-    progress: Progress | None = None,
+    axes: Sequence[Channel], survey: Survey, names: Sequence[str], stages: int, progress: Progress
 ) -> list[Search]:
     """Find what the channels of one sensor, over the same training runs, lack of the effects of these names.
 
     The search begins with the effects of the present model that are fitted anew.  At most `stages` effects
     are added to a channel.
     """
-    likelihood, tried = Likelihood(channels[0].pool.runs), candidates(survey, names)
-    searches = [Search(channel, survey, likelihood, tried) for channel in channels]
+    tried, pools = candidates(survey, names), {id(axis.pool): axis.pool for axis in axes}
+    likelihoods = {key: Likelihood(pool) for key, pool in pools.items()}
+    searches = [Search(axis, survey, likelihoods[id(axis.pool)], tried) for axis in axes]
     usual = len({one.family for one in tried if not one.choice})
-    least = least_gain(usual, len(channels)) if len(channels) > 1 else PROVEN
+    least = least_gain(usual, len(axes)) if len(axes) > 1 else PROVEN
     for one in searches:
         one.eliminate()
     for stage in range(stages):
@@ -153,8 +96,7 @@ def _add(active: Sequence[Search], least: float) -> None:
     """Add to each channel the effect that gains most on all the channels that show it; finish the others."""
     searches = {one.channel.name: one for one in active}
     tables = {name: dict(one.tables[-1]) for name, one in searches.items()}
-    there = {name: [finding.name for finding in one.findings] for name, one in searches.items()}
-    while (selection := select(tables, least, there)) is not None:
+    while (selection := select(tables, least)) is not None:
         for name in selection.channels:
             if searches[name].add(selection) or searches[name].finished:
                 del tables[name]
@@ -173,11 +115,10 @@ class Selection(NamedTuple):
     gain: float
 
 
-def select(tables: Mapping[str, Table], least: float, there: Mapping[str, Sequence[str]]) -> Selection | None:
+def select(tables: Mapping[str, Table], least: float) -> Selection | None:
     """Return the effect that gains most on all the channels that show it, if that is more than `least`.
 
-    Of effects that gain alike, what carries over goes before an event, and what is `there` already before
-    what is new.
+    Of effects that gain alike, what carries over goes before an event.
     """
     names = dict.fromkeys(name for table in tables.values() for name in table)
     on = {name: [channel for channel in tables if _shows(tables[channel], name, least)] for name in names}
@@ -186,9 +127,8 @@ def select(tables: Mapping[str, Table], least: float, there: Mapping[str, Sequen
     if not proven:
         return None
 
-    def order(name: str) -> tuple[bool, bool, float]:
-        carries = tables[on[name][0]][name].candidate.scope != "event"
-        return carries, any(name in there.get(channel, ()) for channel in on[name]), total[name]
+    def order(name: str) -> tuple[bool, float]:
+        return tables[on[name][0]][name].candidate.scope != "event", total[name]
 
     chosen = max((name for name in proven if _near(total[name], max(total.values()))), key=order)
     channels = on[chosen]
@@ -270,13 +210,12 @@ class Search:
         """
         if not tried:
             return []
-        price, channel, pool = self.likelihood.price, self.channel, self.channel.pool
-        terms = [pool.terms(candidate) for candidate in tried]
+        price, channel = self.likelihood.price, self.channel
+        terms = [channel.pool.terms(candidate) for candidate in tried]
         starts = list(dict.fromkeys(tuple(start) for _, start in terms if start))
         every = [*([*own, *start] for own, start in terms), *map(list, starts)]
         before, noise = self.fitted(model)
-        base = channel.design(model)
-        after = self.likelihood.scan(channel.values, base, pool, every, no_larger(noise))
+        after = self.likelihood.scan(channel.values, channel.design(model), every, no_larger(noise))
         ratio = (2.0 * (after - before)).tolist()
         alone = dict(zip(starts, ratio[len(tried) :], strict=True))
         found = []
@@ -352,7 +291,7 @@ class Search:
             self.finished = True
             return False
         there = {finding.name for finding in self.findings}
-        others = [other for other in selection.names[1:] if other in table and other not in there]
+        others = [other for other in selection.names[1:] if other not in there]
         gain = max(best.gain, table[name].gain)  # beside a partner the latter is more
         rivals = {**{other: one.gain for other, one in table.items()}, name: gain}
         alike = {other: table[other].candidate for other in others[: MOST_NAMES - 1]}

@@ -14,9 +14,9 @@ import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.effects.library import separated_by
-from imumon.lab.diagnosis.candidates import Channel
+from imumon.lab.diagnosis.candidates import Channel, Finding
 from imumon.lab.diagnosis.fit import Fit, FittedPart, PartSigma, TestScore, fit, goes_on, score_test, sigmas
-from imumon.lab.diagnosis.search import MOST_NAMES, Finding, Search
+from imumon.lab.diagnosis.search import MOST_NAMES, Search
 
 CLEAN = 1.8
 """Residual in white floors below which nothing is missing: as much slow noise as white is allowed."""

@@ -8,11 +8,10 @@ import pytest
 from imumon.effects.base import Drive
 from imumon.effects.hysteresis import Hysteresis
 from imumon.effects.since_power_on import Drift, WarmUp
-from imumon.lab.diagnosis.candidates import Candidate, Part
+from imumon.lab.diagnosis.candidates import Candidate, Finding, Part
 from imumon.lab.diagnosis.diagnose import diagnose
 from imumon.lab.diagnosis.report import report
 from imumon.lab.diagnosis.runs import Run
-from imumon.lab.diagnosis.search import Finding
 from imumon.lab.diagnosis.verdict import chosen_by_test
 from tests.lab.diagnosis.units import ramps, run
 
