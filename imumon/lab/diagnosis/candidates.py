@@ -207,8 +207,7 @@ class Pool:
         which = np.repeat(np.arange(len(self.runs)), [*map(len, self.runs)])
         out = np.empty((len(which), len(terms)))
         for at, (column, scope) in enumerate(terms):
-            values = self._columns[column]
-            out[:, at] = values if scope == SHARED else np.where(which == scope, values, 0.0)
+            out[:, at] = self._columns[column] * ((scope == SHARED) | (which == scope))
         return out
 
     def design(self, found: Sequence[Candidate]) -> FloatArray:

@@ -32,24 +32,20 @@ def extended_model(diagnosis: Diagnosis) -> BiasModel:
 
     A jump, a turn-on offset and an amplitude that is another in each run are in the report alone.
     """
-    known = diagnosis.model
-    origins = [one.run.origin for one in diagnosis.train if one.run.origin is not None]
-    each = {name: {getattr(origin, name) for origin in origins} for name in ("device", "serial")}
-    kept: dict[str, Any] = {name: values.pop() for name, values in each.items() if len(values) == 1}
+    known, recorded = diagnosis.model, [one for one in diagnosis.train if one.run.origin is not None]
+    update: dict[str, Any] = {
+        "made_by": f"imumon {__version__}",
+        "created": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}",
+        "block_s": diagnosis.block_s,
+        "trained_on": [trained_on(one) for one in recorded],
+        "channels": {one.name: _channel(one, known) for one in with_model(diagnosis)},
+    }
     if known is not None:
-        names = ("device", "serial", "axes", "earth_rate", "latitude_deg", "heading_deg", "levels_degc")
-        kept = {name: getattr(known, name) for name in names}
-    return BiasModel(
-        made_by=f"imumon {__version__}",
-        created=f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}",
-        block_s=diagnosis.block_s,
-        trained_on=[trained_on(one) for one in diagnosis.train if one.run.origin is not None],
-        channels={
-            verdict.name: _channel(verdict, known.channels[verdict.name] if known is not None else None)
-            for verdict in with_model(diagnosis)
-        },
-        **kept,
-    )
+        return known.model_copy(update=update)
+    for name in ("device", "serial"):
+        distinct = {getattr(one.run.origin, name) for one in recorded}
+        update |= {name: distinct.pop()} if len(distinct) == 1 else {}
+    return BiasModel(**update)
 
 
 def with_model(diagnosis: Diagnosis) -> list[ChannelVerdict]:
@@ -57,27 +53,24 @@ def with_model(diagnosis: Diagnosis) -> list[ChannelVerdict]:
     return [verdict for verdict in diagnosis.verdicts if verdict.name in UNITS]
 
 
-def _channel(verdict: ChannelVerdict, known: ChannelModel | None) -> ChannelModel:
+def _channel(verdict: ChannelVerdict, known: BiasModel | None) -> ChannelModel:
     """Return the model of a channel: the known one, or none at all, with what was fitted."""
     fitted = verdict.after if verdict.predicts else verdict.before
-    channel, scale, rms = verdict.channel, verdict.channel.scale, verdict.test_after.rms
+    channel, rms = verdict.channel, verdict.test_after.rms
+    middle, half = channel.scale.middle, channel.scale.half_span
     rms = rms if np.isfinite(rms) else fitted.train_rms
     residual = float(np.sqrt(max(rms**2 - channel.floor.sd**2, 0.0)))
-    margin = WIDENED * scale.half_span
-    present = known or ChannelModel.model_validate(
-        {
-            "unit": channel.unit,
-            "temperature_column": channel.pool.temperature,
-            "temperature_range_degc": [scale.middle - margin, scale.middle + margin],
-            "residual_sd": residual,
-            "curve": PolynomialCurve(
-                center_degc=scale.middle, half_width_degc=scale.half_span, coefficients=[0.0]
-            ),
-        }
-    )
+    new = {
+        "unit": channel.unit,
+        "temperature_column": channel.pool.temperature,
+        "temperature_range_degc": [middle - WIDENED * half, middle + WIDENED * half],
+        "residual_sd": residual,
+        "curve": PolynomialCurve(center_degc=middle, half_width_degc=half, coefficients=[0.0]),
+    }
+    present = ChannelModel.model_validate(new) if known is None else known.channels[verdict.name]
     model = refitted(present, channel, fitted, residual)
     if verdict.name.startswith("accel"):  # what it has at the middle is gravity
-        more = model.curve.value(scale.middle) - present.curve.value(scale.middle)
+        more = model.curve.value(middle) - present.curve.value(middle)
         model = model.model_copy(update={"curve": model.curve.minus(float(more))})
     return model
 

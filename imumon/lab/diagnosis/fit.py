@@ -185,13 +185,10 @@ def _begun(channel: Channel, run: RunBlocks) -> int | None:
 
 def _without_levels(residual: FloatArray, use: BoolArray, levels: IntArray) -> tuple[FloatArray, BoolArray]:
     """Return a residual less the mean of each level, and which blocks count: of levels with enough."""
-    left, counted = residual.copy(), use.copy()
-    for level in np.unique(levels):
-        here = levels == level
-        number = int((here & use).sum())
-        left[here] -= residual[here & use].mean() if number else 0.0
-        counted[here] &= number >= LEAST_LEVEL_BLOCKS
-    return left, counted
+    each = levels[:, np.newaxis] == np.unique(levels)
+    count = each[use].sum(axis=0)
+    mean = residual[use] @ each[use] / np.maximum(count, 1)
+    return residual - each @ mean, use & (each @ (count >= LEAST_LEVEL_BLOCKS))
 
 
 def _predicted(channel: Channel, run: RunBlocks, model: Fit) -> FloatArray:

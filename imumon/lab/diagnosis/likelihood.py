@@ -156,11 +156,10 @@ def _explained(
         if places.shape[1] == 1:
             out[which] = part[:, 0] ** 2
             continue
-        x, y = matrix[places], within[places]
+        x, y = (part_of[places] * scale[places][:, :, np.newaxis] for part_of in (matrix, within))
         # A term that the base explains has a zero row: one on the diagonal makes its coefficient zero.
         diagonal = RIDGE + (~usable[places])
         gram = x @ x.transpose(0, 2, 1) - y @ y.transpose(0, 2, 1)
-        gram *= scale[places][:, :, np.newaxis] * scale[places][:, np.newaxis]
         gram += diagonal[:, :, np.newaxis] * np.eye(places.shape[1])
         solution = np.linalg.solve(gram, part[:, :, np.newaxis])[:, :, 0]
         against = one_sign & (solution[:, :-1] * solution[:, 1:] < 0)

@@ -171,11 +171,9 @@ class Search:
     its gain (NaN without); `survey` is what the runs can show, `tried` what may be added.
     """
 
-    def __init__(
-        self, channel: Channel, survey: Survey, likelihood: Likelihood, tried: Sequence[Candidate]
-    ) -> None:
-        self.channel, self.survey, self.likelihood, self.tried = channel, survey, likelihood, tried
-        again = [effect for effect in channel.known or () if effect not in channel.kept]
+    def __init__(self, axis: Channel, survey: Survey, likelihood: Likelihood, tried: list[Candidate]) -> None:
+        self.channel, self.survey, self.likelihood, self.tried = axis, survey, likelihood, tried
+        again = [effect for effect in axis.known or () if effect not in axis.kept]
         self.findings = [Finding(Candidate((Part(effect),)), known=True) for effect in again]
         self.tables: list[Table] = []
         self.stages: list[tuple[str, Sequence[Candidate], float]] = []
@@ -240,7 +238,7 @@ class Search:
         scored = sorted(self.scored(self.tried, self.model), key=attrgetter("gain"))
         best = {one.family: one for one in scored}
         beside = self._beside_partner(scored, best) if pairs and not self.findings else {}
-        self.tables.append(best | beside)
+        self.tables.append({**best, **beside})
 
     def _beside_partner(self, scored: Sequence[Scored], best: Table) -> Table:
         """Return what effects gain beside the partner in the best pair, where both are needed.
