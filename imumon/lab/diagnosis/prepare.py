@@ -35,18 +35,6 @@ MANY_GAPS = 0.2
 """Share of a run left out that is reported."""
 CUBIC_DEGREE = 3
 """As what is assumed without a model: other curves keep their shape, and have a cubic added."""
-
-
-def channels_with_model(channels: Sequence[str], model: BiasModel) -> list[str]:
-    """Return the channels that a model has; raises BAD_CONFIG where it has none of them."""
-    if found := [name for name in channels if name in model.channels]:
-        return found
-    raise bad_config(
-        f"the model has {', '.join(model.channels)}; the data has {', '.join(channels)}",
-        "give the model of this unit, or --declared",
-    )
-
-
 RESOLUTION = 1e-12
 """Share of its value below which the changes of a channel are rounding in the computation of its means."""
 
@@ -295,6 +283,16 @@ def usable_blocks(
 
 
 # A model that is known
+
+
+def channels_with_model(channels: Sequence[str], model: BiasModel) -> list[str]:
+    """Return the channels that a model has; raises BAD_CONFIG where it has none of them."""
+    if found := [name for name in channels if name in model.channels]:
+        return found
+    raise bad_config(
+        f"the model has {', '.join(model.channels)}; the data has {', '.join(channels)}",
+        "give the model of this unit, or --declared",
+    )
 
 
 def temperature_of(channel: str, model: BiasModel | None, runs: Sequence[Run]) -> str:
