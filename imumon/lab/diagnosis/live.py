@@ -28,7 +28,6 @@ from imumon.lab.diagnosis.diagnose import Recorded, likeliest, search_sensor
 from imumon.lab.diagnosis.extended import refitted, trained_on
 from imumon.lab.diagnosis.fit import LEAST_TEST_BLOCKS, fit
 from imumon.lab.diagnosis.likelihood import Likelihood
-from imumon.lab.diagnosis.prepare import usable_drivers
 from imumon.lab.diagnosis.runs import DRIVERS, LONGEST_GAP_S, BoundedRun, Origin, Run, further_columns
 from imumon.lab.diagnosis.search import PROVEN, Search, least_gain
 from imumon.lab.diagnosis.verdict import MATERIAL
@@ -77,7 +76,7 @@ def better_models(run: Run, model: BiasModel, channels: Sequence[str]) -> list[B
     temperatures = {name: prepare.temperature_of(name, model, [run]) for name in channels}
     used = list(dict.fromkeys(temperatures.values()))
     left = prepare.without_curves(run, model, channels)
-    drivers = usable_drivers([run], [], used, None, [])
+    drivers = prepare.usable_drivers([run], [], used, None, [])
     blocks = make_blocks(left, channels, used, drivers, common_block_s([run]))
     if len(blocks) < LEAST_BLOCKS:
         return []

@@ -77,9 +77,8 @@ def write_page(diagnosis: Diagnosis, path: Path, progress: Progress = None) -> N
     picture = svg(lambda axes: _draw_errors(axes, diagnosis, first), WIDE)
     page = environment().get_template("report.html.j2")
     content = report(diagnosis, path.parent)
-    write_text(
-        path, page.render(report=content, picture=picture, first=first, verdicts=verdicts, drawn=drawn)
-    )
+    text = page.render(report=content, picture=picture, first=first, verdicts=verdicts, drawn=drawn)
+    write_text(path, text)
 
 
 def _errors(verdict: ChannelVerdict) -> tuple[float, float]:
