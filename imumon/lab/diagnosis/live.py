@@ -128,9 +128,9 @@ class Challenger:
 
         That is the logarithm of the likelihood ratio, the better model's over the present one's, and the rms
         that the present and the better model leave, over the channels that differ.  Temperatures outside
-        those of the better model do not count.
+        those of the earlier part, from which the better model is, do not count.
         """
-        run = prepare.within_range(self.model, run, self._names)
+        run = prepare.within_range(self.model, run, self._names, self.since_s)
         ratio, squares = 0.0, []
         for model, sign in ((self._present, -1.0), (self.model, 1.0)):
             blocks = prepare.residual(run, model, self._names)

@@ -367,8 +367,9 @@ def residual(run: Run, model: BiasModel, channels: Sequence[str]) -> RunBlocks:
     return make_blocks(left, channels, [*temperatures], block_s=common_block_s([run]))
 
 
-def within_range(model: BiasModel, run: Run, channels: Sequence[str]) -> Run:
-    """Return a run at rest only where its temperatures are inside the range that a model was fitted on.
+def within_range(model: BiasModel, run: Run, channels: Sequence[str], until_s: float | None = None) -> Run:
+    """Return a run at rest only where its temperatures are inside the range that a model was fitted on, or
+    those that the run itself had until then.
 
     Outside that range the curve continues as a straight line, and what is left there is no effect.
     """
@@ -376,5 +377,9 @@ def within_range(model: BiasModel, run: Run, channels: Sequence[str]) -> Run:
     for name in channels:
         values = run.mean[temperature_of(name, model, [run])]
         known = np.isfinite(values)
-        inside &= model.channels[name].inside(np.interp(run.time_s, run.time_s[known], values[known]))
+        if until_s is None:
+            inside &= model.channels[name].inside(np.interp(run.time_s, run.time_s[known], values[known]))
+        else:
+            early = values[(run.time_s < until_s) & known]
+            inside &= (values >= early.min()) & (values <= early.max())
     return replace(run, rest=np.where(inside, run.rest, 0.0))

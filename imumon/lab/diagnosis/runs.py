@@ -248,22 +248,21 @@ class Watcher:
     def __init__(self, channels: Sequence[str]) -> None:
         self._kept: dict[str, list[FloatArray]] = {name: [] for name in channels}
         """Samples, and the step to each from the one before, (n, 2)."""
-        self._stride, self._phase, self._count = 1, 0, 0
+        self._stride, self._rows = 1, 0
 
     def through(self, blocks: Iterable[SampleBlock]) -> Iterator[SampleBlock]:
         """Yield the blocks unchanged."""
         for block in blocks:
-            chosen = slice(-self._phase % self._stride, None, self._stride)
-            self._phase = (self._phase + len(block)) % self._stride
-            self._count += len(block) // self._stride + 1
+            chosen = slice(-self._rows % self._stride, None, self._stride)
+            self._rows += len(block)
             for name in self._kept.keys() & block.columns.keys():
                 values = block[name]
                 steps = np.diff(values, prepend=np.nan)
                 self._kept[name].append(np.column_stack([values, steps])[chosen].astype(np.float64))
-            if self._count > KEPT:
+            while self._rows > KEPT * self._stride:
                 joined = {name: np.concatenate(kept) for name, kept in self._kept.items() if kept}
                 self._kept = {name: [values[::2]] for name, values in joined.items()}
-                self._stride, self._count = 2 * self._stride, self._count // 2
+                self._stride *= 2
             yield block
 
     def samples(self) -> dict[str, Samples]:
