@@ -199,8 +199,8 @@ class Pool:
     def spectra(self, terms: Sequence[Term]) -> IntArray:
         """Return a number for each term, (k,): those of the same are of one sign; -1 where that is free."""
         found = [(self._spectra[column], scope) for column, scope in terms]
-        number = {one: at for at, one in enumerate(dict.fromkeys(found))}
-        return np.array([number[one] if one[0] >= 0 else -1 for one in found], np.int64)
+        of_each = len(self.runs) + 1
+        return np.array([one * of_each + scope + 1 if one >= 0 else -1 for one, scope in found], np.int64)
 
     def matrix(self, terms: Sequence[Term]) -> FloatArray:
         """Return the columns of terms over all runs, (n, k): zero in runs that a term is not of."""

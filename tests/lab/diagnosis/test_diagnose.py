@@ -26,6 +26,7 @@ from imumon.recordings.table import TableWriter
 from imumon.simulation.recording import record_session
 from imumon.simulation.unit import load_scenario
 from tests.data_folder import measured
+from tests.estimation.attitude.test_stage import CALIBRATED
 from tests.lab.diagnosis.units import DPH, WHITE_DPH, Bias, cubic, lagged, ramps, run, three
 
 LAG_S = 200.0
@@ -316,9 +317,11 @@ def test_a_known_model_is_taken_off_first_and_goes_into_the_file_with_what_it_la
         residual_sd=1e-6,
         curve=curve,
     )
-    known = BiasModel(made_by="a test", created="2026-01-01T00:00:00Z", channels={"gyro_x": channel})
+    made = {"made_by": "a test", "created": "2026-01-01T00:00:00Z"}
+    known = BiasModel(**made, channels={"gyro_x": channel}, magnetometer=CALIBRATED)
     diagnosis = diagnose(*three(lag), model=known)
     assert names(diagnosis) == ["thermal_lag"]
+    assert extended_model(diagnosis).magnetometer == CALIBRATED
     found = extended_model(diagnosis).channels["gyro_x"]
     assert found.curve.kind == "spline"
     assert found.temperature_column == "temperature_estimate"
