@@ -317,8 +317,12 @@ def test_a_known_model_is_taken_off_first_and_goes_into_the_file_with_what_it_la
         residual_sd=1e-6,
         curve=curve,
     )
-    made = {"made_by": "a test", "created": "2026-01-01T00:00:00Z"}
-    known = BiasModel(**made, channels={"gyro_x": channel}, magnetometer=CALIBRATED)
+    known = BiasModel(
+        made_by="a test",
+        created="2026-01-01T00:00:00Z",
+        channels={"gyro_x": channel},
+        magnetometer=CALIBRATED,
+    )
     diagnosis = diagnose(*three(lag), model=known)
     assert names(diagnosis) == ["thermal_lag"]
     assert extended_model(diagnosis).magnetometer == CALIBRATED
