@@ -46,8 +46,8 @@ def command(
     """
     from imumon.lab.diagnosis.diagnose import diagnose
     from imumon.lab.diagnosis.extended import extended_model, with_model
+    from imumon.lab.diagnosis.prepare import latest
     from imumon.lab.diagnosis.report import report
-    from imumon.lab.diagnosis.runs import latest
     from imumon.recordings.folder import sessions_in
 
     check_output(out)
@@ -92,13 +92,12 @@ def _of_one(sessions: list[Session], wanted: dict[str, str | None], folder: Path
 
 def _read(session: Session, count: Count) -> list[Run]:
     """Return the runs of a session that can be used, saying why others cannot."""
-    from imumon.lab.diagnosis.usable import resting
+    from imumon.lab.diagnosis.runs import MOSTLY
 
     try:
         runs = read(session.path, None, at_rest=False, count=count)
     except ImumonError as error:
         warn([f"{session.path.name} is left out: {error.line}"])
         return []
-    still = [run for run in runs if resting(run)]
-    warn(f"{run.name} is left out: it moves" for run in runs if not resting(run))
-    return still
+    warn(f"{run.name} is left out: it moves" for run in runs if run.rest_share < MOSTLY)
+    return [run for run in runs if run.rest_share >= MOSTLY]

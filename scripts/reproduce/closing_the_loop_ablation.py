@@ -17,8 +17,8 @@ from study import Options, Study, Table, spread
 from imumon.lab.diagnosis import candidates, likelihood, search, verdict
 from imumon.lab.diagnosis import diagnose as engine
 from imumon.lab.diagnosis.candidates import Candidate
-from imumon.lab.diagnosis.choice import PROVEN
 from imumon.lab.diagnosis.diagnose import diagnose
+from imumon.lab.diagnosis.search import PROVEN
 
 SHARES = (0.5, 0.55, 0.6, 0.65, 0.7, 0.75)
 """Of the chamber's record that is trained on."""

@@ -67,6 +67,12 @@ class RunBlocks:
         """Name of the run."""
         return self.run.name
 
+    @property
+    def force(self) -> FloatArray | None:
+        """Specific force in each block, m/s², (n, 3); None where it is not recorded."""
+        accel = next((drive.accel for drive in self.drives.values()), None)
+        return None if accel is None else self.average(accel)
+
     def __len__(self) -> int:
         return len(self.time_s)
 
@@ -95,13 +101,16 @@ def make_blocks(
     slots = max(1, round(block_s / run.slot_s))
     pose = np.zeros(len(valid), np.int64) if accel is None else poses(accel, valid)
     valid = in_one_pose(valid, pose, slots)
+    count = run.count[channels[0]]
+    some = count > 0
+    whole = some & np.append(some[1:], False) & np.append(False, some[:-1])  # no gap cuts it
     weight = np.zeros(len(valid))
-    weight[valid] = run.count[channels[0]][valid] / run.samples_per_slot(channels[0])
+    if valid.any():
+        weight[valid] = count[valid] / count[whole if whole.any() else some].mean()
     values = [np.where(valid, run.mean[name], 0.0) for name in channels]
     temperature = [drive.temperature_degc for drive in drives.values()]
-    means, share = _block_means(
-        np.column_stack([run.time_s, pose.astype(np.float64), *values, *temperature]), weight, slots
-    )
+    every = np.column_stack([run.time_s, pose.astype(np.float64), *values, *temperature])
+    means, share = _block_means(every, weight, slots)
     keep = share >= 0.5
     time_s, number, *columns = means[keep].T
     return RunBlocks(
@@ -159,32 +168,18 @@ def in_one_pose(valid: BoolArray, pose: IntArray, slots: int) -> BoolArray:
     return kept
 
 
-def specific_force(run: RunBlocks) -> FloatArray | None:
-    """Return the specific force in each block, (n, 3); None where it is not recorded."""
-    accel = next((drive.accel for drive in run.drives.values()), None)
-    return None if accel is None else run.average(accel)
-
-
-def at_poses(runs: Sequence[RunBlocks]) -> list[RunBlocks]:
-    """Return runs in which the specific force that drives effects is the mean of its pose.
+def at_poses(run: RunBlocks) -> RunBlocks:
+    """Return a run in which the specific force that drives effects is the mean of its pose.
 
     A reading that is to be explained must not explain its own noise.
     """
-    found = []
-    for run in runs:
-        force = specific_force(run)
-        if force is None:
-            found.append(run)
-            continue
-        known, which = np.unique(run.pose, return_inverse=True)
-        level = np.array([force[run.pose == pose].mean(axis=0) for pose in known])
-        middle = 0.5 * (run.time_s[1:] + run.time_s[:-1])
-        drives = {
-            name: replace(drive, accel=level[which[np.searchsorted(middle, drive.time_s)]])
-            for name, drive in run.drives.items()
-        }
-        found.append(replace(run, drives=drives))
-    return found
+    force, middle = run.force, 0.5 * (run.time_s[1:] + run.time_s[:-1])
+    if force is None:
+        return run
+    level = np.array([force[run.pose == pose].mean(axis=0) for pose in run.pose])
+    accel = level[np.searchsorted(middle, run.run.time_s)]
+    drives = {name: replace(drive, accel=accel) for name, drive in run.drives.items()}
+    return replace(run, drives=drives)
 
 
 def common_block_s(runs: Sequence[Run]) -> float:
@@ -243,7 +238,7 @@ def survey(runs: Sequence[RunBlocks], temperature: str, degree: int) -> Survey:
     """Return what the training runs can show, with the drivers that there are beside a temperature."""
     found = [run.temperature[temperature] for run in runs]
     low, high = min(float(t.min()) for t in found), max(float(t.max()) for t in found)
-    forces = [force for run in runs if (force := specific_force(run)) is not None]
+    forces = [force for run in runs if (force := run.force) is not None]
     others = {}
     for name in runs[0].drives[temperature].others:
         values = np.concatenate([run.average(run.drives[temperature].others[name]) for run in runs])

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.polynomial import Polynomial
 
 from imumon.blocks import FloatArray, IntArray
 from imumon.effects.base import Effect, Scale, Survey
 from imumon.effects.library import EFFECTS
 from imumon.effects.temperature_curve import TemperatureCurve
 from imumon.lab.diagnosis.blocks import RunBlocks, WhiteFloor
-from imumon.lab.diagnosis.quality import Fault
 from imumon.lab.diagnosis.runs import unit_of
 
 Own = Literal["", "run", "pose"]
@@ -38,16 +36,20 @@ class Part:
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """One or more parts of the same family, and whether the state at power-on of each run is free.
+    """One or more parts, and whether the state at power-on of each run is free.
 
-    The family is the label of its effects.  `choice` is the price in BIC for having been chosen among what
-    other drivers there are (extended BIC, gamma = 1: Chen & Chen 2008, doi:10.1093/biomet/asn034).
+    `choice` is the price in BIC for having been chosen among what other drivers there are (extended BIC,
+    gamma = 1: Chen & Chen 2008, doi:10.1093/biomet/asn034).
     """
 
-    family: str
     parts: tuple[Part, ...]
     free_start: bool = False
     choice: float = 0.0
+
+    @property
+    def family(self) -> str:
+        """Name of its effect."""
+        return self.parts[0].effect.label
 
     @property
     def nonlinear(self) -> int:
@@ -69,42 +71,41 @@ class Candidate:
         start = self.parts[0].effect.free_start and level == 0 and len(self.parts) == 1
         other = [replace(self, free_start=not self.free_start)] if start else []
         return other + [
-            replace(self, parts=(*self.parts[:at], Part(effect, part.runs), *self.parts[at + 1 :]))
+            self.with_part(at, Part(effect, part.runs))
             for at, part in enumerate(self.parts)
             for effect in part.effect.refined(survey, level)
         ]
 
+    def with_part(self, at: int, part: Part) -> Candidate:
+        """Return it with another part in the place of one."""
+        return replace(self, parts=(*self.parts[:at], part, *self.parts[at + 1 :]))
+
 
 def candidates(survey: Survey, families: Iterable[str] = tuple(EFFECTS)) -> list[Candidate]:
     """Return everything worth trying on such runs."""
-    every = tuple(range(survey.runs))
+    every, price = tuple(range(survey.runs)), 2.0 * float(np.log(survey.choices))
     found: list[Candidate] = []
-    for name in families:
-        family = EFFECTS[name]
+    for family in (EFFECTS[name] for name in families):
         grid = family.grid(survey)
         if family.scope == "event":
             found += [
-                Candidate(name, (Part(effect, (run,)),))
+                Candidate((Part(effect, (run,)),))
                 for run, duration_s in enumerate(survey.durations_s)
                 for effect in grid
                 if effect.fits_in(duration_s, survey)
             ]
-        elif family.scope == "run":
-            found += [Candidate(name, (Part(effect, every[1:]),)) for effect in grid]
-        else:
-            single = [(Part(effect),) for effect in grid]
-            found += [Candidate(part[0].effect.label, part) for part in single]
-            price = 2.0 * float(np.log(survey.choices))
-            found += [
-                Candidate(effect.label, (Part(effect),), choice=price)
-                for driver in survey.others
-                for effect in family.driven(survey, driver)
-            ]
-            found += [Candidate(name, _late_curve(one, survey)) for one in family.of_curve(survey)]
-            if family.free_start:
-                found += [Candidate(name, part, free_start=True) for part in single]
-            if family.scope == "either" and survey.runs > 1:
-                found += [Candidate(name, (Part(effect, every),)) for effect in grid]
+            continue
+        if family.scope == "run":
+            found += [Candidate((Part(effect, every[1:]),)) for effect in grid]
+            continue
+        shared = [Candidate((Part(effect),)) for effect in grid]
+        driven = [effect for driver in survey.others for effect in family.driven(survey, driver)]
+        found += [*shared, *(Candidate((Part(effect),), choice=price) for effect in driven)]
+        found += [Candidate(_late_curve(effect, survey)) for effect in family.of_curve(survey)]
+        if family.free_start:
+            found += [replace(one, free_start=True) for one in shared]
+        if family.scope == "either" and survey.runs > 1:
+            found += [Candidate((Part(effect, every),)) for effect in grid]
     return found
 
 
@@ -116,6 +117,61 @@ def _late_curve(late: Effect, survey: Survey) -> tuple[Part, ...]:
     middle, half_span = survey.middle_degc, survey.half_span_degc
     powers = TemperatureCurve(middle=middle, half_span=half_span, first_power=survey.degree + 1, powers=more)
     return Part(late), Part(powers)
+
+
+class Scored(NamedTuple):
+    """A candidate with its gain over the model so far.
+
+    `fit` is the gain without the price of the nonlinear parameters and of the choice.  `partner` names the
+    effect beside which it gains so much, where neither gains it alone.
+    """
+
+    candidate: Candidate
+    gain: float
+    fit: float
+    partner: str = ""
+
+    @property
+    def family(self) -> str:
+        """Name of its effect."""
+        return self.candidate.family
+
+
+Table = Mapping[str, Scored]
+"""The best candidate of each family."""
+
+
+@dataclass(slots=True, eq=False)
+class Finding:
+    """An effect that was chosen for a channel, or that the present model has.
+
+    `gain` is that over the model before it, `pooled_gain` the same summed over the channels that show it, and
+    `rivals` has the gain of every family at that stage.
+    """
+
+    candidate: Candidate
+    """With refined parameters; coefficients come with the fit."""
+    gain: float = 0.0
+    pooled_gain: float = 0.0
+    rivals: dict[str, float] = field(default_factory=dict)
+    others: dict[str, Candidate] = field(default_factory=dict)
+    """The best of each other family that cannot be told apart from it."""
+    size: float = 0.0
+    """rms of what it took away from training when it was found."""
+    by_test: bool = False
+    """Whether the test alone proves it."""
+    known: bool = False
+    """Whether it is of the present model, and fitted anew."""
+
+    @property
+    def name(self) -> str:
+        """Name of the effect."""
+        return self.candidate.family
+
+    @property
+    def alike(self) -> list[str]:
+        """It and the families that cannot be told apart from it; empty when there is no other."""
+        return [self.name, *self.others] if self.others else []
 
 
 @dataclass(slots=True)
@@ -143,16 +199,15 @@ class Pool:
     def spectra(self, terms: Sequence[Term]) -> IntArray:
         """Return a number for each term, (k,): those of the same are of one sign; -1 where that is free."""
         found = [(self._spectra[column], scope) for column, scope in terms]
-        number = {one: at for at, one in enumerate(dict.fromkeys(found))}
-        return np.array([number[one] if one[0] >= 0 else -1 for one in found], np.int64)
+        of_each = len(self.runs) + 1
+        return np.array([one * of_each + scope + 1 if one >= 0 else -1 for one, scope in found], np.int64)
 
     def matrix(self, terms: Sequence[Term]) -> FloatArray:
         """Return the columns of terms over all runs, (n, k): zero in runs that a term is not of."""
         which = np.repeat(np.arange(len(self.runs)), [*map(len, self.runs)])
         out = np.empty((len(which), len(terms)))
         for at, (column, scope) in enumerate(terms):
-            values = self._columns[column]
-            out[:, at] = values if scope == SHARED else np.where(which == scope, values, 0.0)
+            out[:, at] = self._columns[column] * ((scope == SHARED) | (which == scope))
         return out
 
     def design(self, found: Sequence[Candidate]) -> FloatArray:
@@ -186,8 +241,9 @@ class Channel:
     pool: Pool
     """Training runs, which temperature drives the channel, and the columns of effects over them."""
     test: Sequence[RunBlocks]
-    faults: Sequence[Fault] = ()
-    """What is wrong with its data."""
+    faults: Mapping[str, float] = field(default_factory=dict)
+    """What is wrong with its data, and the most that this alone makes of a smooth bias: a smaller effect
+    cannot be found.  It is infinite where nothing that is fitted would be the bias."""
     known: tuple[Effect, ...] | None = None
     """Effects of the present model, whose curve is off the means already; None without one."""
     kept: tuple[Effect, ...] = ()
@@ -201,7 +257,7 @@ class Channel:
     @property
     def blind(self) -> float:
         """rms below which an effect may be a fault of the data."""
-        return max((fault.blind for fault in self.faults), default=0.0)
+        return max(self.faults.values(), default=0.0)
 
     @property
     def limit(self) -> float:
@@ -223,21 +279,20 @@ class Channel:
         return self if self.known is None else replace(self, degree=0, kept=self.known)
 
     @cached_property
+    def temperature(self) -> FloatArray:
+        """Temperature of each block over all training runs, °C, (n,)."""
+        return np.concatenate([run.temperature[self.pool.temperature] for run in self.pool.runs])
+
+    @cached_property
     def scale(self) -> Scale:
         """Middle and half of the span of the trained temperatures, °C."""
-        found = np.concatenate([run.temperature[self.pool.temperature] for run in self.pool.runs])
-        low, high = float(found.min()), float(found.max())
+        low, high = float(self.temperature.min()), float(self.temperature.max())
         return Scale(0.5 * (low + high), max(0.5 * (high - low), 1e-3))
 
     def powers(self, temperature: FloatArray, count: int) -> FloatArray:
         """Return the first `count` of 1, u, u², ..., (n, count)."""
         u = (temperature - self.scale.middle) / self.scale.half_span
         return np.asarray(u[:, np.newaxis] ** np.arange(count))
-
-    def curve(self, coefficients: FloatArray) -> Polynomial:
-        """Return a fitted curve over the trained temperatures."""
-        middle, half_span = self.scale.middle, self.scale.half_span
-        return Polynomial(coefficients, domain=[middle - half_span, middle + half_span])
 
     def levels(self, run: RunBlocks) -> IntArray:
         """Return which of the constants of a run each block has, (n,), from 0."""
@@ -248,7 +303,7 @@ class Channel:
         """Block means over all training runs less the effects that stay as they are, (n,)."""
         means = np.concatenate([run.mean[self.name] for run in self.pool.runs])
         for effect in self.kept:
-            columns = self.pool.design([Candidate(effect.label, (Part(effect),))])
+            columns = self.pool.design([Candidate((Part(effect),))])
             means = means - columns @ np.asarray(effect.coefficients)
         return means
 
@@ -256,9 +311,7 @@ class Channel:
     def base(self) -> FloatArray:
         """Columns of the declared model over all training runs, (n, p): powers of u, and a constant for each
         further run or pose that has one of its own."""
-        runs = self.pool.runs
-        temperature = np.concatenate([run.temperature[self.pool.temperature] for run in runs])
-        columns = self.powers(temperature, self.degree + 1)
+        runs, columns = self.pool.runs, self.powers(self.temperature, self.degree + 1)
         if not self.own:
             return columns
         which = [np.column_stack([np.full(len(run), at), self.levels(run)]) for at, run in enumerate(runs)]

@@ -11,28 +11,21 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
 from imumon.clock.channel import CLOCK
-from imumon.effects.base import LEAST_SPAN_DEGC, Survey
+from imumon.effects.base import LEAST_SPAN_DEGC
 from imumon.effects.library import effects_for
 from imumon.errors import bad_config
 from imumon.geodesy import EARTH_RATE
 from imumon.lab.calibration.gravity import Length
-from imumon.lab.diagnosis import known, usable
-from imumon.lab.diagnosis.blocks import (
-    RunBlocks,
-    at_poses,
-    common_block_s,
-    specific_force,
-    survey,
-    white_floor,
-)
+from imumon.lab.diagnosis import prepare
+from imumon.lab.diagnosis.blocks import RunBlocks, at_poses, common_block_s, survey, white_floor
 from imumon.lab.diagnosis.candidates import Channel, Own, Pool, least_squares
-from imumon.lab.diagnosis.choice import PROVEN
-from imumon.lab.diagnosis.runs import SENSORS, Run, channels_of, common_temperature
-from imumon.lab.diagnosis.search import STAGES, Progress, Search, search
+from imumon.lab.diagnosis.runs import SENSORS, Run, channels_of
+from imumon.lab.diagnosis.search import PROVEN, STAGES, Progress, Search, search
 from imumon.lab.diagnosis.verdict import ChannelVerdict, decide
 from imumon.models.curves.polynomial import CUBIC
 from imumon.models.model import BiasModel
@@ -81,7 +74,6 @@ class Diagnosis:
     verdicts: list[ChannelVerdict]
     train: Sequence[RunBlocks]
     test: Sequence[RunBlocks]
-    survey: Survey
     caveats: list[str] = field(default_factory=list)
     model: BiasModel | None = None
     held_out: bool = False
@@ -107,7 +99,7 @@ def diagnose(
     train: Sequence[Run],
     test: Sequence[Run],
     declared: str = CUBIC,
-    progress: Progress | None = None,
+    progress: Progress = None,
     sensors: Sequence[str] = SENSORS,
     model: BiasModel | None = None,
     drivers: Sequence[str] | None = None,
@@ -138,10 +130,9 @@ def diagnose(
         verdicts=verdicts,
         train=data.blocks,
         test=data.test,
-        survey=survey(data.blocks, verdicts[0].channel.pool.temperature, data.degree),
         caveats=remarks,
         model=model,
-        held_out=any(one.run.share < 1.0 for one in data.blocks),
+        held_out=any(one.run.woven for one in data.test),
         length=length,
     )
 
@@ -157,23 +148,23 @@ def _prepared(
 ) -> Recorded:
     """Return what is searched; on what is not, and on limits, it adds to the remarks."""
     degree, own = parse_declared(declared)
-    channels = usable.usable_channels(train, test, sensors, remarks)
-    train, test = usable.train_and_test(train, test, channels, remarks)
-    temperatures = _temperatures(channels, train, model)
+    names = prepare.usable_channels(train, test, sensors, remarks)
+    train, test = prepare.train_and_test(train, test, names, remarks)
+    if model is not None:
+        names = prepare.channels_with_model(names, model)
+    temperatures = {name: prepare.temperature_of(name, model, train) for name in names}
     used = [*dict.fromkeys(temperatures.values())]
     if model is not None:
-        channels, curves = [*temperatures], known.curves_of(model)
-        train, test = ([known.without_model(run, curves, channels) for run in runs] for runs in (train, test))
-        degree = max(known.order_of(model.channels[name]) for name in channels)
+        train, test = ([prepare.without_curves(one, model, names) for one in runs] for runs in (train, test))
+        degree = max(prepare.order_of(model.channels[name]) for name in names)
         if drivers is not None:
-            there = (*drivers, *used)
-            needed = BiasPredictor(model, channels).drivers
-            drivers = [*drivers, *(name for name in needed if name not in there)]
-    others = usable.usable_drivers(train, test, [*used, *channels], drivers, remarks)
-    block_s, earlier = common_block_s([*train, *test]), len(remarks)
-    blocks = usable.usable_blocks(train, channels, used, others, block_s, remarks)
-    usable.check_training(blocks, block_s, remarks[earlier:])
-    tested = usable.usable_blocks(test, channels, used, others, block_s, remarks)
+            needed = dict.fromkeys([*drivers, *BiasPredictor(model, names).drivers])
+            drivers = [name for name in needed if name in drivers or name not in used]
+    others = prepare.usable_drivers(train, test, [*used, *names], drivers, remarks)
+    made = partial(prepare.usable_blocks, channels=names, temperatures=used, drivers=others)
+    block_s = common_block_s([*train, *test])
+    blocks = made(train, block_s=block_s, remarks=remarks, training=True)
+    tested = made(test, block_s=block_s, remarks=remarks)
     shown = survey(blocks, used[0], degree)
     if not shown.thermal:
         degree = 0
@@ -182,40 +173,18 @@ def _prepared(
             " no curve over temperature is fitted, and no effect of temperature can be found"
         )
     elif model is not None:  # else no curve is fitted, and that of the model stays as it is
-        known.check_range(model, temperatures, blocks)
+        prepare.check_range(model, temperatures, blocks)
     if not tested:
         remarks.append("no run can be used as a test: there is no independent proof")
     if len(blocks) < 2:
-        remarks.append(
-            "one training run: what depends on time and what depends on temperature may look alike"
-        )
-    shorter = usable.usable_blocks(train, channels, used, others, search_block_s(blocks), [])
+        remarks += ["one training run: what depends on time and what depends on temperature may look alike"]
+    shorter = made(train, block_s=search_block_s(blocks), remarks=[])
     return Recorded(blocks, temperatures, degree, tested, shorter, own, model)
-
-
-def _temperatures(channels: Sequence[str], runs: Sequence[Run], model: BiasModel | None) -> dict[str, str]:
-    """Return the temperature that the curve of each channel is over: the model's, or that of its axis, where
-    there is one.
-
-    Raises BAD_DATA without any; BAD_CONFIG when the model has none of the channels.
-    """
-    if model is None:
-        lacking = "there is no temperature in the training data, so there is no bias over it to diagnose"
-        return {
-            name: common_temperature(f"temperature_{name[-1]}", runs, lacking, but=name) for name in channels
-        }
-    found = {name: known.temperature_of(name, model, runs) for name in channels if name in model.channels}
-    if not found:
-        raise bad_config(
-            f"the model has {', '.join(model.channels)}; the data has {', '.join(channels)}",
-            "give the model of this unit, or --declared",
-        )
-    return found
 
 
 def _length(data: Recorded, remarks: list[str]) -> Length | None:
     """Return what |f| = g determines of the accelerometers in several poses, and add that in words."""
-    forces = [force for run in data.blocks if (force := specific_force(run)) is not None]
+    forces = [force for run in data.blocks if (force := run.force) is not None]
     if len(channels_of(["accel"], data.temperatures)) < 3 or len(forces) < len(data.blocks):
         return None
     channel = _channels(data, ["accel_x"], "pose", data.blocks)[0]
@@ -232,29 +201,29 @@ def _length(data: Recorded, remarks: list[str]) -> Length | None:
 
 def search_sensor(
     data: Recorded,
-    group: Sequence[str],
-    effects: Sequence[str],
+    axes: Sequence[str],
+    names: Sequence[str],
     stages: int = STAGES,
-    progress: Progress | None = None,
+    progress: Progress = None,
 ) -> list[list[Search]]:
     """Return the search in the axes of a sensor beside each base that is possible.
 
     In each pose, and each day, other sensors than gyros have another part of gravity, field or weather, which
     is not known: they have a constant in each.  So may gyros have, by the earth rate.
     """
-    owns: list[Own] = [data.own] if group[0].startswith(("gyro", CLOCK)) else []
+    owns: list[Own] = [data.own] if axes[0].startswith(("gyro", CLOCK)) else []
     blocks = data.shorter or data.blocks
     turned = any(run.pose.max() > run.pose.min() for run in blocks)
-    if not owns or (group[0].startswith("gyro") and turned):
+    if not owns or (axes[0].startswith("gyro") and turned):
         owns.append("pose")
     found = []
     for own in owns:
-        channels = _channels(data, group, own, blocks)
+        channels = _channels(data, axes, own, blocks)
         shown = survey(channels[0].pool.runs, channels[0].pool.temperature, data.degree)
-        found.append(search(channels, shown, effects, stages, progress))
+        found.append(search(channels, shown, names, stages, progress))
         if any(channel.refitted for channel in channels):
             given = [channel.as_given() for channel in channels]
-            found.append(search(given, shown, effects, stages, progress))
+            found.append(search(given, shown, names, stages, progress))
     return found
 
 
@@ -262,10 +231,8 @@ def scored_channels(data: Recorded, found: Sequence[Search]) -> list[Channel]:
     """Return the axes that were searched, over the base of the search, in the blocks that are scored."""
     searched = [one.channel for one in found]
     scored = _channels(data, [channel.name for channel in searched], searched[0].own, data.blocks)
-    return [
-        replace(channel, degree=like.degree, kept=like.kept)
-        for channel, like in zip(scored, searched, strict=True)
-    ]
+    both = zip(scored, searched, strict=True)
+    return [replace(channel, degree=like.degree, kept=like.kept) for channel, like in both]
 
 
 def search_block_s(blocks: Sequence[RunBlocks]) -> float:
@@ -279,13 +246,16 @@ def _channels(data: Recorded, group: Sequence[str], own: Own, blocks: Sequence[R
     """Return the axes of a sensor over one base, in these blocks."""
     test = data.test
     if own == "pose":
-        blocks, test = at_poses(blocks), at_poses(test)
+        blocks, test = ([at_poses(run) for run in runs] for runs in (blocks, test))
     pools = {name: Pool(blocks, name) for name in dict.fromkeys(data.temperatures[axis] for axis in group)}
     found = []
     for name in group:
         pool, floor = pools[data.temperatures[name]], white_floor(name, blocks)
-        effects = None if data.model is None else known.effects_of(data.model.channels[name])
-        wrong = usable.faults([one.run for one in blocks], name, floor.sd)
+        effects = None
+        if data.model is not None:  # what is a polynomial is part of the curve
+            every = data.model.channels[name].effects
+            effects = tuple(effect for effect in every if effect.polynomial() is None)
+        wrong = prepare.faults([one.run for one in blocks], name, floor.sd)
         found.append(Channel(name, floor, data.degree, own, pool, test, wrong, effects))
     return found
 

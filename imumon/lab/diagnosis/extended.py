@@ -15,7 +15,8 @@ from imumon.lab.diagnosis.blocks import RunBlocks
 from imumon.lab.diagnosis.candidates import Channel
 from imumon.lab.diagnosis.diagnose import Diagnosis, diagnose
 from imumon.lab.diagnosis.fit import Fit
-from imumon.lab.diagnosis.runs import Run, latest
+from imumon.lab.diagnosis.prepare import latest
+from imumon.lab.diagnosis.runs import Run
 from imumon.lab.diagnosis.search import Progress
 from imumon.lab.diagnosis.verdict import ChannelVerdict
 from imumon.models.curves.polynomial import HIGHEST_ORDER, PolynomialCurve
@@ -31,27 +32,20 @@ def extended_model(diagnosis: Diagnosis) -> BiasModel:
 
     A jump, a turn-on offset and an amplitude that is another in each run are in the report alone.
     """
-    known = diagnosis.model
-    origins = [one.run.origin for one in diagnosis.train if one.run.origin is not None]
-    kept: dict[str, Any] = {
-        name: distinct.pop()
-        for name in ("device", "serial")
-        if len(distinct := {getattr(origin, name) for origin in origins}) == 1
+    known, recorded = diagnosis.model, [one for one in diagnosis.train if one.run.origin is not None]
+    update: dict[str, Any] = {
+        "made_by": f"imumon {__version__}",
+        "created": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}",
+        "block_s": diagnosis.block_s,
+        "trained_on": [trained_on(one) for one in recorded],
+        "channels": {one.name: _channel(one, known) for one in with_model(diagnosis)},
     }
     if known is not None:
-        names = ("device", "serial", "axes", "earth_rate", "latitude_deg", "heading_deg", "levels_degc")
-        kept = {name: getattr(known, name) for name in names}
-    return BiasModel(
-        made_by=f"imumon {__version__}",
-        created=f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}",
-        block_s=diagnosis.block_s,
-        trained_on=[trained_on(one) for one in diagnosis.train if one.run.origin is not None],
-        channels={
-            verdict.name: _channel(verdict, known.channels[verdict.name] if known is not None else None)
-            for verdict in with_model(diagnosis)
-        },
-        **kept,
-    )
+        return known.model_copy(update=update)
+    for name in ("device", "serial"):
+        distinct = {getattr(one.run.origin, name) for one in recorded}
+        update |= {name: distinct.pop()} if len(distinct) == 1 else {}
+    return BiasModel(**update)
 
 
 def with_model(diagnosis: Diagnosis) -> list[ChannelVerdict]:
@@ -59,27 +53,24 @@ def with_model(diagnosis: Diagnosis) -> list[ChannelVerdict]:
     return [verdict for verdict in diagnosis.verdicts if verdict.name in UNITS]
 
 
-def _channel(verdict: ChannelVerdict, known: ChannelModel | None) -> ChannelModel:
+def _channel(verdict: ChannelVerdict, known: BiasModel | None) -> ChannelModel:
     """Return the model of a channel: the known one, or none at all, with what was fitted."""
     fitted = verdict.after if verdict.predicts else verdict.before
-    channel, scale, rms = verdict.channel, verdict.channel.scale, verdict.test_after.rms
+    channel, rms = verdict.channel, verdict.test_after.rms
+    middle, half = channel.scale.middle, channel.scale.half_span
     rms = rms if np.isfinite(rms) else fitted.train_rms
     residual = float(np.sqrt(max(rms**2 - channel.floor.sd**2, 0.0)))
-    margin = WIDENED * scale.half_span
-    present = known or ChannelModel.model_validate(
-        {
-            "unit": channel.unit,
-            "temperature_column": channel.pool.temperature,
-            "temperature_range_degc": [scale.middle - margin, scale.middle + margin],
-            "residual_sd": residual,
-            "curve": PolynomialCurve(
-                center_degc=scale.middle, half_width_degc=scale.half_span, coefficients=[0.0]
-            ),
-        }
-    )
+    new = {
+        "unit": channel.unit,
+        "temperature_column": channel.pool.temperature,
+        "temperature_range_degc": [middle - WIDENED * half, middle + WIDENED * half],
+        "residual_sd": residual,
+        "curve": PolynomialCurve(center_degc=middle, half_width_degc=half, coefficients=[0.0]),
+    }
+    present = ChannelModel.model_validate(new) if known is None else known.channels[verdict.name]
     model = refitted(present, channel, fitted, residual)
     if verdict.name.startswith("accel"):  # what it has at the middle is gravity
-        more = model.curve.value(scale.middle) - present.curve.value(scale.middle)
+        more = model.curve.value(middle) - present.curve.value(middle)
         model = model.model_copy(update={"curve": model.curve.minus(float(more))})
     return model
 
@@ -89,7 +80,10 @@ def refitted(known: ChannelModel, channel: Channel, fitted: Fit, residual_sd: fl
 
     To a curve that is no polynomial itself it is added as an effect.  The curve holds where it was fitted.
     """
-    curve, more, others, own = known.curve, channel.curve(fitted.declared), list[Effect](), list[Polynomial]()
+    curve, middle, half = known.curve, channel.scale.middle, channel.scale.half_span
+    low, high = middle - half, middle + half
+    more = Polynomial(fitted.declared, domain=[low, high])
+    others, own = list[Effect](), list[Polynomial]()
     for effect in (part.effect.with_start(part.start) for part in fitted.parts if part.carries):
         part = effect.polynomial()
         if part is None or part.degree() > HIGHEST_ORDER:
@@ -97,8 +91,6 @@ def refitted(known: ChannelModel, channel: Channel, fitted: Fit, residual_sd: fl
         else:
             own.append(part)
     parts = [part for effect in known.effects if (part := effect.polynomial()) is not None]
-    low, high = more.domain.tolist()
-    middle, half = 0.5 * (low + high), 0.5 * (high - low)
     update: dict[str, Any] = {"residual_sd": residual_sd, "held_out_rms": {}, "effects": others}
     if more.degree() > 0 or own:
         margin, (known_low, known_high) = (WIDENED - 1.0) * half, known.temperature_range_degc
@@ -149,11 +141,8 @@ def model_with_drivers(
     """
     declared = "polynomial 3 + offset"  # the degree is that of the model, the offset as in the calibration
     diagnosis = diagnose(*latest(recordings), declared, progress, model=model, drivers=drivers)
-    found = [
-        verdict
-        for verdict in diagnosis.verdicts
-        if verdict.predicts and any(claim.finding.candidate.choice > 0.0 for claim in verdict.claims)
-    ]
+    useful = [one for one in diagnosis.verdicts if one.predicts]
+    found = [one for one in useful if any(claim.finding.candidate.choice > 0.0 for claim in one.claims)]
     extended = extended_model(diagnosis).channels
     channels = {**model.channels, **{verdict.name: extended[verdict.name] for verdict in found}}
     return model.model_copy(update={"channels": channels}), found, diagnosis.caveats

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -14,14 +14,6 @@ from imumon.lab.diagnosis.blocks import RunBlocks
 from imumon.lab.diagnosis.candidates import Candidate, Channel, Part, least_squares
 from imumon.lab.diagnosis.likelihood import Likelihood
 
-CLEAN = 1.8
-"""Residual in white floors below which nothing is missing: as much slow noise as white is allowed."""
-MATERIAL = 1.3
-"""Of a model that leaves less than so many floors, what is missing is too small to matter."""
-EXPLAINED = 0.6
-"""Share of the excess over the white floor that has to be explained before anything is named, in training
-and in the test.  With it nothing is named in any of 99 channels with wanders, walks, telegraph noise, bursts
-and a hidden supply; on a chamber record true effects have 0.67 to 0.99."""
 CARRY_SPREAD = 0.35
 """Own coefficients carry over when none is further from their mean than this share of it."""
 LEAST_TEST_BLOCKS = 10
@@ -99,9 +91,7 @@ def fit(channel: Channel, found: Sequence[Candidate]) -> Fit:
     return Fit(model, parts, channel.values - design @ coefficients, lifted)
 
 
-def _layout(
-    channel: Channel, model: Sequence[Candidate]
-) -> Iterator[tuple[Candidate, slice[int, int], slice[int, int]]]:
+def _layout(channel: Channel, model: Sequence[Candidate]) -> Iterator[tuple[Candidate, slice, slice]]:
     """Yield each candidate with the columns of the design that define it, and those of its free start."""
     at = channel.base.shape[1]
     for one in model:
@@ -151,29 +141,24 @@ def score_test(channel: Channel, model: Fit, like: Fit | None = None) -> TestSco
     Blocks count after the state at power-on is forgotten, of the model `like` where one is given: the same
     for the models that are compared.
     """
-    trained = np.concatenate([run.temperature[channel.pool.temperature] for run in channel.pool.runs])
-    left, estimated, counted, inside = [], [], [], 0
+    trained, left, estimated, counted, inside = channel.temperature, [], [], [], 0
     for run in channel.test:
         t = run.temperature[channel.pool.temperature]
-        inside_range = (t >= trained.min()) & (t <= trained.max())
-        inside += int(inside_range.sum())
-        use = inside_range & _settled(channel, run, like or model)
+        use = (t >= trained.min()) & (t <= trained.max())
+        inside += int(use.sum())
+        for part in (like or model).parts:
+            settled = part.effect.settled(run.drives[channel.pool.temperature])
+            use &= run.average(settled.astype(np.float64)) > 0.99
         residual = run.mean[channel.name] - _predicted(channel, run, model)
         if channel.own:
             residual, use = _without_levels(residual, use, channel.levels(run))
         left.append(residual)
         estimated.append(residual - _estimated(channel, run, model, residual, use))
         counted.append(use)
-    scored, blocks = sum(int(part.sum()) for part in counted), sum(map(len, counted))
-    return TestScore(
-        rms=_rms_of(left, counted),
-        estimated_rms=_rms_of(estimated, counted),
-        coverage=inside / blocks if blocks else float("nan"),
-        scored=scored / max(inside, 1) if blocks else float("nan"),
-        residual=left,
-        estimated=estimated,
-        counted=counted,
-    )
+    coverage = inside / sum(map(len, counted)) if channel.test else np.nan
+    scored = sum(int(part.sum()) for part in counted) / max(inside, 1) if channel.test else np.nan
+    rms, estimated_rms = _rms_of(left, counted), _rms_of(estimated, counted)
+    return TestScore(rms, estimated_rms, coverage, scored, left, estimated, counted)
 
 
 def root_mean_square(values: FloatArray) -> float:
@@ -189,16 +174,10 @@ def _rms_of(parts: Sequence[FloatArray], counted: Sequence[BoolArray]) -> float:
 
 def goes_on(channel: Channel, model: Fit) -> bool:
     """Return whether the test goes on from a training run that has coefficients of its own."""
-    return any(begun(channel, run) in part.runs for part in model.parts for run in channel.test)
+    return any(_begun(channel, run) in part.runs for part in model.parts for run in channel.test)
 
 
-def is_woven(channel: Channel) -> bool:
-    """Return whether the test lies between parts of the training, whose ends any smooth course joins."""
-    begun_in = [(run, at) for run in channel.test if (at := begun(channel, run)) is not None]
-    return any(run.time_s[0] < channel.pool.runs[at].time_s[-1] for run, at in begun_in)
-
-
-def begun(channel: Channel, run: RunBlocks) -> int | None:
+def _begun(channel: Channel, run: RunBlocks) -> int | None:
     """Return the training run that a run goes on from; None where it begins with a power-on of its own."""
     names = [other.name for other in channel.pool.runs]
     return names.index(run.run.begun_in) if run.run.begun_in in names else None
@@ -206,20 +185,17 @@ def begun(channel: Channel, run: RunBlocks) -> int | None:
 
 def _without_levels(residual: FloatArray, use: BoolArray, levels: IntArray) -> tuple[FloatArray, BoolArray]:
     """Return a residual less the mean of each level, and which blocks count: of levels with enough."""
-    left, counted = residual.copy(), use.copy()
-    for level in np.unique(levels):
-        here = levels == level
-        number = int((here & use).sum())
-        left[here] -= residual[here & use].mean() if number else 0.0
-        counted[here] &= number >= LEAST_LEVEL_BLOCKS
-    return left, counted
+    each = levels[:, np.newaxis] == np.unique(levels)
+    count = each[use].sum(axis=0)
+    mean = residual[use] @ each[use] / np.maximum(count, 1)
+    return residual - each @ mean, use & (each @ (count >= LEAST_LEVEL_BLOCKS))
 
 
 def _predicted(channel: Channel, run: RunBlocks, model: Fit) -> FloatArray:
     """Return the bias that a fitted model predicts of a run, (n,)."""
     temperature = run.temperature[channel.pool.temperature]
     expected = channel.powers(temperature, len(model.declared)) @ model.declared
-    drive, which = run.drives[channel.pool.temperature], begun(channel, run)
+    drive, which = run.drives[channel.pool.temperature], _begun(channel, run)
     for part in model.parts:
         if part.carries:
             expected = expected + run.average(part.effect.simulate(drive))
@@ -228,24 +204,13 @@ def _predicted(channel: Channel, run: RunBlocks, model: Fit) -> FloatArray:
     return np.asarray(expected if which is None else expected - model.lifted)
 
 
-def _settled(channel: Channel, run: RunBlocks, model: Fit) -> BoolArray:
-    """Return at which blocks of a run no state at power-on matters any more, (n,)."""
-    found = np.ones(len(run), bool)
-    for part in model.parts:
-        settled = part.effect.settled(run.drives[channel.pool.temperature])
-        found &= run.average(settled.astype(np.float64)) > 0.99
-    return found
-
-
-def _estimated(
-    channel: Channel, run: RunBlocks, model: Fit, residual: FloatArray, use: BoolArray
-) -> FloatArray:
+def _estimated(channel: Channel, run: RunBlocks, model: Fit, left: FloatArray, use: BoolArray) -> FloatArray:
     """Return the least-squares estimate, from the blocks that count, of what does not carry over, (n,).
 
     That is a level, the coefficients that are each run's own, and one jump where the model has jumps.  What
     the training run has that this one goes on from is predicted.
     """
-    which = begun(channel, run)
+    which = _begun(channel, run)
     own = [part.effect for part in model.parts if not part.carries and which not in part.runs]
     if not own or int(use.sum()) < LEAST_TEST_BLOCKS:
         return np.zeros(len(run))
@@ -254,9 +219,9 @@ def _estimated(
     levels = channel.levels(run)
     columns = np.column_stack([levels[:, np.newaxis] == np.unique(levels[use]), *further]).astype(float)
     if any(one.scope == "event" for one in own):
-        first = np.flatnonzero(use)[_jump_at(columns[use], residual[use])]
+        first = np.flatnonzero(use)[_jump_at(columns[use], left[use])]
         columns = np.column_stack([columns, np.arange(len(run)) >= first])
-    return np.asarray(columns @ least_squares(columns[use], residual[use]))
+    return np.asarray(columns @ least_squares(columns[use], left[use]))
 
 
 def _jump_at(columns: FloatArray, residual: FloatArray) -> int:
@@ -267,20 +232,6 @@ def _jump_at(columns: FloatArray, residual: FloatArray) -> int:
     norm = np.arange(len(left), 0, -1) - (np.cumsum(basis[::-1], axis=0)[::-1] ** 2).sum(axis=1)
     taken = (size**2 / np.maximum(norm, 1e-9))[LEAST_LEVEL_BLOCKS : -LEAST_LEVEL_BLOCKS + 1]
     return LEAST_LEVEL_BLOCKS + int(np.argmax(taken))
-
-
-# Whether a model explains what is there: one rule for training and test
-
-
-def explained_share(before: float, after: float, floor: float) -> float:
-    """Return the share of the excess of the mean square over the white floor that is explained, or 0."""
-    excess = before**2 - floor**2
-    return 1.0 - (after**2 - floor**2) / excess if excess > 0 and np.isfinite(after) else 0.0
-
-
-def explains(before: float, after: float, floor: float) -> bool:
-    """Return whether a model that leaves `after` explains enough of what another left to be named."""
-    return after < CLEAN * floor or explained_share(before, after, floor) >= EXPLAINED
 
 
 # How well the parameters are known
@@ -306,7 +257,7 @@ def sigmas(
     gives all errors, those that the linear ones take over from the searched ones among them.
     """
     design = channel.design(model)
-    slopes, names = _slopes(channel, model, least_squares(design, channel.values))
+    slopes = _slopes(channel, model, least_squares(design, channel.values))
     whiten, _ = likelihood.white(np.eye(len(design)), likelihood.best(channel.values, design)[1])
     both, left = whiten @ np.column_stack([design, slopes]), whiten @ channel.values
     searching = np.linalg.pinv(both, rcond=1e-10)
@@ -317,34 +268,32 @@ def sigmas(
     least = np.linalg.pinv(design, rcond=1e-10)
     linear = sd * (np.linalg.solve(whiten.T, least.T).T - (least @ slopes) @ logarithms)
     share, spread = sd * np.linalg.norm(logarithms, axis=1), np.linalg.norm(linear, axis=1)
-    parts = []
+    relative, parts = iter(share.tolist()), []
     for one, where, _ in _layout(channel, model):
-        of_parts = [PartSigma(rows, {}) for rows in _by_part(one, spread[where])]
-        for (part, name), relative in zip(names, share.tolist(), strict=True):
-            for sigma, own in zip(of_parts, one.parts, strict=True):
-                if own is part:
-                    sigma.searched[name] = relative * getattr(part.effect, name)
-        parts.append(of_parts)
+        found = []
+        for part, rows in zip(one.parts, _by_part(one, spread[where]), strict=True):
+            found.append(PartSigma(rows, {name: next(relative) * at for name, at in _searched(part).items()}))
+        parts.append(found)
     declared = linear[: channel.degree + 1]
     return declared @ declared.T, parts
 
 
-def _slopes(
-    channel: Channel, model: Sequence[Candidate], coefficients: FloatArray
-) -> tuple[FloatArray, list[tuple[Part, str]]]:
-    """Return how the model changes with the logarithm of each searched parameter, (n, p), and these."""
-    slopes, names = [np.empty((len(channel.values), 0))], []
+def _searched(part: Part) -> dict[str, float]:
+    """Return the nonlinear parameters of a part that are not zero."""
+    found = {name: float(getattr(part.effect, name)) for name in part.effect.nonlinear}
+    return {name: value for name, value in found.items() if value > 0.0}
+
+
+def _slopes(channel: Channel, model: Sequence[Candidate], coefficients: FloatArray) -> FloatArray:
+    """Return how the model changes with the logarithm of each searched parameter, (n, p)."""
+    slopes = [np.empty((len(channel.values), 0))]
     for one, where, starts in _layout(channel, model):
         own = coefficients[where.start : starts.stop]
         for at, part in enumerate(one.parts):
-            for name in part.effect.nonlinear:
-                value, ends = getattr(part.effect, name), []
-                if value <= 0.0:
-                    continue
-                for factor in (1.0 + CHANGE, 1.0 - CHANGE):
+            for name, value in _searched(part).items():
+                ends = []
+                for factor in (1.0 - CHANGE, 1.0 + CHANGE):
                     changed = Part(part.effect.model_copy(update={name: value * factor}), part.runs)
-                    other = replace(one, parts=(*one.parts[:at], changed, *one.parts[at + 1 :]))
-                    ends.append(channel.pool.design([other]) @ own)
-                slopes.append(((ends[0] - ends[1]) / (2.0 * CHANGE))[:, np.newaxis])
-                names.append((part, name))
-    return np.column_stack(slopes), names
+                    ends.append(channel.pool.design([one.with_part(at, changed)]) @ own)
+                slopes.append(np.diff(np.column_stack(ends)) / (2.0 * CHANGE))
+    return np.column_stack(slopes)

@@ -17,7 +17,6 @@ import numpy.typing as npt
 
 from imumon.blocks import BoolArray, FloatArray, IntArray
 from imumon.compiled import njit
-from imumon.lab.diagnosis.blocks import RunBlocks
 from imumon.lab.diagnosis.candidates import Pool, Term
 
 Noise = tuple[float, float]
@@ -40,18 +39,22 @@ RIDGE = 1e-9
 class Likelihood:
     """Log-likelihoods of the n block means of some runs, for a base (n, p) that the model so far has."""
 
-    def __init__(self, runs: Sequence[RunBlocks]) -> None:
-        self.n = sum(map(len, runs))
+    def __init__(self, pool: Pool) -> None:
+        self.n = sum(map(len, pool.runs))
         self.price = float(np.log(self.n))
         """What a parameter costs in BIC."""
-        self._runs = runs
+        self._pool = pool
         self._sd = {noise: self.white(np.empty((self.n, 0)), noise)[1] for noise in GRID}
         """Standard deviation of each innovation, for each noise, (n,)."""
-        self._whitened: dict[tuple[int, Noise], dict[Term, FloatArray]] = {}
+        self._whitened: dict[Noise, dict[Term, FloatArray]] = {noise: {} for noise in GRID}
 
     def best(self, values: FloatArray, base: FloatArray) -> tuple[float, Noise]:
         """Return the best log-likelihood of values (n,), and its noise on the whole grid."""
-        return max((self.at(values, base, noise), noise) for noise in GRID)
+        found = []
+        for noise in GRID:
+            left, _ = self.left(values, base, noise)
+            found.append((float(self._of(left @ left, noise)), noise))
+        return max(found)
 
     def predictive(self, values: FloatArray, early: BoolArray) -> float:
         """Return the predictive log-likelihood of later values, given the early ones and their noise."""
@@ -64,18 +67,8 @@ class Likelihood:
             found.append((fit, float(later - np.log(sd[~early] * np.sqrt(variance)).sum())))
         return max(found)[1]
 
-    def at(self, values: FloatArray, base: FloatArray, noise: Noise) -> float:
-        """Return the log-likelihood of values (n,) with a noise."""
-        left, _ = self.left(values, base, noise)
-        return float(self._of(left @ left, noise))
-
     def scan(
-        self,
-        values: FloatArray,
-        base: FloatArray,
-        pool: Pool,
-        terms: Sequence[Sequence[Term]],
-        grid: Sequence[Noise],
+        self, values: FloatArray, base: FloatArray, terms: Sequence[Sequence[Term]], grid: Sequence[Noise]
     ) -> FloatArray:
         """Return the best log-likelihood of the base with each candidate, given as terms.
 
@@ -83,19 +76,19 @@ class Likelihood:
         """
         used = list(dict.fromkeys(term for group in terms for term in group))
         place = {term: at for at, term in enumerate(used)}
-        groups = _by_size([[place[term] for term in group] for group in terms], pool.spectra(used))
+        groups = _by_size([[place[term] for term in group] for group in terms], self._pool.spectra(used))
         best = np.full(len(terms), -np.inf)
         for point in grid:
             residual, basis = self.left(values, base, point)
-            explained = _explained(residual, basis, self._terms(pool, used, point), groups, len(terms))
+            explained = _explained(residual, basis, self._terms(used, point), groups, len(terms))
             best = np.maximum(best, self._of(residual @ residual - explained, point))
         return best
 
-    def _terms(self, pool: Pool, terms: Sequence[Term], noise: Noise) -> FloatArray:
+    def _terms(self, terms: Sequence[Term], noise: Noise) -> FloatArray:
         """Return the whitened columns of terms, a row each; each is whitened once for each noise."""
-        known = self._whitened.setdefault((id(pool), noise), {})
+        known = self._whitened[noise]
         new = [term for term in terms if term not in known]
-        known.update(zip(new, self.white(pool.matrix(new), noise)[0].T, strict=True))
+        known.update(zip(new, self.white(self._pool.matrix(new), noise)[0].T, strict=True))
         return np.array([known[term] for term in terms])
 
     def _of(self, squares: npt.ArrayLike, noise: Noise) -> FloatArray:
@@ -114,11 +107,9 @@ class Likelihood:
         the standard deviations of their innovations, (n,)."""
         flicker, walk = noise
         markov_sd = np.full(len(TAUS_S), np.sqrt(flicker / len(TAUS_S)))
-        parts = np.split(columns, np.cumsum([len(run) for run in self._runs])[:-1])
-        found = [
-            whiten(part, run.time_s, run.white, TAUS_S, markov_sd, np.sqrt(walk / WALK_S))
-            for run, part in zip(self._runs, parts, strict=True)
-        ]
+        parts = np.split(columns, np.cumsum([len(run) for run in self._pool.runs])[:-1])
+        both, walk_sd = zip(self._pool.runs, parts, strict=True), np.sqrt(walk / WALK_S)
+        found = [whiten(part, run.time_s, run.white, TAUS_S, markov_sd, walk_sd) for run, part in both]
         return np.concatenate([part for part, _ in found]), np.concatenate([sd for _, sd in found])
 
 
@@ -130,15 +121,13 @@ def no_larger(start: Noise) -> list[Noise]:
     return [point for point in GRID if sum(point) <= sum(start)]
 
 
-def _by_size(
-    groups: Sequence[Sequence[int]], spectra: IntArray
-) -> list[tuple[IntArray, IntArray, BoolArray]]:
+def _by_size(terms: Sequence[Sequence[int]], spectra: IntArray) -> list[tuple[IntArray, IntArray, BoolArray]]:
     """Return, for each number of terms, which candidates have it (count,), their terms (count, size), and
     whether a term and the next are of one sign (count, size - 1)."""
     found = []
-    for size in sorted({len(group) for group in groups} - {0}):
-        which = [at for at, group in enumerate(groups) if len(group) == size]
-        places = np.array([groups[at] for at in which])
+    for size in sorted({len(group) for group in terms} - {0}):
+        which = [at for at, group in enumerate(terms) if len(group) == size]
+        places = np.array([terms[at] for at in which])
         this, following = spectra[places[:, :-1]], spectra[places[:, 1:]]
         found.append((np.array(which), places, (this == following) & (this >= 0)))
     return found
@@ -167,11 +156,10 @@ def _explained(
         if places.shape[1] == 1:
             out[which] = part[:, 0] ** 2
             continue
-        x, y = matrix[places], within[places]
+        x, y = (part_of[places] * scale[places][:, :, np.newaxis] for part_of in (matrix, within))
         # A term that the base explains has a zero row: one on the diagonal makes its coefficient zero.
         diagonal = RIDGE + (~usable[places])
         gram = x @ x.transpose(0, 2, 1) - y @ y.transpose(0, 2, 1)
-        gram *= scale[places][:, :, np.newaxis] * scale[places][:, np.newaxis]
         gram += diagonal[:, :, np.newaxis] * np.eye(places.shape[1])
         solution = np.linalg.solve(gram, part[:, :, np.newaxis])[:, :, 0]
         against = one_sign & (solution[:, :-1] * solution[:, 1:] < 0)

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -22,16 +21,16 @@ from imumon.effects.library import EFFECTS
 from imumon.effects.vibration import SECOND_NS
 from imumon.errors import ImumonError
 from imumon.geodesy import DEG_PER_H
-from imumon.lab.diagnosis import known
+from imumon.lab.diagnosis import prepare
 from imumon.lab.diagnosis.blocks import LEAST_BLOCKS, common_block_s, make_blocks, survey
-from imumon.lab.diagnosis.choice import PROVEN, least_gain
+from imumon.lab.diagnosis.candidates import Pool
 from imumon.lab.diagnosis.diagnose import Recorded, likeliest, search_sensor
 from imumon.lab.diagnosis.extended import refitted, trained_on
-from imumon.lab.diagnosis.fit import LEAST_TEST_BLOCKS, MATERIAL, fit
+from imumon.lab.diagnosis.fit import LEAST_TEST_BLOCKS, fit
 from imumon.lab.diagnosis.likelihood import Likelihood
 from imumon.lab.diagnosis.runs import DRIVERS, LONGEST_GAP_S, BoundedRun, Origin, Run, further_columns
-from imumon.lab.diagnosis.search import Search
-from imumon.lab.diagnosis.usable import usable_drivers
+from imumon.lab.diagnosis.search import PROVEN, Search, least_gain
+from imumon.lab.diagnosis.verdict import MATERIAL
 from imumon.lane import LaneState, Level
 from imumon.models.model import BiasModel, ChannelModel, TrainedOn
 from imumon.models.predictor import BiasPredictor
@@ -74,14 +73,14 @@ def better_models(run: Run, model: BiasModel, channels: Sequence[str]) -> list[B
     named at a time, where the gain over the present model, of all channels that lack it, pays for the choice
     of effect, channels and curve (extended BIC).
     """
-    temperatures = {name: known.temperature_of(name, model, [run]) for name in channels}
+    temperatures = {name: prepare.temperature_of(name, model, [run]) for name in channels}
     used = list(dict.fromkeys(temperatures.values()))
-    left = known.without_model(run, known.curves_of(model), channels)
-    drivers = usable_drivers([run], [], used, None, [])
+    left = prepare.without_curves(run, model, channels)
+    drivers = prepare.usable_drivers([run], [], used, None, [])
     blocks = make_blocks(left, channels, used, drivers, common_block_s([run]))
     if len(blocks) < LEAST_BLOCKS:
         return []
-    degree = known.CUBIC_DEGREE if survey([blocks], used[0], 0).thermal else 0
+    degree = prepare.CUBIC_DEGREE if survey([blocks], used[0], 0).thermal else 0
     data = Recorded([blocks], temperatures, degree, model=model)
     searched = search_sensor(data, channels, LASTING, stages=1)
     found = likeliest(searched, live=True)
@@ -94,11 +93,8 @@ def better_models(run: Run, model: BiasModel, channels: Sequence[str]) -> list[B
         return []
     every = [_better(one, gain, model) for one in lacking]
     # What a model leaves hardly above the white noise is too small to matter.
-    return [
-        better
-        for better, one in zip(every, lacking, strict=True)
-        if better.before >= MATERIAL * one.channel.floor.sd
-    ]
+    floors = [MATERIAL * one.channel.floor.sd for one in lacking]
+    return [better for better, floor in zip(every, floors, strict=True) if better.before >= floor]
 
 
 def _gain_over_given(found: Search) -> float:
@@ -119,19 +115,6 @@ def _better(found: Search, gain: float, model: BiasModel) -> Better:
     return Better(channel.name, names, gain, given.train_rms, fitted.train_rms, better)
 
 
-class Comparison(NamedTuple):
-    """Two models on what came later.
-
-    `ratio` is the logarithm of the likelihood ratio, the better model's over the present one's: above PROVEN
-    the better one has won, 1 in 3000 by chance, and below -PROVEN it has lost.  `before` and `after` are the
-    rms that the present and the better model leave, over the channels that differ.
-    """
-
-    ratio: float
-    before: float
-    after: float
-
-
 class Challenger:
     """A better model of some channels that runs beside the present one since it was found."""
 
@@ -140,24 +123,26 @@ class Challenger:
         self.model, self.since_s = present.model_copy(update={"channels": channels}), since_s
         self._present, self._names = present, [one.channel for one in found]
 
-    def compare(self, run: Run) -> Comparison | None:
+    def compare(self, run: Run) -> tuple[float, float, float] | None:
         """Return how both models do on the part of a run that came later; None while that is too short.
 
-        Temperatures outside those of the earlier part, from which the better model is, do not count.
+        That is the logarithm of the likelihood ratio, the better model's over the present one's, and the rms
+        that the present and the better model leave, over the channels that differ.  Temperatures outside
+        those of the earlier part, from which the better model is, do not count.
         """
-        run = known.within_range(self.model, run, self._names, self.since_s)
+        run = prepare.within_range(self.model, run, self._names, self.since_s)
         ratio, squares = 0.0, []
         for model, sign in ((self._present, -1.0), (self.model, 1.0)):
-            blocks = known.residual(run, model, self._names)
+            blocks = prepare.residual(run, model, self._names)
             early = blocks.time_s < self.since_s
             if min(early.sum(), (~early).sum()) < LEAST_TEST_BLOCKS:
                 return None
             left = [blocks.mean[name] - blocks.mean[name][early].mean() for name in self._names]
-            likelihood = Likelihood([blocks])
+            likelihood = Likelihood(Pool([blocks], "temperature"))
             ratio += sign * sum(likelihood.predictive(one, early) for one in left)
             squares.append(np.mean([one[~early] ** 2 for one in left]))
         before, after = np.sqrt(squares).tolist()
-        return Comparison(ratio, before, after)
+        return ratio, before, after
 
 
 class LiveDiagnosis:
@@ -173,10 +158,9 @@ class LiveDiagnosis:
     ) -> None:
         self._model, self._learn, self._made = model, learn, made
         self._gyros = [name for name in GYRO if name in model.channels]
-        wanted = BiasPredictor(model, self._gyros)
-        self._needed = wanted.drivers
-        self._temperatures = [name.replace("_estimate", "") for name in wanted.temperature_columns]
-        self._temperatures = list(dict.fromkeys([*self._temperatures, "temperature"]))
+        needed = BiasPredictor(model, self._gyros)
+        temperatures = [name.replace("_estimate", "") for name in needed.temperature_columns]
+        self._needed = [*self._gyros, *temperatures, "temperature", *needed.drivers]
         self._names: list[str] = []
         self._gatherer = gatherer_of(self._names, 1.0)
         self._waiting: list[SampleBlock] = []
@@ -214,7 +198,7 @@ class LiveDiagnosis:
             there = [name for name in (*ACCEL, *DRIVERS) if any(name in block for block in self._waiting)]
             made = self._made()
             more = [name for block in self._waiting for name in further_columns(block, made)]
-            self._names = [*dict.fromkeys([*self._gyros, *self._temperatures, *self._needed, *there, *more])]
+            self._names = [*dict.fromkeys([*self._needed, *there, *more])]
             self._gatherer = gatherer_of(self._names, 1.0)
             self._begin()
         for block in self._waiting:
@@ -223,54 +207,45 @@ class LiveDiagnosis:
         self._waiting = []
 
     def _take(self, slots: KeptSlots) -> None:
-        """Take the seconds that have ended; a new segment is a new run, and what comes after a long gap."""
-        if not len(slots):
-            return
-        gap_ns = np.diff(slots.start_ns, prepend=self._last_ns)
-        self._last_ns = int(slots.end_ns[-1])
-        begins = slots.begins | (gap_ns > LONGEST_GAP_S * SECOND_NS)
-        for start, stop in pairwise([0, *np.flatnonzero(begins).tolist(), len(slots)]):
-            if stop > start:
-                if begins[start]:
-                    self._begin()
-                self._follow(slots[start:stop])
+        """Take the seconds that have ended, and search wherever that is due.
 
-    def _follow(self, part: KeptSlots) -> None:
-        """Take seconds of one run, and stop wherever a search is due."""
-        while len(part):
-            elapsed = self._run_so_far.elapsed_s(part)
-            count = min(int(np.searchsorted(elapsed, self._next_search_s)) + 1, len(part))
-            self._run_so_far.take(part[:count])
-            now_s, part = float(elapsed[count - 1]), part[count:]
+        A new segment is a new run, and what comes after a long gap.
+        """
+        for second in (slots[at : at + 1] for at in range(len(slots))):
+            gap_ns = int(second.start_ns[0]) - self._last_ns
+            self._last_ns = int(second.end_ns[0])
+            if second.begins[0] or gap_ns > LONGEST_GAP_S * SECOND_NS:
+                self._begin()
+            now_s = self._run_so_far.take(second)
             if now_s >= self._next_search_s:
                 self._next_search_s = (now_s // SEARCH_EVERY_S + 1.0) * SEARCH_EVERY_S
-                self._compare()
                 self._search(now_s)
 
-    def _compare(self) -> None:
-        """Compare the model that runs beside the present one with it, on what came since it was found."""
-        found = None if self._challenger is None or self.offered else self._challenger.compare(self._run())
-        if found is None:
-            return
-        change = f"{found.before / DEG_PER_H:.3g} become {found.after / DEG_PER_H:.3g} °/h"
-        if found.ratio < -PROVEN:
+    def _compare(self, challenger: Challenger, run: Run) -> None:
+        """Compare the model that runs beside the present one with it, on what came since it was found.
+
+        Above PROVEN it has won, 1 in 3000 by chance; below -PROVEN it has lost.
+        """
+        ratio, before, after = challenger.compare(run) or (0.0, np.nan, np.nan)
+        change = f"{before / DEG_PER_H:.3g} become {after / DEG_PER_H:.3g} °/h"
+        if ratio < -PROVEN:
             self._challenger = None
             self._report(f"the better model is dropped: what came later is less likely with it ({change})")
-        elif found.ratio > PROVEN:
-            self.offered = self._challenger
-            self._report(
-                f"a better model has won on what came later: {change} (likelihood ratio e^{found.ratio:.0f});"
-                " it is kept with the session when that ends"
-            )
+        elif ratio > PROVEN:
+            self.offered = challenger
+            won = f"a better model has won on what came later: {change} (likelihood ratio e^{ratio:.0f})"
+            self._report(f"{won}; it is kept with the session when that ends")
 
     def _search(self, elapsed_s: float) -> None:
-        """Search the run so far for what the model lacks, and report that."""
-        if self.offered is not None:
-            return
+        """Search the run so far for what the model lacks, until a better one has won, and report that."""
         try:
             run = self._run()
         except ImumonError as error:  # the device has not sent a temperature so far
             self._report(f"the model is not searched: {error.seen}")
+            return
+        if self._challenger is not None and self.offered is None:
+            self._compare(self._challenger, run)
+        if self.offered is not None:
             return
         found = better_models(run, self._model, self._gyros)
         if not found:
@@ -278,29 +253,23 @@ class LiveDiagnosis:
             return
         best = max(found, key=lambda one: one.gain)
         before, after = (max(getattr(one, key) for one in found) / DEG_PER_H for key in ("before", "after"))
-        what = "; ".join(_effects_by_axes(found))
+        what, length_s = "; ".join(_effects_by_axes(found)), common_block_s([run])
         self.state = f"MODEL CAN BE BETTER: {what}: {before:.3g} become {after:.3g} °/h"
-        length = common_block_s([run])
-        self._report(
-            f"{self.state} (rms of {length:.0f} s, gain {best.gain:.0f}):"
-            " imumon diagnose --train SESSION --model SESSION --out DIR",
-            what,
-        )
-        challenger = Challenger(self._model, found, elapsed_s)
+        command = "imumon diagnose --train SESSION --model SESSION --out DIR"
+        self._report(f"{self.state} (rms of {length_s:.0f} s, gain {best.gain:.0f}): {command}", what)
+        challenger, beside = Challenger(self._model, found, elapsed_s), self._challenger
         self._lacking = _charts(run, self._model, challenger.model, best)
-        if self._learn and (
-            self._challenger is None or elapsed_s >= REPLACED_AFTER * self._challenger.since_s
-        ):
+        if self._learn and (beside is None or elapsed_s >= REPLACED_AFTER * beside.since_s):
             self._challenger = challenger
 
     def _run(self) -> Run:
         """Return the run so far, at rest only where the present model knows the temperature."""
-        return known.within_range(self._model, self._run_so_far.run(), self._gyros)
+        return prepare.within_range(self._model, self._run_so_far.run(), self._gyros)
 
     def evidence(self, session: str, sha256: str) -> TrainedOn:
         """Return what a learned model states of this session."""
         run = replace(self._run(), origin=Origin(session, 0, sha256))
-        return trained_on(make_blocks(run, self._gyros, self._temperatures))
+        return trained_on(prepare.residual(run, self._model, self._gyros))
 
     def _report(self, text: str, what: str = "") -> None:
         """Add a text to the log, unless it, or what it is about, is in there already."""
@@ -336,15 +305,12 @@ def _charts(run: Run, present: BiasModel, better: BiasModel, one: Better) -> lis
     Block means at rest, °/h, less their mean, which is the turn-on bias.  The line through them is the
     difference of the two models.
     """
-    name = one.channel
-    left, after = (known.residual(run, model, [name]) for model in (present, better))
+    name, axis, what = one.channel, one.channel[-1], one.names[0]
+    left, after = (prepare.residual(run, model, [name]) for model in (present, better))
     both = left.mean[name], left.mean[name] - after.mean[name]
     points, line = ((part - part.mean()) / DEG_PER_H for part in both)
-    axis, what = name[-1], one.names[0]
-    over = {
-        "time": (left.time_s / 60.0, "time since power-on [min]"),
-        "temperature": (left.temperature[known.temperature_of(name, present, [run])], "temperature [°C]"),
-    }
+    degc = left.temperature[prepare.temperature_of(name, present, [run])]
+    time = "time", left.time_s / 60.0, "time since power-on [min]"
     return [
         Chart(
             f"model_lacks_over_{key}",
@@ -359,5 +325,5 @@ def _charts(run: Run, present: BiasModel, better: BiasModel, one: Better) -> lis
             headline=f"{one.before / DEG_PER_H:.3g} → {one.after / DEG_PER_H:.3g} °/h",
             notes=(f"{' or '.join(one.names)}, gain {one.gain:.0f}",),
         )
-        for key, (x, label) in over.items()
+        for key, x, label in (time, ("temperature", degc, "temperature [°C]"))
     ]

@@ -20,7 +20,7 @@ from imumon.geodesy import DEG_PER_H, MICRO_G
 from imumon.harmless import for_html, for_plot
 from imumon.lab.diagnosis.blocks import RunBlocks
 from imumon.lab.diagnosis.diagnose import Diagnosis
-from imumon.lab.diagnosis.known import residual, temperature_of
+from imumon.lab.diagnosis.prepare import residual, temperature_of
 from imumon.lab.diagnosis.report import report
 from imumon.lab.diagnosis.runs import Run, unit_of
 from imumon.lab.diagnosis.search import Progress
@@ -33,16 +33,20 @@ SCALES = {"rad/s": (1.0 / DEG_PER_H, "°/h"), "m/s^2": (1.0 / MICRO_G, "µg")}
 COLOURS = ("#1f4e79", "#c0504d", "#4f7f3f", "#8064a2", "#d08a2e", "#4bacc6")
 AFTER, BEFORE = COLOURS[:2]
 SIZE, WIDE = (5.2, 3.0), (9.6, 3.2)
+OVER_TIME, OVER_DEGC = "time since power-on, h", "temperature, °C"
 
 
 def environment(package: str = "imumon.lab.diagnosis") -> Environment:
     """Return what fills in the pages of a package: whatever comes from outside is text, not markup."""
-    return Environment(
+    found = Environment(
         loader=PackageLoader(package, "."),
         autoescape=select_autoescape(default=True, default_for_string=True),
         undefined=StrictUndefined,
         finalize=for_html,
     )
+    found.filters["number"] = _number
+    found.globals.update(errors=_errors, curve=_curve, shown=shown, unit_of=unit_of)
+    return found
 
 
 def shown(unit: str) -> tuple[float, str]:
@@ -62,24 +66,18 @@ def svg(draw: Callable[[Axes], None], size: tuple[float, float] = SIZE) -> str:
     return content[content.index("<svg") :]
 
 
-def write_page(diagnosis: Diagnosis, path: Path, progress: Progress | None = None) -> None:
+def write_page(diagnosis: Diagnosis, path: Path, progress: Progress = None) -> None:
     """Write report.html; raises OSError when that fails."""
-    content, drawn = report(diagnosis, path.parent), {}
-    for verdict in diagnosis.verdicts:
+    drawn, verdicts = {}, diagnosis.verdicts
+    for verdict in verdicts:
         if progress is not None:
             progress(f"drawing {verdict.name}")
         drawn[verdict.name] = _figures(diagnosis, verdict)
-    first = max(diagnosis.verdicts, key=_weight)
-    pages = environment()
-    pages.filters["number"] = _number
-    pages.globals.update(errors=_errors, curve=_curve, shown=shown)
-    text = pages.get_template("report.html.j2").render(
-        report=content,
-        picture=svg(lambda axes: _draw_errors(axes, diagnosis, first), WIDE),
-        first=first,
-        verdicts=diagnosis.verdicts,
-        drawn=drawn,
-    )
+    first = max(verdicts, key=_weight)
+    picture = svg(lambda axes: _draw_errors(axes, diagnosis, first), WIDE)
+    page = environment().get_template("report.html.j2")
+    content = report(diagnosis, path.parent)
+    text = page.render(report=content, picture=picture, first=first, verdicts=verdicts, drawn=drawn)
     write_text(path, text)
 
 
@@ -115,31 +113,26 @@ def _number(value: float | None, scale: float = 1.0, digits: int = 3) -> str:
 def _figures(diagnosis: Diagnosis, verdict: ChannelVerdict) -> dict[str, str]:
     """Return the plots of a channel, caption to SVG."""
     runs, column = diagnosis.train, verdict.channel.pool.temperature
-    hours = [run.time_s / HOUR_S for run in runs]
-    degc = [run.temperature[column] for run in runs]
-    return {
-        "Training over time: what the declared model leaves (dots), and the effects (line)": svg(
-            lambda axes: _draw_training(axes, runs, verdict, hours, "time since power-on, h")
-        ),
-        "The same over temperature: a loop here is no curve": svg(
-            lambda axes: _draw_training(axes, runs, verdict, degc, "temperature, °C")
-        ),
-    }
-
-
-def _draw_training(
-    axes: Axes, runs: Sequence[RunBlocks], verdict: ChannelVerdict, over: Sequence[FloatArray], label: str
-) -> None:
     scale, unit = shown(verdict.channel.unit)
     ends = np.cumsum([len(run) for run in runs])[:-1]
-    before, after = (np.split(model.train, ends) for model in (verdict.before, verdict.after))
-    for at, run in enumerate(runs):
-        colour = COLOURS[at % len(COLOURS)]
-        axes.plot(over[at], before[at] * scale, ".", ms=3, color=colour, label=for_plot(run.name))
-        if verdict.claims:
-            axes.plot(over[at], (before[at] - after[at]) * scale, "-", lw=1, color=colour)
-    axes.set(xlabel=label, ylabel=f"left of {verdict.name}, {unit}")
-    axes.legend(fontsize=6)
+    before, after = (np.split(model.train * scale, ends) for model in (verdict.before, verdict.after))
+
+    def draw(axes: Axes, over: Sequence[FloatArray], label: str) -> None:
+        for at, run in enumerate(runs):
+            colour = COLOURS[at % len(COLOURS)]
+            axes.plot(over[at], before[at], ".", ms=3, color=colour, label=for_plot(run.name))
+            if verdict.claims:
+                axes.plot(over[at], before[at] - after[at], "-", lw=1, color=colour)
+        axes.set(xlabel=label, ylabel=f"left of {verdict.name}, {unit}")
+        axes.legend(fontsize=6)
+
+    hours, degc = [run.time_s / HOUR_S for run in runs], [run.temperature[column] for run in runs]
+    return {
+        "Training over time: what the declared model leaves (dots), and the effects (line)": svg(
+            lambda axes: draw(axes, hours, OVER_TIME)
+        ),
+        "The same over temperature: a loop here is no curve": svg(lambda axes: draw(axes, degc, OVER_DEGC)),
+    }
 
 
 def _draw_errors(axes: Axes, diagnosis: Diagnosis, verdict: ChannelVerdict) -> None:
@@ -176,14 +169,13 @@ class Compared(NamedTuple):
     channel: str
     temperature: str
     """That the first model's curve is over."""
-    left: tuple[RunBlocks, RunBlocks]
+    left: list[RunBlocks]
     """With the first and with the second model."""
 
     @property
-    def rms(self) -> tuple[float, float]:
+    def rms(self) -> list[float]:
         """Of what is left, less its mean: no model knows the turn-on offset, gravity or the earth rate."""
-        first, second = (float(blocks.mean[self.channel].std()) for blocks in self.left)
-        return first, second
+        return [float(blocks.mean[self.channel].std()) for blocks in self.left]
 
 
 def compare(runs: Sequence[Run], models: tuple[BiasModel, BiasModel]) -> list[Compared]:
@@ -196,8 +188,8 @@ def compare(runs: Sequence[Run], models: tuple[BiasModel, BiasModel]) -> list[Co
         names = [name for name in models[0].channels if name in models[1].channels and name in run.mean]
         left = [residual(run, model, names) for model in models] if names else []
         if left and len(left[0]) > 1:
-            at = {name: temperature_of(name, models[0], [run]) for name in names}
-            found += [Compared(run.name, name, at[name], (left[0], left[1])) for name in names]
+            degc = [temperature_of(name, models[0], [run]) for name in names]
+            found += [Compared(run.name, *of, left) for of in zip(names, degc, strict=True)]
     if not found:
         raise bad_data(
             "there is nothing to compare: no channel of both models, or no 30 s at rest",
@@ -208,14 +200,8 @@ def compare(runs: Sequence[Run], models: tuple[BiasModel, BiasModel]) -> list[Co
 
 def write_comparison(compared: Sequence[Compared], names: tuple[str, str], session: str, path: Path) -> None:
     """Write the page; raises OSError when that fails."""
-    rows = []
-    for one in compared:
-        scale, unit = shown(unit_of(one.channel))
-        numbers = [f"{value * scale:.3g}" for value in one.rms]
-        drawn = [_drawn(one, names, over) for over in ("time since power-on, h", "temperature, °C")]
-        what = {"run": one.run, "channel": one.channel, "numbers": numbers}
-        rows.append({**what, "unit": unit, "drawn": drawn})
     page, block_s = environment().get_template("compared.html.j2"), round(compared[0].left[0].block_s)
+    rows = [(one, [_drawn(one, names, over) for over in (OVER_TIME, OVER_DEGC)]) for one in compared]
     write_text(path, page.render(rows=rows, names=names, session=session, block_s=block_s))
 
 
@@ -225,7 +211,7 @@ def _drawn(one: Compared, names: tuple[str, str], over: str) -> str:
     def draw(axes: Axes) -> None:
         scale, unit = shown(unit_of(one.channel))
         for blocks, name, colour in zip(one.left, names, (BEFORE, AFTER), strict=True):
-            x = blocks.time_s / HOUR_S if over.startswith("time") else blocks.temperature[one.temperature]
+            x = blocks.time_s / HOUR_S if over == OVER_TIME else blocks.temperature[one.temperature]
             values = blocks.mean[one.channel]
             axes.plot(x, (values - values.mean()) * scale, ".", ms=3, color=colour, label=name)
         axes.set(xlabel=over, ylabel=f"{one.channel}, {unit}")

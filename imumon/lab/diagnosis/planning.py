@@ -22,12 +22,11 @@ from imumon.effects.library import EFFECTS, AnyEffect, effects_for
 from imumon.files import write_text
 from imumon.geodesy import DEG_PER_H, MICRO_G
 from imumon.lab.diagnosis.blocks import BLOCK_S, make_blocks, survey
-from imumon.lab.diagnosis.choice import CLOSE, CLOSE_SHARE, PROVEN
 from imumon.lab.diagnosis.diagnose import Recorded, likeliest, search_block_s, search_sensor
 from imumon.lab.diagnosis.likelihood import TAUS_S
 from imumon.lab.diagnosis.report import NOTHING
 from imumon.lab.diagnosis.runs import Run, collect
-from imumon.lab.diagnosis.search import Progress, Search
+from imumon.lab.diagnosis.search import CLOSE, CLOSE_SHARE, PROVEN, Progress, Search
 from imumon.models.model import UNITS
 from imumon.simulation.unit import Scenario, SimulatedUnit
 from imumon.simulation.unit.motion import Turn
@@ -80,30 +79,20 @@ class Profile(NamedTuple):
         repeated = f", {self.times} times" if self.times > 1 else ""
         return f"{self.shape}{repeated}{', in six poses' if self.in_poses else ''}"
 
-    @property
-    def turns(self) -> list[Turn]:
-        """Turns of the unit at equal intervals, into six poses, where it has to be turned."""
-        every = self.duration_s / (len(POSES) + 1)
-        turns = POSES if self.in_poses else ()
-        return [turn.model_copy(update={"at_s": (at + 1) * every}) for at, turn in enumerate(turns)]
 
-
-def profiles(
-    low: float, high: float, fastest: float, slowest_s: float, most_s: float, poses: bool
-) -> list[Profile]:
+def profiles(low: float, high: float, rate: float, tau_s: float, most_s: float, poses: bool) -> list[Profile]:
     """Return the experiments that last at most `most_s`, the shortest first.
 
-    The unit was trained from `low` to `high`, °C, and reached the rate `fastest`, °C/min; `slowest_s` is the
+    The unit was trained from `low` to `high`, °C, and reached the rate `rate`, °C/min; `tau_s` is the
     longest time constant of the effects in question (0 without one); with `poses` it has to be turned.
     """
     at = 0.5 * (low + high)
     held = f"switched on in equilibrium at {at:.0f} °C and held"
     found = [Profile(held, Chamber(start_degc=at, steps=[Step(hold_s=s)]), s, 1, poses) for s in HELD_S]
+    soaks = sorted({*SOAKS_S, min(max(SETTLED * tau_s, SOAKS_S[0]), 2.0 * SOAKS_S[1])})
     shapes: dict[str, list[Step]] = {}
-    if high - low >= LEAST_SPAN_DEGC and fastest > 0.0:
-        soaks = {*SOAKS_S, min(max(SETTLED * slowest_s, SOAKS_S[0]), 2.0 * SOAKS_S[1])}
-        for soak_s in sorted(soaks):
-            shapes |= _thermal(low, high, fastest, soak_s)
+    for soak_s in soaks if high - low >= LEAST_SPAN_DEGC and rate > 0.0 else ():
+        shapes |= _thermal(low, high, rate, soak_s)
     for title, steps in shapes.items():
         for times in REPEATS:
             chamber = Chamber(start_degc=low, steps=steps * times)
@@ -145,14 +134,10 @@ class Answer(StrictModel, extra="ignore"):
     effects: list[AnyEffect]
 
 
-class _Rms(StrictModel, extra="ignore"):
-    train_rms: float
-
-
 class _Channel(StrictModel, extra="ignore"):
     noise_floor_rms: float
     slow_noise: dict[str, float]
-    before: _Rms
+    before: dict[str, float | None]
     questions: list[list[Answer]]
 
 
@@ -216,7 +201,7 @@ def open_questions(report: Report) -> list[Question]:
     """Return the questions of a report, each once for the channels of a sensor that share it."""
     # A unit is simulated, which has gyros and accelerometers.
     channels = {name: channel for name, channel in report.channels.items() if name in UNITS}
-    floors = {name: one.before.train_rms / one.noise_floor_rms for name, one in channels.items()}
+    floors = {name: (one.before["train_rms"] or 0.0) / one.noise_floor_rms for name, one in channels.items()}
     groups: dict[tuple[str, ...], list[Question]] = {}
     for name in sorted(channels, key=lambda name: -floors[name]):
         for answers in channels[name].questions:
@@ -225,7 +210,7 @@ def open_questions(report: Report) -> list[Question]:
     return [first._replace(also=tuple(one.channel for one in others)) for first, *others in groups.values()]
 
 
-def plan(report: Report, question: Question, most_s: float, progress: Progress | None = None) -> Plan:
+def plan(report: Report, question: Question, most_s: float, progress: Progress = None) -> Plan:
     """Return the shortest experiment that answers a question, with the evidence to expect of it.
 
     A shape is repeated only where that can decide, as evidence grows no faster than time, and none is
@@ -322,10 +307,10 @@ def scenario(report: Report, channel: str, profile: Profile, answer: Answer) -> 
         "at_degc": 0.5 * (low + high),
         "width_degc": max(0.5 * (high - low), 1e-3),
     }
-    effects = [
-        effect.with_coefficients(np.array(effect.coefficients) / of_effect).model_dump()
-        for effect in answer.effects
-    ]
+    scaled = [one.with_coefficients(np.array(one.coefficients) / of_effect) for one in answer.effects]
+    effects = [one.model_dump() for one in scaled]
+    every = profile.duration_s / (len(POSES) + 1)
+    turns = [turn.model_copy(update={"at_s": (at + 1) * every}) for at, turn in enumerate(POSES)]
     unit = {
         f"{sensor}_noise": _noise(report, channel),
         "gyro_bias_deg_per_s" if sensor == "gyro" else "accel_bias_mg": {axis: [line]},
@@ -339,7 +324,7 @@ def scenario(report: Report, channel: str, profile: Profile, answer: Answer) -> 
         duration_s=profile.duration_s,
         latitude_deg=LATITUDE_DEG,
         chamber=profile.chamber,
-        motion=[*profile.turns],
+        motion=[*turns] if profile.in_poses else [],
     )
 
 

@@ -14,13 +14,12 @@ from imumon.effects.base import ACCEL
 from imumon.effects.library import separated_by
 from imumon.files import plain, write_text
 from imumon.lab.diagnosis.blocks import RunBlocks
-from imumon.lab.diagnosis.candidates import Candidate
-from imumon.lab.diagnosis.choice import Scored
+from imumon.lab.diagnosis.candidates import Candidate, Scored
 from imumon.lab.diagnosis.diagnose import Diagnosis
 from imumon.lab.diagnosis.extended import with_model
-from imumon.lab.diagnosis.fit import Fit, FittedPart, explained_share, fit, root_mean_square, score_test
+from imumon.lab.diagnosis.fit import Fit, FittedPart, fit, root_mean_square, score_test
 from imumon.lab.diagnosis.likelihood import WALK_S
-from imumon.lab.diagnosis.verdict import ChannelVerdict, Claim
+from imumon.lab.diagnosis.verdict import ChannelVerdict, Claim, explained_share
 from imumon.version import __version__
 
 FORMAT: Final = "imumon-diagnosis/1"
@@ -35,8 +34,9 @@ ISOTHERMAL = "at constant temperature, and run imumon allan on that."
 
 def report(diagnosis: Diagnosis, folder: Path | None = None) -> dict[str, Any]:
     """Return the report as it is written into a folder; absent numbers are None."""
-    given, survey, length = diagnosis.model, diagnosis.survey, diagnosis.length
-    ends = [survey.middle_degc + sign * survey.half_span_degc for sign in (-1.0, 1.0)]
+    given, scale, length = diagnosis.model, diagnosis.verdicts[0].channel.scale, diagnosis.length
+    every = [(run.time_s, t) for run in diagnosis.train for t in run.temperature.values()]
+    rates = np.concatenate([np.abs(np.diff(t) / np.diff(time_s)) for time_s, t in every])
     content = {
         "format": FORMAT,
         "imumon": __version__,
@@ -44,12 +44,12 @@ def report(diagnosis: Diagnosis, folder: Path | None = None) -> dict[str, Any]:
         "next": [next_step(diagnosis, folder)._asdict()],
         "declared_model": diagnosis.declared if given is None else f"model of {given.created}",
         "block_s": diagnosis.block_s,
-        "train": _runs(diagnosis.train),
-        "test": _runs(diagnosis.test),
+        "train": [_run(one) for one in diagnosis.train],
+        "test": [_run(one) for one in diagnosis.test],
         "independent_test": bool(diagnosis.test) and not diagnosis.held_out,
         "held_out": diagnosis.held_out,
-        "temperature_range_degc": ends,
-        "fastest_degc_per_min": _fastest(diagnosis),
+        "temperature_range_degc": [scale.middle - scale.half_span, scale.middle + scale.half_span],
+        "fastest_degc_per_min": 60.0 * float(np.quantile(rates, 0.95)),
         "caveats": diagnosis.caveats,
         "length_of_gravity": length and {name: np.asarray(v).tolist() for name, v in asdict(length).items()},
         "channels": {verdict.name: _channel(verdict) for verdict in diagnosis.verdicts},
@@ -63,15 +63,8 @@ def write_report(diagnosis: Diagnosis, path: Path) -> None:
     write_text(path, json.dumps(report(diagnosis, path.parent), indent=2, ensure_ascii=False) + "\n")
 
 
-def _fastest(diagnosis: Diagnosis) -> float:
-    """Return the rate of the temperature that all but a twentieth of the training stays below, °C/min."""
-    each = [(run.time_s, t) for run in diagnosis.train for t in run.temperature.values()]
-    rates = np.concatenate([np.abs(np.diff(t) / np.diff(time_s)) for time_s, t in each])
-    return 60.0 * float(np.quantile(rates, 0.95))
-
-
-def _runs(runs: Sequence[RunBlocks]) -> list[dict[str, Any]]:
-    return [{"name": one.name, "blocks": len(one), "duration_s": one.run.duration_s} for one in runs]
+def _run(one: RunBlocks) -> dict[str, Any]:
+    return {"name": one.name, "blocks": len(one), "duration_s": one.run.duration_s}
 
 
 def _channel(verdict: ChannelVerdict) -> dict[str, Any]:
@@ -113,7 +106,7 @@ def _channel(verdict: ChannelVerdict) -> dict[str, Any]:
         "fitted_anew": verdict.refit,
         "left_out": verdict.left_out,
         "in_model_file": verdict.predicts,
-        "faults": [fault.text for fault in channel.faults],
+        "faults": [*channel.faults],
         "unexplained": verdict.unexplained,
         "formula": None,
         "remark": verdict.remark,
@@ -143,10 +136,11 @@ def _slow_noise(verdict: ChannelVerdict) -> dict[str, float]:
 
 
 def _effect(claim: Claim) -> dict[str, Any]:
-    finding, sigma = claim.finding, []
-    for one in claim.sigmas:
-        own = one.coefficients.tolist()
-        sigma.append({**one.searched, "coefficients": own[0] if len(own) == 1 else own})
+    finding = claim.finding
+    sigma = [
+        {**one.searched, "coefficients": rows if len(rows := one.coefficients.tolist()) > 1 else rows[0]}
+        for one in claim.sigmas
+    ]
     return {
         "name": finding.name,
         "parameters": _parameters(claim.parts),
@@ -179,8 +173,7 @@ def _parameters(parts: Sequence[FittedPart]) -> dict[str, Any]:
 
 def _leaders(verdict: ChannelVerdict, stage: int) -> list[Scored]:
     """Return the best of each family at a stage of the search, the best of all first."""
-    tables = verdict.found.tables
-    return sorted(tables[stage].values(), key=lambda one: -one.gain) if tables else []
+    return sorted(verdict.found.tables[stage].values(), key=lambda one: -one.gain)
 
 
 def _left(verdict: ChannelVerdict, fitted: Fit) -> dict[str, float]:
@@ -191,8 +184,8 @@ def _left(verdict: ChannelVerdict, fitted: Fit) -> dict[str, float]:
 def _turns(verdict: ChannelVerdict) -> Iterator[dict[str, Any]]:
     """Yield what was done in each stage of the search, and what is left after it."""
     yield {"done": "what was assumed", "gain_bic": float("nan"), **_left(verdict, verdict.before)}
-    for one in verdict.found.stages:
-        yield {"done": one.done, "gain_bic": one.gain, **_left(verdict, fit(verdict.channel, one.model))}
+    for done, model, gain in verdict.found.stages:
+        yield {"done": done, "gain_bic": gain, **_left(verdict, fit(verdict.channel, model))}
 
 
 def _runs_left(verdict: ChannelVerdict) -> Iterator[dict[str, Any]]:
@@ -200,9 +193,7 @@ def _runs_left(verdict: ChannelVerdict) -> Iterator[dict[str, Any]]:
     channel, (before, after) = verdict.channel, (verdict.test_before, verdict.test_after)
     ends = np.cumsum([len(run) for run in channel.pool.runs])[:-1]
     training = [np.split(one.train, ends) for one in (verdict.before, verdict.after)]
-    test = [
-        [part[use] for part, use in zip(one.residual, after.counted, strict=True)] for one in (before, after)
-    ]
+    test = [[of[use] for of, use in zip(one.residual, after.counted, strict=True)] for one in (before, after)]
     for is_test, runs, left in ((False, channel.pool.runs, training), (True, channel.test, test)):
         for run, first, last in zip(runs, *left, strict=True):
             yield {
@@ -233,7 +224,7 @@ def _questions(verdict: ChannelVerdict) -> list[list[dict[str, Any]]]:
         if finding.others:
             beside = [other for other in claimed if other is not finding.candidate]
             opened.append([answer(beside, one) for one in (finding.candidate, *finding.others.values())])
-    if verdict.unexplained and verdict.found.tables:
+    if verdict.unexplained:
         tried = [one.candidate for one in _leaders(verdict, -1) if one.fit > 0.0]
         # A chamber, or poses, can make these show themselves in another run.
         lasting = [one for one in tried if one.scope in ("shared", "either") and one not in claimed]

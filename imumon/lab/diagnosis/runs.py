@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from imumon.clock.channel import CLOCK, UNIT, rate_ppm, with_delay
 from imumon.columns import KNOWN, TEMPERATURES
 from imumon.effects.vibration import SECOND_NS, VIBRATION
 from imumon.errors import bad_data
-from imumon.lab.diagnosis.quality import Samples, Watcher
+from imumon.filters.rounding import digits, grid_step
 from imumon.recordings.reader import Stages, no_stages, open_recording
 from imumon.recordings.reduced import ACCEL, GYRO, KeptSlots, Reduced, reduce
 from imumon.recordings.source import Count, no_count
@@ -31,20 +32,37 @@ LONGEST_GAP_S = 6 * 3600
 """A longer gap begins another run: the state of the unit after it is unknown."""
 SHORTEST_RUN_S = 300.0
 """A run that is shorter, or not as long at rest, is not used: it has fewer than ten means of 30 s."""
-STRETCHES = 12
-"""Alternating stretches of a single run for training and test; of two halves one may lack an end of the
-temperatures, of single blocks both have the same flicker."""
+MOSTLY = 0.5
+"""Share of its time from which on a run counts as one of a unit at rest."""
 MOST_SLOTS = 7200
 """Of a run in memory: two hours of seconds; a column takes 32 bytes of each."""
-LONGEST_PAUSE_S = 60.0
-"""A recording that begins later than this after another, by the device's clock, begins at power-on."""
+
+KEPT = 100_000
+"""Samples of a channel that are kept, evenly spaced over the recording, to bound the memory."""
+FREQUENT, TIMES_MORE = 0.01, 10.0
+"""A value with this share of all samples, and so many times more than its neighbours, is not by chance."""
+
+
+class Samples(NamedTuple):
+    """Statistics of the samples of a channel in a recording.
+
+    `step` is that of the grid on which the values lie, 0 when there is none; `scatter` the standard deviation
+    of a sample about its neighbour; `ratio` the noise before rounding, in steps, infinite where these are far
+    finer; `atom` the value that is far more frequent than its neighbours (NaN without one).
+    """
+
+    step: float
+    scatter: float
+    ratio: float = np.inf
+    atom: float = np.nan
+    atom_share: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class Origin:
     """Where a run comes from: session or table, its number in it, fingerprint of its bytes, and unit."""
 
-    session: str
+    session: str = field(compare=False)
     index: int
     sha256: str
     device: str | None = None
@@ -70,12 +88,12 @@ class Run:
     """Device time of the first sample; None when it is not known."""
     begun_in: str = ""
     """Name of the run that began at this power-on, where that is another: its jumps persist in this one."""
+    woven: bool = False
+    """Whether it lies between parts of the training, whose ends any smooth course joins."""
     warnings: tuple[str, ...] = ()
     """Why its numbers may not be fit for an estimate; the device has corrected its rates itself, say."""
     slot_s: float = 1.0
     """Whole seconds; more than one where a log is slower than a sample a second."""
-    share: float = 1.0
-    """Share of the slots that is used; the rest is held out for a test, or was."""
     samples: Mapping[str, Samples] = field(default_factory=dict)
     """Statistics of the single samples of channels, in the whole recording."""
 
@@ -89,12 +107,11 @@ class Run:
         """Slots in which the unit was at rest all the time, (n,)."""
         return np.asarray(self.rest == 1.0)
 
-    def samples_per_slot(self, channel: str) -> float:
-        """Return the mean number of samples in a slot that no gap cuts: its neighbours have samples, too."""
-        some = self.count[channel] > 0
-        whole = some & np.append(some[1:], False) & np.append(False, some[:-1])
-        chosen = whole if whole.any() else some
-        return float(self.count[channel][chosen].mean()) if chosen.any() else 0.0
+    @property
+    def rest_share(self) -> float:
+        """Share of the slots with samples in which the unit was at rest."""
+        there = np.any([*self.count.values()], axis=0)
+        return float(self.at_rest[there].mean()) if there.any() else 0.0
 
 
 def read_runs(
@@ -117,12 +134,10 @@ def read_runs(
     while sum(map(len, first)) < FIRST_ROWS and (more := next(blocks, None)) is not None:
         first.append(more)
     wanted = channels_of(sensors, first[0].columns) if first else []
-    further: list[str] = []
+    further, watcher = [*wanted], Watcher(wanted)
     # A table that imumon wrote may have columns beside the known ones that are made of the gyros themselves.
     if first and (recording.source.session is not None or map_path is not None):
-        further = further_columns(first[0], {one.name for stage in stages(None) for one in stage.columns})
-    further += [channel for channel in wanted if channel not in (*READ, *further)]
-    watcher = Watcher(wanted)
+        further += further_columns(first[0], {one.name for stage in stages(None) for one in stage.columns})
     samples: Iterable[SampleBlock] = watcher.through(chain(first, blocks))
     if CLOCK in sensors and CLOCK not in wanted:
         samples, further = with_delay(samples), [*further, CLOCK]
@@ -145,23 +160,18 @@ def read_runs(
 
 def further_columns(block: SampleBlock, made: Container[str]) -> list[str]:
     """Return the measured columns beyond the known ones: no counters, and none that stages made."""
-    return [
-        name
-        for name, values in block.columns.items()
-        if name not in KNOWN and name not in made and values.dtype == np.float64
-    ]
+    measured = [name for name, values in block.columns.items() if values.dtype == np.float64]
+    return [name for name in measured if name not in KNOWN and name not in made]
 
 
 def _slot_s(blocks: Sequence[SampleBlock], channels: Sequence[str]) -> float:
     """Return the length of a slot in which a log has a sample: a second, or more for a slower one."""
-    steps = [np.empty(0)]
+    times = [np.empty(0, np.int64)]
     for block in blocks:
         known = [np.isfinite(block[name]) for name in channels if name in block]
-        if known:
-            steps.append(np.diff(block["device_time_ns"][np.any(known, axis=0)]))
-    forward = np.concatenate(steps)
-    forward = forward[forward > 0]
-    period_s = float(np.median(forward)) / SECOND_NS if len(forward) else 0.0
+        times += [block["device_time_ns"][np.any(known, axis=0)]] if known else []
+    steps = np.diff(np.concatenate(times))
+    period_s = float(np.median(steps[steps > 0])) / SECOND_NS if (steps > 0).any() else 0.0
     # A clock that is off by a percent still puts a sample into each slot.
     return float(max(1, np.ceil(period_s / 1.01)))
 
@@ -174,7 +184,7 @@ def collect(
     `further` are columns beside the known ones.  A log slower than a sample a second is too slow for a rest
     detector: a slot is then at rest when it is like its neighbours.
     """
-    means = reduce(blocks, (*READ, *further), slot_s)
+    means = reduce(blocks, tuple(dict.fromkeys((*READ, *further))), slot_s)
     gap = np.diff(means.number, prepend=0) > LONGEST_GAP_S / slot_s
     another = np.diff(means.run, prepend=-1) != 0
     parts = np.split(np.arange(len(means)), np.flatnonzero(another | gap)[1:])
@@ -200,7 +210,10 @@ def _run(means: Reduced, rest: FloatArray, rows: IntArray, name: str) -> Run:
     if CLOCK in columns:
         mean[CLOCK] = rate_ppm(on_grid(means.smallest[:, columns[CLOCK]]), means.slot_s)
         variance[CLOCK] = np.full(n, np.nan)  # the samples of a slot are delays, no rates
-    add_vibration(mean, variance)
+    if variance.keys() >= set(ACCEL):
+        scatter = np.sum([variance[key] for key in ACCEL], axis=0)
+        if np.isfinite(scatter).mean() > 0.5:
+            mean[VIBRATION] = scatter
     return Run(
         name=name,
         time_s=(np.arange(n, dtype=np.float64) + 0.5) * means.slot_s,
@@ -213,30 +226,10 @@ def _run(means: Reduced, rest: FloatArray, rows: IntArray, name: str) -> Run:
     )
 
 
-def add_vibration(mean: dict[str, FloatArray], variance: Mapping[str, FloatArray]) -> None:
-    """Add the vibration to the means of a run, where the samples in its slots show it."""
-    if variance.keys() >= set(ACCEL):
-        scatter = np.sum([variance[key] for key in ACCEL], axis=0)
-        if np.isfinite(scatter).mean() > 0.5:
-            mean[VIBRATION] = scatter
-
-
 def channels_of(sensors: Iterable[str], there: Container[str]) -> list[str]:
     """Return the columns there of sensors: of gyro gyro_x, gyro_y and gyro_z, of pressure itself."""
     every = [name for sensor in sensors for name in (sensor, *(f"{sensor}_{axis}" for axis in "xyz"))]
     return [name for name in dict.fromkeys(every) if name in there]
-
-
-def common_temperature(wanted: str, runs: Sequence[Run], lacking: str, but: str = "") -> str:
-    """Return the temperature wanted, or another (not `but`) that every run has.
-
-    Raises BAD_DATA without one, with the message `lacking`.
-    """
-    for name in (wanted, *TEMPERATURES):
-        if name != but and all(name in run.mean and np.isfinite(run.mean[name]).sum() > 1 for run in runs):
-            return name
-    hint = "record with the temperature switched on, or name its column in the map"
-    raise bad_data(lacking, hint)
 
 
 def unit_of(channel: str) -> str:
@@ -246,80 +239,60 @@ def unit_of(channel: str) -> str:
     return KNOWN[channel].unit if channel in KNOWN else ""
 
 
-def latest(recordings: Sequence[Sequence[Run]]) -> tuple[list[Run], list[Run]]:
-    """Return the runs of all recordings but the last, and those of the last, the test; of one, no test."""
-    *earlier, last = recordings
-    return [run for runs in earlier or [last] for run in runs], list(last) if earlier else []
+# Samples one by one, which means of blocks would hide
 
 
-def divided(run: Run, channels: Sequence[str]) -> tuple[Run, Run]:
-    """Return the run with every other stretch of the channels, and with the others: the test.
+class Watcher:
+    """Collects statistics of the samples of some channels while blocks pass."""
 
-    Both have the whole course of everything else, and of time.
-    """
-    n = len(run.time_s)
-    tested = (np.arange(n) * STRETCHES // n) % 2 == 1
+    def __init__(self, channels: Sequence[str]) -> None:
+        self._kept: dict[str, list[FloatArray]] = {name: [] for name in channels}
+        """Samples, and the step to each from the one before, (n, 2)."""
+        self._stride, self._rows = 1, 0
 
-    def only(kept: BoolArray) -> dict[str, FloatArray]:
-        return run.mean | {name: np.where(kept, run.mean[name], np.nan) for name in channels}
+    def through(self, blocks: Iterable[SampleBlock]) -> Iterator[SampleBlock]:
+        """Yield the blocks unchanged."""
+        for block in blocks:
+            chosen = slice(-self._rows % self._stride, None, self._stride)
+            self._rows += len(block)
+            for name in self._kept.keys() & block.columns.keys():
+                values = block[name]
+                steps = np.diff(values, prepend=np.nan)
+                self._kept[name].append(np.column_stack([values, steps])[chosen].astype(np.float64))
+            while self._rows > KEPT * self._stride:
+                joined = {name: np.concatenate(kept) for name, kept in self._kept.items() if kept}
+                self._kept = {name: [values[::2]] for name, values in joined.items()}
+                self._stride *= 2
+            yield block
 
-    first = replace(run, mean=only(~tested), share=0.5)
-    return first, replace(first, mean=only(tested), name=f"{run.name}, held out", begun_in=run.name)
-
-
-def in_order(train: Sequence[Run], test: Sequence[Run], remarks: list[str]) -> list[Run]:
-    """Return the test runs that the training does not have, by their bytes.
-
-    Those that continue another run have its time and temperatures.
-    """
-    known = [(one.sha256, one.index, run.start_ns) for run in train if (one := run.origin) is not None]
-    found = list[Run]()
-    for run in test:
-        one = run.origin
-        if one is not None and (one.sha256, one.index, run.start_ns) in known:
-            remarks.append(f"{run.name}: not used as a test, the training has the same recording")
-            continue
-        before = next((other for other in (*found, *train) if _continues(other, run)), None)
-        if before is not None:
-            remarks.append(
-                f"{run.name} goes on where {before.name} ended, by the device's clock: time since power-on,"
-                " lag and loop go on as well"
-            )
-        found.append(run if before is None else _continued(before, run))
-    return found
+    def samples(self) -> dict[str, Samples]:
+        """Return the statistics of each channel that has values."""
+        joined = {name: np.concatenate([*kept, np.empty((0, 2))]).T for name, kept in self._kept.items()}
+        return {
+            name: _samples(values[np.isfinite(values)], steps[np.isfinite(values)])
+            for name, (values, steps) in joined.items()
+            if np.isfinite(values).sum() > 2 and np.isfinite(steps).any()
+        }
 
 
-def _continues(before: Run, after: Run) -> bool:
-    """Return whether a run continues another one, by the device's clock."""
-    if before.start_ns is None or after.start_ns is None or before.slot_s != after.slot_s:
-        return False
-    pause_s = (after.start_ns - before.start_ns) / SECOND_NS - before.duration_s
-    return -1.0 <= pause_s <= LONGEST_PAUSE_S
-
-
-def _continued(before: Run, after: Run) -> Run:
-    """Return a run with the time and the drivers of the one that it continues; only its own samples count."""
-    assert before.start_ns is not None
-    assert after.start_ns is not None
-    slots = round((after.start_ns - before.start_ns) / SECOND_NS / after.slot_s)
-    first = max(slots, len(before.time_s))
-
-    def later(columns: Mapping[str, FloatArray], missing: float = np.nan) -> dict[str, FloatArray]:
-        return {name: np.append(np.full(first, missing), values) for name, values in columns.items()}
-
-    mean = later(after.mean)
-    for name in mean.keys() & before.mean.keys() - {*CHANNELS}:
-        mean[name][: len(before.time_s)] = before.mean[name]
-    return replace(
-        after,
-        time_s=(np.arange(first + len(after.time_s), dtype=np.float64) + 0.5) * after.slot_s,
-        count=later(after.count, 0.0),
-        mean=mean,
-        variance=later(after.variance),
-        rest=np.append(np.zeros(first), after.rest),
-        start_ns=before.start_ns,
-        begun_in=before.begun_in or before.name,
-    )
+def _samples(values: FloatArray, steps: FloatArray) -> Samples:
+    """Return the statistics; what a stuck sensor repeats counts once, so that no value of it is frequent."""
+    fresh, known = steps != 0.0, np.isfinite(steps)
+    scatter = float(np.sqrt(np.mean(steps[known] ** 2) / 2.0))
+    moved = steps[known & fresh]
+    noise = float(np.sqrt(np.mean(moved**2) / 2.0)) if len(moved) else np.nan
+    distinct, where = np.unique(values, return_inverse=True)
+    count = np.bincount(where, weights=fresh)
+    step = grid_step(distinct, len(values))
+    rounded = digits(values) if step > 0.0 else None
+    found = Samples(step, scatter, np.inf if rounded is None else rounded.ratio)
+    at = int(np.argmax(count))
+    beside = max([*count[max(at - 1, 0) : at], *count[at + 1 : at + 2], 1.0])
+    share = float(count[at] / max(count.sum(), 1.0))
+    coarse = step > 0.0 and not step < noise
+    if coarse or len(distinct) < 3 or share < FREQUENT or count[at] < TIMES_MORE * beside:
+        return found
+    return found._replace(atom=float(distinct[at]), atom_share=share)
 
 
 # The recording that is running
@@ -332,19 +305,18 @@ class BoundedRun:
     """
 
     def __init__(self, names: Sequence[str]) -> None:
-        self._names = list(names)
+        self._names = [*names, VIBRATION]
         self._gyros = [at for at, name in enumerate(names) if name in GYRO]
-        self._sums = np.zeros((MOST_SLOTS, 4, len(names)))
-        """Samples, their sum, squares about the means of seconds, and degrees of freedom of these."""
+        self._accel = [at for at, name in enumerate(names) if name in ACCEL]
+        self._sums = np.zeros((MOST_SLOTS, 2, len(self._names)))
+        """Samples, and their sum; of the vibration seconds, as its scatter is that within a second."""
         self._width, self._last, self._begun_ns = 1, -1, 0
 
-    def elapsed_s(self, part: KeptSlots) -> FloatArray:
-        """Return the time from the first sample to the end of each second, (n,)."""
-        begun_ns = self._begun_ns if self._last >= 0 else int(part.start_ns[0])
-        return np.asarray((part.end_ns - begun_ns) / SECOND_NS)
+    def take(self, part: KeptSlots) -> float:
+        """Add seconds, and return the time from the first sample to the end of the last of them, s.
 
-    def take(self, part: KeptSlots) -> None:
-        """Add seconds; the last column of the part is the share at rest, which is not one of the run's."""
+        The last column of the part is the share at rest, which is not one of the run's.
+        """
         if self._last < 0:
             self._begun_ns = int(part.start_ns[0])
         second = (part.start_ns - self._begun_ns) // SECOND_NS
@@ -355,32 +327,26 @@ class BoundedRun:
             self._sums[half:] = 0.0
             self._width *= 2
         count = part.count[:, :-1].astype(np.float64)
+        scatter = part.variance[:, self._accel] / (1.0 - 1.0 / np.maximum(count[:, self._accel], 2.0))
+        shaken = (count[:, self._accel] > 1.0).all(axis=1) & (len(self._accel) == len(ACCEL))
         count[:, self._gyros] *= (part.mean[:, -1] == 1.0)[:, np.newaxis]
-        mean, variance = (np.where(count > 0, part_of[:, :-1], 0.0) for part_of in (part.mean, part.variance))
-        more = np.stack([count, mean * count, variance * count, np.maximum(count - 1.0, 0.0)], axis=1)
-        np.add.at(self._sums, second // self._width, more)
+        count = np.column_stack([count, shaken])
+        mean = np.where(count > 0, np.column_stack([part.mean[:, :-1], scatter.sum(axis=1)]), 0.0)
+        np.add.at(self._sums, second // self._width, np.stack([count, mean * count], axis=1))
+        return float(part.end_ns[-1] - self._begun_ns) / SECOND_NS
 
     def run(self) -> Run:
         """Return the run so far, in slots that have ended; at rest where a gyro was."""
         n = max(1, (self._last + 1) // self._width)
-        count, total, scatter, free = self._sums[:n].swapaxes(0, 1)
-        there = [at for at in range(len(self._names)) if at in self._gyros or count[:, at].any()]
-
-        def ratio(sums: FloatArray, by: FloatArray) -> dict[str, FloatArray]:
-            values = np.where(by > 0, sums / np.maximum(by, 1.0), np.nan)
-            return {self._names[at]: values[:, at] for at in there}
-
-        mean, variance = ratio(total, count), ratio(scatter, free)
-        add_vibration(mean, variance)
-        if self._width > 1:
-            # The scatter of samples within seconds does not show that of means of many seconds.
-            variance = {name: np.full(n, np.nan) for name in variance}
+        count, total = self._sums[:n].swapaxes(0, 1).copy()
+        mean = np.where(count > 0, total / np.maximum(count, 1.0), np.nan)
+        there = {name: at for at, name in enumerate(self._names) if at in self._gyros or count[:, at].any()}
         return Run(
             name="this session",
             time_s=np.asarray((np.arange(n) + 0.5) * self._width),
-            count={self._names[at]: count[:, at].copy() for at in there},
-            mean=mean,
-            variance=variance,
+            count={name: count[:, at] for name, at in there.items()},
+            mean={name: mean[:, at] for name, at in there.items()},
+            variance={},
             rest=np.asarray((count[:, self._gyros] > 0).all(axis=1), np.float64),
             slot_s=float(self._width),
         )

@@ -9,13 +9,16 @@ curve, Z the columns of the effects with nonlinear parameters theta, W, F and R 
 
 with r, q, s, b and c at the maximum of L, the noise no larger than it is without the effect.  A gain is twice
 the logarithm of a Bayes factor: while nothing is missing it ever exceeds g with a probability of exp(-g / 2)
-at most, however often it is tested (Ville 1939; Shafer et al. 2011, doi:10.1214/10-STS347).  Which effect is
-added to which axes, see `choice`.
+at most, however often it is tested (Ville 1939; Shafer et al. 2011, doi:10.1214/10-STS347).
+
+One package has one physics, so what an effect gains on several axes adds up; the choice of one of e effects
+on any of the sets of m axes costs 2 ln(e (2^m - 1)) (extended BIC: Chen & Chen 2008,
+doi:10.1093/biomet/asn034).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
 from operator import attrgetter
@@ -24,19 +27,16 @@ from typing import NamedTuple
 import numpy as np
 
 from imumon.effects.base import Survey
-from imumon.lab.diagnosis.candidates import Candidate, Channel, Part, candidates
-from imumon.lab.diagnosis.choice import (
-    CLOSE_SHARE,
-    PROVEN,
-    Finding,
-    Scored,
-    Selection,
-    Table,
-    least_gain,
-    select,
-)
+from imumon.lab.diagnosis.candidates import Candidate, Channel, Finding, Part, Scored, Table, candidates
 from imumon.lab.diagnosis.likelihood import Likelihood, Noise, no_larger
 
+PROVEN = 8.0
+"""Gain above which an effect is proven: e^-4 by chance."""
+CLOSE = 10.0
+"""Families whose gains differ by less are not told apart."""
+CLOSE_SHARE = 0.15
+"""Nor those that differ by less than this share of the best gain: no regressor has exactly the shape of the
+physics, and with a large effect the shape decides."""
 MOST_NAMES = 3
 """Effects that are named in a set of those not told apart."""
 STAGES = 5
@@ -45,40 +45,32 @@ PAIR_LIST = 4
 """Best candidates of each family that are tried in pairs."""
 LEAST_SIZE = 0.3
 """White floors (rms) that an effect takes away, at least."""
-SECOND_SHARE = 0.2
-"""And this share of what the largest effect before it takes away."""
-JUMP_SHARE = 0.5
-"""A second jump in a run counts from this share on: the jumps of a telegraph noise are of one size."""
+SECOND_SHARE, JUMP_SHARE = 0.2, 0.5
+"""And this share of what each effect before it takes away; a second jump in a run counts from the other share
+on: the jumps of a telegraph noise are of one size."""
 REFINEMENTS = 4
 """Levels of the pattern search; steps are 0.35 of those of the level before."""
 
-Progress = Callable[[str], None]
+Progress = Callable[[str], None] | None
+"""Takes what is done next."""
 
 
-class Stage(NamedTuple):
-    """A stage of the search: what was done, the model that it led to, and its gain where there was one."""
-
-    done: str
-    model: Sequence[Candidate]
-    gain: float = float("nan")
+# All axes of a sensor
 
 
 def search(
-    channels: Sequence[Channel],
-    survey: Survey,
-    names: Sequence[str],
-    stages: int = STAGES,
-    progress: Progress | None = None,
+    axes: Sequence[Channel], survey: Survey, names: Sequence[str], stages: int, progress: Progress
 ) -> list[Search]:
     """Find what the channels of one sensor, over the same training runs, lack of the effects of these names.
 
     The search begins with the effects of the present model that are fitted anew.  At most `stages` effects
     are added to a channel.
     """
-    likelihood, tried = Likelihood(channels[0].pool.runs), candidates(survey, names)
-    searches = [Search(channel, survey, likelihood, tried) for channel in channels]
+    tried, pools = candidates(survey, names), {id(axis.pool): axis.pool for axis in axes}
+    likelihoods = {key: Likelihood(pool) for key, pool in pools.items()}
+    searches = [Search(axis, survey, likelihoods[id(axis.pool)], tried) for axis in axes]
     usual = len({one.family for one in tried if not one.choice})
-    least = least_gain(usual, len(channels)) if len(channels) > 1 else PROVEN
+    least = least_gain(usual, len(axes)) if len(axes) > 1 else PROVEN
     for one in searches:
         one.eliminate()
     for stage in range(stages):
@@ -95,12 +87,16 @@ def search(
     return searches
 
 
+def least_gain(effects: int, channels: int) -> float:
+    """Return the gain that proves one of so many effects on any set of so many channels."""
+    return PROVEN + 2.0 * float(np.log(max(1, effects) * (2**channels - 1)))
+
+
 def _add(active: Sequence[Search], least: float) -> None:
     """Add to each channel the effect that gains most on all the channels that show it; finish the others."""
     searches = {one.channel.name: one for one in active}
     tables = {name: dict(one.tables[-1]) for name, one in searches.items()}
-    there = {name: [finding.name for finding in one.findings] for name, one in searches.items()}
-    while (selection := select(tables, least, there)) is not None:
+    while (selection := select(tables, least)) is not None:
         for name in selection.channels:
             if searches[name].add(selection) or searches[name].finished:
                 del tables[name]
@@ -110,26 +106,77 @@ def _add(active: Sequence[Search], least: float) -> None:
         searches[name].finished = True
 
 
+class Selection(NamedTuple):
+    """Effects of which channels lack one, the one that is chosen first; these data do not tell them apart.
+    `gain` is what it gains on all of these channels."""
+
+    names: list[str]
+    channels: list[str]
+    gain: float
+
+
+def select(tables: Mapping[str, Table], least: float) -> Selection | None:
+    """Return the effect that gains most on all the channels that show it, if that is more than `least`.
+
+    Of effects that gain alike, what carries over goes before an event.
+    """
+    names = dict.fromkeys(name for table in tables.values() for name in table)
+    on = {name: [channel for channel in tables if _shows(tables[channel], name, least)] for name in names}
+    total = {name: sum(tables[channel][name].gain for channel in on[name]) for name in names}
+    proven = [name for name in names if total[name] > least]
+    if not proven:
+        return None
+
+    def order(name: str) -> tuple[bool, float]:
+        return tables[on[name][0]][name].candidate.scope != "event", total[name]
+
+    chosen = max((name for name in proven if _near(total[name], max(total.values()))), key=order)
+    channels = on[chosen]
+    together = {
+        name: sum(tables[channel][name].gain if name in tables[channel] else -np.inf for channel in channels)
+        for name in names
+    }
+    apart = {chosen, *(tables[channel][chosen].partner for channel in channels)}
+    alike = [name for name in names if together[name] > least and _near(together[name], total[chosen])]
+    others = sorted((name for name in alike if name not in apart), key=lambda name: -together[name])
+    return Selection([chosen, *others], channels, total[chosen])
+
+
+def _shows(table: Table, name: str, least: float) -> bool:
+    """Return whether a channel shows an effect, and does not prove another in its place.
+
+    An event has a time of its own in each channel, so that each has to prove its own.
+    """
+    if name not in table:
+        return False
+    best = max(one.gain for one in table.values())
+    own = PROVEN if table[name].candidate.scope == "event" else 0.0
+    return table[name].gain > max(own, best - max(least, CLOSE_SHARE * best))
+
+
+def _near(gain: float, best: float) -> bool:
+    """Return whether a gain is too near to the best for a proof."""
+    return best - gain < max(CLOSE, CLOSE_SHARE * best)
+
+
+# One axis
+
+
 class Search:
     """The search in one channel, and what it found.
 
     `findings` are the effects in the order in which they were found, those of the present model first;
     `many_events` says that a run has more than one event, such as two jumps, which no effect explains.
-    `tables` has the best candidates of each stage, `stages` what was done; `survey` is what the runs can
-    show, `tried` what may be added.
+    `tables` has the best candidates of each stage, `stages` what was done, with the model that it led to and
+    its gain (NaN without); `survey` is what the runs can show, `tried` what may be added.
     """
 
-    def __init__(
-        self, channel: Channel, survey: Survey, likelihood: Likelihood, tried: Sequence[Candidate]
-    ) -> None:
-        self.channel, self.survey, self.likelihood, self.tried = channel, survey, likelihood, tried
-        self.findings = [
-            Finding(Candidate(effect.label, (Part(effect),)), known=True)
-            for effect in channel.known or ()
-            if effect not in channel.kept
-        ]
+    def __init__(self, axis: Channel, survey: Survey, likelihood: Likelihood, tried: list[Candidate]) -> None:
+        self.channel, self.survey, self.likelihood, self.tried = axis, survey, likelihood, tried
+        again = [effect for effect in axis.known or () if effect not in axis.kept]
+        self.findings = [Finding(Candidate((Part(effect),)), known=True) for effect in again]
         self.tables: list[Table] = []
-        self.stages: list[Stage] = []
+        self.stages: list[tuple[str, Sequence[Candidate], float]] = []
         self.many_events = self.finished = False
         self._fitted: dict[tuple[int, ...], tuple[Channel, Sequence[Candidate], float, Noise]] = {}
 
@@ -138,10 +185,8 @@ class Search:
         """The candidates of the findings, beside the declared curve."""
         return [finding.candidate for finding in self.findings]
 
-    # A model: the declared curve with candidates
-
     def fitted(self, model: Sequence[Candidate]) -> tuple[float, Noise]:
-        """Return the log-likelihood of a model, and its noise."""
+        """Return the log-likelihood of the declared curve with candidates, and its noise."""
         key = (id(self.channel), *map(id, model))  # both are kept, so that no other has their id
         if key not in self._fitted:
             best = self.likelihood.best(self.channel.values, self.channel.design(model))
@@ -168,9 +213,7 @@ class Search:
         starts = list(dict.fromkeys(tuple(start) for _, start in terms if start))
         every = [*([*own, *start] for own, start in terms), *map(list, starts)]
         before, noise = self.fitted(model)
-        after = self.likelihood.scan(
-            channel.values, channel.design(model), channel.pool, every, no_larger(noise)
-        )
+        after = self.likelihood.scan(channel.values, channel.design(model), every, no_larger(noise))
         ratio = (2.0 * (after - before)).tolist()
         alone = dict(zip(starts, ratio[len(tried) :], strict=True))
         found = []
@@ -190,20 +233,14 @@ class Search:
             best = max([best, *self.scored(tried, model)], key=attrgetter("gain"))
         return best
 
-    def _beside(self, finding: Finding) -> list[Candidate]:
-        """Return the candidates of the other findings."""
-        return [other.candidate for other in self.findings if other is not finding]
-
-    # One stage
-
     def tabulate(self, pairs: bool) -> None:
         """Add a table: the best of each family beside what was found so far, at first in pairs as well."""
         scored = sorted(self.scored(self.tried, self.model), key=attrgetter("gain"))
         best = {one.family: one for one in scored}
         beside = self._beside_partner(scored, best) if pairs and not self.findings else {}
-        self.tables.append(best | beside)
+        self.tables.append({**best, **beside})
 
-    def _beside_partner(self, scored: Sequence[Scored], best: Table) -> dict[str, Scored]:
+    def _beside_partner(self, scored: Sequence[Scored], best: Table) -> Table:
         """Return what effects gain beside the partner in the best pair, where both are needed.
 
         Two effects at once hide one another: the one that replaces both best may be neither.  A pair counts
@@ -216,7 +253,7 @@ class Search:
         for family in best:
             members += [one for one in plain if one.family == family][-PAIR_LIST:]
         pairs = [two for two in combinations(members, 2) if two[0].family != two[1].family]
-        both = [Candidate("pair", (*one.candidate.parts, *two.candidate.parts)) for one, two in pairs]
+        both = [Candidate((*one.candidate.parts, *two.candidate.parts)) for one, two in pairs]
         found = list(zip([one.gain for one in self.scored(both, [])], pairs, strict=True))
         alone = max([PROVEN, *(one.gain for one in members)])
         gain, two = max(found, key=lambda pair: pair[0], default=(0.0, ()))
@@ -240,10 +277,9 @@ class Search:
         table, name, model = self.tables[-1], selection.names[0], self.model
         best = self.refined(table[name].candidate, model)
         is_event = best.candidate.scope == "event"
-        jumped = {run for one in model if one.family == name for run in one.parts[0].runs}
-        again = is_event and not jumped.isdisjoint(best.candidate.parts[0].runs)
-        size = self._taken_away(best.candidate, model)
-        share = JUMP_SHARE if again else SECOND_SHARE
+        jumped = [one.parts[0].runs for one in model if one.family == name]
+        again = is_event and best.candidate.parts[0].runs in jumped
+        size, share = self._size(best.candidate, model), JUMP_SHARE if again else SECOND_SHARE
         least = [share * self._size_beside(one, best.candidate) for one in self.findings]
         if size < max(LEAST_SIZE * self.channel.floor.sd, self.channel.blind, *least):
             self.finished = is_event
@@ -253,17 +289,17 @@ class Search:
             self.finished = True
             return False
         there = {finding.name for finding in self.findings}
-        others = [other for other in selection.names[1:] if other in table and other not in there]
+        others = [other for other in selection.names[1:] if other not in there]
         gain = max(best.gain, table[name].gain)  # beside a partner the latter is more
         rivals = {**{other: one.gain for other, one in table.items()}, name: gain}
         alike = {other: table[other].candidate for other in others[: MOST_NAMES - 1]}
         self.findings.append(Finding(best.candidate, gain, selection.gain, rivals, alike, size))
         if len(self.findings) > 1:
             self._refine(exchange=False)
-        self.stages.append(Stage(name, self.model, gain))
+        self.stages.append((name, self.model, gain))
         return True
 
-    def _taken_away(self, candidate: Candidate, model: Sequence[Candidate]) -> float:
+    def _size(self, candidate: Candidate, model: Sequence[Candidate]) -> float:
         """Return the rms that a candidate takes away beside a model, by ordinary least squares."""
         without, with_it = (self.channel.residual_rms(one) for one in (model, [*model, candidate]))
         return float(np.sqrt(max(without**2 - with_it**2, 0.0)))
@@ -275,7 +311,11 @@ class Search:
         """
         if finding.name == candidate.family and candidate.scope != "event":
             return finding.size
-        return self._taken_away(finding.candidate, [*self._beside(finding), candidate])
+        return self._size(finding.candidate, [*self._beside(finding), candidate])
+
+    def _beside(self, finding: Finding) -> list[Candidate]:
+        """Return the candidates of the other findings."""
+        return [other.candidate for other in self.findings if other is not finding]
 
     def eliminate(self) -> None:
         """Drop what others make needless, and refine what is left, each beside the others.
@@ -295,7 +335,8 @@ class Search:
             return
         self._refine(exchange=True)
         if changed := [finding.name for finding in self.findings if finding.name not in before]:
-            self.stages.append(Stage(f"{' and '.join(changed)} fits better beside the rest", self.model))
+            done = f"{' and '.join(changed)} fits better beside the rest"
+            self.stages.append((done, self.model, float("nan")))
 
     def _refine(self, exchange: bool) -> None:
         """Refine each finding beside the others; with `exchange` one that fits as well may take its place."""
@@ -304,4 +345,7 @@ class Search:
             names += finding.others if exchange else []
             tried = [one for one in self.tried if one.family in names and one.carries]
             best = max(self.scored([finding.candidate, *tried], beside), key=attrgetter("gain"))
-            finding.becomes(self.refined(best.candidate, beside).candidate)
+            if best.family != finding.name:
+                del finding.others[best.family]
+                finding.others = {finding.name: finding.candidate, **finding.others}
+            finding.candidate = self.refined(best.candidate, beside).candidate

@@ -5,7 +5,7 @@ Claimed is what training proves and the test does not refute, or what the test a
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import islice
 from typing import Any, NamedTuple
@@ -14,25 +14,18 @@ import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.effects.library import separated_by
-from imumon.lab.diagnosis.candidates import Candidate, Channel
-from imumon.lab.diagnosis.choice import Finding
-from imumon.lab.diagnosis.fit import (
-    CLEAN,
-    EXPLAINED,
-    MATERIAL,
-    Fit,
-    FittedPart,
-    PartSigma,
-    TestScore,
-    explained_share,
-    explains,
-    fit,
-    goes_on,
-    is_woven,
-    score_test,
-    sigmas,
-)
+from imumon.lab.diagnosis.candidates import Channel, Finding
+from imumon.lab.diagnosis.fit import Fit, FittedPart, PartSigma, TestScore, fit, goes_on, score_test, sigmas
 from imumon.lab.diagnosis.search import MOST_NAMES, Search
+
+CLEAN = 1.8
+"""Residual in white floors below which nothing is missing: as much slow noise as white is allowed."""
+MATERIAL = 1.3
+"""Of a model that leaves less than so many floors, what is missing is too small to matter."""
+EXPLAINED = 0.6
+"""Share of the excess over the white floor that has to be explained before anything is named, in training
+and in the test.  With it nothing is named in any of 99 channels with wanders, walks, telegraph noise, bursts
+and a hidden supply; on a chamber record true effects have 0.67 to 0.99."""
 
 
 class Row(NamedTuple):
@@ -176,23 +169,17 @@ class ChannelVerdict:
     @property
     def summary(self) -> str:
         """The verdict with its numbers and reasons."""
-        text = self.in_short if self.faulty else f"{self.in_short}: {'; '.join(_details(self))}"
-        return "; ".join([*(fault.text for fault in self.channel.faults), text])
-
-
-def _details(verdict: ChannelVerdict) -> Iterator[str]:
-    """Yield the numbers of a verdict, then its reasons."""
-    yield _numbers(verdict)
-    if verdict.remark:
-        yield verdict.remark
-    for item in verdict.left_out:
-        yield f"{item['name']} was found but made the test worse"
-    pairs = [(one.finding.name, other) for one in verdict.claims for other in one.finding.others]
-    if pairs:
-        yield f"to separate: {'; '.join(dict.fromkeys(separated_by(*pair) for pair in pairs))}"
-    if verdict.hidden:
-        share = verdict.channel.blind / verdict.channel.floor.sd
-        yield f"steps as coarse may make up to {share:.1f} of a smooth bias"
+        if self.faulty:
+            return "; ".join([*self.channel.faults, self.in_short])
+        reasons = [_numbers(self), *([self.remark] if self.remark else [])]
+        reasons += [f"{item['name']} was found but made the test worse" for item in self.left_out]
+        pairs = [(one.finding.name, other) for one in self.claims for other in one.finding.others]
+        if pairs:
+            reasons.append(f"to separate: {'; '.join(dict.fromkeys(separated_by(*pair) for pair in pairs))}")
+        if self.hidden:
+            share = self.channel.blind / self.channel.floor.sd
+            reasons.append(f"steps as coarse may make up to {share:.1f} of a smooth bias")
+        return "; ".join([*self.channel.faults, f"{self.in_short}: {'; '.join(reasons)}"])
 
 
 def _numbers(verdict: ChannelVerdict) -> str:
@@ -219,6 +206,17 @@ def _numbers(verdict: ChannelVerdict) -> str:
 
 
 # What is claimed
+
+
+def explained_share(before: float, after: float, floor: float) -> float:
+    """Return the share of the excess of the mean square over the white floor that is explained, or 0."""
+    excess = before**2 - floor**2
+    return 1.0 - (after**2 - floor**2) / excess if excess > 0 and np.isfinite(after) else 0.0
+
+
+def explains(before: float, after: float, floor: float) -> bool:
+    """Return whether a model that leaves `after` explains enough of what another left to be named."""
+    return after < CLEAN * floor or explained_share(before, after, floor) >= EXPLAINED
 
 
 class _Model(NamedTuple):
@@ -357,35 +355,28 @@ def _proven_by_test(channel: Channel, found: Search, nothing: _Model) -> Finding
 
     Noise that wanders as fast as it does within minutes may go anywhere within the hour, so that no
     likelihood tells a loop that was gone through once from a wander.  But no wander goes the same way again.
-    Only effects count that make the training likelier, by more than their coefficients cost.  The test
-    chooses here, so effects of other names that explain it as well are not told apart.
+    Only effects count that make the training likelier, by more than their coefficients cost: the best of each
+    family by the likelihood, and by least squares.  The test chooses here, so effects of other names that
+    explain it as well are not told apart.
     """
-    if not channel.test or is_woven(channel):
+    if not channel.test or any(one.run.woven for one in channel.test):
         return None
     before, also = nothing.after, [finding.candidate for finding in nothing.findings]
+    plain = [one for one in found.tried if one.carries and len(one.parts) == 1 and not one.free_start]
     hits: list[tuple[float, Finding]] = []
-    for candidate, gain in _tried(channel, found, also):
-        after = fit(channel, [*also, candidate])
-        without, left = score_test(channel, before, like=after).rms, score_test(channel, after).rms
-        large = without**2 - left**2 >= (PROVEN_FLOORS * channel.floor.sd) ** 2
-        if large and explained_share(without, left, channel.floor.sd) >= EXPLAINED:
-            hits.append((left, Finding(candidate, gain, gain, {candidate.family: gain}, by_test=True)))
+    for leader in (one for table in found.tables for one in table.values()):
+        if not (leader.fit > 0.0 and leader.candidate.carries):
+            continue
+        # The likelihood looks at what is fast; of a slow course least squares see more.
+        rest = [one for one in plain if one.family == leader.family]
+        closest = min(rest, key=lambda one: channel.residual_rms([*also, one]))
+        for candidate in (leader.candidate, closest):
+            after = fit(channel, [*also, candidate])
+            without, left = score_test(channel, before, like=after).rms, score_test(channel, after).rms
+            large = without**2 - left**2 >= (PROVEN_FLOORS * channel.floor.sd) ** 2
+            if large and explained_share(without, left, channel.floor.sd) >= EXPLAINED:
+                hits.append((left, Finding(candidate, leader.gain, leader.gain, by_test=True)))
     return chosen_by_test(hits)
-
-
-def _tried(channel: Channel, found: Search, also: Sequence[Candidate]) -> Iterator[tuple[Candidate, float]]:
-    """Yield the candidates that the test may prove, and the gain of their family.
-
-    The likelihood looks at what is fast; of a slow course least squares see more.  So the best of each family
-    is yielded by either.
-    """
-    for table in found.tables:
-        for name, leader in table.items():
-            if leader.fit > 0.0 and leader.candidate.carries:
-                yield leader.candidate, leader.gain
-                plain = [one for one in found.tried if len(one.parts) == 1 and not one.free_start]
-                rest = [one for one in plain if one.family == name and one.carries]
-                yield min(rest, key=lambda one: channel.residual_rms([*also, one])), leader.gain
 
 
 def chosen_by_test(hits: Sequence[tuple[float, Finding]]) -> Finding | None:

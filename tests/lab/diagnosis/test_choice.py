@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from imumon.effects.since_power_on import Drift, WarmUp
-from imumon.lab.diagnosis.candidates import Candidate, Part
-from imumon.lab.diagnosis.choice import Scored, Selection, Table, least_gain, select
+from imumon.lab.diagnosis.candidates import Candidate, Part, Scored, Table
+from imumon.lab.diagnosis.search import Selection, least_gain, select
 
 LEAST = least_gain(2, 3)
 
@@ -14,7 +14,7 @@ def axes(drift: tuple[float, ...], warm_up: tuple[float, ...] = (-9.0, -9.0, -9.
     made = {"drift": Part(Drift()), "warm_up": Part(WarmUp(time_constant_s=200.0))}
     return {
         axis: {
-            name: Scored(Candidate(name, (made[name],)), gain, gain)
+            name: Scored(Candidate((made[name],)), gain, gain)
             for name, gain in (("drift", one), ("warm_up", other))
         }
         for axis, one, other in zip("xyz", drift, warm_up, strict=True)
@@ -24,7 +24,7 @@ def axes(drift: tuple[float, ...], warm_up: tuple[float, ...] = (-9.0, -9.0, -9.
 def lacks(tables: dict[str, Table], least: float) -> list[Selection]:
     """Return what the axes lack, each one effect."""
     found, left = list[Selection](), dict(tables)
-    while (lack := select(left, least, {})) is not None:
+    while (lack := select(left, least)) is not None:
         found.append(lack)
         left = {name: table for name, table in left.items() if name not in lack.channels}
     return found

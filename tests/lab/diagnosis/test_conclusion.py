@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imumon.lab.diagnosis.choice import PROVEN
 from imumon.lab.diagnosis.diagnose import Diagnosis, diagnose
 from imumon.lab.diagnosis.page import write_page
 from imumon.lab.diagnosis.report import conclusion, next_step, report
+from imumon.lab.diagnosis.search import PROVEN
 from imumon.lab.diagnosis.verdict import BESIDE_CLAIMS, VERDICTS, ChannelVerdict
 from tests.lab.diagnosis.units import DPH, Bias, lagged, ramps, run, telegraph, three
 

@@ -26,6 +26,7 @@ from imumon.recordings.table import TableWriter
 from imumon.simulation.recording import record_session
 from imumon.simulation.unit import load_scenario
 from tests.data_folder import measured
+from tests.estimation.attitude.test_stage import CALIBRATED
 from tests.lab.diagnosis.units import DPH, WHITE_DPH, Bias, cubic, lagged, ramps, run, three
 
 LAG_S = 200.0
@@ -316,9 +317,15 @@ def test_a_known_model_is_taken_off_first_and_goes_into_the_file_with_what_it_la
         residual_sd=1e-6,
         curve=curve,
     )
-    known = BiasModel(made_by="a test", created="2026-01-01T00:00:00Z", channels={"gyro_x": channel})
+    known = BiasModel(
+        made_by="a test",
+        created="2026-01-01T00:00:00Z",
+        channels={"gyro_x": channel},
+        magnetometer=CALIBRATED,
+    )
     diagnosis = diagnose(*three(lag), model=known)
     assert names(diagnosis) == ["thermal_lag"]
+    assert extended_model(diagnosis).magnetometer == CALIBRATED
     found = extended_model(diagnosis).channels["gyro_x"]
     assert found.curve.kind == "spline"
     assert found.temperature_column == "temperature_estimate"
@@ -500,8 +507,10 @@ def test_data_that_cannot_show_anything_are_refused_in_words(change, said: str) 
 def test_gaps_are_left_out_and_said() -> None:
     train, test = three(lag)
     holes = train[0].mean["gyro_x"].copy()
-    holes[1000:1840] = np.nan
-    train[0] = replace(train[0], mean={**train[0].mean, "gyro_x": holes})
+    samples = train[0].count["gyro_x"].copy()
+    holes[1000:1840], samples[1000:1840] = np.nan, 0.0
+    mean, count = {**train[0].mean, "gyro_x": holes}, {**train[0].count, "gyro_x": samples}
+    train[0] = replace(train[0], mean=mean, count=count)
     diagnosis = diagnose(train, test)
     assert any("72% of its time" in text for text in diagnosis.caveats)
     assert "thermal_lag" in names(diagnosis)

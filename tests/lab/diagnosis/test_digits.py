@@ -7,9 +7,8 @@ import pytest
 
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.lab.diagnosis.diagnose import Diagnosis, diagnose
-from imumon.lab.diagnosis.quality import Watcher
 from imumon.lab.diagnosis.report import conclusion, next_step, report
-from imumon.lab.diagnosis.runs import Run
+from imumon.lab.diagnosis.runs import Run, Watcher
 from tests.lab.diagnosis.units import DPH, WHITE_DPH, Bias, cubic, ramps
 
 RATE = 4

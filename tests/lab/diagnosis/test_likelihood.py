@@ -33,10 +33,11 @@ def test_what_is_a_walk_without_a_drift_is_flicker_with_it() -> None:
     told = run(4, *ramps(SECONDS, up=True), lambda time, _: 15.0 * time / SECONDS + flicker)
     blocks = make_blocks(told, ["gyro_x"], ["temperature"])
     curve = (blocks.temperature["temperature"] - 25.0)[:, np.newaxis] ** np.arange(4)
-    likelihood, pool = Likelihood([blocks]), Pool([blocks], "temperature")
+    pool = Pool([blocks], "temperature")
+    likelihood = Likelihood(pool)
     walk = likelihood.best(blocks.mean["gyro_x"] / DPH, curve)[1]
     assert walk[1] > walk[0]
-    beside = np.column_stack([curve, pool.design([Candidate("drift", (Part(Drift()),))])])
+    beside = np.column_stack([curve, pool.design([Candidate((Part(Drift()),))])])
     noise = likelihood.best(blocks.mean["gyro_x"] / DPH, beside)[1]
     assert noise in no_larger(walk)
     assert noise[0] > walk[0]
@@ -50,9 +51,10 @@ def test_a_spectrum_with_both_signs_explains_nothing() -> None:
         told = run(6, *ramps(SECONDS, up=True), lambda time, t: effect.simulate(Drive(time, t)))  # noqa: B023 - called at once
         blocks = make_blocks(told, ["gyro_x"], ["temperature"])
         curve = (blocks.temperature["temperature"] - 25.0)[:, np.newaxis] ** np.arange(4)
-        likelihood, pool = Likelihood([blocks]), Pool([blocks], "temperature")
+        pool = Pool([blocks], "temperature")
+        likelihood = Likelihood(pool)
         values, white = blocks.mean["gyro_x"] / DPH, (0.0, 0.0)
-        terms = [pool.terms(Candidate("stress_relaxation", (Part(creep),)))[0]]
-        (found,) = likelihood.scan(values, curve, pool, terms, [white])
-        gain = float(found) - likelihood.at(values, curve, white)
+        terms = [pool.terms(Candidate((Part(creep),)))[0]]
+        found, alone = likelihood.scan(values, curve, [*terms, []], [white]).tolist()
+        gain = found - alone
         assert gain > 50.0 if explains else abs(gain) < 1e-6

@@ -139,7 +139,7 @@ def test_a_session_without_any_temperature_is_not_searched_and_the_log_has_that_
     stage = LiveDiagnosis(model())
     assert said(told, stage) == ""
     assert stage.notices() == [
-        "the model is not searched: the bias model needs temperature, which not every run has"
+        "the model is not searched: there is no temperature that every run has, and a bias model is over one"
     ]
 
 

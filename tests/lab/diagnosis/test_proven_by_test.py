@@ -7,8 +7,8 @@ import pytest
 
 from imumon.effects.base import Drive
 from imumon.effects.hysteresis import Hysteresis
-from imumon.lab.diagnosis.candidates import Candidate
-from imumon.lab.diagnosis.choice import Finding
+from imumon.effects.since_power_on import Drift, WarmUp
+from imumon.lab.diagnosis.candidates import Candidate, Finding, Part
 from imumon.lab.diagnosis.diagnose import diagnose
 from imumon.lab.diagnosis.report import report
 from imumon.lab.diagnosis.runs import Run
@@ -50,8 +50,10 @@ def test_a_loop_that_training_cannot_prove_is_proven_by_what_it_predicts(
 
 
 def test_effects_of_several_names_that_explain_the_test_are_not_told_apart() -> None:
+    effects = {"drift": Drift(), "warm_up": WarmUp(time_constant_s=200.0)}
+
     def hit(left: float, name: str) -> tuple[float, Finding]:
-        return left, Finding(Candidate(name, ()), 9.0, 9.0, by_test=True)
+        return left, Finding(Candidate((Part(effects[name]),)), 9.0, 9.0, by_test=True)
 
     best = chosen_by_test([hit(2.0, "drift"), hit(1.0, "warm_up"), hit(1.5, "warm_up")])
     assert best is not None

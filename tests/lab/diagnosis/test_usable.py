@@ -10,8 +10,8 @@ import pytest
 from imumon.errors import ImumonError
 from imumon.lab.diagnosis.blocks import common_block_s
 from imumon.lab.diagnosis.diagnose import diagnose
-from imumon.lab.diagnosis.runs import SENSORS, Run
-from imumon.lab.diagnosis.usable import check_training, resting, usable_blocks, usable_channels
+from imumon.lab.diagnosis.prepare import usable_blocks, usable_channels
+from imumon.lab.diagnosis.runs import MOSTLY, SENSORS, Run
 from tests.lab.diagnosis.units import three
 
 SECONDS = 2400
@@ -65,16 +65,14 @@ def test_runs_that_move_or_lack_a_temperature_are_named_and_the_others_used() ->
     block_s = common_block_s(train)
     bare = replace(train[0], name="bare", mean={"gyro_x": train[0].mean["gyro_x"]})
     remarks: list[str] = []
-    found = usable_blocks([moving(train[0]), train[1], bare], *NAMES, block_s, remarks)
+    found = usable_blocks([moving(train[0]), train[1], bare], *NAMES, block_s, remarks, training=True)
     assert [run.name for run in found] == [train[1].name]
     assert remarks == [
         f"{train[0].name}: not used, the unit moves: at rest for 0% of its {SECONDS / 60:.0f} min",
         "bare: not used, it lacks temperature",
     ]
-    check_training(found, block_s, remarks)
     with pytest.raises(ImumonError, match="the unit moves"):
-        check_training(usable_blocks([moving(train[0])], *NAMES, block_s, remarks), block_s, remarks)
+        usable_blocks([moving(train[0])], *NAMES, block_s, [], training=True)
     caveats = diagnose(train, [moving(test[0])]).caveats
     assert "no run can be used as a test: there is no independent proof" in caveats
-    assert resting(train[1])
-    assert not resting(moving(train[1]))
+    assert train[1].rest_share > MOSTLY > moving(train[1]).rest_share

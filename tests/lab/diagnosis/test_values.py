@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from imumon.blocks import FloatArray, SampleBlock
-from imumon.lab.diagnosis.quality import KEPT, Watcher
-from imumon.lab.diagnosis.runs import Run
-from imumon.lab.diagnosis.usable import faults, without_standstill
+from imumon.lab.diagnosis.prepare import faults, without_standstill
+from imumon.lab.diagnosis.runs import KEPT, Run, Watcher
 
 SECONDS, RATE = 600, 50
 N = SECONDS * RATE
@@ -52,7 +51,7 @@ def drop(values: FloatArray, _: FloatArray) -> FloatArray:
 def test_a_fault_is_named_as_what_it_is(
     change: Callable[[FloatArray, FloatArray], FloatArray], said: str
 ) -> None:
-    found = [fault.text for fault in faults([watched(change)], "gyro_x", 0.02)]
+    found = [*faults([watched(change)], "gyro_x", 0.02)]
     assert len(found) == 1
     assert found[0].startswith(said)
 
@@ -65,7 +64,7 @@ def test_what_stood_still_is_not_counted_again_as_a_value_that_comes_too_often(v
     remarks: list[str] = []
     left = without_standstill(watched(frozen), ["gyro_x"], remarks)
     assert remarks == ["a run: gyro_x is stuck or saturated for 40 s; they are left out"]
-    assert faults([left], "gyro_x", 0.02) == []
+    assert faults([left], "gyro_x", 0.02) == {}
 
 
 @pytest.mark.parametrize("step", [0.0, 0.01, 0.5, 1.0])
@@ -74,7 +73,7 @@ def test_sound_samples_have_no_fault_however_they_are_rounded(step: float, scale
     def rounded(values: FloatArray, _: FloatArray) -> FloatArray:
         return scale * (np.round(values / step) * step if step else values)
 
-    assert faults([watched(rounded)], "gyro_x", 0.02 * scale) == []
+    assert faults([watched(rounded)], "gyro_x", 0.02 * scale) == {}
 
 
 def test_what_is_kept_of_a_long_recording_is_spread_over_it() -> None:

@@ -1,0 +1,385 @@
+"""What of the recordings is searched: channels, drivers and runs of training and test, less what a known
+model expects of them.
+
+On what is left out functions add to `remarks`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.ndimage import binary_opening
+
+from imumon.blocks import BoolArray, FloatArray
+from imumon.clock.channel import CLOCK
+from imumon.columns import TEMPERATURES
+from imumon.effects.vibration import SECOND_NS
+from imumon.errors import bad_config, bad_data
+from imumon.filters.rounding import mean_error
+from imumon.lab.diagnosis.blocks import BLOCK_S, LEAST_BLOCKS, RunBlocks, common_block_s, make_blocks
+from imumon.lab.diagnosis.runs import CHANNELS, MOSTLY, SHORTEST_RUN_S, Run, channels_of, unit_of
+from imumon.models.curves.polynomial import PolynomialCurve
+from imumon.models.model import BiasModel, ChannelModel
+from imumon.models.predictor import BiasPredictor
+
+STRETCHES = 12
+"""Alternating stretches of a single run for training and test; of two halves one may lack an end of the
+temperatures, of single blocks both have the same flicker."""
+LONGEST_PAUSE_S = 60.0
+"""A recording that begins later than this after another, by the device's clock, begins at power-on."""
+LEAST_THERE = 0.1
+"""Share of its time in which a channel that is used has samples."""
+MANY_GAPS = 0.2
+"""Share of a run left out that is reported."""
+CUBIC_DEGREE = 3
+"""As what is assumed without a model: other curves keep their shape, and have a cubic added."""
+RESOLUTION = 1e-12
+"""Share of its value below which the changes of a channel are rounding in the computation of its means."""
+
+
+# Channels and drivers
+
+
+def usable_channels(
+    train: Sequence[Run], test: Sequence[Run], sensors: Sequence[str], remarks: list[str]
+) -> list[str]:
+    """Return the channels that vary and that every training run has at a tenth of its time or more.
+
+    The clock of the device beside others only where all runs have it.
+
+    Raises BAD_DATA when there is none.
+    """
+    found = []
+    for name in channels_of(sensors, {name for run in train for name in run.variance}):
+        lacking = [run.name for run in train if _share_there(run, name) <= LEAST_THERE]
+        if lacking:
+            remarks.append(f"{name} is left out: {', '.join(lacking)} hardly has it")
+        elif not any(_varies(run.mean[name]) for run in train):
+            value = float(np.nanmean(train[0].mean[name]))
+            remarks.append(f"{name} is left out: it has one value throughout, {value:g} {unit_of(name)}")
+        elif name != CLOCK or len(sensors) == 1 or all(CLOCK in run.mean for run in test):
+            found.append(name)
+    if not found:
+        raise bad_data(
+            f"no channel of {', '.join(sensors)} has data in every training run",
+            "give sessions that have them, or a map that says which columns they are",
+        )
+    return found
+
+
+def _share_there(run: Run, name: str) -> float:
+    """Return the share of its time in which a run has a column."""
+    return float(np.isfinite(run.mean[name]).mean()) if name in run.mean else 0.0
+
+
+def _varies(mean: FloatArray) -> bool:
+    """Return whether the means of a channel change by more than the rounding in their computation."""
+    return bool(np.nanmax(mean) - np.nanmin(mean) > RESOLUTION * np.nanmax(np.abs(mean)))
+
+
+def usable_drivers(
+    train: Sequence[Run],
+    test: Sequence[Run],
+    beside: Sequence[str],
+    wanted: Sequence[str] | None,
+    remarks: list[str],
+) -> list[str]:
+    """Return the drivers that vary in training and are in every run, of those wanted (None: of all).
+
+    `beside` are the temperatures that the curves are over.
+
+    Raises BAD_CONFIG when one that is wanted is not there.
+    """
+    there = dict.fromkeys(name for run in train for name in run.mean)
+    possible = [name for name in there if name not in CHANNELS and name not in beside]
+    if lacking := [name for name in wanted or () if name not in possible]:
+        raise bad_config(
+            f"--drivers: {', '.join(lacking)} is not in the training data",
+            f"there are {', '.join(possible) or 'none'}; a map names others with other: {{NAME: ...}}",
+        )
+    found = []
+    for name in possible if wanted is None else wanted:
+        values = np.concatenate([run.mean[name] for run in train if name in run.mean])
+        if not np.nanmax(values) > np.nanmin(values):
+            continue
+        runs = [run.name for run in (*train, *test) if _share_there(run, name) < 0.5 * run.slot_s / BLOCK_S]
+        if runs:
+            remarks.append(f"{name} is hardly recorded in {', '.join(runs)}: no effect of it is looked for")
+        else:
+            found.append(name)
+    return found
+
+
+# Training and test
+
+
+def latest(recordings: Sequence[Sequence[Run]]) -> tuple[list[Run], list[Run]]:
+    """Return the runs of all recordings but the last, and those of the last, the test; of one, no test."""
+    *earlier, last = recordings
+    return [run for runs in earlier or [last] for run in runs], list(last) if earlier else []
+
+
+def train_and_test(
+    train: Sequence[Run], test: Sequence[Run], channels: Sequence[str], remarks: list[str]
+) -> tuple[list[Run], list[Run]]:
+    """Return the runs of training and test without what stands still.
+
+    A test that the training has, by its bytes, is left out.  One that continues another run, by the device's
+    clock, has its time and temperatures.  Of an only run every other stretch is held out as a test.
+    """
+    train, test = ([without_standstill(run, channels, remarks) for run in runs] for runs in (train, test))
+    found = list[Run]()
+    for run in test:
+        if run.origin and any((run.origin, run.start_ns) == (one.origin, one.start_ns) for one in train):
+            remarks.append(f"{run.name}: not used as a test, the training has the same recording")
+            continue
+        before = (one for one in (*found, *train) if -1.0 <= _pause_s(one, run) <= LONGEST_PAUSE_S)
+        if one := next(before, None):
+            what = "time since power-on, lag and loop go on as well"
+            remarks.append(f"{run.name} goes on where {one.name} ended, by the device's clock: {what}")
+        found.append(_continued(one, run) if one else run)
+    if found or len(train) > 1 or train[0].duration_s < 2 * LEAST_BLOCKS * common_block_s(train):
+        return train, found
+    remarks.append(
+        f"no test data: every other {train[0].duration_s / STRETCHES / 60:.0f} min of the one run are"
+        " held out as a test.  That is weaker than another power-on: what is particular to this run, and"
+        " any noise that is slower, is in both"
+    )
+    return _divided(train[0], channels)
+
+
+def _divided(run: Run, channels: Sequence[str]) -> tuple[list[Run], list[Run]]:
+    """Return a run with every other stretch of the channels, and with the others: the test.
+
+    Both have the whole course of everything else, and of time.
+    """
+    n = len(run.time_s)
+    tested = (np.arange(n) * STRETCHES // n) % 2 == 1
+
+    def only(kept: BoolArray) -> dict[str, FloatArray]:
+        return run.mean | {name: np.where(kept, run.mean[name], np.nan) for name in channels}
+
+    other = replace(run, mean=only(tested), name=f"{run.name}, held out", begun_in=run.name, woven=True)
+    return [replace(run, mean=only(~tested))], [other]
+
+
+def _pause_s(before: Run, after: Run) -> float:
+    """Return the time between two runs by the device's clock, s; infinite where it is not known."""
+    if before.start_ns is None or after.start_ns is None or before.slot_s != after.slot_s:
+        return np.inf
+    return (after.start_ns - before.start_ns) / SECOND_NS - before.duration_s
+
+
+def _continued(before: Run, after: Run) -> Run:
+    """Return a run with the time and the drivers of the one that it continues; only its own samples count."""
+    first = len(before.time_s) + max(0, round(_pause_s(before, after) / after.slot_s))
+
+    def later(columns: Mapping[str, FloatArray], missing: float = np.nan) -> dict[str, FloatArray]:
+        return {name: np.append(np.full(first, missing), values) for name, values in columns.items()}
+
+    mean = later(after.mean)
+    for name in mean.keys() & before.mean.keys() - {*CHANNELS}:
+        mean[name][: len(before.time_s)] = before.mean[name]
+    return replace(
+        after,
+        time_s=(np.arange(first + len(after.time_s), dtype=np.float64) + 0.5) * after.slot_s,
+        count=later(after.count, 0.0),
+        mean=mean,
+        variance=later(after.variance),
+        rest=np.append(np.zeros(first), after.rest),
+        start_ns=before.start_ns,
+        begun_in=before.begun_in or before.name,
+    )
+
+
+# What cannot be fitted
+
+
+def without_standstill(run: Run, channels: Sequence[str], remarks: list[str]) -> Run:
+    """Return a run without the slots in which a channel has one value for as long as a block.
+
+    Noise never does that, but a stuck sensor, and one at its limit.  One whose digits are coarser than its
+    noise does so most of the time, and keeps its values.
+    """
+    mean, least = dict(run.mean), round(common_block_s([run]) / run.slot_s)
+    for name in (name for name in channels if name in mean):
+        same = (np.diff(mean[name], prepend=np.nan) == 0.0) & ~(run.variance[name] > 0.0)
+        still = binary_opening(same, np.ones(least))
+        if not still.any():
+            continue
+        still |= np.append(still[1:], False)  # the slot before the first that repeats has the value as well
+        share = float(still.sum() / np.isfinite(mean[name]).sum())
+        known = run.samples.get(name)
+        if share > 0.5 or (known is not None and known.step > known.scatter):
+            remarks.append(f"{run.name}: {name} does not change in {share:.0%} of its time: too few digits")
+            continue
+        still_s = still.sum() * run.slot_s
+        remarks.append(f"{run.name}: {name} is stuck or saturated for {still_s:.0f} s; they are left out")
+        mean[name] = np.where(still, np.nan, mean[name])
+    return replace(run, mean=mean)
+
+
+def faults(runs: Sequence[Run], channel: str, floor: float) -> dict[str, float]:
+    """Return the worst fault of each kind in the samples of a channel, and what it makes of a smooth bias:
+    digits too coarse for their noise to average what lies between them, and a value that is too frequent.
+
+    `floor` is the white noise of a mean of a block.
+    """
+    unit, kinds = unit_of(channel), (dict[str, float](), dict[str, float]())
+    for one in (run.samples[channel] for run in runs if channel in run.samples):
+        error = mean_error(one.step, one.ratio) if one.step > 0.0 else 0.0
+        if not error < 0.5 * floor:
+            times = f"about {1 / one.ratio:.2g} times the noise"
+            kinds[0][f"quantized: steps of {one.step:.3g} {unit}, {times}"] = error
+        if one.atom_share > 0.0:
+            share = f"{one.atom_share:.1%} of the samples are {one.atom + 0.0:.4g} {unit}"
+            kinds[1][f"frequent value, as of a dead-band, saturation or dropouts: {share}"] = np.inf
+    worst = [max(kind.items(), key=lambda item: item[1]) for kind in kinds if kind]
+    return dict(worst)
+
+
+def usable_blocks(
+    runs: Sequence[Run],
+    channels: Sequence[str],
+    temperatures: Sequence[str],
+    drivers: Sequence[str],
+    block_s: float,
+    remarks: list[str],
+    training: bool = False,
+) -> list[RunBlocks]:
+    """Return the runs at rest as blocks; raises BAD_DATA, saying why, where they are too few for training."""
+    found, earlier = [], len(remarks)
+    for run in runs:
+        lacking = [name for name in (*channels, *temperatures) if name not in run.mean]
+        if lacking:
+            remarks.append(f"{run.name}: not used, it lacks {', '.join(lacking)}")
+            continue
+        if run.rest_share < MOSTLY:
+            of = f"at rest for {run.rest_share:.0%} of its {run.duration_s / 60:.0f} min"
+            remarks.append(f"{run.name}: not used, the unit moves: {of}")
+            continue
+        blocks = make_blocks(run, channels, temperatures, drivers, block_s)
+        if len(blocks) * block_s < SHORTEST_RUN_S:
+            remarks.append(f"{run.name}: not used, too few means of {block_s:.0f} s at rest: {len(blocks)}")
+            continue
+        found.append(blocks)
+        there = run.count[channels[0]] > 0
+        begun = np.argmax(there)  # what goes on from another run begins late
+        share = float((there & run.at_rest)[begun:].mean())
+        if share < 1.0 - MANY_GAPS:
+            remarks.append(f"{run.name}: used in {share:.0%} of its time; gaps and motion are left out")
+    total = sum(map(len, found))
+    if training and total < LEAST_BLOCKS:
+        short = f"too short: the training data has {total} means of {block_s:.0f} s at rest"
+        needed = f"{LEAST_BLOCKS} are needed, {LEAST_BLOCKS * block_s / 60:.0f} min"
+        raise bad_data(
+            "; ".join([short, needed, *remarks[earlier:]]),
+            "record the unit at rest for an hour or more while its temperature changes;"
+            " if it was at rest and is not detected to be, add --at-rest",
+        )
+    return found
+
+
+# A model that is known
+
+
+def channels_with_model(channels: Sequence[str], model: BiasModel) -> list[str]:
+    """Return the channels that a model has; raises BAD_CONFIG where it has none of them."""
+    if found := [name for name in channels if name in model.channels]:
+        return found
+    raise bad_config(
+        f"the model has {', '.join(model.channels)}; the data has {', '.join(channels)}",
+        "give the model of this unit, or --declared",
+    )
+
+
+def temperature_of(channel: str, model: BiasModel | None, runs: Sequence[Run]) -> str:
+    """Return the temperature that the curve of a channel is over: that of the model, or of its axis, or
+    another that every run has.
+
+    Raises BAD_DATA without any.
+    """
+    wanted = f"temperature_{channel[-1]}"
+    if model is not None:
+        wanted = model.channels[channel].temperature_column.replace("_estimate", "")
+    for name in (wanted, *TEMPERATURES):
+        if name != channel and all(np.isfinite(run.mean.get(name, np.nan)).sum() > 1 for run in runs):
+            return name
+    raise bad_data(
+        "there is no temperature that every run has, and a bias model is over one",
+        "record with the temperature switched on, or name its column in the map",
+    )
+
+
+def check_range(model: BiasModel, temperatures: Mapping[str, str], runs: Sequence[RunBlocks]) -> None:
+    """Refuse a model whose curves hold at no temperature of the runs: nothing of them could be fitted anew.
+
+    Raises BAD_CONFIG, naming both ranges.
+    """
+    for name, temperature in temperatures.items():
+        found = np.concatenate([run.temperature[temperature] for run in runs])
+        low, high = model.channels[name].temperature_range_degc
+        if max(low, float(found.min())) >= min(high, float(found.max())):
+            raise bad_config(
+                f"the bias model of {name} holds from {low:.2f} to {high:.2f} °C, the training data has"
+                f" {found.min():.2f} to {found.max():.2f} °C: they do not overlap",
+                "give a model that was calibrated at these temperatures, or none: leave --model out",
+            )
+
+
+def order_of(channel: ChannelModel) -> int:
+    """Return the degree of the polynomial by which a curve is fitted anew: its own, or a cubic's."""
+    curve = channel.curve
+    return len(curve.coefficients) - 1 if isinstance(curve, PolynomialCurve) else CUBIC_DEGREE
+
+
+def without_curves(run: Run, model: BiasModel, channels: Sequence[str]) -> Run:
+    """Return a run with the curves of a model, and no effect beside them, taken from its channels."""
+    curves = {}
+    for name, channel in model.channels.items():
+        parts = [effect for effect in channel.effects if effect.polynomial() is not None]
+        curves[name] = channel.model_copy(update={"effects": parts})
+    return without_model(run, model.model_copy(update={"channels": curves}), channels)
+
+
+def without_model(run: Run, model: BiasModel, channels: Sequence[str]) -> Run:
+    """Return a run with what a model expects taken from its channels, effects integrated from power-on."""
+    channels = [name for name in channels if name in run.mean]
+    temperatures = [temperature_of(name, model, [run]) for name in channels]
+    force = [run.mean[f"accel_{axis}"] for axis in "xyz" if f"accel_{axis}" in run.mean]
+    expected = BiasPredictor(model, channels).process(
+        np.round(run.time_s * SECOND_NS).astype(np.int64),
+        np.zeros(len(run.time_s), np.int64),
+        np.column_stack([run.mean[name] for name in temperatures]),
+        np.column_stack(force) if len(force) == 3 else None,
+        run.mean,
+    )
+    changed = {name: run.mean[name] - expected.bias[:, at] for at, name in enumerate(channels)}
+    return replace(run, mean={**run.mean, **changed})
+
+
+def residual(run: Run, model: BiasModel, channels: Sequence[str]) -> RunBlocks:
+    """Return block means of what a model leaves of the channels, its effects integrated from power-on."""
+    temperatures = dict.fromkeys(temperature_of(name, model, [run]) for name in channels)
+    left = without_model(run, model, channels)
+    return make_blocks(left, channels, [*temperatures], block_s=common_block_s([run]))
+
+
+def within_range(model: BiasModel, run: Run, channels: Sequence[str], until_s: float | None = None) -> Run:
+    """Return a run at rest only where its temperatures are inside the range that a model was fitted on, or
+    those that the run itself had until then.
+
+    Outside that range the curve continues as a straight line, and what is left there is no effect.
+    """
+    inside = np.ones(len(run.time_s), bool)
+    for name in channels:
+        values = run.mean[temperature_of(name, model, [run])]
+        known = np.isfinite(values)
+        if until_s is None:
+            inside &= model.channels[name].inside(np.interp(run.time_s, run.time_s[known], values[known]))
+        else:
+            early = values[(run.time_s < until_s) & known]
+            inside &= (values >= early.min()) & (values <= early.max())
+    return replace(run, rest=np.where(inside, run.rest, 0.0))
