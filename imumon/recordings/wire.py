@@ -262,6 +262,15 @@ def _packed(record: mcap.McapRecord) -> bytes:
     return bytes(builder.end())  # type: ignore[no-untyped-call]  # the library does not say
 
 
+def refuse_recording(path: Path) -> None:
+    """Raise BUSY when a program writes this wire file at the moment."""
+    with path.open("rb") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise ImumonError(Reason.BUSY, f"{path} is being recorded", "stop the recording first") from error
+
+
 class _Spool:
     """The stream below: keeps bytes until the operating system has taken them, and their checksums.
 

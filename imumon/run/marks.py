@@ -14,7 +14,7 @@ from pathlib import Path
 from imumon.errors import ImumonError, bad_config
 from imumon.harmless import for_log
 from imumon.recordings.folder import open_session
-from imumon.recordings.recovery import refuse_recording
+from imumon.recordings.wire import refuse_recording
 from imumon.transport.reader import EventKind
 
 REQUESTS = "marks.jsonl"
