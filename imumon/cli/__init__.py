@@ -21,8 +21,7 @@ from click.shell_completion import shell_complete
 
 from imumon.cli.common import INTERRUPTED, note, say
 from imumon.errors import EXIT_INTERRUPTED, EXIT_OK, EXIT_USAGE, ImumonError
-from imumon.wing import GROUPS, Command
-from imumon.wings import built_in, wings
+from imumon.wing import GROUPS, Command, built_in, wings
 
 if TYPE_CHECKING:
     from sys import UnraisableHookArgs

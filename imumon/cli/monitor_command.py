@@ -26,7 +26,7 @@ from imumon.cli.common import (
 from imumon.cli.live_run import Keys, PortRun, single_keys, watch
 from imumon.cli.setup_options import SetupOptions, make_setup, setup_options
 from imumon.errors import EXIT_NEGATIVE, EXIT_OK, bad_config
-from imumon.wings import offers
+from imumon.wing import offers
 
 if TYPE_CHECKING:
     from imumon.run.live import LiveRun, LiveSummary
@@ -88,8 +88,8 @@ def command(
     rfc2217://host:port.  DEVICE is a name that `imumon devices` lists; `imumon detect` finds it.  Every byte
     received is kept.  When the device is unplugged or silent, imumon waits for it and opens it again.
     """
-    from imumon.run.learning import compared, keep_learned
     from imumon.run.narration import view_setup
+    from imumon.run.stages import compared, keep_learned
 
     mode = chosen_view(view, bind)
     outputs = [(one, one.parse(options.pop(one.name))) for one in offers("live_output")]

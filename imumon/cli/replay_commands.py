@@ -31,7 +31,7 @@ from imumon.cli.setup_options import SetupOptions, make_setup, setup_options
 from imumon.cli.table_commands import exported_as_data
 from imumon.errors import EXIT_NEGATIVE, EXIT_OK, ImumonError, Reason, bad_config, bad_data
 from imumon.files import check_output
-from imumon.wings import offers
+from imumon.wing import offers
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -124,7 +124,7 @@ def replay(
     more: list[Estimator] = []
     disagreement: dict[str, float] | None = None
     if smooth:
-        from imumon.run.smoothing import smoothed
+        from imumon.run.stages import smoothed
 
         stage = smoothed(open_source(session, rate_hz=rate), setup)
         more, disagreement = [stage], stage.residuals

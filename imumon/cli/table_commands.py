@@ -26,7 +26,7 @@ from imumon.cli.common import (
 from imumon.cli.progress import reading_bar
 from imumon.errors import ImumonError, Reason, bad_config
 from imumon.files import check_output
-from imumon.wings import offers
+from imumon.wing import offers
 
 if TYPE_CHECKING:
     from imumon.pipeline import Pipeline

@@ -28,7 +28,7 @@ from imumon.transport.port import latency_text
 from imumon.transport.ports import PortInfo, latency_timer_path, list_ports
 from imumon.transport.settings import PortSettings
 from imumon.view.viewer import has_display, quiet_environment, viewer_binary
-from imumon.wings import NEEDED, is_wing
+from imumon.wing import NEEDED, is_wing
 
 DISTRIBUTION = "imumon"
 VULKAN_DRIVERS = tuple(Path(place, "vulkan/icd.d") for place in ("/usr/share", "/usr/local/share", "/etc"))

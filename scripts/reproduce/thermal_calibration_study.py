@@ -16,8 +16,7 @@ from study import Cells, Options, Study, Table, matrix, rms
 from imumon.blocks import BoolArray, FloatArray
 from imumon.geodesy import DEG_PER_H
 from imumon.lab.calibration.calibration import calibrate, knots_of
-from imumon.lab.calibration.cells import Channel, channel_of, group, levels
-from imumon.lab.calibration.record import Record, read_session, record_of
+from imumon.lab.calibration.cells import Channel, Record, channel_of, group, levels, read_session, record_of
 from imumon.lab.calibration.selection import choose, held_out, slow_variance
 from imumon.models.curves.network import NetworkCurve, Scaled, fit_network, mean_square, starts, train
 from imumon.models.curves.points import Points

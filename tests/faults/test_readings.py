@@ -20,7 +20,7 @@ from imumon.estimation.gyro_bias.stage import RestDetector
 from imumon.fleet.batch.dataset import BatchOptions
 from imumon.fleet.batch.tasks import Job, work
 from imumon.lab.calibration.calibration import calibrate
-from imumon.lab.calibration.record import Record, read_session
+from imumon.lab.calibration.cells import Record, read_session
 from imumon.lab.diagnosis.runs import read_runs
 from tests.cli.command import answer, imumon
 from tests.faults.readings import FAULTS, Columns, Fault, write_session

@@ -14,8 +14,17 @@ from imumon.effects.thermal_lag import UNTOLD_S
 from imumon.errors import bad_config, bad_data
 from imumon.geodesy import DEG_PER_H
 from imumon.intake import RANGES
-from imumon.lab.calibration.cells import Cells, Channel, channel_of, group, levels
-from imumon.lab.calibration.record import BLOCK_S, LEAST_COVERED, Record, read_session
+from imumon.lab.calibration.cells import (
+    BLOCK_S,
+    LEAST_COVERED,
+    Cells,
+    Channel,
+    Record,
+    channel_of,
+    group,
+    levels,
+    read_session,
+)
 from imumon.lab.calibration.selection import Choice, choose, slow_variance, turn_on_offsets
 from imumon.models.curves.points import Points
 from imumon.models.model import UNITS, BiasModel, ChannelModel, TrainedOn
