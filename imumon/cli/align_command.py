@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -25,7 +25,7 @@ from imumon.cli.common import (
     warn,
 )
 from imumon.cli.live_run import PortRun
-from imumon.cli.setup_options import SetupOptions, make_setup
+from imumon.cli.setup_options import make_setup
 from imumon.errors import EXIT_NEGATIVE, EXIT_OK, ImumonError, Reason, bad_config, bad_data
 from imumon.estimation.alignment.report import Estimate, Guide, Status
 
@@ -67,7 +67,7 @@ def command(
     seconds: float | None,
     out: Path | None,
     as_json: bool,
-    **given: Any,
+    **options: Any,
 ) -> int:
     """Find the heading of the resting unit on PORT or in SESSION from the earth's rotation.
 
@@ -82,14 +82,16 @@ def command(
     measure the angle.  The earth's rotation stays where it is and the bias turns with the unit, so that the
     two can be separated.
     """
-    options = cast("SetupOptions", given)
     if _is_recording(source):
         if baud is not None or seconds is not None or out is not None:
             raise click.UsageError("--baud, --seconds and --out are for a port; a session is only read")
         ran, columns = _recorded(Path(source), device, options, until)
     else:
         setup = _with_sigma(make_setup(options), until)
-        ran = _live(PortRun(source, _needed(device, source), baud, setup, out, seconds), positions)
+        if device is None:
+            hint = f"add --device NAME (imumon devices lists them) or a file; imumon detect {source} may tell"
+            raise bad_config(f"{source} is a port, so its device must be named", hint)
+        ran = _live(PortRun(source, device, baud, setup, out, seconds), positions)
         columns = {column.name for column in ran.columns}
     status = _stage_of(ran).status
     if status.phase == "waiting":
@@ -134,7 +136,7 @@ def _stage_of(pipeline: Pipeline) -> Alignment:
 
 
 def _recorded(
-    path: Path, device: str | None, options: SetupOptions, until: float | None
+    path: Path, device: str | None, options: dict[str, Any], until: float | None
 ) -> tuple[Pipeline, set[str]]:
     """Go through a recording to its end; return the pipeline, and the names of the columns that came."""
     from imumon.estimation.alignment.stage import Alignment
@@ -153,17 +155,6 @@ def _recorded(
             line.update(_progress(stage.status))
     warn([*source.warnings(), *pipeline.warnings()])
     return pipeline, {column.name for column in source.columns(pipeline)}
-
-
-def _needed(device: str | None, port: str) -> str:
-    """Return the device; raises BAD_CONFIG when none was named, as a port cannot tell."""
-    from imumon.protocols.device import device_names
-
-    if device is None:
-        what = f"{port} is a port, so its device must be named"
-        hint = f"add --device NAME: {', '.join(device_names())}, or a file; imumon detect {port} may tell"
-        raise bad_config(what, hint)
-    return device
 
 
 def _live(live: PortRun, positions: int) -> Pipeline:

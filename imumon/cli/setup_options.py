@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypedDict, TypeVar
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
@@ -15,18 +14,6 @@ if TYPE_CHECKING:
     from imumon.run.setup import Setup
 
 Command = TypeVar("Command", bound=Callable[..., Any])
-
-
-class SetupOptions(TypedDict, total=False):
-    """The values of the options; None, or nothing, where one was not given."""
-
-    pipeline: Path | None
-    model: Path | None
-    zupt: str | None
-    random_error: str | None
-    published: str | None
-    latitude: float | None
-    heading: float | None
 
 
 _OPTIONS = (
@@ -67,13 +54,13 @@ _OPTIONS = (
 
 
 def setup_options(command: Command) -> Command:
-    """Add the options; the command gets them as keywords named as in `SetupOptions`."""
+    """Add the options; the command gets them as keywords named as they are."""
     for option in reversed(_OPTIONS):
         command = option(command)
     return command
 
 
-def make_setup(given: SetupOptions, recorded: str | None = None, source: str = "") -> Setup:
+def make_setup(given: Mapping[str, Any], recorded: str | None = None, source: str = "") -> Setup:
     """Return the setup of a run: the pipeline file, else that of the recording, changed by the options.
 
     Raises BAD_CONFIG when a file cannot be read, or the parts contradict each other.

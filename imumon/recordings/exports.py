@@ -150,13 +150,11 @@ def convert(
     if first.suffix == ".mcap":
         from imumon.recordings.ros2 import write_ros2
 
-        written = write_ros2(tables, first, axes)
-        if not written.streams:
-            raise bad_config(
-                f"there is nothing to write as messages of ROS 2: {'; '.join(written.left_out)}",
-                "leave --columns out, or name a whole vector: gyro_x,gyro_y,gyro_z",
-            )
-        return dict.fromkeys(written.streams, first), written.left_out
+        streams, left_out = write_ros2(tables, first, axes)
+        if not streams:
+            what = f"there is nothing to write as messages of ROS 2: {'; '.join(left_out)}"
+            raise bad_config(what, "leave --columns out, or name a whole vector: gyro_x,gyro_y,gyro_z")
+        return dict.fromkeys(streams, first), left_out
     for stream, path in tables.items():
         block, columns = read_table(path)
         {".npz": write_npz, ".mat": _mat}[first.suffix](out[stream], dict(block.columns), columns)

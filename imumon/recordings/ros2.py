@@ -50,17 +50,10 @@ DIAGNOSED = (
 """What stands in the diagnostics, once a second."""
 
 
-@dataclass(frozen=True, slots=True)
-class Written:
-    """What became of a run: messages of each topic, the streams they are of, what ROS has no terms for."""
-
-    messages: dict[str, int]
-    streams: list[str]
-    left_out: list[str]
-
-
-def write_ros2(tables: Mapping[str, Path], out: Path, axes: Literal["FLU", "FRD"] | None) -> Written:
-    """Write tables of a run as one MCAP file.
+def write_ros2(
+    tables: Mapping[str, Path], out: Path, axes: Literal["FLU", "FRD"] | None
+) -> tuple[list[str], list[str]]:
+    """Write tables of a run as one MCAP file; return the streams that it has, and what ROS has no terms for.
 
     Raises BAD_CONFIG when a package that it needs is not installed.
 
@@ -96,7 +89,7 @@ def write_ros2(tables: Mapping[str, Path], out: Path, axes: Literal["FLU", "FRD"
             elif published.clock:
                 left_out.append(f"{stream}: of its columns alone no message can be made")
         writer.finish()  # type: ignore[no-untyped-call]  # the package leaves its return type out
-    return Written(counts, streams, left_out)
+    return streams, left_out
 
 
 class _Topic(NamedTuple):

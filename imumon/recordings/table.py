@@ -251,11 +251,8 @@ class _UnitsFile(StrictModel):
 
 
 def _write_units(path: Path, columns: Iterable[Column]) -> None:
-    entries = {
-        one.name: _UnitsColumn(unit=one.unit, type=one.dtype, description=one.description) for one in columns
-    }
-    content = _UnitsFile(format="imumon-table/1", imumon=__version__, columns=entries)
-    write_text(path, dump_yaml(content.model_dump()))
+    entries = {c.name: {"unit": c.unit, "type": c.dtype, "description": c.description} for c in columns}
+    write_text(path, dump_yaml({"format": FORMAT, "imumon": __version__, "columns": entries}))
 
 
 def _csv_columns(path: Path) -> dict[str, Column]:

@@ -154,22 +154,35 @@ class WireReader:
     def batches(self) -> Iterator[Reads | Event]:
         """Yield the items in the order in which they were written, reads that follow each other together.
 
-        Raises BAD_DATA, when the file cannot be read or is not a wire file.
+        Raises BAD_DATA, when the file cannot be read, is no wire file, or has what a newer version wrote.
         """
+        self._begin()
+        data, head = self._data, self._data[: wf.HEAD_SIZE]
+        is_mcap = MAGIC.startswith(head[: len(MAGIC)])
+        if not is_mcap and wf.PROFILE in head:
+            self.summary.damage.add(Place(0, len(MAGIC), 0, 0, 0))
+        marker = -1
+        while (marker := data.find(wf.MARKER, marker + 1)) >= 0:
+            at = marker - RECORD.size
+            if at >= 0 and (check := Check.unpack(data, at)) is not None:
+                yield from self._block(check, at)
+        if not self._done:
+            if not is_mcap and wf.PROFILE not in head:
+                hint = "only wire files that imumon recorded can be replayed"
+                raise bad_data(f"{self.path}: is not a wire file", hint)
+            end = yield from self._records(data, min(len(MAGIC), len(data)), sealed=False)
+            self._finish(end)
+        yield from self._reads()
+        yield from self._end()
+
+    def _begin(self) -> None:
         with readable(self.path), self.path.open("rb") as file:
             size, number = self.path.stat().st_size, file.fileno()
             # The system keeps in memory what is looked at.
-            contents = _Contents(self.path, mmap.mmap(number, 0, access=mmap.ACCESS_READ) if size else b"")
-        self.summary = contents.found
-        yield from contents.batches()
-
-
-class _Contents:
-    """One iteration over the bytes of a wire file."""
-
-    def __init__(self, path: Path, data: mmap.mmap | bytes) -> None:
-        self.found = WireSummary()
-        self._path, self._data = path, data
+            self._data: mmap.mmap | bytes = b""
+            if size:
+                self._data = mmap.mmap(number, 0, access=mmap.ACCESS_READ)
+        self.summary = WireSummary()
         self._done = self._released = 0
         """Up to where everything is read or given up, and up to where it is no longer kept in memory."""
         self._crc = 0
@@ -180,29 +193,6 @@ class _Contents:
         self._arrivals_ns: list[int] = []
         self._kept = 0
         """Reads that were found since the last batch, and their bytes."""
-
-    def batches(self) -> Generator[Reads | Event]:
-        """Yield everything; `found` is complete afterwards.
-
-        Raises BAD_DATA when this is no wire file, or what a newer version wrote is in it.
-        """
-        data, head = self._data, self._data[: wf.HEAD_SIZE]
-        is_mcap = MAGIC.startswith(head[: len(MAGIC)])
-        if not is_mcap and wf.PROFILE in head:
-            self.found.damage.add(Place(0, len(MAGIC), 0, 0, 0))
-        marker = -1
-        while (marker := data.find(wf.MARKER, marker + 1)) >= 0:
-            at = marker - RECORD.size
-            if at >= 0 and (check := Check.unpack(data, at)) is not None:
-                yield from self._block(check, at)
-        if not self._done:
-            if not is_mcap and wf.PROFILE not in head:
-                hint = "only wire files that imumon recorded can be replayed"
-                raise bad_data(f"{self._path}: is not a wire file", hint)
-            end = yield from self._records(data, min(len(MAGIC), len(data)), sealed=False)
-            self._finish(end)
-        yield from self._reads()
-        yield from self._end()
 
     def _block(self, check: Check, end: int) -> Generator[Reads | Event]:
         """Yield the block that a check record at this place seals, or count what is lost.
@@ -233,15 +223,15 @@ class _Contents:
         data, behind = self._data, _walk(self._data, self._done)
         opcode, begin, end = next(behind, (0, 0, 0))
         if opcode != wf.DATA_END_OP or end - begin != 4 or end > len(data):
-            self.found.tail_bytes = len(data) - self._done
+            self.summary.tail_bytes = len(data) - self._done
             return
         if expected := int.from_bytes(data[begin:end], "little"):
-            self.found.checksum_ok = self._crc == expected
+            self.summary.checksum_ok = self._crc == expected
         for opcode, begin, _ in behind:
             if opcode == Opcode.STATISTICS:  # begins with the number of messages
                 messages = int.from_bytes(data[begin : begin + 8], "little")
-                yield from self._lose(0, self.found.last_ns, messages & SEQUENCE_MASK)
-        self.found.complete = data[-len(MAGIC) :] == MAGIC
+                yield from self._lose(0, self.summary.last_ns, messages & SEQUENCE_MASK)
+        self.summary.complete = data[-len(MAGIC) :] == MAGIC
 
     def _finish(self, end: int) -> None:
         """Take what stands before this place as read: into the checksum, and out of the memory."""
@@ -266,12 +256,12 @@ class _Contents:
         missing = max(0, self._ahead(sequence))
         if size or missing:
             yield from self._reads()
-            self.found.damage.add(Place(self._done, size, self.found.last_ns, before_ns, missing))
+            self.summary.damage.add(Place(self._done, size, self.summary.last_ns, before_ns, missing))
         self._next_sequence = self._next_sequence + missing & SEQUENCE_MASK
 
     def _error(self, what: str) -> ImumonError:
         hint = "a newer imumon wrote it, or only wire files that imumon recorded can be replayed"
-        return bad_data(f"{self._path}: {what}", hint)
+        return bad_data(f"{self.path}: {what}", hint)
 
     def _records(
         self, data: mmap.mmap | bytes, at: int, *, sealed: bool
@@ -285,7 +275,7 @@ class _Contents:
                 _, length, channel, sequence, time_ns, _ = MESSAGE.unpack_from(data, at)
                 after = at + RECORD.size + length
                 self._next_sequence = (sequence + 1) & SEQUENCE_MASK
-                self.found.last_ns = time_ns
+                self.summary.last_ns = time_ns
                 if channel in _BEFORE_DATA:
                     self._pieces.append(data[at + MESSAGE.size + _BEFORE_DATA[channel] : after])
                     self._arrivals_ns.append(time_ns)
@@ -330,21 +320,21 @@ class _Contents:
             data = np.frombuffer(b"".join(self._pieces), np.uint8)
             batch = Reads(data, ends, np.array(self._arrivals_ns, np.int64))
             self._pieces, self._arrivals_ns, self._kept = [], [], 0
-            self.found.reads += len(ends)
-            self.found.bytes += len(data)
+            self.summary.reads += len(ends)
+            self.summary.bytes += len(data)
             yield batch
 
     def _event(self, fields: Any, time_ns: int) -> Event | None:
         """Return an event, or count what it says is missing; raises one of `BAD_EVENT` for what is none."""
         if fields["kind"] != wf.UNRECORDED:
             event = Event(EventKind(fields["kind"]), time_ns, str(fields["detail"]))
-            self.found.events += 1
+            self.summary.events += 1
             return event
-        self.found.bytes_unrecorded += int(fields["bytes"])
+        self.summary.bytes_unrecorded += int(fields["bytes"])
         if "after_ns" in fields:
             place = Place(0, 0, int(fields["after_ns"]), time_ns, int(fields["reads"]))
-            self.found.damage.add(place)
-            self.found.recovered.add(place)
+            self.summary.damage.add(place)
+            self.summary.recovered.add(place)
         return None
 
     def _rare(self, opcode: int, body: bytes) -> None:
@@ -359,7 +349,7 @@ class _Contents:
                 raise self._error(f"is an MCAP file of profile {profile!r}, not {wf.FORMAT!r}")
         elif opcode == Opcode.METADATA:
             metadata = Metadata.read(stream)
-            self.found.metadata |= metadata.metadata if metadata.name == "imumon" else {}
+            self.summary.metadata |= metadata.metadata if metadata.name == "imumon" else {}
         elif opcode == Opcode.CHUNK:
             raise self._error("another program has put it into chunks")
         elif opcode not in _PASSED_OVER:

@@ -223,15 +223,15 @@ class Installed:
 
 def installed() -> list[Installed]:
     """Return the plug-ins of all groups, each loaded for a try."""
-    return [_tried(entry) for group in (STAGES, DEVICES, EFFECTS, WINGS) for entry in entries(group)]
-
-
-def _tried(entry: EntryPoint) -> Installed:
-    known = (entry.group, entry.name, *package_of(entry))
-    try:
-        return Installed(*known, tuple(_brought(entry)))
-    except ImumonError as error:
-        return Installed(*known, problem=error.seen)
+    found = []
+    for entry in chain.from_iterable(map(entries, (STAGES, DEVICES, EFFECTS, WINGS))):
+        brings, problem = list[str](), ""
+        try:
+            brings = _brought(entry)
+        except ImumonError as error:
+            problem = error.seen
+        found.append(Installed(entry.group, entry.name, *package_of(entry), tuple(brings), problem))
+    return found
 
 
 def _brought(entry: EntryPoint) -> list[str]:

@@ -11,12 +11,12 @@ from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from imumon.errors import bad_config, bad_data
+from imumon.errors import ImumonError, Reason, bad_config, bad_data
 from imumon.protocols.device import device_text, parse_device
 from imumon.recordings import folder
 from imumon.recordings.folder import METADATA_NAME, Session, SessionMetadata
 from imumon.recordings.source import Source, bytes_missing, run_over, source_of
-from imumon.recordings.wire import WireWriter, refuse_recording
+from imumon.recordings.wire import WireWriter, is_recorded
 from imumon.recordings.wire_reader import WireReader, WireSummary
 from imumon.run.live import summary_of
 from imumon.run.narration import advised
@@ -57,7 +57,7 @@ def recover(path: Path, device_name: str | None = None) -> Recovered:
     """
     lost = folder.lost_metadata(path)
     if lost is not None:
-        refuse_recording(lost)
+        _refuse_recorded(lost)
         metadata, unknown = _metadata_anew(lost, device_name)
         session = Session(lost.parent, metadata)
     else:
@@ -68,7 +68,7 @@ def recover(path: Path, device_name: str | None = None) -> Recovered:
         hint = "it follows from its table: imumon import makes it anew"
         raise bad_data(f"{path} is an imported session, which has no bytes", hint)
     wire = session.wire_path
-    refuse_recording(wire)
+    _refuse_recorded(wire)
     source, before = source_of(session), WireReader(wire)
     for _ in before.batches():
         pass
@@ -88,6 +88,11 @@ def recover(path: Path, device_name: str | None = None) -> Recovered:
         result.done.append(f"{METADATA_NAME}: closed, with the counters of what there is{made}")
     result.warnings = [*unknown, *warnings]
     return result
+
+
+def _refuse_recorded(wire: Path) -> None:
+    if is_recorded(wire):
+        raise ImumonError(Reason.BUSY, f"{wire} is being recorded", "stop the recording first")
 
 
 def _run_again(session: Session, source: Source) -> tuple[SessionMetadata, list[str]]:

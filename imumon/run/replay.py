@@ -170,4 +170,4 @@ def _paced(items: Iterable[Item | SampleBlock], speed: float) -> Iterator[Item |
 def _time_ns(item: Item | SampleBlock, before_ns: int) -> int:
     if isinstance(item, SampleBlock):
         return int(item["device_time_ns"][-1]) if len(item) else before_ns
-    return item.arrival_ns if isinstance(item, Bytes) else item.time_ns
+    return item.time_ns

@@ -7,7 +7,7 @@ import shlex
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
 
@@ -18,7 +18,6 @@ from imumon.estimation.smoothing.stage import Record, Recorder, SmoothedEstimate
 from imumon.estimation.spectrum.stage import LiveSpectrum
 from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.estimation.watch.stage import ModelWatch
-from imumon.models.model import TrainedOn
 from imumon.pipeline import Estimator, Pipeline, SampleSink
 from imumon.plugins import STAGES, plugins
 from imumon.protocols.device import DeviceFile
@@ -112,27 +111,13 @@ def smoothed(source: Source, setup: Setup) -> SmoothedEstimates:
 def _bias(record: Record, setup: Setup) -> RestAndBias:
     """Return the stage that goes backward, for which the earth turns the other way."""
     latitude = None if setup.latitude_deg is None else -setup.latitude_deg
-    heading = None if setup.heading_deg is None else _last_heading(record, setup.heading_deg) + 180.0
+    heading = setup.heading_deg
+    if heading is not None:
+        known = record.columns["attitude_estimate_heading"]
+        known = known[np.isfinite(known)]
+        heading += 180.0 + (math.degrees(known[-1] - known[0]) if len(known) else 0.0)
     mode: ZuptMode = "learned" if setup.mode == "learned" else "standard"
     return RestAndBias(setup.zupt_with_noise, None, mode, latitude, heading, setup.rest)
-
-
-def _last_heading(record: Record, first_deg: float) -> float:
-    """Return the heading at the end of the recording, degrees."""
-    known = record.columns["attitude_estimate_heading"]
-    known = known[np.isfinite(known)]
-    return first_deg + (math.degrees(known[-1] - known[0]) if len(known) else 0.0)
-
-
-@runtime_checkable
-class Learning(Protocol):
-    """A stage that looks for a better model than the present one."""
-
-    offered: Any
-    """What has the better `model`, once it has won; else None."""
-
-    def evidence(self, session: str, sha256: str) -> TrainedOn:
-        """Return what the model was learned from, a session of this name and fingerprint."""
 
 
 def keep_learned(pipeline: Pipeline, session: Session) -> Path | None:
@@ -140,8 +125,9 @@ def keep_learned(pipeline: Pipeline, session: Session) -> Path | None:
 
     The model that the session ran with stays where it is: who wants the new one names it.
     """
-    stage = next((one for one in pipeline.estimators if isinstance(one, Learning)), None)
-    if stage is None or stage.offered is None:
+    found = (one for one in pipeline.estimators if getattr(one, "offered", None) is not None)
+    stage: Any = next(found, None)
+    if stage is None:
         return None
     path, model = session.path / LEARNED_NAME, stage.offered.model
     evidence = stage.evidence(session.path.name, fingerprint(session.truth_path))

@@ -180,8 +180,11 @@ def main_temperature(record: Record) -> FloatArray:
 
 def group(records: Sequence[Record], latitude_deg: float | None, heading_deg: float | None) -> Cells:
     """Group the blocks at rest; runs shorter than `SHORTEST_RUN_S` are left out."""
-    chosen = [_usable(record) for record in records]
     temperatures = [main_temperature(record) for record in records]
+    chosen = [
+        np.flatnonzero(record.rest & np.isfinite(sum(map(record.of, GYRO)) + temperature))
+        for record, temperature in zip(records, temperatures, strict=True)
+    ]
     known = np.concatenate([t[rows] for t, rows in zip(temperatures, chosen, strict=True)])
     width = float(np.ptp(known)) / CELLS_PER_SPAN if len(known) else 0.0
     runs: list[Run] = []
@@ -228,15 +231,15 @@ def channel_of(
     if not good.any() or np.ptp(value[good]) == 0.0:
         return None
     _, first, cell = np.unique(cell[good], return_index=True, return_inverse=True)
-    whole = _sum(cell, seconds[good])
+    whole = np.bincount(cell, seconds[good])
     share = seconds[good] / whole[cell]
-    mean_temperature = _sum(cell, share * temperature[good])
+    mean_temperature = np.bincount(cell, share * temperature[good])
     return Channel(
         name=name,
         temperature_column=column,
         temperature=mean_temperature,
-        value=_sum(cell, share * value[good]),
-        white=_sum(cell, share**2 * white[good]),
+        value=np.bincount(cell, share * value[good]),
+        white=np.bincount(cell, share**2 * white[good]),
         seconds=whole,
         run=run_of[good][first],
         level=nearest(mean_temperature, level_centers),
@@ -269,16 +272,6 @@ def levels(cells: Cells) -> FloatArray:
 def nearest(temperature: FloatArray, centers: FloatArray) -> IntArray:
     """Return the number of the level nearest to each temperature."""
     return np.searchsorted(0.5 * (centers[1:] + centers[:-1]), temperature).astype(np.int64)
-
-
-def _sum(cell: IntArray, parts: FloatArray) -> FloatArray:
-    return np.bincount(cell, parts).astype(np.float64)
-
-
-def _usable(record: Record) -> IntArray:
-    """Return the blocks at rest that have a rate and a temperature."""
-    rate = np.all([np.isfinite(record.of(name)) for name in GYRO], axis=0)
-    return np.flatnonzero(record.rest & rate & np.isfinite(main_temperature(record)))
 
 
 def _runs(record: Record, rows: IntArray) -> list[IntArray]:

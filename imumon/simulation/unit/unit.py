@@ -41,6 +41,19 @@ TRUTH_COLUMNS: tuple[Column, ...] = (
 """What `SimulatedUnit.run` returns as the truth, besides device_time_ns and segment."""
 
 
+_CONSTANT: dict[str, ColumnArray] = {
+    "status": np.array([7]),
+    "supply_voltage": np.array([5.02]),
+    "pressure": np.array([101_325.0]),
+}
+"""What encoders may ask for and nothing here changes."""
+
+
+def _whole(columns: Mapping[str, ColumnArray]) -> SampleBlock:
+    """Return a block of `CHUNK` rows; a column of one row holds throughout."""
+    return SampleBlock({name: np.array(np.broadcast_to(values, CHUNK)) for name, values in columns.items()})
+
+
 class SimulatedUnit:
     """A unit that plays a scenario; the same seed gives the same samples, to the bit, however the run is cut.
 
@@ -50,10 +63,27 @@ class SimulatedUnit:
     """
 
     def __init__(self, scenario: Scenario, seed: int = 0, tick_ns: Fraction = MICROSECOND) -> None:
+        unit, rate, attitude = scenario.unit, scenario.rate_hz, scenario.attitude
         self.scenario = scenario
         self._tick_ns = tick_ns
-        self._sensors = _Sensors(scenario, seed)
-        self._left = self._sensors.chunk(0)
+        self._angles = np.deg2rad([attitude.roll_deg, attitude.pitch_deg, attitude.heading_deg])
+        self._up = np.array([0.0, 0.0, -scenario.gravity_m_per_s2])
+        self._earth = earth_rate(scenario.latitude_deg)
+        self._temperature = SensorTemperature(scenario.chamber, unit.self_heating)
+        self._gyro_bias = gyro_bias(unit, 1.0 / rate, seed)
+        self._accel_bias = accel_bias(unit, 1.0 / rate, seed)
+        densities = [
+            *np.deg2rad(unit.gyro_noise.arw_deg_per_sqrt_h) / 60.0,
+            *unit.accel_noise.vrw_m_per_s_per_sqrt_s,
+        ]
+        self._white = White(np.array(densities) * np.sqrt(rate), generator(seed, "white"))
+        self._mag_noise = White([MAG_NOISE_UT] * 3, generator(seed, "magnetometer"))
+        self._drivers = scenario.drivers
+        sds = np.array([course.noise for course in scenario.drivers.values()])
+        self._driver_noise = White(sds, generator(seed, "drivers"))
+        self._thermometers = Thermometers(unit.thermometer, 4, rate, seed)
+        self._low_pass: LowPass | None = None
+        self._left = self._chunk(0)
         """What is sent of samples that are computed and not taken yet, and the truth."""
         self._taken = 0
 
@@ -78,7 +108,7 @@ class SimulatedUnit:
     def _take(self, n: int) -> tuple[SampleBlock, SampleBlock]:
         parts, computed = [self._left], len(self._left[0])
         while computed < n:
-            parts.append(self._sensors.chunk(self._taken + computed))
+            parts.append(self._chunk(self._taken + computed))
             computed += CHUNK
         sent, truth = (join(part) for part in zip(*parts, strict=True))
         index = np.arange(self._taken, self._taken + n)
@@ -88,49 +118,11 @@ class SimulatedUnit:
         counted = {"packet_counter": index, "device_ticks": ticks}
         return SampleBlock({**counted, **sent.rows(0, n).columns}), truth.rows(0, n)
 
-
-_CONSTANT: dict[str, ColumnArray] = {
-    "status": np.array([7]),
-    "supply_voltage": np.array([5.02]),
-    "pressure": np.array([101_325.0]),
-}
-"""What encoders may ask for and nothing here changes."""
-
-
-def _whole(columns: Mapping[str, ColumnArray]) -> SampleBlock:
-    """Return a block of `CHUNK` rows; a column of one row holds throughout."""
-    return SampleBlock({name: np.array(np.broadcast_to(values, CHUNK)) for name, values in columns.items()})
-
-
-class _Sensors:
-    """Everything between a scenario and the numbers of a chunk."""
-
-    def __init__(self, scenario: Scenario, seed: int) -> None:
-        unit, rate, attitude = scenario.unit, scenario.rate_hz, scenario.attitude
-        self._scenario = scenario
-        self._angles = np.deg2rad([attitude.roll_deg, attitude.pitch_deg, attitude.heading_deg])
-        self._up = np.array([0.0, 0.0, -scenario.gravity_m_per_s2])
-        self._earth = earth_rate(scenario.latitude_deg)
-        self._temperature = SensorTemperature(scenario.chamber, unit.self_heating)
-        self._gyro_bias = gyro_bias(unit, 1.0 / rate, seed)
-        self._accel_bias = accel_bias(unit, 1.0 / rate, seed)
-        densities = [
-            *np.deg2rad(unit.gyro_noise.arw_deg_per_sqrt_h) / 60.0,
-            *unit.accel_noise.vrw_m_per_s_per_sqrt_s,
-        ]
-        self._white = White(np.array(densities) * np.sqrt(rate), generator(seed, "white"))
-        self._mag_noise = White([MAG_NOISE_UT] * 3, generator(seed, "magnetometer"))
-        self._drivers = scenario.drivers
-        sds = np.array([course.noise for course in scenario.drivers.values()])
-        self._driver_noise = White(sds, generator(seed, "drivers"))
-        self._thermometers = Thermometers(unit.thermometer, 4, rate, seed)
-        self._low_pass: LowPass | None = None
-
-    def chunk(self, first: int) -> tuple[SampleBlock, SampleBlock]:
+    def _chunk(self, first: int) -> tuple[SampleBlock, SampleBlock]:
         """Return what is sent of the next `CHUNK` samples, and the truth."""
-        time_s = np.arange(first, first + CHUNK) / self._scenario.rate_hz
+        time_s = np.arange(first, first + CHUNK) / self.scenario.rate_hz
         temperature = self._temperature.process(time_s)
-        events = self._scenario.motion
+        events = self.scenario.motion
         still = is_static(events, time_s[0], time_s[-1])  # then one row holds throughout
         motion = movement(events, self._angles, time_s[-1:] if still else time_s)
         rate, force, field = self._in_body(motion)
@@ -141,7 +133,7 @@ class _Sensors:
         gyro_bias, accel_bias = self._gyro_bias.process(*drive), self._accel_bias.process(*drive)
         sensed = np.column_stack([rate + gyro_bias, force + accel_bias])
         if self._low_pass is None:
-            self._low_pass = LowPass(self._scenario.unit.low_pass_hz, self._scenario.rate_hz, sensed[0])
+            self._low_pass = LowPass(self.scenario.unit.low_pass_hz, self.scenario.rate_hz, sensed[0])
         measured = self._low_pass.process(sensed + self._white.take(CHUNK))
         board = temperature.mean(axis=1)
         readings = self._thermometers.process(first, np.column_stack([temperature, board]))
@@ -152,7 +144,7 @@ class _Sensors:
             **split("mag", field + self._mag_noise.take(CHUNK)),
             **split("temperature", readings),
             "temperature": readings[:, 3],
-            **reported(motion.angles, self._scenario.axes),
+            **reported(motion.angles, self.scenario.axes),
             **_CONSTANT,
             **{name: values + noise[:, at] for at, (name, values) in enumerate(others.items())},
         }
@@ -168,7 +160,7 @@ class _Sensors:
 
     def _in_body(self, motion: Movement) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return angular rate, specific force and magnetic field in the axes of the unit."""
-        angles, turned = motion.angles, FRD_TO_FLU if self._scenario.axes == "FLU" else np.eye(3)
+        angles, turned = motion.angles, FRD_TO_FLU if self.scenario.axes == "FLU" else np.eye(3)
         rate = body_rates(angles, motion.rates) + to_body(angles, self._earth)
         force, field = to_body(angles, self._up + motion.acceleration), to_body(angles, FIELD_UT)
         return rate @ turned, force @ turned, field @ turned
