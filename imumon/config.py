@@ -197,5 +197,5 @@ def _refuse_number(node: yaml.ScalarNode, loader: Any, source: str) -> None:
         raise _at(node, source, f"{shown} is not a reasonable number: expected a finite one within ±2^63")
 
 
-def _at(node: yaml.Node | yaml.Event, source: str, seen: str) -> ImumonError:
+def _at(node: Any, source: str, seen: str) -> ImumonError:
     return bad_config(f"{source}:{node.start_mark.line + 1}: {seen}")

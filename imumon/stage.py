@@ -155,7 +155,7 @@ class GuardedStage:
         if more := ", ".join(name for name in new if name not in declared):
             what = f"it adds {more}, which its columns do not declare"
             raise bad_config(what, "tables and view need its unit")
-        if absent := ", ".join(sorted(declared.keys() - new.keys())):
+        if new and (absent := ", ".join(sorted(declared.keys() - new.keys()))):
             what = f"it declares {absent}, which did not come"
             raise bad_config(what, "return every column, NaN where there is nothing")
         for name, values in new.items():

@@ -48,8 +48,8 @@ OWN = {
         "export": ("table_commands:export", "Write the samples of a session as a table."),
     },
     "Understand a unit": {
-        "allan": ("allan_command:command", "Find noise, bias instability and drift of a recording at rest."),
-        "align": ("align_command:command", "Find the heading of a resting unit by the earth rate."),
+        "allan": ("rest_commands:allan", "Find noise, bias instability and drift of a recording at rest."),
+        "align": ("rest_commands:align", "Find the heading of a resting unit by the earth rate."),
     },
     "Devices": {
         "doctor": ("computer_commands:doctor", "Check what this computer lacks."),

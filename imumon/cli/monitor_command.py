@@ -19,12 +19,13 @@ from imumon.cli.common import (
     device_help,
     is_terminal,
     json_option,
+    make_setup,
     print_result,
     serial_option,
+    setup_options,
     window_option,
 )
 from imumon.cli.live_run import PortRun, single_keys, watch
-from imumon.cli.setup_options import make_setup, setup_options
 from imumon.errors import EXIT_NEGATIVE, EXIT_OK, bad_config
 from imumon.wing import offers
 

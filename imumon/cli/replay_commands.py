@@ -16,11 +16,13 @@ from imumon.cli.common import (
     chosen_view,
     columns_option,
     json_option,
+    make_setup,
     note,
     print_json,
     print_result,
     print_rows,
     rate_option,
+    setup_options,
     split_columns,
     truth_option,
     warn,
@@ -28,7 +30,6 @@ from imumon.cli.common import (
 )
 from imumon.cli.live_run import serve
 from imumon.cli.progress import reading_bar
-from imumon.cli.setup_options import make_setup, setup_options
 from imumon.cli.table_commands import exported_as_data
 from imumon.errors import EXIT_NEGATIVE, EXIT_OK, ImumonError, Reason, bad_config, bad_data
 from imumon.files import check_output

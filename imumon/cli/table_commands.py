@@ -62,7 +62,7 @@ def _write_table(
     from imumon.pipeline import Pipeline
     from imumon.recordings.exports import Exported, export_run
     from imumon.recordings.source import no_samples, open_source, run_over
-    from imumon.run.doubts import Doubts
+    from imumon.run.account import Doubts
     from imumon.run.narration import describe_losses, describe_streams
 
     source = open_source(file, device, rate)

@@ -8,11 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from imumon.pipeline import Estimator
-from imumon.protocols.thermometer import TemperatureRateParameters
 from imumon.run.setup import Setup
 
 
-def better_model(setup: Setup, _: TemperatureRateParameters, others: Sequence[Estimator]) -> list[Estimator]:
+def better_model(setup: Setup, _: object, others: Sequence[Estimator]) -> list[Estimator]:
     """Return the stage that looks for a better model than the present one, where there is one.
 
     Parameters

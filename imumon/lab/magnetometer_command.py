@@ -61,7 +61,7 @@ def command(session: Path, out: Path, model: Path | None, plot: Path | None, as_
             made_by=f"imumon {__version__}",
             created=datetime.now(UTC).isoformat(timespec="seconds"),
             device=recording.device,
-            axes="FLU" if recording.axes == "FLU" else "FRD" if recording.axes == "FRD" else None,
+            axes=recording.axes,
             magnetometer=found,
         )
     known.model_copy(update={"magnetometer": found}).write(out)

@@ -21,7 +21,7 @@ from pydantic import Field, NonNegativeInt
 
 from imumon.config import StrictModel, dump_yaml, parse_yaml
 from imumon.errors import ImumonError, Reason, bad_config, bad_data
-from imumon.files import naming, read_text, readable, write_text
+from imumon.files import naming, new_folders, read_text, readable, write_text
 from imumon.transport.statistics import StreamCounters
 from imumon.version import __version__
 
@@ -231,17 +231,13 @@ def whole_session(path: Path) -> Iterator[Path]:
     if not path.name or (path.is_dir() and any(path.iterdir())):
         raise ImumonError(Reason.EXISTS, f"{path} is there already", "give the name of a new folder")
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    made = [folder for folder in path.parents if not folder.exists()]
-    with naming(path):
+    with naming(path), new_folders(path.parent):
         try:
             partial.mkdir(parents=True)
             yield partial
             partial.rename(path)
         finally:
             shutil.rmtree(partial, ignore_errors=True)
-            for folder in made:
-                with suppress(OSError):  # it holds the session
-                    folder.rmdir()
 
 
 def refuse_existing(path: Path) -> None:

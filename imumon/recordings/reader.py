@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -49,7 +50,7 @@ class Recording:
     """Of its folder or file."""
     device: str | None
     """What sent it; None for a table."""
-    axes: str | None
+    axes: Literal["FLU", "FRD"] | None
     """In which body axes it is; None where nobody said it."""
     serial: str | None
     """Serial number of the unit, as its session has it."""

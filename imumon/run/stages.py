@@ -22,7 +22,6 @@ from imumon.pipeline import Estimator, Pipeline, SampleSink
 from imumon.plugins import STAGES, plugins
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.ranges import Ranges
-from imumon.protocols.thermometer import TemperatureRateParameters
 from imumon.recordings.folder import Session, fingerprint
 from imumon.recordings.source import Source, run_over
 from imumon.run.setup import Setup, ZuptMode
@@ -58,7 +57,7 @@ def estimators(device: DeviceFile | None, setup: Setup | None = None) -> list[Es
     Raises BAD_CONFIG for a plug-in that makes no stage, naming it.
     """
     setup = setup or Setup()
-    temperature = device.temperature if device is not None else TemperatureRateParameters()
+    temperature = None if device is None else device.temperature
     model = setup.bias_model
     axes = device.axes if device is not None else None
     stages: list[Estimator] = [
@@ -103,7 +102,7 @@ def smoothed(source: Source, setup: Setup) -> SmoothedEstimates:
     if setup.latitude_deg is not None:
         stage = next(stage for stage in pipeline.estimators if isinstance(stage, Alignment))
         heading = still_heading(record, stage.finish())
-    given = source.device.temperature if source.device is not None else TemperatureRateParameters()
+    given = None if source.device is None else source.device.temperature
     against_time = backward(record, TemperatureRate(parameters=given), _bias(record, setup))
     return SmoothedEstimates(record, against_time, heading)
 

@@ -17,9 +17,6 @@ from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.geodesy import DEG_PER_H
 from imumon.models.model import BiasModel
 from imumon.models.predictor import BiasPredictor
-from imumon.pipeline import Estimator
-from imumon.protocols.device import DeviceFile
-from imumon.protocols.thermometer import TemperatureRateParameters
 from imumon.recordings.reader import open_recording
 from imumon.recordings.table import read_columns, read_table
 from imumon.simulation.recording import TRUTH_NAME
@@ -137,7 +134,10 @@ def errors_of_model(session: Path, model: BiasModel) -> Truth:
     truth = read_truth(session, earth_removed=model.earth_rate == "removed")
     names = [f"gyro_{axis}" for axis in "xyz" if f"gyro_{axis}" in model.channels]
     predictor = BiasPredictor(model, names)
-    for block in open_recording(session, _stages).blocks():
+    recording = open_recording(  # with the estimated temperatures, which the curves are over
+        session, lambda device: [TemperatureRate(parameters=None if device is None else device.temperature)]
+    )
+    for block in recording.blocks():
         n = len(block)
         predicted = predictor.process(
             block["device_time_ns"],
@@ -159,12 +159,6 @@ def _columns(block: SampleBlock, names: Sequence[str]) -> FloatArray:
     """Return columns side by side, (n, len(names)); NaN for one that is not there."""
     nothing = np.full(len(block), np.nan)
     return np.column_stack([block.columns.get(name, nothing) for name in names])
-
-
-def _stages(device: DeviceFile | None) -> Sequence[Estimator]:
-    """Return what estimates the temperatures that the curves are over."""
-    given = device.temperature if device is not None else TemperatureRateParameters()
-    return [TemperatureRate(parameters=given)]
 
 
 def _described(errors: Mapping[str, Any]) -> str:

@@ -8,7 +8,7 @@ from typing import Any
 import click
 import pytest
 
-from imumon.cli.setup_options import make_setup
+from imumon.cli.common import make_setup
 from imumon.papers.random_error import RandomErrorMethods
 from imumon.run.setup import Setup
 from imumon.run.stages import estimators

@@ -17,7 +17,6 @@ from imumon.geodesy import earth_rate_in_body
 from imumon.models.curves.points import Points
 from imumon.pipeline import Estimator
 from imumon.protocols.device import DeviceFile
-from imumon.protocols.thermometer import TemperatureRateParameters
 from imumon.recordings.reader import open_recording
 from imumon.recordings.reduced import ACCEL, AXES, GYRO, Reduced, reduce
 from imumon.recordings.source import Count, no_count
@@ -96,7 +95,7 @@ def read_session(path: Path, count: Count = no_count) -> tuple[Record, list[str]
 
 
 def _stages(device: DeviceFile | None) -> Sequence[Estimator]:
-    temperature = device.temperature if device is not None else TemperatureRateParameters()
+    temperature = None if device is None else device.temperature
     return [TemperatureRate(parameters=temperature), RestDetector()]
 
 
@@ -231,15 +230,15 @@ def channel_of(
     if not good.any() or np.ptp(value[good]) == 0.0:
         return None
     _, first, cell = np.unique(cell[good], return_index=True, return_inverse=True)
-    whole = np.bincount(cell, seconds[good])
+    whole = _sum(cell, seconds[good])
     share = seconds[good] / whole[cell]
-    mean_temperature = np.bincount(cell, share * temperature[good])
+    mean_temperature = _sum(cell, share * temperature[good])
     return Channel(
         name=name,
         temperature_column=column,
         temperature=mean_temperature,
-        value=np.bincount(cell, share * value[good]),
-        white=np.bincount(cell, share**2 * white[good]),
+        value=_sum(cell, share * value[good]),
+        white=_sum(cell, share**2 * white[good]),
         seconds=whole,
         run=run_of[good][first],
         level=nearest(mean_temperature, level_centers),
@@ -272,6 +271,10 @@ def levels(cells: Cells) -> FloatArray:
 def nearest(temperature: FloatArray, centers: FloatArray) -> IntArray:
     """Return the number of the level nearest to each temperature."""
     return np.searchsorted(0.5 * (centers[1:] + centers[:-1]), temperature).astype(np.int64)
+
+
+def _sum(cell: IntArray, parts: FloatArray) -> FloatArray:
+    return np.bincount(cell, parts).astype(np.float64)
 
 
 def _runs(record: Record, rows: IntArray) -> list[IntArray]:
