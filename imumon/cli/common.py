@@ -21,7 +21,7 @@ import click
 from imumon.errors import ImumonError, bad_config
 from imumon.files import new_folders, plain
 from imumon.harmless import for_log, for_terminal
-from imumon.run.paper_names import PUBLISHED
+from imumon.run import PUBLISHED
 
 if TYPE_CHECKING:
     from rich.console import Console

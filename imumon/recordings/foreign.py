@@ -7,7 +7,7 @@ import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from decimal import Decimal, InvalidOperation
 from itertools import islice
@@ -40,6 +40,8 @@ _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 Wrong = dict[int, str]
 """What is wrong with which row of a part."""
 ParseTime = Callable[[str], int]
+Rows = tuple[IntArray, Mapping[str, Any], Callable[[int], str], Wrong]
+"""Rows as they stand in a table: lines, cells by column, whole texts, and those of a wrong width."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,16 +67,6 @@ class Part:
     """The columns of data that were asked for, in the units of the table, (k, n); NaN where a cell is
     empty."""
     bad: list[BadRow]
-
-
-@dataclass(frozen=True, slots=True)
-class _Rows:
-    """Rows as they stand in a table: lines, cells by column, whole texts, and those of a wrong width."""
-
-    line: IntArray
-    cells: Mapping[str, Any]
-    text_of: Callable[[int], str]
-    wrong: Wrong = field(default_factory=dict)
 
 
 def read_foreign(
@@ -118,28 +110,28 @@ def read_foreign(
 
 
 def _parts(
-    path: Path, tables: Iterable[_Rows], columns: Sequence[str], time: TimeColumn | None, decimal: str
+    path: Path, tables: Iterable[Rows], columns: Sequence[str], time: TimeColumn | None, decimal: str
 ) -> Iterator[Part]:
     """Yield the rows that can be taken, and those that cannot."""
     first_row = 0
-    for rows in tables:
-        values, wrong, times = np.empty((len(columns), len(rows.line))), Wrong(), None
+    for line, cells, text_of, wrong_width in tables:
+        values, wrong, times = np.empty((len(columns), len(line))), Wrong(), None
         for column, name in enumerate(columns):
-            values[column], wrong_here = _numbers(path, name, rows.cells[name], decimal)
+            values[column], wrong_here = _numbers(path, name, cells[name], decimal)
             wrong = wrong_here | wrong
         if time is not None:
-            times, wrong_times = _times_of(rows.cells[time.column], time, decimal)
+            times, wrong_times = _times_of(cells[time.column], time, decimal)
             wrong |= wrong_times
-        wrong |= rows.wrong
-        good = np.setdiff1d(np.arange(len(rows.line)), list(wrong))
+        wrong |= wrong_width
+        good = np.setdiff1d(np.arange(len(line)), list(wrong))
         yield Part(
             index=good + first_row,
-            line=rows.line[good],
+            line=line[good],
             time_ns=None if times is None else times[good],
             values=values[:, good],
-            bad=[BadRow(int(rows.line[row]), wrong[row], rows.text_of(row)[:SHOWN]) for row in sorted(wrong)],
+            bad=[BadRow(int(line[row]), wrong[row], text_of(row)[:SHOWN]) for row in sorted(wrong)],
         )
-        first_row += len(rows.line)
+        first_row += len(line)
 
 
 # Text
@@ -164,9 +156,7 @@ def _split(line: str, delimiter: str) -> list[str]:
     return line.split(delimiter)
 
 
-def _text_rows(
-    lines: Iterator[tuple[int, str]], names: list[str], text_format: TextFormat
-) -> Iterator[_Rows]:
+def _text_rows(lines: Iterator[tuple[int, str]], names: list[str], text_format: TextFormat) -> Iterator[Rows]:
     width = len(names)
     while rows := list(islice(lines, ROWS_PER_PART)):
         numbers, texts = zip(*rows, strict=True)
@@ -180,7 +170,7 @@ def _text_rows(
                 row = [""] * width
             cells.append(row)
         columns = dict(zip(names, map(pa.array, zip(*cells, strict=True)), strict=True))
-        yield _Rows(np.array(numbers, np.int64), columns, texts.__getitem__, wrong)
+        yield np.array(numbers, np.int64), columns, texts.__getitem__, wrong
 
 
 def _encoding(path: Path, head: bytes) -> str:
@@ -287,7 +277,7 @@ def _times_of(cells: Any, time: TimeColumn, decimal: str) -> tuple[IntArray, Wro
 # Parquet
 
 
-def _parquet_rows(path: Path, wanted: Sequence[str]) -> Iterator[_Rows]:
+def _parquet_rows(path: Path, wanted: Sequence[str]) -> Iterator[Rows]:
     first_row = 0
     with table_errors(path), pq.ParquetFile(path, pre_buffer=False) as file:
         for batch in file.iter_batches(batch_size=ROWS_PER_PART, columns=wanted):
@@ -297,5 +287,5 @@ def _parquet_rows(path: Path, wanted: Sequence[str]) -> Iterator[_Rows]:
             def text_of(row: int, batch: Any = batch) -> str:
                 return str(batch.slice(row, 1).to_pylist()[0])
 
-            yield _Rows(line, cells, text_of)
+            yield line, cells, text_of, {}
             first_row += len(batch)

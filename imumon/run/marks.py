@@ -7,7 +7,6 @@ removes the file at the end: the recording is what counts.
 from __future__ import annotations
 
 import json
-import os
 from contextlib import suppress
 from pathlib import Path
 
@@ -51,11 +50,8 @@ def ask_for_mark(session: Path, kind: EventKind, text: str) -> None:
 def append_request(folder: Path, kind: EventKind, text: str) -> None:
     """Leave a request where whoever records looks for it; raises OSError where that cannot be written."""
     line = json.dumps({"kind": kind.value, "text": for_log(text)}) + "\n"
-    descriptor = os.open(folder / REQUESTS, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
-    try:
-        os.write(descriptor, line.encode())
-    finally:
-        os.close(descriptor)
+    with (folder / REQUESTS).open("ab") as file:
+        file.write(line.encode())
 
 
 class Marks:

@@ -5,13 +5,13 @@ A file that is replaced stays beside the new one.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from imumon.errors import ImumonError, Reason, bad_config, bad_data
+from imumon.files import replacing
 from imumon.protocols.device import device_text, parse_device
 from imumon.recordings import folder
 from imumon.recordings.folder import METADATA_NAME, Session, SessionMetadata
@@ -143,14 +143,13 @@ def rewrite(path: Path, bytes_missing: int = 0, ended_ns: int = 0) -> Path:
     """Write a wire file anew with all that can be read of it, and return where the original is now.
 
     What is missing is noted in the new file at its place.  How many bytes of the device are missing in all,
-    and when the recording ended, is noted at its end, where the session knows it.  Until the new file is on
-    the medium under the name of the old one, the old one is there.
+    and when the recording ended, is noted at its end, where the session knows it.  The new file takes the
+    name of the old one when it is on the medium.
 
     Raises OSError when the disk is full or fails; the file is then as it was.
     """
-    partial = path.with_name(f"{path.name}.partial")
-    partial.unlink(missing_ok=True)
-    try:
+    with replacing(path) as partial:
+        partial.unlink(missing_ok=True)
         with closing(WireWriter(partial, WireReader(path).metadata())) as writer:
             flushed = 0
             for item in _items(path, writer, bytes_missing, ended_ns):
@@ -159,16 +158,7 @@ def rewrite(path: Path, bytes_missing: int = 0, ended_ns: int = 0) -> Path:
                 if flushed > FLUSH_BYTES:
                     writer.flush()
                     flushed = 0
-        original = _keep_original(path)
-        partial.replace(path)
-        descriptor = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
-    finally:
-        partial.unlink(missing_ok=True)
-    return original
+        return _keep_original(path)
 
 
 def _keep_original(path: Path) -> Path:

@@ -20,7 +20,7 @@ from imumon.models.magnetometer import MagnetometerModel
 from imumon.models.model import BiasModel, load_model
 from imumon.protocols.ranges import Ranges
 from imumon.recordings.folder import Session
-from imumon.run.paper_names import PublishedMethod
+from imumon.run import PublishedMethod
 
 FORMAT: Final = "imumon-pipeline/1"
 
