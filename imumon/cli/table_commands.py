@@ -104,7 +104,10 @@ def _write_table(
 
 def exported_as_data(source: Source, pipeline: Pipeline, exported: Exported) -> dict[str, object]:
     """Return what ``--json`` prints of a run that was exported: the table, what came, what is missing."""
-    return {**exported.as_dict(), **pipeline.counters.as_dict(), **source.losses()}
+    from imumon.protocols.base import MAIN
+
+    table = {"out": exported.tables.get(MAIN), "rows": exported.rows, "tables": exported.tables}
+    return {**table, **pipeline.counters.as_dict(), **source.losses()}
 
 
 @click.command("export")

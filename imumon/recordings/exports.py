@@ -40,17 +40,8 @@ class Exported:
     """Of the main stream."""
     tables: dict[str, Path]
     """Of each stream that has rows."""
-    left_out: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
     """What the format has no place for."""
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return it as ``--json`` has it."""
-        return {"out": self.tables.get(MAIN), "rows": self.rows, "tables": self.tables}
-
-    @property
-    def warnings(self) -> list[str]:
-        """What is to be said of it."""
-        return [f"not written: {text}" for text in self.left_out]
 
 
 def side_path(out: Path, stream: str) -> Path:
@@ -88,7 +79,8 @@ def export_run(
         files, left_out = convert(made.tables, written, source.axes)
         for path in dict.fromkeys(files.values()):
             path.replace(target(out.with_name(path.name)))
-    return Exported(made.rows, {stream: out.with_name(path.name) for stream, path in files.items()}, left_out)
+    tables = {stream: out.with_name(path.name) for stream, path in files.items()}
+    return Exported(made.rows, tables, [f"not written: {text}" for text in left_out])
 
 
 def _tables(

@@ -92,9 +92,13 @@ class SessionMetadata(StrictModel):
         cls, source: Literal["live", "simulation", "import"], at_ns: int, **more: Any
     ) -> SessionMetadata:
         """Return the metadata of a session that begins at this Unix time (ns), made by this version."""
-        return cls(
-            source=source, created=iso_utc(at_ns), created_ns=at_ns, versions=versions_in_use(), **more
-        )
+        versions = {
+            "imumon": __version__,
+            "python": platform.python_version(),
+            "platform": platform.platform(),
+        }
+        versions |= {name: version(name) for name in _PACKAGES}
+        return cls(source=source, created=iso_utc(at_ns), created_ns=at_ns, versions=versions, **more)
 
     def for_wire(self) -> dict[str, str]:
         """Return what a wire file says, so that session.yaml can be made anew from it (`begun_of`)."""
@@ -119,25 +123,12 @@ def iso_utc(time_ns: int) -> str:
     return f"{datetime.fromtimestamp(seconds, UTC):%Y-%m-%dT%H:%M:%S}.{fraction:09d}Z"
 
 
-def versions_in_use() -> dict[str, str]:
-    """Return the versions of imumon, Python, the platform and the packages that make the numbers."""
-    own = {"imumon": __version__, "python": platform.python_version(), "platform": platform.platform()}
-    return own | {name: version(name) for name in _PACKAGES}
-
-
 def begun_of(metadata: Mapping[str, str]) -> SessionMetadata | None:
     """Return the metadata as they were at the start from what a wire file says; None where it does not."""
     try:
         return parse_yaml(metadata["session"], SessionMetadata, "the metadata of the wire file")
     except (KeyError, ImumonError):
         return None
-
-
-def is_of_another_version(path: Path) -> bool:
-    """Return whether a session.yaml that this version cannot read says that another one wrote it."""
-    with readable(path):
-        line = re.search(rb"^format: imumon-session/(\S+)", path.read_bytes(), re.MULTILINE)
-    return line is not None and line[1] != FORMAT.rpartition("/")[2].encode()
 
 
 def read_metadata(path: Path) -> SessionMetadata:
@@ -297,7 +288,12 @@ def lost_metadata(path: Path) -> Path | None:
     try:
         read_metadata(metadata)
     except ImumonError:
-        return None if metadata.is_file() and is_of_another_version(metadata) else wire
+        content = b""
+        if metadata.is_file():
+            with readable(metadata):
+                content = metadata.read_bytes()
+        stated = re.search(rb"^format: imumon-session/(\S+)", content, re.MULTILINE)
+        return None if stated is not None and stated[1] != FORMAT.rpartition("/")[2].encode() else wire
     return None
 
 

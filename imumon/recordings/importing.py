@@ -35,6 +35,13 @@ LISTED = 10
 """Bad rows that an error or a report lists; the others are counted."""
 
 
+_BAD_ROWS = (
+    "mend the table, pass over lines before the data with csv: {skip_rows: N}"
+    ' and comments with csv: {comment: "#"}, read decimal commas with csv: {decimal: ","},'
+    " or add bad_rows: drop to the map to import the others"
+)
+
+
 @dataclass(frozen=True, slots=True)
 class ImportReport:
     """What became of a table: rows_out + rows_dropped = rows_in."""
@@ -143,7 +150,12 @@ class TableImport:
             if not (self._listed and strict):
                 yield self._block(part)
         if self._listed and strict:
-            raise self._bad_rows_error()
+            shown = [f"{self.table}:{row.line}: {row.why}: {row.text!r}" for row in self._listed]
+            if self._rows_bad > len(shown):
+                shown.append(f"... and {self._rows_bad - len(shown)} more")
+            rows = self._rows_good + self._rows_bad
+            seen = f"{self.table}: {self._rows_bad} of {rows} rows cannot be taken; nothing was imported"
+            raise bad_data("\n".join([seen, *shown]), _BAD_ROWS)
         if not self._rows_good:
             raise bad_data(f"{self.table}: none of its {self._rows_bad} rows can be taken")
 
@@ -182,19 +194,6 @@ class TableImport:
             f"{self.table}: time wraps every {wrap}, and how often it did in a gap cannot be known: one"
             f" of {wrap} or longer comes out short by whole wraps"
         ]
-
-    def _bad_rows_error(self) -> ImumonError:
-        shown = [f"{self.table}:{row.line}: {row.why}: {row.text!r}" for row in self._listed]
-        if self._rows_bad > len(shown):
-            shown.append(f"... and {self._rows_bad - len(shown)} more")
-        rows = self._rows_good + self._rows_bad
-        seen = f"{self.table}: {self._rows_bad} of {rows} rows cannot be taken; nothing was imported"
-        return bad_data(
-            "\n".join([seen, *shown]),
-            "mend the table, pass over lines before the data with csv: {skip_rows: N}"
-            ' and comments with csv: {comment: "#"}, read decimal commas with csv: {decimal: ","},'
-            " or add bad_rows: drop to the map to import the others",
-        )
 
     def _dated(self, part: Part) -> tuple[IntArray, IntArray]:
         """Return the times of rows in ns, and their segments.
