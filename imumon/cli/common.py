@@ -12,7 +12,6 @@ import textwrap
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TextIO, TypeVar
 
@@ -250,14 +249,14 @@ LEAST_FOLDED = 20
 
 def labelled(rows: Mapping[str, str], columns: int | None = None) -> list[str]:
     """Return lines with a label each, below each other; folded between words to so many columns."""
-    width = max(map(len, rows), default=0)
-    room = 0 if columns is None else columns - width - 4
+    width = max(map(len, rows), default=0) + 4
+    fold = textwrap.TextWrapper(columns or 0, break_long_words=False, break_on_hyphens=False)
+    fold.subsequent_indent = " " * width
     lines = []
     for label, text in rows.items():
-        parts = [for_log(text)]
-        if room >= LEAST_FOLDED:
-            parts = textwrap.wrap(parts[0], room, break_long_words=False, break_on_hyphens=False) or [""]
-        lines += [f"  {name:<{width}}  {part}" for name, part in zip_longest([label], parts, fillvalue="")]
+        fold.initial_indent = f"  {label}".ljust(width)
+        whole = fold.initial_indent + for_log(text)
+        lines += [whole] if fold.width - width < LEAST_FOLDED else fold.wrap(for_log(text)) or [whole]
     return lines
 
 

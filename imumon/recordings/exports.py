@@ -11,13 +11,13 @@ from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any, BinaryIO, Literal
+from typing import TYPE_CHECKING, Any, BinaryIO
 from zipfile import BadZipFile
 
 import numpy as np
 
 from imumon.blocks import SampleBlock
-from imumon.columns import KNOWN, Column, ColumnType
+from imumon.columns import KNOWN, BodyAxes, Column, ColumnType
 from imumon.errors import bad_config, bad_data
 from imumon.files import check_output, naming, target
 from imumon.protocols.base import MAIN
@@ -129,7 +129,7 @@ def _chosen(
 
 
 def convert(
-    tables: Mapping[str, Path], out: Mapping[str, Path], axes: Literal["FLU", "FRD"] | None
+    tables: Mapping[str, Path], out: Mapping[str, Path], axes: BodyAxes | None
 ) -> tuple[dict[str, Path], list[str]]:
     """Write Parquet tables as files of the suffix of `out`; return what was made, and what was left out.
 

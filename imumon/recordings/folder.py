@@ -19,6 +19,7 @@ from typing import Any, Final, Literal
 
 from pydantic import Field, NonNegativeInt
 
+from imumon.columns import BodyAxes
 from imumon.config import StrictModel, dump_yaml, parse_yaml
 from imumon.errors import ImumonError, Reason, bad_config, bad_data
 from imumon.files import naming, new_folders, read_text, readable, write_text
@@ -73,7 +74,7 @@ class SessionMetadata(StrictModel):
     ended_ns: int | None = None
     device: str
     serial: str | None = None
-    axes: Literal["FLU", "FRD"] | None = None
+    axes: BodyAxes | None = None
     device_yaml: str | None = None
     pipeline_yaml: str | None = None
     port: PortUsed | None = None

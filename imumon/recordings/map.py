@@ -18,7 +18,7 @@ from pydantic import (
     model_validator,
 )
 
-from imumon.columns import KNOWN, NAME
+from imumon.columns import KNOWN, NAME, BodyAxes
 from imumon.config import StrictModel
 from imumon.protocols.ranges import Ranges
 from imumon.units import Unit, parse_own_unit, parse_unit
@@ -205,7 +205,7 @@ class TableMap(StrictModel):
     attitude: Group | None = None
     pressure: Group | None = None
     other: dict[Name, Other] = Field(default_factory=dict)
-    axes: Literal["FLU", "FRD"] | None = None
+    axes: BodyAxes | None = None
     range: Ranges = Ranges()
     csv: TextFormat = TextFormat()
     bad_rows: Literal["error", "drop"] = "error"

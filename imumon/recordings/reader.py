@@ -9,12 +9,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
 from imumon.blocks import SampleBlock
-from imumon.columns import Column
+from imumon.columns import BodyAxes, Column
 from imumon.errors import bad_data
 from imumon.pipeline import Estimator, Pipeline, SampleSink
 from imumon.protocols.device import DeviceFile
@@ -50,7 +49,7 @@ class Recording:
     """Of its folder or file."""
     device: str | None
     """What sent it; None for a table."""
-    axes: Literal["FLU", "FRD"] | None
+    axes: BodyAxes | None
     """In which body axes it is; None where nobody said it."""
     serial: str | None
     """Serial number of the unit, as its session has it."""

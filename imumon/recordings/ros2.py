@@ -13,11 +13,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from imumon.blocks import NO_INT, BoolArray, FloatArray, IntArray, SampleBlock, missing
+from imumon.columns import BodyAxes
 from imumon.errors import missing_package
 from imumon.protocols.base import MAIN
 from imumon.recordings.table import CLOCKS, iterate_table, read_columns
@@ -50,9 +51,7 @@ DIAGNOSED = (
 """What stands in the diagnostics, once a second."""
 
 
-def write_ros2(
-    tables: Mapping[str, Path], out: Path, axes: Literal["FLU", "FRD"] | None
-) -> tuple[list[str], list[str]]:
+def write_ros2(tables: Mapping[str, Path], out: Path, axes: BodyAxes | None) -> tuple[list[str], list[str]]:
     """Write tables of a run as one MCAP file; return the streams that it has, and what ROS has no terms for.
 
     Raises BAD_CONFIG when a package that it needs is not installed.
@@ -121,7 +120,7 @@ class Stream:
     """The latest reading of what is published when it changes."""
 
     @classmethod
-    def of(cls, name: str, path: Path, axes: Literal["FLU", "FRD"] | None) -> Stream:
+    def of(cls, name: str, path: Path, axes: BodyAxes | None) -> Stream:
         """Return the stream of a table, whose noise is known."""
         units = {column.name: column.unit for column in read_columns(path).values()}
         clocks, made = set[str](), cls(name, units, "", axes == "FRD")

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from imumon.blocks import SampleBlock
-from imumon.columns import Column
+from imumon.columns import BodyAxes, Column
 from imumon.errors import ImumonError, Reason, bad_config, bad_data
 from imumon.files import readable
 from imumon.pipeline import UNDATED, Pipeline
@@ -56,7 +56,7 @@ class Source:
         return [*self.imported, *(column for column in pipeline.columns if column.name not in own)]
 
     @property
-    def axes(self) -> Literal["FLU", "FRD"] | None:
+    def axes(self) -> BodyAxes | None:
         """Body axes of the samples; None where nobody said them."""
         if self.device is not None:
             return self.device.axes

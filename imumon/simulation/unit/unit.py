@@ -7,12 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from fractions import Fraction
-from typing import Literal
 
 import numpy as np
 
 from imumon.blocks import ColumnArray, FloatArray, SampleBlock, join
-from imumon.columns import KNOWN, TEMPERATURES, Column
+from imumon.columns import KNOWN, TEMPERATURES, BodyAxes, Column
 from imumon.geodesy import EARTH_RATE, quaternions
 from imumon.simulation.unit.biases import accel_bias, gyro_bias
 from imumon.simulation.unit.motion import Movement, is_static, movement
@@ -228,7 +227,7 @@ def earth_rate(latitude_deg: float) -> FloatArray:
     return EARTH_RATE * np.array([np.cos(latitude), 0.0, -np.sin(latitude)])
 
 
-def reported(angles: FloatArray, axes: Literal["FLU", "FRD"]) -> dict[str, ColumnArray]:
+def reported(angles: FloatArray, axes: BodyAxes) -> dict[str, ColumnArray]:
     """Return the columns of the attitude as a device reports it: to NED for FRD, to ENU for FLU."""
     w, x, y, z = quaternions(angles)
     if axes == "FLU":  # half a turn about forward in the body, and about north-east in the world
