@@ -174,6 +174,7 @@ class WireReader:
             self._finish(end)
         yield from self._reads()
         yield from self._end()
+        self._data = b""  # the file is closed
 
     def _begin(self) -> None:
         with readable(self.path), self.path.open("rb") as file:
