@@ -130,7 +130,21 @@ class WireReader:
 
     def __init__(self, path: Path) -> None:
         self.path = path
+        self._begin(b"")
+
+    def _begin(self, data: mmap.mmap | bytes) -> None:
         self.summary = WireSummary()
+        self._data: mmap.mmap | bytes = data
+        self._done = self._released = 0
+        """Up to where everything is read or given up, and up to where it is no longer kept in memory."""
+        self._crc = 0
+        """CRC-32 of the file up to `_done`."""
+        self._next_sequence = 0
+        """Of the next message, modulo 2^32."""
+        self._pieces: list[bytes] = []
+        self._arrivals_ns: list[int] = []
+        self._kept = 0
+        """Reads that were found since the last batch, and their bytes."""
 
     def __iter__(self) -> Iterator[Item]:
         """Yield the items in the order in which they were written, each read by itself.
@@ -156,7 +170,10 @@ class WireReader:
 
         Raises BAD_DATA, when the file cannot be read, is no wire file, or has what a newer version wrote.
         """
-        self._begin()
+        with readable(self.path), self.path.open("rb") as file:
+            size, number = self.path.stat().st_size, file.fileno()
+            # The system keeps in memory what is looked at.
+            self._begin(mmap.mmap(number, 0, access=mmap.ACCESS_READ) if size else b"")
         data, head = self._data, self._data[: wf.HEAD_SIZE]
         is_mcap = MAGIC.startswith(head[: len(MAGIC)])
         if not is_mcap and wf.PROFILE in head:
@@ -175,25 +192,6 @@ class WireReader:
         yield from self._reads()
         yield from self._end()
         self._data = b""  # the file is closed
-
-    def _begin(self) -> None:
-        with readable(self.path), self.path.open("rb") as file:
-            size, number = self.path.stat().st_size, file.fileno()
-            # The system keeps in memory what is looked at.
-            self._data: mmap.mmap | bytes = b""
-            if size:
-                self._data = mmap.mmap(number, 0, access=mmap.ACCESS_READ)
-        self.summary = WireSummary()
-        self._done = self._released = 0
-        """Up to where everything is read or given up, and up to where it is no longer kept in memory."""
-        self._crc = 0
-        """CRC-32 of the file up to `_done`."""
-        self._next_sequence = 0
-        """Of the next message, modulo 2^32."""
-        self._pieces: list[bytes] = []
-        self._arrivals_ns: list[int] = []
-        self._kept = 0
-        """Reads that were found since the last batch, and their bytes."""
 
     def _block(self, check: Check, end: int) -> Generator[Reads | Event]:
         """Yield the block that a check record at this place seals, or count what is lost.
