@@ -89,9 +89,7 @@ class SessionMetadata(StrictModel):
     views: list[str] = Field(default_factory=list)
 
     @classmethod
-    def begun(
-        cls, source: Literal["live", "simulation", "import"], at_ns: int, **more: Any
-    ) -> SessionMetadata:
+    def begun(cls, source: SourceKind, at_ns: int, **more: Any) -> SessionMetadata:
         """Return the metadata of a session that begins at this Unix time (ns), made by this version."""
         versions = {
             "imumon": __version__,

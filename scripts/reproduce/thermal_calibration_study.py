@@ -60,8 +60,8 @@ class Soak:
 
     def halfminutes(self, axis: int) -> Points:
         """Return means over 30 s of a gyro with their nearest level; every `EVERY`th of those on a level."""
-        t = self.record.of(f"temperature_{AXES[axis]}").reshape(-1, 3).mean(axis=1)
-        value = self.record.of(GYRO[axis]).reshape(-1, 3).mean(axis=1)
+        t = self.record.means.of(f"temperature_{AXES[axis]}").reshape(-1, 3).mean(axis=1)
+        value = self.record.means.of(GYRO[axis]).reshape(-1, 3).mean(axis=1)
         level = np.argmin(np.abs(t[:, np.newaxis] - self.centers), axis=1)
         moving = np.abs(t - self.centers[level]) >= DWELLING_DEGC
         keep = moving | (np.arange(len(t)) % EVERY == 0)
@@ -240,7 +240,7 @@ def chamber(record: Record, share: float) -> Table:
             "network 2": fit_network(points, 2),
         }
         found = model.model.channels[name]
-        t, value = rest.of(channel.temperature_column)[rest.rest], rest.of(name)[rest.rest]
+        t, value = rest.means.of(channel.temperature_column)[rest.rest], rest.means.of(name)[rest.rest]
         inside = found.inside(t)
         constant = float(np.average(channel.value, weights=channel.seconds))
         errors = {"constant": rms(value[inside] - constant)}

@@ -228,4 +228,4 @@ def test_losing_readings_changes_means_by_what_they_weighed(
             gone = whole.means.count[:, at] - some.means.count[:, at]
             weight = gone / np.maximum(some.means.count[:, at], 1)
             furthest = np.ptp(clean[name])
-            assert (np.abs(some.of(name) - whole.of(name)) <= weight * furthest).all()
+            assert (np.abs(some.means.of(name) - whole.means.of(name)) <= weight * furthest).all()

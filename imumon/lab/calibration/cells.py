@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from imumon.blocks import BoolArray, FloatArray, IntArray, SampleBlock
-from imumon.columns import TEMPERATURES
+from imumon.columns import TEMPERATURES, BodyAxes
 from imumon.errors import bad_data
 from imumon.estimation.gyro_bias.stage import RestDetector
 from imumon.estimation.temperature_rate.stage import TemperatureRate
@@ -45,26 +45,18 @@ class Record:
     sha256: str
     """Where it comes from, and the fingerprint of its bytes."""
     device: str | None
-    axes: str | None
+    axes: BodyAxes | None
     means: Reduced
     """Over `COLUMNS`."""
     rest: BoolArray
     """Blocks at rest and complete, (n,)."""
     serial: str | None = None
 
-    def of(self, name: str) -> FloatArray:
-        """Return the block means of a column, (n,)."""
-        return self.means.of(name)
-
-    def has(self, name: str) -> bool:
-        """Return whether a column has any value."""
-        return self.means.has(name)
-
     def temperature_column(self, channel: str) -> str | None:
         """Return the column with the temperature of a channel: its own sensor's, estimated, if there is."""
         axis = channel[-2:]
         own = ("temperature_estimate" + axis, "temperature_estimate", "temperature" + axis, "temperature")
-        return next((name for name in own if self.has(name)), None)
+        return next((name for name in own if self.means.has(name)), None)
 
 
 def record_of(
@@ -72,7 +64,7 @@ def record_of(
     name: str,
     sha256: str,
     device: str | None = None,
-    axes: str | None = None,
+    axes: BodyAxes | None = None,
     serial: str | None = None,
 ) -> Record:
     """Reduce samples that went through the pipeline."""
@@ -173,7 +165,7 @@ class Cells:
 def main_temperature(record: Record) -> FloatArray:
     """Return the mean of the temperatures that the channels use, (n,) °C."""
     columns = {name for channel in GYRO if (name := record.temperature_column(channel)) is not None}
-    parts = [record.of(name) for name in sorted(columns)]
+    parts = [record.means.of(name) for name in sorted(columns)]
     return np.mean(parts, axis=0) if parts else np.full(len(record.means), np.nan)
 
 
@@ -181,7 +173,7 @@ def group(records: Sequence[Record], latitude_deg: float | None, heading_deg: fl
     """Group the blocks at rest; runs shorter than `SHORTEST_RUN_S` are left out."""
     temperatures = [main_temperature(record) for record in records]
     chosen = [
-        np.flatnonzero(record.rest & np.isfinite(sum(map(record.of, GYRO)) + temperature))
+        np.flatnonzero(record.rest & np.isfinite(sum(map(record.means.of, GYRO)) + temperature))
         for record, temperature in zip(records, temperatures, strict=True)
     ]
     known = np.concatenate([t[rows] for t, rows in zip(temperatures, chosen, strict=True)])
@@ -213,15 +205,15 @@ def channel_of(
 ) -> Channel | None:
     """Return a channel's means over the cells, or None when it has no values, or none that vary."""
     column = next((found for record in records if (found := record.temperature_column(name))), None)
-    if column is None or not all(record.has(name) for record in records):
+    if column is None or not all(record.means.has(name) for record in records):
         return None
     parts = []
     for number, run in enumerate(cells.runs):
         record, rows = records[run.record], run.rows
-        value = record.of(name)[rows]
+        value = record.means.of(name)[rows]
         if run.earth_rate is not None and name in GYRO:
             value = value - run.earth_rate["xyz".index(name[-1])]
-        white, temperature = record.means.mean_variance(name)[rows], record.of(column)[rows]
+        white, temperature = record.means.mean_variance(name)[rows], record.means.of(column)[rows]
         parts.append((value, white, temperature, run.seconds, run.cell, np.full(len(rows), number)))
     value, white, temperature, seconds, cell, run_of = (
         np.concatenate(part) for part in zip(*parts, strict=True)
@@ -282,7 +274,7 @@ def _runs(record: Record, rows: IntArray) -> list[IntArray]:
     if not len(rows):
         return []
     restarted = np.diff(record.means.segment[rows], prepend=record.means.segment[rows[0]]) != 0
-    accel = np.column_stack([record.of(name)[rows] for name in ACCEL])
+    accel = np.column_stack([record.means.of(name)[rows] for name in ACCEL])
     with np.errstate(invalid="ignore", divide="ignore"):
         direction = accel / np.linalg.norm(accel, axis=1, keepdims=True)
     begins, origin = [0], direction[0]
@@ -313,6 +305,6 @@ def _cells(time_s: FloatArray, seconds: FloatArray, temperature: FloatArray, wid
 
 def _up(record: Record, rows: IntArray) -> FloatArray:
     """Return the direction of the mean specific force in body axes, (3,); NaN without accelerometers."""
-    parts = [part[np.isfinite(part)] for part in (record.of(name)[rows] for name in ACCEL)]
+    parts = [part[np.isfinite(part)] for part in (record.means.of(name)[rows] for name in ACCEL)]
     accel = np.array([part.mean() if len(part) else np.nan for part in parts])
     return np.asarray(accel / np.linalg.norm(accel))
