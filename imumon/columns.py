@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 ColumnType = Literal["float64", "int64"]
+BodyAxes = Literal["FLU", "FRD"]
+"""Forward, left, up; or forward, right, down."""
 
 NAME = "^[a-z][a-z0-9_]*$"
 """Pattern of the names that device files, maps and stages give to columns."""

@@ -20,8 +20,6 @@ MOST_CHARACTERS = 4 << 20
 """A model of a network with a thousand hidden units has a tenth of that."""
 DEEPEST = 50
 """Lists and mappings within each other; what imumon writes has ten at most."""
-MOST_VALUES = 1_000_000
-"""Keys and values, those behind an alias each time that it stands there."""
 LARGEST_NUMBER = 2.0**63
 """No quantity is larger: times are int64, and squares of what is smaller are far from the end of float64."""
 
@@ -153,7 +151,10 @@ _UNION_TAGS = {"str", "int", "float", "bool", "function-after", "function-before
 
 
 def _refuse_deep(text: str, source: str) -> None:
-    """Refuse what is too long or nested too deeply, before the parser builds it: libyaml would crash."""
+    """Refuse what is too long, nested too deeply or has aliases, before the parser builds it.
+
+    libyaml would crash, and aliases can stand for more than fits in the memory.
+    """
     if len(text) > MOST_CHARACTERS:
         what = f"{source}: has {len(text):,} characters, at most {MOST_CHARACTERS:,} may be"
         raise bad_config(what)
@@ -162,40 +163,26 @@ def _refuse_deep(text: str, source: str) -> None:
         event = loader.get_event()
         depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
         if depth > DEEPEST:
-            what = f"{source}:{event.start_mark.line + 1}: nested more than {DEEPEST} deep"
-            raise bad_config(f"{what}, which no file of imumon is")
+            raise _at(event, source, f"nested more than {DEEPEST} deep, which no file of imumon is")
+        if isinstance(event, yaml.AliasEvent):
+            raise _at(event, source, f"*{event.anchor} is an alias, which is not read: repeat what it means")
 
 
-def _refuse_unreasonable(root: yaml.Node | None, loader: Any, source: str) -> None:
-    """Refuse what contains itself, grows by aliases or names a key twice; and numbers that are none."""
-    sizes: dict[int, int] = {}
-    """Of each node, with all that it contains; 0 while it is being counted."""
-
-    def size(node: yaml.Node) -> int:
-        known = sizes.get(id(node))
-        if known == 0:
-            raise _at(node, source, "contains itself, by an alias")
-        if known is not None:
-            return known
-        sizes[id(node)] = 0
-        inside: list[yaml.Node] = []
-        if isinstance(node, yaml.ScalarNode):
-            _refuse_number(node, loader, source)
-        elif isinstance(node, yaml.MappingNode):
-            inside = [part for pair in node.value for part in pair]
-            keys = [key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
-            for number, (key, _) in enumerate(node.value):
-                if key.value in keys[:number]:  # YAML loaders take the last
-                    raise _at(key, source, f"key {key.value!r} is there twice")
-        else:
-            inside = node.value
-        sizes[id(node)] = total = 1 + sum(map(size, inside))
-        if total > MOST_VALUES:
-            raise _at(node, source, f"has {total:,} values with its aliases, at most {MOST_VALUES:,} may be")
-        return total
-
-    if root is not None:
-        size(root)
+def _refuse_unreasonable(node: yaml.Node | None, loader: Any, source: str) -> None:
+    """Refuse a key that is there twice, of which YAML loaders take the last; and numbers that are none."""
+    if isinstance(node, yaml.ScalarNode):
+        _refuse_number(node, loader, source)
+    elif isinstance(node, yaml.SequenceNode):
+        for part in node.value:
+            _refuse_unreasonable(part, loader, source)
+    elif isinstance(node, yaml.MappingNode):
+        keys = set[str]()
+        for key, value in node.value:
+            if str(key.value) in keys:
+                raise _at(key, source, f"key {key.value!r} is there twice")
+            keys.add(str(key.value))
+            _refuse_unreasonable(key, loader, source)
+            _refuse_unreasonable(value, loader, source)
 
 
 def _refuse_number(node: yaml.ScalarNode, loader: Any, source: str) -> None:
@@ -210,5 +197,5 @@ def _refuse_number(node: yaml.ScalarNode, loader: Any, source: str) -> None:
         raise _at(node, source, f"{shown} is not a reasonable number: expected a finite one within ±2^63")
 
 
-def _at(node: yaml.Node, source: str, seen: str) -> ImumonError:
+def _at(node: Any, source: str, seen: str) -> ImumonError:
     return bad_config(f"{source}:{node.start_mark.line + 1}: {seen}")

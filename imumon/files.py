@@ -7,7 +7,7 @@ import io
 import math
 import os
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -69,6 +69,18 @@ def naming(path: Path) -> Iterator[None]:
     except OSError as error:
         why = os.strerror(error.errno) if error.errno else str(error)
         raise OSError(error.errno or errno.EIO, why, str(path)) from error
+
+
+@contextmanager
+def new_folders(path: Path) -> Iterator[None]:
+    """Let a folder be made, if need be with its parents; those that are new and empty at the end go again."""
+    made = [folder for folder in (path, *path.parents) if not folder.exists()]
+    try:
+        yield
+    finally:
+        for folder in made:
+            with suppress(OSError):  # it holds something, or is not there
+                folder.rmdir()
 
 
 def target(path: Path) -> Path:

@@ -58,8 +58,6 @@ class GuardedStage:
         self._own = is_own(stage)
         self._columns = tuple(stage.columns)
         """Those of a stage of imumon may change until it is switched off: it knows by then what is sent."""
-        self._types: dict[str, np.dtype[Any]] = {}
-        """Columns that were compared with those declared, and their types."""
         self._samples = 0
         self._report: list[str] = []
 
@@ -116,7 +114,7 @@ class GuardedStage:
         with suppress(Exception):  # those of a stage of imumon by now; it has failed, and may fail here too
             declared |= {column.name: column for column in self.columns}
         # What another has added already is not its own.
-        others = set(block.columns if block is not None else ()) - self._types.keys()
+        others = block.columns if block is not None else {}
         self._columns = tuple(column for name, column in declared.items() if name not in others)
         self.switched_off = True
         what = (
@@ -151,19 +149,17 @@ class GuardedStage:
         Raises BAD_CONFIG for one that was not declared, is there already or does not come, or is otherwise
         than declared.
         """
-        if self._types.keys() != new.keys():
-            declared = {column.name: np.dtype(column.dtype) for column in self.columns}
-            if there := ", ".join(name for name in new if name in block):
-                raise bad_config(f"it adds {there}, which is there already", "give it another name")
-            if more := ", ".join(name for name in new if name not in declared):
-                what = f"it adds {more}, which its columns do not declare"
-                raise bad_config(what, "tables and view need its unit")
-            if absent := ", ".join(sorted(declared.keys() - new.keys())):
-                what = f"it declares {absent}, which did not come"
-                raise bad_config(what, "return every column, NaN where there is nothing")
-            self._types = {name: declared[name] for name in new}
+        declared = {column.name: np.dtype(column.dtype) for column in self.columns}
+        if there := ", ".join(name for name in new if name in block):
+            raise bad_config(f"it adds {there}, which is there already", "give it another name")
+        if more := ", ".join(name for name in new if name not in declared):
+            what = f"it adds {more}, which its columns do not declare"
+            raise bad_config(what, "tables and view need its unit")
+        if new and (absent := ", ".join(sorted(declared.keys() - new.keys()))):
+            what = f"it declares {absent}, which did not come"
+            raise bad_config(what, "return every column, NaN where there is nothing")
         for name, values in new.items():
-            _check_column(name, values, self._types[name], len(block))
+            _check_column(name, values, declared[name], len(block))
         return new
 
 

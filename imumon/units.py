@@ -128,7 +128,6 @@ def _named(name: str) -> Measure | None:
 class Unit:
     """A unit of a table: value in `target` = factor * value + offset."""
 
-    text: str
     target: str
     factor: Fraction
     offset: Fraction
@@ -157,7 +156,7 @@ def parse_unit(text: str, target: str) -> Unit:
         factor, offset = exact_conversion(bare, target)
     except ImumonError as error:
         raise ValueError(f"{error.seen}; {usual}") from error
-    return Unit(text, target, factor / count, offset)
+    return Unit(target, factor / count, offset)
 
 
 def parse_own_unit(text: str) -> Unit:

@@ -9,9 +9,8 @@ import pytest
 
 from imumon.blocks import NO_INT, BoolArray, SampleBlock, join
 from imumon.pipeline import Pipeline
-from imumon.run.paper_names import PUBLISHED
-from imumon.run.paper_parameters import RandomErrorParameters
-from imumon.run.setup import Setup
+from imumon.run import PUBLISHED
+from imumon.run.setup import RandomErrorParameters, Setup
 from imumon.run.stages import estimators
 from tests.estimation.gyro_bias.records import slope_model
 from tests.faults.recovery import healthy

@@ -10,7 +10,7 @@ from types import ModuleType
 import pytest
 from support import rooms
 
-from imumon import plugins, wings
+from imumon import plugins, wing
 from imumon.cli import OWN, commands
 from imumon.wing import GROUPS, Command, Wing
 
@@ -46,8 +46,8 @@ def test_a_wing_of_another_package_brings_its_command(monkeypatch: pytest.Monkey
     plugins.plugins.cache_clear()
     commands.cache_clear()
     try:
-        assert wings.wings()[-1].name == "another"
-        ours, theirs = wings.offers("import_log")
+        assert wing.wings()[-1].name == "another"
+        ours, theirs = wing.offers("import_log")
         assert (ours.__module__, theirs.__module__) == ("imumon.logs.importing", "json")
         assert commands(of_plugins=True)["other"].help == "Do something else."
         assert "other" not in commands()

@@ -21,8 +21,7 @@ from click.shell_completion import shell_complete
 
 from imumon.cli.common import INTERRUPTED, note, say
 from imumon.errors import EXIT_INTERRUPTED, EXIT_OK, EXIT_USAGE, ImumonError
-from imumon.wing import GROUPS, Command
-from imumon.wings import built_in, wings
+from imumon.wing import GROUPS, Command, built_in, wings
 
 if TYPE_CHECKING:
     from sys import UnraisableHookArgs
@@ -49,8 +48,8 @@ OWN = {
         "export": ("table_commands:export", "Write the samples of a session as a table."),
     },
     "Understand a unit": {
-        "allan": ("allan_command:command", "Find noise, bias instability and drift of a recording at rest."),
-        "align": ("align_command:command", "Find the heading of a resting unit by the earth rate."),
+        "allan": ("rest_commands:allan", "Find noise, bias instability and drift of a recording at rest."),
+        "align": ("rest_commands:align", "Find the heading of a resting unit by the earth rate."),
     },
     "Devices": {
         "doctor": ("computer_commands:doctor", "Check what this computer lacks."),

@@ -12,19 +12,22 @@ import textwrap
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from itertools import zip_longest
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TextIO
+from typing import TYPE_CHECKING, Any, Literal, TextIO, TypeVar
 
 import click
 
 from imumon.errors import ImumonError, bad_config
-from imumon.files import plain
+from imumon.files import new_folders, plain
 from imumon.harmless import for_log, for_terminal
+from imumon.run import PUBLISHED
 
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from imumon.run.setup import Setup
+
+Options = TypeVar("Options", bound=Callable[..., Any])
 INTERRUPTED = threading.Event()
 """Set by Ctrl-C where that does nothing else: libraries make other errors of KeyboardInterrupt, or none."""
 ABSURD = 1e5
@@ -246,14 +249,14 @@ LEAST_FOLDED = 20
 
 def labelled(rows: Mapping[str, str], columns: int | None = None) -> list[str]:
     """Return lines with a label each, below each other; folded between words to so many columns."""
-    width = max(map(len, rows), default=0)
-    room = 0 if columns is None else columns - width - 4
+    width = max(map(len, rows), default=0) + 4
+    fold = textwrap.TextWrapper(columns or 0, break_long_words=False, break_on_hyphens=False)
+    fold.subsequent_indent = " " * width
     lines = []
     for label, text in rows.items():
-        parts = [for_log(text)]
-        if room >= LEAST_FOLDED:
-            parts = textwrap.wrap(parts[0], room, break_long_words=False, break_on_hyphens=False) or [""]
-        lines += [f"  {name:<{width}}  {part}" for name, part in zip_longest([label], parts, fillvalue="")]
+        fold.initial_indent = f"  {label}".ljust(width)
+        whole = fold.initial_indent + for_log(text)
+        lines += [whole] if fold.width - width < LEAST_FOLDED else fold.wrap(for_log(text)) or [whole]
     return lines
 
 
@@ -271,15 +274,88 @@ def print_rows(rows: Mapping[str, str]) -> None:
 @contextmanager
 def results_folder(out: Path) -> Iterator[None]:
     """Make a folder for results, and take it back where none came; raises BAD_CONFIG where it cannot."""
-    made = [folder for folder in (out, *out.parents) if not folder.exists()]
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        what = f"the folder {out} cannot be made: {error.strerror}"
-        raise bad_config(what, "give another folder") from error
-    try:
+    with new_folders(out):
+        try:
+            out.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            what = f"the folder {out} cannot be made: {error.strerror}"
+            raise bad_config(what, "give another folder") from error
         yield
-    finally:
-        with suppress(OSError):  # it holds something
-            for folder in made:
-                folder.rmdir()
+
+
+_SETUP_OPTIONS = (
+    click.option(
+        "--pipeline",
+        type=PATH,
+        help="Pipeline file (YAML): place, bias model and parameters of the estimators.",
+    ),
+    click.option(
+        "--model", type=PATH, help="Model of the bias over temperature, a file of imumon calibrate."
+    ),
+    click.option(
+        "--zupt",
+        type=click.Choice(["standard", "thermal", "learned"]),
+        help="How the gyro bias is carried through motion after it was measured at rest (zero-velocity"
+        " update, ZUPT): held constant (standard without --model), along the curve of --model (thermal),"
+        " or along a curve that is learned in this run (learned).  Default: thermal with --model, else"
+        " learned.",
+    ),
+    click.option("--random-error", type=click.Choice(["drift", "sr_rsukf"]), hidden=True),
+    click.option(
+        "--published",
+        metavar="NAME,...",
+        help="Run methods from papers beside imumon's own, to compare them; the results are unchanged,"
+        " columns are added.  Any of: " + ", ".join(PUBLISHED) + ".",
+    ),
+    click.option(
+        "--latitude",
+        type=Number(min=-90, max=90),
+        help="Latitude of the place, degrees north; needed to remove the earth's rotation.",
+    ),
+    click.option(
+        "--heading",
+        type=Number(min=-360, max=360),
+        help="Direction of the x axis, degrees clockwise from true north, where it is known.",
+    ),
+)
+
+
+def setup_options(command: Options) -> Options:
+    """Add the options; the command gets them as keywords named as they are."""
+    for option in reversed(_SETUP_OPTIONS):
+        command = option(command)
+    return command
+
+
+def make_setup(given: Mapping[str, Any], recorded: str | None = None, source: str = "") -> Setup:
+    """Return the setup of a run: the pipeline file, else that of the recording, changed by the options.
+
+    Raises BAD_CONFIG when a file cannot be read, or the parts contradict each other.
+    """
+    from imumon.run.setup import Setup, load_setup, parse_setup
+
+    setup = Setup()
+    if (path := given.get("pipeline")) is not None:
+        setup = load_setup(path)
+    elif recorded is not None:
+        setup = parse_setup(recorded, source)
+    model = random_error = published = None
+    if (path := given.get("model")) is not None:
+        from imumon.models.model import load_model
+
+        model = load_model(path)
+    if (method := given.get("random_error")) is not None:
+        random_error = setup.random_error.model_copy(update={"method": method})
+    if (names := given.get("published")) is not None:
+        published = [name for name in map(str.strip, names.split(",")) if name]
+        if wrong := [name for name in published if name not in PUBLISHED or published.count(name) > 1]:
+            expected = f"{wrong[0]}: expected {', '.join(PUBLISHED)}, each once"
+            raise click.BadParameter(expected, param_hint="--published")
+    return setup.with_options(
+        model=model,
+        zupt_mode=given.get("zupt"),
+        random_error=random_error,
+        published=published,
+        latitude_deg=given.get("latitude"),
+        heading_deg=given.get("heading"),
+    )

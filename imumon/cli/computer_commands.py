@@ -217,7 +217,11 @@ def detect(
         print_json(data)
     else:
         _show(evidence)
-        _suggest(port, fit)
+        if len(fit) > 1:
+            show("\nmore than one fits; the columns and their units show which it is")
+        for item in fit:
+            rate = f" --baud {item.baudrate}" if item.baudrate is not None else ""
+            show(f"\n{item.protocol}: imumon monitor {port} --device {item.protocol}{rate}")
         if proposal:
             show(f"\nno device file describes what came; this one may:\n\n{proposal}")
     if proposal and proposed:
@@ -252,15 +256,6 @@ def _propose(received: dict[int | None, bytearray], evidence: list[Evidence]) ->
     tried = [binary_proposal.propose(bytes(received[rate]), s, rate) for rate, s in seconds.items()]
     found = max((one for one in tried if one is not None), key=lambda one: one.weight, default=None)
     return found.text if found is not None else None
-
-
-def _suggest(port: str, fit: list[Evidence]) -> None:
-    """Show the command for each device that fits."""
-    if len(fit) > 1:
-        show("\nmore than one fits; the columns and their units show which it is")
-    for item in fit:
-        rate = f" --baud {item.baudrate}" if item.baudrate is not None else ""
-        show(f"\n{item.protocol}: imumon monitor {port} --device {item.protocol}{rate}")
 
 
 def _show(evidence: list[Evidence]) -> None:

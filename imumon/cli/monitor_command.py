@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -19,14 +19,15 @@ from imumon.cli.common import (
     device_help,
     is_terminal,
     json_option,
+    make_setup,
     print_result,
     serial_option,
+    setup_options,
     window_option,
 )
-from imumon.cli.live_run import Keys, PortRun, single_keys, watch
-from imumon.cli.setup_options import SetupOptions, make_setup, setup_options
+from imumon.cli.live_run import PortRun, single_keys, watch
 from imumon.errors import EXIT_NEGATIVE, EXIT_OK, bad_config
-from imumon.wings import offers
+from imumon.wing import offers
 
 if TYPE_CHECKING:
     from imumon.run.live import LiveRun, LiveSummary
@@ -88,12 +89,12 @@ def command(
     rfc2217://host:port.  DEVICE is a name that `imumon devices` lists; `imumon detect` finds it.  Every byte
     received is kept.  When the device is unplugged or silent, imumon waits for it and opens it again.
     """
-    from imumon.run.learning import compared, keep_learned
     from imumon.run.narration import view_setup
+    from imumon.run.stages import compared, keep_learned
 
     mode = chosen_view(view, bind)
     outputs = [(one, one.parse(options.pop(one.name))) for one in offers("live_output")]
-    setup = make_setup(cast(SetupOptions, options))
+    setup = make_setup(options)
     if learn and setup.bias_model is None:
         what = "--learn: there is no bias model that could be better"
         hint = "add --model MODEL.yaml, made by: imumon calibrate SESSION... --out MODEL.yaml"
@@ -176,15 +177,25 @@ class _Views:
 
 
 KEYS = "m: mark  s: start, stop"
+"""What the keys do: m marks the moment, s starts a part of the recording or stops it."""
 
 
 def _watch(live: PortRun, views: _Views) -> None:
     """Wait for the end, and look after keys, views and the pipeline."""
-    run, lines, view, stopped = live.run, live.lines, views.terminal, False
+    from imumon.transport.reader import EventKind
+
+    run, lines, view = live.run, live.lines, views.terminal
+    stopped, switches = False, 0
 
     def step() -> None:
-        nonlocal stopped
-        marking.take()
+        nonlocal stopped, switches
+        for key in keys.pressed():
+            if key == "m":
+                run.mark(EventKind.MARK, "key m")
+            elif key == "s":
+                kind = EventKind.STOP if switches % 2 else EventKind.START
+                run.mark(kind, f"part {switches // 2 + 1}")
+                switches += 1
         views.announce(lines.put)
         if not run.processing and not stopped:
             stopped = True
@@ -193,42 +204,14 @@ def _watch(live: PortRun, views: _Views) -> None:
     def status() -> str:
         return status_line(run.progress) + views.state
 
+    def screen(columns: int, rows: int) -> Sequence[str]:
+        assert view is not None
+        return view.lines(columns, rows, f"{status()}  {KEYS}")
+
     with single_keys() as keys:
-        marking = _Marking(run, keys)
-        if view is not None:
-            draw = view.lines
-            watch(
-                live.ending,
-                lines,
-                step,
-                status,
-                lambda columns, rows: draw(columns, rows, f"{status()}  {KEYS}"),
-            )
-            return
-        if keys.possible and is_terminal():
+        if view is None and keys.possible and is_terminal():
             lines.put("INFO", f"keys: {KEYS}")
-        watch(live.ending, lines, step, status)
-
-
-class _Marking:
-    """What the keys do: m marks the moment, s starts a part of the recording or stops it."""
-
-    def __init__(self, run: LiveRun, keys: Keys) -> None:
-        self._run, self._keys = run, keys
-        self._parts, self._inside = 0, False
-
-    def take(self) -> None:
-        """Mark what the keys since the last time ask for."""
-        from imumon.transport.reader import EventKind
-
-        for key in self._keys.pressed():
-            if key == "m":
-                self._run.mark(EventKind.MARK, "key m")
-            elif key == "s":
-                self._inside = not self._inside
-                self._parts += self._inside
-                kind = EventKind.START if self._inside else EventKind.STOP
-                self._run.mark(kind, f"part {self._parts}")
+        watch(live.ending, lines, step, status, None if view is None else screen)
 
 
 def status_line(progress: Progress) -> str:

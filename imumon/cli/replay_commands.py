@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
+from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, Unpack
+from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
@@ -15,11 +16,13 @@ from imumon.cli.common import (
     chosen_view,
     columns_option,
     json_option,
+    make_setup,
     note,
     print_json,
     print_result,
     print_rows,
     rate_option,
+    setup_options,
     split_columns,
     truth_option,
     warn,
@@ -27,11 +30,10 @@ from imumon.cli.common import (
 )
 from imumon.cli.live_run import serve
 from imumon.cli.progress import reading_bar
-from imumon.cli.setup_options import SetupOptions, make_setup, setup_options
 from imumon.cli.table_commands import exported_as_data
 from imumon.errors import EXIT_NEGATIVE, EXIT_OK, ImumonError, Reason, bad_config, bad_data
 from imumon.files import check_output
-from imumon.wings import offers
+from imumon.wing import offers
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -94,7 +96,7 @@ def replay(
     smooth: bool,
     compare_models: tuple[Path, Path] | None,
     truth: bool,
-    **options: Unpack[SetupOptions],
+    **options: Any,
 ) -> int:
     """Run the recorded SESSION again through the same code, to a table or to the view.
 
@@ -124,7 +126,7 @@ def replay(
     more: list[Estimator] = []
     disagreement: dict[str, float] | None = None
     if smooth:
-        from imumon.run.smoothing import smoothed
+        from imumon.run.stages import smoothed
 
         stage = smoothed(open_source(session, rate_hz=rate), setup)
         more, disagreement = [stage], stage.residuals
@@ -208,17 +210,13 @@ def _begun(view: Mode, setup: ViewSetup, bind: str) -> ViewPublisher:
 
 
 def _speed(text: str | None, view: str) -> float | None:
-    if text is None:
-        return None if view == "none" else 1.0
+    text = text or ("max" if view == "none" else "1")
     if text == "max":
         return None
-    try:
-        speed = float(text)
-    except ValueError:
-        speed = 0.0
-    if not 0 < speed < 1e9:
-        raise bad_config(f"--speed {text!r}: expected a positive number or max")
-    return speed
+    with suppress(ValueError):
+        if 0 < (speed := float(text)) < 1e9:
+            return speed
+    raise bad_config(f"--speed {text!r}: expected a positive number or max")
 
 
 @click.command("view")
@@ -260,11 +258,8 @@ def view(
 
     if out is not None:
         check_output(out)
-    folders = [path.resolve().name for path in sessions]
-    names = [  # with a number where two have the same
-        name if folders.count(name) == 1 else f"{name} {folders[: at + 1].count(name)}"
-        for at, name in enumerate(folders)
-    ]
+    names = [path.resolve().name for path in sessions]
+    names = [name if names.count(name) == 1 else f"{name} {at + 1}" for at, name in enumerate(names)]
     opened = [_opened(path) for path in sessions]  # what is wrong with one is reported before a viewer comes
     setup = ViewSetup(" and ".join(names), f"view-{time.time_ns()}")
     mode = view or default_mode()

@@ -26,7 +26,7 @@ from imumon.cli.common import (
 from imumon.cli.progress import reading_bar
 from imumon.errors import ImumonError, Reason, bad_config
 from imumon.files import check_output
-from imumon.wings import offers
+from imumon.wing import offers
 
 if TYPE_CHECKING:
     from imumon.pipeline import Pipeline
@@ -62,7 +62,7 @@ def _write_table(
     from imumon.pipeline import Pipeline
     from imumon.recordings.exports import Exported, export_run
     from imumon.recordings.source import no_samples, open_source, run_over
-    from imumon.run.doubts import Doubts
+    from imumon.run.account import Doubts
     from imumon.run.narration import describe_losses, describe_streams
 
     source = open_source(file, device, rate)
@@ -104,7 +104,10 @@ def _write_table(
 
 def exported_as_data(source: Source, pipeline: Pipeline, exported: Exported) -> dict[str, object]:
     """Return what ``--json`` prints of a run that was exported: the table, what came, what is missing."""
-    return {**exported.as_dict(), **pipeline.counters.as_dict(), **source.losses()}
+    from imumon.protocols.base import MAIN
+
+    table = {"out": exported.tables.get(MAIN), "rows": exported.rows, "tables": exported.tables}
+    return {**table, **pipeline.counters.as_dict(), **source.losses()}
 
 
 @click.command("export")

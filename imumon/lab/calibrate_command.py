@@ -24,7 +24,7 @@ from imumon.cli.common import (
 from imumon.cli.progress import announce, reading_bar, size_of
 from imumon.files import check_output, write_text
 from imumon.lab.calibration import SHOWN
-from imumon.lab.diagnose_command import chosen_drivers, read
+from imumon.lab.diagnosis_commands import chosen_drivers, read
 
 if TYPE_CHECKING:
     from imumon.lab.calibration.calibration import Calibration, Finding

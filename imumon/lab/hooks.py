@@ -8,11 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from imumon.pipeline import Estimator
-from imumon.protocols.thermometer import TemperatureRateParameters
 from imumon.run.setup import Setup
 
 
-def better_model(setup: Setup, _: TemperatureRateParameters, others: Sequence[Estimator]) -> list[Estimator]:
+def better_model(setup: Setup, _: object, others: Sequence[Estimator]) -> list[Estimator]:
     """Return the stage that looks for a better model than the present one, where there is one.
 
     Parameters
@@ -36,8 +35,8 @@ def compare_models(
     session: Path, given: tuple[Path, Path], out: Path
 ) -> tuple[Mapping[str, Any], Mapping[str, str]]:
     """Write the page of what two models leave of a session; return it as data and as lines for a person."""
-    from imumon.lab.diagnose_command import model_of, read
     from imumon.lab.diagnosis.page import compare, write_comparison
+    from imumon.lab.diagnosis_commands import model_of, read
     from imumon.models.model import UNITS
 
     first, second = (model_of(path) for path in given)

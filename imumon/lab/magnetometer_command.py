@@ -37,7 +37,7 @@ def command(session: Path, out: Path, model: Path | None, plot: Path | None, as_
     from datetime import UTC, datetime
 
     from imumon.lab.calibration.magnetometer import fit_magnetometer
-    from imumon.lab.calibration.magnetometer_axes import Gathered, doubts
+    from imumon.lab.calibration.magnetometer_axes import axes_of, doubts
     from imumon.models.model import BiasModel, load_model
     from imumon.recordings.reader import open_recording
     from imumon.version import __version__
@@ -49,10 +49,10 @@ def command(session: Path, out: Path, model: Path | None, plot: Path | None, as_
     def warnings() -> list[str]:
         return [f"{session}: {text}" for text in recording.warnings()]
 
-    gathered = Gathered()
     with with_warnings(warnings):
-        fit = fit_magnetometer(gathered.passing(recording.blocks()), units.get("mag_x", "uT"), str(session))
-        axes = gathered.axes(fit.model)
+        blocks = list(recording.blocks())
+        fit = fit_magnetometer(blocks, units.get("mag_x", "uT"), str(session))
+        axes = axes_of(blocks, fit.model)
         texts = [*fit.doubts, *doubts(axes, str(session))]
     named = {"session": recording.name, "sha256": recording.sha256()}
     found = fit.model.model_copy(update=named)
@@ -61,7 +61,7 @@ def command(session: Path, out: Path, model: Path | None, plot: Path | None, as_
             made_by=f"imumon {__version__}",
             created=datetime.now(UTC).isoformat(timespec="seconds"),
             device=recording.device,
-            axes="FLU" if recording.axes == "FLU" else "FRD" if recording.axes == "FRD" else None,
+            axes=recording.axes,
             magnetometer=found,
         )
     known.model_copy(update={"magnetometer": found}).write(out)

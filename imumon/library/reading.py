@@ -63,7 +63,7 @@ def read(
         Only rows from `begin_s` on and before `end_s`, in seconds since the first row, by host time, or by
         device time where no host time is known.
     """
-    run = _Run(path, device, setup, estimates, stages, columns, _Span(begin_s, end_s))
+    run = _Run(path, device, setup, estimates, stages, columns, begin_s, end_s)
     blocks: list[SampleBlock] = []
     aside: dict[str, list[SampleBlock]] = {}
     for block, side in run.blocks():
@@ -93,7 +93,7 @@ def read_blocks(
     Blocks have some thousands of rows.  A column that begins late is absent from the blocks before, unless
     `columns` names it.  Parameters and errors are those of `read`.
     """
-    run = _Run(path, device, setup, estimates, stages, columns, _Span(begin_s, end_s))
+    run = _Run(path, device, setup, estimates, stages, columns, begin_s, end_s)
     return (
         run.samples(block, {stream: run.samples(rows, stream=stream) for stream, rows in side.items()})
         for block, side in run.blocks()
@@ -112,7 +112,8 @@ class _Run:
         estimates: bool,
         stages: Sequence[Estimator],
         columns: Sequence[str] | None,
-        span: _Span,
+        begin_s: float | None,
+        end_s: float | None,
     ) -> None:
         where = as_path("path", path)
         is_name = device is None or isinstance(device, str | Path)
@@ -124,7 +125,16 @@ class _Run:
             require_list("columns", columns, 'a list of names, as ["gyro_x"]')
             for name in columns:
                 require(isinstance(name, str), "columns", name, "names of columns")
-        self._columns, self._span = columns, span
+        require_seconds("begin_s", begin_s, "from 0 on")
+        require_seconds("end_s", end_s, "from 0 on")
+        if begin_s is not None and end_s is not None:
+            require(end_s > begin_s, "end_s", end_s, f"more than begin_s={begin_s!r}")
+        self._columns = columns
+        self._begin_s, self._end_s = begin_s or 0.0, np.inf if end_s is None else end_s
+        self._clock, self._first_ns, self._segment = "", 0, 0
+        """Column of the times since the first row; it goes on when the device starts anew."""
+        self._over = False
+        """Whether what comes is later than the span."""
         if not where.exists():
             raise ImumonError(Reason.NOT_FOUND, f"{where}: there is no such file", "check path and folder")
         if device is None and where.is_file() and where.suffix in (*SUFFIXES, *CONVERTED):
@@ -143,10 +153,10 @@ class _Run:
         for block in run_over(self._source.items, self._pipeline):
             side = self._pipeline.side
             begun = begun or len(block) > 0 or bool(side)
-            block = self._span.of(block)
-            side = {stream: self._span.of(rows, side=True) for stream, rows in side.items()}
+            block = self._within(block)
+            side = {stream: self._within(rows, side=True) for stream, rows in side.items()}
             yield self._chosen(block), {} if self._columns is not None else side
-            if self._span.over:
+            if self._over:
                 break
         else:  # what is missing from a recording is known at its end
             for text in self._source.warnings():
@@ -155,6 +165,33 @@ class _Run:
             _log.warning(text)
         if not begun and self._source.device is not None:
             raise no_samples(self._source, self._pipeline)
+
+    def _within(self, block: SampleBlock, *, side: bool = False) -> SampleBlock:
+        """Return the rows within the span of time, by host time where the first row has one."""
+        whole = self._begin_s == 0.0 and self._end_s == np.inf
+        if whole or not len(block) or (side and not self._clock):
+            return block
+        if not self._clock:
+            self._start(block)
+        restarted = "segment" in block and (block["segment"] != self._segment).any()
+        if restarted and self._clock == "device_time_ns":
+            raise bad_data(
+                "begin_s, end_s: the device restarted, and the recording has no times of arrival",
+                "read the recording whole, and select by the columns segment and device_time_ns",
+            )
+        since_s = (block[self._clock] - self._first_ns) * 1e-9
+        self._over = self._over or (not side and bool(since_s.min() >= self._end_s))
+        wanted: BoolArray = (since_s >= self._begin_s) & (since_s < self._end_s)
+        return SampleBlock({name: values[wanted] for name, values in block.columns.items()})
+
+    def _start(self, block: SampleBlock) -> None:
+        self._clock = next((name for name in TIMES if name in block and block[name][0] != NO_INT), "")
+        if not self._clock:
+            raise bad_data(
+                "begin_s, end_s: the first row has neither host_time_ns nor device_time_ns", "read it whole"
+            )
+        self._first_ns = int(block[self._clock][0])
+        self._segment = int(block["segment"][0]) if "segment" in block else 0
 
     def _chosen(self, block: SampleBlock) -> SampleBlock:
         """Return the columns that are wanted.
@@ -254,47 +291,3 @@ def _joined(blocks: list[SampleBlock]) -> SampleBlock:
         if columns[name].nbytes > LARGE_BYTES:
             trim_heap()
     return SampleBlock(columns)
-
-
-class _Span:
-    """The rows of a span of time, in seconds since the first row.
-
-    The clock is the host time where the first row has one; it goes on when the device starts anew.
-    """
-
-    def __init__(self, begin_s: float | None, end_s: float | None) -> None:
-        require_seconds("begin_s", begin_s, "from 0 on")
-        require_seconds("end_s", end_s, "from 0 on")
-        if begin_s is not None and end_s is not None:
-            require(end_s > begin_s, "end_s", end_s, f"more than begin_s={begin_s!r}")
-        self._begin_s, self._end_s = begin_s or 0.0, np.inf if end_s is None else end_s
-        self._clock, self._first_ns, self._segment = "", 0, 0
-        self.over = False
-        """Whether what comes is later than the span."""
-
-    def of(self, block: SampleBlock, *, side: bool = False) -> SampleBlock:
-        """Return the rows within the span."""
-        whole = self._begin_s == 0.0 and self._end_s == np.inf
-        if whole or not len(block) or (side and not self._clock):
-            return block
-        if not self._clock:
-            self._start(block)
-        restarted = "segment" in block and (block["segment"] != self._segment).any()
-        if restarted and self._clock == "device_time_ns":
-            raise bad_data(
-                "begin_s, end_s: the device restarted, and the recording has no times of arrival",
-                "read the recording whole, and select by the columns segment and device_time_ns",
-            )
-        since_s = (block[self._clock] - self._first_ns) * 1e-9
-        self.over = self.over or (not side and bool(since_s.min() >= self._end_s))
-        wanted: BoolArray = (since_s >= self._begin_s) & (since_s < self._end_s)
-        return SampleBlock({name: values[wanted] for name, values in block.columns.items()})
-
-    def _start(self, block: SampleBlock) -> None:
-        self._clock = next((name for name in TIMES if name in block and block[name][0] != NO_INT), "")
-        if not self._clock:
-            raise bad_data(
-                "begin_s, end_s: the first row has neither host_time_ns nor device_time_ns", "read it whole"
-            )
-        self._first_ns = int(block[self._clock][0])
-        self._segment = int(block["segment"][0]) if "segment" in block else 0

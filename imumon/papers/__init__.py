@@ -6,7 +6,7 @@
 - `dense_zupt`: ZUPT and TCZUPT of Fontanella et al.
 - `self_alignment`: fixed-gain loop, total average and curve fit of Lee et al.
 
-`imumon.run.paper_names` has what the user calls them; `stages` makes them.
+`imumon.run` has what the user calls them; `stages` makes them.
 """
 
 from imumon.wing import Wing

@@ -34,7 +34,7 @@ from imumon.papers.local_level import (
 )
 from imumon.papers.sigma_points import SigmaPointFilter
 from imumon.papers.slot_stage import SlotStage, at_rest, gyro_predictor
-from imumon.run.paper_parameters import RandomErrorParameters
+from imumon.run.setup import RandomErrorParameters
 
 AXES = "xyz"
 LINEAR, UNSCENTED, RISK_SENSITIVE = "stf", "sr_ukf", "sr_rsukf"

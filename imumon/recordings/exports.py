@@ -11,13 +11,13 @@ from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any, BinaryIO, Literal
+from typing import TYPE_CHECKING, Any, BinaryIO
 from zipfile import BadZipFile
 
 import numpy as np
 
 from imumon.blocks import SampleBlock
-from imumon.columns import KNOWN, Column, ColumnType
+from imumon.columns import KNOWN, BodyAxes, Column, ColumnType
 from imumon.errors import bad_config, bad_data
 from imumon.files import check_output, naming, target
 from imumon.protocols.base import MAIN
@@ -40,17 +40,8 @@ class Exported:
     """Of the main stream."""
     tables: dict[str, Path]
     """Of each stream that has rows."""
-    left_out: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
     """What the format has no place for."""
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return it as ``--json`` has it."""
-        return {"out": self.tables.get(MAIN), "rows": self.rows, "tables": self.tables}
-
-    @property
-    def warnings(self) -> list[str]:
-        """What is to be said of it."""
-        return [f"not written: {text}" for text in self.left_out]
 
 
 def side_path(out: Path, stream: str) -> Path:
@@ -88,7 +79,8 @@ def export_run(
         files, left_out = convert(made.tables, written, source.axes)
         for path in dict.fromkeys(files.values()):
             path.replace(target(out.with_name(path.name)))
-    return Exported(made.rows, {stream: out.with_name(path.name) for stream, path in files.items()}, left_out)
+    tables = {stream: out.with_name(path.name) for stream, path in files.items()}
+    return Exported(made.rows, tables, [f"not written: {text}" for text in left_out])
 
 
 def _tables(
@@ -137,7 +129,7 @@ def _chosen(
 
 
 def convert(
-    tables: Mapping[str, Path], out: Mapping[str, Path], axes: Literal["FLU", "FRD"] | None
+    tables: Mapping[str, Path], out: Mapping[str, Path], axes: BodyAxes | None
 ) -> tuple[dict[str, Path], list[str]]:
     """Write Parquet tables as files of the suffix of `out`; return what was made, and what was left out.
 
@@ -150,13 +142,11 @@ def convert(
     if first.suffix == ".mcap":
         from imumon.recordings.ros2 import write_ros2
 
-        written = write_ros2(tables, first, axes)
-        if not written.streams:
-            raise bad_config(
-                f"there is nothing to write as messages of ROS 2: {'; '.join(written.left_out)}",
-                "leave --columns out, or name a whole vector: gyro_x,gyro_y,gyro_z",
-            )
-        return dict.fromkeys(written.streams, first), written.left_out
+        streams, left_out = write_ros2(tables, first, axes)
+        if not streams:
+            what = f"there is nothing to write as messages of ROS 2: {'; '.join(left_out)}"
+            raise bad_config(what, "leave --columns out, or name a whole vector: gyro_x,gyro_y,gyro_z")
+        return dict.fromkeys(streams, first), left_out
     for stream, path in tables.items():
         block, columns = read_table(path)
         {".npz": write_npz, ".mat": _mat}[first.suffix](out[stream], dict(block.columns), columns)

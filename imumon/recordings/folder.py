@@ -19,9 +19,10 @@ from typing import Any, Final, Literal
 
 from pydantic import Field, NonNegativeInt
 
+from imumon.columns import BodyAxes
 from imumon.config import StrictModel, dump_yaml, parse_yaml
 from imumon.errors import ImumonError, Reason, bad_config, bad_data
-from imumon.files import naming, read_text, readable, write_text
+from imumon.files import naming, new_folders, read_text, readable, write_text
 from imumon.transport.statistics import StreamCounters
 from imumon.version import __version__
 
@@ -73,7 +74,7 @@ class SessionMetadata(StrictModel):
     ended_ns: int | None = None
     device: str
     serial: str | None = None
-    axes: Literal["FLU", "FRD"] | None = None
+    axes: BodyAxes | None = None
     device_yaml: str | None = None
     pipeline_yaml: str | None = None
     port: PortUsed | None = None
@@ -88,13 +89,15 @@ class SessionMetadata(StrictModel):
     views: list[str] = Field(default_factory=list)
 
     @classmethod
-    def begun(
-        cls, source: Literal["live", "simulation", "import"], at_ns: int, **more: Any
-    ) -> SessionMetadata:
+    def begun(cls, source: SourceKind, at_ns: int, **more: Any) -> SessionMetadata:
         """Return the metadata of a session that begins at this Unix time (ns), made by this version."""
-        return cls(
-            source=source, created=iso_utc(at_ns), created_ns=at_ns, versions=versions_in_use(), **more
-        )
+        versions = {
+            "imumon": __version__,
+            "python": platform.python_version(),
+            "platform": platform.platform(),
+        }
+        versions |= {name: version(name) for name in _PACKAGES}
+        return cls(source=source, created=iso_utc(at_ns), created_ns=at_ns, versions=versions, **more)
 
     def for_wire(self) -> dict[str, str]:
         """Return what a wire file says, so that session.yaml can be made anew from it (`begun_of`)."""
@@ -119,25 +122,12 @@ def iso_utc(time_ns: int) -> str:
     return f"{datetime.fromtimestamp(seconds, UTC):%Y-%m-%dT%H:%M:%S}.{fraction:09d}Z"
 
 
-def versions_in_use() -> dict[str, str]:
-    """Return the versions of imumon, Python, the platform and the packages that make the numbers."""
-    own = {"imumon": __version__, "python": platform.python_version(), "platform": platform.platform()}
-    return own | {name: version(name) for name in _PACKAGES}
-
-
 def begun_of(metadata: Mapping[str, str]) -> SessionMetadata | None:
     """Return the metadata as they were at the start from what a wire file says; None where it does not."""
     try:
         return parse_yaml(metadata["session"], SessionMetadata, "the metadata of the wire file")
     except (KeyError, ImumonError):
         return None
-
-
-def is_of_another_version(path: Path) -> bool:
-    """Return whether a session.yaml that this version cannot read says that another one wrote it."""
-    with readable(path):
-        line = re.search(rb"^format: imumon-session/(\S+)", path.read_bytes(), re.MULTILINE)
-    return line is not None and line[1] != FORMAT.rpartition("/")[2].encode()
 
 
 def read_metadata(path: Path) -> SessionMetadata:
@@ -231,17 +221,13 @@ def whole_session(path: Path) -> Iterator[Path]:
     if not path.name or (path.is_dir() and any(path.iterdir())):
         raise ImumonError(Reason.EXISTS, f"{path} is there already", "give the name of a new folder")
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    made = [folder for folder in path.parents if not folder.exists()]
-    with naming(path):
+    with naming(path), new_folders(path.parent):
         try:
             partial.mkdir(parents=True)
             yield partial
             partial.rename(path)
         finally:
             shutil.rmtree(partial, ignore_errors=True)
-            for folder in made:
-                with suppress(OSError):  # it holds the session
-                    folder.rmdir()
 
 
 def refuse_existing(path: Path) -> None:
@@ -301,7 +287,12 @@ def lost_metadata(path: Path) -> Path | None:
     try:
         read_metadata(metadata)
     except ImumonError:
-        return None if metadata.is_file() and is_of_another_version(metadata) else wire
+        content = b""
+        if metadata.is_file():
+            with readable(metadata):
+                content = metadata.read_bytes()
+        stated = re.search(rb"^format: imumon-session/(\S+)", content, re.MULTILINE)
+        return None if stated is not None and stated[1] != FORMAT.rpartition("/")[2].encode() else wire
     return None
 
 

@@ -7,10 +7,9 @@ import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from decimal import Decimal, InvalidOperation
-from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -41,6 +40,8 @@ _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 Wrong = dict[int, str]
 """What is wrong with which row of a part."""
 ParseTime = Callable[[str], int]
+Rows = tuple[IntArray, Mapping[str, Any], Callable[[int], str], Wrong]
+"""Rows as they stand in a table: lines, cells by column, whole texts, and those of a wrong width."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,16 +69,6 @@ class Part:
     bad: list[BadRow]
 
 
-@dataclass(frozen=True, slots=True)
-class _Rows:
-    """Rows as they stand in a table: lines, cells by column, whole texts, and those of a wrong width."""
-
-    line: IntArray
-    cells: Mapping[str, Any]
-    text_of: Callable[[int], str]
-    wrong: Wrong = field(default_factory=dict)
-
-
 def read_foreign(
     path: Path, columns: Sequence[str], time: TimeColumn | None, text_format: TextFormat
 ) -> tuple[list[str], Iterator[Part]]:
@@ -92,11 +83,13 @@ def read_foreign(
     if not head:
         raise bad_data(f"{path}: is empty")
     wanted = list(dict.fromkeys([*columns, *([time.column] if time is not None else [])]))
-    if is_parquet := head.startswith(b"PAR1"):
+    decimal = "."
+    if head.startswith(b"PAR1"):
         with table_errors(path):
             names = list(pq.read_schema(path).names)
         rows = _parquet_rows(path, wanted)
     else:
+        decimal = text_format.decimal
         lines = _lines(path, _encoding(path, head), text_format)
         names = [*(text_format.columns or ())]
         if text_format.header:
@@ -113,42 +106,32 @@ def read_foreign(
         )
     if twice := [name for name in wanted if names.count(name) > 1]:
         raise bad_data(f"{path}: column {', '.join(map(repr, twice))} is there more than once")
-    numbers = partial(_numbers, path) if is_parquet else partial(_numbers_of_text, text_format.decimal)
-    decimal = "." if is_parquet or (time is not None and time.unit == TIMESTAMPS) else text_format.decimal
-    return names, _parts(rows, columns, numbers, time, decimal)
+    return names, _parts(path, rows, columns, time, decimal)
 
 
 def _parts(
-    tables: Iterable[_Rows],
-    columns: Sequence[str],
-    numbers: Callable[[str, Any], tuple[FloatArray, Wrong]],
-    time: TimeColumn | None,
-    decimal: str,
+    path: Path, tables: Iterable[Rows], columns: Sequence[str], time: TimeColumn | None, decimal: str
 ) -> Iterator[Part]:
-    """Yield the rows that can be taken, and those that cannot.
-
-    `numbers` are those in the cells of a column, and what is wrong with which of them.
-    """
+    """Yield the rows that can be taken, and those that cannot."""
     first_row = 0
-    for rows in tables:
-        values, wrong, times = np.empty((len(columns), len(rows.line))), Wrong(), None
+    for line, cells, text_of, wrong_width in tables:
+        values, wrong, times = np.empty((len(columns), len(line))), Wrong(), None
         for column, name in enumerate(columns):
-            values[column], wrong_here = numbers(name, rows.cells[name])
+            values[column], wrong_here = _numbers(path, name, cells[name], decimal)
             wrong = wrong_here | wrong
         if time is not None:
-            texts = pc.cast(rows.cells[time.column], pa.string()).to_pylist()
-            times, wrong_times = _times_of_text(texts, time, decimal)
+            times, wrong_times = _times_of(cells[time.column], time, decimal)
             wrong |= wrong_times
-        wrong |= rows.wrong
-        good = np.setdiff1d(np.arange(len(rows.line)), list(wrong))
+        wrong |= wrong_width
+        good = np.setdiff1d(np.arange(len(line)), list(wrong))
         yield Part(
             index=good + first_row,
-            line=rows.line[good],
+            line=line[good],
             time_ns=None if times is None else times[good],
             values=values[:, good],
-            bad=[BadRow(int(rows.line[row]), wrong[row], rows.text_of(row)[:SHOWN]) for row in sorted(wrong)],
+            bad=[BadRow(int(line[row]), wrong[row], text_of(row)[:SHOWN]) for row in sorted(wrong)],
         )
-        first_row += len(rows.line)
+        first_row += len(line)
 
 
 # Text
@@ -173,9 +156,7 @@ def _split(line: str, delimiter: str) -> list[str]:
     return line.split(delimiter)
 
 
-def _text_rows(
-    lines: Iterator[tuple[int, str]], names: list[str], text_format: TextFormat
-) -> Iterator[_Rows]:
+def _text_rows(lines: Iterator[tuple[int, str]], names: list[str], text_format: TextFormat) -> Iterator[Rows]:
     width = len(names)
     while rows := list(islice(lines, ROWS_PER_PART)):
         numbers, texts = zip(*rows, strict=True)
@@ -189,7 +170,7 @@ def _text_rows(
                 row = [""] * width
             cells.append(row)
         columns = dict(zip(names, map(pa.array, zip(*cells, strict=True)), strict=True))
-        yield _Rows(np.array(numbers, np.int64), columns, texts.__getitem__, wrong)
+        yield np.array(numbers, np.int64), columns, texts.__getitem__, wrong
 
 
 def _encoding(path: Path, head: bytes) -> str:
@@ -204,17 +185,23 @@ def _encoding(path: Path, head: bytes) -> str:
     return "utf-8-sig"
 
 
-def _numbers_of_text(decimal: str, _: str, texts: Any) -> tuple[FloatArray, Wrong]:
+def _numbers(path: Path, name: str, cells: Any, decimal: str) -> tuple[FloatArray, Wrong]:
     """Return the numbers of a column, NaN where there is none, and what is wrong with which cells."""
-    text = pc.utf8_trim_whitespace(texts)
-    plain = text if decimal == "." else pc.replace_substring(text, decimal, ".")
-    number = pc.match_substring_regex(plain, _NUMBER)
-    bare = pc.utf8_ltrim(pc.if_else(number, plain, "nan"), "+")
-    values = pc.cast(bare, pa.float64()).to_numpy()
-    fine = pc.or_(number, pc.match_substring_regex(pc.utf8_lower(text), _NO_VALUE))
-    odd, large = (np.flatnonzero(wrong).tolist() for wrong in (~np.asarray(fine), np.isinf(values)))
-    wrong = {row: f"{text[row].as_py()!r} is not a number" for row in odd}
-    return values, wrong | {row: f"{text[row].as_py()!r} is too large" for row in large}
+    kind, numbers, odd = cells.type, cells, list[int]()
+    if pa.types.is_string(kind):
+        cells = pc.utf8_trim_whitespace(cells.fill_null(""))
+        plain = cells if decimal == "." else pc.replace_substring(cells, decimal, ".")
+        is_number = pc.match_substring_regex(plain, _NUMBER)
+        numbers = pc.utf8_ltrim(pc.if_else(is_number, plain, "nan"), "+")
+        fine = pc.or_(is_number, pc.match_substring_regex(pc.utf8_lower(cells), _NO_VALUE))
+        odd = np.flatnonzero(~np.asarray(fine)).tolist()
+    elif not (pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal(kind)):
+        raise bad_data(f"{path}: column {name!r} is {kind}, not a number")
+    known = pc.cast(numbers, pa.float64(), safe=False).fill_null(math.nan)
+    values = np.asarray(known.to_numpy(zero_copy_only=False), np.float64)
+    wrong = {row: f"{cells[row].as_py()!r} is not a number" for row in odd}
+    large = np.flatnonzero(np.isinf(values)).tolist()
+    return values, wrong | {row: f"{cells[row].as_py()!r} is too large" for row in large}
 
 
 # Times
@@ -269,9 +256,11 @@ def _of_date(moment: datetime) -> int:
     return ((since.days * 86_400 + since.seconds) * 10**6 + since.microseconds) * 1000
 
 
-def _times_of_text(texts: Sequence[str | None], time: TimeColumn, decimal: str) -> tuple[IntArray, Wrong]:
+def _times_of(cells: Any, time: TimeColumn, decimal: str) -> tuple[IntArray, Wrong]:
     """Return times in ns, (n,), and what is wrong with which of them."""
+    texts: list[str | None] = pc.cast(cells, pa.string()).to_pylist()
     parse, wrap_ns = time_parser(time.unit, time.format), time.wrap_ns
+    decimal = "." if time.unit == TIMESTAMPS else decimal
     found, wrong = np.zeros(len(texts), np.int64), Wrong()
     for row, text in enumerate(texts):
         try:
@@ -288,7 +277,7 @@ def _times_of_text(texts: Sequence[str | None], time: TimeColumn, decimal: str) 
 # Parquet
 
 
-def _parquet_rows(path: Path, wanted: Sequence[str]) -> Iterator[_Rows]:
+def _parquet_rows(path: Path, wanted: Sequence[str]) -> Iterator[Rows]:
     first_row = 0
     with table_errors(path), pq.ParquetFile(path, pre_buffer=False) as file:
         for batch in file.iter_batches(batch_size=ROWS_PER_PART, columns=wanted):
@@ -298,15 +287,5 @@ def _parquet_rows(path: Path, wanted: Sequence[str]) -> Iterator[_Rows]:
             def text_of(row: int, batch: Any = batch) -> str:
                 return str(batch.slice(row, 1).to_pylist()[0])
 
-            yield _Rows(line, cells, text_of)
+            yield line, cells, text_of, {}
             first_row += len(batch)
-
-
-def _numbers(path: Path, name: str, column: Any) -> tuple[FloatArray, Wrong]:
-    """Return the numbers of a column, NaN where there is none, and which are infinite."""
-    kind = column.type
-    if not (pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal(kind)):
-        raise bad_data(f"{path}: column {name!r} is {kind}, not a number")
-    cast = pc.cast(column, pa.float64(), safe=False).fill_null(math.nan)
-    values = np.asarray(cast.to_numpy(zero_copy_only=False), np.float64)
-    return values, dict.fromkeys(np.flatnonzero(np.isinf(values)).tolist(), "a value is infinite")

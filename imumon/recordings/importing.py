@@ -35,6 +35,13 @@ LISTED = 10
 """Bad rows that an error or a report lists; the others are counted."""
 
 
+_BAD_ROWS = (
+    "mend the table, pass over lines before the data with csv: {skip_rows: N}"
+    ' and comments with csv: {comment: "#"}, read decimal commas with csv: {decimal: ","},'
+    " or add bad_rows: drop to the map to import the others"
+)
+
+
 @dataclass(frozen=True, slots=True)
 class ImportReport:
     """What became of a table: rows_out + rows_dropped = rows_in."""
@@ -121,7 +128,11 @@ class TableImport:
         for one in self.map.sources():
             column = KNOWN.get(one.target) or Column(one.target, "")
             self.columns[one.target] = replace(column, unit=one.unit.target)
-        self._times = _RowTimes(table, self.map)
+        self._intervals, self._segment, self._span_ns = Intervals(), 0, 0
+        self._last: tuple[int, int] | None = None
+        """Time and line of the last row."""
+        self._counted = self._wraps = 0
+        """What its column of time says, and how often that has wrapped."""
         self._rows_good, self._rows_bad = 0, rows_dropped
         self._listed: list[BadRow] = []
 
@@ -139,12 +150,17 @@ class TableImport:
             if not (self._listed and strict):
                 yield self._block(part)
         if self._listed and strict:
-            raise self._bad_rows_error()
+            shown = [f"{self.table}:{row.line}: {row.why}: {row.text!r}" for row in self._listed]
+            if self._rows_bad > len(shown):
+                shown.append(f"... and {self._rows_bad - len(shown)} more")
+            rows = self._rows_good + self._rows_bad
+            seen = f"{self.table}: {self._rows_bad} of {rows} rows cannot be taken; nothing was imported"
+            raise bad_data("\n".join([seen, *shown]), _BAD_ROWS)
         if not self._rows_good:
             raise bad_data(f"{self.table}: none of its {self._rows_bad} rows can be taken")
 
     def _block(self, part: Part) -> SampleBlock:
-        time_ns, segments = self._times.take(part)
+        time_ns, segments = self._dated(part)
         columns: dict[str, ColumnArray] = {"device_time_ns": time_ns, "segment": segments}
         for source, values in zip(self.map.sources(), part.values, strict=True):
             columns[source.target] = source.unit.convert(values)
@@ -153,7 +169,7 @@ class TableImport:
     def report(self) -> ImportReport:
         """Return what became of the table, once its blocks were read."""
         inertial = self.map.gyro is not None or self.map.accel is not None
-        rate_hz = self.map.rate_hz or self._times.intervals.rate_hz or math.nan
+        rate_hz = self.map.rate_hz or self._intervals.rate_hz or math.nan
         used = {source.column for source in self.map.sources()}
         used |= {self.map.time.column} if self.map.time else set()
         return ImportReport(
@@ -162,8 +178,8 @@ class TableImport:
             rows_dropped=self._rows_bad,
             columns=tuple(self.columns),
             columns_unused=tuple(name for name in self._names if name not in used),
-            segments=self._times.segment + 1,
-            span_s=self._times.span_ns * 1e-9,
+            segments=self._segment + 1,
+            span_s=self._span_ns * 1e-9,
             rate_hz=rate_hz,
             bad_rows=tuple(self._listed),
             warnings=(*self.warnings(), *(rate_doubts(rate_hz) if inertial else ())),
@@ -179,36 +195,7 @@ class TableImport:
             f" of {wrap} or longer comes out short by whole wraps"
         ]
 
-    def _bad_rows_error(self) -> ImumonError:
-        shown = [f"{self.table}:{row.line}: {row.why}: {row.text!r}" for row in self._listed]
-        if self._rows_bad > len(shown):
-            shown.append(f"... and {self._rows_bad - len(shown)} more")
-        rows = self._rows_good + self._rows_bad
-        seen = f"{self.table}: {self._rows_bad} of {rows} rows cannot be taken; nothing was imported"
-        return bad_data(
-            "\n".join([seen, *shown]),
-            "mend the table, pass over lines before the data with csv: {skip_rows: N}"
-            ' and comments with csv: {comment: "#"}, read decimal commas with csv: {decimal: ","},'
-            " or add bad_rows: drop to the map to import the others",
-        )
-
-
-class _RowTimes:
-    """Times of the rows so far: even ones, counts that wrap, segments."""
-
-    def __init__(self, table: Path, table_map: TableMap) -> None:
-        self._table, self._rate_hz = table, table_map.rate_hz
-        self._wrap_ns = None if table_map.time is None else table_map.time.wrap_ns
-        self._may_go_back = table_map.time is not None and table_map.time.backwards == "segment"
-        self.segment = 0
-        self.span_ns = 0
-        self.intervals = Intervals()
-        self._last: tuple[int, int] | None = None
-        """Time and line of the last row."""
-        self._counted = self._wraps = 0
-        """What its column of time says, and how often that has wrapped."""
-
-    def take(self, part: Part) -> tuple[IntArray, IntArray]:
+    def _dated(self, part: Part) -> tuple[IntArray, IntArray]:
         """Return the times of rows in ns, and their segments.
 
         Raises BAD_DATA at the first time that does not increase, unless it goes back and that begins a
@@ -218,39 +205,41 @@ class _RowTimes:
             times = self._times(part)
         except OverflowError:
             raise bad_data(
-                f"{self._table}: its times are beyond the 292 years that a time in ns can tell",
+                f"{self.table}: its times are beyond the 292 years that a time in ns can tell",
                 "check rate_hz, or wraps_at and the unit of time, in the map",
             ) from None
         if not len(times):
             return times, times
+        may_go_back = self.map.time is not None and self.map.time.backwards == "segment"
         before_ns, before_line = self._last or (int(times[0]) - 1, 0)
         steps = np.diff(times, prepend=before_ns)
         back = steps < 0
-        for at in np.flatnonzero((steps == 0) | (back & (not self._may_go_back))).tolist():
+        for at in np.flatnonzero((steps == 0) | (back & (not may_go_back))).tolist():
             line = before_line if at == 0 else int(part.line[at - 1])
-            raise self._error(int(times[at]), int(steps[at]), int(part.line[at]), line)
-        segments = self.segment + np.cumsum(back)
-        self.span_ns += sum(steps[~back].tolist()) - (self._last is None)
-        self.intervals.add(times, segments)
+            raise self._time_error(int(times[at]), int(steps[at]), int(part.line[at]), line)
+        segments = self._segment + np.cumsum(back)
+        self._span_ns += sum(steps[~back].tolist()) - (self._last is None)
+        self._intervals.add(times, segments)
         self._last = int(times[-1]), int(part.line[-1])
-        self.segment = int(segments[-1])
+        self._segment = int(segments[-1])
         return times, segments
 
     def _times(self, part: Part) -> IntArray:
         if part.time_ns is None:
             # Each is rounded by itself so that no error adds up; a row that was dropped keeps its time.
-            period_ns = 10**9 / Fraction(str(self._rate_hz))
+            period_ns = 10**9 / Fraction(str(self.map.rate_hz))
             return np.array([round(row * period_ns) for row in part.index.tolist()], np.int64)
-        if self._wrap_ns is None:
+        wrap_ns = self.map.time.wrap_ns if self.map.time is not None else None
+        if wrap_ns is None:
             return part.time_ns
         times = []
         for counted in part.time_ns.tolist():
             self._wraps += counted < self._counted
             self._counted = counted
-            times.append(counted + round(self._wraps * self._wrap_ns))
+            times.append(counted + round(self._wraps * wrap_ns))
         return np.array(times, np.int64)
 
-    def _error(self, time_ns: int, step_ns: int, line: int, line_before: int) -> ImumonError:
+    def _time_error(self, time_ns: int, step_ns: int, line: int, line_before: int) -> ImumonError:
         verb, hint = (
             "is before",
             "if the device or the log started anew there, add backwards: segment to time in the map;"
@@ -259,5 +248,5 @@ class _RowTimes:
         if not step_ns:
             verb, hint = "is the same as", "if the rows are evenly spaced, give rate_hz: ... in place of time"
         after_s, before_s = time_ns * 1e-9, (time_ns - step_ns) * 1e-9
-        seen = f"{self._table}:{line}: time {after_s:.9f} s {verb} {before_s:.9f} s of line {line_before}"
+        seen = f"{self.table}:{line}: time {after_s:.9f} s {verb} {before_s:.9f} s of line {line_before}"
         return bad_data(seen, hint)

@@ -18,7 +18,7 @@ from pydantic import (
     model_validator,
 )
 
-from imumon.columns import KNOWN, NAME
+from imumon.columns import KNOWN, NAME, BodyAxes
 from imumon.config import StrictModel
 from imumon.protocols.ranges import Ranges
 from imumon.units import Unit, parse_own_unit, parse_unit
@@ -167,13 +167,7 @@ class Other(StrictModel):
         return given
 
 
-def _check_name(name: str) -> str:
-    if name in RESERVED:
-        raise ValueError(f"{name!r} is the name of something else; give the column another")
-    return name
-
-
-Name = Annotated[str, Field(pattern=NAME), AfterValidator(_check_name)]
+Name = Annotated[str, Field(pattern=NAME)]
 
 
 class TextFormat(StrictModel):
@@ -211,7 +205,7 @@ class TableMap(StrictModel):
     attitude: Group | None = None
     pressure: Group | None = None
     other: dict[Name, Other] = Field(default_factory=dict)
-    axes: Literal["FLU", "FRD"] | None = None
+    axes: BodyAxes | None = None
     range: Ranges = Ranges()
     csv: TextFormat = TextFormat()
     bad_rows: Literal["error", "drop"] = "error"
@@ -228,6 +222,8 @@ class TableMap(StrictModel):
         if (self.time is None) == (self.rate_hz is None):
             given = "neither is there" if self.time is None else "both are there"
             raise ValueError(f"a map has either time: {{column: ..., unit: ...}} or rate_hz: ...; {given}")
+        if taken := [name for name in self.other if name in RESERVED]:
+            raise ValueError(f"other.{taken[0]} is the name of something else; give the column another")
         sources = self.sources()
         if not sources:
             raise ValueError(

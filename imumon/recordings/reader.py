@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from imumon.blocks import SampleBlock
-from imumon.columns import Column
+from imumon.columns import BodyAxes, Column
 from imumon.errors import bad_data
 from imumon.pipeline import Estimator, Pipeline, SampleSink
 from imumon.protocols.device import DeviceFile
@@ -49,7 +49,7 @@ class Recording:
     """Of its folder or file."""
     device: str | None
     """What sent it; None for a table."""
-    axes: str | None
+    axes: BodyAxes | None
     """In which body axes it is; None where nobody said it."""
     serial: str | None
     """Serial number of the unit, as its session has it."""

@@ -86,18 +86,13 @@ class Recorder:
             self._stopping.wait(FLUSH_PERIOD_S)  # slept through: to be woken by each read costs more than it
             stopped = self._take()
             self._try(self._writer.flush, _WRITING)
-            self._check_file()
+            gone = self._writer.has_vanished
+            self._report(_GONE, f"{_GONE}: what it held is lost; a new file is begun" if gone else None)
+            if gone:  # tried again until it works
+                with suppress(OSError, ImumonError):
+                    self._writer.begin_again()
+                    self._next_save = 0.0
         self._try(self._writer.close, "the recording could not be finished")
-
-    def _check_file(self) -> None:
-        """Where the file has vanished, say so and begin another; that is tried again until it works."""
-        if self._writer.has_vanished:
-            self._report(_GONE, f"{_GONE}: what it held is lost; a new file is begun")
-            with suppress(OSError, ImumonError):
-                self._writer.begin_again()
-                self._next_save = 0.0
-        else:
-            self._report(_GONE, None)
 
     def _keep(self) -> None:
         """Let the medium have what was written, and renew the metadata; either may take seconds."""

@@ -13,11 +13,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from imumon.blocks import NO_INT, BoolArray, FloatArray, IntArray, SampleBlock, missing
+from imumon.columns import BodyAxes
 from imumon.errors import missing_package
 from imumon.protocols.base import MAIN
 from imumon.recordings.table import CLOCKS, iterate_table, read_columns
@@ -50,17 +51,8 @@ DIAGNOSED = (
 """What stands in the diagnostics, once a second."""
 
 
-@dataclass(frozen=True, slots=True)
-class Written:
-    """What became of a run: messages of each topic, the streams they are of, what ROS has no terms for."""
-
-    messages: dict[str, int]
-    streams: list[str]
-    left_out: list[str]
-
-
-def write_ros2(tables: Mapping[str, Path], out: Path, axes: Literal["FLU", "FRD"] | None) -> Written:
-    """Write tables of a run as one MCAP file.
+def write_ros2(tables: Mapping[str, Path], out: Path, axes: BodyAxes | None) -> tuple[list[str], list[str]]:
+    """Write tables of a run as one MCAP file; return the streams that it has, and what ROS has no terms for.
 
     Raises BAD_CONFIG when a package that it needs is not installed.
 
@@ -96,7 +88,7 @@ def write_ros2(tables: Mapping[str, Path], out: Path, axes: Literal["FLU", "FRD"
             elif published.clock:
                 left_out.append(f"{stream}: of its columns alone no message can be made")
         writer.finish()  # type: ignore[no-untyped-call]  # the package leaves its return type out
-    return Written(counts, streams, left_out)
+    return streams, left_out
 
 
 class _Topic(NamedTuple):
@@ -128,7 +120,7 @@ class Stream:
     """The latest reading of what is published when it changes."""
 
     @classmethod
-    def of(cls, name: str, path: Path, axes: Literal["FLU", "FRD"] | None) -> Stream:
+    def of(cls, name: str, path: Path, axes: BodyAxes | None) -> Stream:
         """Return the stream of a table, whose noise is known."""
         units = {column.name: column.unit for column in read_columns(path).values()}
         clocks, made = set[str](), cls(name, units, "", axes == "FRD")

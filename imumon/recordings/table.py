@@ -159,7 +159,11 @@ class TableWriter:
                         writer.write_table(table)
             else:
                 _write_csv(whole, tables, self._names)
-                _write_units(units_path(self.path), columns)
+                units = {
+                    c.name: {"unit": c.unit, "type": c.dtype, "description": c.description} for c in columns
+                }
+                content = {"format": FORMAT, "imumon": __version__, "columns": units}
+                write_text(units_path(self.path), dump_yaml(content))
         whole.replace(target(self.path))
 
 
@@ -248,14 +252,6 @@ class _UnitsFile(StrictModel):
     format: Literal["imumon-table/1"]
     imumon: str
     columns: dict[str, _UnitsColumn]
-
-
-def _write_units(path: Path, columns: Iterable[Column]) -> None:
-    entries = {
-        one.name: _UnitsColumn(unit=one.unit, type=one.dtype, description=one.description) for one in columns
-    }
-    content = _UnitsFile(format="imumon-table/1", imumon=__version__, columns=entries)
-    write_text(path, dump_yaml(content.model_dump()))
 
 
 def _csv_columns(path: Path) -> dict[str, Column]:

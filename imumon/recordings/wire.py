@@ -71,7 +71,7 @@ class WireWriter:
         try:
             self.flush()
         except OSError:
-            self._spool.close()
+            os.close(self._descriptor)
             raise
 
     def _begin(self) -> None:
@@ -84,13 +84,27 @@ class WireWriter:
             ) from error
         with suppress(OSError):  # a file system that knows no locks
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        self._spool = _Spool(descriptor)
+        self._descriptor, made, self._closed = descriptor, os.fstat(descriptor), False
+        self._place = made.st_dev, made.st_ino
+        self._pending = bytearray()
+        """What the operating system has not taken yet: a write that fails half-way leaves the rest here."""
+        self._crc = self._written = 0
+        """Checksum of all that was put, and how much of it was written."""
         self._block_start = self._block_bytes = 0
-        self._spool.write(wf.MAGIC)
-        self._spool.write(_packed(mcap.Header(profile=wf.FORMAT, library=f"imumon {__version__}")))
-        self._metadata_at = self._spool.tell()
-        self._spool.write(_packed(self._metadata))
-        self._spool.write(b"".join(map(_packed, _TOPICS)))
+        self._put(wf.MAGIC)
+        self._put(_packed(mcap.Header(profile=wf.FORMAT, library=f"imumon {__version__}")))
+        self._metadata_at = self._end
+        self._put(_packed(self._metadata))
+        self._put(b"".join(map(_packed, _TOPICS)))
+
+    @property
+    def _end(self) -> int:
+        """Where in the file the next byte goes."""
+        return self._written + len(self._pending)
+
+    def _put(self, data: bytes) -> None:
+        self._pending += data
+        self._crc = zlib.crc32(data, self._crc)
 
     @property
     def has_vanished(self) -> bool:
@@ -99,7 +113,7 @@ class WireWriter:
             now = self._path.stat()
         except OSError:
             return True
-        return (now.st_dev, now.st_ino) != self._spool.place
+        return (now.st_dev, now.st_ino) != self._place
 
     def begin_again(self) -> None:
         """Make the file anew, with its folder, after it has vanished; its first event says what is missing.
@@ -107,10 +121,10 @@ class WireWriter:
         Raises OSError when that cannot be done; what comes until it can is lost as well; EXISTS when there is
         another file by now.
         """
-        gone = self._spool
+        gone = self._descriptor
         self._path.parent.mkdir(parents=True, exist_ok=True)
         self._begin()
-        gone.close()
+        os.close(gone)
         self._messages.clear()
         self._sequence, counts = 0, self.counters
         counts.bytes_on_disk, counts.bytes_unrecorded = 0, counts.bytes
@@ -125,18 +139,17 @@ class WireWriter:
         counters.reads += is_read
         counters.bytes += size
         counters.events += 1 - is_read
-        if len(self._spool.pending) > PENDING_LIMIT:
+        if len(self._pending) > PENDING_LIMIT:
             counters.bytes_unrecorded += size
             self._gap.update(reads=is_read, bytes=size, events=1 - is_read)
             return
+        self._note_gap(item.time_ns)
         if isinstance(item, Bytes):
-            self._note_gap(item.arrival_ns)
-            self._add(wf.WIRE_CHANNEL, item.arrival_ns, wf.CDR.pack(wf.CDR_LITTLE, size) + item.data)
+            self._add(wf.WIRE_CHANNEL, item.time_ns, wf.CDR.pack(wf.CDR_LITTLE, size) + item.data)
             self._block_bytes += size
         else:
-            self._note_gap(item.time_ns)
             self._add_event(item.kind.value, item.time_ns, {"detail": item.detail})
-        if self._spool.tell() - self._block_start > BLOCK_BYTES:
+        if self._end - self._block_start > BLOCK_BYTES:
             self._seal()
 
     def missing(self, after_ns: int, before_ns: int, reads: int, size: int = 0) -> None:
@@ -155,9 +168,12 @@ class WireWriter:
         """
         self._seal()
         try:
-            self._spool.flush()
+            while self._pending:
+                count = os.write(self._descriptor, self._pending)
+                del self._pending[:count]
+                self._written += count
         finally:
-            while self._unflushed and self._unflushed[0][0] <= self._spool.written:
+            while self._unflushed and self._unflushed[0][0] <= self._written:
                 self.counters.bytes_on_disk += self._unflushed.popleft()[1]
 
     def sync(self) -> None:
@@ -165,7 +181,8 @@ class WireWriter:
 
         Raises OSError when the disk fails.
         """
-        self._spool.sync()
+        if not self._closed:
+            os.fdatasync(self._descriptor)
 
     def close(self) -> None:
         """Finish and close the file; what cannot be written now is counted as unrecorded.
@@ -173,7 +190,7 @@ class WireWriter:
         Raises OSError when the last bytes cannot be written; the file is closed, and what it holds is
         readable.
         """
-        if self._spool.closed:
+        if self._closed:
             return
         self._note_gap(self._last_ns)
         self._seal()
@@ -184,11 +201,12 @@ class WireWriter:
         finally:
             self.counters.bytes_unrecorded += sum(size for _, size in self._unflushed)
             self._unflushed.clear()
-            self._spool.close()
+            self._closed = True
+            os.close(self._descriptor)
 
     def _add(self, channel: int, time_ns: int, data: bytes) -> None:
         length, sequence = wf.MESSAGE_FIELDS + len(data), self._sequence & wf.SEQUENCE_MASK
-        self._spool.write(wf.MESSAGE.pack(wf.MESSAGE_OP, length, channel, sequence, time_ns, time_ns) + data)
+        self._put(wf.MESSAGE.pack(wf.MESSAGE_OP, length, channel, sequence, time_ns, time_ns) + data)
         self._first_ns = min(self._first_ns, time_ns) if self._sequence else time_ns
         self._highest_ns, self._last_ns = max(self._highest_ns, time_ns), time_ns
         self._messages[channel] += 1
@@ -205,18 +223,18 @@ class WireWriter:
 
     def _seal(self) -> None:
         """Write the check record of what came since the last one."""
-        size = self._spool.tell() - self._block_start
+        size = self._end - self._block_start
         if size:
-            crc = zlib.crc32(self._spool.pending[-size:])  # none of it is written yet
+            crc = zlib.crc32(self._pending[-size:])  # none of it is written yet
             check = wf.Check(self._block_start, size, self._sequence & wf.SEQUENCE_MASK, crc, self._last_ns)
-            self._spool.write(check.pack())
-            self._block_start = self._spool.tell()
+            self._put(check.pack())
+            self._block_start = self._end
             self._unflushed.append((self._block_start, self._block_bytes))
             self._block_bytes = 0
 
     def _finish(self) -> None:
         """Write the end of the data, the summary and the footer that MCAP asks for."""
-        self._spool.write(_packed(mcap.DataEnd(self._spool.crc)))
+        self._put(_packed(mcap.DataEnd(self._crc)))
         statistics = mcap.Statistics(
             attachment_count=0,
             channel_count=len(_CHANNELS),
@@ -231,12 +249,12 @@ class WireWriter:
         length = len(_packed(self._metadata))
         index = mcap.MetadataIndex(offset=self._metadata_at, length=length, name=self._metadata.name)
         summary = b"".join(map(_packed, (*_TOPICS, statistics, index)))
-        start = self._spool.tell()
+        start = self._end
         unchecked = _packed(mcap.Footer(summary_start=start, summary_offset_start=0, summary_crc=0))
         crc = zlib.crc32(unchecked[:-4], zlib.crc32(summary))
         footer = mcap.Footer(summary_start=start, summary_offset_start=0, summary_crc=crc)
-        self._spool.write(summary + _packed(footer) + wf.MAGIC)
-        self._block_start = self._spool.tell()
+        self._put(summary + _packed(footer) + wf.MAGIC)
+        self._block_start = self._end
 
 
 _EVENT_SCHEMA = {
@@ -262,39 +280,11 @@ def _packed(record: mcap.McapRecord) -> bytes:
     return bytes(builder.end())  # type: ignore[no-untyped-call]  # the library does not say
 
 
-class _Spool:
-    """The stream below: keeps bytes until the operating system has taken them, and their checksums.
-
-    A write that fails half-way leaves the rest here, so that the file is never torn in the middle.
-    """
-
-    def __init__(self, descriptor: int) -> None:
-        self._descriptor = descriptor
-        made = os.fstat(descriptor)
-        self.place = made.st_dev, made.st_ino
-        self.pending = bytearray()
-        self.crc = 0
-        self.written = 0
-        self.closed = False
-
-    def write(self, data: bytes) -> None:
-        self.pending += data
-        self.crc = zlib.crc32(data, self.crc)
-
-    def tell(self) -> int:
-        return self.written + len(self.pending)
-
-    def flush(self) -> None:
-        while self.pending:
-            count = os.write(self._descriptor, self.pending)
-            del self.pending[:count]
-            self.written += count
-
-    def sync(self) -> None:
-        if not self.closed:
-            os.fdatasync(self._descriptor)
-
-    def close(self) -> None:
-        if not self.closed:
-            self.closed = True
-            os.close(self._descriptor)
+def is_recorded(path: Path) -> bool:
+    """Return whether a program writes this wire file at the moment."""
+    with path.open("rb") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return True
+    return False

@@ -39,8 +39,6 @@ MESSAGE = struct.Struct("<BQHIQQ")
 """Opcode, bytes that follow, channel, sequence, log time, publish time; then the payload."""
 MESSAGE_FIELDS = MESSAGE.size - RECORD.size
 MESSAGE_OP, DATA_END_OP = int(Opcode.MESSAGE), int(Opcode.DATA_END)
-STATISTICS_COUNTS = struct.Struct("<Q")
-"""What the statistics begin with: the number of messages."""
 SEQUENCE_MASK = (1 << 32) - 1
 
 CHECK_OP = 0x91

@@ -16,6 +16,7 @@ from collections.abc import Generator, Iterator
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from mcap.data_stream import ReadDataStream
@@ -26,30 +27,22 @@ from mcap.records import Header, Metadata
 from imumon.errors import ImumonError, bad_data
 from imumon.files import readable
 from imumon.recordings import wire_format as wf
-from imumon.recordings.wire_format import (
-    CDR,
-    CHECK_SIZE,
-    MAGIC,
-    MESSAGE,
-    PROFILE,
-    RECORD,
-    SEQUENCE_MASK,
-    Check,
-)
+from imumon.recordings.wire_format import CHECK_SIZE, MAGIC, MESSAGE, RECORD, SEQUENCE_MASK, Check
 from imumon.transport.reader import Event, EventKind, Item, Reads
 
 READ_SIZE = 1 << 20
 """Bytes of reads that are handed on at once, and of which a checksum is taken."""
 RELEASE_SIZE = 16 << 20
 """Bytes of the file that are taken out of the memory of the process at a time."""
-_BEFORE_DATA = {wf.WIRE_CHANNEL: CDR.size, wf.BARE_CHANNEL: 0}
+_BEFORE_DATA = {wf.WIRE_CHANNEL: wf.CDR.size, wf.BARE_CHANNEL: 0}
 """Bytes before the data of a read, by its channel."""
 _PASSED_OVER = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE_INDEX, Opcode.ATTACHMENT, wf.CHECK_OP)
 """The channels of a wire file have the same numbers in all."""
-BAD_RECORD = (McapError, struct.error, ValueError, RuntimeError, OverflowError, MemoryError)
-"""What the library raises for a record that is not what its first byte says."""
-
-
+BAD_EVENT = (ValueError, ArithmeticError, LookupError, TypeError, RuntimeError)
+BAD_RECORD = (McapError, struct.error, MemoryError, *BAD_EVENT)
+"""What is raised for an event or another record that is not what it says."""
+SHOWN_BYTES = 200
+"""Of a record that is not understood."""
 KEPT_PLACES = 100
 """Damaged places of which the details are kept; all are counted."""
 
@@ -122,6 +115,12 @@ class WireSummary:
     metadata: dict[str, str] = field(default_factory=dict)
     """What the recording program wanted to say."""
 
+    @property
+    def is_sound(self) -> bool:
+        """Whether the file is whole and as it was written."""
+        is_whole = self.damage.places == self.recovered.places
+        return self.complete and self.checksum_ok is not False and is_whole
+
 
 class WireReader:
     """Reads a wire file in order of arrival, in constant memory.
@@ -131,7 +130,21 @@ class WireReader:
 
     def __init__(self, path: Path) -> None:
         self.path = path
+        self._begin(b"")
+
+    def _begin(self, data: mmap.mmap | bytes) -> None:
         self.summary = WireSummary()
+        self._data: mmap.mmap | bytes = data
+        self._done = self._released = 0
+        """Up to where everything is read or given up, and up to where it is no longer kept in memory."""
+        self._crc = 0
+        """CRC-32 of the file up to `_done`."""
+        self._next_sequence = 0
+        """Of the next message, modulo 2^32."""
+        self._pieces: list[bytes] = []
+        self._arrivals_ns: list[int] = []
+        self._kept = 0
+        """Reads that were found since the last batch, and their bytes."""
 
     def __iter__(self) -> Iterator[Item]:
         """Yield the items in the order in which they were written, each read by itself.
@@ -155,60 +168,30 @@ class WireReader:
     def batches(self) -> Iterator[Reads | Event]:
         """Yield the items in the order in which they were written, reads that follow each other together.
 
-        Raises BAD_DATA, when the file cannot be read or is not a wire file.
+        Raises BAD_DATA, when the file cannot be read, is no wire file, or has what a newer version wrote.
         """
         with readable(self.path), self.path.open("rb") as file:
             size, number = self.path.stat().st_size, file.fileno()
             # The system keeps in memory what is looked at.
-            contents = _Contents(self.path, mmap.mmap(number, 0, access=mmap.ACCESS_READ) if size else b"")
-        self.summary = contents.found
-        yield from contents.batches()
-
-
-class _Contents:
-    """One iteration over the bytes of a wire file."""
-
-    def __init__(self, path: Path, data: mmap.mmap | bytes) -> None:
-        self.found = WireSummary()
-        self._path, self._data = path, data
-        self._done = self._released = 0
-        """Up to where everything is read or given up, and is no longer kept in memory."""
-        self._crc = 0
-        """CRC-32 of the file up to `_done`."""
-        self._next_sequence = 0
-        """Of the next message, modulo 2^32."""
-        self._pieces: list[bytes] = []
-        self._arrivals_ns: list[int] = []
-        self._kept = 0
-        """Reads that were found since the last batch, and their bytes."""
-
-    def batches(self) -> Generator[Reads | Event]:
-        """Yield everything; `found` is complete afterwards.
-
-        Raises BAD_DATA when this is no wire file, or what a newer version wrote is in it.
-        """
+            self._begin(mmap.mmap(number, 0, access=mmap.ACCESS_READ) if size else b"")
         data, head = self._data, self._data[: wf.HEAD_SIZE]
         is_mcap = MAGIC.startswith(head[: len(MAGIC)])
-        if not is_mcap and PROFILE in head:
-            self.found.damage.add(Place(0, len(MAGIC), 0, 0, 0))
+        if not is_mcap and wf.PROFILE in head:
+            self.summary.damage.add(Place(0, len(MAGIC), 0, 0, 0))
         marker = -1
         while (marker := data.find(wf.MARKER, marker + 1)) >= 0:
             at = marker - RECORD.size
             if at >= 0 and (check := Check.unpack(data, at)) is not None:
                 yield from self._block(check, at)
         if not self._done:
-            if not is_mcap and PROFILE not in head:
+            if not is_mcap and wf.PROFILE not in head:
                 hint = "only wire files that imumon recorded can be replayed"
-                raise bad_data(f"{self._path}: is not a wire file", hint)
+                raise bad_data(f"{self.path}: is not a wire file", hint)
             end = yield from self._records(data, min(len(MAGIC), len(data)), sealed=False)
             self._finish(end)
         yield from self._reads()
-        ended = self._ends_data()
-        if ended:
-            yield from self._compare_count()
-        else:
-            self.found.tail_bytes = len(data) - self._done
-        self.found.complete = ended and data[-len(MAGIC) :] == MAGIC
+        yield from self._end()
+        self._data = b""  # the file is closed
 
     def _block(self, check: Check, end: int) -> Generator[Reads | Event]:
         """Yield the block that a check record at this place seals, or count what is lost.
@@ -217,16 +200,13 @@ class _Contents:
         """
         begin, behind = end - check.size, end + CHECK_SIZE
         block = self._data[max(begin, 0) : end]
-        if begin == 0:
-            block = MAGIC + block[len(MAGIC) :]  # the same in all files, should it be damaged
+        first = len(MAGIC) if begin == 0 else 0
+        block = MAGIC[:first] + block[first:]  # the same in all files, should it be damaged
         is_whole = begin >= 0 and zlib.crc32(block) == check.crc
-        at = first = len(MAGIC) if block.startswith(MAGIC) else 0
         sequence, time_ns = check.sequence, check.time_ns
-        while is_whole and at < len(block):
-            if block[at] == wf.MESSAGE_OP:
-                _, _, _, sequence, time_ns, _ = MESSAGE.unpack_from(block, at)
-                break
-            at += RECORD.size + RECORD.unpack_from(block, at)[1]
+        messages = (at for opcode, at, _ in _walk(block, first) if opcode == wf.MESSAGE_OP)
+        if is_whole and (at := next(messages, 0)):
+            _, _, _, sequence, time_ns, _ = MESSAGE.unpack_from(block, at - RECORD.size)
         if self._ahead(sequence) < 0:
             return
         yield from self._lose((begin if is_whole else behind) - self._done, time_ns, sequence)
@@ -234,28 +214,23 @@ class _Contents:
         if is_whole:
             stop = yield from self._records(block, first, sealed=True)
             if stop < len(block):
-                raise self._error(f"a record of type {block[stop]} is not understood")
+                record = block[stop : stop + SHOWN_BYTES]
+                raise self._error(f"the record at byte {begin + stop} is not understood: {record!r}")
 
-    def _ends_data(self) -> bool:
-        """Return whether the record that ends the data comes next; compare its checksum of all before it."""
-        at = self._done
-        record = self._data[at : at + RECORD.size + 4]
-        if len(record) < RECORD.size + 4 or RECORD.unpack_from(record) != (wf.DATA_END_OP, 4):
-            return False
-        if expected := int.from_bytes(record[-4:], "little"):
-            self.found.checksum_ok = self._crc == expected
-        return True
-
-    def _compare_count(self) -> Generator[Reads]:
-        """Count what is missing before the end, by the number of messages that the statistics say."""
-        at = self._done
-        while at + RECORD.size + wf.STATISTICS_COUNTS.size <= len(self._data):
-            opcode, length = RECORD.unpack_from(self._data, at)
-            if opcode == Opcode.STATISTICS:
-                (messages,) = wf.STATISTICS_COUNTS.unpack_from(self._data, at + RECORD.size)
-                yield from self._lose(0, self.found.last_ns, messages & SEQUENCE_MASK)
-                return
-            at += RECORD.size + length
+    def _end(self) -> Generator[Reads]:
+        """Compare checksum and number of messages with those that stand behind the data."""
+        data, behind = self._data, _walk(self._data, self._done)
+        opcode, begin, end = next(behind, (0, 0, 0))
+        if opcode != wf.DATA_END_OP or end - begin != 4 or end > len(data):
+            self.summary.tail_bytes = len(data) - self._done
+            return
+        if expected := int.from_bytes(data[begin:end], "little"):
+            self.summary.checksum_ok = self._crc == expected
+        for opcode, begin, _ in behind:
+            if opcode == Opcode.STATISTICS:  # begins with the number of messages
+                messages = int.from_bytes(data[begin : begin + 8], "little")
+                yield from self._lose(0, self.summary.last_ns, messages & SEQUENCE_MASK)
+        self.summary.complete = data[-len(MAGIC) :] == MAGIC
 
     def _finish(self, end: int) -> None:
         """Take what stands before this place as read: into the checksum, and out of the memory."""
@@ -280,12 +255,12 @@ class _Contents:
         missing = max(0, self._ahead(sequence))
         if size or missing:
             yield from self._reads()
-            self.found.damage.add(Place(self._done, size, self.found.last_ns, before_ns, missing))
+            self.summary.damage.add(Place(self._done, size, self.summary.last_ns, before_ns, missing))
         self._next_sequence = self._next_sequence + missing & SEQUENCE_MASK
 
     def _error(self, what: str) -> ImumonError:
         hint = "a newer imumon wrote it, or only wire files that imumon recorded can be replayed"
-        return bad_data(f"{self._path}: {what}", hint)
+        return bad_data(f"{self.path}: {what}", hint)
 
     def _records(
         self, data: mmap.mmap | bytes, at: int, *, sealed: bool
@@ -294,37 +269,33 @@ class _Contents:
 
         What is sealed is as it was written; any other record is taken for one by its fields.
         """
-        while at < len(data) and (sealed or self._is_record(at)):
-            opcode = data[at]
-            if opcode == wf.DATA_END_OP:
-                break
-            if opcode != wf.MESSAGE_OP:
-                after = at + RECORD.size + RECORD.unpack_from(data, at)[1]
-                try:
-                    self._rare(opcode, data[at + RECORD.size : after])
-                except BAD_RECORD:
-                    break
-            else:
+        while at < len(data) and (sealed or self._is_record(at)) and data[at] != wf.DATA_END_OP:
+            if data[at] == wf.MESSAGE_OP:
                 _, length, channel, sequence, time_ns, _ = MESSAGE.unpack_from(data, at)
                 after = at + RECORD.size + length
                 self._next_sequence = (sequence + 1) & SEQUENCE_MASK
-                self.found.last_ns = time_ns
-                if channel == wf.EVENT_CHANNEL:
-                    yield from self._reads()
-                    try:
-                        event = self._event(data[at + MESSAGE.size : after], time_ns)
-                    except ImumonError:
-                        if sealed:
-                            raise
-                        break
-                    if event is not None:
-                        yield event
-                elif channel in _BEFORE_DATA:
+                self.summary.last_ns = time_ns
+                if channel in _BEFORE_DATA:
                     self._pieces.append(data[at + MESSAGE.size + _BEFORE_DATA[channel] : after])
                     self._arrivals_ns.append(time_ns)
                     self._kept += length
                     if self._kept >= READ_SIZE:
                         yield from self._reads()
+                elif channel == wf.EVENT_CHANNEL:
+                    yield from self._reads()
+                    try:
+                        event = self._event(json.loads(data[at + MESSAGE.size : after]), time_ns)
+                    except BAD_EVENT:
+                        break
+                    if event is not None:
+                        yield event
+            else:
+                opcode, length = RECORD.unpack_from(data, at)
+                after = at + RECORD.size + length
+                try:
+                    self._rare(opcode, data[at + RECORD.size : after])
+                except BAD_RECORD:
+                    break
             at = after
         return at
 
@@ -334,11 +305,9 @@ class _Contents:
         if left < RECORD.size:
             return False
         opcode, length = RECORD.unpack_from(data, at)
-        if RECORD.size + length > left:
-            return False
         if opcode != wf.MESSAGE_OP:
-            return bool(0 < opcode <= wf.DATA_END_OP)
-        if RECORD.size + length < MESSAGE.size:
+            return bool(0 < opcode <= wf.DATA_END_OP and RECORD.size + length <= left)
+        if not MESSAGE.size <= RECORD.size + length <= left:
             return False
         _, _, _, sequence, time_ns, published_ns = MESSAGE.unpack_from(data, at)
         return bool(time_ns == published_ns < 1 << 63 and not self._ahead(sequence))
@@ -350,26 +319,22 @@ class _Contents:
             data = np.frombuffer(b"".join(self._pieces), np.uint8)
             batch = Reads(data, ends, np.array(self._arrivals_ns, np.int64))
             self._pieces, self._arrivals_ns, self._kept = [], [], 0
-            self.found.reads += len(ends)
-            self.found.bytes += len(data)
+            self.summary.reads += len(ends)
+            self.summary.bytes += len(data)
             yield batch
 
-    def _event(self, body: bytes, time_ns: int) -> Event | None:
-        """Return an event, or count what it says is missing; raises BAD_DATA for one that is not known."""
-        try:
-            fields = json.loads(body)
-            if fields["kind"] == wf.UNRECORDED:
-                self.found.bytes_unrecorded += int(fields["bytes"])
-                if "after_ns" in fields:
-                    place = Place(0, 0, int(fields["after_ns"]), time_ns, int(fields["reads"]))
-                    self.found.damage.add(place)
-                    self.found.recovered.add(place)
-                return None
+    def _event(self, fields: Any, time_ns: int) -> Event | None:
+        """Return an event, or count what it says is missing; raises one of `BAD_EVENT` for what is none."""
+        if fields["kind"] != wf.UNRECORDED:
             event = Event(EventKind(fields["kind"]), time_ns, str(fields["detail"]))
-        except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
-            raise self._error(f"event at {time_ns} ns is not understood: {body[:200]!r}") from error
-        self.found.events += 1
-        return event
+            self.summary.events += 1
+            return event
+        self.summary.bytes_unrecorded += int(fields["bytes"])
+        if "after_ns" in fields:
+            place = Place(0, 0, int(fields["after_ns"]), time_ns, int(fields["reads"]))
+            self.summary.damage.add(place)
+            self.summary.recovered.add(place)
+        return None
 
     def _rare(self, opcode: int, body: bytes) -> None:
         """Take in a rare record: header or metadata.
@@ -383,8 +348,16 @@ class _Contents:
                 raise self._error(f"is an MCAP file of profile {profile!r}, not {wf.FORMAT!r}")
         elif opcode == Opcode.METADATA:
             metadata = Metadata.read(stream)
-            self.found.metadata |= metadata.metadata if metadata.name == "imumon" else {}
+            self.summary.metadata |= metadata.metadata if metadata.name == "imumon" else {}
         elif opcode == Opcode.CHUNK:
             raise self._error("another program has put it into chunks")
         elif opcode not in _PASSED_OVER:
             raise ValueError("such a record does not stand here")
+
+
+def _walk(data: mmap.mmap | bytes, at: int) -> Iterator[tuple[int, int, int]]:
+    """Yield the type of each record from a place on, and where its content begins and ends."""
+    while at + RECORD.size <= len(data):
+        opcode, length = RECORD.unpack_from(data, at)
+        begin, at = at + RECORD.size, at + RECORD.size + length
+        yield opcode, begin, at

@@ -28,7 +28,7 @@ from imumon.transport.port import latency_text
 from imumon.transport.ports import PortInfo, latency_timer_path, list_ports
 from imumon.transport.settings import PortSettings
 from imumon.view.viewer import has_display, quiet_environment, viewer_binary
-from imumon.wings import NEEDED, is_wing
+from imumon.wing import NEEDED, is_wing
 
 DISTRIBUTION = "imumon"
 VULKAN_DRIVERS = tuple(Path(place, "vulkan/icd.d") for place in ("/usr/share", "/usr/local/share", "/etc"))
@@ -223,15 +223,15 @@ class Installed:
 
 def installed() -> list[Installed]:
     """Return the plug-ins of all groups, each loaded for a try."""
-    return [_tried(entry) for group in (STAGES, DEVICES, EFFECTS, WINGS) for entry in entries(group)]
-
-
-def _tried(entry: EntryPoint) -> Installed:
-    known = (entry.group, entry.name, *package_of(entry))
-    try:
-        return Installed(*known, tuple(_brought(entry)))
-    except ImumonError as error:
-        return Installed(*known, problem=error.seen)
+    found = []
+    for entry in chain.from_iterable(map(entries, (STAGES, DEVICES, EFFECTS, WINGS))):
+        brings, problem = list[str](), ""
+        try:
+            brings = _brought(entry)
+        except ImumonError as error:
+            problem = error.seen
+        found.append(Installed(entry.group, entry.name, *package_of(entry), tuple(brings), problem))
+    return found
 
 
 def _brought(entry: EntryPoint) -> list[str]:

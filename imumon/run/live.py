@@ -250,7 +250,7 @@ class LiveRun(DecodedPort):
         model = setup.model
         self._of_another = model.of_another(serial) if isinstance(model, BiasModel) else ""
         self._writer = self._wire_writer(settings)
-        self._recorder = Recorder(self._writer, self._recording_problem, self._save)
+        self._recorder = Recorder(self._writer, self._report_problem, self._save)
         card = {"device": device.title, "port": str(settings), "recording": str(self.session.path)}
         super().__init__(device, settings, pipeline, self._say, self._recorder.put, card, self.session.path)
 
@@ -343,7 +343,7 @@ class LiveRun(DecodedPort):
         self.session.save(self.session.metadata.model_copy(update=changes))
         self._log.write()
 
-    def _recording_problem(self, problem: str | None) -> None:
+    def _report_problem(self, problem: str | None) -> None:
         self._say("INFO" if problem is None else "ERROR", problem or "recording goes on")
 
 

@@ -7,14 +7,13 @@ removes the file at the end: the recording is what counts.
 from __future__ import annotations
 
 import json
-import os
 from contextlib import suppress
 from pathlib import Path
 
-from imumon.errors import ImumonError, bad_config
+from imumon.errors import bad_config
 from imumon.harmless import for_log
 from imumon.recordings.folder import open_session
-from imumon.recordings.recovery import refuse_recording
+from imumon.recordings.wire import is_recorded
 from imumon.transport.reader import EventKind
 
 REQUESTS = "marks.jsonl"
@@ -32,7 +31,7 @@ def ask_for_mark(session: Path, kind: EventKind, text: str) -> None:
     if not text.strip():
         raise bad_config("the text of the mark is empty", "say what is marked")
     opened = open_session(session)
-    if not _is_recorded(opened.wire_path):
+    if not (opened.wire_path.exists() and is_recorded(opened.wire_path)):
         raise bad_config(
             f"{session} is not being recorded",
             "marks are made while imumon monitor runs; its summary names the session",
@@ -51,11 +50,8 @@ def ask_for_mark(session: Path, kind: EventKind, text: str) -> None:
 def append_request(folder: Path, kind: EventKind, text: str) -> None:
     """Leave a request where whoever records looks for it; raises OSError where that cannot be written."""
     line = json.dumps({"kind": kind.value, "text": for_log(text)}) + "\n"
-    descriptor = os.open(folder / REQUESTS, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
-    try:
-        os.write(descriptor, line.encode())
-    finally:
-        os.close(descriptor)
+    with (folder / REQUESTS).open("ab") as file:
+        file.write(line.encode())
 
 
 class Marks:
@@ -77,27 +73,14 @@ class Marks:
             return []
         end = lines.rfind(b"\n") + 1
         self._read += end or (len(lines) if len(lines) == MOST_BYTES else 0)
-        return [request for line in lines[:end].splitlines() if (request := _request(line)) is not None]
+        requests = list[tuple[EventKind, str]]()
+        for line in lines[:end].splitlines():
+            with suppress(ValueError, KeyError, TypeError, RecursionError):
+                fields = json.loads(line)
+                requests.append((KINDS[fields["kind"]], for_log(str(fields["text"]))))
+        return requests
 
     def close(self) -> None:
         """Remove the file."""
         with suppress(OSError):
             self._path.unlink()
-
-
-def _request(line: bytes) -> tuple[EventKind, str] | None:
-    try:
-        fields = json.loads(line)
-        return KINDS[fields["kind"]], for_log(str(fields["text"]))
-    except (ValueError, KeyError, TypeError, RecursionError):
-        return None
-
-
-def _is_recorded(wire: Path) -> bool:
-    if not wire.exists():
-        return False
-    try:
-        refuse_recording(wire)
-    except ImumonError:
-        return True
-    return False

@@ -126,16 +126,12 @@ class Narrator:
         if isinstance(item, Event):
             self.event(item)
             return
-        for length, arrival_ns in zip(item.lengths.tolist(), item.arrivals_ns.tolist(), strict=True):
-            self.received(length, arrival_ns)
-
-    def received(self, n_bytes: int, time_ns: int) -> None:
-        """Count bytes that arrived."""
         if self._began_ns is None:
-            self._began_ns, self._first_bytes = time_ns, n_bytes
-        self._last_ns = time_ns
+            self._began_ns, self._first_bytes = int(item.arrivals_ns[0]), int(item.lengths[0])
+        self._last_ns = int(item.arrivals_ns[-1])
         if self._link is not None:
-            self._link.add(n_bytes, time_ns)
+            for length, arrival_ns in zip(item.lengths.tolist(), item.arrivals_ns.tolist(), strict=True):
+                self._link.add(length, arrival_ns)
 
     def samples(self, block: SampleBlock, side: Mapping[str, SampleBlock] = MappingProxyType({})) -> None:
         """Show samples and those of side streams, and what changed with them."""

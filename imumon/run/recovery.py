@@ -1,27 +1,31 @@
-"""A session that was interrupted or damaged, made whole: its wire file and its counters."""
+"""A session that was interrupted or damaged, made whole: its wire file and its counters.
+
+A file that is replaced stays beside the new one.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from imumon.errors import bad_config, bad_data
-from imumon.recordings.folder import (
-    METADATA_NAME,
-    WIRE_NAME,
-    Session,
-    SessionMetadata,
-    lost_metadata,
-    open_session,
-)
-from imumon.recordings.recovery import is_sound, keep_original, metadata_anew, refuse_recording, rewrite
+from imumon.errors import ImumonError, Reason, bad_config, bad_data
+from imumon.files import replacing
+from imumon.protocols.device import device_text, parse_device
+from imumon.recordings import folder
+from imumon.recordings.folder import METADATA_NAME, Session, SessionMetadata
 from imumon.recordings.source import Source, bytes_missing, run_over, source_of
+from imumon.recordings.wire import WireWriter, is_recorded
 from imumon.recordings.wire_reader import WireReader, WireSummary
 from imumon.run.live import summary_of
 from imumon.run.narration import advised
 from imumon.run.setup import recorded_setup
 from imumon.run.stages import pipeline_of
+from imumon.transport.reader import Bytes, Event
 
+FLUSH_BYTES = 1 << 20
+"""Bytes of the device after which a file that is written anew goes to the disk."""
 VIEWS = "view*.rrd"
 """What the view's recorder wrote; of an interrupted run it ends where that ended."""
 
@@ -51,42 +55,44 @@ def recover(path: Path, device_name: str | None = None) -> Recovered:
     `device_name` is a known name or the path of a device file, where session.yaml is lost and the wire file
     does not hold it.
     """
-    lost = lost_metadata(path)
+    lost = folder.lost_metadata(path)
     if lost is not None:
-        refuse_recording(lost)
-        metadata, unknown = metadata_anew(lost, device_name)
+        _refuse_recorded(lost)
+        metadata, unknown = _metadata_anew(lost, device_name)
         session = Session(lost.parent, metadata)
     else:
-        unknown, session = [], open_session(path)
+        unknown, session = [], folder.open_session(path)
         if device_name is not None:
             raise bad_config(f"--device, and {path} knows its device", "leave it out")
     if session.metadata.source == "import":
         hint = "it follows from its table: imumon import makes it anew"
         raise bad_data(f"{path} is an imported session, which has no bytes", hint)
-    refuse_recording(session.wire_path)
-    source = source_of(session)
-    assert isinstance(source.items, WireReader)
-    for _ in source.items.batches():
+    wire = session.wire_path
+    _refuse_recorded(wire)
+    source, before = source_of(session), WireReader(wire)
+    for _ in before.batches():
         pass
-    result = Recovered(session.path, source.items.summary)
-    sound = is_sound(result.before) and not bytes_missing(session, result.before)
-    if sound and lost is None and session.state == "closed":
-        result.warnings = source.warnings()
+    missing, result = bytes_missing(session, before.summary), Recovered(session.path, before.summary)
+    if missing or not before.summary.is_sound:
+        result.originals.append(rewrite(wire, missing, session.metadata.ended_ns or 0))
+        result.done.append(f"{wire.name}: {before.summary.reads:,} reads written anew, finished")
+    elif lost is None and session.state == "closed":
+        result.warnings = source.lacks(before.summary)
         return result
-    if not sound:
-        missing, ended_ns = bytes_missing(session, result.before), session.metadata.ended_ns or 0
-        result.originals.append(rewrite(session.wire_path, missing, ended_ns))
-        result.done.append(f"{session.wire_path.name}: {result.before.reads:,} reads written anew, finished")
-        source = source_of(session)
     metadata, warnings = _run_again(session, source)
     if lost is not None or metadata != session.metadata:
         if (session.path / METADATA_NAME).exists():
-            result.originals.append(keep_original(session.path / METADATA_NAME))
+            result.originals.append(_keep_original(session.path / METADATA_NAME))
         session.save(metadata)
-        made = f", made anew from what {WIRE_NAME} says" if lost is not None else ""
+        made = f", made anew from what {wire.name} says" if lost is not None else ""
         result.done.append(f"{METADATA_NAME}: closed, with the counters of what there is{made}")
-    result.warnings = [*unknown, *source.warnings(), *warnings]
+    result.warnings = [*unknown, *warnings]
     return result
+
+
+def _refuse_recorded(wire: Path) -> None:
+    if is_recorded(wire):
+        raise ImumonError(Reason.BUSY, f"{wire} is being recorded", "stop the recording first")
 
 
 def _run_again(session: Session, source: Source) -> tuple[SessionMetadata, list[str]]:
@@ -102,4 +108,79 @@ def _run_again(session: Session, source: Source) -> tuple[SessionMetadata, list[
         events=summary.events,
         views=sorted(path.name for path in session.path.glob(VIEWS)),
     )
-    return closed, [advised(text, session.path) for text in pipeline.warnings()]
+    warnings = [advised(text, session.path) for text in pipeline.warnings()]
+    return closed, [*source.warnings(), *warnings]
+
+
+def _metadata_anew(wire: Path, device_name: str | None) -> tuple[SessionMetadata, list[str]]:
+    """Return the metadata of a session as its wire file holds them since its start, and what is not known.
+
+    Raises BAD_CONFIG when the file does not hold them and no device is named, which comes before the one that
+    the file holds; BAD_DATA without any message.
+    """
+    begun = folder.begun_of(WireReader(wire).metadata())
+    unknown = [
+        "what was written into session.yaml after the start is not known, as a serial number",
+        "the digest of the live results is not known: a replay has nothing to be compared with",
+    ]
+    if begun is None:
+        seen = f"{wire} does not hold the session.yaml of its start: it is old, or its beginning is damaged"
+        if device_name is None:
+            raise bad_config(seen, "add --device NAME; imumon devices lists them")
+        first = next(iter(WireReader(wire)), None)
+        if first is None:
+            raise bad_data(f"{wire} holds no message", "there is nothing to recover")
+        begun = SessionMetadata.begun("live", first.time_ns, device=device_name)
+        unknown = [f"{seen}; only the device is known, and it began with its first message"]
+    if device_name is not None:
+        text, source = device_text(device_name)
+        device = parse_device(text, source)
+        begun = begun.model_copy(update={"device": device.name, "axes": device.axes, "device_yaml": text})
+    return begun, unknown
+
+
+def rewrite(path: Path, bytes_missing: int = 0, ended_ns: int = 0) -> Path:
+    """Write a wire file anew with all that can be read of it, and return where the original is now.
+
+    What is missing is noted in the new file at its place.  How many bytes of the device are missing in all,
+    and when the recording ended, is noted at its end, where the session knows it.  The new file takes the
+    name of the old one when it is on the medium.
+
+    Raises OSError when the disk is full or fails; the file is then as it was.
+    """
+    with replacing(path) as partial:
+        partial.unlink(missing_ok=True)
+        with closing(WireWriter(partial, WireReader(path).metadata())) as writer:
+            flushed = 0
+            for item in _items(path, writer, bytes_missing, ended_ns):
+                writer.write(item)
+                flushed += len(item.data) if isinstance(item, Bytes) else 0
+                if flushed > FLUSH_BYTES:
+                    writer.flush()
+                    flushed = 0
+        return _keep_original(path)
+
+
+def _keep_original(path: Path) -> Path:
+    """Give a file a second name, NAME.original or with a number, and return it."""
+    number, original = 1, path.with_name(f"{path.name}.original")
+    while original.exists():
+        number += 1
+        original = path.with_name(f"{path.name}.original-{number}")
+    original.hardlink_to(path)
+    return original
+
+
+def _items(path: Path, writer: WireWriter, bytes_missing: int, ended_ns: int) -> Iterator[Bytes | Event]:
+    """Yield what can be read; say where messages are missing before those behind the place."""
+    reader = WireReader(path)
+    written = last_ns = 0
+    for item in reader:
+        missing = reader.summary.damage.messages - written
+        if missing:
+            writer.missing(last_ns, item.time_ns, missing)
+        written, last_ns = written + missing, item.time_ns
+        yield item
+    missing = reader.summary.damage.messages - written
+    if missing or bytes_missing:
+        writer.missing(last_ns, max(last_ns, ended_ns), missing, bytes_missing)

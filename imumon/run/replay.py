@@ -12,7 +12,7 @@ from imumon.recordings.folder import Session
 from imumon.recordings.source import Count, feed, no_count, run_over
 from imumon.run.narration import Narrator
 from imumon.run.setup import Setup
-from imumon.transport.reader import Bytes, Item
+from imumon.transport.reader import Bytes, Item, Reads
 
 BATCH_NS = 50_000_000
 TICK_NS = 500_000_000
@@ -133,10 +133,8 @@ def _narrated(
     for item in items:
         now_ns = _time_ns(item, now_ns)
         count(feed(item, pipeline))
-        if isinstance(item, Bytes):
-            narrator.received(len(item.data), item.arrival_ns)
-        elif not isinstance(item, SampleBlock):
-            narrator.event(item)
+        if not isinstance(item, SampleBlock):
+            narrator.item(Reads.of([item]) if isinstance(item, Bytes) else item)
         if not 0 < next_batch_ns - now_ns <= BATCH_NS:  # passed, or the clock jumped back
             next_batch_ns = now_ns + BATCH_NS
             yield _shown(pipeline, narrator)
@@ -170,4 +168,4 @@ def _paced(items: Iterable[Item | SampleBlock], speed: float) -> Iterator[Item |
 def _time_ns(item: Item | SampleBlock, before_ns: int) -> int:
     if isinstance(item, SampleBlock):
         return int(item["device_time_ns"][-1]) if len(item) else before_ns
-    return item.arrival_ns if isinstance(item, Bytes) else item.time_ns
+    return item.time_ns

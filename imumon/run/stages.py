@@ -1,24 +1,36 @@
-"""Which estimators run behind the clock, and in which order."""
+"""Which estimators run behind the clock, and in which order; and a recording backward through the same."""
 
 from __future__ import annotations
 
+import math
+import shlex
 from collections.abc import Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from imumon.allan.live import AllanStage
 from imumon.estimation.attitude.stage import AttitudeEstimate
 from imumon.estimation.gyro_bias.stage import RestAndBias
+from imumon.estimation.smoothing.stage import Record, Recorder, SmoothedEstimates, backward, still_heading
 from imumon.estimation.spectrum.stage import LiveSpectrum
 from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.estimation.watch.stage import ModelWatch
-from imumon.pipeline import Estimator, Pipeline
+from imumon.pipeline import Estimator, Pipeline, SampleSink
 from imumon.plugins import STAGES, plugins
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.ranges import Ranges
-from imumon.protocols.thermometer import TemperatureRateParameters
-from imumon.recordings.source import Source
-from imumon.run.setup import Setup
+from imumon.recordings.folder import Session, fingerprint
+from imumon.recordings.source import Source, run_over
+from imumon.run.setup import Setup, ZuptMode
 from imumon.stage import STAGE, is_callable, made_by
-from imumon.wings import offers
+from imumon.version import __version__
+from imumon.wing import offers
+
+LEARNED_NAME = "learned-model.yaml"
+"""In the folder of a session: the better model that was found in it."""
 
 
 def pipeline_of(
@@ -45,7 +57,7 @@ def estimators(device: DeviceFile | None, setup: Setup | None = None) -> list[Es
     Raises BAD_CONFIG for a plug-in that makes no stage, naming it.
     """
     setup = setup or Setup()
-    temperature = device.temperature if device is not None else TemperatureRateParameters()
+    temperature = None if device is None else device.temperature
     model = setup.bias_model
     axes = device.axes if device is not None else None
     stages: list[Estimator] = [
@@ -66,3 +78,69 @@ def estimators(device: DeviceFile | None, setup: Setup | None = None) -> list[Es
     for more in offers("stages"):
         stages += more(setup, temperature, stages)
     return [*stages, *map(made_by, plugins(STAGES, STAGE, is_callable))]
+
+
+SMOOTHED = (TemperatureRate, RestAndBias, AttitudeEstimate)
+"""Stages whose estimates are smoothed."""
+
+
+def smoothed(source: Source, setup: Setup) -> SmoothedEstimates:
+    """Run over a recording, forward and backward; return the stage that puts the result beside its rows.
+
+    The heading is that where the unit stood still, when the latitude is known.
+    """
+    needed: tuple[type, ...] = SMOOTHED
+    if setup.latitude_deg is not None:
+        from imumon.estimation.alignment.stage import Alignment  # scipy.signal and .spatial take 0.7 s
+
+        needed = (*SMOOTHED, Alignment)
+    recorder = Recorder()
+    pipeline = pipeline_of(source, setup, [SampleSink(recorder.add)], only=needed)
+    for _ in run_over(source.items, pipeline):
+        pass
+    record, heading = recorder.finish(), None
+    if setup.latitude_deg is not None:
+        stage = next(stage for stage in pipeline.estimators if isinstance(stage, Alignment))
+        heading = still_heading(record, stage.finish())
+    given = None if source.device is None else source.device.temperature
+    against_time = backward(record, TemperatureRate(parameters=given), _bias(record, setup))
+    return SmoothedEstimates(record, against_time, heading)
+
+
+def _bias(record: Record, setup: Setup) -> RestAndBias:
+    """Return the stage that goes backward, for which the earth turns the other way."""
+    latitude = None if setup.latitude_deg is None else -setup.latitude_deg
+    heading = setup.heading_deg
+    if heading is not None:
+        known = record.columns["attitude_estimate_heading"]
+        known = known[np.isfinite(known)]
+        heading += 180.0 + (math.degrees(known[-1] - known[0]) if len(known) else 0.0)
+    mode: ZuptMode = "learned" if setup.mode == "learned" else "standard"
+    return RestAndBias(setup.zupt_with_noise, None, mode, latitude, heading, setup.rest)
+
+
+def keep_learned(pipeline: Pipeline, session: Session) -> Path | None:
+    """Write the better model that has won in a session into its folder; return its path, or None.
+
+    The model that the session ran with stays where it is: who wants the new one names it.
+    """
+    found = (one for one in pipeline.estimators if getattr(one, "offered", None) is not None)
+    stage: Any = next(found, None)
+    if stage is None:
+        return None
+    path, model = session.path / LEARNED_NAME, stage.offered.model
+    evidence = stage.evidence(session.path.name, fingerprint(session.truth_path))
+    changes = {
+        "made_by": f"imumon {__version__}",
+        "created": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}",
+        "trained_on": [*model.trained_on, evidence],
+    }
+    model.model_copy(update=changes).write(path)
+    return path
+
+
+def compared(session: Session, learned: Path) -> str:
+    """Return the command that shows a session with the model that it ran with and with the learned one."""
+    both = f"{shlex.quote(str(session.path))} {shlex.quote(str(learned))}"
+    page = shlex.quote(str(session.path / "compared.html"))
+    return f"imumon replay {shlex.quote(str(session.path))} --compare-models {both} --out {page}"

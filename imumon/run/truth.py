@@ -17,9 +17,6 @@ from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.geodesy import DEG_PER_H
 from imumon.models.model import BiasModel
 from imumon.models.predictor import BiasPredictor
-from imumon.pipeline import Estimator
-from imumon.protocols.device import DeviceFile
-from imumon.protocols.thermometer import TemperatureRateParameters
 from imumon.recordings.reader import open_recording
 from imumon.recordings.table import read_columns, read_table
 from imumon.simulation.recording import TRUTH_NAME
@@ -30,27 +27,6 @@ RATES = ("rate_x", "rate_y", "rate_z")
 NEEDED = ("device_time_ns", *GYROS, *RATES, *TEMPERATURES, "at_rest")
 Estimate = tuple[FloatArray, FloatArray | None]
 """Values and their standard deviations, (n,) each."""
-
-
-@dataclass(slots=True)
-class MeanSquare:
-    """A root mean square of what comes in parts."""
-
-    count: int = 0
-    squares: float = 0.0
-    largest: float = 0.0
-
-    def take(self, values: FloatArray) -> None:
-        """Add values, (n,); those that are not finite are left out."""
-        known = values[np.isfinite(values)]
-        self.count += len(known)
-        self.squares += float(known @ known)
-        self.largest = max(self.largest, float(np.max(np.abs(known), initial=0.0)))
-
-    @property
-    def rms(self) -> float:
-        """Root mean square; NaN without values."""
-        return math.sqrt(self.squares / self.count) if self.count else math.nan
 
 
 @dataclass(slots=True, eq=False)
@@ -66,8 +42,8 @@ class Truth:
     true: Mapping[str, FloatArray]
     """What the estimates are compared with, (n,) each: gyro_bias_{x,y,z} in rad/s, temperatures in °C."""
     at_rest: IntArray
-    errors: dict[str, tuple[MeanSquare, MeanSquare]] = field(default_factory=dict)
-    """Of each quantity so far: in its unit, and over their sigmas."""
+    errors: dict[str, FloatArray] = field(default_factory=dict)
+    """Of each quantity so far, in its unit and over its sigma: number, sum of squares and largest, (2, 3)."""
 
     def take(self, block: SampleBlock, estimates: Mapping[str, Estimate], *, at_rest: bool = False) -> None:
         """Compare estimates at the samples of a block.
@@ -83,11 +59,12 @@ class Truth:
         for name, (values, sigma) in estimates.items():
             true = self.true[name.replace("_estimate", "")][row]
             error = np.where(matched, values - true, np.nan)
-            absolute, normalized = self.errors.setdefault(name, (MeanSquare(), MeanSquare()))
-            absolute.take(error)
-            if sigma is not None:
-                with np.errstate(divide="ignore", invalid="ignore"):
-                    normalized.take(error / sigma)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                both = error, error / (np.nan if sigma is None else sigma)
+            sums = self.errors.setdefault(name, np.zeros((2, 3)))
+            for total, of in zip(sums, both, strict=True):
+                known = np.abs(of[np.isfinite(of)])
+                total += len(known), known @ known, max(0.0, np.max(known, initial=0.0) - total[2])
 
     def through(self, blocks: Iterator[SampleBlock]) -> Iterator[SampleBlock]:
         """Pass blocks of a replay on, and compare the estimates in them."""
@@ -101,14 +78,16 @@ class Truth:
     def as_data(self) -> dict[str, dict[str, Any]]:
         """Return the errors for ``--json``, rates in °/h."""
         found = {}
-        for name, (absolute, normalized) in self.errors.items():
+        for name, sums in self.errors.items():
             unit, factor = ("°/h", 1.0 / DEG_PER_H) if name in GYROS else ("°C", 1.0)
+            count, squares, largest = sums.T
+            rms = np.sqrt(squares / np.where(count > 0, count, np.nan))
             found[name] = {
                 "unit": unit,
-                "samples": absolute.count,
-                "rms": factor * absolute.rms,
-                "rms_over_sigma": normalized.rms,
-                "largest": factor * absolute.largest,
+                "samples": int(count[0]),
+                "rms": factor * float(rms[0]),
+                "rms_over_sigma": float(rms[1]),
+                "largest": factor * float(largest[0]),
             }
         return found
 
@@ -141,8 +120,9 @@ def read_truth(session: Path, *, earth_removed: bool) -> Truth:
         raise bad_data(f"{path}: has no rows", "simulate the session anew")
     true, at_rest = {name: table[name] for name in (*GYROS, *TEMPERATURES)}, table["at_rest"].astype(np.int64)
     if not earth_removed:
-        for name, rate in zip(GYROS, RATES, strict=True):
-            true[name] = true[name] + _at_last_rest(table[rate], at_rest)
+        last = np.maximum.accumulate(np.where(at_rest == 1, np.arange(len(at_rest)), -1))
+        for name, rate in zip(GYROS, RATES, strict=True):  # the rate at the last rest is the earth's
+            true[name] = true[name] + np.where(last >= 0, table[rate][np.maximum(last, 0)], np.nan)
     return Truth(table["device_time_ns"].astype(np.int64), true, at_rest)
 
 
@@ -154,7 +134,10 @@ def errors_of_model(session: Path, model: BiasModel) -> Truth:
     truth = read_truth(session, earth_removed=model.earth_rate == "removed")
     names = [f"gyro_{axis}" for axis in "xyz" if f"gyro_{axis}" in model.channels]
     predictor = BiasPredictor(model, names)
-    for block in open_recording(session, _stages).blocks():
+    recording = open_recording(  # with the estimated temperatures, which the curves are over
+        session, lambda device: [TemperatureRate(parameters=None if device is None else device.temperature)]
+    )
+    for block in recording.blocks():
         n = len(block)
         predicted = predictor.process(
             block["device_time_ns"],
@@ -176,18 +159,6 @@ def _columns(block: SampleBlock, names: Sequence[str]) -> FloatArray:
     """Return columns side by side, (n, len(names)); NaN for one that is not there."""
     nothing = np.full(len(block), np.nan)
     return np.column_stack([block.columns.get(name, nothing) for name in names])
-
-
-def _stages(device: DeviceFile | None) -> Sequence[Estimator]:
-    """Return what estimates the temperatures that the curves are over."""
-    given = device.temperature if device is not None else TemperatureRateParameters()
-    return [TemperatureRate(parameters=given)]
-
-
-def _at_last_rest(rate: FloatArray, at_rest: IntArray) -> FloatArray:
-    """Return the rate at the last rest, rad/s, (n,): the earth's; NaN before the first rest."""
-    last = np.maximum.accumulate(np.where(at_rest == 1, np.arange(len(at_rest)), -1))
-    return np.where(last >= 0, rate[np.maximum(last, 0)], np.nan)
 
 
 def _described(errors: Mapping[str, Any]) -> str:

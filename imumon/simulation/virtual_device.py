@@ -17,7 +17,7 @@ from imumon.protocols.device import DeviceFile
 from imumon.simulation.unit import Scenario, SimulatedUnit, load_scenario
 from imumon.simulation.unit.unit import MICROSECOND
 from imumon.simulation.virtual_port import BITS_PER_BYTE, VirtualPort
-from imumon.wings import firmware_of
+from imumon.wing import firmware_of
 
 DEFAULT_RATE_HZ = 100.0
 TICK_S = 0.005

@@ -62,6 +62,11 @@ class Bytes:
     data: bytes
     arrival_ns: int
 
+    @property
+    def time_ns(self) -> int:
+        """The time of the read, as an event has one."""
+        return self.arrival_ns
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reads:

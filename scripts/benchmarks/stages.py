@@ -26,7 +26,7 @@ from imumon.papers.dense_zupt import DenseSettings
 from imumon.papers.linear import LinearFilter, Model
 from imumon.papers.random_error import RandomErrorMethods
 from imumon.papers.sigma_points import SigmaPointFilter
-from imumon.run.paper_parameters import RandomErrorParameters
+from imumon.run.setup import RandomErrorParameters
 
 RATE_HZ = 100
 BLOCK = 10 * RATE_HZ

@@ -16,8 +16,7 @@ from study import Cells, Options, Study, Table, matrix, rms
 from imumon.blocks import BoolArray, FloatArray
 from imumon.geodesy import DEG_PER_H
 from imumon.lab.calibration.calibration import calibrate, knots_of
-from imumon.lab.calibration.cells import Channel, channel_of, group, levels
-from imumon.lab.calibration.record import Record, read_session, record_of
+from imumon.lab.calibration.cells import Channel, Record, channel_of, group, levels, read_session, record_of
 from imumon.lab.calibration.selection import choose, held_out, slow_variance
 from imumon.models.curves.network import NetworkCurve, Scaled, fit_network, mean_square, starts, train
 from imumon.models.curves.points import Points
@@ -61,8 +60,8 @@ class Soak:
 
     def halfminutes(self, axis: int) -> Points:
         """Return means over 30 s of a gyro with their nearest level; every `EVERY`th of those on a level."""
-        t = self.record.of(f"temperature_{AXES[axis]}").reshape(-1, 3).mean(axis=1)
-        value = self.record.of(GYRO[axis]).reshape(-1, 3).mean(axis=1)
+        t = self.record.means.of(f"temperature_{AXES[axis]}").reshape(-1, 3).mean(axis=1)
+        value = self.record.means.of(GYRO[axis]).reshape(-1, 3).mean(axis=1)
         level = np.argmin(np.abs(t[:, np.newaxis] - self.centers), axis=1)
         moving = np.abs(t - self.centers[level]) >= DWELLING_DEGC
         keep = moving | (np.arange(len(t)) % EVERY == 0)
@@ -241,7 +240,7 @@ def chamber(record: Record, share: float) -> Table:
             "network 2": fit_network(points, 2),
         }
         found = model.model.channels[name]
-        t, value = rest.of(channel.temperature_column)[rest.rest], rest.of(name)[rest.rest]
+        t, value = rest.means.of(channel.temperature_column)[rest.rest], rest.means.of(name)[rest.rest]
         inside = found.inside(t)
         constant = float(np.average(channel.value, weights=channel.seconds))
         errors = {"constant": rms(value[inside] - constant)}

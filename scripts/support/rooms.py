@@ -52,8 +52,8 @@ BEFORE = 70_293
 
 
 def wings() -> list[str]:
-    """Return the names of the wings of imumon, as imumon/wings.py lists them."""
-    tree = ast.parse((PACKAGE / "wings.py").read_text(encoding="utf-8"))
+    """Return the names of the wings of imumon, as imumon/wing.py lists them."""
+    tree = ast.parse((PACKAGE / "wing.py").read_text(encoding="utf-8"))
     listed = next(
         node.value
         for node in tree.body

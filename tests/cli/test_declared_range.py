@@ -10,7 +10,7 @@ import pytest
 
 from imumon.allan.recording import read_channels
 from imumon.estimation.gyro_bias.stage import RestAndBias, RestDetector
-from imumon.lab.calibration.record import read_session
+from imumon.lab.calibration.cells import read_session
 from imumon.lab.diagnosis.runs import read_runs
 from imumon.pipeline import Estimator
 from imumon.protocols.device import DeviceFile

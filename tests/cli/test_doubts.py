@@ -11,7 +11,7 @@ import pytest
 from imumon.blocks import SampleBlock
 from imumon.pipeline import Pipeline
 from imumon.protocols.device import device_text, load_device
-from imumon.run.doubts import Doubts
+from imumon.run.account import Doubts
 from imumon.simulation.unit import SimulatedUnit, load_scenario
 from tests.cli.command import answer, imumon
 

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Unpack
+from typing import Any
 
 import click
 import pytest
 
-from imumon.cli.setup_options import SetupOptions, make_setup
+from imumon.cli.common import make_setup
 from imumon.papers.random_error import RandomErrorMethods
 from imumon.run.setup import Setup
 from imumon.run.stages import estimators
 
 
-def given(**options: Unpack[SetupOptions]) -> Setup:
+def given(**options: Any) -> Setup:
     recorded = "format: imumon-pipeline/1\npublished: [stf]\n"
     return make_setup(options, recorded, "session.yaml")
 

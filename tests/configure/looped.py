@@ -24,7 +24,7 @@ from imumon.simulation.unit.unit import CHUNK
 from imumon.transport.errors import lost_error
 from imumon.transport.port import Port
 from imumon.transport.settings import PortSettings
-from imumon.wings import firmware_of
+from imumon.wing import firmware_of
 from tests.configure.faults import Spoilt
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import shutil
+import stat
 import subprocess
 import time
 from collections.abc import Callable, Iterator
@@ -73,12 +74,15 @@ def vanished(folder: Path) -> Iterator[None]:
 
 @contextmanager
 def failing(number: int) -> Iterator[None]:
-    """Let every write of the recording fail."""
+    """Let every write of the recording fail; a port is no file."""
+    really = os.write
 
-    def flush(*_: object) -> None:
-        raise OSError(number, os.strerror(number))
+    def write(descriptor: int, data: bytes) -> int:
+        if stat.S_ISREG(os.fstat(descriptor).st_mode):
+            raise OSError(number, os.strerror(number))
+        return really(descriptor, data)
 
-    with patch("imumon.recordings.wire._Spool.flush", flush):
+    with patch("imumon.recordings.wire.os.write", write):
         yield
 
 

@@ -20,7 +20,7 @@ from imumon.estimation.gyro_bias.stage import RestDetector
 from imumon.fleet.batch.dataset import BatchOptions
 from imumon.fleet.batch.tasks import Job, work
 from imumon.lab.calibration.calibration import calibrate
-from imumon.lab.calibration.record import Record, read_session
+from imumon.lab.calibration.cells import Record, read_session
 from imumon.lab.diagnosis.runs import read_runs
 from tests.cli.command import answer, imumon
 from tests.faults.readings import FAULTS, Columns, Fault, write_session
@@ -228,4 +228,4 @@ def test_losing_readings_changes_means_by_what_they_weighed(
             gone = whole.means.count[:, at] - some.means.count[:, at]
             weight = gone / np.maximum(some.means.count[:, at], 1)
             furthest = np.ptp(clean[name])
-            assert (np.abs(some.of(name) - whole.of(name)) <= weight * furthest).all()
+            assert (np.abs(some.means.of(name) - whole.means.of(name)) <= weight * furthest).all()

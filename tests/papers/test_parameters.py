@@ -6,7 +6,7 @@ import pytest
 
 from imumon.config import parse_yaml
 from imumon.errors import ImumonError
-from imumon.run.paper_parameters import RandomErrorParameters
+from imumon.run.setup import RandomErrorParameters
 
 
 @pytest.mark.parametrize(

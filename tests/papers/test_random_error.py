@@ -8,7 +8,7 @@ import pytest
 from imumon.blocks import SampleBlock
 from imumon.papers.random_error import METHODS, RandomErrorMethods
 from imumon.pipeline import Estimator
-from imumon.run.paper_parameters import GyroNoise, RandomErrorParameters
+from imumon.run.setup import GyroNoise, RandomErrorParameters
 from tests.papers.records import DEG_PER_HOUR, WHITE, flicker, samples
 
 QUICK = RandomErrorParameters(learn_s=40.0)

@@ -8,7 +8,7 @@ from imumon.pipeline import Pipeline
 from imumon.protocols.device import load_device
 from imumon.run.narration import Narrator, advised
 from imumon.simulation.unit import SimulatedUnit, load_scenario
-from imumon.transport.reader import Event, EventKind
+from imumon.transport.reader import Bytes, Event, EventKind, Reads
 from imumon.transport.settings import PortSettings
 from imumon.view.items import Log, Numbers, State, Status, ViewItem
 
@@ -32,7 +32,7 @@ def send(pipeline: Pipeline, narrator: Narrator, seconds: int, damage: bool = Fa
         now = START + number * 10_000_000
         data = packet[:30] + packet[31:] if damage else packet
         pipeline.feed(data, now)
-        narrator.received(len(data), now)
+        narrator.item(Reads.of([Bytes(data, now)]))
         if number % 50 == 0:
             narrator.samples(pipeline.take())
             narrator.tick(now)
@@ -67,7 +67,7 @@ def test_the_rates_of_a_run_that_has_ended_are_those_from_its_first_byte_to_its_
 
 def test_what_had_queued_up_before_the_start_is_no_load_of_the_run() -> None:
     pipeline, narrator, _ = narrated()
-    narrator.received(100_000, START)
+    narrator.item(Reads.of([Bytes(bytes(100_000), START)]))
     pipeline.feed(bytes(100_000), START)
     ended = narrator.ended(narrator.tick(send(pipeline, narrator, 10)))
     assert ended.link_load == pytest.approx(0.5, rel=0.02)
@@ -91,7 +91,7 @@ def test_two_devices_on_one_line_are_called_so_once_and_not_at_each_packet() -> 
     for number, packet in enumerate([*packets[:200], *both, *packets[500:900]]):
         now = START + number * 10_000_000
         pipeline.feed(packet, now)
-        narrator.received(len(packet), now)
+        narrator.item(Reads.of([Bytes(packet, now)]))
         if number % 25 == 0:
             narrator.samples(pipeline.take())
             narrator.tick(now)

@@ -15,8 +15,7 @@ from imumon.pipeline import Pipeline
 from imumon.protocols.device import device_text, parse_device
 from imumon.recordings.source import open_source, run_over
 from imumon.run.setup import Setup
-from imumon.run.smoothing import smoothed
-from imumon.run.stages import estimators
+from imumon.run.stages import estimators, smoothed
 from imumon.simulation.recording import record_session
 from imumon.simulation.unit.scenario import Scenario
 

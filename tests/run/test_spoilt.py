@@ -15,7 +15,7 @@ from imumon.models.curves.polynomial import PolynomialCurve
 from imumon.models.magnetometer import MagnetometerModel
 from imumon.models.model import BiasModel, ChannelModel
 from imumon.pipeline import Pipeline
-from imumon.run.paper_names import PUBLISHED
+from imumon.run import PUBLISHED
 from imumon.run.setup import Setup
 from imumon.run.stages import estimators
 

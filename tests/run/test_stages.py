@@ -12,7 +12,7 @@ from imumon.errors import ImumonError
 from imumon.papers.fir import FirStage
 from imumon.pipeline import Pipeline
 from imumon.protocols.device import device_text, parse_device
-from imumon.run.paper_names import PUBLISHED
+from imumon.run import PUBLISHED
 from imumon.run.setup import Setup
 from imumon.run.stages import estimators
 

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from imumon.geodesy import EARTH_RATE
-from imumon.simulation.frames import body_rates, earth_rate, reported, to_body
+from imumon.simulation.unit.unit import body_rates, earth_rate, reported, to_body
 
 ANGLE = st.floats(-np.pi, np.pi)
 

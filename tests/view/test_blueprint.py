@@ -11,7 +11,7 @@ from rerun.chunk import RrdReader
 
 from imumon.papers.stages import published_stages
 from imumon.protocols.device import load_device
-from imumon.run.paper_names import PUBLISHED, PublishedMethod
+from imumon.run import PUBLISHED, PublishedMethod
 from imumon.run.setup import Setup
 from imumon.run.stages import estimators
 from imumon.view.blueprint import Contents, blueprint

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
@@ -14,8 +15,17 @@ from imumon.effects.thermal_lag import UNTOLD_S
 from imumon.errors import bad_config, bad_data
 from imumon.geodesy import DEG_PER_H
 from imumon.intake import RANGES
-from imumon.lab.calibration.cells import Cells, Channel, channel_of, group, levels
-from imumon.lab.calibration.record import BLOCK_S, LEAST_COVERED, Record, read_session
+from imumon.lab.calibration.cells import (
+    BLOCK_S,
+    LEAST_COVERED,
+    Cells,
+    Channel,
+    Record,
+    channel_of,
+    group,
+    levels,
+    read_session,
+)
 from imumon.lab.calibration.selection import Choice, choose, slow_variance, turn_on_offsets
 from imumon.models.curves.points import Points
 from imumon.models.model import UNITS, BiasModel, ChannelModel, TrainedOn
@@ -23,6 +33,7 @@ from imumon.recordings.reduced import ACCEL, GYRO
 from imumon.recordings.source import Count, no_count
 from imumon.version import __version__
 
+Name = TypeVar("Name", bound=str)
 Tell = Callable[[str], None]
 """Takes what is being done now."""
 MANY_LEVELS = 6
@@ -109,14 +120,13 @@ def calibrate(
             "leave --latitude and --heading away",
         )
     findings, channels, warnings = _all_channels(records, cells, tell)
-    axes = _common([record.axes for record in records])
     return Calibration(
         model=BiasModel(
             made_by=f"imumon {__version__}",
             created=f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}",
             device=_common([record.device for record in records]),
             serial=serial or _common([record.serial for record in records]),
-            axes="FLU" if axes == "FLU" else "FRD" if axes == "FRD" else None,
+            axes=_common([record.axes for record in records]),
             earth_rate="included" if latitude_deg is None else "removed",
             latitude_deg=latitude_deg,
             heading_deg=heading_deg,
@@ -251,7 +261,7 @@ def _one_way(cells: Cells) -> bool:
     return not any(np.logical_and(rises, falls))
 
 
-def _common(names: Sequence[str | None]) -> str | None:
+def _common(names: Sequence[Name | None]) -> Name | None:
     known = {name for name in names if name is not None}
     return known.pop() if len(known) == 1 else None
 
@@ -259,7 +269,7 @@ def _common(names: Sequence[str | None]) -> str | None:
 def check_columns(records: Sequence[Record]) -> None:
     """Raise BAD_DATA when a record has no gyro, a constant one, no temperature, or not that of the others."""
     for record in records:
-        if lacking := [name for name in GYRO if not record.has(name)]:
+        if lacking := [name for name in GYRO if not record.means.has(name)]:
             raise bad_data(
                 f"{record.name}: no values of {', '.join(lacking)}",
                 "a bias model is made of angular rates; let the device send them, or name them in the map",
@@ -271,10 +281,10 @@ def check_columns(records: Sequence[Record]) -> None:
                 "let the device send its temperature, or name the column in the map with its unit; "
                 f"readings beyond {coldest:g} to {hottest:g} {unit}, and zero alone, are left out",
             )
-        values = {name: record.of(name) for name in GYRO} if len(record.means) > 1 else {}
+        values = {name: record.means.of(name) for name in GYRO} if len(record.means) > 1 else {}
         if stuck := [name for name, of in values.items() if np.nanmin(of) == np.nanmax(of)]:
             raise bad_data(
-                f"{record.name}: {', '.join(stuck)} never changes from {record.of(stuck[0])[0]:g} rad/s",
+                f"{record.name}: {', '.join(stuck)} never changes from {values[stuck[0]][0]:g} rad/s",
                 "a sensor that measures is never so quiet: is it switched off, or the column a constant?",
             )
     thermometers = {str(record.temperature_column(GYRO[0])) for record in records}

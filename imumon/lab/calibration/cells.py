@@ -1,18 +1,31 @@
-"""From blocks to cells, levels and runs: what curves are fitted to, weighed and left out by."""
+"""From recordings to means at rest, cells, runs and levels: what curves are fitted to and left out by."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
-from imumon.blocks import BoolArray, FloatArray, IntArray
+from imumon.blocks import BoolArray, FloatArray, IntArray, SampleBlock
+from imumon.columns import TEMPERATURES, BodyAxes
+from imumon.errors import bad_data
+from imumon.estimation.gyro_bias.stage import RestDetector
+from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.geodesy import earth_rate_in_body
-from imumon.lab.calibration.record import Record
 from imumon.models.curves.points import Points
-from imumon.recordings.reduced import ACCEL, GYRO
+from imumon.pipeline import Estimator
+from imumon.protocols.device import DeviceFile
+from imumon.recordings.reader import open_recording
+from imumon.recordings.reduced import ACCEL, AXES, GYRO, Reduced, reduce
+from imumon.recordings.source import Count, no_count
 
+COLUMNS = (*GYRO, *ACCEL, *TEMPERATURES, "temperature_estimate", *(f"temperature_estimate_{a}" for a in AXES))
+BLOCK_S = 10.0
+"""Length of a block: long against the sample noise, short against a chamber's ramps."""
+LEAST_COVERED = 0.5
+"""A block whose samples span less than this share of it is passed over."""
 CELL_S = 300.0
 """Longest cell."""
 CELLS_PER_SPAN = 100
@@ -22,6 +35,60 @@ BANDS = 12
 TURNED = np.cos(np.deg2rad(5.0))
 """A unit whose specific force turned by more is in another pose, and that begins a new run."""
 SHORTEST_RUN_S = 60.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Record:
+    """The block means of one recording."""
+
+    name: str
+    sha256: str
+    """Where it comes from, and the fingerprint of its bytes."""
+    device: str | None
+    axes: BodyAxes | None
+    means: Reduced
+    """Over `COLUMNS`."""
+    rest: BoolArray
+    """Blocks at rest and complete, (n,)."""
+    serial: str | None = None
+
+    def temperature_column(self, channel: str) -> str | None:
+        """Return the column with the temperature of a channel: its own sensor's, estimated, if there is."""
+        axis = channel[-2:]
+        own = ("temperature_estimate" + axis, "temperature_estimate", "temperature" + axis, "temperature")
+        return next((name for name in own if self.means.has(name)), None)
+
+
+def record_of(
+    blocks: Iterable[SampleBlock],
+    name: str,
+    sha256: str,
+    device: str | None = None,
+    axes: BodyAxes | None = None,
+    serial: str | None = None,
+) -> Record:
+    """Reduce samples that went through the pipeline."""
+    means = reduce(blocks, COLUMNS, BLOCK_S)
+    rest = means.at_rest() & (means.span_s >= LEAST_COVERED * BLOCK_S)
+    return Record(name, sha256, device, axes, means, rest, serial)
+
+
+def read_session(path: Path, count: Count = no_count) -> tuple[Record, list[str]]:
+    """Read a session, recorded or imported; return its record, and what the user should know of it.
+
+    Raises BAD_DATA when there is no session, or it cannot be read.
+    """
+    recording = open_recording(path, _stages, count=count)
+    known = recording.name, recording.sha256(), recording.device, recording.axes, recording.serial
+    record = record_of(recording.blocks(), *known)
+    if not len(record.means):
+        raise bad_data(f"{path}: there is no sample in this session")
+    return record, [f"{path}: {text}" for text in recording.warnings()]
+
+
+def _stages(device: DeviceFile | None) -> Sequence[Estimator]:
+    temperature = None if device is None else device.temperature
+    return [TemperatureRate(parameters=temperature), RestDetector()]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,14 +165,17 @@ class Cells:
 def main_temperature(record: Record) -> FloatArray:
     """Return the mean of the temperatures that the channels use, (n,) °C."""
     columns = {name for channel in GYRO if (name := record.temperature_column(channel)) is not None}
-    parts = [record.of(name) for name in sorted(columns)]
+    parts = [record.means.of(name) for name in sorted(columns)]
     return np.mean(parts, axis=0) if parts else np.full(len(record.means), np.nan)
 
 
 def group(records: Sequence[Record], latitude_deg: float | None, heading_deg: float | None) -> Cells:
     """Group the blocks at rest; runs shorter than `SHORTEST_RUN_S` are left out."""
-    chosen = [_usable(record) for record in records]
     temperatures = [main_temperature(record) for record in records]
+    chosen = [
+        np.flatnonzero(record.rest & np.isfinite(sum(map(record.means.of, GYRO)) + temperature))
+        for record, temperature in zip(records, temperatures, strict=True)
+    ]
     known = np.concatenate([t[rows] for t, rows in zip(temperatures, chosen, strict=True)])
     width = float(np.ptp(known)) / CELLS_PER_SPAN if len(known) else 0.0
     runs: list[Run] = []
@@ -135,15 +205,15 @@ def channel_of(
 ) -> Channel | None:
     """Return a channel's means over the cells, or None when it has no values, or none that vary."""
     column = next((found for record in records if (found := record.temperature_column(name))), None)
-    if column is None or not all(record.has(name) for record in records):
+    if column is None or not all(record.means.has(name) for record in records):
         return None
     parts = []
     for number, run in enumerate(cells.runs):
         record, rows = records[run.record], run.rows
-        value = record.of(name)[rows]
+        value = record.means.of(name)[rows]
         if run.earth_rate is not None and name in GYRO:
             value = value - run.earth_rate["xyz".index(name[-1])]
-        white, temperature = record.means.mean_variance(name)[rows], record.of(column)[rows]
+        white, temperature = record.means.mean_variance(name)[rows], record.means.of(column)[rows]
         parts.append((value, white, temperature, run.seconds, run.cell, np.full(len(rows), number)))
     value, white, temperature, seconds, cell, run_of = (
         np.concatenate(part) for part in zip(*parts, strict=True)
@@ -199,18 +269,12 @@ def _sum(cell: IntArray, parts: FloatArray) -> FloatArray:
     return np.bincount(cell, parts).astype(np.float64)
 
 
-def _usable(record: Record) -> IntArray:
-    """Return the blocks at rest that have a rate and a temperature."""
-    rate = np.all([np.isfinite(record.of(name)) for name in GYRO], axis=0)
-    return np.flatnonzero(record.rest & rate & np.isfinite(main_temperature(record)))
-
-
 def _runs(record: Record, rows: IntArray) -> list[IntArray]:
     """Divide blocks where the device restarted or was turned."""
     if not len(rows):
         return []
     restarted = np.diff(record.means.segment[rows], prepend=record.means.segment[rows[0]]) != 0
-    accel = np.column_stack([record.of(name)[rows] for name in ACCEL])
+    accel = np.column_stack([record.means.of(name)[rows] for name in ACCEL])
     with np.errstate(invalid="ignore", divide="ignore"):
         direction = accel / np.linalg.norm(accel, axis=1, keepdims=True)
     begins, origin = [0], direction[0]
@@ -241,6 +305,6 @@ def _cells(time_s: FloatArray, seconds: FloatArray, temperature: FloatArray, wid
 
 def _up(record: Record, rows: IntArray) -> FloatArray:
     """Return the direction of the mean specific force in body axes, (3,); NaN without accelerometers."""
-    parts = [part[np.isfinite(part)] for part in (record.of(name)[rows] for name in ACCEL)]
+    parts = [part[np.isfinite(part)] for part in (record.means.of(name)[rows] for name in ACCEL)]
     accel = np.array([part.mean() if len(part) else np.nan for part in parts])
     return np.asarray(accel / np.linalg.norm(accel))

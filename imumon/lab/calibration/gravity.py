@@ -109,15 +109,14 @@ def _least_squares(columns: FloatArray, values: FloatArray) -> tuple[FloatArray,
     """
     norm = np.linalg.norm(columns, axis=0)
     norm = np.where(norm > 0, norm, 1.0)
-    left, singular, right = np.linalg.svd(columns / norm, full_matrices=False)
-    kept = singular > 1e-6 * singular[0]
-    coefficients = right[kept].T @ ((left[:, kept].T @ values) / singular[kept])
-    residual = values - columns / norm @ coefficients
-    variance = ((right[kept] / singular[kept, np.newaxis]) ** 2).sum(axis=0)
-    variance[(right[~kept] ** 2).sum(axis=0) > 1e-3] = np.inf
-    freedom = max(len(values) - int(kept.sum()), 1)
+    scaled = columns / norm
+    inverse = np.linalg.pinv(scaled, rcond=1e-6)
+    determined = np.diag(inverse @ scaled)  # 1 where the columns determine a coefficient, else less
+    residual = values - scaled @ (inverse @ values)
+    freedom = max(len(values) - round(float(determined.sum())), 1)
+    variance = np.where(determined > 1.0 - 1e-3, (inverse**2).sum(axis=1), np.inf)
     sd = np.sqrt(variance * float(residual @ residual) / freedom * INDEPENDENT)
-    return coefficients / norm, sd / norm
+    return inverse @ values / norm, sd / norm
 
 
 def _errors(up: FloatArray, warmth: FloatArray, *, skewed: bool) -> FloatArray:

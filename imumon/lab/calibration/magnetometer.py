@@ -95,28 +95,25 @@ def fit_magnetometer(blocks: Iterable[SampleBlock], unit: str, source: str) -> M
     readings = mag[which]
     directions = _unit((readings - centre) @ matrix)
     coverage, seen = covered(directions)
-    if len(which) < LEAST_POINTS or coverage < LEAST_COVERAGE:
-        raise bad_data(
-            f"{source}: {coverage:.0%} of the directions were measured, {LEAST_COVERAGE:.0%} are needed",
-            f"draw figure-eights while turning the unit over; next: {_next(seen, directions, accel[which])}",
-        )
-    model = _fitted(readings, unit, coverage)
-    if model is None or model.fit_sd > WORST_SD * model.field or model.residual_sd > MOST_LEFT * model.field:
-        what = "lie on no ellipsoid"
-        if model is not None:
-            left, known = model.residual_sd / model.field, model.fit_sd / model.field
-            what = f"leave {left:.1%} of the field beside an ellipsoid, and hard and soft iron"
-            what += f" are known to {known:.1%}"
+    what = f"{coverage:.0%} of the directions were measured, {LEAST_COVERAGE:.0%} are needed"
+    up = accel[which]
+    if len(which) >= LEAST_POINTS and coverage >= LEAST_COVERAGE:
+        model = _fitted(readings, unit, coverage)
+        left, known = (model.residual_sd / model.field, model.fit_sd / model.field) if model else (1.0, 1.0)
+        if model is not None and known <= WORST_SD and left <= MOST_LEFT:
+            strength = np.linalg.norm(readings, axis=1)
+            return MagnetometerFit(model, readings, model.corrected(readings), float(strength.std()))
         # The directions of the field are not known then: those of gravity show what is missing.
-        up = _unit(accel[np.isfinite(accel).all(1)])
+        directions = up = _unit(accel[np.isfinite(accel).all(1)])
         share, seen = covered(up)
-        raise bad_data(
-            f"{source}: the readings {what}; gravity was in {share:.0%} of the directions",
-            "away from iron and cables, draw figure-eights while turning the unit over; next: "
-            + _next(seen, up, up),
-        )
-    strength = np.linalg.norm(readings, axis=1)
-    return MagnetometerFit(model, readings, model.corrected(readings), float(strength.std()))
+        what = f"the readings lie on no ellipsoid; gravity was in {share:.0%} of the directions"
+        if model is not None:
+            what = (
+                f"the readings leave {left:.1%} of the field beside an ellipsoid, and hard and soft iron are"
+                f" known to {known:.1%}; gravity was in {share:.0%} of the directions"
+            )
+    advice = "away from iron and cables, draw figure-eights while turning the unit over"
+    raise bad_data(f"{source}: {what}", f"{advice}; next: {_next(seen, directions, up)}")
 
 
 def covered(directions: FloatArray) -> tuple[float, FloatArray]:

@@ -13,7 +13,7 @@ magnetometer is late.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -74,89 +74,75 @@ class Axes(NamedTuple):
         return float(np.arccos(np.clip(0.5 * (np.trace(self.rotation) - 1.0), -1.0, 1.0)))
 
 
-class Turns(NamedTuple):
-    """The field before and after turns, over its strength, (n, 3), the rates then, (n, 3), and the turns."""
+def axes_of(blocks: Iterable[SampleBlock], model: MagnetometerModel) -> Axes | None:
+    """Return the axes of a magnetometer that is calibrated; None where the gyros do not tell.
 
-    before: FloatArray
-    after: FloatArray
-    rate_before: FloatArray
-    rate_after: FloatArray
-    rotation: FloatArray
-    """From the axes after to those before, (n, 3, 3)."""
-    by_bias: FloatArray
-    """Angle by a bias of the gyros, s, (n, 3, 3)."""
+    Slots count whose turn is known from the end of the one before.
+    """
+    gatherer, slots = SlotGatherer(6, SLOT_NS, turns=True), list[Slots]()
+    for block in blocks:
+        gyro, mag = block.gyro, block.mag
+        if gyro is not None and mag is not None and "device_time_ns" in block:
+            values = np.column_stack([gyro, mag])
+            slots.append(gatherer.process(block["device_time_ns"], block["segment"], values))
+    turns = [turn for each in slots for turn in each.turns]
+    if len(turns) <= LEAST_SLOTS:
+        return None
+    last, end_ns, begins = (
+        np.concatenate([getattr(each, name) for each in slots]) for name in ("last", "end_ns", "begins")
+    )
+    seconds = np.array([turn.seconds for turn in turns])
+    uncertain = np.array([turn.coning @ turn.coning + turn.fast**2 + turn.missed for turn in turns])
+    known = ~begins[1:] & (np.abs(1e-9 * np.diff(end_ns) - seconds[1:]) < PAUSE_S)
+    known &= (uncertain[1:] < LOST) & np.isfinite(last[1:] + last[:-1]).all(1)
+    if known.sum() < LEAST_SLOTS:
+        return None
+    after = np.flatnonzero(known) + 1
+    both = np.column_stack([after - 1, after])
+    field, rate = model.corrected(last[:, 3:]) / model.field, last[:, :3]
+    rotation, by_bias = (np.array([getattr(turns[k], n) for k in after]) for n in ("rotation", "by_bias"))
+    return fitted_axes(field[both], rate[both], rotation, by_bias, model.residual_sd / model.field)
 
-    def residual(self, way: FloatArray, x: FloatArray) -> FloatArray:
-        """Return what is left of the fields, (3n,).
 
-        `x` is the rotation vector from `way`, rad, the bias of the gyros, rad/s, and the lateness of the
-        magnetometer, s.  A field that is late by tau is off by tau times its rate, -rate x field.
+def fitted_axes(
+    field: FloatArray, rate: FloatArray, rotation: FloatArray, by_bias: FloatArray, noise: float
+) -> Axes:
+    """Return the axes of a magnetometer by n turns of the gyros.
+
+    Parameters
+    ----------
+    field, rate : array (n, 2, 3)
+        Field over its strength and rate of turn, rad/s, before and after each turn.
+    rotation, by_bias : array (n, 3, 3)
+        From the axes after a turn to those before, and its angle by a bias of the gyros, s.
+    noise : float
+        Scatter of the field over its strength.
+    """
+
+    def residual(x: FloatArray, way: FloatArray) -> FloatArray:
+        """Return what is left of the fields, (3n,), by rotation from `way`, bias and lateness, (7,).
+
+        A field that is late by tau is off by tau times its rate, -rate x field.
         """
         bias, late_s = x[3:6], x[6]
-        axes = Rotation.from_rotvec(x[:3]).as_matrix() @ way
-        before, after = self.before @ axes.T, self.after @ axes.T
-        before = before - late_s * np.cross(self.rate_before - bias, before)
-        after = after - late_s * np.cross(self.rate_after - bias, after)
-        turned = np.einsum("nij,nj->ni", self.rotation, after)
-        return np.asarray(before - Rotation.from_rotvec(-self.by_bias @ bias).apply(turned)).reshape(-1)
+        seen = field @ (Rotation.from_rotvec(x[:3]).as_matrix() @ way).T
+        before, after = np.moveaxis(seen - late_s * np.cross(rate - bias, seen), 1, 0)
+        turned = np.einsum("nij,nj->ni", rotation, after)
+        return np.asarray(before - Rotation.from_rotvec(-by_bias @ bias).apply(turned)).reshape(-1)
 
-    def axes(self, noise: float) -> Axes:
-        """Return the axes of a magnetometer whose field scatters by `noise` over its strength."""
-        way = min(WAYS, key=lambda one: float((self.residual(one, np.zeros(7)) ** 2).sum()))
-        solved = least_squares(lambda x: self.residual(way, x), np.zeros(7), x_scale="jac", method="lm")
-        left, jacobian = np.asarray(solved.fun), np.asarray(solved.jac)
-        variance = float(left @ left) / (len(left) - 7)
-        went = float(((self.after - self.before) ** 2).sum()) / len(left)
-        follows = variance < MOST_LEFT * went or variance < (BEYOND * noise) ** 2
-        # A field that differs from place to place, and errors that go with the turns, are not white.
-        slower = max(slower_than_white(axis) for axis in left.reshape(-1, 3).T)
-        covariance = variance * slower * np.linalg.pinv(jacobian.T @ jacobian, hermitian=True)
-        sd = float(np.sqrt(np.linalg.eigvalsh(covariance[:3, :3])[-1]))
-        rotation = Rotation.from_rotvec(solved.x[:3]).as_matrix() @ way
-        return Axes(rotation, float(np.hypot(sd, GYRO_SCALE)), follows)
-
-
-class Gathered:
-    """What the gyros and the magnetometer of a recording say, slot by slot."""
-
-    def __init__(self) -> None:
-        self._gatherer = SlotGatherer(6, SLOT_NS, turns=True)
-        self._slots: list[Slots] = []
-
-    def passing(self, blocks: Iterable[SampleBlock]) -> Iterator[SampleBlock]:
-        """Yield the blocks as they are, and take of them what has gyros, magnetometer and time."""
-        for block in blocks:
-            gyro, mag = block.gyro, block.mag
-            if gyro is not None and mag is not None and "device_time_ns" in block:
-                values, time_ns = np.column_stack([gyro, mag]), block["device_time_ns"]
-                self._slots.append(self._gatherer.process(time_ns, block["segment"], values))
-            yield block
-
-    def axes(self, model: MagnetometerModel) -> Axes | None:
-        """Return the axes of a magnetometer that is calibrated; None where the gyros do not tell.
-
-        Slots count whose turn is known from the end of the one before.
-        """
-        if not self._slots:
-            return None
-        last, end_ns, begins = (
-            np.concatenate([getattr(slots, name) for slots in self._slots])
-            for name in ("last", "end_ns", "begins")
-        )
-        turns = [turn for slots in self._slots for turn in slots.turns]
-        seconds = np.array([turn.seconds for turn in turns])
-        uncertain = np.array([turn.coning @ turn.coning + turn.fast**2 + turn.missed for turn in turns])
-        known = ~begins[1:] & (np.abs(1e-9 * np.diff(end_ns) - seconds[1:]) < PAUSE_S)
-        known &= (uncertain[1:] < LOST) & np.isfinite(last[1:] + last[:-1]).all(1)
-        if known.sum() < LEAST_SLOTS:
-            return None
-        after = np.flatnonzero(known) + 1
-        field, rate = model.corrected(last[:, 3:]) / model.field, last[:, :3]
-        rotation, by_bias = (
-            np.array([getattr(turns[k], name) for k in after]) for name in ("rotation", "by_bias")
-        )
-        compared = Turns(field[after - 1], field[after], rate[after - 1], rate[after], rotation, by_bias)
-        return compared.axes(model.residual_sd / model.field)
+    way = min(WAYS, key=lambda one: float((residual(np.zeros(7), one) ** 2).sum()))
+    solved = least_squares(residual, np.zeros(7), args=(way,), x_scale="jac", method="lm")
+    left, jacobian = np.asarray(solved.fun), np.asarray(solved.jac)
+    variance = float(left @ left) / (len(left) - 7)
+    went = float(((field[:, 1] - field[:, 0]) ** 2).sum()) / len(left)
+    follows = variance < MOST_LEFT * went or variance < (BEYOND * noise) ** 2
+    # A field that differs from place to place, and errors that go with the turns, are not white.
+    slower = max(slower_than_white(axis) for axis in left.reshape(-1, 3).T)
+    covariance = variance * slower * np.linalg.pinv(jacobian.T @ jacobian, hermitian=True)
+    sd = float(np.sqrt(np.linalg.eigvalsh(covariance[:3, :3])[-1]))
+    return Axes(
+        Rotation.from_rotvec(solved.x[:3]).as_matrix() @ way, float(np.hypot(sd, GYRO_SCALE)), follows
+    )
 
 
 def doubts(axes: Axes | None, source: str) -> list[str]:
@@ -165,10 +151,8 @@ def doubts(axes: Axes | None, source: str) -> list[str]:
     Raises BAD_DATA where the magnetometer has other axes than the gyros.
     """
     if axes is not None and not axes.follows:
-        return [
-            "the field did not go as the gyros turned, in any axes: are unit and axes of the gyros right? "
-            "The axes of the magnetometer were not checked"
-        ]
+        what = "the field did not go as the gyros turned, in any axes"
+        return [f"{what}, which are not checked: are unit and axes of the gyros right?"]
     if axes is None or not axes.is_significant:
         return []
     if axes.way:
@@ -181,11 +165,9 @@ def doubts(axes: Axes | None, source: str) -> list[str]:
         )
     if axes.angle < SIGMAS * axes.sd:
         return []
-    return [
-        f"the magnetometer is turned by {np.degrees(axes.angle):.1f} ± {np.degrees(axes.sd):.1g}° against "
-        "the gyros: headings are off by up to as much, and more where the field is steep; the model file "
-        "does not hold that"
-    ]
+    turned = f"{np.degrees(axes.angle):.1f} ± {np.degrees(axes.sd):.1g}° against the gyros"
+    what = f"the magnetometer is turned by {turned}, which the model file does not hold"
+    return [f"{what}: headings are off by up to as much, and more where the field is steep"]
 
 
 def named(way: FloatArray) -> str:
@@ -193,7 +175,5 @@ def named(way: FloatArray) -> str:
     axes = np.abs(way).argmax(axis=1)
     signs = np.sign(way[range(3), axes])
     both = sorted((signs, -signs), key=lambda of: -of.sum())
-    return " or ".join(
-        ", ".join(f"{'-' if sign < 0.0 else '+'}{'xyz'[axis]}" for sign, axis in zip(of, axes, strict=True))
-        for of in both
-    )
+    names = [[f"{sign:+.0f}"[0] + "xyz"[axis] for sign, axis in zip(of, axes, strict=True)] for of in both]
+    return " or ".join(map(", ".join, names))

@@ -68,11 +68,15 @@ def choose(channel: Channel, points: Points, knots: FloatArray) -> Choice:
     rms = {name: _rms(points, residual) for name, residual in residuals.items()}
     best = next(name for name in tried if rms[name] <= AS_GOOD * min(rms.values()))
     curve = tried[best](points)
+    known = np.isfinite(residuals[best])
+    # Of the square at least a tenth is left.
+    noise = float(np.average(channel.white[known], weights=points.weight[known]))
+    beyond_white = max(rms[best] ** 2 - noise, 0.1 * rms[best] ** 2)
     return Choice(
         name=best,
         curve=curve,
         held_out_rms=rms,
-        residual_sd=_beyond_white(points, residuals[best], channel.white),
+        residual_sd=float(np.sqrt(beyond_white)),
         fit_rms=_rms(points, points.value - curve.value(points.temperature)),
     )
 
@@ -95,14 +99,6 @@ def slow_variance(points: Points, white: FloatArray, knots: FloatArray) -> float
 def _rms(points: Points, residual: FloatArray) -> float:
     known = np.isfinite(residual)
     return float(np.sqrt(np.average(residual[known] ** 2, weights=points.weight[known])))
-
-
-def _beyond_white(points: Points, residual: FloatArray, white: FloatArray) -> float:
-    """Return the rms residual less the white noise; of its square at least a tenth is left."""
-    known = np.isfinite(residual)
-    weight, square = points.weight[known], residual[known] ** 2
-    whole = float(np.average(square, weights=weight))
-    return float(np.sqrt(max(whole - float(np.average(white[known], weights=weight)), 0.1 * whole)))
 
 
 def turn_on_offsets(channel: Channel, points: Points, knots: FloatArray) -> FloatArray:

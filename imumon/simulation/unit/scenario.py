@@ -11,6 +11,7 @@ from typing import Any, ClassVar, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
+from imumon.columns import BodyAxes
 from imumon.config import StrictModel, load_yaml, parse_yaml
 from imumon.effects.base import ACCEL
 from imumon.errors import ImumonError, bad_config
@@ -173,7 +174,7 @@ class Scenario(_Based):
     rate_hz: float = Field(gt=0.0, le=10_000.0)
     duration_s: float = Field(gt=0.0, le=1e7)
     """Packets per second; how long the scenario lasts (a unit goes on after that, as it is)."""
-    axes: Literal["FRD", "FLU"] = "FRD"
+    axes: BodyAxes = "FRD"
     """Body axes of the unit."""
     latitude_deg: float = Field(ge=-90.0, le=90.0)
     gravity_m_per_s2: float = Field(default=9.80665, gt=9.0, lt=10.0)
@@ -203,7 +204,7 @@ class Scenario(_Based):
         """Number of samples from power-on to the end."""
         return max(int(self.duration_s * self.rate_hz + 0.5), 1)
 
-    def played(self, rate_hz: float, axes: Literal["FRD", "FLU"]) -> Scenario:
+    def played(self, rate_hz: float, axes: BodyAxes) -> Scenario:
         """Return the scenario as a device plays it, at its packet rate and in its body axes."""
         return self.model_copy(update={"rate_hz": rate_hz, "axes": axes})
 

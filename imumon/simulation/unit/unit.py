@@ -1,4 +1,7 @@
-"""The simulated unit: what a device of known errors sends, and the truth behind it."""
+"""The simulated unit: what a device of known errors sends, and the truth behind it.
+
+Angles are roll, pitch and heading in rad, ZYX, of forward-right-down body axes to north-east-down.
+"""
 
 from __future__ import annotations
 
@@ -8,16 +11,8 @@ from fractions import Fraction
 import numpy as np
 
 from imumon.blocks import ColumnArray, FloatArray, SampleBlock, join
-from imumon.columns import KNOWN, TEMPERATURES, Column
-from imumon.simulation.frames import (
-    FIELD_UT,
-    FRD_TO_FLU,
-    body_rates,
-    earth_rate,
-    reported,
-    split,
-    to_body,
-)
+from imumon.columns import KNOWN, TEMPERATURES, BodyAxes, Column
+from imumon.geodesy import EARTH_RATE, quaternions
 from imumon.simulation.unit.biases import accel_bias, gyro_bias
 from imumon.simulation.unit.motion import Movement, is_static, movement
 from imumon.simulation.unit.noise import White, generator
@@ -29,6 +24,11 @@ MICROSECOND = Fraction(1000)
 CHUNK = 8192
 """Samples that are computed at once, whatever the calls ask for: so the calls cannot change a bit."""
 MAG_NOISE_UT = 0.08
+FIELD_UT = np.array([20.0, 1.0, 43.0])
+"""Magnetic field north, east, down, as in central Europe."""
+
+FRD_TO_FLU = np.diag([1.0, -1.0, -1.0])
+"""Forward-right-down to forward-left-up."""
 
 TRUTH_COLUMNS: tuple[Column, ...] = (
     *(Column(f"gyro_bias_{a}", "rad/s", description=f"total bias without white noise, {a}") for a in "xyz"),
@@ -40,6 +40,19 @@ TRUTH_COLUMNS: tuple[Column, ...] = (
 """What `SimulatedUnit.run` returns as the truth, besides device_time_ns and segment."""
 
 
+_CONSTANT: dict[str, ColumnArray] = {
+    "status": np.array([7]),
+    "supply_voltage": np.array([5.02]),
+    "pressure": np.array([101_325.0]),
+}
+"""What encoders may ask for and nothing here changes."""
+
+
+def _whole(columns: Mapping[str, ColumnArray]) -> SampleBlock:
+    """Return a block of `CHUNK` rows; a column of one row holds throughout."""
+    return SampleBlock({name: np.array(np.broadcast_to(values, CHUNK)) for name, values in columns.items()})
+
+
 class SimulatedUnit:
     """A unit that plays a scenario; the same seed gives the same samples, to the bit, however the run is cut.
 
@@ -49,10 +62,27 @@ class SimulatedUnit:
     """
 
     def __init__(self, scenario: Scenario, seed: int = 0, tick_ns: Fraction = MICROSECOND) -> None:
+        unit, rate, attitude = scenario.unit, scenario.rate_hz, scenario.attitude
         self.scenario = scenario
         self._tick_ns = tick_ns
-        self._sensors = _Sensors(scenario, seed)
-        self._left = self._sensors.chunk(0)
+        self._angles = np.deg2rad([attitude.roll_deg, attitude.pitch_deg, attitude.heading_deg])
+        self._up = np.array([0.0, 0.0, -scenario.gravity_m_per_s2])
+        self._earth = earth_rate(scenario.latitude_deg)
+        self._temperature = SensorTemperature(scenario.chamber, unit.self_heating)
+        self._gyro_bias = gyro_bias(unit, 1.0 / rate, seed)
+        self._accel_bias = accel_bias(unit, 1.0 / rate, seed)
+        densities = [
+            *np.deg2rad(unit.gyro_noise.arw_deg_per_sqrt_h) / 60.0,
+            *unit.accel_noise.vrw_m_per_s_per_sqrt_s,
+        ]
+        self._white = White(np.array(densities) * np.sqrt(rate), generator(seed, "white"))
+        self._mag_noise = White([MAG_NOISE_UT] * 3, generator(seed, "magnetometer"))
+        self._drivers = scenario.drivers
+        sds = np.array([course.noise for course in scenario.drivers.values()])
+        self._driver_noise = White(sds, generator(seed, "drivers"))
+        self._thermometers = Thermometers(unit.thermometer, 4, rate, seed)
+        self._low_pass: LowPass | None = None
+        self._left = self._chunk(0)
         """What is sent of samples that are computed and not taken yet, and the truth."""
         self._taken = 0
 
@@ -77,7 +107,7 @@ class SimulatedUnit:
     def _take(self, n: int) -> tuple[SampleBlock, SampleBlock]:
         parts, computed = [self._left], len(self._left[0])
         while computed < n:
-            parts.append(self._sensors.chunk(self._taken + computed))
+            parts.append(self._chunk(self._taken + computed))
             computed += CHUNK
         sent, truth = (join(part) for part in zip(*parts, strict=True))
         index = np.arange(self._taken, self._taken + n)
@@ -87,49 +117,11 @@ class SimulatedUnit:
         counted = {"packet_counter": index, "device_ticks": ticks}
         return SampleBlock({**counted, **sent.rows(0, n).columns}), truth.rows(0, n)
 
-
-_CONSTANT: dict[str, ColumnArray] = {
-    "status": np.array([7]),
-    "supply_voltage": np.array([5.02]),
-    "pressure": np.array([101_325.0]),
-}
-"""What encoders may ask for and nothing here changes."""
-
-
-def _whole(columns: Mapping[str, ColumnArray]) -> SampleBlock:
-    """Return a block of `CHUNK` rows; a column of one row holds throughout."""
-    return SampleBlock({name: np.array(np.broadcast_to(values, CHUNK)) for name, values in columns.items()})
-
-
-class _Sensors:
-    """Everything between a scenario and the numbers of a chunk."""
-
-    def __init__(self, scenario: Scenario, seed: int) -> None:
-        unit, rate, attitude = scenario.unit, scenario.rate_hz, scenario.attitude
-        self._scenario = scenario
-        self._angles = np.deg2rad([attitude.roll_deg, attitude.pitch_deg, attitude.heading_deg])
-        self._up = np.array([0.0, 0.0, -scenario.gravity_m_per_s2])
-        self._earth = earth_rate(scenario.latitude_deg)
-        self._temperature = SensorTemperature(scenario.chamber, unit.self_heating)
-        self._gyro_bias = gyro_bias(unit, 1.0 / rate, seed)
-        self._accel_bias = accel_bias(unit, 1.0 / rate, seed)
-        densities = [
-            *np.deg2rad(unit.gyro_noise.arw_deg_per_sqrt_h) / 60.0,
-            *unit.accel_noise.vrw_m_per_s_per_sqrt_s,
-        ]
-        self._white = White(np.array(densities) * np.sqrt(rate), generator(seed, "white"))
-        self._mag_noise = White([MAG_NOISE_UT] * 3, generator(seed, "magnetometer"))
-        self._drivers = scenario.drivers
-        sds = np.array([course.noise for course in scenario.drivers.values()])
-        self._driver_noise = White(sds, generator(seed, "drivers"))
-        self._thermometers = Thermometers(unit.thermometer, 4, rate, seed)
-        self._low_pass: LowPass | None = None
-
-    def chunk(self, first: int) -> tuple[SampleBlock, SampleBlock]:
+    def _chunk(self, first: int) -> tuple[SampleBlock, SampleBlock]:
         """Return what is sent of the next `CHUNK` samples, and the truth."""
-        time_s = np.arange(first, first + CHUNK) / self._scenario.rate_hz
+        time_s = np.arange(first, first + CHUNK) / self.scenario.rate_hz
         temperature = self._temperature.process(time_s)
-        events = self._scenario.motion
+        events = self.scenario.motion
         still = is_static(events, time_s[0], time_s[-1])  # then one row holds throughout
         motion = movement(events, self._angles, time_s[-1:] if still else time_s)
         rate, force, field = self._in_body(motion)
@@ -140,7 +132,7 @@ class _Sensors:
         gyro_bias, accel_bias = self._gyro_bias.process(*drive), self._accel_bias.process(*drive)
         sensed = np.column_stack([rate + gyro_bias, force + accel_bias])
         if self._low_pass is None:
-            self._low_pass = LowPass(self._scenario.unit.low_pass_hz, self._scenario.rate_hz, sensed[0])
+            self._low_pass = LowPass(self.scenario.unit.low_pass_hz, self.scenario.rate_hz, sensed[0])
         measured = self._low_pass.process(sensed + self._white.take(CHUNK))
         board = temperature.mean(axis=1)
         readings = self._thermometers.process(first, np.column_stack([temperature, board]))
@@ -151,7 +143,7 @@ class _Sensors:
             **split("mag", field + self._mag_noise.take(CHUNK)),
             **split("temperature", readings),
             "temperature": readings[:, 3],
-            **reported(motion.angles, self._scenario.axes),
+            **reported(motion.angles, self.scenario.axes),
             **_CONSTANT,
             **{name: values + noise[:, at] for at, (name, values) in enumerate(others.items())},
         }
@@ -167,7 +159,7 @@ class _Sensors:
 
     def _in_body(self, motion: Movement) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return angular rate, specific force and magnetic field in the axes of the unit."""
-        angles, turned = motion.angles, FRD_TO_FLU if self._scenario.axes == "FLU" else np.eye(3)
+        angles, turned = motion.angles, FRD_TO_FLU if self.scenario.axes == "FLU" else np.eye(3)
         rate = body_rates(angles, motion.rates) + to_body(angles, self._earth)
         force, field = to_body(angles, self._up + motion.acceleration), to_body(angles, FIELD_UT)
         return rate @ turned, force @ turned, field @ turned
@@ -197,3 +189,58 @@ class LowPass:
 
         out, self._carried = sosfilt(self._sections, values, axis=0, zi=self._carried)
         return np.asarray(out)
+
+
+def body_rates(angles: FloatArray, rates: FloatArray) -> FloatArray:
+    """Turn Euler angle rates (roll, pitch, heading) into angular rates in forward-right-down axes, (n, 3)."""
+    roll, pitch = angles[:, 0], angles[:, 1]
+    roll_rate, pitch_rate, yaw_rate = rates.T
+    return np.column_stack(
+        [
+            roll_rate - np.sin(pitch) * yaw_rate,
+            np.cos(roll) * pitch_rate + np.sin(roll) * np.cos(pitch) * yaw_rate,
+            -np.sin(roll) * pitch_rate + np.cos(roll) * np.cos(pitch) * yaw_rate,
+        ]
+    )
+
+
+def to_body(angles: FloatArray, vectors: FloatArray) -> FloatArray:
+    """Turn north-east-down vectors, (3,) or (n, 3), into forward-right-down axes, (n, 3)."""
+    sin_roll, sin_pitch, sin_yaw = np.sin(angles).T
+    cos_roll, cos_pitch, cos_yaw = np.cos(angles).T
+    north, east, down = vectors.T
+    along = cos_yaw * north + sin_yaw * east
+    across = cos_yaw * east - sin_yaw * north
+    below = sin_pitch * along + cos_pitch * down
+    return np.column_stack(
+        [
+            cos_pitch * along - sin_pitch * down,
+            cos_roll * across + sin_roll * below,
+            cos_roll * below - sin_roll * across,
+        ]
+    )
+
+
+def earth_rate(latitude_deg: float) -> FloatArray:
+    """Return the earth rate north, east, down in rad/s, (3,)."""
+    latitude = np.deg2rad(latitude_deg)
+    return EARTH_RATE * np.array([np.cos(latitude), 0.0, -np.sin(latitude)])
+
+
+def reported(angles: FloatArray, axes: BodyAxes) -> dict[str, ColumnArray]:
+    """Return the columns of the attitude as a device reports it: to NED for FRD, to ENU for FLU."""
+    w, x, y, z = quaternions(angles)
+    if axes == "FLU":  # half a turn about forward in the body, and about north-east in the world
+        w, x, y, z = np.sqrt(0.5) * np.array([w + z, x + y, x - y, w - z])
+    w, x, y, z = np.where(w < 0.0, -1.0, 1.0) * np.array([w, x, y, z])
+    yaw = np.arctan2(2.0 * (x * y + w * z), 1.0 - 2.0 * (y * y + z * z))
+    pitch = -np.arcsin(np.clip(2.0 * (x * z - w * y), -1.0, 1.0))
+    roll = np.arctan2(2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y))
+    if axes == "FRD":  # a compass heading, 0 to 360 degrees
+        yaw = np.mod(yaw, 2 * np.pi)
+    return {"q_w": w, "q_x": x, "q_y": y, "q_z": z, "roll": roll, "pitch": pitch, "yaw": yaw}
+
+
+def split(name: str, values: FloatArray) -> dict[str, ColumnArray]:
+    """Return the columns name_x, name_y, name_z of values of shape (n, 3)."""
+    return {f"{name}_{axis}": values[:, i] for i, axis in enumerate("xyz")}

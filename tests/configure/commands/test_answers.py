@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from imumon.configure.core import Message, Refusal, Request, family_of
 from imumon.protocols.device import load_device
 from imumon.simulation.unit import SimulatedUnit, load_scenario
-from imumon.wings import firmware_of
+from imumon.wing import firmware_of
 
 DEVICES = ("xsens", "microstrain", "vectornav", "witmotion")
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from imumon.blocks import FloatArray, SampleBlock
-from imumon.lab.calibration.record import Record, record_of
+from imumon.lab.calibration.cells import Record, record_of
 
 DEG_H = np.deg2rad(1.0) / 3600.0
 """1 °/h in rad/s."""

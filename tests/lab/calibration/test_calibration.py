@@ -14,8 +14,7 @@ from imumon.geodesy import EARTH_RATE
 from imumon.intake import Intake
 from imumon.lab.calibration import selection
 from imumon.lab.calibration.calibration import Calibration, calibrate
-from imumon.lab.calibration.cells import channel_of, group, levels
-from imumon.lab.calibration.record import record_of
+from imumon.lab.calibration.cells import channel_of, group, levels, record_of
 from imumon.models.curves.points import folds
 from imumon.models.curves.polynomial import fit_polynomial
 from tests.lab.calibration.records import DEG_H, GRAVITY, record, samples, soak, true_bias, true_slope

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.errors import ImumonError
 from imumon.lab.calibration.magnetometer import fit_magnetometer
-from imumon.lab.calibration.magnetometer_axes import WAYS, Axes, Gathered, doubts
+from imumon.lab.calibration.magnetometer_axes import WAYS, Axes, axes_of, doubts
 from imumon.models.magnetometer import MagnetometerModel
 
 FIELD = np.array([2.0, 20.0, -43.0])
@@ -46,10 +46,9 @@ def turns(
 
 
 def found(block: SampleBlock) -> tuple[MagnetometerModel, Axes | None]:
-    gathered = Gathered()
     parts = [block.rows(0, 333), block.rows(333, len(block))]
-    model = fit_magnetometer(gathered.passing(parts), "uT", "test").model
-    return model, gathered.axes(model)
+    model = fit_magnetometer(parts, "uT", "test").model
+    return model, axes_of(parts, model)
 
 
 @pytest.mark.parametrize(
