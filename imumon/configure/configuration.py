@@ -61,7 +61,7 @@ class Report:
         return {
             **vars(self),
             "plan": [_as_dict(request) for request in self.plan],
-            "sent": [{**_as_dict(item.request), "answered": item.answered} for item in sent],
+            "sent": [{**_as_dict(request), "answered": answered} for request, answered in sent],
             "stream": stream and {name: getattr(stream, name) for name in ("seconds", "rate_hz", "columns")},
         }
 
@@ -94,17 +94,17 @@ def _in_order(names: Iterable[str], wish: Wish, now: int) -> list[str]:
     return sorted(names, key=lambda name: name != BAUD) if faster else list(names)
 
 
-def check_load(family: Family, values: Mapping[str, bytes], line: PortSettings) -> str:
-    """Return a warning when the line is nearly full; else nothing.
+def check_load(family: Family, values: Mapping[str, bytes], line: PortSettings) -> list[str]:
+    """Return a warning when the line is nearly full; else none.
 
     Raises BAD_CONFIG when the settings send more than the line carries, with the numbers.
     """
     needed, there = family.bytes_per_s(values), line.capacity_bytes_per_s
     if there is None or needed <= NEARLY_FULL * there:
-        return ""
+        return []
     seen = f"{needed:.0f} bytes/s are {needed / there:.0%} of the {there:.0f} bytes/s of {line.baudrate} baud"
     if needed <= there:
-        return seen
+        return [seen]
     enough = min(
         (r for r in family.baud_codes if r / line.bits_per_byte * NEARLY_FULL >= needed), default=None
     )
@@ -168,8 +168,7 @@ class Configuration:
         line = self._link.port.settings
         if wanted:
             faster = replace(line, baudrate=wish.baudrate or line.baudrate)
-            warning = check_load(family, after, faster)
-            report.warnings += [warning] if warning else []
+            report.warnings += check_load(family, after, faster)
         changes = [
             Change(name, self._present[name], wanted[name])
             for name in _in_order(wanted, wish, line.baudrate)

@@ -108,8 +108,7 @@ def _plan(family: Family, wish: Wish, now: int, report: Report) -> None:
     report.assumed, report.result = family.assumed, "planned"
     if wish.rate_hz is not None:
         line = PortSettings(report.port, wish.baudrate or now)
-        warning = check_load(family, family.wanted({}, wish), line)
-        report.warnings += [warning] if warning else []
+        report.warnings += check_load(family, family.wanted({}, wish), line)
 
 
 def _show_plan(report: Report) -> None:

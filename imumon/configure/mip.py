@@ -245,10 +245,8 @@ class Mip(Family):
                     total += (2 + (max(field.size, 0) if field else 0)) * self.base_hz[of] / by
         return total
 
-    def describe(self, name: str, value: bytes) -> str:
+    def meaning(self, name: str, value: bytes) -> str:
         """Return whether a stream is on, or each field of a format with its rate."""
-        if name == core.BAUD:
-            return super().describe(name, value)
         if name in STREAMS.values():
             return "off" if value == OFF else "on"
         of = OF_SET[name]

@@ -114,11 +114,6 @@ class Xsens(Family):
         write = request(kind, value, f"{mtdata.NAMES[kind]}: {self.describe(name, value)}")
         return (write,) if name == OUTPUT else (write, request(RESET))
 
-    def save(self, names: Sequence[str]) -> tuple[Request, ...]:
-        """Return nothing: what was written is in flash already."""
-        del names
-        return ()
-
     def of_wish(
         self, present: Mapping[str, bytes], rate_hz: float | None, outputs: tuple[str, ...] | None
     ) -> dict[str, bytes]:
@@ -169,10 +164,8 @@ class Xsens(Family):
             total += (3 + (max(field.size, 0) if field else 0)) * min(rate, fastest)
         return total
 
-    def describe(self, name: str, value: bytes) -> str:
+    def meaning(self, name: str, value: bytes) -> str:
         """Return each output with its rate."""
-        if name == core.BAUD:
-            return super().describe(name, value)
         outputs = [
             f"{mtdata.identifier_name(code)} {'always' if rate == WITH_EVERY_PACKET else f'{rate} Hz'}"
             for code, rate in entries(value)
@@ -216,14 +209,11 @@ class XsensFirmware(Firmware):
         if kind == RESET:
             self.power_on()
             return frame(kind + 1)
-        if kind not in NAMED:
-            identity = {REQ_PRODUCT_CODE: b"MTi-VIRTUAL", REQ_FIRMWARE: bytes([1, 2, 3])}
-            return (
-                frame(kind + 1, identity[kind])
-                if kind in identity
-                else frame(mtdata.ERROR, bytes([INVALID_MESSAGE]))
-            )
-        name = NAMED[kind]
+        if kind in IDENTITY:
+            return frame(kind + 1, IDENTITY[kind])
+        name = NAMED.get(kind)
+        if name is None:
+            return frame(mtdata.ERROR, bytes([INVALID_MESSAGE]))
         if data:
             if name == core.BAUD and data not in self.family.baud_codes.values():
                 return frame(mtdata.ERROR, bytes([NO_SUCH_BAUDRATE]))

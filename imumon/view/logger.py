@@ -77,16 +77,18 @@ class StreamLogger:
 
     def begin(self) -> None:
         """Log what does not change (name, properties, styles), and the latest states."""
-        rec, setup = self._rec, self._setup
-        rec.send_recording_name(setup.title)
-        if setup.properties:
-            rec.send_property("session", rr.AnyValues(True, **setup.properties))
-        down = rr.ViewCoordinates.RIGHT_HAND_Z_DOWN
-        rec.log(DEVICE, down if setup.z_down else rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        name_recording(self._rec, self._setup, "session")
+        self.declare()
+
+    def declare(self) -> None:
+        """Log the styles, and the latest states."""
+        axes = rr.ViewCoordinates
+        up = axes.RIGHT_HAND_Z_DOWN if self._setup.z_down else axes.RIGHT_HAND_Z_UP
+        self._rec.log(DEVICE, up, static=True)
         self._panels.declare()
         self._others.declare()
         for lane, states in self._lanes.items():
-            declare_lane(rec, lane, states)
+            declare_lane(self._rec, lane, states)
         self._log_events(list(self._lasting.values()), again=True)
 
     def log(self, items: Iterable[ViewItem]) -> None:
@@ -236,6 +238,13 @@ class StreamLogger:
             self._arranged, self._arranged_s = (contents, self._timeline), time.monotonic()
             self.arrangement = blueprint(self._setup, contents, self._timeline, live=self._live)
             self._rec.send_blueprint(self.arrangement)
+
+
+def name_recording(rec: rr.RecordingStream, setup: ViewSetup, what: str) -> None:
+    """Log the name of a recording, and what describes the session, or whatever it is of."""
+    rec.send_recording_name(setup.title)
+    if setup.properties:
+        rec.send_property(what, rr.AnyValues(True, **setup.properties))
 
 
 def recorded_step(clock: IntArray | None) -> int:
