@@ -14,12 +14,6 @@ from imumon.logs.log import Damage, Log
 from imumon.recordings.importing import ImportReport, import_table
 
 Reader = Callable[[Path, str | None], Log]
-FORMATS: tuple[tuple[Callable[[Path, bytes], bool], Reader], ...] = (
-    (ardupilot.is_one, ardupilot.read),
-    (px4.is_one, px4.read),
-    (ros.is_one, ros.read),
-    (betaflight.is_one, betaflight.read),
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,9 +60,14 @@ def reader_of(path: Path) -> Reader:
             head = file.read(64)
         if not head:
             raise bad_data(f"{path}: is empty")
-    for is_one, read in FORMATS:
-        if is_one(path, head):
-            return read
+    if head.startswith(ardupilot.HEAD):
+        return ardupilot.read
+    if head.startswith(px4.HEAD):
+        return px4.read
+    if head.startswith(ros.HEADS) or (path / "metadata.yaml").is_file():
+        return ros.read
+    if head.startswith(betaflight.BEGIN) or betaflight.TABLE.match(head):
+        return betaflight.read
     raise bad_config(
         f"{path}: is no log of ArduPilot (.BIN), PX4 (.ulg) or Betaflight (blackbox_decode), and no ROS bag",
         "a table needs --map MAP.yaml, which says what is in which column",

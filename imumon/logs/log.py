@@ -125,12 +125,9 @@ def _beside(series: Series, time_ns: IntArray) -> dict[str, FloatArray]:
     has a wrong time, or the rows have a hole there.
     """
     found = {name: np.full(len(time_ns), np.nan) for name in series.values}
-    if not len(series.time_ns) or not len(time_ns):
+    if not len(time_ns):
         return found
-    after = np.clip(np.searchsorted(time_ns, series.time_ns), 1, max(len(time_ns) - 1, 1))
-    before = after - 1
-    after = np.minimum(after, len(time_ns) - 1)
-    row = np.where(series.time_ns - time_ns[before] <= time_ns[after] - series.time_ns, before, after)
+    row = np.searchsorted(time_ns[:-1] + np.diff(time_ns) // 2, series.time_ns)
     away = np.abs(time_ns[row] - series.time_ns)
     # The nearest comes last, and stays.
     order = np.argsort(-away, kind="stable")

@@ -13,7 +13,6 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from imumon.blocks import IntArray
 from imumon.harmless import for_markdown
 from imumon.lane import Level
 from imumon.view.blueprint import Contents, blueprint
@@ -36,9 +35,8 @@ from imumon.view.pictures import Painter
 from imumon.view.rows import Rows, at_instants, log_markdown
 from imumon.view.window import slow_window
 
-RECORDED_STEP_NS, STEP_ROWS, LONGEST_STEP_NS = 500_000_000, 50, 2_500_000_000
-"""Of so much time a recording of the view keeps the extremes; where fewer samples came in it, of so many, and
-never of more time than the last."""
+RECORDED_STEP_NS = 500_000_000
+"""Of so much time a recording of the view keeps the extremes."""
 ARRANGE_S = 5.0
 """Live, the arrangement is sent so often at the most: it leads whoever looks on back to the first tab."""
 EARLY_EVENTS = 1000
@@ -111,10 +109,7 @@ class StreamLogger:
     def _log_samples(self, item: Samples) -> None:
         count = None if item.first is None else np.arange(item.first, item.first + item.rows, dtype=np.int64)
         before_ns = self._last_ns.get(item.stream)
-        rows = Rows(item.block.columns, count, item.device_ns, item.host_ns, before_ns=before_ns)
-        if not self._live:
-            rows = replace(rows, step_ns=recorded_step(rows.clock))
-            self._step_ns = self._step_ns if item.stream else rows.step_ns
+        rows = Rows(item.block.columns, count, item.device_ns, item.host_ns, self._step_ns, before_ns)
         if rows.clock is not None and len(rows.clock):
             self._last_ns[item.stream] = int(rows.clock[-1])
         if item.device_ns is not None:
@@ -245,14 +240,6 @@ def name_recording(rec: rr.RecordingStream, setup: ViewSetup, what: str) -> None
     rec.send_recording_name(setup.title)
     if setup.properties:
         rec.send_property(what, rr.AnyValues(True, **setup.properties))
-
-
-def recorded_step(clock: IntArray | None) -> int:
-    """Return of how much time a recording keeps the extremes, ns, by the times of some samples."""
-    if clock is None or len(clock) < 2:
-        return RECORDED_STEP_NS
-    rows_ns = STEP_ROWS * int(np.median(np.diff(clock)))
-    return min(max(RECORDED_STEP_NS, rows_ns), LONGEST_STEP_NS)
 
 
 def status_card(event: Status) -> str:

@@ -38,11 +38,6 @@ class Report:
     dropped: int = 0
     restarts: int = 0
 
-    @property
-    def connected(self) -> bool:
-        """Whether viewers can come to it."""
-        return bool(self.url)
-
     def __str__(self) -> str:
         """Return one phrase, for the status line."""
         return f"{self.text}, {self.dropped} dropped" if self.dropped else self.text

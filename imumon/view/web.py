@@ -9,7 +9,7 @@ import socket
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import closing
 from functools import partial
 from html import escape
@@ -148,7 +148,9 @@ class WebServer:
         self.url = f"http://{self.host}:{self.port}/"
         self.files = bundled_assets()
         self.files["/"] = page(self.files["/"].decode(), title).encode()
-        self._server = _Server(door, partial(_Handler, self))
+        self._server = _Server((bind, self.port), partial(_Handler, self), bind_and_activate=False)
+        self._server.socket.close()
+        self._server.socket = door
         threading.Thread(target=self._server.serve_forever, name="web viewer", daemon=True).start()
 
     def close(self) -> None:
@@ -158,13 +160,6 @@ class WebServer:
 
 
 class _Server(ThreadingHTTPServer):
-    daemon_threads = True
-
-    def __init__(self, door: socket.socket, handler: Callable[..., BaseHTTPRequestHandler]) -> None:
-        super().__init__(door.getsockname(), handler, bind_and_activate=False)
-        self.socket.close()
-        self.socket = door
-
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Pass over a browser that went away in the middle of an answer."""
         if not isinstance(sys.exception(), ConnectionError):
