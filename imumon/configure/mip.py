@@ -9,6 +9,7 @@ older ones one for each (0x08, 0x0A): the device is asked which it knows.
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Mapping, Sequence
 from functools import partial
 
@@ -53,6 +54,8 @@ SENSOR_FIELDS: Mapping[str, tuple[int, ...]] = {
     "pressure": (0x17,),
     "status": (0x18,),
 }
+ITEM = ">BH"
+"""Descriptor and decimation of a field."""
 TIME = {"reference": (0xD5, 0xD5), "gps": (0x12, 0x11)}
 """Field that dates a packet of the sensors, and one of the filter."""
 
@@ -92,14 +95,13 @@ def request(
 
 def formatted(value: bytes) -> list[tuple[int, int]]:
     """Return descriptor and decimation of each field in a message format."""
-    count = value[0] if value else 0
-    items = [(value[at], int.from_bytes(value[at + 1 : at + 3], "big")) for at in range(1, len(value) - 2, 3)]
-    return items[:count]
+    count = min(value[0], (len(value) - 1) // 3) if value else 0
+    return list(struct.iter_unpack(ITEM, value[1 : 1 + 3 * count]))
 
 
 def message_format(items: Sequence[tuple[int, int]]) -> bytes:
     """Return a message format: how many fields, and each with its decimation."""
-    return bytes([len(items)]) + b"".join(bytes([code]) + by.to_bytes(2, "big") for code, by in items)
+    return bytes([len(items)]) + b"".join(struct.pack(ITEM, *item) for item in items)
 
 
 def _base_rate(modern: bool, of: int) -> Request:

@@ -15,7 +15,7 @@ from dataclasses import replace
 from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING, Any
 
-from imumon.view.fed import serve
+from imumon.view.fed import batches, serve
 from imumon.view.items import ViewSetup
 from imumon.view.publisher import Report, Start
 from imumon.view.viewer import LIVE_APPLICATION, Answer, probe, proxy_url, start_viewer, viewer_port
@@ -78,21 +78,17 @@ def run(
     gc.freeze()  # or the circles of pictures wait until they are a quarter of all that was loaded
     repeated_s = time.monotonic()
     out.send(viewers.poll())
-    while True:
+    for items in batches(stream, POLL_S):
         if time.monotonic() - repeated_s > REPEAT_S:
             repeated_s = time.monotonic()
             out.send(viewers.poll())
             logger.repeat()
-        if stream.poll(POLL_S):
-            try:
-                items = stream.recv()
-            except EOFError:
-                logger.finish()
-                rec.flush()
-                if start.mode == "native":
-                    time.sleep(LINGER_S)
-                return
+        if items:
             logger.log(items)
+    logger.finish()
+    rec.flush()
+    if start.mode == "native":
+        time.sleep(LINGER_S)
 
 
 def _live_logger(rec: rr.RecordingStream, setup: ViewSetup) -> StreamLogger:

@@ -16,7 +16,7 @@ import sys
 import threading
 import time
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from typing import Any
@@ -192,6 +192,13 @@ def serve(run: Callable[[Connection, Connection], None], problem: Callable[[Imum
     finally:
         sys.stderr.flush()
         os._exit(code)
+
+
+def batches(stream: Connection, wait_s: float) -> Iterator[list[ViewItem]]:
+    """Yield items as they come, and none after `wait_s` without any, until the stream ends."""
+    with contextlib.suppress(EOFError):
+        while True:
+            yield stream.recv() if stream.poll(wait_s) else []
 
 
 def watch(parent: int) -> None:

@@ -181,20 +181,18 @@ class _Handler(BaseHTTPRequestHandler):
         path, _, query = self.path.partition("?")
         if path == "/" and not query:
             stream = quote(f"rerun+http://{self.headers['Host']}/proxy", safe="")
-            self.send_response(HTTPStatus.FOUND)
-            self.send_header("Location", f"/?url={stream}&hide_welcome_screen=1")
-            self.send_header("Content-Length", "0")
-            self.end_headers()
-            return
-        body = self._site.files.get(path)
-        if body is None:
+            self._answer(HTTPStatus.FOUND, b"", {"Location": f"/?url={stream}&hide_welcome_screen=1"})
+        elif (body := self._site.files.get(path)) is None:
             self.send_error(HTTPStatus.NOT_FOUND)
-            return
-        self.send_response(HTTPStatus.OK)
-        self.send_header("Content-Type", ASSETS.get(path, ASSETS["/"]))
-        self.send_header("Content-Length", str(len(body)))
-        self.send_header("Content-Security-Policy", POLICY)
-        self.send_header("rerun-final-length", str(len(body)))  # the page's progress bar asks for it
+        else:
+            headers = {"Content-Type": ASSETS[path], "Content-Security-Policy": POLICY}
+            # the page's progress bar asks for it
+            self._answer(HTTPStatus.OK, body, headers | {"rerun-final-length": str(len(body))})
+
+    def _answer(self, status: HTTPStatus, body: bytes, headers: dict[str, str]) -> None:
+        self.send_response(status)
+        for name, value in {**headers, "Content-Length": str(len(body))}.items():
+            self.send_header(name, value)
         self.end_headers()
         self.wfile.write(body)
 

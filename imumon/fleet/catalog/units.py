@@ -87,14 +87,9 @@ def read_sessions(
 ) -> tuple[list[Entry], dict[str, str]]:
     """Return the sessions below a folder, the oldest first, and why what is none by its metadata is left out.
 
-    What `results` does not have of them is replayed.
+    What the folder `results` of ``imumon batch replay`` does not have of them is replayed and added to it.
 
     Raises BAD_DATA when there is no session; as `Dataset` for the results.
-
-    Parameters
-    ----------
-    results : Path
-        Folder of ``imumon batch replay``, to which the new ones are added.
     """
     sessions, left_out = dict[str, Session](), dict[str, str]()
     for place in find(str(folder)):
