@@ -55,24 +55,20 @@ PLACE = (
         help="Direction of the x axis, degrees clockwise from north."),
 )  # fmt: skip
 DECLARED = click.option("--declared", help="Bias model that is assumed; see imumon diagnose.")
-SUBCOMMANDS: dict[str, tuple[str, str, str, tuple[Any, ...]]] = {
-    "decode": ("Count, mean and scatter of every channel as sent.", "means", "", (TABLES,)),
-    "replay": (
-        "Count, mean and scatter of all channels and estimates.", "estimates", "", (TABLES, PIPELINE)
-    ),
-    "allan": (
-        "Noise of every channel, from its Allan curve.", "noise", "The terms have standard deviations.", ()
-    ),
+SUBCOMMANDS: dict[str, tuple[str, tuple[Any, ...]]] = {
+    "decode": ("Count, mean and scatter of every channel as sent.", (TABLES,)),
+    "replay": ("Count, mean and scatter of all channels and estimates.", (TABLES, PIPELINE)),
+    "allan": ("Noise of every channel, from its Allan curve.  The terms have standard deviations.", ()),
     "calibrate": (
-        "Bias over temperature, a model for each session.",
-        "models", "The models are DIR/models/SESSION.yaml.", PLACE,
+        "Bias over temperature, a model for each session.  Models: DIR/models/SESSION.yaml.",
+        PLACE,
     ),
     "diagnose": (
-        "Effects that a bias model lacks, for each session.",
-        "reports", "The reports are DIR/reports/SESSION.json.", (DECLARED,),
+        "Effects that a bias model lacks, for each session.  Reports: DIR/reports/SESSION.json.",
+        (DECLARED,),
     ),
-}  # fmt: skip
-"""What each does, the folder of the example, what is to be said of the results, and options of its own."""
+}
+"""What each does, and options of its own."""
 SHARED: tuple[Any, ...] = (
     click.argument("sessions", nargs=-1, required=True),
     click.option("--out", required=True, type=PATH, help="Folder of the results."),
@@ -86,9 +82,7 @@ SHARED: tuple[Any, ...] = (
 HELP = """{what}
 
 \b
-imumon batch {name} sessions --out {folder}
-
-{results}
+imumon batch {name} sessions --out results
 
 SESSIONS are session folders, folders with sessions somewhere below, or URLs of either (s3://bucket/folder).
 """
@@ -188,9 +182,8 @@ def _settings(
     return found
 
 
-for _name, (_what, _folder, _results, _own) in SUBCOMMANDS.items():
+for _name, (_what, _own) in SUBCOMMANDS.items():
     _function: Any = partial(_run, _name)
     for _option in reversed((*SHARED, *_own, json_option)):
         _function = _option(_function)
-    _text = HELP.format(what=_what, name=_name, folder=_folder, results=_results)
-    command.command(_name, help=_text)(_function)
+    command.command(_name, help=HELP.format(what=_what, name=_name))(_function)

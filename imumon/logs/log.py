@@ -86,17 +86,12 @@ class Log:
         """Write the table; return its map, and how many rows have no later time and were left out."""
         time = self.gyro.time_ns
         kept = _increasing(time)
-        columns: dict[str, Any] = {TIME: time[kept]}
-        columns |= {name: values[kept] for name, values in self.gyro.values.items()}
+        columns = {name: values[kept] for name, values in self.gyro.values.items()}
         for series in self.beside:
             columns |= _beside(series, time[kept])
         # An infinite value is damage, and as good as none; the others of its row are none the worse for it.
-        columns |= {
-            name: np.where(np.isfinite(values), values, np.nan)
-            for name, values in columns.items()
-            if name != TIME
-        }
-        pq.write_table(pa.table(columns), path)
+        columns = {name: np.where(np.isfinite(values), values, np.nan) for name, values in columns.items()}
+        pq.write_table(pa.table({TIME: time[kept], **columns}), path)
         groups = {
             name: {"columns": names, "unit": unit}
             for name, (names, unit) in UNITS.items()

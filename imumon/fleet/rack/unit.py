@@ -13,7 +13,6 @@ import signal
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from datetime import UTC, datetime
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import NamedTuple
@@ -23,6 +22,7 @@ from imumon.fleet.rack.description import Plan
 from imumon.fleet.rack.feed import Feed, Vitals
 from imumon.heap import prepare_heap
 from imumon.protocols.device import parse_device
+from imumon.recordings.folder import default_path
 from imumon.recordings.lines import Line, Lines
 from imumon.run.live import LiveRun, nothing_decoded, warm_up
 from imumon.run.narration import view_setup
@@ -79,7 +79,7 @@ def _run(plan: Plan, sessions: Path, window_s: float, pictures: bool, rack: Conn
     gc.freeze()
 
     def new_run() -> LiveRun:
-        folder = new_folder(sessions, plan.name, time.time_ns())
+        folder = default_path(plan.name, time.time_ns(), sessions)
         return LiveRun(device, plan.device_yaml, plan.settings, setup, folder, lines.put, serial=plan.serial)
 
     run = _opened(new_run, lines, rack)
@@ -123,12 +123,6 @@ def _opened(new_run: Callable[[], LiveRun], lines: Lines, rack: Connection) -> L
         rack.send(Update(lines.take(), Vitals(lanes={"port": "waiting"})))
         if _ends_on_request(rack, RETRY_S):
             return None
-
-
-def new_folder(sessions: Path, name: str, now_ns: int) -> Path:
-    """Return SESSIONS/<UTC stamp>-<name>, to the millisecond: a unit may die twice in a second."""
-    stamp = datetime.fromtimestamp(now_ns * 1e-9, UTC)
-    return sessions / f"{stamp:%Y%m%dT%H%M%S}{now_ns // 1_000_000 % 1000:03d}Z-{name}"
 
 
 def _ends_on_request(rack: Connection, wait_s: float) -> bool:
