@@ -59,12 +59,9 @@ SUBCOMMANDS: dict[str, tuple[str, tuple[Any, ...]]] = {
     "decode": ("Count, mean and scatter of every channel as sent.", (TABLES,)),
     "replay": ("Count, mean and scatter of all channels and estimates.", (TABLES, PIPELINE)),
     "allan": ("Noise of every channel, from its Allan curve.  The terms have standard deviations.", ()),
-    "calibrate": (
-        "Bias over temperature, a model for each session.  Models: DIR/models/SESSION.yaml.",
-        PLACE,
-    ),
+    "calibrate": ("Bias over temperature, a model for each session.  Models: DIR/models/*.yaml.", PLACE),
     "diagnose": (
-        "Effects that a bias model lacks, for each session.  Reports: DIR/reports/SESSION.json.",
+        "Effects that a bias model lacks, for each session.  Reports: DIR/reports/*.json.",
         (DECLARED,),
     ),
 }

@@ -194,7 +194,7 @@ def serve(run: Callable[[Connection, Connection], None], problem: Callable[[Imum
         os._exit(code)
 
 
-def batches(stream: Connection, wait_s: float) -> Iterator[list[ViewItem]]:
+def batches(stream: Connection, wait_s: float) -> Iterator[list[Any]]:
     """Yield items as they come, and none after `wait_s` without any, until the stream ends."""
     with contextlib.suppress(EOFError):
         while True:

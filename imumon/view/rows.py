@@ -50,7 +50,8 @@ class Rows:
     def kept(self, keep: BoolArray | IntArray) -> Rows:
         """Return the times of the rows to keep, without their columns."""
         times = (self.sample, self.device_ns, self.host_ns)
-        return Rows({}, *(None if values is None else values[keep] for values in times))
+        sample, device_ns, host_ns = (None if values is None else values[keep] for values in times)
+        return Rows({}, sample, device_ns, host_ns)
 
     def send(self, rec: rr.RecordingStream, entity: str, values: FloatArray) -> None:
         """Log values at the times of these rows, (n,) or (n, lines)."""

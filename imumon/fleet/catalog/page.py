@@ -167,7 +167,8 @@ def _model(model: BiasModel) -> Section:
         for name, channel in model.channels.items():
             if name.startswith(kind):
                 factor, unit = shown(channel.unit)
-                t = np.linspace(*channel.temperature_range_degc, 200)
+                low, high = channel.temperature_range_degc
+                t = np.linspace(low, high, 200)
                 curves[name] = Curve(t, factor * channel.value(t), np.asarray(factor * channel.residual_sd))
         if curves:
             labels = {"xlabel": "temperature, °C", "ylabel": f"bias ± 2σ, {unit}"}
