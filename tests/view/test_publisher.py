@@ -22,7 +22,6 @@ from imumon.view.fed import QUEUE_BYTES
 from imumon.view.items import Timebase, ViewSetup
 from imumon.view.publisher import ViewPublisher
 from imumon.view.viewer import (
-    Answer,
     Mode,
     free_port,
     probe,
@@ -154,7 +153,7 @@ def test_a_viewer_that_comes_later_sees_all_from_the_start(
     first.wait()
     later = free_port(port + 10)
     with closing_process(start_viewer(later, publisher.url, "--headless")):
-        stream.run_until(lambda: probe(later) is Answer.RERUN, "the viewer is there")
+        stream.run_until(lambda: probe(later) is True, "the viewer is there")
         stream.run_until(lambda: seen(later).get("sample", (1, 0))[0] == 0, "what was before is shown")
         stream.run_until(lambda: "Log" in views(later), "as it is arranged")
         end = seen(later)["sample"][1]
