@@ -139,7 +139,8 @@ def _show(report: Report, family: Family, line: str) -> None:
     if report.result == "unchanged":
         say("INFO", "the device is set like this already")
     if report.saved:
-        sure = "" if family.save_confirmed else ", if the device did it: its kind does not confirm it"
+        confirms = all(request.answer for request in family.save(()))
+        sure = "" if confirms else ", if the device did it: its kind does not confirm it"
         say("INFO", f"saved: the settings survive power-off{sure}")
     elif report.result == "done":
         say("INFO", "not saved: the settings are lost at power-off (--save writes flash)")

@@ -150,8 +150,6 @@ class Family(ABC):
     """Against what the commands were checked."""
     stores_at_once = False
     """Whether the device writes into flash whatever is written."""
-    save_confirmed = True
-    """Whether the device confirms that it has written into flash."""
     hello_quiets = False
     """Whether the first question stops the data."""
     reset_s = 0.0

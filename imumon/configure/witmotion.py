@@ -63,7 +63,6 @@ class WitMotion(Family):
     answer_frame = Frame("register", b"\x55", fixed_length(SIZE), Checksum("sum8"))
     title = "WitMotion"
     verified = "codes of the vendor's sample code, and the virtual device; never a real unit"
-    save_confirmed = False
     baud_codes: Mapping[int, bytes] = {rate: bytes([code, 0]) for code, rate in enumerate(BAUDRATES, 1)}
     columns = {name: core.USUAL_COLUMNS[name] for name in FRAMES} | {"attitude": ("roll",)}
     settings = tuple(REGISTERS)

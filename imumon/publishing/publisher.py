@@ -41,11 +41,6 @@ class Publisher(FedProcess):
         self._now = Delivery("begins", ready=False)
         """What the present process reports."""
 
-    def start(self) -> Publisher:
-        """Start the process and return at once."""
-        self._supervisor.start()
-        return self
-
     def publish(self, item: ViewItem) -> None:
         """Queue an item, when it is for other programs; takes microseconds.  Called from one thread."""
         if isinstance(item, Published):

@@ -65,11 +65,6 @@ class ViewPublisher(FedProcess):
         self._lasting: dict[str, ViewItem] = {}
         self._report = Report("view starts")
 
-    def start(self) -> ViewPublisher:
-        """Start the view process and return at once."""
-        self._supervisor.start()
-        return self
-
     @property
     def state(self) -> Report:
         """How the view is now."""

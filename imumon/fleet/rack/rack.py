@@ -24,8 +24,6 @@ from imumon.view.items import Instant, Log, State, ViewItem, ViewSetup
 LOG_NAME = "rack.jsonl"
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 10.0
 """A unit that dies is begun anew after the first, one that dies again after twice as long, up to the last."""
-STEADY_S = 30.0
-"""One that lived this long is begun anew after the first."""
 OVERVIEW_S = 1.0
 FIRST_WORD_S, HANGS_S, KILLED_S = 120.0, 5.0, 35.0
 """A process that says nothing for so long hangs, and is killed.  Its first word may come later: after an
@@ -46,8 +44,7 @@ class Process:
         context = get_context("forkserver")
         context.set_forkserver_preload(["imumon.fleet.rack.preload"])
         self._ours, theirs = context.Pipe()
-        self.began_s = time.monotonic()
-        self.received_s = self.began_s + FIRST_WORD_S
+        self.received_s = time.monotonic() + FIRST_WORD_S
         """When its last message came; before the first one when that is due."""
         self._messages: SimpleQueue[Update | Ended] = SimpleQueue()
         self._process = context.Process(target=run_unit, args=(plan, *others, theirs), name=plan.name)
@@ -102,8 +99,6 @@ class Unit:
     """Exit codes of the processes that ended without being asked."""
     interrupted: list[str] = field(default_factory=list)
     """Their sessions."""
-    pause_s: float = FIRST_PAUSE_S
-    """How long it waits for its next process."""
     begin_s: float = 0.0
     """When its process is to be begun."""
     summaries: list[dict[str, object]] = field(default_factory=list)
@@ -130,12 +125,6 @@ class Unit:
         """What the table shows: of a unit that has ended, the cost of its life."""
         cpu = self.vitals.mean_cpu if self.process is None else self.vitals.cpu
         return row_of(self.plan.name, self.state, self.vitals, cpu, len(self.deaths))
-
-    def pause(self) -> float:
-        """Let it wait for its next process, longer each time; return how long, in s."""
-        pause_s, self.pause_s = self.pause_s, min(2.0 * self.pause_s, LONGEST_PAUSE_S)
-        self.begin_s = time.monotonic() + pause_s
-        return pause_s
 
     def as_dict(self) -> dict[str, Any]:
         """Return what ``--json`` says of it."""
@@ -234,7 +223,8 @@ class Rack:
         try:
             unit.process = Process(unit.plan, self._folder, self._window_s, self._publish is not None)
         except (OSError, EOFError) as error:  # no memory, or no processes, for one more
-            self._say(unit, "ERROR", f"its process cannot be begun ({error}); again in {unit.pause():g} s")
+            unit.begin_s = time.monotonic() + LONGEST_PAUSE_S
+            self._say(unit, "ERROR", f"its process cannot be begun ({error}); again in {LONGEST_PAUSE_S:g} s")
             return
         unit.silent, unit.vitals = False, Vitals()
 
@@ -269,7 +259,7 @@ class Rack:
             process.close()
             self._receive(unit)
             unit.process = None
-            self._note_end(unit, code, now_s - process.began_s)
+            self._note_end(unit, code)
         elif unit.end_by_s is not None:
             if now_s > unit.end_by_s:
                 unit.end_by_s = math.inf
@@ -285,17 +275,18 @@ class Rack:
             self._say(unit, "ERROR", text)
             self._show(unit, State(_now(), "unit", "HANGS", Level.BAD))
 
-    def _note_end(self, unit: Unit, code: int, lived_s: float) -> None:
+    def _note_end(self, unit: Unit, code: int) -> None:
         """Note that the process of a unit ended, maybe without being asked."""
         died = unit.end_by_s is None
         if (died or code) and unit.vitals.session:
             unit.interrupted.append(unit.vitals.session)
         if died:
             unit.deaths.append(code)
-            unit.pause_s = FIRST_PAUSE_S if lived_s > STEADY_S else unit.pause_s
+            pause_s = min(FIRST_PAUSE_S * 2.0 ** min(len(unit.deaths) - 1, 10), LONGEST_PAUSE_S)
+            unit.begin_s = time.monotonic() + pause_s
             how = f"signal {-code}" if code < 0 else f"exit code {code}"
             kept = f"; {unit.vitals.session} has what had arrived" if unit.vitals.session else ""
-            self._say(unit, "ERROR", f"its process died ({how}){kept}; a new one in {unit.pause():g} s")
+            self._say(unit, "ERROR", f"its process died ({how}){kept}; a new one in {pause_s:g} s")
             self._show(unit, State(_now(), "unit", f"DEAD: {how}", Level.BAD))
 
     def _say(self, unit: Unit, level: str, text: str) -> None:
