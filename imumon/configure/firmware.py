@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from functools import cache
 from math import gcd
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,8 +16,7 @@ from imumon.protocols.base import Encoder
 from imumon.protocols.device import DeviceFile
 
 
-@dataclass(frozen=True, slots=True)
-class PacketKind:
+class PacketKind(NamedTuple):
     """Fields that are sent in packets of one kind: each by name, with every how many samples it is sent."""
 
     make: Callable[[list[str]], Encoder]

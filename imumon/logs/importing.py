@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import NamedTuple
 
 from imumon.errors import bad_config, bad_data
 from imumon.files import readable, write_text
@@ -16,8 +17,7 @@ from imumon.recordings.importing import ImportReport, import_table
 Reader = Callable[[Path, str | None], Log]
 
 
-@dataclass(frozen=True, slots=True)
-class LogReport:
+class LogReport(NamedTuple):
     """What became of a log: its rows, the sensor that they are of, those not taken, scaling and damage."""
 
     rows: ImportReport

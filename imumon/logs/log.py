@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -30,8 +30,7 @@ EXACT_US = 2**53
 """A float64 holds whole numbers up to this, 285 years; a later time is damage."""
 
 
-@dataclass(frozen=True, slots=True)
-class Series:
+class Series(NamedTuple):
     """Samples of one sensor."""
 
     time_ns: IntArray
@@ -40,8 +39,7 @@ class Series:
     """By their names in the table, (n,) each."""
 
 
-@dataclass(frozen=True, slots=True)
-class Wanted:
+class Wanted(NamedTuple):
     """A message of another sensor: its fields, the columns that they become, and what they are times."""
 
     message: str

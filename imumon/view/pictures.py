@@ -30,8 +30,9 @@ LETTERS = 40
 """So many of a headline fit at full size."""
 TOP, NOTE, HEADLINE = 0.98, 0.032, 0.073
 """Where the axes end, and what a line of notes and a headline take of it."""
-FAINT = "#3a3a3a"
+PAPER, FAINT = "#0d0d0d", "#3a3a3a"
 FRAME = {"font.size": 10.0, "axes.edgecolor": "#808080", "legend.edgecolor": FAINT}
+FRAME |= dict.fromkeys(("figure.facecolor", "axes.facecolor", "savefig.facecolor"), PAPER)
 STYLE: Any = ["dark_background", FRAME]
 """As the viewer's dark theme; on the light one it stands as a dark picture."""
 

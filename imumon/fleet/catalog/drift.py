@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,8 +22,7 @@ TO_SIGMA = 0.6745
 """Median absolute deviation of a normal distribution, in sigmas."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Drift:
+class Drift(NamedTuple):
     """The bias of a channel at one temperature, by each of the unit's models."""
 
     channel: str
@@ -93,8 +92,7 @@ def line(x: FloatArray, y: FloatArray, sd: FloatArray) -> tuple[float, float]:
     return float(coefficients[0]), float(np.sqrt(max(excess, 1.0) * covariance[0, 0]))
 
 
-@dataclass(frozen=True, slots=True)
-class Outlier:
+class Outlier(NamedTuple):
     """A value of a unit, in rad/s, far from those of the others of its device.
 
     `score` is the modified z-score: about its distance from the median in sigmas of the others.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -34,15 +33,14 @@ BIASES = tuple((f"gyro_bias_{axis}", f"gyro_bias_sd_{axis}") for axis in "xyz")
 PER_HOUR, HOURLY = shown("rad/s")
 
 
-@dataclass(frozen=True, slots=True)
-class Section:
+class Section(NamedTuple):
     """A part of the page: a table, and figures by their captions."""
 
     title: str
     words: str = ""
     heads: Sequence[str] = ()
     rows: Sequence[Sequence[str | float]] = ()
-    figures: Mapping[str, str] = field(default_factory=dict)
+    figures: Mapping[str, str] = {}
 
 
 def write_unit(unit: Unit, unusual: Sequence[Outlier], path: Path) -> None:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -28,8 +28,7 @@ LARGEST_MODEL = 1 << 20
 """Bytes: a larger YAML file is no model."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Entry:
+class Entry(NamedTuple):
     """A session of the catalog."""
 
     session: Session
@@ -41,8 +40,7 @@ class Entry:
     """What the recording lacks, one sentence each."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Dated:
+class Dated(NamedTuple):
     """A bias model, and when its latest data is from (Unix time, ns)."""
 
     model: BiasModel

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Final, Literal
+from typing import Annotated, Final, Literal, NamedTuple
 
 from pydantic import Field, StringConstraints
 
@@ -55,8 +54,7 @@ class RackFile(StrictModel):
     units: dict[Name, Place] = Field(min_length=1, max_length=MOST_UNITS)
 
 
-@dataclass(frozen=True, slots=True)
-class Plan:
+class Plan(NamedTuple):
     """One unit as its process is told: nothing in it refers to a file."""
 
     name: str
