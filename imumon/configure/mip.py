@@ -81,9 +81,8 @@ def request(
         acks = [ack for code, ack in there if code == ACK and len(ack) == 2 and ack[0] == command]
         if not acks:
             return None
-        if acks[0][1]:
-            code = acks[0][1]
-            return core.Refusal(ERRORS.get(code, f"code {code}"))
+        if refusal := acks[0][1]:
+            return core.Refusal(ERRORS.get(refusal, f"code {refusal}"))
         wanted = ANSWERS.get((command_set, command))
         found = [value for code, value in there if code == wanted]
         if not found:
