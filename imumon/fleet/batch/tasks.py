@@ -15,7 +15,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -138,8 +138,8 @@ class Moments:
     count: int = 0
     mean: float = 0.0
     squares: float = 0.0
-    least: float = field(default=np.inf)
-    greatest: float = field(default=-np.inf)
+    least: float = np.inf
+    greatest: float = -np.inf
 
     def add(self, values: ColumnArray) -> None:
         """Add values; those that are not finite are none."""

@@ -19,7 +19,7 @@ from imumon.fleet.rack.feed import OfUnit, Overview
 from imumon.view.blueprint import arranged
 from imumon.view.child import run
 from imumon.view.fed import serve
-from imumon.view.items import Instant, ViewItem, ViewSetup, merge
+from imumon.view.items import ViewItem, ViewSetup, merge
 from imumon.view.lanes import lane_path
 from imumon.view.logger import StreamLogger, name_recording
 from imumon.view.publisher import Report
@@ -89,7 +89,7 @@ class UnitsLogger:
     def _show_overview(self, page: Overview) -> None:
         """Log the page, and forget the units that are gone from it."""
         self._order = page.units
-        log_markdown(self._rec, OVERVIEW, [page.markdown], at_instants(Instant(None, None, page.at.host_ns)))
+        log_markdown(self._rec, OVERVIEW, [page.markdown], at_instants(page.at))
         for unit in self._units.keys() - set(page.units):
             del self._units[unit]
 
