@@ -95,11 +95,12 @@ def bar(what: str, total: int | None, *, quiet: bool) -> Iterator[ReadingProgres
         with progress_lines(now.__str__, quiet=quiet):
             yield now
         return
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+    from rich import progress as rich
 
-    label, left = TextColumn("{task.description}", markup=False), TextColumn("left:")
-    columns = (label, BarColumn(), TimeElapsedColumn(), left, TimeRemainingColumn())
-    with Progress(*columns, console=console(error=True), transient=True) as drawn:
+    label, left = rich.TextColumn("{task.description}", markup=False), rich.TextColumn("left:")
+    times = (rich.TimeElapsedColumn(), left, rich.TimeRemainingColumn())
+    columns = (label, rich.BarColumn(), rich.TaskProgressColumn(), *times)
+    with rich.Progress(*columns, console=console(error=True), transient=True) as drawn:
         task = drawn.add_task(now.what, total=total)
         now.show = lambda: drawn.update(task, description=now.what, completed=now.done)
         yield now

@@ -359,15 +359,15 @@ def _shown(rec: rr.RecordingStream, setup: ViewSetup, mode: Mode, bind: str) -> 
 
     Raises NOT_FOUND when no viewer comes up.
     """
-    from imumon.view.viewer import Answer, probe, proxy_url, start_viewer, viewer_port
+    from imumon.view.viewer import probe, proxy_url, start_viewer, viewer_port
     from imumon.view.web import serve_page
 
     if mode == "web":
         return serve_page(rec, setup, bind=bind).url
     port = viewer_port()
-    viewer = None if probe(port) is Answer.RERUN else start_viewer(port)
+    viewer = None if probe(port) else start_viewer(port)
     deadline = time.monotonic() + STARTING_S
-    while probe(port) is not Answer.RERUN:
+    while not probe(port):
         if time.monotonic() > deadline or (viewer is not None and viewer.poll() is not None):
             raise ImumonError(
                 Reason.NOT_FOUND, "the viewer could not start", "use --view web, or --out NAME.rrd"

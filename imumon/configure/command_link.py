@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass
 
 from imumon.configure.core import CommandError, Family, Refusal, Request
 from imumon.errors import ImumonError, Reason
@@ -24,14 +23,6 @@ HEAR_S = 1.2
 """How long a port is listened to before it counts as silent: one packet a second would come."""
 
 
-@dataclass(frozen=True, slots=True)
-class Sent:
-    """A request that went over the line, and whether it was answered; None where devices do not answer."""
-
-    request: Request
-    answered: bool | None
-
-
 class CommandLink:
     """A device at the end of an open port.
 
@@ -41,7 +32,8 @@ class CommandLink:
     def __init__(self, port: Port, family: Family, streaming: bool) -> None:
         self.port, self.streaming = port, streaming
         self._family = family
-        self.sent: list[Sent] = []
+        self.sent: list[tuple[Request, bool | None]] = []
+        """What went over the line, and whether it was answered; None where devices do not answer."""
 
     def ask(self, request: Request, tries: int = TRIES) -> bytes:
         """Send a request and return its answer; empty for one that devices do not answer.
@@ -52,11 +44,11 @@ class CommandLink:
             self.discard()
             self.port.write(request.frame)
             if request.answer is None:
-                self.sent.append(Sent(request, None))
+                self.sent.append((request, None))
                 self.discard(request.timeout_s)
                 return b""
             answer = self._answer(request)
-            self.sent.append(Sent(request, answer is not None))
+            self.sent.append((request, answer is not None))
             if answer is not None and number:
                 self.discard(LATE_S)
             if isinstance(answer, Refusal):
@@ -121,8 +113,7 @@ def connect(url: str, device: DeviceFile, family: Family, baudrate: int | None) 
     rates = [baudrate] if baudrate is not None else _rates_received(url, device, evidence)
     link = CommandLink(open_port(device.port_settings(url, rates[0])), family, streaming=False)
     try:
-        link.streaming = link.discard(HEAR_S if not any(item.packets for item in evidence) else 0.1) > 0
-        link.streaming |= any(item.packets for item in evidence)
+        link.streaming = any(item.packets for item in evidence) or link.discard(HEAR_S) > 0
         for rate in rates:
             if link.answers_at(rate, 1.0 if len(rates) == 1 else 0.0):
                 return link

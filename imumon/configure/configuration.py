@@ -7,7 +7,7 @@ import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 from imumon.configure.command_link import HEAR_S, CommandLink
 from imumon.configure.core import BAUD, CommandError, Family, Request, Wish
@@ -22,14 +22,6 @@ LISTENINGS = 3
 """How often a stream may be listened to before it is wrong: a host that stalls sees any rate once."""
 NEARLY_FULL = 0.8
 """Share of the line from which packets may have to wait."""
-
-
-class Change(NamedTuple):
-    """A setting that is to change."""
-
-    name: str
-    before: bytes
-    after: bytes
 
 
 @dataclass
@@ -61,7 +53,7 @@ class Report:
         return {
             **vars(self),
             "plan": [_as_dict(request) for request in self.plan],
-            "sent": [{**_as_dict(item.request), "answered": item.answered} for item in sent],
+            "sent": [{**_as_dict(request), "answered": answered} for request, answered in sent],
             "stream": stream and {name: getattr(stream, name) for name in ("seconds", "rate_hz", "columns")},
         }
 
@@ -94,17 +86,17 @@ def _in_order(names: Iterable[str], wish: Wish, now: int) -> list[str]:
     return sorted(names, key=lambda name: name != BAUD) if faster else list(names)
 
 
-def check_load(family: Family, values: Mapping[str, bytes], line: PortSettings) -> str:
-    """Return a warning when the line is nearly full; else nothing.
+def check_load(family: Family, values: Mapping[str, bytes], line: PortSettings) -> list[str]:
+    """Return a warning when the line is nearly full; else none.
 
     Raises BAD_CONFIG when the settings send more than the line carries, with the numbers.
     """
     needed, there = family.bytes_per_s(values), line.capacity_bytes_per_s
     if there is None or needed <= NEARLY_FULL * there:
-        return ""
+        return []
     seen = f"{needed:.0f} bytes/s are {needed / there:.0%} of the {there:.0f} bytes/s of {line.baudrate} baud"
     if needed <= there:
-        return seen
+        return [seen]
     enough = min(
         (r for r in family.baud_codes if r / line.bits_per_byte * NEARLY_FULL >= needed), default=None
     )
@@ -129,7 +121,10 @@ class Configuration:
         self._link, self._family, self._device = link, family, device
         self._report, self._tell = report, tell
         self._present: dict[str, bytes] = {}
-        self._begun: list[Change] = []
+        self._wanted: dict[str, bytes] = {}
+        """Settings of the device before, and those that the wish needs."""
+        self._begun: list[str] = []
+        """Names of those whose change has begun."""
         self._saving: tuple[str, ...] = ()
 
     def run(self, wish: Wish) -> None:
@@ -143,7 +138,7 @@ class Configuration:
             changes = self._prepare(wish)
             self._carry_out(changes, wish)
             if wish.save:
-                self._save(wish)
+                self._save()
         except BaseException as error:
             with _uninterrupted():
                 self._restore()
@@ -151,8 +146,8 @@ class Configuration:
                 raise ImumonError(Reason.REFUSED if error.refused else Reason.SILENT, str(error)) from error
             raise
 
-    def _prepare(self, wish: Wish) -> list[Change]:
-        """Read the device and return what is to change, in order; nothing is written yet."""
+    def _prepare(self, wish: Wish) -> dict[str, bytes]:
+        """Read the device and return which settings are to change, in order; nothing is written yet."""
         if self._link.port.shared_with:
             others = ", ".join(self._link.port.shared_with)
             self._report.warnings.append(f"{others} reads this port, too: answers may go there")
@@ -162,21 +157,20 @@ class Configuration:
         report, family = self._report, self._family
         report.identity = family.identity
         report.before = {name: family.describe(name, value) for name, value in self._present.items()}
-        wanted = family.wanted(self._present, wish)
+        self._wanted = wanted = family.wanted(self._present, wish)
         after = {**self._present, **wanted}
         report.after = {name: family.describe(name, value) for name, value in after.items()}
         line = self._link.port.settings
         if wanted:
             faster = replace(line, baudrate=wish.baudrate or line.baudrate)
-            warning = check_load(family, after, faster)
-            report.warnings += [warning] if warning else []
-        changes = [
-            Change(name, self._present[name], wanted[name])
+            report.warnings += check_load(family, after, faster)
+        changes = {
+            name: wanted[name]
             for name in _in_order(wanted, wish, line.baudrate)
             if not family.settled(name, wanted[name], self._present[name])
-        ]
-        report.plan = [request for change in changes for request in family.write(change.name, change.after)]
-        if any(change.name == BAUD and family.baud_of(change.before) is None for change in changes):
+        }
+        report.plan = [request for change in changes.items() for request in family.write(*change)]
+        if BAUD in changes and family.baud_of(self._present[BAUD]) is None:
             raise bad_data(
                 f"the device reports a baud rate that imumon could not put back: {report.before[BAUD]}",
                 "leave --baud out",
@@ -188,20 +182,19 @@ class Configuration:
             )
         return changes
 
-    def _carry_out(self, changes: Sequence[Change], wish: Wish) -> None:
+    def _carry_out(self, changes: Mapping[str, bytes], wish: Wish) -> None:
         """Write what changes, read it back, and listen to what comes."""
         for request in self._report.plan:
             self._tell(f"  {request.shown}\n      {request.meaning}")
-        for change in changes:
-            self._begun.append(change)
+        for name, value in changes.items():
+            self._begun.append(name)
             self._report.flash_begun |= self._family.stores_at_once
-            self._apply(change.name, change.after)
+            self._apply(name, value)
         self._try_each(self._family.resume)
         self._report.result = "done" if changes else "read" if wish.only_reads else "unchanged"
         if not changes:
             return
-        values = {**self._present, **{change.name: change.after for change in changes}}
-        rate = self._family.rate_hz(values)
+        rate = self._family.rate_hz({**self._present, **changes})
         wanted = [self._family.columns[name] for name in wish.outputs or ()]
         for _ in range(LISTENINGS):
             self._report.stream = stream = measure(self._link, self._device, rate)
@@ -245,16 +238,14 @@ class Configuration:
             raise CommandError(requests[0], f"no answer at {new} baud", refused=False)
         self._try_each(self._family.quiet)
 
-    def _save(self, wish: Wish) -> None:
+    def _save(self) -> None:
         """Write into flash what was asked for, also where it was so already."""
-        wanted = self._family.wanted(self._present, wish)
-        self._saving = tuple(wanted)
-        requests = self._family.save(self._saving) if wanted else ()
-        for request in requests:
+        self._saving = tuple(self._wanted)
+        for request in self._family.save(self._saving) if self._saving else ():
             self._report.flash_begun = True
             self._tell(f"  {request.shown}\n      {request.meaning}")
             self._link.ask(request)
-        self._report.saved = bool(wanted)
+        self._report.saved = bool(self._saving)
 
     def _restore(self) -> None:
         """Put back what was begun, the last first, and let the data come again if they came before."""
@@ -273,7 +264,7 @@ class Configuration:
                 self._try_each(self._family.resume)
                 silent = False
         except (CommandError, ImumonError) as error:
-            self._report.not_restored += [self._shown(change) for change in left]
+            self._report.not_restored += map(self._shown, left)
             self._report.not_restored += ["sending of data: on"] if silent and self._hears_nothing() else []
             self._report.warnings.append(f"putting back stopped: {error}".splitlines()[0])
 
@@ -282,29 +273,27 @@ class Configuration:
             return not self._link.discard(HEAR_S)
         return True
 
-    def _put_back(self, change: Change) -> None:
+    def _put_back(self, name: str) -> None:
         """Put a setting back; one that the device refuses does not keep the others from it."""
         try:
-            self._apply(change.name, change.before)
+            self._apply(name, self._present[name])
         except CommandError as error:
             if not error.refused:
                 raise
-            self._report.not_restored.append(f"{self._shown(change)} ({error.why})")
+            self._report.not_restored.append(f"{self._shown(name)} ({error.why})")
         else:
-            self._report.restored.append(self._shown(change))
+            self._report.restored.append(self._shown(name))
 
-    def _shown(self, change: Change) -> str:
-        return f"{change.name}: {self._family.describe(change.name, change.before)}"
+    def _shown(self, name: str) -> str:
+        return f"{name}: {self._family.describe(name, self._present[name])}"
 
     def _find(self) -> None:
         """Find the rate at which the device answers now, and let it be quiet."""
         rates, patience = [self._link.port.settings.baudrate], WAKE_S
-        for change in self._begun:
-            if change.name == BAUD:
-                patience += self._family.reset_s
-                rates += [
-                    rate for value in (change.before, change.after) if (rate := self._family.baud_of(value))
-                ]
+        if BAUD in self._begun:
+            patience += self._family.reset_s
+            values = (self._present[BAUD], self._wanted[BAUD])
+            rates += [rate for value in values if (rate := self._family.baud_of(value))]
         if not any(self._link.answers_at(rate, patience) for rate in dict.fromkeys(rates)):
             raise ImumonError(Reason.SILENT, "the device does not answer any more")
         self._try_each(self._family.quiet)

@@ -108,8 +108,7 @@ def _plan(family: Family, wish: Wish, now: int, report: Report) -> None:
     report.assumed, report.result = family.assumed, "planned"
     if wish.rate_hz is not None:
         line = PortSettings(report.port, wish.baudrate or now)
-        warning = check_load(family, family.wanted({}, wish), line)
-        report.warnings += [warning] if warning else []
+        report.warnings += check_load(family, family.wanted({}, wish), line)
 
 
 def _show_plan(report: Report) -> None:
@@ -140,7 +139,8 @@ def _show(report: Report, family: Family, line: str) -> None:
     if report.result == "unchanged":
         say("INFO", "the device is set like this already")
     if report.saved:
-        sure = "" if family.save_confirmed else ", if the device did it: its kind does not confirm it"
+        confirms = all(request.answer for request in family.save(()))
+        sure = "" if confirms else ", if the device did it: its kind does not confirm it"
         say("INFO", f"saved: the settings survive power-off{sure}")
     elif report.result == "done":
         say("INFO", "not saved: the settings are lost at power-off (--save writes flash)")

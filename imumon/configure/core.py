@@ -150,8 +150,6 @@ class Family(ABC):
     """Against what the commands were checked."""
     stores_at_once = False
     """Whether the device writes into flash whatever is written."""
-    save_confirmed = True
-    """Whether the device confirms that it has written into flash."""
     hello_quiets = False
     """Whether the first question stops the data."""
     reset_s = 0.0
@@ -171,6 +169,8 @@ class Family(ABC):
     """Changes no setting; every device of the family answers."""
     quiet: tuple[Request, ...] = ()
     """Stops the data while the settings change."""
+    save_all: tuple[Request, ...] = ()
+    """Writes all settings into flash; none where they are there already."""
     resume: tuple[Request, ...] = ()
     """Lets the data come again."""
     questions: tuple[Request, ...] = ()
@@ -200,9 +200,10 @@ class Family(ABC):
     def write(self, name: str, value: bytes) -> tuple[Request, ...]:
         """Return what sets a setting."""
 
-    @abstractmethod
     def save(self, names: Sequence[str]) -> tuple[Request, ...]:
         """Return what writes these settings, or all where a device cannot choose, into flash."""
+        del names
+        return self.save_all
 
     def wanted(self, present: Mapping[str, bytes], wish: Wish) -> dict[str, bytes]:
         """Return the settings that make the wish true.
@@ -236,10 +237,15 @@ class Family(ABC):
     def rate_hz(self, values: Mapping[str, bytes]) -> float | None:
         """Return the rate of the inertial data, or None when none come."""
 
-    @abstractmethod
     def describe(self, name: str, value: bytes) -> str:
         """Return what a value of a setting means, in words."""
-        return str(self.baud_of(value) or f"code {value.hex()}")
+        if name == BAUD:
+            return str(self.baud_of(value) or f"code {value.hex()}")
+        return self.meaning(name, value)
+
+    @abstractmethod
+    def meaning(self, name: str, value: bytes) -> str:
+        """Return what a value of any other setting means, in words."""
 
     def baud_of(self, value: bytes) -> int | None:
         """Return the baud rate of a value of the setting; None when it is not known."""

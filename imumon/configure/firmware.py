@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from math import gcd, lcm
+from functools import cache
+from math import gcd
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,8 +16,7 @@ from imumon.protocols.base import Encoder
 from imumon.protocols.device import DeviceFile
 
 
-@dataclass(frozen=True, slots=True)
-class PacketKind:
+class PacketKind(NamedTuple):
     """Fields that are sent in packets of one kind: each by name, with every how many samples it is sent."""
 
     make: Callable[[list[str]], Encoder]
@@ -36,8 +36,7 @@ class Sending:
         self._outputs = [
             PacketKind(o.make, {name: by // shared for name, by in o.every.items()}) for o in outputs
         ]
-        self._cycle = lcm(*(by for output in self._outputs for by in output.every.values()))
-        self._encoders: dict[tuple[int, tuple[str, ...]], Encoder] = {}
+        self._encoder = cache(lambda number, names: self._outputs[number].make([*names]))
         self._sample = 0
 
     def encode(self, block: SampleBlock) -> bytes:
@@ -49,14 +48,8 @@ class Sending:
                 names = tuple(name for name, by in output.every.items() if self._sample % by == 0)
                 if names:
                     packets += self._encoder(number, names).encode(one)
-            self._sample = (self._sample + 1) % self._cycle
+            self._sample += 1
         return b"".join(packets)
-
-    def _encoder(self, number: int, names: tuple[str, ...]) -> Encoder:
-        key = number, names
-        if key not in self._encoders:
-            self._encoders[key] = self._outputs[number].make(list(names))
-        return self._encoders[key]
 
 
 class Firmware(ABC):

@@ -9,6 +9,7 @@ older ones one for each (0x08, 0x0A): the device is asked which it knows.
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Mapping, Sequence
 from functools import partial
 
@@ -53,6 +54,8 @@ SENSOR_FIELDS: Mapping[str, tuple[int, ...]] = {
     "pressure": (0x17,),
     "status": (0x18,),
 }
+ITEM = ">BH"
+"""Descriptor and decimation of a field."""
 TIME = {"reference": (0xD5, 0xD5), "gps": (0x12, 0x11)}
 """Field that dates a packet of the sensors, and one of the filter."""
 
@@ -78,9 +81,8 @@ def request(
         acks = [ack for code, ack in there if code == ACK and len(ack) == 2 and ack[0] == command]
         if not acks:
             return None
-        if acks[0][1]:
-            code = acks[0][1]
-            return core.Refusal(ERRORS.get(code, f"code {code}"))
+        if refusal := acks[0][1]:
+            return core.Refusal(ERRORS.get(refusal, f"code {refusal}"))
         wanted = ANSWERS.get((command_set, command))
         found = [value for code, value in there if code == wanted]
         if not found:
@@ -92,14 +94,13 @@ def request(
 
 def formatted(value: bytes) -> list[tuple[int, int]]:
     """Return descriptor and decimation of each field in a message format."""
-    count = value[0] if value else 0
-    items = [(value[at], int.from_bytes(value[at + 1 : at + 3], "big")) for at in range(1, len(value) - 2, 3)]
-    return items[:count]
+    count = min(value[0], (len(value) - 1) // 3) if value else 0
+    return list(struct.iter_unpack(ITEM, value[1 : 1 + 3 * count]))
 
 
 def message_format(items: Sequence[tuple[int, int]]) -> bytes:
     """Return a message format: how many fields, and each with its decimation."""
-    return bytes([len(items)]) + b"".join(bytes([code]) + by.to_bytes(2, "big") for code, by in items)
+    return bytes([len(items)]) + b"".join(struct.pack(ITEM, *item) for item in items)
 
 
 def _base_rate(modern: bool, of: int) -> Request:
@@ -245,10 +246,8 @@ class Mip(Family):
                     total += (2 + (max(field.size, 0) if field else 0)) * self.base_hz[of] / by
         return total
 
-    def describe(self, name: str, value: bytes) -> str:
+    def meaning(self, name: str, value: bytes) -> str:
         """Return whether a stream is on, or each field of a format with its rate."""
-        if name == core.BAUD:
-            return super().describe(name, value)
         if name in STREAMS.values():
             return "off" if value == OFF else "on"
         of = OF_SET[name]

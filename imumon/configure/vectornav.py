@@ -142,6 +142,7 @@ class VectorNav(Family):
     hello = request("VNRRG,01", "read the model", "1")
     quiet = (request("VNASY,0", "no data while settings change"),)
     resume = (request("VNASY,1", "data again"),)
+    save_all = (request("VNWNV", "save all registers", timeout_s=core.SAVE_S),)
     questions = (hello, request("VNRRG,04", "read the firmware", "4"))
 
     def message(self, packet: bytes) -> Message:
@@ -179,11 +180,6 @@ class VectorNav(Family):
         command = f"VNWRG,{register:02d},{value.decode('ascii')}"
         return (request(command, f"{name}: {self.describe(name, value)}", str(register)),)
 
-    def save(self, names: Sequence[str]) -> tuple[Request, ...]:
-        """Return $VNWNV, which saves every register."""
-        del names
-        return (request("VNWNV", "save all registers", timeout_s=core.SAVE_S),)
-
     def of_wish(
         self, present: Mapping[str, bytes], rate_hz: float | None, outputs: tuple[str, ...] | None
     ) -> dict[str, bytes]:
@@ -217,10 +213,8 @@ class VectorNav(Family):
         sent = [(output.contents, output.by) for output in outputs if output.on]
         return sum((found.end + 2) * self.base_hz / by for found, by in sent if found is not None)
 
-    def describe(self, name: str, value: bytes) -> str:
+    def meaning(self, name: str, value: bytes) -> str:
         """Return fields, rate and port of a binary output, or the type of the ASCII output."""
-        if name == core.BAUD:
-            return super().describe(name, value)
         if name == ASCII:
             return "off" if value == b"0" else f"type {value.decode('ascii', 'replace')}"
         output = Output.read(value)
@@ -281,14 +275,9 @@ class VectorNavFirmware(Firmware):
 
     def outputs(self) -> tuple[float, list[PacketKind]]:
         """Return the packets of the binary outputs that go to port 1."""
-        found = []
-        for name in NAMES.values():
-            register = Output.read(self.volatile[name]) if "binary" in name else None
-            if register is not None and register.on and register.port & 1:
-                found.append(
-                    PacketKind(vectornav.VectorNavEncoder, dict.fromkeys(_names(register), register.by))
-                )
-        return FAST_HZ, found
+        registers = [Output.read(self.volatile[name]) for name in (OUTPUT, SECOND, THIRD)]
+        every = [dict.fromkeys(_names(one), one.by) for one in registers if one.on and one.port & 1]
+        return FAST_HZ, [PacketKind(vectornav.VectorNavEncoder, one) for one in every]
 
 
 def _names(register: Output) -> list[str]:

@@ -7,7 +7,7 @@ reading back, and one question waits for its answer before the next.  Saving sto
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import partial, reduce
 from operator import or_
 
@@ -63,11 +63,11 @@ class WitMotion(Family):
     answer_frame = Frame("register", b"\x55", fixed_length(SIZE), Checksum("sum8"))
     title = "WitMotion"
     verified = "codes of the vendor's sample code, and the virtual device; never a real unit"
-    save_confirmed = False
     baud_codes: Mapping[int, bytes] = {rate: bytes([code, 0]) for code, rate in enumerate(BAUDRATES, 1)}
     columns = {name: core.USUAL_COLUMNS[name] for name in FRAMES} | {"attitude": ("roll",)}
     settings = tuple(REGISTERS)
     hello = _read(RATE)
+    save_all = (OPENING, Request("save all registers", frame(SAVE, b"\0\0"), None, 0.5))
 
     def message(self, packet: bytes) -> Message:
         """Return type and data."""
@@ -81,11 +81,6 @@ class WitMotion(Family):
         """Return the unlocking and the write, which nothing answers."""
         meaning = f"{name}: {self.describe(name, value)}"
         return OPENING, Request(meaning, frame(REGISTERS[name], value), None, PAUSE_S)
-
-    def save(self, names: Sequence[str]) -> tuple[Request, ...]:
-        """Return the unlocking and the save of all registers."""
-        del names
-        return OPENING, Request("save all registers", frame(SAVE, b"\0\0"), None, 0.5)
 
     def of_wish(
         self, present: Mapping[str, bytes], rate_hz: float | None, outputs: tuple[str, ...] | None
@@ -112,10 +107,8 @@ class WitMotion(Family):
         frames = int.from_bytes(values[CONTENT], "little").bit_count()
         return SIZE * frames * (self.rate_hz(values) or 0.0)
 
-    def describe(self, name: str, value: bytes) -> str:
+    def meaning(self, name: str, value: bytes) -> str:
         """Return the rate, or the frames of a sample."""
-        if name == core.BAUD:
-            return super().describe(name, value)
         code = int.from_bytes(value, "little")
         if name == RATE:
             return f"{RATES[code]:g} Hz" if code in RATES else f"code {code}"

@@ -7,6 +7,7 @@ counts after a reset.
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -23,6 +24,8 @@ GO_TO_MEASUREMENT, SET_BAUDRATE, REQ_PRODUCT_CODE, GO_TO_CONFIG = 0x10, 0x18, 0x
 REQ_FIRMWARE, RESET, SET_OUTPUT_CONFIGURATION = 0x12, 0x40, 0xC0
 OUTPUT = "output configuration"
 KINDS = {OUTPUT: SET_OUTPUT_CONFIGURATION, core.BAUD: SET_BAUDRATE}
+ENTRY = ">HH"
+"""Identifier and rate of an output."""
 WITH_EVERY_PACKET = 0xFFFF
 BAUD_CODES = {0x02: 115_200, 0x0A: 921_600, 0x00: 460_800, 0x01: 230_400, 0x04: 57_600, 0x05: 38_400,
               0x07: 19_200, 0x09: 9600, 0x0C: 2_000_000}  # fmt: skip
@@ -65,15 +68,12 @@ def request(kind: int, payload: bytes = b"", meaning: str = "", timeout_s: float
 
 def entries(value: bytes) -> list[tuple[int, int]]:
     """Return identifier and rate of each output in an output configuration."""
-    return [
-        (int.from_bytes(value[at : at + 2], "big"), int.from_bytes(value[at + 2 : at + 4], "big"))
-        for at in range(0, len(value) - 3, 4)
-    ]
+    return list(struct.iter_unpack(ENTRY, value[: len(value) // 4 * 4]))
 
 
 def packed(outputs: Sequence[tuple[int, int]]) -> bytes:
     """Return the output configuration of identifiers and rates."""
-    return b"".join(code.to_bytes(2, "big") + rate.to_bytes(2, "big") for code, rate in outputs)
+    return b"".join(struct.pack(ENTRY, *output) for output in outputs)
 
 
 class Xsens(Family):
@@ -113,11 +113,6 @@ class Xsens(Family):
         kind = KINDS[name]
         write = request(kind, value, f"{mtdata.NAMES[kind]}: {self.describe(name, value)}")
         return (write,) if name == OUTPUT else (write, request(RESET))
-
-    def save(self, names: Sequence[str]) -> tuple[Request, ...]:
-        """Return nothing: what was written is in flash already."""
-        del names
-        return ()
 
     def of_wish(
         self, present: Mapping[str, bytes], rate_hz: float | None, outputs: tuple[str, ...] | None
@@ -169,10 +164,9 @@ class Xsens(Family):
             total += (3 + (max(field.size, 0) if field else 0)) * min(rate, fastest)
         return total
 
-    def describe(self, name: str, value: bytes) -> str:
+    def meaning(self, name: str, value: bytes) -> str:
         """Return each output with its rate."""
-        if name == core.BAUD:
-            return super().describe(name, value)
+        del name
         outputs = [
             f"{mtdata.identifier_name(code)} {'always' if rate == WITH_EVERY_PACKET else f'{rate} Hz'}"
             for code, rate in entries(value)
@@ -216,14 +210,11 @@ class XsensFirmware(Firmware):
         if kind == RESET:
             self.power_on()
             return frame(kind + 1)
-        if kind not in NAMED:
-            identity = {REQ_PRODUCT_CODE: b"MTi-VIRTUAL", REQ_FIRMWARE: bytes([1, 2, 3])}
-            return (
-                frame(kind + 1, identity[kind])
-                if kind in identity
-                else frame(mtdata.ERROR, bytes([INVALID_MESSAGE]))
-            )
-        name = NAMED[kind]
+        if kind in IDENTITY:
+            return frame(kind + 1, IDENTITY[kind])
+        name = NAMED.get(kind)
+        if name is None:
+            return frame(mtdata.ERROR, bytes([INVALID_MESSAGE]))
         if data:
             if name == core.BAUD and data not in self.family.baud_codes.values():
                 return frame(mtdata.ERROR, bytes([NO_SUCH_BAUDRATE]))

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import os
-import sys
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
@@ -17,20 +16,15 @@ from imumon.cli.common import (
     SECONDS,
     Number,
     Whole,
-    console,
     json_option,
     note,
-    print_json,
-    print_rows,
+    print_result,
     warn,
 )
-from imumon.cli.progress import progress_lines
+from imumon.cli.progress import bar
 from imumon.errors import EXIT_NEGATIVE, EXIT_OK
 from imumon.files import write_text
 from imumon.harmless import for_log
-
-if TYPE_CHECKING:
-    from imumon.fleet.batch.tasks import Job
 
 SHOWN = 20
 """Lines that are shown of what failed, and of what is missing."""
@@ -61,24 +55,17 @@ PLACE = (
         help="Direction of the x axis, degrees clockwise from north."),
 )  # fmt: skip
 DECLARED = click.option("--declared", help="Bias model that is assumed; see imumon diagnose.")
-SUBCOMMANDS: dict[str, tuple[str, str, str, tuple[Any, ...]]] = {
-    "decode": ("Count, mean and scatter of every channel as sent.", "means", "", (TABLES,)),
-    "replay": (
-        "Count, mean and scatter of all channels and estimates.", "estimates", "", (TABLES, PIPELINE)
-    ),
-    "allan": (
-        "Noise of every channel, from its Allan curve.", "noise", "The terms have standard deviations.", ()
-    ),
-    "calibrate": (
-        "Bias over temperature, a model for each session.",
-        "models", "The models are DIR/models/SESSION.yaml.", PLACE,
-    ),
+SUBCOMMANDS: dict[str, tuple[str, tuple[Any, ...]]] = {
+    "decode": ("Count, mean and scatter of every channel as sent.", (TABLES,)),
+    "replay": ("Count, mean and scatter of all channels and estimates.", (TABLES, PIPELINE)),
+    "allan": ("Noise of every channel, from its Allan curve.  The terms have standard deviations.", ()),
+    "calibrate": ("Bias over temperature, a model for each session.  Models: DIR/models/*.yaml.", PLACE),
     "diagnose": (
-        "Effects that a bias model lacks, for each session.",
-        "reports", "The reports are DIR/reports/SESSION.json.", (DECLARED,),
+        "Effects that a bias model lacks, for each session.  Reports: DIR/reports/*.json.",
+        (DECLARED,),
     ),
-}  # fmt: skip
-"""What each does, the folder of the example, what is to be said of the results, and options of its own."""
+}
+"""What each does, and options of its own."""
 SHARED: tuple[Any, ...] = (
     click.argument("sessions", nargs=-1, required=True),
     click.option("--out", required=True, type=PATH, help="Folder of the results."),
@@ -92,9 +79,7 @@ SHARED: tuple[Any, ...] = (
 HELP = """{what}
 
 \b
-imumon batch {name} sessions --out {folder}
-
-{results}
+imumon batch {name} sessions --out results
 
 SESSIONS are session folders, folders with sessions somewhere below, or URLs of either (s3://bucket/folder).
 """
@@ -111,8 +96,10 @@ def _run(
     as_json: bool,
     **given: Any,
 ) -> int:
-    from imumon.fleet.batch.dataset import ROWS, BatchOptions, Dataset, lacking
+    from imumon.fleet.batch.dataset import BatchOptions, Dataset
     from imumon.fleet.batch.places import find
+    from imumon.fleet.batch.running import run_jobs
+    from imumon.fleet.batch.running import workers as workers_of
     from imumon.fleet.batch.tasks import Job
 
     options = BatchOptions.model_validate(_settings(name, **given))
@@ -125,7 +112,14 @@ def _run(
         left = [place for place in every if place not in before]
         if left:
             jobs = (Job(place, options, str(results.folder), limit_s=timeout) for place in left)
-            _work(jobs, len(left), results, scheduler, workers, quiet=as_json)
+            shown = bar("sessions", len(left), quiet=as_json)
+            with workers_of(scheduler, min(workers, len(left))) as client, shown as progress:
+
+                def take(rows: Any) -> None:
+                    results.add(rows)
+                    progress.count(1)
+
+                run_jobs(client, jobs, take)
     except KeyboardInterrupt:
         results.write()
         kept = f"{len(results.done().keys() & every.keys()):,} of {len(every):,} sessions are done"
@@ -133,37 +127,33 @@ def _run(
         raise
     finally:
         results.close()
-    done = {place: row for place, row in results.done().items() if place in every}
-    failures = {place: f"{row['reason']}: {row['error']}" for place, row in done.items() if row["reason"]}
-    lacks = {place: texts for place in every if place in done and (texts := lacking(done[place]))}
-    _show_failures([f"{place}: {why}" for place, why in sorted(failures.items())], out / FAILED_NAME)
-    _warn_first(
-        [f"{place}: {text}" for place, texts in sorted(lacks.items()) for text in texts],
-        "more lines on missing parts, in the column warnings",
-    )
+    done = results.done()
+    return _report(out, {place: done[place] for place in every}, len(every) - len(left), as_json)
+
+
+def _report(out: Path, rows: Mapping[str, Mapping[str, Any]], before: int, as_json: bool) -> int:
+    """Show what became of the sessions, of each of which there is a row; return the exit code."""
+    from imumon.fleet.batch.dataset import ROWS, lacking
+
+    failures = {place: f"{row['reason']}: {row['error']}" for place, row in rows.items() if row.get("reason")}
+    lacks = {place: texts for place, row in rows.items() if (texts := lacking(row))}
+    failed = [f"{place}: {why}" for place, why in sorted(failures.items())]
+    (out / FAILED_NAME).unlink(missing_ok=True)
+    if len(failed) > SHOWN:
+        write_text(out / FAILED_NAME, "".join(f"{for_log(line)}\n" for line in failed))
+    _warn_first(failed, f"more failed; all {len(failed):,} are in {out / FAILED_NAME}")
+    missing = [f"{place}: {text}" for place, texts in sorted(lacks.items()) for text in texts]
+    _warn_first(missing, "more lines on missing parts, in the column warnings")
     reasons = Counter(why.partition(":")[0] for why in failures.values())
-    if as_json:
-        print_json(
-            {"out": out, "sessions": len(every), "done_before": len(every) - len(left), "failed": failures,
-             "lacking": lacks}
-        )  # fmt: skip
-    print_rows(
-        {
-            "sessions": f"{len(every):,}, {len(every) - len(left):,} of them done before",
-            "failed": ", ".join(f"{n:,} {reason}" for reason, n in reasons.most_common()) or "none",
-            "lacking": f"{len(lacks):,} with parts of the recording missing" if lacks else "none",
-            "table": str(out / ROWS / "*.parquet"),
-        }
-    )
-    return EXIT_NEGATIVE if len(failures) == len(every) else EXIT_OK
-
-
-def _show_failures(lines: list[str], path: Path) -> None:
-    """Name what failed; all of it in a file where that is too much for a screen."""
-    path.unlink(missing_ok=True)
-    if len(lines) > SHOWN:
-        write_text(path, "".join(f"{for_log(line)}\n" for line in lines))
-    _warn_first(lines, f"more failed; all {len(lines):,} are in {path}")
+    data = {"out": out, "sessions": len(rows), "done_before": before, "failed": failures, "lacking": lacks}
+    shown = {
+        "sessions": f"{len(rows):,}, {before:,} of them done before",
+        "failed": ", ".join(f"{n:,} {reason}" for reason, n in reasons.most_common()) or "none",
+        "lacking": f"{len(lacks):,} with parts of the recording missing" if lacks else "none",
+        "table": str(out / ROWS / "*.parquet"),
+    }
+    print_result(as_json, data, shown)
+    return EXIT_NEGATIVE if len(failures) == len(rows) else EXIT_OK
 
 
 def _warn_first(lines: list[str], more: str) -> None:
@@ -189,33 +179,8 @@ def _settings(
     return found
 
 
-def _work(
-    jobs: Iterator[Job], count: int, results: Any, scheduler: str | None, number: int, quiet: bool
-) -> None:
-    """Do the sessions that are left; Ctrl-C ends it, and what is done is kept."""
-    from rich.progress import Progress
-
-    from imumon.fleet.batch.running import run_jobs, workers
-
-    with (
-        workers(scheduler, min(number, count)) as client,
-        Progress(
-            console=console(error=True), transient=True, disable=quiet or not sys.stderr.isatty()
-        ) as bar,
-        progress_lines(lambda: f"{bar.tasks[0].completed:,.0f} of {count:,} sessions", quiet=quiet),
-    ):
-        task = bar.add_task("sessions", total=count)
-
-        def take(rows: Any) -> None:
-            results.add(rows)
-            bar.advance(task)
-
-        run_jobs(client, jobs, take)
-
-
-for _name, (_what, _folder, _results, _own) in SUBCOMMANDS.items():
+for _name, (_what, _own) in SUBCOMMANDS.items():
     _function: Any = partial(_run, _name)
     for _option in reversed((*SHARED, *_own, json_option)):
         _function = _option(_function)
-    _text = HELP.format(what=_what, name=_name, folder=_folder, results=_results)
-    command.command(_name, help=_text)(_function)
+    command.command(_name, help=HELP.format(what=_what, name=_name))(_function)

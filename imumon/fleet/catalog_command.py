@@ -18,6 +18,7 @@ from imumon.cli.common import (
     labelled,
     print_json,
     print_rows,
+    print_table,
     results_folder,
     say,
     show,
@@ -30,8 +31,6 @@ if TYPE_CHECKING:
     from imumon.fleet.catalog.units import Unit
 
 RESULTS = "catalog"
-WIDEST = 10_000
-"""Characters in which any table has room."""
 HEADS = (
     "unit", "device", "sessions", "h", "first", "last", "°C", "σ, °/h", "models",
     "drift, °/h/month", "outliers",
@@ -97,15 +96,16 @@ def _row(unit: Unit, unusual: Sequence[Outlier]) -> list[str]:
     from imumon.lab.diagnosis.page import shown
 
     factor, _ = shown("rad/s")
-    row = unit.row
+    row, drift_text = unit.row, "-"
     known = [drift for drift in drifts(unit) if drift.per_month == drift.per_month]
-    drift = max(known, key=lambda one: abs(one.per_month), default=None)
+    if known:
+        worst = max(known, key=lambda one: abs(one.per_month))
+        slope, sd = factor * worst.per_month, factor * worst.per_month_sd
+        drift_text = f"{worst.channel} {slope:+.2g} ± {sd:.1g}"
     return [
         unit.name, unit.device, str(row["sessions"]), f"{row['hours']:.2f}",
         day(row["first"]), day(row["last"]), _from_to(row[COLDEST], row[HOTTEST]),
-        _from_to(factor * row[BEST], factor * row[WORST]), str(row["models"]),
-        "-" if drift is None
-        else f"{drift.channel} {factor * drift.per_month:+.2g} ± {factor * drift.per_month_sd:.1g}",
+        _from_to(factor * row[BEST], factor * row[WORST]), str(row["models"]), drift_text,
         str(sum(outlier.unit == unit.name for outlier in unusual)),
     ]  # fmt: skip
 
@@ -116,16 +116,11 @@ def _from_to(low: float, high: float) -> str:
 
 def _show(rows: Sequence[Sequence[str]]) -> None:
     """Print a table, or where that is wider than the terminal a line for each value."""
-    from rich.box import SIMPLE
-    from rich.measure import Measurement
-    from rich.table import Column, Table
+    from rich.table import Column
 
-    table = Table(*(Column(head, no_wrap=True) for head in HEADS), box=SIMPLE, padding=(0, 1, 0, 0))
-    for row in rows:
-        table.add_row(*row)
-    out = console()
-    if Measurement.get(out, out.options.update(width=WIDEST), table).maximum <= out.width:
-        out.print(table)
+    widths = [2 + max(map(len, cells)) for cells in zip(HEADS, *rows, strict=True)]  # with what is between
+    if 1 + sum(widths) <= console().width:
+        print_table([Column(head, no_wrap=True) for head in HEADS], rows)
         return
     for row in rows:
         lines = labelled(dict(zip(HEADS, row, strict=True)), columns_of(sys.stdout))

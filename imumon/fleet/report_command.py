@@ -38,18 +38,12 @@ def command(what: str, out: Path, sessions: Path) -> None:
     if is_session(Path(what)):
         warn(write_session(open_session(Path(what)), out))
     else:
-        if not sessions.is_dir():
-            raise bad_data(
-                f"{what} is no session, and there is no folder {sessions} with sessions of a unit {what}",
-                "give the folder of a session, or --sessions DIR",
-            )
-        units, unusual, _ = read(sessions)
-        unit = next((unit for unit in units if unit.name == what), None)
-        if unit is None:
-            names = ", ".join(unit.name for unit in units)
+        units, unusual, _ = read(sessions) if sessions.is_dir() else ([], [], {})
+        known = {unit.name: unit for unit in units}
+        if what not in known:
             raise bad_data(
                 f"{what} is neither a session nor a unit of which there are sessions in {sessions}",
-                f"there are: {names}",
+                f"there are: {', '.join(known) or 'none'}; --sessions DIR names another folder",
             )
-        write_unit(unit, unusual, out)
+        write_unit(known[what], unusual, out)
     print_rows({"record": str(out)})

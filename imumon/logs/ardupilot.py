@@ -50,11 +50,6 @@ BESIDE = (
 )
 
 
-def is_one(_: Path, head: bytes) -> bool:
-    """Return whether a file is such a log."""
-    return head.startswith(HEAD)
-
-
 def read(path: Path, sensor: str | None = None) -> Log:
     """Return a sensor of a log, by its number, IMU.0 the first.
 

@@ -56,11 +56,6 @@ class _Column(NamedTuple):
     unit: str
 
 
-def is_one(_: Path, head: bytes) -> bool:
-    """Return whether a file is such a table, or a log that is to be decoded first."""
-    return head.startswith(BEGIN) or TABLE.match(head) is not None
-
-
 def read(path: Path, sensor: str | None = None) -> Log:
     """Return the gyro of a table, gyroADC unless gyroUnfilt is asked for, and accSmooth.
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import NamedTuple
 
 from imumon.errors import bad_config, bad_data
 from imumon.files import readable, write_text
@@ -14,16 +15,9 @@ from imumon.logs.log import Damage, Log
 from imumon.recordings.importing import ImportReport, import_table
 
 Reader = Callable[[Path, str | None], Log]
-FORMATS: tuple[tuple[Callable[[Path, bytes], bool], Reader], ...] = (
-    (ardupilot.is_one, ardupilot.read),
-    (px4.is_one, px4.read),
-    (ros.is_one, ros.read),
-    (betaflight.is_one, betaflight.read),
-)
 
 
-@dataclass(frozen=True, slots=True)
-class LogReport:
+class LogReport(NamedTuple):
     """What became of a log: its rows, the sensor that they are of, those not taken, scaling and damage."""
 
     rows: ImportReport
@@ -66,9 +60,14 @@ def reader_of(path: Path) -> Reader:
             head = file.read(64)
         if not head:
             raise bad_data(f"{path}: is empty")
-    for is_one, read in FORMATS:
-        if is_one(path, head):
-            return read
+    if head.startswith(ardupilot.HEAD):
+        return ardupilot.read
+    if head.startswith(px4.HEAD):
+        return px4.read
+    if head.startswith(ros.HEADS) or (path / "metadata.yaml").is_file():
+        return ros.read
+    if head.startswith(betaflight.BEGIN) or betaflight.TABLE.match(head):
+        return betaflight.read
     raise bad_config(
         f"{path}: is no log of ArduPilot (.BIN), PX4 (.ulg) or Betaflight (blackbox_decode), and no ROS bag",
         "a table needs --map MAP.yaml, which says what is in which column",

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -30,8 +30,7 @@ EXACT_US = 2**53
 """A float64 holds whole numbers up to this, 285 years; a later time is damage."""
 
 
-@dataclass(frozen=True, slots=True)
-class Series:
+class Series(NamedTuple):
     """Samples of one sensor."""
 
     time_ns: IntArray
@@ -40,8 +39,7 @@ class Series:
     """By their names in the table, (n,) each."""
 
 
-@dataclass(frozen=True, slots=True)
-class Wanted:
+class Wanted(NamedTuple):
     """A message of another sensor: its fields, the columns that they become, and what they are times."""
 
     message: str
@@ -86,17 +84,12 @@ class Log:
         """Write the table; return its map, and how many rows have no later time and were left out."""
         time = self.gyro.time_ns
         kept = _increasing(time)
-        columns: dict[str, Any] = {TIME: time[kept]}
-        columns |= {name: values[kept] for name, values in self.gyro.values.items()}
+        columns = {name: values[kept] for name, values in self.gyro.values.items()}
         for series in self.beside:
             columns |= _beside(series, time[kept])
         # An infinite value is damage, and as good as none; the others of its row are none the worse for it.
-        columns |= {
-            name: np.where(np.isfinite(values), values, np.nan)
-            for name, values in columns.items()
-            if name != TIME
-        }
-        pq.write_table(pa.table(columns), path)
+        columns = {name: np.where(np.isfinite(values), values, np.nan) for name, values in columns.items()}
+        pq.write_table(pa.table({TIME: time[kept], **columns}), path)
         groups = {
             name: {"columns": names, "unit": unit}
             for name, (names, unit) in UNITS.items()
@@ -125,12 +118,9 @@ def _beside(series: Series, time_ns: IntArray) -> dict[str, FloatArray]:
     has a wrong time, or the rows have a hole there.
     """
     found = {name: np.full(len(time_ns), np.nan) for name in series.values}
-    if not len(series.time_ns) or not len(time_ns):
+    if not len(time_ns):
         return found
-    after = np.clip(np.searchsorted(time_ns, series.time_ns), 1, max(len(time_ns) - 1, 1))
-    before = after - 1
-    after = np.minimum(after, len(time_ns) - 1)
-    row = np.where(series.time_ns - time_ns[before] <= time_ns[after] - series.time_ns, before, after)
+    row = np.searchsorted(time_ns[:-1] + np.diff(time_ns) // 2, series.time_ns)
     away = np.abs(time_ns[row] - series.time_ns)
     # The nearest comes last, and stays.
     order = np.argsort(-away, kind="stable")

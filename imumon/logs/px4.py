@@ -40,11 +40,6 @@ LEAST_PASCAL = 1200.0
 """Below, a pressure is in millibar: 1200 Pa are 30 km up, and no weather on the ground has 1200 millibar."""
 
 
-def is_one(_: Path, head: bytes) -> bool:
-    """Return whether a file is such a log."""
-    return head.startswith(HEAD)
-
-
 def read(path: Path, sensor: str | None = None) -> Log:
     """Return a gyro of a log and the accelerometer of the same number, sensor_gyro.0 the first.
 

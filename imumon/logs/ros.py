@@ -19,13 +19,9 @@ from imumon.recordings.wire_format import is_own
 
 SECOND_NS = 1_000_000_000
 SCALING = "the units that sensor_msgs/Imu defines; whether the driver keeps to them is not known"
-MCAP, BAG, SQLITE = b"\x89MCAP0\r\n", b"#ROSBAG V", b"SQLite format 3\x00"
+HEADS = (b"\x89MCAP0\r\n", b"#ROSBAG V", b"SQLite format 3\x00")
+"""How an .mcap, a .bag and a .db3 begin."""
 IMU = "sensor_msgs/msg/Imu"
-
-
-def is_one(path: Path, head: bytes) -> bool:
-    """Return whether a file or folder is a bag."""
-    return head.startswith((MCAP, BAG, SQLITE)) or (path / "metadata.yaml").is_file()
 
 
 def read(path: Path, sensor: str | None = None) -> Log:

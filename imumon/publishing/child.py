@@ -10,7 +10,6 @@ import json
 import socket
 import time
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import replace
 from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING
@@ -18,7 +17,7 @@ from typing import TYPE_CHECKING
 from imumon.publishing.messages import Message, Published, Value, messages
 from imumon.publishing.publisher import Delivery
 from imumon.publishing.target import Target
-from imumon.view.fed import serve
+from imumon.view.fed import batches, serve
 from imumon.view.items import Instant, State, ViewSetup
 
 if TYPE_CHECKING:
@@ -100,19 +99,16 @@ def run(stream: Connection, out: Connection) -> None:
     taken = failed = 0
     state: State | None = None
     repeated_s = reported_s = time.monotonic()
-    with suppress(EOFError):
-        while True:
-            if stream.poll(REPORT_S):
-                items = stream.recv()
-                failed += outlet.send(items)
-                taken += sum(item.rows for item in items)
-                state = next((item for item in reversed(items) if isinstance(item, State)), state)
-            if state is not None and time.monotonic() - repeated_s >= REPEAT_S:
-                repeated_s = time.monotonic()
-                outlet.send([replace(state, at=Instant(None, None, time.time_ns()))])
-            if time.monotonic() - reported_s >= REPORT_S:
-                reported_s = time.monotonic()
-                out.send(Delivery(outlet.text, sent=taken - failed, dropped=failed))
+    for items in batches(stream, REPORT_S):
+        failed += outlet.send(items)
+        taken += sum(item.rows for item in items)
+        state = next((item for item in reversed(items) if isinstance(item, State)), state)
+        if state is not None and time.monotonic() - repeated_s >= REPEAT_S:
+            repeated_s = time.monotonic()
+            outlet.send([replace(state, at=Instant(None, None, time.time_ns()))])
+        if time.monotonic() - reported_s >= REPORT_S:
+            reported_s = time.monotonic()
+            out.send(Delivery(outlet.text, sent=taken - failed, dropped=failed))
     outlet.close()
     out.send(Delivery(outlet.text, sent=taken - failed, dropped=failed))
 

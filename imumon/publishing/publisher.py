@@ -13,9 +13,9 @@ from imumon.view.items import ViewItem, ViewSetup
 
 @dataclass(frozen=True, slots=True)
 class Delivery:
-    """How it goes, and how many samples and events left this computer's program, and how many did not.
+    """How it goes, and how many samples and events were sent, and how many were not.
 
-    What the publishing process says has what it took and what the system did not take of it.
+    In reports of the publishing process the latter are those that the system did not take.
     """
 
     text: str
@@ -28,15 +28,7 @@ class Delivery:
 
 
 class Publisher(FedProcess):
-    """Feeds a process that publishes what is measured; nothing that happens there delays the caller.
-
-    Parameters
-    ----------
-    target : Target
-        To whom.
-    setup : ViewSetup
-        Title, units and frame.
-    """
+    """Feeds a process that publishes what is measured; nothing that happens there delays the caller."""
 
     def __init__(self, target: Target, setup: ViewSetup) -> None:
         super().__init__("imumon.publishing.child")
@@ -48,11 +40,6 @@ class Publisher(FedProcess):
         self._closed = False
         self._now = Delivery("begins", ready=False)
         """What the present process reports."""
-
-    def start(self) -> Publisher:
-        """Start the process and return at once."""
-        self._supervisor.start()
-        return self
 
     def publish(self, item: ViewItem) -> None:
         """Queue an item, when it is for other programs; takes microseconds.  Called from one thread."""

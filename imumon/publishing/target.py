@@ -5,8 +5,7 @@ from __future__ import annotations
 import importlib.util
 import ipaddress
 import socket
-from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 from imumon.errors import bad_config, missing_package
 from imumon.view.viewer import LOCALHOST
@@ -19,8 +18,7 @@ NETWORK = "network"
 _HIGHEST_PORT = 65535
 
 
-@dataclass(frozen=True, slots=True)
-class Target:
+class Target(NamedTuple):
     """A kind of receiver, and where: for UDP where datagrams go, for Foxglove where the server listens."""
 
     kind: Kind

@@ -179,10 +179,10 @@ class Session:
         write_text(self.path / METADATA_NAME, dump_yaml(metadata.model_dump()))
 
 
-def default_path(device: str, now_ns: int) -> Path:
-    """Return ./sessions/<UTC stamp>-<device>, with a number added when that is taken."""
+def default_path(name: str, now_ns: int, parent: Path = DEFAULT_PARENT) -> Path:
+    """Return PARENT/<UTC stamp>-<name of device or unit>, with a number added when that is taken."""
     stamp = datetime.fromtimestamp(now_ns // 1_000_000_000, UTC)
-    path = DEFAULT_PARENT / f"{stamp:%Y%m%dT%H%M%SZ}-{device}"
+    path = parent / f"{stamp:%Y%m%dT%H%M%SZ}-{name}"
     numbered = (path.with_name(f"{path.name}-{number}") for number in count(2))
     return next(one for one in chain([path], numbered) if not one.exists())
 

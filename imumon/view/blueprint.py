@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import rerun.blueprint as rrb
 
@@ -33,8 +32,7 @@ CHART_ROW, CHARTS_ROWS = 2.4, 6.4
 """Height of a chart, and of two rows of them, where a card of one row has 1: which needs a hundred points."""
 
 
-@dataclass(frozen=True, slots=True)
-class Contents:
+class Contents(NamedTuple):
     """What there is to see."""
 
     panels: tuple[Panel, ...]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,8 +17,7 @@ AXES = ["x", "y", "z"]
 MOST_DECIMALS = 9
 
 
-@dataclass(frozen=True, slots=True)
-class Reading:
+class Reading(NamedTuple):
     """One number of a card: its row and name, its column and that of its sigma, and how it is shown."""
 
     row: str
@@ -62,20 +61,27 @@ class Cards:
 def card(readings: Sequence[Reading], now: Mapping[str, float]) -> str:
     """Return readings as Markdown, with the present value of each column; a row of axes has a unit once."""
     lines = [f"# {cell(one, now)} {one.unit}".replace(" °", "°") for one in readings if one.headline]
-    rows: dict[tuple[str, str], list[Reading]] = {}
-    for reading in readings:
-        rows.setdefault((reading.row, reading.unit), []).append(reading)
-    axes = any([one.name for one in found] == AXES for found in rows.values())
+    rows = rows_of(readings)
+    axes = any(len(found) > 1 for _, found in rows)
     lines += ["", "| | x | y | z | |" if axes else "| | | | | |", "|:--|--:|--:|--:|:--|"]
-    for (label, unit), found in rows.items():
-        if [one.name for one in found] == AXES:
-            cells = " | ".join(cell(one, now) for one in found)
-            lines.append(f"| **{label}** | {cells} | {unit} |")
-            continue
-        for one in found:
-            name = label if len(found) == 1 else f"{label} {one.name}"
-            lines.append(f"| **{name}** | {cell(one, now)} | | | {unit} |")
+    for label, found in rows:
+        cells = " | ".join(cell(one, now) for one in found) + (" | |" if len(found) == 1 else "")
+        lines.append(f"| **{label}** | {cells} | {found[0].unit} |")
     return "\n".join(lines)
+
+
+def rows_of(readings: Sequence[Reading], *, beside: bool = True) -> list[tuple[str, list[Reading]]]:
+    """Return label and readings of each row: the three axes beside each other, any others alone."""
+    groups: dict[tuple[str, str], list[Reading]] = {}
+    for reading in readings:
+        groups.setdefault((reading.row, reading.unit), []).append(reading)
+    rows = []
+    for (label, _), found in groups.items():
+        if beside and [one.name for one in found] == AXES:
+            rows.append((label, found))
+        else:
+            rows += [(label if len(found) == 1 else f"{label} {one.name}", [one]) for one in found]
+    return rows
 
 
 def cell(reading: Reading, now: Mapping[str, float]) -> str:

@@ -15,10 +15,10 @@ from dataclasses import replace
 from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING, Any
 
-from imumon.view.fed import serve
+from imumon.view.fed import batches, serve
 from imumon.view.items import ViewSetup
 from imumon.view.publisher import Report, Start
-from imumon.view.viewer import LIVE_APPLICATION, Answer, probe, proxy_url, start_viewer, viewer_port
+from imumon.view.viewer import LIVE_APPLICATION, probe, proxy_url, start_viewer, viewer_port
 from imumon.view.web import serve_page, serve_stream
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ class Viewers:
         self._port = viewer_port(start.port)
         text = f"`rerun {url}` opens a viewer"
         # One that is open goes on with this stream, as after a restart; one that was closed stays closed.
-        if start.open_viewer or probe(self._port) is Answer.RERUN:
+        if start.open_viewer or probe(self._port):
             self._viewer, text = start_viewer(self._port, url), "viewer open"
         self._serving = Report(text, url, self._port)
 
@@ -58,7 +58,7 @@ class Viewers:
         if code:
             text = f"the viewer could not start or go on (exit code {code}); try --view web"
             return replace(serving, text=text)
-        if code == 0 and probe(self._port) is not Answer.RERUN:  # nor did it pass the stream on
+        if code == 0 and not probe(self._port):  # nor did it pass the stream on
             return replace(serving, text=f"viewer closed; `rerun {serving.url}` brings it back")
         return serving
 
@@ -78,21 +78,17 @@ def run(
     gc.freeze()  # or the circles of pictures wait until they are a quarter of all that was loaded
     repeated_s = time.monotonic()
     out.send(viewers.poll())
-    while True:
+    for items in batches(stream, POLL_S):
         if time.monotonic() - repeated_s > REPEAT_S:
             repeated_s = time.monotonic()
             out.send(viewers.poll())
             logger.repeat()
-        if stream.poll(POLL_S):
-            try:
-                items = stream.recv()
-            except EOFError:
-                logger.finish()
-                rec.flush()
-                if start.mode == "native":
-                    time.sleep(LINGER_S)
-                return
+        if items:
             logger.log(items)
+    logger.finish()
+    rec.flush()
+    if start.mode == "native":
+        time.sleep(LINGER_S)
 
 
 def _live_logger(rec: rr.RecordingStream, setup: ViewSetup) -> StreamLogger:

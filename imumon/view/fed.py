@@ -16,10 +16,10 @@ import sys
 import threading
 import time
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
-from typing import Any
+from typing import Any, Self
 
 import psutil
 
@@ -34,8 +34,7 @@ PROTOCOL = 5
 """Of pickle, which writes arrays as they are from here on."""
 QUEUE_BYTES = 32 << 20
 BACKOFF_S = (0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
-STEADY_S = 30.0
-"""A process that lived this long is started again without delay."""
+"""A process that ended is started again after the first, the next time after the second, and so on."""
 STUCK_S = 30.0
 """A process that does not take a frame in this time is killed and started again.  (A server whose browser
 hangs stalls for 16 s and then goes on.)"""
@@ -74,6 +73,11 @@ class FedProcess:
     def _gone(self) -> None:
         """Note that the process has ended, and was heard to its end."""
 
+    def start(self) -> Self:
+        """Start the process and return at once."""
+        self._supervisor.start()
+        return self
+
     def publish(self, item: ViewItem) -> None:
         """Queue an item; takes microseconds, whatever state the process is in."""
         self._queue.put(item)
@@ -92,16 +96,11 @@ class FedProcess:
 
     def _supervise(self) -> None:
         """Keep a process alive and supplied until closed."""
-        failures = 0
         while True:
-            started = time.monotonic()
             self._run_process()
-            if self._queue.closed.is_set():
+            if self._queue.closed.wait(BACKOFF_S[min(self._restarts, len(BACKOFF_S) - 1)]):
                 return
-            failures = 0 if time.monotonic() - started > STEADY_S else failures + 1
             self._restarts += 1
-            if self._queue.closed.wait(BACKOFF_S[min(failures, len(BACKOFF_S) - 1)]):
-                return
 
     def _run_process(self) -> None:
         """Run one process from its start to its end."""
@@ -192,6 +191,13 @@ def serve(run: Callable[[Connection, Connection], None], problem: Callable[[Imum
     finally:
         sys.stderr.flush()
         os._exit(code)
+
+
+def batches(stream: Connection, wait_s: float) -> Iterator[list[Any]]:
+    """Yield items as they come, and none after `wait_s` without any, until the stream ends."""
+    with contextlib.suppress(EOFError):
+        while True:
+            yield stream.recv() if stream.poll(wait_s) else []
 
 
 def watch(parent: int) -> None:

@@ -57,25 +57,17 @@ class ViewItem:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Samples(ViewItem):
-    """Consecutive samples on the three timelines.
-
-    Parameters
-    ----------
-    first : int or None
-        Running index of the first sample; None in a side stream.
-    device_ns, host_ns : array of int64, shape (n,), or None
-        Device time continued across segments, and Unix time, ns; None when a row has none.
-    block : SampleBlock
-        The samples as decoded, and what the estimators added.
-    stream : str
-        Name of the side stream; empty for the main one.
-    """
+    """Consecutive samples on the three timelines."""
 
     first: int | None
+    """Running index of the first sample; None in a side stream."""
     device_ns: IntArray | None
     host_ns: IntArray | None
+    """Device time continued across segments, and Unix time, ns, (n,); None when a row has none."""
     block: SampleBlock
+    """The samples as decoded, and what the estimators added."""
     stream: str = ""
+    """Name of the side stream; empty for the main one."""
 
     @property
     def nbytes(self) -> int:
@@ -281,14 +273,10 @@ def merge(items: Iterable[ViewItem]) -> list[ViewItem]:
 def _joined(run: list[Samples]) -> Samples:
     if len(run) == 1:
         return run[0]
-    device = _joined_times([item.device_ns for item in run])
-    host = _joined_times([item.host_ns for item in run])
+    times = ([item.device_ns for item in run], [item.host_ns for item in run])
+    known = ([part for part in parts if part is not None] for parts in times)
+    device, host = (np.concatenate(parts) if parts else None for parts in known)
     return Samples(run[0].first, device, host, join([item.block for item in run]), run[0].stream)
-
-
-def _joined_times(times: list[IntArray | None]) -> IntArray | None:
-    present = [part for part in times if part is not None]
-    return np.concatenate(present) if present else None
 
 
 class DropOldestQueue:

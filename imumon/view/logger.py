@@ -13,7 +13,6 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from imumon.blocks import IntArray
 from imumon.harmless import for_markdown
 from imumon.lane import Level
 from imumon.view.blueprint import Contents, blueprint
@@ -36,9 +35,8 @@ from imumon.view.pictures import Painter
 from imumon.view.rows import Rows, at_instants, log_markdown
 from imumon.view.window import slow_window
 
-RECORDED_STEP_NS, STEP_ROWS, LONGEST_STEP_NS = 500_000_000, 50, 2_500_000_000
-"""Of so much time a recording of the view keeps the extremes; where fewer samples came in it, of so many, and
-never of more time than the last."""
+RECORDED_STEP_NS = 500_000_000
+"""Of so much time a recording of the view keeps the extremes."""
 ARRANGE_S = 5.0
 """Live, the arrangement is sent so often at the most: it leads whoever looks on back to the first tab."""
 EARLY_EVENTS = 1000
@@ -77,16 +75,18 @@ class StreamLogger:
 
     def begin(self) -> None:
         """Log what does not change (name, properties, styles), and the latest states."""
-        rec, setup = self._rec, self._setup
-        rec.send_recording_name(setup.title)
-        if setup.properties:
-            rec.send_property("session", rr.AnyValues(True, **setup.properties))
-        down = rr.ViewCoordinates.RIGHT_HAND_Z_DOWN
-        rec.log(DEVICE, down if setup.z_down else rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        name_recording(self._rec, self._setup, "session")
+        self.declare()
+
+    def declare(self) -> None:
+        """Log the styles, and the latest states."""
+        axes = rr.ViewCoordinates
+        up = axes.RIGHT_HAND_Z_DOWN if self._setup.z_down else axes.RIGHT_HAND_Z_UP
+        self._rec.log(DEVICE, up, static=True)
         self._panels.declare()
         self._others.declare()
         for lane, states in self._lanes.items():
-            declare_lane(rec, lane, states)
+            declare_lane(self._rec, lane, states)
         self._log_events(list(self._lasting.values()), again=True)
 
     def log(self, items: Iterable[ViewItem]) -> None:
@@ -109,10 +109,7 @@ class StreamLogger:
     def _log_samples(self, item: Samples) -> None:
         count = None if item.first is None else np.arange(item.first, item.first + item.rows, dtype=np.int64)
         before_ns = self._last_ns.get(item.stream)
-        rows = Rows(item.block.columns, count, item.device_ns, item.host_ns, before_ns=before_ns)
-        if not self._live:
-            rows = replace(rows, step_ns=recorded_step(rows.clock))
-            self._step_ns = self._step_ns if item.stream else rows.step_ns
+        rows = Rows(item.block.columns, count, item.device_ns, item.host_ns, self._step_ns, before_ns)
         if rows.clock is not None and len(rows.clock):
             self._last_ns[item.stream] = int(rows.clock[-1])
         if item.device_ns is not None:
@@ -238,12 +235,11 @@ class StreamLogger:
             self._rec.send_blueprint(self.arrangement)
 
 
-def recorded_step(clock: IntArray | None) -> int:
-    """Return of how much time a recording keeps the extremes, ns, by the times of some samples."""
-    if clock is None or len(clock) < 2:
-        return RECORDED_STEP_NS
-    rows_ns = STEP_ROWS * int(np.median(np.diff(clock)))
-    return min(max(RECORDED_STEP_NS, rows_ns), LONGEST_STEP_NS)
+def name_recording(rec: rr.RecordingStream, setup: ViewSetup, what: str) -> None:
+    """Log the name of a recording, and what describes the session, or whatever it is of."""
+    rec.send_recording_name(setup.title)
+    if setup.properties:
+        rec.send_property(what, rr.AnyValues(True, **setup.properties))
 
 
 def status_card(event: Status) -> str:

@@ -34,11 +34,10 @@ class ShownPanels:
         self.begun: dict[str, Panel] = {}
         """Those that have had data, in the order in which they began."""
         self.cards = Cards()
-        self._drawing: dict[tuple[str, ...], list[Panel]] = {}
 
     def take(self, rows: Rows) -> Iterator[tuple[Panel, bool]]:
         """Yield the panels that draw these rows, and whether they begin; only one body can turn."""
-        for panel in self.drawing(rows):
+        for panel in drawing(rows):
             turns = panel.place == SCENE and any(other.place == SCENE for other in self.begun.values())
             begins = panel.key not in self.begun and not turns and panel.has_values(rows)
             if begins:
@@ -47,12 +46,10 @@ class ShownPanels:
                 self.cards.add(self.readings[panel.key], rows.columns)
                 yield panel, begins
 
-    def drawing(self, rows: Rows) -> list[Panel]:
-        """Return the panels of which all columns are there, whether they have a value or not."""
-        names = tuple(rows.columns)
-        if names not in self._drawing:  # the columns of a stream hardly ever change
-            self._drawing[names] = [panel for panel in PANELS if rows.columns.keys() >= set(panel.columns)]
-        return self._drawing[names]
+
+def drawing(rows: Rows) -> list[Panel]:
+    """Return the panels of which all columns are there, whether they have a value or not."""
+    return [panel for panel in PANELS if rows.columns.keys() >= set(panel.columns)]
 
 
 class PanelLog:
@@ -85,7 +82,7 @@ class PanelLog:
             if ends is not None:
                 last = np.array([len(rows.columns[panel.columns[0]]) - 1])
                 self._extents.set(panel.drawn, ends, rows.kept(last))
-        return {name for panel in self._panels.drawing(rows) for name in panel.columns}
+        return {name for panel in drawing(rows) for name in panel.columns}
 
     def log_cards(self, newest: Rows) -> None:
         """Write the present values of every tab at the time of the newest row, when it is time."""

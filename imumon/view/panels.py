@@ -19,11 +19,15 @@ METHODS = "Published"
 LEAST_DEGC = 0.04
 """The axis of a reading spans so much at least: four steps of the last digit of the card."""
 TILT = {"roll": RED, "pitch": GREEN}
+CORRECTED = dict(zip("xyz", (ORANGE, VIOLET, GREY), strict=True))
+"""Colours of roll and pitch, and of axes that stand beside others."""
 
 
-def _lines(quantity: str, parts: Mapping[str, Color] = AXIS_COLORS) -> tuple[Line, ...]:
-    """Return a line for each part of a quantity, whose column ends in its name."""
-    return tuple(Line(f"{quantity}_{part}", part, color) for part, color in parts.items())
+def _lines(
+    column: str, parts: Mapping[str, Color] = AXIS_COLORS, name: str = "{}", sd: str | None = None
+) -> tuple[Line, ...]:
+    """Return a line for each part of a quantity, whose name stands for ``{}`` in those of column and line."""
+    return tuple(Line(column.format(part), name.format(part), color, sd) for part, color in parts.items())
 
 
 def _estimate(column: str, name: str, color: Color) -> Line:
@@ -81,7 +85,7 @@ def _methods() -> Iterator[Panel]:
     yield _published("total_average", "heading", "Heading", "°", "heading", RED, "average")
     yield _published("curve_fit", "heading", "Heading", "°", "heading", ORANGE, "curve-fit")
     rate, title = "fixed_gain_loop_control_rate", "Horizontal control rates (fixed_gain_loop)"
-    yield Bands(rate, title, _lines(rate, {"east": RED, "north": BLUE}), "°/h", METHODS)
+    yield Bands(rate, title, _lines(f"{rate}_{{}}", {"east": RED, "north": BLUE}), "°/h", METHODS)
     for axis in "xyz":
         mean = Line(f"gyro_rest_mean_{axis}", "mean", VIOLET)
         hold = Line(f"gyro_rest_hold_{axis}", "hold", GREY)
@@ -100,22 +104,17 @@ PANELS: tuple[Panel, ...] = (
         ("east", "north", "up"),
         up=1.0,
     ),
-    Strip("gyro", "Angular rate", _lines("gyro"), "°/s", card="angular rate"),
-    Strip("accel", "Specific force", _lines("accel"), card="specific force"),
-    Strip("mag", "Magnetic field", _lines("mag"), card="magnetic field"),
+    Strip("gyro", "Angular rate", _lines("gyro_{}"), "°/s", card="angular rate"),
+    Strip("accel", "Specific force", _lines("accel_{}"), card="specific force"),
+    Strip("mag", "Magnetic field", _lines("mag_{}"), card="magnetic field"),
     Strip(
-        "angles",
-        "Attitude as reported",
-        (Line("roll", "roll", RED), Line("pitch", "pitch", GREEN), Line("yaw", "yaw", BLUE)),
-        "°",
-        ATTITUDE,
-        card="reported",
+        "angles", "Attitude as reported", _lines("{}", TILT | {"yaw": BLUE}), "°", ATTITUDE, card="reported"
     ),
     *(
         Strip(key, "Temperature", lines, look="steps", least=LEAST_DEGC, card="temperature read")
         for key, lines in (
-            ("temperature", (Line("temperature", "sensor", ORANGE),)),
-            ("temperature_axes", _lines("temperature")),
+            ("temperature", _lines("temperature", {"sensor": ORANGE})),
+            ("temperature_axes", _lines("temperature_{}")),
         )
     ),
     *_thermal({"": ORANGE}, "/samples/temperature"),
@@ -132,10 +131,7 @@ PANELS: tuple[Panel, ...] = (
     Strip(
         "gyro_corrected",
         "Angular rate, raw and corrected",
-        tuple(
-            Line(f"gyro_corrected_{axis}", f"{axis} corrected", color)
-            for axis, color in zip("xyz", (ORANGE, VIOLET, GREY), strict=True)
-        ),
+        _lines("gyro_corrected_{}", CORRECTED, "{} corrected"),
         "°/s",
         BIAS,
         beside="/view/gyro",
@@ -143,7 +139,7 @@ PANELS: tuple[Panel, ...] = (
     Strip(
         "zupt_innovation",
         "Zero-velocity innovations over their σ, limits 3σ",
-        _lines("zupt_innovation"),
+        _lines("zupt_innovation_{}"),
         place=BIAS,
         look="points",
         limits=(-3.0, 3.0),
@@ -151,7 +147,7 @@ PANELS: tuple[Panel, ...] = (
     Strip(
         "turn_hypothesis",
         "Not decided, turn or change of the bias",
-        _lines("turn_hypothesis"),
+        _lines("turn_hypothesis_{}"),
         "°/h",
         BIAS,
         look="steps",
@@ -160,10 +156,7 @@ PANELS: tuple[Panel, ...] = (
     Bands(
         "attitude_estimate_level",
         "Roll and pitch by the estimator, 2σ",
-        tuple(
-            Line(f"attitude_estimate_{name}", name, color, "attitude_estimate_tilt_sd")
-            for name, color in TILT.items()
-        ),
+        _lines("attitude_estimate_{}", TILT, sd="attitude_estimate_tilt_sd"),
         "°",
         ATTITUDE,
         card="estimated",
@@ -213,16 +206,16 @@ PANELS: tuple[Panel, ...] = (
             (
                 "heading_magnetic",
                 "Heading from magnetic north",
-                (Line("heading_magnetic", "magnetic", VIOLET),),
+                _lines("heading_magnetic", {"magnetic": VIOLET}),
                 "magnetic heading",
             ),
-            ("level", "Roll and pitch by the alignment", _lines("aligned", TILT), "level"),
+            ("level", "Roll and pitch by the alignment", _lines("aligned_{}", TILT), "level"),
         )
     ),
     Bands(
         "level_drift",
         "Drift of roll and pitch since the first rest",
-        tuple(Line(f"{name}_drift", name, color) for name, color in TILT.items()),
+        _lines("{}_drift", TILT),
         "µg",
         ALIGNMENT,
     ),
@@ -245,7 +238,7 @@ PANELS: tuple[Panel, ...] = (
     Strip(
         "losses",
         "Packets so far",
-        _lines("packets", {"lost": RED, "damaged": VIOLET}),
+        _lines("packets_{}", {"lost": RED, "damaged": VIOLET}),
         place=LINK,
         look="steps",
         least=4.0,  # whole packets

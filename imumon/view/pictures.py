@@ -30,20 +30,11 @@ LETTERS = 40
 """So many of a headline fit at full size."""
 TOP, NOTE, HEADLINE = 0.98, 0.032, 0.073
 """Where the axes end, and what a line of notes and a headline take of it."""
-PAPER, INK, FAINT = "#0d0d0d", "#d8d8d8", "#3a3a3a"
-"""Those of the viewer's dark theme; on the light one it stands as a dark picture."""
-STYLE: Any = {
-    "axes.edgecolor": "#808080",
-    "axes.facecolor": PAPER,
-    "axes.labelcolor": INK,
-    "figure.facecolor": PAPER,
-    "font.size": 10.0,
-    "legend.facecolor": PAPER,
-    "legend.edgecolor": FAINT,
-    "text.color": INK,
-    "xtick.color": INK,
-    "ytick.color": INK,
-}
+PAPER, FAINT = "#0d0d0d", "#3a3a3a"
+FRAME = {"font.size": 10.0, "axes.edgecolor": "#808080", "legend.edgecolor": FAINT}
+FRAME |= dict.fromkeys(("figure.facecolor", "axes.facecolor", "savefig.facecolor"), PAPER)
+STYLE: Any = ["dark_background", FRAME]
+"""As the viewer's dark theme; on the light one it stands as a dark picture."""
 
 
 def chart_view(key: str, title: str) -> Any:
@@ -96,9 +87,9 @@ class Painter:
 
 def picture(chart: Chart) -> bytes:
     """Return the chart as a PNG; only its texts while it has no point to draw."""
-    import matplotlib as mpl  # takes 0.3 s, and only a run with charts needs it
+    from matplotlib import style  # takes 0.3 s, and only a run with charts needs it
 
-    with mpl.rc_context(STYLE):
+    with style.context(STYLE):
         figure = _figure()
         figure.clear()
         axes = figure.add_subplot()

@@ -38,11 +38,6 @@ class Report:
     dropped: int = 0
     restarts: int = 0
 
-    @property
-    def connected(self) -> bool:
-        """Whether viewers can come to it."""
-        return bool(self.url)
-
     def __str__(self) -> str:
         """Return one phrase, for the status line."""
         return f"{self.text}, {self.dropped} dropped" if self.dropped else self.text
@@ -69,11 +64,6 @@ class ViewPublisher(FedProcess):
         self._start = Start(setup, mode, web_port if mode == "web" else port, bind)
         self._lasting: dict[str, ViewItem] = {}
         self._report = Report("view starts")
-
-    def start(self) -> ViewPublisher:
-        """Start the view process and return at once."""
-        self._supervisor.start()
-        return self
 
     @property
     def state(self) -> Report:

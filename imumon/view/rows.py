@@ -8,13 +8,10 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
-import pyarrow as pa
 import rerun as rr
 
 from imumon.blocks import BoolArray, ColumnArray, FloatArray, IntArray
 from imumon.view.items import Instant, first_of_steps
-
-SCALARS = rr.Scalars.descriptor_scalars()
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,28 +48,14 @@ class Rows:
         return self.host_ns if self.device_ns is None else self.device_ns
 
     def kept(self, keep: BoolArray | IntArray) -> Rows:
-        """Return the times of the rows to keep, without their columns; the same for the same rows."""
-        key = keep.dtype.char, keep.tobytes()
-        if key not in self._kept:
-            times = (self.sample, self.device_ns, self.host_ns)
-            sample, device_ns, host_ns = (None if values is None else values[keep] for values in times)
-            self._kept[key] = Rows({}, sample, device_ns, host_ns)
-        return self._kept[key]
-
-    @cached_property
-    def _kept(self) -> dict[tuple[str, bytes], Rows]:
-        """What was kept so far: most panels keep the same rows, and times cost as much as values."""
-        return {}
+        """Return the times of the rows to keep, without their columns."""
+        times = (self.sample, self.device_ns, self.host_ns)
+        sample, device_ns, host_ns = (None if values is None else values[keep] for values in times)
+        return Rows({}, sample, device_ns, host_ns)
 
     def send(self, rec: rr.RecordingStream, entity: str, values: FloatArray) -> None:
-        """Log values at the times of these rows, (n,) or (n, lines).
-
-        The column is that of ``rr.Scalars.columns``, which takes seven times as long to find out its shape.
-        """
-        flat = np.ascontiguousarray(values, np.float64).ravel()
-        offsets = np.arange(len(values) + 1, dtype=np.int32) * np.int32(flat.size // max(len(values), 1))
-        column = rr.ComponentColumn(SCALARS, rr.components.ScalarBatch(pa.array(flat)), offsets=offsets)
-        rec.send_columns(entity, indexes=self.indexes, columns=[column])
+        """Log values at the times of these rows, (n,) or (n, lines)."""
+        rec.send_columns(entity, indexes=self.indexes, columns=rr.Scalars.columns(scalars=values))
 
     def extremes(self, values: FloatArray) -> BoolArray:
         """Return which rows have the least or greatest value of a line in its step, or begin one, (n,)."""

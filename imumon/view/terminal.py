@@ -11,7 +11,7 @@ import numpy as np
 
 from imumon.blocks import ColumnArray
 from imumon.harmless import for_log
-from imumon.view.cards import AXES, Reading, cell
+from imumon.view.cards import AXES, cell, rows_of
 from imumon.view.items import DropOldestQueue, Log, Numbers, Samples, State, ViewItem, ViewSetup, merge
 from imumon.view.lanes import dated, states_text
 from imumon.view.panel_log import ShownPanels
@@ -45,8 +45,11 @@ class TerminalView:
         """Return the text of a screen, at most so many rows, each at most so many columns wide."""
         self._take()
         now = self._panels.cards.take()
-        shown = (self._panels.readings[key] for key in self._panels.begun)
-        numbers = [row for readings in shown if readings for row in self._rows(readings, now, columns)]
+        readings = [one for key in self._panels.begun for one in self._panels.readings[key]]
+        numbers = [
+            f"{label:{NAME}}{''.join(f'{cell(one, now):>{CELL}}' for one in found)} {found[0].unit}"
+            for label, found in rows_of(readings, beside=columns >= NAME + len(AXES) * CELL)
+        ]
         head = f"{self._setup.title}  {status}"
         states = [*wrap(states_text(self._lanes), columns), ""]
         spare = rows - 1 - len(numbers)  # in a small window numbers come before all else
@@ -71,17 +74,6 @@ class TerminalView:
     def _gather(self, columns: Mapping[str, ColumnArray]) -> None:
         for _ in self._panels.take(Rows(columns, None, None, None)):
             pass
-
-    def _rows(self, readings: Sequence[Reading], now: Mapping[str, float], columns: int) -> list[str]:
-        """Return the rows of one panel: three axes beside each other, other values below each other."""
-        if [one.name for one in readings] == AXES and columns >= NAME + len(AXES) * CELL:
-            cells = "".join(f"{cell(one, now):>{CELL}}" for one in readings)
-            return [f"{readings[0].row:{NAME}}{cells} {readings[0].unit}"]
-        rows = []
-        for one in readings:
-            label = one.row if len(readings) == 1 else f"{one.row} {one.name}"
-            rows.append(f"{label:{NAME}}{cell(one, now):>{CELL}} {one.unit}")
-        return rows
 
 
 class Screen:

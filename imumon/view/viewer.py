@@ -10,7 +10,6 @@ import socket
 import subprocess
 import sys
 from collections.abc import Sequence
-from enum import Enum
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Literal
@@ -31,15 +30,6 @@ SERVER_MEMORY = "256MB"
 
 LIVE_APPLICATION, APPLICATION = "imumon-live", "imumon"
 """Of live views and of recordings: a viewer keeps an arrangement for each."""
-
-
-class Answer(Enum):
-    """How a port answers the question whether a Rerun viewer or server is behind it."""
-
-    RERUN = "answers"
-    CLOSED = "nothing listens"
-    SILENT = "listens, but does not answer"
-    OTHER = "belongs to another program"
 
 
 def default_mode() -> Mode:
@@ -77,8 +67,8 @@ def quiet_environment() -> dict[str, str]:
     return {**environment, "CI": "1", "RUST_LOG": os.environ.get("RUST_LOG", "warn")}
 
 
-def probe(port: int, timeout_s: float = 0.5) -> Answer:
-    """Ask a port of this machine whether a Rerun viewer or server is behind it.
+def probe(port: int, timeout_s: float = 0.5) -> bool | None:
+    """Return whether a Rerun viewer or server is behind a port of this machine; None when nothing listens.
 
     An unknown method of a gRPC service is refused with ``grpc-status``; a stopped process accepts the
     connection (the kernel does) and says nothing.
@@ -86,14 +76,11 @@ def probe(port: int, timeout_s: float = 0.5) -> Answer:
     connection = http.client.HTTPConnection(LOCALHOST, port, timeout=timeout_s)
     try:
         connection.request("POST", "/imumon/probe", headers={"Content-Type": "application/grpc-web+proto"})
-        response = connection.getresponse()
-        return Answer.RERUN if response.getheader("grpc-status") is not None else Answer.OTHER
-    except TimeoutError:
-        return Answer.SILENT
-    except http.client.HTTPException:
-        return Answer.OTHER
+        return connection.getresponse().getheader("grpc-status") is not None
+    except (TimeoutError, http.client.HTTPException):
+        return False
     except OSError:
-        return Answer.CLOSED
+        return None
     finally:
         connection.close()
 
@@ -145,8 +132,7 @@ def start_viewer(port: int, *arguments: str) -> subprocess.Popen[bytes]:
 
 def viewer_port(preferred: int = VIEWER_PORT) -> int:
     """Return the port of the viewer that is open, or one on which a new one can listen."""
-    free = probe(preferred) in (Answer.RERUN, Answer.CLOSED)
-    return preferred if free else free_port(preferred + 1)
+    return free_port(preferred + 1) if probe(preferred) is False else preferred
 
 
 def hidden_address() -> tuple[str, int]:

@@ -9,7 +9,7 @@ import socket
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import closing
 from functools import partial
 from html import escape
@@ -148,7 +148,9 @@ class WebServer:
         self.url = f"http://{self.host}:{self.port}/"
         self.files = bundled_assets()
         self.files["/"] = page(self.files["/"].decode(), title).encode()
-        self._server = _Server(door, partial(_Handler, self))
+        self._server = _Server((bind, self.port), partial(_Handler, self), bind_and_activate=False)
+        self._server.socket.close()
+        self._server.socket = door
         threading.Thread(target=self._server.serve_forever, name="web viewer", daemon=True).start()
 
     def close(self) -> None:
@@ -158,13 +160,6 @@ class WebServer:
 
 
 class _Server(ThreadingHTTPServer):
-    daemon_threads = True
-
-    def __init__(self, door: socket.socket, handler: Callable[..., BaseHTTPRequestHandler]) -> None:
-        super().__init__(door.getsockname(), handler, bind_and_activate=False)
-        self.socket.close()
-        self.socket = door
-
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Pass over a browser that went away in the middle of an answer."""
         if not isinstance(sys.exception(), ConnectionError):
@@ -186,20 +181,18 @@ class _Handler(BaseHTTPRequestHandler):
         path, _, query = self.path.partition("?")
         if path == "/" and not query:
             stream = quote(f"rerun+http://{self.headers['Host']}/proxy", safe="")
-            self.send_response(HTTPStatus.FOUND)
-            self.send_header("Location", f"/?url={stream}&hide_welcome_screen=1")
-            self.send_header("Content-Length", "0")
-            self.end_headers()
-            return
-        body = self._site.files.get(path)
-        if body is None:
+            self._answer(HTTPStatus.FOUND, b"", {"Location": f"/?url={stream}&hide_welcome_screen=1"})
+        elif (body := self._site.files.get(path)) is None:
             self.send_error(HTTPStatus.NOT_FOUND)
-            return
-        self.send_response(HTTPStatus.OK)
-        self.send_header("Content-Type", ASSETS.get(path, ASSETS["/"]))
-        self.send_header("Content-Length", str(len(body)))
-        self.send_header("Content-Security-Policy", POLICY)
-        self.send_header("rerun-final-length", str(len(body)))  # the page's progress bar asks for it
+        else:
+            headers = {"Content-Type": ASSETS[path], "Content-Security-Policy": POLICY}
+            # the page's progress bar asks for it
+            self._answer(HTTPStatus.OK, body, headers | {"rerun-final-length": str(len(body))})
+
+    def _answer(self, status: HTTPStatus, body: bytes, headers: dict[str, str]) -> None:
+        self.send_response(status)
+        for name, value in {**headers, "Content-Length": str(len(body))}.items():
+            self.send_header(name, value)
         self.end_headers()
         self.wfile.write(body)
 

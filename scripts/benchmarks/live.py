@@ -22,7 +22,7 @@ from support.screenshots import studio
 from benchmarks.measure import Bar, Result
 from imumon.protocols.device import load_device
 from imumon.simulation.virtual_device import VirtualDevice
-from imumon.view.viewer import VIEWER_PORT, Answer, probe
+from imumon.view.viewer import VIEWER_PORT, probe
 
 DEVICE, BAUDRATE = "ax1", 921_600
 RATES_HZ = (100.0, 1000.0)
@@ -32,7 +32,7 @@ MOST_OF_A_CORE, OLDEST_S = 0.25, 0.150
 
 def live() -> Result:
     """Record a virtual AHRS with the native view, on a viewer without a screen."""
-    if probe(VIEWER_PORT) is not Answer.CLOSED:
+    if probe(VIEWER_PORT) is not None:
         sys.exit(f"port {VIEWER_PORT} is in use: close the viewer that is open")
     rows: list[Cells] = []
     bars: list[Bar] = []

@@ -50,7 +50,8 @@ def axis_faults(recording: Path, panels: Iterable[Panel], window_s: float) -> li
     shown = [panel for panel, found in ends.items() if len(found)]
     faults = []
     for panel in shown:
-        low, high = ends[panel][-1, 1:]
+        known = ends[panel][ends[panel][:, 0] > ends[panel][-1, 0] - RECENT_S]
+        low, high = known[:, 1].min(), known[:, 2].max()
         bands = measured(logged, f"{panel.drawn}/**")
         if len(bands):
             seen = bands[bands[:, 0] > bands[-1, 0] - window_s]

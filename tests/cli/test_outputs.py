@@ -145,4 +145,4 @@ def test_a_full_disk_is_said_of_the_file_that_was_given(
 def test_a_report_of_what_is_not_there_says_so(tmp_path: Path) -> None:
     done = imumon("report", "NOPE", "--out", "r.html", cwd=tmp_path)
     assert done.returncode == 4
-    assert "NOPE is no session, and there is no folder sessions" in done.stderr
+    assert "NOPE is neither a session nor a unit of which there are sessions in sessions" in done.stderr

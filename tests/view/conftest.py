@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from imumon.view.viewer import Answer, probe, start_viewer
+from imumon.view.viewer import probe, start_viewer
 from tests.needs import need_vulkan
 from tests.waiting import wait_until
 
@@ -50,7 +50,7 @@ def headless() -> Iterator[StartViewer]:
     def start(port: int) -> subprocess.Popen[bytes]:
         viewer = start_viewer(port, "--headless")
         started.append(viewer)
-        assert wait_until(lambda: viewer.poll() is not None or probe(port) is Answer.RERUN)
+        assert wait_until(lambda: viewer.poll() is not None or probe(port) is True)
         assert viewer.poll() is None, f"the viewer ended with exit code {viewer.returncode}"
         return viewer
 

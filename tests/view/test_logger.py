@@ -58,20 +58,6 @@ def test_samples_read_back_bit_for_bit_in_si(write: Callable[[Write], Path]) -> 
     np.testing.assert_allclose(scalars([path], "/view/gyro")[3], np.rad2deg(sent[0].column(GYRO)))
 
 
-@pytest.mark.parametrize("shape", [(4,), (2, 3), (3, 1), (1, 2)])
-def test_values_are_sent_as_rerun_itself_makes_them(shape: tuple[int, ...]) -> None:
-    values, sent = np.arange(float(np.prod(shape))).reshape(shape), list[rr.ComponentColumn]()
-
-    class Stream(rr.RecordingStream):
-        def send_columns(self, *_: object, columns: list[rr.ComponentColumn], **__: object) -> None:  # type: ignore[override]
-            sent.extend(columns)
-
-    Rows({}, np.arange(shape[0]), None, None).send(Stream("imumon"), "/samples/x", values)
-    (mine,), (theirs,) = sent, rr.Scalars.columns(scalars=values)
-    assert mine.component_descriptor() == theirs.component_descriptor()
-    assert mine.as_arrow_array().equals(theirs.as_arrow_array())
-
-
 @pytest.mark.parametrize("rows", [3, 8, 50])
 def test_estimates_come_five_times_a_second_however_the_samples_come(
     write: Callable[[Write], Path], rows: int

@@ -29,27 +29,19 @@ Row = Mapping[str, Any]
 
 
 class BatchOptions(StrictModel):
-    """A command and its options, the same for all sessions; kept in the folder of the results.
-
-    Parameters
-    ----------
-    tables : bool
-        Whether decode and replay write the samples of every session as well.
-    pipeline_yaml : str or None
-        For replay, instead of what a session was recorded with.
-    latitude_deg, heading_deg : float or None
-        For calibrate: with which the earth rate is removed.
-    declared : str
-        For diagnose: the bias model that is assumed.
-    """
+    """A command and its options, the same for all sessions; kept in the folder of the results."""
 
     format: Literal["imumon-batch/1"] = "imumon-batch/1"
     command: Literal["decode", "replay", "calibrate", "allan", "diagnose"]
     tables: bool = False
+    """Whether decode and replay write the samples of every session as well."""
     pipeline_yaml: str | None = None
+    """For replay, instead of what a session was recorded with."""
     latitude_deg: float | None = Field(default=None, ge=-90, le=90)
     heading_deg: float | None = Field(default=None, ge=-360, le=360)
+    """For calibrate: with which the earth rate is removed."""
     declared: str = CUBIC
+    """For diagnose: the bias model that is assumed."""
 
 
 _SAMPLES = ("samples", "mean", "sd", "least", "greatest", "duration_s", "lost", "file")
@@ -100,15 +92,8 @@ class Dataset:
     A file appears under its name when it is complete and on the medium, and never changes; it has all rows
     of its sessions.
 
-    Raises EXISTS when it was begun with others; BUSY when another program adds to it; BAD_CONFIG when it
-    cannot be made.
-
-    Parameters
-    ----------
-    folder : Path
-        Made where there is none.
-    options : BatchOptions
-        Must be those with which the folder was begun.
+    Raises EXISTS when the folder was begun with other options; BUSY when another program adds to it;
+    BAD_CONFIG when it cannot be made.
     """
 
     def __init__(self, folder: Path, options: BatchOptions) -> None:

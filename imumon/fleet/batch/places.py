@@ -18,15 +18,10 @@ def find(place: str) -> list[str]:
 
     Raises BAD_DATA when there is none, or the place cannot be read; BAD_CONFIG when a package is missing.
     """
-    found = _elsewhere(place) if is_url(place) else _here(Path(place))
+    found = _elsewhere(place) if "://" in place else _here(Path(place))
     if not found:
         raise bad_data(f"{place}: there is no session", "give sessions, or their folder")
     return found
-
-
-def is_url(place: str) -> bool:
-    """Tell a URL from a path."""
-    return "://" in place
 
 
 @contextmanager
@@ -37,7 +32,7 @@ def fetched(place: str, folder: Path | None = None) -> Iterator[Path]:
 
     Raises BAD_DATA when it cannot be read.
     """
-    if not is_url(place):
+    if "://" not in place:
         yield Path(place)
         return
     files, path = _opened(place)

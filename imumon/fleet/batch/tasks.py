@@ -15,7 +15,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -76,22 +76,23 @@ def work(job: Job) -> list[Row]:
         if job.limit_s is not None and folder is not None:  # only a worker may end
             limit = limited(job.file("late", ".txt"), job.limit_s)
         with limit, fetched(job.place, folder) as path:
-            what |= _described(path)
+            if is_session(path):
+                metadata = open_session(path).metadata
+                what |= {"device": metadata.device, "serial": metadata.serial, "begun": metadata.created_ns}
             rows: list[Row] = [{**what, **row} for row in _COMMANDS[job.options.command](path, job)]
         if not rows:
             raise bad_data(f"{job.place}: has no channel that {job.options.command} knows")
     except ImumonError as error:
-        return [failure(job.place, error.reason.value, error.line, what)]
+        return [what | failure(job.place, error.reason.value, error.line)]
     except OSError as error:
-        return [
-            failure(job.place, "system", f"{error.filename or job.place}: {error.strerror or error}", what)
-        ]
+        text = f"{error.filename or job.place}: {error.strerror or error}"
+        return [what | failure(job.place, "system", text)]
     return rows
 
 
-def failure(place: str, reason: str, error: str, what: Row | None = None) -> Row:
+def failure(place: str, reason: str, error: str) -> dict[str, Any]:
     """Return the row of a session that failed."""
-    return {"session": place, **(what or {}), "reason": reason, "error": error}
+    return {"session": place, "reason": reason, "error": error}
 
 
 def _folder() -> Path | None:
@@ -130,13 +131,6 @@ def limited(note: Path, limit_s: float) -> Iterator[None]:
             note.unlink(missing_ok=True)
 
 
-def _described(path: Path) -> dict[str, Any]:
-    if not is_session(path):
-        return {}
-    metadata = open_session(path).metadata
-    return {"device": metadata.device, "serial": metadata.serial, "begun": metadata.created_ns}
-
-
 @dataclass(slots=True)
 class Moments:
     """Number, mean and scatter of values that come in parts, by Chan, Golub and LeVeque (1983), eq. 1.5."""
@@ -144,8 +138,8 @@ class Moments:
     count: int = 0
     mean: float = 0.0
     squares: float = 0.0
-    least: float = field(default=np.inf)
-    greatest: float = field(default=-np.inf)
+    least: float = np.inf
+    greatest: float = -np.inf
 
     def add(self, values: ColumnArray) -> None:
         """Add values; those that are not finite are none."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,8 +22,7 @@ TO_SIGMA = 0.6745
 """Median absolute deviation of a normal distribution, in sigmas."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Drift:
+class Drift(NamedTuple):
     """The bias of a channel at one temperature, by each of the unit's models."""
 
     channel: str
@@ -84,19 +83,16 @@ def line(x: FloatArray, y: FloatArray, sd: FloatArray) -> tuple[float, float]:
     Where the points scatter by more than they should, the sigma is as much larger (Birge, Phys. Rev. 40,
     207, 1932, eq. 5).
     """
-    weight = 1.0 / np.maximum(sd, np.finfo(float).tiny ** 0.25) ** 2
-    away = x - np.average(x, weights=weight)
-    spread = float((weight * away**2).sum())
-    if len(x) < 2 or spread <= 0.0:
+    if len(x) < 2 or np.ptp(x) == 0.0:
         return float("nan"), float("nan")
-    slope = float((weight * away * y).sum()) / spread
-    left = y - np.average(y, weights=weight) - slope * away
-    excess = float((weight * left**2).sum()) / (len(x) - 2) if len(x) > 2 else 1.0
-    return slope, float(np.sqrt(max(excess, 1.0) / spread))
+    weight = 1.0 / np.maximum(sd, np.finfo(float).tiny ** 0.25)
+    coefficients, covariance = np.polyfit(x, y, 1, w=weight, cov="unscaled")
+    left = weight * (y - np.polyval(coefficients, x))
+    excess = float((left**2).sum()) / (len(x) - 2) if len(x) > 2 else 1.0
+    return float(coefficients[0]), float(np.sqrt(max(excess, 1.0) * covariance[0, 0]))
 
 
-@dataclass(frozen=True, slots=True)
-class Outlier:
+class Outlier(NamedTuple):
     """A value of a unit, in rad/s, far from those of the others of its device.
 
     `score` is the modified z-score: about its distance from the median in sigmas of the others.

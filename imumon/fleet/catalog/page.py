@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -34,15 +33,14 @@ BIASES = tuple((f"gyro_bias_{axis}", f"gyro_bias_sd_{axis}") for axis in "xyz")
 PER_HOUR, HOURLY = shown("rad/s")
 
 
-@dataclass(frozen=True, slots=True)
-class Section:
+class Section(NamedTuple):
     """A part of the page: a table, and figures by their captions."""
 
     title: str
     words: str = ""
     heads: Sequence[str] = ()
     rows: Sequence[Sequence[str | float]] = ()
-    figures: Mapping[str, str] = field(default_factory=dict)
+    figures: Mapping[str, str] = {}
 
 
 def write_unit(unit: Unit, unusual: Sequence[Outlier], path: Path) -> None:
@@ -158,33 +156,22 @@ def _model(model: BiasModel) -> Section:
     data = "; ".join(f"{run.session} (SHA-256 {run.sha256[:16]}…)" for run in model.trained_on)
     made = f"Made {model.created} by {model.made_by}; earth rate {model.earth_rate}."
     heads = [
-        "channel",
-        "from °C",
-        "to °C",
-        "bias in the middle",
-        "slope per °C",
-        "residual σ",
-        "unit",
-        "effects",
-    ]
+        "channel", "from °C", "to °C", "bias in the middle", "slope per °C", "residual σ", "unit", "effects",
+    ]  # fmt: skip
     kinds = {"gyro": "Bias of the gyros", "accel": "Change of the accelerometers' bias"}
-    figures = {
-        f"{caption} over temperature": svg(_over_temperature(model, kind))
-        for kind, caption in kinds.items()
-        if any(name.startswith(kind) for name in model.channels)
-    }
+    figures = {}
+    for kind, caption in kinds.items():
+        curves = dict[str, Curve]()
+        for name, channel in model.channels.items():
+            if name.startswith(kind):
+                factor, unit = shown(channel.unit)
+                low, high = channel.temperature_range_degc
+                t = np.linspace(low, high, 200)
+                curves[name] = Curve(t, factor * channel.value(t), np.asarray(factor * channel.residual_sd))
+        if curves:
+            labels = {"xlabel": "temperature, °C", "ylabel": f"bias ± 2σ, {unit}"}
+            figures[f"{caption} over temperature"] = svg(_lines(curves, **labels))
     return Section("Bias model", f"{made} Of: {data or 'unknown'}.", heads, rows, figures)
-
-
-def _over_temperature(model: BiasModel, kind: str) -> Callable[[Axes], None]:
-    curves, unit = dict[str, Curve](), ""
-    for name, channel in model.channels.items():
-        if name.startswith(kind):
-            factor, unit = shown(channel.unit)
-            low, high = channel.temperature_range_degc
-            t = np.linspace(low, high, 200)
-            curves[name] = Curve(t, factor * channel.value(t), np.asarray(factor * channel.residual_sd))
-    return _lines(curves, xlabel="temperature, °C", ylabel=f"bias ± 2σ, {unit}")
 
 
 def _course(means: Reduced) -> Section:

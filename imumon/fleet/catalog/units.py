@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import closing, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -27,8 +28,7 @@ LARGEST_MODEL = 1 << 20
 """Bytes: a larger YAML file is no model."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Entry:
+class Entry(NamedTuple):
     """A session of the catalog."""
 
     session: Session
@@ -40,8 +40,7 @@ class Entry:
     """What the recording lacks, one sentence each."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Dated:
+class Dated(NamedTuple):
     """A bias model, and when its latest data is from (Unix time, ns)."""
 
     model: BiasModel
@@ -86,33 +85,24 @@ def read_sessions(
 ) -> tuple[list[Entry], dict[str, str]]:
     """Return the sessions below a folder, the oldest first, and why what is none by its metadata is left out.
 
-    What `results` does not have of them is replayed.
+    What the folder `results` of ``imumon batch replay`` does not have of them is replayed and added to it.
 
     Raises BAD_DATA when there is no session; as `Dataset` for the results.
-
-    Parameters
-    ----------
-    results : Path
-        Folder of ``imumon batch replay``, to which the new ones are added.
     """
-    options = BatchOptions(command="replay")
     sessions, left_out = dict[str, Session](), dict[str, str]()
     for place in find(str(folder)):
         try:
             sessions[place] = open_session(Path(place))
         except ImumonError as error:
             left_out[place] = error.line
-    known = Dataset(results.absolute(), options)
-    try:
+    options = BatchOptions(command="replay")
+    with closing(Dataset(results.absolute(), options)) as known:
         done = known.done()
-        for place in sessions:
-            if place not in done:
-                tell(f"replaying {Path(place).name}")
-                known.add(work(Job(place, options, str(known.folder))))
+        for place in (one for one in sessions if one not in done):
+            tell(f"replaying {Path(place).name}")
+            known.add(work(Job(place, options, str(known.folder))))
         known.write()
         rows = known.rows([*sessions])
-    finally:
-        known.close()
     entries = [_entry(session, rows.get(place, [])) for place, session in sessions.items()]
     return sorted(entries, key=lambda entry: entry.session.metadata.created_ns), left_out
 
@@ -154,11 +144,9 @@ def read_models(folder: Path) -> list[BiasModel]:
     for path in sorted(folder.rglob("*.yaml")):
         if path.name == METADATA_NAME or path.stat().st_size > LARGEST_MODEL:
             continue
-        if "imumon-bias-model/" in path.read_text(encoding="utf-8", errors="replace"):
-            try:
+        if b"imumon-bias-model/" in path.read_bytes():
+            with suppress(ImumonError):  # another file that speaks of the format
                 found.append(load_model(path))
-            except ImumonError:
-                continue  # another file that speaks of the format
     return found
 
 
@@ -170,25 +158,25 @@ def units_of(entries: Sequence[Entry], models: Sequence[BiasModel]) -> list[Unit
             trained |= {run.session: model.serial for run in model.trained_on}
     units: dict[tuple[str, str], Unit] = {}
     begun: dict[str, int] = {}
+
+    def unit_of(serial: str | None, device: str) -> Unit:
+        name = serial or f"({device})"
+        return units.setdefault((name, device), Unit(name, device))
+
     for entry in entries:
         metadata, name = entry.session.metadata, entry.session.path.name
         of_model = None if entry.model is None else entry.model.serial
         serial = metadata.serial or trained.get(name) or of_model
-        unit = _unit(units, serial, metadata.device)
+        unit = unit_of(serial, metadata.device)
         unit.entries.append(entry)
         begun[name] = metadata.created_ns
         if entry.model is not None and entry.model.serial in (None, serial):
             _add(unit, entry.model, begun)
     for model in models:
-        _add(_unit(units, model.serial, model.device or "unknown"), model, begun)
+        _add(unit_of(model.serial, model.device or "unknown"), model, begun)
     for unit in units.values():
         unit.models.sort(key=lambda dated: dated.time_ns)
     return sorted(units.values(), key=lambda unit: unit.name)
-
-
-def _unit(units: dict[tuple[str, str], Unit], serial: str | None, device: str) -> Unit:
-    name = serial or f"({device})"
-    return units.setdefault((name, device), Unit(name, device))
 
 
 def _add(unit: Unit, model: BiasModel, begun: Mapping[str, int]) -> None:

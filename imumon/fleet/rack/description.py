@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Final, Literal
+from typing import Annotated, Final, Literal, NamedTuple
 
 from pydantic import Field, StringConstraints
 
@@ -55,8 +54,7 @@ class RackFile(StrictModel):
     units: dict[Name, Place] = Field(min_length=1, max_length=MOST_UNITS)
 
 
-@dataclass(frozen=True, slots=True)
-class Plan:
+class Plan(NamedTuple):
     """One unit as its process is told: nothing in it refers to a file."""
 
     name: str
@@ -85,26 +83,21 @@ def load_rack(path: Path) -> dict[str, Plan]:
 
 
 def _plan(name: str, place: Place, default: Shared, path: Path) -> Plan:
-    if place.device is None and default.device is None:
+    own_keys = set(place.model_dump(exclude_none=True))
+    unit = place.model_copy(update=default.model_dump(exclude=own_keys))
+    if unit.device is None:
         text = "neither the unit nor the default says which device it is"
         raise bad_config(f"{path}: units.{name}.device: {text}")
-    settings_of = {**default.model_dump(exclude_none=True), **place.model_dump(exclude_none=True)}
     try:
-        device = _beside(path, settings_of["device"])
-        device_yaml, source = device_text(device)
-        settings = parse_device(device_yaml, source).port_settings(place.port, settings_of.get("baud"))
-        setup = load_setup(path.parent / settings_of["pipeline"]) if "pipeline" in settings_of else Setup()
-        if "model" in settings_of:
-            setup = setup.with_options(model=load_model(path.parent / settings_of["model"]))
+        own = path.parent / unit.device  # a device file beside the rack's, else a name that imumon knows
+        device_yaml, source = device_text(str(own) if own.is_file() else unit.device)
+        settings = parse_device(device_yaml, source).port_settings(unit.port, unit.baud)
+        setup = Setup() if unit.pipeline is None else load_setup(path.parent / unit.pipeline)
+        if unit.model is not None:
+            setup = setup.with_options(model=load_model(path.parent / unit.model))
     except ImumonError as error:
         raise ImumonError(error.reason, f"{path}: {name}: {error.seen}", error.hint) from error
-    return Plan(name, device_yaml, settings, place.serial, setup.text())
-
-
-def _beside(path: Path, device: str) -> str:
-    """Return the path of a device file that stands beside the rack's, or what was said."""
-    own = path.parent / device
-    return str(own) if own.is_file() else device
+    return Plan(name, device_yaml, settings, unit.serial, setup.text())
 
 
 class Watched:

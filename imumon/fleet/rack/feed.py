@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
 
 import numpy as np
 import psutil
@@ -32,16 +30,15 @@ PICTURE_STEP_NS = 20_000_000
 """The shared view gets a sample every 20 ms: what a screen can show of half a minute; the session has all."""
 MEMORY_S = 10.0
 """How often the memory is looked up, which takes some milliseconds."""
-MEGABYTE = 1e6
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Vitals:
     """How a unit is, once a second."""
 
     session: str = ""
     """Folder of its recording; empty while its port cannot be opened."""
-    lanes: Mapping[str, str] = field(default_factory=dict)
+    lanes: dict[str, str] = field(default_factory=dict)
     """Present state of each lane: port, data, motion, model."""
     temperature_deg: float = math.nan
     """°C, mean over its sensors; NaN until there is one."""
@@ -59,49 +56,28 @@ class Vitals:
     """MB: pages of its own, and its share of those that it has in common with other processes."""
 
 
-class Clocks(NamedTuple):
-    """Time that has elapsed, and that this process has used of a core, s."""
-
-    elapsed_s: float
-    cpu_s: float
-
-    def share_since(self, before: Clocks) -> float:
-        """Return the share of a core since an earlier time."""
-        return (self.cpu_s - before.cpu_s) / (self.elapsed_s - before.elapsed_s)
-
-
 class Feed:
     """Gathers the view items of a unit; `publish` may be called from any thread, `take` from one.
 
-    Parameters
-    ----------
-    session : str
-        Folder of the recording.
-    pictures : bool
-        Whether anybody looks at more than the numbers.
+    `session` is the folder of the recording; `pictures`: whether anybody looks at more than the numbers.
     """
 
     def __init__(self, session: str, *, pictures: bool) -> None:
         self._queue = DropOldestQueue(QUEUE_BYTES)
+        self.publish = self._queue.put
         self._pictures = pictures
         self._vitals = Vitals(session)
-        self._lanes: dict[str, str] = {}
         self._process = psutil.Process()
+        self._process.cpu_percent()  # from now on it returns the share since the last call
         self._memory_s = -math.inf
-        self._opened = self._before = Clocks(time.monotonic(), time.process_time())
-        """At the beginning, and at the last time."""
-
-    @property
-    def publish(self) -> Callable[[ViewItem], None]:
-        """Where view items go."""
-        return self._queue.put
+        self._opened_s, self._cpu_s = time.monotonic(), time.process_time()
 
     def take(self, progress: Progress) -> tuple[Vitals, list[ViewItem]]:
         """Return how the unit is, and what has come for the view since the last time."""
         items = merge(self._queue.take(0.0, 0.0))
         for item in items:
             if isinstance(item, State):
-                self._lanes[item.lane] = item.state
+                self._vitals.lanes[item.lane] = item.state
             elif isinstance(item, Samples) and not item.stream:
                 self._measure(item.block)
         self._measure_cost(progress)
@@ -112,29 +88,22 @@ class Feed:
         """Note temperature and bias of the newest samples that have them."""
         temperature, bias, sd = block.temperature, block.vector("gyro_bias"), block.vector("gyro_bias_sd")
         if temperature is not None and np.isfinite(temperature).any():
-            self._vitals = replace(self._vitals, temperature_deg=float(np.nanmean(temperature)))
+            self._vitals.temperature_deg = float(np.nanmean(temperature))
         if bias is not None and sd is not None:
             known = np.flatnonzero(np.isfinite(bias).all(axis=1) & np.isfinite(sd).all(axis=1))
             if len(known):
-                row = known[-1]
-                self._vitals = replace(self._vitals, bias=tuple(bias[row]), bias_sd=tuple(sd[row]))
+                self._vitals.bias, self._vitals.bias_sd = tuple(bias[known[-1]]), tuple(sd[known[-1]])
 
     def _measure_cost(self, progress: Progress) -> None:
-        memory_mb, now = self._vitals.memory_mb, Clocks(time.monotonic(), time.process_time())
-        if now.elapsed_s - self._memory_s > MEMORY_S:
-            self._memory_s = now.elapsed_s
-            memory_mb = self._process.memory_full_info().pss / MEGABYTE
-        self._vitals = replace(
-            self._vitals,
-            memory_mb=memory_mb,
-            lanes=dict(self._lanes),
-            packets_per_s=progress.packets_per_s,
-            packets_lost=progress.counters.lost,
-            bytes_received=progress.counters.bytes_received,
-            cpu=now.share_since(self._before),
-            mean_cpu=now.share_since(self._opened),
-        )
-        self._before = now
+        vitals, now_s = self._vitals, time.monotonic()
+        if now_s - self._memory_s > MEMORY_S:
+            self._memory_s = now_s
+            vitals.memory_mb = self._process.memory_full_info().pss / 1e6
+        vitals.packets_per_s = progress.packets_per_s
+        vitals.packets_lost = progress.counters.lost
+        vitals.bytes_received = progress.counters.bytes_received
+        vitals.cpu = self._process.cpu_percent() / 100.0
+        vitals.mean_cpu = (time.process_time() - self._cpu_s) / (now_s - self._opened_s)
 
 
 @dataclass(frozen=True, slots=True)

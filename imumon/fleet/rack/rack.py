@@ -16,7 +16,7 @@ from typing import Any
 from imumon.fleet.rack.description import Plan
 from imumon.fleet.rack.feed import OfUnit, Overview, Vitals
 from imumon.fleet.rack.table import Row, markdown, row_of
-from imumon.fleet.rack.unit import Ended, Task, Update, run_unit
+from imumon.fleet.rack.unit import Ended, Update, run_unit
 from imumon.lane import Level
 from imumon.recordings.lines import SessionLog
 from imumon.view.items import Instant, Log, State, ViewItem, ViewSetup
@@ -24,8 +24,6 @@ from imumon.view.items import Instant, Log, State, ViewItem, ViewSetup
 LOG_NAME = "rack.jsonl"
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 10.0
 """A unit that dies is begun anew after the first, one that dies again after twice as long, up to the last."""
-STEADY_S = 30.0
-"""One that lived this long is begun anew after the first."""
 OVERVIEW_S = 1.0
 FIRST_WORD_S, HANGS_S, KILLED_S = 120.0, 5.0, 35.0
 """A process that says nothing for so long hangs, and is killed.  Its first word may come later: after an
@@ -33,35 +31,31 @@ installation it compiles what its device needs, as all others do."""
 END_S = 30.0
 """A unit that is asked to end has written everything after this time, or its disk does not answer."""
 STOPPING_S = 0.05
-"""How often it is looked whether it has."""
-
-Say = Callable[[str, str], None]
-Message = Update | Ended
+"""How often it is checked whether it has."""
 
 
 class Process:
-    """One life of a unit: its process, and what it has said.
+    """One life of a unit: its process, and what that has reported.
 
-    A thread takes what it says, as a process that stops in the middle of a word would stop who listens.
+    A thread receives it, as a process that stops in the middle of a message would stop who listens.
     """
 
-    def __init__(self, task: Task) -> None:
+    def __init__(self, plan: Plan, *others: Any) -> None:
         context = get_context("forkserver")
         context.set_forkserver_preload(["imumon.fleet.rack.preload"])
         self._ours, theirs = context.Pipe()
-        self.began_s = time.monotonic()
-        self.received_s = self.began_s + FIRST_WORD_S
-        """When it said something last; before its first word when that is due."""
-        self._messages: SimpleQueue[Message] = SimpleQueue()
-        self._process = context.Process(target=run_unit, args=(task, theirs), name=task.plan.name)
+        self.received_s = time.monotonic() + FIRST_WORD_S
+        """When its last message came; before the first one when that is due."""
+        self._messages: SimpleQueue[Update | Ended] = SimpleQueue()
+        self._process = context.Process(target=run_unit, args=(plan, *others, theirs), name=plan.name)
         self._process.start()
         self.pid, self.kill = self._process.pid or 0, self._process.kill
         theirs.close()
         self._listener = threading.Thread(target=self._listen, daemon=True)
         self._listener.start()
 
-    def hear(self) -> list[Message]:
-        """Return what it has said since the last time."""
+    def messages(self) -> list[Update | Ended]:
+        """Return what it has reported since the last time."""
         messages = [self._messages.get_nowait() for _ in range(self._messages.qsize())]
         if messages:
             self.received_s = time.monotonic()
@@ -78,7 +72,7 @@ class Process:
         return None if self._process.is_alive() else self._process.exitcode
 
     def close(self) -> None:
-        """Give back what a process that has ended holds; what it said last can be heard after it."""
+        """Give back what a process that has ended holds; its last messages can be taken after it."""
         self._process.join()
         self._listener.join()
         self._ours.close()
@@ -98,15 +92,13 @@ class Unit:
     vitals: Vitals = field(default_factory=Vitals)
     setup: ViewSetup | None = None
     silent: bool = False
-    """Whether its process does not say how it is."""
+    """Whether its process does not report how it is."""
     end_by_s: float | None = None
     """When it is killed if it has not ended; None while it was not asked to end."""
     deaths: list[int] = field(default_factory=list)
     """Exit codes of the processes that ended without being asked."""
     interrupted: list[str] = field(default_factory=list)
     """Their sessions."""
-    pause_s: float = FIRST_PAUSE_S
-    """How long it waits for its next process."""
     begin_s: float = 0.0
     """When its process is to be begun."""
     summaries: list[dict[str, object]] = field(default_factory=list)
@@ -134,12 +126,6 @@ class Unit:
         cpu = self.vitals.mean_cpu if self.process is None else self.vitals.cpu
         return row_of(self.plan.name, self.state, self.vitals, cpu, len(self.deaths))
 
-    def pause(self) -> float:
-        """Let it wait for its next process, longer each time; return how long, s."""
-        pause_s, self.pause_s = self.pause_s, min(2.0 * self.pause_s, LONGEST_PAUSE_S)
-        self.begin_s = time.monotonic() + pause_s
-        return pause_s
-
     def as_dict(self) -> dict[str, Any]:
         """Return what ``--json`` says of it."""
         return {
@@ -156,24 +142,14 @@ class Unit:
 class Rack:
     """Many units, each in a process; nothing that one does delays another.
 
-    Used by one thread; `look` is to be called several times a second.
-
-    Parameters
-    ----------
-    folder : Path
-        Where the sessions go, and the rack's own log.
-    say : callable
-        Where log lines go.
-    publish : callable or None
-        The view that all share.
-    window_s : float
-        Seconds that its strips show.
+    Used by one thread; `look` is to be called several times a second.  Sessions and the rack's own log go to
+    `folder`, log lines also to `say`, view items to `publish`; strips of the view show `window_s` seconds.
     """
 
     def __init__(
         self,
         folder: Path,
-        say: Say,
+        say: Callable[[str, str], None],
         publish: Callable[[ViewItem], None] | None = None,
         window_s: float = 30.0,
     ) -> None:
@@ -207,9 +183,9 @@ class Rack:
             self._say(self._present[name], "INFO", f"joins the rack, on {plans[name].settings}")
 
     def look(self) -> None:
-        """Hear all units, and do what is due; waits for none."""
+        """Take what all units report, and do what is due; waits for none."""
         for unit in self.units:
-            self._hear(unit)
+            self._receive(unit)
             self._watch(unit)
         ending = {unit.plan.name for unit in self._leaving if unit.process is not None}
         for name, unit in self._present.items():
@@ -218,7 +194,8 @@ class Rack:
                 self._begin(unit)
         if time.monotonic() - self._overview_s >= OVERVIEW_S:
             self._overview_s = time.monotonic()
-            self._show(Overview(_now(), markdown(self.rows), tuple(self._present)))
+            if self._publish is not None:
+                self._publish(Overview(_now(), markdown(self.rows), tuple(self._present)))
             with contextlib.suppress(OSError):  # a disk that is full stops no recording
                 self._log.write()
 
@@ -243,11 +220,11 @@ class Rack:
         return found
 
     def _begin(self, unit: Unit) -> None:
-        task = Task(unit.plan, self._folder, self._window_s, self._publish is not None)
         try:
-            unit.process = Process(task)
+            unit.process = Process(unit.plan, self._folder, self._window_s, self._publish is not None)
         except (OSError, EOFError) as error:  # no memory, or no processes, for one more
-            self._say(unit, "ERROR", f"its process cannot be begun ({error}); again in {unit.pause():g} s")
+            unit.begin_s = time.monotonic() + LONGEST_PAUSE_S
+            self._say(unit, "ERROR", f"its process cannot be begun ({error}); again in {LONGEST_PAUSE_S:g} s")
             return
         unit.silent, unit.vitals = False, Vitals()
 
@@ -256,8 +233,8 @@ class Rack:
         if unit.process is not None:
             unit.process.ask_to_end()
 
-    def _hear(self, unit: Unit) -> None:
-        for message in unit.process.hear() if unit.process is not None else ():
+    def _receive(self, unit: Unit) -> None:
+        for message in unit.process.messages() if unit.process is not None else ():
             for level, text in message.lines:
                 self._log.put(level, f"{unit.plan.name}: {text}")
             if isinstance(message, Ended):
@@ -269,22 +246,20 @@ class Rack:
             unit.silent, unit.vitals = False, message.vitals
             unit.setup = message.setup or unit.setup
             if is_back:
-                self._lane(unit, "recording", Level.GOOD)
-            if message.setup is not None:
-                for item in message.items:
-                    self._show(OfUnit(message.setup, item))
+                self._show(unit, State(_now(), "unit", "recording", Level.GOOD))
+            self._show(unit, *message.items)
 
     def _watch(self, unit: Unit) -> None:
-        """Find out whether the process of a unit lives and speaks."""
+        """Find out whether the process of a unit lives and reports."""
         process, now_s = unit.process, time.monotonic()
         if process is None:
             return
         code, silent_s = process.exit_code, now_s - process.received_s
         if code is not None:
             process.close()
-            self._hear(unit)
+            self._receive(unit)
             unit.process = None
-            self._note_end(unit, code, now_s - process.began_s)
+            self._note_end(unit, code)
         elif unit.end_by_s is not None:
             if now_s > unit.end_by_s:
                 unit.end_by_s = math.inf
@@ -298,34 +273,30 @@ class Rack:
             unit.silent = True
             text = f"its process (pid {process.pid}) hangs: no word for {silent_s:.1f} s"
             self._say(unit, "ERROR", text)
-            self._lane(unit, "HANGS", Level.BAD)
+            self._show(unit, State(_now(), "unit", "HANGS", Level.BAD))
 
-    def _note_end(self, unit: Unit, code: int, lived_s: float) -> None:
+    def _note_end(self, unit: Unit, code: int) -> None:
         """Note that the process of a unit ended, maybe without being asked."""
         died = unit.end_by_s is None
         if (died or code) and unit.vitals.session:
             unit.interrupted.append(unit.vitals.session)
         if died:
             unit.deaths.append(code)
-            unit.pause_s = FIRST_PAUSE_S if lived_s > STEADY_S else unit.pause_s
+            pause_s = min(FIRST_PAUSE_S * 2.0 ** min(len(unit.deaths) - 1, 10), LONGEST_PAUSE_S)
+            unit.begin_s = time.monotonic() + pause_s
             how = f"signal {-code}" if code < 0 else f"exit code {code}"
             kept = f"; {unit.vitals.session} has what had arrived" if unit.vitals.session else ""
-            text = f"its process died ({how}){kept}; a new one in {unit.pause():g} s"
-            self._say(unit, "ERROR", text)
-            self._lane(unit, f"DEAD: {how}", Level.BAD)
+            self._say(unit, "ERROR", f"its process died ({how}){kept}; a new one in {pause_s:g} s")
+            self._show(unit, State(_now(), "unit", f"DEAD: {how}", Level.BAD))
 
     def _say(self, unit: Unit, level: str, text: str) -> None:
         self._log.put(level, f"{unit.plan.name}: {text}")
-        if unit.setup is not None:
-            self._show(OfUnit(unit.setup, Log(_now(), text, level)))
+        self._show(unit, Log(_now(), text, level))
 
-    def _lane(self, unit: Unit, text: str, level: Level) -> None:
-        if unit.setup is not None:
-            self._show(OfUnit(unit.setup, State(_now(), "unit", text, level)))
-
-    def _show(self, item: ViewItem) -> None:
-        if self._publish is not None:
-            self._publish(item)
+    def _show(self, unit: Unit, *items: ViewItem) -> None:
+        if self._publish is not None and unit.setup is not None:
+            for item in items:
+                self._publish(OfUnit(unit.setup, item))
 
 
 def _now() -> Instant:

@@ -11,18 +11,18 @@ import gc
 import os
 import signal
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
-from datetime import UTC, datetime
 from multiprocessing.connection import Connection
 from pathlib import Path
+from typing import NamedTuple
 
 from imumon.errors import ImumonError
 from imumon.fleet.rack.description import Plan
 from imumon.fleet.rack.feed import Feed, Vitals
 from imumon.heap import prepare_heap
-from imumon.protocols.device import DeviceFile, parse_device
+from imumon.protocols.device import parse_device
+from imumon.recordings.folder import default_path
 from imumon.recordings.lines import Line, Lines
 from imumon.run.live import LiveRun, nothing_decoded, warm_up
 from imumon.run.narration import view_setup
@@ -30,76 +30,67 @@ from imumon.run.setup import Setup, parse_setup
 from imumon.view.items import ViewItem, ViewSetup
 
 PERIOD_S = 1.0
-"""How often a unit says how it is; most of what the shared view costs does not depend on how much that is."""
+"""How often a unit reports; most of what the shared view costs does not depend on how much that is."""
 BEFORE = -5
 """Where the system lets it (root, or a limit for niceness), a unit that records comes before all else."""
 RETRY_S = 2.0
 """How often a port that cannot be opened is tried again."""
 
 
-@dataclass(frozen=True, slots=True)
-class Task:
-    """What the process of a unit is told."""
+class Update(NamedTuple):
+    """What a unit reports once a second; `setup` is what the view must know of it, None before it records."""
 
-    plan: Plan
-    sessions: Path
-    """Folder of the sessions."""
-    window_s: float
-    """Seconds that the strips of the view show."""
-    pictures: bool
-    """Whether there is a view that shows more than numbers."""
-
-
-@dataclass(frozen=True, slots=True)
-class Update:
-    """What a unit says once a second; `setup` is what the view must know of it, None before it records."""
-
+    lines: Sequence[Line]
     vitals: Vitals
-    setup: ViewSetup | None
-    items: Sequence[ViewItem]
+    setup: ViewSetup | None = None
+    items: Sequence[ViewItem] = ()
+
+
+class Ended(NamedTuple):
+    """The last report of a unit; `summary` is that of `imumon monitor --json`, None without an open port."""
+
     lines: Sequence[Line]
-
-
-@dataclass(frozen=True, slots=True)
-class Ended:
-    """What a unit says last; `summary` is that of `imumon monitor --json`, None when no port was opened."""
-
-    summary: dict[str, object] | None
     problem: str
-    lines: Sequence[Line]
+    summary: dict[str, object] | None = None
 
 
-def run_unit(task: Task, rack: Connection) -> None:
-    """Record a unit until the rack says so or is gone."""
+def run_unit(plan: Plan, sessions: Path, window_s: float, pictures: bool, rack: Connection) -> None:
+    """Record a unit, in a folder of `sessions`, until the rack asks for the end or is gone.
+
+    `window_s`: what the strips of the view show; `pictures`: whether there is a view beside the numbers.
+    """
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
     prepare_heap()
     with suppress(PermissionError):
         os.nice(BEFORE)
     with suppress(BrokenPipeError):  # the rack was killed; the session is closed by then
-        _run(task, rack)
+        _run(plan, sessions, window_s, pictures, rack)
 
 
-def _run(task: Task, rack: Connection) -> None:
-    plan, lines = task.plan, Lines()
+def _run(plan: Plan, sessions: Path, window_s: float, pictures: bool, rack: Connection) -> None:
+    lines = Lines()
     setup = Setup() if plan.pipeline_yaml is None else parse_setup(plan.pipeline_yaml, plan.name)
     device = parse_device(plan.device_yaml, plan.name)
     # All is loaded before the port is open: a reader that waits for that comes too late for what is sent.
     warm_up(device, setup)
-    from imumon.view.recorder import (
-        ViewRecorder,  # here, as Rerun starts threads: see imumon.fleet.rack.preload
-    )
+    from imumon.view.recorder import ViewRecorder  # here, as Rerun starts threads (see `preload`)
 
     gc.freeze()
-    run = _opened(task, device, setup, lines, rack)
+
+    def new_run() -> LiveRun:
+        folder = default_path(plan.name, time.time_ns(), sessions)
+        return LiveRun(device, plan.device_yaml, plan.settings, setup, folder, lines.put, serial=plan.serial)
+
+    run = _opened(new_run, lines, rack)
     if run is None:
-        rack.send(Ended(None, "its port was never opened", lines.take()))
+        rack.send(Ended(lines.take(), "its port was never opened"))
         return
-    whole = view_setup(run.session, run.pipeline.units, task.window_s)
+    whole = view_setup(run.session, run.pipeline.units, window_s)
     # Of the unit, not of its session: a tab that is there goes on when a process was begun anew.
     own = ViewSetup(plan.name, plan.name, whole.units, whole.z_down, whole.window_s)
     recorder = ViewRecorder(run.session.view_path, whole, on_error=run.report_view_error)
-    feed = Feed(str(run.session.path), pictures=task.pictures)
+    feed = Feed(str(run.session.path), pictures=pictures)
     run.begin([recorder.publish, feed.publish])
     reported = False
     try:
@@ -108,39 +99,30 @@ def _run(task: Task, rack: Connection) -> None:
                 reported = True
                 lines.put("ERROR", "decoding stopped; reading and recording go on")
             vitals, items = feed.take(run.progress)
-            rack.send(Update(vitals, own, items, lines.take()))
+            rack.send(Update(lines.take(), vitals, own, items))
     finally:
         recorder.end()
         summary = run.stop([path.name for path in recorder.files if path.exists()])
         recorder.close()
     problem = run.failure or nothing_decoded(plan.settings, device, summary.counters)
-    rack.send(Ended(summary.as_dict(), "" if problem is None else problem.seen, lines.take()))
+    rack.send(Ended(lines.take(), "" if problem is None else problem.seen, summary.as_dict()))
 
 
-def _opened(task: Task, device: DeviceFile, setup: Setup, lines: Lines, rack: Connection) -> LiveRun | None:
+def _opened(new_run: Callable[[], LiveRun], lines: Lines, rack: Connection) -> LiveRun | None:
     """Return a run whose port is open; wait until it can be opened, or return None when asked to end."""
-    plan, reported = task.plan, ""
+    reported = ""
     while True:
         try:
-            folder = new_folder(task.sessions, plan.name, time.time_ns())
-            run = LiveRun(
-                device, plan.device_yaml, plan.settings, setup, folder, lines.put, serial=plan.serial
-            )
+            run = new_run()
             run.open()
             return run
         except ImumonError as error:
             if error.seen != reported:
                 reported = error.seen
                 lines.put("WARN", f"waits for its port: {error.seen}")
-        rack.send(Update(Vitals(lanes={"port": "waiting"}), None, (), lines.take()))
+        rack.send(Update(lines.take(), Vitals(lanes={"port": "waiting"})))
         if _ends_on_request(rack, RETRY_S):
             return None
-
-
-def new_folder(sessions: Path, name: str, now_ns: int) -> Path:
-    """Return SESSIONS/<UTC stamp>-<name>, to the millisecond: a unit may die twice in a second."""
-    stamp = datetime.fromtimestamp(now_ns * 1e-9, UTC)
-    return sessions / f"{stamp:%Y%m%dT%H%M%S}{now_ns // 1_000_000 % 1000:03d}Z-{name}"
 
 
 def _ends_on_request(rack: Connection, wait_s: float) -> bool:

@@ -19,9 +19,9 @@ from imumon.fleet.rack.feed import OfUnit, Overview
 from imumon.view.blueprint import arranged
 from imumon.view.child import run
 from imumon.view.fed import serve
-from imumon.view.items import Instant, ViewItem, ViewSetup, merge
+from imumon.view.items import ViewItem, ViewSetup, merge
 from imumon.view.lanes import lane_path
-from imumon.view.logger import StreamLogger
+from imumon.view.logger import StreamLogger, name_recording
 from imumon.view.publisher import Report
 from imumon.view.rows import at_instants, log_markdown
 from imumon.view.window import Window
@@ -41,7 +41,8 @@ class UnitsLogger:
     def __init__(self, rec: rr.RecordingStream, setup: ViewSetup) -> None:
         self._rec, self._setup = rec, setup
         self._units: dict[str, tuple[ViewSetup, StreamLogger]] = {}
-        self._overview = Overview(Instant(None, None, None), "", ())
+        self._order: tuple[str, ...] = ()
+        """Names of the units on the page."""
         self.arrangement: rrb.Blueprint | None = None
         """The one that was shown last."""
         self._sent: list[rrb.Blueprint] = []
@@ -49,9 +50,7 @@ class UnitsLogger:
 
     def begin(self) -> None:
         """Log what does not change."""
-        self._rec.send_recording_name(self._setup.title)
-        if self._setup.properties:
-            self._rec.send_property("rack", rr.AnyValues(True, **self._setup.properties))
+        name_recording(self._rec, self._setup, "rack")
 
     def log(self, items: Iterable[ViewItem]) -> None:
         """Log items, those of each unit in their order."""
@@ -84,19 +83,19 @@ class UnitsLogger:
         if known is None or known[0] != setup:
             below: Any = Below(self._rec, f"/{setup.title}")
             logger = StreamLogger(below, setup, live=True)
-            logger.begin()
+            logger.declare()
             self._units[setup.title] = setup, logger
 
     def _show_overview(self, page: Overview) -> None:
         """Log the page, and forget the units that are gone from it."""
-        self._overview = page
-        log_markdown(self._rec, OVERVIEW, [page.markdown], at_instants(Instant(None, None, page.at.host_ns)))
+        self._order = page.units
+        log_markdown(self._rec, OVERVIEW, [page.markdown], at_instants(page.at))
         for unit in self._units.keys() - set(page.units):
             del self._units[unit]
 
     def _arrange(self) -> None:
         """Send the arrangement when that of a unit has changed, or which units there are."""
-        loggers = [self._units[unit][1] for unit in self._overview.units if unit in self._units]
+        loggers = [self._units[unit][1] for unit in self._order if unit in self._units]
         arrangements = [logger.arrangement for logger in loggers if logger.arrangement is not None]
         if arrangements == self._sent:
             return
@@ -132,12 +131,6 @@ class Below:
     def send_columns(self, path: str, *, indexes: Any, columns: Any) -> None:
         """Log columns below the root."""
         self._rec.send_columns(self._root + path, indexes=indexes, columns=columns)
-
-    def send_recording_name(self, _: str) -> None:
-        """Leave the name of the recording as it is."""
-
-    def send_property(self, name: str, values: Any) -> None:
-        """Leave the unit's properties out: they are in its session."""
 
     def send_blueprint(self, whole: rrb.Blueprint) -> None:
         """Let the arrangement show what is below the root, as a tab with the name of the unit."""

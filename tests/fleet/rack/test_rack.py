@@ -15,7 +15,7 @@ import pytest
 from imumon.fleet.rack.description import load_rack
 from imumon.fleet.rack.feed import OfUnit, Overview
 from imumon.fleet.rack.rack import Rack, Unit
-from imumon.fleet.rack.unit import Task, Update, run_unit
+from imumon.fleet.rack.unit import Update, run_unit
 from imumon.protocols.device import load_device
 from imumon.recordings.folder import open_session
 from imumon.view.items import Log, Samples, State, ViewItem
@@ -206,8 +206,8 @@ def test_a_unit_whose_rack_is_gone_closes_its_session(tmp_path: Path) -> None:
         (plan,) = load_rack(write_rack(tmp_path, feeder, "ax1")).values()
         context = get_context("forkserver")
         ours, theirs = context.Pipe()
-        task = Task(plan, tmp_path / "sessions", 30.0, pictures=False)
-        process = context.Process(target=run_unit, args=(task, theirs))
+        arguments = (plan, tmp_path / "sessions", 30.0, False, theirs)
+        process = context.Process(target=run_unit, args=arguments)
         process.start()
         theirs.close()
         try:
