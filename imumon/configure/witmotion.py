@@ -60,7 +60,7 @@ def _read(name: str) -> Request:
 class WitMotion(Family):
     """Commands of a WitMotion module."""
 
-    answer_frame = Frame("register", b"\x55", fixed_length(SIZE), Checksum("sum8"))
+    answer_frame = Frame({b"\x55": "register"}, fixed_length(SIZE), Checksum("sum8"))
     title = "WitMotion"
     verified = "codes of the vendor's sample code, and the virtual device; never a real unit"
     save_confirmed = False
@@ -122,7 +122,7 @@ class WitMotion(Family):
         return ", ".join(frame for bit, frame in enumerate(BITS) if code >> bit & 1) or "nothing"
 
 
-WRITE = Frame("write", b"\xff\xaa", fixed_length(5), unchecked)
+WRITE = Frame({b"\xff\xaa": "write"}, fixed_length(5), unchecked)
 """A command; it has no checksum."""
 FASTEST_HZ = 200.0
 FIRST_FRAME = 0x50

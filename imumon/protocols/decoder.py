@@ -37,13 +37,13 @@ _ORDER = {name: place for place, name in enumerate(KNOWN)}
 
 
 class Alike(NamedTuple):
-    """Packets of one signature: their rows, the number of their frame, and the first of them."""
+    """Packets of one signature: their rows, the number of their kind, and the first of them."""
 
     rows: IntArray
-    frame: int
+    kind: int
     packet: bytes
     key: tuple[int, int, bytes]
-    """The signature: frame, length, and the bytes that say what is in the packet."""
+    """The signature: kind, length, and the bytes that say what is in the packet."""
 
 
 class Decoder:
@@ -75,7 +75,8 @@ class Decoder:
         self._times: list[IntArray] = []
         self._searched = 0  # bytes before the rest
         self._received = self._in_packets = self._checksum_errors = self._length_errors = 0
-        self._by_frame = np.zeros(len(self._frames), np.int64)
+        self._names = [name for frame in frames for name in frame.names.values()]
+        self._by_kind = np.zeros(len(self._names), np.int64)
         self._layouts: list[tuple[Layout, int]] = []  # and the bits of their groups
         self._numbers: dict[tuple[int, int, bytes], int] = {}
         self._columns = {"arrival_time_ns": KNOWN["arrival_time_ns"]}
@@ -141,7 +142,7 @@ class Decoder:
     def warnings(self) -> list[str]:
         """Return, once each, why numbers are not fit for an estimate: the device has corrected them, say."""
         corrected = "gyro_compensated_x" in self._columns and "gyro_x" not in self._columns
-        if corrected and self._by_frame.sum() >= GENERATION:
+        if corrected and self._by_kind.sum() >= GENERATION:
             self._warn(ONLY_CORRECTED)
         return _once(self._warned)
 
@@ -152,7 +153,7 @@ class Decoder:
             bytes_received=self._received,
             bytes_in_packets=self._in_packets,
             bytes_skipped=self._received - self._in_packets - len(self._rest) + self._overlap,
-            packets=int(self._by_frame.sum()),
+            packets=int(self._by_kind.sum()),
             checksum_errors=self._checksum_errors,
             length_errors=self._length_errors,
             packets_by_type={name: n for name, n in self._by_type().items() if n},
@@ -160,7 +161,7 @@ class Decoder:
 
     def _by_type(self) -> dict[str, int]:
         """Return the number of packets of each kind."""
-        return dict(zip([frame.name for frame in self._frames], self._by_frame.tolist(), strict=True))
+        return dict(zip(self._names, self._by_kind.tolist(), strict=True))
 
     def _say(self, text: str) -> None:
         """Keep a notice unless it was given before."""
@@ -197,7 +198,7 @@ class Decoder:
         ends = found.at + found.length
         begins = np.maximum(found.at, np.concatenate([[self._overlap], ends])[:-1])
         self._in_packets += int(np.sum(ends - begins))
-        self._by_frame += np.bincount(found.frame, minlength=len(self._frames))
+        self._by_kind += np.bincount(found.kind, minlength=len(self._names))
         covered = np.concatenate([[0], ends])[np.searchsorted(found.at, at, "right")]
         outside = (at >= np.maximum(covered, self._overlap)) & (at < rest)
         self._checksum_errors += int(np.sum(outside & (verdict == BAD_SUM)))
@@ -220,15 +221,15 @@ class Decoder:
         left = np.arange(len(found))
         while len(left):
             one = int(left[0])
-            frame, size = int(found.frame[one]), int(found.length[one])
+            kind, size = int(found.kind[one]), int(found.length[one])
             packet = found.held[found.at[one] :][:size].tobytes()
             places = [*self._signature(packet)]
-            same = (found.length[left] == size) & (found.frame[left] == frame)
+            same = (found.length[left] == size) & (found.kind[left] == kind)
             key = bytes(packet[k] for k in places)
             if places:
                 heads = windows(found.held, found.at[left[same]], max(places) + 1)[:, places]
                 same[same] = np.all(heads == np.frombuffer(key, np.uint8), axis=1)
-            yield Alike(left[same], frame, packet, (frame, size, key))
+            yield Alike(left[same], kind, packet, (kind, size, key))
             left = left[~same]
 
     def _layout_numbers(self, found: Found) -> IntArray:
@@ -292,7 +293,7 @@ class DescribedDecoder(Decoder):
             self._add(layout)
 
     def _layout_numbers(self, found: Found) -> IntArray:
-        return found.frame
+        return found.kind
 
 
 def _once(texts: dict[str, bool]) -> list[str]:

@@ -289,7 +289,7 @@ def fixed_decoder(name: str, packets: Sequence[Packet], rate_hz: float | None) -
 
 def _frame(packet: Packet, name: str) -> Frame:
     length, tail = partial(_length, packet), bytes(packet.tail)
-    return Frame(packet.name or name, bytes(packet.sync), length, _check(packet), tail)
+    return Frame({bytes(packet.sync): packet.name or name}, length, _check(packet), tail)
 
 
 def _length(packet: Packet, held: ByteArray, at: IntArray) -> IntArray:

@@ -139,7 +139,7 @@ class HipnucDecoder(FamilyDecoder):
         return int.from_bytes(bits, "little") << 8 | key if key == OF_BITS and len(bits) == 4 else key
 
 
-FRAMES = [Frame("HiPNUC", SYNC, counted_length(2, 2, HEADER, LONGEST), _RIGHT)]
+FRAMES = [Frame({SYNC: "HiPNUC"}, counted_length(2, 2, HEADER, LONGEST), _RIGHT)]
 TIMING = Timing(tick_ns=Fraction(1000))
 
 

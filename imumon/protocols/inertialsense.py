@@ -90,7 +90,7 @@ class InertialSenseDecoder(FamilyDecoder):
         return packet[3] if flags & (WITH_OFFSET | 0x0F) in (DATA, SET_DATA) else -1
 
 
-FRAMES = [Frame("ISB", SYNC, counted_length(4, 2, AROUND, LONGEST_PACKET), Checksum("fletcher16-256"))]
+FRAMES = [Frame({SYNC: "ISB"}, counted_length(4, 2, AROUND, LONGEST_PACKET), Checksum("fletcher16-256"))]
 TIMING = Timing(tick_ns=Fraction(1))
 
 

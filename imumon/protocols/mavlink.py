@@ -128,15 +128,15 @@ class MavlinkDecoder(FamilyDecoder):
         """Return the messages as those of version 2 with all their zeros."""
         size = HEADERS[SECOND] + LONGEST
         held, padded = np.zeros((len(found), size), np.uint8), np.pad(found.held, (0, LONGEST))
-        for frame, header in enumerate(HEADERS.values()):
-            rows = np.flatnonzero(found.frame == frame)
+        for kind, header in enumerate(HEADERS.values()):
+            rows = np.flatnonzero(found.kind == kind)
             at = found.at[rows]
             numbers = 1 if header == HEADERS[FIRST] else 3
             held[rows, 5 : 7 + numbers] = windows(found.held, at + header - numbers - 2, 2 + numbers)
             there = np.arange(LONGEST) < found.held[at + 1][:, np.newaxis]
             held[rows, HEADERS[SECOND] :] = windows(padded, at + header, LONGEST) * there
         begins = np.arange(len(found)) * size
-        return Found(held.reshape(-1), begins, np.full(len(found), size), found.frame)
+        return Found(held.reshape(-1), begins, np.full(len(found), size), found.kind)
 
     def _key(self, packet: bytes) -> int:
         vehicle, key = packet[5:7], int.from_bytes(packet[7:10], "little")
@@ -157,7 +157,7 @@ def _wrapped(key: int, payload: bytes) -> bytes:
 
 
 FRAMES = [
-    Frame(f"MAVLink {k + 1}", sync, partial(_length, header), partial(_right, header))
+    Frame({sync: f"MAVLink {k + 1}"}, partial(_length, header), partial(_right, header))
     for k, (sync, header) in enumerate(HEADERS.items())
 ]
 TIMING, SIZE, HEAD = Timing(tick_ns=Fraction(1000)), HEADERS[SECOND], (5, 6, 7, 8, 9)

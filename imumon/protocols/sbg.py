@@ -112,7 +112,7 @@ class SbgDecoder(FamilyDecoder):
         return packet[2] if packet[3] == 0 else -1
 
 
-FRAMES = [Frame("sbgECom", SYNC, counted_length(4, 2, AROUND, LONGEST_PACKET), _right)]
+FRAMES = [Frame({SYNC: "sbgECom"}, counted_length(4, 2, AROUND, LONGEST_PACKET), _right)]
 TIMING = Timing(tick_ns=Fraction(1000), tick_bits=32)
 
 

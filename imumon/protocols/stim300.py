@@ -14,14 +14,16 @@ from functools import lru_cache, partial
 from math import pi
 from typing import Final, Literal
 
+import numpy as np
 from pydantic import PositiveFloat, model_validator
 
+from imumon.blocks import BoolArray, IntArray
 from imumon.columns import Column
 from imumon.geodesy import STANDARD_GRAVITY
-from imumon.protocols.base import Timing
+from imumon.protocols.base import ByteArray, Timing
 from imumon.protocols.checks import Checksum
 from imumon.protocols.device import DeviceFile
-from imumon.protocols.framing import Frame, fixed_length
+from imumon.protocols.framing import Frame
 from imumon.protocols.messages import FamilyDecoder, Message, Part, TableEncoder, TableFamily, part, whole
 from imumon.protocols.quantities import known, number, vector
 
@@ -89,11 +91,30 @@ def datagrams(output: Output, accel_range_g: AccelRange, rate_hz: float | None) 
     return messages
 
 
-CHECKS = {key: Checksum("crc32-mpeg2", big=True, zeros=zeros) for key, (_, zeros) in DATAGRAMS.items()}
+CHECKS = [Checksum("crc32-mpeg2", big=True, zeros=zeros) for zeros in range(4)]
+NAMES = {bytes([key]): f"datagram {key:02X}" for key in DATAGRAMS}
+ZEROS, SIZES = np.zeros((2, 256), np.int64)
+ZEROS[[*DATAGRAMS]] = [zeros for _, zeros in DATAGRAMS.values()]
+SIZES[[*DATAGRAMS]] = [
+    1 + sum(BLOCK_SIZES[name] for name in blocks.split()) + 3 + CRC_SIZE for blocks, _ in DATAGRAMS.values()
+]
+"""Zeros before the CRC, and bytes, of each datagram by its identifier."""
+
+
+def _length(held: ByteArray, at: IntArray) -> IntArray:
+    return SIZES[held[at]]
+
+
+def _right(held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
+    right = np.zeros(len(at), np.bool_)
+    for zeros, check in enumerate(CHECKS):
+        mine = ZEROS[held[at]] == zeros
+        right[mine] = check(held, at[mine], length[mine])
+    return right
 
 
 def _wrapped(key: int, payload: bytes, line_end: bool) -> bytes:
-    return CHECKS[key].sealed(bytes([key]) + payload[1:]) + (b"\r\n" if line_end else b"")
+    return CHECKS[ZEROS[key]].sealed(bytes([key]) + payload[1:]) + (b"\r\n" if line_end else b"")
 
 
 class StimDecoder(FamilyDecoder):
@@ -128,10 +149,7 @@ class StimDevice(DeviceFile):
     @property
     def _family(self) -> TableFamily:
         messages = datagrams(self.output, self.accel_range_g, self.rate_hz)
-        frames = [
-            Frame(f"datagram {key:02X}", bytes([key]), fixed_length(m.size + CRC_SIZE), CHECKS[key], b"\r\n")
-            for key, m in messages.items()
-        ]
+        frames = [Frame(NAMES, _length, _right, b"\r\n")]
         decodes = partial(
             StimDecoder,
             f"read as {self.output}s with accelerometers of {self.accel_range_g} g, as the device file says: "

@@ -120,11 +120,11 @@ class Form:
 
 
 _SUM, _FLETCHER = Checksum("sum8-negated", first=1), Checksum("fletcher16-256")
-XBUS_FRAME = Frame("Xbus", b"\xfa", xbus_lengths, _SUM)
+XBUS_FRAME = Frame({b"\xfa": "Xbus"}, xbus_lengths, _SUM)
 XBUS = Form(XBUS_FRAME, _SUM, LONGEST_XBUS_PAYLOAD, 3, _xbus_places, _xbus_list)
 XBUS_DATA = Form(XBUS_FRAME, _SUM, LONGEST_XBUS_PAYLOAD, 0, _whole_payload, _xbus_data)
 """Without headers: the payload is one field, of key 0."""
-MIP = Form(Frame("MIP", b"\x75\x65", counted_length(3, 1, 6, 261), _FLETCHER), _FLETCHER, 255, 2,
+MIP = Form(Frame({b"\x75\x65": "MIP"}, counted_length(3, 1, 6, 261), _FLETCHER), _FLETCHER, 255, 2,
            _mip_places, _mip_list)  # fmt: skip
 
 

@@ -150,7 +150,7 @@ def _numbers_of(text: str) -> list[float] | None:
 
 
 SENTENCE = 2
-"""Number of their frame."""
+"""Number of their kind."""
 
 
 class VectorNavDecoder(TableDecoder):
@@ -158,9 +158,9 @@ class VectorNavDecoder(TableDecoder):
 
     def __init__(self, rate_hz: float | None = None) -> None:
         frames = (
-            Frame("binary", b"\xfa", _lengths, XMODEM),
-            Frame("split", b"\xfb\x00", counted_length(4, 2, 8, LONGEST_PACKET), XMODEM),
-            line_frame("ascii", b"$VN", _sentence),
+            Frame({b"\xfa": "binary"}, _lengths, XMODEM),
+            Frame({b"\xfb\x00": "split"}, counted_length(4, 2, 8, LONGEST_PACKET), XMODEM),
+            line_frame({b"$VN": "ascii"}, _sentence),
         )
         timing = Timing(tick_ns=Fraction(1), rate_hz=rate_hz)
         super().__init__(
@@ -197,14 +197,14 @@ class VectorNavDecoder(TableDecoder):
 
     def _numbers_of(self, alike: Alike) -> list[Number]:
         """Return the numbers of packets; those of a sentence are in its order."""
-        if alike.frame == SENTENCE:
+        if alike.kind == SENTENCE:
             values = tables.SENTENCES.get(alike.packet[3:6].decode("ascii", "replace"), ())
             return [value._replace(group=MAIN) for value in values]
         return [n for item, at, size in self._contents(alike.packet) for n in item.placed(at, size, False)]
 
     def _layout(self, alike: Alike) -> Layout | None:
         numbers = _renamed(self._numbers_of(alike), self._factory)
-        if alike.frame == SENTENCE:
+        if alike.kind == SENTENCE:
             self._tell(alike.packet.decode("ascii", "replace"))
             layout: Layout = LineLayout(_numbers_of, numbers)
         else:

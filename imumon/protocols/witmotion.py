@@ -117,12 +117,12 @@ def _wrapped(key: int, payload: bytes) -> bytes:
 
 
 FRAMES = [
-    *(
-        Frame(message.name, bytes([0x55, kind]), fixed_length(SIZE), Checksum("sum8"))
-        for kind, message in TYPES.items()
+    Frame(
+        {bytes([0x55, kind]): message.name for kind, message in TYPES.items()} | {b"\x55\x5f": "register"},
+        fixed_length(SIZE),
+        Checksum("sum8"),
     ),
-    Frame("register", b"\x55\x5f", fixed_length(SIZE), Checksum("sum8")),
-    Frame("combined", bytes([0x55, COMBINED]), _combined_lengths, unchecked),
+    Frame({bytes([0x55, COMBINED]): "combined"}, _combined_lengths, unchecked),
 ]
 
 

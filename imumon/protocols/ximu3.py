@@ -19,7 +19,7 @@ from imumon.blocks import BoolArray, IntArray
 from imumon.columns import Column
 from imumon.geodesy import STANDARD_GRAVITY
 from imumon.protocols.base import MAIN, ByteArray, Timing
-from imumon.protocols.framing import Found, Frame, windows
+from imumon.protocols.framing import Found, Frame
 from imumon.protocols.messages import FamilyDecoder, Message, TableDevice, TableFamily, part
 from imumon.protocols.quantities import number, vector
 from imumon.protocols.text import NUMBER, line_frame, line_lengths
@@ -31,7 +31,6 @@ TIME_SIZE: Final = 8
 YEARS_US: Final = 1 << 58
 """Microseconds of 9000 years: a message that claims more began in the middle of another."""
 DEGREE: Final = pi / 180
-LINE: Final = partial(line_lengths, False)
 
 MATRIX = [number(f"matrix_{i}{j}", "1", "rotation matrix") for i in "xyz" for j in "xyz"]
 
@@ -71,22 +70,28 @@ def _message(letter: str) -> Message:
 MESSAGES = {ord(letter): _message(letter) for letter in KINDS}
 
 
-def _right(size: int, held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
+SIZES = np.zeros(256, np.int64)
+SIZES[[key | BINARY for key in MESSAGES]] = [message.size for message in MESSAGES.values()]
+"""Bytes of time and numbers of binary messages, by their first byte."""
+
+
+def _plain_bytes(held: ByteArray) -> tuple[ByteArray, IntArray]:
+    """Return bytes without their escapes, and the place of each byte in these, (n,)."""
+    plain, stays = held.copy(), held != ESCAPE
+    after = np.flatnonzero(~stays[:-1]) + 1
+    plain[after] = np.where(held[after] == ESCAPED_END, END, ESCAPE)
+    return plain[stays], np.cumsum(stays) - 1
+
+
+def _right(held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
     """Check binary messages: their bytes without escapes, and their time."""
-    right: BoolArray = length == size + 2
-    rows = windows(held, at[right], size + 2)
-    right[right] = ~np.any(rows == ESCAPE, axis=1) & (rows[:, TIME_SIZE] < YEARS_US >> 56)
-    longer = np.flatnonzero((length > size + 2) & (length <= 2 * size + 3))
-    width = 2 * size + 3
-    rows = windows(np.pad(held, (0, width)), at[longer], width)
-    inside = np.arange(width) < length[longer, np.newaxis] - 1
-    escapes = inside & (rows == ESCAPE)
-    ends_well = ~escapes[:, :-1] | (rows[:, 1:] == ESCAPED_END) | (rows[:, 1:] == ESCAPED_ESCAPE)
-    place = np.cumsum(inside & ~escapes, axis=1)
-    end_of_time = rows[np.arange(len(rows)), np.argmax(place == TIME_SIZE + 1, axis=1)]
-    good = ends_well.all(axis=1) & (place[:, -1] == size + 1) & (end_of_time < YEARS_US >> 56)
-    right[longer] = good
-    return right
+    plain, place = _plain_bytes(held)
+    begin, end = place[at], at + length - 1
+    escapes = np.flatnonzero(held[:-1] == ESCAPE)
+    bad = escapes[~np.isin(held[escapes + 1], (ESCAPED_END, ESCAPED_ESCAPE))]
+    unspoilt = np.searchsorted(bad, at) == np.searchsorted(bad, end)
+    in_time = plain[np.minimum(begin + TIME_SIZE, len(plain) - 1)] < YEARS_US >> 56
+    return unspoilt & in_time & (place[end] - begin == SIZES[held[at]] + 1)
 
 
 def _numbers(text: str) -> list[float] | None:
@@ -102,20 +107,17 @@ class XimuDecoder(FamilyDecoder):
 
     def _plain(self, found: Found) -> Found:
         """Return all messages as binary ones without escapes and end, those of text behind the others."""
-        held, escapes = found.held.copy(), found.held == ESCAPE
-        follows = np.append(False, escapes[:-1])
-        follows[found.at] = False
-        held[follows] = np.where(held[follows] == ESCAPED_END, END, ESCAPE)
-        place = np.cumsum(~escapes)
-        at = place[found.at] - 1
-        length = place[found.at + found.length - 1] - 1 - at
-        parts, size = [held[~escapes].tobytes()], int(place[-1])
-        for row in np.flatnonzero(found.frame >= len(MESSAGES)).tolist():
+        plain, place = _plain_bytes(found.held)
+        at = place[found.at]
+        plain[at] = found.held[found.at]  # a damaged byte before a message may be an escape
+        length = place[found.at + found.length - 1] - at
+        parts, size = [plain.tobytes()], len(plain)
+        for row in np.flatnonzero(found.kind >= len(MESSAGES)).tolist():
             message = found.held[found.at[row] : found.at[row] + found.length[row]].tobytes()
             parts.append(_as_binary(message))
             at[row], length[row] = size, len(parts[-1])
             size += len(parts[-1])
-        return Found(np.frombuffer(b"".join(parts), np.uint8), at, length, found.frame)
+        return Found(np.frombuffer(b"".join(parts), np.uint8), at, length, found.kind)
 
     def _key(self, packet: bytes) -> int:
         return packet[0] & ~BINARY
@@ -134,10 +136,9 @@ def _wrapped(key: int, payload: bytes) -> bytes:
     return bytes([key | BINARY]) + stuffed + b"\n"
 
 
-FRAMES = [
-    *(Frame(m.name, bytes([key | BINARY]), LINE, partial(_right, m.size)) for key, m in MESSAGES.items()),
-    *(line_frame(f"{m.name} text", b"%c," % key, _numbers) for key, m in MESSAGES.items()),
-]
+BINARIES = {bytes([key | BINARY]): message.name for key, message in MESSAGES.items()}
+TEXTS = {b"%c," % key: f"{message.name} text" for key, message in MESSAGES.items()}
+FRAMES = [Frame(BINARIES, partial(line_lengths, False), _right), line_frame(TEXTS, _numbers)]
 
 
 class XimuDevice(TableDevice):
