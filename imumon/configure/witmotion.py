@@ -173,4 +173,4 @@ class WitMotionFirmware(Firmware):
         names = [TYPES[FIRST_FRAME + bit].name for bit in range(len(BITS)) if content >> bit & 1]
         rate = RATES[self.volatile[RATE][0]]
         every = {name: round(FASTEST_HZ / rate) for name in names if name not in NOT_ENCODED}
-        return FASTEST_HZ, [PacketKind(partial(TableEncoder, WitMotionDevice.family), every)]
+        return FASTEST_HZ, [PacketKind(partial(TableEncoder, WitMotionDevice.family()), every)]

@@ -20,7 +20,7 @@ from imumon.geodesy import STANDARD_GRAVITY
 from imumon.protocols.base import MAIN, ByteArray, Timing
 from imumon.protocols.checks import CRCS, Checksum, by_distance, sent
 from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, Found, Frame, windows
-from imumon.protocols.messages import FamilyDecoder, Message, TableDevice, TableFamily, part, whole
+from imumon.protocols.messages import FamilyDecoder, Message, TableDevice, part, whole
 from imumon.protocols.numbers import Columns, Derived
 from imumon.protocols.quantities import count, known, number, vector
 
@@ -122,7 +122,21 @@ def _right(header: int, held: ByteArray, at: IntArray, length: IntArray) -> Bool
 class MavlinkDecoder(FamilyDecoder):
     """Decodes the inertial messages of the first vehicle that is heard."""
 
+    messages = MESSAGES
+    frames = tuple(
+        Frame({sync: f"MAVLink {k + 1}"}, partial(_length, header), partial(_right, header))
+        for k, (sync, header) in enumerate(HEADERS.items())
+    )
+    timing = Timing(tick_ns=Fraction(1000))
+    start, more, head = HEADERS[SECOND], HEADERS[SECOND], (5, 6, 7, 8, 9)
+    derived = (CELSIUS,)
     _vehicle = b""
+
+    def wrap(self, key: int, payload: bytes) -> bytes:
+        """Make a message of version 2, which leaves out zeros at the end."""
+        payload = payload.rstrip(b"\0") or b"\0"
+        body = bytes([len(payload), 0, 0, 0, 1, 1]) + key.to_bytes(3, "little") + payload
+        return SECOND + body + _CRC.sealed(body + bytes([EXTRA[key]]))[-2:]
 
     def _plain(self, found: Found) -> Found:
         """Return the messages as those of version 2 with all their zeros."""
@@ -150,22 +164,7 @@ class MavlinkDecoder(FamilyDecoder):
         return key
 
 
-def _wrapped(key: int, payload: bytes) -> bytes:
-    payload = payload.rstrip(b"\0") or b"\0"
-    body = bytes([len(payload), 0, 0, 0, 1, 1]) + key.to_bytes(3, "little") + payload
-    return SECOND + body + _CRC.sealed(body + bytes([EXTRA[key]]))[-2:]
-
-
-FRAMES = [
-    Frame({sync: f"MAVLink {k + 1}"}, partial(_length, header), partial(_right, header))
-    for k, (sync, header) in enumerate(HEADERS.items())
-]
-TIMING, SIZE, HEAD = Timing(tick_ns=Fraction(1000)), HEADERS[SECOND], (5, 6, 7, 8, 9)
-
-
 class MavlinkDevice(TableDevice):
     """Device file of an autopilot."""
 
-    family = TableFamily(
-        MESSAGES, FRAMES, MavlinkDecoder, _wrapped, TIMING, SIZE, SIZE, HEAD, derived=(CELSIUS,)
-    )
+    family = MavlinkDecoder

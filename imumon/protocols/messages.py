@@ -8,7 +8,7 @@ over, and numbers behind the end are absent.
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import ClassVar
@@ -127,24 +127,19 @@ class TableDecoder(Decoder):
         return layout if layout.columns else None
 
 
-@dataclass(frozen=True, slots=True)
-class TableFamily:
-    """A family of which each packet is a message of a table."""
+class FamilyDecoder(TableDecoder):
+    """Decodes packets that are each a message of a table; a subclass is the table of a family."""
 
     messages: Mapping[int, Message]
     """What each identifier means."""
     frames: Sequence[Frame]
     """Kinds of packets."""
-    decodes: Callable[[TableFamily, float | None], FamilyDecoder]
-    """Makes a `FamilyDecoder`, which says where the identifier stands."""
-    wrap: Callable[[int, bytes], bytes]
-    """Makes a packet of an identifier and a payload."""
     timing: Timing
     """How the devices count time."""
     start: int
     more: int
     """Bytes before the payload; bytes of the packet besides the payload."""
-    head: tuple[int, ...]
+    head: Sequence[int]
     """Places of the bytes that tell what a packet carries."""
     big: bool = False
     """Whether the most significant byte comes first."""
@@ -153,15 +148,14 @@ class TableFamily:
     derived: Sequence[Derived] = ()
     """Columns that are computed."""
 
+    def __init__(self, rate_hz: float | None = None) -> None:
+        timing = replace(self.timing, rate_hz=rate_hz)
+        messages = self.messages.values()
+        super().__init__(self.frames, timing, messages, self.derived, apart=self.apart, big=self.big)
 
-class FamilyDecoder(TableDecoder):
-    """Decodes the messages of a family."""
-
-    def __init__(self, family: TableFamily, rate_hz: float | None) -> None:
-        timing = replace(family.timing, rate_hz=rate_hz)
-        messages = family.messages.values()
-        super().__init__(family.frames, timing, messages, family.derived, apart=family.apart, big=family.big)
-        self._family = family
+    @abstractmethod
+    def wrap(self, key: int, payload: bytes) -> bytes:
+        """Make a packet of an identifier and a payload."""
 
     @abstractmethod
     def _key(self, packet: bytes) -> int:
@@ -169,17 +163,17 @@ class FamilyDecoder(TableDecoder):
 
     def _message(self, key: int) -> Message | None:
         """Return what an identifier means."""
-        return self._family.messages.get(key)
+        return self.messages.get(key)
 
     def _signature(self, packet: bytes) -> Sequence[int]:
         del packet
-        return self._family.head
+        return self.head
 
     def _contents(self, packet: bytes) -> list[tuple[Message, int, int]]:
-        message, size = self._message(self._key(packet)), len(packet) - self._family.more
+        message, size = self._message(self._key(packet)), len(packet) - self.more
         if message is None or size < (message.least or message.size):
             return []
-        return [(message, self._family.start, min(size, message.size))]
+        return [(message, self.start, min(size, message.size))]
 
 
 class TableEncoder(Encoder):
@@ -190,7 +184,7 @@ class TableEncoder(Encoder):
     `names`: those of messages, in the order in which they are sent.
     """
 
-    def __init__(self, family: TableFamily, names: Sequence[str]) -> None:
+    def __init__(self, family: FamilyDecoder, names: Sequence[str]) -> None:
         there = {message.name: (key, message) for key, message in family.messages.items()}
         self._sent = chosen(names, there, "message")
         self._family = family
@@ -209,13 +203,13 @@ class TableEncoder(Encoder):
 class TableDevice(DeviceFile):
     """Device file of a family; `sends` is for its virtual twin alone."""
 
-    family: ClassVar[TableFamily]
+    family: ClassVar[type[FamilyDecoder]]
     sends: list[str]
 
     def decoder(self) -> FamilyDecoder:
         """Make a decoder for this device."""
-        return self.family.decodes(self.family, self.rate_hz)
+        return self.family(self.rate_hz)
 
     def encoder(self) -> TableEncoder:
         """Make an encoder that sends what the device would send."""
-        return TableEncoder(self.family, self.sends)
+        return TableEncoder(self.decoder(), self.sends)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from fractions import Fraction
-from functools import lru_cache, partial
+from functools import lru_cache
 from math import pi
 from typing import Final, Literal
 
@@ -24,13 +24,16 @@ from imumon.protocols.base import ByteArray, Timing
 from imumon.protocols.checks import Checksum
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.framing import Frame
-from imumon.protocols.messages import FamilyDecoder, Message, Part, TableEncoder, TableFamily, part, whole
+from imumon.protocols.messages import FamilyDecoder, Message, Part, TableEncoder, part, whole
 from imumon.protocols.quantities import known, number, vector
 
 TICK_NS: Final = 500_000
 """The counter counts samples of the internal 2000 Hz, not datagrams."""
 CRC_SIZE = 4
-BLOCKS = {
+LINE_END = b"\r\n"
+BLOCKS = {"gyro": 10, "acc": 10, "incl": 10, "gyro_temp": 7, "acc_temp": 7, "incl_temp": 7, "pps": 4}
+"""Bytes of each block, of which the last is its status."""
+PLAIN = {
     0x90: ("gyro", 2),
     0x91: ("gyro acc", 0),
     0x92: ("gyro incl", 0),
@@ -43,11 +46,10 @@ BLOCKS = {
 """Blocks of each datagram, and the zeros that count before its CRC."""
 DATAGRAMS = {
     key: (names, zeros)
-    for k, (plain, (blocks, zeros)) in enumerate(BLOCKS.items())
+    for k, (plain, (blocks, zeros)) in enumerate(PLAIN.items())
     for key, names in ((plain, blocks), (0xF0 + k, f"{blocks} pps"))
 }
 """The same with those from F0 on, which have a block for the pulse (PPS), of four bytes."""
-BLOCK_SIZES = {"gyro": 10, "acc": 10, "incl": 10, "gyro_temp": 7, "acc_temp": 7, "incl_temp": 7, "pps": 4}
 RANGE_BITS = {5: 20, 10: 19, 30: 18, 80: 16}
 """Bits behind the point of an acceleration in g, by the range in g; of an increment in m/s three more."""
 
@@ -83,7 +85,7 @@ def datagrams(output: Output, accel_range_g: AccelRange, rate_hz: float | None) 
         for name in names.split():
             kind, columns, factor = blocks[name]
             parts.append(part(at, kind, columns, factor))
-            at += BLOCK_SIZES[name]
+            at += BLOCKS[name]
             parts.append(whole(at - 1, "u8", f"{name}_status", f"status of {name}, bits; 0 is good"))
         parts.append(part(at, "u8", "device_ticks"))
         parts.append(part(at + 1, "u16", [number("latency", "us", "measurement to transmission")]))
@@ -96,7 +98,7 @@ NAMES = {bytes([key]): f"datagram {key:02X}" for key in DATAGRAMS}
 ZEROS, SIZES = np.zeros((2, 256), np.int64)
 ZEROS[[*DATAGRAMS]] = [zeros for _, zeros in DATAGRAMS.values()]
 SIZES[[*DATAGRAMS]] = [
-    1 + sum(BLOCK_SIZES[name] for name in blocks.split()) + 3 + CRC_SIZE for blocks, _ in DATAGRAMS.values()
+    1 + sum(BLOCKS[name] for name in blocks.split()) + 3 + CRC_SIZE for blocks, _ in DATAGRAMS.values()
 ]
 """Zeros before the CRC, and bytes, of each datagram by its identifier."""
 
@@ -113,16 +115,25 @@ def _right(held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
     return right
 
 
-def _wrapped(key: int, payload: bytes, line_end: bool) -> bytes:
-    return CHECKS[ZEROS[key]].sealed(bytes([key]) + payload[1:]) + (b"\r\n" if line_end else b"")
-
-
 class StimDecoder(FamilyDecoder):
     """Decodes the datagrams of normal mode, with and without a line end behind them."""
 
-    def __init__(self, assumed: str, family: TableFamily, rate_hz: float | None) -> None:
-        super().__init__(family, rate_hz)
-        self._assumed = assumed
+    frames = (Frame(NAMES, _length, _right, LINE_END),)
+    timing = Timing(tick_ns=Fraction(TICK_NS), tick_bits=8)
+    start, more, head, big = 0, CRC_SIZE, (0,), True
+
+    def __init__(self, device: StimDevice) -> None:
+        self.messages = datagrams(device.output, device.accel_range_g, device.rate_hz)
+        self._end = LINE_END if device.line_end else b""
+        self._assumed = (
+            f"read as {device.output}s with accelerometers of {device.accel_range_g} g, as the device file "
+            "says: the datagrams do not tell"
+        )
+        super().__init__(device.rate_hz)
+
+    def wrap(self, key: int, payload: bytes) -> bytes:
+        """Make a datagram."""
+        return CHECKS[ZEROS[key]].sealed(bytes([key]) + payload[1:]) + self._end
 
     def _key(self, packet: bytes) -> int:
         self._say(self._assumed)
@@ -146,24 +157,10 @@ class StimDevice(DeviceFile):
             raise ValueError(f"sends: expected one of {', '.join(there)}")
         return self
 
-    @property
-    def _family(self) -> TableFamily:
-        messages = datagrams(self.output, self.accel_range_g, self.rate_hz)
-        frames = [Frame(NAMES, _length, _right, b"\r\n")]
-        decodes = partial(
-            StimDecoder,
-            f"read as {self.output}s with accelerometers of {self.accel_range_g} g, as the device file says: "
-            "the datagrams do not tell",
-        )
-        timing = Timing(tick_ns=Fraction(TICK_NS), tick_bits=8)
-        wrap = partial(_wrapped, line_end=self.line_end)
-        return TableFamily(messages, frames, decodes, wrap, timing, 0, CRC_SIZE, (0,), big=True)
-
-    def decoder(self) -> FamilyDecoder:
+    def decoder(self) -> StimDecoder:
         """Make a decoder for this device."""
-        family = self._family
-        return family.decodes(family, self.rate_hz)
+        return StimDecoder(self)
 
     def encoder(self) -> TableEncoder:
         """Make an encoder that sends what the device would send."""
-        return TableEncoder(self._family, [self.sends])
+        return TableEncoder(self.decoder(), [self.sends])

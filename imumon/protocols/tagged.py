@@ -27,7 +27,7 @@ from imumon.protocols.base import OTHER, ByteArray, Encoder, Timing
 from imumon.protocols.checks import Checksum
 from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, NO_PACKET, Found, Frame, counted_length
 from imumon.protocols.messages import Message, TableDecoder
-from imumon.protocols.numbers import Derived, Number, is_missing, with_sources, write
+from imumon.protocols.numbers import Derived, Layout, Number, is_missing, with_sources, write
 
 LONGEST_XBUS_PAYLOAD = 2048
 KIND_AT = 2
@@ -185,17 +185,15 @@ class TaggedDecoder(TableDecoder):
             fit[data[alike.rows]] = self._is_filled(alike.packet)
         return fit
 
-    def _layout_numbers(self, found: Found) -> IntArray:
+    def _by_layout(self, found: Found) -> Iterable[tuple[Layout, IntArray]]:
         kind = found.held[found.at + KIND_AT]
-        numbers = np.full(len(found), -1, np.int64)
         self._types += np.bincount(kind, minlength=256)
         for row in np.flatnonzero(~self._is_data[kind]).tolist():
             packet = found.held[found.at[row] :][: found.length[row]].tobytes()
             for text in self._describe(int(kind[row]), self._form.payload(packet)):
                 self._say(text)
         data = np.flatnonzero(self._is_data[kind])
-        numbers[data] = super()._layout_numbers(found.only(data))
-        return numbers
+        return ((layout, data[rows]) for layout, rows in super()._by_layout(found.only(data)))
 
     def _describe(self, kind: int, payload: bytes) -> Iterable[str]:
         """Say in words what a message that is not data tells the user, if anything."""

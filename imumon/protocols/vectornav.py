@@ -171,19 +171,22 @@ class VectorNavDecoder(TableDecoder):
         self._factory: frozenset[str] = frozenset()
         """Quantities that have come as they were calibrated in the factory."""
 
-    def _layout_numbers(self, found: Found) -> IntArray:
-        """Number the layouts; where calibrated quantities begin, the filtered ones step back."""
-        all_alike = list(self._alike(found))
-        numbers = np.full(len(found), -1, np.int64)
-        for alike in all_alike:
+    def _by_layout(self, found: Found) -> Iterable[tuple[Layout, IntArray]]:
+        """Yield the layouts; where calibrated quantities begin, the filtered ones step back."""
+        start = 0
+        for alike in self._alike(found):
             new = _factory(self._numbers_of(alike)) - self._factory
             if new:
-                self._factory |= new
-                self._numbers.clear()
-                for earlier in all_alike:
-                    numbers[earlier.rows[earlier.rows > alike.rows[0]]] = self._number(earlier)
-            numbers[alike.rows] = self._number(alike)
-        return numbers
+                first = int(alike.rows[0])
+                yield from self._of_rows(found, start, first)
+                start, self._factory = first, self._factory | new
+                self._layouts.clear()
+        yield from self._of_rows(found, start, len(found))
+
+    def _of_rows(self, found: Found, start: int, stop: int) -> Iterable[tuple[Layout, IntArray]]:
+        """Yield the layouts of some of the packets."""
+        for layout, rows in super()._by_layout(found.only(np.arange(start, stop))):
+            yield layout, rows + start
 
     def _signature(self, packet: bytes) -> Sequence[int]:
         if packet[:1] == b"$":

@@ -22,7 +22,7 @@ from imumon.geodesy import STANDARD_GRAVITY
 from imumon.protocols.base import MAIN, ByteArray, Packets, Timing
 from imumon.protocols.checks import Checksum
 from imumon.protocols.framing import INCOMPLETE, NO_PACKET, Found, Frame, fixed_length, unchecked
-from imumon.protocols.messages import FamilyDecoder, Message, Part, TableDevice, TableFamily, part
+from imumon.protocols.messages import FamilyDecoder, Message, Part, TableDevice, part
 from imumon.protocols.numbers import NO_GROUP, Columns, Derived, Number
 from imumon.protocols.quantities import count, date, known, number, utc_time, vector
 
@@ -110,29 +110,29 @@ def _combined_lengths(held: ByteArray, at: IntArray) -> IntArray:
     return np.where(waits & (result < 0), INCOMPLETE, result)
 
 
-def _wrapped(key: int, payload: bytes) -> bytes:
-    if key in COMBINED_FORMS:
-        return bytes([0x55, COMBINED]) + payload
-    return Checksum("sum8").sealed(bytes([0x55, key]) + payload)
-
-
-FRAMES = [
-    Frame(
-        {bytes([0x55, kind]): message.name for kind, message in TYPES.items()} | {b"\x55\x5f": "register"},
-        fixed_length(SIZE),
-        Checksum("sum8"),
-    ),
-    Frame({bytes([0x55, COMBINED]): "combined"}, _combined_lengths, unchecked),
-]
-
-
-TIMING, FORMS, SIDE = Timing(tick_ns=Fraction(1_000_000)), TYPES | COMBINED_FORMS, ("gnss",)
-
-
 class WitMotionDecoder(FamilyDecoder):
     """Decodes frames of all types, and 0x61 in both lengths."""
 
+    messages = TYPES | COMBINED_FORMS
+    frames = (
+        Frame(
+            {bytes([0x55, kind]): item.name for kind, item in TYPES.items()} | {b"\x55\x5f": "register"},
+            fixed_length(SIZE),
+            Checksum("sum8"),
+        ),
+        Frame({bytes([0x55, COMBINED]): "combined"}, _combined_lengths, unchecked),
+    )
+    timing = Timing(tick_ns=Fraction(1_000_000))
+    start, more, head = HEADER, HEADER, (1,)
+    apart = ("gnss",)
+    derived = DERIVED
     _zeros = 0
+
+    def wrap(self, key: int, payload: bytes) -> bytes:
+        """Make a frame of a type, or the combined one."""
+        if key in COMBINED_FORMS:
+            return bytes([0x55, COMBINED]) + payload
+        return Checksum("sum8").sealed(bytes([0x55, key]) + payload)
 
     def _key(self, packet: bytes) -> int:
         return packet[1] << 8 | len(packet) if packet[1] == COMBINED else packet[1]
@@ -158,6 +158,4 @@ class WitMotionDecoder(FamilyDecoder):
 class WitMotionDevice(TableDevice):
     """Device file of a WitMotion module."""
 
-    family = TableFamily(
-        FORMS, FRAMES, WitMotionDecoder, _wrapped, TIMING, HEADER, HEADER, (1,), apart=SIDE, derived=DERIVED
-    )
+    family = WitMotionDecoder

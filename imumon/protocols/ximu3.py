@@ -20,7 +20,7 @@ from imumon.columns import Column
 from imumon.geodesy import STANDARD_GRAVITY
 from imumon.protocols.base import MAIN, ByteArray, Timing
 from imumon.protocols.framing import Found, Frame
-from imumon.protocols.messages import FamilyDecoder, Message, TableDevice, TableFamily, part
+from imumon.protocols.messages import FamilyDecoder, Message, TableDevice, part
 from imumon.protocols.quantities import number, vector
 from imumon.protocols.text import NUMBER, line_frame, line_lengths
 
@@ -102,8 +102,33 @@ def _numbers(text: str) -> list[float] | None:
     return [float(word) for word in words] if good and float(words[0]) < YEARS_US else None
 
 
+def _as_binary(message: bytes) -> bytes:
+    numbers = _numbers(message.decode("ascii"))
+    assert numbers is not None
+    return (
+        message[:1] + int(numbers[0]).to_bytes(TIME_SIZE, "little") + np.array(numbers[1:], "<f4").tobytes()
+    )
+
+
 class XimuDecoder(FamilyDecoder):
     """Decodes data messages with numbers; answers to commands and notes are skipped."""
+
+    messages = MESSAGES
+    frames = (
+        Frame(
+            {bytes([key | BINARY]): message.name for key, message in MESSAGES.items()},
+            partial(line_lengths, False),
+            _right,
+        ),
+        line_frame({b"%c," % key: f"{message.name} text" for key, message in MESSAGES.items()}, _numbers),
+    )
+    timing = Timing(tick_ns=Fraction(1000))
+    start, more, head = 1, 1, (0,)
+
+    def wrap(self, key: int, payload: bytes) -> bytes:
+        """Make a binary message."""
+        stuffed = payload.replace(b"\xdb", b"\xdb\xdd").replace(b"\n", b"\xdb\xdc")
+        return bytes([key | BINARY]) + stuffed + b"\n"
 
     def _plain(self, found: Found) -> Found:
         """Return all messages as binary ones without escapes and end, those of text behind the others."""
@@ -123,25 +148,7 @@ class XimuDecoder(FamilyDecoder):
         return packet[0] & ~BINARY
 
 
-def _as_binary(message: bytes) -> bytes:
-    numbers = _numbers(message.decode("ascii"))
-    assert numbers is not None
-    return (
-        message[:1] + int(numbers[0]).to_bytes(TIME_SIZE, "little") + np.array(numbers[1:], "<f4").tobytes()
-    )
-
-
-def _wrapped(key: int, payload: bytes) -> bytes:
-    stuffed = payload.replace(b"\xdb", b"\xdb\xdd").replace(b"\n", b"\xdb\xdc")
-    return bytes([key | BINARY]) + stuffed + b"\n"
-
-
-BINARIES = {bytes([key | BINARY]): message.name for key, message in MESSAGES.items()}
-TEXTS = {b"%c," % key: f"{message.name} text" for key, message in MESSAGES.items()}
-FRAMES = [Frame(BINARIES, partial(line_lengths, False), _right), line_frame(TEXTS, _numbers)]
-
-
 class XimuDevice(TableDevice):
     """Device file of an x-IMU3."""
 
-    family = TableFamily(MESSAGES, FRAMES, XimuDecoder, _wrapped, Timing(tick_ns=Fraction(1000)), 1, 1, (0,))
+    family = XimuDecoder

@@ -23,7 +23,7 @@ from tests.protocols.wire import mip, mip_time, mip_vector, mtdata2_gnss, mtdata
 
 START = 1_700_000_000_000_000_000
 MS = 1_000_000
-MAVLINK, INERTIAL_SENSE = MavlinkDevice.family, InertialSenseDevice.family
+MAVLINK, INERTIAL_SENSE = MavlinkDevice.family(), InertialSenseDevice.family()
 
 
 def run(

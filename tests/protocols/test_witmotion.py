@@ -11,7 +11,7 @@ from imumon.protocols.messages import TableEncoder
 from imumon.protocols.witmotion import WitMotionDevice
 from tests.protocols.streams import feed_in_chunks
 
-FAMILY = WitMotionDevice.family
+FAMILY = WitMotionDevice.family()
 COMBINED = bytes.fromhex("5561 d8fd3905de05 bb01ff00fbff ab0fb1ed808a 1a0616 0e2901 1903")
 """A frame of a card: 2026-06-22 14:41:01.793."""
 
