@@ -39,6 +39,17 @@ def part(at: int, kind: str, columns: str | Sequence[Column], factor: float = 1.
     return tuple(Number(c, kind, factor, at=at + k * size, group=group) for k, c in enumerate(there))
 
 
+def floats(columns: str | Iterable[Column], factor: float = 1.0, kind: str = "f32") -> Part:
+    """Return numbers of one type, not placed yet; a canonical quantity goes by its name."""
+    there = known(columns) if isinstance(columns, str) else columns
+    return tuple(Number(column, kind, factor) for column in there)
+
+
+def counted(name: str, description: str, kind: str, unit: str = "1") -> Number:
+    """Return an integer that is a column as it is, not placed yet."""
+    return Number(count(name, description, unit), kind)
+
+
 def whole(at: int, kind: str, name: str, description: str, unit: str = "1") -> Part:
     """Return an integer that is a column as it is."""
     return part(at, kind, [count(name, description, unit)])
