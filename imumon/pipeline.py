@@ -276,7 +276,7 @@ class Pipeline:
         if not len(packets) and not end:
             return SampleBlock({})
         if self._epochs is None:
-            return self._dated(packets.block, np.zeros(len(packets), np.int64), [])
+            return self._dated(packets.block, np.zeros(len(packets.block), np.int64), [])
         streams = self._epochs.process(packets, end)
         main = streams.pop(MAIN)
         held = self._held.process(main.block, streams)

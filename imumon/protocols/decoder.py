@@ -191,7 +191,7 @@ class Decoder:
         if len(found):
             last = self._searched + found.at + found.length
             packets = self._read(found, times[np.searchsorted(ends, last)])
-            if len(packets):
+            if len(packets.block):
                 self._done.append(packets)
         self._rest, self._overlap = data[rest:], overlap
         self._searched += rest

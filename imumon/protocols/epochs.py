@@ -178,12 +178,12 @@ class EpochAssembler:
         epoch = np.concatenate([self._kept_epoch, np.zeros_like(new)])
         own = np.concatenate([self._kept_own, new])
         ended = records(_Ended, epoch.size + len(group_masks))
-        behind = np.full(len(packets), -1, np.int64)
+        behind = np.full(len(packets.block), -1, np.int64)
         self._counts.ended = 0
         arrived = _Arrived(packets.groups, *_keys(packets.block), masks)
         books = _Books(self._state, epoch, own, ended, alone(self._counts))
         _assign(arrived, group_masks, end, books, behind)
-        counter = packets.block.columns.get("packet_counter", missing(len(packets), np.int64))
+        counter = packets.block.columns.get("packet_counter", missing(len(packets.block), np.int64))
         aside = (behind >= 0) & (counter != NO_INT)
         self.counted_aside = list(zip(behind[aside].tolist(), counter[aside].tolist(), strict=True))
         return epoch, own, _array(ended)[: self._counts.ended]

@@ -18,12 +18,12 @@ from imumon.blocks import ColumnArray, IntArray, SampleBlock, missing
 from imumon.columns import KNOWN, NAME, Column
 from imumon.config import LARGEST_NUMBER, StrictModel
 from imumon.errors import ImumonError
-from imumon.protocols.base import COMMON, LONGEST_PACKET, MAIN, ByteArray, Encoder, Timing
+from imumon.protocols.base import COMMON, LONGEST_PACKET, MAIN, NO_GROUP, ByteArray, Encoder, Groups, Timing
 from imumon.protocols.checks import CHECKSUM_NAMES, Checksum, Rearranged
 from imumon.protocols.decoder import DescribedDecoder
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.framing import IMPOSSIBLE, Check, Found, Frame, unchecked
-from imumon.protocols.numbers import NO_GROUP, NUMBER_TYPES, Number, Record, groups_of, write
+from imumon.protocols.numbers import NUMBER_TYPES, Number, Record, write
 from imumon.units import exact_conversion
 
 ByteOrder = Literal["big", "little"]
@@ -283,7 +283,7 @@ def fixed_decoder(name: str, packets: Sequence[Packet], rate_hz: float | None) -
     timed = next((t for t in timings if t.tick_ns is not None), timings[0])
     timing = replace(timed, counter_bits=counted.counter_bits)
     layouts = [DescribedLayout(packet) for packet in packets]
-    groups = groups_of(layouts) if len(packets) > 1 else None
+    groups = Groups.of([layout.of_column for layout in layouts]) if len(packets) > 1 else None
     return DescribedDecoder([_frame(packet, name) for packet in packets], timing, layouts, groups)
 
 

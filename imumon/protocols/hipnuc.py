@@ -17,7 +17,7 @@ from imumon.protocols.base import Timing
 from imumon.protocols.checks import Checksum, Rearranged
 from imumon.protocols.framing import Frame, counted_length
 from imumon.protocols.messages import FamilyDecoder, Message, TableDevice, TableEncoder, part
-from imumon.protocols.quantities import count, known, number, vector
+from imumon.protocols.numbers import count, known, number, vector
 
 SYNC = b"\x5a\xa5"
 HEADER, LONGEST = 6, 512 + 6

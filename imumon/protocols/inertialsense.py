@@ -16,8 +16,7 @@ from imumon.protocols.base import LONGEST_PACKET, Timing
 from imumon.protocols.checks import Checksum
 from imumon.protocols.framing import Frame, counted_length
 from imumon.protocols.messages import FamilyDecoder, Message, TableDevice, part, whole
-from imumon.protocols.numbers import Columns, Derived
-from imumon.protocols.quantities import known, number, vector
+from imumon.protocols.numbers import Columns, Derived, known, number, vector
 
 SYNC = b"\xef\x49"
 HEADER, AROUND = 6, 8

@@ -21,8 +21,7 @@ from imumon.protocols.base import MAIN, ByteArray, Timing
 from imumon.protocols.checks import CRCS, Checksum, by_distance, sent
 from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, Found, Frame, windows
 from imumon.protocols.messages import FamilyDecoder, Message, TableDevice, part, whole
-from imumon.protocols.numbers import Columns, Derived
-from imumon.protocols.quantities import count, known, number, vector
+from imumon.protocols.numbers import Columns, Derived, count, known, number, vector
 
 FIRST, SECOND = b"\xfe", b"\xfd"
 HEADERS = {FIRST: 6, SECOND: 10}

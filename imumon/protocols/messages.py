@@ -15,12 +15,11 @@ from typing import ClassVar
 
 from imumon.blocks import SampleBlock
 from imumon.columns import Column
-from imumon.protocols.base import COMMON, MAIN, Encoder, Groups, Timing, chosen
+from imumon.protocols.base import COMMON, MAIN, NO_GROUP, Encoder, Groups, Timing, chosen
 from imumon.protocols.decoder import Alike, Decoder
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.framing import Frame
-from imumon.protocols.numbers import NO_GROUP, Derived, Layout, Number, Record, groups_of, with_sources, write
-from imumon.protocols.quantities import count, known
+from imumon.protocols.numbers import Derived, Layout, Number, Record, count, known, with_sources, write
 
 ANY_SIZE = -1
 """Size of a field that is recognised and skipped whatever its length."""
@@ -104,13 +103,15 @@ def _all_columns(
 ) -> tuple[Groups, tuple[Column, ...]]:
     """Return the groups and the columns of all messages; kept, as they take ten times as long as the rest."""
     layouts = [Record(message.placed(0, message.size, False), derived) for message in messages]
-    return groups_of(layouts, names, apart), tuple(column for layout in layouts for column in layout.columns)
+    return Groups.of([layout.of_column for layout in layouts], names, apart), tuple(
+        column for layout in layouts for column in layout.columns
+    )
 
 
 class TableDecoder(Decoder):
     """Decodes packets that hold messages of a table.
 
-    `messages` are all that may come; `names` and `apart` as for `groups_of`.
+    `messages` are all that may come; `names` and `apart` as for `Groups.of`.
     """
 
     def __init__(

@@ -9,10 +9,9 @@ from typing import Literal
 
 from imumon.columns import KNOWN, Column
 from imumon.geodesy import STANDARD_GRAVITY as G
-from imumon.protocols.base import MAIN
+from imumon.protocols.base import MAIN, NO_GROUP
 from imumon.protocols.messages import Message, counted, field, floats
-from imumon.protocols.numbers import NO_GROUP, Number
-from imumon.protocols.quantities import MATRIX, count, known, number, vector
+from imumon.protocols.numbers import MATRIX, Number, count, known, number, vector
 
 GAUSS = 100.0
 """Gauss in µT."""

@@ -16,8 +16,7 @@ from imumon.protocols.base import LONGEST_PACKET, ByteArray, Timing
 from imumon.protocols.checks import Checksum
 from imumon.protocols.framing import Frame, counted_length
 from imumon.protocols.messages import FamilyDecoder, Message, TableDevice, part, whole
-from imumon.protocols.numbers import Columns, Derived
-from imumon.protocols.quantities import count, known, number, vector
+from imumon.protocols.numbers import Columns, Derived, count, known, number, vector
 
 SYNC, END = b"\xff\x5a", 0x33
 HEADER, AROUND = 6, 9

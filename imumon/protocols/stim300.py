@@ -25,7 +25,7 @@ from imumon.protocols.checks import Checksum
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.framing import Frame
 from imumon.protocols.messages import FamilyDecoder, Message, Part, TableEncoder, part, whole
-from imumon.protocols.quantities import known, number, vector
+from imumon.protocols.numbers import known, number, vector
 
 TICK_NS: Final = 500_000
 """The counter counts samples of the internal 2000 Hz, not datagrams."""

@@ -21,13 +21,13 @@ from pydantic import Field, NonNegativeInt, PositiveInt, model_validator
 
 from imumon.blocks import BoolArray, ColumnArray, FloatArray, IntArray, SampleBlock
 from imumon.config import StrictModel
-from imumon.protocols.base import COMMON, MAIN, ByteArray, Encoder
+from imumon.protocols.base import COMMON, MAIN, ByteArray, Encoder, Groups
 from imumon.protocols.checks import Checksum
 from imumon.protocols.decoder import DescribedDecoder
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.fixed import NumberField, NumberName, timing_of
 from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, Found, Frame
-from imumon.protocols.numbers import NUMBER_TYPES, WRAPPING, Number, groups_of, is_missing
+from imumon.protocols.numbers import NUMBER_TYPES, WRAPPING, Number, is_missing
 
 LINE_END: Final = 0x0A
 MOST_LINES: Final = 1 << 14
@@ -315,7 +315,7 @@ class TextDevice(DeviceFile):
         frames = [line_frame({x.prefix.encode() or b"\n": x.name}, read, not x.prefix) for x, read in both]
         layouts = [LineLayout(read, line.numbers) for line, read in both]
         timing = timing_of([field for line in self.lines for field in line.fields], self.rate_hz)
-        return DescribedDecoder(frames, timing, layouts, groups_of(layouts))
+        return DescribedDecoder(frames, timing, layouts, Groups.of([layout.of_column for layout in layouts]))
 
     def encoder(self) -> TextEncoder:
         """Make an encoder for the lines that are sent: all when `sends` is empty."""

@@ -9,10 +9,9 @@ from functools import partial
 from math import pi
 
 from imumon.columns import KNOWN, Column
-from imumon.protocols.base import MAIN
+from imumon.protocols.base import MAIN, NO_GROUP
 from imumon.protocols.messages import Message, counted, field, floats
-from imumon.protocols.numbers import NO_GROUP, Number
-from imumon.protocols.quantities import known, number, vector
+from imumon.protocols.numbers import Number, known, number, vector
 
 DEGREE = pi / 180
 GAUSS = 100.0

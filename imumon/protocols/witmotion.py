@@ -19,12 +19,11 @@ import numpy as np
 from imumon.blocks import ColumnArray, IntArray
 from imumon.columns import KNOWN
 from imumon.geodesy import STANDARD_GRAVITY
-from imumon.protocols.base import MAIN, ByteArray, Packets, Timing
+from imumon.protocols.base import MAIN, NO_GROUP, ByteArray, Packets, Timing
 from imumon.protocols.checks import Checksum
 from imumon.protocols.framing import INCOMPLETE, NO_PACKET, Found, Frame, fixed_length, unchecked
 from imumon.protocols.messages import FamilyDecoder, Message, Part, TableDevice, part
-from imumon.protocols.numbers import NO_GROUP, Columns, Derived, Number
-from imumon.protocols.quantities import count, date, known, number, utc_time, vector
+from imumon.protocols.numbers import Columns, Derived, Number, count, date, known, number, utc_time, vector
 
 FORCE_FACTOR, RATE_FACTOR, ANGLE_FACTOR = (16 * STANDARD_GRAVITY / 32768, 2000 * pi / 180 / 32768, pi / 32768)
 HEADER, PAYLOAD, SIZE = 2, 8, 11

@@ -21,7 +21,7 @@ from imumon.geodesy import STANDARD_GRAVITY
 from imumon.protocols.base import MAIN, ByteArray, Timing
 from imumon.protocols.framing import Found, Frame
 from imumon.protocols.messages import FamilyDecoder, Message, TableDevice, part
-from imumon.protocols.quantities import number, vector
+from imumon.protocols.numbers import number, vector
 from imumon.protocols.text import NUMBER, line_frame, line_lengths
 
 BINARY: Final = 0x80

@@ -13,10 +13,9 @@ from functools import lru_cache
 from math import pi
 
 from imumon.columns import KNOWN, Column
-from imumon.protocols.base import MAIN
+from imumon.protocols.base import MAIN, NO_GROUP
 from imumon.protocols.messages import Message, counted, field, floats
-from imumon.protocols.numbers import NO_GROUP, Number
-from imumon.protocols.quantities import FROM_MATRIX, MATRIX, count, date, known, number, utc_time, vector
+from imumon.protocols.numbers import FROM_MATRIX, MATRIX, Number, count, date, known, number, utc_time, vector
 
 DEGREE = pi / 180
 

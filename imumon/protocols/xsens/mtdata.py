@@ -19,8 +19,7 @@ from imumon.config import StrictModel
 from imumon.protocols.base import Timing, chosen
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.messages import Message, field
-from imumon.protocols.numbers import Number
-from imumon.protocols.quantities import MATRIX, count, known, number
+from imumon.protocols.numbers import MATRIX, Number, count, known, number
 from imumon.protocols.tagged import XBUS, XBUS_DATA, TaggedDecoder, TaggedEncoder
 from imumon.protocols.xsens import fields
 from imumon.protocols.xsens.fields import DEGREE, DERIVED, FRAMES, IDENTIFIERS, PRECISIONS, message_of
