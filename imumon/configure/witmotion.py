@@ -17,8 +17,8 @@ from imumon.configure.firmware import Firmware, PacketKind
 from imumon.protocols.checks import Checksum
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.framing import Frame, fixed_length, unchecked
-from imumon.protocols.messages import TableEncoder
-from imumon.protocols.witmotion import SIZE, TYPES, WitMotionDevice
+from imumon.protocols.messages import TableDevice, TableEncoder
+from imumon.protocols.witmotion import SIZE, TYPES, WitMotionDecoder
 
 REGISTER_ANSWER = 0x5F
 CONTENT, RATE = "output content", "output rate"
@@ -135,7 +135,7 @@ class WitMotionFirmware(Firmware):
     family = WitMotion()
 
     def __init__(self, device: DeviceFile, rate_hz: float) -> None:
-        assert isinstance(device, WitMotionDevice)
+        assert isinstance(device, TableDevice)
         bits = {message.name: 1 << kind - FIRST_FRAME for kind, message in TYPES.items()}
         content = sum(bits[name] for name in device.sends)
         rate = min(RATES, key=lambda code: abs(RATES[code] - rate_hz))
@@ -173,4 +173,4 @@ class WitMotionFirmware(Firmware):
         names = [TYPES[FIRST_FRAME + bit].name for bit in range(len(BITS)) if content >> bit & 1]
         rate = RATES[self.volatile[RATE][0]]
         every = {name: round(FASTEST_HZ / rate) for name in names if name not in NOT_ENCODED}
-        return FASTEST_HZ, [PacketKind(partial(TableEncoder, WitMotionDevice.family()), every)]
+        return FASTEST_HZ, [PacketKind(partial(TableEncoder, WitMotionDecoder()), every)]

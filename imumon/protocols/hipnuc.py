@@ -16,7 +16,7 @@ from imumon.geodesy import STANDARD_GRAVITY
 from imumon.protocols.base import Timing
 from imumon.protocols.checks import Checksum, Rearranged
 from imumon.protocols.framing import Frame, counted_length
-from imumon.protocols.messages import FamilyDecoder, Message, TableDevice, TableEncoder, part
+from imumon.protocols.messages import FamilyDecoder, Message, part
 from imumon.protocols.numbers import count, known, number, vector
 
 SYNC = b"\x5a\xa5"
@@ -125,6 +125,12 @@ class HipnucDecoder(FamilyDecoder):
         head = SYNC + len(payload).to_bytes(2, "little")
         return head + _XMODEM.sealed(head + payload)[-2:] + payload
 
+    def named(self, names: Sequence[str]) -> dict[str, tuple[int, Message]]:
+        """Return ``imu91``, ``ins81``, and 0x83 with the bits that these names have, as ``imu83:0x123``."""
+        bits = [int(name.partition(":")[2], 16) for name in names if name.startswith("imu83:0x")]
+        there = PACKETS | {one << 8 | OF_BITS: of_bits(one) for one in bits}
+        return {message.name: (key, message) for key, message in there.items()}
+
     def _message(self, key: int) -> Message | None:
         return of_bits(key >> 8) if key & 0xFF == OF_BITS else super()._message(key)
 
@@ -138,16 +144,3 @@ class HipnucDecoder(FamilyDecoder):
             self._say("packets with other tags than 0x81, 0x83 and 0x91 are counted and not read")
         key = int.from_bytes(tag, "little")
         return int.from_bytes(bits, "little") << 8 | key if key == OF_BITS and len(bits) == 4 else key
-
-
-class HipnucDevice(TableDevice):
-    """Device file of a HiPNUC unit: `sends` ``imu91``, ``ins81``, or the bits of 0x83, ``imu83:0x123``."""
-
-    family = HipnucDecoder
-
-    def encoder(self) -> TableEncoder:
-        """Make an encoder that sends what the device would send."""
-        family = HipnucDecoder()
-        bits = [int(n.partition(":")[2], 16) for n in self.sends if n.startswith("imu83:0x")]
-        family.messages = PACKETS | {b << 8 | OF_BITS: of_bits(b) for b in bits}
-        return TableEncoder(family, self.sends)

@@ -15,7 +15,7 @@ from imumon.blocks import ColumnArray
 from imumon.protocols.base import LONGEST_PACKET, Timing
 from imumon.protocols.checks import Checksum
 from imumon.protocols.framing import Frame, counted_length
-from imumon.protocols.messages import FamilyDecoder, Message, TableDevice, part, whole
+from imumon.protocols.messages import FamilyDecoder, Message, part, whole
 from imumon.protocols.numbers import Columns, Derived, known, number, vector
 
 SYNC = b"\xef\x49"
@@ -92,9 +92,3 @@ class InertialSenseDecoder(FamilyDecoder):
         if flags & WITH_OFFSET:
             self._say("data sets that come in part are counted and not read")
         return packet[3] if flags & (WITH_OFFSET | 0x0F) in (DATA, SET_DATA) else -1
-
-
-class InertialSenseDevice(TableDevice):
-    """Device file of an Inertial Sense unit."""
-
-    family = InertialSenseDecoder

@@ -20,7 +20,7 @@ from imumon.geodesy import STANDARD_GRAVITY
 from imumon.protocols.base import MAIN, ByteArray, Timing
 from imumon.protocols.checks import CRCS, Checksum, by_distance, sent
 from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, Found, Frame, windows
-from imumon.protocols.messages import FamilyDecoder, Message, TableDevice, part, whole
+from imumon.protocols.messages import FamilyDecoder, Message, part, whole
 from imumon.protocols.numbers import Columns, Derived, count, known, number, vector
 
 FIRST, SECOND = b"\xfe", b"\xfd"
@@ -161,9 +161,3 @@ class MavlinkDecoder(FamilyDecoder):
             self._say(f"only vehicle {number}, component {component} is read of several")
             return -1
         return key
-
-
-class MavlinkDevice(TableDevice):
-    """Device file of an autopilot."""
-
-    family = MavlinkDecoder

@@ -11,7 +11,7 @@ from abc import abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import ClassVar
+from pkgutil import resolve_name
 
 from imumon.blocks import SampleBlock
 from imumon.columns import Column
@@ -21,6 +21,15 @@ from imumon.protocols.device import DeviceFile
 from imumon.protocols.framing import Frame
 from imumon.protocols.numbers import Derived, Layout, Number, Record, count, known, with_sources, write
 
+FAMILIES = {
+    "ximu3": "imumon.protocols.ximu3:XimuDecoder",
+    "mavlink": "imumon.protocols.mavlink:MavlinkDecoder",
+    "witmotion": "imumon.protocols.witmotion:WitMotionDecoder",
+    "sbg": "imumon.protocols.sbg:SbgDecoder",
+    "inertialsense": "imumon.protocols.inertialsense:InertialSenseDecoder",
+    "hipnuc": "imumon.protocols.hipnuc:HipnucDecoder",
+}
+"""Decoder of each protocol that is a table of messages; imported when a device of it is decoded."""
 ANY_SIZE = -1
 """Size of a field that is recognised and skipped whatever its length."""
 Part = tuple[Number, ...]
@@ -173,6 +182,11 @@ class FamilyDecoder(TableDecoder):
     def _key(self, packet: bytes) -> int:
         """Return the identifier of a packet; what is not in the table is only counted."""
 
+    def named(self, names: Sequence[str]) -> dict[str, tuple[int, Message]]:
+        """Return identifier and contents of messages by name: of all, or of these and others."""
+        del names
+        return {message.name: (key, message) for key, message in self.messages.items()}
+
     def _message(self, key: int) -> Message | None:
         """Return what an identifier means."""
         return self.messages.get(key)
@@ -197,8 +211,7 @@ class TableEncoder(Encoder):
     """
 
     def __init__(self, family: FamilyDecoder, names: Sequence[str]) -> None:
-        there = {message.name: (key, message) for key, message in family.messages.items()}
-        self._sent = chosen(names, there, "message")
+        self._sent = chosen(names, family.named(names), "message")
         self._family = family
 
     def encode(self, block: SampleBlock) -> list[bytes]:
@@ -215,12 +228,12 @@ class TableEncoder(Encoder):
 class TableDevice(DeviceFile):
     """Device file of a family; `sends` is for its virtual twin alone."""
 
-    family: ClassVar[type[FamilyDecoder]]
     sends: list[str]
 
     def decoder(self) -> FamilyDecoder:
         """Make a decoder for this device."""
-        return self.family(self.rate_hz)
+        family: type[FamilyDecoder] = resolve_name(FAMILIES[self.protocol])
+        return family(self.rate_hz)
 
     def encoder(self) -> TableEncoder:
         """Make an encoder that sends what the device would send."""

@@ -15,7 +15,7 @@ from imumon.blocks import BoolArray, ColumnArray, IntArray
 from imumon.protocols.base import LONGEST_PACKET, ByteArray, Timing
 from imumon.protocols.checks import Checksum
 from imumon.protocols.framing import Frame, counted_length
-from imumon.protocols.messages import FamilyDecoder, Message, TableDevice, part, whole
+from imumon.protocols.messages import FamilyDecoder, Message, part, whole
 from imumon.protocols.numbers import Columns, Derived, count, known, number, vector
 
 SYNC, END = b"\xff\x5a", 0x33
@@ -116,9 +116,3 @@ class SbgDecoder(FamilyDecoder):
         if packet[3] & LARGE:
             self._say("logs in several pages are counted and not read")
         return packet[2] if packet[3] == 0 else -1
-
-
-class SbgDevice(TableDevice):
-    """Device file of an SBG Systems unit."""
-
-    family = SbgDecoder

@@ -22,7 +22,7 @@ from imumon.geodesy import STANDARD_GRAVITY
 from imumon.protocols.base import MAIN, NO_GROUP, ByteArray, Packets, Timing
 from imumon.protocols.checks import Checksum
 from imumon.protocols.framing import INCOMPLETE, NO_PACKET, Found, Frame, fixed_length, unchecked
-from imumon.protocols.messages import FamilyDecoder, Message, Part, TableDevice, part
+from imumon.protocols.messages import FamilyDecoder, Message, Part, part
 from imumon.protocols.numbers import Columns, Derived, Number, count, date, known, number, utc_time, vector
 
 FORCE_FACTOR, RATE_FACTOR, ANGLE_FACTOR = (16 * STANDARD_GRAVITY / 32768, 2000 * pi / 180 / 32768, pi / 32768)
@@ -152,9 +152,3 @@ class WitMotionDecoder(FamilyDecoder):
                 "so bias and noise found from them mean nothing"
             )
         return packets
-
-
-class WitMotionDevice(TableDevice):
-    """Device file of a WitMotion module."""
-
-    family = WitMotionDecoder

@@ -20,7 +20,7 @@ from imumon.columns import Column
 from imumon.geodesy import STANDARD_GRAVITY
 from imumon.protocols.base import MAIN, ByteArray, Timing
 from imumon.protocols.framing import Found, Frame
-from imumon.protocols.messages import FamilyDecoder, Message, TableDevice, part
+from imumon.protocols.messages import FamilyDecoder, Message, part
 from imumon.protocols.numbers import number, vector
 from imumon.protocols.text import NUMBER, line_frame, line_lengths
 
@@ -146,9 +146,3 @@ class XimuDecoder(FamilyDecoder):
 
     def _key(self, packet: bytes) -> int:
         return packet[0] & ~BINARY
-
-
-class XimuDevice(TableDevice):
-    """Device file of an x-IMU3."""
-
-    family = XimuDecoder
