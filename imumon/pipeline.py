@@ -19,8 +19,7 @@ import numpy as np
 from imumon.blocks import NO_INT, ColumnArray, IntArray, SampleBlock, join, missing
 from imumon.charts import Chart
 from imumon.clock import DeviceClock, HostClock
-from imumon.clock.checks import NominalRate, Repeats
-from imumon.clock.rate import Intervals
+from imumon.clock.checks import Intervals, NominalRate, Repeats
 from imumon.clock.side import HeldReadings, SharedCounter, SideClock
 from imumon.columns import KNOWN, TIME_COLUMNS, Column
 from imumon.intake import Intake
