@@ -88,11 +88,6 @@ class Number(NamedTuple):
         """First byte behind the number."""
         return self.at + NUMBER_TYPES[self.type].size
 
-    @property
-    def lowest_bit(self) -> int:
-        """Number of the lowest bit of the mask."""
-        return (self.mask & -self.mask).bit_length() - 1
-
     def read(self, raw: ColumnArray) -> ColumnArray:
         """Return the column of what the field of `record_type` has."""
         kind = NUMBER_TYPES[self.type]
@@ -102,7 +97,7 @@ class Number(NamedTuple):
         elif self.type == "fp1632":
             raw = _of_bytes(raw, (3, 2, 1, 0, 5, 4), signed=True) / 2.0**32
         if self.mask:
-            raw = (raw.astype(np.uint64) & np.uint64(self.mask)) >> np.uint64(self.lowest_bit)
+            raw = (raw.astype(np.uint64) & np.uint64(self.mask)) // np.uint64(self.mask & -self.mask)
         if self.column.dtype == "int64" and kind.integer:
             whole = raw.astype(np.int64) * int(self.factor) + int(self.offset)
             if kind.signed or self.name in WRAPPING:
@@ -170,7 +165,7 @@ def _packed(where: str, value: Number, numbers: ColumnArray) -> ByteArray:
         _refuse(~np.isfinite(scaled) | (np.abs(scaled) > 2.0**62), numbers, where)
         numbers = np.rint(scaled).astype(np.int64)
     if value.mask:
-        numbers = numbers << value.lowest_bit & value.mask
+        numbers = numbers * (value.mask & -value.mask) & value.mask
     elif value.column is not None and value.column.name not in WRAPPING and kind.size < 8:
         low, high = kind.range
         _refuse((numbers < low) | (numbers > high), numbers, where)

@@ -55,17 +55,16 @@ RANGE_BITS = {5: 20, 10: 19, 30: 18, 80: 16}
 
 AccelRange = Literal[5, 10, 30, 80]
 Output = Literal["rate", "increment"]
-Block = tuple[str, str | Sequence[Column], float]
 
 
-def _blocks(output: Output, accel_range_g: AccelRange, rate_hz: float | None) -> dict[str, Block]:
-    """Return for each block the type, columns and factor of its numbers."""
-    per_sample = rate_hz or 1.0
-    rate = pi / 180 * (2.0**-14 if output == "rate" else 2.0**-21 * per_sample)
-    bits = RANGE_BITS[accel_range_g]
-    force = STANDARD_GRAVITY * 2.0**-bits if output == "rate" else 2.0 ** -(bits + 3) * per_sample
-    tilt = STANDARD_GRAVITY * 2.0**-22 if output == "rate" else 2.0**-25 * per_sample
-    return {
+@lru_cache
+def datagrams(output: Output, accel_range_g: AccelRange, rate_hz: float | None) -> dict[int, Message]:
+    """Return the datagrams of normal mode by their identifier, which is byte 0 of the payload."""
+    is_rate, per_sample, bits = output == "rate", rate_hz or 1.0, RANGE_BITS[accel_range_g]
+    rate = pi / 180 * (2.0**-14 if is_rate else 2.0**-21 * per_sample)
+    force = STANDARD_GRAVITY * 2.0**-bits if is_rate else 2.0 ** -(bits + 3) * per_sample
+    tilt = STANDARD_GRAVITY * 2.0**-22 if is_rate else 2.0**-25 * per_sample
+    blocks: dict[str, tuple[str, str | Sequence[Column], float]] = {
         "gyro": ("i24", "gyro", rate),
         "acc": ("i24", "accel", force),
         "incl": ("i24", vector("inclinometer", "m/s^2", "specific force of the inclinometer"), tilt),
@@ -74,17 +73,11 @@ def _blocks(output: Output, accel_range_g: AccelRange, rate_hz: float | None) ->
         "incl_temp": ("i16", vector("inclinometer_temperature", "degC", "of the inclinometer"), 2.0**-8),
         "pps": ("u24", [number("time_since_pps", "us", "since the edge of the pulse")], 1.0),
     }
-
-
-@lru_cache
-def datagrams(output: Output, accel_range_g: AccelRange, rate_hz: float | None) -> dict[int, Message]:
-    """Return the datagrams of normal mode by their identifier, which is byte 0 of the payload."""
-    blocks, messages = _blocks(output, accel_range_g, rate_hz), {}
+    messages = {}
     for key, (names, _) in DATAGRAMS.items():
         at, parts = 1, list[Part]()
         for name in names.split():
-            kind, columns, factor = blocks[name]
-            parts.append(part(at, kind, columns, factor))
+            parts.append(part(at, *blocks[name]))
             at += BLOCKS[name]
             parts.append(whole(at - 1, "u8", f"{name}_status", f"status of {name}, bits; 0 is good"))
         parts.append(part(at, "u8", "device_ticks"))
@@ -94,13 +87,10 @@ def datagrams(output: Output, accel_range_g: AccelRange, rate_hz: float | None) 
 
 
 CHECKS = [Checksum("crc32-mpeg2", big=True, zeros=zeros) for zeros in range(4)]
-NAMES = {bytes([key]): f"datagram {key:02X}" for key in DATAGRAMS}
 ZEROS, SIZES = np.zeros((2, 256), np.int64)
-ZEROS[[*DATAGRAMS]] = [zeros for _, zeros in DATAGRAMS.values()]
-SIZES[[*DATAGRAMS]] = [
-    1 + sum(BLOCKS[name] for name in blocks.split()) + 3 + CRC_SIZE for blocks, _ in DATAGRAMS.values()
-]
 """Zeros before the CRC, and bytes, of each datagram by its identifier."""
+for _key, (_names, _zeros) in DATAGRAMS.items():
+    ZEROS[_key], SIZES[_key] = _zeros, 1 + sum(BLOCKS[name] for name in _names.split()) + 3 + CRC_SIZE
 
 
 def _length(held: ByteArray, at: IntArray) -> IntArray:
@@ -118,7 +108,7 @@ def _right(held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
 class StimDecoder(FamilyDecoder):
     """Decodes the datagrams of normal mode, with and without a line end behind them."""
 
-    frames = (Frame(NAMES, _length, _right, LINE_END),)
+    frames = (Frame({bytes([key]): f"datagram {key:02X}" for key in DATAGRAMS}, _length, _right, LINE_END),)
     timing = Timing(tick_ns=Fraction(TICK_NS), tick_bits=8)
     start, more, head, big = 0, CRC_SIZE, (0,), True
 
