@@ -264,4 +264,4 @@ def _steps(
 ) -> tuple[IntArray, BoolArray]:
     """Return the differences of such numbers, modulo their size, and which have no byte that is known."""
     step = (_numbers(after, size, order) - _numbers(before, size, order)) & (1 << 8 * size) - 1
-    return step, ~sliding_window_view(known, size).any(axis=1)
+    return step, np.asarray(~sliding_window_view(known, size).any(axis=1))

@@ -58,19 +58,21 @@ class Frame:
     def places(self, held: ByteArray) -> tuple[IntArray, IntArray]:
         """Return where packets may begin, also where only the first bytes are there, and of which kind."""
         sync = np.frombuffer(b"".join(self.names), np.uint8).reshape(len(self.names), -1)
-        firsts = {*sync[:, 0].tolist()}
-        at = np.flatnonzero(reduce(or_, [held == byte for byte in firsts]))
+        at = np.flatnonzero(reduce(or_, [held == byte for byte in {*sync[:, 0].tolist()}]))
         whole, cut = np.split(at, [np.searchsorted(at, len(held) - sync.shape[1], "right")])
-        telling = int(np.argmax(np.ptp(sync, axis=0)))
-        kinds = np.full(256, -1)
-        kinds[sync[:, telling]] = np.arange(len(sync))
-        kind = kinds[held[whole + telling]]
-        agrees = kind >= 0
-        for k in range(len(firsts) == 1, sync.shape[1]):
-            agrees &= held[whole + k] == sync[kind, k]
+        kind = np.zeros_like(whole)
+        for k, bytes_there in enumerate(sync.T):
+            if len(sync) > 1 and len({*bytes_there.tolist()}) > 1:
+                numbers = np.full(256, -1)
+                numbers[bytes_there] = np.arange(len(sync))
+                kind = numbers[held[whole + k]]
+                whole, kind = whole[kind >= 0], kind[kind >= 0]
+            elif k:
+                there = held[whole + k] == bytes_there[0]
+                whole, kind = whole[there], kind[there]
         begun = [any(name.startswith(held[k:].tobytes()) for name in self.names) for k in cut.tolist()]
         cut = cut[np.array(begun, np.bool_)]
-        return np.append(whole[agrees], cut), np.append(kind[agrees], np.zeros_like(cut))
+        return np.append(whole, cut), np.append(kind, np.zeros_like(cut))
 
     def verdicts(self, held: ByteArray, at: IntArray, final: bool) -> IntArray:
         """Return for each place the length of the packet there, with its tail, or why there is none, (n,)."""

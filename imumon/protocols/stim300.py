@@ -123,7 +123,7 @@ class StimDecoder(FamilyDecoder):
 
     def wrap(self, key: int, payload: bytes) -> bytes:
         """Make a datagram."""
-        return CHECKS[ZEROS[key]].sealed(bytes([key]) + payload[1:]) + self._end
+        return CHECKS[int(ZEROS[key])].sealed(bytes([key]) + payload[1:]) + self._end
 
     def _key(self, packet: bytes) -> int:
         self._say(self._assumed)

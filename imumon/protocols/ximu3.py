@@ -91,7 +91,7 @@ def _right(held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
     bad = escapes[~np.isin(held[escapes + 1], (ESCAPED_END, ESCAPED_ESCAPE))]
     unspoilt = np.searchsorted(bad, at) == np.searchsorted(bad, end)
     in_time = plain[np.minimum(begin + TIME_SIZE, len(plain) - 1)] < YEARS_US >> 56
-    return unspoilt & in_time & (place[end] - begin == SIZES[held[at]] + 1)
+    return np.asarray(unspoilt & in_time & (place[end] - begin == SIZES[held[at]] + 1))
 
 
 def _numbers(text: str) -> list[float] | None:
