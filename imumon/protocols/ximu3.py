@@ -34,32 +34,9 @@ DEGREE: Final = pi / 180
 
 MATRIX = [number(f"matrix_{i}{j}", "1", "rotation matrix") for i in "xyz" for j in "xyz"]
 
-Kind = tuple[str, str, list[tuple[str | Sequence[Column], float]]]
-KINDS: dict[str, Kind] = {
-    "I": ("inertial", MAIN, [("gyro", DEGREE),
-                             ("accel", STANDARD_GRAVITY)]),
-    "M": ("magnetometer", "mag", [(vector("mag", "a.u.", "magnetic field, 1 when calibrated"), 1.0)]),
-    "T": ("temperature", "temperature", [("temperature", 1.0)]),
-    "Q": ("quaternion", "attitude", [("q", 1.0)]),
-    "A": ("euler", "attitude", [("angles", DEGREE)]),
-    "R": ("matrix", "attitude", [(MATRIX, 1.0)]),
-    "L": ("linear", "attitude", [(vector("free_accel", "m/s^2", "without gravity"), STANDARD_GRAVITY)]),
-    "E": ("earth", "attitude", [(vector("earth_accel", "m/s^2", "without gravity, in the reference frame"),
-                                 STANDARD_GRAVITY)]),
-    "H": ("high_g", "high_g", [(vector("accel_high_g", "m/s^2", "for high accelerations"),
-                                STANDARD_GRAVITY)]),
-    "B": ("battery", "status", [([number("battery", "1", "charge, percent"),
-                                  number("battery_voltage", "V", "of the battery"),
-                                  number("charging", "1", "status of charging")], 1.0)]),
-    "W": ("rssi", "status", [([number("rssi_percent", "1", "strength of the radio signal"),
-                               number("rssi_power", "1", "the same, dBm")], 1.0)]),
-    "Y": ("sync", "sync", [([number("sync_edge", "1", "edge at the input")], 1.0)]),
-}  # fmt: skip
-"""Messages with numbers: name, group, and columns with their factors; all are f32."""
 
-
-def _message(letter: str) -> Message:
-    name, group, vectors = KINDS[letter]
+def _message(name: str, group: str, *vectors: tuple[str | Sequence[Column], float]) -> Message:
+    """Return a message of the time and of floats: columns with their factors."""
     at, parts = TIME_SIZE, [part(0, "u64", "device_ticks")]
     for columns, factor in vectors:
         parts.append(part(at, "f32", columns, factor))
@@ -67,9 +44,29 @@ def _message(letter: str) -> Message:
     return Message(name, at, tuple(parts), group)
 
 
-MESSAGES = {ord(letter): _message(letter) for letter in KINDS}
-
-
+MESSAGES = {
+    ord("I"): _message("inertial", MAIN, ("gyro", DEGREE), ("accel", STANDARD_GRAVITY)),
+    ord("M"): _message("magnetometer", "mag",
+                       (vector("mag", "a.u.", "magnetic field, 1 when calibrated"), 1.0)),
+    ord("T"): _message("temperature", "temperature", ("temperature", 1.0)),
+    ord("Q"): _message("quaternion", "attitude", ("q", 1.0)),
+    ord("A"): _message("euler", "attitude", ("angles", DEGREE)),
+    ord("R"): _message("matrix", "attitude", (MATRIX, 1.0)),
+    ord("L"): _message("linear", "attitude",
+                       (vector("free_accel", "m/s^2", "without gravity"), STANDARD_GRAVITY)),
+    ord("E"): _message("earth", "attitude",
+                       (vector("earth_accel", "m/s^2", "without gravity, in the reference frame"),
+                        STANDARD_GRAVITY)),
+    ord("H"): _message("high_g", "high_g",
+                       (vector("accel_high_g", "m/s^2", "for high accelerations"), STANDARD_GRAVITY)),
+    ord("B"): _message("battery", "status", ([number("battery", "1", "charge, percent"),
+                                              number("battery_voltage", "V", "of the battery"),
+                                              number("charging", "1", "status of charging")], 1.0)),
+    ord("W"): _message("rssi", "status", ([number("rssi_percent", "1", "strength of the radio signal"),
+                                           number("rssi_power", "1", "the same, dBm")], 1.0)),
+    ord("Y"): _message("sync", "sync", ([number("sync_edge", "1", "edge at the input")], 1.0)),
+}  # fmt: skip
+"""Messages with numbers by their letter."""
 SIZES = np.zeros(256, np.int64)
 SIZES[[key | BINARY for key in MESSAGES]] = [message.size for message in MESSAGES.values()]
 """Bytes of time and numbers of binary messages, by their first byte."""
