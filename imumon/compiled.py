@@ -80,16 +80,8 @@ def records(fields: type[Fields], count: int, **shapes: int | tuple[int, ...]) -
     return cast(Sequence[Fields], made)
 
 
-def alone(made: Fields) -> Sequence[Fields]:
-    """Return a record as the array that it is the only one of: compiled code is called with that in 0.3 µs.
-
-    A record as such costs 2 µs a call, which counts where there are few bytes to a call.
-    """
-    return cast(Sequence[Fields], cast(Any, made).base)
-
-
 def _stored(made: Any) -> tuple[Callable[..., Any], tuple[Any, int]]:
-    """Tell pickle that a record is part of an array: copied by itself, `alone` would no longer find it."""
+    """Tell pickle that a record is part of an array."""
     array = made.base
     address = made.__array_interface__["data"][0] - array.__array_interface__["data"][0]
     return getitem, (array, address // array.itemsize)

@@ -19,8 +19,7 @@ import numpy as np
 from imumon.blocks import NO_INT, ColumnArray, IntArray, SampleBlock, join, missing
 from imumon.charts import Chart
 from imumon.clock import DeviceClock, HostClock
-from imumon.clock.checks import NominalRate, Repeats
-from imumon.clock.rate import Intervals
+from imumon.clock.checks import Intervals, NominalRate, Repeats
 from imumon.clock.side import HeldReadings, SharedCounter, SideClock
 from imumon.columns import KNOWN, TIME_COLUMNS, Column
 from imumon.intake import Intake
@@ -276,7 +275,7 @@ class Pipeline:
         if not len(packets) and not end:
             return SampleBlock({})
         if self._epochs is None:
-            return self._dated(packets.block, np.zeros(len(packets), np.int64), [])
+            return self._dated(packets.block, np.zeros(len(packets.block), np.int64), [])
         streams = self._epochs.process(packets, end)
         main = streams.pop(MAIN)
         held = self._held.process(main.block, streams)

@@ -254,7 +254,7 @@ def _propose(received: dict[int | None, bytearray], evidence: list[Evidence]) ->
         return None  # a known device whose bytes are damaged
     seconds = {item.baudrate: item.seconds for item in evidence}
     tried = [binary_proposal.propose(bytes(received[rate]), s, rate) for rate, s in seconds.items()]
-    found = max((one for one in tried if one is not None), key=lambda one: one.weight, default=None)
+    found = max((one for one in tried if one is not None), key=lambda one: one[:2], default=None)
     return found.text if found is not None else None
 
 

@@ -1,4 +1,4 @@
-"""Whether what dates the rows is true: counts that stand still, packets that come twice, a nominal rate."""
+"""Rate and gaps of a stream; whether what dates its rows is true: counts that stand, a nominal rate."""
 
 from __future__ import annotations
 
@@ -81,8 +81,8 @@ class NominalRate:
 
     def __init__(self, rate_hz: float | None, given: bool) -> None:
         self._rate_hz, self._given = rate_hz, given
-        self._last: tuple[int, int, int] | None = None
-        """Time, segment and arrival of the last row."""
+        self._last = np.zeros((0, 3), np.int64)
+        """Time, segment and arrival of the last row, once there is one."""
         self._device_s = self._arrived_s = self._latest_s = 0.0
         """Between the rows compared, by the rate and by the arrivals; the longest time without a read."""
         self._since_ns = 0
@@ -98,15 +98,13 @@ class NominalRate:
 
     def add(self, time_ns: IntArray, segment: IntArray, arrival_ns: IntArray) -> None:
         """Take rows that were dated by the rate, (n,) each, behind those of the last call."""
-        known = arrival_ns != NO_INT
-        rows = np.column_stack([time_ns[known], segment[known], arrival_ns[known]])
+        rows = np.column_stack([time_ns, segment, arrival_ns])[arrival_ns != NO_INT]
         if not len(rows):
             return
-        if self._last is not None:
-            rows = np.vstack([self._last, rows])
-        else:
+        if not len(self._last):
             self._since_ns = int(rows[0, 2])
-        self._last = int(rows[-1, 0]), int(rows[-1, 1]), int(rows[-1, 2])
+        rows = np.vstack([self._last, rows])
+        self._last = rows[-1:].copy()
         step, change, arrived = np.diff(rows, axis=0).T
         since = np.where(arrived >= SILENT_NS, rows[1:, 2], self._since_ns)
         since = np.maximum.accumulate(np.append(self._since_ns, since))
@@ -135,3 +133,63 @@ class NominalRate:
         whose = "the given" if self._given else "the device file's nominal"
         spaced = f"no packet says when it was measured: the rows are spaced at {whose} {self._rate_hz:g} Hz"
         return [f"{spaced}, {text}"]
+
+
+SHORTEST_NS, LONGEST_NS = 1e3, 1e14
+"""Intervals from 1 µs to a day; others are counted with the last."""
+BINS_PER_DECADE = 100
+GAP = 1.5
+"""An interval longer than so many usual ones lacks a packet."""
+
+_EDGES = np.geomspace(SHORTEST_NS, LONGEST_NS, 11 * BINS_PER_DECADE + 1)
+
+
+class Intervals:
+    """The intervals between the times of a stream within its segments."""
+
+    def __init__(self) -> None:
+        self._count = np.zeros(len(_EDGES) + 1, np.int64)
+        self._sum = np.zeros(len(_EDGES) + 1)
+        self._last = np.zeros((0, 2), np.int64)  # time and segment of the last row
+        self.rows = 0
+        self.backwards = 0
+        """Steps back within a segment."""
+
+    def add(self, time_ns: IntArray, segment: IntArray) -> None:
+        """Count the intervals of rows that follow those of the last call."""
+        self.rows += len(time_ns)
+        rows = np.vstack([self._last, np.column_stack([time_ns, segment])[time_ns != NO_INT]])
+        self._last = rows[-1:].copy()
+        step, change = np.diff(rows, axis=0).T
+        step = step[change == 0]
+        self.backwards += int((step < 0).sum())
+        step = step[step > 0]
+        which = np.searchsorted(_EDGES, step)
+        # The sum first: who reads from another thread finds no number without it.
+        self._sum += np.bincount(which, step, len(self._sum))
+        self._count += np.bincount(which, minlength=len(self._count))
+
+    @property
+    def usual_ns(self) -> float | None:
+        """Mean of the intervals about the median one; None before there are two times."""
+        total = self._count.sum()
+        if not total:
+            return None
+        median = int(np.searchsorted(np.cumsum(self._count), (total + 1) // 2))
+        # A quarter of a decade to either side holds the jitter of a timer and no interval of two packets.
+        near = slice(max(median - BINS_PER_DECADE // 8, 0), median + BINS_PER_DECADE // 8 + 1)
+        return float(self._sum[near].sum() / self._count[near].sum())
+
+    @property
+    def rate_hz(self) -> float | None:
+        """Rows per second where none is missing."""
+        usual = self.usual_ns
+        return None if usual is None else 1e9 / usual
+
+    @property
+    def gaps(self) -> int:
+        """Intervals in which at least one row is missing."""
+        usual = self.usual_ns
+        if usual is None:
+            return 0
+        return int(self._count[int(np.searchsorted(_EDGES, GAP * usual)) + 1 :].sum())

@@ -29,15 +29,8 @@ class SideClock:
     def __init__(self, timing: Timing) -> None:
         self._timing = timing
         self._first = 0
-        no_int = np.array([NO_INT])
-        self._main = SampleBlock(
-            {
-                "ticks": no_int,
-                "device_time_ns": no_int,
-                "host_time_ns": no_int,
-                "segment": np.zeros(1, np.int64),
-            }
-        )
+        before = dict.fromkeys(("ticks", "device_time_ns", "host_time_ns"), np.array([NO_INT]))
+        self._main = SampleBlock({**before, "segment": np.zeros(1, np.int64)})
         """Main rows; the first stands for the time before any."""
 
     def follow(self, main: SampleBlock, ticks: IntArray | None) -> None:

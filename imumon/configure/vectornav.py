@@ -129,7 +129,7 @@ class VectorNav(Family):
     base_hz = FAST_HZ
     """What the divisors of the outputs divide."""
     settings = tuple(REGISTERS)
-    answer_frame = line_frame("ascii", b"$VN", _body)
+    answer_frame = line_frame({b"$VN": "ascii"}, _body)
     title = "VectorNav"
     verified = "lines of other programs and of the vendor's, and the virtual device; never a real unit"
     baud_codes: Mapping[int, bytes] = {rate: str(rate).encode() for rate in BAUDRATES}

@@ -17,8 +17,8 @@ from imumon.configure.firmware import Firmware, PacketKind
 from imumon.protocols.checks import Checksum
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.framing import Frame, fixed_length, unchecked
-from imumon.protocols.messages import TableEncoder
-from imumon.protocols.witmotion import SIZE, TYPES, WitMotionDevice
+from imumon.protocols.messages import TableDevice, TableEncoder
+from imumon.protocols.witmotion import SIZE, TYPES, WitMotionDecoder
 
 REGISTER_ANSWER = 0x5F
 CONTENT, RATE = "output content", "output rate"
@@ -60,7 +60,7 @@ def _read(name: str) -> Request:
 class WitMotion(Family):
     """Commands of a WitMotion module."""
 
-    answer_frame = Frame("register", b"\x55", fixed_length(SIZE), Checksum("sum8"))
+    answer_frame = Frame({b"\x55": "register"}, fixed_length(SIZE), Checksum("sum8"))
     title = "WitMotion"
     verified = "codes of the vendor's sample code, and the virtual device; never a real unit"
     baud_codes: Mapping[int, bytes] = {rate: bytes([code, 0]) for code, rate in enumerate(BAUDRATES, 1)}
@@ -115,7 +115,7 @@ class WitMotion(Family):
         return ", ".join(frame for bit, frame in enumerate(BITS) if code >> bit & 1) or "nothing"
 
 
-WRITE = Frame("write", b"\xff\xaa", fixed_length(5), unchecked)
+WRITE = Frame({b"\xff\xaa": "write"}, fixed_length(5), unchecked)
 """A command; it has no checksum."""
 FASTEST_HZ = 200.0
 FIRST_FRAME = 0x50
@@ -128,7 +128,7 @@ class WitMotionFirmware(Firmware):
     family = WitMotion()
 
     def __init__(self, device: DeviceFile, rate_hz: float) -> None:
-        assert isinstance(device, WitMotionDevice)
+        assert isinstance(device, TableDevice)
         bits = {message.name: 1 << kind - FIRST_FRAME for kind, message in TYPES.items()}
         content = sum(bits[name] for name in device.sends)
         rate = min(RATES, key=lambda code: abs(RATES[code] - rate_hz))
@@ -166,4 +166,4 @@ class WitMotionFirmware(Firmware):
         names = [TYPES[FIRST_FRAME + bit].name for bit in range(len(BITS)) if content >> bit & 1]
         rate = RATES[self.volatile[RATE][0]]
         every = {name: round(FASTEST_HZ / rate) for name in names if name not in NOT_ENCODED}
-        return FASTEST_HZ, [PacketKind(partial(TableEncoder, WitMotionDevice.family), every)]
+        return FASTEST_HZ, [PacketKind(partial(TableEncoder, WitMotionDecoder()), every)]

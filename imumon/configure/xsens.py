@@ -80,7 +80,7 @@ class Xsens(Family):
     """Commands of an MTi."""
 
     settings = (OUTPUT, core.BAUD)
-    answer_frame = replace(XBUS.frame, sync=b"\xfa\xff")
+    answer_frame = replace(XBUS.frame, names={b"\xfa\xff": "Xbus"})
     title = "Xsens MTi"
     verified = "frames of other programs, and the virtual device; never a real unit"
     stores_at_once = True

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -20,6 +20,8 @@ MAIN = "imu"
 """Name of the stream of the inertial sensors."""
 OTHER = "other"
 """Group of packets that have nothing but fields of no group, where these are not of the main one."""
+NO_GROUP = ""
+"""Group of times and counters."""
 COMMON = ("arrival_time_ns", "device_ticks", "packet_counter")
 """Columns of a packet that every stream of its fields has."""
 
@@ -59,24 +61,36 @@ class Groups:
     layouts: Mapping[str, tuple[int, ...]]
     """Numbers of the layouts that have each column: columns of the same come together."""
 
+    @classmethod
+    def of(
+        cls, layouts: Iterable[Mapping[str, str]], names: Sequence[str] = (), apart: Sequence[str] = ()
+    ) -> Groups:
+        """Return the groups of layouts, of which the group of each column is given; the first counts.
+
+        `names`: groups that come first, behind the main one; `OTHER`: there is a stream of what has no group.
+        `apart`: groups that never join the rows of the main one.
+        """
+        of_column, having = dict[str, int](), dict[str, tuple[int, ...]]()
+        there = {name: number for number, name in enumerate((MAIN, *names))}
+        for number, layout in enumerate(layouts):
+            for column, group in layout.items():
+                of_column.setdefault(column, there.setdefault(group, len(there)))
+                having[column] = (*having.get(column, ()), number)
+        return cls(tuple(there), of_column, tuple(name in apart for name in there), having)
+
     def bits(self, groups: Collection[str]) -> int:
         """Return the bits of groups; without any, that of `OTHER`, or else of the main one."""
         there = groups or ({OTHER} & {*self.names}) or {MAIN}
         return sum(1 << self.names.index(group) for group in there)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Packets:
+class Packets(NamedTuple):
     """Decoded packets in order of arrival."""
 
     block: SampleBlock
     """One row each."""
     groups: IntArray
     """Bits of the groups of which the packet has fields, (n,)."""
-
-    def __len__(self) -> int:
-        """Return the number of packets."""
-        return len(self.block)
 
 
 class Encoder(ABC):

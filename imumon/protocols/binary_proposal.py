@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from imumon.blocks import BoolArray, IntArray
 from imumon.protocols.base import ByteArray
@@ -52,18 +53,13 @@ MOSTLY_TEXT: Final = 0.95
 
 
 class Proposal(NamedTuple):
-    """A device file, and how well it is founded."""
+    """A device file, and how well it is founded; the better of two is the greater."""
 
     checked: bool
     """Whether a checksum fits."""
     covered: float
     """Share of the bytes that are in packets."""
     text: str
-
-    @property
-    def weight(self) -> tuple[bool, float]:
-        """What orders proposals, the best last."""
-        return self.checked, self.covered
 
 
 def propose(data: bytes, seconds: float, baudrate: int | None) -> Proposal | None:
@@ -73,37 +69,35 @@ def propose(data: bytes, seconds: float, baudrate: int | None) -> Proposal | Non
     """
     held = np.frombuffer(data[:MOST_BYTES], np.uint8)
     seconds *= len(held) / max(len(data), 1)
-    found: list[Proposal] = []
+    best: Proposal | None = None
     for anchors, length in _repeating(held):
-        proposal = _proposal(held, anchors, length, seconds, baudrate)
-        found += [proposal] if proposal is not None else []
-        if proposal is not None and proposal.checked:
+        found = _proposal(held, anchors, length, seconds, baudrate)
+        best = max((one for one in (best, found) if one is not None), default=None, key=lambda one: one[:2])
+        if found is not None and found.checked:
             break
-    return max(found, key=lambda one: one.weight, default=None)
+    return best
 
 
 def _repeating(held: ByteArray) -> list[tuple[IntArray, int]]:
     """Return places of patterns of one or two bytes, and the usual distance between them, the best first."""
-    if len(held) < LEAST_PACKETS * SHORTEST:
-        return []
-    if np.mean((held >= 0x20) & (held < 0x7F) | np.isin(held, (0x09, 0x0A, 0x0D))) > MOSTLY_TEXT:
+    is_text = (held >= 0x20) & (held < 0x7F) | np.isin(held, (0x09, 0x0A, 0x0D))
+    if len(held) < LEAST_PACKETS * SHORTEST or np.mean(is_text) > MOSTLY_TEXT:
         return []
     pairs = held[:-1].astype(np.int64) << 8 | held[1:]
     often = np.argsort(np.bincount(pairs, minlength=1 << 16), kind="stable")[:-65:-1]
     places = [np.flatnonzero(pairs == pair) for pair in often]
-    covered: dict[int, float] = {}
-    best: dict[int, IntArray] = {}
+    best: dict[int, tuple[float, IntArray]] = {}
     for at in (*places, *(np.flatnonzero(held == byte) for byte in range(256))):
         distances = np.diff(at)
         count = np.bincount(distances[distances <= LONGEST], minlength=SHORTEST + 1)
         lengths = np.flatnonzero(count[SHORTEST:] >= max(LEAST_PACKETS, USUAL * len(distances))) + SHORTEST
         if len(lengths) == 1:
             length = int(lengths[0])
-            share = float(count[length] * length) / len(held)
-            if share > covered.get(length, COVERED):
-                covered[length], best[length] = share, at
-    tried = sorted(covered, key=lambda length: -covered[length])[:TRIED_PATTERNS]
-    return [(best[length], length) for length in tried]
+            covered = float(count[length] * length) / len(held)
+            if covered > (best[length][0] if length in best else COVERED):
+                best[length] = covered, at
+    tried = sorted(best, key=lambda length: -best[length][0])[:TRIED_PATTERNS]
+    return [(best[length][1], length) for length in tried]
 
 
 def _proposal(
@@ -114,8 +108,7 @@ def _proposal(
     shift, check = _beginning(held, at, length)
     if shift is None:
         return None
-    at = at + shift
-    at = at[(at >= 0) & (at + length <= len(held))]
+    at = _whole(held, at + shift, length)
     packets = windows(held, at, length)
     covered = packets.size / len(held)
     if covered < (COVERED if check else COVERED_UNCHECKED):
@@ -131,9 +124,9 @@ def _proposal(
     return Proposal(check is not None, covered, "\n".join(text))
 
 
-def _cut(held: ByteArray, at: IntArray, length: int) -> ByteArray:
-    """Return the packets that begin at these places, (n, length)."""
-    return windows(held, at[(at >= 0) & (at + length <= len(held))], length)
+def _whole(held: ByteArray, at: IntArray, length: int) -> IntArray:
+    """Return the places from which on there are so many bytes."""
+    return at[(at >= 0) & (at + length <= len(held))]
 
 
 def _constant(packets: ByteArray) -> BoolArray:
@@ -143,21 +136,19 @@ def _constant(packets: ByteArray) -> BoolArray:
 
 def _beginning(held: ByteArray, anchors: IntArray, length: int) -> tuple[int | None, Checksum | None]:
     """Return where packets begin, from the pattern on, and their checksum; None where nothing tells it."""
-    constant = _constant(_cut(held, anchors, length))
+    constant = _constant(windows(held, _whole(held, anchors, length), length))
     begins = np.flatnonzero(constant & ~np.roll(constant, 1))
     # The high byte of a sum may be constant as well: then the packet begins behind it.
     places = np.append(begins, (begins + 1) % length)
     places = places[constant[places]]
     shifts = np.where(places > length // 2, places - length, places).tolist()
-    best: tuple[float, int, int, Checksum] | None = None
+    fitting = list[tuple[float, int, int, Checksum]]()
     for shift in shifts:
-        packets = np.unique(_cut(held, anchors + shift, length), axis=0)
+        packets = np.unique(windows(held, _whole(held, anchors + shift, length), length), axis=0)
         packets = packets[np.linspace(0, len(packets) - 1, min(len(packets), TRIED_PACKETS)).astype(int)]
-        for right, check in _fitting(packets):
-            if best is None or (right, check.size) > best[:2]:
-                best = right, check.size, shift, check
-    if best is not None:
-        return best[2:]
+        fitting += [(right, check.size, shift, check) for right, check in _fitting(packets)]
+    if fitting:
+        return max(fitting, key=lambda found: found[:2])[2:]
     runs = {s: int(np.argmin(np.append(np.roll(constant, -s), False))) for s in shifts}
     longest = max(runs, key=lambda s: runs[s], default=0)
     return (None, None) if constant.all() or runs.get(longest, 0) < 2 else (longest, None)
@@ -202,17 +193,7 @@ def _layout(at: IntArray, packets: ByteArray, check: Checksum | None, rate: floa
     if sync > 2 and (check is None or check.first < sync):
         yield "# The last may be data that did not change: turn the unit, and see whether packets get lost."
     yield f"sync: [{', '.join(f'0x{byte:02X}' for byte in usual[:sync])}]"
-    if check is None:
-        yield "# No checksum that imumon knows fits at the end: where a packet begins is a guess, and at"
-        yield "# another baud rate the bytes may repeat as well."
-        yield "checksum: {type: none, first: 0, last: 0, at: 0}"
-    else:
-        keys = f"type: {check.name}, first: {check.first}, last: {end - 1}, at: {end}"
-        order = f", byte_order: {'big' if check.big else 'little'}" if end < length - 1 else ""
-        zeros = f", zeros: {check.zeros}" if check.zeros else ""
-        n = len(packets)
-        right = check(packets.reshape(-1), np.arange(n) * length, np.full(n, length))
-        yield f"checksum: {{{keys}{order}{zeros}}}  # right in {np.count_nonzero(right)} of {n} packets"
+    yield from _checksum_lines(packets, check, end)
     yield "fields:"
     for why, keys, _ in fields:
         yield f"  # {why}"
@@ -223,6 +204,21 @@ def _layout(at: IntArray, packets: ByteArray, check: Checksum | None, rate: floa
         for part in np.split(run, range(BYTES_PER_LINE, len(run), BYTES_PER_LINE)):
             names = ", ".join(f"byte_{k}" for k in part)
             yield f"  - {{at: {part[0]}, type: u8, columns: [{names}]}}"
+
+
+def _checksum_lines(packets: ByteArray, check: Checksum | None, end: int) -> Iterator[str]:
+    """Yield what the device file says of the checksum, which stands behind `end` bytes."""
+    if check is None:
+        yield "# No checksum that imumon knows fits at the end: where a packet begins is a guess, and at"
+        yield "# another baud rate the bytes may repeat as well."
+        yield "checksum: {type: none, first: 0, last: 0, at: 0}"
+        return
+    n, length = packets.shape
+    order = f", byte_order: {'big' if check.big else 'little'}" if check.size > 1 else ""
+    zeros = f", zeros: {check.zeros}" if check.zeros else ""
+    right = check(packets.reshape(-1), np.arange(n) * length, np.full(n, length))
+    keys = f"type: {check.name}, first: {check.first}, last: {end - 1}, at: {end}{order}{zeros}"
+    yield f"checksum: {{{keys}}}  # right in {np.count_nonzero(right)} of {n} packets"
 
 
 def _counter(before: ByteArray, after: ByteArray, known: BoolArray) -> Iterator[tuple[str, str, str]]:
@@ -259,9 +255,8 @@ def _clock(
 
 def _numbers(packets: ByteArray, size: int, order: str) -> IntArray:
     """Return the unsigned numbers of `size` bytes that begin at each byte, (n, length - size + 1)."""
-    n = packets.shape[1] - size + 1
-    places = range(size)[:: -1 if order == "big" else 1]
-    return np.asarray(sum(packets[:, k : k + n].astype(np.int64) << 8 * j for j, k in enumerate(places)))
+    of_bytes = sliding_window_view(packets, size, axis=1).astype(np.int64)
+    return np.asarray(of_bytes @ 256 ** np.arange(size)[:: -1 if order == "big" else 1])
 
 
 def _steps(
@@ -269,5 +264,4 @@ def _steps(
 ) -> tuple[IntArray, BoolArray]:
     """Return the differences of such numbers, modulo their size, and which have no byte that is known."""
     step = (_numbers(after, size, order) - _numbers(before, size, order)) & (1 << 8 * size) - 1
-    taken = np.convolve(known, np.ones(size, np.int64), "valid")
-    return step, np.asarray(taken == 0)
+    return step, np.asarray(~sliding_window_view(known, size).any(axis=1))

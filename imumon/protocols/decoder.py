@@ -37,13 +37,13 @@ _ORDER = {name: place for place, name in enumerate(KNOWN)}
 
 
 class Alike(NamedTuple):
-    """Packets of one signature: their rows, the number of their frame, and the first of them."""
+    """Packets of one signature: their rows, the number of their kind, and the first of them."""
 
     rows: IntArray
-    frame: int
+    kind: int
     packet: bytes
     key: tuple[int, int, bytes]
-    """The signature: frame, length, and the bytes that say what is in the packet."""
+    """The signature: kind, length, and the bytes that say what is in the packet."""
 
 
 class Decoder:
@@ -64,8 +64,8 @@ class Decoder:
         self.timing, self.groups = timing, groups
         self._frames = tuple(frames)
         self._done: list[Packets] = []
-        self._notices: dict[str, bool] = {}
-        self._warned: dict[str, bool] = {}
+        self._reported = set[str]()
+        self._notices, self._warnings = list[str](), list[str]()
         self._parts: list[bytes] = []
         self._waiting = 0  # bytes in the parts
         self._rest = b""  # searched, and still part of what may become a packet
@@ -75,9 +75,9 @@ class Decoder:
         self._times: list[IntArray] = []
         self._searched = 0  # bytes before the rest
         self._received = self._in_packets = self._checksum_errors = self._length_errors = 0
-        self._by_frame = np.zeros(len(self._frames), np.int64)
-        self._layouts: list[tuple[Layout, int]] = []  # and the bits of their groups
-        self._numbers: dict[tuple[int, int, bytes], int] = {}
+        self._names = [name for frame in frames for name in frame.names.values()]
+        self._by_kind = np.zeros(len(self._names), np.int64)
+        self._layouts: dict[tuple[int, int, bytes], Layout | None] = {}
         self._columns = {"arrival_time_ns": KNOWN["arrival_time_ns"]}
         self._possible = self._columns | {column.name: column for column in possible}
 
@@ -136,14 +136,16 @@ class Decoder:
     def notices(self) -> list[str]:
         """Return, once each, what the device said that is not data (errors, warnings, configuration)."""
         self._search(final=False)
-        return _once(self._notices)
+        new, self._notices = self._notices, []
+        return new
 
     def warnings(self) -> list[str]:
         """Return, once each, why numbers are not fit for an estimate: the device has corrected them, say."""
         corrected = "gyro_compensated_x" in self._columns and "gyro_x" not in self._columns
-        if corrected and self._by_frame.sum() >= GENERATION:
+        if corrected and self._by_kind.sum() >= GENERATION:
             self._warn(ONLY_CORRECTED)
-        return _once(self._warned)
+        new, self._warnings = self._warnings, []
+        return new
 
     def counters(self) -> Counters:
         """Return what became of the bytes so far."""
@@ -152,7 +154,7 @@ class Decoder:
             bytes_received=self._received,
             bytes_in_packets=self._in_packets,
             bytes_skipped=self._received - self._in_packets - len(self._rest) + self._overlap,
-            packets=int(self._by_frame.sum()),
+            packets=int(self._by_kind.sum()),
             checksum_errors=self._checksum_errors,
             length_errors=self._length_errors,
             packets_by_type={name: n for name, n in self._by_type().items() if n},
@@ -160,15 +162,19 @@ class Decoder:
 
     def _by_type(self) -> dict[str, int]:
         """Return the number of packets of each kind."""
-        return dict(zip([frame.name for frame in self._frames], self._by_frame.tolist(), strict=True))
+        return dict(zip(self._names, self._by_kind.tolist(), strict=True))
 
     def _say(self, text: str) -> None:
-        """Keep a notice unless it was given before."""
-        if len(self._notices) < MOST_NOTICES:
-            self._notices.setdefault(text, False)
+        """Give a notice unless it was given before."""
+        if text not in self._reported and len(self._reported) < MOST_NOTICES:
+            self._reported.add(text)
+            self._notices.append(text)
 
     def _warn(self, text: str) -> None:
-        self._warned.setdefault(text, False)
+        """Give a warning unless it was given before."""
+        if text not in self._reported:
+            self._reported.add(text)
+            self._warnings.append(text)
 
     def _search(self, final: bool) -> None:
         """Find the packets in what has come, and keep what may still become one."""
@@ -185,7 +191,7 @@ class Decoder:
         if len(found):
             last = self._searched + found.at + found.length
             packets = self._read(found, times[np.searchsorted(ends, last)])
-            if len(packets):
+            if len(packets.block):
                 self._done.append(packets)
         self._rest, self._overlap = data[rest:], overlap
         self._searched += rest
@@ -197,7 +203,7 @@ class Decoder:
         ends = found.at + found.length
         begins = np.maximum(found.at, np.concatenate([[self._overlap], ends])[:-1])
         self._in_packets += int(np.sum(ends - begins))
-        self._by_frame += np.bincount(found.frame, minlength=len(self._frames))
+        self._by_kind += np.bincount(found.kind, minlength=len(self._names))
         covered = np.concatenate([[0], ends])[np.searchsorted(found.at, at, "right")]
         outside = (at >= np.maximum(covered, self._overlap)) & (at < rest)
         self._checksum_errors += int(np.sum(outside & (verdict == BAD_SUM)))
@@ -220,61 +226,47 @@ class Decoder:
         left = np.arange(len(found))
         while len(left):
             one = int(left[0])
-            frame, size = int(found.frame[one]), int(found.length[one])
+            kind, size = int(found.kind[one]), int(found.length[one])
             packet = found.held[found.at[one] :][:size].tobytes()
             places = [*self._signature(packet)]
-            same = (found.length[left] == size) & (found.frame[left] == frame)
+            same = (found.length[left] == size) & (found.kind[left] == kind)
             key = bytes(packet[k] for k in places)
             if places:
                 heads = windows(found.held, found.at[left[same]], max(places) + 1)[:, places]
                 same[same] = np.all(heads == np.frombuffer(key, np.uint8), axis=1)
-            yield Alike(left[same], frame, packet, (frame, size, key))
+            yield Alike(left[same], kind, packet, (kind, size, key))
             left = left[~same]
 
-    def _layout_numbers(self, found: Found) -> IntArray:
-        """Return which layout each packet has, as `_add` numbers them; -1: nothing for a row."""
-        numbers = np.full(len(found), -1, np.int64)
+    def _by_layout(self, found: Found) -> Iterable[tuple[Layout, IntArray]]:
+        """Yield the layouts of the packets, and which have each; others have nothing for a row."""
         for alike in self._alike(found):
-            numbers[alike.rows] = self._number(alike)
-        return numbers
-
-    def _number(self, alike: Alike) -> int:
-        """Return the number of the layout of packets of one signature."""
-        if alike.key not in self._numbers:
-            layout = self._layout(alike)
-            self._numbers[alike.key] = -1 if layout is None else self._add(layout)
-        return self._numbers[alike.key]
-
-    def _add(self, layout: Layout) -> int:
-        """Add a layout; return its number."""
-        for column in layout.columns:
-            self._columns.setdefault(column.name, column)
-        bits = 1 if self.groups is None else self.groups.bits({*layout.of_column.values()})
-        self._layouts.append((layout, bits))
-        return len(self._layouts) - 1
+            if alike.key not in self._layouts:
+                self._layouts[alike.key] = self._layout(alike)
+            layout = self._layouts[alike.key]
+            if layout is not None:
+                yield layout, alike.rows
 
     def _read(self, found: Found, arrival_ns: IntArray) -> Packets:
         """Return what the packets carry: a row for each that has something for a row, in order."""
-        if len(self._numbers) > MOST_LAYOUTS:
-            self._numbers.clear()
+        if len(self._layouts) > MOST_LAYOUTS:
             self._layouts.clear()
         found = self._plain(found)
-        numbers = self._layout_numbers(found)
-        rows = np.flatnonzero(numbers >= 0)
-        numbers = numbers[rows]
+        parts = [*self._by_layout(found)]
+        rows = np.sort(np.concatenate([np.zeros(0, np.int64), *(mine for _, mine in parts)]))
         columns: dict[str, ColumnArray] = {"arrival_time_ns": arrival_ns[rows]}
         groups = np.ones(len(rows), np.int64)
-        for number in np.flatnonzero(np.bincount(numbers)).tolist():
-            mine = np.flatnonzero(numbers == number)
-            layout, groups[mine] = self._layouts[number]
-            values = layout.read(found.only(rows[mine]))
+        for layout, mine in parts:
+            place, values = np.searchsorted(rows, mine), layout.read(found.only(mine))
+            if self.groups is not None:
+                groups[place] = self.groups.bits({*layout.of_column.values()})
             for column in layout.columns:
+                self._columns.setdefault(column.name, column)
                 if len(mine) == len(rows):
                     columns[column.name] = values[column.name]
                     continue
                 if column.name not in columns:
                     columns[column.name] = missing(len(rows), column.dtype)
-                columns[column.name][mine] = values[column.name]
+                columns[column.name][place] = values[column.name]
         return Packets(SampleBlock(columns), groups)
 
 
@@ -288,15 +280,9 @@ class DescribedDecoder(Decoder):
         self, frames: Sequence[Frame], timing: Timing, layouts: Sequence[Layout], groups: Groups | None
     ) -> None:
         super().__init__(frames, timing, groups)
-        for layout in layouts:
-            self._add(layout)
+        self._described = layouts
+        self._columns |= {column.name: column for layout in layouts for column in layout.columns}
 
-    def _layout_numbers(self, found: Found) -> IntArray:
-        return found.frame
-
-
-def _once(texts: dict[str, bool]) -> list[str]:
-    """Return the texts that were not given before."""
-    new = [text for text, given in texts.items() if not given]
-    texts.update(dict.fromkeys(new, True))
-    return new
+    def _by_layout(self, found: Found) -> Iterable[tuple[Layout, IntArray]]:
+        for kind in np.flatnonzero(np.bincount(found.kind)).tolist():
+            yield self._described[kind], np.flatnonzero(found.kind == kind)

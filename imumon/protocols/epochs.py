@@ -16,13 +16,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, cast
+from typing import NamedTuple, cast
 
 import numpy as np
 import numpy.typing as npt
 
 from imumon.blocks import NO_INT, ColumnArray, IntArray, SampleBlock, join, missing
-from imumon.compiled import alone, inner, njit, record, records
+from imumon.compiled import inner, njit, records
 from imumon.protocols.base import COMMON, Groups, Packets
 from imumon.protocols.numbers import is_missing
 
@@ -53,8 +53,6 @@ class EpochCounters:
     incomplete: int = 0
 
 
-RecordArray = npt.NDArray[np.void]
-
 BITS = 62
 """Sets of columns of which each has a bit of its own in a word."""
 
@@ -76,6 +74,8 @@ class _Group:
     all_before: int
     epochs: int
     incomplete: int
+    latest: int  # of the first group alone: number of the latest epoch of all groups
+    ended: int  # and how many have ended in this call
 
 
 class _Ended:
@@ -87,32 +87,26 @@ class _Ended:
     until: int
 
 
-class _Counts:
-    """Number of the latest epoch; ended epochs so far."""
+class _Work(NamedTuple):
+    """What the assignment reads of each new packet, (n,), and what it writes."""
 
-    latest: int
-    ended: int
-
-
-class _Arrived(NamedTuple):
-    """Of each new packet the groups, what tells its epoch, and the columns that it has, (n,) each."""
-
-    groups: IntArray
+    belongs: IntArray
+    """Groups, a bit each."""
     kind: IntArray
     key: IntArray
+    """What tells epochs apart: nothing, the counter, or else the time of validity; and its value."""
     masks: IntArray
-
-
-class _Books(NamedTuple):
-    """What the assignment reads and writes."""
-
+    """Columns, a bit for each set."""
+    may: IntArray
+    """Columns that each group may have."""
     groups: Sequence[_Group]
     epoch: IntArray
     """Epoch of each packet, kept and new, in each group; 0: none, (packets, groups)."""
     own: IntArray
     """The columns that it has there."""
     ended: Sequence[_Ended]
-    counts: Sequence[_Counts]
+    behind: IntArray
+    """Main rows that had begun before each packet of a side stream; -1 for others."""
 
 
 class EpochAssembler:
@@ -122,8 +116,8 @@ class EpochAssembler:
         self._groups = groups
         n = len(groups.names)
         self._state = records(_Group, n)
-        _array(self._state)["apart"] = groups.apart
-        self._counts = record(_Counts)
+        self._records = cast(npt.NDArray[np.void], self._state)  # as NumPy sees them
+        self._records["apart"] = groups.apart
         self._bits: dict[tuple[int, ...], int] = {}
         self._packets = np.zeros(n, np.int64)
         self.counted_aside: list[tuple[int, int]] = []
@@ -154,7 +148,7 @@ class EpochAssembler:
         """
         epoch, own, ended = self._assigned(packets, end)
         block = join([self._kept, packets.block])
-        is_open = (epoch > 0) & (epoch == _array(self._state)["epoch"])
+        is_open = (epoch > 0) & (epoch == self._records["epoch"])
         found = {}
         for g, name in enumerate(self._groups.names):
             of_group = ended[ended["group"] == g]
@@ -171,33 +165,32 @@ class EpochAssembler:
         self._kept_epoch, self._kept_own = np.where(is_open, epoch, 0)[rows], own[rows]
         return found
 
-    def _assigned(self, packets: Packets, end: bool) -> tuple[IntArray, IntArray, RecordArray]:
+    def _assigned(self, packets: Packets, end: bool) -> tuple[IntArray, IntArray, npt.NDArray[np.void]]:
         """Return epoch and own columns of kept and new packets in each group, and the epochs that ended."""
-        masks, group_masks = self._masks(packets.block)
-        new = _own_columns(packets.groups, masks, group_masks)
-        epoch = np.concatenate([self._kept_epoch, np.zeros_like(new)])
-        own = np.concatenate([self._kept_own, new])
-        ended = records(_Ended, epoch.size + len(group_masks))
-        behind = np.full(len(packets), -1, np.int64)
-        self._counts.ended = 0
-        arrived = _Arrived(packets.groups, *_keys(packets.block), masks)
-        books = _Books(self._state, epoch, own, ended, alone(self._counts))
-        _assign(arrived, group_masks, end, books, behind)
-        counter = packets.block.columns.get("packet_counter", missing(len(packets), np.int64))
-        aside = (behind >= 0) & (counter != NO_INT)
-        self.counted_aside = list(zip(behind[aside].tolist(), counter[aside].tolist(), strict=True))
-        return epoch, own, _array(ended)[: self._counts.ended]
-
-    def _masks(self, block: SampleBlock) -> tuple[IntArray, IntArray]:
-        """Return which columns each packet has, (n,), and which each group may have: a bit a column."""
-        masks = np.zeros(len(block), np.int64)
-        group_masks = np.zeros(len(self._groups.names), np.int64)
+        block, n = packets.block, len(packets.block)
+        masks, may = np.zeros(n, np.int64), np.zeros(len(self._state), np.int64)
         for name, group in self._groups.of_column.items():
             if name in block:
-                bit = self._bit(name)
-                masks[~is_missing(block[name])] |= bit
-                group_masks[group] |= bit
-        return masks, group_masks
+                masks[~is_missing(block[name])] |= self._bit(name)
+                may[group] |= self._bit(name)
+        there = (packets.groups[:, np.newaxis] >> np.arange(len(may)) & 1).astype(np.bool_)
+        new: IntArray = np.where(there, masks[:, np.newaxis] & may, 0)
+        # Columns of other groups (another message has the same quantity) go into the packet's first group.
+        stray = masks & ~np.bitwise_or.reduce(np.where(there, may, 0), axis=1)
+        new[np.arange(n), there.argmax(axis=1)] |= stray
+        kind, key = np.zeros(n, np.int64), np.zeros(n, np.int64)
+        none = missing(n, np.int64)
+        counter, ticks = block.columns.get("packet_counter", none), block.columns.get("device_ticks", none)
+        for number, counts in ((COUNTED, counter), (TIMED, ticks)):
+            kind[counts != NO_INT], key[counts != NO_INT] = number, counts[counts != NO_INT]
+        epoch, own = np.vstack([self._kept_epoch, np.zeros_like(new)]), np.vstack([self._kept_own, new])
+        ended, behind = records(_Ended, epoch.size + len(may)), np.full(n, -1, np.int64)
+        self._state[0].ended = 0
+        work = _Work(packets.groups, kind, key, masks, may, self._state, epoch, own, ended, behind)
+        _assign(work, end)
+        aside = (behind >= 0) & (counter != NO_INT)
+        self.counted_aside = list(zip(behind[aside].tolist(), counter[aside].tolist(), strict=True))
+        return epoch, own, cast(npt.NDArray[np.void], ended)[: self._state[0].ended]
 
     def _bit(self, name: str) -> int:
         """Return the bit of a column: columns that always come together have one.
@@ -229,23 +222,6 @@ class EpochAssembler:
         return SampleBlock(columns)
 
 
-def _array(made: Sequence[Any]) -> RecordArray:
-    """Return the records as NumPy sees them."""
-    return cast(RecordArray, made)
-
-
-def _own_columns(belongs: IntArray, masks: IntArray, group_masks: IntArray) -> IntArray:
-    """Return the columns that packets have in each of their groups, (n, groups).
-
-    Columns of other groups (another message has the same quantity) are in the first group of the packet.
-    """
-    there = (belongs[:, np.newaxis] >> np.arange(len(group_masks)) & 1).astype(np.bool_)
-    own: IntArray = np.where(there, masks[:, np.newaxis] & group_masks, 0)
-    stray = masks & ~np.bitwise_or.reduce(np.where(there, group_masks, 0), axis=1)
-    own[np.arange(len(own)), there.argmax(axis=1)] |= stray
-    return own
-
-
 def _steps_within(block: SampleBlock, row: IntArray, place: IntArray, n: int) -> IntArray:
     """Return by how much the packet counter went on within each of n epochs, whose packets are these rows."""
     if len(row) == n or "packet_counter" not in block:
@@ -260,49 +236,35 @@ def _steps_within(block: SampleBlock, row: IntArray, place: IntArray, n: int) ->
     return np.where(last < first, packets - 1, np.minimum(last - first, packets - 1)).clip(0)
 
 
-def _keys(block: SampleBlock) -> tuple[IntArray, IntArray]:
-    """Return kind and value of what tells epochs apart: the time of validity, else the counter."""
-    kind, key = np.zeros(len(block), np.int64), np.zeros(len(block), np.int64)
-    for number, name in ((COUNTED, "packet_counter"), (TIMED, "device_ticks")):
-        if name in block:
-            there = block[name] != NO_INT
-            kind[there] = number
-            key[there] = block[name][there]
-    return kind, key
-
-
 @njit
-def _assign(arrived: _Arrived, group_masks: IntArray, end: bool, books: _Books, behind: IntArray) -> None:
-    """Assign new packets to epochs (see the text of the module).
-
-    `behind` is filled with how many main rows had begun before each packet of a side stream.
-    """
-    groups, main, held = books.groups, books.groups[0], len(books.epoch) - len(behind)
-    for i in range(len(behind)):
-        belongs, kind, key, mask = arrived.groups[i], arrived.kind[i], arrived.key[i], arrived.masks[i]
+def _assign(work: _Work, end: bool) -> None:
+    """Assign new packets to epochs (see the text of the module)."""
+    groups, own, main, held = work.groups, work.own, work.groups[0], len(work.epoch) - len(work.behind)
+    for i in range(len(work.behind)):
+        belongs, kind, key, mask = work.belongs[i], work.kind[i], work.key[i], work.masks[i]
         row, together = held + i, mask
         for g in range(1, len(groups)):
             if belongs >> g & 1 and groups[g].apart:
-                together &= ~books.own[row, g]
+                together &= ~own[row, g]
         joined = belongs & 1 != 0
         if joined:
-            together |= mask & group_masks[0]
+            together |= mask & work.may[0]
         elif together and main.epoch:
             joined = not _is_other(main, kind, key, together)
         if joined:
-            books.own[row, 0] = together
-            _add(0, row, kind, key, books)
+            own[row, 0] = together
+            _add(0, row, kind, key, work)
         else:
-            behind[i] = main.epochs + (main.epoch != 0)
+            work.behind[i] = main.epochs + (main.epoch != 0)
         for g in range(1, len(groups)):
             if belongs >> g & 1 and (groups[g].apart or not joined):
-                if groups[g].epoch and _is_other(groups[g], kind, key, books.own[row, g]):
+                if groups[g].epoch and _is_other(groups[g], kind, key, own[row, g]):
                     groups[g].apart = 1
-                _add(g, row, kind, key, books)
+                _add(g, row, kind, key, work)
     if end:
         for g in range(len(groups)):
             if groups[g].epoch:
-                _end(g, books)
+                _end(g, work)
 
 
 @inner
@@ -313,31 +275,31 @@ def _is_other(group: _Group, kind: int, key: int, own: int) -> bool:
 
 
 @inner
-def _add(g: int, row: int, kind: int, key: int, books: _Books) -> None:
+def _add(g: int, row: int, kind: int, key: int, work: _Work) -> None:
     """Add a packet to its group's epoch, which it may begin, or complete."""
-    group, own = books.groups[g], books.own[row, g]
+    group, own = work.groups[g], work.own[row, g]
     if group.epoch and _is_other(group, kind, key, own):
-        _end(g, books)
+        _end(g, work)
     if not group.epoch:
-        books.counts[0].latest += 1
-        group.epoch = books.counts[0].latest
+        work.groups[0].latest += 1
+        group.epoch = work.groups[0].latest
         group.key_kind, group.key, group.mask = kind, key, 0
-        group.after = books.groups[0].epochs
+        group.after = work.groups[0].epochs
         if g == 0 and kind != NO_TIME:
-            _pull(row, kind, key, books)
-    books.epoch[row, g] = group.epoch
+            _pull(row, kind, key, work)
+    work.epoch[row, g] = group.epoch
     group.mask |= own
     usual = group.any_now | group.any_before
     if group.generations and group.mask & usual == usual:
-        _end(g, books)
+        _end(g, work)
 
 
 @inner
-def _pull(row: int, kind: int, key: int, books: _Books) -> None:
+def _pull(row: int, kind: int, key: int, work: _Work) -> None:
     """Take into the new main epoch what came before it with the same time, but no field a second time."""
-    epoch, own, main = books.epoch, books.own, books.groups[0]
-    for g in range(1, len(books.groups)):
-        group = books.groups[g]
+    epoch, own, main = work.epoch, work.own, work.groups[0]
+    for g in range(1, len(work.groups)):
+        group = work.groups[g]
         if group.apart or not group.epoch or group.key_kind != kind or group.key != key:
             continue
         if group.mask & (own[row, 0] | main.mask):
@@ -351,13 +313,13 @@ def _pull(row: int, kind: int, key: int, books: _Books) -> None:
 
 
 @inner
-def _end(g: int, books: _Books) -> None:
+def _end(g: int, work: _Work) -> None:
     """End the open epoch of a group, and learn what epochs have."""
-    group, counts = books.groups[g], books.counts[0]
-    ended = books.ended[counts.ended]
+    group, main = work.groups[g], work.groups[0]
+    ended = work.ended[main.ended]
     ended.epoch, ended.group = group.epoch, g
-    ended.after, ended.until = group.after, books.groups[0].epochs
-    counts.ended += 1
+    ended.after, ended.until = group.after, main.epochs
+    main.ended += 1
     mask, always = group.mask, group.all_before
     group.epoch = 0
     group.epochs += 1

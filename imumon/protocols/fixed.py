@@ -18,12 +18,12 @@ from imumon.blocks import ColumnArray, IntArray, SampleBlock, missing
 from imumon.columns import KNOWN, NAME, Column
 from imumon.config import LARGEST_NUMBER, StrictModel
 from imumon.errors import ImumonError
-from imumon.protocols.base import COMMON, LONGEST_PACKET, MAIN, ByteArray, Encoder, Timing
+from imumon.protocols.base import COMMON, LONGEST_PACKET, MAIN, NO_GROUP, ByteArray, Encoder, Groups, Timing
 from imumon.protocols.checks import CHECKSUM_NAMES, Checksum, Rearranged
 from imumon.protocols.decoder import DescribedDecoder
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.framing import IMPOSSIBLE, Check, Found, Frame, unchecked
-from imumon.protocols.numbers import NO_GROUP, NUMBER_TYPES, Number, Record, groups_of, write
+from imumon.protocols.numbers import NUMBER_TYPES, Number, Record, write
 from imumon.units import exact_conversion
 
 ByteOrder = Literal["big", "little"]
@@ -162,7 +162,10 @@ class PacketField(NumberField):
 
 
 def timing_of(fields: Sequence[NumberField], rate_hz: float | None) -> Timing:
-    """Return how a device counts time: the width of its counter and of its clock, and the tick."""
+    """Return how a device counts time: the width of its counter and of its clock, and the tick.
+
+    Of several counters or clocks the last counts.
+    """
     by_name = {name: field for field in fields for name in field.names}
     counter, ticks = by_name.get("packet_counter"), by_name.get("device_ticks")
     tick_ns, tick_bits = None, 0
@@ -209,13 +212,10 @@ class Packet(StrictModel):
                 raise ValueError(
                     f"{what}: bytes {start} to {stop - 1} are outside the packet of {self.length} bytes"
                 )
-        names: set[str] = set()
+        names = [name for field in self.fields for name in field.names]
         for number, field in enumerate(self.fields):
-            for name in field.names:
-                if name in names:
-                    raise ValueError(f"fields[{number}]: column {name} is there twice")
-                names.add(name)
-        for number, field in enumerate(self.fields):
+            if twice := [name for name in field.names if names.count(name) > 1]:
+                raise ValueError(f"fields[{number}]: column {twice[0]} is there twice")
             if field.when is not None and field.when.column not in names:
                 raise ValueError(f"fields[{number}]: when: there is no column {field.when.column}")
         return self
@@ -243,11 +243,12 @@ class Packet(StrictModel):
         size = NUMBER_TYPES[field.type].size
         return [*enumerate(field.value.to_bytes(size, field.byte_order or self.byte_order), field.at)]
 
-    def check(self, first: int = 0) -> Checksum | None:
-        """Return the checksum of what begins at a place, if there is one."""
+    @property
+    def check(self) -> Checksum | None:
+        """The checksum of the bytes that it covers, if there is one."""
         field = self.checksum
         big = (field.byte_order or self.byte_order) == "big"
-        return None if field.type == "none" else Checksum(field.type, first, big, field.zeros)
+        return None if field.type == "none" else Checksum(field.type, 0, big, field.zeros)
 
     @property
     def turns(self) -> dict[str, When]:
@@ -278,18 +279,13 @@ class DescribedLayout(Record):
 
 def fixed_decoder(name: str, packets: Sequence[Packet], rate_hz: float | None) -> DescribedDecoder:
     """Return a decoder of packets; `name` is what one without a name is called in the counters."""
-    timings = [timing_of(packet.fields, rate_hz) for packet in packets]
-    counted = next((t for t in timings if t.counter_bits is not None), timings[0])
-    timed = next((t for t in timings if t.tick_ns is not None), timings[0])
-    timing = replace(timed, counter_bits=counted.counter_bits)
+    frames = [
+        Frame({bytes(x.sync): x.name or name}, partial(_length, x), _check(x), bytes(x.tail)) for x in packets
+    ]
+    timing = timing_of([field for packet in packets[::-1] for field in packet.fields], rate_hz)
     layouts = [DescribedLayout(packet) for packet in packets]
-    groups = groups_of(layouts) if len(packets) > 1 else None
-    return DescribedDecoder([_frame(packet, name) for packet in packets], timing, layouts, groups)
-
-
-def _frame(packet: Packet, name: str) -> Frame:
-    length, tail = partial(_length, packet), bytes(packet.tail)
-    return Frame(packet.name or name, bytes(packet.sync), length, _check(packet), tail)
+    groups = Groups.of([layout.of_column for layout in layouts]) if len(packets) > 1 else None
+    return DescribedDecoder(frames, timing, layouts, groups)
 
 
 def _length(packet: Packet, held: ByteArray, at: IntArray) -> IntArray:
@@ -301,11 +297,11 @@ def _length(packet: Packet, held: ByteArray, at: IntArray) -> IntArray:
 
 
 def _check(packet: Packet) -> Check:
-    field, check = packet.checksum, packet.check()
+    field, check = packet.checksum, packet.check
     if check is None:
         return unchecked
     if field.last + 1 == field.at and field.at + check.size == packet.length:
-        return packet.check(field.first) or unchecked
+        return replace(check, first=field.first)
     return Rearranged(check, (*range(field.first, field.last + 1), *range(field.at, field.at + check.size)))
 
 
@@ -331,7 +327,7 @@ def _encoded(packet: Packet, block: SampleBlock) -> list[bytes]:
     for at, byte in (*enumerate(packet.sync), *packet.length_bytes):
         blank[at] = byte
     sent = write(packet.name or "packet", numbers, bytes(blank), columns, len(block))
-    field, check = packet.checksum, packet.check()
+    field, check = packet.checksum, packet.check
     if check is not None:
         begin = np.arange(len(sent)) * packet.length
         sums = check.values(sent.reshape(-1), begin + field.first, begin + field.last + 1)

@@ -15,9 +15,10 @@ ends behind it is accepted, too; bytes count once.  Not so inside a packet that 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import partial, reduce
+from operator import or_
 
 import numpy as np
 
@@ -41,12 +42,10 @@ def unchecked(held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """How packets of one kind are told from other bytes."""
+    """How packets of one kind, or of several that differ in how they begin, are told from other bytes."""
 
-    name: str
-    """What the kind is called in the counters."""
-    sync: bytes
-    """What a packet begins with."""
+    names: Mapping[bytes, str]
+    """What packets begin with, differing in one byte, and what the counters call those that begin so."""
     lengths: Lengths
     """See `Lengths`."""
     check: Check
@@ -56,19 +55,29 @@ class Frame:
     fits: Check | None = None
     """Tells of packets that came whole whether they can be of this kind by what is in them."""
 
-    def places(self, held: ByteArray) -> IntArray:
-        """Return where the sync pattern is, also where its first bytes are at the very end."""
-        sync = np.frombuffer(self.sync, np.uint8)
-        found: IntArray = np.flatnonzero(held == sync[0])
-        for k in range(1, len(sync)):
-            there = found + k < len(held)
-            found = found[~there | (held[np.minimum(found + k, len(held) - 1)] == sync[k])]
-        return found
+    def places(self, held: ByteArray) -> tuple[IntArray, IntArray]:
+        """Return where packets may begin, also where only the first bytes are there, and of which kind."""
+        sync = np.frombuffer(b"".join(self.names), np.uint8).reshape(len(self.names), -1)
+        at = np.flatnonzero(reduce(or_, [held == byte for byte in {*sync[:, 0].tolist()}]))
+        whole, cut = np.split(at, [np.searchsorted(at, len(held) - sync.shape[1], "right")])
+        kind = np.zeros_like(whole)
+        for k, bytes_there in enumerate(sync.T):
+            if len(sync) > 1 and len({*bytes_there.tolist()}) > 1:
+                numbers = np.full(256, -1)
+                numbers[bytes_there] = np.arange(len(sync))
+                kind = numbers[held[whole + k]]
+                whole, kind = whole[kind >= 0], kind[kind >= 0]
+            elif k:
+                there = held[whole + k] == bytes_there[0]
+                whole, kind = whole[there], kind[there]
+        begun = [any(name.startswith(held[k:].tobytes()) for name in self.names) for k in cut.tolist()]
+        cut = cut[np.array(begun, np.bool_)]
+        return np.append(whole, cut), np.append(kind, np.zeros_like(cut))
 
     def verdicts(self, held: ByteArray, at: IntArray, final: bool) -> IntArray:
         """Return for each place the length of the packet there, with its tail, or why there is none, (n,)."""
         verdict = np.full(len(at), INCOMPLETE, np.int64)
-        begun = np.flatnonzero(at + len(self.sync) <= len(held))
+        begun = np.flatnonzero(at + len(next(iter(self.names))) <= len(held))
         verdict[begun] = self.lengths(held, at[begun])
         verdict[(verdict > 0) & (at + verdict > len(held))] = INCOMPLETE
         whole = np.flatnonzero(verdict > 0)
@@ -94,12 +103,12 @@ class Frame:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Found:
-    """Packets among held bytes: where each begins, its length, and the number of its frame, (n,) each."""
+    """Packets among held bytes: where each begins, its length, and the number of its kind, (n,) each."""
 
     held: ByteArray
     at: IntArray
     length: IntArray
-    frame: IntArray
+    kind: IntArray
 
     def __len__(self) -> int:
         """Return the number of packets."""
@@ -107,7 +116,7 @@ class Found:
 
     def only(self, rows: IntArray | BoolArray) -> Found:
         """Return some of the packets."""
-        return Found(self.held, self.at[rows], self.length[rows], self.frame[rows])
+        return Found(self.held, self.at[rows], self.length[rows], self.kind[rows])
 
 
 def windows(held: ByteArray, at: IntArray, size: int) -> ByteArray:
@@ -126,24 +135,28 @@ class Candidates:
     """
 
     def __init__(self, frames: Sequence[Frame], held: ByteArray, final: bool) -> None:
-        self._frames, self._held, self._final = frames, held, final
-        places = [frame.places(held) for frame in frames]
-        at = np.concatenate(places)
-        frame = np.repeat(np.arange(len(frames)), [len(one) for one in places])
-        verdicts = [f.verdicts(held, one, final) for f, one in zip(frames, places, strict=True) if len(one)]
-        verdict = np.concatenate([*verdicts, np.zeros(0, np.int64)])
+        self._held, self._final = held, final
+        self._is_checked = [frame.check is not unchecked for frame in frames for _ in frame.names]
+        at, kind, verdict = (list[IntArray]() for _ in range(3))
+        before = 0
+        for frame in frames:
+            places, number = frame.places(held)
+            at.append(places)
+            kind.append(before + number)
+            verdict.append(frame.verdicts(held, places, final) if len(places) else places)
+            before += len(frame.names)
+        self.at, self._kind, self.verdict = map(np.concatenate, (at, kind, verdict))
         if len(frames) > 1:
-            hopeless = (verdict <= 0) & (final | (verdict != INCOMPLETE))
-            order = np.argsort(2 * at + hopeless, kind="stable")
-            order = order[np.diff(at[order], prepend=-1) > 0]
-            at, frame, verdict = at[order], frame[order], verdict[order]
-        self.at, self._frame, self.verdict = at, frame, verdict
+            hopeless = (self.verdict <= 0) & (final | (self.verdict != INCOMPLETE))
+            order = np.argsort(2 * self.at + hopeless, kind="stable")
+            order = order[np.diff(self.at[order], prepend=-1) > 0]
+            self.at, self._kind, self.verdict = self.at[order], self._kind[order], self.verdict[order]
         self._begins = np.zeros(len(held) + 1, np.bool_)
-        self._begins[at] = True
+        self._begins[self.at] = True
 
     def found(self, which: IntArray) -> Found:
         """Return some candidates as packets."""
-        return Found(self._held, self.at[which], self.verdict[which], self._frame[which])
+        return Found(self._held, self.at[which], self.verdict[which], self._kind[which])
 
     def walk(self, done: int) -> tuple[IntArray, int, int]:
         """Return which candidates are taken, where the rest begins, and how many of its bytes are taken.
@@ -168,7 +181,7 @@ class Candidates:
                 stop = int(run_end[k])
                 runs.append(of_interest[k:stop])
                 done, pending, k = int(at[stop - 1] + verdict[stop - 1]), -1, stop
-                is_checked = self._frames[self._frame[of_interest[stop - 1]]].check is not unchecked
+                is_checked = self._is_checked[self._kind[of_interest[stop - 1]]]
             elif not self._final:
                 rest = start
                 break

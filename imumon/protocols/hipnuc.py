@@ -7,7 +7,6 @@ Facts from the vendor's drivers.  0x83 says by the bits of a word which fields f
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from fractions import Fraction
 from math import pi
 from typing import Final
@@ -17,8 +16,8 @@ from imumon.geodesy import STANDARD_GRAVITY
 from imumon.protocols.base import Timing
 from imumon.protocols.checks import Checksum, Rearranged
 from imumon.protocols.framing import Frame, counted_length
-from imumon.protocols.messages import FamilyDecoder, Message, TableDevice, TableEncoder, TableFamily, part
-from imumon.protocols.quantities import count, known, number, vector
+from imumon.protocols.messages import FamilyDecoder, Message, part
+from imumon.protocols.numbers import count, known, number, vector
 
 SYNC = b"\x5a\xa5"
 HEADER, LONGEST = 6, 512 + 6
@@ -102,9 +101,6 @@ def of_bits(bits: int) -> Message:
     return Message(f"imu83:{bits:#x}", at, tuple(parts))
 
 
-MESSAGES = PACKETS | {OF_BITS: of_bits(sum(1 << bit for bit in BITS))}
-
-
 def _header_behind(size: int) -> list[int]:
     return [*range(4), *range(HEADER, size), 4, 5]
 
@@ -114,15 +110,26 @@ _RIGHT = Rearranged(_XMODEM, _header_behind)
 """The CRC stands in the header: as if it stood behind the payload."""
 
 
-def _wrapped(key: int, payload: bytes) -> bytes:
-    first = bytes([key]) if key < 0x100 else bytes([OF_BITS, 0, 0, 0]) + (key >> 8).to_bytes(4, "little")
-    payload = first + payload[len(first) :]
-    head = SYNC + len(payload).to_bytes(2, "little")
-    return head + _XMODEM.sealed(head + payload)[-2:] + payload
-
-
 class HipnucDecoder(FamilyDecoder):
     """Decodes the first packet of each frame: devices send one."""
+
+    messages = PACKETS | {OF_BITS: of_bits(sum(1 << bit for bit in BITS))}
+    frames = (Frame({SYNC: "HiPNUC"}, counted_length(2, 2, HEADER, LONGEST), _RIGHT),)
+    timing = Timing(tick_ns=Fraction(1000))
+    start, more = HEADER, HEADER
+
+    def wrap(self, key: int, payload: bytes) -> bytes:
+        """Make a frame of a packet: its tag, and the bits of 0x83 above it, go before its numbers."""
+        first = bytes([key]) if key < 0x100 else bytes([OF_BITS, 0, 0, 0]) + (key >> 8).to_bytes(4, "little")
+        payload = first + payload[len(first) :]
+        head = SYNC + len(payload).to_bytes(2, "little")
+        return head + _XMODEM.sealed(head + payload)[-2:] + payload
+
+    def named(self, names: Sequence[str]) -> dict[str, tuple[int, Message]]:
+        """Return ``imu91``, ``ins81``, and 0x83 with the bits that these names have, as ``imu83:0x123``."""
+        bits = [int(name.partition(":")[2], 16) for name in names if name.startswith("imu83:0x")]
+        there = PACKETS | {one << 8 | OF_BITS: of_bits(one) for one in bits}
+        return {message.name: (key, message) for key, message in there.items()}
 
     def _message(self, key: int) -> Message | None:
         return of_bits(key >> 8) if key & 0xFF == OF_BITS else super()._message(key)
@@ -137,19 +144,3 @@ class HipnucDecoder(FamilyDecoder):
             self._say("packets with other tags than 0x81, 0x83 and 0x91 are counted and not read")
         key = int.from_bytes(tag, "little")
         return int.from_bytes(bits, "little") << 8 | key if key == OF_BITS and len(bits) == 4 else key
-
-
-FRAMES = [Frame("HiPNUC", SYNC, counted_length(2, 2, HEADER, LONGEST), _RIGHT)]
-TIMING = Timing(tick_ns=Fraction(1000))
-
-
-class HipnucDevice(TableDevice):
-    """Device file of a HiPNUC unit: `sends` ``imu91``, ``ins81``, or the bits of 0x83, ``imu83:0x123``."""
-
-    family = TableFamily(MESSAGES, FRAMES, HipnucDecoder, _wrapped, TIMING, HEADER, HEADER, (HEADER,))
-
-    def encoder(self) -> TableEncoder:
-        """Make an encoder that sends what the device would send."""
-        bits = [int(n.partition(":")[2], 16) for n in self.sends if n.startswith("imu83:0x")]
-        messages = PACKETS | {b << 8 | OF_BITS: of_bits(b) for b in bits}
-        return TableEncoder(replace(self.family, messages=messages), self.sends)

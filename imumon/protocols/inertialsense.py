@@ -15,12 +15,12 @@ from imumon.blocks import ColumnArray
 from imumon.protocols.base import LONGEST_PACKET, Timing
 from imumon.protocols.checks import Checksum
 from imumon.protocols.framing import Frame, counted_length
-from imumon.protocols.messages import FamilyDecoder, Message, TableDevice, TableFamily, part, whole
-from imumon.protocols.numbers import Columns, Derived
-from imumon.protocols.quantities import known, number, vector
+from imumon.protocols.messages import FamilyDecoder, Message, part, whole
+from imumon.protocols.numbers import Columns, Derived, known, number, vector
 
 SYNC = b"\xef\x49"
 HEADER, AROUND = 6, 8
+FLETCHER = Checksum("fletcher16-256")
 DATA, SET_DATA, WITH_OFFSET = 4, 5, 0x20
 KILOPASCAL: Final = 1000.0
 USUAL_S: Final = 0.004
@@ -74,29 +74,21 @@ DATA_SETS = {
 """Data sets by their identifier."""
 
 
-def _wrapped(key: int, payload: bytes) -> bytes:
-    return Checksum("fletcher16-256").sealed(
-        SYNC + bytes([DATA, key]) + len(payload).to_bytes(2, "little") + payload
-    )
-
-
 class InertialSenseDecoder(FamilyDecoder):
     """Decodes data sets that come whole; other packets are counted."""
+
+    messages = DATA_SETS
+    frames = (Frame({SYNC: "ISB"}, counted_length(4, 2, AROUND, LONGEST_PACKET), FLETCHER),)
+    timing = Timing(tick_ns=Fraction(1))
+    start, more, head = HEADER, AROUND, (2, 3)
+    derived = (MEANS,)
+
+    def wrap(self, key: int, payload: bytes) -> bytes:
+        """Make a packet of a data set."""
+        return FLETCHER.sealed(SYNC + bytes([DATA, key]) + len(payload).to_bytes(2, "little") + payload)
 
     def _key(self, packet: bytes) -> int:
         flags = packet[2]
         if flags & WITH_OFFSET:
             self._say("data sets that come in part are counted and not read")
         return packet[3] if flags & (WITH_OFFSET | 0x0F) in (DATA, SET_DATA) else -1
-
-
-FRAMES = [Frame("ISB", SYNC, counted_length(4, 2, AROUND, LONGEST_PACKET), Checksum("fletcher16-256"))]
-TIMING = Timing(tick_ns=Fraction(1))
-
-
-class InertialSenseDevice(TableDevice):
-    """Device file of an Inertial Sense unit."""
-
-    family = TableFamily(
-        DATA_SETS, FRAMES, InertialSenseDecoder, _wrapped, TIMING, HEADER, AROUND, (2, 3), derived=(MEANS,)
-    )

@@ -20,9 +20,8 @@ from imumon.geodesy import STANDARD_GRAVITY
 from imumon.protocols.base import MAIN, ByteArray, Timing
 from imumon.protocols.checks import CRCS, Checksum, by_distance, sent
 from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, Found, Frame, windows
-from imumon.protocols.messages import FamilyDecoder, Message, TableDevice, TableFamily, part, whole
-from imumon.protocols.numbers import Columns, Derived
-from imumon.protocols.quantities import count, known, number, vector
+from imumon.protocols.messages import FamilyDecoder, Message, part, whole
+from imumon.protocols.numbers import Columns, Derived, count, known, number, vector
 
 FIRST, SECOND = b"\xfe", b"\xfd"
 HEADERS = {FIRST: 6, SECOND: 10}
@@ -122,21 +121,35 @@ def _right(header: int, held: ByteArray, at: IntArray, length: IntArray) -> Bool
 class MavlinkDecoder(FamilyDecoder):
     """Decodes the inertial messages of the first vehicle that is heard."""
 
+    messages = MESSAGES
+    frames = tuple(
+        Frame({sync: f"MAVLink {k + 1}"}, partial(_length, header), partial(_right, header))
+        for k, (sync, header) in enumerate(HEADERS.items())
+    )
+    timing = Timing(tick_ns=Fraction(1000))
+    start, more, head = HEADERS[SECOND], HEADERS[SECOND], (5, 6, 7, 8, 9)
+    derived = (CELSIUS,)
     _vehicle = b""
+
+    def wrap(self, key: int, payload: bytes) -> bytes:
+        """Make a message of version 2, which leaves out zeros at the end."""
+        payload = payload.rstrip(b"\0") or b"\0"
+        body = bytes([len(payload), 0, 0, 0, 1, 1]) + key.to_bytes(3, "little") + payload
+        return SECOND + body + _CRC.sealed(body + bytes([EXTRA[key]]))[-2:]
 
     def _plain(self, found: Found) -> Found:
         """Return the messages as those of version 2 with all their zeros."""
         size = HEADERS[SECOND] + LONGEST
         held, padded = np.zeros((len(found), size), np.uint8), np.pad(found.held, (0, LONGEST))
-        for frame, header in enumerate(HEADERS.values()):
-            rows = np.flatnonzero(found.frame == frame)
+        for kind, header in enumerate(HEADERS.values()):
+            rows = np.flatnonzero(found.kind == kind)
             at = found.at[rows]
             numbers = 1 if header == HEADERS[FIRST] else 3
             held[rows, 5 : 7 + numbers] = windows(found.held, at + header - numbers - 2, 2 + numbers)
             there = np.arange(LONGEST) < found.held[at + 1][:, np.newaxis]
             held[rows, HEADERS[SECOND] :] = windows(padded, at + header, LONGEST) * there
         begins = np.arange(len(found)) * size
-        return Found(held.reshape(-1), begins, np.full(len(found), size), found.frame)
+        return Found(held.reshape(-1), begins, np.full(len(found), size), found.kind)
 
     def _key(self, packet: bytes) -> int:
         vehicle, key = packet[5:7], int.from_bytes(packet[7:10], "little")
@@ -148,24 +161,3 @@ class MavlinkDecoder(FamilyDecoder):
             self._say(f"only vehicle {number}, component {component} is read of several")
             return -1
         return key
-
-
-def _wrapped(key: int, payload: bytes) -> bytes:
-    payload = payload.rstrip(b"\0") or b"\0"
-    body = bytes([len(payload), 0, 0, 0, 1, 1]) + key.to_bytes(3, "little") + payload
-    return SECOND + body + _CRC.sealed(body + bytes([EXTRA[key]]))[-2:]
-
-
-FRAMES = [
-    Frame(f"MAVLink {k + 1}", sync, partial(_length, header), partial(_right, header))
-    for k, (sync, header) in enumerate(HEADERS.items())
-]
-TIMING, SIZE, HEAD = Timing(tick_ns=Fraction(1000)), HEADERS[SECOND], (5, 6, 7, 8, 9)
-
-
-class MavlinkDevice(TableDevice):
-    """Device file of an autopilot."""
-
-    family = TableFamily(
-        MESSAGES, FRAMES, MavlinkDecoder, _wrapped, TIMING, SIZE, SIZE, HEAD, derived=(CELSIUS,)
-    )

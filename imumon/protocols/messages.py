@@ -8,20 +8,28 @@ over, and numbers behind the end are absent.
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import ClassVar
+from pkgutil import resolve_name
 
 from imumon.blocks import SampleBlock
 from imumon.columns import Column
-from imumon.protocols.base import COMMON, MAIN, Encoder, Groups, Timing, chosen
+from imumon.protocols.base import COMMON, MAIN, NO_GROUP, Encoder, Groups, Timing, chosen
 from imumon.protocols.decoder import Alike, Decoder
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.framing import Frame
-from imumon.protocols.numbers import NO_GROUP, Derived, Layout, Number, Record, groups_of, with_sources, write
-from imumon.protocols.quantities import count, known
+from imumon.protocols.numbers import Derived, Layout, Number, Record, count, known, with_sources, write
 
+FAMILIES = {
+    "ximu3": "imumon.protocols.ximu3:XimuDecoder",
+    "mavlink": "imumon.protocols.mavlink:MavlinkDecoder",
+    "witmotion": "imumon.protocols.witmotion:WitMotionDecoder",
+    "sbg": "imumon.protocols.sbg:SbgDecoder",
+    "inertialsense": "imumon.protocols.inertialsense:InertialSenseDecoder",
+    "hipnuc": "imumon.protocols.hipnuc:HipnucDecoder",
+}
+"""Decoder of each protocol that is a table of messages; imported when a device of it is decoded."""
 ANY_SIZE = -1
 """Size of a field that is recognised and skipped whatever its length."""
 Part = tuple[Number, ...]
@@ -37,6 +45,17 @@ def part(at: int, kind: str, columns: str | Sequence[Column], factor: float = 1.
     there = known(columns) if isinstance(columns, str) else columns
     size = Number(None, kind).end
     return tuple(Number(c, kind, factor, at=at + k * size, group=group) for k, c in enumerate(there))
+
+
+def floats(columns: str | Iterable[Column], factor: float = 1.0, kind: str = "f32") -> Part:
+    """Return numbers of one type, not placed yet; a canonical quantity goes by its name."""
+    there = known(columns) if isinstance(columns, str) else columns
+    return tuple(Number(column, kind, factor) for column in there)
+
+
+def counted(name: str, description: str, kind: str, unit: str = "1") -> Number:
+    """Return an integer that is a column as it is, not placed yet."""
+    return Number(count(name, description, unit), kind)
 
 
 def whole(at: int, kind: str, name: str, description: str, unit: str = "1") -> Part:
@@ -93,13 +112,15 @@ def _all_columns(
 ) -> tuple[Groups, tuple[Column, ...]]:
     """Return the groups and the columns of all messages; kept, as they take ten times as long as the rest."""
     layouts = [Record(message.placed(0, message.size, False), derived) for message in messages]
-    return groups_of(layouts, names, apart), tuple(column for layout in layouts for column in layout.columns)
+    return Groups.of([layout.of_column for layout in layouts], names, apart), tuple(
+        column for layout in layouts for column in layout.columns
+    )
 
 
 class TableDecoder(Decoder):
     """Decodes packets that hold messages of a table.
 
-    `messages` are all that may come; `names` and `apart` as for `groups_of`.
+    `messages` are all that may come; `names` and `apart` as for `Groups.of`.
     """
 
     def __init__(
@@ -127,24 +148,19 @@ class TableDecoder(Decoder):
         return layout if layout.columns else None
 
 
-@dataclass(frozen=True, slots=True)
-class TableFamily:
-    """A family of which each packet is a message of a table."""
+class FamilyDecoder(TableDecoder):
+    """Decodes packets that are each a message of a table; a subclass is the table of a family."""
 
     messages: Mapping[int, Message]
     """What each identifier means."""
     frames: Sequence[Frame]
     """Kinds of packets."""
-    decodes: Callable[[TableFamily, float | None], FamilyDecoder]
-    """Makes a `FamilyDecoder`, which says where the identifier stands."""
-    wrap: Callable[[int, bytes], bytes]
-    """Makes a packet of an identifier and a payload."""
     timing: Timing
     """How the devices count time."""
     start: int
     more: int
     """Bytes before the payload; bytes of the packet besides the payload."""
-    head: tuple[int, ...]
+    head: Sequence[int]
     """Places of the bytes that tell what a packet carries."""
     big: bool = False
     """Whether the most significant byte comes first."""
@@ -153,33 +169,37 @@ class TableFamily:
     derived: Sequence[Derived] = ()
     """Columns that are computed."""
 
+    def __init__(self, rate_hz: float | None = None) -> None:
+        timing = replace(self.timing, rate_hz=rate_hz)
+        messages = self.messages.values()
+        super().__init__(self.frames, timing, messages, self.derived, apart=self.apart, big=self.big)
 
-class FamilyDecoder(TableDecoder):
-    """Decodes the messages of a family."""
-
-    def __init__(self, family: TableFamily, rate_hz: float | None) -> None:
-        timing = replace(family.timing, rate_hz=rate_hz)
-        messages = family.messages.values()
-        super().__init__(family.frames, timing, messages, family.derived, apart=family.apart, big=family.big)
-        self._family = family
+    @abstractmethod
+    def wrap(self, key: int, payload: bytes) -> bytes:
+        """Make a packet of an identifier and a payload."""
 
     @abstractmethod
     def _key(self, packet: bytes) -> int:
         """Return the identifier of a packet; what is not in the table is only counted."""
 
+    def named(self, names: Sequence[str]) -> dict[str, tuple[int, Message]]:
+        """Return identifier and contents of messages by name: of all, or of these and others."""
+        del names
+        return {message.name: (key, message) for key, message in self.messages.items()}
+
     def _message(self, key: int) -> Message | None:
         """Return what an identifier means."""
-        return self._family.messages.get(key)
+        return self.messages.get(key)
 
     def _signature(self, packet: bytes) -> Sequence[int]:
         del packet
-        return self._family.head
+        return self.head
 
     def _contents(self, packet: bytes) -> list[tuple[Message, int, int]]:
-        message, size = self._message(self._key(packet)), len(packet) - self._family.more
+        message, size = self._message(self._key(packet)), len(packet) - self.more
         if message is None or size < (message.least or message.size):
             return []
-        return [(message, self._family.start, min(size, message.size))]
+        return [(message, self.start, min(size, message.size))]
 
 
 class TableEncoder(Encoder):
@@ -190,9 +210,8 @@ class TableEncoder(Encoder):
     `names`: those of messages, in the order in which they are sent.
     """
 
-    def __init__(self, family: TableFamily, names: Sequence[str]) -> None:
-        there = {message.name: (key, message) for key, message in family.messages.items()}
-        self._sent = chosen(names, there, "message")
+    def __init__(self, family: FamilyDecoder, names: Sequence[str]) -> None:
+        self._sent = chosen(names, family.named(names), "message")
         self._family = family
 
     def encode(self, block: SampleBlock) -> list[bytes]:
@@ -209,13 +228,13 @@ class TableEncoder(Encoder):
 class TableDevice(DeviceFile):
     """Device file of a family; `sends` is for its virtual twin alone."""
 
-    family: ClassVar[TableFamily]
     sends: list[str]
 
     def decoder(self) -> FamilyDecoder:
         """Make a decoder for this device."""
-        return self.family.decodes(self.family, self.rate_hz)
+        family: type[FamilyDecoder] = resolve_name(FAMILIES[self.protocol])
+        return family(self.rate_hz)
 
     def encoder(self) -> TableEncoder:
         """Make an encoder that sends what the device would send."""
-        return TableEncoder(self.family, self.sends)
+        return TableEncoder(self.decoder(), self.sends)

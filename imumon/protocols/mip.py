@@ -17,8 +17,7 @@ from imumon.protocols.base import Timing, chosen
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.messages import ANY_SIZE, Message
 from imumon.protocols.mip_fields import FILTER, GNSS, SENSOR, SYSTEM, Attitude, Clock, mip_fields
-from imumon.protocols.numbers import Columns, Derived
-from imumon.protocols.quantities import FROM_MATRIX, known
+from imumon.protocols.numbers import FROM_MATRIX, Columns, Derived, known
 from imumon.protocols.tagged import MIP, TaggedDecoder, TaggedEncoder
 
 WEEK_NS = 7 * 86_400 * 10**9

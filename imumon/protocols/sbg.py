@@ -15,9 +15,8 @@ from imumon.blocks import BoolArray, ColumnArray, IntArray
 from imumon.protocols.base import LONGEST_PACKET, ByteArray, Timing
 from imumon.protocols.checks import Checksum
 from imumon.protocols.framing import Frame, counted_length
-from imumon.protocols.messages import FamilyDecoder, Message, TableDevice, TableFamily, part, whole
-from imumon.protocols.numbers import Columns, Derived
-from imumon.protocols.quantities import count, known, number, vector
+from imumon.protocols.messages import FamilyDecoder, Message, part, whole
+from imumon.protocols.numbers import Columns, Derived, count, known, number, vector
 
 SYNC, END = b"\xff\x5a", 0x33
 HEADER, AROUND = 6, 9
@@ -99,26 +98,21 @@ def _right(held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
     return np.asarray((held[at + length - 1] == END) & _CRC(held, at, length - 1))
 
 
-def _wrapped(key: int, payload: bytes) -> bytes:
-    return _CRC.sealed(SYNC + bytes([key, 0]) + len(payload).to_bytes(2, "little") + payload) + bytes([END])
-
-
 class SbgDecoder(FamilyDecoder):
     """Decodes the logs of class 0; all other frames are counted."""
+
+    messages = LOGS
+    frames = (Frame({SYNC: "sbgECom"}, counted_length(4, 2, AROUND, LONGEST_PACKET), _right),)
+    timing = Timing(tick_ns=Fraction(1000), tick_bits=32)
+    start, more, head = HEADER, AROUND, (2, 3)
+    derived = (RATES,)
+
+    def wrap(self, key: int, payload: bytes) -> bytes:
+        """Make a frame of a log of class 0."""
+        size = len(payload).to_bytes(2, "little")
+        return _CRC.sealed(SYNC + bytes([key, 0]) + size + payload) + bytes([END])
 
     def _key(self, packet: bytes) -> int:
         if packet[3] & LARGE:
             self._say("logs in several pages are counted and not read")
         return packet[2] if packet[3] == 0 else -1
-
-
-FRAMES = [Frame("sbgECom", SYNC, counted_length(4, 2, AROUND, LONGEST_PACKET), _right)]
-TIMING = Timing(tick_ns=Fraction(1000), tick_bits=32)
-
-
-class SbgDevice(TableDevice):
-    """Device file of an SBG Systems unit."""
-
-    family = TableFamily(
-        LOGS, FRAMES, SbgDecoder, _wrapped, TIMING, HEADER, AROUND, head=(2, 3), derived=(RATES,)
-    )

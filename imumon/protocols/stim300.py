@@ -10,25 +10,30 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from fractions import Fraction
-from functools import lru_cache, partial
+from functools import lru_cache
 from math import pi
 from typing import Final, Literal
 
+import numpy as np
 from pydantic import PositiveFloat, model_validator
 
+from imumon.blocks import BoolArray, IntArray
 from imumon.columns import Column
 from imumon.geodesy import STANDARD_GRAVITY
-from imumon.protocols.base import Timing
+from imumon.protocols.base import ByteArray, Timing
 from imumon.protocols.checks import Checksum
 from imumon.protocols.device import DeviceFile
-from imumon.protocols.framing import Frame, fixed_length
-from imumon.protocols.messages import FamilyDecoder, Message, Part, TableEncoder, TableFamily, part, whole
-from imumon.protocols.quantities import known, number, vector
+from imumon.protocols.framing import Frame
+from imumon.protocols.messages import FamilyDecoder, Message, Part, TableEncoder, part, whole
+from imumon.protocols.numbers import known, number, vector
 
 TICK_NS: Final = 500_000
 """The counter counts samples of the internal 2000 Hz, not datagrams."""
 CRC_SIZE = 4
-BLOCKS = {
+LINE_END = b"\r\n"
+BLOCKS = {"gyro": 10, "acc": 10, "incl": 10, "gyro_temp": 7, "acc_temp": 7, "incl_temp": 7, "pps": 4}
+"""Bytes of each block, of which the last is its status."""
+PLAIN = {
     0x90: ("gyro", 2),
     0x91: ("gyro acc", 0),
     0x92: ("gyro incl", 0),
@@ -41,27 +46,25 @@ BLOCKS = {
 """Blocks of each datagram, and the zeros that count before its CRC."""
 DATAGRAMS = {
     key: (names, zeros)
-    for k, (plain, (blocks, zeros)) in enumerate(BLOCKS.items())
+    for k, (plain, (blocks, zeros)) in enumerate(PLAIN.items())
     for key, names in ((plain, blocks), (0xF0 + k, f"{blocks} pps"))
 }
 """The same with those from F0 on, which have a block for the pulse (PPS), of four bytes."""
-BLOCK_SIZES = {"gyro": 10, "acc": 10, "incl": 10, "gyro_temp": 7, "acc_temp": 7, "incl_temp": 7, "pps": 4}
 RANGE_BITS = {5: 20, 10: 19, 30: 18, 80: 16}
 """Bits behind the point of an acceleration in g, by the range in g; of an increment in m/s three more."""
 
 AccelRange = Literal[5, 10, 30, 80]
 Output = Literal["rate", "increment"]
-Block = tuple[str, str | Sequence[Column], float]
 
 
-def _blocks(output: Output, accel_range_g: AccelRange, rate_hz: float | None) -> dict[str, Block]:
-    """Return for each block the type, columns and factor of its numbers."""
-    per_sample = rate_hz or 1.0
-    rate = pi / 180 * (2.0**-14 if output == "rate" else 2.0**-21 * per_sample)
-    bits = RANGE_BITS[accel_range_g]
-    force = STANDARD_GRAVITY * 2.0**-bits if output == "rate" else 2.0 ** -(bits + 3) * per_sample
-    tilt = STANDARD_GRAVITY * 2.0**-22 if output == "rate" else 2.0**-25 * per_sample
-    return {
+@lru_cache
+def datagrams(output: Output, accel_range_g: AccelRange, rate_hz: float | None) -> dict[int, Message]:
+    """Return the datagrams of normal mode by their identifier, which is byte 0 of the payload."""
+    is_rate, per_sample, bits = output == "rate", rate_hz or 1.0, RANGE_BITS[accel_range_g]
+    rate = pi / 180 * (2.0**-14 if is_rate else 2.0**-21 * per_sample)
+    force = STANDARD_GRAVITY * 2.0**-bits if is_rate else 2.0 ** -(bits + 3) * per_sample
+    tilt = STANDARD_GRAVITY * 2.0**-22 if is_rate else 2.0**-25 * per_sample
+    blocks: dict[str, tuple[str, str | Sequence[Column], float]] = {
         "gyro": ("i24", "gyro", rate),
         "acc": ("i24", "accel", force),
         "incl": ("i24", vector("inclinometer", "m/s^2", "specific force of the inclinometer"), tilt),
@@ -70,18 +73,12 @@ def _blocks(output: Output, accel_range_g: AccelRange, rate_hz: float | None) ->
         "incl_temp": ("i16", vector("inclinometer_temperature", "degC", "of the inclinometer"), 2.0**-8),
         "pps": ("u24", [number("time_since_pps", "us", "since the edge of the pulse")], 1.0),
     }
-
-
-@lru_cache
-def datagrams(output: Output, accel_range_g: AccelRange, rate_hz: float | None) -> dict[int, Message]:
-    """Return the datagrams of normal mode by their identifier, which is byte 0 of the payload."""
-    blocks, messages = _blocks(output, accel_range_g, rate_hz), {}
+    messages = {}
     for key, (names, _) in DATAGRAMS.items():
         at, parts = 1, list[Part]()
         for name in names.split():
-            kind, columns, factor = blocks[name]
-            parts.append(part(at, kind, columns, factor))
-            at += BLOCK_SIZES[name]
+            parts.append(part(at, *blocks[name]))
+            at += BLOCKS[name]
             parts.append(whole(at - 1, "u8", f"{name}_status", f"status of {name}, bits; 0 is good"))
         parts.append(part(at, "u8", "device_ticks"))
         parts.append(part(at + 1, "u16", [number("latency", "us", "measurement to transmission")]))
@@ -89,19 +86,44 @@ def datagrams(output: Output, accel_range_g: AccelRange, rate_hz: float | None) 
     return messages
 
 
-CHECKS = {key: Checksum("crc32-mpeg2", big=True, zeros=zeros) for key, (_, zeros) in DATAGRAMS.items()}
+CHECKS = [Checksum("crc32-mpeg2", big=True, zeros=zeros) for zeros in range(4)]
+ZEROS, SIZES = np.zeros((2, 256), np.int64)
+"""Zeros before the CRC, and bytes, of each datagram by its identifier."""
+for _key, (_names, _zeros) in DATAGRAMS.items():
+    ZEROS[_key], SIZES[_key] = _zeros, 1 + sum(BLOCKS[name] for name in _names.split()) + 3 + CRC_SIZE
 
 
-def _wrapped(key: int, payload: bytes, line_end: bool) -> bytes:
-    return CHECKS[key].sealed(bytes([key]) + payload[1:]) + (b"\r\n" if line_end else b"")
+def _length(held: ByteArray, at: IntArray) -> IntArray:
+    return SIZES[held[at]]
+
+
+def _right(held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
+    right = np.zeros(len(at), np.bool_)
+    for zeros, check in enumerate(CHECKS):
+        mine = ZEROS[held[at]] == zeros
+        right[mine] = check(held, at[mine], length[mine])
+    return right
 
 
 class StimDecoder(FamilyDecoder):
     """Decodes the datagrams of normal mode, with and without a line end behind them."""
 
-    def __init__(self, assumed: str, family: TableFamily, rate_hz: float | None) -> None:
-        super().__init__(family, rate_hz)
-        self._assumed = assumed
+    frames = (Frame({bytes([key]): f"datagram {key:02X}" for key in DATAGRAMS}, _length, _right, LINE_END),)
+    timing = Timing(tick_ns=Fraction(TICK_NS), tick_bits=8)
+    start, more, head, big = 0, CRC_SIZE, (0,), True
+
+    def __init__(self, device: StimDevice) -> None:
+        self.messages = datagrams(device.output, device.accel_range_g, device.rate_hz)
+        self._end = LINE_END if device.line_end else b""
+        self._assumed = (
+            f"read as {device.output}s with accelerometers of {device.accel_range_g} g, as the device file "
+            "says: the datagrams do not tell"
+        )
+        super().__init__(device.rate_hz)
+
+    def wrap(self, key: int, payload: bytes) -> bytes:
+        """Make a datagram."""
+        return CHECKS[int(ZEROS[key])].sealed(bytes([key]) + payload[1:]) + self._end
 
     def _key(self, packet: bytes) -> int:
         self._say(self._assumed)
@@ -125,27 +147,10 @@ class StimDevice(DeviceFile):
             raise ValueError(f"sends: expected one of {', '.join(there)}")
         return self
 
-    @property
-    def _family(self) -> TableFamily:
-        messages = datagrams(self.output, self.accel_range_g, self.rate_hz)
-        frames = [
-            Frame(f"datagram {key:02X}", bytes([key]), fixed_length(m.size + CRC_SIZE), CHECKS[key], b"\r\n")
-            for key, m in messages.items()
-        ]
-        decodes = partial(
-            StimDecoder,
-            f"read as {self.output}s with accelerometers of {self.accel_range_g} g, as the device file says: "
-            "the datagrams do not tell",
-        )
-        timing = Timing(tick_ns=Fraction(TICK_NS), tick_bits=8)
-        wrap = partial(_wrapped, line_end=self.line_end)
-        return TableFamily(messages, frames, decodes, wrap, timing, 0, CRC_SIZE, (0,), big=True)
-
-    def decoder(self) -> FamilyDecoder:
+    def decoder(self) -> StimDecoder:
         """Make a decoder for this device."""
-        family = self._family
-        return family.decodes(family, self.rate_hz)
+        return StimDecoder(self)
 
     def encoder(self) -> TableEncoder:
         """Make an encoder that sends what the device would send."""
-        return TableEncoder(self._family, [self.sends])
+        return TableEncoder(self.decoder(), [self.sends])

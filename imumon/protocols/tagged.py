@@ -27,7 +27,7 @@ from imumon.protocols.base import OTHER, ByteArray, Encoder, Timing
 from imumon.protocols.checks import Checksum
 from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, NO_PACKET, Found, Frame, counted_length
 from imumon.protocols.messages import Message, TableDecoder
-from imumon.protocols.numbers import Derived, Number, is_missing, with_sources, write
+from imumon.protocols.numbers import Derived, Layout, Number, is_missing, with_sources, write
 
 LONGEST_XBUS_PAYLOAD = 2048
 KIND_AT = 2
@@ -55,44 +55,14 @@ def _begin(packet: bytes) -> int:
     return 6 if packet[0] == 0xFA and packet[3] == 0xFF else 4
 
 
-def _xbus_places(packet: bytes) -> list[Place]:
-    at, found = _begin(packet), list[Place]()
-    while at + 3 < len(packet):
-        found.append((packet[at] << 8 | packet[at + 1], at + 3, packet[at + 2]))
-        at += 3 + packet[at + 2]
-    return found
-
-
-def _mip_places(packet: bytes) -> list[Place]:
-    at, found = 4, list[Place]()
-    while at + 2 <= len(packet) - 2 and packet[at] >= 2:
-        found.append((packet[KIND_AT] << 8 | packet[at + 1], at + 2, packet[at] - 2))
-        at += packet[at]
-    return found
-
-
-def _whole_payload(packet: bytes) -> list[Place]:
-    return [(0, _begin(packet), len(packet) - 1 - _begin(packet))]
-
-
 def xbus_message(kind: int, payload: bytes = b"") -> bytes:
     """Return an Xbus message without its checksum."""
     size = len(payload)
     return bytes([0xFA, 0xFF, kind, *([0xFF, size >> 8, size & 0xFF] if size >= 0xFF else [size])]) + payload
 
 
-def _xbus_list(kind: int, fields: Sequence[tuple[int, bytes]]) -> bytes:
-    parts = (key.to_bytes(2, "big") + bytes([len(data)]) + data for key, data in fields)
-    return xbus_message(kind, b"".join(parts))
-
-
-def _mip_list(kind: int, fields: Sequence[tuple[int, bytes]]) -> bytes:
-    payload = b"".join(bytes([len(data) + 2, key & 0xFF]) + data for key, data in fields)
+def _mip_message(kind: int, payload: bytes) -> bytes:
     return bytes([0x75, 0x65, kind, len(payload)]) + payload
-
-
-def _xbus_data(kind: int, fields: Sequence[tuple[int, bytes]]) -> bytes:
-    return xbus_message(kind, b"".join(data for _, data in fields))
 
 
 @dataclass(frozen=True)
@@ -101,18 +71,39 @@ class Form:
 
     frame: Frame
     check: Checksum
+    message: Callable[[int, bytes], bytes]
+    """Returns a packet of a type and a payload, without its checksum."""
     longest: int
     """Most bytes of a payload."""
     header: int
-    """Bytes of a field before its data."""
-    places: Callable[[bytes], list[Place]]
-    """Returns the fields of a packet; the last may end behind it."""
-    packed: Callable[[int, Sequence[tuple[int, bytes]]], bytes]
-    """Returns a packet without its checksum: of its type, and of key and data of its fields."""
+    """Bytes of a field before its data: 3 as Xbus, 2 as MIP; 0: the payload is one field, of key 0."""
 
     def payload(self, packet: bytes) -> bytes:
         """Return what is between header and checksum."""
         return packet[_begin(packet) : -self.check.size]
+
+    def places(self, packet: bytes) -> list[Place]:
+        """Return the fields of a packet; the last may end behind it."""
+        at, end, found = _begin(packet), len(packet) - self.check.size, list[Place]()
+        if not self.header:
+            return [(0, at, end - at)]
+        while at + self.header <= end:
+            high, size = (
+                (packet[at], packet[at + 2]) if self.header == 3 else (packet[KIND_AT], packet[at] - 2)
+            )
+            if size < 0:
+                break
+            found.append((high << 8 | packet[at + 1], at + self.header, size))
+            at += self.header + size
+        return found
+
+    def packed(self, kind: int, fields: Sequence[tuple[int, bytes]]) -> bytes:
+        """Return a packet of fields, without its checksum: of its type, and of their keys and data."""
+        payload = b""
+        for key, data in fields:
+            heads = (b"", bytes([len(data) + 2, key & 0xFF]), bytes([key >> 8, key & 0xFF, len(data)]))
+            payload += heads[max(self.header - 1, 0)] + data
+        return self.message(kind, payload)
 
     def sealed(self, kind: int, *fields: tuple[int, bytes]) -> bytes:
         """Return a packet of fields."""
@@ -120,12 +111,10 @@ class Form:
 
 
 _SUM, _FLETCHER = Checksum("sum8-negated", first=1), Checksum("fletcher16-256")
-XBUS_FRAME = Frame("Xbus", b"\xfa", xbus_lengths, _SUM)
-XBUS = Form(XBUS_FRAME, _SUM, LONGEST_XBUS_PAYLOAD, 3, _xbus_places, _xbus_list)
-XBUS_DATA = Form(XBUS_FRAME, _SUM, LONGEST_XBUS_PAYLOAD, 0, _whole_payload, _xbus_data)
-"""Without headers: the payload is one field, of key 0."""
-MIP = Form(Frame("MIP", b"\x75\x65", counted_length(3, 1, 6, 261), _FLETCHER), _FLETCHER, 255, 2,
-           _mip_places, _mip_list)  # fmt: skip
+XBUS = Form(Frame({b"\xfa": "Xbus"}, xbus_lengths, _SUM), _SUM, xbus_message, LONGEST_XBUS_PAYLOAD, 3)
+XBUS_DATA = replace(XBUS, header=0)
+MIP_FRAME = Frame({b"\x75\x65": "MIP"}, counted_length(3, 1, 6, 261), _FLETCHER)
+MIP = Form(MIP_FRAME, _FLETCHER, _mip_message, 255, 2)
 
 
 class TaggedDecoder(TableDecoder):
@@ -185,17 +174,15 @@ class TaggedDecoder(TableDecoder):
             fit[data[alike.rows]] = self._is_filled(alike.packet)
         return fit
 
-    def _layout_numbers(self, found: Found) -> IntArray:
+    def _by_layout(self, found: Found) -> Iterable[tuple[Layout, IntArray]]:
         kind = found.held[found.at + KIND_AT]
-        numbers = np.full(len(found), -1, np.int64)
         self._types += np.bincount(kind, minlength=256)
         for row in np.flatnonzero(~self._is_data[kind]).tolist():
             packet = found.held[found.at[row] :][: found.length[row]].tobytes()
             for text in self._describe(int(kind[row]), self._form.payload(packet)):
                 self._say(text)
         data = np.flatnonzero(self._is_data[kind])
-        numbers[data] = super()._layout_numbers(found.only(data))
-        return numbers
+        return ((layout, data[rows]) for layout, rows in super()._by_layout(found.only(data)))
 
     def _describe(self, kind: int, payload: bytes) -> Iterable[str]:
         """Say in words what a message that is not data tells the user, if anything."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property, lru_cache, partial, reduce
 from math import isfinite
 from operator import xor
@@ -21,13 +21,13 @@ from pydantic import Field, NonNegativeInt, PositiveInt, model_validator
 
 from imumon.blocks import BoolArray, ColumnArray, FloatArray, IntArray, SampleBlock
 from imumon.config import StrictModel
-from imumon.protocols.base import COMMON, MAIN, ByteArray, Encoder
+from imumon.protocols.base import COMMON, MAIN, ByteArray, Encoder, Groups
 from imumon.protocols.checks import Checksum
 from imumon.protocols.decoder import DescribedDecoder
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.fixed import NumberField, NumberName, timing_of
 from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, Found, Frame
-from imumon.protocols.numbers import NUMBER_TYPES, WRAPPING, Number, groups_of, is_missing
+from imumon.protocols.numbers import NUMBER_TYPES, WRAPPING, Number, is_missing
 
 LINE_END: Final = 0x0A
 MOST_LINES: Final = 1 << 14
@@ -270,9 +270,9 @@ def lines_right(read: Callable[[str], object], held: ByteArray, at: IntArray, le
     return np.array([read(text) is not None for text in _texts(held, at, length)], np.bool_)
 
 
-def line_frame(name: str, begin: bytes, read: Callable[[str], object], after_end: bool = False) -> Frame:
+def line_frame(names: Mapping[bytes, str], read: Callable[[str], object], after_end: bool = False) -> Frame:
     """Return the frame of lines that are right when they can be read."""
-    return Frame(name, begin, partial(line_lengths, after_end), partial(lines_right, read))
+    return Frame(names, partial(line_lengths, after_end), partial(lines_right, read))
 
 
 @lru_cache(MOST_LINES)
@@ -312,10 +312,10 @@ class TextDevice(DeviceFile):
         """Make a decoder for these lines; of several kinds that fit one the first counts."""
         readers = [partial(read_once, line) for line in self.lines]
         both = list(zip(self.lines, readers, strict=True))
-        frames = [line_frame(x.name, x.prefix.encode() or b"\n", read, not x.prefix) for x, read in both]
+        frames = [line_frame({x.prefix.encode() or b"\n": x.name}, read, not x.prefix) for x, read in both]
         layouts = [LineLayout(read, line.numbers) for line, read in both]
         timing = timing_of([field for line in self.lines for field in line.fields], self.rate_hz)
-        return DescribedDecoder(frames, timing, layouts, groups_of(layouts))
+        return DescribedDecoder(frames, timing, layouts, Groups.of([layout.of_column for layout in layouts]))
 
     def encoder(self) -> TextEncoder:
         """Make an encoder for the lines that are sent: all when `sends` is empty."""

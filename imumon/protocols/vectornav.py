@@ -49,25 +49,26 @@ class Contents(NamedTuple):
 
 def read_contents(packet: bytes) -> Contents | int:
     """Return what a packet holds, or the code of why that is not known; see `framing.Lengths`."""
-    groups: list[int] = []
-    at = 1
-    for first in (1, 8):
-        if at >= len(packet):
-            return INCOMPLETE
-        groups += [first + bit for bit in range(7) if packet[at] >> bit & 1]
-        at += 1
-        if not packet[at - 1] & 0x80:
-            break
-    else:
+    try:
+        return _contents(packet)
+    except IndexError:
+        return INCOMPLETE
+    except KeyError:  # a group that nobody knows
         return IMPOSSIBLE
+
+
+def _contents(packet: bytes) -> Contents | int:
+    groups = [1 + bit for bit in range(7) if packet[1] >> bit & 1]
+    at = 2
+    if packet[1] & 0x80:
+        groups += [8 + bit for bit in range(8) if packet[2] >> bit & 1]
+        at = 3
     items: list[Message] = []
     for group in groups:
-        left, more = tables.GROUPS.get(group, ()), group in tables.GROUPS
-        if not more:
-            return IMPOSSIBLE
+        left, more = tables.GROUPS[group], True
         while more:
-            if at + 2 > len(packet) or at > MOST_HEADER:
-                return INCOMPLETE if at <= MOST_HEADER else IMPOSSIBLE
+            if at > MOST_HEADER:
+                return IMPOSSIBLE
             word = packet[at] | packet[at + 1] << 8
             at += 2
             more = group != tables.COMMON and word >= 0x8000
@@ -76,23 +77,16 @@ def read_contents(packet: bytes) -> Contents | int:
                 return IMPOSSIBLE
             items += [item for k, item in enumerate(left[:16]) if word >> k & 1 and item is not None]
             left = left[16:]
-    return _placed(packet, items, at) if items else IMPOSSIBLE
-
-
-def _placed(packet: bytes, items: Sequence[Message], header: int) -> Contents | int:
-    """Return the fields with their places, behind a header of so many bytes."""
-    at, fields = header, list[tuple[Message, int]]()
+    fields, end = list[tuple[Message, int]](), at
     for item in items:
-        fields.append((item, at))
+        fields.append((item, end))
         if item.name in tables.REPEATS:
-            more, counter = tables.REPEATS[item.name]
-            if at + counter >= len(packet):
-                return INCOMPLETE
-            at += more * packet[at + counter]
-        at += item.size
-        if at + 2 > LONGEST_PACKET:
+            more_bytes, counter = tables.REPEATS[item.name]
+            end += more_bytes * packet[end + counter]
+        end += item.size
+        if end + 2 > LONGEST_PACKET:
             return IMPOSSIBLE
-    return Contents(tuple(fields), header, at)
+    return Contents(tuple(fields), at, end) if items else IMPOSSIBLE
 
 
 def _lengths(held: ByteArray, at: IntArray) -> IntArray:
@@ -122,35 +116,31 @@ def _length(found: Contents | int) -> int:
 XMODEM = Checksum("crc16-xmodem", first=1, big=True)
 
 
-def _sentence(text: str) -> tuple[str, list[str]] | None:
-    """Return header and fields of a line that is right, else None: torn lines may have a sum that fits."""
+def _sentence(text: str) -> tuple[str, list[str], list[float]] | None:
+    """Return header, fields, numbers of a line that is right, else None: torn ones may have a fitting sum."""
     body = sentence_body(text.rstrip("\r\n"), XMODEM)
     if body is None or not body.isascii():
         return None
     name, *fields = body[3:].split(",")
-    values = tables.SENTENCES.get(name)
-    if values is not None:
-        if fields and fields[-1][:1] in ("S", "T") and len(fields) > len(values):
-            fields = fields[: len(values)]  # the appendix with status or time
-        if len(fields) != len(values) or "_" in body or _floats(fields) is None:
-            return None
-    return name, fields
-
-
-def _floats(fields: Sequence[str]) -> list[float] | None:
+    if name not in tables.SENTENCES:
+        return name, fields, []
+    size = len(tables.SENTENCES[name])
+    if len(fields) > size and fields[-1][:1] in ("S", "T"):
+        fields = fields[:size]  # the appendix with status or time
     try:
-        return [float(field) for field in fields]
+        numbers = [float(field) for field in fields]
     except ValueError:
         return None
+    return (name, fields, numbers) if len(fields) == size and "_" not in body else None
 
 
-def _numbers_of(text: str) -> list[float] | None:
+def _numbers_in(text: str) -> list[float] | None:
     read = _sentence(text)
-    return None if read is None else _floats(read[1])
+    return None if read is None else read[2]
 
 
 SENTENCE = 2
-"""Number of their frame."""
+"""Number of their kind."""
 
 
 class VectorNavDecoder(TableDecoder):
@@ -158,32 +148,39 @@ class VectorNavDecoder(TableDecoder):
 
     def __init__(self, rate_hz: float | None = None) -> None:
         frames = (
-            Frame("binary", b"\xfa", _lengths, XMODEM),
-            Frame("split", b"\xfb\x00", counted_length(4, 2, 8, LONGEST_PACKET), XMODEM),
-            line_frame("ascii", b"$VN", _sentence),
+            Frame({b"\xfa": "binary"}, _lengths, XMODEM),
+            Frame({b"\xfb\x00": "split"}, counted_length(4, 2, 8, LONGEST_PACKET), XMODEM),
+            line_frame({b"$VN": "ascii"}, _sentence),
         )
         timing = Timing(tick_ns=Fraction(1), rate_hz=rate_hz)
         super().__init__(
-            frames, timing, FIELDS.values(), names=tables.SIDE_GROUPS, apart=(*tables.RECEIVERS.values(),)
+            frames,
+            timing,
+            [item for items in tables.GROUPS.values() for item in items if item is not None],
+            names=tables.SIDE_GROUPS,
+            apart=(*tables.RECEIVERS.values(),),
         )
         for name in ("roll", "pitch"):  # alignment calls its own otherwise where a device may send these
             del self._possible[name]
         self._factory: frozenset[str] = frozenset()
         """Quantities that have come as they were calibrated in the factory."""
 
-    def _layout_numbers(self, found: Found) -> IntArray:
-        """Number the layouts; where calibrated quantities begin, the filtered ones step back."""
-        all_alike = list(self._alike(found))
-        numbers = np.full(len(found), -1, np.int64)
-        for alike in all_alike:
+    def _by_layout(self, found: Found) -> Iterable[tuple[Layout, IntArray]]:
+        """Yield the layouts; where calibrated quantities begin, the filtered ones step back."""
+        start = 0
+        for alike in self._alike(found):
             new = _factory(self._numbers_of(alike)) - self._factory
             if new:
-                self._factory |= new
-                self._numbers.clear()
-                for earlier in all_alike:
-                    numbers[earlier.rows[earlier.rows > alike.rows[0]]] = self._number(earlier)
-            numbers[alike.rows] = self._number(alike)
-        return numbers
+                first = int(alike.rows[0])
+                yield from self._of_rows(found, start, first)
+                start, self._factory = first, self._factory | new
+                self._layouts.clear()
+        yield from self._of_rows(found, start, len(found))
+
+    def _of_rows(self, found: Found, start: int, stop: int) -> Iterable[tuple[Layout, IntArray]]:
+        """Yield the layouts of some of the packets."""
+        for layout, rows in super()._by_layout(found.only(np.arange(start, stop))):
+            yield layout, rows + start
 
     def _signature(self, packet: bytes) -> Sequence[int]:
         if packet[:1] == b"$":
@@ -197,16 +194,16 @@ class VectorNavDecoder(TableDecoder):
 
     def _numbers_of(self, alike: Alike) -> list[Number]:
         """Return the numbers of packets; those of a sentence are in its order."""
-        if alike.frame == SENTENCE:
+        if alike.kind == SENTENCE:
             values = tables.SENTENCES.get(alike.packet[3:6].decode("ascii", "replace"), ())
             return [value._replace(group=MAIN) for value in values]
         return [n for item, at, size in self._contents(alike.packet) for n in item.placed(at, size, False)]
 
     def _layout(self, alike: Alike) -> Layout | None:
         numbers = _renamed(self._numbers_of(alike), self._factory)
-        if alike.frame == SENTENCE:
+        if alike.kind == SENTENCE:
             self._tell(alike.packet.decode("ascii", "replace"))
-            layout: Layout = LineLayout(_numbers_of, numbers)
+            layout: Layout = LineLayout(_numbers_in, numbers)
         else:
             layout = Record(numbers)
         if "gyro_x" in layout.of_column and "gyro" not in self._factory:
@@ -242,20 +239,13 @@ def _renamed(numbers: Sequence[Number], factory: frozenset[str]) -> list[Number]
     ]
 
 
-FIELDS = {
-    f"{tables.GROUP_NAMES[group]}.{item.name}": item
-    for group, items in tables.GROUPS.items()
-    for item in items
-    if item is not None and item.columns
-}
-"""The fields that are read, by GROUP.FIELD."""
 PLACES = {
-    name: (group, bit)
+    f"{tables.GROUP_NAMES[group]}.{item.name}": (group, bit)
     for group, items in tables.GROUPS.items()
-    for bit, item in enumerate(items)
-    if item is not None and (name := f"{tables.GROUP_NAMES[group]}.{item.name}") in FIELDS
+    for bit, item in enumerate(items[:15])
+    if group < 8 and item is not None and item.columns
 }
-"""Group and bit of these."""
+"""Group and bit of the fields that can be sent, by GROUP.FIELD: those that need no second byte or word."""
 
 
 def words_of(names: Iterable[str]) -> dict[int, int]:
@@ -284,11 +274,13 @@ class VectorNavEncoder(Encoder):
 
     def __init__(self, names: Sequence[str]) -> None:
         words, numbers = words_of(names), list[Number]()
-        header = header_of(sum(1 << group - 1 for group in words if group < 8), words.values())
+        header = header_of(sum(1 << group - 1 for group in words), words.values())
         size = len(header)
-        for name in sorted({*names}, key=PLACES.__getitem__):
-            numbers += FIELDS[name].placed(size, FIELDS[name].size, False)
-            size += FIELDS[name].size
+        for group, bit in sorted({PLACES[name] for name in names}):
+            item = tables.GROUPS[group][bit]
+            assert item is not None
+            numbers += item.placed(size, item.size, False)
+            size += item.size
         self._numbers, self._blank = _renamed(numbers, _factory(numbers)), header.ljust(size, b"\0")
 
     def encode(self, block: SampleBlock) -> list[bytes]:

@@ -5,14 +5,13 @@ Facts from the vendor's SDK and the VN-100 manual.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from functools import partial
 from math import pi
 
 from imumon.columns import KNOWN, Column
-from imumon.protocols.base import MAIN
-from imumon.protocols.messages import Message, field
-from imumon.protocols.numbers import NO_GROUP, Number
-from imumon.protocols.quantities import count, known, number, vector
+from imumon.protocols.base import MAIN, NO_GROUP
+from imumon.protocols.messages import Message, counted, field, floats
+from imumon.protocols.numbers import Number, known, number, vector
 
 DEGREE = pi / 180
 GAUSS = 100.0
@@ -24,12 +23,8 @@ FILTERED = ("gyro", "accel", "mag")
 """What the device sends both as it was calibrated in the factory and as its filter has left it."""
 
 
-def _numbers(columns: Sequence[Column | None], kind: str = "f32", factor: float = 1.0) -> tuple[Number, ...]:
-    return tuple(Number(column, kind, factor) for column in columns)
-
-
 def _whole(name: str, description: str, kind: str, unit: str = "1") -> tuple[Number, ...]:
-    return (Number(count(name, description, unit), kind),)
+    return (counted(name, description, kind, unit),)
 
 
 def _filtered(base: str) -> tuple[Column, ...]:
@@ -38,22 +33,18 @@ def _filtered(base: str) -> tuple[Column, ...]:
     return vector(f"{base}_compensated", unit, f"{base}, corrected by the device's own filter")
 
 
-GYRO, ACCEL, MAG = map(known, FILTERED)
-YPR = _numbers(known("yaw", "pitch", "roll"), factor=DEGREE)
-QUATERNION = _numbers(known("q_x", "q_y", "q_z", "q_w"))
+YPR = floats(known("yaw", "pitch", "roll"), DEGREE)
+QUATERNION = floats(known("q_x", "q_y", "q_z", "q_w"))
 TICKS = (Number(KNOWN["device_ticks"], "u64"),)
-RATE, FORCE = _numbers(_filtered("gyro")), _numbers(_filtered("accel"))
-FIELD = _numbers(_filtered("mag"), factor=GAUSS)
-RAW_RATE, RAW_FORCE, RAW_FIELD = _numbers(GYRO), _numbers(ACCEL), _numbers(MAG, factor=GAUSS)
+RATE, FORCE, FIELD = floats(_filtered("gyro")), floats(_filtered("accel")), floats(_filtered("mag"), GAUSS)
+RAW_RATE, RAW_FORCE, RAW_FIELD = floats("gyro"), floats("accel"), floats("mag", GAUSS)
 DELTA_TIME = number("delta_time", "s", "time over which the increments were summed")
-DELTA_THETA = _numbers((DELTA_TIME,)) + _numbers(
-    vector("delta_theta", "rad", "rotation over the sample"), factor=DEGREE
-)
-DELTA_VELOCITY = _numbers(vector("delta_velocity", "m/s", "velocity increment"))
-TEMPERATURE = _numbers(known("temperature"))
-PRESSURE = _numbers(known("pressure"), factor=KILOPASCAL)
-POSITION = _numbers(known("place"), "f64")
-VELOCITY_NED = _numbers(vector("velocity", "m/s", "velocity north, east, down"))
+DELTA_THETA = (*floats([DELTA_TIME]),
+               *floats(vector("delta_theta", "rad", "rotation over the sample"), DEGREE))  # fmt: skip
+DELTA_VELOCITY = floats(vector("delta_velocity", "m/s", "velocity increment"))
+TEMPERATURE, PRESSURE = floats("temperature"), floats("pressure", KILOPASCAL)
+POSITION = floats("place", kind="f64")
+VELOCITY_NED = floats(vector("velocity", "m/s", "velocity north, east, down"))
 SYNC_IN = _whole("sync_in_count", "pulses at the input", "u32")
 PPS = _whole("time_since_pps", "time since the receiver's last pulse", "u64", "ns")
 GPS_TIME = _whole("gps_time", "time since 1980-01-06 on the GPS clock", "u64", "ns")
@@ -114,27 +105,27 @@ ATTITUDE_ITEMS = (
     field("Ypr", YPR, "attitude"),
     field("Quaternion", QUATERNION, "attitude"),
     _skipped("Dcm", 36, "attitude"),
-    field("MagNed", _numbers(vector("mag_ned", "uT", "magnetic field, north, east, down"), factor=GAUSS),
+    field("MagNed", floats(vector("mag_ned", "uT", "magnetic field, north, east, down"), GAUSS),
          "mag"),
-    field("AccelNed", _numbers(vector("accel_ned", "m/s^2", "acceleration with gravity, north, east, down"))),
-    field("LinearAccelBody", _numbers(vector("free_accel", "m/s^2", "acceleration without gravity"))),
+    field("AccelNed", floats(vector("accel_ned", "m/s^2", "acceleration with gravity, north, east, down"))),
+    field("LinearAccelBody", floats(vector("free_accel", "m/s^2", "acceleration without gravity"))),
     _skipped("LinearAccelNed", 12),
-    field("YprU", _numbers(vector("ypr_sigma", "rad", "uncertainty of yaw, pitch, roll"),
-                          factor=DEGREE), "attitude"),
+    field("YprU", floats(vector("ypr_sigma", "rad", "uncertainty of yaw, pitch, roll"),
+                          DEGREE), "attitude"),
     _skipped("reserved", 12), _skipped("reserved", 28), _skipped("reserved", 24),
-    field("Heave", _numbers(vector("heave", "m", "heave, its rate, and delayed"))),
-    field("AttU", _numbers((number("attitude_sigma", "rad", "uncertainty of the attitude"),), factor=DEGREE),
+    field("Heave", floats(vector("heave", "m", "heave, its rate, and delayed"))),
+    field("AttU", floats((number("attitude_sigma", "rad", "uncertainty of the attitude"),), DEGREE),
          "attitude"),
 )  # fmt: skip
 INS_ITEMS = (
     field("InsStatus", _whole("ins_status", "status of the navigation filter", "u16"), "filter"),
     field("Position", POSITION, "filter"),
     _skipped("PositionEcef", 24, "filter"),
-    field("VelocityBody", _numbers(vector("velocity_body", "m/s", "velocity in the body frame")), "filter"),
+    field("VelocityBody", floats(vector("velocity_body", "m/s", "velocity in the body frame")), "filter"),
     field("Velocity", VELOCITY_NED, "filter"),
     *(_skipped(name, 12, "filter") for name in ("VelocityEcef", "MagEcef", "AccelEcef", "LinearAccelEcef")),
-    field("PositionU", _numbers((number("position_sigma", "m", "uncertainty of the position"),)), "filter"),
-    field("VelocityU", _numbers((number("velocity_sigma", "m/s", "uncertainty of the velocity"),)), "filter"),
+    field("PositionU", floats((number("position_sigma", "m", "uncertainty of the position"),)), "filter"),
+    field("VelocityU", floats((number("velocity_sigma", "m/s", "uncertainty of the velocity"),)), "filter"),
     _skipped("reserved", 68),
     _skipped("reserved", 64),
 )
@@ -143,41 +134,37 @@ INS_ITEMS = (
 def _receiver_items(prefix: str) -> tuple[Message | None, ...]:
     """Return the fields of a receiver."""
 
-    def real(name: str, unit: str, kind: str = "f32") -> Number:
-        return Number(number(f"{prefix}_{name}", unit, f"receiver {prefix}: {name}"), kind)
+    def real(unit: str, *names: str, kind: str = "f32") -> tuple[Number, ...]:
+        columns = [number(f"{prefix}_{name}", unit, f"receiver {prefix}: {name}") for name in names]
+        return floats(columns, kind=kind)
 
     def whole(name: str, kind: str, unit: str = "1") -> tuple[Number, ...]:
         return _whole(f"{prefix}_{name}", f"receiver {prefix}: {name.replace('_', ' ')}", kind, unit)
 
-    place = tuple(real(name, unit, "f64") for name, unit in
-                  (("latitude", "deg"), ("longitude", "deg"), ("altitude", "m")))  # fmt: skip
-    velocity = tuple(real(f"velocity_{name}", "m/s") for name in ("north", "east", "down"))
-    sigma = tuple(real(f"position_sigma_{name}", "m") for name in ("north", "east", "down"))
-    dilution = tuple(real(f"{name}dop", "1") for name in "gptvhne")
-    fields: tuple[tuple[str, tuple[Number, ...], int], ...] = (
-        ("TimeUtc", (), 8),
-        ("Tow", whole("time_of_week", "u64", "ns"), 0),
-        ("Week", whole("week", "u16"), 0),
-        ("NumSats", whole("satellites", "u8"), 0),
-        ("Fix", whole("fix", "u8"), 0),
-        ("Position", place, 0),
-        ("PositionEcef", (), 24),
-        ("Velocity", velocity, 0),
-        ("VelocityEcef", (), 12),
-        ("PositionU", sigma, 0),
-        ("VelocityU", (real("velocity_sigma", "m/s"),), 0),
-        ("TimeU", (real("time_sigma", "s"),), 0),
-        ("TimeInfo", (), 2),
-        ("Dop", dilution, 0),
-    )
+    of_receiver = partial(field, group=prefix)
     return (
-        *(field(name, values, prefix) if values else _skipped(name, size) for name, values, size in fields),
+        _skipped("TimeUtc", 8),
+        of_receiver("Tow", whole("time_of_week", "u64", "ns")),
+        of_receiver("Week", whole("week", "u16")),
+        of_receiver("NumSats", whole("satellites", "u8")),
+        of_receiver("Fix", whole("fix", "u8")),
+        of_receiver("Position", (*real("deg", "latitude", "longitude", kind="f64"),
+                                 *real("m", "altitude", kind="f64"))),
+        _skipped("PositionEcef", 24),
+        of_receiver("Velocity", real("m/s", "velocity_north", "velocity_east", "velocity_down")),
+        _skipped("VelocityEcef", 12),
+        of_receiver("PositionU", real("m", "position_sigma_north", "position_sigma_east",
+                                      "position_sigma_down")),
+        of_receiver("VelocityU", real("m/s", "velocity_sigma")),
+        of_receiver("TimeU", real("s", "time_sigma")),
+        _skipped("TimeInfo", 2),
+        of_receiver("Dop", real("1", *(f"{name}dop" for name in "gptvhne"))),
         _skipped("SatInfo", 2),
         None,
         _skipped("RawMeas", 12),
-        field("Status", whole("status", "u16"), prefix),
-        field("AltMsl", (real("altitude_msl", "m", "f64"),), prefix),
-    )
+        of_receiver("Status", whole("status", "u16")),
+        of_receiver("AltMsl", real("m", "altitude_msl", kind="f64")),
+    )  # fmt: skip
 
 
 REPEATS = {"SatInfo": (8, 0), "RawMeas": (28, 10)}
@@ -194,11 +181,6 @@ GROUPS: dict[int, tuple[Message | None, ...]] = {
 }
 """Fields of each group by bit; None is a bit that has none."""
 
-
-_BODY, _INERTIAL = (
-    _numbers(vector("free_accel", "m/s^2", "acceleration without gravity")),
-    _numbers(vector("accel_ned", "m/s^2", "acceleration without gravity, north, east, down")),
-)
 SENTENCES: dict[str, tuple[Number, ...]] = {
     "YPR": YPR,
     "QTN": QUATERNION,
@@ -208,9 +190,10 @@ SENTENCES: dict[str, tuple[Number, ...]] = {
     "GYR": RATE,
     "MAR": (*FIELD, *FORCE, *RATE),
     "YMR": (*YPR, *FIELD, *FORCE, *RATE),
-    "YBA": (*YPR, *_BODY, *RATE),
-    "YIA": (*YPR, *_INERTIAL, *RATE),
+    "YBA": (*YPR, *floats(vector("free_accel", "m/s^2", "acceleration without gravity")), *RATE),
+    "YIA": (*YPR, *floats(vector("accel_ned", "m/s^2", "acceleration without gravity, north, east, down")),
+            *RATE),
     "IMU": (*RAW_FIELD, *RAW_FORCE, *RAW_RATE, *TEMPERATURE, *PRESSURE),
     "DTV": (*DELTA_THETA, *DELTA_VELOCITY),
-}
+}  # fmt: skip
 """Numbers of each ASCII sentence."""

@@ -19,15 +19,14 @@ import numpy as np
 from imumon.blocks import ColumnArray, IntArray
 from imumon.columns import KNOWN
 from imumon.geodesy import STANDARD_GRAVITY
-from imumon.protocols.base import MAIN, ByteArray, Packets, Timing
+from imumon.protocols.base import NO_GROUP, ByteArray, Packets, Timing
 from imumon.protocols.checks import Checksum
 from imumon.protocols.framing import INCOMPLETE, NO_PACKET, Found, Frame, fixed_length, unchecked
-from imumon.protocols.messages import FamilyDecoder, Message, Part, TableDevice, TableFamily, part
-from imumon.protocols.numbers import NO_GROUP, Columns, Derived, Number
-from imumon.protocols.quantities import count, date, known, number, utc_time, vector
+from imumon.protocols.messages import FamilyDecoder, Message, Part, part
+from imumon.protocols.numbers import Columns, Derived, Number, count, date, known, number, utc_time, vector
 
 FORCE_FACTOR, RATE_FACTOR, ANGLE_FACTOR = (16 * STANDARD_GRAVITY / 32768, 2000 * pi / 180 / 32768, pi / 32768)
-HEADER, PAYLOAD, SIZE = 2, 8, 11
+HEADER, SIZE = 2, 11
 SHORT, LONG = 20, 28
 COMBINED = 0x61
 ZEROS: Final = 10
@@ -58,15 +57,9 @@ def _digits_of(columns: Columns) -> list[ColumnArray]:
     return [np.rint(np.trunc(v) * 1e7 + (v - np.trunc(v)) * 6e6).astype(np.int64) for v in values]
 
 
-def _message(name: str, *parts: Part, group: str = MAIN) -> Message:
-    return Message(name, PAYLOAD, parts, group)
-
-
 PORTS = [count(f"port_d{k}", f"port D{k}") for k in range(4)]
 HEIGHT = [number("pressure_altitude", "m", "from the pressure")]
 PLACE = [count("_longitude", "longitude"), count("_latitude", "latitude")]
-
-
 DERIVED = (
     utc_time("clock_", CLOCK),
     utc_time("sample_", KNOWN["device_ticks"], per_s=1000),  # 0x61 has the time of the sample itself
@@ -74,20 +67,18 @@ DERIVED = (
 )
 
 TYPES = {
-    0x50: _message("time", _date(0, "clock_", 1_000_000), group=NO_GROUP),
-    0x51: _message("accel", part(0, "i16", "accel", FORCE_FACTOR), part(6, "i16", "temperature", 0.01)),
-    0x52: _message("gyro", part(0, "i16", "gyro", RATE_FACTOR)),
-    0x53: _message("angle", part(0, "i16", "angles", ANGLE_FACTOR), group="attitude"),
-    0x54: _message("mag", part(0, "i16", vector("mag", "a.u.", "magnetic field, raw counts")), group="mag"),
-    0x55: _message("ports", part(0, "u16", PORTS), group="status"),
-    0x56: _message("pressure", part(0, "u32", "pressure"), part(4, "i32", HEIGHT, 0.01),
-                   group="pressure"),
-    0x57: _message("position", part(0, "i32", PLACE), group="gnss"),
-    0x58: _message("speed", part(0, "i16", RECEIVER[:1], 0.1), part(2, "i16", RECEIVER[1:], pi / 1800),
-                   part(4, "u32", SPEED, 1 / 3600), group="gnss"),
-    0x59: _message("quaternion", part(0, "i16", "q", 1 / 32768),
-                   group="attitude"),
-    0x5A: _message("satellites", part(0, "u16", SATELLITES), part(2, "u16", DILUTIONS, 0.01), group="gnss"),
+    0x50: Message("time", 8, (_date(0, "clock_", 1_000_000),), NO_GROUP),
+    0x51: Message("accel", 8, (part(0, "i16", "accel", FORCE_FACTOR), part(6, "i16", "temperature", 0.01))),
+    0x52: Message("gyro", 8, (part(0, "i16", "gyro", RATE_FACTOR),)),
+    0x53: Message("angle", 8, (part(0, "i16", "angles", ANGLE_FACTOR),), "attitude"),
+    0x54: Message("mag", 8, (part(0, "i16", vector("mag", "a.u.", "magnetic field, raw counts")),), "mag"),
+    0x55: Message("ports", 8, (part(0, "u16", PORTS),), "status"),
+    0x56: Message("pressure", 8, (part(0, "u32", "pressure"), part(4, "i32", HEIGHT, 0.01)), "pressure"),
+    0x57: Message("position", 8, (part(0, "i32", PLACE),), "gnss"),
+    0x58: Message("speed", 8, (part(0, "i16", RECEIVER[:1], 0.1), part(2, "i16", RECEIVER[1:], pi / 1800),
+                               part(4, "u32", SPEED, 1 / 3600)), "gnss"),
+    0x59: Message("quaternion", 8, (part(0, "i16", "q", 1 / 32768),), "attitude"),
+    0x5A: Message("satellites", 8, (part(0, "u16", SATELLITES), part(2, "u16", DILUTIONS, 0.01)), "gnss"),
 }  # fmt: skip
 """What each type carries; the fourth number of 0x52 and 0x54 depends on the model and is left out."""
 IN_ONE = (part(0, "i16", "accel", FORCE_FACTOR), part(6, "i16", "gyro", RATE_FACTOR),
@@ -110,29 +101,29 @@ def _combined_lengths(held: ByteArray, at: IntArray) -> IntArray:
     return np.where(waits & (result < 0), INCOMPLETE, result)
 
 
-def _wrapped(key: int, payload: bytes) -> bytes:
-    if key in COMBINED_FORMS:
-        return bytes([0x55, COMBINED]) + payload
-    return Checksum("sum8").sealed(bytes([0x55, key]) + payload)
-
-
-FRAMES = [
-    *(
-        Frame(message.name, bytes([0x55, kind]), fixed_length(SIZE), Checksum("sum8"))
-        for kind, message in TYPES.items()
-    ),
-    Frame("register", b"\x55\x5f", fixed_length(SIZE), Checksum("sum8")),
-    Frame("combined", bytes([0x55, COMBINED]), _combined_lengths, unchecked),
-]
-
-
-TIMING, FORMS, SIDE = Timing(tick_ns=Fraction(1_000_000)), TYPES | COMBINED_FORMS, ("gnss",)
-
-
 class WitMotionDecoder(FamilyDecoder):
     """Decodes frames of all types, and 0x61 in both lengths."""
 
+    messages = TYPES | COMBINED_FORMS
+    frames = (
+        Frame(
+            {bytes([0x55, kind]): item.name for kind, item in TYPES.items()} | {b"\x55\x5f": "register"},
+            fixed_length(SIZE),
+            Checksum("sum8"),
+        ),
+        Frame({bytes([0x55, COMBINED]): "combined"}, _combined_lengths, unchecked),
+    )
+    timing = Timing(tick_ns=Fraction(1_000_000))
+    start, more, head = HEADER, HEADER, (1,)
+    apart = ("gnss",)
+    derived = DERIVED
     _zeros = 0
+
+    def wrap(self, key: int, payload: bytes) -> bytes:
+        """Make a frame of a type, or the combined one."""
+        if key in COMBINED_FORMS:
+            return bytes([0x55, COMBINED]) + payload
+        return Checksum("sum8").sealed(bytes([0x55, key]) + payload)
 
     def _key(self, packet: bytes) -> int:
         return packet[1] << 8 | len(packet) if packet[1] == COMBINED else packet[1]
@@ -153,11 +144,3 @@ class WitMotionDecoder(FamilyDecoder):
                 "so bias and noise found from them mean nothing"
             )
         return packets
-
-
-class WitMotionDevice(TableDevice):
-    """Device file of a WitMotion module."""
-
-    family = TableFamily(
-        FORMS, FRAMES, WitMotionDecoder, _wrapped, TIMING, HEADER, HEADER, (1,), apart=SIDE, derived=DERIVED
-    )

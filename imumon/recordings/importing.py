@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from imumon.blocks import ColumnArray, IntArray, SampleBlock
-from imumon.clock.rate import Intervals
+from imumon.clock.checks import Intervals
 from imumon.columns import KNOWN, Column
 from imumon.config import parse_yaml
 from imumon.errors import ImumonError, Reason, bad_data

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import deque
+from collections import Counter
 from dataclasses import dataclass, field
 from typing import ClassVar
 
@@ -30,7 +30,7 @@ class LinkStatistics:
 
     def __init__(self, settings: PortSettings) -> None:
         self._capacity = settings.capacity_bytes_per_s
-        self._buckets: deque[tuple[int, int]] = deque()  # number of the 0.1 s, bytes in it
+        self._buckets = Counter[int]()  # bytes by the number of the 0.1 s
         self._first_bucket: int | None = None  # behind what had queued up before the port was opened
         self._warning = False
 
@@ -39,13 +39,9 @@ class LinkStatistics:
         bucket = time_ns // BUCKET_NS
         if self._first_bucket is None:
             self._first_bucket = bucket + 1
-        if bucket < self._first_bucket:
-            return
-        in_bucket = n_bytes
-        if self._buckets and self._buckets[-1][0] == bucket:
-            in_bucket += self._buckets.pop()[1]
-        self._buckets.append((bucket, in_bucket))
-        self._forget(bucket)
+        if bucket >= self._first_bucket:
+            self._buckets[bucket] += n_bytes
+            self._forget(bucket)
 
     def bytes_per_s(self, now_ns: int) -> float:
         """Return the rate at which bytes were sent, over the last 2 s.
@@ -60,7 +56,7 @@ class LinkStatistics:
             return 0.0
         self._forget(bucket)
         before = max(self._first_bucket, bucket - LONGEST_WINDOW) - 1
-        number, count = np.array([(before, 0), *self._buckets], np.int64).T
+        number, count = np.array([(before, 0), *self._buckets.items()], np.int64).T
         begin = max(self._first_bucket, bucket - WINDOW_BUCKETS)
         silences = number[:-1][np.diff(number) > 1] + 1
         begins = np.append(silences[silences < begin], begin)
@@ -86,8 +82,8 @@ class LinkStatistics:
         return self._warning
 
     def _forget(self, bucket: int) -> None:
-        while self._buckets and self._buckets[0][0] < bucket - LONGEST_WINDOW:
-            self._buckets.popleft()
+        while self._buckets and (oldest := next(iter(self._buckets))) < bucket - LONGEST_WINDOW:
+            del self._buckets[oldest]
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from imumon.blocks import NO_INT
-from imumon.clock.rate import Intervals
+from imumon.clock.checks import Intervals
 
 
 @pytest.mark.parametrize("rate_hz", [0.01, 1.0, 99.7, 125.0, 4000.0])

@@ -16,14 +16,14 @@ from imumon.clock.side import HeldReadings
 from imumon.pipeline import UNDATED, Digest, Pipeline
 from imumon.protocols.device import load_device
 from imumon.protocols.epochs import Epochs
-from imumon.protocols.inertialsense import InertialSenseDevice
-from imumon.protocols.mavlink import MavlinkDevice
+from imumon.protocols.inertialsense import InertialSenseDecoder
+from imumon.protocols.mavlink import MavlinkDecoder
 from tests.data_folder import measured
 from tests.protocols.wire import mip, mip_time, mip_vector, mtdata2_gnss, mtdata2_inertial, xbus
 
 START = 1_700_000_000_000_000_000
 MS = 1_000_000
-MAVLINK, INERTIAL_SENSE = MavlinkDevice.family, InertialSenseDevice.family
+MAVLINK, INERTIAL_SENSE = MavlinkDecoder(), InertialSenseDecoder()
 
 
 def run(

@@ -8,10 +8,10 @@ from imumon.errors import ImumonError
 from imumon.pipeline import Pipeline
 from imumon.protocols.device import load_device
 from imumon.protocols.messages import TableEncoder
-from imumon.protocols.witmotion import WitMotionDevice
+from imumon.protocols.witmotion import WitMotionDecoder
 from tests.protocols.streams import feed_in_chunks
 
-FAMILY = WitMotionDevice.family
+FAMILY = WitMotionDecoder()
 COMBINED = bytes.fromhex("5561 d8fd3905de05 bb01ff00fbff ab0fb1ed808a 1a0616 0e2901 1903")
 """A frame of a card: 2026-06-22 14:41:01.793."""
 

@@ -7,15 +7,15 @@ the reference frame.  Values are in the device's units times a factor.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from math import pi
 
 from imumon.columns import KNOWN, Column
-from imumon.protocols.base import MAIN
-from imumon.protocols.messages import Message, field
-from imumon.protocols.numbers import NO_GROUP, Number
-from imumon.protocols.quantities import FROM_MATRIX, MATRIX, count, date, known, number, utc_time, vector
+from imumon.protocols.base import MAIN, NO_GROUP
+from imumon.protocols.messages import Message, counted, field, floats
+from imumon.protocols.numbers import FROM_MATRIX, MATRIX, Number, count, date, known, number, utc_time, vector
 
 DEGREE = pi / 180
 
@@ -33,7 +33,6 @@ FRAMES = {"ENU": 0x0, "NED": 0x4, "NWU": 0x8}
 
 MAG = vector("mag", "a.u.", "magnetic field, 1 at the place of calibration (the device has no unit)")
 VELOCITY = vector("velocity", "m/s", "velocity in the reference frame")
-NANO, YEAR, MONTH, DAY, HOUR, MINUTE, SECOND = date("utc_")
 UTC_VALID = count("utc_valid", "validity bits of the UTC time")
 RAW = (
     *vector("raw_accel", "1", "accelerometer, raw counts"),
@@ -42,14 +41,8 @@ RAW = (
 )
 RAW_TEMPERATURE = number("raw_temperature", "1", "temperature, raw counts")
 
-UTC_VALUES = tuple(
-    Number(column, kind)
-    for column, kind in zip(
-        (NANO, YEAR, MONTH, DAY, HOUR, MINUTE, SECOND, UTC_VALID),
-        ("u32", "u16", "u8", "u8", "u8", "u8", "u8", "u8"),
-        strict=True,
-    )
-)
+UTC_KINDS = ("u32", "u16", "u8", "u8", "u8", "u8", "u8", "u8")
+UTC_VALUES = tuple(map(Number, (*date("utc_"), UTC_VALID), UTC_KINDS))
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,13 +96,17 @@ _HIGH_RATE = {0x4040: "imu_hr", 0x8040: "imu_hr", 0x4030: "attitude", 0xA050: "m
 
 
 def _real(
-    code: int, name: str, columns: tuple[Column, ...], factor: float = 1.0, framed: bool = False
+    code: int, name: str, columns: str | Iterable[Column], factor: float = 1.0, framed: bool = False
 ) -> Identifier:
-    return Identifier(code, name, tuple(Number(column, "", factor) for column in columns), framed)
+    return Identifier(code, name, floats(columns, factor, kind=""), framed)
 
 
 def _plain(code: int, name: str, *numbers: Number) -> Identifier:
     return Identifier(code, name, numbers)
+
+
+def _count(code: int, name: str, kind: str, column: str, description: str, unit: str = "1") -> Identifier:
+    return Identifier(code, name, (counted(column, description, kind, unit),))
 
 
 def _raw(code: int, name: str, *columns: Column) -> Identifier:
@@ -118,13 +115,15 @@ def _raw(code: int, name: str, *columns: Column) -> Identifier:
     return Identifier(code, name, tuple(map(Number, columns, kinds)), raw=True)
 
 
-def _trigger(line: int) -> tuple[Number, ...]:
-    what = f"trigger {line}"
-    return (
-        Number(count(f"trigger{line}_line", f"{what}: line"), "u8"),
-        Number(count(f"trigger{line}_polarity", f"{what}: polarity"), "u8"),
-        Number(count(f"trigger{line}_ticks", f"{what}: time in device ticks"), "u32"),
-        Number(count(f"trigger{line}_frame", f"{what}: frame number"), "u16"),
+def _trigger(code: int, line: int) -> Identifier:
+    what, names = f"trigger {line}", f"trigger{line}"
+    return _plain(
+        code + 0x10 * line,
+        f"TriggerIn{line}",
+        counted(f"{names}_line", f"{what}: line", "u8"),
+        counted(f"{names}_polarity", f"{what}: polarity", "u8"),
+        counted(f"{names}_ticks", f"{what}: time in device ticks", "u32"),
+        counted(f"{names}_frame", f"{what}: frame number", "u16"),
     )
 
 
@@ -133,18 +132,17 @@ def _gnss(name: str, unit: str, description: str, kind: str, factor: float) -> N
 
 
 def _gnss_count(name: str, description: str, kind: str) -> Number:
-    return Number(count(f"gnss_{name}", f"GNSS receiver: {description}"), kind)
+    return counted(f"gnss_{name}", f"GNSS receiver: {description}", kind)
 
 
-_G_NANO, _G_YEAR, _G_MONTH, _G_DAY, _G_HOUR, _G_MINUTE, _G_SECOND = date("gnss_utc_")
 _TIME_OF_WEEK = _gnss("time_of_week", "s", "GPS time of week", "u32", 1e-3)
-_DATE = (Number(_G_YEAR, "u16"), Number(_G_MONTH, "u8"), Number(_G_DAY, "u8"), Number(_G_HOUR, "u8"),
-         Number(_G_MINUTE, "u8"), Number(_G_SECOND, "u8"))  # fmt: skip
+_DATE = tuple(map(Number, date("gnss_utc_")[1:], UTC_KINDS[1:]))
+_NANO = Number(date("gnss_utc_")[0], "i32")
 _TIME_VALID = _gnss_count("time_valid", "validity bits of date and time", "u8")
 _TIME_ACCURACY = _gnss("time_accuracy", "s", "time accuracy", "u32", 1e-9)
 
 
-def _dilutions(*names: str) -> tuple[Number, ...]:
+def _dilutions(names: str) -> tuple[Number, ...]:
     return tuple(_gnss(f"{name}dop", "1", f"dilution of precision, {name}", "u16", 0.01) for name in names)
 
 
@@ -153,7 +151,7 @@ _PVT = (
     *_DATE,
     _TIME_VALID,
     _TIME_ACCURACY,
-    Number(_G_NANO, "i32"),
+    _NANO,
     _gnss_count("fix_type", "kind of fix", "u8"),
     _gnss_count("flags", "flags of the fix", "u8"),
     _gnss_count("satellites", "satellites used", "u8"),
@@ -164,15 +162,13 @@ _PVT = (
     _gnss("altitude_msl", "m", "height above mean sea level", "i32", 1e-3),
     _gnss("horizontal_accuracy", "m", "horizontal accuracy", "u32", 1e-3),
     _gnss("vertical_accuracy", "m", "vertical accuracy", "u32", 1e-3),
-    _gnss("velocity_north", "m/s", "velocity north", "i32", 1e-3),
-    _gnss("velocity_east", "m/s", "velocity east", "i32", 1e-3),
-    _gnss("velocity_down", "m/s", "velocity down", "i32", 1e-3),
+    *(_gnss(f"velocity_{x}", "m/s", f"velocity {x}", "i32", 1e-3) for x in ("north", "east", "down")),
     _gnss("ground_speed", "m/s", "speed over ground", "i32", 1e-3),
     _gnss("course", "rad", "course over ground", "i32", 1e-5 * DEGREE),
     _gnss("speed_accuracy", "m/s", "speed accuracy", "u32", 1e-3),
     _gnss("course_accuracy", "rad", "course accuracy", "u32", 1e-5 * DEGREE),
     _gnss("vehicle_heading", "rad", "heading of the vehicle", "i32", 1e-5 * DEGREE),
-    *_dilutions("g", "p", "t", "v", "h", "n", "e"),
+    *_dilutions("gptvhne"),
 )
 _SOLUTION = (
     _TIME_OF_WEEK,
@@ -180,12 +176,9 @@ _SOLUTION = (
     _gnss_count("week", "GPS week", "i16"),
     _gnss_count("fix_type", "kind of fix", "u8"),
     _gnss_count("flags", "flags of the fix", "u8"),
-    *(
-        _gnss(f"ecef_{axis}", "m", f"position, earth-centred earth-fixed, {axis}", "i32", 0.01)
-        for axis in "xyz"
-    ),
+    *(_gnss(f"ecef_{x}", "m", f"position, earth-centred earth-fixed, {x}", "i32", 0.01) for x in "xyz"),
     _gnss("position_accuracy", "m", "position accuracy", "u32", 0.01),
-    *(_gnss(f"ecef_velocity_{axis}", "m/s", f"velocity, earth-fixed, {axis}", "i32", 0.01) for axis in "xyz"),
+    *(_gnss(f"ecef_velocity_{x}", "m/s", f"velocity, earth-fixed, {x}", "i32", 0.01) for x in "xyz"),
     _gnss("speed_accuracy", "m/s", "speed accuracy", "u32", 0.01),
     *_dilutions("p"),
     Number(None, "u8"),
@@ -210,30 +203,26 @@ _SATELLITES = (_TIME_OF_WEEK, _gnss_count("satellites_seen", "satellites listed"
 IDENTIFIERS: tuple[Identifier, ...] = (
     _plain(0x1020, "PacketCounter", Number(KNOWN["packet_counter"], "u16")),
     _plain(0x1060, "SampleTimeFine", Number(KNOWN["device_ticks"], "u32")),
-    _plain(0x1070, "SampleTimeCoarse", Number(count("sample_time_coarse", "device clock, s", "s"), "u32")),
-    _plain(0x10A0, "SampleTime64", Number(count("sample_time_64", "device clock", "ns"), "u64")),
-    _plain(0x1090, "PacketCounter8", Number(count("packet_counter_8", "packet counter of 8 bits"), "u8")),
+    _count(0x1070, "SampleTimeCoarse", "u32", "sample_time_coarse", "device clock, s", "s"),
+    _count(0x10A0, "SampleTime64", "u64", "sample_time_64", "device clock", "ns"),
+    _count(0x1090, "PacketCounter8", "u8", "packet_counter_8", "packet counter of 8 bits"),
     _plain(0x1010, "UtcTime", *UTC_VALUES),
     _plain(0x1030, "Itow", Number(number("time_of_week", "s", "GPS time of week"), "u32", 1e-3)),
-    _plain(0x1040, "GnssAge", Number(count("gnss_age", "age of the GNSS data, in packets"), "u8")),
-    _plain(0x1050, "PressureAge", Number(count("pressure_age", "age of the pressure, in packets"), "u8")),
-    _plain(
-        0x1080,
-        "FrameRange",
-        Number(count("frame_first", "first frame of the packet"), "u16"),
-        Number(count("frame_last", "last frame of the packet"), "u16"),
-    ),
-    _real(0x8020, "RateOfTurn", known("gyro")),
-    _real(0x4020, "Acceleration", known("accel")),
+    _count(0x1040, "GnssAge", "u8", "gnss_age", "age of the GNSS data, in packets"),
+    _count(0x1050, "PressureAge", "u8", "pressure_age", "age of the pressure, in packets"),
+    _plain(0x1080, "FrameRange", counted("frame_first", "first frame of the packet", "u16"),
+           counted("frame_last", "last frame of the packet", "u16")),
+    _real(0x8020, "RateOfTurn", "gyro"),
+    _real(0x4020, "Acceleration", "accel"),
     _real(0xC020, "MagneticField", MAG),
-    _real(0x0810, "Temperature", known("temperature")),
-    _real(0x2010, "Quaternion", known("q"), framed=True),
+    _real(0x0810, "Temperature", "temperature"),
+    _real(0x2010, "Quaternion", "q", framed=True),
     _real(0x2020, "RotationMatrix", MATRIX, framed=True),
-    _real(0x2030, "EulerAngles", known("angles"), DEGREE, framed=True),
+    _real(0x2030, "EulerAngles", "angles", DEGREE, framed=True),
     _plain(0x3010, "BaroPressure", Number(KNOWN["pressure"], "u32")),
     _real(0x5040, "LatLon", known("latitude", "longitude")),
-    _real(0x5020, "AltitudeEllipsoid", known("altitude")),
-    _real(0x5010, "AltitudeMsl", (number("altitude_msl", "m", "height above mean sea level"),)),
+    _real(0x5020, "AltitudeEllipsoid", "altitude"),
+    _real(0x5010, "AltitudeMsl", [number("altitude_msl", "m", "height above mean sea level")]),
     _real(0x5030, "PositionEcef", vector("ecef", "m", "position, earth-centred earth-fixed")),
     _real(0xD010, "VelocityXYZ", VELOCITY, framed=True),
     _real(0x4010, "DeltaV", vector("delta_velocity", "m/s", "velocity increment over the sample")),
@@ -245,16 +234,16 @@ IDENTIFIERS: tuple[Identifier, ...] = (
     _plain(0xE010, "StatusByte", Number(KNOWN["status"], "u8")),
     _plain(0xE020, "StatusWord", Number(KNOWN["status"], "u32")),
     _plain(0xE040, "Rssi", Number(number("rssi", "1", "strength of the radio signal"), "i8")),
-    _plain(0xE080, "DeviceId", Number(count("device_id", "identity of the device"), "u32")),
-    _plain(0xE080, "DeviceId", Number(count("device_id", "identity of the device"), "u64")),
-    _plain(0xE090, "LocationId", Number(count("location_id", "number given by the user"), "u16")),
+    _count(0xE080, "DeviceId", "u32", "device_id", "identity of the device"),
+    _count(0xE080, "DeviceId", "u64", "device_id", "identity of the device"),
+    _count(0xE090, "LocationId", "u16", "location_id", "number given by the user"),
     _plain(0x7010, "GnssPvtData", *_PVT),
     Identifier(0x7020, "GnssSatInfo", (*_SATELLITES, *(
         value for k in range(MOST_SATELLITES) for value in _satellite(k + 1))), least=8),
     _plain(0x7030, "GnssPvtPulse"),
-    _plain(0x8830, "GpsDop", _TIME_OF_WEEK, *_dilutions("g", "p", "t", "v", "h", "n", "e")),
+    _plain(0x8830, "GpsDop", _TIME_OF_WEEK, *_dilutions("gptvhne")),
     _plain(0x8840, "GpsSol", *_SOLUTION),
-    _plain(0x8880, "GpsTimeUtc", _TIME_OF_WEEK, _TIME_ACCURACY, Number(_G_NANO, "i32"), *_DATE, _TIME_VALID),
+    _plain(0x8880, "GpsTimeUtc", _TIME_OF_WEEK, _TIME_ACCURACY, _NANO, *_DATE, _TIME_VALID),
     _plain(0x88A0, "GpsSvInfo"),
     _raw(0xA010, "RawAccGyrMagTemp", *RAW, RAW_TEMPERATURE),
     _raw(0xA020, "RawGyroTemp", *vector("raw_gyro_temperature", "1", "gyroscope temperature, raw counts")),
@@ -266,21 +255,15 @@ IDENTIFIERS: tuple[Identifier, ...] = (
     _plain(0xA080, "RawBlob"),
     _plain(0xB010, "AnalogIn1", Number(number("analog_1", "1", "analog input 1, raw counts"), "u16")),
     _plain(0xB020, "AnalogIn2", Number(number("analog_2", "1", "analog input 2, raw counts"), "u16")),
-    *(_plain(0xEE00 + 0x10 * line, f"TriggerIn{line}", *_trigger(line)) for line in (1, 2, 3)),
-    *(_plain(0x4800 + 0x10 * line, f"TriggerIn{line}", *_trigger(line)) for line in (1, 2, 3)),
+    *(_trigger(code, line) for code in (0xEE00, 0x4800) for line in (1, 2, 3)),
 )  # fmt: skip
 """Every data identifier, in the order of the columns."""
-
-
-_OF_CODE = {
-    code: [item for item in IDENTIFIERS if item.code == code] for code in {i.code for i in IDENTIFIERS}
-}
 
 
 @lru_cache
 def message_of(code: int, size: int | None = None) -> Message | None:
     """Return what an identifier with its format bits stands for, of so many bytes if given; None: nothing."""
-    for item in _OF_CODE.get(code & 0xFFF0, ()):
+    for item in (item for item in IDENTIFIERS if item.code == code & 0xFFF0):
         found = item.message(code & 0xF)
         if found is not None and (
             size in (None, found.size) or found.size < 0 or 0 < found.least <= (size or 0) <= found.size

@@ -18,9 +18,8 @@ from imumon.columns import KNOWN
 from imumon.config import StrictModel
 from imumon.protocols.base import Timing, chosen
 from imumon.protocols.device import DeviceFile
-from imumon.protocols.messages import Message, field
-from imumon.protocols.numbers import Number
-from imumon.protocols.quantities import MATRIX, count, known, number
+from imumon.protocols.messages import Message, counted, field, floats
+from imumon.protocols.numbers import MATRIX, Number, known, number
 from imumon.protocols.tagged import XBUS, XBUS_DATA, TaggedDecoder, TaggedEncoder
 from imumon.protocols.xsens import fields
 from imumon.protocols.xsens.fields import DEGREE, DERIVED, FRAMES, IDENTIFIERS, PRECISIONS, message_of
@@ -31,32 +30,16 @@ ERROR, WARNING, OUTPUT_CONFIGURATION = 0x42, 0x43, 0xC1
 OUTPUT_MODE, OUTPUT_SETTINGS = 0xD1, 0xD3
 
 _REQUESTS = {
-    0x00: "ReqDeviceID",
-    0x0C: "ReqConfiguration",
-    0x10: "GoToMeasurement",
-    0x12: "ReqFirmwareRevision",
-    0x18: "SetBaudrate",
-    0x1C: "ReqProductCode",
-    0x30: "GoToConfig",
-    0x3E: "WakeUp",
-    0x40: "Reset",
-    0xC0: "SetOutputConfiguration",
-    0xD0: "SetOutputMode",
-    0xD2: "SetOutputSettings",
-}
+    0x00: "ReqDeviceID", 0x0C: "ReqConfiguration", 0x10: "GoToMeasurement", 0x12: "ReqFirmwareRevision",
+    0x18: "SetBaudrate", 0x1C: "ReqProductCode", 0x30: "GoToConfig", 0x3E: "WakeUp", 0x40: "Reset",
+    0xC0: "SetOutputConfiguration", 0xD0: "SetOutputMode", 0xD2: "SetOutputSettings",
+}  # fmt: skip
 _ANSWERS = {
-    DEVICE_ID: "DeviceID",
-    CONFIGURATION: "Configuration",
-    FIRMWARE: "FirmwareRevision",
-    PRODUCT_CODE: "ProductCode",
-    MTDATA: "MTData",
-    MTDATA2: "MTData2",
-    ERROR: "Error",
-    WARNING: "Warning",
-    OUTPUT_CONFIGURATION: "OutputConfiguration",
-    OUTPUT_MODE: "OutputMode",
+    DEVICE_ID: "DeviceID", CONFIGURATION: "Configuration", FIRMWARE: "FirmwareRevision",
+    PRODUCT_CODE: "ProductCode", MTDATA: "MTData", MTDATA2: "MTData2", ERROR: "Error", WARNING: "Warning",
+    OUTPUT_CONFIGURATION: "OutputConfiguration", OUTPUT_MODE: "OutputMode",
     OUTPUT_SETTINGS: "OutputSettings",
-}
+}  # fmt: skip
 NAMES = {kind + 1: f"{name}Ack" for kind, name in _REQUESTS.items()} | _REQUESTS | _ANSWERS
 """Names of what is read, sent, or comes unasked: a request has an even number, its answer the next."""
 
@@ -103,11 +86,8 @@ def identifier_name(code: int) -> str:
     found = next((item for item in IDENTIFIERS if item.code == code & 0xFFF0), None)
     if found is None:
         return f"0x{code:04X}"
-    notes = []
-    if found.framed:
-        notes.append(next((name for name, bits in FRAMES.items() if bits == code & 0xC), "frame?"))
-    if found.is_real:
-        notes.append(tuple(PRECISIONS)[code & 0x3])
+    frame = [name for name, bits in FRAMES.items() if bits == code & 0xC] or ["frame?"]
+    notes = [*(frame if found.framed else ()), *([tuple(PRECISIONS)[code & 0x3]] if found.is_real else ())]
     return f"{found.name} ({', '.join(notes)})" if notes else found.name
 
 
@@ -157,9 +137,9 @@ def find_fields(
     for item in chosen(names, there, "data identifier"):
         form = FRAMES[frame] if item.framed else 0
         form |= [*PRECISIONS].index(precision) if item.is_real else 0
-        field = item.message(form)
-        assert field is not None
-        found.append((item.code | form, field))
+        message = item.message(form)
+        assert message is not None
+        found.append((item.code | form, message))
     return found
 
 
@@ -224,24 +204,21 @@ class Profile(StrictModel):
         return self
 
 
-def _gps(name: str, unit: str, kind: str, factor: float) -> Number:
-    return Number(number(f"gnss_{name}", unit, f"GNSS receiver: {name.replace('_', ' ')}"), kind, factor)
+def _gps(kind: str, factor: float, unit: str, *names: str) -> tuple[Number, ...]:
+    columns = [number(f"gnss_{name}", unit, f"GNSS receiver: {name.replace('_', ' ')}") for name in names]
+    return floats(columns, factor, kind)
 
 
 _RAW_GPS = (
     Number(KNOWN["pressure"], "u16", 2.0),
-    Number(count("pressure_age", "age of the pressure, in packets"), "u8"),
-    _gps("time_of_week", "s", "u32", 1e-3),
-    _gps("latitude", "deg", "i32", 1e-7),
-    _gps("longitude", "deg", "i32", 1e-7),
-    _gps("altitude", "m", "i32", 1e-3),
-    _gps("velocity_north", "m/s", "i32", 0.01),
-    _gps("velocity_east", "m/s", "i32", 0.01),
-    _gps("velocity_down", "m/s", "i32", 0.01),
-    _gps("horizontal_accuracy", "m", "u32", 1e-3),
-    _gps("vertical_accuracy", "m", "u32", 1e-3),
-    _gps("speed_accuracy", "m/s", "u32", 0.01),
-    Number(count("gnss_age", "age of the GNSS data, in packets"), "u8"),
+    counted("pressure_age", "age of the pressure, in packets", "u8"),
+    *_gps("u32", 1e-3, "s", "time_of_week"),
+    *_gps("i32", 1e-7, "deg", "latitude", "longitude"),
+    *_gps("i32", 1e-3, "m", "altitude"),
+    *_gps("i32", 0.01, "m/s", "velocity_north", "velocity_east", "velocity_down"),
+    *_gps("u32", 1e-3, "m", "horizontal_accuracy", "vertical_accuracy"),
+    *_gps("u32", 0.01, "m/s", "speed_accuracy"),
+    counted("gnss_age", "age of the GNSS data, in packets", "u8"),
 )
 
 _CALIBRATED = {"accel": known("accel"), "gyro": known("gyro"), "mag": fields.MAG}
@@ -255,16 +232,16 @@ def mtdata_field(profile: Profile) -> Message:
     orientation, to_radian = _ORIENTATION[settings.orientation]
     calibrated = [c for part, columns in _CALIBRATED.items() if part in settings.calibrated for c in columns]
     analog = [number(f"analog_{line}", "1", f"analog input {line}, raw counts") for line in (1, 2)]
-    parts: dict[str, list[Number]] = {
-        "raw_inertial": [Number(column, "u16") for column in (*fields.RAW, fields.RAW_TEMPERATURE)],
-        "raw_gps": list(_RAW_GPS),
-        "temperature": [Number(column, kind, factor) for column in known("temperature")],
-        "calibrated": [Number(column, kind, factor) for column in calibrated],
-        "orientation": [Number(column, kind, factor * to_radian) for column in orientation],
-        "auxiliary": [Number(analog[line - 1], "u16") for line in sorted({*settings.analog})],
-        "position": [Number(column, kind, factor) for column in known("place")],
-        "velocity": [Number(column, kind, factor) for column in fields.VELOCITY],
-        "status": [Number(KNOWN["status"], "u8" if settings.status == "compact" else "u32")],
+    parts: dict[str, tuple[Number, ...]] = {
+        "raw_inertial": floats([*fields.RAW, fields.RAW_TEMPERATURE], kind="u16"),
+        "raw_gps": _RAW_GPS,
+        "temperature": floats("temperature", factor, kind),
+        "calibrated": floats(calibrated, factor, kind),
+        "orientation": floats(orientation, factor * to_radian, kind),
+        "auxiliary": floats([analog[line - 1] for line in sorted({*settings.analog})], kind="u16"),
+        "position": floats("place", factor, kind),
+        "velocity": floats(fields.VELOCITY, factor, kind),
+        "status": floats("status", kind="u8" if settings.status == "compact" else "u32"),
     }
     values = [value for part, content in parts.items() if part in profile.output_mode for value in content]
     if "sample_counter" in settings.timestamp:
@@ -314,11 +291,9 @@ class MTDataDecoder(TaggedDecoder):
             yield "the device sends MTData2, which needs the device xsens"
 
 
-class MTDataEncoder(TaggedEncoder):
-    """Makes MTData messages by a profile."""
-
-    def __init__(self, profile: Profile) -> None:
-        super().__init__(XBUS_DATA, MTDATA, [(0, mtdata_field(profile))], _DERIVED)
+def mtdata_encoder(profile: Profile) -> TaggedEncoder:
+    """Return an encoder of MTData messages by a profile."""
+    return TaggedEncoder(XBUS_DATA, MTDATA, [(0, mtdata_field(profile))], _DERIVED)
 
 
 class MTDataDevice(DeviceFile, Profile):
@@ -330,6 +305,6 @@ class MTDataDevice(DeviceFile, Profile):
         """Make a decoder for this device."""
         return MTDataDecoder(self, self.rate_hz)
 
-    def encoder(self) -> MTDataEncoder:
+    def encoder(self) -> TaggedEncoder:
         """Make an encoder that sends what the device would send."""
-        return MTDataEncoder(self)
+        return mtdata_encoder(self)
