@@ -137,6 +137,7 @@ def fit_position(record: Position, latitude: float, known: KnownWarmUp | None) -
         attitude=attitude,
         gyro_mean=complex(rate[valid].mean()),
         hann_mean=complex(np.hanning(valid.sum()) @ rate[valid]),
+        rest_s=record.rest_s,
     )
 
 

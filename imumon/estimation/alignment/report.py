@@ -54,17 +54,17 @@ class Status(NamedTuple):
     the previous position, also during a turn, while `moving`.
     """
 
-    moving: bool
-    estimates: Mapping[str, Estimate]
-    settled_s: float | None
-    remaining_s: float | None
     wanted_sd: float
-    rest_s: float
-    elapsed_s: float
-    positions: int
-    position_s: float
-    position_sd: float
-    turned: float
+    elapsed_s: float = 0.0
+    moving: bool = False
+    estimates: Mapping[str, Estimate] = {}
+    settled_s: float | None = None
+    remaining_s: float | None = None
+    rest_s: float = 0.0
+    positions: int = 0
+    position_s: float = 0.0
+    position_sd: float = math.inf
+    turned: float = 0.0
 
     @property
     def shown(self) -> Estimate | None:
