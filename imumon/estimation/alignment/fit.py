@@ -67,9 +67,8 @@ TILTS = np.array(
     ]
 )
 """Standard deviation of each amplitude, rad, (18, 8): three neighbouring exponentials of one size."""
-OFFSET_SD, WALK, LEAST_NOISE = 1e-3, 1e-7, 1e-14
-"""Standard deviation of the constant part of α and of its step in a knock, rad, random walk of a warmed-up
-accelerometer, g/√s, and smallest variance of a cell of α, rad²."""
+WALK = 1e-7
+"""Random walk of a warmed-up accelerometer, g/√s."""
 
 
 def eliminate(
@@ -111,19 +110,21 @@ def fit_position(record: Position, latitude: float, known: KnownWarmUp | None) -
     warm_sd, warm_tau_s = ANY_WARM_UP if known is None else known.remaining
     warm = -np.expm1(-dt * (np.arange(n)[:, None] + 0.5) / np.array(warm_tau_s))
     y, swing = windows[used] @ steady, windows[used] @ line
-    matrix, vector = _information(
+    by_rate = _information(
         windows[used] @ np.hstack([np.ones((n, 1)), slopes, 0.0 * warm]),
         y - y.mean(),
-        variance * _correlation(used) + swing @ swing.T,
+        variance * _correlation(np.eye(len(used))[used]) + swing @ swing.T,
     )
-    of_level, covariance = _level_noise(windows @ level, used, dt * (windows @ np.arange(n)))
+    # The constant part of α is in no step from cell to cell, and a cell with a knock is in none.
+    noise, level_used, _ = _scatter(windows @ level, used, TREND_ORDER)
+    step = np.diff(np.eye(len(used)), axis=0)[level_used[1:] & level_used[:-1]]
     by_level = _information(
-        windows[of_level] @ np.hstack([np.zeros((n, 1)), middles, warm]),
-        windows[of_level] @ level - (windows[of_level] @ level).mean(),
-        covariance,
+        step @ windows @ np.hstack([np.zeros((n, 1)), middles, warm]),
+        step @ windows @ level,
+        noise * _correlation(step) + WALK**2 * dt * n / len(used) * np.eye(len(step)),
     )
     log_weight, rates, variances = _given_each_hypothesis(
-        matrix + by_level[0], vector + by_level[1], warm_sd, len(warm_tau_s)
+        *(rate + level for rate, level in zip(by_rate, by_level, strict=True)), warm_sd, len(warm_tau_s)
     )
     up = windows @ gyro[:, 2]
     up_variance, up_used, _ = _scatter(up, used, 1)
@@ -139,15 +140,6 @@ def fit_position(record: Position, latitude: float, known: KnownWarmUp | None) -
         hann_mean=complex(np.hanning(valid.sum()) @ rate[valid]),
         rest_s=record.rest_s,
     )
-
-
-def _level_noise(levels: ColumnArray, used: BoolArray, time_s: FloatArray) -> tuple[BoolArray, FloatArray]:
-    """Return which cells of α, rad, have no knock, (J,), and the covariance of these, (m, m)."""
-    noise, used, _ = _scatter(levels, used, TREND_ORDER)
-    walk = OFFSET_SD**2 + WALK**2 * np.minimum.outer(time_s[used], time_s[used])
-    for knock_s in time_s[~used & np.r_[True, used[:-1]]]:  # the offset is unknown anew behind it
-        walk += OFFSET_SD**2 * np.outer(time_s[used] > knock_s, time_s[used] > knock_s)
-    return used, (noise + LEAST_NOISE) * _correlation(used) + walk
 
 
 def _horizontal(
@@ -238,10 +230,13 @@ def hann_windows(n: int, cells: int) -> FloatArray:
     return np.asarray(windows / windows.sum(axis=1, keepdims=True))
 
 
-def _correlation(used: BoolArray) -> FloatArray:
-    """Return the correlation of white noise in those of the cells that are used, (m, m)."""
-    apart = np.abs(np.subtract.outer(np.flatnonzero(used), np.flatnonzero(used)))
-    return np.asarray((apart == 0) + OVERLAP * (apart == 1))
+def _correlation(combined: FloatArray) -> FloatArray:
+    """Return the covariance of sums over all J cells, (m, m), whose white noise has the variance 1.
+
+    `combined` (m, J) are the weights of the cells in each sum.
+    """
+    near = np.eye(combined.shape[1], k=1)
+    return np.asarray(combined @ (np.eye(len(near)) + OVERLAP * (near + near.T)) @ combined.T)
 
 
 def _trend(n: int, order: int) -> FloatArray:
