@@ -18,8 +18,6 @@ from imumon.estimation.alignment.report import ANY_ANGLE_SD, Estimate, PositionH
 from imumon.filters.turns import Turn, angle_of
 from imumon.geodesy import EARTH_RATE, forward
 
-LONGEST_MOTION_S = 120.0
-"""A longer motion is a restart."""
 SAME_ATTITUDE, SHORT_PATH = 1e-3, 20e-3
 """rad: a turn by less (0.06°, the noise of 1 °/√h in 10 s) on a path of less leaves the attitude as it is."""
 NEW_POSITION = 0.01
@@ -60,32 +58,28 @@ class Aligner:
         self.settled_s: float | None = None
         """Time since the first sample at which the heading settled; None if it is not settled."""
 
-    def step(self, slot: Slot, at_rest: bool, turn: Turn) -> str | None:
-        """Process a slot with its turn and the rest detector's flag; return why to start anew, or None."""
-        motion = self.motion
-        rest, turn = motion.step(slot, at_rest, turn)
-        moving_s = SLOT_S * slot.number - motion.begun_s
-        if motion.moving and moving_s >= LONGEST_MOTION_S:
-            return f"the unit turned at {motion.begun_s:.1f} s for {moving_s:g} s"
-        if rest and not self.positions:
+    def step(self, slot: Slot, at_rest: bool, turn: Turn) -> None:
+        """Process a slot with its turn and the rest detector's flag."""
+        rest, turn = self.motion.step(slot, at_rest, turn)
+        if not rest:
+            return
+        if not self.positions:
             force = _mean_force(rest)
             self._begin(Position(rest[0].number, upright(forward(force / np.linalg.norm(force)), force)))
-        turned = angle_of(turn.rotation) > SAME_ATTITUDE or turn.path > SHORT_PATH
-        if turned and not self._end_turn(rest, turn):
-            return f"the unit turned at {motion.begun_s:.1f} s by an angle that is not known"
+        elif angle_of(turn.rotation) > SAME_ATTITUDE or turn.path > SHORT_PATH:
+            self._end_turn(rest, turn)
         for one in rest:
             self.positions[-1].add(one)
         self.rest_s += SLOT_S * len(rest)
-        if rest and self.rest_s >= self.due_s:
+        if self.rest_s >= self.due_s:
             self._update_heading()
-        return None
 
     def _begin(self, position: Position) -> None:
         self.positions.append(position)
         self.due_s = self.rest_s + FIRST_FIT_S
 
-    def _end_turn(self, rest: Sequence[Slot], turn: Turn) -> bool:
-        """Begin a position with the rest after a turn; return whether the angle of the turn is known."""
+    def _end_turn(self, rest: Sequence[Slot], turn: Turn) -> None:
+        """Begin a position with the rest after a turn."""
         before = self.positions[-1]
         self._fit_position()
         by_gyros = before.attitude @ turn.rotation
@@ -94,21 +88,17 @@ class Aligner:
         lean = (by_gyros @ attitude[2])[:2]
         by_lean = 0.5 * float(lean @ lean) - 2.0 * self.errors.accel_bias**2
         variance = max(_azimuth_variance(turn, before.attitude[2], self.errors.scale), by_lean)
-        if variance > ANY_ANGLE_SD**2:
-            return False
         new = angle_of(turn.rotation) > NEW_POSITION
         angle, sd = math.degrees(_turned(before.attitude, attitude)), math.degrees(math.sqrt(variance))
-        begun_s = self.motion.begun_s
+        begun_s, what = self.motion.begun_s, "a new position, " if new else ""
         self.events.append(
             f"alignment: the unit turned at {begun_s:.1f} s for {SLOT_S * rest[0].number - begun_s:.1f} s: "
-            f"left out; {'a new position, ' if new else ''}turned by {angle:.2f}° ± {sd:.2f}° about the "
-            "vertical"
+            f"left out; {what}turned by {angle:.2f}° ± {sd:.2f}° about the vertical"
         )
         before.fit = before.fit and before.fit.averaged()
         before.sums = np.empty((0, 7))
         variance += before.azimuth_variance + before.yaw_since_fit**2
         self._begin(Position(rest[0].number, attitude, variance, before.number + new))
-        return True
 
     @property
     def attitude(self) -> FloatArray:
