@@ -43,12 +43,10 @@ MIN_VARIANCE = 1e-24
 CREEP_CELLS, CREEP_YAW, CREEP_NOISE = 12, 3e-4, 4.0
 """A unit creeps about the vertical whose angle by means of 12 cells of the vertical gyro, less their mean,
 varies by more than 0.3 mrad and more than 4 times what the white noise turns in this time."""
-LEAST_ROWS, MIN_PERIODS = 60, 1.5
-"""Rows of the record, and periods in it, that a line needs; a slower sway is left to the trend and the
-settling hypotheses."""
-FEW_PERIODS, RESIDUAL_SHARE = 5.0, 0.3
-"""A line with fewer periods than this must reduce the residual variance to this share: a knock has power at
-all frequencies, too."""
+MIN_PERIODS = 1.5
+"""Periods in the record that a line needs; a slower sway is left to the trend and the settling hypotheses."""
+LEFT_SHARE = 0.3
+"""A line must reduce the residual variance to this share: a knock has power at all frequencies, too."""
 LINE_RATIO = 40.0
 """Ratio of the power of a line to the median of the spectrum; white noise exceeds it with probability e^-40
 a bin."""
@@ -191,20 +189,17 @@ def _divide(rate: ColumnArray, valid: BoolArray) -> tuple[FloatArray, BoolArray,
 
     It has the weights of the rows in each cell, (J, n), which cells have all rows and no knock, (J,), and the
     variance of each part of a cell.  Longer cells suppress more sway, but estimate the noise from fewer
-    degrees of freedom: they must be better by the standard deviation of that estimate.
+    degrees of freedom ν: they must be better by the standard deviation √(2/ν) of that estimate.
     """
-    best, smallest, n = None, math.inf, len(rate)
-    for count in CELLS:
-        if n < 2 * (count + 1):
-            continue
-        windows = hann_windows(n, count)
+    best, smallest = None, math.inf
+    for count in [one for one in CELLS if len(rate) >= 2 * (one + 1)]:
+        windows = hann_windows(len(rate), count)
         used = windows @ ~valid == 0.0
-        if used.sum() < MIN_CELLS:
-            continue
-        variance, used, freedom = _scatter(windows @ rate, used, TREND_ORDER)
-        of_mean = variance / float(used.sum())
-        if of_mean * (1.0 + math.sqrt(2.0 / max(freedom, 1.0))) < smallest:
-            best, smallest = (windows, used, variance), of_mean
+        if used.sum() >= MIN_CELLS:
+            variance, used, freedom = _scatter(windows @ rate, used, TREND_ORDER)
+            of_mean = variance / float(used.sum())
+            if of_mean * (1.0 + math.sqrt(2.0 / freedom)) < smallest:
+                best, smallest = (windows, used, variance), of_mean
     return best
 
 
@@ -213,12 +208,11 @@ def _scatter(values: ColumnArray, used: BoolArray, order: int) -> tuple[float, B
 
     `values` (cells,) are real, or complex with the same variance in both parts.
     """
-    order = max(1, min(order, int(used.sum()) // 4))
-    basis, square = _trend(len(values), order), np.zeros(len(values))
+    basis, square = _trend(len(values), max(1, min(order, int(used.sum()) // 4))), np.zeros(len(values))
     for _ in range(3):  # a knock hides smaller ones
         square = np.abs(values - basis @ np.linalg.lstsq(basis[used], values[used], rcond=None)[0]) ** 2
         used = used & (square <= KNOCK**2 * np.median(square[used]) + MIN_VARIANCE)
-    freedom = (2 if np.iscomplexobj(values) else 1) * max(int(used.sum()) - order, 0.5)
+    freedom = (2.0 if np.iscomplexobj(values) else 1.0) * max(int(used.sum()) - basis.shape[1], 0.5)
     return max(float(square[used].sum()), MIN_VARIANCE) / max(freedom - 2.0, 1.0), used, freedom
 
 
@@ -267,36 +261,32 @@ def _without_sway(
 
     The line is fitted beside slow functions of time, (n, m).  Cosine and sine have an amplitude that may
     change along the record, and the frequency by a fraction of a period in the record.  The second result
-    are these functions times the amplitude, (n, 4) or (n, 0), rad/s: its uncertainty.
+    are these functions times the amplitude, (n, 4), rad/s: its uncertainty; zero where there is no line.
     """
     n, given = len(rate), np.column_stack([rate, alpha])
-    slow = slow / np.sqrt(np.sum(slow**2, axis=0))
     left = (rate - slow @ _amplitudes(slow, rate, valid)) * valid
-    omega = _strongest(left * np.hanning(n + 2)[1:-1]) if n >= LEAST_ROWS else None
-    if omega is None:
-        return given.T, np.zeros((n, 0))
-    row = (np.arange(n) - 0.5 * (n - 1))[:, None]
-    wave = np.hstack([np.cos(omega * row), np.sin(omega * row)])
-    line = np.hstack([wave, wave * row / (0.5 * n)])
+    periods, is_line = _strongest(left * np.hanning(n + 2)[1:-1])
+    time = np.linspace(-1.0, 1.0, n)[:, None]
+    wave = np.hstack([np.cos(math.pi * periods * time), np.sin(math.pi * periods * time)])
+    line = np.hstack([wave, wave * time])
     columns = np.hstack([slow, line])
     amplitudes = _amplitudes(columns, given, valid)
     remains = (rate - columns @ amplitudes[:, 0]) * valid
-    share = np.sum(np.abs(remains) ** 2) / np.sum(np.abs(left) ** 2)
-    if omega * n < FEW_PERIODS * math.tau and share > RESIDUAL_SHARE:
-        return given.T, np.zeros((n, 0))
+    if not is_line or np.vdot(remains, remains).real > LEFT_SHARE * np.vdot(left, left).real:
+        line = np.zeros_like(line)
     swing = line @ amplitudes[-4:]
     return np.asarray((given - swing).T), line * math.sqrt(2.0 * np.mean(np.abs(swing[:, 0]) ** 2))
 
 
-def _strongest(left: ColumnArray) -> float | None:
-    """Return the frequency of the strongest line, rad a row, or None when there is none."""
+def _strongest(left: ColumnArray) -> tuple[float, bool]:
+    """Return periods in the record of the strongest oscillation, (n,), and whether it is a line."""
     n = len(left)
     bins = 1 << (8 * n - 1).bit_length()  # at least eight to a period in the record
     least = math.ceil(MIN_PERIODS * bins / n)
     axes = np.column_stack([left.real, left.imag])
     power = np.sum(np.abs(np.fft.rfft(axes, bins, axis=0)) ** 2, axis=1)[least : bins // 2]
     peak = int(np.argmax(power))
-    return math.tau * (least + peak) / bins if power[peak] > LINE_RATIO * np.median(power) else None
+    return (least + peak) * (n - 1) / bins, bool(power[peak] > LINE_RATIO * np.median(power))
 
 
 def _amplitudes(columns: FloatArray, data: ColumnArray, valid: BoolArray) -> ColumnArray:
