@@ -193,24 +193,21 @@ class Motion:
             self.turn = self.turn.then(turn.less(self.rest_rate))
             if len(rest) < CALM_SLOTS:
                 return [], STILL
-        ended, self.moving, self.turn = self.turn, False, STILL
         self.pending.clear()
         self.recent.extend(one.rate for one in rest)
-        if any(one.number % SWAYING_SLOTS == 0 for one in rest):
-            self._update_rest_rate(np.array(self.recent))
+        if self.moving or slot.number % SWAYING_SLOTS == 0:
+            self.rest_rate = np.median(self.recent, axis=0)
+            self.limit = max(MOTION_RATE, LIMIT_FACTOR * float(np.abs(self.recent - self.rest_rate).max()))
+        ended, self.moving, self.turn = self.turn, False, STILL
         return rest, ended
 
     def _is_first_rest(self) -> bool:
         rates = np.array([one.rate for one in self.pending])
         for slots, limit in ((CALM_SLOTS, MOTION_RATE), (SWAYING_SLOTS, SWAYING_RATE)):
             if len(rates) >= slots and np.ptp(rates[-slots:], axis=0).max() < limit:
-                self._update_rest_rate(rates[-slots:])
+                self.rest_rate, self.limit = np.median(rates[-slots:], axis=0), limit
                 return True
         return False
 
     def _is_calm(self, slot: Slot) -> bool:
         return float(np.abs(slot.rate - self.rest_rate).max()) <= self.limit
-
-    def _update_rest_rate(self, rates: FloatArray) -> None:
-        self.rest_rate = np.median(rates, axis=0)
-        self.limit = max(MOTION_RATE, LIMIT_FACTOR * float(np.abs(rates - self.rest_rate).max()))

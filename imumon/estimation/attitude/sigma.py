@@ -161,12 +161,14 @@ class TiltSigma:
         """m, the mean of d/4 over 18 s, rad²: d is of two axes, and u is off at both moments."""
         self.late = np.zeros((3, 9))
         """q_ij that are forgotten within τ, rad."""
+        self.rested = False
+        """Whether the unit has been at rest since the attitude began."""
 
     def step(self, slot: Slot) -> float:
         """Take a slot; return the variance at its end, max(m, d/2, l) + a²/g², rad².
 
-        d/2, as u was right where a motion begins: all its change is error.  NaN for the first 6 s, where
-        there is no earlier vertical to compare with.
+        d/2, as u was right where a motion begins: all its change is error.  NaN for 6 s where the attitude
+        begins in motion: there is no earlier vertical to compare with.
         """
         self.lag.append((slot.up, slot.wrong_turns))
         change = float(((slot.up - self.lag[0][0]) ** 2).sum())
@@ -175,7 +177,8 @@ class TiltSigma:
         self.gyros.learn(change, np.array([wrong_turns for _, wrong_turns in latest]), slot.up)
         self.mean += SLOT_S / (3.0 * LAG_S) * (0.25 * change - self.mean)
         self.late = math.exp(-SLOT_S / TAU_ACC_S) * self.late + slot.wrong_turns
-        if SLOT_S * len(self.lag) < LAG_S:
+        self.rested |= slot.rest
+        if not self.rested and SLOT_S * len(self.lag) < LAG_S:
             return math.nan
         changed = max(self.mean, 0.5 * change, self.not_followed(slot.up))
         return changed + self.accelerometers.variance / STANDARD_GRAVITY**2
