@@ -132,7 +132,7 @@ class Aligner:
         # What no hypothesis explains shows as a heading that moves from fit to fit.
         since_s = self.rest_s - RECENT_SHARE * here.rest_s
         recent = [north for rest_s, north, _ in self.history if rest_s >= since_s]
-        moved = max((abs(math.remainder(new.north - north, 2.0 * math.pi)) for north in recent), default=0.0)
+        moved = max((abs(math.remainder(new.north - north, math.tau)) for north in recent), default=0.0)
         self.posterior = new._replace(sd=min(max(new.sd, moved), ANY_ANGLE_SD))
         self.fitted_variance = here.azimuth_variance
         self.history.append((self.rest_s, new.north, self.posterior.sd))

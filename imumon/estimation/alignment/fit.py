@@ -43,13 +43,11 @@ MIN_VARIANCE = 1e-24
 CREEP_CELLS, CREEP_YAW, CREEP_NOISE = 12, 3e-4, 4.0
 """A unit creeps about the vertical whose angle by means of 12 cells of the vertical gyro, less their mean,
 varies by more than 0.3 mrad and more than 4 times what the white noise turns in this time."""
-MIN_PERIODS = 1.5
-"""Periods in the record that a line needs; a slower sway is left to the trend and the settling hypotheses."""
-LEFT_SHARE = 0.3
-"""A line must reduce the residual variance to this share: a knock has power at all frequencies, too."""
-LINE_RATIO = 40.0
-"""Ratio of the power of a line to the median of the spectrum; white noise exceeds it with probability e^-40
-a bin."""
+MIN_PERIODS, LINE_RATIO, LEFT_SHARE = 1.5, 40.0, 0.3
+"""A line of the sway has so many periods in the record at least (a slower sway is left to the trend and the
+settling hypotheses), a power of so many times the median of the spectrum (white noise exceeds it with
+probability e^-40 a bin), and leaves this share of the variance at most: a knock has power at all frequencies,
+too."""
 SETTLING_TAU_S = np.geomspace(5.0, 640.0, 8)
 """Time constants of a tripod that settles, in octaves."""
 NOTHING = 1e-9

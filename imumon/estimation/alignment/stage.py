@@ -155,10 +155,10 @@ class Alignment:
         recent, attitude = np.array(self._recent), aligner.attitude
         if len(field := recent[np.isfinite(recent[:, 3:]).all(axis=1), 3:]):
             ahead, left, _ = attitude @ field.mean(axis=0)
-            magnetic = (math.atan2(left, ahead) - direction_of(attitude)) % (2.0 * math.pi)
+            magnetic = (math.atan2(left, ahead) - direction_of(attitude)) % math.tau
         up = attitude[2] if aligner.motion.moving else recent[:, :3].sum(axis=0)
         angles, first = self._roll_and_pitch(up), self._roll_and_pitch(aligner.positions[0].attitude[2])
-        drifts = [math.remainder(now - then, 2.0 * math.pi) for now, then in zip(angles, first, strict=True)]
+        drifts = [math.remainder(now - then, math.tau) for now, then in zip(angles, first, strict=True)]
         return [*joint, *angles, *drifts, magnetic, *gyro, *hann]
 
     def _roll_and_pitch(self, up: FloatArray) -> tuple[float, float]:

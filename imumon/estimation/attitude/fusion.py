@@ -38,7 +38,6 @@ delta : counterclockwise angle from quat6d to the attitude, rad: VQF's by the fi
 north, follows : whether the field has shown north, and whether the heading follows it: VQF rejects a
     disturbed field for some time
 """
-UNKNOWN = np.array(([math.nan] * 4, [math.nan] * 4, math.nan, math.nan, 0, 0), ROW)
 Rows = npt.NDArray[np.void]
 
 
@@ -115,7 +114,8 @@ class Fusion:
         m/s², and the magnetic field, any unit, both zero where there is none.  VQF estimates the bias unless
         it is known, and the angles are without it.
         """
-        rows = np.full(len(time_ns), UNKNOWN)
+        unknown = [math.nan] * 4, [math.nan] * 4, math.nan, math.nan, 0, 0
+        rows = np.full(len(time_ns), np.array(unknown, ROW))
         changes = np.flatnonzero(begins | np.diff(bias_known, prepend=False)).tolist()
         for start, stop in pairwise(sorted({0, len(rows), *changes})):
             if begins[start]:

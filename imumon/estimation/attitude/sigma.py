@@ -175,9 +175,9 @@ class TiltSigma:
         self.accelerometers.learn(slot.up_body, float(slot.end["low_force"]))
         latest = list(self.lag)[-round(LAG_S / SLOT_S) :]
         self.gyros.learn(change, np.array([wrong_turns for _, wrong_turns in latest]), slot.up)
+        self.rested |= slot.rest
         self.mean += SLOT_S / (3.0 * LAG_S) * (0.25 * change - self.mean)
         self.late = math.exp(-SLOT_S / TAU_ACC_S) * self.late + slot.wrong_turns
-        self.rested |= slot.rest
         if not self.rested and SLOT_S * len(self.lag) < LAG_S:
             return math.nan
         changed = max(self.mean, 0.5 * change, self.not_followed(slot.up))
