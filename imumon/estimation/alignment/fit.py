@@ -12,7 +12,8 @@
 
 The unknowns are the constant rate c + b and the amplitudes A and B, with two real parts each.  A hypothesis
 is a prior of the amplitudes: the unit stands, or settles by three neighbours of the τ_k; the accelerometers
-have warmed up, or warm up.  Mean, variance and evidence are closed forms; c + b has a flat prior.
+have warmed up, or warm up.  Mean, variance and evidence are closed forms; c + b has a flat prior.  Of α the
+steps from cell to cell are the data, so that it needs no constant part.
 """
 
 from __future__ import annotations
@@ -106,7 +107,7 @@ def fit_position(record: Position, latitude: float, known: KnownWarmUp | None) -
     warm_sd, warm_tau_s = ANY_WARM_UP if known is None else known.remaining
     warm = -np.expm1(-dt * (np.arange(n)[:, None] + 0.5) / np.array(warm_tau_s))
     y, swing = windows[used] @ steady, windows[used] @ line
-    by_rate = _information(
+    information = _information(
         windows[used] @ np.hstack([np.ones((n, 1)), slopes, 0.0 * warm]),
         y - y.mean(),
         variance * _correlation(np.eye(len(used))[used]) + swing @ swing.T,
@@ -114,14 +115,12 @@ def fit_position(record: Position, latitude: float, known: KnownWarmUp | None) -
     # The constant part of α is in no step from cell to cell, and a cell with a knock is in none.
     noise, level_used, _ = _scatter(windows @ level, used, TREND_ORDER)
     step = np.diff(np.eye(len(used)), axis=0)[level_used[1:] & level_used[:-1]]
-    by_level = _information(
+    information += _information(
         step @ windows @ np.hstack([np.zeros((n, 1)), middles, warm]),
         step @ windows @ level,
-        noise * _correlation(step) + WALK**2 * dt * n / len(used) * np.eye(len(step)),
+        noise * _correlation(step) + WALK**2 * dt * n / (len(used) + 1.0) * np.eye(len(step)),
     )
-    log_weight, rates, variances = _given_each_hypothesis(
-        *(rate + level for rate, level in zip(by_rate, by_level, strict=True)), warm_sd, len(warm_tau_s)
-    )
+    log_weight, rates, variances = _given_each_hypothesis(information, warm_sd, len(warm_tau_s))
     up = windows @ gyro[:, 2]
     up_variance, up_used, _ = _scatter(up, used, 1)
     return PositionFit(
@@ -156,18 +155,16 @@ def _horizontal(
     return valid, means[:, :3] @ attitude.T, np.where(valid, force[:, 1] - 1j * force[:, 0], 0.0), attitude
 
 
-def _information(
-    design: FloatArray, data: ColumnArray, covariance: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return Λ (k, k) and η (k, 2) of complex data (m,) = design (m, k) x + noise in each part."""
+def _information(design: FloatArray, data: ColumnArray, covariance: FloatArray) -> FloatArray:
+    """Return Λ and η, (k, k + 2), of complex data (m,) = design (m, k) x + noise in each part."""
     weighted = np.linalg.solve(covariance, design).T
-    return weighted @ design, weighted @ np.column_stack([data.real, data.imag])
+    return np.asarray(weighted @ np.column_stack([design, data.real, data.imag]))
 
 
 def _given_each_hypothesis(
-    matrix: FloatArray, vector: FloatArray, warm_sd: float, warm_ups: int
+    information: FloatArray, warm_sd: float, warm_ups: int
 ) -> tuple[FloatArray, ColumnArray, FloatArray]:
-    """Return log weight, mean rate, rad/s, and variance of each part of 38 hypotheses.
+    """Return log weight, mean rate, rad/s, and variance of each part of 38 hypotheses, by Λ and η.
 
     The unit stands, or settles, with accelerometers that have warmed up, and that warm up.
     """
@@ -175,7 +172,7 @@ def _given_each_hypothesis(
     prior = np.r_[1.0 - P_SETTLES, np.full(len(TILTS), P_SETTLES / len(TILTS))]
     drift = np.repeat([[NOTHING], [warm_sd]], len(prior), axis=0) * np.ones(warm_ups)
     sd = np.hstack([np.tile(np.vstack([stands, TILTS]), (2, 1)), drift])
-    precision, of_rate, evidence = eliminate(matrix, vector, sd)
+    precision, of_rate, evidence = eliminate(information[:, :-2], information[:, -2:], sd)
     variance = 1.0 / precision[:, 0, 0]
     mean = of_rate[:, 0, :] * variance[:, None]
     evidence += 0.5 * np.sum(mean**2, axis=1) / variance + np.log(variance) + np.log(np.tile(prior, 2))
