@@ -47,12 +47,11 @@ def _restored(intervals_s: Sequence[float], params: dict[str, Any], state: dict[
     return vqf
 
 
-def _reduced(vqf: VQF) -> tuple[Any, ...]:
-    """Return what `_restored` needs, for pickle and copy: VQF's own `__setstate__` only raises."""
-    return _restored, ([vqf.coeffs[name] for name in ("gyrTs", "accTs", "magTs")], vqf.params, vqf.state)
-
-
-copyreg.pickle(VQF, _reduced)
+# For pickle and copy: VQF's own `__setstate__` only raises.
+copyreg.pickle(
+    VQF,
+    lambda vqf: (_restored, ([vqf.coeffs[f"{of}Ts"] for of in ("gyr", "acc", "mag")], vqf.params, vqf.state)),
+)
 
 
 def matrices(q: FloatArray) -> FloatArray:
