@@ -43,7 +43,7 @@ VARIANTS: Mapping[str, Change] = {
     "cells: 48 alone": [(fit, "CELLS", (48,))],
     "cells: also 48 and 12": [(fit, "CELLS", (96, 48, 24, 12, 6))],
     "rejection of knocks": [(fit, "KNOCK", 1e9)],
-    "sway": [(fit, "LEAST_ROWS", 1_000_000)],
+    "sway": [(fit, "LINE_RATIO", math.inf)],
     "sway with fewer than 5 periods": [(fit, "MIN_PERIODS", 5.0)],
     "the record of a creep is halved": [(fit, "CREEP_YAW", math.inf)],
     "warm-up": [(fit, "ANY_WARM_UP", (fit.NOTHING, ANY_WARM_UP[1]))],

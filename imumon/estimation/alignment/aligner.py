@@ -12,21 +12,16 @@ import numpy as np
 from imumon.blocks import FloatArray
 from imumon.estimation.alignment.fit import fit_position
 from imumon.estimation.alignment.parameters import AlignmentParameters
-from imumon.estimation.alignment.position import (
-    CALM_SLOTS,
-    MOST_PENDING,
-    SLOT_S,
-    Motion,
-    Position,
-    Slot,
-    direction_of,
-    upright,
-)
+from imumon.estimation.alignment.position import SLOT_S, Motion, Position, Slot, direction_of, upright
 from imumon.estimation.alignment.posterior import HeadingPosterior, heading_posterior, sensor_errors
 from imumon.estimation.alignment.report import ANY_ANGLE_SD, Estimate, PositionHeading, Status
 from imumon.filters.turns import Turn, angle_of
 from imumon.geodesy import EARTH_RATE, forward
 
+SAME_ATTITUDE, SHORT_PATH = 1e-3, 20e-3
+"""rad: a turn by less (0.06°, the noise of 1 °/√h in 10 s) on a path of less leaves the attitude as it is."""
+NEW_POSITION = 0.01
+"""rad: a turn by less does not separate the bias from the earth rate."""
 FIRST_FIT_S, LONGEST_REFIT_S = 10.0, 60.0
 """Time at rest of the first fit of a position, and the longest between two fits; in between a position is
 fitted anew when its time at rest has grown by a third, which lowers sigma by an eighth."""
@@ -35,8 +30,6 @@ FORGET_S = 60.0
 RECENT_SHARE = 0.5
 """Sigma is at least the distance to the headings fitted in the last half of the time at rest in a position;
 ablation: without it, six of 41 sites were over 7 sigma off once, not two."""
-NEW_POSITION = 0.01
-"""rad: a turn by less does not separate the bias from the earth rate."""
 MOST_FITS = 400
 """Headings that are kept, for the chart and for sigma."""
 
@@ -56,8 +49,6 @@ class Aligner:
         """Of the sensors: declared, or by the noise of the quietest gyro in any fit."""
         self.posterior: HeadingPosterior | None = None
         """Of the last fit; None before it."""
-        self.means: dict[str, tuple[float, float]] = {}
-        """North by means of the gyros, rad, counter-clockwise in the reference frame, and sigma."""
         self.history: deque[tuple[float, float, float]] = deque(maxlen=MOST_FITS)
         """Time at rest, s, north and sigma of each fit."""
         self.rest_s, self.due_s = 0.0, FIRST_FIT_S
@@ -67,55 +58,47 @@ class Aligner:
         self.settled_s: float | None = None
         """Time since the first sample at which the heading settled; None if it is not settled."""
 
-    def step(self, slot: Slot, at_rest: bool, turn: Turn) -> str | None:
-        """Process a slot with its turn and the rest detector's flag; return why to start anew, or None."""
-        motion = self.motion
-        rest, begins = motion.step(slot, at_rest, turn)
+    def step(self, slot: Slot, at_rest: bool, turn: Turn) -> None:
+        """Process a slot with its turn and the rest detector's flag."""
+        rest, turn = self.motion.step(slot, at_rest, turn)
         if not rest:
-            # The rates in the first rest may have been a turn.
-            if motion.moving and len(motion.pending) == MOST_PENDING:
-                return f"the unit turned at {motion.begun_s:.1f} s for {SLOT_S * MOST_PENDING:g} s"
-            return None
-        if begins and not self.positions:
+            return
+        if not self.positions:
             force = _mean_force(rest)
             self._begin(Position(rest[0].number, upright(forward(force / np.linalg.norm(force)), force)))
-        elif begins and not self._end_turn(rest):
-            return f"the unit turned at {motion.begun_s:.1f} s by an angle that is not known"
+        elif angle_of(turn.rotation) > SAME_ATTITUDE or turn.path > SHORT_PATH:
+            self._end_turn(rest, turn)
         for one in rest:
             self.positions[-1].add(one)
         self.rest_s += SLOT_S * len(rest)
-        motion.add_rest(rest)
         if self.rest_s >= self.due_s:
             self._update_heading()
-        return None
 
     def _begin(self, position: Position) -> None:
         self.positions.append(position)
         self.due_s = self.rest_s + FIRST_FIT_S
 
-    def _end_turn(self, rest: Sequence[Slot]) -> bool:
-        """Begin a position with the rest after a turn; return whether the angle of the turn is known."""
-        motion, before = self.motion, self.positions[-1]
+    def _end_turn(self, rest: Sequence[Slot], turn: Turn) -> None:
+        """Begin a position with the rest after a turn."""
+        before = self.positions[-1]
         self._fit_position()
-        attitude = upright(self.attitude[0], _mean_force(rest[CALM_SLOTS // 2 :]))
+        by_gyros = before.attitude @ turn.rotation
+        attitude = upright(by_gyros[0], _mean_force(rest[len(rest) // 2 :]))
         # Gravity shows how wrong the horizontal axes are; the vertical one may be as wrong.
-        lean = (self.attitude @ attitude[2])[:2]
+        lean = (by_gyros @ attitude[2])[:2]
         by_lean = 0.5 * float(lean @ lean) - 2.0 * self.errors.accel_bias**2
-        variance = max(motion.azimuth_variance(before.attitude[2], self.errors.scale), by_lean)
-        if variance > ANY_ANGLE_SD**2:
-            return False
-        new = angle_of(motion.turn.rotation) > NEW_POSITION
+        variance = max(_azimuth_variance(turn, before.attitude[2], self.errors.scale), by_lean)
+        new = angle_of(turn.rotation) > NEW_POSITION
         angle, sd = math.degrees(_turned(before.attitude, attitude)), math.degrees(math.sqrt(variance))
-        seconds, what = motion.ended_s - motion.begun_s, "a new position, " if new else ""
+        begun_s, what = self.motion.begun_s, "a new position, " if new else ""
         self.events.append(
-            f"alignment: the unit turned at {motion.begun_s:.1f} s for {seconds:.1f} s: left out; {what}"
-            f"turned by {angle:.2f}° ± {sd:.2f}° about the vertical"
+            f"alignment: the unit turned at {begun_s:.1f} s for {SLOT_S * rest[0].number - begun_s:.1f} s: "
+            f"left out; {what}turned by {angle:.2f}° ± {sd:.2f}° about the vertical"
         )
         before.fit = before.fit and before.fit.averaged()
         before.sums = np.empty((0, 7))
         variance += before.azimuth_variance + before.yaw_since_fit**2
         self._begin(Position(rest[0].number, attitude, variance, before.number + new))
-        return True
 
     @property
     def attitude(self) -> FloatArray:
@@ -135,10 +118,6 @@ class Aligner:
         here.fit, here.yaw_since_fit = fit, 0.0
         white = min(one.fit.white for one in self.positions if one.fit is not None)
         self.errors = sensor_errors(math.sqrt(white), self.parameters)
-        bias = self.posterior.bias_size if self.posterior else 0.0
-        for name, mean, factor in (("gyro_mean", fit.gyro_mean, 1.0), ("hann_mean", fit.hann_mean, 1.5)):
-            sd = math.sqrt(factor * fit.white / here.rest_s + bias**2) / self.earth_horizontal
-            self.means[name] = cmath.phase(mean), min(sd, ANY_ANGLE_SD)
         return True
 
     def _update_heading(self) -> None:
@@ -153,7 +132,7 @@ class Aligner:
         # What no hypothesis explains shows as a heading that moves from fit to fit.
         since_s = self.rest_s - RECENT_SHARE * here.rest_s
         recent = [north for rest_s, north, _ in self.history if rest_s >= since_s]
-        moved = max((abs(math.remainder(new.north - north, 2.0 * math.pi)) for north in recent), default=0.0)
+        moved = max((abs(math.remainder(new.north - north, math.tau)) for north in recent), default=0.0)
         self.posterior = new._replace(sd=min(max(new.sd, moved), ANY_ANGLE_SD))
         self.fitted_variance = here.azimuth_variance
         self.history.append((self.rest_s, new.north, self.posterior.sd))
@@ -170,7 +149,7 @@ class Aligner:
         here = self.positions[-1]
         variance = self.posterior.sd**2 + here.azimuth_variance - self.fitted_variance
         variance += here.yaw_since_fit**2
-        variance += self.motion.azimuth_variance(here.attitude[2], self.errors.scale)
+        variance += _azimuth_variance(self.motion.turn, here.attitude[2], self.errors.scale)
         return min(math.sqrt(variance), ANY_ANGLE_SD)
 
     @property
@@ -183,12 +162,13 @@ class Aligner:
         """Headings by the joint fit and the means of the gyros, NaN if not observable; none before a fit."""
         if self.posterior is None:
             return {}
+        fit = [one.fit for one in self.positions if one.fit][-1]
+        found = {"joint": (self.posterior.north, self.heading_sd)}
+        for name, mean, factor in (("gyro_mean", fit.gyro_mean, 1.0), ("hann_mean", fit.hann_mean, 1.5)):
+            rate_sd = math.sqrt(factor * fit.white / fit.rest_s + self.posterior.bias_size**2)
+            found[name] = cmath.phase(mean), min(rate_sd / self.earth_horizontal, ANY_ANGLE_SD)
         direction = direction_of(self.attitude) if self.observable else math.nan
-        north_and_sd = {"joint": (self.posterior.north, self.heading_sd), **self.means}
-        return {
-            name: Estimate((north - direction) % (2.0 * math.pi), sd)
-            for name, (north, sd) in north_and_sd.items()
-        }
+        return {name: Estimate((north - direction) % math.tau, sd) for name, (north, sd) in found.items()}
 
     @property
     def remaining_s(self) -> float | None:
@@ -202,18 +182,18 @@ class Aligner:
 
     def status(self, elapsed_s: float) -> Status:
         """Return the state so long after the first sample."""
-        here = self.positions[-1] if self.positions else Position(0, np.eye(3), number=0)
-        moving, number = self.motion.moving, here.number
-        by_noise = here.fit.variance.min() if here.fit else math.inf
+        status = Status(self.wanted_sd, elapsed_s, self.motion.moving)
+        if not self.positions:
+            return status
+        here = self.positions[-1]
+        moving, number = status.moving, here.number
         before = [one.attitude for one in self.positions if moving or one.number < number]
-        return Status(
-            moving=moving,
+        by_noise = here.fit.variance.min() if here.fit else math.inf
+        return status._replace(
             estimates=self.estimates,
             settled_s=self.settled_s,
             remaining_s=self.remaining_s,
-            wanted_sd=self.wanted_sd,
             rest_s=self.rest_s,
-            elapsed_s=elapsed_s,
             positions=number,
             position_s=here.rest_s,
             position_sd=math.sqrt(by_noise) / self.earth_horizontal,
@@ -230,9 +210,20 @@ class Aligner:
         for one in self.positions:
             sd = min(math.sqrt(self.posterior.sd**2 + last - one.azimuth_variance), ANY_ANGLE_SD)
             shown = self.posterior.north if sd < math.radians(self.parameters.observable_deg) else math.nan
-            heading = (shown - direction_of(one.attitude)) % (2.0 * math.pi)
+            heading = (shown - direction_of(one.attitude)) % math.tau
             found.append(PositionHeading(run, one.begun_s, one.ended_s, heading, sd))
         return found
+
+
+def _azimuth_variance(turn: Turn, up: FloatArray, scale_sd: float) -> float:
+    """Return the variance of the angle of a turn about the vertical, rad².
+
+    `up` (3,) is the vertical in body axes at its beginning, `scale_sd` is of scale factor and misalignment.
+    """
+    # The earth rate turns against the body: up to all of it is wrong while it turns by a radian.
+    drift = EARTH_RATE * turn.seconds * min(turn.path, 1.0)
+    by_scale = scale_sd**2 * float(np.sum(turn.scale_about(up) ** 2))
+    return by_scale + turn.sampling_variance(up) + drift**2
 
 
 def _mean_force(slots: Sequence[Slot]) -> FloatArray:
@@ -242,4 +233,4 @@ def _mean_force(slots: Sequence[Slot]) -> FloatArray:
 
 def _turned(before: FloatArray, after: FloatArray) -> float:
     """Return the change of heading between two attitudes, rad, clockwise."""
-    return math.remainder(direction_of(before) - direction_of(after), 2.0 * math.pi)
+    return math.remainder(direction_of(before) - direction_of(after), math.tau)

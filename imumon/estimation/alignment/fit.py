@@ -12,7 +12,8 @@
 
 The unknowns are the constant rate c + b and the amplitudes A and B, with two real parts each.  A hypothesis
 is a prior of the amplitudes: the unit stands, or settles by three neighbours of the τ_k; the accelerometers
-have warmed up, or warm up.  Mean, variance and evidence are closed forms; c + b has a flat prior.
+have warmed up, or warm up.  Mean, variance and evidence are closed forms; c + b has a flat prior.  Of α the
+steps from cell to cell are the data, so that it needs no constant part.
 """
 
 from __future__ import annotations
@@ -43,15 +44,11 @@ MIN_VARIANCE = 1e-24
 CREEP_CELLS, CREEP_YAW, CREEP_NOISE = 12, 3e-4, 4.0
 """A unit creeps about the vertical whose angle by means of 12 cells of the vertical gyro, less their mean,
 varies by more than 0.3 mrad and more than 4 times what the white noise turns in this time."""
-LEAST_ROWS, MIN_PERIODS = 60, 1.5
-"""Rows of the record, and periods in it, that a line needs; a slower sway is left to the trend and the
-settling hypotheses."""
-FEW_PERIODS, RESIDUAL_SHARE = 5.0, 0.3
-"""A line with fewer periods than this must reduce the residual variance to this share: a knock has power at
-all frequencies, too."""
-LINE_RATIO = 40.0
-"""Ratio of the power of a line to the median of the spectrum; white noise exceeds it with probability e^-40
-a bin."""
+MIN_PERIODS, LINE_RATIO, LEFT_SHARE = 1.5, 40.0, 0.3
+"""A line of the sway has so many periods in the record at least (a slower sway is left to the trend and the
+settling hypotheses), a power of so many times the median of the spectrum (white noise exceeds it with
+probability e^-40 a bin), and leaves this share of the variance at most: a knock has power at all frequencies,
+too."""
 SETTLING_TAU_S = np.geomspace(5.0, 640.0, 8)
 """Time constants of a tripod that settles, in octaves."""
 NOTHING = 1e-9
@@ -67,9 +64,8 @@ TILTS = np.array(
     ]
 )
 """Standard deviation of each amplitude, rad, (18, 8): three neighbouring exponentials of one size."""
-OFFSET_SD, WALK, LEAST_NOISE = 1e-3, 1e-7, 1e-14
-"""Standard deviation of the constant part of α and of its step in a knock, rad, random walk of a warmed-up
-accelerometer, g/√s, and smallest variance of a cell of α, rad²."""
+WALK = 1e-7
+"""Random walk of a warmed-up accelerometer, g/√s."""
 
 
 def eliminate(
@@ -111,20 +107,20 @@ def fit_position(record: Position, latitude: float, known: KnownWarmUp | None) -
     warm_sd, warm_tau_s = ANY_WARM_UP if known is None else known.remaining
     warm = -np.expm1(-dt * (np.arange(n)[:, None] + 0.5) / np.array(warm_tau_s))
     y, swing = windows[used] @ steady, windows[used] @ line
-    matrix, vector = _information(
+    information = _information(
         windows[used] @ np.hstack([np.ones((n, 1)), slopes, 0.0 * warm]),
         y - y.mean(),
-        variance * _correlation(used) + swing @ swing.T,
+        variance * _correlation(np.eye(len(used))[used]) + swing @ swing.T,
     )
-    of_level, covariance = _level_noise(windows @ level, used, dt * (windows @ np.arange(n)))
-    by_level = _information(
-        windows[of_level] @ np.hstack([np.zeros((n, 1)), middles, warm]),
-        windows[of_level] @ level - (windows[of_level] @ level).mean(),
-        covariance,
+    # The constant part of α is in no step from cell to cell, and a cell with a knock is in none.
+    noise, level_used, _ = _scatter(windows @ level, used, TREND_ORDER)
+    step = np.diff(np.eye(len(used)), axis=0)[level_used[1:] & level_used[:-1]]
+    information += _information(
+        step @ windows @ np.hstack([np.zeros((n, 1)), middles, warm]),
+        step @ windows @ level,
+        noise * _correlation(step) + WALK**2 * dt * n / (len(used) + 1.0) * np.eye(len(step)),
     )
-    log_weight, rates, variances = _given_each_hypothesis(
-        matrix + by_level[0], vector + by_level[1], warm_sd, len(warm_tau_s)
-    )
+    log_weight, rates, variances = _given_each_hypothesis(information, warm_sd, len(warm_tau_s))
     up = windows @ gyro[:, 2]
     up_variance, up_used, _ = _scatter(up, used, 1)
     return PositionFit(
@@ -137,16 +133,8 @@ def fit_position(record: Position, latitude: float, known: KnownWarmUp | None) -
         attitude=attitude,
         gyro_mean=complex(rate[valid].mean()),
         hann_mean=complex(np.hanning(valid.sum()) @ rate[valid]),
+        rest_s=record.rest_s,
     )
-
-
-def _level_noise(levels: ColumnArray, used: BoolArray, time_s: FloatArray) -> tuple[BoolArray, FloatArray]:
-    """Return which cells of α, rad, have no knock, (J,), and the covariance of these, (m, m)."""
-    noise, used, _ = _scatter(levels, used, TREND_ORDER)
-    walk = OFFSET_SD**2 + WALK**2 * np.minimum.outer(time_s[used], time_s[used])
-    for knock_s in time_s[~used & np.r_[True, used[:-1]]]:  # the offset is unknown anew behind it
-        walk += OFFSET_SD**2 * np.outer(time_s[used] > knock_s, time_s[used] > knock_s)
-    return used, (noise + LEAST_NOISE) * _correlation(used) + walk
 
 
 def _horizontal(
@@ -167,18 +155,16 @@ def _horizontal(
     return valid, means[:, :3] @ attitude.T, np.where(valid, force[:, 1] - 1j * force[:, 0], 0.0), attitude
 
 
-def _information(
-    design: FloatArray, data: ColumnArray, covariance: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return Λ (k, k) and η (k, 2) of complex data (m,) = design (m, k) x + noise in each part."""
+def _information(design: FloatArray, data: ColumnArray, covariance: FloatArray) -> FloatArray:
+    """Return Λ and η, (k, k + 2), of complex data (m,) = design (m, k) x + noise in each part."""
     weighted = np.linalg.solve(covariance, design).T
-    return weighted @ design, weighted @ np.column_stack([data.real, data.imag])
+    return np.asarray(weighted @ np.column_stack([design, data.real, data.imag]))
 
 
 def _given_each_hypothesis(
-    matrix: FloatArray, vector: FloatArray, warm_sd: float, warm_ups: int
+    information: FloatArray, warm_sd: float, warm_ups: int
 ) -> tuple[FloatArray, ColumnArray, FloatArray]:
-    """Return log weight, mean rate, rad/s, and variance of each part of 38 hypotheses.
+    """Return log weight, mean rate, rad/s, and variance of each part of 38 hypotheses, by Λ and η.
 
     The unit stands, or settles, with accelerometers that have warmed up, and that warm up.
     """
@@ -186,7 +172,7 @@ def _given_each_hypothesis(
     prior = np.r_[1.0 - P_SETTLES, np.full(len(TILTS), P_SETTLES / len(TILTS))]
     drift = np.repeat([[NOTHING], [warm_sd]], len(prior), axis=0) * np.ones(warm_ups)
     sd = np.hstack([np.tile(np.vstack([stands, TILTS]), (2, 1)), drift])
-    precision, of_rate, evidence = eliminate(matrix, vector, sd)
+    precision, of_rate, evidence = eliminate(information[:, :-2], information[:, -2:], sd)
     variance = 1.0 / precision[:, 0, 0]
     mean = of_rate[:, 0, :] * variance[:, None]
     evidence += 0.5 * np.sum(mean**2, axis=1) / variance + np.log(variance) + np.log(np.tile(prior, 2))
@@ -198,20 +184,17 @@ def _divide(rate: ColumnArray, valid: BoolArray) -> tuple[FloatArray, BoolArray,
 
     It has the weights of the rows in each cell, (J, n), which cells have all rows and no knock, (J,), and the
     variance of each part of a cell.  Longer cells suppress more sway, but estimate the noise from fewer
-    degrees of freedom: they must be better by the standard deviation of that estimate.
+    degrees of freedom ν: they must be better by the standard deviation √(2/ν) of that estimate.
     """
-    best, smallest, n = None, math.inf, len(rate)
-    for count in CELLS:
-        if n < 2 * (count + 1):
-            continue
-        windows = hann_windows(n, count)
+    best, smallest = None, math.inf
+    for count in [one for one in CELLS if len(rate) >= 2 * (one + 1)]:
+        windows = hann_windows(len(rate), count)
         used = windows @ ~valid == 0.0
-        if used.sum() < MIN_CELLS:
-            continue
-        variance, used, freedom = _scatter(windows @ rate, used, TREND_ORDER)
-        of_mean = variance / float(used.sum())
-        if of_mean * (1.0 + math.sqrt(2.0 / max(freedom, 1.0))) < smallest:
-            best, smallest = (windows, used, variance), of_mean
+        if used.sum() >= MIN_CELLS:
+            variance, used, freedom = _scatter(windows @ rate, used, TREND_ORDER)
+            of_mean = variance / float(used.sum())
+            if of_mean * (1.0 + math.sqrt(2.0 / freedom)) < smallest:
+                best, smallest = (windows, used, variance), of_mean
     return best
 
 
@@ -220,12 +203,11 @@ def _scatter(values: ColumnArray, used: BoolArray, order: int) -> tuple[float, B
 
     `values` (cells,) are real, or complex with the same variance in both parts.
     """
-    order = max(1, min(order, int(used.sum()) // 4))
-    basis, square = _trend(len(values), order), np.zeros(len(values))
+    basis, square = _trend(len(values), max(1, min(order, int(used.sum()) // 4))), np.zeros(len(values))
     for _ in range(3):  # a knock hides smaller ones
         square = np.abs(values - basis @ np.linalg.lstsq(basis[used], values[used], rcond=None)[0]) ** 2
         used = used & (square <= KNOCK**2 * np.median(square[used]) + MIN_VARIANCE)
-    freedom = (2 if np.iscomplexobj(values) else 1) * max(int(used.sum()) - order, 0.5)
+    freedom = (2.0 if np.iscomplexobj(values) else 1.0) * max(int(used.sum()) - basis.shape[1], 0.5)
     return max(float(square[used].sum()), MIN_VARIANCE) / max(freedom - 2.0, 1.0), used, freedom
 
 
@@ -237,10 +219,13 @@ def hann_windows(n: int, cells: int) -> FloatArray:
     return np.asarray(windows / windows.sum(axis=1, keepdims=True))
 
 
-def _correlation(used: BoolArray) -> FloatArray:
-    """Return the correlation of white noise in those of the cells that are used, (m, m)."""
-    apart = np.abs(np.subtract.outer(np.flatnonzero(used), np.flatnonzero(used)))
-    return np.asarray((apart == 0) + OVERLAP * (apart == 1))
+def _correlation(combined: FloatArray) -> FloatArray:
+    """Return the covariance of sums over all J cells, (m, m), whose white noise has the variance 1.
+
+    `combined` (m, J) are the weights of the cells in each sum.
+    """
+    near = np.eye(combined.shape[1], k=1)
+    return np.asarray(combined @ (np.eye(len(near)) + OVERLAP * (near + near.T)) @ combined.T)
 
 
 def _trend(n: int, order: int) -> FloatArray:
@@ -271,36 +256,32 @@ def _without_sway(
 
     The line is fitted beside slow functions of time, (n, m).  Cosine and sine have an amplitude that may
     change along the record, and the frequency by a fraction of a period in the record.  The second result
-    are these functions times the amplitude, (n, 4) or (n, 0), rad/s: its uncertainty.
+    are these functions times the amplitude, (n, 4), rad/s: its uncertainty; zero where there is no line.
     """
     n, given = len(rate), np.column_stack([rate, alpha])
-    slow = slow / np.sqrt(np.sum(slow**2, axis=0))
     left = (rate - slow @ _amplitudes(slow, rate, valid)) * valid
-    omega = _strongest(left * np.hanning(n + 2)[1:-1]) if n >= LEAST_ROWS else None
-    if omega is None:
-        return given.T, np.zeros((n, 0))
-    row = (np.arange(n) - 0.5 * (n - 1))[:, None]
-    wave = np.hstack([np.cos(omega * row), np.sin(omega * row)])
-    line = np.hstack([wave, wave * row / (0.5 * n)])
+    periods, is_line = _strongest(left * np.hanning(n + 2)[1:-1])
+    time = np.linspace(-1.0, 1.0, n)[:, None]
+    wave = np.hstack([np.cos(math.pi * periods * time), np.sin(math.pi * periods * time)])
+    line = np.hstack([wave, wave * time])
     columns = np.hstack([slow, line])
     amplitudes = _amplitudes(columns, given, valid)
     remains = (rate - columns @ amplitudes[:, 0]) * valid
-    share = np.sum(np.abs(remains) ** 2) / np.sum(np.abs(left) ** 2)
-    if omega * n < FEW_PERIODS * math.tau and share > RESIDUAL_SHARE:
-        return given.T, np.zeros((n, 0))
+    if not is_line or np.vdot(remains, remains).real > LEFT_SHARE * np.vdot(left, left).real:
+        line = np.zeros_like(line)
     swing = line @ amplitudes[-4:]
     return np.asarray((given - swing).T), line * math.sqrt(2.0 * np.mean(np.abs(swing[:, 0]) ** 2))
 
 
-def _strongest(left: ColumnArray) -> float | None:
-    """Return the frequency of the strongest line, rad a row, or None when there is none."""
+def _strongest(left: ColumnArray) -> tuple[float, bool]:
+    """Return periods in the record of the strongest oscillation, (n,), and whether it is a line."""
     n = len(left)
     bins = 1 << (8 * n - 1).bit_length()  # at least eight to a period in the record
     least = math.ceil(MIN_PERIODS * bins / n)
     axes = np.column_stack([left.real, left.imag])
     power = np.sum(np.abs(np.fft.rfft(axes, bins, axis=0)) ** 2, axis=1)[least : bins // 2]
     peak = int(np.argmax(power))
-    return math.tau * (least + peak) / bins if power[peak] > LINE_RATIO * np.median(power) else None
+    return (least + peak) * (n - 1) / bins, bool(power[peak] > LINE_RATIO * np.median(power))
 
 
 def _amplitudes(columns: FloatArray, data: ColumnArray, valid: BoolArray) -> ColumnArray:

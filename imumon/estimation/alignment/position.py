@@ -7,15 +7,15 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import takewhile
 from typing import NamedTuple
 
 import numpy as np
 
 from imumon.blocks import BoolArray, ColumnArray, FloatArray
-from imumon.filters.turns import STILL, Turn, angle_of
-from imumon.geodesy import EARTH_RATE, forward
+from imumon.filters.turns import STILL, Turn
+from imumon.geodesy import forward
 
 SLOT_S = 0.25
 """Length of the slots into which samples are gathered: motion is detected, and rows are filled, four times a
@@ -31,10 +31,6 @@ SWAYING_RATE = 20e-3
 """rad/s: at the start, a rate that varies by less for 10 s is taken for rest."""
 CALM_SLOTS, SWAYING_SLOTS, MEDIAN_SLOTS = 8, 40, 120
 """Slots: 2 s of calm are a rest, 10 s of sway at the start; the rate at rest is the median of 30 s."""
-MOST_PENDING = 480
-"""Slots: 2 minutes before the first rest may turn out to be rest; a motion of 2 minutes is a restart."""
-SAME_ATTITUDE, SHORT_PATH = 1e-3, 20e-3
-"""rad: a turn by less (0.06°, the noise of 1 °/√h in 10 s) on a path of less leaves the attitude as it is."""
 
 
 class Slot(NamedTuple):
@@ -54,7 +50,7 @@ class PositionFit(NamedTuple):
     `log_weight` (h,) is that of prior and evidence; `rate` (h,) earth rate and bias, rad/s, with the variance
     of each part; `vertical` is the vertical gyro, rad/s, and `white` the white noise of the quietest gyro,
     (rad/s)²/Hz; `attitude` (3, 3) is from body axes.  `gyro_mean` and `hann_mean` have the directions of the
-    plain and the Hann-weighted mean of the gyros.
+    plain and the Hann-weighted mean of the gyros over `rest_s`, s.
     """
 
     log_weight: FloatArray
@@ -66,6 +62,7 @@ class PositionFit(NamedTuple):
     attitude: FloatArray
     gyro_mean: complex
     hann_mean: complex
+    rest_s: float
 
     def averaged(self) -> PositionFit:
         """Return the fit with one hypothesis that has the mean and the variance of all."""
@@ -163,93 +160,54 @@ def direction_of(attitude: FloatArray) -> float:
 
 
 class Motion:
-    """The motion detector."""
+    """The motion detector: which slots are rest, and how the unit has turned in between."""
 
     def __init__(self) -> None:
-        self.rest_rate: FloatArray | None = None
-        """Median rate at rest, rad/s, (3,); None before the first rest."""
+        self.rest_rate = np.full(3, np.nan)
+        """Median rate at rest, rad/s; NaN before the first rest."""
         self.limit = MOTION_RATE
         """Distance from it that is still rest, rad/s."""
         self.recent: deque[FloatArray] = deque(maxlen=MEDIAN_SLOTS)
         """Rates of slots at rest."""
-        self.pending: deque[Slot] = deque(maxlen=MOST_PENDING)
-        """Slots of the motion; before the first rest, those that may belong to it."""
-        self.turn: Turn = STILL
+        self.pending: deque[Slot] = deque(maxlen=SWAYING_SLOTS)
+        """The latest slots that are not known to be rest."""
+        self.moving, self.begun_s = False, 0.0
+        """Whether the unit moves, or came to rest less than 2 s ago, and since when, s since the first
+        sample."""
+        self.turn = STILL
         """Since the motion began."""
-        self.ended_s = 0.0
-        """End of the motion, s since the first sample."""
 
-    @property
-    def begun_s(self) -> float:
-        """Beginning of the motion, s since the first sample."""
-        return SLOT_S * self.pending[0].number
+    def step(self, slot: Slot, at_rest: bool, turn: Turn) -> tuple[list[Slot], Turn]:
+        """Return the slots that are known to be rest with this one, and the turn before them.
 
-    @property
-    def moving(self) -> bool:
-        """Whether the unit moves, or came to rest less than 2 s ago."""
-        return self.rest_rate is not None and bool(self.pending)
-
-    def step(self, slot: Slot, at_rest: bool, turn: Turn) -> tuple[list[Slot], bool]:
-        """Return the slots at rest that are known with this slot and its turn, and whether a rest begins.
-
-        There are none before the first rest and in motion.  After a motion that leaves the attitude as it was
-        they are all of its slots; a rest that begins, the first one or after a turn, has those before it.
+        `turn` is that within the slot.  There are none before the first rest and in motion; a rest that
+        begins has those before it.
         """
-        if self.rest_rate is None:
-            self.pending.append(slot)
-            begins = at_rest and self._first_rest()
-            return (list(self.pending) if begins else []), begins
-        in_motion = self._is_motion(slot)
-        if not (self.pending or in_motion):
-            return [slot], False
         self.pending.append(slot)
-        if in_motion:
-            self.ended_s = SLOT_S * (slot.number + 1)
-        self.turn = self.turn.then(turn.less(self.rest_rate))
-        calm = list(self.pending)[-CALM_SLOTS:]
-        if any(map(self._is_motion, calm)):
-            return [], False
-        turned = angle_of(self.turn.rotation) > SAME_ATTITUDE or self.turn.path > SHORT_PATH
-        return calm if turned else list(self.pending), turned
+        if np.isnan(self.rest_rate[0]) and not (at_rest and self._is_first_rest()):
+            return [], STILL
+        rest = list(takewhile(self._is_calm, reversed(self.pending)))[::-1]
+        if not (rest or self.moving):
+            self.moving, self.begun_s = True, SLOT_S * slot.number
+        if self.moving:
+            self.turn = self.turn.then(turn.less(self.rest_rate))
+            if len(rest) < CALM_SLOTS:
+                return [], STILL
+        self.pending.clear()
+        self.recent.extend(one.rate for one in rest)
+        if self.moving or slot.number % SWAYING_SLOTS == 0:
+            self.rest_rate = np.median(self.recent, axis=0)
+            self.limit = max(MOTION_RATE, LIMIT_FACTOR * float(np.abs(self.recent - self.rest_rate).max()))
+        ended, self.moving, self.turn = self.turn, False, STILL
+        return rest, ended
 
-    def _first_rest(self) -> bool:
-        """Return whether the unit rests for the first time; if so, drop the slots before that rest."""
+    def _is_first_rest(self) -> bool:
         rates = np.array([one.rate for one in self.pending])
         for slots, limit in ((CALM_SLOTS, MOTION_RATE), (SWAYING_SLOTS, SWAYING_RATE)):
             if len(rates) >= slots and np.ptp(rates[-slots:], axis=0).max() < limit:
-                break
-        else:
-            return False
-        self._update_rest_rate(rates[-slots:])
-        while any(map(self._is_motion, self.pending)):
-            self.pending.popleft()
-        return True
+                self.rest_rate, self.limit = np.median(rates[-slots:], axis=0), limit
+                return True
+        return False
 
-    def _is_motion(self, slot: Slot) -> bool:
-        assert self.rest_rate is not None
-        return float(np.abs(slot.rate - self.rest_rate).max()) > self.limit
-
-    def _update_rest_rate(self, rates: FloatArray) -> None:
-        self.rest_rate = np.median(rates, axis=0)
-        self.limit = max(MOTION_RATE, LIMIT_FACTOR * float(np.abs(rates - self.rest_rate).max()))
-
-    def add_rest(self, rest: Sequence[Slot]) -> None:
-        """Take slots at rest, with which a motion ends; update the median every 10 s."""
-        for slot in rest:
-            self.recent.append(slot.rate)
-            if slot.number % SWAYING_SLOTS == 0:
-                self._update_rest_rate(np.array(self.recent))
-        self.pending.clear()
-        self.turn = STILL
-
-    def azimuth_variance(self, up: FloatArray, scale_sd: float) -> float:
-        """Return the variance of the angle by which the unit has turned about the vertical, rad².
-
-        `up` (3,) is the vertical in body axes at the beginning, `scale_sd` is of scale factor and
-        misalignment.
-        """
-        # The earth rate turns against the body: up to all of it is wrong while it turns by a radian.
-        seconds = self.ended_s - self.begun_s if self.pending else 0.0
-        drift = EARTH_RATE * seconds * min(self.turn.path, 1.0)
-        by_scale = scale_sd**2 * float(np.sum(self.turn.scale_about(up) ** 2))
-        return by_scale + self.turn.sampling_variance(up) + drift**2
+    def _is_calm(self, slot: Slot) -> bool:
+        return float(np.abs(slot.rate - self.rest_rate).max()) <= self.limit

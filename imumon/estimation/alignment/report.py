@@ -40,31 +40,30 @@ class PositionHeading(NamedTuple):
 
 
 class Status(NamedTuple):
-    """State of an alignment at the end of a block: rad and s; NaN where nothing is known yet.
+    """State of an alignment at the end of a block, rad and s.
+
+    `wanted_sd` is the sigma wanted, `elapsed_s` the time since the first sample, and `rest_s` that at rest.
 
     `estimates` are the joint fit, which is the heading shown, and plain and Hann-weighted mean of the gyros;
-    empty before the first fit.
-
-    `rest_s` and `elapsed_s` are the time at rest and since the first sample; `settled_s` is the time from the
-    first sample until the heading settled, None if it is not settled, and `remaining_s` the predicted time
-    until then, None if unknown or never; `wanted_sd` is the sigma wanted.
+    empty before the first fit.  `settled_s` is the time from the first sample until the heading settled, None
+    if it is not settled, and `remaining_s` the predicted time until then, None if unknown or never.
 
     `positions` counts the positions, the present one included; `position_s` is the time at rest in it, and
     `position_sd` that of the heading by its white noise alone.  `turned` is the change of heading since
     the previous position, also during a turn, while `moving`.
     """
 
-    moving: bool
-    estimates: Mapping[str, Estimate]
-    settled_s: float | None
-    remaining_s: float | None
     wanted_sd: float
-    rest_s: float
     elapsed_s: float
-    positions: int
-    position_s: float
-    position_sd: float
-    turned: float
+    moving: bool
+    rest_s: float = 0.0
+    estimates: Mapping[str, Estimate] = {}
+    settled_s: float | None = None
+    remaining_s: float | None = None
+    positions: int = 0
+    position_s: float = 0.0
+    position_sd: float = math.inf
+    turned: float = 0.0
 
     @property
     def shown(self) -> Estimate | None:
@@ -79,14 +78,13 @@ class Status(NamedTuple):
     @property
     def phase(self) -> str:
         """Waiting, coarse, aligning, settled, not observable or disturbed."""
-        table = (
-            (self.elapsed_s == 0.0, "waiting"),
-            (self.moving, "disturbed"),
-            (self.observable and self.settled_s is not None, "settled"),
-            (self.observable, "aligning"),
-            (self.shown is not None and self.rest_s > NOT_OBSERVABLE_S, "not observable"),
-        )
-        return next((phase for condition, phase in table if condition), "coarse")
+        if self.elapsed_s == 0.0:
+            return "waiting"
+        if self.moving:
+            return "disturbed"
+        if self.observable:
+            return "aligning" if self.settled_s is None else "settled"
+        return "coarse" if self.shown is None or self.rest_s <= NOT_OBSERVABLE_S else "not observable"
 
     @property
     def heading_text(self) -> str:
@@ -100,25 +98,27 @@ class Status(NamedTuple):
     @property
     def to_go_text(self) -> str:
         """The predicted time to the wanted sigma, or why there is none."""
-        wanted = f"{math.degrees(self.wanted_sd):g}°"
-        to_go = f"{wanted} not in reach with the bias of these sensors"
-        if self.remaining_s is not None:
-            to_go = f"about {self.remaining_s:.0f} s to {wanted}"
-        return {
-            "waiting": "waiting",
-            "settled": "settled",
-            "disturbed": f"disturbed, turned by {math.degrees(self.turned):.0f}°",
-            "coarse": f"coarse, {self.rest_s:.0f} s of rest",
-        }.get(self.phase, to_go)
+        phase, wanted = self.phase, f"{math.degrees(self.wanted_sd):g}°"
+        if phase == "disturbed":
+            return f"disturbed, turned by {math.degrees(self.turned):.0f}°"
+        if phase == "coarse":
+            return f"coarse, {self.rest_s:.0f} s of rest"
+        if phase in ("waiting", "settled"):
+            return phase
+        if self.remaining_s is None:
+            return f"{wanted} not in reach with the bias of these sensors"
+        return f"about {self.remaining_s:.0f} s to {wanted}"
 
     def rows(self) -> dict[str, str]:
         """Return texts by label: the heading, whether it settled, and the conditions that limit it."""
-        wanted = f"(σ ≤ {math.degrees(self.wanted_sd):g}°)"
-        settled = f"no {wanted}: {self.to_go_text}"
-        if self.settled_s is not None:
-            settled = f"yes, {self.settled_s:.1f} s after the first sample {wanted}"
-        counted = f"{min(self.rest_s, self.elapsed_s):.0f} of {self.elapsed_s:.0f} s counted"
-        texts = {"heading": self.heading_text, "settled": settled, "data": counted}
+        wanted, settled = f"(σ ≤ {math.degrees(self.wanted_sd):g}°)", self.settled_s
+        texts = {
+            "heading": self.heading_text,
+            "settled": f"no {wanted}: {self.to_go_text}"
+            if settled is None
+            else f"yes, {settled:.1f} s after the first sample {wanted}",
+            "data": f"{min(self.rest_s, self.elapsed_s):.0f} of {self.elapsed_s:.0f} s counted",
+        }
         if self.positions > 1:
             texts["positions"] = f"{self.positions}, the last turned by {math.degrees(self.turned):.1f}°"
         return texts

@@ -22,8 +22,8 @@ from imumon.filters.turns import STILL
 from imumon.geodesy import DEG_PER_H
 from imumon.lane import LaneState, Level
 
-LONGEST_GAP_S = 30.0
-"""A longer gap in the data restarts the alignment."""
+LONGEST_GAP_S, LONGEST_MOTION_S = 30.0, 120.0
+"""A longer gap in the data, and a longer motion, restart the alignment."""
 LEVELS = {"waiting": Level.WAIT, "disturbed": Level.BAD, "aligning": Level.WAIT, "settled": Level.GOOD}
 """Of the phases; the others are neither good nor bad."""
 
@@ -122,16 +122,17 @@ class Alignment:
         missing, end_s = index - self._index - 1, SLOT_S * (self._index + 1)
         if SLOT_S * (missing + 1) > LONGEST_GAP_S:
             self._restart(f"samples are missing at {end_s:.1f} s for {SLOT_S * missing:.1f} s")
-        mean, turn = slots.mean[k].copy(), slots.turns[k]
+        mean, turn, at_rest = slots.mean[k].copy(), slots.turns[k], bool(slots.smallest[k, -1] > 0.0)
         # The samples stand for the slots since those before them, but longer without samples is no rest.
         for number in range(max(self._index + 1, index - CALM_SLOTS + 1), index + 1):
             self._recent.append(mean[3:9])
-            at_rest = bool(slots.smallest[k, -1] > 0.0)
-            lost = self._aligner.step(Slot(number, mean[:3], mean[3:6]), at_rest, turn)
-            if lost is not None:
-                self._restart(lost)
+            self._aligner.step(Slot(number, mean[:3], mean[3:6]), at_rest, turn)
             turn = STILL
-        self._index = index
+        self._index, motion = index, self._aligner.motion
+        moving_s = SLOT_S * index - motion.begun_s
+        if motion.moving and moving_s > LONGEST_MOTION_S:
+            # The rates in the first rest may have been a turn.
+            self._restart(f"the unit turned at {motion.begun_s:.1f} s for {moving_s:.0f} s")
 
     def _restart(self, why: str) -> None:
         """Drop all positions, and report the reason."""
@@ -154,10 +155,10 @@ class Alignment:
         recent, attitude = np.array(self._recent), aligner.attitude
         if len(field := recent[np.isfinite(recent[:, 3:]).all(axis=1), 3:]):
             ahead, left, _ = attitude @ field.mean(axis=0)
-            magnetic = (math.atan2(left, ahead) - direction_of(attitude)) % (2.0 * math.pi)
+            magnetic = (math.atan2(left, ahead) - direction_of(attitude)) % math.tau
         up = attitude[2] if aligner.motion.moving else recent[:, :3].sum(axis=0)
         angles, first = self._roll_and_pitch(up), self._roll_and_pitch(aligner.positions[0].attitude[2])
-        drifts = [math.remainder(now - then, 2.0 * math.pi) for now, then in zip(angles, first, strict=True)]
+        drifts = [math.remainder(now - then, math.tau) for now, then in zip(angles, first, strict=True)]
         return [*joint, *angles, *drifts, magnetic, *gyro, *hann]
 
     def _roll_and_pitch(self, up: FloatArray) -> tuple[float, float]:

@@ -25,14 +25,13 @@ count, and at 50 Hz the attitude begins after 0.3 s."""
 TAU_ACC_S, TAU_MAG_S = 3.0, 9.0
 """VQF's defaults, s: so slowly the vertical follows the accelerometers, and the heading the magnetometer."""
 ROW = np.dtype(
-    [(name, np.float64, (4,)) for name in ("quat6d", "acc_quat", "gyr_quat")]
+    [(name, np.float64, (4,)) for name in ("quat6d", "gyr_quat")]
     + [(name, np.float64) for name in ("low_force", "delta")]
     + [(name, np.int64) for name in ("north", "follows")]
 )
 """What VQF makes of a sample; NaN and 0 before it has begun.
 
-quat6d, acc_quat, gyr_quat : quaternions w, x, y, z, from body to level axes without north; from gyro-carried
-    to level; from body to gyro-carried
+quat6d, gyr_quat : quaternions w, x, y, z, from body to level axes without north, and to gyro-carried axes
 low_force : magnitude of the low-passed specific force, m/s²
 delta : counterclockwise angle from quat6d to the attitude, rad: VQF's by the field, or that to the declared
     heading
@@ -48,12 +47,11 @@ def _restored(intervals_s: Sequence[float], params: dict[str, Any], state: dict[
     return vqf
 
 
-def _reduced(vqf: VQF) -> tuple[Any, ...]:
-    """Return what `_restored` needs, for pickle and copy: VQF's own `__setstate__` only raises."""
-    return _restored, ([vqf.coeffs[name] for name in ("gyrTs", "accTs", "magTs")], vqf.params, vqf.state)
-
-
-copyreg.pickle(VQF, _reduced)
+# For pickle and copy: VQF's own `__setstate__` only raises.
+copyreg.pickle(
+    VQF,
+    lambda vqf: (_restored, ([vqf.coeffs[f"{of}Ts"] for of in ("gyr", "acc", "mag")], vqf.params, vqf.state)),
+)
 
 
 def matrices(q: FloatArray) -> FloatArray:
@@ -88,9 +86,9 @@ class Fusion:
         self._begin()
 
     def _begin(self) -> None:
-        self._first: list[int] = []
+        self._first_ns: list[int] = []
         self._fields = 0
-        """Times of the samples whose rate is learned, ns, and how many of them have a field."""
+        """Times of the samples whose rate is learned, and how many of them have a field."""
         self._vqf: VQF | None = None
         self._interval_s = 0.0
         self._bias_known = False
@@ -115,23 +113,32 @@ class Fusion:
         m/s², and the magnetic field, any unit, both zero where there is none.  VQF estimates the bias unless
         it is known, and the angles are without it.
         """
-        rows = np.zeros(len(time_ns), ROW)
-        for name in ("quat6d", "acc_quat", "gyr_quat", "low_force", "delta"):
-            rows[name] = math.nan
+        unknown = [math.nan] * 4, [math.nan] * 4, math.nan, math.nan, 0, 0
+        rows = np.full(len(time_ns), np.array(unknown, ROW))
         changes = np.flatnonzero(begins | np.diff(bias_known, prepend=False)).tolist()
         for start, stop in pairwise(sorted({0, len(rows), *changes})):
             if begins[start]:
                 self.restarts += self.begun
                 self._begin()
-            angle, accel, field = (values[start:stop] for values in sensors)
-            first = self._learn_rate(time_ns[start:stop], accel, field)
-            if first < stop - start:
-                part = rows[start + first : stop]
-                self._follow(part, angle[first:], accel[first:], field[first:], bool(bias_known[start]))
+            while self._vqf is None and start < stop:
+                self._learn_rate(int(time_ns[start]), *(values[start] for values in sensors[1:]))
+                start += 1
+            if start < stop:
+                given = (values[start:stop] for values in sensors)
+                self._follow(rows[start:stop], bool(bias_known[start]), *given)
         return rows
 
+    def _learn_rate(self, time_ns: int, accel: FloatArray, field: FloatArray) -> None:
+        """Take the time of a sample; make the filter when the first intervals are known."""
+        self._first_ns.append(time_ns)
+        self._fields += bool(field.any())
+        if len(self._first_ns) > RATE_SAMPLES and accel.any():
+            self._interval_s = max(float(np.median(np.diff(self._first_ns))), 1.0) * 1e-9
+            field_s = self._interval_s * len(self._first_ns) / (self._fields or len(self._first_ns))
+            self._vqf = VQF(self._interval_s, magTs=field_s, tauAcc=TAU_ACC_S, tauMag=TAU_MAG_S)
+
     def _follow(
-        self, rows: Rows, angle: FloatArray, accel: FloatArray, field: FloatArray, bias_known: bool
+        self, rows: Rows, bias_known: bool, angle: FloatArray, accel: FloatArray, field: FloatArray
     ) -> None:
         """Fill in rows, once the rate is known."""
         vqf = self._vqf
@@ -142,8 +149,7 @@ class Fusion:
             vqf.setMotionBiasEstEnabled(not bias_known)
             vqf.setRestBiasEstEnabled(not bias_known)
         found = vqf.updateBatchFullState(angle * (1.0 / self._interval_s), accel, field)
-        for name, of_vqf in (("quat6d", "quat6D"), ("acc_quat", "accQuat"), ("gyr_quat", "gyrQuat")):
-            rows[name] = found[of_vqf]
+        rows["quat6d"], rows["gyr_quat"] = found["quat6D"], found["gyrQuat"]
         rows["low_force"] = np.sqrt((found["lastAccLp"] ** 2).sum(1))
         if not self.begun:
             self._delta = float(heading(rows["quat6d"][:1])[0]) - self._begins_at
@@ -153,16 +159,3 @@ class Fusion:
         disturbed = found["magDistDetected"] & (found["magRefNorm"] > 0.0)
         rows["follows"] = ~disturbed | (found["magRejectT"] > vqf.params["magMaxRejectionTime"])
         self.north, self.disturbed = bool(rows["north"][-1]), bool(disturbed[-1])
-
-    def _learn_rate(self, time_ns: IntArray, accel: FloatArray, field: FloatArray) -> int:
-        """Take the rate from the first intervals; return the first row that the filter may have."""
-        start = 0
-        while self._vqf is None and start < len(time_ns):
-            self._first.append(int(time_ns[start]))
-            self._fields += bool(field[start].any())
-            if len(self._first) > RATE_SAMPLES and accel[start].any():
-                self._interval_s = max(float(np.median(np.diff(self._first))), 1.0) * 1e-9
-                field_s = self._interval_s * (len(self._first) / self._fields if self._fields else 1.0)
-                self._vqf = VQF(self._interval_s, magTs=field_s, tauAcc=TAU_ACC_S, tauMag=TAU_MAG_S)
-            start += 1
-        return start

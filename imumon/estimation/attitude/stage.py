@@ -146,11 +146,11 @@ class AttitudeEstimate:
         self._field = np.where(np.isfinite(field), field, self._field)
         if not end["low_force"] > 0.0:
             return math.nan, math.nan, 0.0
-        body, leveled, carried = matrices(np.array([end["quat6d"], end["acc_quat"], end["gyr_quat"]]))
+        body, carried = matrices(np.array([end["quat6d"], end["gyr_quat"]]))
         slot = Slot(
             end,
             rest=bool(slots.smallest[k, 9] == 1.0),
-            up=leveled[2],
+            up=carried @ body[2],
             up_body=body[2],
             wrong_turns=carried @ turn.rotation.T @ turn.by_scale.reshape(3, 9),
             missed=turn.missed,
