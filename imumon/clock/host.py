@@ -260,6 +260,15 @@ def _slope(hull: IntArray, k: int) -> float:
 
 
 @inner
+def _edge_at(hull: IntArray, last: int, x: float) -> int:
+    """Return the edge of a hull, of `last`, over an abscissa."""
+    edge = 0
+    while edge < last - 1 and hull[edge + 1, 0] < x:
+        edge += 1
+    return edge
+
+
+@inner
 def _support(fit: _Fit, limit: float) -> None:
     """Choose the line: slope of the chord, drawn to zero while unsure, and the vertex it then touches."""
     hull, last = fit.hull, fit.corners - 1
@@ -269,7 +278,7 @@ def _support(fit: _Fit, limit: float) -> None:
         return
     span = float(hull[last, 0] - hull[0, 0])
     x_left, x_right = hull[0, 0] + MARGIN * span, hull[last, 0] - MARGIN * span
-    left, k = np.searchsorted(hull[1:last, 0], x_left), np.searchsorted(hull[1:last, 0], x_right)
+    left, k = _edge_at(hull, last, x_left), _edge_at(hull, last, x_right)
     y_left = hull[left, 1] + _slope(hull, left) * (x_left - hull[left, 0])
     y_right = hull[k, 1] + _slope(hull, k) * (x_right - hull[k, 0])
     chord = (y_right - y_left) / (x_right - x_left)
