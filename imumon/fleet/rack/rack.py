@@ -24,6 +24,8 @@ from imumon.view.items import Instant, Log, State, ViewItem, ViewSetup
 LOG_NAME = "rack.jsonl"
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 10.0
 """A unit that dies is begun anew after the first, one that dies again after twice as long, up to the last."""
+STEADY_S = 30.0
+"""One that lived this long is begun anew after the first."""
 OVERVIEW_S = 1.0
 FIRST_WORD_S, HANGS_S, KILLED_S = 120.0, 5.0, 35.0
 """A process that says nothing for so long hangs, and is killed.  Its first word may come later: after an
@@ -99,6 +101,8 @@ class Unit:
     """Exit codes of the processes that ended without being asked."""
     interrupted: list[str] = field(default_factory=list)
     """Their sessions."""
+    pause_s: float = FIRST_PAUSE_S
+    """How long it waited for its process."""
     begin_s: float = 0.0
     """When its process is to be begun."""
     summaries: list[dict[str, object]] = field(default_factory=list)
@@ -282,11 +286,12 @@ class Rack:
             unit.interrupted.append(unit.vitals.session)
         if died:
             unit.deaths.append(code)
-            pause_s = min(FIRST_PAUSE_S * 2.0 ** min(len(unit.deaths) - 1, 10), LONGEST_PAUSE_S)
-            unit.begin_s = time.monotonic() + pause_s
+            steady = time.monotonic() - unit.begin_s > STEADY_S
+            unit.pause_s = FIRST_PAUSE_S if steady else min(2.0 * unit.pause_s, LONGEST_PAUSE_S)
+            unit.begin_s = time.monotonic() + unit.pause_s
             how = f"signal {-code}" if code < 0 else f"exit code {code}"
             kept = f"; {unit.vitals.session} has what had arrived" if unit.vitals.session else ""
-            self._say(unit, "ERROR", f"its process died ({how}){kept}; a new one in {pause_s:g} s")
+            self._say(unit, "ERROR", f"its process died ({how}){kept}; a new one in {unit.pause_s:g} s")
             self._show(unit, State(_now(), "unit", f"DEAD: {how}", Level.BAD))
 
     def _say(self, unit: Unit, level: str, text: str) -> None:
