@@ -44,3 +44,8 @@ def test_a_changed_bias_alone_leaves_a_turn_possible() -> None:
     assert round(largest, 1) == 6.2
     assert round(1.0 / (1.0 + largest), 2) == 0.14
     assert probability_of_turn(rate(9.0), LIMITS) < 0.05 < probability_of_turn(rate(9.5), LIMITS)
+
+
+def test_after_an_earlier_change_a_turn_is_likelier() -> None:
+    found = [probability_of_turn(rate(dph, changes=1), LIMITS) for dph in (9, 22, 36, 99, 180, 324, 1800)]
+    assert np.round(found, 2).tolist() == [0.09, 0.18, 0.24, 0.4, 0.53, 0.67, 0.92]
