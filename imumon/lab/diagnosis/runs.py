@@ -60,13 +60,16 @@ class Samples(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Origin:
-    """Where a run comes from: session or table, its number in it, fingerprint of its bytes, and unit."""
+    """Where a run comes from: session or table, its number in it, fingerprint of its bytes, and unit.
+
+    Two are the same whose bytes are, whatever their names.
+    """
 
     session: str = field(compare=False)
     index: int
     sha256: str
-    device: str | None = None
-    serial: str | None = None
+    device: str | None = field(default=None, compare=False)
+    serial: str | None = field(default=None, compare=False)
 
 
 @dataclass(slots=True)
