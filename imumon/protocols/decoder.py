@@ -20,8 +20,6 @@ from imumon.protocols.framing import BAD_SUM, IMPOSSIBLE, Candidates, Found, Fra
 from imumon.protocols.numbers import Layout
 from imumon.transport.statistics import Counters
 
-MOST_AT_ONCE = 1 << 20
-"""Bytes that are searched at once at the most: what is made of them takes twenty times as much memory."""
 MOST_NOTICES = 1000
 """Different notices that a decoder gives at the most; more would be a stream of rubbish."""
 MOST_LAYOUTS = 4096
@@ -101,8 +99,8 @@ class Decoder:
         """Take the bytes of several reads: of each where it ends in the data, and when it arrived."""
         self._ends.append(ends + self._received)
         self._times.append(arrivals_ns.copy())
-        for start in range(0, len(data), MOST_AT_ONCE):
-            part = bytes(data[start : start + MOST_AT_ONCE])
+        for start in range(0, len(data), CHUNK):
+            part = bytes(data[start : start + CHUNK])
             self._parts.append(part)
             self._waiting += len(part)
             self._received += len(part)

@@ -17,7 +17,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from imumon.blocks import IntArray, SampleBlock
+from imumon.blocks import BoolArray, IntArray, SampleBlock
 from imumon.columns import KNOWN
 from imumon.protocols import vectornav_fields as tables
 from imumon.protocols.base import LONGEST_PACKET, MAIN, ByteArray, Encoder, Timing, chosen
@@ -89,9 +89,26 @@ def _contents(packet: bytes) -> Contents | int:
     return Contents(tuple(fields), at, end) if items else IMPOSSIBLE
 
 
+KNOWN_BITS = np.array([0] + [len(tables.GROUPS[(m & -m).bit_length()]) for m in range(1, 128)])
+"""Fields of the first group that a group byte names."""
+KNOWN_SECOND = 1 << tables.GNSS3 - 8
+"""Groups of a second group byte."""
+
+
+def _hopeless(held: ByteArray, at: IntArray) -> BoolArray:
+    """Tell where the first groups show that there is no packet: most of what only looks like one."""
+    rows = np.flatnonzero(at + MOST_HEADER + 4 <= len(held))
+    groups, low, high = (held[at[rows] + k].astype(np.int64) for k in (1, 2, 3))
+    word = low | (high & np.where(groups & 1, 0xFF, 0x7F)) << 8
+    found = np.zeros(len(at), np.bool_)
+    found[rows] = np.where(groups < 0x80, word >> KNOWN_BITS[groups & 0x7F] > 0, low & ~KNOWN_SECOND > 0)
+    return found
+
+
 def _lengths(held: ByteArray, at: IntArray) -> IntArray:
     """Return the length of the packet at each place; see `framing.Lengths`."""
-    length, left, stream = np.zeros(len(at), np.int64), np.arange(len(at)), held.tobytes()
+    hopeless, stream = _hopeless(held, at), held.tobytes()
+    length, left = np.where(hopeless, IMPOSSIBLE, 0), np.flatnonzero(~hopeless)
     for _ in range(min(KINDS, len(at))):
         if not len(left):
             break

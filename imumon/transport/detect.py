@@ -168,15 +168,10 @@ def detect(
         if any(item.verdict is Verdict.FRAMES for item in evidence):
             break
         rates = [item.baudrate for item in evidence if item.tells_the_rate and item.baudrate][:1] or rates
+    order = [*Verdict]
     return sorted(
         evidence,
-        key=lambda item: (
-            [*Verdict].index(item.verdict),
-            not item.samples,
-            -item.share_framed,
-            -item.packets,
-            item.checksum_errors,
-        ),
+        key=lambda e: (order.index(e.verdict), not e.samples, -e.share_framed, -e.packets, e.checksum_errors),
     )
 
 

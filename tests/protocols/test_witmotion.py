@@ -17,7 +17,7 @@ COMBINED = bytes.fromhex("5561 d8fd3905de05 bb01ff00fbff ab0fb1ed808a 1a0616 0e2
 
 
 def test_a_frame_worked_out_by_hand() -> None:
-    block = feed_in_chunks(FAMILY.decodes(FAMILY, None), bytes.fromhex("5551000000000008C4097B"), [4])
+    block = feed_in_chunks(WitMotionDecoder(), bytes.fromhex("5551000000000008C4097B"), [4])
     assert block["accel_z"][0] == pytest.approx(9.80665)
     assert block["temperature"][0] == pytest.approx(25.0)
 
@@ -37,7 +37,7 @@ def test_frames_of_one_sample_are_one_row() -> None:
 
 
 def test_the_combined_form_counts_when_the_next_follows() -> None:
-    decoder = FAMILY.decodes(FAMILY, None)
+    decoder = WitMotionDecoder()
     block = feed_in_chunks(decoder, COMBINED * 3, [9])
     assert len(block) == 2
     assert block["accel_x"][0] / 9.80665 == pytest.approx(-0.2695, abs=1e-4)
@@ -49,7 +49,7 @@ def test_the_combined_form_counts_when_the_next_follows() -> None:
 
 
 def test_the_short_combined_form() -> None:
-    block = feed_in_chunks(FAMILY.decodes(FAMILY, None), COMBINED[:20] * 4, [7])
+    block = feed_in_chunks(WitMotionDecoder(), COMBINED[:20] * 4, [7])
     assert len(block) == 3
     assert "device_ticks" not in block
 
@@ -57,7 +57,7 @@ def test_the_short_combined_form() -> None:
 @pytest.mark.parametrize(("zeros", "said"), [(9, False), (10, True)])
 def test_rates_of_exactly_zero_are_said(zeros: int, said: bool) -> None:
     rate = np.r_[np.ones(20), np.zeros(zeros), np.ones(20)]
-    decoder = FAMILY.decodes(FAMILY, None)
+    decoder = WitMotionDecoder()
     for packet in TableEncoder(FAMILY, ["gyro"]).encode(SampleBlock({"gyro_z": rate})):
         decoder.feed(packet, 0)
         decoder.take()
@@ -67,7 +67,7 @@ def test_rates_of_exactly_zero_are_said(zeros: int, said: bool) -> None:
 def test_a_position_is_in_degrees() -> None:
     value = 12_030_00000  # 120 degrees, 30.00000 minutes
     body = bytes([0x55, 0x57]) + value.to_bytes(4, "little") + (-value).to_bytes(4, "little", signed=True)
-    block = feed_in_chunks(FAMILY.decodes(FAMILY, None), body + bytes([sum(body) & 0xFF]), [3])
+    block = feed_in_chunks(WitMotionDecoder(), body + bytes([sum(body) & 0xFF]), [3])
     assert block["longitude"][0] == pytest.approx(120.5)
     assert block["latitude"][0] == pytest.approx(-120.5)
 
