@@ -94,12 +94,15 @@ def aligned(held: ByteArray, first: IntArray, last: IntArray) -> Iterator[tuple[
     usual = int(np.argmax(np.bincount(sizes))) if len(sizes) else 0
     which = np.flatnonzero(sizes == usual)
     yield which, windows(held, first[which], usual)
-    octaves = np.where(sizes == usual, 0, np.frexp(sizes)[1] + 1)
-    for octave in np.flatnonzero(np.bincount(octaves, minlength=1)[1:]).tolist():
+    if len(which) == len(sizes):
+        return
+    most, octaves = int(sizes.max()), np.where(sizes == usual, 0, np.frexp(sizes)[1] + 1)
+    padded = np.concatenate([np.zeros(most, np.uint8), held])
+    for octave in np.flatnonzero(np.bincount(octaves)[1:]).tolist():
         which = np.flatnonzero(octaves == octave + 1)
         size = sizes[which, np.newaxis]
         longest = int(size.max())
-        data = windows(np.pad(held, (longest, 0)), last[which], longest)
+        data = windows(padded, last[which] + most - longest, longest)
         yield which, np.where(np.arange(longest) < longest - size, np.uint8(0), data)
 
 
