@@ -50,9 +50,8 @@ def command(session: Path, out: Path, model: Path | None, plot: Path | None, as_
         return [f"{session}: {text}" for text in recording.warnings()]
 
     with with_warnings(warnings):
-        blocks = list(recording.blocks())
-        fit = fit_magnetometer(blocks, units.get("mag_x", "uT"), str(session))
-        axes = axes_of(blocks, fit.model)
+        fit = fit_magnetometer(recording.blocks(), units.get("mag_x", "uT"), str(session))
+        axes = axes_of(open_recording(session).blocks(), fit.model)  # read again: it may not fit in memory
         texts = [*fit.doubts, *doubts(axes, str(session))]
     named = {"session": recording.name, "sha256": recording.sha256()}
     found = fit.model.model_copy(update=named)

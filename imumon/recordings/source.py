@@ -14,22 +14,18 @@ from imumon.files import readable
 from imumon.pipeline import UNDATED, Pipeline
 from imumon.protocols.device import DeviceFile, load_device, parse_device
 from imumon.protocols.ranges import Ranges, declared
-from imumon.recordings.folder import (
-    METADATA_NAME,
-    Session,
-    begun_of,
-    is_session,
-    open_session,
-)
+from imumon.recordings.folder import METADATA_NAME, Session, begun_of, is_session, iso_utc, open_session
 from imumon.recordings.importing import TableImport
 from imumon.recordings.table import SUFFIXES, iterate_samples, read_columns
 from imumon.recordings.wire_format import is_wire
-from imumon.recordings.wire_reader import WireReader, WireSummary
+from imumon.recordings.wire_reader import Place, WireReader, WireSummary
 from imumon.transport.reader import Bytes, EventKind, Item, Reads
 
 READ_SIZE = 1 << 16
 RECORDING = "recording: "
 """What a warning begins with that says what a recording lacks."""
+SHOWN_PLACES = 5
+"""Damaged places that are reported one by one."""
 BATCH_BYTES = 1 << 19
 """Samples are handed on about as often as so many bytes were fed: thousands at once, as each block costs."""
 
@@ -89,62 +85,86 @@ class Source:
             return self.lacks(self.items.summary)
         return [] if self.table is None else self.table.warnings()
 
-    def lacks(self, found: WireSummary) -> list[str]:
+    def lacks(self, summary: WireSummary) -> list[str]:
         """Return what a wire file and its session lack, one sentence each, by what was found in the file."""
-        name, damage, session = self.path.name, found.damage, self.session
-        interrupted, missing = session is not None and session.state == "interrupted", 0
-        if session is not None:
-            name, missing = session.wire_path.name, bytes_missing(session, found)
-        unfinished = session is not None and not (interrupted or missing or found.complete)
-        sent = found.bytes + found.bytes_unrecorded + missing
-        verb = "is damaged" if damage.places > found.recovered.places else "was damaged, then recovered,"
-        texts = {
-            "the session was not closed: it is still being recorded, or was interrupted": interrupted,
-            f"{missing:,} bytes are not in {name}, of the {sent:,} that had come from the device as"
-            f" {METADATA_NAME} says": missing,
-            f"the end of {name} is missing, though the session was closed": unfinished,
-            f"{found.tail_bytes:,} bytes at the end of {name} are not a whole block": found.tail_bytes,
-            f"{found.bytes_unrecorded:,} bytes could not be recorded at the time, or were lost since": (
-                found.bytes_unrecorded
-            ),
-            f"{name} {verb} in {damage.places:,} place(s), {damage.seconds:.3f} s in all: {damage.messages:,}"
-            f" reads or events missing, {damage.bytes:,} bytes of no use; --json has the places": (
-                damage.places
-            ),
-            f"{name} was changed after it was recorded: its checksum differs": found.checksum_ok is False,
-        }
-        return [f"{RECORDING}{text}" for text, applies in texts.items() if applies]
+        name, texts = self.path.name if self.session is None else self.session.wire_path.name, list[str]()
+        if self.session is not None and self.session.state == "interrupted":
+            texts.append("the session was not closed: it is still being recorded, or was interrupted")
+        missing = 0 if self.session is None else bytes_missing(self.session, summary)
+        if missing:
+            sent = summary.bytes + summary.bytes_unrecorded + missing
+            texts.append(
+                f"{missing:,} bytes are not in {name}, of the {sent:,} that had come from the device as"
+                f" {METADATA_NAME} says"
+            )
+        elif self.session is not None and self.session.state == "closed" and not summary.complete:
+            texts.append(f"the end of {name} is missing, though the session was closed")
+        if summary.tail_bytes:
+            texts.append(f"{summary.tail_bytes:,} bytes at the end of {name} are not a whole block")
+        if summary.bytes_unrecorded:
+            texts.append(
+                f"{summary.bytes_unrecorded:,} bytes could not be recorded at the time, or were lost since"
+            )
+        damage = summary.damage
+        if damage.places:
+            is_damaged = damage.places > summary.recovered.places
+            verb = "is damaged" if is_damaged else "was damaged, before it was recovered,"
+            count = f"{damage.places:,} place{'s' if damage.places > 1 else ''}"
+            texts.append(
+                f"{name} {verb} in {count}, {damage.seconds:.3f} s in all: {damage.messages:,} reads or"
+                f" events missing, {damage.bytes:,} bytes of no use"
+            )
+        texts += [f"damaged: {self._described(place)}" for place in damage.where[:SHOWN_PLACES]]
+        if damage.places > SHOWN_PLACES:
+            texts.append(f"damaged: {damage.places - SHOWN_PLACES:,} more places, the first with --json")
+        if summary.checksum_ok is False:
+            texts.append(f"{name} was changed after it was recorded: its checksum differs")
+        return [f"{RECORDING}{text}" for text in texts]
 
     def losses(self) -> dict[str, Any]:
         """Return what is missing from the recording as ``--json`` has it, as it is known after the run."""
         if not isinstance(self.items, WireReader):
             return {}
-        found, began_ns = self.items.summary, 0
-        if self.session is not None:
-            began_ns = self.session.metadata.created_ns
+        summary = self.items.summary
+        damage = asdict(summary.damage)
         where = [
             {
                 "offset": place.offset,
                 "bytes": place.size,
-                "at_s": round((place.after_ns - began_ns) * 1e-9, 6) if began_ns and place.after_ns else None,
+                "at_s": None if (at_s := self._since(place)) is None else round(at_s, 6),
                 "seconds": place.seconds,
                 "after_ns": place.after_ns or None,
                 "before_ns": place.before_ns or None,
                 "messages": place.messages,
                 "altered": False,  # blocks that are not as they were written are left out
             }
-            for place in found.damage.where
+            for place in summary.damage.where
         ]
         return {
             "recording": {
-                "complete": found.complete,
-                "checksum_ok": found.checksum_ok,
-                "bytes_unrecorded": found.bytes_unrecorded,
-                "tail_bytes": found.tail_bytes,
-                "bytes_missing": 0 if self.session is None else bytes_missing(self.session, found),
-                "damage": {**asdict(found.damage), "events": 0, "bytes_altered": 0, "where": where},
+                "complete": summary.complete,
+                "checksum_ok": summary.checksum_ok,
+                "bytes_unrecorded": summary.bytes_unrecorded,
+                "tail_bytes": summary.tail_bytes,
+                "bytes_missing": 0 if self.session is None else bytes_missing(self.session, summary),
+                "damage": {**damage, "events": 0, "bytes_altered": 0, "where": where},
             }
         }
+
+    def _since(self, place: Place) -> float | None:
+        """Return when a damaged place begins, s after the start of the session; None where not known."""
+        if not place.after_ns or self.session is None:
+            return None
+        return (place.after_ns - self.session.metadata.created_ns) * 1e-9
+
+    def _described(self, place: Place) -> str:
+        where = f"{place.size:,} bytes at byte {place.offset:,}" if place.size else "cut out"
+        missing = f"{place.messages:,} missing" if place.messages or place.size else "how many is not known"
+        if not place.after_ns:
+            return f"{where}, before the first message ({missing})"
+        when = f"{place.seconds:.3f} s from {iso_utc(place.after_ns)}"
+        when += "" if (since := self._since(place)) is None else f", {since:.3f} s after the start"
+        return f"{where}, {when} ({missing})"
 
 
 def bytes_missing(session: Session, summary: WireSummary) -> int:

@@ -5,6 +5,7 @@ A file that is replaced stays beside the new one.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import dataclass, field
@@ -144,7 +145,7 @@ def rewrite(path: Path, bytes_missing: int = 0, ended_ns: int = 0) -> Path:
 
     What is missing is noted in the new file at its place.  How many bytes of the device are missing in all,
     and when the recording ended, is noted at its end, where the session knows it.  The new file takes the
-    name of the old one when it is on the medium.
+    name of the old one when it is on the medium, and so is its name in the end.
 
     Raises OSError when the disk is full or fails; the file is then as it was.
     """
@@ -158,7 +159,13 @@ def rewrite(path: Path, bytes_missing: int = 0, ended_ns: int = 0) -> Path:
                 if flushed > FLUSH_BYTES:
                     writer.flush()
                     flushed = 0
-        return _keep_original(path)
+        original = _keep_original(path)
+    names = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(names)
+    finally:
+        os.close(names)
+    return original
 
 
 def _keep_original(path: Path) -> Path:
