@@ -12,6 +12,8 @@ Bar-Shalom, Li and Kirubarajan, Estimation with Applications to Tracking and Nav
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -60,6 +62,9 @@ JERK_PSDS = 10.0 ** (-23.0 + 2.5 * np.arange(9.0))
 least, 0.17 °C/h in a day; with the largest, 1 °C/min in a second."""
 CHANGE_PER_S = 2e-3
 """Probability per second that the jerk PSD changes to a neighbour's."""
+DIFFERENCES = np.diff(np.eye(len(JERK_PSDS)), axis=0)
+GENERATOR = -0.5 * DIFFERENCES.T @ DIFFERENCES
+"""The transition matrix is M = I + p GENERATOR, (m, m), for a change with the probability p, up or down."""
 
 
 class Correction(NamedTuple):
@@ -72,7 +77,8 @@ class Correction(NamedTuple):
     log_likelihood: FloatArray
 
 
-class Filters(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Filters:
     """The filters of one thermometer, and the time that x refers to, s.
 
     The reading before its white noise and steps is y = H x with H = [1, 0, 0, 1].
@@ -82,8 +88,10 @@ class Filters(NamedTuple):
     p: FloatArray
     mu: FloatArray
     time_s: float
+    slow: tuple[FloatArray, FloatArray]
+    """What `slow_error` returned when x was predicted."""
 
-    @property
+    @cached_property
     def reading(self) -> tuple[FloatArray, FloatArray]:
         """Mean and variance of y of every filter, °C and °C², (k, m)."""
         x, p = self.x, self.p
@@ -99,8 +107,8 @@ def start(thermometer: Thermometer, slot: Slot) -> Filters:
     p[TEMPERATURE, TEMPERATURE] = thermometer.step**2 + thermometer.rho + slot.variance
     p[RATE, RATE] = FASTEST_RATE**2
     p[ACCELERATION, ACCELERATION] = np.minimum(START_ACCELERATION**2, JERK_PSDS * LONG_S)
-    p[ERROR, ERROR] = slow_error(thermometer)[0]
-    return Filters(x, p, np.full((k, m), 1.0 / (k * m)), slot.time_s)
+    p[ERROR, ERROR], _ = slow = slow_error(thermometer)
+    return Filters(x, p, np.full((k, m), 1.0 / (k * m)), slot.time_s, slow)
 
 
 def slow_error(thermometer: Thermometer) -> tuple[FloatArray, FloatArray]:
@@ -114,23 +122,21 @@ def slow_error(thermometer: Thermometer) -> tuple[FloatArray, FloatArray]:
     return slow * scale, walk_per_s * walk_scale
 
 
-def mix(filters: Filters, dt: float) -> Filters:
-    """Return the mixed initial condition of each jerk PSD, and the predicted mode probabilities c̄.
+def mix(filters: Filters, dt: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the mixed initial conditions x and P of each jerk PSD, and the predicted mode probabilities c̄.
 
     With the transition matrix M and the mixing probabilities ω_ij = M_ij μ_i / c̄_j, mode j begins with
     x_0j = Σ_i ω_ij x_i and the covariance Σ_i ω_ij (P_i + d_i d_iᵀ), d_i = x_i - x_0j.  Sums are of
-    differences from the mean over all modes, so that a large mean costs no digits.
+    differences from one of the modes, so that a large mean costs no digits.
     """
-    x, p, mu, _ = filters
-    m, change = len(JERK_PSDS), min(dt * CHANGE_PER_S, 0.4)
-    transition = change / 2.0 * (np.eye(m, k=1) + np.eye(m, k=-1))
-    transition[np.diag_indices(m)] += 1.0 - transition.sum(axis=1)
+    x, mu = filters.x, filters.mu
+    transition = np.eye(mu.shape[1]) + min(dt * CHANGE_PER_S, 0.4) * GENERATOR
     predicted = mu @ transition
-    centre = x.mean(-1, keepdims=True)
-    off = x - centre
+    one = x[..., :1]
+    off = x - one
     mixed = (mu * off) @ transition / predicted
-    second = (mu * (p + off[:, np.newaxis] * off)) @ transition / predicted
-    return filters._replace(x=mixed + centre, p=second - mixed[:, np.newaxis] * mixed, mu=predicted)
+    second = (mu * (filters.p + off[:, np.newaxis] * off)) @ transition / predicted
+    return mixed + one, second - mixed[:, np.newaxis] * mixed, predicted
 
 
 def predict(thermometer: Thermometer, filters: Filters, time_s: float) -> Filters:
@@ -140,34 +146,38 @@ def predict(thermometer: Thermometer, filters: Filters, time_s: float) -> Filter
     own: it is process noise of T, and what it gains in `LONG_S` is added in the output.
     """
     dt = max(time_s - filters.time_s, 0.0)
-    f: FloatArray = np.eye(STATES)  # with 1 in place of φ, which depends on the noise model
-    f[TEMPERATURE, RATE] = f[RATE, ACCELERATION] = dt
-    f[TEMPERATURE, ACCELERATION] = 0.5 * dt**2
-    decay = np.ones((STATES, NOISE.shape[1], 1))
-    decay[ERROR] = np.exp(-dt / NOISE[2])
-    by_jerk = np.array([[dt**2 / 2.0], [dt], [1.0]])  # Q is the integral of (t²/2, t, 1) times its transpose
-    q = dt * by_jerk * by_jerk.T / np.array([[5.0, 4.0, 3.0], [4.0, 3.0, 2.0], [3.0, 2.0, 1.0]])
-    x, p, mu, _ = mix(filters, dt)
-    x = np.tensordot(f, x, 1) * decay
-    p = np.tensordot(f, np.tensordot(f, p, 1).swapaxes(0, 1), 1) * (decay * decay[:, np.newaxis])
-    variance, walk = slow_error(thermometer)
+    x, p, mu = mix(filters, dt)
+    half = dt**2 / 2.0
+    f = np.array([[1.0, dt, half, 0.0], [0.0, 1.0, dt, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
+    q = np.array([[dt**5 / 20, dt**4 / 8, dt**3 / 6], [dt**4 / 8, dt**3 / 3, half], [dt**3 / 6, half, dt]])
+    x, p = _times(f, x), _times(f, _times(f, p).swapaxes(0, 1))
     p[:ERROR, :ERROR] += q[:, :, np.newaxis, np.newaxis] * JERK_PSDS
-    p[ERROR, ERROR] += variance * (1.0 - decay[ERROR] ** 2)
-    p[TEMPERATURE, TEMPERATURE] += walk * dt
-    return Filters(x, p, mu, max(time_s, filters.time_s))
+    variance, walk_per_s = slow = slow_error(thermometer)
+    phi = np.exp(-dt / NOISE[2])  # depends on the noise model, so F has 1 in its place
+    x[ERROR] *= phi
+    p[ERROR] *= phi
+    p[:, ERROR] *= phi
+    p[ERROR, ERROR] += variance * (1.0 - phi**2)
+    p[TEMPERATURE, TEMPERATURE] += walk_per_s * dt
+    return Filters(x, p, mu, max(time_s, filters.time_s), slow)
+
+
+def _times(f: FloatArray, values: FloatArray) -> FloatArray:
+    """Return a matrix (4, 4) times values whose first axis is the state, (4, ...)."""
+    return (f @ values.reshape(STATES, -1)).reshape(values.shape)
 
 
 def correct(filters: Filters, correction: Correction) -> Filters:
     """Correct all filters by the evidence of a slot on y, and their probabilities by its likelihood."""
-    x, p, mu, time_s = filters
+    p = filters.p
     gain = (p[:, TEMPERATURE] + p[:, ERROR]) / filters.reading[1]  # P Hᵀ / (H P Hᵀ): how the state follows y
-    x = x + gain * correction.mean_change
+    x = filters.x + gain * correction.mean_change
     p = p + gain[:, np.newaxis] * (gain * correction.variance_change)
-    mu = mu * np.exp(correction.log_likelihood - correction.log_likelihood.max())
-    return Filters(x, p, np.maximum(mu / mu.sum(), LEAST_PROBABILITY), time_s)
+    mu = filters.mu * np.exp(correction.log_likelihood - correction.log_likelihood.max())
+    return Filters(x, p, np.maximum(mu / mu.sum(), LEAST_PROBABILITY), filters.time_s, filters.slow)
 
 
 def mixture(mu: FloatArray, mean: FloatArray, variance: FloatArray) -> tuple[float, float]:
     """Return mean and variance of one quantity over all filters; arrays are (k, m)."""
-    of_all = float((mu * mean).sum())
-    return of_all, float((mu * (variance + (mean - of_all) ** 2)).sum())
+    of_all = float(np.vdot(mu, mean))
+    return of_all, float(np.vdot(mu, variance + (mean - of_all) ** 2))

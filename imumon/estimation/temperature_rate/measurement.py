@@ -60,27 +60,34 @@ class Codes(NamedTuple):
     """Of y as these models predict it, °C and °C²."""
 
 
-def evaluate(thermometer: Thermometer, slot: Slot, filters: Filters) -> list[Correction]:
+def evaluate(thermometer: Thermometer, slot: Slot, filters: Filters) -> tuple[Correction, Correction]:
     """Return the evidence of a slot with readings for all filters, by the table above.
 
     The first is what enters the states, the second all that the slot shows, for the output.
     """
-    white, step, n = NOISE[0], thermometer.step, thermometer.independent(slot)
+    step, n = thermometer.step, thermometer.independent(slot)
+    white, _, slow_s, _ = NOISE
     mean, variance = filters.reading
     square_rate = filters.x[RATE, CODE] ** 2 + filters.p[RATE, RATE, CODE]
     noise_sd = np.sqrt(white[CODE] * step**2 + square_rate * thermometer.spacing_s**2 / 12.0)
     codes = Codes(slot, step, n, noise_sd, mean[CODE], variance[CODE])
-    span = (slot.highest - slot.lowest) / step
-    if span > 1.5 and slot.largest > slot.smallest:
-        of_codes = [_many_codes(codes)] * 2
-    elif 0.5 <= span <= 1.5:
-        of_codes = [_two_codes(codes)] * 2
-    else:
-        of_codes = _one_code(codes, 1.0 - np.exp(-thermometer.spacing_s / NOISE[2, CODE]))
     # The mean of a slot is on a lattice of d/n.
     noise = white[MEAN] * thermometer.mean_variance + (step / n) ** 2 / (2.0 * math.pi)
     of_means = _gaussian(mean[MEAN], variance[MEAN], slot.mean, noise, step / n)
-    return [Correction(*map(np.concatenate, zip(each, of_means, strict=True))) for each in of_codes]
+    span = (slot.highest - slot.lowest) / step
+    if span > 1.5 and slot.largest > slot.smallest:
+        enters = shown = _of_all(_many_codes(codes), of_means)
+    elif 0.5 <= span <= 1.5:
+        enters = shown = _of_all(_two_codes(codes), of_means)
+    else:
+        renewed = 1.0 - np.exp(-thermometer.spacing_s / slow_s[CODE])
+        enters, shown = (_of_all(each, of_means) for each in _one_code(codes, renewed))
+    return enters, shown
+
+
+def _of_all(of_codes: Correction, of_means: Correction) -> Correction:
+    """Return the evidence for the code models and the mean models as one, (k, m)."""
+    return Correction(*map(np.concatenate, zip(of_codes, of_means, strict=True)))
 
 
 def _gaussian(
@@ -121,10 +128,10 @@ def _scatter(codes: Codes, place: FloatArray, ripple: FloatArray) -> FloatArray:
 
     Rounded readings have the variance s² + d²/12 and its first harmonic in the place, both in steps.
     """
-    cosine, sine = ripple * np.cos(2.0 * math.pi * place), ripple * np.sin(2.0 * math.pi * place)
-    variance = (codes.noise_sd / codes.step) ** 2
-    harmonic = -cosine * (1.0 / math.pi**2 + 4.0 * variance) - (sine / math.pi) ** 2
-    rounded = variance + np.maximum(1.0 / 12.0 + harmonic, 0.0)
+    phase, white = 2.0 * math.pi * place, (codes.noise_sd / codes.step) ** 2
+    harmonic = -ripple * np.cos(phase) * (1.0 / math.pi**2 + 4.0 * white)
+    harmonic -= (ripple * np.sin(phase) / math.pi) ** 2
+    rounded = white + np.maximum(1.0 / 12.0 + harmonic, 0.0)
     excess = np.maximum(codes.slot.variance / (codes.step**2 * rounded), 1.0)
     # Its mean is made zero: half the time it is -χ²/2, of mean -1/2.
     return np.asarray(0.25 - 0.5 * codes.n * (excess - 1.0 - np.log(excess)))
@@ -146,7 +153,7 @@ def _two_codes(codes: Codes) -> Correction:
     return found._replace(log_likelihood=found.log_likelihood + within)
 
 
-def _one_code(codes: Codes, renewed: FloatArray) -> list[Correction]:
+def _one_code(codes: Codes, renewed: FloatArray) -> tuple[Correction, Correction]:
     """Confine y to the code; its edges are as soft as the extreme of n readings, moved in by its median.
 
     `renewed` is the share of the slow error that is new: to that share, a code that stays is new evidence.
@@ -158,28 +165,25 @@ def _one_code(codes: Codes, renewed: FloatArray) -> list[Correction]:
     half = np.maximum(0.5 * step - extreme * noise_sd, 0.1 * step)
     total_sd = np.sqrt(variance + softness**2)
     off = mean - slot.last
-    shift, kept, log_mass = truncated((-half - off) / total_sd, (half - off) / total_sd)
+    shift, kept, log_mass = truncated((-half - np.abs(off)) / total_sd, (half - np.abs(off)) / total_sd)
+    shift *= np.sign(off)
     sd = np.sqrt(variance)
     enters = (sd < SOFT * softness) | (sd > WIDE * step) | (log_mass < math.log(SURPRISE))
     gain = variance / total_sd
     change, narrowing = gain * shift, gain**2 * (kept - 1.0)
     evidence = np.where(enters, 1.0, RENEWAL * renewed) * log_mass
-    return [
-        Correction(enters * change, enters * narrowing, evidence),
-        Correction(change, narrowing, log_mass),
-    ]
+    entering = Correction(enters * change, enters * narrowing, evidence)
+    return entering, Correction(change, narrowing, log_mass)
 
 
 def truncated(low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return mean, variance and log mass of a standard normal between two bounds (Curry 1970).
 
-    Written for the lower tail, so that it is stable far out on either side.
+    The lower bound is the farther from zero: then all is stable, however far out.
     """
-    above = low > 0.0
-    a, b = np.where(above, -high, low), np.where(above, -low, high)
-    log_b = log_ndtr(b)
-    log_mass = log_b + np.log1p(-np.exp(np.minimum(log_ndtr(a) - log_b, -1e-12)))
-    at_a, at_b = (np.exp(-0.5 * bound**2 - log_mass) / ROOT_2_PI for bound in (a, b))
-    mean = np.clip(at_a - at_b, a, b)
-    variance = np.clip(1.0 + a * at_a - b * at_b - mean**2, 1e-6, 1.0)
-    return np.where(above, -mean, mean), variance, log_mass
+    log_high = log_ndtr(high)
+    log_mass = log_high + np.log1p(-np.exp(np.minimum(log_ndtr(low) - log_high, -1e-12)))
+    at_low, at_high = (np.exp(-0.5 * bound**2 - log_mass) / ROOT_2_PI for bound in (low, high))
+    mean = np.clip(at_low - at_high, low, high)
+    variance = np.clip(1.0 + low * at_low - high * at_high - mean**2, 1e-6, 1.0)
+    return mean, variance, log_mass

@@ -6,8 +6,9 @@ The gate decides what of a thermometer is a fault and not a temperature.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import fields, replace
-from typing import Literal, NamedTuple, Protocol
+from typing import Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 
@@ -20,7 +21,6 @@ from imumon.estimation.temperature_rate.filter import (
     correct,
     mixture,
     predict,
-    slow_error,
     start,
 )
 from imumon.estimation.temperature_rate.measurement import evaluate
@@ -117,13 +117,15 @@ class MultipleModelRate:
         """
         n, before = len(reading), np.array(self._output)
         slots = self._gatherer.process(time_ns, segment, reading[:, np.newaxis])
-        outputs = np.array([self._update(slots, i) for i in range(len(slots))]).reshape(-1, len(before))
+        readings = zip(*(getattr(slots, name)[:, 0].tolist() for name in SLOT_VALUES), strict=True)
+        outputs = [self._update(self._slot(slots, i, values)) for i, values in enumerate(readings)]
         ends = np.stack([slots.end_ns, slots.segment], 1)
         end_ns, of_segment = held(slots.row, ends, self._ended, n).T
         self._ended = np.array([self._ended, *ends])[-1]
         age = np.asarray((time_ns - end_ns) * 1e-9, np.float64)
         known = (segment == of_segment) & (age >= 0.0)
-        return extrapolate(age, known, reading, Output(*held(slots.row, outputs, before, n).T))
+        shown = held(slots.row, np.reshape(outputs, (-1, len(before))), before, n)
+        return extrapolate(age, known, reading, Output(*shown.T))
 
     def _begin(self, origin_ns: int) -> None:
         self.thermometer.begin()
@@ -133,11 +135,20 @@ class MultipleModelRate:
         """Outliers in a row, and the last reading of the last of them, °C."""
         self._origin_ns, self._end_s = origin_ns, 0.0
 
-    def _update(self, slots: Slots, i: int) -> Output:
-        """Process a slot; return the output from its end on."""
+    def _slot(self, slots: Slots, i: int, values: Sequence[Any]) -> Slot:
+        """Return a slot with its fields `SLOT_VALUES`; the first of a segment begins anew."""
         if slots.begins[i]:
             self._begin(int(slots.start_ns[i]))
-        thermometer, slot = self.thermometer, self._slot(slots, i)
+        start_s, end_s = (int(ns[i] - self._origin_ns) * 1e-9 for ns in (slots.start_ns, slots.end_ns))
+        sample_s, self._end_s = (end_s - self._end_s) / int(slots.samples[i]), end_s
+        slot = Slot(0.5 * (start_s + end_s), end_s, sample_s, self.thermometer.last, *values)
+        if start_s - self.thermometer.used_s >= self.thermometer.neighbour_s:
+            return replace(slot, before=slot.first)
+        return replace(slot, changes=max(slot.changes, int(slot.before != slot.first)))
+
+    def _update(self, slot: Slot) -> Output:
+        """Process a slot; return the output from its end on."""
+        thermometer = self.thermometer
         if slot.end_s - thermometer.used_s > GAP_S:
             self._filters, self._output = None, Output()
         if self._filters is not None:
@@ -151,8 +162,9 @@ class MultipleModelRate:
             self._output = Output()
         elif new and self._filters is not None and outcome == "use":
             thermometer.learn(new)
-            entering, showing = evaluate(thermometer, new, self._filters)
-            shown, self._filters = correct(self._filters, showing), correct(self._filters, entering)
+            enters, shows = evaluate(thermometer, new, self._filters)
+            predicted, self._filters = self._filters, correct(self._filters, enters)
+            shown = self._filters if shows is enters else correct(predicted, shows)
         if shown is not None:
             self._output = output(thermometer, shown, self._output, slot.end_s)
         return self._output
@@ -189,16 +201,6 @@ class MultipleModelRate:
         reach = max(GATE_STEPS * thermometer.step, moved, GATE_SIGMA * math.sqrt(noise))
         return max(slot.largest - mean, mean - slot.smallest) < reach
 
-    def _slot(self, slots: Slots, i: int) -> Slot:
-        thermometer = self.thermometer
-        start_s, end_s = (int(ns[i] - self._origin_ns) * 1e-9 for ns in (slots.start_ns, slots.end_ns))
-        sample_s, self._end_s = (end_s - self._end_s) / int(slots.samples[i]), end_s
-        values = [getattr(slots, name)[i, 0].item() for name in SLOT_VALUES]
-        slot = Slot(0.5 * (start_s + end_s), end_s, sample_s, thermometer.last, *values)
-        if start_s - thermometer.used_s >= thermometer.neighbour_s:
-            return replace(slot, before=slot.first)
-        return replace(slot, changes=max(slot.changes, int(slot.before != slot.first)))
-
 
 def output(thermometer: Thermometer, filters: Filters, before: Output, end_s: float) -> Output:
     """Return mean and standard deviation of the mixture from the end of a slot on, with what it lacks.
@@ -207,12 +209,11 @@ def output(thermometer: Thermometer, filters: Filters, before: Output, end_s: fl
     of the edges, and the time for which a reading is repeated.  To that of the rate: a ramp may just have
     begun, hidden by the temperature's sigma or by rounding, whichever is larger.
     """
-    mu, x, p = filters.mu, filters.x, filters.p
+    mu, x, p, (slow, walk_per_s) = filters.mu, filters.x, filters.p, filters.slow
     temperature, variance = mixture(mu, x[TEMPERATURE], p[TEMPERATURE, TEMPERATURE])
     rate, rate_variance = mixture(mu, x[RATE], p[RATE, RATE])
-    slow, walk = slow_error(thermometer)
     edge_sd = thermometer.step * (LINEARITY if thermometer.reversals >= REVERSALS else HYSTERESIS)
-    variance += SLOW_MEAN**2 * float((mu * (slow + walk * LONG_S)).sum())
+    variance += SLOW_MEAN**2 * float((mu * (slow + walk_per_s * LONG_S)).sum())
     variance += edge_sd**2 + (rate * thermometer.repeat_s) ** 2 / 3.0
     rate_variance += max(variance, thermometer.step**2 / 12.0) / RAMP_S**2
     offset = before.rate + math.exp(-(end_s - before.end_s) / LAG_S) * before.rate_offset - rate
