@@ -82,12 +82,13 @@ class Output(NamedTuple):
 
     end_s: float = 0.0
     temperature: float = math.nan
+    """°C."""
+    slope: float = math.nan
+    """Its rate, °C/s."""
     rate: float = math.nan
-    """°C and °C/s."""
+    """The rate that is reported, °C/s: it follows with `LAG_S`."""
     temperature_sd: float = math.nan
     rate_sd: float = math.nan
-    rate_offset: float = 0.0
-    """Rate of the output until `end_s` less the new rate, °C/s; it decays with `LAG_S`."""
     late_s: float = math.inf
     """Age beyond which the output does not hold, as readings are missing, s."""
     reading_sd: float = math.nan
@@ -216,14 +217,14 @@ def output(thermometer: Thermometer, filters: Filters, before: Output, end_s: fl
     variance += SLOW_MEAN**2 * float((mu * (slow + walk_per_s * LONG_S)).sum())
     variance += edge_sd**2 + (rate * thermometer.repeat_s) ** 2 / 3.0
     rate_variance += max(variance, thermometer.step**2 / 12.0) / RAMP_S**2
-    offset = before.rate + math.exp(-(end_s - before.end_s) / LAG_S) * before.rate_offset - rate
+    lag = 0.0 if math.isnan(before.rate) else math.exp(-(end_s - before.end_s) / LAG_S) * (before.rate - rate)
     return Output(
         end_s=end_s,
         temperature=temperature + (end_s - filters.time_s) * rate,
-        rate=rate,
+        slope=rate,
+        rate=rate + lag,
         temperature_sd=math.sqrt(variance),
-        rate_sd=math.sqrt(rate_variance),
-        rate_offset=0.0 if math.isnan(offset) else offset,
+        rate_sd=math.sqrt(rate_variance + lag**2),
         late_s=SLOT_S + thermometer.neighbour_s,
         reading_sd=math.sqrt(thermometer.step**2 / 12.0 + max(thermometer.scatter, thermometer.rho)),
     )
@@ -236,15 +237,12 @@ def extrapolate(age: FloatArray, known: BoolArray, reading: FloatArray, shown: O
     with its standard deviation (NaN while it is unknown), and the last rate or zero, ± `FASTEST_RATE`.
     """
     known = known & (age <= shown.late_s)
-    fading = np.exp(-age / LAG_S, where=known, out=np.zeros_like(age)) * shown.rate_offset
     # A slot is known when the next begins; readings farther apart leave the temperature to the rate.
     waited = np.maximum(age - 2.0 * SLOT_S, 0.0)
     unknown = 0.0 * reading
     return RateEstimate(
-        temperature=np.where(known, shown.temperature + age * shown.rate, reading),
-        rate=np.where(known, shown.rate + fading, unknown + np.nan_to_num(shown.rate)),
-        temperature_sd=np.where(
-            known, np.hypot(shown.temperature_sd, waited * shown.rate_sd), unknown + shown.reading_sd
-        ),
-        rate_sd=np.where(known, np.hypot(shown.rate_sd, fading), unknown + FASTEST_RATE),
+        np.where(known, shown.temperature + age * shown.slope, reading),
+        np.where(known, shown.rate, unknown + np.nan_to_num(shown.rate)),
+        np.where(known, np.hypot(shown.temperature_sd, waited * shown.rate_sd), unknown + shown.reading_sd),
+        np.where(known, shown.rate_sd, unknown + FASTEST_RATE),
     )
