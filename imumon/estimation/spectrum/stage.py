@@ -114,6 +114,9 @@ FLOOR_BINS = 15
 """The floor under a line is the median over so many bins on one side, beyond the bin itself."""
 HALF_LINE = 2
 """A line of a Hann window has its power in its bin and so many on either side."""
+OVERLAP_COST = 19.0 / 18.0
+"""Variance of half-overlapping Hann segments over that of as many independent ones, for many: Welch, section
+on overlapped segments, 1 + 2 ρ² with ρ² = (1/6)²."""
 
 
 class Spectrum(NamedTuple):
@@ -147,14 +150,13 @@ def peaks(spectrum: Spectrum) -> list[Peak]:
     from scipy.special import gammaincinv  # 0.1 s, which no command spends before the first spectrum
 
     frequency, density, segments = spectrum
+    shape = segments / OVERLAP_COST  # of the gamma distribution of a mean of so many exponential variables
     # The first bins are left out: subtracting the mean of a segment has lowered them.
     padded = np.pad(density[HALF_LINE:], (HALF_LINE + FLOOR_BINS, FLOOR_BINS), "edge")
     medians = np.median(np.lib.stride_tricks.sliding_window_view(padded, FLOOR_BINS), axis=1)
     # The higher of the medians below and above each bin, so that the flank of a steep floor is no line.
     sides = np.maximum(medians[: len(density)], medians[-len(density) :])
-    # A mean of so many exponential variables has a gamma distribution of this shape; that segments overlap
-    # changes it by 5 %.
-    median, limit = gammaincinv(segments, [0.5, 1.0 - FALSE_ALARM / len(density)]) / segments
+    median, limit = gammaincinv(shape, [0.5, 1.0 - FALSE_ALARM / len(density)]) / shape
     floor = sides / median
     inner = np.arange(HALF_LINE + 1, len(density) - 1)
     top = (density[inner] >= density[inner - 1]) & (density[inner] > density[inner + 1])
