@@ -161,16 +161,14 @@ def _one_code(codes: Codes, renewed: FloatArray) -> tuple[Correction, Correction
     """
     slot, step, n, noise_sd, mean, variance = codes
     extreme = float(ndtri(2.0 ** (-1.0 / n)))
-    softness = noise_sd / math.sqrt(1.0 + 2.0 * math.log(n))
-    half = np.maximum(0.5 * step - extreme * noise_sd, 0.1 * step)
-    total_sd = np.sqrt(variance + softness**2)
-    off = mean - slot.last
-    shift, kept, log_mass = truncated((-half - np.abs(off)) / total_sd, (half - np.abs(off)) / total_sd)
-    shift *= np.sign(off)
-    sd = np.sqrt(variance)
-    enters = (sd < SOFT * softness) | (sd > WIDE * step) | (log_mass < math.log(SURPRISE))
+    softness_variance = noise_sd**2 / (1.0 + 2.0 * math.log(n))
+    total_sd = np.sqrt(variance + softness_variance)
+    off, half = mean - slot.last, np.maximum(0.5 * step - extreme * noise_sd, 0.1 * step)
     gain = variance / total_sd
-    change, narrowing = gain * shift, gain**2 * (kept - 1.0)
+    shift, kept, log_mass = truncated((-half - np.abs(off)) / total_sd, (half - np.abs(off)) / total_sd)
+    change, narrowing = np.sign(off) * gain * shift, gain**2 * (kept - 1.0)
+    soft, wide = variance < SOFT**2 * softness_variance, variance > (WIDE * step) ** 2
+    enters = soft | wide | (log_mass < math.log(SURPRISE))
     evidence = np.where(enters, 1.0, RENEWAL * renewed) * log_mass
     entering = Correction(enters * change, enters * narrowing, evidence)
     return entering, Correction(change, narrowing, log_mass)
