@@ -77,8 +77,9 @@ def _count(_: Thermometer, slot: Slot) -> float:
     return float(slot.count)
 
 
-def _entering_only(*given: Any) -> list[Correction]:
-    return evaluate(*given)[:1] * 2
+def _entering_only(*given: Any) -> tuple[Correction, Correction]:
+    entering, _ = evaluate(*given)
+    return entering, entering
 
 
 VARIANTS: dict[str, Change] = {

@@ -13,7 +13,7 @@ Bar-Shalom, Li and Kirubarajan, Estimation with Applications to Tracking and Nav
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -62,9 +62,6 @@ JERK_PSDS = 10.0 ** (-23.0 + 2.5 * np.arange(9.0))
 least, 0.17 °C/h in a day; with the largest, 1 °C/min in a second."""
 CHANGE_PER_S = 2e-3
 """Probability per second that the jerk PSD changes to a neighbour's."""
-DIFFERENCES = np.diff(np.eye(len(JERK_PSDS)), axis=0)
-GENERATOR = -0.5 * DIFFERENCES.T @ DIFFERENCES
-"""The transition matrix is M = I + p GENERATOR, (m, m), for a change with the probability p, up or down."""
 
 
 class Correction(NamedTuple):
@@ -122,6 +119,13 @@ def slow_error(thermometer: Thermometer) -> tuple[FloatArray, FloatArray]:
     return slow * scale, walk_per_s * walk_scale
 
 
+@cache
+def generator(modes: int) -> FloatArray:
+    """Return G of M = I + p G, (m, m): each mode changes to its neighbours with the probability p."""
+    steps = np.diff(np.eye(modes), axis=0)
+    return np.asarray(-0.5 * steps.T @ steps)
+
+
 def mix(filters: Filters, dt: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the mixed initial conditions x and P of each jerk PSD, and the predicted mode probabilities c̄.
 
@@ -130,7 +134,7 @@ def mix(filters: Filters, dt: float) -> tuple[FloatArray, FloatArray, FloatArray
     differences from one of the modes, so that a large mean costs no digits.
     """
     x, mu = filters.x, filters.mu
-    transition = np.eye(mu.shape[1]) + min(dt * CHANGE_PER_S, 0.4) * GENERATOR
+    transition = np.eye(mu.shape[1]) + min(dt * CHANGE_PER_S, 0.4) * generator(mu.shape[1])
     predicted = mu @ transition
     one = x[..., :1]
     off = x - one
