@@ -101,7 +101,7 @@ class Recorder:
     def _keep(self, slots: Slots) -> None:
         """Keep copies: what the gatherer returns holds the memory of all its results."""
         values = np.hstack([slots.mean[:, : len(SENSORS)], slots.last[:, len(SENSORS) :]])
-        self._parts.append((slots.row + self._rows, slots.begins, slots.middle_ns, values))
+        self._parts.append((slots.row + self._rows, slots.begins.copy(), slots.middle_ns, values))
 
     def finish(self) -> Record:
         """Return the record of all rows."""
@@ -218,12 +218,11 @@ class SmoothedEstimates:
             if math.isfinite(one.residual):
                 self.residuals[f"{name}{suffix}"] = one.residual
             if np.isfinite(one.sd).any():
-                texts = "with what came later", "standard deviation with what came later"
-                for column, values, text in zip(
-                    value_and_sd(f"{name}_smoothed", suffix), one, texts, strict=False
-                ):
-                    self._values[column] = values
-                    self.columns += (Column(column, UNITS[name], description=text),)
+                value, sd = value_and_sd(f"{name}_smoothed", suffix)
+                self._values |= {value: one.value, sd: one.sd}
+                text, unit = "with what came later", UNITS[name]
+                self.columns += (Column(value, unit, description=text),)
+                self.columns += (Column(sd, unit, description=f"standard deviation {text}"),)
         contradict = [f"{name} ({r:.1f} σ)" for name, r in self.residuals.items() if r > SUSPECT]
         self._notices = [
             f"forward and backward contradict each other in {', '.join(contradict)}: something changed "

@@ -142,7 +142,8 @@ def welch(values: FloatArray, interval_s: float, length: int) -> Spectrum:
     power = np.abs(np.fft.rfft(parts, axis=1)) ** 2
     density = 2.0 * interval_s * power.mean(axis=0) / float(window @ window)
     density[[0, -1]] /= 2.0
-    return Spectrum(np.fft.rfftfreq(length, interval_s), np.asarray(density), len(parts))
+    frequency = np.arange(len(density)) / (length * interval_s)
+    return Spectrum(frequency, np.asarray(density), len(parts))
 
 
 def peaks(spectrum: Spectrum) -> list[Peak]:
