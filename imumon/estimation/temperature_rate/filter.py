@@ -25,9 +25,11 @@ STATES = 4
 TEMPERATURE, RATE, ACCELERATION, ERROR = range(STATES)
 START_ACCELERATION = UNSEEN_RATE / 300.0
 """Standard deviation of the acceleration at the start, °C/s²: the rate of a warm-up comes about in 5 min."""
-LONG_S = 900.0
+LONG_S = WALK_S = 900.0
 """s.  The variance of the acceleration at the start is at most what the jerk makes of it in this time.  And
 the variance that a walk of the reading gains in this time is never known.  Ablation."""
+SLOW_MEAN = 0.5
+"""The mean of a slow error is known to so many of its sigmas.  Ablation."""
 LEAST_PROBABILITY = 1e-14
 """Least probability of a filter, so that none is lost for ever.  Ablation."""
 NoiseModel = tuple[float, float, float, float]
@@ -95,6 +97,22 @@ class Filters:
         variance = p[TEMPERATURE, TEMPERATURE] + 2.0 * p[TEMPERATURE, ERROR] + p[ERROR, ERROR]
         return x[TEMPERATURE] + x[ERROR], variance
 
+    def mixture(self, mean: FloatArray, variance: FloatArray) -> tuple[float, float]:
+        """Return mean and variance over all filters of what they give with mean and variance, (k, m)."""
+        of_all = float(np.vdot(self.mu, mean))
+        return of_all, float(np.vdot(self.mu, variance + (mean - of_all) ** 2))
+
+    @property
+    def temperature_and_rate(self) -> tuple[float, float, float, float]:
+        """Mean and variance over all filters of the temperature, °C and °C², and of its rate.
+
+        To the variance of the temperature is added what of a slow error and of a walk is never known.
+        """
+        x, p, (slow, walk_per_s) = self.x, self.p, self.slow
+        unknown = SLOW_MEAN**2 * (slow + walk_per_s * WALK_S)
+        temperature = self.mixture(x[TEMPERATURE], p[TEMPERATURE, TEMPERATURE] + unknown)
+        return *temperature, *self.mixture(x[RATE], p[RATE, RATE])
+
 
 def start(thermometer: Thermometer, slot: Slot) -> Filters:
     """Return filters that begin at a slot's mean with any rate."""
@@ -147,7 +165,7 @@ def predict(thermometer: Thermometer, filters: Filters, time_s: float) -> Filter
     """Mix the filters of each noise model and advance all to a time: x = F x, P = F P Fᵀ + Q.
 
     T, r and a move with white jerk; e decays by φ = exp(-dt/τ).  A walk of the reading has no state of its
-    own: it is process noise of T, and what it gains in `LONG_S` is added in the output.
+    own: it is process noise of T, and what it gains in `WALK_S` is added in the output.
     """
     dt = max(time_s - filters.time_s, 0.0)
     x, p, mu = mix(filters, dt)
@@ -179,9 +197,3 @@ def correct(filters: Filters, correction: Correction) -> Filters:
     p = p + gain[:, np.newaxis] * (gain * correction.variance_change)
     mu = filters.mu * np.exp(correction.log_likelihood - correction.log_likelihood.max())
     return Filters(x, p, np.maximum(mu / mu.sum(), LEAST_PROBABILITY), filters.time_s, filters.slow)
-
-
-def mixture(mu: FloatArray, mean: FloatArray, variance: FloatArray) -> tuple[float, float]:
-    """Return mean and variance of one quantity over all filters; arrays are (k, m)."""
-    of_all = float(np.vdot(mu, mean))
-    return of_all, float(np.vdot(mu, variance + (mean - of_all) ** 2))

@@ -13,25 +13,9 @@ from typing import Any, Literal, NamedTuple, Protocol
 import numpy as np
 
 from imumon.blocks import NO_INT, BoolArray, FloatArray, IntArray
-from imumon.estimation.temperature_rate.filter import (
-    LONG_S,
-    RATE,
-    TEMPERATURE,
-    Filters,
-    correct,
-    mixture,
-    predict,
-    start,
-)
+from imumon.estimation.temperature_rate.filter import Filters, correct, predict, start
 from imumon.estimation.temperature_rate.measurement import evaluate
-from imumon.estimation.temperature_rate.thermometer import (
-    FASTEST_RATE,
-    REVERSALS,
-    SLOT_S,
-    UNKNOWN_STEP_DEGC,
-    Slot,
-    Thermometer,
-)
+from imumon.estimation.temperature_rate.thermometer import FASTEST_RATE, SLOT_S, Slot, Thermometer
 from imumon.filters.slots import SlotGatherer, Slots, held
 
 GATE_SIGMA, GATE_STEPS, GATE_SLOTS = 8.0, 5.0, 3
@@ -45,8 +29,6 @@ in that time a board goes through most of a warm-up."""
 LINEARITY, HYSTERESIS = 0.05, 0.5
 """Standard deviation of the place of an edge, steps: of a good converter; of one that may have hysteresis, as
 long as readings have not gone back.  Ablation."""
-SLOW_MEAN = 0.5
-"""The mean of a slow error is known to so many of its sigmas.  Ablation."""
 RAMP_S = 75.0
 """A rate is not known better than the temperature's sigma over this time, s: a ramp may just have begun.
 Ablation."""
@@ -102,7 +84,7 @@ class MultipleModelRate:
     """
 
     def __init__(self, step_degc: float | None = None) -> None:
-        self.thermometer = Thermometer(step_degc or UNKNOWN_STEP_DEGC)
+        self.thermometer = Thermometer(step_degc) if step_degc else Thermometer()
         self.stuck_degc = math.nan
         """Where readings stuck last after a leap that no temperature makes, °C; NaN if they never did."""
         self._gatherer = SlotGatherer(1, round(SLOT_S * 1e9))
@@ -196,7 +178,7 @@ class MultipleModelRate:
     def _is_near(self, slot: Slot, filters: Filters) -> bool:
         """Return whether a temperature may have got there since it was last observed."""
         thermometer = self.thermometer
-        mean, variance = mixture(filters.mu, *filters.reading)
+        mean, variance = filters.mixture(*filters.reading)
         noise = variance + thermometer.step**2 + thermometer.scatter + thermometer.rho
         moved = FASTEST_RATE * (slot.time_s - thermometer.used_s + SLOT_S)
         reach = max(GATE_STEPS * thermometer.step, moved, GATE_SIGMA * math.sqrt(noise))
@@ -206,15 +188,12 @@ class MultipleModelRate:
 def output(thermometer: Thermometer, filters: Filters, before: Output, end_s: float) -> Output:
     """Return mean and standard deviation of the mixture from the end of a slot on, with what it lacks.
 
-    To the variance of the temperature are added: what of a slow error and of a walk is never known, the place
-    of the edges, and the time for which a reading is repeated.  To that of the rate: a ramp may just have
-    begun, hidden by the temperature's sigma or by rounding, whichever is larger.
+    To the variance of the temperature are added: the place of the edges, and the time for which a reading is
+    repeated.  To that of the rate: a ramp may just have begun, hidden by the temperature's sigma or by
+    rounding, whichever is larger.
     """
-    mu, x, p, (slow, walk_per_s) = filters.mu, filters.x, filters.p, filters.slow
-    temperature, variance = mixture(mu, x[TEMPERATURE], p[TEMPERATURE, TEMPERATURE])
-    rate, rate_variance = mixture(mu, x[RATE], p[RATE, RATE])
-    edge_sd = thermometer.step * (LINEARITY if thermometer.reversals >= REVERSALS else HYSTERESIS)
-    variance += SLOW_MEAN**2 * float((mu * (slow + walk_per_s * LONG_S)).sum())
+    temperature, variance, rate, rate_variance = filters.temperature_and_rate
+    edge_sd = thermometer.step * (LINEARITY if thermometer.flickers else HYSTERESIS)
     variance += edge_sd**2 + (rate * thermometer.repeat_s) ** 2 / 3.0
     rate_variance += max(variance, thermometer.step**2 / 12.0) / RAMP_S**2
     lag = 0.0 if math.isnan(before.rate) else math.exp(-(end_s - before.end_s) / LAG_S) * (before.rate - rate)
