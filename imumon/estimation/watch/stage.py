@@ -76,15 +76,10 @@ KEPT = np.array([0.0, math.exp(-SLOT_S / 10.0)])
 PAST_SCALE = 3.0 * np.sqrt((1.0 - KEPT) / (1.0 + KEPT))
 """Three of their standard deviations."""
 
-_TESTS = [
-    (row, theta, pattern)
-    for row, pattern in enumerate(REGRESSORS)
-    for theta in THETAS
-    # A negative correlation with the past is no fault: the filter's sigma is too large.
-    if theta > 0.0 or pattern is not Pattern.AUTOCORRELATION
-]
-_ROWS, _THETA, _PATTERNS = (np.array(part) for part in zip(*_TESTS, strict=True))
-PATTERNS = np.append(_PATTERNS, [Pattern.VARIANCE] * len(LAMBDAS))
+THETA = np.tile(THETAS, (len(REGRESSORS), 1))
+THETA[-len(KEPT) :] = np.maximum(THETA[-len(KEPT) :], 0.0)
+"""Of each test of (1); a negative correlation with the past is no fault: the filter's sigma is too large."""
+PATTERNS = np.append(np.repeat(REGRESSORS, len(THETAS)), [Pattern.VARIANCE] * len(LAMBDAS))
 """Of each test, those of (1) and then those of (2), (t,)."""
 
 
@@ -108,7 +103,8 @@ class State:
 
 def limit(false_alarm_hours: float) -> float:
     """Return the value at which a CUSUM alarms, for a mean time at rest to a false alarm of so many hours."""
-    return math.log(3 * len(PATTERNS) * false_alarm_hours * 3600.0 / (BLOCK * SLOT_S))
+    tests = 3 * (np.count_nonzero(THETA) + len(LAMBDAS))
+    return math.log(tests * false_alarm_hours * 3600.0 / (BLOCK * SLOT_S))
 
 
 def step(
@@ -135,13 +131,10 @@ def step(
     counted = state.slots - LEARNING
     if counted <= 0:
         return 0.0
-    theta_r = _THETA * np.hstack([thermal, decay, past])[:, _ROWS]
-    state.gain += np.hstack(
-        [
-            theta_r * v - TOLERANCE * np.abs(theta_r) - 0.5 * KAPPA * theta_r**2,
-            LAMBDAS * v**2 + 0.5 * np.log(1.0 - 2.0 * LAMBDAS * KAPPA),
-        ]
-    )
+    theta_r = (np.hstack([thermal, decay, past])[:, :, np.newaxis] * THETA).reshape(3, -1)
+    of_mean = theta_r * v - TOLERANCE * np.abs(theta_r) - 0.5 * KAPPA * theta_r**2
+    of_variance = LAMBDAS * v**2 + 0.5 * np.log(1.0 - 2.0 * LAMBDAS * KAPPA)
+    state.gain += np.hstack([of_mean, of_variance])
     if counted % BLOCK:
         return 0.0
     state.cusum = np.maximum(state.cusum, 0.0) + state.gain
