@@ -68,11 +68,11 @@ class Slots:
 
 RecordArray = npt.NDArray[np.void]
 SLOT = np.dtype(
-    [(name, np.int64) for name in ("row", "segment", "begins", "start_ns", "end_ns", "samples")]
-    + [(name, np.int64) for name in ("begun", "origin_ns", "stop_ns")]
+    [(name, np.int64) for name in ("row", "segment", "start_ns", "end_ns", "samples", "origin_ns", "stop_ns")]
+    + [(name, np.bool_) for name in ("begins", "begun")]
 )
-"""A slot as compiled code has it: fields of `Slots`; then whether a slot is being filled, the first time of
-its segment, and the time at which it ends."""
+"""A slot as compiled code has it: fields of `Slots`; then the first time of its segment, the time at which it
+ends, and whether there is a slot at all."""
 COLUMN = np.dtype(
     [(name, np.int64) for name in ("count", "step_count", "changes")]
     + [(name, np.float64) for name in ("mean", "variance", "smallest", "largest", "first", "last")]
@@ -130,7 +130,7 @@ class SlotGatherer:
         found: dict[str, Any] = {"turns": [turn_of(one) for one in turns[:m]]}
         for name in (field.name for field in fields(Slots) if field.name not in found):
             found[name] = (slots if name in (SLOT.names or ()) else columns)[name][:m]
-        return Slots(**(found | {"begins": found["begins"] == 1}))
+        return Slots(**found)
 
     def finish(self) -> Slots:
         """Return the slot that is open at the end of the rows, if there is one; then begin as new."""
@@ -240,23 +240,20 @@ def _gather(
         if now == NO_INT:
             continue
         anew = segment[i] != slot.segment or now < slot.end_ns or not slot.begun
-        if slot.begun and (anew or now >= slot.stop_ns):
-            _end_slot(slot, columns, i, ended_columns[m])
-            ended[m] = slot
-            if with_turns:
-                turns[m] = turn[0]
-                begin_turn(turn[0])
-            m += 1
-            slot.begins = 0
+        if anew or now >= slot.stop_ns:
+            if slot.begun:
+                _end_slot(slot, columns, i, ended_columns[m])
+                ended[m] = slot
+                if with_turns:
+                    turns[m] = turn[0]
+                m += 1
+            if anew:
+                slot.segment, slot.origin_ns = segment[i], now
+                for j in range(len(columns)):
+                    columns[j].previous = np.nan
+                begin_segment(turn[0])
+            slot.begins, slot.begun = anew, True
             _begin_slot(slot, columns, now, length_ns)
-        if anew:
-            slot.begun = slot.begins = 1
-            slot.segment = segment[i]
-            slot.origin_ns = now
-            for j in range(len(columns)):
-                columns[j].previous = np.nan
-            _begin_slot(slot, columns, now, length_ns)
-            begin_segment(turn[0])
             begin_turn(turn[0])
         slot.end_ns = now
         slot.samples += 1

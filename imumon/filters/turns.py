@@ -16,7 +16,7 @@ What is faster than half the sample rate is lost, unless the device has integrat
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -63,8 +63,7 @@ class Turn:
         angle = self.by_bias @ bias
         rotation = rotation_by(-angle) @ self.rotation
         by_scale = self.by_scale - self.by_bias[:, :, np.newaxis] * bias
-        sampling = self.coning, self.fast, self.missed
-        return Turn(rotation, self.by_bias, by_scale, *sampling, self.seconds, angle_of(rotation))
+        return replace(self, rotation=rotation, by_scale=by_scale, path=angle_of(rotation))
 
     def then(self, other: Turn) -> Turn:
         """Return this turn and another after it."""
@@ -126,10 +125,8 @@ FIELDS = "rotation", "by_bias", "by_scale", "coning", "fast", "missed", "seconds
 
 def turn_of(record: Any) -> Turn:
     """Return the turn of one record of compiled code, as a copy."""
-    values: list[Any] = [record[name].copy() for name in FIELDS]
-    turn = Turn(*values)
-    turn.path = angle_of(turn.rotation)
-    return turn
+    parts = {name: record[name].copy() for name in FIELDS}
+    return Turn(**parts, path=angle_of(parts["rotation"]))
 
 
 @inner

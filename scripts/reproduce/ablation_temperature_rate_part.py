@@ -77,8 +77,9 @@ def _count(_: Thermometer, slot: Slot) -> float:
     return float(slot.count)
 
 
-def _entering_only(*given: Any) -> list[Correction]:
-    return evaluate(*given)[:1] * 2
+def _entering_only(*given: Any) -> tuple[Correction, Correction]:
+    entering, _ = evaluate(*given)
+    return entering, entering
 
 
 VARIANTS: dict[str, Change] = {
@@ -105,8 +106,8 @@ VARIANTS: dict[str, Change] = {
     "the jerk PSD changes once in 100 s, not 500": [(filter_module, "CHANGE_PER_S", 1e-2)],
     "least probability of a filter 1e-30": [(filter_module, "LEAST_PROBABILITY", 1e-30)],
     "any acceleration at the start": [(filter_module, "LONG_S", 1e30)],
-    "no walk in the output": [(method, "LONG_S", 0.0)],
-    "mean of a slow error known": [(method, "SLOW_MEAN", 0.0)],
+    "no walk in the output": [(filter_module, "WALK_S", 0.0)],
+    "mean of a slow error known": [(filter_module, "SLOW_MEAN", 0.0)],
     "edges known from the start": [(method, "HYSTERESIS", 0.05)],
     "no ramp that may have begun": [(method, "RAMP_S", 1e9)],
     "no output lag": [(method, "LAG_S", 1e-3)],

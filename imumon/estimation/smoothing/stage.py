@@ -36,12 +36,12 @@ SUSPECT = 2.0
 """A standard normal value exceeds this in magnitude with a probability of 5 %."""
 MEDIAN = 0.6745
 """Median of the magnitude of a standard normal value."""
-REVERSED = {"temperature_estimate": 1.0, "temperature_rate": -1.0, "gyro_bias": -1.0}
-"""What is smoothed, and its sign when time is reversed."""
-UNITS = {"temperature_estimate": "degC", "temperature_rate": "degC/s", "gyro_bias": "rad/s", "heading": "rad"}
 SUFFIXES = ("", "_x", "_y", "_z")
 """Of the columns of a thermometer: of the unit, and of the sensors of its axes."""
 THERMOMETERS = tuple(f"temperature{suffix}" for suffix in SUFFIXES)
+REVERSED = {"temperature_estimate": 1.0, "temperature_rate": -1.0, "gyro_bias": -1.0}
+"""What is smoothed, and its sign when time is reversed."""
+UNITS = {"temperature_estimate": "degC", "temperature_rate": "degC/s", "gyro_bias": "rad/s", "heading": "rad"}
 QUANTITIES = [(name, suffix) for name in REVERSED for suffix in SUFFIXES[name == "gyro_bias" :]]
 """A quantity, and the suffix of its columns."""
 
@@ -101,7 +101,7 @@ class Recorder:
     def _keep(self, slots: Slots) -> None:
         """Keep copies: what the gatherer returns holds the memory of all its results."""
         values = np.hstack([slots.mean[:, : len(SENSORS)], slots.last[:, len(SENSORS) :]])
-        self._parts.append((slots.row + self._rows, slots.begins, slots.middle_ns, values))
+        self._parts.append((slots.row + self._rows, slots.begins.copy(), slots.middle_ns, values))
 
     def finish(self) -> Record:
         """Return the record of all rows."""
@@ -201,32 +201,34 @@ class SmoothedEstimates:
     def __init__(
         self, record: Record, backward: Mapping[str, FloatArray], heading: Smoothed | None = None
     ) -> None:
-        self._stop = record.stop
-        self._rows = 0
+        self._stop, self._rows = record.stop, 0
         self._values: dict[str, FloatArray] = {}
         self.residuals: dict[str, float] = {}
         """r of `combine`, by quantity."""
         self.columns: tuple[Column, ...] = ()
         """The columns that `process` adds."""
-        for quantity, suffix in QUANTITIES:
-            names = value_and_sd(quantity, suffix)
+        found = {}
+        for quantity in QUANTITIES:
+            names = value_and_sd(*quantity)
             if names[0] in backward:
-                directions = [of[name] for of in (record.columns, backward) for name in names]
-                self._add(quantity, suffix, combine(*directions))
+                found[quantity] = combine(*(of[name] for of in (record.columns, backward) for name in names))
         if heading is not None:
-            self._add("heading", "", heading)
-        self._reported = False
-
-    def _add(self, quantity: str, suffix: str, found: Smoothed) -> None:
-        """Add the columns of a quantity, unless it is known nowhere."""
-        if math.isfinite(found.residual):
-            self.residuals[f"{quantity}{suffix}"] = found.residual
-        if np.isfinite(found.sd).any():
-            value, sd = value_and_sd(f"{quantity}_smoothed", suffix)
-            self._values |= {value: found.value, sd: found.sd}
-            text, unit = "with what came later", UNITS[quantity]
-            self.columns += (Column(value, unit, description=text),)
-            self.columns += (Column(sd, unit, description=f"standard deviation {text}"),)
+            found["heading", ""] = heading
+        for (name, suffix), one in found.items():
+            if math.isfinite(one.residual):
+                self.residuals[f"{name}{suffix}"] = one.residual
+            if np.isfinite(one.sd).any():
+                value, sd = value_and_sd(f"{name}_smoothed", suffix)
+                self._values |= {value: one.value, sd: one.sd}
+                text, unit = "with what came later", UNITS[name]
+                self.columns += (Column(value, unit, description=text),)
+                self.columns += (Column(sd, unit, description=f"standard deviation {text}"),)
+        contradict = [f"{name} ({r:.1f} σ)" for name, r in self.residuals.items() if r > SUSPECT]
+        self._notices = [
+            f"forward and backward contradict each other in {', '.join(contradict)}: something changed "
+            "abruptly that the filter takes for smooth, or its model lacks an effect (of a bias, imumon "
+            "diagnose may name it); the smoothed sigma is widened by that"
+        ] * bool(contradict)
 
     def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
         """Return the new columns of a block; the blocks must be the rows of the first run, in their order."""
@@ -237,12 +239,5 @@ class SmoothedEstimates:
 
     def notices(self) -> list[str]:
         """Return, once, the quantities in which forward and backward contradict each other."""
-        suspect = [f"{name} ({r:.1f} σ)" for name, r in self.residuals.items() if r > SUSPECT]
-        if self._reported or not suspect:
-            return []
-        self._reported = True
-        return [
-            f"forward and backward contradict each other in {', '.join(suspect)}: something changed abruptly "
-            "that the filter takes for smooth, or its model lacks an effect (of a bias, imumon diagnose may "
-            "name it); the smoothed sigma is widened by that"
-        ]
+        texts, self._notices = self._notices, []
+        return texts

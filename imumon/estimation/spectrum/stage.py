@@ -72,21 +72,18 @@ class LiveSpectrum:
         if not self._blocks:
             return []
         time_ns, values = (np.concatenate(part)[-MOST_SAMPLES:] for part in zip(*self._blocks, strict=True))
-        interval_ns = float(np.median(np.diff(time_ns))) if len(time_ns) > 1 else 0.0
+        interval_ns = float(np.median(np.diff(time_ns))) if len(time_ns) >= FEWEST else 0.0
         if interval_ns <= 0.0:
             return []
         start = int(np.flatnonzero(np.diff(time_ns, prepend=-np.inf) > GAP * interval_ns)[-1])
-        time_ns, values = time_ns[start:], values[start:]
+        time_ns, channels = time_ns[start:], dict(zip(CHANNELS, values[start:].T, strict=True))
         if len(time_ns) < FEWEST:
             return []
-        channels = dict(zip(CHANNELS, values.T, strict=True))
         found = [_chart(group, time_ns, channels, interval_ns) for group in _GROUPS]
-        return [chart for chart in found if chart is not None]
+        return [chart for chart in found if chart.curves]
 
 
-def _chart(
-    group: str, time_ns: IntArray, channels: Mapping[str, FloatArray], interval_ns: float
-) -> Chart | None:
+def _chart(group: str, time_ns: IntArray, channels: Mapping[str, FloatArray], interval_ns: float) -> Chart:
     """Return the spectra of a sensor on an even grid, in which a lost packet is a straight line."""
     title, unit, factor = _GROUPS[group]
     curves, notes = [], []
@@ -97,17 +94,15 @@ def _chart(
         if known.mean() < 0.5:
             continue
         filled = np.interp(even, time_ns[known], values[known])
-        spectrum = welch(filled, interval_ns * 1e-9, 2 * max(len(even) // PARTS, 1))
-        if not (spectrum.density[1:] > 0).any():
-            continue
+        spectrum = welch(filled, interval_ns * 1e-9, 2 * (len(even) // PARTS))
         density = factor * np.sqrt(spectrum.density[1:])
+        if not density.any():
+            continue
         curves.append(Curve(axis, spectrum.frequency_hz[1:], density, color, width=1.2))
         lines = [
             f"{line.frequency_hz:.4g} Hz: {factor * line.rms:.3g} {unit} rms" for line in peaks(spectrum)
         ]
         notes.append(f"{axis}  " + ("   ".join(lines) or "no line above the noise"))
-    if not curves:
-        return None
     x, y = Axis("frequency [Hz]", log=True), Axis(f"amplitude spectral density [{unit}/√Hz]", log=True)
     return Chart(f"spectrum_{group}", TAB, title, x, y, tuple(curves), notes=tuple(notes))
 
@@ -153,20 +148,17 @@ def welch(values: FloatArray, interval_s: float, length: int) -> Spectrum:
 
 def peaks(spectrum: Spectrum) -> list[Peak]:
     """Return the strongest lines above what noise of this floor reaches, the strongest first."""
-    density, frequency = spectrum.density, spectrum.frequency_hz
-    if len(density) < 2 * FLOOR_BINS:
-        return []
     from scipy.special import gammaincinv  # 0.1 s, which no command spends before the first spectrum
 
-    # A mean of so many exponential variables has a gamma distribution of this shape.
-    shape = spectrum.segments / OVERLAP_COST
+    frequency, density, segments = spectrum
+    shape = segments / OVERLAP_COST  # of the gamma distribution of a mean of so many exponential variables
     # The first bins are left out: subtracting the mean of a segment has lowered them.
     padded = np.pad(density[HALF_LINE:], (HALF_LINE + FLOOR_BINS, FLOOR_BINS), "edge")
     medians = np.median(np.lib.stride_tricks.sliding_window_view(padded, FLOOR_BINS), axis=1)
     # The higher of the medians below and above each bin, so that the flank of a steep floor is no line.
     sides = np.maximum(medians[: len(density)], medians[-len(density) :])
-    floor = sides * shape / float(gammaincinv(shape, 0.5))
-    limit = float(gammaincinv(shape, 1.0 - FALSE_ALARM / len(density))) / shape
+    median, limit = gammaincinv(shape, [0.5, 1.0 - FALSE_ALARM / len(density)]) / shape
+    floor = sides / median
     inner = np.arange(HALF_LINE + 1, len(density) - 1)
     top = (density[inner] >= density[inner - 1]) & (density[inner] > density[inner + 1])
     found = []

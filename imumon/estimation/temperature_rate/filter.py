@@ -12,6 +12,8 @@ Bar-Shalom, Li and Kirubarajan, Estimation with Applications to Tracking and Nav
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import cache, cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -23,9 +25,11 @@ STATES = 4
 TEMPERATURE, RATE, ACCELERATION, ERROR = range(STATES)
 START_ACCELERATION = UNSEEN_RATE / 300.0
 """Standard deviation of the acceleration at the start, °C/s²: the rate of a warm-up comes about in 5 min."""
-LONG_S = 900.0
+LONG_S = WALK_S = 900.0
 """s.  The variance of the acceleration at the start is at most what the jerk makes of it in this time.  And
 the variance that a walk of the reading gains in this time is never known.  Ablation."""
+SLOW_MEAN = 0.5
+"""The mean of a slow error is known to so many of its sigmas.  Ablation."""
 LEAST_PROBABILITY = 1e-14
 """Least probability of a filter, so that none is lost for ever.  Ablation."""
 NoiseModel = tuple[float, float, float, float]
@@ -72,7 +76,8 @@ class Correction(NamedTuple):
     log_likelihood: FloatArray
 
 
-class Filters(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Filters:
     """The filters of one thermometer, and the time that x refers to, s.
 
     The reading before its white noise and steps is y = H x with H = [1, 0, 0, 1].
@@ -82,13 +87,31 @@ class Filters(NamedTuple):
     p: FloatArray
     mu: FloatArray
     time_s: float
+    slow: tuple[FloatArray, FloatArray]
+    """What `slow_error` returned when x was predicted."""
 
-    @property
+    @cached_property
     def reading(self) -> tuple[FloatArray, FloatArray]:
         """Mean and variance of y of every filter, °C and °C², (k, m)."""
         x, p = self.x, self.p
         variance = p[TEMPERATURE, TEMPERATURE] + 2.0 * p[TEMPERATURE, ERROR] + p[ERROR, ERROR]
         return x[TEMPERATURE] + x[ERROR], variance
+
+    def mixture(self, mean: FloatArray, variance: FloatArray) -> tuple[float, float]:
+        """Return mean and variance over all filters of what they give with mean and variance, (k, m)."""
+        of_all = float(np.vdot(self.mu, mean))
+        return of_all, float(np.vdot(self.mu, variance + (mean - of_all) ** 2))
+
+    @property
+    def temperature_and_rate(self) -> tuple[float, float, float, float]:
+        """Mean and variance over all filters of the temperature, °C and °C², and of its rate.
+
+        To the variance of the temperature is added what of a slow error and of a walk is never known.
+        """
+        x, p, (slow, walk_per_s) = self.x, self.p, self.slow
+        unknown = SLOW_MEAN**2 * (slow + walk_per_s * WALK_S)
+        temperature = self.mixture(x[TEMPERATURE], p[TEMPERATURE, TEMPERATURE] + unknown)
+        return *temperature, *self.mixture(x[RATE], p[RATE, RATE])
 
 
 def start(thermometer: Thermometer, slot: Slot) -> Filters:
@@ -99,8 +122,8 @@ def start(thermometer: Thermometer, slot: Slot) -> Filters:
     p[TEMPERATURE, TEMPERATURE] = thermometer.step**2 + thermometer.rho + slot.variance
     p[RATE, RATE] = FASTEST_RATE**2
     p[ACCELERATION, ACCELERATION] = np.minimum(START_ACCELERATION**2, JERK_PSDS * LONG_S)
-    p[ERROR, ERROR] = slow_error(thermometer)[0]
-    return Filters(x, p, np.full((k, m), 1.0 / (k * m)), slot.time_s)
+    p[ERROR, ERROR], _ = slow = slow_error(thermometer)
+    return Filters(x, p, np.full((k, m), 1.0 / (k * m)), slot.time_s, slow)
 
 
 def slow_error(thermometer: Thermometer) -> tuple[FloatArray, FloatArray]:
@@ -114,60 +137,63 @@ def slow_error(thermometer: Thermometer) -> tuple[FloatArray, FloatArray]:
     return slow * scale, walk_per_s * walk_scale
 
 
-def mix(filters: Filters, dt: float) -> Filters:
-    """Return the mixed initial condition of each jerk PSD, and the predicted mode probabilities c̄.
+@cache
+def generator(modes: int) -> FloatArray:
+    """Return G of M = I + p G, (m, m): each mode changes to its neighbours with the probability p."""
+    steps = np.diff(np.eye(modes), axis=0)
+    return np.asarray(-0.5 * steps.T @ steps)
+
+
+def mix(filters: Filters, dt: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the mixed initial conditions x and P of each jerk PSD, and the predicted mode probabilities c̄.
 
     With the transition matrix M and the mixing probabilities ω_ij = M_ij μ_i / c̄_j, mode j begins with
     x_0j = Σ_i ω_ij x_i and the covariance Σ_i ω_ij (P_i + d_i d_iᵀ), d_i = x_i - x_0j.  Sums are of
-    differences from the mean over all modes, so that a large mean costs no digits.
+    differences from one of the modes, so that a large mean costs no digits.
     """
-    x, p, mu, _ = filters
-    m, change = len(JERK_PSDS), min(dt * CHANGE_PER_S, 0.4)
-    transition = change / 2.0 * (np.eye(m, k=1) + np.eye(m, k=-1))
-    transition[np.diag_indices(m)] += 1.0 - transition.sum(axis=1)
+    x, mu = filters.x, filters.mu
+    transition = np.eye(mu.shape[1]) + min(dt * CHANGE_PER_S, 0.4) * generator(mu.shape[1])
     predicted = mu @ transition
-    centre = x.mean(-1, keepdims=True)
-    off = x - centre
+    one = x[..., :1]
+    off = x - one
     mixed = (mu * off) @ transition / predicted
-    second = (mu * (p + off[:, np.newaxis] * off)) @ transition / predicted
-    return filters._replace(x=mixed + centre, p=second - mixed[:, np.newaxis] * mixed, mu=predicted)
+    second = (mu * (filters.p + off[:, np.newaxis] * off)) @ transition / predicted
+    return mixed + one, second - mixed[:, np.newaxis] * mixed, predicted
 
 
 def predict(thermometer: Thermometer, filters: Filters, time_s: float) -> Filters:
     """Mix the filters of each noise model and advance all to a time: x = F x, P = F P Fᵀ + Q.
 
     T, r and a move with white jerk; e decays by φ = exp(-dt/τ).  A walk of the reading has no state of its
-    own: it is process noise of T, and what it gains in `LONG_S` is added in the output.
+    own: it is process noise of T, and what it gains in `WALK_S` is added in the output.
     """
     dt = max(time_s - filters.time_s, 0.0)
-    f: FloatArray = np.eye(STATES)  # with 1 in place of φ, which depends on the noise model
-    f[TEMPERATURE, RATE] = f[RATE, ACCELERATION] = dt
-    f[TEMPERATURE, ACCELERATION] = 0.5 * dt**2
-    decay = np.ones((STATES, NOISE.shape[1], 1))
-    decay[ERROR] = np.exp(-dt / NOISE[2])
-    by_jerk = np.array([[dt**2 / 2.0], [dt], [1.0]])  # Q is the integral of (t²/2, t, 1) times its transpose
-    q = dt * by_jerk * by_jerk.T / np.array([[5.0, 4.0, 3.0], [4.0, 3.0, 2.0], [3.0, 2.0, 1.0]])
-    x, p, mu, _ = mix(filters, dt)
-    x = np.tensordot(f, x, 1) * decay
-    p = np.tensordot(f, np.tensordot(f, p, 1).swapaxes(0, 1), 1) * (decay * decay[:, np.newaxis])
-    variance, walk = slow_error(thermometer)
+    x, p, mu = mix(filters, dt)
+    half = dt**2 / 2.0
+    f = np.array([[1.0, dt, half, 0.0], [0.0, 1.0, dt, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
+    q = np.array([[dt**5 / 20, dt**4 / 8, dt**3 / 6], [dt**4 / 8, dt**3 / 3, half], [dt**3 / 6, half, dt]])
+    x, p = _times(f, x), _times(f, _times(f, p).swapaxes(0, 1))
     p[:ERROR, :ERROR] += q[:, :, np.newaxis, np.newaxis] * JERK_PSDS
-    p[ERROR, ERROR] += variance * (1.0 - decay[ERROR] ** 2)
-    p[TEMPERATURE, TEMPERATURE] += walk * dt
-    return Filters(x, p, mu, max(time_s, filters.time_s))
+    variance, walk_per_s = slow = slow_error(thermometer)
+    phi = np.exp(-dt / NOISE[2])  # depends on the noise model, so F has 1 in its place
+    x[ERROR] *= phi
+    p[ERROR] *= phi
+    p[:, ERROR] *= phi
+    p[ERROR, ERROR] += variance * (1.0 - phi**2)
+    p[TEMPERATURE, TEMPERATURE] += walk_per_s * dt
+    return Filters(x, p, mu, max(time_s, filters.time_s), slow)
+
+
+def _times(f: FloatArray, values: FloatArray) -> FloatArray:
+    """Return a matrix (4, 4) times values whose first axis is the state, (4, ...)."""
+    return (f @ values.reshape(STATES, -1)).reshape(values.shape)
 
 
 def correct(filters: Filters, correction: Correction) -> Filters:
     """Correct all filters by the evidence of a slot on y, and their probabilities by its likelihood."""
-    x, p, mu, time_s = filters
+    p = filters.p
     gain = (p[:, TEMPERATURE] + p[:, ERROR]) / filters.reading[1]  # P Hᵀ / (H P Hᵀ): how the state follows y
-    x = x + gain * correction.mean_change
+    x = filters.x + gain * correction.mean_change
     p = p + gain[:, np.newaxis] * (gain * correction.variance_change)
-    mu = mu * np.exp(correction.log_likelihood - correction.log_likelihood.max())
-    return Filters(x, p, np.maximum(mu / mu.sum(), LEAST_PROBABILITY), time_s)
-
-
-def mixture(mu: FloatArray, mean: FloatArray, variance: FloatArray) -> tuple[float, float]:
-    """Return mean and variance of one quantity over all filters; arrays are (k, m)."""
-    of_all = float((mu * mean).sum())
-    return of_all, float((mu * (variance + (mean - of_all) ** 2)).sum())
+    mu = filters.mu * np.exp(correction.log_likelihood - correction.log_likelihood.max())
+    return Filters(x, p, np.maximum(mu / mu.sum(), LEAST_PROBABILITY), filters.time_s, filters.slow)

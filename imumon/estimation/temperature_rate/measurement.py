@@ -45,141 +45,128 @@ RENEWAL = 0.1
 """Share of the log likelihood of a code that stays, per renewal of the slow error.  Ablation."""
 
 
-class Codes(NamedTuple):
-    """A slot as the code models take it; arrays are (code models, m)."""
+class Measurement(NamedTuple):
+    """A slot as some of the filters measure it, (k, m) or one value for all: y = z with the variance R."""
 
-    slot: Slot
-    step: float
-    """d, °C."""
-    n: float
-    """Independent readings, 1 at least."""
-    noise_sd: FloatArray
-    """s, °C."""
-    mean: FloatArray
-    variance: FloatArray
-    """Of y as these models predict it, °C and °C²."""
+    z: FloatArray | float
+    """°C."""
+    noise: FloatArray
+    """R, °C²."""
+    log_scale: FloatArray | float
+    """Logarithm of what makes a probability of the density of z, °C, and of further evidence."""
 
 
-def evaluate(thermometer: Thermometer, slot: Slot, filters: Filters) -> list[Correction]:
+def evaluate(thermometer: Thermometer, slot: Slot, filters: Filters) -> tuple[Correction, Correction]:
     """Return the evidence of a slot with readings for all filters, by the table above.
 
     The first is what enters the states, the second all that the slot shows, for the output.
     """
-    white, step, n = NOISE[0], thermometer.step, thermometer.independent(slot)
-    mean, variance = filters.reading
-    square_rate = filters.x[RATE, CODE] ** 2 + filters.p[RATE, RATE, CODE]
-    noise_sd = np.sqrt(white[CODE] * step**2 + square_rate * thermometer.spacing_s**2 / 12.0)
-    codes = Codes(slot, step, n, noise_sd, mean[CODE], variance[CODE])
-    span = (slot.highest - slot.lowest) / step
-    if span > 1.5 and slot.largest > slot.smallest:
-        of_codes = [_many_codes(codes)] * 2
-    elif 0.5 <= span <= 1.5:
-        of_codes = [_two_codes(codes)] * 2
-    else:
-        of_codes = _one_code(codes, 1.0 - np.exp(-thermometer.spacing_s / NOISE[2, CODE]))
+    step, n = thermometer.step, thermometer.independent(slot)
+    white, _, slow_s, _ = NOISE
     # The mean of a slot is on a lattice of d/n.
     noise = white[MEAN] * thermometer.mean_variance + (step / n) ** 2 / (2.0 * math.pi)
-    of_means = _gaussian(mean[MEAN], variance[MEAN], slot.mean, noise, step / n)
-    return [Correction(*map(np.concatenate, zip(each, of_means, strict=True))) for each in of_codes]
+    of_means = _gaussian(filters, MEAN, Measurement(slot.mean, noise, math.log(step / n)))
+    square_rate = filters.x[RATE, CODE] ** 2 + filters.p[RATE, RATE, CODE]
+    noise_sd = np.sqrt(white[CODE] * step**2 + square_rate * thermometer.spacing_s**2 / 12.0)
+    span = (slot.highest - slot.lowest) / step
+    if span > 1.5 and slot.largest > slot.smallest:
+        of_codes = [_gaussian(filters, CODE, _many_codes(slot, step, n, noise_sd))]
+    elif 0.5 <= span <= 1.5:
+        of_codes = [_gaussian(filters, CODE, _two_codes(slot, step, n, noise_sd))]
+    else:
+        renewed = 1.0 - np.exp(-thermometer.spacing_s / slow_s[CODE])
+        of_codes = _one_code(filters, slot, step, n, noise_sd, renewed)
+    found = [Correction(*map(np.concatenate, zip(each, of_means, strict=True))) for each in of_codes]
+    return found[0], found[-1]
 
 
-def _gaussian(
-    mean: FloatArray,
-    variance: FloatArray,
-    z: FloatArray | float,
-    noise: FloatArray,
-    lattice: FloatArray | float,
-) -> Correction:
+def _gaussian(filters: Filters, rows: slice, measured: Measurement) -> Correction:
     """Correct by y = z with the noise R: the mean by P (z - mean)/S, the variance by -P²/S, with S = P + R.
 
-    P is the variance of y; `lattice`, times the density of z, is a probability.
+    P is the variance of y.
     """
-    innovation, innovation_variance = z - mean, variance + noise
-    log = np.log(lattice / ROOT_2_PI) - 0.5 * np.log(innovation_variance)
-    log -= 0.5 * innovation**2 / innovation_variance
-    return Correction(variance * innovation / innovation_variance, -(variance**2) / innovation_variance, log)
+    mean, variance = (of_all[rows] for of_all in filters.reading)
+    innovation, innovation_variance = measured.z - mean, variance + measured.noise
+    gain = variance / innovation_variance
+    log = measured.log_scale - 0.5 * (
+        np.log(2.0 * math.pi * innovation_variance) + innovation**2 / innovation_variance
+    )
+    return Correction(gain * innovation, -gain * variance, log)
 
 
-def _many_codes(codes: Codes) -> Correction:
-    """Correct by the mean: with white noise, E[mean] = x - β/π sin 2πx in steps, β = exp(-2π²s²).
+def _many_codes(slot: Slot, step: float, n: float, noise_sd: FloatArray) -> Measurement:
+    """Measure by the mean: with white noise, E[mean] = x - β/π sin 2πx in steps, β = exp(-2π²s²).
 
     Widrow and Kollar, Quantization Noise (2008), ch. 4.
     """
-    slot, step, n, noise_sd, mean, variance = codes
     ripple = np.exp(-2.0 * np.pi**2 * (noise_sd / step) ** 2)
     offset = (slot.mean - slot.smallest) / step
     place = np.full_like(ripple, offset)
     for _ in range(4):  # solve for x
         place = offset + np.minimum(ripple, 0.4) / math.pi * np.sin(2.0 * math.pi * place)
     noise = np.maximum(noise_sd**2, slot.variance) / n + (ripple * step / math.pi) ** 2 / 8.0
-    found = _gaussian(mean, variance, slot.smallest + step * place, noise, step / n)
-    return found._replace(log_likelihood=found.log_likelihood + _scatter(codes, place, ripple))
+    scatter = _scatter(place, noise_sd / step, slot.variance / step**2, n)
+    return Measurement(slot.smallest + step * place, noise, math.log(step / n) + scatter)
 
 
-def _scatter(codes: Codes, place: FloatArray, ripple: FloatArray) -> FloatArray:
+def _scatter(place: FloatArray, noise_sd: FloatArray, variance: float, n: float) -> FloatArray:
     """Return the log likelihood of readings that scatter more than noise and rounding: χ² of n.
 
-    Rounded readings have the variance s² + d²/12 and its first harmonic in the place, both in steps.
+    Rounded readings have the variance s² + d²/12 and its first harmonic in the place; all in steps.
     """
-    cosine, sine = ripple * np.cos(2.0 * math.pi * place), ripple * np.sin(2.0 * math.pi * place)
-    variance = (codes.noise_sd / codes.step) ** 2
-    harmonic = -cosine * (1.0 / math.pi**2 + 4.0 * variance) - (sine / math.pi) ** 2
-    rounded = variance + np.maximum(1.0 / 12.0 + harmonic, 0.0)
-    excess = np.maximum(codes.slot.variance / (codes.step**2 * rounded), 1.0)
+    ripple, phase = np.exp(-2.0 * np.pi**2 * noise_sd**2), 2.0 * math.pi * place
+    harmonic = -ripple * np.cos(phase) * (1.0 / math.pi**2 + 4.0 * noise_sd**2)
+    harmonic -= (ripple * np.sin(phase) / math.pi) ** 2
+    excess = np.maximum(variance / (noise_sd**2 + np.maximum(1.0 / 12.0 + harmonic, 0.0)), 1.0)
     # Its mean is made zero: half the time it is -χ²/2, of mean -1/2.
-    return np.asarray(0.25 - 0.5 * codes.n * (excess - 1.0 - np.log(excess)))
+    return np.asarray(0.25 - 0.5 * n * (excess - 1.0 - np.log(excess)))
 
 
-def _two_codes(codes: Codes) -> Correction:
-    """Correct by the share of readings above the edge between the two codes."""
-    slot, step, n, noise_sd, mean, variance = codes
+def _two_codes(slot: Slot, step: float, n: float, noise_sd: FloatArray) -> Measurement:
+    """Measure by the share of readings above the edge between the two codes."""
     share = (slot.mean - slot.lowest) / (slot.highest - slot.lowest)
     share = min(max(share, 0.5 / slot.count), 1.0 - 0.5 / slot.count)
     quantile = float(ndtri(share))
     density = math.exp(-0.5 * quantile**2) / ROOT_2_PI
     noise = noise_sd**2 * (share * (1.0 - share) / (n * density**2) + (SIGMA_ERROR * quantile) ** 2)
     z = 0.5 * (slot.lowest + slot.highest) + noise_sd * quantile
-    found = _gaussian(mean, variance, z, noise, noise_sd / (density * n))
     # All n readings are of these two codes: models of more noise would have read a third.
     apart = step / noise_sd
     within = n * np.log(np.maximum(ndtr(apart - quantile) - ndtr(-apart - quantile), 1e-300))
-    return found._replace(log_likelihood=found.log_likelihood + within)
+    return Measurement(z, noise, np.log(noise_sd / (density * n)) + within)
 
 
-def _one_code(codes: Codes, renewed: FloatArray) -> list[Correction]:
+def _one_code(
+    filters: Filters, slot: Slot, step: float, n: float, noise_sd: FloatArray, renewed: FloatArray
+) -> list[Correction]:
     """Confine y to the code; its edges are as soft as the extreme of n readings, moved in by its median.
 
     `renewed` is the share of the slow error that is new: to that share, a code that stays is new evidence.
     Returns what enters the states, and all that the code shows.
     """
-    slot, step, n, noise_sd, mean, variance = codes
+    mean, variance = (of_all[CODE] for of_all in filters.reading)
     extreme = float(ndtri(2.0 ** (-1.0 / n)))
-    softness = noise_sd / math.sqrt(1.0 + 2.0 * math.log(n))
-    half = np.maximum(0.5 * step - extreme * noise_sd, 0.1 * step)
-    total_sd = np.sqrt(variance + softness**2)
-    off = mean - slot.last
-    shift, kept, log_mass = truncated((-half - off) / total_sd, (half - off) / total_sd)
-    sd = np.sqrt(variance)
-    enters = (sd < SOFT * softness) | (sd > WIDE * step) | (log_mass < math.log(SURPRISE))
+    softness_variance = noise_sd**2 / (1.0 + 2.0 * math.log(n))
+    total_sd = np.sqrt(variance + softness_variance)
+    off, half = mean - slot.last, np.maximum(0.5 * step - extreme * noise_sd, 0.1 * step)
+    shift, kept, log_mass = truncated((-half - np.abs(off)) / total_sd, (half - np.abs(off)) / total_sd)
     gain = variance / total_sd
-    change, narrowing = gain * shift, gain**2 * (kept - 1.0)
+    change, narrowing = np.sign(off) * gain * shift, gain**2 * (kept - 1.0)
+    soft, wide = variance < SOFT**2 * softness_variance, variance > (WIDE * step) ** 2
+    enters = soft | wide | (log_mass < math.log(SURPRISE))
     evidence = np.where(enters, 1.0, RENEWAL * renewed) * log_mass
-    return [
-        Correction(enters * change, enters * narrowing, evidence),
-        Correction(change, narrowing, log_mass),
-    ]
+    entering = Correction(enters * change, enters * narrowing, evidence)
+    return [entering, Correction(change, narrowing, log_mass)]
 
 
 def truncated(low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return mean, variance and log mass of a standard normal between two bounds (Curry 1970).
 
-    Written for the lower tail, so that it is stable far out on either side.
+    The lower bound is the farther from zero: then all is stable, however far out.
     """
-    above = low > 0.0
-    a, b = np.where(above, -high, low), np.where(above, -low, high)
-    log_b = log_ndtr(b)
-    log_mass = log_b + np.log1p(-np.exp(np.minimum(log_ndtr(a) - log_b, -1e-12)))
-    at_a, at_b = (np.exp(-0.5 * bound**2 - log_mass) / ROOT_2_PI for bound in (a, b))
-    mean = np.clip(at_a - at_b, a, b)
-    variance = np.clip(1.0 + a * at_a - b * at_b - mean**2, 1e-6, 1.0)
-    return np.where(above, -mean, mean), variance, log_mass
+    log_high = log_ndtr(high)
+    log_mass = log_high + np.log1p(-np.exp(np.minimum(log_ndtr(low) - log_high, -1e-12)))
+    at_low, at_high = (np.exp(-0.5 * bound**2 - log_mass) / ROOT_2_PI for bound in (low, high))
+    mean = np.clip(at_low - at_high, low, high)
+    variance = np.clip(1.0 + low * at_low - high * at_high - mean**2, 1e-6, 1.0)
+    return mean, variance, log_mass

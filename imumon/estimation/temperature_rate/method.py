@@ -6,32 +6,16 @@ The gate decides what of a thermometer is a fault and not a temperature.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import fields, replace
-from typing import Literal, NamedTuple, Protocol
+from typing import Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 
 from imumon.blocks import NO_INT, BoolArray, FloatArray, IntArray
-from imumon.estimation.temperature_rate.filter import (
-    LONG_S,
-    RATE,
-    TEMPERATURE,
-    Filters,
-    correct,
-    mixture,
-    predict,
-    slow_error,
-    start,
-)
+from imumon.estimation.temperature_rate.filter import Filters, correct, predict, start
 from imumon.estimation.temperature_rate.measurement import evaluate
-from imumon.estimation.temperature_rate.thermometer import (
-    FASTEST_RATE,
-    REVERSALS,
-    SLOT_S,
-    UNKNOWN_STEP_DEGC,
-    Slot,
-    Thermometer,
-)
+from imumon.estimation.temperature_rate.thermometer import FASTEST_RATE, SLOT_S, Slot, Thermometer
 from imumon.filters.slots import SlotGatherer, Slots, held
 
 GATE_SIGMA, GATE_STEPS, GATE_SLOTS = 8.0, 5.0, 3
@@ -45,8 +29,6 @@ in that time a board goes through most of a warm-up."""
 LINEARITY, HYSTERESIS = 0.05, 0.5
 """Standard deviation of the place of an edge, steps: of a good converter; of one that may have hysteresis, as
 long as readings have not gone back.  Ablation."""
-SLOW_MEAN = 0.5
-"""The mean of a slow error is known to so many of its sigmas.  Ablation."""
 RAMP_S = 75.0
 """A rate is not known better than the temperature's sigma over this time, s: a ramp may just have begun.
 Ablation."""
@@ -82,12 +64,13 @@ class Output(NamedTuple):
 
     end_s: float = 0.0
     temperature: float = math.nan
+    """°C."""
+    slope: float = math.nan
+    """Its rate, °C/s."""
     rate: float = math.nan
-    """°C and °C/s."""
+    """The rate that is reported, °C/s: it follows with `LAG_S`."""
     temperature_sd: float = math.nan
     rate_sd: float = math.nan
-    rate_offset: float = 0.0
-    """Rate of the output until `end_s` less the new rate, °C/s; it decays with `LAG_S`."""
     late_s: float = math.inf
     """Age beyond which the output does not hold, as readings are missing, s."""
     reading_sd: float = math.nan
@@ -101,7 +84,7 @@ class MultipleModelRate:
     """
 
     def __init__(self, step_degc: float | None = None) -> None:
-        self.thermometer = Thermometer(step_degc or UNKNOWN_STEP_DEGC)
+        self.thermometer = Thermometer(step_degc) if step_degc else Thermometer()
         self.stuck_degc = math.nan
         """Where readings stuck last after a leap that no temperature makes, °C; NaN if they never did."""
         self._gatherer = SlotGatherer(1, round(SLOT_S * 1e9))
@@ -117,13 +100,15 @@ class MultipleModelRate:
         """
         n, before = len(reading), np.array(self._output)
         slots = self._gatherer.process(time_ns, segment, reading[:, np.newaxis])
-        outputs = np.array([self._update(slots, i) for i in range(len(slots))]).reshape(-1, len(before))
+        readings = zip(*(getattr(slots, name)[:, 0].tolist() for name in SLOT_VALUES), strict=True)
+        outputs = [self._update(self._slot(slots, i, values)) for i, values in enumerate(readings)]
         ends = np.stack([slots.end_ns, slots.segment], 1)
         end_ns, of_segment = held(slots.row, ends, self._ended, n).T
         self._ended = np.array([self._ended, *ends])[-1]
         age = np.asarray((time_ns - end_ns) * 1e-9, np.float64)
         known = (segment == of_segment) & (age >= 0.0)
-        return extrapolate(age, known, reading, Output(*held(slots.row, outputs, before, n).T))
+        shown = held(slots.row, np.reshape(outputs, (-1, len(before))), before, n)
+        return extrapolate(age, known, reading, Output(*shown.T))
 
     def _begin(self, origin_ns: int) -> None:
         self.thermometer.begin()
@@ -133,11 +118,20 @@ class MultipleModelRate:
         """Outliers in a row, and the last reading of the last of them, °C."""
         self._origin_ns, self._end_s = origin_ns, 0.0
 
-    def _update(self, slots: Slots, i: int) -> Output:
-        """Process a slot; return the output from its end on."""
+    def _slot(self, slots: Slots, i: int, values: Sequence[Any]) -> Slot:
+        """Return a slot with its fields `SLOT_VALUES`; the first of a segment begins anew."""
         if slots.begins[i]:
             self._begin(int(slots.start_ns[i]))
-        thermometer, slot = self.thermometer, self._slot(slots, i)
+        start_s, end_s = (int(ns[i] - self._origin_ns) * 1e-9 for ns in (slots.start_ns, slots.end_ns))
+        sample_s, self._end_s = (end_s - self._end_s) / int(slots.samples[i]), end_s
+        slot = Slot(0.5 * (start_s + end_s), end_s, sample_s, self.thermometer.last, *values)
+        if start_s - self.thermometer.used_s >= self.thermometer.neighbour_s:
+            return replace(slot, before=slot.first)
+        return replace(slot, changes=max(slot.changes, int(slot.before != slot.first)))
+
+    def _update(self, slot: Slot) -> Output:
+        """Process a slot; return the output from its end on."""
+        thermometer = self.thermometer
         if slot.end_s - thermometer.used_s > GAP_S:
             self._filters, self._output = None, Output()
         if self._filters is not None:
@@ -151,8 +145,9 @@ class MultipleModelRate:
             self._output = Output()
         elif new and self._filters is not None and outcome == "use":
             thermometer.learn(new)
-            entering, showing = evaluate(thermometer, new, self._filters)
-            shown, self._filters = correct(self._filters, showing), correct(self._filters, entering)
+            enters, shows = evaluate(thermometer, new, self._filters)
+            predicted, self._filters = self._filters, correct(self._filters, enters)
+            shown = self._filters if shows is enters else correct(predicted, shows)
         if shown is not None:
             self._output = output(thermometer, shown, self._output, slot.end_s)
         return self._output
@@ -183,46 +178,32 @@ class MultipleModelRate:
     def _is_near(self, slot: Slot, filters: Filters) -> bool:
         """Return whether a temperature may have got there since it was last observed."""
         thermometer = self.thermometer
-        mean, variance = mixture(filters.mu, *filters.reading)
+        mean, variance = filters.mixture(*filters.reading)
         noise = variance + thermometer.step**2 + thermometer.scatter + thermometer.rho
         moved = FASTEST_RATE * (slot.time_s - thermometer.used_s + SLOT_S)
         reach = max(GATE_STEPS * thermometer.step, moved, GATE_SIGMA * math.sqrt(noise))
         return max(slot.largest - mean, mean - slot.smallest) < reach
 
-    def _slot(self, slots: Slots, i: int) -> Slot:
-        thermometer = self.thermometer
-        start_s, end_s = (int(ns[i] - self._origin_ns) * 1e-9 for ns in (slots.start_ns, slots.end_ns))
-        sample_s, self._end_s = (end_s - self._end_s) / int(slots.samples[i]), end_s
-        values = [getattr(slots, name)[i, 0].item() for name in SLOT_VALUES]
-        slot = Slot(0.5 * (start_s + end_s), end_s, sample_s, thermometer.last, *values)
-        if start_s - thermometer.used_s >= thermometer.neighbour_s:
-            return replace(slot, before=slot.first)
-        return replace(slot, changes=max(slot.changes, int(slot.before != slot.first)))
-
 
 def output(thermometer: Thermometer, filters: Filters, before: Output, end_s: float) -> Output:
     """Return mean and standard deviation of the mixture from the end of a slot on, with what it lacks.
 
-    To the variance of the temperature are added: what of a slow error and of a walk is never known, the place
-    of the edges, and the time for which a reading is repeated.  To that of the rate: a ramp may just have
-    begun, hidden by the temperature's sigma or by rounding, whichever is larger.
+    To the variance of the temperature are added: the place of the edges, and the time for which a reading is
+    repeated.  To that of the rate: a ramp may just have begun, hidden by the temperature's sigma or by
+    rounding, whichever is larger.
     """
-    mu, x, p = filters.mu, filters.x, filters.p
-    temperature, variance = mixture(mu, x[TEMPERATURE], p[TEMPERATURE, TEMPERATURE])
-    rate, rate_variance = mixture(mu, x[RATE], p[RATE, RATE])
-    slow, walk = slow_error(thermometer)
-    edge_sd = thermometer.step * (LINEARITY if thermometer.reversals >= REVERSALS else HYSTERESIS)
-    variance += SLOW_MEAN**2 * float((mu * (slow + walk * LONG_S)).sum())
+    temperature, variance, rate, rate_variance = filters.temperature_and_rate
+    edge_sd = thermometer.step * (LINEARITY if thermometer.flickers else HYSTERESIS)
     variance += edge_sd**2 + (rate * thermometer.repeat_s) ** 2 / 3.0
     rate_variance += max(variance, thermometer.step**2 / 12.0) / RAMP_S**2
-    offset = before.rate + math.exp(-(end_s - before.end_s) / LAG_S) * before.rate_offset - rate
+    lag = 0.0 if math.isnan(before.rate) else math.exp(-(end_s - before.end_s) / LAG_S) * (before.rate - rate)
     return Output(
         end_s=end_s,
         temperature=temperature + (end_s - filters.time_s) * rate,
-        rate=rate,
+        slope=rate,
+        rate=rate + lag,
         temperature_sd=math.sqrt(variance),
-        rate_sd=math.sqrt(rate_variance),
-        rate_offset=0.0 if math.isnan(offset) else offset,
+        rate_sd=math.sqrt(rate_variance + lag**2),
         late_s=SLOT_S + thermometer.neighbour_s,
         reading_sd=math.sqrt(thermometer.step**2 / 12.0 + max(thermometer.scatter, thermometer.rho)),
     )
@@ -235,15 +216,12 @@ def extrapolate(age: FloatArray, known: BoolArray, reading: FloatArray, shown: O
     with its standard deviation (NaN while it is unknown), and the last rate or zero, ± `FASTEST_RATE`.
     """
     known = known & (age <= shown.late_s)
-    fading = np.exp(-age / LAG_S, where=known, out=np.zeros_like(age)) * shown.rate_offset
     # A slot is known when the next begins; readings farther apart leave the temperature to the rate.
     waited = np.maximum(age - 2.0 * SLOT_S, 0.0)
     unknown = 0.0 * reading
     return RateEstimate(
-        temperature=np.where(known, shown.temperature + age * shown.rate, reading),
-        rate=np.where(known, shown.rate + fading, unknown + np.nan_to_num(shown.rate)),
-        temperature_sd=np.where(
-            known, np.hypot(shown.temperature_sd, waited * shown.rate_sd), unknown + shown.reading_sd
-        ),
-        rate_sd=np.where(known, np.hypot(shown.rate_sd, fading), unknown + FASTEST_RATE),
+        np.where(known, shown.temperature + age * shown.slope, reading),
+        np.where(known, shown.rate, unknown + np.nan_to_num(shown.rate)),
+        np.where(known, np.hypot(shown.temperature_sd, waited * shown.rate_sd), unknown + shown.reading_sd),
+        np.where(known, shown.rate_sd, unknown + FASTEST_RATE),
     )

@@ -31,10 +31,8 @@ class TemperatureRate:
     ) -> None:
         given = parameters or TemperatureRateParameters()
         self._new_method = new_method or partial(MultipleModelRate, given.step_degc)
-        self._methods: dict[str, RateMethod] = {}
-        """Of each channel."""
-        self._begun: set[str] = set()
-        """Channels that have had a reading."""
+        self._methods: dict[str, RateMethod | None] = {}
+        """Of each channel; None until its first reading."""
         self._notices = {f"temperature: {name} is not used any more": False for name in given.retired}
         """Lines for the log, and whether `notices` has returned them."""
 
@@ -60,30 +58,30 @@ class TemperatureRate:
 
         Needs ``device_time_ns`` and ``segment``; a channel that is not in the block is missing throughout.
         """
-        for name in TEMPERATURES:
-            if name in block and name not in self._methods:
-                self._methods[name] = self._new_method()
-        values = [
-            each for name, method in self._methods.items() for each in self._estimate(name, method, block)
-        ]
+        self._methods |= {name: self._methods.get(name) for name in TEMPERATURES if name in block}
+        values = [each for name in self._methods for each in self._estimate(name, block)]
         return {column.name: each for column, each in zip(self.columns, values, strict=True)}
 
-    def _estimate(self, name: str, method: RateMethod, block: SampleBlock) -> FloatArray:
+    def _estimate(self, name: str, block: SampleBlock) -> FloatArray:
         """Return temperature, rate and their standard deviations, (4, n).
 
         Rows before the first reading are kept from the method: there may have been no column for them, and
         what follows must not depend on that.
         """
-        reading = block.columns.get(name, np.full(len(block), np.nan))
-        begun = np.logical_or.accumulate(np.isfinite(reading)) | (name in self._begun)
-        if begun.any():
-            self._begun.add(name)
-        found = method.process(block["device_time_ns"][begun], block["segment"][begun], reading[begun])
+        estimates = np.full((4, len(block)), np.nan)
+        reading, first = block.columns.get(name, estimates[0]), 0
+        method = self._methods[name]
+        if method is None:
+            known = np.flatnonzero(np.isfinite(reading))
+            if not len(known):
+                return estimates
+            first, method = int(known[0]), self._new_method()
+            self._methods[name] = method
+        new = (values[first:] for values in (block["device_time_ns"], block["segment"], reading))
+        estimates[:, first:] = method.process(*new)
         if isinstance(method, MultipleModelRate) and math.isfinite(method.stuck_degc):
             text = f"{name}: it leapt to {method.stuck_degc:g} °C, as no temperature does, and stuck there: "
             self._notices.setdefault(text + "taken for a fault of the thermometer until it changes", False)
-        estimates = np.full((4, len(block)), np.nan)
-        estimates[:, begun] = found
         return estimates
 
     def notices(self) -> list[str]:

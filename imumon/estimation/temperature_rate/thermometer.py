@@ -101,9 +101,14 @@ class Thermometer:
     """When that was, or before it when the first reading was, s."""
 
     @property
+    def flickers(self) -> bool:
+        """Whether its noise is known to reach over an edge."""
+        return self.reversals >= REVERSALS
+
+    @property
     def repeat_s(self) -> float:
         """How long a reading is repeated: the least time between changes, once noise or a leap shows it."""
-        repeats = (self.leapt or self.reversals >= REVERSALS) and self.interval_s > 1.5 * self.sample_s
+        repeats = (self.leapt or self.flickers) and self.interval_s > 1.5 * self.sample_s
         return min(self.interval_s, MOST_REPEAT_S) if repeats else 0.0
 
     @property

@@ -76,23 +76,17 @@ KEPT = np.array([0.0, math.exp(-SLOT_S / 10.0)])
 PAST_SCALE = 3.0 * np.sqrt((1.0 - KEPT) / (1.0 + KEPT))
 """Three of their standard deviations."""
 
-_TESTS = [
-    (row, theta, pattern)
-    for row, pattern in enumerate(REGRESSORS)
-    for theta in THETAS
-    # A negative correlation with the past is no fault: the filter's sigma is too large.
-    if theta > 0.0 or pattern is not Pattern.AUTOCORRELATION
-]
-_ROWS = [row for row, _, _ in _TESTS]
-_THETA = np.array([theta for _, theta, _ in _TESTS])
-PATTERNS = np.array([pattern for _, _, pattern in _TESTS] + [Pattern.VARIANCE] * len(LAMBDAS))
+THETA = np.tile(THETAS, (len(REGRESSORS), 1))
+THETA[-len(KEPT) :] = np.maximum(THETA[-len(KEPT) :], 0.0)
+"""Of each test of (1); a negative correlation with the past is no fault: the filter's sigma is too large."""
+PATTERNS = np.append(np.repeat(REGRESSORS, len(THETAS)), [Pattern.VARIANCE] * len(LAMBDAS))
 """Of each test, those of (1) and then those of (2), (t,)."""
 
 
 class State:
     """All that is carried from slot to slot, by axis."""
 
-    def __init__(self) -> None:
+    def __init__(self, segment: int = NO_INT, first_ns: int = 0) -> None:
         self.low = np.full((3, len(HIGH_PASS_S)), np.nan)
         """Low-passes of temperature and rate, °C and °C/s."""
         self.scale = np.zeros((3, len(HIGH_PASS_S)))
@@ -101,17 +95,16 @@ class State:
         """Means of earlier innovations."""
         self.gain, self.cusum, self.peaks = np.zeros((3, 3, len(PATTERNS)))
         """Of each test: the sum of log e over the block, the CUSUM, and its largest value since the start."""
-        self.slots = 0
-        self.segment = self.first_ns = NO_INT
-        self.last_s = 0.0
-        """Segment and time of the first slot, ns, and time of the last one since then, s."""
+        self.segment, self.first_ns, self.last_s, self.slots = segment, first_ns, 0.0, 0
+        """Segment and time of the first slot, ns; time of the last one since then, s; how many there were."""
         self.suspect_segment = NO_INT
         """Segment in which the filter was caught at being wrong."""
 
 
 def limit(false_alarm_hours: float) -> float:
     """Return the value at which a CUSUM alarms, for a mean time at rest to a false alarm of so many hours."""
-    return math.log(3 * len(PATTERNS) * false_alarm_hours * 3600.0 / (BLOCK * SLOT_S))
+    tests = 3 * (np.count_nonzero(THETA) + len(LAMBDAS))
+    return math.log(tests * false_alarm_hours * 3600.0 / (BLOCK * SLOT_S))
 
 
 def step(
@@ -138,13 +131,10 @@ def step(
     counted = state.slots - LEARNING
     if counted <= 0:
         return 0.0
-    theta_r = _THETA * np.hstack([thermal, decay, past])[:, _ROWS]
-    state.gain += np.hstack(
-        [
-            theta_r * v - TOLERANCE * np.abs(theta_r) - 0.5 * KAPPA * theta_r**2,
-            LAMBDAS * v**2 + 0.5 * np.log(1.0 - 2.0 * LAMBDAS * KAPPA),
-        ]
-    )
+    theta_r = (np.hstack([thermal, decay, past])[:, :, np.newaxis] * THETA).reshape(3, -1)
+    of_mean = theta_r * v - TOLERANCE * np.abs(theta_r) - 0.5 * KAPPA * theta_r**2
+    of_variance = LAMBDAS * v**2 + 0.5 * np.log(1.0 - 2.0 * LAMBDAS * KAPPA)
+    state.gain += np.hstack([of_mean, of_variance])
     if counted % BLOCK:
         return 0.0
     state.cusum = np.maximum(state.cusum, 0.0) + state.gain
@@ -195,21 +185,19 @@ class ModelWatch:
         segment, innovations = block["segment"], block.vector("zupt_innovation")
         if innovations is None:
             return {SUSPECT.name: np.zeros(len(block), np.int64)}
-        suspect = (segment == self._state.suspect_segment).astype(np.int64)
+        state, time_ns = self._state, block["device_time_ns"]
+        suspect = (segment == state.suspect_segment).astype(np.int64)
         slots = np.flatnonzero(np.isfinite(innovations).all(1))
-        time_ns, segments = block["device_time_ns"][slots], segment[slots]
         temperature, rate = (_of_axes(block, f"temperature_{name}", slots) for name in ("estimate", "rate"))
         for k, row in enumerate(slots.tolist()):
-            now_s = 1e-9 * (int(time_ns[k]) - self._state.first_ns)
-            if segments[k] != self._state.segment or now_s < self._state.last_s:  # a restart
-                self._state = State()
-                self._state.segment, self._state.first_ns = int(segments[k]), int(time_ns[k])
+            now_s = 1e-9 * int(time_ns[row] - state.first_ns)
+            if segment[row] != state.segment or now_s < state.last_s:  # a restart
+                state = self._state = State(int(segment[row]), int(time_ns[row]))
                 now_s, suspect[row:] = 0.0, 0
-            state = self._state
             highest = step(state, now_s, innovations[row], temperature[k], rate[k])
             if highest >= self._alarm_at and state.suspect_segment == NO_INT:
-                state.suspect_segment = int(segments[k])
-                suspect[row:] = segment[row:] == state.suspect_segment
+                state.suspect_segment = state.segment
+                suspect[row:] = segment[row:] == state.segment
                 self._texts.setdefault(interpret(state.peaks, self._modelled)[1], False)
         return {SUSPECT.name: suspect}
 
@@ -246,15 +234,14 @@ def interpret(peaks: FloatArray, modelled: bool) -> tuple[str, str]:
     follow each other, and that before their size: an effect does all three.  `peaks` are of `State`, (3, t).
     """
     least = EXPLAINING_SHARE * float(peaks.max())
-    strength = {pattern: float(peaks[:, pattern == PATTERNS].max()) for pattern in Pattern}
-    explains = [pattern for pattern in Pattern if strength[pattern] >= least]
+    strength = {pattern: peaks[:, pattern == PATTERNS].max(1) for pattern in Pattern}
+    explains = [pattern for pattern in Pattern if strength[pattern].max() >= least]
     drivers = [pattern for pattern in explains if pattern in DRIVERS]
-    named = max(drivers, key=strength.__getitem__) if drivers else explains[0]
+    named = max(drivers, key=lambda pattern: float(strength[pattern].max())) if drivers else explains[0]
     does = f"follow {named}" if drivers else str(named)
-    highest = peaks[:, named == PATTERNS].max(1)
-    axes = ", ".join(axis for axis, peak in zip("xyz", highest, strict=True) if peak >= least)
-    start = f"MODEL SUSPECT: on {axes} the innovations of the bias filter {does}"
-    return f"innovations {does}", f"{start}; {_advice(named, modelled)}"
+    axes = ", ".join(axis for axis, peak in zip("xyz", strength[named], strict=True) if peak >= least)
+    where = f"MODEL SUSPECT: on {axes} the innovations of the bias filter {does}"
+    return f"innovations {does}", f"{where}; {_advice(named, modelled)}"
 
 
 def _advice(named: Pattern, modelled: bool) -> str:
