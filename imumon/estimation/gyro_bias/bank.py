@@ -22,7 +22,8 @@ The modes are fixed: static multiple models (Bar-Shalom et al., 2001, section 11
 mean of a second) is not known (West & Harrison, 1997, ch. 4): each filter has its mean x, its covariance P
 over σ², and of σ² an inverse-gamma posterior IG(a, β).  Gains do not depend on σ², and S here is the
 innovation covariance over σ².  The predictive density of a measurement is Student's t with 2 a degrees of
-freedom and squared scale S β/a, and it weighs the modes of each axis.
+freedom and squared scale S β/a, and it weighs the modes of each axis; all variances that are used are means,
+with E[σ²] = β/(a - 1).
 
 All modes have one F, so the moments of their mixture, the *prediction*, propagate as those of each of them.
 It is evaluated at each sample: a unit in the hand is in another pose a quarter of a second later.
@@ -141,13 +142,15 @@ class Prediction:
         known = np.where(np.isfinite(degc), degc, self.degc)
         return replace(self, mean=mean, covariance=covariance, time_s=time_s, degc=known)
 
-    def bias(self, force: FloatArray, of_mean: bool = False) -> tuple[FloatArray, FloatArray]:
-        """Return bias and variance at a specific force, (3,) each; `of_mean` without the fastest flicker."""
+    def bias(self, force: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return bias and variance at a specific force, (3,) each."""
         h = measurement_row(force)
-        mean = self.mean @ h
-        if of_mean:
-            h[FLICKER.start] = 0.0
-        return mean, np.maximum(self.covariance @ h @ h, 0.0)
+        return self.mean @ h, np.maximum(self.covariance @ h @ h, 0.0)
+
+    def innovation(self, now: Measurement) -> tuple[FloatArray, FloatArray]:
+        """Return a mean rate less its prediction, rad/s, and the variance of that, (3,) each."""
+        bias, variance = self.at(now.end_s, now.degc).bias(now.force)
+        return now.rate - bias, variance + self.white / now.covered_s
 
     def output(self, added: FloatArray, force: FloatArray, turn: FloatArray) -> LinearBias:
         """Return the bias with more variance, (rad/s)², at the mean force of a slot, m/s², (3,) each."""
@@ -203,7 +206,7 @@ class Bank:
         count: float,
         first: Measurement,
     ) -> Bank:
-        """Return filters that know nothing of the bias before the first measurement.
+        """Return filters after the first measurement, before which nothing is known of the bias.
 
         `noise` are declared B, rad/s, and K, rad/s/√s, (3,) each, or None; `slopes` standard deviations of
         the slope over σ, 1/°C; `white` is σ², the variance of the mean rate of a second, (rad/s)², (3,), with
@@ -211,28 +214,29 @@ class Bank:
         """
         process, fast, log_prior = _modes(noise, slopes, white)
         variance = process.copy()
-        variance[..., WALK] = np.maximum(UNKNOWN, TURN_ON**2 / white)[:, np.newaxis]
+        variance[..., WALK] = 0.0
         variance[..., SLOPE] = process[..., SLOPE] * SLOPE_DEGC
         variance[..., SENSITIVITY] = (SENSITIVITY_SD**2 / white)[:, np.newaxis, np.newaxis]
         scale = np.repeat(count * white[:, np.newaxis], fast.shape[1], 1)
         start_s, zero = first.end_s - first.covered_s, np.zeros_like(variance)
         covariance = variance[..., np.newaxis] * np.eye(STATES)
-        return cls(process, fast, zero, covariance, log_prior, count, scale, start_s, first.degc)
+        bank = cls(process, fast, zero, covariance, log_prior, count, scale, start_s, first.degc)
+        return bank.after(first, jumped=True)
 
     def fits(self, now: Measurement, sigmas: float) -> bool:
         """Return whether a mean is within so many sigmas of its prediction in each axis."""
-        prediction = self.prediction.at(now.end_s, now.degc)
-        bias, variance = prediction.bias(now.force)
-        variance = variance + prediction.white / now.covered_s
-        return bool(((now.rate - bias) ** 2 <= sigmas**2 * variance).all())
+        innovation, variance = self.prediction.innovation(now)
+        return bool((innovation**2 <= sigmas**2 * variance).all())
 
     def after(self, now: Measurement, jumped: bool = False) -> Bank:
-        """Return the filters after a measurement; with `jumped` the bias may be any, and modes and σ²
-        stay."""
+        """Return the filters after a measurement.
+
+        With `jumped` the bias may be any, so its mean shows nothing of modes and σ², which stay.
+        """
         dt, warming = now.end_s - self.time_s, now.degc - self.degc
         mean, covariance = propagated(self.mean, self.covariance, self.process, dt, warming)
         if jumped:
-            covariance[..., WALK, WALK] += np.maximum(UNKNOWN, TURN_ON**2 * self.shape / self.scale)
+            covariance[..., WALK, WALK] += np.maximum(UNKNOWN, TURN_ON**2 / self.white)
         h = measurement_row(now.force)
         cross = (covariance.reshape(-1, STATES) @ h).reshape(mean.shape)  # P Hᵀ
         spread = cross @ h + 1.0 / now.covered_s  # S
@@ -255,12 +259,17 @@ class Bank:
         scale = fade * (self.scale + 0.5 * square)
         return replace(self, log_weight=weight, shape=fade * (a + 0.5), scale=scale)
 
+    @property
+    def white(self) -> FloatArray:
+        """E[σ²], the mean of the inverse-gamma posterior, (rad/s)², (3, F)."""
+        return self.scale / (self.shape - 1.0)
+
     @cached_property
     def prediction(self) -> Prediction:
         """Mean and covariance over all modes, in absolute units."""
         w = np.exp(self.log_weight)
         w = w / w.sum(1, keepdims=True)
-        white = w * self.scale / max(self.shape - 1.0, 1.0)
+        white = w * self.white
         mean = (w[:, np.newaxis] @ self.mean)[:, 0]
         off = self.mean - mean[:, np.newaxis]
         flat = self.covariance.reshape(*w.shape, -1)
@@ -273,12 +282,12 @@ class Bank:
     def wider(self, variance: FloatArray) -> Bank:
         """Let the bias have changed by an unknown amount of this variance, (rad/s)², (3,)."""
         covariance = self.covariance.copy()
-        covariance[..., WALK, WALK] += variance[:, np.newaxis] * self.shape / self.scale
+        covariance[..., WALK, WALK] += variance[:, np.newaxis] / self.white
         return replace(self, covariance=covariance)
 
     def with_noise_of(self, other: Bank) -> Bank:
         """Take σ² and the mode weights of another bank; the covariance of the states, P σ², stays."""
-        ratio = self.scale / self.shape * other.shape / other.scale
+        ratio = self.white / other.white
         covariance = self.covariance * ratio[..., np.newaxis, np.newaxis]
         weight, shape, scale = other.log_weight, other.shape, other.scale
         return replace(self, covariance=covariance, log_weight=weight, shape=shape, scale=scale)

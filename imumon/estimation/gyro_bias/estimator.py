@@ -24,17 +24,16 @@ from imumon.estimation.gyro_bias.bank import (
     PRIOR_COUNT,
     SENSITIVITY_SD,
     SLOPE,
-    WALK,
     Bank,
     LinearBias,
 )
-from imumon.estimation.gyro_bias.hypotheses import Hypotheses, begun
+from imumon.estimation.gyro_bias.hypotheses import Hypotheses
 from imumon.estimation.gyro_bias.motion import Motion
 from imumon.estimation.gyro_bias.parameters import GyroBiasParameters
 from imumon.estimation.gyro_bias.place import Attitude
 from imumon.estimation.gyro_bias.thermal import ThermalVariance
 from imumon.estimation.rest.parameters import RestParameters
-from imumon.estimation.rest.quiet import SECOND_SLOTS, TRIAL, QuietDetector
+from imumon.estimation.rest.quiet import QUIET_TOO_SHORT, SECOND_SLOTS, TRIAL, QuietDetector
 from imumon.estimation.rest.slots import ACCEL, GYRO, Measurement, Slot, measurement_of
 from imumon.geodesy import EARTH_RATE, STANDARD_GRAVITY
 
@@ -42,8 +41,6 @@ LEAST_WHITE = 1e-15
 """Variance of the mean of a second, (rad/s)²: 0.0065 °/h, less than any gyro has.  Assumed."""
 SECOND_S = 1.0 - 1e-6
 """Length of a measurement; slots of 0.25 s add up to it in spite of rounding."""
-UNDO_SLOTS = 2
-"""Motion that begins within so many slots after a measurement takes it back from the filters."""
 
 
 @dataclass(slots=True, eq=False)
@@ -73,8 +70,6 @@ class Estimator:
     """The last temperatures that were known, °C, (3,)."""
     motion: Motion = field(default_factory=Motion)
     """Estimates the bias from motion before the first rest."""
-    updated: bool = True
-    """Whether more than time has changed the bias; cleared by who takes `output`."""
 
     def restarted(self) -> Estimator:
         """Return what holds after a restart of the device: the noise is what it was, the bias is not."""
@@ -83,16 +78,18 @@ class Estimator:
         return Estimator(self.parameters, self.slopes, self.limits, thermal, place, self.quiet, self.jumped)
 
     @property
-    def at_rest(self) -> bool:
-        """Whether the unit rests.
+    def unrest(self) -> str:
+        """Why the unit does not rest; empty where it does.
 
         It does not from an unquiet slot until a quiet second has been decided on, nor while a turn is more
         likely than a changed bias.  Where a gyro is absent, quiet accelerometers are rest.  Within a slot the
         stage ends rest at a sample outside `QuietDetector.band`, and where readings are missing for long.
         """
-        if not self.quiet.present[GYRO].all():
-            return self.quiet.is_rest
-        return self.hypotheses is not None and not (self.hypotheses.moved or self.hypotheses.turning)
+        if self.quiet.unrest or not self.quiet.present[GYRO].all():
+            return self.quiet.unrest
+        if self.hypotheses is None or self.hypotheses.moved:
+            return QUIET_TOO_SHORT
+        return "a turn is more likely than a changed bias" if self.hypotheses.turning else ""
 
     def step(self, slot: Slot) -> FloatArray | None:
         """Take a slot; return the normalised innovations of the measurement it completes at rest, (3,)."""
@@ -102,7 +99,6 @@ class Estimator:
         self.added = self.added + self.thermal.step(slot.degc, slot.power_on_sd)
         self.latest = [*self.latest[1 - TRIAL :], slot]
         self.quiet.update(slot, self.limits.drift)
-        innovation = None
         if not self.quiet.present[GYRO].all():
             return None
         if self.quiet.quiet_slots == 0:
@@ -116,10 +112,11 @@ class Estimator:
         else:
             self.pending.append(slot)
             if self.hypotheses.turning:
-                self._follow(slot)
+                self._follow(slot, self.hypotheses)
             if self.quiet.is_rest and sum(one.length_s for one in self.pending) >= SECOND_S:
                 innovation = self._decide(self.hypotheses)
-        return innovation if self.at_rest else None
+                return None if self.unrest else innovation
+        return None
 
     def bridge_gap(self, degc: FloatArray, lag_degc: FloatArray, long: bool) -> None:
         """Widen the bias by a gap; a `long` one ends rest.
@@ -138,7 +135,6 @@ class Estimator:
         if long:
             self.quiet.restart()
             self._interrupt()
-        self.updated = True
 
     def _noise(self) -> FloatArray:
         """Return the variance of the mean of a second, (6,)."""
@@ -151,8 +147,7 @@ class Estimator:
     def _interrupt(self) -> None:
         """End the rest: drop a measurement that is not complete."""
         if self.hypotheses is not None:
-            self.updated |= not self.hypotheses.moved
-            self.hypotheses.move(undo=len(self.pending) < UNDO_SLOTS)
+            self.hypotheses.move()
             if self.hypotheses.began_turning:
                 self.hypotheses = None
         self.pending = []
@@ -160,19 +155,23 @@ class Estimator:
     def _coast(self, slot: Slot) -> None:
         """Follow the turn of an unquiet slot; before the first rest estimate the bias from it."""
         self._interrupt()
-        force = slot.mean[ACCEL]
         if self.hypotheses is not None:
-            self._follow(slot)
-        elif slot.gap_s or np.isnan(force).any():
+            self._follow(slot, self.hypotheses)
+        elif slot.gap_s or np.isnan(slot.mean[ACCEL]).any():
             self.motion.interrupt()
-        elif self.motion.take(slot.turn, force):
-            self.updated = True
+        else:
+            self.motion.take(slot.turn, slot.mean[ACCEL])
 
-    def _follow(self, slot: Slot) -> None:
+    def _follow(self, slot: Slot, hypotheses: Hypotheses) -> None:
         """Add a slot to the turn since the attitude was taken."""
-        assert self.hypotheses is not None
-        self.attitude.follow(slot.turn, self.hypotheses.shown.prediction.mean[:, WALK] + slot.modelled)
+        bias, _ = hypotheses.shown.prediction.bias(self.force)
+        self.attitude.follow(slot.turn, bias + slot.modelled)
         self.attitude.lost |= slot.gap_s > 0.0
+
+    def _come_to_rest(self, force: FloatArray, hypotheses: Hypotheses | None) -> None:
+        """Take the attitude at a specific force, m/s², (3,)."""
+        prediction = None if hypotheses is None else hypotheses.shown.prediction
+        self.added = self.added + self.attitude.come_to_rest(force, prediction)
 
     def _begin(self) -> None:
         """Begin the filters with the first quiet second, or the slots of the trial that found the noise."""
@@ -181,7 +180,7 @@ class Estimator:
             return
         slots = self.latest[-self.quiet.quiet_slots :]
         self.attitude = self.attitude.anew()
-        self.attitude.come_to_rest(self.force, None)
+        self._come_to_rest(self.force, None)
         seconds = range(0, len(slots), SECOND_SLOTS)
         measurements = [self._measurement(slots[k : k + SECOND_SLOTS]) for k in seconds]
         if not np.isfinite([one.rate for one in measurements]).all():
@@ -189,32 +188,32 @@ class Estimator:
         white, b, k = self.parameters.per_axis
         count = PRIOR_COUNT if white is None else DECLARED_COUNT
         sigma2 = self._noise()[GYRO] if white is None else np.maximum(white**2, LEAST_WHITE)
-        filters = Bank.begin((b, k), self.slopes, sigma2, count, measurements[0])
-        self.hypotheses = begun(filters, measurements, self.limits, slots[-1].rest_given is not None)
-        self.added, self.updated = np.zeros(3), True
+        first, given = measurements[0], slots[-1].rest_given is not None
+        bank = Bank.begin((b, k), self.slopes, sigma2, count, first)
+        for now in measurements[1:]:
+            bank = bank.after(now)
+        self.hypotheses = Hypotheses(bank, bank, bank, measurements, first, self.limits, given)
+        self.added = np.zeros(3)
 
     def _decide(self, hypotheses: Hypotheses) -> FloatArray | None:
         """Decide on a complete measurement; return its normalised innovations, (3,)."""
         slots, self.pending = self.pending, []
-        nominal = hypotheses.shown.prediction
         if hypotheses.moved:
-            self.added = self.added + self.attitude.come_to_rest(slots[0].mean[ACCEL], nominal)
+            self._come_to_rest(slots[0].mean[ACCEL], hypotheses)
         now = self._measurement(slots)
         if not np.isfinite(now.rate).all():
             return None
-        prediction = nominal.at(now.end_s, now.degc)
-        mean, variance = prediction.bias(now.force)
-        innovation = (now.rate - mean) / np.sqrt(variance + self.added + prediction.white / now.covered_s)
+        innovation, variance = hypotheses.shown.prediction.innovation(now)
+        innovation = innovation / np.sqrt(variance + self.added)
+        hypotheses.map(lambda bank: bank.wider(self.added))
         accel_noise = float(self._noise()[ACCEL].max()) if self.quiet.present[ACCEL].all() else math.inf
-        parts = [self._measurement([slot]) for slot in slots]
-        self.jumped |= hypotheses.decide(now, parts, self.added, accel_noise)
-        self.added, self.updated = np.zeros(3), True
+        self.jumped |= hypotheses.decide(now, accel_noise)
+        self.added = np.zeros(3)
         if hypotheses.began_turning and hypotheses.changes:
             self.quiet.restart()
             self._interrupt()
         elif self.attitude.turn.seconds and not hypotheses.turning:
-            nominal = hypotheses.shown.prediction
-            self.added = self.added + self.attitude.come_to_rest(slots[-1].mean[ACCEL], nominal)
+            self._come_to_rest(slots[-1].mean[ACCEL], hypotheses)
         return np.asarray(innovation)
 
     def output(self, now_s: float) -> LinearBias:

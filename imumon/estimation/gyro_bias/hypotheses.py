@@ -54,6 +54,8 @@ NEW_POSE = 0.3
 """m/s²: a specific force that differs by more from the first one is that of another pose."""
 BEGAN_LOG_RATIO = -8.0
 """ln Λ by the heading up to which the recording began in a turn."""
+UNDECIDED_GIVEN_S = 60.0
+"""Where rest is given, a rate that contradicts the bias widens sigma for so long; then it is bias."""
 RECENT = 16
 """Measurements of a rate that are kept: those that gravity and heading are compared over."""
 
@@ -72,9 +74,7 @@ class Hypotheses:
     """The first rest, while it may have been a turn; None once the unit has been in another pose."""
     limits: RestParameters
     rest_given: bool
-    """Whether rest is given, and any steady rate is bias from `undecided_s` on."""
-    undo: Bank | None = None
-    """The present filters before the last second, which is taken back where motion follows at once."""
+    """Whether rest is given: then any steady rate is bias after `UNDECIDED_GIVEN_S`."""
     changes: int = 0
     """How often the rate has changed since it fitted the nominal bias."""
     alike: int = 0
@@ -83,8 +83,8 @@ class Hypotheses:
     """How long the present rate has lasted, s."""
     p_turn: float = 0.0
     """Probability that what lies between both is a turn."""
-    ambiguities: FloatArray = field(default_factory=partial(np.zeros, (2, 3)))
-    """What the less likely hypothesis adds to sigma, by the last two measurements, (2, 3)."""
+    ambiguity: FloatArray = field(default_factory=partial(np.zeros, 3))
+    """What the less likely hypothesis adds to sigma, (3,)."""
     doubted: bool = False
     """Whether the nominal bias stays, as the present rate may be a turn."""
     began_turning: bool = False
@@ -105,40 +105,25 @@ class Hypotheses:
         """The filters of the more likely hypothesis."""
         return self.nominal if self.turning else self.present
 
-    @property
-    def ambiguity(self) -> FloatArray:
-        """What the less likely hypothesis adds to sigma, (3,): a single measurement may fit by chance."""
-        before, latest = self.ambiguities
-        return np.asarray(np.where(np.abs(before) > np.abs(latest), before, latest))
-
-    def decide(
-        self, now: Measurement, parts: Sequence[Measurement], added: FloatArray, accel_noise: float
-    ) -> bool:
+    def decide(self, now: Measurement, accel_noise: float) -> bool:
         """Take a measurement; return whether a changed bias has become the nominal one.
 
-        `parts` are its slots one by one, needed in the first seconds of a rate.  `added` is the variance by
-        which the bias may have changed since the one before, (rad/s)², (3,).  `accel_noise` is the variance
-        of the mean force of a second, (m/s²)².
+        `accel_noise` is the variance of the mean force of a second, (m/s²)².
         """
-        if added.any():
-            self.map(lambda bank: bank.wider(added))
         if self.moved and self.first and np.linalg.norm(now.force - self.first.force) > NEW_POSE:
             self.first = None  # it was in a hand, and not on a turntable
         if self.moved and not self.doubted:
             self.nominal = self.newer = self.present
         self.recent = [*self.recent[1 - RECENT :], now]
         self._learn(now)
-        evidence: Sequence[Measurement] = self.recent[-self.alike :]
-        if self.alike < LEAST_MEASUREMENTS:  # the rate may just have changed
-            evidence = self.recent if len(self.recent) >= LEAST_MEASUREMENTS else parts
-        self._weigh(now, evidence, accel_noise)
+        # The rate may just have changed, so it is seen beside the seconds before.
+        self._weigh(now, self.recent[-max(self.alike, LEAST_MEASUREMENTS) :], accel_noise)
         return self._follow(now)
 
     def _learn(self, now: Measurement) -> None:
         """Update the present bias."""
-        self.undo = None
         if self.newer.fits(now, FIT_SIGMAS):
-            self.undo, self.present = self.present, self.present.after(now)
+            self.present = self.present.after(now)
             self.steady_s += now.covered_s
             self.alike = min(self.alike + 1, len(self.recent))
             return
@@ -151,29 +136,35 @@ class Hypotheses:
 
     def _weigh(self, now: Measurement, evidence: Sequence[Measurement], accel_noise: float) -> None:
         """Weigh a turn against the bias, by the latest measurements."""
-        nominal = self.nominal.prediction.at(now.end_s, now.degc)
-        bias, variance = nominal.bias(now.force, of_mean=True)
-        present, own = self.present.prediction.bias(now.force, of_mean=True)
-        change, aged = present - bias, self.changes > 0 and self.steady_s >= ONSET_S
-        first = self.first.rate if self.first and aged else None
-        noise, before = accel_noise / evidence[0].covered_s, max(self.changes - 1, 0)
-        rate = SteadyRate(
-            evidence, bias, variance, change, variance + own, before, self.steady_s, first, noise
-        )
-        self.p_turn = probability_of_turn(rate, self.limits)
+        bias, variance = self.nominal.prediction.at(now.end_s, now.degc).bias(now.force)
+        present, own = self.present.prediction.bias(now.force)
+        change = present - bias
         if self.rest_given:
-            undecided = self.changes > 0 and self.steady_s <= self.limits.undecided_s
-            self.p_turn = 0.5 if undecided else 0.0
+            self.p_turn = 0.5 if self.changes and self.steady_s <= UNDECIDED_GIVEN_S else 0.0
+        else:
+            aged = self.changes > 0 and self.steady_s >= ONSET_S
+            rate = SteadyRate(
+                measurements=evidence,
+                bias=bias,
+                variance=variance,
+                change=change,
+                change_variance=variance + own,
+                changes=max(self.changes - 1, 0),
+                steady_s=self.steady_s,
+                first=self.first.rate if self.first and aged else None,
+                force_variance=accel_noise / evidence[0].covered_s,
+            )
+            self.p_turn = probability_of_turn(rate, self.limits)
         if self.turning:
             square = (1.0 - self.p_turn) * change**2
         else:  # the variance of the mixture: that of the nominal bias, which may be vague by then, counts
             square = self.p_turn * (change**2 + np.maximum(variance - own, 0.0))
-        self.ambiguities = np.stack([self.ambiguities[1], np.copysign(np.sqrt(square), change)])
+        self.ambiguity = np.copysign(np.sqrt(square), change)
         # A turn in the first rest is found by the heading, until another rate contradicts it.
         if self.first and not self.changes:
             self.began_turning |= heading(self.recent, np.zeros(3)) < BEGAN_LOG_RATIO
         if self.began_turning:
-            self.ambiguities[:] = now.rate
+            self.ambiguity = now.rate
 
     def _follow(self, now: Measurement) -> bool:
         """Let the nominal bias follow if a turn is unlikely; return whether it has changed."""
@@ -191,32 +182,14 @@ class Hypotheses:
             self.newer = self.present
         return False
 
-    def move(self, undo: bool) -> None:
-        """Coast while the unit moves: a change of a few seconds was how the motion began.
-
-        With `undo` the last measurement is taken back: motion may begin before it is detected.
-        """
-        if undo and self.undo is not None:
-            self.present = self.undo
-        self.undo = None
+    def move(self) -> None:
+        """Coast while the unit moves: a change of a few seconds was how the motion began."""
         if self.changes == 1 and self.steady_s < ONSET_S:
             self.present, self.changes, self.doubted = self.nominal, 0, False
         if not self.doubted:
-            self.p_turn, self.ambiguities = 0.0, np.zeros((2, 3))
+            self.p_turn, self.ambiguity = 0.0, np.zeros(3)
         self.recent, self.alike = [], 0
 
     def map(self, function: Callable[[Bank], Bank]) -> None:
         """Apply a function to all filters."""
         self.present, self.nominal, self.newer = map(function, (self.present, self.nominal, self.newer))
-        self.undo = None if self.undo is None else function(self.undo)
-
-
-def begun(
-    bank: Bank, measurements: Sequence[Measurement], limits: RestParameters, rest_given: bool
-) -> Hypotheses:
-    """Return the hypotheses after the first measurements, by filters that know nothing of the bias."""
-    for now in measurements:
-        bank = bank.after(now)
-    rate = np.asarray(np.mean([one.rate for one in measurements], axis=0))
-    first = measurements[0]._replace(rate=rate)
-    return Hypotheses(bank, bank, bank, list(measurements), first, limits, rest_given)

@@ -18,7 +18,7 @@ from imumon.estimation.gyro_bias.bank import (
     LinearBias,
     at_samples,
 )
-from imumon.estimation.gyro_bias.estimator import SECOND_S, Estimator
+from imumon.estimation.gyro_bias.estimator import Estimator
 from imumon.estimation.gyro_bias.parameters import GyroBiasParameters
 from imumon.estimation.gyro_bias.place import Attitude
 from imumon.estimation.gyro_bias.thermal import BiasTrail, ThermalInput, ThermalVariance, trust_in
@@ -106,14 +106,13 @@ class RestAndBias:
         self._estimator = Estimator(
             self._parameters,
             slopes,
-            RestParameters(undecided_s=60.0) if self._rest_given else rest,
+            rest,
             ThermalVariance(None if model is None else trust_in(model)),
             Attitude(_radians(latitude_deg), _radians(heading_deg)),
         )
         self._timing = Timing()
         self._slots = SlotGatherer(GATHERED, round(SLOT_S * 1e9), turns=True)
-        self._bias, self._bias_s = self._estimator.output(0.0), -math.inf
-        """Last output of the estimator, and its time."""
+        self._bias = self._estimator.output(0.0)
         self._at_rest = 0
         self._trail = BiasTrail(model)
         self._breaks = Breaks()
@@ -139,11 +138,11 @@ class RestAndBias:
         total, curve, power_on_sd = self._thermal.process(block, temperature, breaks)
         values = np.column_stack([readings, total, temperature, power_on_sd, heading_of(block), given])
         slots = self._slots.process(np.where(usable, time_ns, NO_INT), segment, values)
-        rest, innovation, rows, every = self._estimate(block, slots, readings, temperature)
+        rest, innovation, every = self._estimate(block, slots, readings, temperature)
         self._expire(rest, time_ns, usable)
         if self._rest_given:
             rest[:] = given
-        bias, variance, turn = at_samples(rows, every, readings[:, ACCEL], rest == 0)
+        bias, variance, turn = at_samples(slots.row, every, readings[:, ACCEL], rest == 0)
         if self._rest_given:
             reported = block.vector("turn_hypothesis")
             if reported is not None:
@@ -159,11 +158,9 @@ class RestAndBias:
 
     def _estimate(
         self, block: SampleBlock, slots: Slots, readings: FloatArray, temperature: FloatArray
-    ) -> tuple[IntArray, FloatArray, IntArray, list[LinearBias]]:
-        """Return at_rest, (n,), innovations, (n, 3), the rows from which on another bias holds, and all
-        biases, the one before the first row in front."""
+    ) -> tuple[IntArray, FloatArray, list[LinearBias]]:
+        """Return at_rest, (n,), innovations, (n, 3), and the bias before the first slot and behind each."""
         rest, innovation = np.zeros(len(block), np.int64), np.full((len(block), 3), np.nan)
-        rows: list[int] = []
         every, start = [self._bias], 0
         for k, slot in enumerate(self._timing.slots(slots)):
             row = int(slots.row[k])
@@ -172,14 +169,11 @@ class RestAndBias:
             if found is not None:
                 innovation[row] = found
             now_s = self._look_ahead(block, slots, k, temperature[row])
-            if self._estimator.updated or now_s - self._bias_s >= SECOND_S:
-                self._bias, self._bias_s = self._estimator.output(now_s), now_s
-                self._estimator.updated = False
-                rows.append(row)
-                every.append(self._bias)
-            self._at_rest, start = int(self._estimator.at_rest), row
+            self._bias = self._estimator.output(now_s)
+            every.append(self._bias)
+            self._at_rest, start = int(not self._estimator.unrest), row
         self._hold(rest, readings, start, len(rest))
-        return rest, innovation, np.array(rows, np.int64), every
+        return rest, innovation, every
 
     def _look_ahead(self, block: SampleBlock, slots: Slots, k: int, degc: FloatArray) -> float:
         """Detect a restart or a gap by the first sample behind a slot; return up to when all is known, s."""
@@ -212,6 +206,11 @@ class RestAndBias:
         latest_ns = np.where(latest < 0, self._last_ns, time_ns[latest])
         rest[(time_ns == NO_INT) | (time_ns - latest_ns > int(LONGEST_PAUSE_S * 1e9))] = 0
         self._last_ns = int(latest_ns[-1]) if len(latest_ns) else self._last_ns
+
+    @property
+    def unrest(self) -> str:
+        """Why the unit did not rest in the latest slot; empty where it did."""
+        return self._estimator.unrest
 
     def charts(self) -> Sequence[Chart]:
         """Return the bias over temperature, beside the model's curve where there is a model."""

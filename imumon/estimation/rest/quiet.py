@@ -22,6 +22,7 @@ SECOND_SLOTS = 4
 """Slots of a second: so many are quiet before it is rest."""
 SHORT_RESTS = 2
 """Short rests after which rest takes a trial's length: a slow tilt is quiet for a second, again and again."""
+QUIET_TOO_SHORT = "quiet for too short a time"
 LENGTHS = 2 ** np.arange(7)
 CHI_SQUARE = 42.0
 """Three axes together: once in 2e8 for Gaussian noise of known variance."""
@@ -75,6 +76,8 @@ class QuietDetector:
     """Number of slots that the noise is averaged over; 0 while it is not known."""
     noise_changed: bool = False
     """Whether another noise has been found with this slot."""
+    moving: str = ""
+    """What is not quiet in the latest slot; empty if all is."""
     disturbed: bool = False
     """Whether a single sample of the present slot was outside `band`."""
     step: FloatArray = field(default_factory=partial(np.zeros, AXES))
@@ -89,6 +92,11 @@ class QuietDetector:
     def is_rest(self) -> bool:
         """Whether it has been quiet for long enough."""
         return self.quiet_slots >= (TRIAL if self.short_rests >= SHORT_RESTS else SECOND_SLOTS)
+
+    @property
+    def unrest(self) -> str:
+        """Why it is no rest; empty where it is."""
+        return self.moving or ("" if self.is_rest else QUIET_TOO_SHORT)
 
     @property
     def floor(self) -> FloatArray:
@@ -125,18 +133,17 @@ class QuietDetector:
         """
         self._append(slot)
         self.slots, self.quiet_slots, self.noise_changed = self.slots + 1, self.quiet_slots + 1, False
-        given, known = slot.rest_given, self.noise_slots > 0.0
-        quiet = known and not self.disturbed and self._fits(slot, drift) if given is None else given
-        if not quiet:
+        known = self.noise_slots > 0.0
+        self.moving, self.disturbed = self._motion(slot, drift), False
+        if self.moving:
             self._interrupt()
         elif known:
             self._learn(slot)
-        self.disturbed = False
-        if given and not known and self.quiet_slots >= TRIAL:
+        elif self.quiet_slots >= TRIAL:
             noise = _white_variance(self.mean[-TRIAL:])
             self._set_noise(noise, noise * slot.samples)
         doubtful = not known or (self.unquiet >= SECOND_SLOTS and self.quiet_slots < TRIAL)
-        if given is None and doubtful and self.slots >= TRIAL and self.slots % SECOND_SLOTS == 0:
+        if slot.rest_given is None and doubtful and self.slots >= TRIAL and self.slots % SECOND_SLOTS == 0:
             self._restart_noise(slot.samples)
 
     def _append(self, slot: Slot) -> None:
@@ -162,23 +169,37 @@ class QuietDetector:
         self.short_rests = 0 if self.pause > SECOND_SLOTS else self.short_rests + short
         self.quiet_slots, self.unquiet = 0, self.unquiet + 1
 
-    def _fits(self, slot: Slot, drift: FloatArray) -> bool:
-        """Return whether windows, and the samples of the slot, differ by no more than noise and drift."""
+    def _motion(self, slot: Slot, drift: FloatArray) -> str:
+        """Return what in a slot is not quiet; empty if all is, or rest is given."""
+        if slot.rest_given is not None:
+            return "" if slot.rest_given else "motion is given"
+        if not self.noise_slots:
+            return "the noise at rest is not known yet"
+        if self.disturbed:
+            return "a single sample is far from the mean"
+        if self._windows_differ(slot.length_s * drift):
+            return "the mean changes by more than noise and drift"
+        return "the samples scatter more than at rest" if self._scatters(slot) else ""
+
+    def _windows_differ(self, drift: FloatArray) -> bool:
+        """Return whether means of windows differ by more than noise and drift, (6,) a slot."""
         lengths = LENGTHS[self.quiet_slots >= 2 * LENGTHS]
         width = lengths[:, np.newaxis]
         sums = np.cumsum(self.mean[::-1], axis=0)  # of the latest 1, 2, 3 ... slots
         change = 2.0 * sums[lengths - 1] - sums[2 * lengths - 1]
-        excess = np.maximum(np.abs(change) / width - drift * slot.length_s * width, 0.0)
+        excess = np.maximum(np.abs(change) / width - drift * width, 0.0)
         # A shorter window has a smaller floor: a disturbance has had less time to act.
         least = QUIET**2 / np.maximum(1.0, 4.0 / width) + self.floor
         square = excess**2 / (2.0 * np.maximum(self.noise / width, least))
-        if (square.reshape(-1, 2, 3).sum(2) > CHI_SQUARE).any():
-            return False
-        # Wilson and Hilferty's chi-square, of three samples and more.
+        return bool((square.reshape(-1, 2, 3).sum(2) > CHI_SQUARE).any())
+
+    def _scatters(self, slot: Slot) -> bool:
+        """Return whether three samples or more scatter more than at rest (chi-square)."""
+        # Wilson and Hilferty.
         k = 2.0 / (9.0 * np.maximum(0.5 * (slot.samples - 1.0), 1.0))
         factor = VARIANCE_FACTOR * (1.0 - k + VARIANCE_SIGMAS * np.sqrt(k)) ** 3
         limit = np.maximum(factor * self.sample_noise, 1e-12) + 12.0 * self.floor
-        return not ((slot.variance > limit) & (slot.samples >= 3.0)).any()
+        return bool(((slot.variance > limit) & (slot.samples >= 3.0)).any())
 
     def _learn(self, slot: Slot) -> None:
         """Learn the noise from second differences, in which a drift cancels."""
@@ -203,7 +224,7 @@ class QuietDetector:
         pairs = zip(trial, (self.noise, self.sample_noise), strict=True)
         larger = any((new > NOISE_CHANGE * old + self.floor).any() for new, old in pairs)
         if larger or not self.noise_slots:
-            self.quiet_slots, self.unquiet, self.short_rests = TRIAL, 0, 0
+            self.moving, self.quiet_slots, self.unquiet, self.short_rests = "", TRIAL, 0, 0
             self._set_noise(*trial)
 
     def _set_noise(self, noise: FloatArray, sample_noise: FloatArray) -> None:
