@@ -126,9 +126,8 @@ class Prediction:
     covariance: FloatArray
     process: FloatArray
     """(3, 8), (3, 8, 8), and the process noise as `Bank.process` has it, (3, 8)."""
-    fast: FloatArray
     white: FloatArray
-    """Variance of the flicker of single samples, and of the white noise of a second, (rad/s)², (3,)."""
+    """Variance of the white noise of a second, (rad/s)², (3,)."""
     time_s: float
     degc: FloatArray
     """°C, (3,)."""
@@ -156,7 +155,10 @@ class Prediction:
         """Return the bias with more variance, (rad/s)², at the mean force of a slot, m/s², (3,) each."""
         select = np.vstack([measurement_row(np.zeros(3)), np.eye(STATES)[SENSITIVITY]])
         covariance = select @ self.covariance @ select.T
-        covariance[:, 0, 0] += self.fast + added
+        # What is faster than g1, and g1 at the end of a second less its mean over it, which updated it:
+        # 1 + 0.736 - 2 x 0.632 of its variance.  In a long motion the latter is too much, by 5 % of sigma.
+        fast = math.log(TAUS_S[0] / FASTEST_S) / math.log(TAUS_S[2] / TAUS_S[1]) + 0.47
+        covariance[:, 0, 0] += fast * self.process[:, FLICKER.start] + added
         return LinearBias(self.mean @ select.T, covariance, force, turn)
 
 
@@ -183,8 +185,6 @@ class Bank:
 
     process: FloatArray
     """Q over σ²: of w per second, of each gi when it is in equilibrium, of s per °C, (3, F, 8)."""
-    fast: FloatArray
-    """Variance over σ² of flicker of a sample that the filter does not follow, (3, F)."""
     mean: FloatArray
     covariance: FloatArray
     """P, over σ²."""
@@ -212,15 +212,15 @@ class Bank:
         the slope over σ, 1/°C; `white` is σ², the variance of the mean rate of a second, (rad/s)², (3,), with
         `count` as its a.
         """
-        process, fast, log_prior = _modes(noise, slopes, white)
+        process, log_prior = _modes(noise, slopes, white)
         variance = process.copy()
         variance[..., WALK] = 0.0
-        variance[..., SLOPE] = process[..., SLOPE] * SLOPE_DEGC
+        variance[..., SLOPE] *= SLOPE_DEGC
         variance[..., SENSITIVITY] = (SENSITIVITY_SD**2 / white)[:, np.newaxis, np.newaxis]
-        scale = np.repeat(count * white[:, np.newaxis], fast.shape[1], 1)
+        scale = np.zeros_like(log_prior) + count * white[:, np.newaxis]
         start_s, zero = first.end_s - first.covered_s, np.zeros_like(variance)
         covariance = variance[..., np.newaxis] * np.eye(STATES)
-        bank = cls(process, fast, zero, covariance, log_prior, count, scale, start_s, first.degc)
+        bank = cls(process, zero, covariance, log_prior, count, scale, start_s, first.degc)
         return bank.after(first, jumped=True)
 
     def fits(self, now: Measurement, sigmas: float) -> bool:
@@ -276,8 +276,7 @@ class Bank:
         within = (white[:, np.newaxis] @ flat).reshape(3, STATES, STATES)
         covariance = within + (off * w[..., np.newaxis]).transpose(0, 2, 1) @ off
         process = (white[:, np.newaxis] @ self.process)[:, 0]
-        fast = (white * self.fast).sum(1)
-        return Prediction(mean, covariance, process, fast, white.sum(1), self.time_s, self.degc)
+        return Prediction(mean, covariance, process, white.sum(1), self.time_s, self.degc)
 
     def wider(self, variance: FloatArray) -> Bank:
         """Let the bias have changed by an unknown amount of this variance, (rad/s)², (3,)."""
@@ -294,14 +293,14 @@ class Bank:
 
     def with_white(self, white: FloatArray) -> Bank:
         """Restart σ², the variance of the mean of a second, (rad/s)², (3,)."""
-        scale = np.repeat(PRIOR_COUNT * white[:, np.newaxis], self.fast.shape[1], 1)
+        scale = np.zeros_like(self.scale) + PRIOR_COUNT * white[:, np.newaxis]
         return self.with_noise_of(replace(self, shape=PRIOR_COUNT, scale=scale))
 
 
 def _modes(
     noise: Sequence[FloatArray | None], slopes: Sequence[float], white: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return each noise level with each slope: process, (3, F, 8), fast, and ln of the prior, (3, F).
+) -> tuple[FloatArray, FloatArray]:
+    """Return each noise level with each slope: `Bank.process`, (3, F, 8), and ln of the prior, (3, F).
 
     See `Bank.begin` for the arguments.
     """
@@ -315,14 +314,10 @@ def _modes(
     else:
         b, k = ((one / np.sqrt(white))[:, np.newaxis] for one in (b, k))
         prior = np.ones(1)
-    slope = np.tile(slopes, len(prior))
-    b, k, prior = (np.repeat(one, len(slopes), axis=-1) for one in (b, k, prior))
-    variance = b**2 * math.log(TAUS_S[2] / TAUS_S[1]) / math.pi
-    process = np.zeros((*b.shape, STATES))
-    process[..., WALK] = k**2
-    process[..., FLICKER] = variance[..., np.newaxis]
-    process[..., SLOPE] = slope**2 / SLOPE_DEGC
-    # What is faster than the fastest process, and that process at the end of a second less its mean over it:
-    # 1 + 0.736 - 2 x 0.632 of its variance.
-    fast = b**2 / math.pi * math.log(TAUS_S[0] / FASTEST_S) + 0.47 * variance
-    return process, fast, np.tile(np.log(prior), (3, 1))
+    process = np.zeros((3, len(prior), len(slopes), STATES))
+    process[..., WALK] = k[..., np.newaxis] ** 2
+    flicker_variance = b**2 * math.log(TAUS_S[2] / TAUS_S[1]) / math.pi
+    process[..., FLICKER] = flicker_variance[..., np.newaxis, np.newaxis]
+    process[..., SLOPE] = np.square(slopes) / SLOPE_DEGC
+    log_prior = np.log(np.repeat(prior, len(slopes)))
+    return process.reshape(3, -1, STATES), np.tile(log_prior, (3, 1))

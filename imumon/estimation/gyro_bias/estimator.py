@@ -29,10 +29,9 @@ from imumon.estimation.gyro_bias.bank import (
 )
 from imumon.estimation.gyro_bias.hypotheses import Hypotheses
 from imumon.estimation.gyro_bias.motion import Motion
-from imumon.estimation.gyro_bias.parameters import GyroBiasParameters
 from imumon.estimation.gyro_bias.place import Attitude
 from imumon.estimation.gyro_bias.thermal import ThermalVariance
-from imumon.estimation.rest.parameters import RestParameters
+from imumon.estimation.rest.parameters import GyroBiasParameters, RestParameters
 from imumon.estimation.rest.quiet import QUIET_TOO_SHORT, SECOND_SLOTS, TRIAL, QuietDetector
 from imumon.estimation.rest.slots import ACCEL, GYRO, Measurement, Slot, measurement_of
 from imumon.geodesy import EARTH_RATE, STANDARD_GRAVITY
@@ -91,8 +90,10 @@ class Estimator:
             return QUIET_TOO_SHORT
         return "a turn is more likely than a changed bias" if self.hypotheses.turning else ""
 
-    def step(self, slot: Slot) -> FloatArray | None:
-        """Take a slot; return the normalised innovations of the measurement it completes at rest, (3,)."""
+    def step(self, slot: Slot) -> FloatArray:
+        """Take a slot; return the normalised innovations of the measurement it completes at rest, (3,), or
+        NaN."""
+        innovation = np.full(3, np.nan)
         force = slot.mean[ACCEL]
         self.force = np.where(np.isfinite(force), force, self.force)
         self.degc = np.where(np.isfinite(slot.degc), slot.degc, self.degc)
@@ -100,7 +101,7 @@ class Estimator:
         self.latest = [*self.latest[1 - TRIAL :], slot]
         self.quiet.update(slot, self.limits.drift)
         if not self.quiet.present[GYRO].all():
-            return None
+            return innovation
         if self.quiet.quiet_slots == 0:
             self._coast(slot)
         elif self.hypotheses is None:
@@ -115,8 +116,7 @@ class Estimator:
                 self._follow(slot, self.hypotheses)
             if self.quiet.is_rest and sum(one.length_s for one in self.pending) >= SECOND_S:
                 innovation = self._decide(self.hypotheses)
-                return None if self.unrest else innovation
-        return None
+        return np.full(3, np.nan) if self.unrest else innovation
 
     def bridge_gap(self, degc: FloatArray, lag_degc: FloatArray, long: bool) -> None:
         """Widen the bias by a gap; a `long` one ends rest.
@@ -195,14 +195,14 @@ class Estimator:
         self.hypotheses = Hypotheses(bank, bank, bank, measurements, first, self.limits, given)
         self.added = np.zeros(3)
 
-    def _decide(self, hypotheses: Hypotheses) -> FloatArray | None:
-        """Decide on a complete measurement; return its normalised innovations, (3,)."""
+    def _decide(self, hypotheses: Hypotheses) -> FloatArray:
+        """Decide on a complete measurement; return its normalised innovations, (3,), NaN where it lacks."""
         slots, self.pending = self.pending, []
         if hypotheses.moved:
             self._come_to_rest(slots[0].mean[ACCEL], hypotheses)
         now = self._measurement(slots)
         if not np.isfinite(now.rate).all():
-            return None
+            return np.full(3, np.nan)
         innovation, variance = hypotheses.shown.prediction.innovation(now)
         innovation = innovation / np.sqrt(variance + self.added)
         hypotheses.map(lambda bank: bank.wider(self.added))

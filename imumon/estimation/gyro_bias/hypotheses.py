@@ -116,8 +116,9 @@ class Hypotheses:
             self.nominal = self.newer = self.present
         self.recent = [*self.recent[1 - RECENT :], now]
         self._learn(now)
-        # The rate may just have changed, so it is seen beside the seconds before.
-        self._weigh(now, self.recent[-max(self.alike, LEAST_MEASUREMENTS) :], accel_noise)
+        # Where the rate has just changed, gravity and heading are compared since before it.
+        alike = self.alike >= LEAST_MEASUREMENTS
+        self._weigh(now, self.recent[-self.alike :] if alike else self.recent, accel_noise)
         return self._follow(now)
 
     def _learn(self, now: Measurement) -> None:

@@ -19,10 +19,9 @@ from imumon.estimation.gyro_bias.bank import (
     at_samples,
 )
 from imumon.estimation.gyro_bias.estimator import Estimator
-from imumon.estimation.gyro_bias.parameters import GyroBiasParameters
 from imumon.estimation.gyro_bias.place import Attitude
-from imumon.estimation.gyro_bias.thermal import BiasTrail, ThermalInput, ThermalVariance, trust_in
-from imumon.estimation.rest.parameters import RestParameters, retired
+from imumon.estimation.gyro_bias.thermal import BiasTrail, ThermalInput, ThermalVariance
+from imumon.estimation.rest.parameters import GyroBiasParameters, RestParameters, retired
 from imumon.estimation.rest.slots import ACCEL, GATHERED, GYRO, SLOT_S, Timing, heading_of, readings_of
 from imumon.filters.slots import Breaks, SlotGatherer, Slots
 from imumon.models.model import BiasModel
@@ -107,7 +106,7 @@ class RestAndBias:
             self._parameters,
             slopes,
             rest,
-            ThermalVariance(None if model is None else trust_in(model)),
+            ThermalVariance(self._thermal.trust),
             Attitude(_radians(latitude_deg), _radians(heading_deg)),
         )
         self._timing = Timing()
@@ -121,7 +120,6 @@ class RestAndBias:
         self._notices = _notices_of_place(latitude_deg, heading_deg)
         self._notices += [f"{key} is not used any more" for key in keys]
         self._reported: set[str] = set()
-        self._lacks_rest = False
 
     def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
         """Return the new columns of a block; NaN where there is no estimate.
@@ -165,9 +163,8 @@ class RestAndBias:
         for k, slot in enumerate(self._timing.slots(slots)):
             row = int(slots.row[k])
             self._hold(rest, readings, start, row)
-            found = self._estimator.step(slot) if slot.length_s > 0.0 else None
-            if found is not None:
-                innovation[row] = found
+            if slot.length_s > 0.0:
+                innovation[row] = self._estimator.step(slot)
             now_s = self._look_ahead(block, slots, k, temperature[row])
             self._bias = self._estimator.output(now_s)
             every.append(self._bias)
@@ -222,31 +219,22 @@ class RestAndBias:
             return np.full(len(block), np.nan)
         if "at_rest" in block:
             return np.asarray(block["at_rest"] == 1, np.float64)
-        self._lacks_rest |= not self._parameters.assume_at_rest
-        return np.full(len(block), float(self._parameters.assume_at_rest))
-
-    def notices(self) -> list[str]:
-        """Return, once each, what is missing, assumed, or out of range, and each jump of the bias."""
-        if self._lacks_rest:
+        if not self._parameters.assume_at_rest:
             self._notices.append(
                 "no column at_rest: the bias is not estimated (a rest detector gives it; assume_at_rest does "
                 "without)"
             )
-        if self._thermal.lacking:
-            self._notices.append("the bias model lacks its temperature: the bias is taken as constant")
-        if self._thermal.outside and self._estimator.thermal.trust is not None:
-            _, _, low, high = self._estimator.thermal.trust
-            self._notices.append(
-                "the temperature is outside the range of the bias model, "
-                f"{low.max():.1f} to {high.min():.1f} °C: the bias is extrapolated and its standard "
-                "deviation widened"
-            )
-        texts = [text for text in self._notices if text not in self._reported]
+        return np.full(len(block), float(self._parameters.assume_at_rest))
+
+    def notices(self) -> list[str]:
+        """Return, once each, what is missing, assumed, or out of range, and each jump of the bias."""
+        texts = [text for text in self._notices + self._thermal.notices if text not in self._reported]
+        texts = list(dict.fromkeys(texts))
         self._reported.update(texts)
+        self._notices, self._thermal.notices = [], []
         if self._estimator.jumped:
             self._estimator.jumped, jump = False, "at rest the rate contradicted the bias, so it has jumped"
             texts.append(f"{jump}: the bias is estimated anew")
-        self._notices = []
         return texts
 
 

@@ -86,14 +86,14 @@ class ThermalInput:
     """
 
     def __init__(self, model: BiasModel | None) -> None:
-        self._predictor = BiasPredictor(model, GYROS) if model is not None else None
-        columns = self._predictor.temperature_columns if self._predictor is not None else ["temperature"] * 3
+        self._predictor = None if model is None else BiasPredictor(model, GYROS)
+        columns = ["temperature"] * 3 if self._predictor is None else self._predictor.temperature_columns
         self._sources = [_sources(name, axis) for name, axis in zip(columns, "xyz", strict=True)]
         self._reference = np.full(3, np.nan)
-        self.outside = False
-        """Whether the temperature has been outside the range that the model was made for."""
-        self.lacking = False
-        """Whether what the model needs was missing in a block with samples."""
+        self.trust = None if model is None else trust_in(model)
+        """As from `trust_in`; None without a model."""
+        self.notices: list[str] = []
+        """What was missing, or out of range; a text may be there more than once."""
 
     def temperature(self, block: SampleBlock) -> FloatArray:
         """Return the temperature of each gyro in °C, the estimated one where there is one, (n, 3)."""
@@ -116,7 +116,7 @@ class ThermalInput:
         `temperature` is as from `temperature`, and the device has restarted at the rows `breaks`.  Without a
         model all are zero; before the first temperature curve and sd are NaN.
         """
-        if self._predictor is None:
+        if self._predictor is None or self.trust is None:
             return np.zeros((3, len(block), 3))
         others = {name: block[name] for name in self._predictor.drivers if name in block}
         times, segment = block["device_time_ns"], block["segment"]
@@ -130,8 +130,15 @@ class ThermalInput:
             for j in np.flatnonzero(np.isnan(self._reference) & known[run].any(0)):
                 self._reference[j] = curve[run][np.argmax(known[run, j]), j]
             total[run] = np.where(known[run], curve[run] - self._reference, 0.0)
-            self.lacking |= bool(stop > start and not known[run].any())
-        self.outside |= bool((np.isfinite(temperature) & ~predicted.inside).any())
+            if stop > start and not known[run].any():
+                self.notices.append("the bias model lacks its temperature: the bias is taken as constant")
+        if (np.isfinite(temperature) & ~predicted.inside).any():
+            _, _, low, high = self.trust
+            self.notices.append(
+                "the temperature is outside the range of the bias model, "
+                f"{low.max():.1f} to {high.min():.1f} °C: the bias is extrapolated and its standard "
+                "deviation widened"
+            )
         return np.stack([total, curve, np.where(known, predicted.start_sd, np.nan)])
 
 

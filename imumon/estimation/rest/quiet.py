@@ -40,12 +40,8 @@ MEMORY_SLOTS = 1200.0
 """Over which the noise is averaged at rest: five minutes."""
 LARGEST_COLOUR = 5.0
 """In a trial: largest variance of means of 4 and 8 slots over that of white noise."""
-HALVES, HALVES_OFFSET = 5.0, 20.0
-"""In a trial: largest noise of one half over the other, and what is added to it."""
 NOISE_CHANGE = 2.5
 """Factor of the variance from which on a trial has found another noise."""
-SLOWER = 16.0
-"""In a trial: largest variance of slot means over that which their samples explain: more is slow motion."""
 SPIKE_SIGMAS = 8.0
 """A single sample so far from the mean at rest ends it."""
 
@@ -140,11 +136,11 @@ class QuietDetector:
         elif known:
             self._learn(slot)
         elif self.quiet_slots >= TRIAL:
-            noise = _white_variance(self.mean[-TRIAL:])
+            noise = self._white_variance()
             self._set_noise(noise, noise * slot.samples)
         doubtful = not known or (self.unquiet >= SECOND_SLOTS and self.quiet_slots < TRIAL)
         if slot.rest_given is None and doubtful and self.slots >= TRIAL and self.slots % SECOND_SLOTS == 0:
-            self._restart_noise(slot.samples)
+            self._try_noise(slot.samples)
 
     def _append(self, slot: Slot) -> None:
         """Append a slot; an axis without reading keeps its last mean, and 0 if it is absent."""
@@ -216,46 +212,33 @@ class QuietDetector:
         if self.quiet_slots >= TRIAL:
             self.unquiet = self.short_rests = 0
 
-    def _restart_noise(self, samples: FloatArray) -> None:
-        """Take the noise of the last slots if they pass the trial, and it is larger or the first."""
-        trial = self._trial(samples)
-        if trial is None:
-            return
-        pairs = zip(trial, (self.noise, self.sample_noise), strict=True)
-        larger = any((new > NOISE_CHANGE * old + self.floor).any() for new, old in pairs)
-        if larger or not self.noise_slots:
-            self.moving, self.quiet_slots, self.unquiet, self.short_rests = "", TRIAL, 0, 0
-            self._set_noise(*trial)
-
     def _set_noise(self, noise: FloatArray, sample_noise: FloatArray) -> None:
         self.noise_changed, self.noise_slots = True, TRIAL - 2.0
         self.noise, self.sample_noise = noise, sample_noise
 
-    def _trial(self, count: FloatArray) -> tuple[FloatArray, FloatArray] | None:
-        """Return the variance of slot means and of samples, (6,) each; None of what moves."""
-        mean = self.mean[-TRIAL:]
-        noise = _white_variance(mean)
+    def _white_variance(self) -> FloatArray:
+        """Return the variance of the last slot means by their second differences: no drift is in it, (6,)."""
+        square = np.diff(self.mean[-TRIAL:], 2, axis=0) ** 2
+        return np.asarray(np.maximum(square.mean(0) / 6.0, 1e-24))
+
+    def _try_noise(self, count: FloatArray) -> None:
+        """Take the noise of the last slots if it is that of rest, and larger than before or the first."""
+        mean, noise = self.mean[-TRIAL:], self._white_variance()
         enough = np.isfinite(self.within).all(0) & (count >= 3.0)
-        samples = np.where(enough, np.where(enough, self.within, 0.0).mean(0), noise * count)
+        samples = np.where(enough, self.within.mean(0), noise * count)
         # Where the noise at rest is known, what is far above it is suspicious, too.
         least = (np.minimum(QUIET**2, 9.0 * self.noise) if self.noise_slots else QUIET**2) + self.floor
         for length in (4, 8):  # noise averages out
             ratio = mean.reshape(-1, length, AXES).mean(1).var(0, ddof=1) / np.maximum(noise / length, least)
             if (ratio.reshape(2, 3).mean(1) > LARGEST_COLOUR).any():
-                return None
-        # A hand is slow within a slot and fast between slots.
-        slow = enough & (noise * count > SLOWER * samples) & (noise > least)
-        second = np.diff(mean, 2, axis=0) ** 2 / np.maximum(noise, least)
-        first, last = (half.reshape(-1, 2, 3).sum((0, 2)) for half in (second[:7], second[7:]))
-        uneven = np.maximum(first, last) > HALVES * np.minimum(first, last) + HALVES_OFFSET
+                return
         # Single samples are as loud as they are, and a gyro may be noisy: its samples are then white.
         loud = np.maximum(mean.var(0), noise).reshape(2, 3).mean(1) > ROAD**2
         road = loud & (count.reshape(2, 3).max(1) >= 3.0)
         white = (noise * count < 1.5 * samples) & (np.arange(AXES) < ACCEL.start)
         shaken = (samples > VIBRATION**2) | np.repeat(road, 3)
-        return None if slow.any() or uneven.any() or (shaken & ~white).any() else (noise, samples)
-
-
-def _white_variance(mean: FloatArray) -> FloatArray:
-    """Return the variance of slot means, (n, 6), by their second differences: no drift is in it, (6,)."""
-    return np.asarray(np.maximum((np.diff(mean, 2, axis=0) ** 2).mean(0) / 6.0, 1e-24))
+        larger = noise > NOISE_CHANGE * self.noise + self.floor
+        larger |= samples > NOISE_CHANGE * self.sample_noise + self.floor
+        if not (shaken & ~white).any() and (larger.any() or not self.noise_slots):
+            self.moving, self.quiet_slots, self.unquiet, self.short_rests = "", TRIAL, 0, 0
+            self._set_noise(noise, samples)

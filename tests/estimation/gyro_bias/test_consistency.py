@@ -7,8 +7,8 @@ import pytest
 from scipy.stats import chi2
 
 from imumon.blocks import FloatArray
-from imumon.estimation.gyro_bias.parameters import GyroBiasParameters
 from imumon.estimation.gyro_bias.stage import GyroBias
+from imumon.estimation.rest.parameters import GyroBiasParameters
 from tests.bias_noise import INSTABILITY_PER_DECADE
 from tests.estimation.gyro_bias.records import (
     ARW,
