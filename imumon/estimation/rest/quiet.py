@@ -40,8 +40,13 @@ MEMORY_SLOTS = 1200.0
 """Over which the noise is averaged at rest: five minutes."""
 LARGEST_COLOUR = 5.0
 """In a trial: largest variance of means of 4 and 8 slots over that of white noise."""
+HALVES, HALVES_OFFSET = 5.0, 20.0
+"""In a trial: largest noise of one half over the other, and what is added to it: else a knock was noise."""
 NOISE_CHANGE = 2.5
 """Factor of the variance from which on a trial has found another noise."""
+SLOWER = 16.0
+"""In a trial: largest variance of slot means over that which their samples explain: a hand is slow within a
+slot and fast between slots."""
 SPIKE_SIGMAS = 8.0
 """A single sample so far from the mean at rest ends it."""
 
@@ -232,13 +237,19 @@ class QuietDetector:
             ratio = mean.reshape(-1, length, AXES).mean(1).var(0, ddof=1) / np.maximum(noise / length, least)
             if (ratio.reshape(2, 3).mean(1) > LARGEST_COLOUR).any():
                 return
+        slow = enough & (noise * count > SLOWER * samples) & (noise > least)
+        second = np.diff(mean, 2, axis=0) ** 2 / np.maximum(noise, least)
+        first, last = (half.reshape(-1, 2, 3).sum((0, 2)) for half in (second[:7], second[7:]))
+        uneven = np.maximum(first, last) > HALVES * np.minimum(first, last) + HALVES_OFFSET
         # Single samples are as loud as they are, and a gyro may be noisy: its samples are then white.
         loud = np.maximum(mean.var(0), noise).reshape(2, 3).mean(1) > ROAD**2
         road = loud & (count.reshape(2, 3).max(1) >= 3.0)
         white = (noise * count < 1.5 * samples) & (np.arange(AXES) < ACCEL.start)
         shaken = (samples > VIBRATION**2) | np.repeat(road, 3)
+        if slow.any() or uneven.any() or (shaken & ~white).any():
+            return
         larger = noise > NOISE_CHANGE * self.noise + self.floor
         larger |= samples > NOISE_CHANGE * self.sample_noise + self.floor
-        if not (shaken & ~white).any() and (larger.any() or not self.noise_slots):
+        if larger.any() or not self.noise_slots:
             self.moving, self.quiet_slots, self.unquiet, self.short_rests = "", TRIAL, 0, 0
             self._set_noise(noise, samples)
