@@ -107,12 +107,11 @@ class RestAndBias:
             slopes,
             rest,
             ThermalVariance(self._thermal.trust),
-            Attitude(_radians(latitude_deg), _radians(heading_deg)),
+            Attitude(*(None if one is None else math.radians(one) for one in (latitude_deg, heading_deg))),
         )
         self._timing = Timing()
         self._slots = SlotGatherer(GATHERED, round(SLOT_S * 1e9), turns=True)
         self._bias = self._estimator.output(0.0)
-        self._at_rest = 0
         self._trail = BiasTrail(model)
         self._breaks = Breaks()
         self._last_ns = NO_INT
@@ -166,9 +165,8 @@ class RestAndBias:
             if slot.length_s > 0.0:
                 innovation[row] = self._estimator.step(slot)
             now_s = self._look_ahead(block, slots, k, temperature[row])
-            self._bias = self._estimator.output(now_s)
+            self._bias, start = self._estimator.output(now_s), row
             every.append(self._bias)
-            self._at_rest, start = int(not self._estimator.unrest), row
         self._hold(rest, readings, start, len(rest))
         return rest, innovation, every
 
@@ -189,13 +187,12 @@ class RestAndBias:
 
     def _hold(self, rest: IntArray, readings: FloatArray, start: int, stop: int) -> None:
         """Continue at_rest over the rows of the open slot; a sample outside the band of rest ends it."""
-        rest[start:stop] = self._at_rest
-        if self._at_rest and start < stop and not self._rest_given:
+        rest[start:stop] = not self.unrest
+        if start < stop and rest[start] and not self._rest_given:
             low, high = self._estimator.quiet.band
             outside = ((readings[start:stop] < low) | (readings[start:stop] > high)).any(1)
-            if outside.any():
-                rest[start + int(np.argmax(outside)) : stop] = self._at_rest = 0
-                self._estimator.quiet.disturbed = True
+            rest[start:stop] = ~np.maximum.accumulate(outside)
+            self._estimator.quiet.disturbed = bool(outside.any())
 
     def _expire(self, rest: IntArray, time_ns: IntArray, usable: BoolArray) -> None:
         """End rest where readings are missing for long, and at unknown times."""
@@ -206,7 +203,7 @@ class RestAndBias:
 
     @property
     def unrest(self) -> str:
-        """Why the unit did not rest in the latest slot; empty where it did."""
+        """Why the unit does not rest, as of the latest slot; empty where it does."""
         return self._estimator.unrest
 
     def charts(self) -> Sequence[Chart]:
@@ -260,10 +257,6 @@ class RestDetector(RestAndBias):
     def notices(self) -> list[str]:
         """Return, once, which parameters are not used any more."""
         return [text for text in super().notices() if "any more" in text]
-
-
-def _radians(degrees: float | None) -> float | None:
-    return None if degrees is None else math.radians(degrees)
 
 
 def _notices_of_place(latitude_deg: float | None, heading_deg: float | None) -> list[str]:

@@ -179,22 +179,18 @@ class BiasTrail:
         if not self._points:
             return []
         degc, bias = np.hsplit(np.array(self._points), 2)
-        lines, expected = [], np.zeros_like(bias)
+        bias = bias / DEG_PER_H
+        lines, left = [], bias.copy()
         for j, ((axis, color), channel) in enumerate(zip(AXIS_COLORS.items(), self._channels, strict=False)):
-            low, high = channel.temperature_range_degc
-            at = np.linspace(low, high, 101)
+            at = np.linspace(*channel.temperature_range_degc, 101)
             lines.append(Curve(f"{axis}, model", at, channel.value(at) / DEG_PER_H, color, width=1.2))
-            expected[:, j] = channel.value(degc[:, j])
+            left[:, j] -= channel.value(degc[:, j]) / DEG_PER_H
         dots = "dots: estimates since the start; large: now"
-        note = f"line: model; {dots}" if lines else dots
-        charts = [
-            _chart(
-                "gyro_bias", "Gyro bias", "Gyro bias over temperature", [*lines, *_trails(degc, bias)], note
-            )
-        ]
+        note, over = f"line: model; {dots}" if lines else dots, [*lines, *_trails(degc, bias)]
+        charts = [_chart("gyro_bias", "Gyro bias", "Gyro bias over temperature", over, note)]
         if lines:
             title = "Gyro bias less the calibrated curve"
-            charts.append(_chart("gyro_bias_left", "Residual", title, _trails(degc, bias - expected), dots))
+            charts.append(_chart("gyro_bias_left", "Residual", title, _trails(degc, left), dots))
         return charts
 
 
@@ -203,10 +199,9 @@ def _chart(name: str, tab: str, title: str, curves: list[Curve], note: str) -> C
 
 
 def _trails(degc: FloatArray, bias: FloatArray) -> list[Curve]:
-    """Return where each axis has been, and where it is now as a larger point; °C and rad/s, (n, 3)."""
+    """Return where each axis has been, and where it is now as a larger point; °C and °/h, (n, 3)."""
     curves = []
-    for j, (axis, color) in enumerate(AXIS_COLORS.items()):
-        x, y = degc[:, j], bias[:, j] / DEG_PER_H
+    for (axis, color), x, y in zip(AXIS_COLORS.items(), degc.T, bias.T, strict=True):
         curves.append(Curve(f"{axis}, estimate", x, y, color, points=True, width=2.5))
         curves.append(Curve(f"now {axis}", x[-1:], y[-1:], color, points=True, width=9.0, listed=False))
     return curves

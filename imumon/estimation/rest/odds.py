@@ -109,8 +109,13 @@ class SteadyRate:
 
     @property
     def size(self) -> float:
-        """Size of the change, |d|, rad/s."""
-        return math.hypot(*self.change)
+        """Size of the change, |d|, rad/s; never zero."""
+        return max(math.hypot(*self.change), 1e-12)
+
+    @property
+    def rarity(self) -> float:
+        """c, by which turns of this rate are rarer than log-uniform ones."""
+        return 1.0 + (SLOWEST_TURN / self.size) ** 2
 
 
 def probability_of_turn(rate: SteadyRate, limits: RestParameters) -> float:
@@ -127,21 +132,16 @@ def changed_bias(rate: SteadyRate, largest: float) -> float:
     """Return the odds that the bias has changed; none changes by more than `largest`, rad/s."""
     if rate.size > largest:
         return 1e-9  # and not 0: gravity and heading may still exclude a turn
-    u = (rate.size + 1e-12) / USUAL_CHANGE
-    return 2.0 * LOG_RANGE * _rarity(rate.size**2) / (math.pi * (u + 1.0 / u) * (1.0 + rate.changes))
+    u = rate.size / USUAL_CHANGE
+    return 2.0 * LOG_RANGE * rate.rarity / (math.pi * (u + 1.0 / u) * (1.0 + rate.changes))
 
 
 def nominal_bias(rate: SteadyRate) -> float:
     """Return the odds that nothing has changed, high where the prediction of the nominal bias is vague."""
-    square = rate.size**2 + 1e-24
-    variance = float((rate.change**2 + 1e-24) @ rate.change_variance) / square
-    density = 2.0 * math.exp(-0.5 * square / variance) / math.sqrt(2.0 * math.pi * variance)
-    return density * math.sqrt(square) * LOG_RANGE * _rarity(square)
-
-
-def _rarity(square: float) -> float:
-    """Return c, by which turns are rarer than log-uniform ones, from the square of their rate, (rad/s)²."""
-    return 1.0 + SLOWEST_TURN**2 / (square + 1e-24)
+    direction = rate.change / rate.size
+    sigma = math.sqrt(float(direction**2 @ rate.change_variance) + 1e-24)
+    density = 2.0 * math.exp(-0.5 * (rate.size / sigma) ** 2) / (math.sqrt(2.0 * math.pi) * sigma)
+    return density * rate.size * LOG_RANGE * rate.rarity
 
 
 def first_turn(rate: SteadyRate) -> float:

@@ -22,7 +22,7 @@ SECOND_SLOTS = 4
 """Slots of a second: so many are quiet before it is rest."""
 SHORT_RESTS = 2
 """Short rests after which rest takes a trial's length: a slow tilt is quiet for a second, again and again."""
-QUIET_TOO_SHORT = "quiet for too short a time"
+QUIET_TOO_SHORT, FAR_SAMPLE = "quiet for too short a time", "a single sample is far from the mean"
 LENGTHS = 2 ** np.arange(7)
 CHI_SQUARE = 42.0
 """Three axes together: once in 2e8 for Gaussian noise of known variance."""
@@ -97,6 +97,8 @@ class QuietDetector:
     @property
     def unrest(self) -> str:
         """Why it is no rest; empty where it is."""
+        if self.disturbed:
+            return FAR_SAMPLE
         return self.moving or ("" if self.is_rest else QUIET_TOO_SHORT)
 
     @property
@@ -177,7 +179,7 @@ class QuietDetector:
         if not self.noise_slots:
             return "the noise at rest is not known yet"
         if self.disturbed:
-            return "a single sample is far from the mean"
+            return FAR_SAMPLE
         if self._windows_differ(slot.length_s * drift):
             return "the mean changes by more than noise and drift"
         return "the samples scatter more than at rest" if self._scatters(slot) else ""
