@@ -246,18 +246,16 @@ class Bank:
         covariance -= gain[..., np.newaxis] * cross[..., np.newaxis, :]
         degc = np.where(np.isfinite(now.degc), now.degc, self.degc)
         bank = replace(self, mean=mean, covariance=covariance, time_s=now.end_s, degc=degc)
-        return bank if jumped else bank._weighed(innovation**2 / spread, spread)
-
-    def _weighed(self, square: FloatArray, spread: FloatArray) -> Bank:
-        """Weigh the modes by their likelihoods (Student's t), and learn σ², by squared innovations over S and
-        S, (3, F)."""
-        a, variance = self.shape, self.scale / self.shape
-        minus_log = 0.5 * np.log(spread * variance) + (a + 0.5) * np.log1p(square / (2.0 * a * variance))
+        if jumped:
+            return bank
+        a, square = self.shape, innovation**2 / spread
+        # Student's t, but for a constant: 2 a degrees of freedom, squared scale S β/a.
+        minus_log = 0.5 * np.log(spread * self.scale) + (a + 0.5) * np.log1p(0.5 * square / self.scale)
         weight = self.log_weight - minus_log
         weight = np.maximum(weight - weight.max(1, keepdims=True), np.log(LEAST_WEIGHT))
         fade = min(1.0, 0.5 * MEMORY_S / (a + 0.5))
         scale = fade * (self.scale + 0.5 * square)
-        return replace(self, log_weight=weight, shape=fade * (a + 0.5), scale=scale)
+        return replace(bank, log_weight=weight, shape=fade * (a + 0.5), scale=scale)
 
     @property
     def white(self) -> FloatArray:

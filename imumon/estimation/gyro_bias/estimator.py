@@ -33,7 +33,16 @@ from imumon.estimation.gyro_bias.place import Attitude
 from imumon.estimation.gyro_bias.thermal import ThermalVariance
 from imumon.estimation.rest.parameters import GyroBiasParameters, RestParameters
 from imumon.estimation.rest.quiet import QUIET_TOO_SHORT, SECOND_SLOTS, TRIAL, QuietDetector
-from imumon.estimation.rest.slots import ACCEL, GYRO, Measurement, Slot, measurement_of
+from imumon.estimation.rest.slots import (
+    ACCEL,
+    DEGC,
+    GYRO,
+    MODELLED,
+    POWER_ON_SD,
+    Measurement,
+    Slot,
+    measurement_of,
+)
 from imumon.geodesy import EARTH_RATE, STANDARD_GRAVITY
 
 LEAST_WHITE = 1e-15
@@ -94,10 +103,10 @@ class Estimator:
         """Take a slot; return the normalised innovations of the measurement it completes at rest, (3,), or
         NaN."""
         innovation = np.full(3, np.nan)
-        force = slot.mean[ACCEL]
+        force, degc = slot.mean[ACCEL], slot.mean[DEGC]
         self.force = np.where(np.isfinite(force), force, self.force)
-        self.degc = np.where(np.isfinite(slot.degc), slot.degc, self.degc)
-        self.added = self.added + self.thermal.step(slot.degc, slot.power_on_sd)
+        self.degc = np.where(np.isfinite(degc), degc, self.degc)
+        self.added = self.added + self.thermal.step(degc, slot.mean[POWER_ON_SD], np.zeros(3))
         self.latest = [*self.latest[1 - TRIAL :], slot]
         self.quiet.update(slot, self.limits.drift)
         if not self.quiet.present[GYRO].all():
@@ -127,7 +136,7 @@ class Estimator:
         self.motion.interrupt()
         self.attitude.lost |= long or self.quiet.quiet_slots == 0
         self.degc = np.where(np.isfinite(degc), degc, self.degc)
-        self.added = self.added + self.thermal.step(degc, np.full(3, np.nan)) + self.thermal.lagged(lag_degc)
+        self.added = self.added + self.thermal.step(degc, np.full(3, np.nan), lag_degc)
         if self.hypotheses is not None:
             prediction = self.hypotheses.shown.prediction
             slope2 = prediction.mean[:, SLOPE] ** 2 + prediction.covariance[:, SLOPE, SLOPE]
@@ -165,7 +174,7 @@ class Estimator:
     def _follow(self, slot: Slot, hypotheses: Hypotheses) -> None:
         """Add a slot to the turn since the attitude was taken."""
         bias, _ = hypotheses.shown.prediction.bias(self.force)
-        self.attitude.follow(slot.turn, bias + slot.modelled)
+        self.attitude.follow(slot.turn, bias + slot.mean[MODELLED])
         self.attitude.lost |= slot.gap_s > 0.0
 
     def _come_to_rest(self, force: FloatArray, hypotheses: Hypotheses | None) -> None:

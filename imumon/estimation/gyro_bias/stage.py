@@ -130,9 +130,8 @@ class RestAndBias:
         n, time_ns, segment = len(block), block["device_time_ns"], block["segment"]
         readings = readings_of(block, np.asarray(time_ns != NO_INT))
         usable = np.asarray(np.isfinite(readings).any(1))
-        temperature, given = self._thermal.temperature(block), self._given_rest(block)
-        breaks = self._breaks.rows(time_ns, segment)
-        total, curve, power_on_sd = self._thermal.process(block, temperature, breaks)
+        given, breaks = self._given_rest(block), self._breaks.rows(time_ns, segment)
+        temperature, (total, curve, power_on_sd) = self._thermal.process(block, breaks)
         values = np.column_stack([readings, total, temperature, power_on_sd, heading_of(block), given])
         slots = self._slots.process(np.where(usable, time_ns, NO_INT), segment, values)
         rest, innovation, every = self._estimate(block, slots, readings, temperature)

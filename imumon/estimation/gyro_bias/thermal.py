@@ -58,8 +58,11 @@ class ThermalVariance:
     faded: FloatArray = field(default_factory=partial(np.zeros, 3))
     """Variance by what has faded of it, (3,)."""
 
-    def step(self, degc: FloatArray, sd: FloatArray) -> FloatArray:
-        """Return the variance that these temperatures add, with this sd of the state, (3,); NaN is none."""
+    def step(self, degc: FloatArray, sd: FloatArray, lag_degc: FloatArray) -> FloatArray:
+        """Return the variance that these temperatures add, with this sd of the state, (3,); NaN is none.
+
+        In a gap the lag of the gyros behind the thermometer may have changed by `lag_degc` (sd), (3,).
+        """
         if self.trust is None:
             return np.zeros(3)
         residual, steepness, low, high = self.trust
@@ -72,11 +75,8 @@ class ThermalVariance:
         self.beyond_degc = np.fmax(self.beyond_degc, np.fmax(low - degc, degc - high))
         self.power_on_sd = np.where(np.isfinite(self.power_on_sd), self.power_on_sd, sd)
         self.faded = np.fmax(self.faded, (sd - self.power_on_sd) ** 2)
-        return np.asarray(walk + steepness**2 * (self.beyond_degc**2 - before2) + self.faded - faded)
-
-    def lagged(self, lag_degc: FloatArray) -> FloatArray:
-        """Return the variance by what the lag behind the thermometer may have done in a gap (sd), (3,)."""
-        return np.zeros(3) if self.trust is None else np.asarray((self.trust[1] * lag_degc) ** 2)
+        degc2 = self.beyond_degc**2 - before2 + lag_degc**2
+        return np.asarray(walk + steepness**2 * degc2 + self.faded - faded)
 
 
 class ThermalInput:
@@ -95,11 +95,6 @@ class ThermalInput:
         self.notices: list[str] = []
         """What was missing, or out of range; a text may be there more than once."""
 
-    def temperature(self, block: SampleBlock) -> FloatArray:
-        """Return the temperature of each gyro in °C, the estimated one where there is one, (n, 3)."""
-        # The reading is a stopgap where the estimate has not begun; mixed with it, it would jump.
-        return _first_of(block, self._sources)
-
     def unseen_lag(self, gap_s: float, behind: SampleBlock) -> FloatArray:
         """Return by how much the lag of each gyro's temperature may have changed in a gap (sd), °C, (3,).
 
@@ -109,15 +104,18 @@ class ThermalInput:
         unseen = np.where(np.isfinite(rate_sd), rate_sd, UNSEEN_RATE)
         return np.asarray(-UNTOLD_S * math.expm1(-gap_s / UNTOLD_S) * unseen)
 
-    def process(self, block: SampleBlock, temperature: FloatArray, breaks: Sequence[int]) -> FloatArray:
-        """Return what the model has added to the bias since a restart, its curve, and the sd of its unknown
-        state at power-on, rad/s, (3, n, 3).
+    def process(self, block: SampleBlock, breaks: Sequence[int]) -> tuple[FloatArray, FloatArray]:
+        """Return the temperature of each gyro, °C, (n, 3), the estimated one where there is one, and by the
+        model, rad/s, (3, n, 3), what it has added to the bias since a restart, its curve, and the sd of its
+        unknown state at power-on.
 
-        `temperature` is as from `temperature`, and the device has restarted at the rows `breaks`.  Without a
-        model all are zero; before the first temperature curve and sd are NaN.
+        The device has restarted at the rows `breaks`.  Without a model all by it are zero; before the first
+        temperature curve and sd are NaN.
         """
+        # The reading is a stopgap where the estimate has not begun; mixed with it, it would jump.
+        temperature = _first_of(block, self._sources)
         if self._predictor is None or self.trust is None:
-            return np.zeros((3, len(block), 3))
+            return temperature, np.zeros((3, len(block), 3))
         others = {name: block[name] for name in self._predictor.drivers if name in block}
         times, segment = block["device_time_ns"], block["segment"]
         predicted = self._predictor.process(times, segment, temperature, block.accel, others)
@@ -139,7 +137,7 @@ class ThermalInput:
                 f"{low.max():.1f} to {high.min():.1f} °C: the bias is extrapolated and its standard "
                 "deviation widened"
             )
-        return np.stack([total, curve, np.where(known, predicted.start_sd, np.nan)])
+        return temperature, np.stack([total, curve, np.where(known, predicted.start_sd, np.nan)])
 
 
 def _first_of(block: SampleBlock, sources: list[list[str]]) -> FloatArray:

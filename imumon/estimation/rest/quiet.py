@@ -151,8 +151,8 @@ class QuietDetector:
 
     def _append(self, slot: Slot) -> None:
         """Append a slot; an axis without reading keeps its last mean, and 0 if it is absent."""
-        before, readable = self.present, np.isfinite(slot.mean)
-        mean = np.where(readable, slot.mean, np.where(before, self.mean[-1], 0.0))
+        before, readable = self.present, np.isfinite(slot.mean[:AXES])
+        mean = np.where(readable, slot.mean[:AXES], np.where(before, self.mean[-1], 0.0))
         values = (self.mean, mean), (self.within, slot.variance), (self.readable, readable)
         for latest, value in values:
             latest[:-1] = latest[1:]
