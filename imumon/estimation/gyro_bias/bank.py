@@ -141,10 +141,13 @@ class Prediction:
         known = np.where(np.isfinite(degc), degc, self.degc)
         return replace(self, mean=mean, covariance=covariance, time_s=time_s, degc=known)
 
-    def bias(self, force: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return bias and variance at a specific force, (3,) each."""
+    def bias(self, force: FloatArray, of_mean: bool = False) -> tuple[FloatArray, FloatArray]:
+        """Return bias and variance at a specific force, (3,) each; `of_mean` without the fastest flicker."""
         h = measurement_row(force)
-        return self.mean @ h, np.maximum(self.covariance @ h @ h, 0.0)
+        mean = self.mean @ h
+        if of_mean:
+            h[FLICKER.start] = 0.0
+        return mean, np.maximum(self.covariance @ h @ h, 0.0)
 
     def innovation(self, now: Measurement) -> tuple[FloatArray, FloatArray]:
         """Return a mean rate less its prediction, rad/s, and the variance of that, (3,) each."""
