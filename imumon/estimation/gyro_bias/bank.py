@@ -199,6 +199,8 @@ class Bank:
     time_s: float
     degc: FloatArray
     """(3,)."""
+    declared: bool
+    """Whether flicker and walk are declared, so that Q σ² stays where σ² changes, as by a fan."""
 
     @classmethod
     def begin(
@@ -223,7 +225,8 @@ class Bank:
         scale = np.zeros_like(log_prior) + count * white[:, np.newaxis]
         start_s, zero = first.end_s - first.covered_s, np.zeros_like(variance)
         covariance = variance[..., np.newaxis] * np.eye(STATES)
-        bank = cls(process, zero, covariance, log_prior, count, scale, start_s, first.degc)
+        declared = all(one is not None for one in noise)
+        bank = cls(process, zero, covariance, log_prior, count, scale, start_s, first.degc, declared)
         return bank.after(first, jumped=True)
 
     def fits(self, now: Measurement, sigmas: float) -> bool:
@@ -258,7 +261,14 @@ class Bank:
         weight = np.maximum(weight - weight.max(1, keepdims=True), np.log(LEAST_WEIGHT))
         fade = min(1.0, 0.5 * MEMORY_S / (a + 0.5))
         scale = fade * (self.scale + 0.5 * square)
-        return replace(bank, log_weight=weight, shape=fade * (a + 0.5), scale=scale)
+        return bank._with_noise(weight, fade * (a + 0.5), scale)
+
+    def _with_noise(self, log_weight: FloatArray, shape: float, scale: FloatArray) -> Bank:
+        """Replace the weights of the modes and the posterior of σ²."""
+        bank = replace(self, log_weight=log_weight, shape=shape, scale=scale)
+        if not self.declared:
+            return bank
+        return replace(bank, process=self.process * (self.white / bank.white)[..., np.newaxis])
 
     @property
     def white(self) -> FloatArray:
@@ -288,9 +298,8 @@ class Bank:
     def with_noise_of(self, other: Bank) -> Bank:
         """Take σ² and the mode weights of another bank; the covariance of the states, P σ², stays."""
         ratio = self.white / other.white
-        covariance = self.covariance * ratio[..., np.newaxis, np.newaxis]
-        weight, shape, scale = other.log_weight, other.shape, other.scale
-        return replace(self, covariance=covariance, log_weight=weight, shape=shape, scale=scale)
+        bank = replace(self, covariance=self.covariance * ratio[..., np.newaxis, np.newaxis])
+        return bank._with_noise(other.log_weight, other.shape, other.scale)
 
     def with_white(self, white: FloatArray) -> Bank:
         """Restart σ², the variance of the mean of a second, (rad/s)², (3,)."""

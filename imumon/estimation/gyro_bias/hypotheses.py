@@ -137,8 +137,8 @@ class Hypotheses:
 
     def _weigh(self, now: Measurement, evidence: Sequence[Measurement], accel_noise: float) -> None:
         """Weigh a turn against the bias, by the latest measurements."""
-        # A rate that lasts is no flicker of a second, so that is not in the variance; with it, a slow turn of a
-        # gyro of 1.8 °/√h was a bias, and that off by 35 sigma.
+        # A rate that lasts is no flicker of a second, so that is not in the variance; with it, a slow turn
+        # of a gyro of 1.8 °/√h was a bias, and that off by 35 sigma.
         nominal = self.nominal.prediction.at(now.end_s, now.degc)
         bias, variance = nominal.bias(now.force, of_mean=True)
         present, own = self.present.prediction.bias(now.force, of_mean=True)

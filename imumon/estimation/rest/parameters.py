@@ -69,8 +69,8 @@ class GyroBiasParameters(StrictModel):
         rest when it is not given.
     bias_instability_rad_per_s, rate_random_walk_rad_per_s_per_sqrt_s : float or [x, y, z], optional
         Flicker coefficient B (floor of the Allan deviation 0.664 B) and bias random walk K.  When one is
-        given, both hold, the other being zero, in proportion to the white noise of the first rest.  When
-        neither is, how much the bias wanders is learned from the innovations.
+        given, both hold, the other being zero.  When neither is, how much the bias wanders is learned from
+        the innovations.
     assume_at_rest : bool
         Whether data without the column at_rest are taken as at rest throughout.
     velocity_random_walk_m_per_s_per_sqrt_s, zeroing_s, thermal_form
