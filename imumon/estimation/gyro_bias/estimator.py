@@ -121,7 +121,7 @@ class Estimator:
             self.pending = []
         else:
             self.pending.append(slot)
-            if self.hypotheses.turning:
+            if self.hypotheses.moved or self.hypotheses.turning:  # quiet, but it may be a steady turn
                 self._follow(slot, self.hypotheses)
             if self.quiet.is_rest and sum(one.length_s for one in self.pending) >= SECOND_S:
                 innovation = self._decide(self.hypotheses)
