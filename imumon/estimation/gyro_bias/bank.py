@@ -87,6 +87,7 @@ def propagated(
 
     NaN is no change of temperature; `process` is `Bank.process`.
     """
+    # The thermometer's noise times the slope is not in Q: at rest innovations show it, in σ² and the weights.
     warming, keeps = np.nan_to_num(warming), np.exp(-dt / TAUS_S)
     f = np.zeros((3, STATES, STATES))
     f[:] = np.diag([1.0, *keeps, 1.0, 1.0, 1.0, 1.0])

@@ -229,8 +229,8 @@ class Estimator:
         """Return the bias from a time on.
 
         Its variance has these parts: the states of all modes, flicker of single samples, what `added` holds
-        of temperature, gaps and turns, the unknown part of the earth rate, the turn hypothesis, and the
-        largest error by rounding: at rest as a part of the turn hypothesis.
+        of temperature, gaps and turns, the unknown part of the earth rate, and the turn hypothesis, which
+        contains the largest error by rounding.
         """
         if self.hypotheses is None:
             terms, covariance = np.zeros((3, 4)), np.zeros((3, 4, 4))
@@ -238,8 +238,7 @@ class Estimator:
             any_pose = EARTH_RATE**2 + (SENSITIVITY_SD * STANDARD_GRAVITY) ** 2
             covariance[:, 0, 0] = variance + any_pose
             return LinearBias(terms, covariance, np.zeros(3), np.zeros(3))
-        prediction, turn = self.hypotheses.shown.prediction.at(now_s, self.degc), self.hypotheses.ambiguity
-        added, rounding = self.added + self.attitude.uncertain_earth, self.quiet.rounding_error[GYRO]
-        if not self.hypotheses.moved or self.hypotheses.doubted:
-            return prediction.output(added, self.force, np.copysign(np.hypot(turn, rounding), turn))
-        return prediction.output(added + rounding**2, self.force, turn)
+        turn, rounding = self.hypotheses.ambiguity, self.quiet.rounding_error[GYRO]
+        prediction = self.hypotheses.shown.prediction.at(now_s, self.degc)
+        added, turn = self.added + self.attitude.uncertain_earth, np.copysign(np.hypot(turn, rounding), turn)
+        return prediction.output(added, self.force, turn)
