@@ -50,6 +50,9 @@ LEAST_WHITE = 1e-15
 SECOND_S = 1.0 - 1e-6
 """Length of a measurement; slots of 0.25 s add up to it in spite of rounding."""
 
+UNDO_SLOTS = 2
+"""Motion that begins within so many slots after a measurement takes it back from the filters."""
+
 
 @dataclass(slots=True, eq=False)
 class Estimator:
@@ -156,7 +159,7 @@ class Estimator:
     def _interrupt(self) -> None:
         """End the rest: drop a measurement that is not complete."""
         if self.hypotheses is not None:
-            self.hypotheses.move()
+            self.hypotheses.move(undo=len(self.pending) < UNDO_SLOTS)
             if self.hypotheses.began_turning:
                 self.hypotheses = None
         self.pending = []

@@ -75,6 +75,8 @@ class Hypotheses:
     limits: RestParameters
     rest_given: bool
     """Whether rest is given: then any steady rate is bias after `UNDECIDED_GIVEN_S`."""
+    undo: Bank | None = None
+    """The present filters before the last second, which is taken back where motion follows at once."""
     changes: int = 0
     """How often the rate has changed since it fitted the nominal bias."""
     alike: int = 0
@@ -83,8 +85,8 @@ class Hypotheses:
     """How long the present rate has lasted, s."""
     p_turn: float = 0.0
     """Probability that what lies between both is a turn."""
-    ambiguity: FloatArray = field(default_factory=partial(np.zeros, 3))
-    """What the less likely hypothesis adds to sigma, (3,)."""
+    ambiguities: FloatArray = field(default_factory=partial(np.zeros, (2, 3)))
+    """What the less likely hypothesis adds to sigma, by the last two measurements, (2, 3)."""
     doubted: bool = False
     """Whether the nominal bias stays, as the present rate may be a turn."""
     began_turning: bool = False
@@ -99,6 +101,12 @@ class Hypotheses:
     def turning(self) -> bool:
         """Whether a turn is more likely than a changed bias."""
         return self.p_turn > 0.5 or self.began_turning
+
+    @property
+    def ambiguity(self) -> FloatArray:
+        """What the less likely hypothesis adds to sigma, (3,): a single measurement may fit by chance."""
+        before, latest = self.ambiguities
+        return np.asarray(np.where(np.abs(before) > np.abs(latest), before, latest))
 
     @property
     def shown(self) -> Bank:
@@ -123,8 +131,9 @@ class Hypotheses:
 
     def _learn(self, now: Measurement) -> None:
         """Update the present bias."""
+        self.undo = None
         if self.newer.fits(now, FIT_SIGMAS):
-            self.present = self.present.after(now)
+            self.undo, self.present = self.present, self.present.after(now)
             self.steady_s += now.covered_s
             self.alike = min(self.alike + 1, len(self.recent))
             return
@@ -163,12 +172,12 @@ class Hypotheses:
             square = (1.0 - self.p_turn) * change**2
         else:  # the variance of the mixture: that of the nominal bias, which may be vague by then, counts
             square = self.p_turn * (change**2 + np.maximum(variance - own, 0.0))
-        self.ambiguity = np.copysign(np.sqrt(square), change)
+        self.ambiguities = np.stack([self.ambiguities[1], np.copysign(np.sqrt(square), change)])
         # A turn in the first rest is found by the heading, until another rate contradicts it.
         if self.first and not self.changes:
             self.began_turning |= heading(self.recent, np.zeros(3)) < BEGAN_LOG_RATIO
         if self.began_turning:
-            self.ambiguity = now.rate
+            self.ambiguities[:] = now.rate
 
     def _follow(self, now: Measurement) -> bool:
         """Let the nominal bias follow if a turn is unlikely; return whether it has changed."""
@@ -186,14 +195,21 @@ class Hypotheses:
             self.newer = self.present
         return False
 
-    def move(self) -> None:
-        """Coast while the unit moves: a change of a few seconds was how the motion began."""
+    def move(self, undo: bool) -> None:
+        """Coast while the unit moves: a change of a few seconds was how the motion began.
+
+        With `undo` the last measurement is taken back: motion may begin before it is detected.
+        """
+        if undo and self.undo is not None:
+            self.present = self.undo
+        self.undo = None
         if self.changes == 1 and self.steady_s < ONSET_S:
             self.present, self.changes, self.doubted = self.nominal, 0, False
         if not self.doubted:
-            self.p_turn, self.ambiguity = 0.0, np.zeros(3)
+            self.p_turn, self.ambiguities = 0.0, np.zeros((2, 3))
         self.recent, self.alike = [], 0
 
     def map(self, function: Callable[[Bank], Bank]) -> None:
         """Apply a function to all filters."""
         self.present, self.nominal, self.newer = map(function, (self.present, self.nominal, self.newer))
+        self.undo = None if self.undo is None else function(self.undo)
