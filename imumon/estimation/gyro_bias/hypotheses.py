@@ -113,10 +113,11 @@ class Hypotheses:
         """The filters of the more likely hypothesis."""
         return self.nominal if self.turning else self.present
 
-    def decide(self, now: Measurement, accel_noise: float) -> bool:
+    def decide(self, now: Measurement, parts: Sequence[Measurement], accel_noise: float) -> bool:
         """Take a measurement; return whether a changed bias has become the nominal one.
 
-        `accel_noise` is the variance of the mean force of a second, (m/s²)².
+        `parts` are its slots one by one: in the first seconds of a rate they show a tilt.  `accel_noise` is
+        the variance of the mean force of a second, (m/s²)².
         """
         if self.moved and self.first and np.linalg.norm(now.force - self.first.force) > NEW_POSE:
             self.first = None  # it was in a hand, and not on a turntable
@@ -124,9 +125,10 @@ class Hypotheses:
             self.nominal = self.newer = self.present
         self.recent = [*self.recent[1 - RECENT :], now]
         self._learn(now)
-        # Where the rate has just changed, gravity and heading are compared since before it.
-        alike = self.alike >= LEAST_MEASUREMENTS
-        self._weigh(now, self.recent[-self.alike :] if alike else self.recent, accel_noise)
+        evidence: Sequence[Measurement] = self.recent[-self.alike :]
+        if self.alike < LEAST_MEASUREMENTS:  # the rate may just have changed
+            evidence = self.recent if len(self.recent) >= LEAST_MEASUREMENTS else parts
+        self._weigh(now, evidence, accel_noise)
         return self._follow(now)
 
     def _learn(self, now: Measurement) -> None:
