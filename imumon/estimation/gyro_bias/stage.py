@@ -116,8 +116,8 @@ class RestAndBias:
         self._breaks = Breaks()
         self._last_ns = NO_INT
         keys = retired(self._parameters) + retired(rest)
-        self._notices = _notices_of_place(latitude_deg, heading_deg)
-        self._notices += [f"{key} is not used any more" for key in keys]
+        texts = [f"{key} is not used any more" for key in keys]
+        self._notices = dict.fromkeys(_notices_of_place(latitude_deg, heading_deg) + texts)
         self._reported: set[str] = set()
 
     def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
@@ -216,18 +216,17 @@ class RestAndBias:
         if "at_rest" in block:
             return np.asarray(block["at_rest"] == 1, np.float64)
         if not self._parameters.assume_at_rest:
-            self._notices.append(
+            self._notices[
                 "no column at_rest: the bias is not estimated (a rest detector gives it; assume_at_rest does "
                 "without)"
-            )
+            ] = None
         return np.full(len(block), float(self._parameters.assume_at_rest))
 
     def notices(self) -> list[str]:
         """Return, once each, what is missing, assumed, or out of range, and each jump of the bias."""
-        texts = [text for text in self._notices + self._thermal.notices if text not in self._reported]
-        texts = list(dict.fromkeys(texts))
+        found = self._notices | self._thermal.notices
+        texts = [text for text in found if text not in self._reported]
         self._reported.update(texts)
-        self._notices, self._thermal.notices = [], []
         if self._estimator.jumped:
             self._estimator.jumped, jump = False, "at rest the rate contradicted the bias, so it has jumped"
             texts.append(f"{jump}: the bias is estimated anew")

@@ -92,8 +92,8 @@ class ThermalInput:
         self._reference = np.full(3, np.nan)
         self.trust = None if model is None else trust_in(model)
         """As from `trust_in`; None without a model."""
-        self.notices: list[str] = []
-        """What was missing, or out of range; a text may be there more than once."""
+        self.notices: dict[str, None] = {}
+        """What was missing, or out of range, so far, in order."""
 
     def unseen_lag(self, gap_s: float, behind: SampleBlock) -> FloatArray:
         """Return by how much the lag of each gyro's temperature may have changed in a gap (sd), °C, (3,).
@@ -129,14 +129,15 @@ class ThermalInput:
                 self._reference[j] = curve[run][np.argmax(known[run, j]), j]
             total[run] = np.where(known[run], curve[run] - self._reference, 0.0)
             if stop > start and not known[run].any():
-                self.notices.append("the bias model lacks its temperature: the bias is taken as constant")
+                self.notices["the bias model lacks its temperature: the bias is taken as constant"] = None
         if (np.isfinite(temperature) & ~predicted.inside).any():
             _, _, low, high = self.trust
-            self.notices.append(
+            text = (
                 "the temperature is outside the range of the bias model, "
                 f"{low.max():.1f} to {high.min():.1f} °C: the bias is extrapolated and its standard "
                 "deviation widened"
             )
+            self.notices[text] = None
         return temperature, np.stack([total, curve, np.where(known, predicted.start_sd, np.nan)])
 
 
