@@ -107,7 +107,7 @@ class RestAndBias:
             slopes,
             rest,
             ThermalVariance(self._thermal.trust),
-            Attitude(*(None if one is None else math.radians(one) for one in (latitude_deg, heading_deg))),
+            Attitude(_radians(latitude_deg), _radians(heading_deg)),
         )
         self._timing = Timing()
         self._slots = SlotGatherer(GATHERED, round(SLOT_S * 1e9), turns=True)
@@ -255,6 +255,10 @@ class RestDetector(RestAndBias):
     def notices(self) -> list[str]:
         """Return, once, which parameters are not used any more."""
         return [text for text in super().notices() if "any more" in text]
+
+
+def _radians(degrees: float | None) -> float | None:
+    return None if degrees is None else math.radians(degrees)
 
 
 def _notices_of_place(latitude_deg: float | None, heading_deg: float | None) -> list[str]:

@@ -181,7 +181,8 @@ class BiasTrail:
         bias = bias / DEG_PER_H
         lines, left = [], bias.copy()
         for j, ((axis, color), channel) in enumerate(zip(AXIS_COLORS.items(), self._channels, strict=False)):
-            at = np.linspace(*channel.temperature_range_degc, 101)
+            low, high = channel.temperature_range_degc
+            at = np.linspace(low, high, 101)
             lines.append(Curve(f"{axis}, model", at, channel.value(at) / DEG_PER_H, color, width=1.2))
             left[:, j] -= channel.value(degc[:, j]) / DEG_PER_H
         dots = "dots: estimates since the start; large: now"
