@@ -218,7 +218,7 @@ class Bank:
         the slope over σ, 1/°C; `white` is σ², the variance of the mean rate of a second, (rad/s)², (3,), with
         `count` as its a.
         """
-        process, log_prior = _modes(noise, slopes, white)
+        process, log_prior = _modes(noise, slopes, count / (count - 1.0) * white)
         variance = process.copy()
         variance[..., WALK] = 0.0
         variance[..., SLOPE] *= SLOPE_DEGC
@@ -313,7 +313,7 @@ def _modes(
 ) -> tuple[FloatArray, FloatArray]:
     """Return each noise level with each slope: `Bank.process`, (3, F, 8), and ln of the prior, (3, F).
 
-    See `Bank.begin` for the arguments.
+    See `Bank.begin` for the arguments; `white` is E[σ²] here.
     """
     b, k = noise
     if b is None or k is None:
