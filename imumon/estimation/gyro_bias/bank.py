@@ -159,10 +159,10 @@ class Prediction:
         """Return the bias with more variance, (rad/s)², at the mean force of a slot, m/s², (3,) each."""
         select = np.vstack([measurement_row(np.zeros(3)), np.eye(STATES)[SENSITIVITY]])
         covariance = select @ self.covariance @ select.T
-        # What is faster than g1, and g1 at the end of a second less its mean over it, which updated it:
-        # 1 + 0.736 - 2 x 0.632 of its variance.  In a long motion the latter is too much, by 5 % of sigma.
-        fast = math.log(TAUS_S[0] / FASTEST_S) / math.log(TAUS_S[2] / TAUS_S[1]) + 0.47
-        covariance[:, 0, 0] += fast * self.process[:, FLICKER.start] + added
+        faster = math.log(TAUS_S[0] / FASTEST_S) / math.log(
+            TAUS_S[2] / TAUS_S[1]
+        )  # than g1, over its variance
+        covariance[:, 0, 0] += faster * self.process[:, FLICKER.start] + added
         return LinearBias(self.mean @ select.T, covariance, force, turn)
 
 
@@ -288,6 +288,9 @@ class Bank:
         within = (white[:, np.newaxis] @ flat).reshape(3, STATES, STATES)
         covariance = within + (off * w[..., np.newaxis]).transpose(0, 2, 1) @ off
         process = (white[:, np.newaxis] @ self.process)[:, 0]
+        # g1 at the end of a second is not its mean over it, by which it was updated: the difference, of
+        # 1 + 0.736 - 2 x 0.632 of its variance, dies away with g1.
+        covariance[:, FLICKER.start, FLICKER.start] += 0.47 * process[:, FLICKER.start]
         return Prediction(mean, covariance, process, white.sum(1), self.time_s, self.degc)
 
     def wider(self, variance: FloatArray) -> Bank:
