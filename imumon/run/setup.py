@@ -12,8 +12,7 @@ from imumon.config import StrictModel, dump_yaml, parse_yaml
 from imumon.errors import bad_config
 from imumon.estimation.alignment.parameters import AlignmentParameters, known_warm_up
 from imumon.estimation.attitude.parameters import AttitudeParameters
-from imumon.estimation.gyro_bias.parameters import GyroBiasParameters
-from imumon.estimation.rest.parameters import RestParameters, Retired, retired
+from imumon.estimation.rest.parameters import GyroBiasParameters, RestParameters, Retired, retired
 from imumon.estimation.watch.parameters import WatchParameters
 from imumon.files import as_path, read_text
 from imumon.models.magnetometer import MagnetometerModel

@@ -16,8 +16,8 @@ from thermal_calibration_study import simulated_soak
 from vqf import VQF
 
 from imumon.blocks import FloatArray, SampleBlock
-from imumon.estimation.gyro_bias.parameters import GyroBiasParameters
 from imumon.estimation.gyro_bias.stage import GyroBias, Mode, RestDetector
+from imumon.estimation.rest.parameters import GyroBiasParameters
 from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.geodesy import DEG_PER_H
 from imumon.lab.calibration.calibration import calibrate

@@ -6,7 +6,7 @@ import pytest
 
 from imumon.errors import ImumonError
 from imumon.estimation.attitude.parameters import AttitudeParameters
-from imumon.estimation.gyro_bias.parameters import GyroBiasParameters
+from imumon.estimation.rest.parameters import GyroBiasParameters
 from imumon.models.curves.polynomial import PolynomialCurve
 from imumon.models.model import BiasModel, ChannelModel
 from imumon.protocols.ranges import Ranges

@@ -22,7 +22,8 @@ The modes are fixed: static multiple models (Bar-Shalom et al., 2001, section 11
 mean of a second) is not known (West & Harrison, 1997, ch. 4): each filter has its mean x, its covariance P
 over σ², and of σ² an inverse-gamma posterior IG(a, β).  Gains do not depend on σ², and S here is the
 innovation covariance over σ².  The predictive density of a measurement is Student's t with 2 a degrees of
-freedom and squared scale S β/a, and it weighs the modes of each axis.
+freedom and squared scale S β/a, and it weighs the modes of each axis; all variances that are used are means,
+with E[σ²] = β/(a - 1).
 
 All modes have one F, so the moments of their mixture, the *prediction*, propagate as those of each of them.
 It is evaluated at each sample: a unit in the hand is in another pose a quarter of a second later.
@@ -86,6 +87,7 @@ def propagated(
 
     NaN is no change of temperature; `process` is `Bank.process`.
     """
+    # The thermometer's noise times the slope is not in Q: at rest innovations show it, in σ² and the weights.
     warming, keeps = np.nan_to_num(warming), np.exp(-dt / TAUS_S)
     f = np.zeros((3, STATES, STATES))
     f[:] = np.diag([1.0, *keeps, 1.0, 1.0, 1.0, 1.0])
@@ -125,9 +127,8 @@ class Prediction:
     covariance: FloatArray
     process: FloatArray
     """(3, 8), (3, 8, 8), and the process noise as `Bank.process` has it, (3, 8)."""
-    fast: FloatArray
     white: FloatArray
-    """Variance of the flicker of single samples, and of the white noise of a second, (rad/s)², (3,)."""
+    """Variance of the white noise of a second, (rad/s)², (3,)."""
     time_s: float
     degc: FloatArray
     """°C, (3,)."""
@@ -149,11 +150,19 @@ class Prediction:
             h[FLICKER.start] = 0.0
         return mean, np.maximum(self.covariance @ h @ h, 0.0)
 
+    def innovation(self, now: Measurement) -> tuple[FloatArray, FloatArray]:
+        """Return a mean rate less its prediction, rad/s, and the variance of that, (3,) each."""
+        bias, variance = self.at(now.end_s, now.degc).bias(now.force)
+        return now.rate - bias, variance + self.white / now.covered_s
+
     def output(self, added: FloatArray, force: FloatArray, turn: FloatArray) -> LinearBias:
         """Return the bias with more variance, (rad/s)², at the mean force of a slot, m/s², (3,) each."""
         select = np.vstack([measurement_row(np.zeros(3)), np.eye(STATES)[SENSITIVITY]])
         covariance = select @ self.covariance @ select.T
-        covariance[:, 0, 0] += self.fast + added
+        faster = math.log(TAUS_S[0] / FASTEST_S) / math.log(
+            TAUS_S[2] / TAUS_S[1]
+        )  # than g1, over its variance
+        covariance[:, 0, 0] += faster * self.process[:, FLICKER.start] + added
         return LinearBias(self.mean @ select.T, covariance, force, turn)
 
 
@@ -180,8 +189,6 @@ class Bank:
 
     process: FloatArray
     """Q over σ²: of w per second, of each gi when it is in equilibrium, of s per °C, (3, F, 8)."""
-    fast: FloatArray
-    """Variance over σ² of flicker of a sample that the filter does not follow, (3, F)."""
     mean: FloatArray
     covariance: FloatArray
     """P, over σ²."""
@@ -193,6 +200,8 @@ class Bank:
     time_s: float
     degc: FloatArray
     """(3,)."""
+    declared: bool
+    """Whether flicker and walk are declared, so that Q σ² stays where σ² changes, as by a fan."""
 
     @classmethod
     def begin(
@@ -203,36 +212,38 @@ class Bank:
         count: float,
         first: Measurement,
     ) -> Bank:
-        """Return filters that know nothing of the bias before the first measurement.
+        """Return filters after the first measurement, before which nothing is known of the bias.
 
         `noise` are declared B, rad/s, and K, rad/s/√s, (3,) each, or None; `slopes` standard deviations of
         the slope over σ, 1/°C; `white` is σ², the variance of the mean rate of a second, (rad/s)², (3,), with
         `count` as its a.
         """
-        process, fast, log_prior = _modes(noise, slopes, white)
+        process, log_prior = _modes(noise, slopes, count / (count - 1.0) * white)
         variance = process.copy()
-        variance[..., WALK] = np.maximum(UNKNOWN, TURN_ON**2 / white)[:, np.newaxis]
-        variance[..., SLOPE] = process[..., SLOPE] * SLOPE_DEGC
+        variance[..., WALK] = 0.0
+        variance[..., SLOPE] *= SLOPE_DEGC
         variance[..., SENSITIVITY] = (SENSITIVITY_SD**2 / white)[:, np.newaxis, np.newaxis]
-        scale = np.repeat(count * white[:, np.newaxis], fast.shape[1], 1)
+        scale = np.zeros_like(log_prior) + count * white[:, np.newaxis]
         start_s, zero = first.end_s - first.covered_s, np.zeros_like(variance)
         covariance = variance[..., np.newaxis] * np.eye(STATES)
-        return cls(process, fast, zero, covariance, log_prior, count, scale, start_s, first.degc)
+        declared = all(one is not None for one in noise)
+        bank = cls(process, zero, covariance, log_prior, count, scale, start_s, first.degc, declared)
+        return bank.after(first, jumped=True)
 
     def fits(self, now: Measurement, sigmas: float) -> bool:
         """Return whether a mean is within so many sigmas of its prediction in each axis."""
-        prediction = self.prediction.at(now.end_s, now.degc)
-        bias, variance = prediction.bias(now.force)
-        variance = variance + prediction.white / now.covered_s
-        return bool(((now.rate - bias) ** 2 <= sigmas**2 * variance).all())
+        innovation, variance = self.prediction.innovation(now)
+        return bool((innovation**2 <= sigmas**2 * variance).all())
 
     def after(self, now: Measurement, jumped: bool = False) -> Bank:
-        """Return the filters after a measurement; with `jumped` the bias may be any, and modes and σ²
-        stay."""
+        """Return the filters after a measurement.
+
+        With `jumped` the bias may be any, so its mean shows nothing of modes and σ², which stay.
+        """
         dt, warming = now.end_s - self.time_s, now.degc - self.degc
         mean, covariance = propagated(self.mean, self.covariance, self.process, dt, warming)
         if jumped:
-            covariance[..., WALK, WALK] += np.maximum(UNKNOWN, TURN_ON**2 * self.shape / self.scale)
+            covariance[..., WALK, WALK] += np.maximum(UNKNOWN, TURN_ON**2 / self.white)
         h = measurement_row(now.force)
         cross = (covariance.reshape(-1, STATES) @ h).reshape(mean.shape)  # P Hᵀ
         spread = cross @ h + 1.0 / now.covered_s  # S
@@ -242,59 +253,70 @@ class Bank:
         covariance -= gain[..., np.newaxis] * cross[..., np.newaxis, :]
         degc = np.where(np.isfinite(now.degc), now.degc, self.degc)
         bank = replace(self, mean=mean, covariance=covariance, time_s=now.end_s, degc=degc)
-        return bank if jumped else bank._weighed(innovation**2 / spread, spread)
-
-    def _weighed(self, square: FloatArray, spread: FloatArray) -> Bank:
-        """Weigh the modes by their likelihoods (Student's t), and learn σ², by squared innovations over S and
-        S, (3, F)."""
-        a, variance = self.shape, self.scale / self.shape
-        minus_log = 0.5 * np.log(spread * variance) + (a + 0.5) * np.log1p(square / (2.0 * a * variance))
+        if jumped:
+            return bank
+        a, square = self.shape, innovation**2 / spread
+        # Student's t, but for a constant: 2 a degrees of freedom, squared scale S β/a.
+        minus_log = 0.5 * np.log(spread * self.scale) + (a + 0.5) * np.log1p(0.5 * square / self.scale)
         weight = self.log_weight - minus_log
         weight = np.maximum(weight - weight.max(1, keepdims=True), np.log(LEAST_WEIGHT))
         fade = min(1.0, 0.5 * MEMORY_S / (a + 0.5))
         scale = fade * (self.scale + 0.5 * square)
-        return replace(self, log_weight=weight, shape=fade * (a + 0.5), scale=scale)
+        return bank._with_noise(weight, fade * (a + 0.5), scale)
+
+    def _with_noise(self, log_weight: FloatArray, shape: float, scale: FloatArray) -> Bank:
+        """Replace the weights of the modes and the posterior of σ²."""
+        bank = replace(self, log_weight=log_weight, shape=shape, scale=scale)
+        if not self.declared:
+            return bank
+        return replace(bank, process=self.process * (self.white / bank.white)[..., np.newaxis])
+
+    @property
+    def white(self) -> FloatArray:
+        """E[σ²], the mean of the inverse-gamma posterior, (rad/s)², (3, F)."""
+        return self.scale / (self.shape - 1.0)
 
     @cached_property
     def prediction(self) -> Prediction:
         """Mean and covariance over all modes, in absolute units."""
         w = np.exp(self.log_weight)
         w = w / w.sum(1, keepdims=True)
-        white = w * self.scale / max(self.shape - 1.0, 1.0)
+        white = w * self.white
         mean = (w[:, np.newaxis] @ self.mean)[:, 0]
         off = self.mean - mean[:, np.newaxis]
         flat = self.covariance.reshape(*w.shape, -1)
         within = (white[:, np.newaxis] @ flat).reshape(3, STATES, STATES)
         covariance = within + (off * w[..., np.newaxis]).transpose(0, 2, 1) @ off
         process = (white[:, np.newaxis] @ self.process)[:, 0]
-        fast = (white * self.fast).sum(1)
-        return Prediction(mean, covariance, process, fast, white.sum(1), self.time_s, self.degc)
+        # g1 at the end of a second is not its mean over it, by which it was updated: the difference, of
+        # 1 + 0.736 - 2 x 0.632 of its variance, dies away with g1.
+        covariance[:, FLICKER.start, FLICKER.start] += 0.47 * process[:, FLICKER.start]
+        return Prediction(mean, covariance, process, white.sum(1), self.time_s, self.degc)
 
     def wider(self, variance: FloatArray) -> Bank:
         """Let the bias have changed by an unknown amount of this variance, (rad/s)², (3,)."""
         covariance = self.covariance.copy()
-        covariance[..., WALK, WALK] += variance[:, np.newaxis] * self.shape / self.scale
+        covariance[..., WALK, WALK] += variance[:, np.newaxis] / self.white
         return replace(self, covariance=covariance)
 
     def with_noise_of(self, other: Bank) -> Bank:
         """Take σ² and the mode weights of another bank; the covariance of the states, P σ², stays."""
-        ratio = self.scale / self.shape * other.shape / other.scale
-        covariance = self.covariance * ratio[..., np.newaxis, np.newaxis]
-        weight, shape, scale = other.log_weight, other.shape, other.scale
-        return replace(self, covariance=covariance, log_weight=weight, shape=shape, scale=scale)
+        ratio = self.white / other.white
+        bank = replace(self, covariance=self.covariance * ratio[..., np.newaxis, np.newaxis])
+        return bank._with_noise(other.log_weight, other.shape, other.scale)
 
     def with_white(self, white: FloatArray) -> Bank:
         """Restart σ², the variance of the mean of a second, (rad/s)², (3,)."""
-        scale = np.repeat(PRIOR_COUNT * white[:, np.newaxis], self.fast.shape[1], 1)
+        scale = np.zeros_like(self.scale) + PRIOR_COUNT * white[:, np.newaxis]
         return self.with_noise_of(replace(self, shape=PRIOR_COUNT, scale=scale))
 
 
 def _modes(
     noise: Sequence[FloatArray | None], slopes: Sequence[float], white: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return each noise level with each slope: process, (3, F, 8), fast, and ln of the prior, (3, F).
+) -> tuple[FloatArray, FloatArray]:
+    """Return each noise level with each slope: `Bank.process`, (3, F, 8), and ln of the prior, (3, F).
 
-    See `Bank.begin` for the arguments.
+    See `Bank.begin` for the arguments; `white` is E[σ²] here.
     """
     b, k = noise
     if b is None or k is None:
@@ -306,14 +328,10 @@ def _modes(
     else:
         b, k = ((one / np.sqrt(white))[:, np.newaxis] for one in (b, k))
         prior = np.ones(1)
-    slope = np.tile(slopes, len(prior))
-    b, k, prior = (np.repeat(one, len(slopes), axis=-1) for one in (b, k, prior))
-    variance = b**2 * math.log(TAUS_S[2] / TAUS_S[1]) / math.pi
-    process = np.zeros((*b.shape, STATES))
-    process[..., WALK] = k**2
-    process[..., FLICKER] = variance[..., np.newaxis]
-    process[..., SLOPE] = slope**2 / SLOPE_DEGC
-    # What is faster than the fastest process, and that process at the end of a second less its mean over it:
-    # 1 + 0.736 - 2 x 0.632 of its variance.
-    fast = b**2 / math.pi * math.log(TAUS_S[0] / FASTEST_S) + 0.47 * variance
-    return process, fast, np.tile(np.log(prior), (3, 1))
+    process = np.zeros((3, len(prior), len(slopes), STATES))
+    process[..., WALK] = k[..., np.newaxis] ** 2
+    flicker_variance = b**2 * math.log(TAUS_S[2] / TAUS_S[1]) / math.pi
+    process[..., FLICKER] = flicker_variance[..., np.newaxis, np.newaxis]
+    process[..., SLOPE] = np.square(slopes) / SLOPE_DEGC
+    log_prior = np.log(np.repeat(prior, len(slopes)))
+    return process.reshape(3, -1, STATES), np.tile(log_prior, (3, 1))

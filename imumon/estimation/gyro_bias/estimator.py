@@ -24,24 +24,32 @@ from imumon.estimation.gyro_bias.bank import (
     PRIOR_COUNT,
     SENSITIVITY_SD,
     SLOPE,
-    WALK,
     Bank,
     LinearBias,
 )
-from imumon.estimation.gyro_bias.hypotheses import Hypotheses, begun
+from imumon.estimation.gyro_bias.hypotheses import Hypotheses
 from imumon.estimation.gyro_bias.motion import Motion
-from imumon.estimation.gyro_bias.parameters import GyroBiasParameters
 from imumon.estimation.gyro_bias.place import Attitude
 from imumon.estimation.gyro_bias.thermal import ThermalVariance
-from imumon.estimation.rest.parameters import RestParameters
-from imumon.estimation.rest.quiet import SECOND_SLOTS, TRIAL, QuietDetector
-from imumon.estimation.rest.slots import ACCEL, GYRO, Measurement, Slot, measurement_of
+from imumon.estimation.rest.parameters import GyroBiasParameters, RestParameters
+from imumon.estimation.rest.quiet import QUIET_TOO_SHORT, SECOND_SLOTS, TRIAL, QuietDetector
+from imumon.estimation.rest.slots import (
+    ACCEL,
+    DEGC,
+    GYRO,
+    MODELLED,
+    POWER_ON_SD,
+    Measurement,
+    Slot,
+    measurement_of,
+)
 from imumon.geodesy import EARTH_RATE, STANDARD_GRAVITY
 
 LEAST_WHITE = 1e-15
 """Variance of the mean of a second, (rad/s)²: 0.0065 °/h, less than any gyro has.  Assumed."""
 SECOND_S = 1.0 - 1e-6
 """Length of a measurement; slots of 0.25 s add up to it in spite of rounding."""
+
 UNDO_SLOTS = 2
 """Motion that begins within so many slots after a measurement takes it back from the filters."""
 
@@ -73,8 +81,6 @@ class Estimator:
     """The last temperatures that were known, °C, (3,)."""
     motion: Motion = field(default_factory=Motion)
     """Estimates the bias from motion before the first rest."""
-    updated: bool = True
-    """Whether more than time has changed the bias; cleared by who takes `output`."""
 
     def restarted(self) -> Estimator:
         """Return what holds after a restart of the device: the noise is what it was, the bias is not."""
@@ -83,28 +89,31 @@ class Estimator:
         return Estimator(self.parameters, self.slopes, self.limits, thermal, place, self.quiet, self.jumped)
 
     @property
-    def at_rest(self) -> bool:
-        """Whether the unit rests.
+    def unrest(self) -> str:
+        """Why the unit does not rest; empty where it does.
 
         It does not from an unquiet slot until a quiet second has been decided on, nor while a turn is more
         likely than a changed bias.  Where a gyro is absent, quiet accelerometers are rest.  Within a slot the
         stage ends rest at a sample outside `QuietDetector.band`, and where readings are missing for long.
         """
-        if not self.quiet.present[GYRO].all():
-            return self.quiet.is_rest
-        return self.hypotheses is not None and not (self.hypotheses.moved or self.hypotheses.turning)
+        if self.quiet.unrest or not self.quiet.present[GYRO].all():
+            return self.quiet.unrest
+        if self.hypotheses is None or self.hypotheses.moved:
+            return QUIET_TOO_SHORT
+        return "a turn is more likely than a changed bias" if self.hypotheses.turning else ""
 
-    def step(self, slot: Slot) -> FloatArray | None:
-        """Take a slot; return the normalised innovations of the measurement it completes at rest, (3,)."""
-        force = slot.mean[ACCEL]
+    def step(self, slot: Slot) -> FloatArray:
+        """Take a slot; return the normalised innovations of the measurement it completes at rest, (3,), or
+        NaN."""
+        innovation = np.full(3, np.nan)
+        force, degc = slot.mean[ACCEL], slot.mean[DEGC]
         self.force = np.where(np.isfinite(force), force, self.force)
-        self.degc = np.where(np.isfinite(slot.degc), slot.degc, self.degc)
-        self.added = self.added + self.thermal.step(slot.degc, slot.power_on_sd)
+        self.degc = np.where(np.isfinite(degc), degc, self.degc)
+        self.added = self.added + self.thermal.step(degc, slot.mean[POWER_ON_SD], np.zeros(3))
         self.latest = [*self.latest[1 - TRIAL :], slot]
         self.quiet.update(slot, self.limits.drift)
-        innovation = None
         if not self.quiet.present[GYRO].all():
-            return None
+            return innovation
         if self.quiet.quiet_slots == 0:
             self._coast(slot)
         elif self.hypotheses is None:
@@ -115,11 +124,11 @@ class Estimator:
             self.pending = []
         else:
             self.pending.append(slot)
-            if self.hypotheses.turning:
-                self._follow(slot)
+            if self.hypotheses.moved or self.hypotheses.turning:  # quiet, but it may be a steady turn
+                self._follow(slot, self.hypotheses)
             if self.quiet.is_rest and sum(one.length_s for one in self.pending) >= SECOND_S:
                 innovation = self._decide(self.hypotheses)
-        return innovation if self.at_rest else None
+        return np.full(3, np.nan) if self.unrest else innovation
 
     def bridge_gap(self, degc: FloatArray, lag_degc: FloatArray, long: bool) -> None:
         """Widen the bias by a gap; a `long` one ends rest.
@@ -130,7 +139,7 @@ class Estimator:
         self.motion.interrupt()
         self.attitude.lost |= long or self.quiet.quiet_slots == 0
         self.degc = np.where(np.isfinite(degc), degc, self.degc)
-        self.added = self.added + self.thermal.step(degc, np.full(3, np.nan)) + self.thermal.lagged(lag_degc)
+        self.added = self.added + self.thermal.step(degc, np.full(3, np.nan), lag_degc)
         if self.hypotheses is not None:
             prediction = self.hypotheses.shown.prediction
             slope2 = prediction.mean[:, SLOPE] ** 2 + prediction.covariance[:, SLOPE, SLOPE]
@@ -138,7 +147,6 @@ class Estimator:
         if long:
             self.quiet.restart()
             self._interrupt()
-        self.updated = True
 
     def _noise(self) -> FloatArray:
         """Return the variance of the mean of a second, (6,)."""
@@ -151,7 +159,6 @@ class Estimator:
     def _interrupt(self) -> None:
         """End the rest: drop a measurement that is not complete."""
         if self.hypotheses is not None:
-            self.updated |= not self.hypotheses.moved
             self.hypotheses.move(undo=len(self.pending) < UNDO_SLOTS)
             if self.hypotheses.began_turning:
                 self.hypotheses = None
@@ -160,19 +167,23 @@ class Estimator:
     def _coast(self, slot: Slot) -> None:
         """Follow the turn of an unquiet slot; before the first rest estimate the bias from it."""
         self._interrupt()
-        force = slot.mean[ACCEL]
         if self.hypotheses is not None:
-            self._follow(slot)
-        elif slot.gap_s or np.isnan(force).any():
+            self._follow(slot, self.hypotheses)
+        elif slot.gap_s or np.isnan(slot.mean[ACCEL]).any():
             self.motion.interrupt()
-        elif self.motion.take(slot.turn, force):
-            self.updated = True
+        else:
+            self.motion.take(slot.turn, slot.mean[ACCEL])
 
-    def _follow(self, slot: Slot) -> None:
+    def _follow(self, slot: Slot, hypotheses: Hypotheses) -> None:
         """Add a slot to the turn since the attitude was taken."""
-        assert self.hypotheses is not None
-        self.attitude.follow(slot.turn, self.hypotheses.shown.prediction.mean[:, WALK] + slot.modelled)
+        bias, _ = hypotheses.shown.prediction.bias(self.force)
+        self.attitude.follow(slot.turn, bias + slot.mean[MODELLED])
         self.attitude.lost |= slot.gap_s > 0.0
+
+    def _come_to_rest(self, force: FloatArray, hypotheses: Hypotheses | None) -> None:
+        """Take the attitude at a specific force, m/s², (3,)."""
+        prediction = None if hypotheses is None else hypotheses.shown.prediction
+        self.added = self.added + self.attitude.come_to_rest(force, prediction)
 
     def _begin(self) -> None:
         """Begin the filters with the first quiet second, or the slots of the trial that found the noise."""
@@ -181,7 +192,7 @@ class Estimator:
             return
         slots = self.latest[-self.quiet.quiet_slots :]
         self.attitude = self.attitude.anew()
-        self.attitude.come_to_rest(self.force, None)
+        self._come_to_rest(self.force, None)
         seconds = range(0, len(slots), SECOND_SLOTS)
         measurements = [self._measurement(slots[k : k + SECOND_SLOTS]) for k in seconds]
         if not np.isfinite([one.rate for one in measurements]).all():
@@ -189,40 +200,41 @@ class Estimator:
         white, b, k = self.parameters.per_axis
         count = PRIOR_COUNT if white is None else DECLARED_COUNT
         sigma2 = self._noise()[GYRO] if white is None else np.maximum(white**2, LEAST_WHITE)
-        filters = Bank.begin((b, k), self.slopes, sigma2, count, measurements[0])
-        self.hypotheses = begun(filters, measurements, self.limits, slots[-1].rest_given is not None)
-        self.added, self.updated = np.zeros(3), True
+        first, given = measurements[0], slots[-1].rest_given is not None
+        bank = Bank.begin((b, k), self.slopes, sigma2, count, first)
+        for now in measurements[1:]:
+            bank = bank.after(now)
+        self.hypotheses = Hypotheses(bank, bank, bank, measurements, first, self.limits, given)
+        self.added = np.zeros(3)
 
-    def _decide(self, hypotheses: Hypotheses) -> FloatArray | None:
-        """Decide on a complete measurement; return its normalised innovations, (3,)."""
+    def _decide(self, hypotheses: Hypotheses) -> FloatArray:
+        """Decide on a complete measurement; return its normalised innovations, (3,), NaN where it lacks."""
         slots, self.pending = self.pending, []
-        nominal = hypotheses.shown.prediction
         if hypotheses.moved:
-            self.added = self.added + self.attitude.come_to_rest(slots[0].mean[ACCEL], nominal)
+            self._come_to_rest(slots[0].mean[ACCEL], hypotheses)
         now = self._measurement(slots)
         if not np.isfinite(now.rate).all():
-            return None
-        prediction = nominal.at(now.end_s, now.degc)
-        mean, variance = prediction.bias(now.force)
-        innovation = (now.rate - mean) / np.sqrt(variance + self.added + prediction.white / now.covered_s)
+            return np.full(3, np.nan)
+        innovation, variance = hypotheses.shown.prediction.innovation(now)
+        innovation = innovation / np.sqrt(variance + self.added)
+        hypotheses.map(lambda bank: bank.wider(self.added))
         accel_noise = float(self._noise()[ACCEL].max()) if self.quiet.present[ACCEL].all() else math.inf
         parts = [self._measurement([slot]) for slot in slots]
-        self.jumped |= hypotheses.decide(now, parts, self.added, accel_noise)
-        self.added, self.updated = np.zeros(3), True
+        self.jumped |= hypotheses.decide(now, parts, accel_noise)
+        self.added = np.zeros(3)
         if hypotheses.began_turning and hypotheses.changes:
             self.quiet.restart()
             self._interrupt()
         elif self.attitude.turn.seconds and not hypotheses.turning:
-            nominal = hypotheses.shown.prediction
-            self.added = self.added + self.attitude.come_to_rest(slots[-1].mean[ACCEL], nominal)
+            self._come_to_rest(slots[-1].mean[ACCEL], hypotheses)
         return np.asarray(innovation)
 
     def output(self, now_s: float) -> LinearBias:
         """Return the bias from a time on.
 
         Its variance has these parts: the states of all modes, flicker of single samples, what `added` holds
-        of temperature, gaps and turns, the unknown part of the earth rate, the turn hypothesis, and the
-        largest error by rounding: at rest as a part of the turn hypothesis.
+        of temperature, gaps and turns, the unknown part of the earth rate, and the turn hypothesis, which
+        contains the largest error by rounding.
         """
         if self.hypotheses is None:
             terms, covariance = np.zeros((3, 4)), np.zeros((3, 4, 4))
@@ -230,8 +242,7 @@ class Estimator:
             any_pose = EARTH_RATE**2 + (SENSITIVITY_SD * STANDARD_GRAVITY) ** 2
             covariance[:, 0, 0] = variance + any_pose
             return LinearBias(terms, covariance, np.zeros(3), np.zeros(3))
-        prediction, turn = self.hypotheses.shown.prediction.at(now_s, self.degc), self.hypotheses.ambiguity
-        added, rounding = self.added + self.attitude.uncertain_earth, self.quiet.rounding_error[GYRO]
-        if not self.hypotheses.moved or self.hypotheses.doubted:
-            return prediction.output(added, self.force, np.copysign(np.hypot(turn, rounding), turn))
-        return prediction.output(added + rounding**2, self.force, turn)
+        turn, rounding = self.hypotheses.ambiguity, self.quiet.rounding_error[GYRO]
+        prediction = self.hypotheses.shown.prediction.at(now_s, self.degc)
+        added, turn = self.added + self.attitude.uncertain_earth, np.copysign(np.hypot(turn, rounding), turn)
+        return prediction.output(added, self.force, turn)

@@ -1,11 +1,12 @@
 """Bias of a unit that has never been at rest: gravity turns, by the gyros, with a bias that is not known.
 
 Once a minute twelve means of the specific force, in axes that the gyros carry along, are fitted (Gauss and
-Newton) by gravity, the bias, an accelerometer bias, and scale and misalignment M of the gyros::
+Newton) by gravity and the bias::
 
-    ∫ C f dt = (g + [g x] ∫ C (bias + M ω) dt + C accelerometer bias + N(0, s²)) dt
+    ∫ C f dt = (g + [g x] ∫ C bias dt + N(0, s²)) dt
 
-Accelerations are the noise, and the fit shows their variance s².  The rate about the vertical is not
+Accelerations are the noise, and the fit shows their variance s²; errors of scale, and biases of the
+accelerometers, are far smaller.  The rate about the vertical is not
 estimated: only sways make it observable.  So an upright axis has no bias.
 """
 
@@ -26,22 +27,18 @@ PART_S, PARTS = 5.0, 12
 WINDOW_S = PARTS * PART_S
 UNKNOWN_RATE = math.radians(3.0)
 """Standard deviation of the bias before anything is known: turn-on of consumer gyros."""
-PRIOR_SD = np.repeat([UNKNOWN_RATE, 0.03, 0.4], [3, 9, 3])
-"""Of the states: bias, elements of M, and accelerometers' bias, m/s²; 3 % and 40 mg, as consumer data sheets
-have it."""
 ALIKE = 6.0
 """Factor of the variance: accelerations of successive parts are alike, where the speed changes slowly."""
 BIAS_WALK = 30.0 * DEG_PER_H
 """Random walk of the bias, rad/s/sqrt(s): 230 °/h a minute, as 100 °/h/°C at 2 °C/min makes it."""
-RATE, SCALE, FORCE = slice(0, 3), slice(3, 12), slice(12, 15)
 
 
 @dataclass(slots=True, eq=False)
 class Motion:
-    """Bias, nine elements of M, and accelerometers' bias by motion, window by window."""
+    """Bias by motion, window by window."""
 
-    mean: FloatArray = field(default_factory=lambda: np.zeros(len(PRIOR_SD)))
-    covariance: FloatArray = field(default_factory=lambda: np.diag(PRIOR_SD**2))
+    mean: FloatArray = field(default_factory=lambda: np.zeros(3))
+    covariance: FloatArray = field(default_factory=lambda: UNKNOWN_RATE**2 * np.eye(3))
     parts: list[tuple[Turn, FloatArray]] = field(default_factory=list)
     """Of the present window, the last one growing: turn, and ∫ C f dt in the axes of its beginning, m/s."""
 
@@ -63,41 +60,36 @@ class Motion:
         return True
 
     def _fit(self) -> None:
-        """Update the states with a complete window."""
+        """Update the bias with a complete window."""
         seconds = sum(turn.seconds for turn, _ in self.parts)
         velocity = sum((turn.rotation.T @ v for turn, v in self.parts), np.zeros(3))
         vertical = velocity / np.linalg.norm(velocity)
-        self.covariance[RATE, RATE] += np.eye(3) * BIAS_WALK**2 * seconds
-        known, variance, mean = np.asarray(np.linalg.inv(self.covariance)), 1.0, self.mean
+        prior, mean, variance = np.zeros((6, 6)), self.mean, 1.0
+        prior[3:, 3:] = np.linalg.inv(self.covariance + BIAS_WALK**2 * seconds * np.eye(3))
         for _ in range(10):
             measured, design = self._linear(mean)
             normal = design.T @ design / variance
-            information, right = normal.copy(), design.T @ measured / variance
-            information[3:, 3:] += known
-            right[3:] += known @ self.mean
-            found = np.asarray(np.linalg.solve(information, right))
+            right = design.T @ measured / variance + prior[:, 3:] @ self.mean
+            covariance = np.asarray(np.linalg.inv(normal + prior))
+            found = covariance @ right
             left = measured - design @ found
-            free = len(left) - float(np.trace(np.linalg.solve(information, normal)))
+            free = len(left) - float(np.trace(covariance @ normal))
             variance, mean = ALIKE * max(float(left @ left) / free, 1e-4), found[3:]
-        self.mean, self.covariance = mean, np.asarray(np.linalg.inv(information)[3:, 3:])
-        self.mean[RATE] -= (vertical @ self.mean[RATE]) * vertical
-        lacking = UNKNOWN_RATE**2 - float(vertical @ self.covariance[RATE, RATE] @ vertical)
-        self.covariance[RATE, RATE] += max(lacking, 0.0) * np.outer(vertical, vertical)
+        self.mean, self.covariance = mean - (vertical @ mean) * vertical, covariance[3:, 3:]
+        lacking = UNKNOWN_RATE**2 - float(vertical @ self.covariance @ vertical)
+        self.covariance = self.covariance + max(lacking, 0.0) * np.outer(vertical, vertical)
 
     def _linear(self, at: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return what is linear in gravity and states (measured = design @ both), near some states."""
-        axes, angle = np.eye(3), np.zeros((3, len(at)))
+        """Return what is linear in gravity and bias (measured = design @ both), near some bias, rad/s."""
+        axes, angle = np.eye(3), np.zeros((3, 3))
         measured, design = [], []
         for turn, velocity in self.parts:
-            excess = turn.by_bias @ at[RATE]
+            excess, turned = turn.by_bias @ at, axes @ turn.by_bias
             added = axes @ rotation_by(-0.5 * excess) @ velocity
-            turned = np.zeros_like(angle)
-            turned[:, RATE], turned[:, SCALE] = axes @ turn.by_bias, axes @ turn.by_scale.reshape(3, 9)
             # An angle too much turns the force, the half of it within the part.
-            by_states = np.cross(angle + 0.5 * turned, added[:, np.newaxis], axis=0)
-            measured.append(added + by_states[:, RATE] @ at[RATE])
-            by_states[:, FORCE] += axes @ turn.by_bias
-            design.append(np.hstack([turn.seconds * np.eye(3), by_states]))
+            by_bias = np.cross(angle + 0.5 * turned, added[:, np.newaxis], axis=0)
+            measured.append(added + by_bias @ at)
+            design.append(np.hstack([turn.seconds * np.eye(3), by_bias]))
             angle = angle + turned
             axes = axes @ rotation_by(-excess) @ turn.rotation
         return np.concatenate(measured), np.concatenate(design)
@@ -105,8 +97,8 @@ class Motion:
     @property
     def bias(self) -> tuple[FloatArray, FloatArray]:
         """Return bias and variance until the next window ends, (3,) each; NaN where little is known."""
-        variance = np.diag(self.covariance)[RATE] + BIAS_WALK**2 * WINDOW_S
+        variance = np.diag(self.covariance) + BIAS_WALK**2 * WINDOW_S
         # A bias that turns a window by half a turn may be a wrong minimum of the fit.
         known = variance < (0.5 * UNKNOWN_RATE) ** 2
-        known &= float(np.linalg.norm(self.mean[RATE])) * WINDOW_S < math.pi
-        return np.where(known, self.mean[RATE], np.nan), np.where(known, variance, np.nan)
+        known &= float(np.linalg.norm(self.mean)) * WINDOW_S < math.pi
+        return np.where(known, self.mean, np.nan), np.where(known, variance, np.nan)

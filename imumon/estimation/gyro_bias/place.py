@@ -53,8 +53,7 @@ class Attitude:
     @property
     def uncertain_earth(self) -> FloatArray:
         """Variance of the earth rate that is known, or taken for bias, (rad/s)², (3,)."""
-        known = self._level_variance(self.heading_variance)
-        return known + self._turned_earth() if self.turn.seconds else known
+        return self._level_variance(self.heading_variance) + self._turned_earth()
 
     def _level_variance(self, heading_variance: float) -> FloatArray:
         """Return the variance of the horizontal earth rate by that of the heading, rad², (3,)."""

@@ -18,11 +18,10 @@ from imumon.estimation.gyro_bias.bank import (
     LinearBias,
     at_samples,
 )
-from imumon.estimation.gyro_bias.estimator import SECOND_S, Estimator
-from imumon.estimation.gyro_bias.parameters import GyroBiasParameters
+from imumon.estimation.gyro_bias.estimator import Estimator
 from imumon.estimation.gyro_bias.place import Attitude
-from imumon.estimation.gyro_bias.thermal import BiasTrail, ThermalInput, ThermalVariance, trust_in
-from imumon.estimation.rest.parameters import RestParameters, retired
+from imumon.estimation.gyro_bias.thermal import BiasTrail, ThermalInput, ThermalVariance
+from imumon.estimation.rest.parameters import GyroBiasParameters, RestParameters, retired
 from imumon.estimation.rest.slots import ACCEL, GATHERED, GYRO, SLOT_S, Timing, heading_of, readings_of
 from imumon.filters.slots import Breaks, SlotGatherer, Slots
 from imumon.models.model import BiasModel
@@ -106,23 +105,20 @@ class RestAndBias:
         self._estimator = Estimator(
             self._parameters,
             slopes,
-            RestParameters(undecided_s=60.0) if self._rest_given else rest,
-            ThermalVariance(None if model is None else trust_in(model)),
+            rest,
+            ThermalVariance(self._thermal.trust),
             Attitude(_radians(latitude_deg), _radians(heading_deg)),
         )
         self._timing = Timing()
         self._slots = SlotGatherer(GATHERED, round(SLOT_S * 1e9), turns=True)
-        self._bias, self._bias_s = self._estimator.output(0.0), -math.inf
-        """Last output of the estimator, and its time."""
-        self._at_rest = 0
+        self._bias = self._estimator.output(0.0)
         self._trail = BiasTrail(model)
         self._breaks = Breaks()
         self._last_ns = NO_INT
         keys = retired(self._parameters) + retired(rest)
-        self._notices = _notices_of_place(latitude_deg, heading_deg)
-        self._notices += [f"{key} is not used any more" for key in keys]
+        texts = [f"{key} is not used any more" for key in keys]
+        self._notices = dict.fromkeys(_notices_of_place(latitude_deg, heading_deg) + texts)
         self._reported: set[str] = set()
-        self._lacks_rest = False
 
     def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
         """Return the new columns of a block; NaN where there is no estimate.
@@ -134,16 +130,15 @@ class RestAndBias:
         n, time_ns, segment = len(block), block["device_time_ns"], block["segment"]
         readings = readings_of(block, np.asarray(time_ns != NO_INT))
         usable = np.asarray(np.isfinite(readings).any(1))
-        temperature, given = self._thermal.temperature(block), self._given_rest(block)
-        breaks = self._breaks.rows(time_ns, segment)
-        total, curve, power_on_sd = self._thermal.process(block, temperature, breaks)
+        given, breaks = self._given_rest(block), self._breaks.rows(time_ns, segment)
+        temperature, (total, curve, power_on_sd) = self._thermal.process(block, breaks)
         values = np.column_stack([readings, total, temperature, power_on_sd, heading_of(block), given])
         slots = self._slots.process(np.where(usable, time_ns, NO_INT), segment, values)
-        rest, innovation, rows, every = self._estimate(block, slots, readings, temperature)
+        rest, innovation, every = self._estimate(block, slots, readings, temperature)
         self._expire(rest, time_ns, usable)
         if self._rest_given:
             rest[:] = given
-        bias, variance, turn = at_samples(rows, every, readings[:, ACCEL], rest == 0)
+        bias, variance, turn = at_samples(slots.row, every, readings[:, ACCEL], rest == 0)
         if self._rest_given:
             reported = block.vector("turn_hypothesis")
             if reported is not None:
@@ -159,27 +154,20 @@ class RestAndBias:
 
     def _estimate(
         self, block: SampleBlock, slots: Slots, readings: FloatArray, temperature: FloatArray
-    ) -> tuple[IntArray, FloatArray, IntArray, list[LinearBias]]:
-        """Return at_rest, (n,), innovations, (n, 3), the rows from which on another bias holds, and all
-        biases, the one before the first row in front."""
+    ) -> tuple[IntArray, FloatArray, list[LinearBias]]:
+        """Return at_rest, (n,), innovations, (n, 3), and the bias before the first slot and behind each."""
         rest, innovation = np.zeros(len(block), np.int64), np.full((len(block), 3), np.nan)
-        rows: list[int] = []
         every, start = [self._bias], 0
         for k, slot in enumerate(self._timing.slots(slots)):
             row = int(slots.row[k])
             self._hold(rest, readings, start, row)
-            found = self._estimator.step(slot) if slot.length_s > 0.0 else None
-            if found is not None:
-                innovation[row] = found
+            if slot.length_s > 0.0:
+                innovation[row] = self._estimator.step(slot)
             now_s = self._look_ahead(block, slots, k, temperature[row])
-            if self._estimator.updated or now_s - self._bias_s >= SECOND_S:
-                self._bias, self._bias_s = self._estimator.output(now_s), now_s
-                self._estimator.updated = False
-                rows.append(row)
-                every.append(self._bias)
-            self._at_rest, start = int(self._estimator.at_rest), row
+            self._bias, start = self._estimator.output(now_s), row
+            every.append(self._bias)
         self._hold(rest, readings, start, len(rest))
-        return rest, innovation, np.array(rows, np.int64), every
+        return rest, innovation, every
 
     def _look_ahead(self, block: SampleBlock, slots: Slots, k: int, degc: FloatArray) -> float:
         """Detect a restart or a gap by the first sample behind a slot; return up to when all is known, s."""
@@ -198,13 +186,12 @@ class RestAndBias:
 
     def _hold(self, rest: IntArray, readings: FloatArray, start: int, stop: int) -> None:
         """Continue at_rest over the rows of the open slot; a sample outside the band of rest ends it."""
-        rest[start:stop] = self._at_rest
-        if self._at_rest and start < stop and not self._rest_given:
+        rest[start:stop] = not self.unrest
+        if start < stop and rest[start] and not self._rest_given:
             low, high = self._estimator.quiet.band
             outside = ((readings[start:stop] < low) | (readings[start:stop] > high)).any(1)
-            if outside.any():
-                rest[start + int(np.argmax(outside)) : stop] = self._at_rest = 0
-                self._estimator.quiet.disturbed = True
+            rest[start:stop] = ~np.maximum.accumulate(outside)
+            self._estimator.quiet.disturbed = bool(outside.any())
 
     def _expire(self, rest: IntArray, time_ns: IntArray, usable: BoolArray) -> None:
         """End rest where readings are missing for long, and at unknown times."""
@@ -212,6 +199,11 @@ class RestAndBias:
         latest_ns = np.where(latest < 0, self._last_ns, time_ns[latest])
         rest[(time_ns == NO_INT) | (time_ns - latest_ns > int(LONGEST_PAUSE_S * 1e9))] = 0
         self._last_ns = int(latest_ns[-1]) if len(latest_ns) else self._last_ns
+
+    @property
+    def unrest(self) -> str:
+        """Why the unit does not rest, as of the latest slot; empty where it does."""
+        return self._estimator.unrest
 
     def charts(self) -> Sequence[Chart]:
         """Return the bias over temperature, beside the model's curve where there is a model."""
@@ -223,31 +215,21 @@ class RestAndBias:
             return np.full(len(block), np.nan)
         if "at_rest" in block:
             return np.asarray(block["at_rest"] == 1, np.float64)
-        self._lacks_rest |= not self._parameters.assume_at_rest
+        if not self._parameters.assume_at_rest:
+            self._notices[
+                "no column at_rest: the bias is not estimated (a rest detector gives it; assume_at_rest does "
+                "without)"
+            ] = None
         return np.full(len(block), float(self._parameters.assume_at_rest))
 
     def notices(self) -> list[str]:
         """Return, once each, what is missing, assumed, or out of range, and each jump of the bias."""
-        if self._lacks_rest:
-            self._notices.append(
-                "no column at_rest: the bias is not estimated (a rest detector gives it; assume_at_rest does "
-                "without)"
-            )
-        if self._thermal.lacking:
-            self._notices.append("the bias model lacks its temperature: the bias is taken as constant")
-        if self._thermal.outside and self._estimator.thermal.trust is not None:
-            _, _, low, high = self._estimator.thermal.trust
-            self._notices.append(
-                "the temperature is outside the range of the bias model, "
-                f"{low.max():.1f} to {high.min():.1f} °C: the bias is extrapolated and its standard "
-                "deviation widened"
-            )
-        texts = [text for text in self._notices if text not in self._reported]
+        found = self._notices | self._thermal.notices
+        texts = [text for text in found if text not in self._reported]
         self._reported.update(texts)
         if self._estimator.jumped:
             self._estimator.jumped, jump = False, "at rest the rate contradicted the bias, so it has jumped"
             texts.append(f"{jump}: the bias is estimated anew")
-        self._notices = []
         return texts
 
 

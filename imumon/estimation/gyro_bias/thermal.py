@@ -58,8 +58,11 @@ class ThermalVariance:
     faded: FloatArray = field(default_factory=partial(np.zeros, 3))
     """Variance by what has faded of it, (3,)."""
 
-    def step(self, degc: FloatArray, sd: FloatArray) -> FloatArray:
-        """Return the variance that these temperatures add, with this sd of the state, (3,); NaN is none."""
+    def step(self, degc: FloatArray, sd: FloatArray, lag_degc: FloatArray) -> FloatArray:
+        """Return the variance that these temperatures add, with this sd of the state, (3,); NaN is none.
+
+        In a gap the lag of the gyros behind the thermometer may have changed by `lag_degc` (sd), (3,).
+        """
         if self.trust is None:
             return np.zeros(3)
         residual, steepness, low, high = self.trust
@@ -72,11 +75,8 @@ class ThermalVariance:
         self.beyond_degc = np.fmax(self.beyond_degc, np.fmax(low - degc, degc - high))
         self.power_on_sd = np.where(np.isfinite(self.power_on_sd), self.power_on_sd, sd)
         self.faded = np.fmax(self.faded, (sd - self.power_on_sd) ** 2)
-        return np.asarray(walk + steepness**2 * (self.beyond_degc**2 - before2) + self.faded - faded)
-
-    def lagged(self, lag_degc: FloatArray) -> FloatArray:
-        """Return the variance by what the lag behind the thermometer may have done in a gap (sd), (3,)."""
-        return np.zeros(3) if self.trust is None else np.asarray((self.trust[1] * lag_degc) ** 2)
+        degc2 = self.beyond_degc**2 - before2 + lag_degc**2
+        return np.asarray(walk + steepness**2 * degc2 + self.faded - faded)
 
 
 class ThermalInput:
@@ -86,19 +86,14 @@ class ThermalInput:
     """
 
     def __init__(self, model: BiasModel | None) -> None:
-        self._predictor = BiasPredictor(model, GYROS) if model is not None else None
-        columns = self._predictor.temperature_columns if self._predictor is not None else ["temperature"] * 3
+        self._predictor = None if model is None else BiasPredictor(model, GYROS)
+        columns = ["temperature"] * 3 if self._predictor is None else self._predictor.temperature_columns
         self._sources = [_sources(name, axis) for name, axis in zip(columns, "xyz", strict=True)]
         self._reference = np.full(3, np.nan)
-        self.outside = False
-        """Whether the temperature has been outside the range that the model was made for."""
-        self.lacking = False
-        """Whether what the model needs was missing in a block with samples."""
-
-    def temperature(self, block: SampleBlock) -> FloatArray:
-        """Return the temperature of each gyro in °C, the estimated one where there is one, (n, 3)."""
-        # The reading is a stopgap where the estimate has not begun; mixed with it, it would jump.
-        return _first_of(block, self._sources)
+        self.trust = None if model is None else trust_in(model)
+        """As from `trust_in`; None without a model."""
+        self.notices: dict[str, None] = {}
+        """What was missing, or out of range, so far, in order."""
 
     def unseen_lag(self, gap_s: float, behind: SampleBlock) -> FloatArray:
         """Return by how much the lag of each gyro's temperature may have changed in a gap (sd), °C, (3,).
@@ -109,15 +104,18 @@ class ThermalInput:
         unseen = np.where(np.isfinite(rate_sd), rate_sd, UNSEEN_RATE)
         return np.asarray(-UNTOLD_S * math.expm1(-gap_s / UNTOLD_S) * unseen)
 
-    def process(self, block: SampleBlock, temperature: FloatArray, breaks: Sequence[int]) -> FloatArray:
-        """Return what the model has added to the bias since a restart, its curve, and the sd of its unknown
-        state at power-on, rad/s, (3, n, 3).
+    def process(self, block: SampleBlock, breaks: Sequence[int]) -> tuple[FloatArray, FloatArray]:
+        """Return the temperature of each gyro, °C, (n, 3), the estimated one where there is one, and by the
+        model, rad/s, (3, n, 3), what it has added to the bias since a restart, its curve, and the sd of its
+        unknown state at power-on.
 
-        `temperature` is as from `temperature`, and the device has restarted at the rows `breaks`.  Without a
-        model all are zero; before the first temperature curve and sd are NaN.
+        The device has restarted at the rows `breaks`.  Without a model all by it are zero; before the first
+        temperature curve and sd are NaN.
         """
-        if self._predictor is None:
-            return np.zeros((3, len(block), 3))
+        # The reading is a stopgap where the estimate has not begun; mixed with it, it would jump.
+        temperature = _first_of(block, self._sources)
+        if self._predictor is None or self.trust is None:
+            return temperature, np.zeros((3, len(block), 3))
         others = {name: block[name] for name in self._predictor.drivers if name in block}
         times, segment = block["device_time_ns"], block["segment"]
         predicted = self._predictor.process(times, segment, temperature, block.accel, others)
@@ -130,9 +128,17 @@ class ThermalInput:
             for j in np.flatnonzero(np.isnan(self._reference) & known[run].any(0)):
                 self._reference[j] = curve[run][np.argmax(known[run, j]), j]
             total[run] = np.where(known[run], curve[run] - self._reference, 0.0)
-            self.lacking |= bool(stop > start and not known[run].any())
-        self.outside |= bool((np.isfinite(temperature) & ~predicted.inside).any())
-        return np.stack([total, curve, np.where(known, predicted.start_sd, np.nan)])
+            if stop > start and not known[run].any():
+                self.notices["the bias model lacks its temperature: the bias is taken as constant"] = None
+        if (np.isfinite(temperature) & ~predicted.inside).any():
+            _, _, low, high = self.trust
+            text = (
+                "the temperature is outside the range of the bias model, "
+                f"{low.max():.1f} to {high.min():.1f} °C: the bias is extrapolated and its standard "
+                "deviation widened"
+            )
+            self.notices[text] = None
+        return temperature, np.stack([total, curve, np.where(known, predicted.start_sd, np.nan)])
 
 
 def _first_of(block: SampleBlock, sources: list[list[str]]) -> FloatArray:
@@ -172,22 +178,19 @@ class BiasTrail:
         if not self._points:
             return []
         degc, bias = np.hsplit(np.array(self._points), 2)
-        lines, expected = [], np.zeros_like(bias)
+        bias = bias / DEG_PER_H
+        lines, left = [], bias.copy()
         for j, ((axis, color), channel) in enumerate(zip(AXIS_COLORS.items(), self._channels, strict=False)):
             low, high = channel.temperature_range_degc
             at = np.linspace(low, high, 101)
             lines.append(Curve(f"{axis}, model", at, channel.value(at) / DEG_PER_H, color, width=1.2))
-            expected[:, j] = channel.value(degc[:, j])
+            left[:, j] -= channel.value(degc[:, j]) / DEG_PER_H
         dots = "dots: estimates since the start; large: now"
-        note = f"line: model; {dots}" if lines else dots
-        charts = [
-            _chart(
-                "gyro_bias", "Gyro bias", "Gyro bias over temperature", [*lines, *_trails(degc, bias)], note
-            )
-        ]
+        note, over = f"line: model; {dots}" if lines else dots, [*lines, *_trails(degc, bias)]
+        charts = [_chart("gyro_bias", "Gyro bias", "Gyro bias over temperature", over, note)]
         if lines:
             title = "Gyro bias less the calibrated curve"
-            charts.append(_chart("gyro_bias_left", "Residual", title, _trails(degc, bias - expected), dots))
+            charts.append(_chart("gyro_bias_left", "Residual", title, _trails(degc, left), dots))
         return charts
 
 
@@ -196,10 +199,9 @@ def _chart(name: str, tab: str, title: str, curves: list[Curve], note: str) -> C
 
 
 def _trails(degc: FloatArray, bias: FloatArray) -> list[Curve]:
-    """Return where each axis has been, and where it is now as a larger point; °C and rad/s, (n, 3)."""
+    """Return where each axis has been, and where it is now as a larger point; °C and °/h, (n, 3)."""
     curves = []
-    for j, (axis, color) in enumerate(AXIS_COLORS.items()):
-        x, y = degc[:, j], bias[:, j] / DEG_PER_H
+    for (axis, color), x, y in zip(AXIS_COLORS.items(), degc.T, bias.T, strict=True):
         curves.append(Curve(f"{axis}, estimate", x, y, color, points=True, width=2.5))
         curves.append(Curve(f"now {axis}", x[-1:], y[-1:], color, points=True, width=9.0, listed=False))
     return curves

@@ -36,7 +36,7 @@ Time limit:
 ==============  ============================================  ================================================
 row             when                                          what follows
 ==============  ============================================  ================================================
-time_excludes   the rate has lasted for `undecided_s`         P(turn) = 0, unless Λ_gravity Λ_heading < e⁻² or
+time excludes   the rate has lasted for `undecided_s`         P(turn) = 0, unless Λ_gravity Λ_heading < e⁻² or
                                                               |d| > `largest_jump`
 ==============  ============================================  ================================================
 
@@ -109,14 +109,20 @@ class SteadyRate:
 
     @property
     def size(self) -> float:
-        """Size of the change, |d|, rad/s."""
-        return math.sqrt(float(self.change @ self.change))
+        """Size of the change, |d|, rad/s; never zero."""
+        return max(math.hypot(*self.change), 1e-12)
+
+    @property
+    def rarity(self) -> float:
+        """c, by which turns of this rate are rarer than log-uniform ones."""
+        return 1.0 + (SLOWEST_TURN / self.size) ** 2
 
 
 def probability_of_turn(rate: SteadyRate, limits: RestParameters) -> float:
     """Return P(turn) of a steady rate."""
     log_ratio = gravity(rate, limits.accel_drift) + heading(rate.measurements, rate.bias)
-    if time_excludes(rate, log_ratio, limits):
+    time_excludes = rate.steady_s > limits.undecided_s and rate.size <= limits.largest_jump
+    if time_excludes and log_ratio >= -2.0:
         return 0.0
     odds = changed_bias(rate, limits.largest_jump) + nominal_bias(rate) + first_turn(rate)
     return 1.0 / (1.0 + odds * math.exp(max(min(log_ratio, MOST_LOG_RATIO), -MOST_LOG_RATIO)))
@@ -126,21 +132,16 @@ def changed_bias(rate: SteadyRate, largest: float) -> float:
     """Return the odds that the bias has changed; none changes by more than `largest`, rad/s."""
     if rate.size > largest:
         return 1e-9  # and not 0: gravity and heading may still exclude a turn
-    u = (rate.size + 1e-12) / USUAL_CHANGE
-    return 2.0 * LOG_RANGE * _rarity(rate.size**2) / (math.pi * (u + 1.0 / u) * (1.0 + rate.changes))
+    u = rate.size / USUAL_CHANGE
+    return 2.0 * LOG_RANGE * rate.rarity / (math.pi * (u + 1.0 / u) * (1.0 + rate.changes))
 
 
 def nominal_bias(rate: SteadyRate) -> float:
     """Return the odds that nothing has changed, high where the prediction of the nominal bias is vague."""
-    square = rate.size**2 + 1e-24
-    variance = float((rate.change**2 + 1e-24) @ rate.change_variance) / square
-    density = 2.0 * math.exp(-0.5 * square / variance) / math.sqrt(2.0 * math.pi * variance)
-    return density * math.sqrt(square) * LOG_RANGE * _rarity(square)
-
-
-def _rarity(square: float) -> float:
-    """Return c, by which turns are rarer than log-uniform ones, from the square of their rate, (rad/s)²."""
-    return 1.0 + SLOWEST_TURN**2 / (square + 1e-24)
+    direction = rate.change / rate.size
+    sigma = math.sqrt(float(direction**2 @ rate.change_variance) + 1e-24)
+    density = 2.0 * math.exp(-0.5 * (rate.size / sigma) ** 2) / (math.sqrt(2.0 * math.pi) * sigma)
+    return density * rate.size * LOG_RANGE * rate.rarity
 
 
 def first_turn(rate: SteadyRate) -> float:
@@ -159,26 +160,33 @@ def first_turn(rate: SteadyRate) -> float:
 def gravity(rate: SteadyRate, drift: float) -> float:
     """Return ln Λ by how the unit has tilted; `drift` of accelerometers, m/s³.
 
-    A turn is about the vertical, or oblique: then it tilts the unit by the angle turned.
+    From the first measurement to the last, T seconds, it tilts by t, rad, and its gyros less the bias turn by
+    phi, both across the vertical.  Half of the turns are about the vertical, the others oblique::
+
+        no turn, or about the vertical:  t ~ N(0, v),            v = (noise and drift of the force)² / g²
+        oblique turn:                    t ~ N(phi, v + s² T²),  s² = variance of the bias
+        L(turn) = (L(oblique) + L(no turn)) / 2
+
+    Densities are taken without their norms, for with them a unit that stood was no rest in measured data.
     """
-    force = rate.measurements[-1].force
-    size = math.sqrt(float(force @ force))
-    if len(rate.measurements) < LEAST_MEASUREMENTS or not size > 0.5 * STANDARD_GRAVITY:
+    first, last = rate.measurements[0].force, rate.measurements[-1].force
+    g = math.hypot(*last)
+    if len(rate.measurements) < LEAST_MEASUREMENTS or not g > 0.5 * STANDARD_GRAVITY:
         return 0.0
-    up = force / size
-    level2 = rate.size**2 - float(rate.change @ up) ** 2
-    if level2 < (OBLIQUE * rate.size) ** 2:
+    across = np.eye(3) - np.outer(last, last) / g**2
+    level = math.hypot(*(across @ rate.change))
+    if level < OBLIQUE * rate.size:
         return 0.0
-    turn = _turned(rate.measurements, rate.bias)
-    turn -= (turn @ up) * up
-    tilt = np.cross(force, rate.measurements[0].force) / size**2
-    elapsed, largest = sum(one.covered_s for one in rate.measurements[1:]), float(rate.variance.max())
-    variance = ((math.sqrt(2.0 * rate.force_variance) + drift * elapsed) / size) ** 2
-    turn2, tilt2, left, excluded = float(turn @ turn), float(tilt @ tilt), tilt - turn, EXCLUDED_SIGMAS**2
-    if turn2 > excluded * variance > 4.0 * tilt2 and level2 > MOSTLY_LEVEL * rate.size**2:
+    seconds = sum(one.covered_s for one in rate.measurements[1:])
+    phi = across @ _turned(rate.measurements, rate.bias)
+    tilt = np.cross(last, first) / g**2
+    variance = ((math.sqrt(2.0 * rate.force_variance) + drift * seconds) / g) ** 2
+    turn_variance = variance + float(rate.variance.max()) * seconds**2
+    expected, tilted = (math.hypot(*angle) / math.sqrt(variance) for angle in (phi, tilt))
+    if expected > EXCLUDED_SIGMAS > 2.0 * tilted and level**2 > MOSTLY_LEVEL * rate.size**2:
         return MOST_LOG_RATIO
-    oblique = float(left @ left) / (variance + largest * elapsed**2) - tilt2 / variance
-    return math.log(2.0) - float(np.logaddexp(-0.5 * oblique, 0.0))
+    log_oblique = -0.5 * float((tilt - phi) @ (tilt - phi)) / turn_variance
+    return math.log(2.0) - float(np.logaddexp(log_oblique + 0.5 * tilted**2, 0.0))
 
 
 def heading(measurements: Sequence[Measurement], bias: FloatArray) -> float:
@@ -202,12 +210,6 @@ def heading(measurements: Sequence[Measurement], bias: FloatArray) -> float:
     variance = noise2 + HEADING_NOISE**2 + (HEADING_ERROR * angle) ** 2
     follows = (measured**2 - (measured - angle) ** 2) / (2.0 * variance)  # ln L(turn) / L(no turn)
     return -float(np.logaddexp(math.log(1.0 - STUCK_HEADING) + follows, math.log(STUCK_HEADING)))
-
-
-def time_excludes(rate: SteadyRate, log_ratio: float, limits: RestParameters) -> bool:
-    """Return whether the rate has lasted for longer than a turn does."""
-    late = rate.steady_s > limits.undecided_s and rate.size <= limits.largest_jump
-    return late and log_ratio >= -2.0
 
 
 def _turned(measurements: Sequence[Measurement], bias: FloatArray) -> FloatArray:

@@ -22,6 +22,7 @@ SECOND_SLOTS = 4
 """Slots of a second: so many are quiet before it is rest."""
 SHORT_RESTS = 2
 """Short rests after which rest takes a trial's length: a slow tilt is quiet for a second, again and again."""
+QUIET_TOO_SHORT, FAR_SAMPLE = "quiet for too short a time", "a single sample is far from the mean"
 LENGTHS = 2 ** np.arange(7)
 CHI_SQUARE = 42.0
 """Three axes together: once in 2e8 for Gaussian noise of known variance."""
@@ -40,11 +41,12 @@ MEMORY_SLOTS = 1200.0
 LARGEST_COLOUR = 5.0
 """In a trial: largest variance of means of 4 and 8 slots over that of white noise."""
 HALVES, HALVES_OFFSET = 5.0, 20.0
-"""In a trial: largest noise of one half over the other, and what is added to it."""
+"""In a trial: largest noise of one half over the other, and what is added to it: else a knock was noise."""
 NOISE_CHANGE = 2.5
 """Factor of the variance from which on a trial has found another noise."""
 SLOWER = 16.0
-"""In a trial: largest variance of slot means over that which their samples explain: more is slow motion."""
+"""In a trial: largest variance of slot means over that which their samples explain: a hand is slow within a
+slot and fast between slots."""
 SPIKE_SIGMAS = 8.0
 """A single sample so far from the mean at rest ends it."""
 
@@ -75,6 +77,8 @@ class QuietDetector:
     """Number of slots that the noise is averaged over; 0 while it is not known."""
     noise_changed: bool = False
     """Whether another noise has been found with this slot."""
+    moving: str = ""
+    """What is not quiet in the latest slot; empty if all is."""
     disturbed: bool = False
     """Whether a single sample of the present slot was outside `band`."""
     step: FloatArray = field(default_factory=partial(np.zeros, AXES))
@@ -89,6 +93,13 @@ class QuietDetector:
     def is_rest(self) -> bool:
         """Whether it has been quiet for long enough."""
         return self.quiet_slots >= (TRIAL if self.short_rests >= SHORT_RESTS else SECOND_SLOTS)
+
+    @property
+    def unrest(self) -> str:
+        """Why it is no rest; empty where it is."""
+        if self.disturbed:
+            return FAR_SAMPLE
+        return self.moving or ("" if self.is_rest else QUIET_TOO_SHORT)
 
     @property
     def floor(self) -> FloatArray:
@@ -125,24 +136,23 @@ class QuietDetector:
         """
         self._append(slot)
         self.slots, self.quiet_slots, self.noise_changed = self.slots + 1, self.quiet_slots + 1, False
-        given, known = slot.rest_given, self.noise_slots > 0.0
-        quiet = known and not self.disturbed and self._fits(slot, drift) if given is None else given
-        if not quiet:
+        known = self.noise_slots > 0.0
+        self.moving, self.disturbed = self._motion(slot, drift), False
+        if self.moving:
             self._interrupt()
         elif known:
             self._learn(slot)
-        self.disturbed = False
-        if given and not known and self.quiet_slots >= TRIAL:
-            noise = _white_variance(self.mean[-TRIAL:])
+        elif self.quiet_slots >= TRIAL:
+            noise = self._white_variance()
             self._set_noise(noise, noise * slot.samples)
         doubtful = not known or (self.unquiet >= SECOND_SLOTS and self.quiet_slots < TRIAL)
-        if given is None and doubtful and self.slots >= TRIAL and self.slots % SECOND_SLOTS == 0:
-            self._restart_noise(slot.samples)
+        if slot.rest_given is None and doubtful and self.slots >= TRIAL and self.slots % SECOND_SLOTS == 0:
+            self._try_noise(slot.samples)
 
     def _append(self, slot: Slot) -> None:
         """Append a slot; an axis without reading keeps its last mean, and 0 if it is absent."""
-        before, readable = self.present, np.isfinite(slot.mean)
-        mean = np.where(readable, slot.mean, np.where(before, self.mean[-1], 0.0))
+        before, readable = self.present, np.isfinite(slot.mean[:AXES])
+        mean = np.where(readable, slot.mean[:AXES], np.where(before, self.mean[-1], 0.0))
         values = (self.mean, mean), (self.within, slot.variance), (self.readable, readable)
         for latest, value in values:
             latest[:-1] = latest[1:]
@@ -162,23 +172,37 @@ class QuietDetector:
         self.short_rests = 0 if self.pause > SECOND_SLOTS else self.short_rests + short
         self.quiet_slots, self.unquiet = 0, self.unquiet + 1
 
-    def _fits(self, slot: Slot, drift: FloatArray) -> bool:
-        """Return whether windows, and the samples of the slot, differ by no more than noise and drift."""
+    def _motion(self, slot: Slot, drift: FloatArray) -> str:
+        """Return what in a slot is not quiet; empty if all is, or rest is given."""
+        if slot.rest_given is not None:
+            return "" if slot.rest_given else "motion is given"
+        if not self.noise_slots:
+            return "the noise at rest is not known yet"
+        if self.disturbed:
+            return FAR_SAMPLE
+        if self._windows_differ(slot.length_s * drift):
+            return "the mean changes by more than noise and drift"
+        return "the samples scatter more than at rest" if self._scatters(slot) else ""
+
+    def _windows_differ(self, drift: FloatArray) -> bool:
+        """Return whether means of windows differ by more than noise and drift, (6,) a slot."""
         lengths = LENGTHS[self.quiet_slots >= 2 * LENGTHS]
         width = lengths[:, np.newaxis]
         sums = np.cumsum(self.mean[::-1], axis=0)  # of the latest 1, 2, 3 ... slots
         change = 2.0 * sums[lengths - 1] - sums[2 * lengths - 1]
-        excess = np.maximum(np.abs(change) / width - drift * slot.length_s * width, 0.0)
+        excess = np.maximum(np.abs(change) / width - drift * width, 0.0)
         # A shorter window has a smaller floor: a disturbance has had less time to act.
         least = QUIET**2 / np.maximum(1.0, 4.0 / width) + self.floor
         square = excess**2 / (2.0 * np.maximum(self.noise / width, least))
-        if (square.reshape(-1, 2, 3).sum(2) > CHI_SQUARE).any():
-            return False
-        # Wilson and Hilferty's chi-square, of three samples and more.
+        return bool((square.reshape(-1, 2, 3).sum(2) > CHI_SQUARE).any())
+
+    def _scatters(self, slot: Slot) -> bool:
+        """Return whether three samples or more scatter more than at rest (chi-square)."""
+        # Wilson and Hilferty.
         k = 2.0 / (9.0 * np.maximum(0.5 * (slot.samples - 1.0), 1.0))
         factor = VARIANCE_FACTOR * (1.0 - k + VARIANCE_SIGMAS * np.sqrt(k)) ** 3
         limit = np.maximum(factor * self.sample_noise, 1e-12) + 12.0 * self.floor
-        return not ((slot.variance > limit) & (slot.samples >= 3.0)).any()
+        return bool(((slot.variance > limit) & (slot.samples >= 3.0)).any())
 
     def _learn(self, slot: Slot) -> None:
         """Learn the noise from second differences, in which a drift cancels."""
@@ -195,34 +219,26 @@ class QuietDetector:
         if self.quiet_slots >= TRIAL:
             self.unquiet = self.short_rests = 0
 
-    def _restart_noise(self, samples: FloatArray) -> None:
-        """Take the noise of the last slots if they pass the trial, and it is larger or the first."""
-        trial = self._trial(samples)
-        if trial is None:
-            return
-        pairs = zip(trial, (self.noise, self.sample_noise), strict=True)
-        larger = any((new > NOISE_CHANGE * old + self.floor).any() for new, old in pairs)
-        if larger or not self.noise_slots:
-            self.quiet_slots, self.unquiet, self.short_rests = TRIAL, 0, 0
-            self._set_noise(*trial)
-
     def _set_noise(self, noise: FloatArray, sample_noise: FloatArray) -> None:
         self.noise_changed, self.noise_slots = True, TRIAL - 2.0
         self.noise, self.sample_noise = noise, sample_noise
 
-    def _trial(self, count: FloatArray) -> tuple[FloatArray, FloatArray] | None:
-        """Return the variance of slot means and of samples, (6,) each; None of what moves."""
-        mean = self.mean[-TRIAL:]
-        noise = _white_variance(mean)
+    def _white_variance(self) -> FloatArray:
+        """Return the variance of the last slot means by their second differences: no drift is in it, (6,)."""
+        square = np.diff(self.mean[-TRIAL:], 2, axis=0) ** 2
+        return np.asarray(np.maximum(square.mean(0) / 6.0, 1e-24))
+
+    def _try_noise(self, count: FloatArray) -> None:
+        """Take the noise of the last slots if it is that of rest, and larger than before or the first."""
+        mean, noise = self.mean[-TRIAL:], self._white_variance()
         enough = np.isfinite(self.within).all(0) & (count >= 3.0)
-        samples = np.where(enough, np.where(enough, self.within, 0.0).mean(0), noise * count)
+        samples = np.where(enough, self.within.mean(0), noise * count)
         # Where the noise at rest is known, what is far above it is suspicious, too.
         least = (np.minimum(QUIET**2, 9.0 * self.noise) if self.noise_slots else QUIET**2) + self.floor
         for length in (4, 8):  # noise averages out
             ratio = mean.reshape(-1, length, AXES).mean(1).var(0, ddof=1) / np.maximum(noise / length, least)
             if (ratio.reshape(2, 3).mean(1) > LARGEST_COLOUR).any():
-                return None
-        # A hand is slow within a slot and fast between slots.
+                return
         slow = enough & (noise * count > SLOWER * samples) & (noise > least)
         second = np.diff(mean, 2, axis=0) ** 2 / np.maximum(noise, least)
         first, last = (half.reshape(-1, 2, 3).sum((0, 2)) for half in (second[:7], second[7:]))
@@ -232,9 +248,10 @@ class QuietDetector:
         road = loud & (count.reshape(2, 3).max(1) >= 3.0)
         white = (noise * count < 1.5 * samples) & (np.arange(AXES) < ACCEL.start)
         shaken = (samples > VIBRATION**2) | np.repeat(road, 3)
-        return None if slow.any() or uneven.any() or (shaken & ~white).any() else (noise, samples)
-
-
-def _white_variance(mean: FloatArray) -> FloatArray:
-    """Return the variance of slot means, (n, 6), by their second differences: no drift is in it, (6,)."""
-    return np.asarray(np.maximum((np.diff(mean, 2, axis=0) ** 2).mean(0) / 6.0, 1e-24))
+        if slow.any() or uneven.any() or (shaken & ~white).any():
+            return
+        larger = noise > NOISE_CHANGE * self.noise + self.floor
+        larger |= samples > NOISE_CHANGE * self.sample_noise + self.floor
+        if larger.any() or not self.noise_slots:
+            self.moving, self.quiet_slots, self.unquiet, self.short_rests = "", TRIAL, 0, 0
+            self._set_noise(noise, samples)

@@ -20,7 +20,9 @@ AXES = len(SENSORS)
 GYRO, ACCEL = slice(0, 3), slice(3, 6)
 MODELLED, DEGC, POWER_ON_SD, HEADING = (slice(AXES + 3 * i, AXES + 3 * i + 3) for i in range(4))
 REST_GIVEN, GATHERED = AXES + 12, AXES + 13
-"""The last column of the gathered values, 1 for given rest and 0 for given motion; and how many there are."""
+"""Columns that are gathered: gyros, rad/s; accelerometers, m/s²; what a model has added to the bias,
+rad/s; temperature of each gyro, °C; sd of the model's unknown state at power-on, rad/s; a vector that turns
+with the heading (`heading_of`); 1 for given rest and 0 for given motion; and how many there are."""
 COARSEST_STEPS = (0.035, 0.16)
 """No gyro (rad/s) and no accelerometer (m/s²) reads in coarser steps: 2 °/s is what may shake at rest."""
 
@@ -39,18 +41,11 @@ class Slot(NamedTuple):
     samples: FloatArray
     """Number of samples of each of the six axes, (6,)."""
     mean: FloatArray
+    """Of all columns that are gathered, (19,)."""
     variance: FloatArray
-    """Of the samples, (6,) each, about the mean (n - 1)."""
+    """Of the samples of the six axes, (6,), about the mean (n - 1)."""
     step: FloatArray
     """Step of the sensor, (6,), if its readings were mostly equal and some differed by one; else infinite."""
-    modelled: FloatArray
-    """What the thermal model has added to the bias, rad/s, (3,)."""
-    degc: FloatArray
-    """Temperature of each gyro, °C, (3,)."""
-    power_on_sd: FloatArray
-    """Of the unknown state of the thermal model at power-on, rad/s, (3,)."""
-    heading: FloatArray
-    """A vector that turns with the heading, (3,): see `heading_of`."""
     turn: Turn
     rest_given: bool | None
     """Whether it was at rest throughout; None where that is to be detected."""
@@ -73,15 +68,13 @@ class Measurement(NamedTuple):
 
 def measurement_of(slots: Sequence[Slot], earth: FloatArray, force: FloatArray) -> Measurement:
     """Return the means of slots, less the known earth rate, rad/s, (3,); `force` is the last known one."""
-    covered = np.array([one.covered_s for one in slots])
+    covered, last = np.array([one.covered_s for one in slots]), slots[-1]
     total = float(covered.sum())
-    mean, modelled, degc, heading = (
-        covered / total @ np.array(part)
-        for part in zip(*((one.mean, one.modelled, one.degc, one.heading) for one in slots), strict=True)
-    )
+    mean = covered / total @ np.array([one.mean for one in slots])
+    rate = mean[GYRO] - mean[MODELLED] - earth
     force = np.where(np.isfinite(mean[ACCEL]), mean[ACCEL], force)
-    degc = np.where(np.isfinite(degc), degc, slots[-1].degc)
-    return Measurement(slots[-1].end_s, total, mean[GYRO] - modelled - earth, force, degc, heading)
+    degc = np.where(np.isfinite(mean[DEGC]), mean[DEGC], last.mean[DEGC])
+    return Measurement(last.end_s, total, rate, force, degc, mean[HEADING])
 
 
 @dataclass(slots=True)
@@ -101,11 +94,9 @@ class Timing:
         steps = _steps(ended)
         for k, mean in enumerate(ended.mean):
             given = float(ended.smallest[k, REST_GIVEN])
-            yield Slot(
-                *self._times(ended, k), count[k], mean[:AXES], variance[k], steps[k], mean[MODELLED],
-                mean[DEGC], mean[POWER_ON_SD], mean[HEADING], ended.turns[k],
-                None if math.isnan(given) else given == 1.0,
-            )  # fmt: skip
+            at_rest = None if math.isnan(given) else given == 1.0
+            times = self._times(ended, k)
+            yield Slot(*times, count[k], mean, variance[k], steps[k], ended.turns[k], at_rest)
 
     def _times(self, ended: Slots, k: int) -> tuple[float, float, float, float]:
         """Return end, length, time covered by samples, and the gap before the slot, s."""

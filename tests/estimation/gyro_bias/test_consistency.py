@@ -7,8 +7,10 @@ import pytest
 from scipy.stats import chi2
 
 from imumon.blocks import FloatArray
-from imumon.estimation.gyro_bias.parameters import GyroBiasParameters
+from imumon.estimation.gyro_bias.bank import Bank
 from imumon.estimation.gyro_bias.stage import GyroBias
+from imumon.estimation.rest.parameters import GyroBiasParameters
+from imumon.estimation.rest.slots import Measurement
 from tests.bias_noise import INSTABILITY_PER_DECADE
 from tests.estimation.gyro_bias.records import (
     ARW,
@@ -119,3 +121,37 @@ def test_the_sigma_is_true_for_five_decades_of_flicker() -> None:
         off = (vector(added, "gyro_random_error") - drift)[late]
         normalised.append(np.mean((off / vector(added, "gyro_random_error_sd")[late]) ** 2))
     assert 0.5 < np.sqrt(np.mean(normalised)) < 1.25
+
+
+def test_declared_noise_holds_though_a_fan_ran_in_the_first_rest() -> None:
+    walk, rate_hz = 2e-6, 10.0
+    declared = GyroBiasParameters(rate_random_walk_rad_per_s_per_sqrt_s=walk)
+    truth = Truth(rate_hz, flicker=0.0, walk=walk, low_pass_hz=None)
+    block, _ = record(truth, 2400.0, 0)
+    t = np.arange(len(block)) / rate_hz
+    fan = np.where(t < 100.0, 3e-3 * np.random.default_rng(1).standard_normal(len(t)), 0.0)
+    sd = []
+    for added in (0.0, fan):
+        samples = block.with_columns({f"gyro_{axis}": block[f"gyro_{axis}"] + added for axis in "xyz"})
+        sd.append(vector(GyroBias(declared).process(with_rest(samples, t < 1800.0)), "gyro_bias_sd")[-1])
+    assert (np.array(sd) > 0.9 * walk * np.sqrt(600.0)).all()
+    assert sd[1] == pytest.approx(sd[0], rel=0.1)
+
+
+@pytest.mark.parametrize("seconds", [1, 4])
+def test_the_first_means_are_as_certain_as_their_sigma(seconds: int) -> None:
+    """The noise is known as that of a chi-square of six degrees of freedom; there is neither flicker nor
+    walk."""
+    rng, sigma, zero, z = np.random.default_rng(0), 1e-5, np.zeros(3), []
+    for _ in range(700):
+        bias, white = rng.normal(0.0, 0.02, 3), sigma**2 * rng.chisquare(6.0, 3) / 6.0
+        means = [
+            Measurement(k + 1.0, 1.0, bias + sigma * rng.standard_normal(3), zero, np.full(3, np.nan), zero)
+            for k in range(seconds)
+        ]
+        bank = Bank.begin((zero, zero), (0.0,), white, 3.0, means[0])
+        for now in means[1:]:
+            bank = bank.after(now)
+        mean, variance = bank.prediction.bias(zero)
+        z.append((mean - bias) / np.sqrt(variance))
+    assert 0.93 < np.sqrt(np.mean(np.square(z))) < 1.03

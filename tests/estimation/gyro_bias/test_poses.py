@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from imumon.blocks import FloatArray, SampleBlock
-from imumon.estimation.gyro_bias.stage import GyroBias
+from imumon.estimation.gyro_bias.stage import GyroBias, RestAndBias
 from tests.estimation.gyro_bias.records import (
     ARW,
     DPH,
@@ -24,6 +24,7 @@ from tests.estimation.gyro_bias.records import (
     vector,
     with_rest,
 )
+from tests.estimation.rest.scenes import block as scene
 
 RATE_HZ = 50.0
 TRUTH = Truth(rate_hz=RATE_HZ, low_pass_hz=None)
@@ -186,3 +187,27 @@ def test_a_second_that_contradicts_the_bias_is_in_doubt_until_another_confirms_i
     added = GyroBias().process(block.with_columns({**columns, "gyro_x": block["gyro_x"] + off}))
     z = (added["gyro_bias_x"] - bias[:, 0]) / added["gyro_bias_sd_x"]
     assert np.abs(z[t > 10.0]).max() < 5.0
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_north_is_kept_through_steady_turns_though_the_gyros_feel_gravity(seed: int) -> None:
+    """Turns of 90° within 2 s, also about the vertical, then 300 s in which the unit is only shaken."""
+    rng, rate_hz, still = np.random.default_rng(seed), 25.0, np.zeros((500, 3))
+    turns = [np.tile(np.pi / 4.0 * np.eye(3)[axis], (50, 1)) for axis in (0, 0, 1, 1, 0, 0, 1, 1, 2, 2) * 2]
+    rests = [part for turn in turns for part in (still, turn)]
+    rate = np.concatenate([*rests, still, np.zeros((7500, 3)), still])
+    pose, poses = Rotation.identity(), []
+    for turn in Rotation.from_rotvec(rate / rate_hz):
+        pose = pose * turn
+        poses.append(pose.as_matrix().T)
+    t, body = np.arange(len(rate)) / rate_hz, np.array(poses)
+    force = body @ np.array([0.0, 0.0, -GRAVITY])
+    bias = math.radians(0.05) / GRAVITY * force + np.array([30.0, -20.0, 10.0]) * DPH
+    white = math.radians(0.02) / 60.0 * math.sqrt(rate_hz) * rng.standard_normal(rate.shape)
+    accel = force + 1e-3 * rng.standard_normal(rate.shape)
+    accel[-8000:-500] += np.sin(18.0 * t[-8000:-500, np.newaxis])
+    samples = scene(t, rate + body @ local_earth() + bias + white, accel)
+    added = RestAndBias(latitude_deg=LATITUDE_DEG, heading_deg=0.0).process(samples)
+    error = (vector(added) - bias)[-1]
+    assert np.abs(error).max() < 1.5 * DPH
+    assert np.abs(error / vector(added, "gyro_bias_sd")[-1]).max() < 3.0

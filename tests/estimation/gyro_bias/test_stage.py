@@ -10,8 +10,8 @@ import pytest
 
 from imumon.blocks import ColumnArray, FloatArray, SampleBlock, join
 from imumon.errors import ImumonError
-from imumon.estimation.gyro_bias.parameters import GyroBiasParameters
 from imumon.estimation.gyro_bias.stage import GyroBias, RestAndBias
+from imumon.estimation.rest.parameters import GyroBiasParameters
 from imumon.geodesy import body_to_ned
 from imumon.pipeline import Estimator
 from tests.estimation.gyro_bias.records import (

@@ -211,3 +211,19 @@ def test_a_measured_chamber_run_of_a_standing_unit_is_rest(thermometer: bool) ->
     if thermometer:
         samples = samples.with_columns({"temperature": table[:, 7].copy()})
     assert detect(samples).mean() > 0.94
+
+
+def test_the_cause_of_no_rest_is_named() -> None:
+    t, gyro, accel = noise(60.0)
+    gyro[5000:, 2] += 0.3 * DEG  # a turn from 50 s on
+    gyro[3010] += 0.5
+    stage, samples, causes = RestDetector(), block(t, gyro, accel), {}
+    for start in range(0, len(t), 10):
+        added = stage.process(samples.rows(start, start + 10))
+        causes[start] = stage.unrest
+        assert (stage.unrest == "") == bool(added["at_rest"][-1])
+    assert causes[100] == "the noise at rest is not known yet"
+    assert causes[2000] == ""
+    assert causes[3010] == "a single sample is far from the mean"
+    assert causes[5030] == "the mean changes by more than noise and drift"
+    assert causes[5900] == "a turn is more likely than a changed bias"
