@@ -136,7 +136,7 @@ class Estimator:
         Behind it the temperatures are `degc`, °C, (3,), NaN where not known; the lag of the gyros behind them
         may have changed by `lag_degc` (sd).
         """
-        self.motion.interrupt()
+        self.motion.interrupt(0.0)
         self.attitude.lost |= long or self.quiet.quiet_slots == 0
         self.degc = np.where(np.isfinite(degc), degc, self.degc)
         self.added = self.added + self.thermal.step(degc, np.full(3, np.nan), lag_degc)
@@ -170,9 +170,9 @@ class Estimator:
         if self.hypotheses is not None:
             self._follow(slot, self.hypotheses)
         elif slot.gap_s or np.isnan(slot.mean[ACCEL]).any():
-            self.motion.interrupt()
+            self.motion.interrupt(slot.length_s + slot.gap_s)
         else:
-            self.motion.take(slot.turn, slot.mean[ACCEL])
+            self.motion.take(slot.turn.less(slot.mean[MODELLED]), slot.mean[ACCEL])
 
     def _follow(self, slot: Slot, hypotheses: Hypotheses) -> None:
         """Add a slot to the turn since the attitude was taken."""
@@ -187,7 +187,7 @@ class Estimator:
 
     def _begin(self) -> None:
         """Begin the filters with the first quiet second, or the slots of the trial that found the noise."""
-        self.motion.interrupt()
+        self.motion.interrupt(self.latest[-1].length_s)
         if not self.quiet.noise_slots or self.quiet.quiet_slots < SECOND_SLOTS:
             return
         slots = self.latest[-self.quiet.quiet_slots :]

@@ -42,9 +42,10 @@ class Motion:
     parts: list[tuple[Turn, FloatArray]] = field(default_factory=list)
     """Of the present window, the last one growing: turn, and ∫ C f dt in the axes of its beginning, m/s."""
 
-    def interrupt(self) -> None:
-        """Begin the window anew: it rested, or readings are missing."""
-        self.parts = []
+    def interrupt(self, seconds: float) -> None:
+        """Begin the window anew: it rested, or readings are missing.  The bias has walked meanwhile."""
+        seconds += sum(turn.seconds for turn, _ in self.parts)
+        self.covariance, self.parts = self.covariance + BIAS_WALK**2 * seconds * np.eye(3), []
 
     def take(self, turn: Turn, force: FloatArray) -> bool:
         """Take a slot in motion and its mean specific force, m/s²; return whether a window has ended."""
@@ -56,7 +57,7 @@ class Motion:
         if len(self.parts) < PARTS or self.parts[-1][0].seconds < full_s:
             return False
         self._fit()
-        self.interrupt()
+        self.parts = []
         return True
 
     def _fit(self) -> None:

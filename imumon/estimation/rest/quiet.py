@@ -30,6 +30,8 @@ QUIET = np.repeat([3.5e-4, 5e-3], 3)
 """Standard deviation of a mean of a second that is always quiet, rad/s (72 °/h) and m/s² (0.03°)."""
 UNSEEN_STEP = np.repeat([np.radians(2000.0 / 2**15), 0.0], 3)
 """rad/s, and not used for m/s²: the step of gyros that measure to 2000 °/s with 16 bits."""
+NO_NOISE = 1e-20
+"""Variance of the samples, (rad/s)² and (m/s²)², below which they do not change: rounding in a mean."""
 VIBRATION = np.repeat([3.5e-2, 0.5], 3)
 """rad/s and m/s², rms within a slot: more is motion.  VQF's limits (Laidig and Seel 2023)."""
 ROAD = np.array([2.5e-3, 0.021])
@@ -113,7 +115,7 @@ class QuietDetector:
         Noise of variance v, in steps squared, makes it exp(-2 π² v) half steps (Widrow).  Readings that are
         all equal show no step: they may have any, up to `UNSEEN_STEP`.
         """
-        step = np.where((self.step == 0.0) & (self.sample_noise == 0.0), UNSEEN_STEP, self.step)
+        step = np.where((self.step == 0.0) & (self.sample_noise < NO_NOISE), UNSEEN_STEP, self.step)
         noise = np.maximum(self.sample_noise / (step**2 + 1e-24) - 1.0 / 12.0, 0.0)
         return np.asarray(0.5 * step * np.exp(-2.0 * np.pi**2 * noise))
 

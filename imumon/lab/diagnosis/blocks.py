@@ -25,7 +25,9 @@ MOST_BLOCKS = 1200
 LEAST_SLOTS = 6
 """Slots in a block: the differences between them show the white floor."""
 PARTS = 15
-"""Of a block, at most, whose differences show its white noise."""
+"""Of a block, at most, whose differences show its white noise..."""
+LEAST_PARTS = 3
+"""...and at least: two of their differences, less their mean, are not zero."""
 OPERATORS = sum(issubclass(kind, (DrivenEffect, Product)) for kind in EFFECTS.values())
 """Number of effects that a driver may have."""
 TURN_SHARE = 0.2

@@ -22,7 +22,7 @@ from imumon.errors import bad_config
 from imumon.geodesy import EARTH_RATE
 from imumon.lab.calibration.gravity import Length
 from imumon.lab.diagnosis import prepare
-from imumon.lab.diagnosis.blocks import RunBlocks, at_poses, common_block_s, survey, white_floor
+from imumon.lab.diagnosis.blocks import LEAST_PARTS, RunBlocks, at_poses, common_block_s, survey, white_floor
 from imumon.lab.diagnosis.candidates import Channel, Own, Pool, least_squares
 from imumon.lab.diagnosis.runs import SENSORS, Run, channels_of
 from imumon.lab.diagnosis.search import PROVEN, STAGES, Progress, Search, search
@@ -236,9 +236,10 @@ def scored_channels(data: Recorded, found: Sequence[Search]) -> list[Channel]:
 
 
 def search_block_s(blocks: Sequence[RunBlocks]) -> float:
-    """Return the length of the blocks to search in."""
+    """Return the length of the blocks to search in: of three slots and more, which show the white floor."""
     longest = max(map(len, blocks))
-    part = next((part for part in SHORTER if part * longest >= LEAST_SEARCH_BLOCKS), SHORTER[-1])
+    shorter = [part for part in SHORTER if blocks[0].slots >= LEAST_PARTS * part]
+    part = next((part for part in shorter if part * longest >= LEAST_SEARCH_BLOCKS), shorter[-1])
     return blocks[0].block_s / part
 
 

@@ -7,8 +7,8 @@ from imumon.blocks import FloatArray, SampleBlock
 from imumon.estimation.gyro_bias.motion import PART_S, PARTS, Motion
 from imumon.estimation.gyro_bias.stage import GyroBias
 from imumon.filters.turns import Turn
-from imumon.geodesy import STANDARD_GRAVITY
-from tests.estimation.gyro_bias.records import vector
+from imumon.geodesy import DEG_PER_H, STANDARD_GRAVITY
+from tests.estimation.gyro_bias.records import slope_model, vector
 
 BIAS = np.array([0.008, -0.005, 0.006])
 
@@ -54,6 +54,17 @@ def test_a_unit_that_never_rests_has_a_bias_but_about_the_vertical() -> None:
         assert (sd[late, :2] < 0.03).all()
 
 
+def test_what_the_model_explains_of_a_warm_up_is_in_the_bias_once() -> None:
+    block, slope_dph = driven(6, 200.0), 300.0
+    temperature = np.linspace(25.0, 45.0, len(block))
+    drift = slope_dph * DEG_PER_H * (temperature - 25.0)
+    gyros = {f"gyro_{axis}": block[f"gyro_{axis}"] + drift for axis in "xyz"}
+    warm = SampleBlock({**block.columns, **gyros, "temperature": temperature})
+    found = warm.with_columns(GyroBias(model=slope_model(slope_dph)).process(warm))
+    error = (vector(found, "gyro_bias") - BIAS - drift[:, np.newaxis])[62 * 25 :, :2]
+    assert np.abs(error).max() < np.abs(BIAS[:2]).min() / 3.0
+
+
 def test_a_rest_takes_over() -> None:
     moved = driven(4, 70.0)
     rows = np.arange(25 * 70, 25 * 90)
@@ -80,7 +91,7 @@ def test_a_window_that_was_interrupted_begins_anew() -> None:
     slot = Turn(by_bias=0.5 * np.eye(3), seconds=0.5)
     slots = round(PART_S * PARTS / 0.5)
     assert not any(motion.take(slot, force) for _ in range(slots - 1))
-    motion.interrupt()
+    motion.interrupt(0.0)
     assert not any(motion.take(slot, force) for _ in range(slots - 1))
     assert motion.take(slot, force)
     bias, variance = motion.bias

@@ -504,6 +504,21 @@ def test_data_that_cannot_show_anything_are_refused_in_words(change, said: str) 
         diagnose([change(three(nothing)[0][0])], [])
 
 
+def test_a_log_of_few_samples_has_blocks_that_show_its_noise() -> None:
+    def every_20_s(one: Run) -> Run:
+        mean = {name: values.reshape(-1, 20).mean(1) for name, values in one.mean.items()}
+        n = len(one.time_s) // 20
+        count, variance = dict.fromkeys(mean, np.ones(n)), dict.fromkeys(one.variance, np.full(n, np.nan))
+        time_s = np.arange(10.0, 20.0 * n, 20.0)
+        return replace(
+            one, time_s=time_s, count=count, mean=mean, variance=variance, rest=np.ones(n), slot_s=20.0
+        )
+
+    train, test = three(lag, 7200)
+    diagnosis = diagnose([every_20_s(one) for one in train], [every_20_s(one) for one in test])
+    assert names(diagnosis) == ["thermal_lag"]
+
+
 def test_gaps_are_left_out_and_said() -> None:
     train, test = three(lag)
     holes = train[0].mean["gyro_x"].copy()
