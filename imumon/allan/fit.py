@@ -72,9 +72,9 @@ BEYOND_FILTER = 1
 """Octaves that are left out besides: chi-square does not see the end of a filter, and the error of N would be
 up to 4.8 of its standard deviations (rms); with one octave it is up to 1.1."""
 FILTERED = 1.02
-"""A filter takes noise away: what is left out for it may not lie higher above what the terms say of it."""
+"""A filter takes noise away: what is left out for it may not lie higher above what the terms predict."""
 NO_SUM = 0.4
-"""With a larger model error nothing can be said of the terms from the whole curve: a sine of any size puts
+"""With a larger model error nothing is known of the terms from the whole curve: a sine of any size puts
 angle random walk or quantization in the place of its own bump."""
 ROUNDS, CLOSE, LARGEST_ERROR = 8, 0.05, 3.0
 """The model error is found to 5 %: chi-square falls with its square where it counts."""
@@ -117,7 +117,7 @@ class Fit:
     sum of the terms describes the longer ones, and only the angle random walk is reported."""
     model_error: float
     """Part of each variance by which the curve differs from any sum of the terms beyond its noise, as far
-    as the fit can tell; it is in the standard deviations.  0 when chi-square is in order; above `NO_SUM`
+    as the fit can determine; it is in the standard deviations.  0 when chi-square is in order; above `NO_SUM`
     no term is reported."""
     withheld: str = ""
     """`AMBIGUOUS`: bias instability and random walk are not reported, because noise that is correlated for a
@@ -229,7 +229,7 @@ def _with_model_error(problem: Problem) -> Problem:
 
 
 def _is_filtered(part: Problem) -> bool:
-    """Return whether what was left out lies below what the terms say of it, as behind a low-pass filter.
+    """Return whether what was left out lies below what the terms predict of it, as behind a low-pass filter.
 
     Quantization is none behind a filter; where it is called for, it stands for the end of a bump.
     """

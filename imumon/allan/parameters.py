@@ -1,4 +1,4 @@
-"""What a user may say of noise, in the noise section of a pipeline, and its units."""
+"""What a user may state of noise, in the noise section of a pipeline, and its units."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Generalised least squares of Allan variances: what is fitted, and by which covariance.
 
 A variance is distributed about as chi-square, and so its cube root about normally (Wilson and Hilferty 1931):
-whether a sum of terms describes the curve, and which one does so better, is judged by that.  By the variance
+whether a sum of terms describes the curve, and which one does so better, is tested by that.  By the variance
 itself no curve could be too low for a large random walk, which makes the variance of its variances large.
 """
 

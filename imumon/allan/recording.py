@@ -29,7 +29,7 @@ WARMING_DEGC = 0.5
 MOST_JITTER = 0.05
 """Share of the interval: less variation of the time from sample to sample is not reported."""
 MOVING_SHARE, LEAST_FOR_MOTION_S = 0.01, 10.0
-"""Less is put down to the rest detector, which cannot tell before so many s."""
+"""Less is put down to the rest detector, which cannot detect rest before so many s."""
 FASTEST_HZ, FASTEST_RAD_S = 5e4, 100.0
 """No IMU sends faster; a column device_time_ns in another unit would.  No gyro measures more (5700 deg/s)."""
 NORMAL_G = (9.3, 10.3)

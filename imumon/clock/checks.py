@@ -10,7 +10,7 @@ from imumon.clock.device import RATE_STEADINESS, DatedBy
 STANDS = 100
 """Packets in a row for which a count stays: a clock that ticks every 10 ms has 80 of a stream at 8 kHz."""
 MEASURED_S = 10.0
-"""Arrivals scatter by 0.1 s and more; over so long they tell a rate to a few percent."""
+"""Arrivals scatter by 0.1 s and more; over so long they give a rate to a few percent."""
 SILENT_NS = 3_000_000_000
 """After a longer silence nobody knows how many packets there would have been."""
 SETTLE_NS = 1_000_000_000
@@ -127,11 +127,11 @@ class NominalRate:
             if abs(self._device_s - self._arrived_s) <= allowed_s:
                 return []
             found = f"{float(f'{measured:.3g}'):g}"
-            advice = f"replay with --rate {found}, or say rate_hz: {found} in the device file"
+            advice = f"replay with --rate {found}, or set rate_hz: {found} in the device file"
             text = f"but they arrive at {found} Hz: {advice}"
         self._reported = True
         whose = "the given" if self._given else "the device file's nominal"
-        spaced = f"no packet says when it was measured: the rows are spaced at {whose} {self._rate_hz:g} Hz"
+        spaced = f"no packet holds its measurement time: the rows are spaced at {whose} {self._rate_hz:g} Hz"
         return [f"{spaced}, {text}"]
 
 

@@ -1,10 +1,10 @@
-"""The device's own time: counter and ticks unwrapped, restarts told from wraps, gaps and stalls.
+"""The device's own time: counter and ticks unwrapped, restarts distinguished from wraps, gaps and stalls.
 
-Seen of a step from one packet to the next are the step of the device's count, modulo its range, and the step
+Known of a step from one packet to the next are the step of the device's count, modulo its range, and the step
 of the arrival time, which a stalled host or a full buffer delays by seconds.  The rules:
 
 - A clock that does not wrap and goes back has restarted.
-- A count that wraps has gone forwards.  How many times round, the arrival times say, unless the step is so
+- A count that wraps has gone forwards.  How many times round, the arrival times give, unless the step is so
   small that nothing can have been lost.
 - A step that runs ahead of the arrivals by more than `SLACK_NS` is a restart; so is one that falls behind by
   that, unless nothing was lost (then the host or the device has paused).
@@ -16,7 +16,7 @@ of the arrival time, which a stalled host or a full buffer delays by seconds.  T
 - The same counter again is a repeated packet (or another message about the same sample), not a loss.
 
 A restart that leaves the count within the slack of where it would have been looks like a gap; `HostClock`
-then sees the offset step.  So does any restart of a device without a clock whose counter wraps within the
+then detects the offset step.  So does any restart of a device without a clock whose counter wraps within the
 slack (8 bits at 100 Hz).
 """
 
@@ -107,7 +107,7 @@ class _State:
 class DeviceClock:
     """Device time of each sample, causal, in constant memory, whatever the division into blocks.
 
-    The source is the best that has been seen in the stream: the device's ticks; else the packet counter
+    The source is the best that has come in the stream: the device's ticks; else the packet counter
     divided by the nominal rate, so that lost packets leave their room; else the row number divided by the
     rate; else the arrival time.  When a better source appears, a new segment begins.  A row that lacks the
     source has the time of the row before; after 1000 such rows the next best source takes over, in a new
@@ -224,7 +224,7 @@ def _sources(timing: Timing, period: Fraction | None) -> Sequence[_Source]:
             source = table[number]
             source.numerator, source.denominator, source.steadiness = *unit.as_integer_ratio(), steadiness
             source.limit = min(int(MAX_TIME_NS / unit), MAX_TIME_NS)
-            # A range beyond the limit is never seen to wrap.
+            # A range beyond the limit never wraps.
             source.modulus = 1 << bits if bits and 1 << bits <= source.limit else 0
     return table
 

@@ -5,13 +5,13 @@ maps one clock to the other, and the quickest packets lie on it.  Of the lines b
 minimises the summed distance to them has the slope of the edge of the lower convex hull under their mean
 abscissa (Moon, Skelly and Towsley, "Estimation and removal of clock skew from network delay measurements",
 INFOCOM 1999; Zhang, Liu and Xia, "Clock synchronization algorithms for network measurements", INFOCOM 2002).
-One edge is a poor judge when sampling and polling beat, as 10 ms samples and 16 ms polls do: the quickest
+One edge is a poor measure when sampling and polling beat, as 10 ms samples and 16 ms polls do: the quickest
 packets then come in steps of 2 ms, 40 s long at 50 ppm.  So the slope here is the chord of the hull across
 the middle two thirds of the span: as accurate otherwise, and half the error in a beat.  The ends of the
-hull, where a backlog or a stall bends it, have no say.  The line with that slope then touches the hull from
+hull, where a backlog or a stall bends it, do not count.  The line with that slope then touches the hull from
 below.
 
-A delay that all packets have in common cannot be seen: it is part of the offset.
+A delay that all packets have in common cannot be determined: it is part of the offset.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ STEP_AFTER_NS = 10_000_000_000
 CRYSTAL_PPM = 500.0
 """No crystal is further off than this."""
 PRIOR = 0.1
-"""Drift expected before anything is seen (one sigma), as a part of the limit."""
+"""Drift expected before anything is measured (one sigma), as a part of the limit."""
 MARGIN = 1 / 6
 """Part of the span at either end that the chord leaves out."""
 TOUCH = 1 / 32
@@ -88,7 +88,7 @@ class _Fit:
 class HostClock:
     """Host time of each sample, causal, in constant memory, whatever the division into blocks.
 
-    Within a segment the line is fitted to the last 4.5 to 5 min; until the span tells the drift from the
+    Within a segment the line is fitted to the last 4.5 to 5 min; until the span separates the drift from the
     scatter of the delays, the drift is drawn towards zero.  Host time is never later than the arrival and
     never decreases, unless the arrival itself goes back, which then bounds it.  When the offset steps by more
     than 50 ms (the host clock was set) the fit starts anew: at once if the step is towards earlier arrivals,
@@ -176,7 +176,7 @@ def _add(sums: _Fit | _Block, count: float, x: float, y: float) -> None:
 
 @inner
 def _must_start(fit: _Fit, device: int, segment: int, arrival: int) -> bool:
-    """Return whether the fit so far says nothing about this sample: another segment, or a clock was set."""
+    """Return whether the fit so far does not apply to this sample: another segment, or a clock was set."""
     x = device - fit.x0
     if not fit.started or segment != fit.segment:
         return True

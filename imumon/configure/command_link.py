@@ -1,4 +1,4 @@
-"""The line to a device that is asked: sends a request, finds the answer among the data, asks again."""
+"""The line to a device that is queried: sends a request, finds the answer among the data, queries again."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class CommandLink:
     def ask(self, request: Request, tries: int = TRIES) -> bytes:
         """Send a request and return its answer; empty for one that devices do not answer.
 
-        Raises CommandError the device said no, or nothing; LOST when the port failed.
+        Raises CommandError when the device refused, or did not answer; LOST when the port failed.
         """
         for number in range(tries):
             self.discard()
@@ -121,7 +121,7 @@ def connect(url: str, device: DeviceFile, family: Family, baudrate: int | None) 
     except BaseException:
         with suppress(ImumonError):
             for request in family.resume if family.hello_quiets and link.streaming else ():
-                link.port.write(request.frame)  # it may have heard the question and be quiet since
+                link.port.write(request.frame)  # it may have received the query and be quiet since
         link.close()
         raise
 

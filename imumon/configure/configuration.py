@@ -17,9 +17,9 @@ from imumon.protocols.device import DeviceFile
 from imumon.transport.settings import PortSettings
 
 WAKE_S = 2.0
-"""How long a device is asked at a new baud rate; the slowest to change that is known waits 0.25 s."""
+"""How long a device is queried at a new baud rate; the slowest to change that is known waits 0.25 s."""
 LISTENINGS = 3
-"""How often a stream may be listened to before it is wrong: a host that stalls sees any rate once."""
+"""How often a stream may be listened to before it is wrong: a host that stalls measures any rate once."""
 NEARLY_FULL = 0.8
 """Share of the line from which packets may have to wait."""
 
@@ -107,7 +107,7 @@ def check_load(family: Family, values: Mapping[str, bytes], line: PortSettings) 
 class Configuration:
     """One device that is being configured.
 
-    `report` is written as the work goes on; `tell` gets a line for each step.
+    `report` is written as the work goes on; `progress` gets a line for each step.
     """
 
     def __init__(
@@ -116,10 +116,10 @@ class Configuration:
         family: Family,
         device: DeviceFile,
         report: Report,
-        tell: Callable[[str], None] = lambda _: None,
+        progress: Callable[[str], None] = lambda _: None,
     ) -> None:
         self._link, self._family, self._device = link, family, device
-        self._report, self._tell = report, tell
+        self._report, self._progress = report, progress
         self._present: dict[str, bytes] = {}
         self._wanted: dict[str, bytes] = {}
         """Settings of the device before, and those that the wish needs."""
@@ -131,8 +131,8 @@ class Configuration:
         """Make the wish true, or leave the device as it was.
 
         Raises BAD_CONFIG when the device has no such rate, or it does not fit through the line; REFUSED when
-        the device says no or does something else; SILENT when it stops answering; LOST.  What was changed has
-        been put back, and the report says what could not be.
+        the device refuses or does something else; SILENT when it stops answering; LOST.  What was changed has
+        been put back, and the report lists what could not be.
         """
         try:
             changes = self._prepare(wish)
@@ -185,7 +185,7 @@ class Configuration:
     def _carry_out(self, changes: Mapping[str, bytes], wish: Wish) -> None:
         """Write what changes, read it back, and listen to what comes."""
         for request in self._report.plan:
-            self._tell(f"  {request.shown}\n      {request.meaning}")
+            self._progress(f"  {request.shown}\n      {request.meaning}")
         for name, value in changes.items():
             self._begun.append(name)
             self._report.flash_begun |= self._family.stores_at_once
@@ -239,11 +239,11 @@ class Configuration:
         self._try_each(self._family.quiet)
 
     def _save(self) -> None:
-        """Write into flash what was asked for, also where it was so already."""
+        """Write into flash what was requested, also where it was so already."""
         self._saving = tuple(self._wanted)
         for request in self._family.save(self._saving) if self._saving else ():
             self._report.flash_begun = True
-            self._tell(f"  {request.shown}\n      {request.meaning}")
+            self._progress(f"  {request.shown}\n      {request.meaning}")
             self._link.ask(request)
         self._report.saved = bool(self._saving)
 
@@ -253,7 +253,7 @@ class Configuration:
         left, silent = self._begun[::-1], self._link.streaming and bool(self._family.resume)
         try:
             if left:
-                self._tell("putting the device back as it was")
+                self._progress("putting the device back as it was")
                 self._find()
             while left:
                 self._put_back(left[0])

@@ -129,7 +129,7 @@ def _show(report: Report, family: Family, line: str) -> None:
         new = report.after.get(name, text) if report.result == "done" else text
         rows[name] = text if new == text else f"{new}, was: {text}"
     if report.stream is not None:
-        rate = f"{report.stream.rate_hz:.4g} Hz" if report.stream.rate_hz else "too slow to tell the rate"
+        rate = f"{report.stream.rate_hz:.4g} Hz" if report.stream.rate_hz else "too slow to be measured"
         rows["measured"] = f"{rate}: {', '.join(report.stream.columns)}"
     print_rows(rows)
     warn(report.warnings)

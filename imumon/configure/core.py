@@ -1,8 +1,8 @@
 """What talking to a device takes, whatever the family: requests, answers among data, settings by name.
 
 A device has settings, each a few bytes under a name; a family knows which requests read, write and save them,
-which values make a rate and outputs, and how answers are told from the data that come between them.  Nothing
-here opens a port: `imumon.configure.configuration` sends.
+which values make a rate and outputs, and how answers are distinguished from the data that come between them.
+Nothing here opens a port: `imumon.configure.configuration` sends.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ OUTPUTS = {
     "attitude": "attitude of the device's own filter",
     "status": "status word of the device",
 }
-"""What can be asked for, whatever the family; the time or counter of the sample comes with it."""
+"""What can be requested, whatever the family; the time or counter of the sample comes with it."""
 _FIRST = ("gyro_x", "delta_velocity_x", "mag_x", "temperature", "pressure", "q_w", "status")
 USUAL_COLUMNS = {name: (column,) for name, column in zip(OUTPUTS, _FIRST, strict=True)}
 """For each output the columns of which one must come, in most families."""
@@ -53,7 +53,7 @@ class Message(NamedTuple):
 
 
 class Refusal(NamedTuple):
-    """The device says no, and why."""
+    """The device refuses, and why."""
 
     why: str
 
@@ -85,7 +85,7 @@ class Request:
 class CommandError(Exception):
     """A request came to nothing.
 
-    `refused`: whether the device said no; else it did not answer.
+    `refused`: whether the device refused; else it did not answer.
     """
 
     def __init__(self, request: Request, why: str, refused: bool) -> None:
@@ -112,7 +112,7 @@ def known(ask: Ask, question: Request) -> bytes | None:
 
 @dataclass(frozen=True, slots=True)
 class Wish:
-    """What a user asked for; None: as it is."""
+    """What a user requested; None: as it is."""
 
     rate_hz: float | None = None
     outputs: tuple[str, ...] | None = None
@@ -157,14 +157,14 @@ class Family(ABC):
     silent_hint = ""
     """What else may be wrong when the device takes its settings and no data come."""
     assumed: tuple[str, ...] = ()
-    """What is taken for granted where no device is asked."""
+    """What is taken for granted where no device is queried."""
     settings: tuple[str, ...]
     """Names of the settings that are read, the baud rate last."""
     identity: tuple[str, ...] = ()
     """What the device reports of itself, after `learn`."""
 
     answer_frame: Frame
-    """How what may be an answer is told from other bytes."""
+    """How what may be an answer is distinguished from other bytes."""
     hello: Request
     """Changes no setting; every device of the family answers."""
     quiet: tuple[Request, ...] = ()
@@ -222,7 +222,7 @@ class Family(ABC):
     def of_wish(
         self, present: Mapping[str, bytes], rate_hz: float | None, outputs: tuple[str, ...] | None
     ) -> dict[str, bytes]:
-        """Return the settings for a rate and outputs; None where neither wish nor device says which."""
+        """Return the settings for a rate and outputs; None where neither wish nor device states them."""
 
     def settled(self, name: str, wanted: bytes, found: bytes) -> bool:
         """Return whether what reads back is what was wanted."""
@@ -303,7 +303,7 @@ FAMILIES = {
     "vectornav": "imumon.configure.vectornav:VectorNav",
     "witmotion": "imumon.configure.witmotion:WitMotion",
 }
-"""Class of the commands of each protocol; imported when a device of it is asked for."""
+"""Class of the commands of each protocol; imported when a device of it is requested."""
 
 
 def family_of(device: DeviceFile) -> Family:

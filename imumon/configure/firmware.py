@@ -53,7 +53,7 @@ class Sending:
 
 
 class Firmware(ABC):
-    """Answers commands and says what is to be sent.
+    """Answers commands and states what is to be sent.
 
     `settings` are those as delivered, by the names of their family, without the baud rate.
     """
@@ -70,7 +70,7 @@ class Firmware(ABC):
         self.streaming = True
         self._held = b""
 
-    def hear(self, data: bytes) -> bytes:
+    def receive(self, data: bytes) -> bytes:
         """Take bytes from the host and return the answers."""
         messages, done = self.found(self._held + data)
         self._held = (self._held + data)[done:]
@@ -108,7 +108,7 @@ class Firmware(ABC):
         """Return the base rate and what is sent with the settings as they are."""
 
     def sending(self) -> Sending | None:
-        """Return what is sent; None when that is what the device file says, at the rate of the start."""
+        """Return what is sent; None when that is what the device file states, at the rate of the start."""
         if all(value == self.delivered[name] for name, value in self.volatile.items() if name != BAUD):
             return None
         base_hz, outputs = self.outputs()

@@ -13,7 +13,7 @@ from imumon.protocols.device import DeviceFile
 from imumon.protocols.numbers import is_missing
 
 LEAST_S, MOST_S = 1.5, 5.0
-"""Shortest and longest time for `PACKETS`; what comes once a second is heard in the shortest."""
+"""Shortest and longest time for `PACKETS`; what comes once a second is received in the shortest."""
 PACKETS = 20
 """With so many packets, delays of a USB adapter (16 ms) move the rate by less than `TOLERANCE`."""
 TOLERANCE = 0.1
@@ -23,7 +23,7 @@ PERIODS = 2.5
 SETTLE_S = 0.3
 """Time after a change of which nothing is measured: what was kept back comes at once."""
 FEWEST = 4
-"""A rate is told by two intervals behind a first packet that may have waited."""
+"""A rate is determined by two intervals behind a first packet that may have waited."""
 MAIN_COLUMNS = ("gyro_x", "accel_x", "delta_velocity_x", "q_w", "roll", "mag_x", "temperature", "pressure")
 """What the rate is measured on: the first of them that comes."""
 
@@ -39,12 +39,12 @@ class Stream:
     samples: int
     """Of the first of `MAIN_COLUMNS` that came."""
     rate_hz: float | None
-    """Their rate; None when they were too few to tell."""
+    """Their rate; None when they were too few for a rate."""
     warnings: tuple[str, ...]
     """Why the numbers are not fit for an estimate, as the decoder has it."""
 
     def problem(self, wanted: Sequence[tuple[str, ...]], rate_hz: float | None) -> str:
-        """Return why this is not what was asked for; empty when it is.
+        """Return why this is not what was requested; empty when it is.
 
         Of each group of `wanted` one column must have come.
         """

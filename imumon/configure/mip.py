@@ -4,7 +4,7 @@ From the data communications protocols and the public definitions of the vendor'
 of a command set; the answer is a packet of the same set with an acknowledgement (field 0xF1: command, code)
 and perhaps a field with data.  Settings are applied (1), read (2) and saved (3) by a function selector, so
 nothing is in flash unless it is saved.  Newer devices have one command for the format of any data set (0x0F),
-older ones one for each (0x08, 0x0A): the device is asked which it knows.
+older ones one for each (0x08, 0x0A): the device is queried for those it knows.
 """
 
 from __future__ import annotations

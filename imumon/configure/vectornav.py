@@ -33,7 +33,7 @@ FIELDS: Mapping[str, tuple[str, ...]] = {
     "attitude": ("Attitude.Quaternion",),
     "status": ("Attitude.VpeStatus",),
 }
-"""AngRate and Accel have the filter's bias taken off and are never asked for."""
+"""AngRate and Accel have the filter's bias taken off and are never requested."""
 FAST_HZ, SLOW_HZ = 800, 400
 """Base rate of the binary outputs of a VN-100 (and 110), and of the others."""
 

@@ -1,8 +1,8 @@
 """Configuring a WitMotion module by its registers.
 
 From the vendor's sample code.  A write is unlocked first, has **no answer**, and counts at once; a read is
-answered by a frame 0x5F with four registers that does not say which they are.  So every write is proved by
-reading back, and one question waits for its answer before the next.  Saving stores **all** registers.
+answered by a frame 0x5F with four registers that does not name them.  So every write is proved by
+reading back, and one query waits for its answer before the next.  Saving stores **all** registers.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Configuring an Xsens MTi that sends MTData2.
 
 From the MT Low Level Communication Protocol Documentation.  An MTi takes settings in its config state only,
-and **writes what it is told into its non-volatile memory at once**: there is no trying out.  A new baud rate
+and **writes what it receives into its non-volatile memory at once**: there is no trying out.  A new baud rate
 counts after a reset.
 """
 
@@ -55,7 +55,7 @@ def frame(kind: int, payload: bytes = b"") -> bytes:
 
 
 def request(kind: int, payload: bytes = b"", meaning: str = "", timeout_s: float = core.SAVE_S) -> Request:
-    """Return a request; its answer has the next number, an Error message says no."""
+    """Return a request; its answer has the next number, an Error message refuses."""
 
     def answer(message: Message) -> bytes | core.Refusal | None:
         if message.kind == mtdata.ERROR:
@@ -97,7 +97,7 @@ class Xsens(Family):
         return Message(packet[2], XBUS.payload(packet))
 
     def learn(self, ask: core.Ask) -> None:
-        """Ask what it is; a unit that refuses to tell can be configured all the same."""
+        """Query what it is; a unit that does not answer can be configured all the same."""
         product, version = (core.known(ask, question) for question in self.questions)
         texts = [(product or b"").decode("ascii", "replace").strip(" \0")]
         texts += ["firmware " + ".".join(map(str, version[:3]))] if version else []
@@ -141,7 +141,7 @@ class Xsens(Family):
         return {OUTPUT: packed((*always, *often) if outputs is None else (*ALWAYS, *often, *always))}
 
     def settled(self, name: str, wanted: bytes, found: bytes) -> bool:
-        """Return whether it reads back; a unit may send what is not inertial more slowly than it was told."""
+        """Return whether it reads back; a unit may send what is not inertial more slowly than it was set."""
         if name != OUTPUT:
             return self.baud_of(wanted) == self.baud_of(found)
         pairs, there = entries(wanted), entries(found)

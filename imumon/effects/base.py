@@ -32,7 +32,7 @@ Scope = Literal["shared", "either", "run", "event"]
 or those of something that happens once in a run, at a time of its own.  Own ones do not carry over."""
 
 TEMPERATURE = "temperature"
-"""The driver that the declared curve is over; in a model file, what `temperature_column` says."""
+"""The driver that the declared curve is over; in a model file, what `temperature_column` names."""
 ACCEL = "accel"
 """The three components of the specific force, where an effect names what drives it."""
 LEAST_SPAN_DEGC = 3.0

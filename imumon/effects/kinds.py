@@ -1,4 +1,4 @@
-"""The effects there are, and how to tell them apart."""
+"""The effects there are, and how to separate them."""
 
 from imumon.effects.base import Effect
 from imumon.effects.hysteresis import Hysteresis
@@ -63,4 +63,4 @@ SEPARATED_BY: dict[tuple[str, str], str] = {
     ("product", "g_sensitivity"): "each pose at several temperatures, and upside down",
     ("product", "temperature_curve"): "a run at one temperature in which the other driver moves",
 }
-"""What to record to tell two effects apart."""
+"""What to record to separate two effects."""

@@ -42,11 +42,11 @@ if TYPE_CHECKING:
 else:
     _EachKind = Union[tuple(EFFECTS.values())]  # noqa: UP007 - made of a list
     AnyEffect = Annotated[_EachKind, Field(discriminator="kind"), AfterValidator(_complete)]
-    """An effect as it stands in a model file or a unit file; its kind says which."""
+    """An effect as it stands in a model file or a unit file; its kind names it."""
 
 
 def separated_by(one: str, other: str) -> str:
-    """Return what to record to tell two effects, given by their labels, apart."""
+    """Return what to record to separate two effects, given by their labels."""
     if one.partition("(")[2] != other.partition("(")[2]:
         free = [name for name in (one, other) if "(" in name]
         return f"a run in which what {' and '.join(free)} depends on goes another way than the rest"

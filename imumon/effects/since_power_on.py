@@ -179,7 +179,7 @@ class RunOffset(Effect):
 
 
 class Periodic(Effect):
-    """sin and cos of 2 pi k t / period, k = 1, 3, ... as many as `harmonics` says; t since power-on.
+    """sin and cos of 2 pi k t / period, k = 1, 3, ... as many as `harmonics` states; t since power-on.
 
     Odd ones: what swings is mostly alike on its way up and down.
     """

@@ -117,7 +117,7 @@ def _publisher(file: Path, out: Path, mode: View, window: float, bind: str) -> V
 
 
 def trouble(unit: dict[str, Any]) -> str:
-    """Return what went wrong with a unit, by what ``--json`` says of it; empty when nothing did."""
+    """Return what went wrong with a unit, by what ``--json`` holds of it; empty when nothing did."""
     unrecorded = sum(session["bytes_unrecorded"] for session in unit["sessions"])
     found = [unit["problem"]] if unit["problem"] else []
     if unit["deaths"]:
@@ -135,7 +135,7 @@ def _watch(
     publisher: ViewPublisher | None,
     title: str | None,
 ) -> None:
-    """Keep a rack as its file says, until the end; with a title the terminal shows its table, else a line."""
+    """Keep a rack as in its file, until the end; with a title the terminal shows its table, else a line."""
     from imumon.fleet.rack.description import load_rack
     from imumon.fleet.rack.table import in_short, text_lines
 

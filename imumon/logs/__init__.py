@@ -1,4 +1,4 @@
-"""Wing: logs of autopilots and robots, which say themselves what they hold."""
+"""Wing: logs of autopilots and robots, which describe their own content."""
 
 from imumon.wing import Wing
 

@@ -60,7 +60,7 @@ def read(path: Path, sensor: str | None = None) -> Log:
     name, others = log.pick(path, imus, sensor, damage)
     imu = found[name]
     gyro = named(imu, ["GyrX", "GyrY", "GyrZ", "AccX", "AccY", "AccZ"], [*triple("gyro"), *triple("accel")])
-    # A sensor without a thermometer says 0 all the time.
+    # A sensor without a thermometer reads 0 all the time.
     if np.any(imu["T"] != 0.0):
         gyro |= named(imu, ["T"], ["temperature"])
     return Log(

@@ -1,7 +1,7 @@
 """Blackbox logs of Betaflight and its relatives, as the CSV that blackbox_decode makes.
 
 time is in µs; gyroADC is the rate behind the filters of the firmware and gyroUnfilt before them, accSmooth
-the specific force.  Their numbers are raw unless blackbox_decode was told a unit, which then stands in the
+the specific force.  Their numbers are raw unless blackbox_decode was given a unit, which then stands in the
 column's name.  The scale is in the "H" lines of the log itself, which blackbox_decode does not copy: they are
 taken from the head of the table, else from the log beside it.  Axes are forward-left-up.
 """
@@ -57,10 +57,10 @@ class _Column(NamedTuple):
 
 
 def read(path: Path, sensor: str | None = None) -> Log:
-    """Return the gyro of a table, gyroADC unless gyroUnfilt is asked for, and accSmooth.
+    """Return the gyro of a table, gyroADC unless gyroUnfilt is requested, and accSmooth.
 
-    Raises BAD_DATA when it cannot be read; BAD_CONFIG when it was not decoded, when nothing says the scale of
-    its gyro, or it has no such gyro.
+    Raises BAD_DATA when it cannot be read; BAD_CONFIG when it was not decoded, when the scale of its gyro
+    is not stated, or it has no such gyro.
     """
     with readable(path):
         data = path.read_bytes()
@@ -174,7 +174,7 @@ def _beside(path: Path) -> tuple[Lines, str]:
             starts = [found.start() for found in re.finditer(re.escape(BEGIN), data)]
             if 0 < number <= len(starts):
                 return _settings(data, starts[number - 1])[0], f"log {number} of {log.name}"
-    seen = f"{path}: nothing says the scale of its gyro, nor whether the log has blackbox_high_resolution"
+    seen = f"{path}: the scale of its gyro is not stated, nor whether the log has blackbox_high_resolution"
     raise bad_config(seen, HINT)
 
 

@@ -50,7 +50,7 @@ def import_log(path: Path, sensor: str | None, out: Path) -> LogReport:
 
 
 def reader_of(path: Path) -> Reader:
-    """Return what reads a log, as its content says, not its name.
+    """Return what reads a log, chosen by its content, not its name.
 
     Raises BAD_DATA when it cannot be read; BAD_CONFIG when it is none of these logs, and needs a map.
     """
@@ -70,5 +70,5 @@ def reader_of(path: Path) -> Reader:
         return betaflight.read
     raise bad_config(
         f"{path}: is no log of ArduPilot (.BIN), PX4 (.ulg) or Betaflight (blackbox_decode), and no ROS bag",
-        "a table needs --map MAP.yaml, which says what is in which column",
+        "a table needs --map MAP.yaml, which names what is in which column",
     )

@@ -25,7 +25,7 @@ TIME = "time_ns"
 AXES = "xyz"
 GAUSS_TO_TESLA = 1e-4
 NEIGHBOURS = 5
-"""A damaged time is told by the median of so many: two in a row may be wrong."""
+"""A damaged time is detected by the median of so many: two in a row may be wrong."""
 EXACT_US = 2**53
 """A float64 holds whole numbers up to this, 285 years; a later time is damage."""
 

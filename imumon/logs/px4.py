@@ -32,7 +32,7 @@ KINDS = frozenset(b"BFIMPQARDLCSO")
 LARGEST = 10_000
 """A message is smaller; pyulog has the same limit."""
 OFFSETS = slice(16, 40)
-"""Where FLAGS says that data was appended after a crash; they are messages as all others."""
+"""Where FLAGS states that data was appended after a crash; they are messages as all others."""
 SURE = 2
 """So many messages must follow one behind a damaged place; behind a good one it is one."""
 MILLIBAR_TO_PASCAL = 100.0
@@ -53,7 +53,7 @@ def read(path: Path, sensor: str | None = None) -> Log:
         recorded = path.read_bytes()
     try:
         data, damage = _mended(recorded)
-        with redirect_stdout(io.StringIO()):  # where it says what it makes of damage
+        with redirect_stdout(io.StringIO()):  # where it prints what it makes of damage
             log = ULog(io.BytesIO(data), TOPICS)
     except Exception as error:  # pyulog raises whatever damaged bytes lead to
         raise bad_data(f"{path}: cannot be read as a ULog: {error}") from error
@@ -68,7 +68,7 @@ def read(path: Path, sensor: str | None = None) -> Log:
 
 
 def _baro(found: dict[str, Any]) -> Wanted:
-    """Return the barometer with the unit that it has: the log does not say it, and firmwares differ."""
+    """Return the barometer with the unit that it has: the log does not state it, and firmwares differ."""
     pressure = np.asarray(found.get("sensor_baro.0", {}).get("pressure", ()), np.float64)
     pressure = pressure[np.isfinite(pressure)]
     old = len(pressure) > 0 and np.median(pressure) < LEAST_PASCAL

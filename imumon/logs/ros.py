@@ -64,12 +64,12 @@ def _vector(value: Any) -> list[float]:
 
 
 def _imu(message: Any) -> list[float]:
-    """Return rate, force and attitude; NaN where the message says that it has none."""
+    """Return rate, force and attitude; NaN where the message states that it has none."""
     parts: list[float] = []
     for name in ("angular_velocity", "linear_acceleration", "orientation"):
         value, covariance = getattr(message, name), getattr(message, f"{name}_covariance")
         row = [value.w, *_vector(value)] if name == "orientation" else _vector(value)
-        # All zeros are no attitude, whatever the covariance says.
+        # All zeros are no attitude, whatever the covariance is.
         there = covariance[0] != -1.0 and (name != "orientation" or any(row))
         parts += row if there else [np.nan] * len(row)
     return parts

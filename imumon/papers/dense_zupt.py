@@ -213,7 +213,7 @@ class DenseZupt(SlotStage):
         Bias over temperature: taken off before dense_zupt, slope of the bias for dense_tczupt, which also
         needs the column ``temperature_rate`` (or one for each axis).
     assume_rest : bool
-        Whether the unit is at rest throughout when nothing says (no column ``at_rest``).
+        Whether the unit is at rest throughout where it is not stated (no column ``at_rest``).
     """
 
     def __init__(

@@ -321,7 +321,7 @@ class FirRate:
 class FirStage(TemperatureRate):
     """The paper's filter as a stage, one for each temperature of the block.
 
-    `retired` is whether the retired key ``method`` of a device file asked for it.
+    `retired` is whether the retired key ``method`` of a device file requested it.
     """
 
     prefix, title = "fir_", "FIR-estimated"

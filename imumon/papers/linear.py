@@ -1,7 +1,7 @@
 """Kalman filters on model L of Shi Gang et al. (3, 4): φ, δ¹ and δ² known, x_k and x_k-1 the states.
 
 The strong-tracking filter (STF) multiplies the propagated covariance by a fading factor λ ≥ 1 that brings
-the innovation's variance up to what is seen: λ = max(1, (V - q - βR) / (H F P Fᵀ Hᵀ)), q = δ¹² + δ²²,
+the innovation's variance up to what is observed: λ = max(1, (V - q - βR) / (H F P Fᵀ Hᵀ)), q = δ¹² + δ²²,
 with V = e² at the first innovation, then V ← (ρV + e²)/(1 + ρ), ρ = 0.95.
 """
 

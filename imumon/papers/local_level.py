@@ -21,7 +21,7 @@ from imumon.filters.slots import SlotGatherer, Slots
 
 SLOT_S = 1.0
 LEAST_S = 0.5
-"""A slot that saw the unit at rest for less than this is not believed: the motion may have begun in it."""
+"""A slot with the unit at rest for less than this is not believed: the motion may have begun in it."""
 LEAST_MEANS = 30
 RATIOS = 10.0 ** np.arange(-11.0, 1.01, 0.05)[60:]
 """Walks that are tried, over the white noise's density, 1/s²: from 1e-8 on, as within a day a smaller walk
@@ -41,9 +41,9 @@ class RestMean:
     elapsed_s: float
     """From the middle of the last slot to the middle of this one."""
     covered_s: float
-    """Time at rest with readings; 0 where the slot says nothing."""
+    """Time at rest with readings; 0 where the slot has none."""
     mean: float
-    """rad/s; NaN where the slot says nothing."""
+    """rad/s; NaN where the slot has no readings."""
     interval_s: float
     """Between samples."""
 

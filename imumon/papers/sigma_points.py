@@ -35,7 +35,7 @@ GAMMA = math.sqrt(N + NOISES)
 STEP_CEILING = 0.9999
 """2 μ_i P_ii may not be more in any step; μ_i is shrunk for the step when it would."""
 REGULAR = 1.5
-"""A step of so many intervals or more is a gap: φ says nothing of it."""
+"""A step of so many intervals or more is a gap: φ does not describe it."""
 
 
 class Settings(NamedTuple):

@@ -45,7 +45,7 @@ class SlotStage:
         return shown
 
     def notices(self) -> list[str]:
-        """Return nothing: the papers report no faults, and the defaults say what is missing."""
+        """Return nothing: the papers report no faults, and the default stages report what is missing."""
         return []
 
 
@@ -58,7 +58,7 @@ def inertial(block: SampleBlock) -> FloatArray:
 
 
 def at_rest(block: SampleBlock, otherwise: bool) -> BoolArray:
-    """Return whether the unit is at rest, (n,); `otherwise` where nothing says."""
+    """Return whether the unit is at rest, (n,); `otherwise` where it is not stated."""
     if "at_rest" not in block:
         return np.full(len(block), otherwise)
     return np.asarray((block["at_rest"] != 0) & (block["at_rest"] != NO_INT))

@@ -13,7 +13,7 @@ from imumon.protocols.thermometer import TemperatureRateParameters
 from imumon.run.setup import Setup
 
 DEFAULT_STEP_DEGC = 0.05
-"""Quantization step of the paper's sensors, where the device file says none."""
+"""Quantization step of the paper's sensors, where the device file states none."""
 
 
 def published_stages(

@@ -135,7 +135,7 @@ def _constant(packets: ByteArray) -> BoolArray:
 
 
 def _beginning(held: ByteArray, anchors: IntArray, length: int) -> tuple[int | None, Checksum | None]:
-    """Return where packets begin, from the pattern on, and their checksum; None where nothing tells it."""
+    """Return where packets begin, from the pattern on, and their checksum; None where it is not known."""
     constant = _constant(windows(held, _whole(held, anchors, length), length))
     begins = np.flatnonzero(constant & ~np.roll(constant, 1))
     # The high byte of a sum may be constant as well: then the packet begins behind it.
@@ -207,7 +207,7 @@ def _layout(at: IntArray, packets: ByteArray, check: Checksum | None, rate: floa
 
 
 def _checksum_lines(packets: ByteArray, check: Checksum | None, end: int) -> Iterator[str]:
-    """Yield what the device file says of the checksum, which stands behind `end` bytes."""
+    """Yield what the device file states of the checksum, which stands behind `end` bytes."""
     if check is None:
         yield "# No checksum that imumon knows fits at the end: where a packet begins is a guess, and at"
         yield "# another baud rate the bytes may repeat as well."

@@ -141,7 +141,7 @@ class Checksum:
         return found & (1 << 8 * self.size) - 1
 
     def _cyclic(self, data: ByteArray, size: IntArray) -> IntArray:
-        """Return CRCs: they are linear, so each byte adds what its value and distance to the end tell."""
+        """Return CRCs: they are linear, so each byte adds what its value and distance to the end give."""
         longest = data.shape[1] + self.zeros
         table, empty = by_distance(CRCS[self.name], 1 << longest.bit_length())
         distance = np.arange(longest - 1, self.zeros - 1, -1)

@@ -1,8 +1,8 @@
 """Decoders: bytes to columns, whatever the family.
 
 What a packet carries is a *layout*.  Packets are alike when their *signature* is the same: kind, length, and
-the bytes that say what they carry.  The first packet of each signature is looked at in Python; all that are
-like it are read at once.
+the bytes that identify what they carry.  The first packet of each signature is looked at in Python; all that
+are like it are read at once.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class Alike(NamedTuple):
     kind: int
     packet: bytes
     key: tuple[int, int, bytes]
-    """The signature: kind, length, and the bytes that say what is in the packet."""
+    """The signature: kind, length, and the bytes that identify what is in the packet."""
 
 
 class Decoder:
@@ -132,13 +132,13 @@ class Decoder:
         self._search(final=True)
 
     def notices(self) -> list[str]:
-        """Return, once each, what the device said that is not data (errors, warnings, configuration)."""
+        """Return, once each, what the device reported that is not data (errors, warnings, configuration)."""
         self._search(final=False)
         new, self._notices = self._notices, []
         return new
 
     def warnings(self) -> list[str]:
-        """Return, once each, why numbers are not fit for an estimate: the device has corrected them, say."""
+        """Return, once each, why numbers are unfit for an estimate, as when the device has corrected them."""
         corrected = "gyro_compensated_x" in self._columns and "gyro_x" not in self._columns
         if corrected and self._by_kind.sum() >= GENERATION:
             self._warn(ONLY_CORRECTED)
@@ -162,7 +162,7 @@ class Decoder:
         """Return the number of packets of each kind."""
         return dict(zip(self._names, self._by_kind.tolist(), strict=True))
 
-    def _say(self, text: str) -> None:
+    def _report(self, text: str) -> None:
         """Give a notice unless it was given before."""
         if text not in self._reported and len(self._reported) < MOST_NOTICES:
             self._reported.add(text)
@@ -208,7 +208,7 @@ class Decoder:
         self._length_errors += int(np.sum(outside & (verdict == IMPOSSIBLE)))
 
     def _signature(self, packet: bytes) -> Sequence[int]:
-        """Return the places of the bytes that say what is in a packet."""
+        """Return the places of the bytes that identify what is in a packet."""
         raise NotImplementedError
 
     def _layout(self, alike: Alike) -> Layout | None:

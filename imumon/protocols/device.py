@@ -51,7 +51,7 @@ class SerialSettings(StrictModel):
 
 
 class DeviceFile(StrictModel):
-    """What every device file says; each protocol adds its own keys and makes the decoder."""
+    """What every device file holds; each protocol adds its own keys and makes the decoder."""
 
     format: Literal["imumon-device/1"]
     name: str = Field(pattern=r"^[a-z0-9][a-z0-9_-]*$")
@@ -95,7 +95,7 @@ class DeviceFile(StrictModel):
 
 
 class _Header(StrictModel, extra="ignore"):
-    """The part of a device file that tells which protocol reads the rest."""
+    """The part of a device file that names the protocol which reads the rest."""
 
     format: Literal["imumon-device/1"]
     protocol: str

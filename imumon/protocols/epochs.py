@@ -94,7 +94,7 @@ class _Work(NamedTuple):
     """Groups, a bit each."""
     kind: IntArray
     key: IntArray
-    """What tells epochs apart: nothing, the counter, or else the time of validity; and its value."""
+    """What distinguishes epochs: nothing, the counter, or else the time of validity; and its value."""
     masks: IntArray
     """Columns, a bit for each set."""
     may: IntArray
@@ -121,7 +121,7 @@ class EpochAssembler:
         self._bits: dict[tuple[int, ...], int] = {}
         self._packets = np.zeros(n, np.int64)
         self.counted_aside: list[tuple[int, int]] = []
-        """Of the side packets that `process` saw last: the main rows begun before each, and its counter."""
+        """Of the side packets that `process` took last: the main rows begun before each, and its counter."""
         self._kept = SampleBlock({})
         """Packets of which some epoch is not complete, and of these epoch and own columns."""
         self._kept_epoch = self._kept_own = np.zeros((0, n), np.int64)

@@ -257,7 +257,7 @@ class Packet(StrictModel):
 
 
 def _fraction(number: float | int | str) -> Fraction:
-    """Take a decimal for what it says: 0.1 is a tenth."""
+    """Take a decimal as it is written: 0.1 is a tenth."""
     return Fraction(str(number)) if isinstance(number, float) else Fraction(number)
 
 

@@ -1,8 +1,8 @@
 """Packets among bytes: what a frame is, and the one search for frames, in plain NumPy.
 
-A frame begins with a sync pattern; its length is fixed, in a field, or follows from what its header says; a
-checksum tells whether it came whole.  A family of devices says so in a `Frame` for each kind of packet, and
-`Decoder` does the rest: every byte becomes part of a packet, is skipped, or is pending.
+A frame begins with a sync pattern; its length is fixed, in a field, or follows from its header; a
+checksum shows whether it came whole.  A family of devices states this in a `Frame` for each kind of packet,
+and `Decoder` does the rest: every byte becomes part of a packet, is skipped, or is pending.
 
 The bytes are searched when somebody takes what they hold (live 12 times a second), not as they come: so a
 read of a few bytes costs next to nothing, and what is found does not depend on how the stream was cut.
@@ -31,7 +31,7 @@ INCOMPLETE, NO_PACKET, IMPOSSIBLE, BAD_SUM = -1, -2, -3, -4
 Lengths = Callable[[ByteArray, IntArray], IntArray]
 """Takes the bytes and places of sync patterns, (n,); returns the whole length or one of the codes, (n,)."""
 Check = Callable[[ByteArray, IntArray, IntArray], BoolArray]
-"""Takes the bytes, places and lengths of whole packets, (n,) each; tells which are right."""
+"""Takes the bytes, places and lengths of whole packets, (n,) each; returns which are right."""
 
 
 def unchecked(held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
@@ -42,7 +42,7 @@ def unchecked(held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """How packets of one kind, or of several that differ in how they begin, are told from other bytes."""
+    """How packets of one kind, or of several with different starts, are distinguished from other bytes."""
 
     names: Mapping[bytes, str]
     """What packets begin with, differing in one byte, and what the counters call those that begin so."""
@@ -200,7 +200,7 @@ def fixed_length(size: int) -> Lengths:
 
 
 def counted_length(at: int, size: int, more: int, longest: int) -> Lengths:
-    """Return the `Lengths` of packets that say how many bytes they have besides `more`, low byte first.
+    """Return the `Lengths` of packets that state how many bytes they have besides `more`, low byte first.
 
     `at`, `size`: place and bytes of the number.  `longest`: longest packet that is believed.
     """

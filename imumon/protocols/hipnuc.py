@@ -1,6 +1,6 @@
 """HiPNUC CH0x, CH10x, HI12 ... HI14: the packets 0x91, 0x81 and 0x83.
 
-Facts from the vendor's drivers.  0x83 says by the bits of a word which fields follow.  The temperature of
+Facts from the vendor's drivers.  0x83 lists the fields that follow by the bits of a word.  The temperature of
 0x91 and 0x81 has steps of 1 degC: too coarse for a rate of change, so prefer 0x83 with bit 8.
 """
 
@@ -141,6 +141,6 @@ class HipnucDecoder(FamilyDecoder):
     def _key(self, packet: bytes) -> int:
         tag, bits = packet[HEADER:][:1], packet[HEADER + 4 : HEADER + 8]
         if tag and tag[0] not in (*PACKETS, OF_BITS):
-            self._say("packets with other tags than 0x81, 0x83 and 0x91 are counted and not read")
+            self._report("packets with other tags than 0x81, 0x83 and 0x91 are counted and not read")
         key = int.from_bytes(tag, "little")
         return int.from_bytes(bits, "little") << 8 | key if key == OF_BITS and len(bits) == 4 else key

@@ -24,7 +24,7 @@ FLETCHER = Checksum("fletcher16-256")
 DATA, SET_DATA, WITH_OFFSET = 4, 5, 0x20
 KILOPASCAL: Final = 1000.0
 USUAL_S: Final = 0.004
-"""Time over which a virtual device sums increments when nothing says it, s."""
+"""Time over which a virtual device sums increments where it is not stated, s."""
 
 TIME = part(0, "f64", "device_ticks", 1e9)
 DELTA_TIME = [number("delta_time", "s", "time over which the increments were summed")]
@@ -90,5 +90,5 @@ class InertialSenseDecoder(FamilyDecoder):
     def _key(self, packet: bytes) -> int:
         flags = packet[2]
         if flags & WITH_OFFSET:
-            self._say("data sets that come in part are counted and not read")
+            self._report("data sets that come in part are counted and not read")
         return packet[3] if flags & (WITH_OFFSET | 0x0F) in (DATA, SET_DATA) else -1

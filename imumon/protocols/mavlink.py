@@ -2,7 +2,7 @@
 
 Facts from the protocol's documentation and the common dialect; the checksum has a byte for each message, so a
 message that is not in the table cannot be checked and is not read.  Version 2 leaves out zeros at the end.
-Only the first vehicle that is heard is read: a stream may hold many.
+Only the first vehicle that is received is read: a stream may hold many.
 
 SCALED_IMU and RAW_IMU have rates in steps of 1 mrad/s, 206 deg/h.
 """
@@ -119,7 +119,7 @@ def _right(header: int, held: ByteArray, at: IntArray, length: IntArray) -> Bool
 
 
 class MavlinkDecoder(FamilyDecoder):
-    """Decodes the inertial messages of the first vehicle that is heard."""
+    """Decodes the inertial messages of the first vehicle that is received."""
 
     messages = MESSAGES
     frames = tuple(
@@ -158,6 +158,6 @@ class MavlinkDecoder(FamilyDecoder):
             self._warn("rates of SCALED_IMU and RAW_IMU have steps of 206 deg/h: HIGHRES_IMU is finer")
         if vehicle != self._vehicle:
             number, component = self._vehicle
-            self._say(f"only vehicle {number}, component {component} is read of several")
+            self._report(f"only vehicle {number}, component {component} is read of several")
             return -1
         return key

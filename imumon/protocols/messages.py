@@ -1,6 +1,6 @@
 """Tables of messages: what packets with an identifier, or the fields in a packet, carry at fixed places.
 
-A family is a table of `Message`, frames, and a `FamilyDecoder` that says where the identifier stands.  Older
+A family is a table of `Message`, frames, and a `FamilyDecoder` that knows where the identifier stands.  Older
 devices send shorter messages and newer ones longer: what is behind the last number that is known is passed
 over, and numbers behind the end are absent.
 """
@@ -161,7 +161,7 @@ class FamilyDecoder(TableDecoder):
     more: int
     """Bytes before the payload; bytes of the packet besides the payload."""
     head: Sequence[int]
-    """Places of the bytes that tell what a packet carries."""
+    """Places of the bytes that identify what a packet carries."""
     big: bool = False
     """Whether the most significant byte comes first."""
     apart: Sequence[str] = ()

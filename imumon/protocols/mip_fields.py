@@ -35,7 +35,7 @@ def real(name: str, unit: str, description: str, kind: str = "f32", factor: floa
 
 
 def valid(name: str) -> Number:
-    """Return the flags that say whether a field is valid."""
+    """Return the flags that state whether a field is valid."""
     return counted(f"{name}_valid", f"validity of {name.replace('_', ' ')}", "u16")
 
 
@@ -111,7 +111,7 @@ _NOT_READ = {
     0x23: "MagScale", 0x24: "MagScaleSigma", 0x27: "CompensatedMag", 0x2B: "GravityCovariance",
     0x2D: "MagFilteredResidual",
 }  # fmt: skip
-"""Named by the vendor without saying what is in them."""
+"""Named by the vendor, who does not document their content."""
 _AIDING = "status of the aiding, bits"
 
 

@@ -14,7 +14,7 @@ ROUNDED = 2.0**-9
 
 
 class Ranges(StrictModel):
-    """What a sensor reads at most, either way; beyond, it says the end of its range.
+    """What a sensor reads at most, either way; beyond, it reads the end of its range.
 
     Parameters
     ----------

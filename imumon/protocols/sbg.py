@@ -114,5 +114,5 @@ class SbgDecoder(FamilyDecoder):
 
     def _key(self, packet: bytes) -> int:
         if packet[3] & LARGE:
-            self._say("logs in several pages are counted and not read")
+            self._report("logs in several pages are counted and not read")
         return packet[2] if packet[3] == 0 else -1

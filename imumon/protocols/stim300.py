@@ -3,7 +3,7 @@
 Facts from the data sheet TS1524 and third-party drivers.  A datagram begins with its identifier, has the
 blocks that this stands for, and ends with a CRC over all of it and zeros, which are not sent, up to a
 multiple of four bytes.  What the numbers mean - rates or increments, the range of the accelerometers - is
-set in the unit and is not in the datagram: the device file has to say it.
+set in the unit and is not in the datagram: the device file has to state it.
 """
 
 from __future__ import annotations
@@ -117,7 +117,7 @@ class StimDecoder(FamilyDecoder):
         self._end = LINE_END if device.line_end else b""
         self._assumed = (
             f"read as {device.output}s with accelerometers of {device.accel_range_g} g, as the device file "
-            "says: the datagrams do not tell"
+            "states: the datagrams do not hold it"
         )
         super().__init__(device.rate_hz)
 
@@ -126,7 +126,7 @@ class StimDecoder(FamilyDecoder):
         return CHECKS[int(ZEROS[key])].sealed(bytes([key]) + payload[1:]) + self._end
 
     def _key(self, packet: bytes) -> int:
-        self._say(self._assumed)
+        self._report(self._assumed)
         return packet[0]
 
 

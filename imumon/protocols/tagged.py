@@ -152,7 +152,7 @@ class TaggedDecoder(TableDecoder):
             if field is not None:
                 found.append((field, at, size))
             else:
-                self._say(f"field {self._field_name(key)} of {size} bytes is not known and is passed over")
+                self._report(f"field {self._field_name(key)} of {size} bytes is not known and is passed over")
         return found
 
     def _signature(self, packet: bytes) -> Sequence[int]:
@@ -167,7 +167,7 @@ class TaggedDecoder(TableDecoder):
         return end == len(packet) - self._form.check.size
 
     def _fit(self, held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
-        """Tell of packets with a right checksum whether their payload is what their type says."""
+        """Return whether the payload of packets with a right checksum is what their type states."""
         fit = np.ones(len(at), np.bool_)
         data = np.flatnonzero(self._is_data[held[at + KIND_AT]])
         for alike in self._alike(Found(held, at[data], length[data], np.zeros(len(data), np.int64))):
@@ -180,12 +180,12 @@ class TaggedDecoder(TableDecoder):
         for row in np.flatnonzero(~self._is_data[kind]).tolist():
             packet = found.held[found.at[row] :][: found.length[row]].tobytes()
             for text in self._describe(int(kind[row]), self._form.payload(packet)):
-                self._say(text)
+                self._report(text)
         data = np.flatnonzero(self._is_data[kind])
         return ((layout, data[rows]) for layout, rows in super()._by_layout(found.only(data)))
 
     def _describe(self, kind: int, payload: bytes) -> Iterable[str]:
-        """Say in words what a message that is not data tells the user, if anything."""
+        """Return in words what a message that is not data reports to the user, if anything."""
         del kind, payload
         return ()
 

@@ -87,7 +87,7 @@ class Line(StrictModel):
         if any(getattr(field, place) is None for field in self.fields):
             raise ValueError(f"fields of a {self.form} line need {place}")
         if self.form == "delimited" and self.values is None:
-            raise ValueError("values: say how many there are in a line")
+            raise ValueError("values: give how many there are in a line")
         last = max((field.at + len(field.names) for field in self.fields if field.at is not None), default=0)
         if self.values is not None and last > self.values:
             raise ValueError(f"a field is behind the {self.values} values")
@@ -230,7 +230,7 @@ def _tree(leaves: dict[str, float]) -> Any:
 class LineLayout:
     """What lines of one kind carry.
 
-    `read` returns the numbers of a line, `numbers` says what each of them is.
+    `read` returns the numbers of a line, `numbers` describes each of them.
     """
 
     def __init__(self, read: Callable[[str], list[float] | None], numbers: Sequence[Number]) -> None:

@@ -1,6 +1,6 @@
 """A device file proposed from lines of text that nobody described: what the columns may be, and why.
 
-It is a proposal: statistics of a unit at rest tell specific force from rates, but not deg/s from rad/s.  The
+It is a proposal: statistics of a unit at rest separate force from rates, but not deg/s from rad/s.  The
 reasons stand beside each field, for somebody to confirm.
 """
 
@@ -90,7 +90,7 @@ def file_head(what: str, protocol: str, baudrate: int | None, rate: str) -> list
     return [
         "format: imumon-device/1", "name: proposed", f"title: proposed from {what}",
         'verified: "nothing: proposed from the stream"', f"protocol: {protocol}",
-        "axes: FLU  # cannot be seen: x forward, y left, z up, or FRD", f"rate_hz: {rate}",
+        "axes: FLU  # cannot be determined: x forward, y left, z up, or FRD", f"rate_hz: {rate}",
         f"serial: {{baudrates: [{baudrate or 115_200}]}}",
     ]  # fmt: skip
 
@@ -202,7 +202,7 @@ def _time(x: FloatArray, rate: float) -> Guess | None:
 
 
 def _vector(x: FloatArray, names: Sequence[str]) -> tuple[str, str, str] | None:
-    """Return quantity, scale and unit, and the reason, of three columns; None when nothing tells."""
+    """Return quantity, scale and unit, and the reason, of three columns; None when it is not known."""
     norm = np.linalg.norm(x, axis=1)
     mean, scatter = float(norm.mean()), float(norm.std())
     named = next((what for what, pattern in QUANTITIES.items() if all(map(pattern.match, names))), None)
@@ -217,7 +217,7 @@ def _vector(x: FloatArray, names: Sequence[str]) -> tuple[str, str, str] | None:
             return "mag", f"unit: {field}", f"{how}: as the earth's field"
     if named == "gyro" or (named is None and _about_zero(x)):
         why = "named so" if named else "about zero on all three axes"
-        return "gyro", "unit: deg/s", f"{why}; rad/s or deg/s cannot be seen at rest: turn by 90 deg and look"
+        return "gyro", "unit: deg/s", f"{why}; rad/s or deg/s is not known at rest: turn by 90 deg and look"
     return None
 
 

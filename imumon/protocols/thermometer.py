@@ -1,4 +1,4 @@
-"""What a device file says of the temperature sensors; apart from the estimators, so that it loads quickly."""
+"""What a device file holds of temperature sensors; apart from the estimators, so that it loads quickly."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from imumon.config import StrictModel
 
 
 class TemperatureRateParameters(StrictModel):
-    """What a device file says of its temperature sensors; every key has a default.
+    """What a device file states of its temperature sensors; every key has a default.
 
     Parameters
     ----------

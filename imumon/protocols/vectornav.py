@@ -1,7 +1,7 @@
 """VectorNav VN-100 to VN-310: binary output (FA) with any mask of groups, and ASCII sentences ($VN).
 
-Facts from the vendor's SDK and the VN-100 manual.  A binary packet is FA, a byte that says which groups
-follow, a word for each that says which of its fields, the fields, and a CRC; it has no length: that is the
+Facts from the vendor's SDK and the VN-100 manual.  A binary packet is FA, a byte that lists the groups
+that follow, a word for each that lists its fields, the fields, and a CRC; it has no length: that is the
 sum of the fields.  So a packet with a field that nobody knows cannot be read, and is passed over.
 
 `AngRate`, `Accel` and `Mag` are what the device's filter has left: its own estimate of the gyro bias is
@@ -43,7 +43,7 @@ class Contents(NamedTuple):
 
     @property
     def counters(self) -> list[int]:
-        """Places of the bytes that say how long a field is."""
+        """Places of the bytes that state how long a field is."""
         return [at + tables.REPEATS[item.name][1] for item, at in self.fields if item.name in tables.REPEATS]
 
 
@@ -219,7 +219,7 @@ class VectorNavDecoder(TableDecoder):
     def _layout(self, alike: Alike) -> Layout | None:
         numbers = _renamed(self._numbers_of(alike), self._factory)
         if alike.kind == SENTENCE:
-            self._tell(alike.packet.decode("ascii", "replace"))
+            self._report_sentence(alike.packet.decode("ascii", "replace"))
             layout: Layout = LineLayout(_numbers_in, numbers)
         else:
             layout = Record(numbers)
@@ -230,14 +230,14 @@ class VectorNavDecoder(TableDecoder):
             )
         return layout if layout.columns else None
 
-    def _tell(self, line: str) -> None:
-        """Say what a sentence says that is not data."""
+    def _report_sentence(self, line: str) -> None:
+        """Report a sentence that is not data."""
         read = _sentence(line)
         assert read is not None
         if read[0] == "ERR":
-            self._say(f"the device reports error {', '.join(read[1])}")
+            self._report(f"the device reports error {', '.join(read[1])}")
         elif read[0] not in tables.SENTENCES:
-            self._say(f"sentence $VN{read[0]} is counted and not read")
+            self._report(f"sentence $VN{read[0]} is counted and not read")
 
 
 def _factory(numbers: Sequence[Number]) -> frozenset[str]:

@@ -30,7 +30,7 @@ HEADER, SIZE = 2, 11
 SHORT, LONG = 20, 28
 COMBINED = 0x61
 ZEROS: Final = 10
-"""Frames in a row with three rates of zero, after which it is said: with noise that needs much luck."""
+"""Frames in a row with three rates of zero, after which it is reported: with noise that needs much luck."""
 
 
 def _date(at: int, prefix: str, per_ms: int) -> Part:

@@ -1,7 +1,7 @@
 """x-io x-IMU3: binary and text data messages, as they come by USB, serial, network, or in ``.ximu3`` files.
 
 Facts from the vendor's software.  A message ends with a line feed; its first byte, an upper-case letter (plus
-0x80 when binary), says what it is.  There is no checksum: a message counts when it has exactly its length (or
+0x80 when binary), names its kind.  There is no checksum: a message counts when it has exactly its length (or
 its numbers) and a time that a device can have run.  Temperature comes in messages of its own, five a second.
 """
 

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 REPEAT_S = 1.0
 """How often states are sent again, for who came later: every message of a state has all of them."""
 REPORT_S = 0.25
-"""How often the measuring process is told how it goes: as often as its status line is drawn."""
+"""How often the measuring process is informed how it goes: as often as its status line is drawn."""
 BURST_BYTES = 1 << 16
 """Datagrams that are sent at once: a receiver's buffer is 208 KiB by default (net.core.rmem_default), where a
 datagram takes up to twice its size; what comes while it is full is lost."""

@@ -20,7 +20,7 @@ from imumon.view.items import Samples, ViewSetup
 LEVELS = {"DEBUG": LogLevel.Debug, "INFO": LogLevel.Info, "WARN": LogLevel.Warning, "ERROR": LogLevel.Error}
 SECOND_NS = 1_000_000_000
 FULL = "foxglove.websocket.connected_client.send_lossy"
-"""Logger on which the SDK says that a viewer does not take what is sent; it does not count."""
+"""Logger on which the SDK reports that a viewer does not take what is sent; it does not count."""
 
 
 class Foxglove:
@@ -71,7 +71,7 @@ class Foxglove:
         return False
 
     def _is_wanted(self, item: Samples) -> bool:
-        """Have a channel that describes these columns; tell whether a viewer has subscribed to it."""
+        """Have a channel that describes these columns; return whether a viewer has subscribed to it."""
         topic, columns = topic_of(item), {"sample", *item.block.columns}
         known = self._columns.get(topic, set())
         if not columns <= known:

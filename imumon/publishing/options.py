@@ -30,7 +30,7 @@ class _Publish:
     )
 
     def parse(self, given: Sequence[str]) -> list[Target]:
-        """Return the targets of --publish; say of those beyond this computer that they are."""
+        """Return the targets of --publish; report those beyond this computer."""
         if not given:
             return []
         from imumon.publishing.target import parse_target

@@ -117,13 +117,13 @@ class Publishers:
         texts = [f"{to}: {of.sent:,} sent, {of.dropped:,} dropped" for to, of in self._states]
         return {"published": "; ".join(texts)} if texts else {}
 
-    def announce(self, tell: Callable[[str, str], None]) -> None:
-        """Say how it goes, when that changes, and when the first is dropped."""
+    def announce(self, report: Callable[[str, str], None]) -> None:
+        """Report how it goes, when that changes, and when the first is dropped."""
         for target, state in self._states:
             text = f"{target}: {state.text}" + (", some are dropped" if state.dropped else "")
             if text != self._reported.get(target, ""):
                 self._reported[target] = text
-                tell("INFO" if state.ready and not state.dropped else "WARN", f"published to {text}")
+                report("INFO" if state.ready and not state.dropped else "WARN", f"published to {text}")
 
     def close(self) -> None:
         """Send what is left, and end."""

@@ -14,7 +14,7 @@ Kind = Literal["udp-json", "foxglove", "ros2"]
 PORTS: dict[Kind, int] = {"udp-json": 9870, "foxglove": 8765, "ros2": 0}
 """What PlotJuggler and Foxglove propose; ROS finds its readers by itself."""
 NETWORK = "network"
-"""Instead of an address for ROS 2: as far as the environment says, not this computer alone."""
+"""Instead of an address for ROS 2: as far as the environment allows, not this computer alone."""
 _HIGHEST_PORT = 65535
 
 
@@ -48,7 +48,7 @@ class Target(NamedTuple):
 
 
 def parse_target(text: str) -> Target:
-    """Return the target that ``KIND`` or ``KIND=HOST[:PORT]`` says; without an address nothing leaves here.
+    """Return the target that ``KIND`` or ``KIND=HOST[:PORT]`` names; without an address nothing leaves here.
 
     Raises BAD_CONFIG when it cannot be read, the host is not known, or a package is missing.
     """

@@ -155,7 +155,7 @@ class VirtualDevice(AbstractContextManager["VirtualDevice"]):
         received = self.port.read()
         if received:
             before = dict(firmware.volatile)
-            self.port.write(firmware.hear(received))
+            self.port.write(firmware.receive(received))
             if firmware.baudrate != self.port.baudrate:
                 self.port.drain()  # the answer goes at the old rate
                 self.port.baudrate = firmware.baudrate

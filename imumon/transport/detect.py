@@ -40,7 +40,7 @@ TEXT, ODD = b"\t\r\n" + bytes(range(0x20, 0x7F)), b"\x00\xff"
 
 
 class Candidate(Protocol):
-    """What is asked of a protocol; every `imumon.protocols.framing.Decoder` can do it."""
+    """What is required of a protocol; every `imumon.protocols.framing.Decoder` can do it."""
 
     def feed(self, data: bytes, arrival_ns: int) -> None:
         """Decode bytes that arrived at `arrival_ns` (Unix time, ns)."""
@@ -72,7 +72,7 @@ class Verdict(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """What was seen at one baud rate with one protocol."""
+    """What was found at one baud rate with one protocol."""
 
     protocol: str
     """Name of the candidate."""
@@ -142,9 +142,9 @@ def detect(
     `url`: the port; where it has no line, it is listened to once.
     `candidates`: makes a fresh decoder per name.
     `baudrates`: rates in bit/s, in the order to try them.
-    `seconds_each`: time to listen at each rate when a glance at all has told nothing; less when there is
+    `seconds_each`: time to listen at each rate when a glance at all has found nothing; less when there is
         enough evidence.
-    `before_rate`: told what is tried next.
+    `before_rate`: given what is tried next.
     `received`: given the bytes as they come.
     """
     for factory in candidates.values():

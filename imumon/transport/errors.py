@@ -1,4 +1,4 @@
-"""Errors of ports: what the operating system said, what is there, and what to do about it."""
+"""Errors of ports: what the operating system reported, what is there, and what to do about it."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ def _busy(device: str) -> tuple[str, str]:
     if others:
         return "open in " + ", ".join(others), "Close that program, then try again."
     return (
-        "held by this program itself, or by a user whose processes cannot be seen",
+        "held by this program itself, or by a user whose processes are not visible",
         f"`sudo fuser -v {device}` shows which program it is; ModemManager is a usual one.",
     )
 

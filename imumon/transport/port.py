@@ -50,7 +50,7 @@ Handle = serial.Serial | _SocketHandler
 class Port:
     """An open port; made by `open_port`.
 
-    `handle` is an open pyserial port, owned from now on; `settings` say how it was opened.
+    `handle` is an open pyserial port, owned from now on; `settings` are those it was opened with.
     """
 
     def __init__(self, handle: Handle, settings: PortSettings) -> None:
@@ -143,7 +143,7 @@ class Port:
     def _take(self, fd: int) -> bytes:
         """Read the ready descriptor.
 
-        Nothing there although select said so means either hang-up or that another program was faster.
+        Nothing there although select reported it means either hang-up or that another program was faster.
         """
         try:
             data = os.read(fd, READ_SIZE)
@@ -174,7 +174,7 @@ def open_port(settings: PortSettings) -> Port:
     """Open a port exclusively and try to set low-latency mode.
 
     Raises NOT_FOUND, PERMISSION, BUSY, LOST (the device does not answer its driver) or BAD_CONFIG, each with
-    what was seen and what to do.
+    what was found and what to do.
     """
     try:
         handle = _make_handle(settings)
@@ -230,7 +230,7 @@ def _set_exclusive(fd: int, on: bool) -> None:
     """
     try:
         fcntl.ioctl(fd, termios.TIOCEXCL if on else termios.TIOCNXCL)
-    except OSError:  # the device is gone, which the next read tells with its reason
+    except OSError:  # the device is gone, which the next read reports with its reason
         return
 
 

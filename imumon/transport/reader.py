@@ -42,7 +42,7 @@ class EventKind(Enum):
     LOST = "lost"
     """The port failed; it is reopened as soon as it can be.  The gap lasts until the next OPENED."""
     UNAVAILABLE = "unavailable"
-    """Reopening failed; said again only when it fails for another reason."""
+    """Reopening failed; reported again only when it fails for another reason."""
     SHARED = "shared"
     """Another program reads from the port as well, so bytes are missing."""
     CLOSED = "closed"

@@ -23,7 +23,7 @@ CALM_BELOW = 0.70
 
 
 class LinkStatistics:
-    """Counts what arrives; fed and asked by one thread.
+    """Counts what arrives; fed and read by one thread.
 
     `settings`: give what the line can carry; without a line (``socket://``) there is no load.
     """
@@ -91,7 +91,7 @@ class StreamCounters:
     """What came of a stream of a device.
 
     `rate_hz` is the rate where nothing is missing, `incomplete` rows lack fields that all rows before them
-    had.  `dated_by` says where the times are from: "clock" of the device, its "counter" or the "rows" at a
+    had.  `dated_by` states where the times are from: "clock" of the device, its "counter" or the "rows" at a
     nominal rate, "arrival"; empty of a side stream, and where it was not noted.
     """
 

@@ -71,7 +71,7 @@ class FedProcess:
         """Take a message of the process."""
 
     def _gone(self) -> None:
-        """Note that the process has ended, and was heard to its end."""
+        """Note that the process has ended, and was read to its end."""
 
     def start(self) -> Self:
         """Start the process and return at once."""

@@ -178,8 +178,8 @@ class Timebase:
     """Puts samples and events on the three timelines of the view.
 
     Device time starts anew in each segment; here it goes on: a new segment begins as much later than the last
-    sample as the host clock says, or one sample interval later when there is no host time.  The device's own
-    time stays in the block.  `samples` is called from one thread; `at` may be called from any.
+    sample as the host clock states, or one sample interval later when there is no host time.  The device's
+    own time stays in the block.  `samples` is called from one thread; `at` may be called from any.
     """
 
     def __init__(self) -> None:

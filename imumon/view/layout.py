@@ -102,7 +102,7 @@ class Strip:
     headline: bool = False
     """Whether the card shows the last line's value large."""
     silent: float | None = None
-    """While the columns have no other value there is nothing to say, and no panel."""
+    """While the columns have no other value there is nothing to show, and no panel."""
 
     @property
     def columns(self) -> tuple[str, ...]:

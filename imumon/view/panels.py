@@ -169,7 +169,7 @@ PANELS: tuple[Panel, ...] = (
         ATTITUDE,
         card="estimated heading",
     ),
-    # A panel for each axis: beside the turn-on bias of another its drift could not be seen.
+    # A panel for each axis: beside the turn-on bias of another its drift would not be visible.
     *(
         Bands(
             line.column,

@@ -31,7 +31,7 @@ does not always report."""
 class ViewRecorder:
     """Writes view items to ``view.rrd``, ``view.0001.rrd``, ...; never makes the caller wait.
 
-    The wire recording is the truth; when the disk cannot follow, this one loses the oldest items and says so
+    The wire recording is the truth; when the disk cannot follow, this one loses the oldest items, counted
     in `dropped`.  All segments together open as one recording; the first carries the arrangement, every one
     its own footer, names, styles and latest states.  A segment that was cut short by a crash opens as well.
 
@@ -113,7 +113,7 @@ class ViewRecorder:
             self._refused += sum(item.rows for item in items)
 
     def _check(self) -> None:
-        """Find out whether Rerun could write; it says so in its log only, or when asked to flush."""
+        """Find out whether Rerun could write; Rerun reports it in its log only, or when flushed."""
         try:
             self._rec.flush(timeout_sec=FLUSH_S)
             self._timeouts = 0

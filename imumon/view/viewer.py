@@ -20,7 +20,7 @@ Mode = Literal["native", "web"]
 
 LOCALHOST = "127.0.0.1"
 VIEWER_PORT = 9876
-"""Where Rerun viewers listen, unless told otherwise."""
+"""Where Rerun viewers listen, unless set otherwise."""
 WEB_PORT = 9090
 VIEWER_MEMORY = "2GB"
 """Above this the viewer forgets the oldest data, so that a session may last for days."""
@@ -71,7 +71,7 @@ def probe(port: int, timeout_s: float = 0.5) -> bool | None:
     """Return whether a Rerun viewer or server is behind a port of this machine; None when nothing listens.
 
     An unknown method of a gRPC service is refused with ``grpc-status``; a stopped process accepts the
-    connection (the kernel does) and says nothing.
+    connection (the kernel does) and is silent.
     """
     connection = http.client.HTTPConnection(LOCALHOST, port, timeout=timeout_s)
     try:

@@ -129,7 +129,7 @@ POLICY = (
     "style-src 'self' 'unsafe-inline'; worker-src 'self' blob:"
 )
 """The content security policy: this server, nothing else.  The web viewer sends usage data whatever its
-settings, asks for updates and for fonts; a browser that is told so refuses all of it."""
+settings, asks for updates and for fonts; a browser that is given this policy refuses them."""
 
 
 class WebServer:

@@ -1,7 +1,7 @@
 """What a view of series shows: which time, and how far its vertical axis reaches.
 
 Rerun's vertical axis follows the lines alone, so that a band is cut off, and it magnifies what is constant
-until the rounding fills the panel.  An invisible line beside the drawn ones spans what has to be seen now.
+until the rounding fills the panel.  An invisible line beside the drawn ones spans what has to be visible now.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def entity(drawn: str) -> str:
 
 
 def declare_extent(rec: rr.RecordingStream, drawn: str) -> None:
-    """Log that the line is not to be seen."""
+    """Log that the line is invisible."""
     unseen = rr.SeriesLines(names=["", ""], colors=[[0, 0, 0, 0]] * 2, widths=[0.0, 0.0])
     rec.log(entity(drawn), unseen, static=True)
 
@@ -119,7 +119,7 @@ def series_view(
 
     A legend stands in the view, over data: better the title names the colours.
 
-    `ends` are entities that say how far the vertical axis reaches now.
+    `ends` are entities that state how far the vertical axis reaches now.
     """
     return rrb.TimeSeriesView(
         origin="/" if others else origin,

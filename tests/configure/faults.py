@@ -28,7 +28,7 @@ class Faults:
     refused: frozenset[int] = frozenset()
     unheard: frozenset[int] = frozenset()
     ignored: frozenset[int] = frozenset()
-    """Commands that the device refuses, does not hear, or confirms and does not carry out."""
+    """Commands that the device refuses, does not receive, or confirms and does not carry out."""
     dies_after: int | None = None
     unplugged_after: int | None = None
     """Command after which the device says and sends nothing more, or after which the cable is pulled."""

@@ -89,7 +89,7 @@ class LoopedPort:
         self.writes += 1
         self.on_write(self.writes)
         if self.settings.baudrate == self.firmware.baudrate:
-            self._answers += self.firmware.hear(data)
+            self._answers += self.firmware.receive(data)
         self._look()
 
     def read(self, timeout_s: float) -> bytes:

@@ -177,8 +177,8 @@ def test_on_its_own_imumon_sends_nothing(tmp_path: Path) -> None:
     with VirtualDevice(load_device("vectornav"), tmp_path / "imu") as virtual:
         path, firmware = virtual.port.path, firmware_of(virtual)
         heard: list[bytes] = []
-        hear = firmware.hear
-        firmware.hear = lambda data: heard.append(data) or hear(data)  # type: ignore[method-assign, func-returns-value]
+        receive = firmware.receive
+        firmware.receive = lambda data: heard.append(data) or receive(data)  # type: ignore[method-assign, func-returns-value]
         assert imumon("detect", path, "--device", "vectornav").returncode == 0
         out = ["--out", str(tmp_path / "session"), "--view", "none", "--seconds", "1"]
         subprocess.run([IMUMON, "monitor", path, "--device", "vectornav", *out], check=True)

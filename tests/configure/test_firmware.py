@@ -23,11 +23,11 @@ def device() -> VectorNavFirmware:
 
 def test_what_is_written_is_lost_at_power_off_unless_it_is_saved(device: VectorNavFirmware) -> None:
     write = frame("VNWRG,75,1,8,05,0001,001C")
-    assert device.hear(write) == write
-    assert device.hear(frame("VNRRG,75")) == frame("VNRRG,75,1,8,05,0001,001C")
+    assert device.receive(write) == write
+    assert device.receive(frame("VNRRG,75")) == frame("VNRRG,75,1,8,05,0001,001C")
     device.power_on()
     assert device.volatile[OUTPUT] == device.delivered[OUTPUT]
-    device.hear(write + frame("VNWNV"))
+    device.receive(write + frame("VNWNV"))
     device.power_on()
     assert device.volatile[OUTPUT] == b"1,8,05,0001,001C"
 
@@ -43,13 +43,13 @@ def test_what_is_written_is_lost_at_power_off_unless_it_is_saved(device: VectorN
     ],
 )
 def test_what_it_does_not_know_is_refused(device: VectorNavFirmware, command: str, error: int) -> None:
-    assert device.hear(frame(command)) == frame(f"VNERR,{error:02d}")
+    assert device.receive(frame(command)) == frame(f"VNERR,{error:02d}")
     assert device.volatile == device.delivered
 
 
 def test_a_command_with_a_bad_checksum_is_not_heard(device: VectorNavFirmware) -> None:
-    assert device.hear(b"$VNWNV*58\r\n$VNRRG,05") == b""
-    assert device.hear(b"*76\r\n") == frame("VNRRG,05,115200")
+    assert device.receive(b"$VNWNV*58\r\n$VNRRG,05") == b""
+    assert device.receive(b"*76\r\n") == frame("VNRRG,05,115200")
 
 
 def test_a_host_at_another_rate_is_not_understood() -> None:

@@ -92,7 +92,7 @@ def test_without_acc_1g_there_is_no_accelerometer(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("head", "said"),
     [
-        ("", "nothing says the scale of its gyro"),
+        ("", "the scale of its gyro is not stated"),
         (HEAD.replace("Cleanflight", "Baseflight"), "the firmware is 'Baseflight'"),
         (HEAD.replace("H Firmware type:Cleanflight\n", ""), "the firmware is 'none'"),
         (HEAD.replace("0x3f800000", "0x00000000"), "its gyro_scale is '0x00000000'"),
@@ -111,7 +111,7 @@ def test_what_cannot_be_verified_is_refused_and_nothing_is_made(tmp_path: Path, 
 
 def test_a_log_that_does_not_have_so_many_logs_says_nothing(tmp_path: Path) -> None:
     (tmp_path / "LOG7.bbl").write_text(HEAD)
-    with pytest.raises(ImumonError, match="nothing says the scale"):
+    with pytest.raises(ImumonError, match="the scale of its gyro is not stated"):
         import_log(table(tmp_path / "LOG7.02.csv"), None, tmp_path / "s")
 
 

@@ -141,7 +141,7 @@ def test_known_boards() -> None:
     ("text", "old", "new", "words"),
     [
         (CSV, "values: 4", "values: 3", "behind the 3 values"),
-        (CSV, "    values: 4\n", "", "say how many"),
+        (CSV, "    values: 4\n", "", "give how many"),
         (CSV, "at: 0", "key: t", "need at"),
         (SUM, "'$IMU,'", "'IMU,'", "begins with $"),
         (CSV, "at: 0, type", "at: 0, key: t, type", "give either at"),

@@ -32,7 +32,7 @@ LAG_S = 2.0 * TAU_ACC_S
 """Lag of d, s, after which VQF's low-pass has forgotten; m is the mean over three.  Ablation."""
 ACCEL_SD = 0.075
 """a0 of accelerometers that are not declared, m/s²: 7.6 mg, between 5 and 10 mg of a calibrated unit.  A
-prior that a single pose cannot correct: it does not tell 5 mg from 40."""
+prior that a single pose cannot correct: it does not separate 5 mg from 40."""
 SCALE_SD = 0.02
 """s0 of gyros that are not declared: between 1 % of a calibrated unit and 3 % of an MPU-6050."""
 SCALE_TURN = 2.0

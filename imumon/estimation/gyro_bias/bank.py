@@ -8,22 +8,22 @@ Per axis the state is::
 
     w   walk, rad/s                 w' = w + s dT + N(0, K² dt)
     gi  flicker, rad/s              gi' = e^(-dt/τi) gi + N(0, σg² (1 - e^(-2 dt/τi))),  τ = 1, 30, 1000 s
-    s   slope over temperature      s' = s + N(0, σs² |dT| / 30 °C)
+    s   slope, rad/s per °C         s' = s + N(0, σs² |dT| / 30 °C)
     m   sensitivity to the specific force, rad/s per m/s², constant
 
-    bias = w + g1 + g2 + g3 + m f = H x
+    bias = w + g1 + g2 + g3 + m f = H x    (K in rad/s/√s, σg and σs as gi and s, dt s, dT °C, f m/s²)
 
-Three Gauss-Markov processes of one variance, a decade and a half apart, are flicker noise of coefficient B:
-σg² = B² ln(τ3/τ2) / π: flicker has a variance of B² ln(ratio) / π in each interval of time constants.
+Three Gauss-Markov processes of one variance, a decade and a half apart, are flicker noise of coefficient B,
+rad/s: σg² = B² ln(τ3/τ2) / π: flicker has a variance of B² ln(ratio) / π in each interval of time constants.
 
 Modes
 -----
-The modes are fixed: static multiple models (Bar-Shalom et al., 2001, section 11.6.2).  White noise σ² (of the
-mean of a second) is not known (West & Harrison, 1997, ch. 4): each filter has its mean x, its covariance P
-over σ², and of σ² an inverse-gamma posterior IG(a, β).  Gains do not depend on σ², and S here is the
-innovation covariance over σ².  The predictive density of a measurement is Student's t with 2 a degrees of
-freedom and squared scale S β/a, and it weighs the modes of each axis; all variances that are used are means,
-with E[σ²] = β/(a - 1).
+The modes are fixed: static multiple models (Bar-Shalom et al., 2001, section 11.6.2).  White noise σ²,
+(rad/s)² (of the mean of a second) is not known (West & Harrison, 1997, ch. 4): each filter has its mean x,
+its covariance P over σ², and of σ² an inverse-gamma posterior IG(a, β).  Gains do not depend on σ², and S
+here is the innovation covariance over σ².  The predictive density of a measurement is Student's t with 2 a
+degrees of freedom and squared scale S β/a, and it weighs the modes of each axis; all variances that are used
+are means, with E[σ²] = β/(a - 1).
 
 All modes have one F, so the moments of their mixture, the *prediction*, propagate as those of each of them.
 It is evaluated at each sample: a unit in the hand is in another pose a quarter of a second later.
@@ -55,11 +55,11 @@ STRONG_FLICKER = 2.0
 """Prior of flicker that overtakes at 1 s over that of any other level: it is not observable in the first
 seconds, and a gyro of 40 °/h was off by 8 sigmas in them."""
 WALK_CORNER_S = 10.0
-"""The same of a random walk: white noise and a walk of K are equal at √3 σ/K."""
+"""Averaging time at which a random walk overtakes white noise: both are equal at √3 σ/K."""
 SLOPE_PER_SIGMA = 3.6
 """Standard deviation of the slope over σ, 1/°C: 60 °/h/°C for a gyro of 0.28 °/√h."""
 SLOPE_LEFT_PER_SIGMA = 0.25
-"""The same of what a model's curve leaves."""
+"""The same, 1/°C, of the slope that a model's curve leaves."""
 SLOPE_DEGC = 30.0
 """Difference of temperature over which a slope changes by as much as itself."""
 SENSITIVITY_SD = math.radians(0.05) / STANDARD_GRAVITY
@@ -68,16 +68,16 @@ a second, smaller level a gyro between both was off by 9 sigma."""
 FASTEST_S = 0.02
 """Down to here the flicker of single samples goes on."""
 MEMORY_S = 600.0
-"""Over which σ² is averaged."""
+"""Time over which σ² is averaged."""
 PRIOR_COUNT, DECLARED_COUNT = 3.0, 0.5 * MEMORY_S
-"""a of a σ² that second differences of 16 slots have shown, and of one that is declared."""
+"""Shape a of a σ² that second differences of 16 slots have shown, and of a declared one."""
 LEAST_WEIGHT = 1e-4
-"""Least weight of a mode over the largest, so that it may come back."""
+"""Least weight of a mode over the largest, so that the mode may come back."""
 FLICKER_OF_WALK = 0.05
 """Flicker of the mode with a random walk, over the least of the others.  Assumed: hardly any."""
 UNKNOWN, TURN_ON = 1e8, np.radians(3.0)
-"""Prior variance of w over σ², and at least the square of this, rad/s: turn-on biases of any gyro.  Beside a
-smaller one, of a gyro that hardly scatters, the first mean would be a sensitivity to g."""
+"""Prior variance of w over σ², and at least TURN_ON², rad/s: turn-on biases of any gyro.  With a
+smaller prior, of a gyro that hardly scatters, the first mean would be a sensitivity to g."""
 
 
 def propagated(
@@ -156,7 +156,7 @@ class Prediction:
         return now.rate - bias, variance + self.white / now.covered_s
 
     def output(self, added: FloatArray, force: FloatArray, turn: FloatArray) -> LinearBias:
-        """Return the bias with more variance, (rad/s)², at the mean force of a slot, m/s², (3,) each."""
+        """Return the bias with `added` variance, (rad/s)², at the mean force of a slot, m/s², (3,) each."""
         select = np.vstack([measurement_row(np.zeros(3)), np.eye(STATES)[SENSITIVITY]])
         covariance = select @ self.covariance @ select.T
         faster = math.log(TAUS_S[0] / FASTEST_S) / math.log(
@@ -238,7 +238,7 @@ class Bank:
     def after(self, now: Measurement, jumped: bool = False) -> Bank:
         """Return the filters after a measurement.
 
-        With `jumped` the bias may be any, so its mean shows nothing of modes and σ², which stay.
+        With `jumped` the bias may be any, so the mean rate shows nothing of modes and σ², which stay.
         """
         dt, warming = now.end_s - self.time_s, now.degc - self.degc
         mean, covariance = propagated(self.mean, self.covariance, self.process, dt, warming)

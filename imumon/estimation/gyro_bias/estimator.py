@@ -92,7 +92,7 @@ class Estimator:
     def unrest(self) -> str:
         """Why the unit does not rest; empty where it does.
 
-        It does not from an unquiet slot until a quiet second has been decided on, nor while a turn is more
+        There is no rest from an unquiet slot until a quiet second is decided on, nor while a turn is more
         likely than a changed bias.  Where a gyro is absent, quiet accelerometers are rest.  Within a slot the
         stage ends rest at a sample outside `QuietDetector.band`, and where readings are missing for long.
         """
@@ -149,7 +149,7 @@ class Estimator:
             self._interrupt()
 
     def _noise(self) -> FloatArray:
-        """Return the variance of the mean of a second, (6,)."""
+        """Return the variance of the mean of a second, (rad/s)² and (m/s²)², (6,)."""
         covered_s = sum(one.covered_s for one in self.latest) / len(self.latest)
         return np.maximum(self.quiet.noise * covered_s, LEAST_WHITE)
 
@@ -165,7 +165,7 @@ class Estimator:
         self.pending = []
 
     def _coast(self, slot: Slot) -> None:
-        """Follow the turn of an unquiet slot; before the first rest estimate the bias from it."""
+        """Follow the turn of an unquiet slot; before the first rest estimate the bias from this turn."""
         self._interrupt()
         if self.hypotheses is not None:
             self._follow(slot, self.hypotheses)
@@ -208,7 +208,7 @@ class Estimator:
         self.added = np.zeros(3)
 
     def _decide(self, hypotheses: Hypotheses) -> FloatArray:
-        """Decide on a complete measurement; return its normalised innovations, (3,), NaN where it lacks."""
+        """Decide on a complete measurement; return its normalised innovations, (3,), NaN without a rate."""
         slots, self.pending = self.pending, []
         if hypotheses.moved:
             self._come_to_rest(slots[0].mean[ACCEL], hypotheses)

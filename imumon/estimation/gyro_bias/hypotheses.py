@@ -5,12 +5,12 @@ the *present* one has learned that rate.  A mean is compared with the present bi
 (`newer`), so that a ramp is not followed.  The first row that holds:
 
 =================================  =====================================================
-the mean fits the present bias     it learns
-it fits the nominal bias           the present bias is the nominal one, and learns
+the mean fits the present bias     the present bias learns
+the mean fits the nominal bias     the present bias is the nominal one, and learns
 else                               the present bias is any other
 =================================  =====================================================
 
-What lies between both is a turn with a probability P(turn), by `imumon.estimation.rest.odds`.  So it is
+The difference of both is a turn with a probability P(turn), by `imumon.estimation.rest.odds`.  So this is
 tested sequentially, each second:
 
 =================================  =====================================================
@@ -18,11 +18,11 @@ P(turn) up to 1/2                  rest: the present bias is shown
 P(turn) above 1/2                  a turn: the nominal bias is shown
 above 1/4 (1/10 if the rate has    doubt: the nominal bias stays, through motion as well
 changed), until it is below 1/20
-else                               it follows 16 to 32 s behind the present one, and has
-                                   not learned how a slow turn began
+else                               the nominal bias lags the present one by 16 to 32 s:
+                                   it has not learned how a slow turn began
 =================================  =====================================================
 
-The sigma of what is shown contains what lies between, times the root of the probability of the other.
+The sigma of the bias shown contains that difference, times the root of the probability of the other bias.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ FIT_SIGMAS = 4.5
 DOUBT, DOUBT_OF_CHANGE, UNLIKELY_TURN = 0.25, 0.1, 0.05
 """P(turn) from which on the nominal bias stays, where the rate creeps (as the bias of a unit that warms up)
 and where it has changed, and up to which it then follows again; by the gyros alone a turn of 36 °/h, the
-slowest that is considered, has 0.14.  With 0.25 for both a tactical gyro that turns at 72 °/h is off by 902
-sigma, with 0.1 for both a warm-up of 60 to 92 °/h/K has a sigma of 195 °/h instead of less than 80."""
+slowest that is considered, has P(turn) 0.14.  With 0.25 for both a tactical gyro that turns at 72 °/h is off
+by 902 sigma, with 0.1 for both a warm-up of 60 to 92 °/h/K has a sigma of 195 °/h instead of less than 80."""
 LAG_S = 16.0
 """By so much at least, and twice as much at most, the nominal bias follows the present one."""
 ONSET_S = 4.0
@@ -84,9 +84,9 @@ class Hypotheses:
     steady_s: float = 0.0
     """How long the present rate has lasted, s."""
     p_turn: float = 0.0
-    """Probability that what lies between both is a turn."""
+    """Probability that the difference of both biases is a turn."""
     ambiguities: FloatArray = field(default_factory=partial(np.zeros, (2, 3)))
-    """What the less likely hypothesis adds to sigma, by the last two measurements, (2, 3)."""
+    """What the less likely hypothesis adds to sigma, rad/s, by the last two measurements, (2, 3)."""
     doubted: bool = False
     """Whether the nominal bias stays, as the present rate may be a turn."""
     began_turning: bool = False

@@ -1,13 +1,13 @@
 """Bias of a unit that has never been at rest: gravity turns, by the gyros, with a bias that is not known.
 
-Once a minute twelve means of the specific force, in axes that the gyros carry along, are fitted (Gauss and
-Newton) by gravity and the bias::
+Once a minute twelve means of the specific force f, m/s², in axes that the gyros carry along (C rotates into
+them), are fitted (Gauss and Newton) by gravity g, m/s², and the bias, rad/s::
 
     ∫ C f dt = (g + [g x] ∫ C bias dt + N(0, s²)) dt
 
-Accelerations are the noise, and the fit shows their variance s²; errors of scale, and biases of the
-accelerometers, are far smaller.  The rate about the vertical is not
-estimated: only sways make it observable.  So an upright axis has no bias.
+Accelerations are the noise, and the fit shows their variance s², (m/s²)²; errors of scale, and biases of the
+accelerometers, are far smaller.  The rate about the vertical is not estimated: only sways make that rate
+observable.  So an upright axis has no bias.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ BIAS_WALK = 30.0 * DEG_PER_H
 
 @dataclass(slots=True, eq=False)
 class Motion:
-    """Bias by motion, window by window."""
+    """Bias by motion, rad/s, and its covariance, window by window."""
 
     mean: FloatArray = field(default_factory=lambda: np.zeros(3))
     covariance: FloatArray = field(default_factory=lambda: UNKNOWN_RATE**2 * np.eye(3))

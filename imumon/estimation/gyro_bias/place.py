@@ -1,8 +1,8 @@
 """Attitude of a unit against the earth, as far as the bias needs it: up at rest, and turns in between.
 
-At rest the specific force shows where up is.  While the unit moves, the gyros follow it sample by sample
-(`imumon.filters.turns`): that keeps north, or bounds how much of the earth rate that is taken for bias has
-turned.
+At rest the specific force shows where up is.  While the unit moves, the gyros follow the attitude sample by
+sample (`imumon.filters.turns`): that keeps north, or bounds how much of the earth rate that is taken for bias
+has turned.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ class Attitude:
 
     latitude: float | None
     heading: float | None
-    """Of the place and of the first rest, rad; None where not known."""
+    """Latitude of the place and heading of the first rest, rad; None where not known."""
     up: FloatArray = field(default_factory=partial(np.zeros, 3))
     north: FloatArray = field(default_factory=partial(np.zeros, 3))
     """Unit vectors, (3,); zero where not known."""
     earth: FloatArray = field(default_factory=partial(np.zeros, 3))
     """What is known of the earth rate, rad/s, (3,)."""
     heading_variance: float = 0.0
-    """Of the heading, where the place is known, rad²."""
+    """Variance of the heading, where the place is known, rad²."""
     turn: Turn = STILL
     lost: bool = False
     """Whether readings were missing since the last rest."""
@@ -61,9 +61,9 @@ class Attitude:
         return np.asarray(level**2 * heading_variance * (1.0 - self.up**2))
 
     def _turned_earth(self) -> FloatArray:
-        """Return the variance of what the turn does to the earth rate that is taken for bias, (3,).
+        """Return the variance of what the turn does to the earth rate that is taken for bias, (rad/s)², (3,).
 
-        Its direction is not known; with the latitude alone the whole is counted, not the level part.
+        The rate's direction is not known; with the latitude alone the whole is counted, not the level part.
         """
         if self.latitude is not None and self.heading is not None and self.up.any():
             return np.zeros(3)

@@ -40,7 +40,7 @@ def trust_in(model: BiasModel) -> FloatArray:
 
 @dataclass(slots=True, eq=False)
 class ThermalVariance:
-    """Variance that an uncertain thermal model brings, of three axes.
+    """Variance that an uncertain thermal model brings, of three axes, (rad/s)².
 
     Within the calibrated range the error of the curve is a random walk over temperature; outside it the slope
     itself is unknown, and the farthest counts.  An unknown state at power-on fades: what has
@@ -52,14 +52,14 @@ class ThermalVariance:
     mark_degc: FloatArray = field(default_factory=partial(np.full, 3, np.nan))
     """Temperature up to which the random walk has been counted, (3,)."""
     beyond_degc: FloatArray = field(default_factory=partial(np.zeros, 3))
-    """Farthest outside of the calibrated range, (3,)."""
+    """Farthest outside of the calibrated range, °C, (3,)."""
     power_on_sd: FloatArray = field(default_factory=partial(np.full, 3, np.nan))
-    """Of the state at power-on, (3,)."""
+    """sd of the state at power-on when it was first known, rad/s, (3,)."""
     faded: FloatArray = field(default_factory=partial(np.zeros, 3))
-    """Variance by what has faded of it, (3,)."""
+    """Variance by what has faded of this state, (rad/s)², (3,)."""
 
     def step(self, degc: FloatArray, sd: FloatArray, lag_degc: FloatArray) -> FloatArray:
-        """Return the variance that these temperatures add, with this sd of the state, (3,); NaN is none.
+        """Return the variance, (rad/s)², that temperatures add, with this sd of the state, (3,); NaN: none.
 
         In a gap the lag of the gyros behind the thermometer may have changed by `lag_degc` (sd), (3,).
         """

@@ -28,7 +28,7 @@ row             what it compares                              likelihood ratio �
 gravity         a turn about a tilted axis tilts the unit by  2 / (1 + L(tilt | turn) / L(tilt | no turn)),
                 the angle turned; nothing else does           e⁵⁰ for a level change without its tilt
 heading         a turn turns magnetometer or yaw by its       1 / (0.95 L(heading | turn) / L(heading | no
-                angle, unless that is stuck or iron is near   turn) + 0.05)
+                angle, unless one is stuck or iron is near    turn) + 0.05)
 ==============  ============================================  ================================================
 
 Time limit:
@@ -78,7 +78,7 @@ HEADING_NOISE = 0.01
 STUCK_HEADING = 0.05
 """Prior probability that a magnetometer or a yaw does not turn with the unit: stuck, or iron turns along.
 Without it a turn of 0.5 °/s was rest beside a stuck one, with a bias off by 153 sigma."""
-MOST_LOG_RATIO = 50.0
+MOST_LOG_RATIO = 50.0  # bound of |ln Λ|
 LEAST_MEASUREMENTS = 3
 """Least number of measurements by which gravity is compared."""
 BEGAN_TURNING = 0.05
@@ -90,18 +90,18 @@ class SteadyRate:
     """A steady rate, and what was measured while it lasted; rates in rad/s."""
 
     measurements: Sequence[Measurement]
-    """Of this rate alone; slots of it where it is younger than three seconds."""
+    """Of this rate alone; its slots where the rate is younger than three seconds."""
     bias: FloatArray
     variance: FloatArray
     """Nominal bias and its variance, (3,)."""
     change: FloatArray
     change_variance: FloatArray
-    """The rate less that bias, and its variance, (3,)."""
+    """The rate less the nominal bias, and the variance of this, (3,)."""
     changes: int
     """n: how often the rate has changed before since it fitted the nominal bias.  The prior odds of a changed
     bias are 1 to 1 + n."""
     steady_s: float
-    """For how long the rate has lasted."""
+    """For how long the rate has lasted, s."""
     first: FloatArray | None
     """Mean of the first rest, if that may have been a turn, (3,)."""
     force_variance: float
@@ -145,7 +145,7 @@ def nominal_bias(rate: SteadyRate) -> float:
 
 
 def first_turn(rate: SteadyRate) -> float:
-    """Return the odds that the first mean had a turn in it, and this one has none.
+    """Return the odds that the first mean had a turn in it, and the present one has none.
 
     Of the biases of a gyro nobody knows the scale s: with a density of 1/s, a mean of size m is the bias
     with a density of 1/m³.
@@ -160,11 +160,11 @@ def first_turn(rate: SteadyRate) -> float:
 def gravity(rate: SteadyRate, drift: float) -> float:
     """Return ln Λ by how the unit has tilted; `drift` of accelerometers, m/s³.
 
-    From the first measurement to the last, T seconds, it tilts by t, rad, and its gyros less the bias turn by
-    phi, both across the vertical.  Half of the turns are about the vertical, the others oblique::
+    From the first measurement to the last, T seconds, the unit tilts by t, rad; its gyros less the bias turn
+    by phi, rad, both across the vertical.  Half of the turns are about the vertical, the others oblique::
 
-        no turn, or about the vertical:  t ~ N(0, v),            v = (noise and drift of the force)² / g²
-        oblique turn:                    t ~ N(phi, v + s² T²),  s² = variance of the bias
+        no turn, or about the vertical:  t ~ N(0, v),           v = (noise and drift of the force)² / g², rad²
+        oblique turn:                    t ~ N(phi, v + s² T²), s² = variance of the bias, (rad/s)²
         L(turn) = (L(oblique) + L(no turn)) / 2
 
     Densities are taken without their norms, for with them a unit that stood was no rest in measured data.
@@ -192,8 +192,8 @@ def gravity(rate: SteadyRate, drift: float) -> float:
 def heading(measurements: Sequence[Measurement], bias: FloatArray) -> float:
     """Return ln Λ by how the heading has turned, for rates less a bias, rad/s, (3,); 0 without a heading.
 
-    Both hypotheses give the angle since the first measurement, with one variance; its sense is not compared,
-    for not all devices count the yaw alike.
+    Both hypotheses give the angle since the first measurement, with one variance; the sense of the angle is
+    not compared, for not all devices count the yaw alike.
     """
     measurements = [one for one in measurements if np.isfinite(one.heading[0]) and one.force.any()]
     if len(measurements) < 4:
@@ -213,5 +213,5 @@ def heading(measurements: Sequence[Measurement], bias: FloatArray) -> float:
 
 
 def _turned(measurements: Sequence[Measurement], bias: FloatArray) -> FloatArray:
-    """Return the angle turned since the first measurement, rad, (3,), if the bias is this, rad/s, (3,)."""
+    """Return the angle turned since the first measurement, rad, (3,), for a bias, rad/s, (3,)."""
     return sum((one.covered_s * (one.rate - bias) for one in measurements[1:]), np.zeros(3))

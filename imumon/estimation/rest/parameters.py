@@ -68,9 +68,9 @@ class GyroBiasParameters(StrictModel):
         Square root of the two-sided density of the gyro's white noise (0.28 °/√h is 8.1e-5).  Measured at
         rest when it is not given.
     bias_instability_rad_per_s, rate_random_walk_rad_per_s_per_sqrt_s : float or [x, y, z], optional
-        Flicker coefficient B (floor of the Allan deviation 0.664 B) and bias random walk K.  When one is
-        given, both hold, the other being zero.  When neither is, how much the bias wanders is learned from
-        the innovations.
+        Flicker coefficient B (floor of the Allan deviation 0.664 B) and bias random walk K, rad/s/√s.  When
+        one is given, both hold, the other being zero.  When neither is, how much the bias wanders is learned
+        from the innovations.
     assume_at_rest : bool
         Whether data without the column at_rest are taken as at rest throughout.
     velocity_random_walk_m_per_s_per_sqrt_s, zeroing_s, thermal_form
@@ -87,7 +87,7 @@ class GyroBiasParameters(StrictModel):
 
     @property
     def per_axis(self) -> list[FloatArray | None]:
-        """White noise, B and K as declared, (3,) each or None; B and K are declared together."""
+        """White noise, B and K as declared, in the units of the keys, (3,) each or None; B and K together."""
         white, b, k = (
             self.angle_random_walk_rad_per_sqrt_s,
             self.bias_instability_rad_per_s,

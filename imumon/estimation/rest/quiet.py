@@ -19,7 +19,7 @@ from imumon.estimation.rest.slots import ACCEL, AXES, Slot
 TRIAL = 16
 """Slots of a trial."""
 SECOND_SLOTS = 4
-"""Slots of a second: so many are quiet before it is rest."""
+"""Slots of a second: so many are quiet before rest is detected."""
 SHORT_RESTS = 2
 """Short rests after which rest takes a trial's length: a slow tilt is quiet for a second, again and again."""
 QUIET_TOO_SHORT, FAR_SAMPLE = "quiet for too short a time", "a single sample is far from the mean"
@@ -39,7 +39,7 @@ ROAD = np.array([2.5e-3, 0.021])
 VARIANCE_SIGMAS, VARIANCE_FACTOR = 6.0, 2.0
 """Motion: a variance of a slot's samples above so many chi-square sigmas, times a factor."""
 MEMORY_SLOTS = 1200.0
-"""Over which the noise is averaged at rest: five minutes."""
+"""Slots over which the noise is averaged at rest: five minutes."""
 LARGEST_COLOUR = 5.0
 """In a trial: largest variance of means of 4 and 8 slots over that of white noise."""
 HALVES, HALVES_OFFSET = 5.0, 20.0
@@ -47,10 +47,10 @@ HALVES, HALVES_OFFSET = 5.0, 20.0
 NOISE_CHANGE = 2.5
 """Factor of the variance from which on a trial has found another noise."""
 SLOWER = 16.0
-"""In a trial: largest variance of slot means over that which their samples explain: a hand is slow within a
-slot and fast between slots."""
+"""In a trial: largest variance of slot means over the variance that their samples explain: a hand is slow
+within a slot and fast between slots."""
 SPIKE_SIGMAS = 8.0
-"""A single sample so far from the mean at rest ends it."""
+"""A single sample so far from the mean at rest ends the rest."""
 
 
 @dataclass(slots=True, eq=False)
@@ -63,7 +63,7 @@ class QuietDetector:
     readable: BoolArray = field(default_factory=lambda: np.zeros((TRIAL, AXES), np.bool_))
     """Whether an axis had readings."""
     slots: int = 0
-    """Since the beginning or the last restart."""
+    """Number of slots since the beginning or the last restart."""
     quiet_slots: int = 0
     """Quiet slots in a row; 0 in motion, or while the noise is not known."""
     unquiet: int = 0
@@ -74,7 +74,7 @@ class QuietDetector:
     """Rests in a row that were shorter than a trial, with pauses of a second at most."""
     noise: FloatArray = field(default_factory=partial(np.zeros, AXES))
     sample_noise: FloatArray = field(default_factory=partial(np.zeros, AXES))
-    """Variance at rest of the mean of a slot, and of its samples."""
+    """Variance at rest of the mean of a slot, and of its samples, (rad/s)² and (m/s²)²."""
     noise_slots: float = 0.0
     """Number of slots that the noise is averaged over; 0 while it is not known."""
     noise_changed: bool = False
@@ -93,7 +93,7 @@ class QuietDetector:
 
     @property
     def is_rest(self) -> bool:
-        """Whether it has been quiet for long enough."""
+        """Whether the signal has been quiet for long enough."""
         return self.quiet_slots >= (TRIAL if self.short_rests >= SHORT_RESTS else SECOND_SLOTS)
 
     @property

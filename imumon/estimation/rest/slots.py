@@ -35,7 +35,7 @@ class Slot(NamedTuple):
     length_s: float
     """From the end of the slot before, or of the gap before it, to its last sample."""
     covered_s: float
-    """What its samples cover at the shortest interval so far: lost ones leave more noise."""
+    """What its samples cover at the shortest interval so far: lost samples leave more noise."""
     gap_s: float
     """Length of the gap before it; 0 without one."""
     samples: FloatArray
@@ -43,9 +43,9 @@ class Slot(NamedTuple):
     mean: FloatArray
     """Of all columns that are gathered, (19,)."""
     variance: FloatArray
-    """Of the samples of the six axes, (6,), about the mean (n - 1)."""
+    """Of the samples of the six axes, (rad/s)² and (m/s²)², (6,), about the mean (n - 1)."""
     step: FloatArray
-    """Step of the sensor, (6,), if its readings were mostly equal and some differed by one; else infinite."""
+    """Step of the sensor, (6,), rad/s and m/s², if most readings are equal and some differ by one; else ∞."""
     turn: Turn
     rest_given: bool | None
     """Whether it was at rest throughout; None where that is to be detected."""
@@ -56,18 +56,18 @@ class Measurement(NamedTuple):
 
     end_s: float
     covered_s: float
-    """Time covered by its samples: the variance of the mean rate is that of one second over it."""
+    """Time covered by its samples: the variance of the mean rate is that of one second over this time."""
     rate: FloatArray
     """Less the thermal model and the known earth rate, rad/s, (3,)."""
     force: FloatArray
     """Specific force, m/s², (3,); the last known one where it is missing, zero before the first."""
     degc: FloatArray
     """Temperature of each gyro, °C, (3,)."""
-    heading: FloatArray
+    heading: FloatArray  # a vector that turns with it (`heading_of`), (3,)
 
 
 def measurement_of(slots: Sequence[Slot], earth: FloatArray, force: FloatArray) -> Measurement:
-    """Return the means of slots, less the known earth rate, rad/s, (3,); `force` is the last known one."""
+    """Return means of slots, the rate less the earth rate, rad/s, (3,); `force` is the last known one."""
     covered, last = np.array([one.covered_s for one in slots]), slots[-1]
     total = float(covered.sum())
     mean = covered / total @ np.array([one.mean for one in slots])
@@ -129,7 +129,7 @@ class Timing:
 
 
 def _steps(ended: Slots) -> FloatArray:
-    """Return the steps of the sensors, (m, 6): rms change of readings that rarely change; else infinite."""
+    """Return the steps, rad/s and m/s², (m, 6): rms change of readings that rarely change; else infinite."""
     changes, pairs = ended.changes[:, :AXES], ended.step_count[:, :AXES]
     rare = (changes > 0) & (2 * changes <= pairs)
     step = np.where(rare, np.sqrt(ended.step_squares[:, :AXES] / np.maximum(changes, 1)), np.inf)

@@ -213,7 +213,7 @@ class ModelWatch:
         return {"model": LaneState("MODEL OK", Level.GOOD)}
 
     def notices(self) -> list[str]:
-        """Return, once each, what is suspected and which command tells more; for the log."""
+        """Return, once each, what is suspected and which command reports more; for the log."""
         texts = [text for text, returned in self._texts.items() if not returned]
         self._texts.update(dict.fromkeys(texts, True))
         return texts

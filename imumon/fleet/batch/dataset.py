@@ -63,7 +63,7 @@ RESULTS: dict[str, tuple[str, ...]] = {
         *("train_rms_before", "train_rms_after", "test_rms_before", "test_rms_after", "summary", "file"),
     ),
 }
-"""Columns of what each command says of a channel, in SI units."""
+"""Columns of what each command reports of a channel, in SI units."""
 _WHAT, _WHY = ("session", "device", "serial", "begun", "channel", "unit"), ("warnings", "reason", "error")
 _TYPES: dict[str, pa.DataType] = {
     **dict.fromkeys((*_WHAT, *_WHY, "curve", "summary", "file"), pa.string()),

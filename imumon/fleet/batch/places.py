@@ -54,7 +54,7 @@ def fetched(place: str, folder: Path | None = None) -> Iterator[Path]:
 def _here(path: Path) -> list[str]:
     if is_session(path) or path.suffix in SUFFIXES:
         return [str(path.absolute())]
-    # One whose session.yaml is lost is found by its bytes, to be told of.
+    # One whose session.yaml is lost is found by its bytes, to be reported.
     found = {each.parent for name in (METADATA_NAME, WIRE_NAME) for each in path.rglob(name)}
     return [str(each.absolute()) for each in sorted(found)]
 
@@ -65,7 +65,7 @@ def _elsewhere(place: str) -> list[str]:
     if address.endswith(SUFFIXES):
         return [place]
     try:
-        files.info(root)  # which says why where there is nothing: the search below passes over errors
+        files.info(root)  # which reports why where there is nothing: the search below passes over errors
         parts = [str(name).rpartition("/") for name in files.find(root)]
     except OSError as error:
         raise bad_data(f"{place}: cannot be read: {error}") from error

@@ -111,7 +111,7 @@ def run_jobs(
 def _rows(future: Any, job: Job) -> Sequence[Row]:
     """Return the rows of a task that has ended in whatever way.
 
-    Whether it has is for `result` to say: the rows of one that ended are lost when the worker that holds them
+    Whether it has, `result` states: the rows of one that ended are lost when the worker that holds them
     dies before they are fetched, and then are made again.
 
     Raises LOST where the scheduler has lost the task.

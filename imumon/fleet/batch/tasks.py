@@ -48,7 +48,7 @@ class Job:
     out: str
     """Folder of the batch, which every worker sees under the same path."""
     version: str = __version__
-    """Of the imumon that asks."""
+    """Of the imumon that submits the job."""
     limit_s: float | None = None
     """How long a worker may take."""
 
@@ -63,9 +63,9 @@ class Job:
 
 
 def work(job: Job) -> list[Row]:
-    """Do a job; return the rows of its session, or one that says why there are none.
+    """Do a job; return the rows of its session, or one that holds why there are none.
 
-    Any other error is a defect, and goes to whoever asked.
+    Any other error is a defect, and goes to the caller.
     """
     what: dict[str, Any] = {"session": job.place}
     try:
@@ -113,7 +113,7 @@ _ALONE = threading.Lock()
 
 @contextmanager
 def limited(note: Path, limit_s: float) -> Iterator[None]:
-    """End this process where what follows takes longer, and say so in the note.
+    """End this process where what follows takes longer, and report it in the note.
 
     Raises TIMEOUT when there is such a note already; whoever finds it takes it away.
     """
@@ -207,7 +207,7 @@ def _replay(path: Path, job: Job) -> Iterator[Row]:
 def _samples(
     source: Source, job: Job, pipeline: Pipeline, blocks: Iterable[SampleBlock], channels: _Channels
 ) -> Iterator[Row]:
-    """Go through the blocks of a recording, into a table where one is asked for; yield its channels."""
+    """Go through the blocks of a recording, into a table where one is requested; yield its channels."""
     file: Path | None = None
     if job.options.tables:
         file = job.file("tables", ".parquet")

@@ -28,7 +28,7 @@ from imumon.version import __version__
 
 TEMPLATE = "record.html.j2"
 POINTS = 400
-"""Of a curve over time: more than a figure has pixels for is not seen."""
+"""Of a curve over time: more than a figure has pixels for is not visible."""
 BIASES = tuple((f"gyro_bias_{axis}", f"gyro_bias_sd_{axis}") for axis in "xyz")
 PER_HOUR, HOURLY = shown("rad/s")
 
@@ -66,7 +66,7 @@ def write_unit(unit: Unit, unusual: Sequence[Outlier], path: Path) -> None:
 
 
 def write_session(session: Session, path: Path) -> list[str]:
-    """Replay a session and write its record; return what the recording lacks, and what the stages say.
+    """Replay a session and write its record; return what the recording lacks, and what the stages report.
 
     Raises `ImumonError` and OSError when that fails.
     """
@@ -126,7 +126,7 @@ def _drift(drifted: Sequence[Drift]) -> Section:
     heads = ["channel", "at °C", "models", f"latest bias, {HOURLY}", "σ", f"per month, {HOURLY}", "σ"]
     words = (
         "The bias of each model at the middle of the temperatures that all of them know. σ is of the curve"
-        " and of the turn-on offset; that of the drift is larger where the models scatter more than they say."
+        " and of the turn-on offset; that of the drift is larger where the models scatter more than their σ."
     )
 
     def draw(axes: Axes) -> None:
@@ -143,7 +143,7 @@ def _drift(drifted: Sequence[Drift]) -> Section:
 
 
 def _model(model: BiasModel) -> Section:
-    """Return what is to be said of a model: its channels, its data, its curves."""
+    """Return the section of a model: its channels, its data, its curves."""
     rows: list[Sequence[str | float]] = []
     for name, channel in model.channels.items():
         factor, unit = shown(channel.unit)

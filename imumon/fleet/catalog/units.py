@@ -81,7 +81,7 @@ def _known(choose: Callable[..., float], values: Iterable[float]) -> float:
 
 
 def read_sessions(
-    folder: Path, results: Path, tell: Callable[[str], None] = lambda _: None
+    folder: Path, results: Path, progress: Callable[[str], None] = lambda _: None
 ) -> tuple[list[Entry], dict[str, str]]:
     """Return the sessions below a folder, the oldest first, and why what is none by its metadata is left out.
 
@@ -99,7 +99,7 @@ def read_sessions(
     with closing(Dataset(results.absolute(), options)) as known:
         done = known.done()
         for place in (one for one in sessions if one not in done):
-            tell(f"replaying {Path(place).name}")
+            progress(f"replaying {Path(place).name}")
             known.add(work(Job(place, options, str(known.folder))))
         known.write()
         rows = known.rows([*sessions])

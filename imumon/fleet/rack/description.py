@@ -40,7 +40,7 @@ class Shared(StrictModel):
 
 
 class Place(Shared):
-    """One unit; what it does not say, the default says."""
+    """One unit; what it does not state, the default states."""
 
     port: Text
     serial: Annotated[str, StringConstraints(min_length=1, max_length=200)] | None = None
@@ -55,7 +55,7 @@ class RackFile(StrictModel):
 
 
 class Plan(NamedTuple):
-    """One unit as its process is told: nothing in it refers to a file."""
+    """One unit as its process receives it: nothing in it refers to a file."""
 
     name: str
     device_yaml: str
@@ -65,7 +65,7 @@ class Plan(NamedTuple):
     serial: str | None
     """Serial number of the unit."""
     pipeline_yaml: str | None
-    """What the estimators are told, the bias model in it; None for the defaults."""
+    """What the estimators are given, the bias model in it; None for the defaults."""
 
 
 def load_rack(path: Path) -> dict[str, Plan]:
@@ -86,7 +86,7 @@ def _plan(name: str, place: Place, default: Shared, path: Path) -> Plan:
     own_keys = set(place.model_dump(exclude_none=True))
     unit = place.model_copy(update=default.model_dump(exclude=own_keys))
     if unit.device is None:
-        text = "neither the unit nor the default says which device it is"
+        text = "neither the unit nor the default names its device"
         raise bad_config(f"{path}: units.{name}.device: {text}")
     try:
         own = path.parent / unit.device  # a device file beside the rack's, else a name that imumon knows
@@ -117,7 +117,7 @@ class Watched:
         return True
 
     def _stamp(self) -> tuple[int, int, int] | None:
-        """Return what tells one state of the file from another; None while there is none."""
+        """Return what distinguishes one state of the file from another; None while there is none."""
         try:
             now = self.path.stat()
         except OSError:

@@ -1,4 +1,4 @@
-"""What the process of a unit tells the rack: how the unit is, and items for the view that all units share."""
+"""What the process of a unit reports to the rack: how the unit is, and items for the view of all units."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The rack: keeps a process for each unit, hears how each is, and begins it anew when it dies or hangs."""
+"""The rack: keeps a process for each unit, receives its state, and begins it anew when it dies or hangs."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ STEADY_S = 30.0
 """One that lived this long is begun anew after the first."""
 OVERVIEW_S = 1.0
 FIRST_WORD_S, HANGS_S, KILLED_S = 120.0, 5.0, 35.0
-"""A process that says nothing for so long hangs, and is killed.  Its first word may come later: after an
+"""A process that is silent for so long hangs, and is killed.  Its first report may come later: after an
 installation it compiles what its device needs, as all others do."""
 END_S = 30.0
-"""A unit that is asked to end has written everything after this time, or its disk does not answer."""
+"""A unit that is requested to end has written everything after this time, or its disk does not answer."""
 STOPPING_S = 0.05
 """How often it is checked whether it has."""
 
@@ -96,9 +96,9 @@ class Unit:
     silent: bool = False
     """Whether its process does not report how it is."""
     end_by_s: float | None = None
-    """When it is killed if it has not ended; None while it was not asked to end."""
+    """When it is killed if it has not ended; None while it was not requested to end."""
     deaths: list[int] = field(default_factory=list)
-    """Exit codes of the processes that ended without being asked."""
+    """Exit codes of the processes that ended without a request."""
     interrupted: list[str] = field(default_factory=list)
     """Their sessions."""
     pause_s: float = FIRST_PAUSE_S
@@ -131,7 +131,7 @@ class Unit:
         return row_of(self.plan.name, self.state, self.vitals, cpu, len(self.deaths))
 
     def as_dict(self) -> dict[str, Any]:
-        """Return what ``--json`` says of it."""
+        """Return what ``--json`` holds of it."""
         return {
             "state": self.state,
             "sessions": self.summaries,
@@ -147,19 +147,19 @@ class Rack:
     """Many units, each in a process; nothing that one does delays another.
 
     Used by one thread; `look` is to be called several times a second.  Sessions and the rack's own log go to
-    `folder`, log lines also to `say`, view items to `publish`; strips of the view show `window_s` seconds.
+    `folder`, log lines also to `log`, view items to `publish`; strips of the view show `window_s` seconds.
     """
 
     def __init__(
         self,
         folder: Path,
-        say: Callable[[str, str], None],
+        log: Callable[[str, str], None],
         publish: Callable[[ViewItem], None] | None = None,
         window_s: float = 30.0,
     ) -> None:
         self._folder, self._window_s, self._publish = folder, window_s, publish
         folder.mkdir(parents=True, exist_ok=True)
-        self._log = SessionLog(folder / LOG_NAME, say)
+        self._log = SessionLog(folder / LOG_NAME, log)
         self._present: dict[str, Unit] = {}
         self._leaving: list[Unit] = []
         self._overview_s = 0.0
@@ -178,13 +178,13 @@ class Rack:
         """Begin the units that are new, end those that are gone, and both where the plan is another one."""
         for name, unit in list(self._present.items()):
             if plans.get(name) != unit.plan:
-                self._say(unit, "INFO", "begins anew: other settings" if name in plans else "leaves the rack")
+                self._put(unit, "INFO", "begins anew: other settings" if name in plans else "leaves the rack")
                 self._end(unit)
                 self._leaving.append(self._present.pop(name))
         known = self._present
         self._present = {name: known.get(name) or Unit(plan) for name, plan in plans.items()}
         for name in plans.keys() - known.keys():
-            self._say(self._present[name], "INFO", f"joins the rack, on {plans[name].settings}")
+            self._put(self._present[name], "INFO", f"joins the rack, on {plans[name].settings}")
 
     def look(self) -> None:
         """Take what all units report, and do what is due; waits for none."""
@@ -214,7 +214,7 @@ class Rack:
         self.look()
 
     def as_dict(self) -> dict[str, dict[str, Any]]:
-        """Return what ``--json`` says of all units that were there; one that came back is there once."""
+        """Return what ``--json`` holds of all units that were there; one that came back is there once."""
         found: dict[str, dict[str, Any]] = {}
         for unit in [*self._leaving, *self._present.values()]:
             now, before = unit.as_dict(), found.get(unit.plan.name)
@@ -228,7 +228,7 @@ class Rack:
             unit.process = Process(unit.plan, self._folder, self._window_s, self._publish is not None)
         except (OSError, EOFError) as error:  # no memory, or no processes, for one more
             unit.begin_s = time.monotonic() + LONGEST_PAUSE_S
-            self._say(unit, "ERROR", f"its process cannot be begun ({error}); again in {LONGEST_PAUSE_S:g} s")
+            self._put(unit, "ERROR", f"its process cannot be begun ({error}); again in {LONGEST_PAUSE_S:g} s")
             return
         unit.silent, unit.vitals = False, Vitals()
 
@@ -267,20 +267,20 @@ class Rack:
         elif unit.end_by_s is not None:
             if now_s > unit.end_by_s:
                 unit.end_by_s = math.inf
-                self._say(unit, "ERROR", "did not end, and was killed: what had arrived is on disk")
+                self._put(unit, "ERROR", "did not end, and was killed: what had arrived is on disk")
                 process.kill()
         elif silent_s > KILLED_S:
-            self._say(unit, "ERROR", f"its process was ended after {silent_s:.0f} s without a word")
+            self._put(unit, "ERROR", f"its process was ended after {silent_s:.0f} s without a report")
             process.kill()
             process.received_s = now_s
         elif silent_s > HANGS_S and not unit.silent:
             unit.silent = True
             text = f"its process (pid {process.pid}) hangs: no word for {silent_s:.1f} s"
-            self._say(unit, "ERROR", text)
+            self._put(unit, "ERROR", text)
             self._show(unit, State(_now(), "unit", "HANGS", Level.BAD))
 
     def _note_end(self, unit: Unit, code: int) -> None:
-        """Note that the process of a unit ended, maybe without being asked."""
+        """Note that the process of a unit ended, maybe without a request."""
         died = unit.end_by_s is None
         if (died or code) and unit.vitals.session:
             unit.interrupted.append(unit.vitals.session)
@@ -291,10 +291,10 @@ class Rack:
             unit.begin_s = time.monotonic() + unit.pause_s
             how = f"signal {-code}" if code < 0 else f"exit code {code}"
             kept = f"; {unit.vitals.session} has what had arrived" if unit.vitals.session else ""
-            self._say(unit, "ERROR", f"its process died ({how}){kept}; a new one in {unit.pause_s:g} s")
+            self._put(unit, "ERROR", f"its process died ({how}){kept}; a new one in {unit.pause_s:g} s")
             self._show(unit, State(_now(), "unit", f"DEAD: {how}", Level.BAD))
 
-    def _say(self, unit: Unit, level: str, text: str) -> None:
+    def _put(self, unit: Unit, level: str, text: str) -> None:
         self._log.put(level, f"{unit.plan.name}: {text}")
         self._show(unit, Log(_now(), text, level))
 

@@ -109,7 +109,7 @@ def _run(plan: Plan, sessions: Path, window_s: float, pictures: bool, rack: Conn
 
 
 def _opened(new_run: Callable[[], LiveRun], lines: Lines, rack: Connection) -> LiveRun | None:
-    """Return a run whose port is open; wait until it can be opened, or return None when asked to end."""
+    """Return a run whose port is open; wait until it can be opened, or return None when requested to end."""
     reported = ""
     while True:
         try:
@@ -126,7 +126,7 @@ def _opened(new_run: Callable[[], LiveRun], lines: Lines, rack: Connection) -> L
 
 
 def _ends_on_request(rack: Connection, wait_s: float) -> bool:
-    """Wait; return whether the rack has asked for the end, or is gone."""
+    """Wait; return whether the rack has requested the end, or is gone."""
     with suppress(EOFError, OSError):
         if not rack.poll(wait_s):
             return False

@@ -49,9 +49,9 @@ UTC_VALUES = tuple(map(Number, (*date("utc_"), UTC_VALID), UTC_KINDS))
 class Identifier:
     """A data identifier without its format bits.
 
-    Numbers without a type are real ones in the precision that the identifier says; without numbers, the field
-    is recognised and counted whatever its size.  `raw`: the last bit says if counts are signed.  `least`:
-    bytes of the shortest field, whose last numbers are absent.
+    Numbers without a type are real ones in the precision that the identifier states; without numbers, the
+    field is recognised and counted whatever its size.  `raw`: the last bit states if counts are signed.
+    `least`: bytes of the shortest field, whose last numbers are absent.
     """
 
     code: int
@@ -63,7 +63,7 @@ class Identifier:
 
     @property
     def is_real(self) -> bool:
-        """Whether the format says a precision."""
+        """Whether the format states a precision."""
         return bool(self.numbers) and not self.numbers[0].type and not self.raw
 
     def message(self, form: int = 0) -> Message | None:
@@ -92,7 +92,7 @@ _GROUPS = {
     **dict.fromkeys((0xEE, 0x48), "trigger"),
 }
 _HIGH_RATE = {0x4040: "imu_hr", 0x8040: "imu_hr", 0x4030: "attitude", 0xA050: "mag"}
-"""What the vendor's grouping does not tell: the high-rate outputs have a rate of their own."""
+"""What the vendor's grouping does not state: the high-rate outputs have a rate of their own."""
 
 
 def _real(

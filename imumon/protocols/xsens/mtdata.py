@@ -1,4 +1,4 @@
-"""Messages of Xsens MTi: MTData2, which says what it carries, MTData, which a profile describes, and others.
+"""Messages of Xsens MTi: MTData2, which lists what it carries, MTData, which a profile describes, and others.
 
 Facts from the MT Low Level Communication documentation of the MTi, MTi-G and MTx: of the first devices the
 messages SetOutputMode (16 bits) and SetOutputSettings (32 bits), and the fixed order of the parts of MTData.
@@ -59,7 +59,7 @@ ERRORS = {
 
 
 def describe(kind: int, payload: bytes) -> Iterable[str]:
-    """Say in words what a message tells the user; nothing for those that are only answers."""
+    """Return in words what a message reports to the user; nothing for those that are only answers."""
     if kind == ERROR:
         code = payload[0] if payload else 0
         more = f" (more: {payload[1:].hex(' ')})" if len(payload) > 1 else ""
@@ -116,7 +116,7 @@ class MTData2Decoder(TaggedDecoder):
         found = message_of(key, size)
         if found is not None and key & 0xFFF0 in _FRAMED:
             frame = next(name for name, bits in FRAMES.items() if bits == key & 0xC)
-            self._say(f"orientation and velocity are given in the frame {frame}")
+            self._report(f"orientation and velocity are given in the frame {frame}")
         return found
 
     def _describe(self, kind: int, payload: bytes) -> Iterable[str]:
@@ -279,7 +279,7 @@ class MTDataDecoder(TaggedDecoder):
     def _is_filled(self, packet: bytes) -> bool:
         size = len(self._form.payload(packet))
         if size != self._data.size:
-            self._say(
+            self._report(
                 f"MTData of {size} bytes came where the profile makes {self._data.size}: "
                 "change output_mode or output_settings in a copy of the device file"
             )

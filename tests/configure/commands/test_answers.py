@@ -22,7 +22,7 @@ def exchange(name: str) -> tuple[list[Request], bytes]:
     requests = [family.hello, *family.quiet, *map(family.read, family.settings)]
     samples = SimulatedUnit(load_scenario("bench").played(100.0, device.axes)).samples(len(requests))
     packets = device.encoder().encode(samples)
-    parts = [packet + firmware.hear(q.frame) for q, packet in zip(requests, packets, strict=True)]
+    parts = [packet + firmware.receive(q.frame) for q, packet in zip(requests, packets, strict=True)]
     return requests, b"".join(parts) + packets[0]
 
 
@@ -103,5 +103,5 @@ def test_well_formed_nonsense_never_raises(name: str, kind: int, payload: bytes,
 def test_firmware_bears_any_bytes(name: str, noise: bytes) -> None:
     firmware = firmware_of(load_device(name).protocol)(load_device(name), 100.0)
     assert firmware is not None
-    firmware.hear(noise)
-    firmware.hear(STREAMS[name][0][0].frame)
+    firmware.receive(noise)
+    firmware.receive(STREAMS[name][0][0].frame)

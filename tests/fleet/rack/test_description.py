@@ -58,7 +58,7 @@ def test_a_device_file_is_looked_for_beside_the_rack(tmp_path: Path) -> None:
         ("baud: 921600", "baud: 0", r":4: default\.baud: .*greater than or equal to 1, got 0"),
         ("baud: 460800", "baud: fast", r":7: units\.right\.baud: .*integer, got 'fast'"),
         ("/dev/ttyUSB1", "/dev/ttyUSB0", r": units\.right\.port: /dev/ttyUSB0 is the port of left already"),
-        ("  device: ax1\n", "", r": units\.left\.device: neither the unit nor the default says"),
+        ("  device: ax1\n", "", r": units\.left\.device: neither the unit nor the default names"),
         ("left:", "../left:", r":6: units\.\.\./left"),
         ("serial:", "colour:", r":6: units\.left\.colour: unknown key"),
         ("imumon-rack/1", "imumon-rack/2", r":1: format: .*imumon-rack/1"),
