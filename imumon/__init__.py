@@ -29,7 +29,7 @@ Units
 
 Frames
     Body axes as in the manual of the device, FLU (x forward, y left, z up) or FRD (x forward, y right,
-    z down); the device file says which.  Navigation frame east-north-up (ENU).  Accelerometers measure
+    z down); the device file names it.  Navigation frame east-north-up (ENU).  Accelerometers measure
     specific force: at rest and level, +9.81 m/s² along the axis that points up.
 
 Attitude

@@ -58,4 +58,4 @@ KNOWN: dict[str, Column] = {
 TEMPERATURES = ("temperature", "temperature_x", "temperature_y", "temperature_z")
 """Readings of the thermometers: of the unit, or of each axis."""
 TIME_COLUMNS = ("device_time_ns", "arrival_time_ns", "host_time_ns", "segment", "packet_counter")
-"""Columns that every decoded table begins with (where the source can tell them)."""
+"""Columns that every decoded table begins with (where the source has them)."""

@@ -81,7 +81,7 @@ def records(fields: type[Fields], count: int, **shapes: int | tuple[int, ...]) -
 
 
 def _stored(made: Any) -> tuple[Callable[..., Any], tuple[Any, int]]:
-    """Tell pickle that a record is part of an array."""
+    """Have pickle store a record as part of an array."""
     array = made.base
     address = made.__array_interface__["data"][0] - array.__array_interface__["data"][0]
     return getitem, (array, address // array.itemsize)

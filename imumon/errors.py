@@ -5,7 +5,7 @@ from __future__ import annotations
 from enum import Enum
 
 EXIT_OK = 0
-"""The command did what was asked."""
+"""The command did what was requested."""
 EXIT_NEGATIVE = 1
 """The command ran, and the answer is no (a verification that differs, a device that was not detected)."""
 EXIT_USAGE = 2
@@ -39,7 +39,7 @@ class Reason(Enum):
     BAD_DATA = "bad data"
     """A capture, table or recording does not hold what it should."""
     REFUSED = "refused by the device"
-    """The device answered, and said no, or did something else than it was told."""
+    """The device answered, and refused, or did something else than was commanded."""
     TIMEOUT = "timeout"
     """It took longer than it was given."""
     EXISTS = "exists already"
@@ -65,7 +65,7 @@ class ImumonError(Exception):
     reason : Reason
         Machine-readable cause; it decides the exit code.
     seen : str
-        What was seen, one sentence, with the numbers.
+        What was found, one sentence, with the numbers.
     hint : str
         What to do, one or a few lines; empty when there is nothing to advise.
     """

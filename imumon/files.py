@@ -92,7 +92,7 @@ def target(path: Path) -> Path:
 def replacing(path: Path) -> Iterator[Path]:
     """Give a new file to write to, which takes the place of `path` at the end, and is removed with an error.
 
-    Whoever reads sees the old file or the new one, never a part.
+    Whoever reads gets the old file or the new one, never a part.
 
     Raises OSError when it cannot be written, naming `path`; a file that was there before is untouched.
     """

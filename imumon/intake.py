@@ -27,7 +27,7 @@ RANGES: dict[str, tuple[float, float, str]] = {
     "pressure": (0.0, 1e10, "Pa"),
     "q_": (-2.0, 2.0, ""),
 }
-"""By the beginning of a column's name, what a sensor may say: three times the widest range that is sold.
+"""By the beginning of a column's name, what a sensor may read: three times the widest range that is sold.
 
 50,000 °/s, 100,000 g; 32-bit counts of a magnetometer without unit; 1 GPa; a quaternion that was not
 normalised.  Of a thermometer, where no semiconductor sensor works.
@@ -37,7 +37,7 @@ LONGEST_GAP_S = 1e6
 STUBBORN = 100
 """Rows in a row that go on from another time: then the clock was set, and a segment of its own begins."""
 IMPOSSIBLE_AT_REST = {"gyro": (0.0, 2.0), "accel": (1.0, 30.0)}
-"""What the largest axis says at rest, at least and at most, rad/s and m/s^2: 115 °/s of bias, 3 g.
+"""What the largest axis reads at rest, at least and at most, rad/s and m/s^2: 115 °/s of bias, 3 g.
 
 A sensor whose noise is below its step stands still at rest, rightly; beyond this it is saturated or dead.
 """
@@ -79,19 +79,19 @@ class Intake:
 
     The result does not depend on the division into blocks.
 
-    `ranges`: what is declared: from there on a reading is the end of the range, and nobody knows what it was.
+    `ranges`: what is declared: from there on a reading is the end of the range, and what it was is unknown.
     """
 
     def __init__(self, ranges: Ranges | None = None) -> None:
         self._limits = {} if ranges is None else ranges.limits()
-        """By the beginning of a column's name: what is inside, and what is said of the rest."""
+        """By the beginning of a column's name: what is inside, and what is reported of the rest."""
         for start, (low, high, unit) in RANGES.items():
             self._limits[start] = low, high, f"beyond {low:g} to {high:g} {unit}".rstrip()
         self._clock = _Clock()
         self._still = {sensor: _Still(*limits) for sensor, limits in IMPOSSIBLE_AT_REST.items()}
         self._unchanged = {sensor: _Unchanged(sensor) for sensor in IMPOSSIBLE_AT_REST}
         self._begun: set[str] = set()
-        """Gyros and thermometers that have said something: not only zero, nor gyros their first reading."""
+        """Gyros and thermometers that have begun to read: not only zero, nor gyros their first reading."""
         self._first: FloatArray | None = None
         """First reading of the gyros."""
         self._force = SpecificForce()
@@ -122,7 +122,7 @@ class Intake:
         # What cannot be is no reading: it neither begins a sensor nor ends its standing still.
         for sensor, names in _sensors(columns):
             readings = np.stack([columns[name] for name in names])
-            if sensor == "accel":  # one that is off says zero; of a unit that falls, noise is left
+            if sensor == "accel":  # one that is off reads zero; of a unit that falls, noise is left
                 zero = (readings == 0.0).all(axis=0)
                 self._leave_out(names, zero, "accel that is zero in all axes", columns)
             if sensor in self._still:
@@ -164,9 +164,9 @@ class Intake:
     def _begin(self, sensor: str, readings: FloatArray) -> tuple[BoolArray, str]:
         """Return which readings come before a sensor has begun, and why they are none.
 
-        These are the zeros of a sensor that has said nothing yet, and a gyro's repeated first reading: nobody
-        can tell gyros that are stuck since the start from those whose noise is below their step, and the bias
-        of neither is known.  A thermometer may rightly stay on one level for hours.
+        These are the zeros of a sensor that is silent yet, and a gyro's repeated first reading: gyros that
+        are stuck since the start look like those whose noise is below their step, and the bias of neither is
+        known.  A thermometer may rightly stay on one level for hours.
         """
         there = np.asarray(~np.isnan(readings).any(axis=0))
         valid = np.any((readings != 0.0) & ~np.isnan(readings), axis=0)
@@ -224,9 +224,8 @@ class _Still:
 class _Unchanged:
     """Finds axes of a sensor that stay the same, or missing, in a window while another axis changes.
 
-    Whether such an axis is dead, nobody can tell of one whose noise is below its step.  Where all axes stay
-    as they are, as those of a coarse sensor at rest do, or go to and fro between two levels, nothing is
-    reported.
+    A dead axis cannot be distinguished from one whose noise is below its step.  Where all axes stay as
+    they are, as those of a coarse sensor at rest do, or switch between two levels, nothing is reported.
     """
 
     def __init__(self, sensor: str) -> None:
@@ -268,15 +267,15 @@ class _Unchanged:
         lively = f"{self._sensor}_{'xyz'[self._changes.argmax()]}"
         for axis in np.flatnonzero(self._changes == 0):
             name, unit = f"{self._sensor}_{'xyz'[axis]}", RANGES[f"{self._sensor}_"][2]
-            what, why = f"{name} says nothing", "it is dead"
+            what, why = f"{name} reads nothing", "it is dead"
             if not np.isnan(values[axis]):
-                what = f"{name} says {values[axis]:g} {unit} without any change"
+                what = f"{name} reads {values[axis]:g} {unit} without any change"
                 why = "it is stuck, or its noise is below its steps"
             self.found.setdefault(name, f"{what} {since}, while {lively} changes: {why}")
 
 
 class _Clock:
-    """Judges the time of each row by that of the last row that was taken."""
+    """Tests the time of each row by that of the last row that was taken."""
 
     def __init__(self) -> None:
         self._last: tuple[int, int] | None = None
@@ -337,7 +336,7 @@ def windows(time_ns: IntArray, segment: IntArray, length_ns: int) -> Iterator[tu
 
 
 class SpecificForce:
-    """Judges the magnitude of the specific force minute by minute, whatever the division into blocks."""
+    """Tests the magnitude of the specific force minute by minute, whatever the division into blocks."""
 
     def __init__(self) -> None:
         self._minute = (NO_INT, NO_INT)

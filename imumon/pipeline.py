@@ -33,7 +33,7 @@ from imumon.stage import GuardedStage
 from imumon.transport.statistics import Counters, StreamCounters
 
 UNDATED = NO_INT
-"""Arrival time of bytes whose arrival nobody noted, as in a raw capture."""
+"""Arrival time of bytes whose arrival was not recorded, as in a raw capture."""
 
 
 class SampleSink:
@@ -84,9 +84,9 @@ class Pipeline:
     device : DeviceFile or None
         What sends the bytes; None when samples come from a table, through `push`.
     estimators : sequence of Estimator
-        Stages behind the clock, each of which sees the columns of those before it.
+        Stages behind the clock, each of which receives the columns of those before it.
     ranges : Ranges, optional
-        Of gyros and accelerometers, where they are other than the device file says.
+        Of gyros and accelerometers, where they are other than the device file states.
     """
 
     def __init__(
@@ -251,7 +251,7 @@ class Pipeline:
         return self._decoder.notices() if self._decoder is not None else []
 
     def warnings(self) -> list[str]:
-        """Return, once each, what decoder and estimators have to say of the data or of their parameters."""
+        """Return, once each, the remarks of decoder and estimators on the data or on their parameters."""
         decoded = self._decoder.warnings() if self._decoder is not None else []
         if self._dated_by_rate:
             decoded = [*decoded, *self._nominal.notices(self._ended)]
@@ -264,7 +264,7 @@ class Pipeline:
         return [chart for stage in self._stages for chart in stage.charts(self.live)]
 
     def lanes(self) -> dict[str, LaneState]:
-        """Return the states that the estimators judge, by lane."""
+        """Return the states that the estimators report, by lane."""
         return {lane: state for stage in self._stages for lane, state in stage.lanes(self.live).items()}
 
     def _decoded(self, end: bool = False) -> SampleBlock:

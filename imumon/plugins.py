@@ -37,7 +37,7 @@ class Plugin:
     offered: Any = None
 
     def error(self, what: str) -> ImumonError:
-        """Return the error that says what is wrong with it."""
+        """Return the error that states what is wrong with it."""
         hint = f"mend it, run with imumon --without-plugins, or remove it: pip uninstall {self.package}"
         seen = f"the plug-in {self.name} of {self.package} ({self.group}) {what}"
         return bad_config(seen, hint)

@@ -80,7 +80,7 @@ class GuardedStage:
         return self._missing(block)
 
     def notices(self, live: bool) -> list[str]:
-        """Return, once each, what it has to say, and why it was switched off."""
+        """Return, once each, its notices, and why it was switched off."""
         given = self._call("notices", lambda: _each_is(str, self.stage.notices(), "text"), list[str](), live)
         report, self._report = self._report, []
         return [*given, *report]

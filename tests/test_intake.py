@@ -276,7 +276,7 @@ def test_an_axis_that_stays_as_it_is_beside_those_that_do_not_is_told(
         (text,) = intake.notices()
         window_s = 30.0 if since else 0.0  # the first window in which it never changed
         lasts = f"for 30 s and more, since {window_s:.3f} s of device time, while gyro_"
-        assert text.startswith(f"gyro_y says {said} {lasts}")
+        assert text.startswith(f"gyro_y reads {said} {lasts}")
         assert not intake.notices()
         assert intake.left_out == 0
 
@@ -309,7 +309,7 @@ def test_an_axis_that_dies_is_told_beside_a_coarse_one_and_after_rest() -> None:
         _, intake = seen(columns, sizes)
         texts = [text for text in intake.notices() if "without any change" in text]
         assert len(texts) == 1
-        assert texts[0].startswith("gyro_z says 0 rad/s")
+        assert texts[0].startswith("gyro_z reads 0 rad/s")
 
 
 def test_an_axis_that_goes_on_in_a_new_segment_begins_anew() -> None:

@@ -129,7 +129,7 @@ def test_a_table_without_units_is_said_to_be_one(tmp_path: Path, caplog: pytest.
     (tmp_path / "t.csv").write_text("gyro_x,flow\n1.0,2.0\n")
     assert imumon.read(tmp_path / "t.csv").units == {"gyro_x": "rad/s", "flow": ""}
     assert "without t.units.yaml known names have the units of imumon" in caplog.text
-    assert "nothing says the unit of flow" in caplog.text
+    assert "the unit of flow is not stated" in caplog.text
 
 
 class Doubled:

@@ -19,7 +19,7 @@ import click
 from click.exceptions import Exit
 from click.shell_completion import shell_complete
 
-from imumon.cli.common import INTERRUPTED, note, say
+from imumon.cli.common import INTERRUPTED, log, note
 from imumon.errors import EXIT_INTERRUPTED, EXIT_OK, EXIT_USAGE, ImumonError
 from imumon.wing import GROUPS, Command, built_in, wings
 
@@ -74,7 +74,7 @@ START = ("demo", "doctor", "detect PORT", "monitor PORT --device NAME", "replay 
 def commands(of_plugins: bool = False) -> dict[str, Command]:
     """Return the commands by their names, in the order of the help; of each group first those of the core.
 
-    Raises BAD_CONFIG when a wing of another package does not load; those are looked for only where asked.
+    Raises BAD_CONFIG when a wing of another package does not load; those are looked for only where requested.
     """
     found = {
         name: Command(group, text, f"imumon.cli.{place}")
@@ -267,7 +267,7 @@ class _Compiling(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         if threading.current_thread() is threading.main_thread():
-            say(record.levelname, record.getMessage())
+            log(record.levelname, record.getMessage())
 
 
 def _report_compiling() -> None:

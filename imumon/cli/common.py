@@ -184,7 +184,7 @@ def print_table(columns: Sequence[Any], rows: Iterable[Sequence[str]]) -> None:
     console().print(table)
 
 
-def say(level: str, text: str) -> None:
+def log(level: str, text: str) -> None:
     """Write a log line on standard error."""
     color = {"WARN": "yellow", "ERROR": "red"}.get(level)
     note(f"{level:5} {for_log(text)}", color=color)
@@ -193,12 +193,12 @@ def say(level: str, text: str) -> None:
 def warn(texts: Iterable[str]) -> None:
     """Write warnings as log lines on standard error."""
     for text in texts:
-        say("WARN", text)
+        log("WARN", text)
 
 
 @contextmanager
 def with_warnings(warnings: Callable[[], Iterable[str]]) -> Iterator[None]:
-    """Write warnings also where an `ImumonError` comes instead of a result: they may say why."""
+    """Write warnings also where an `ImumonError` comes instead of a result: they may give the reason."""
     try:
         yield
     except ImumonError:
@@ -219,7 +219,7 @@ View = Literal["native", "web", "terminal", "none"]
 
 
 def chosen_view(view: View | None, bind: str) -> View:
-    """Return where the view is to be seen, and say what stands against it.
+    """Return where the view is to be shown, and report what stands against it.
 
     Raises BAD_CONFIG where a view is to be drawn in a terminal and there is none, or served on an address
     that is none of this computer.

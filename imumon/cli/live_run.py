@@ -15,7 +15,7 @@ from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from imumon.cli.common import CLEAR_LINE, INTERRUPTED, is_terminal, note, say
+from imumon.cli.common import CLEAR_LINE, INTERRUPTED, is_terminal, log, note
 from imumon.errors import ImumonError, Reason
 from imumon.heap import prepare_heap
 from imumon.recordings import lines
@@ -142,7 +142,7 @@ def ending_signals() -> list[signal.Signals]:
 class Lines(lines.Lines):
     """Log lines on their way from the threads of the run to standard error.
 
-    Only the main thread writes there: a terminal that is stopped (Ctrl-S) or a pipe that nobody reads would
+    Only the main thread writes there: a terminal that is stopped (Ctrl-S) or a pipe without a reader would
     block whoever does, and that must not be the recorder or the pipeline.
     """
 
@@ -150,7 +150,7 @@ class Lines(lines.Lines):
         """Write the lines that wait; `before` clears what stands in the terminal's line."""
         for level, text in self.take():
             note("", newline=False, control=before)
-            say(level, text)
+            log(level, text)
 
 
 SCREEN_S = 1.0

@@ -159,13 +159,13 @@ class _Views:
         """What the status line has of them."""
         return (f"  view: {self._live.state}" if self._live else "") + "".join(o.text for o in self.outputs)
 
-    def announce(self, tell: Callable[[str, str], None]) -> None:
+    def announce(self, report: Callable[[str, str], None]) -> None:
         """Log where the view is, as soon as it is known and when it changes."""
         if self._live is not None and self._live.url and self._live.url != self._announced:
             self._announced = self._live.url
-            tell("INFO", f"live view: {self._live.url}")
+            report("INFO", f"live view: {self._live.url}")
         for output in self.outputs:
-            output.announce(tell)
+            output.announce(report)
 
     def close(self) -> None:
         self._recorder.end()

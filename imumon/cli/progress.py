@@ -9,19 +9,19 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from imumon.cli.common import console, say
+from imumon.cli.common import console, log
 from imumon.harmless import for_log
 
 FIRST_LINE_S, LINE_S = 30.0, 60.0
 """Until the first line without a terminal, and between two."""
-WORTH_SAYING_S = 5.0
+WORTH_LOGGING_S = 5.0
 """Work that takes longer is announced with an estimate of its time."""
 
 
 def announce(what: str, samples: int, span_s: float, expected_s: float, *, quiet: bool) -> None:
-    """Write how long work on so many samples takes, in a line, where that is more than `WORTH_SAYING_S`."""
-    if expected_s > WORTH_SAYING_S and not quiet:
-        say("INFO", f"{what} {samples:,} samples of {span_s:,.0f} s: about {rounded_time(expected_s)}")
+    """Write how long work on so many samples takes, in a line, where that is more than `WORTH_LOGGING_S`."""
+    if expected_s > WORTH_LOGGING_S and not quiet:
+        log("INFO", f"{what} {samples:,} samples of {span_s:,.0f} s: about {rounded_time(expected_s)}")
 
 
 def rounded_time(seconds: float) -> str:
@@ -54,7 +54,7 @@ def progress_lines(state: Callable[[], str], *, quiet: bool) -> Iterator[None]:
         wait_s = FIRST_LINE_S
         while not ended.wait(wait_s):
             wait_s = LINE_S
-            say("INFO", f"{state()}, {time.monotonic() - began:.0f} s so far")
+            log("INFO", f"{state()}, {time.monotonic() - began:.0f} s so far")
 
     thread = threading.Thread(target=lines, name="progress", daemon=True)
     thread.start()
@@ -79,7 +79,7 @@ class ReadingProgress:
         self.show()
 
     def __call__(self, text: str) -> None:
-        """Show what is being done now, of which nobody knows how long it takes."""
+        """Show what is being done now, without an estimate of how long it takes."""
         self.what, self.total = for_log(text), None
         self.show()
 

@@ -197,7 +197,7 @@ def _compare(session: Path, given: tuple[Path, Path], out: Path | None, as_json:
 
 
 def _begun(view: Mode, setup: ViewSetup, bind: str) -> ViewPublisher:
-    """Return a view that begins, and say where it is before what it shows is over."""
+    """Return a view that begins, and report where it is before what it shows is over."""
     from imumon.view.publisher import ViewPublisher
 
     chosen_view(view, bind)
@@ -226,7 +226,7 @@ def _speed(text: str | None, view: str) -> float | None:
     type=click.Choice(["power-on", "host"]),
     default="power-on",
     show_default=True,
-    help="Begin each session at zero, or put it where its computer's clock says.",
+    help="Begin each session at zero, or put it at the time of its computer's clock.",
 )
 @click.option(
     "--view", type=click.Choice(["native", "web"]), help="Default: native with a display, else web."
@@ -248,7 +248,7 @@ def view(
     imumon view sessions/before sessions/after
 
     Each runs through the estimators with the setup that it was recorded with, so that, for one, the bias
-    before and after a new model can be seen side by side.
+    before and after a new model can be compared side by side.
     """
     import rerun as rr
 
@@ -332,7 +332,7 @@ def _log_session(
     warn([*source.warnings(), *pipeline.warnings()])
     ended_ns = max(metadata.ended_ns or 0, outages.last_ns) or metadata.created_ns
     span = describe_span(metadata.created_ns, ended_ns)
-    if metadata.table is not None:  # nobody knows when a table was measured
+    if metadata.table is not None:  # when a table was measured is not known
         span = f"{metadata.duration_s:.1f} s, imported {wall_clock(metadata.created_ns, day=True)}"
     data = {
         "session": path,

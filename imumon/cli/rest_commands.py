@@ -76,9 +76,9 @@ def allan(
     from imumon.estimation.gyro_bias.stage import RestDetector
 
     output.check_outputs(plot, noise_out, *odometry.values())
-    with reading_bar([recording], quiet=as_json) as tell:
-        opened = read_channels(recording, lambda _: [RestDetector()], tell.count)
-        tell("deviations and terms of all channels")
+    with reading_bar([recording], quiet=as_json) as progress:
+        opened = read_channels(recording, lambda _: [RestDetector()], progress.count)
+        progress("deviations and terms of all channels")
         results = analyse(opened.series)
     warn([*opened.warnings, *output.remarks(results)])
     outputs = {name: path for name, path in ({"plot": plot, "noise": noise_out} | odometry).items() if path}
@@ -181,7 +181,7 @@ def align(
     else:
         setup = _with_sigma(make_setup(options), until)
         if device is None:
-            hint = f"add --device NAME (imumon devices lists them) or a file; imumon detect {source} may tell"
+            hint = f"add --device NAME (imumon devices lists them) or a file; try imumon detect {source}"
             raise bad_config(f"{source} is a port, so its device must be named", hint)
         ran = _live(PortRun(source, device, baud, setup, out, seconds), positions)
         columns = {column.name for column in ran.columns}
@@ -199,7 +199,7 @@ def align(
 
 
 def _with_sigma(setup: Setup, until: float | None) -> Setup:
-    """Return the setup with the sigma wanted; raises BAD_CONFIG when it does not tell the latitude."""
+    """Return the setup with the sigma wanted; raises BAD_CONFIG when it does not have the latitude."""
     if setup.latitude_deg is None:
         what = "the heading is found by the earth rate, and the latitude is not known"
         hint = "add --latitude DEGREES (north is positive), or latitude_deg to the pipeline file"

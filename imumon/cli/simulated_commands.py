@@ -19,8 +19,8 @@ from imumon.cli.common import (
     device_help,
     json_option,
     listed,
+    log,
     print_result,
-    say,
     seed_option,
     serial_option,
     show,
@@ -102,7 +102,7 @@ def virtual(
         while simulated.failure is None and ending.wait():
             pass
     lost = simulated.port.bytes_lost
-    say("INFO", f"sent {simulated.packets_sent:,} packets; {lost:,} bytes had no reader")
+    log("INFO", f"sent {simulated.packets_sent:,} packets; {lost:,} bytes had no reader")
     if simulated.failure is not None:
         raise simulated.failure
 

@@ -15,10 +15,10 @@ from imumon.cli.common import (
     columns_option,
     device_help,
     json_option,
+    log,
     print_json,
     print_result,
     rate_option,
-    say,
     serial_option,
     split_columns,
     warn,
@@ -90,7 +90,7 @@ def _write_table(
     doubtful = doubts.found(counters)
     warn([*source.warnings(), *pipeline.warnings(), *exported.warnings, *doubtful])
     for notice in pipeline.notices():
-        say("INFO", f"device: {notice}")
+        log("INFO", f"device: {notice}")
     rows = {
         "packets": ", ".join(f"{count:,} {name}" for name, count in counters.packets_by_type.items()),
         "bytes": f"{counters.bytes_received:,} received, {counters.bytes_in_packets:,} in packets, "
@@ -179,7 +179,7 @@ def import_(
         report, damage = found.rows, found.damage
         if damage.places:
             lost = f"{damage.size:,} bytes in {damage.places:,} damaged place(s) of the log were left out"
-            say("WARN", lost)
+            log("WARN", lost)
         chosen = {"sensor": found.sensor, "other_sensors": found.others, "scaling": found.scaling}
         others = f" (--sensor: {', '.join(found.others)})" if found.others else ""
         more = {"sensor": found.sensor + others, "scaling": found.scaling}
@@ -191,7 +191,7 @@ def import_(
     name_unit(out, serial)
     if report.rows_dropped:
         why = "as their time does not increase" if map_path is None else "as the map requires"
-        say("WARN", f"{report.rows_dropped} of {report.rows_in} rows were dropped, {why}")
+        log("WARN", f"{report.rows_dropped} of {report.rows_in} rows were dropped, {why}")
     warn(report.warnings)
     rate = f" at {report.rate_hz:.4g} Hz" if isfinite(report.rate_hz) else ""
     rows = {
@@ -244,9 +244,9 @@ def recover(session: Path, device: str | None, as_json: bool) -> None:
 
     result = recovered(session, device)
     for sentence in result.done or ["the session is whole; nothing was written"]:
-        say("INFO", sentence)
+        log("INFO", sentence)
     for original in result.originals:
-        say("INFO", f"the original is {original}")
+        log("INFO", f"the original is {original}")
     warn(result.warnings)
     if as_json:
         before = asdict(result.before)

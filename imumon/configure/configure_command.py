@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from imumon.cli.common import Number, Whole, device_help, json_option, note, print_json, print_rows, say, warn
+from imumon.cli.common import Number, Whole, device_help, json_option, log, note, print_json, print_rows, warn
 from imumon.cli.live_run import ending_signals
 from imumon.errors import bad_config
 
@@ -79,7 +79,7 @@ def command(
     for number in ending_signals():
         signal.signal(number, signal.default_int_handler)
     link = connect(port, described, family, at)
-    say("INFO", f"{family.title} answers on {link.port.settings}")
+    log("INFO", f"{family.title} answers on {link.port.settings}")
     try:
         Configuration(link, family, described, report, note).run(wish)
     finally:
@@ -137,25 +137,25 @@ def _show(report: Report, family: Family, line: str) -> None:
         _show_restored(report)
         return
     if report.result == "unchanged":
-        say("INFO", "the device is set like this already")
+        log("INFO", "the device is set like this already")
     if report.saved:
         confirms = all(request.answer for request in family.save(()))
         sure = "" if confirms else ", if the device did it: its kind does not confirm it"
-        say("INFO", f"saved: the settings survive power-off{sure}")
+        log("INFO", f"saved: the settings survive power-off{sure}")
     elif report.result == "done":
-        say("INFO", "not saved: the settings are lost at power-off (--save writes flash)")
+        log("INFO", "not saved: the settings are lost at power-off (--save writes flash)")
 
 
 def _show_restored(report: Report) -> None:
     for text in report.restored:
-        say("INFO", f"put back: {text}")
+        log("INFO", f"put back: {text}")
     for text in report.not_restored:
-        say("ERROR", f"NOT put back: {text}")
+        log("ERROR", f"NOT put back: {text}")
     if report.not_restored and report.flash_begun:
-        say("ERROR", "flash may hold the new settings: configure again when the device answers")
+        log("ERROR", "flash may hold the new settings: configure again when the device answers")
     elif report.not_restored:
-        say("ERROR", "flash was not written: switch the device off and on, and it has its settings of before")
+        log("ERROR", "flash was not written: switch the device off and on, and it has its settings of before")
     elif not report.restored:
-        say("INFO", "no setting was changed")
+        log("INFO", "no setting was changed")
     elif report.flash_begun:
-        say("INFO", "flash holds the settings that were put back")
+        log("INFO", "flash holds the settings that were put back")

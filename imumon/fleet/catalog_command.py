@@ -16,11 +16,11 @@ from imumon.cli.common import (
     console,
     json_option,
     labelled,
+    log,
     print_json,
     print_rows,
     print_table,
     results_folder,
-    say,
     show,
     warn,
 )
@@ -58,7 +58,7 @@ def command(folder: Path, results: Path | None, out: Path | None, rrd: str | Non
     from imumon.fleet.catalog.tables import tables, write_tables
 
     if rrd is not None:
-        say("WARN", "--rrd is retired, and nothing is written: imumon report UNIT draws the drift of a unit")
+        log("WARN", "--rrd is retired, and nothing is written: imumon report UNIT draws the drift of a unit")
     with nullcontext() if out is None else results_folder(out):
         units, unusual, left_out = read(folder, results)
         rows = tables(units, unusual)

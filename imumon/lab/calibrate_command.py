@@ -107,18 +107,18 @@ def command(
     samples, span_s = size_of(sessions)
     expected_s = STARTING_S + samples / SAMPLES_PER_S + span_s / SPAN_PER_S
     announce("reading", samples, span_s, expected_s, quiet=as_json)
-    with with_warnings(lambda: warnings), reading_bar(sessions, quiet=as_json) as tell:
+    with with_warnings(lambda: warnings), reading_bar(sessions, quiet=as_json) as progress:
         check_place(latitude, heading)
-        records, found = read_sessions(sessions, tell.count)
+        records, found = read_sessions(sessions, progress.count)
         warnings += found
-        result = calibrate(records, latitude, heading, serial, tell)
+        result = calibrate(records, latitude, heading, serial, progress)
         result.warnings[:0] = warnings
         model = result.model
         if chosen != []:
             from imumon.lab.diagnosis.extended import model_with_drivers
 
-            runs = [read(path, None, at_rest=False, count=tell.count) for path in sessions]
-            model, driven, caveats = model_with_drivers(model, runs, chosen, tell)
+            runs = [read(path, None, at_rest=False, count=progress.count) for path in sessions]
+            model, driven, caveats = model_with_drivers(model, runs, chosen, progress)
     written: dict[str, Path] = {}
     if autopilot is not None and export is not None:
         text, notes = parameters(model, autopilot, imu, device_ids)

@@ -13,10 +13,10 @@ from imumon.cli.common import (
     PATH,
     Number,
     json_option,
+    log,
     print_json,
     print_rows,
     results_folder,
-    say,
     warn,
     with_warnings,
 )
@@ -123,27 +123,27 @@ def diagnose(
     from imumon.models.curves.polynomial import CUBIC
 
     if declared is not None and model_path is not None:
-        raise bad_config("--model and --declared are both given", "give one: each says what is assumed")
+        raise bad_config("--model and --declared are both given", "give one: each sets what is assumed")
     model = model_of(model_path) if model_path is not None else None
     assumed = declared if declared is not None else CUBIC
     parse_declared(assumed)
     runs: list[list[Run]] = []
     warned = with_warnings(lambda: dict.fromkeys(t for group in runs for run in group for t in run.warnings))
-    with warned, results_folder(out), reading_bar([*train, *test], quiet=as_json) as tell:
+    with warned, results_folder(out), reading_bar([*train, *test], quiet=as_json) as progress:
         sensors = channels.split(",")
-        runs += [read(path, map_path, at_rest, sensors, tell.count) for path in (*train, *test)]
+        runs += [read(path, map_path, at_rest, sensors, progress.count) for path in (*train, *test)]
         split = len(train)
         training = [run for group in runs[:split] for run in group]
         testing = [run for group in runs[split:] for run in group]
         beside = chosen_drivers(drivers)
-        diagnosis = find_effects(training, testing, assumed, tell, sensors, model, beside)
+        diagnosis = find_effects(training, testing, assumed, progress, sensors, model, beside)
         diagnosis.given = _given(click.get_current_context())
         written = {"report": "report.html", "numbers": "report.json"}
         if with_model(diagnosis):
             extended_model(diagnosis).write(out / "model.yaml")
             written["model"] = "model.yaml"
         write_report(diagnosis, out / "report.json")
-        write_page(diagnosis, out / "report.html", tell)
+        write_page(diagnosis, out / "report.html", progress)
     _show(diagnosis, out, written, as_json=as_json)
 
 
@@ -244,11 +244,11 @@ def learn(
     sessions = _of_one(found, {"device": device, "serial": serial}, folder)
     if model is not None:
         warn(filter(None, {model.of_another(session.metadata.serial) for session in sessions}))
-    with reading_bar([session.path for session in sessions], quiet=as_json) as tell:
-        usable = [runs for session in sessions if (runs := _resting_runs(session, tell.count))]
+    with reading_bar([session.path for session in sessions], quiet=as_json) as progress:
+        usable = [runs for session in sessions if (runs := _resting_runs(session, progress.count))]
         if not usable:
             raise bad_data(f"no session in {folder} can be used", "record the unit at rest for an hour")
-        diagnosis = find_effects(*latest(usable), progress=tell, model=model)
+        diagnosis = find_effects(*latest(usable), progress=progress, model=model)
     warn(diagnosis.caveats)
     better = any(verdict.predicts and (verdict.claims or verdict.refit) for verdict in with_model(diagnosis))
     if better:
@@ -273,13 +273,13 @@ def _of_one(sessions: list[Session], wanted: dict[str, str | None], folder: Path
             raise bad_data(f"there is {what} in {folder}", "give the folder of the sessions")
         if len(names) > 1:
             seen = f"{folder} has sessions of {key} {', '.join(names)}"
-            raise bad_config(seen, f"say which unit is meant: --{key} NAME")
+            raise bad_config(seen, f"name the unit that is meant: --{key} NAME")
         sessions = found
     return sessions
 
 
 def _resting_runs(session: Session, count: Count) -> list[Run]:
-    """Return the runs of a session that can be used, saying why others cannot."""
+    """Return the runs of a session that can be used, and report why others cannot."""
     from imumon.lab.diagnosis.runs import MOSTLY
 
     try:
@@ -317,9 +317,9 @@ def plan(report: Path, out: Path, hours: float, as_json: bool) -> None:
     questions = planning.open_questions(content)
     if questions and not as_json:
         at_most = rounded_time(QUESTION_S * len(questions))
-        say("INFO", f"questions that are open: {len(questions)}; the search takes at most about {at_most}")
-    with results_folder(out), reading_bar([report], quiet=as_json) as tell:
-        plans = [planning.plan(content, question, hours * 3600.0, tell) for question in questions]
+        log("INFO", f"questions that are open: {len(questions)}; the search takes at most about {at_most}")
+    with results_folder(out), reading_bar([report], quiet=as_json) as progress:
+        plans = [planning.plan(content, question, hours * 3600.0, progress) for question in questions]
         files = [planning.write_plan(content, at + 1, made, out) for at, made in enumerate(plans)]
     described = [_described(made, paths) for made, paths in zip(plans, files, strict=True)]
     if as_json:

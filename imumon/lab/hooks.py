@@ -1,4 +1,4 @@
-"""What the core asks of the lab; the diagnosis, which takes time to load, is loaded when it is needed."""
+"""What the core requires of the lab; the diagnosis, which takes time to load, is loaded when it is needed."""
 
 from __future__ import annotations
 

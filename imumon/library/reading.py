@@ -262,7 +262,7 @@ def _table(path: Path, setup: Setup | None, columns: Sequence[str] | None) -> So
         _log.warning("%s: without %s known names have the units of imumon", path, units_path(path).name)
     if unknown := [name for name, column in there.items() if not column.unit]:
         _log.warning(
-            "%s: nothing says the unit of %s; imumon import takes tables from elsewhere",
+            "%s: the unit of %s is not stated; imumon import takes tables from elsewhere",
             path,
             ", ".join(unknown),
         )

@@ -30,7 +30,7 @@ class MagnetometerModel(StrictModel):
     residual_sd: _NotNegative
     """What a reading is off from that strength after the correction, noise and all."""
     coverage: Annotated[FiniteFloat, Field(ge=0.0, le=1.0)]
-    """Share of the directions that were seen, 0 to 1."""
+    """Share of the directions that were measured, 0 to 1."""
     session: str | None = None
     sha256: str | None = None
     """The recording."""

@@ -48,7 +48,7 @@ class ChannelModel(StrictModel):
     temperature_range_degc: Annotated[list[FiniteFloat], Field(min_length=2, max_length=2)]
     """Where the curve is supported by data."""
     residual_sd: _NonNegative
-    """Standard deviation of the bias about the curve, from levels that the fit had not seen."""
+    """Standard deviation of the bias about the curve, from levels that were left out of the fit."""
     held_out_rms: dict[str, _NonNegative] = Field(default_factory=dict)
     """rms error at levels that were left out, for each candidate curve."""
     curve: Curve
@@ -90,7 +90,7 @@ class ChannelModel(StrictModel):
         return value, np.where(np.abs(beyond) > self.reach_degc, 0.0, slope)
 
     def inside(self, temperature: npt.ArrayLike) -> BoolArray:
-        """Tell which temperatures in °C the curve is supported at."""
+        """Return which temperatures in °C the curve is supported at."""
         t = np.asarray(temperature, np.float64)
         low, high = self.temperature_range_degc
         return (t >= low) & (t <= high)
@@ -100,7 +100,7 @@ class TrainedOn(StrictModel):
     """A run that a model was made from: a session, or the part of one up to a restart or another pose.
 
     `offset` is what its bias differs by from the mean of all runs, per channel and in the channel's unit;
-    it has only the channels where it could be told.
+    it has only the channels where it could be determined.
     """
 
     session: str
@@ -137,7 +137,7 @@ class BiasModel(StrictModel):
     """The data."""
     channels: dict[str, ChannelModel] = Field(default_factory=dict)
     """gyro_x and so on.  The curve of an accelerometer is the change from the middle of its range, for its
-    constant cannot be told from gravity."""
+    constant cannot be separated from gravity."""
     magnetometer: MagnetometerModel | None = None
     """Hard and soft iron."""
 
@@ -153,7 +153,7 @@ class BiasModel(StrictModel):
         return self
 
     def of_another(self, serial: str | None) -> str:
-        """Return what is to be said where this is the model of another unit; empty where nobody knows."""
+        """Return a warning where this is the model of another unit; empty where that is not known."""
         if serial is None or self.serial in (None, serial):
             return ""
         return f"the bias model is of unit {self.serial}, this is {serial}"

@@ -36,8 +36,8 @@ class BiasPredictor:
     """Bias over temperature with its effects, causal, whatever the division into blocks.
 
     Where there is no temperature the last one holds.  After a restart of the device (a new segment) there is
-    none until the next reading: nobody knows how long the unit was off.  Outside the calibrated range see
-    `imumon.models.model.REACH`; effects see a temperature that is held there, and so any other driver.
+    none until the next reading: how long the unit was off is not known.  Outside the calibrated range see
+    `imumon.models.model.REACH`; effects receive a temperature that is held there, and so any other driver.
 
     Raises BAD_CONFIG when the model lacks a channel.
 

@@ -1,4 +1,4 @@
-"""Exports of a run: tables, the main stream in the file that was asked for and each side stream in one beside
+"""Exports of a run: tables, the main stream in the requested file and each side stream in one beside
 it, or files of other programs: NumPy, MATLAB, ROS 2.
 """
 
@@ -56,7 +56,7 @@ def export_run(
     out: Path,
     columns: Sequence[str] | None,
 ) -> Exported:
-    """Write what a run yields, in the format that the suffix of `out` says.
+    """Write what a run yields, in the format that the suffix of `out` names.
 
     A run with rows in side streams only has their tables.
 

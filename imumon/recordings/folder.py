@@ -100,12 +100,12 @@ class SessionMetadata(StrictModel):
         return cls(source=source, created=iso_utc(at_ns), created_ns=at_ns, versions=versions, **more)
 
     def for_wire(self) -> dict[str, str]:
-        """Return what a wire file says, so that session.yaml can be made anew from it (`begun_of`)."""
+        """Return what a wire file holds, so that session.yaml can be made anew from it (`begun_of`)."""
         return {"device": self.device, "source": self.source, "session": dump_yaml(self.model_dump())}
 
     @property
     def duration_s(self) -> float:
-        """How long it was recorded; NaN when it was not closed, or is a table that does not say how long."""
+        """How long it was recorded; NaN when it was not closed, or is a table that does not state it."""
         if self.table is not None:
             return self.counters.get(SPAN, math.nan) * 1e-9
         return math.nan if self.ended_ns is None else (self.ended_ns - self.created_ns) * 1e-9
@@ -123,7 +123,7 @@ def iso_utc(time_ns: int) -> str:
 
 
 def begun_of(metadata: Mapping[str, str]) -> SessionMetadata | None:
-    """Return the metadata as they were at the start from what a wire file says; None where it does not."""
+    """Return the metadata as they were at the start from what a wire file holds; None where it has none."""
     try:
         return parse_yaml(metadata["session"], SessionMetadata, "the metadata of the wire file")
     except (KeyError, ImumonError):
@@ -261,7 +261,7 @@ def is_session(path: Path) -> bool:
 def open_session(path: Path) -> Session:
     """Open a session for reading; `path` names the folder, its session.yaml or its wire.mcap.
 
-    Raises BAD_DATA when there is no session, saying what there is, or when its metadata or its data is
+    Raises BAD_DATA when there is no session, naming what there is, or when its metadata or its data is
     missing.
     """
     folder = _folder(path)
@@ -297,16 +297,16 @@ def lost_metadata(path: Path) -> Path | None:
 
 
 def name_unit(path: Path, serial: str | None) -> None:
-    """Say which unit a session is of; None leaves it as it is.  Raises OSError when it cannot be written."""
+    """Set which unit a session is of; None leaves it as it is.  Raises OSError when it cannot be written."""
     if serial is not None:
         session = open_session(path)
         session.save(session.metadata.model_copy(update={"serial": serial}))
 
 
-def sessions_in(folder: Path, tell: Callable[[str], None] | None = None) -> list[Session]:
+def sessions_in(folder: Path, report: Callable[[str], None] | None = None) -> list[Session]:
     """Return the sessions whose folders are in this one, the oldest first.
 
-    What is a session by its files and cannot be read is left out, and that is told.
+    What is a session by its files and cannot be read is left out, and reported.
     """
     found = []
     for path in sorted(folder.iterdir()) if folder.is_dir() else ():
@@ -314,8 +314,8 @@ def sessions_in(folder: Path, tell: Callable[[str], None] | None = None) -> list
             found.append(open_session(path))
         except ImumonError as error:
             names = (METADATA_NAME, WIRE_NAME, SAMPLES_NAME)
-            if tell is not None and any((path / name).is_file() for name in names):
-                tell(f"{path.name} is left out: {error.line}")
+            if report is not None and any((path / name).is_file() for name in names):
+                report(f"{path.name} is left out: {error.line}")
     return sorted(found, key=lambda session: session.metadata.created_ns)
 
 
@@ -333,7 +333,7 @@ def _folder(path: Path) -> Path:
 
 
 def _advice(folder: Path) -> str:
-    """Say what can be done with the data of a session whose metadata cannot be read; empty without data."""
+    """Return what can be done with the data of a session without readable metadata; empty without data."""
     if lost_metadata(folder) is not None:
         return f"{WIRE_NAME} is there: imumon recover {folder} makes {METADATA_NAME} anew from it"
     if not (folder / METADATA_NAME).is_file() and (folder / SAMPLES_NAME).is_file():

@@ -46,7 +46,7 @@ Rows = tuple[IntArray, Mapping[str, Any], Callable[[int], str], Wrong]
 
 @dataclass(frozen=True, slots=True)
 class BadRow:
-    """A row that cannot be taken: its line (text) or row (Parquet), from 1, why, and what it says."""
+    """A row that cannot be taken: its line (text) or row (Parquet), from 1, why, and what it holds."""
 
     line: int
     why: str
@@ -62,9 +62,9 @@ class Part:
     line: IntArray
     """Line (text) or row (Parquet) of each good row, from 1, (n,)."""
     time_ns: IntArray | None
-    """As the column says it, also where it wraps, (n,)."""
+    """As the column has it, also where it wraps, (n,)."""
     values: FloatArray
-    """The columns of data that were asked for, in the units of the table, (k, n); NaN where a cell is
+    """The columns of data that were requested, in the units of the table, (k, n); NaN where a cell is
     empty."""
     bad: list[BadRow]
 

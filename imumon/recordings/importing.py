@@ -132,7 +132,7 @@ class TableImport:
         self._last: tuple[int, int] | None = None
         """Time and line of the last row."""
         self._counted = self._wraps = 0
-        """What its column of time says, and how often that has wrapped."""
+        """What its column of time holds, and how often that has wrapped."""
         self._rows_good, self._rows_bad = 0, rows_dropped
         self._listed: list[BadRow] = []
 
@@ -205,7 +205,7 @@ class TableImport:
             times = self._times(part)
         except OverflowError:
             raise bad_data(
-                f"{self.table}: its times are beyond the 292 years that a time in ns can tell",
+                f"{self.table}: its times are beyond the 292 years that a time in ns can hold",
                 "check rate_hz, or wraps_at and the unit of time, in the map",
             ) from None
         if not len(times):

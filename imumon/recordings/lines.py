@@ -17,17 +17,17 @@ Line = tuple[str, str]
 class Lines:
     """Log lines on their way to another thread or process; `put` may be called from any thread.
 
-    `say`: where each line goes besides: its level and its text.
+    `report`: where each line goes besides: its level and its text.
     """
 
-    def __init__(self, say: Callable[[str, str], object] = lambda *_: None) -> None:
+    def __init__(self, report: Callable[[str, str], object] = lambda *_: None) -> None:
         self._waiting: SimpleQueue[tuple[int, str, str]] = SimpleQueue()
-        self._say = say
+        self._report = report
 
     def put(self, level: str, text: str) -> None:
         """Take a line; returns at once."""
         self._waiting.put((time.time_ns(), level, text))
-        self._say(level, text)
+        self._report(level, text)
 
     def take(self) -> list[Line]:
         """Return the lines since the last time."""
@@ -40,8 +40,8 @@ class Lines:
 class SessionLog(Lines):
     """The log of a session, as lines of JSON appended to the file at `path`."""
 
-    def __init__(self, path: Path, say: Callable[[str, str], object]) -> None:
-        super().__init__(say)
+    def __init__(self, path: Path, report: Callable[[str, str], object]) -> None:
+        super().__init__(report)
         self._path = path
 
     def write(self) -> None:

@@ -42,7 +42,7 @@ MOMENT = datetime(2026, 1, 31, 13, 14, 15, tzinfo=UTC)
 
 def _check_format(text: str) -> str:
     if "%Z" in text:
-        raise ValueError("%Z: the name of a zone does not say its offset; %z is +01:00")
+        raise ValueError("%Z: the name of a zone does not give its offset; %z is +01:00")
     parsed = datetime.strptime(MOMENT.strftime(text), text).replace(tzinfo=UTC)
     if parsed not in (MOMENT, MOMENT.replace(1900, 1, 1)):
         raise ValueError(
@@ -52,7 +52,7 @@ def _check_format(text: str) -> str:
 
 
 class TimeColumn(StrictModel):
-    """The column of time; `backwards` says what a time before the one above means.
+    """The column of time; `backwards` states what a time before the one above means.
 
     `wraps_at`, in its unit, is where a count begins at 0 again.  `format`, in place of a unit, is how dates
     are written, by the directives of `datetime.strptime`.

@@ -1,4 +1,4 @@
-"""Read whole recordings, sessions and tables, as whoever computes from samples sees them.
+"""Read whole recordings, sessions and tables, as whoever computes from samples needs them.
 
 What no estimate may be made from is left out, as it is for all stages; `imumon.recordings.source.run_over`
 has the samples as they were sent, for tables.
@@ -50,7 +50,7 @@ class Recording:
     device: str | None
     """What sent it; None for a table."""
     axes: BodyAxes | None
-    """In which body axes it is; None where nobody said it."""
+    """In which body axes it is; None where it is not stated."""
     serial: str | None
     """Serial number of the unit, as its session has it."""
     columns: dict[str, Column]
@@ -67,7 +67,7 @@ class Recording:
             yield from blocks
 
     def warnings(self) -> list[str]:
-        """Return, once the samples were read, what the recording lacks and what the stages say."""
+        """Return, once the samples were read, what the recording lacks and what the stages report."""
         return [*self.source.warnings(), *self.pipeline.warnings()]
 
     def sha256(self) -> str:
@@ -85,7 +85,7 @@ def open_recording(
 
     `path`: folder of a session or its session.yaml, or a table.
     `stages`: what the samples run through; a stage of which a table has a column already is left out.
-    `map_path`: says what is in which column of a table from elsewhere.
+    `map_path`: states what is in which column of a table from elsewhere.
     `count`: takes how many more bytes were read, for a progress bar.
     """
     source = _open(path, map_path)
@@ -113,7 +113,7 @@ def _open(path: Path, map_path: Path | None) -> Source:
         return Source(path, table.blocks(), None, None, tuple(table.columns.values()), table)
     if path.suffix not in SUFFIXES:
         if lost_metadata(path) is not None:
-            open_session(path)  # raises, saying what to do
+            open_session(path)  # raises, with what to do
         raise bad_data(
             f"{path} is neither a session nor a table ({', '.join(SUFFIXES)})",
             "a raw capture becomes a table first: imumon decode FILE --device NAME --out TABLE.parquet",

@@ -68,7 +68,7 @@ class Recorder:
     def stop(self) -> WireCounters:
         """Write what was put, close the file, and return the counters.
 
-        A disk that does not answer is waited for 10 s; then the thread is left behind, and `problem` says so.
+        A disk that does not answer is waited for 10 s; then the thread is left, and `problem` reports it.
         """
         self._items.put(None)
         self._stopping.set()
@@ -122,7 +122,7 @@ class Recorder:
             self._report(what, None)
 
     def _report(self, what: str, problem: str | None) -> None:
-        """Note how one kind of work goes, and tell when it begins to fail, or all works again."""
+        """Note how one kind of work goes, and report when it begins to fail, or all works again."""
         with self._lock:
             if problem == self._problems.get(what):
                 return

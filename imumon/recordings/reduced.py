@@ -18,7 +18,7 @@ PIECE = 4096
 """Samples at a time, to bound the memory: as many slots may end in them."""
 QUIET_QUANTILE = 0.25
 SIGNIFICANT = 8
-"""Samples in a slot whose scatter tells: 1 in 400 of them has half or twice of what it should be."""
+"""Samples in a slot whose scatter is reliable: 1 in 400 of them has half or twice of what it should be."""
 LOUDER = 3.0
 """A slot is quiet when its scatter on every axis is at most this much above that of the quietest quarter."""
 JERK = 0.02
@@ -43,7 +43,7 @@ class Reduced:
     span_s: FloatArray
     """Time between its first and its last sample, (n,)."""
     rest_share: FloatArray
-    """Share of its samples at rest, (n,); NaN when nobody judged."""
+    """Share of its samples at rest, (n,); NaN where rest was not detected."""
     count: IntArray
     """Finite values, (n, m)."""
     mean: FloatArray
@@ -69,7 +69,7 @@ class Reduced:
         return bool(np.isfinite(self.of(name)).any())
 
     def at_rest(self) -> BoolArray:
-        """Return which slots are at rest: as the detector judged, else by `quiet`.
+        """Return which slots are at rest: as the detector found, else by `quiet`.
 
         Never by the size of the rate, which is what is to be found.
         """
@@ -87,7 +87,7 @@ class Reduced:
             if len(known):
                 quiet &= ~(scatter > LOUDER * np.quantile(known, QUIET_QUANTILE))
             few = ~np.isfinite(sd) & np.isfinite(self.of(name))
-            if few.any():  # then neighbours tell how far a slot scatters
+            if few.any():  # then neighbours show how far a slot scatters
                 steps = np.abs(np.diff(self.of(name)))
                 steps = steps[np.isfinite(steps)]
                 scatter_of_means = np.median(steps) / (0.6745 * 2.0**0.5) if len(steps) else 0.0
@@ -98,7 +98,7 @@ class Reduced:
 
 
 def _steady(mean: FloatArray, sd: FloatArray) -> BoolArray:
-    """Tell which means do not differ from both neighbours; a slot without a value is no evidence."""
+    """Return which means do not differ from both neighbours; a slot without a value is no evidence."""
     near = np.abs(np.diff(mean)) <= JERK + 5.0 * np.hypot(sd[1:], sd[:-1])
     near |= ~np.isfinite(np.diff(mean))
     steady = np.ones(len(mean), np.bool_)
@@ -108,7 +108,7 @@ def _steady(mean: FloatArray, sd: FloatArray) -> BoolArray:
 
 
 def reduce(blocks: Iterable[SampleBlock], names: Sequence[str], slot_s: float) -> Reduced:
-    """Reduce samples with device_time_ns and segment, and at_rest where that was judged, in bounded memory.
+    """Reduce samples with device_time_ns and segment, and at_rest where it was detected, in bounded memory.
 
     `names`: columns to reduce; one that a block lacks is missing there.
     `slot_s`: length of a slot; slots lie on a grid from the first sample of each run.
@@ -126,8 +126,8 @@ def gatherer_of(names: Sequence[str], slot_s: float) -> SlotGatherer:
 def kept_slots(gatherer: SlotGatherer, block: SampleBlock, names: Sequence[str]) -> Iterator[KeptSlots]:
     """Yield the slots that end in a block of samples, a piece at a time.
 
-    The last column is 1 at rest, 0 when not, and NaN when nobody judged; a column that the block lacks is
-    missing.
+    The last column is 1 at rest, 0 when not, and NaN where rest was not detected; a column that the block
+    lacks is missing.
     """
     for start in range(0, len(block), PIECE):
         piece = block.rows(start, start + PIECE)

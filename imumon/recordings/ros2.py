@@ -2,7 +2,7 @@
 
 Topics are those of REP 145; body axes are forward-left-up (REP 103), also of a device whose own are
 forward-right-down.  Covariances are the squares of the sigmas of the estimators; where there is none they are
-zero, which says unknown, and -1 in the first place where there is no quantity, as `sensor_msgs/Imu` has it.
+zero, which means unknown, and -1 in the first place where there is no quantity, as `sensor_msgs/Imu` has it.
 
 The covariance of the orientation is about the fixed axes east, north and up, rad².  The message has no sign
 for an unknown heading beside a known tilt: its variance is then `ANY_HEADING`, as while the heading is free.
@@ -166,7 +166,7 @@ class Stream:
                     yield topic.name, topic.kind, int(times[row]), message
 
     def _topics(self, block: SampleBlock, begins: BoolArray) -> Iterator[_Topic]:
-        """Yield what the block has messages of; `begins` says which rows are the first of a second."""
+        """Yield what the block has messages of; `begins` marks the rows that are the first of a second."""
         prefix = ""
         if self.name == MAIN:
             yield from self._inertial(block)

@@ -23,7 +23,7 @@ from imumon.transport.reader import Bytes, EventKind, Item, Reads
 
 READ_SIZE = 1 << 16
 RECORDING = "recording: "
-"""What a warning begins with that says what a recording lacks."""
+"""What a warning begins with that names what a recording lacks."""
 SHOWN_PLACES = 5
 """Damaged places that are reported one by one."""
 BATCH_BYTES = 1 << 19
@@ -53,7 +53,7 @@ class Source:
 
     @property
     def axes(self) -> BodyAxes | None:
-        """Body axes of the samples; None where nobody said them."""
+        """Body axes of the samples; None where they are not stated."""
         if self.device is not None:
             return self.device.axes
         if self.session is not None:
@@ -95,7 +95,7 @@ class Source:
             sent = summary.bytes + summary.bytes_unrecorded + missing
             texts.append(
                 f"{missing:,} bytes are not in {name}, of the {sent:,} that had come from the device as"
-                f" {METADATA_NAME} says"
+                f" {METADATA_NAME} states"
             )
         elif self.session is not None and self.session.state == "closed" and not summary.complete:
             texts.append(f"the end of {name} is missing, though the session was closed")
@@ -168,7 +168,7 @@ class Source:
 
 
 def bytes_missing(session: Session, summary: WireSummary) -> int:
-    """Return how many bytes less its wire file has than a closed session says had come from the device."""
+    """Return how many bytes less its wire file has than a closed session reports from the device."""
     if session.state != "closed":
         return 0
     received = session.metadata.counters.get("bytes_received", 0)
@@ -201,7 +201,7 @@ def open_source(path: Path, device_name: str | None = None, rate_hz: float | Non
     """
     if not is_session(path):
         if not path.is_file() and not path.is_fifo():
-            open_session(path)  # raises, saying what is there
+            open_session(path)  # raises, naming what is there
         wire = WireReader(path) if path.is_file() and is_wire(path) else None
         if device_name is not None:
             device = load_device(device_name)
@@ -245,7 +245,7 @@ def source_of(session: Session, device: DeviceFile | None = None) -> Source:
 
 
 def capture_items(path: Path) -> Iterator[Item]:
-    """Yield the bytes of a raw capture, whose arrival times nobody knows.
+    """Yield the bytes of a raw capture, whose arrival times are not known.
 
     Raises BAD_DATA when the file cannot be read.
     """

@@ -67,7 +67,7 @@ class TableWriter:
         self._parts: list[pq.ParquetWriter] = []
 
     def announce(self, columns: Iterable[Column]) -> None:
-        """Say which columns may come from now on, in the order which the table shall have."""
+        """Set which columns may come from now on, in the order which the table shall have."""
         self._columns = {column.name: column for column in columns} | self._columns
 
     def write(self, block: SampleBlock) -> None:
@@ -225,7 +225,7 @@ def read_table(path: Path) -> tuple[SampleBlock, dict[str, Column]]:
 
 
 def read_columns(path: Path) -> dict[str, Column]:
-    """Return the columns of a table; where the table does not tell the unit, that of the known name, or "".
+    """Return the columns of a table; where the table does not state the unit, that of the known name, or "".
 
     Raises BAD_DATA when the table cannot be read or has a column that is neither float nor integer.
     """

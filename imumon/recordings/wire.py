@@ -48,7 +48,7 @@ class WireWriter:
     """Writes a wire file.  Writing never fails; `flush` does, and may be tried again without harm.
 
     Not for use from several threads at once, but for `sync`.  The file is locked while it is written
-    (``flock``), so that nobody takes a recording that goes on for one that was killed.
+    (``flock``), so that a recording that goes on is not taken for one that was killed.
 
     Raises EXISTS when there is such a file; OSError when it cannot be created.
 
@@ -116,7 +116,7 @@ class WireWriter:
         return (now.st_dev, now.st_ino) != self._place
 
     def begin_again(self) -> None:
-        """Make the file anew, with its folder, after it has vanished; its first event says what is missing.
+        """Make the file anew, with its folder, after it has vanished; its first event states what is missing.
 
         Raises OSError when that cannot be done; what comes until it can is lost as well; EXISTS when there is
         another file by now.
@@ -153,9 +153,9 @@ class WireWriter:
             self._seal()
 
     def missing(self, after_ns: int, before_ns: int, reads: int, size: int = 0) -> None:
-        """Say that reads are missing here, between two times, for another reason than this disk.
+        """Record that reads are missing here, between two times, for another reason than this disk.
 
-        `size` says how many bytes they had, where that is known.
+        `size` is the number of their bytes, where that is known.
         """
         lost = {"reads": reads, "bytes": size, "events": 0, "after_ns": after_ns}
         self._add_event(wf.UNRECORDED, before_ns, lost)
@@ -233,7 +233,7 @@ class WireWriter:
             self._block_bytes = 0
 
     def _finish(self) -> None:
-        """Write the end of the data, the summary and the footer that MCAP asks for."""
+        """Write the end of the data, the summary and the footer that MCAP requires."""
         self._put(_packed(mcap.DataEnd(self._crc)))
         statistics = mcap.Statistics(
             attachment_count=0,
@@ -277,7 +277,7 @@ _TOPICS: tuple[mcap.McapRecord, ...] = (*_SCHEMAS, *_CHANNELS)
 def _packed(record: mcap.McapRecord) -> bytes:
     builder = RecordBuilder()
     record.write(builder)
-    return bytes(builder.end())  # type: ignore[no-untyped-call]  # the library does not say
+    return bytes(builder.end())  # type: ignore[no-untyped-call]  # the library has no type for it
 
 
 def is_recorded(path: Path) -> bool:

@@ -1,7 +1,7 @@
-"""The records of a wire file: what MCAP says, and the check record that imumon adds.
+"""The records of a wire file: what MCAP defines, and the check record that imumon adds.
 
 The layout is in docs/session-format.md.  A check record seals the bytes since the one before: who reads the
-file while it is written, or after a crash, can tell what is as it was written, and can find back into a file
+file while it is written, or after a crash, can check what is as it was written, and can find back into a file
 that is damaged in the middle.
 """
 
@@ -27,7 +27,7 @@ CDR = struct.Struct("<4sI")
 """What CDR has before the bytes of ``uint8[] data``: little-endian, and how many they are."""
 CDR_LITTLE = b"\x00\x01\x00\x00"
 UNRECORDED = "unrecorded"
-"""Kind of the event that tells how many bytes are missing before it."""
+"""Kind of the event that states how many bytes are missing before it."""
 
 PROFILE = FORMAT.rpartition("/")[0].encode()
 HEAD_SIZE = 64

@@ -40,7 +40,7 @@ _PASSED_OVER = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE_INDEX, Opcode.ATTA
 """The channels of a wire file have the same numbers in all."""
 BAD_EVENT = (ValueError, ArithmeticError, LookupError, TypeError, RuntimeError)
 BAD_RECORD = (McapError, struct.error, MemoryError, *BAD_EVENT)
-"""What is raised for an event or another record that is not what it says."""
+"""What is raised for an event or another record that is not what it states."""
 SHOWN_BYTES = 200
 """Of a record that is not understood."""
 KEPT_PLACES = 100
@@ -59,7 +59,7 @@ class Place:
     """Unix time of the last message before, and of the last one lost or the first one behind; 0 when there
     is none."""
     messages: int
-    """Reads and events that are missing, as the numbers of those before and behind say."""
+    """Reads and events that are missing, by the numbers of those before and behind."""
 
     @property
     def seconds(self) -> float:
@@ -99,7 +99,7 @@ class WireSummary:
     bytes: int = 0
     events: int = 0
     bytes_unrecorded: int = 0
-    """Bytes that came from the device and are not in the file, as the file says."""
+    """Bytes that came from the device and are not in the file, as the file states."""
     tail_bytes: int = 0
     """Bytes at the end of the file that are not a whole record, or are damaged: not of use."""
     complete: bool = False
@@ -111,9 +111,9 @@ class WireSummary:
     damage: Damage = field(default_factory=Damage)
     """What is missing, now or before the file was written anew."""
     recovered: Damage = field(default_factory=Damage)
-    """Of `damage`, what the file says was missing already when it was written."""
+    """Of `damage`, what the file states was missing already when it was written."""
     metadata: dict[str, str] = field(default_factory=dict)
-    """What the recording program wanted to say."""
+    """The metadata that the recording program wrote."""
 
     @property
     def is_sound(self) -> bool:
@@ -158,7 +158,7 @@ class WireReader:
                 yield from item
 
     def metadata(self) -> dict[str, str]:
-        """Return what the recording program wanted to say, at the begin of the file; empty if damaged.
+        """Return the metadata that the recording program wrote, at the begin of the file; empty if damaged.
 
         Raises BAD_DATA when the file cannot be read, or is of another program.
         """
@@ -324,7 +324,7 @@ class WireReader:
             yield batch
 
     def _event(self, fields: Any, time_ns: int) -> Event | None:
-        """Return an event, or count what it says is missing; raises one of `BAD_EVENT` for what is none."""
+        """Return an event, or count what it states is missing; raises one of `BAD_EVENT` for what is none."""
         if fields["kind"] != wf.UNRECORDED:
             event = Event(EventKind(fields["kind"]), time_ns, str(fields["detail"]))
             self.summary.events += 1
@@ -339,7 +339,7 @@ class WireReader:
     def _rare(self, opcode: int, body: bytes) -> None:
         """Take in a rare record: header or metadata.
 
-        Raises ValueError when it is not what its first byte says; the library has others.
+        Raises ValueError when it is not what its first byte states; the library has others.
         """
         stream = ReadDataStream(BytesIO(body))
         if opcode == Opcode.HEADER:

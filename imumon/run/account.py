@@ -22,7 +22,7 @@ NAMED = 20
 """Outages that are named one by one."""
 
 LEAST_ROWS = 50
-"""Fewer say nothing of a device file: the unit may have been dropped."""
+"""Fewer are no evidence about a device file: the unit may have been dropped."""
 SKIPPED = 0.25
 """Share of the bytes in no packet.  A length that is wrong by a byte loses every second packet."""
 

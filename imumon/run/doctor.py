@@ -71,7 +71,7 @@ def examine(folder: Path) -> Iterator[Finding]:
 
 
 def packages() -> Iterator[Finding]:
-    """Name the versions of what imumon requires, and what is missing; `pip check` tells whether they fit."""
+    """Name the versions of what imumon requires, and what is missing; `pip check` shows whether they fit."""
     yield Finding("Python", State.GOOD, f"{platform.python_version()} on {platform.platform(terse=True)}")
     there = {_canonical(one.name): one.version for one in metadata.distributions()}
     names: dict[str, list[str]] = {"": [DISTRIBUTION]}

@@ -33,7 +33,7 @@ from imumon.recordings.source import feed
 from imumon.recordings.wire import WireCounters, WireWriter
 from imumon.run.account import Outages
 from imumon.run.marks import Marks, append_request
-from imumon.run.narration import Narrator, Publish, Say
+from imumon.run.narration import Narrator, Publish, Report
 from imumon.run.setup import Setup
 from imumon.run.stages import estimators, pipeline_of
 from imumon.transport.reader import SILENT_AFTER_S, Bytes, Clock, Event, EventKind, Item, Reader, Reads, Sink
@@ -111,7 +111,7 @@ class LiveSummary:
 class DecodedPort:
     """A port that is read and decoded in threads of its own until it is stopped; nothing is recorded.
 
-    `say` takes log lines, from several threads; `record` all that comes, in the thread that reads.  The
+    `report` takes log lines, from several threads; `record` all that comes, in the thread that reads.  The
     status card begins with `card`, and SESSION in warnings stands for `session`.
     """
 
@@ -120,7 +120,7 @@ class DecodedPort:
         device: DeviceFile,
         settings: PortSettings,
         pipeline: Pipeline,
-        say: Say,
+        report: Report,
         record: Sink = lambda _: None,
         card: Mapping[str, str] = MappingProxyType({}),
         session: Path = Path("SESSION"),
@@ -134,7 +134,7 @@ class DecodedPort:
         self._began_ns = self._clock.now_ns()
         silent_after_s = max(SILENT_AFTER_S, SILENT_AFTER_PACKETS / (device.rate_hz or np.inf))
         self._reader = Reader(settings, record, self._items.put, silent_after_s=silent_after_s)
-        self.narrator = Narrator(pipeline, settings, (), say, dict(card), session)
+        self.narrator = Narrator(pipeline, settings, (), report, dict(card), session)
         self._thread = threading.Thread(target=self._run, name="pipeline", daemon=True)
         self.progress = self.narrator.progress(self._began_ns)
         """The numbers of the moment, renewed twice a second; in the end with the rates of the whole run."""
@@ -226,7 +226,7 @@ class LiveRun(DecodedPort):
         settings: PortSettings,
         setup: Setup,
         folder: Path,
-        say: Say,
+        report: Report,
         stages: Sequence[Estimator] = (),
         serial: str | None = None,
     ) -> None:
@@ -245,14 +245,15 @@ class LiveRun(DecodedPort):
             port=PortUsed(url=line.pop("url"), settings=line),
         )
         self.session = create_session(folder, metadata)
-        self._log = SessionLog(self.session.path / LOG_NAME, say)
-        self._say = self._log.put
+        self._log = SessionLog(self.session.path / LOG_NAME, report)
+        self._report = self._log.put
         model = setup.model
         self._of_another = model.of_another(serial) if isinstance(model, BiasModel) else ""
         self._writer = self._wire_writer(settings)
         self._recorder = Recorder(self._writer, self._report_problem, self._save)
-        card = {"device": device.title, "port": str(settings), "recording": str(self.session.path)}
-        super().__init__(device, settings, pipeline, self._say, self._recorder.put, card, self.session.path)
+        path = self.session.path
+        card = {"device": device.title, "port": str(settings), "recording": str(path)}
+        super().__init__(device, settings, pipeline, self._report, self._recorder.put, card, path)
 
     def open(self) -> None:
         """Open the port, and read and record from now on.
@@ -269,7 +270,7 @@ class LiveRun(DecodedPort):
             raise
         self._recorder.start()
         if self._of_another:
-            self._say("WARN", self._of_another)
+            self._report("WARN", self._of_another)
 
     def stop(self, views: Sequence[str] = ()) -> LiveSummary:
         """Close the port, process and record what came, and close the session.
@@ -300,24 +301,24 @@ class LiveRun(DecodedPort):
             self.session.save(closed)
             self._log.write()
         except OSError as error:
-            self._say("ERROR", f"the session cannot be closed: {error.strerror}")
+            self._report("ERROR", f"the session cannot be closed: {error.strerror}")
         return LiveSummary(
             self.session.path, self._began_ns, ended_ns, self._outages, counters, wire,
             self._recorder.problem, digest,
         )  # fmt: skip
 
     def mark(self, kind: EventKind, text: str) -> None:
-        """Put what a person says of this moment into the recording; may be called from any thread."""
+        """Put a remark of the user on this moment into the recording; may be called from any thread."""
         try:
             append_request(self.session.path, kind, text)
         except OSError as error:
-            self._say("ERROR", f"no mark can be made: {error.strerror}")
+            self._report("ERROR", f"no mark can be made: {error.strerror}")
 
     def report_view_error(self, why: str) -> None:
         """Log that the recording of the view has stopped; may be called from any thread."""
         wire = self._recorder.problem or "wire.mcap has all so far"
         text = f"the view is not recorded any more: {why}; {wire}; make room on the disk; afterwards"
-        self._say("ERROR", f"{text} imumon replay {self.session.path} --view native shows the whole run")
+        self._report("ERROR", f"{text} imumon replay {self.session.path} --view native shows the whole run")
 
     def _take_marks(self) -> None:
         with self._marking:
@@ -338,13 +339,13 @@ class LiveRun(DecodedPort):
         super()._hand_on(block)
 
     def _save(self) -> None:
-        """Renew session.yaml and the log, so that a killed session tells how far it came."""
+        """Renew session.yaml and the log, so that a killed session holds how far it came."""
         changes = summary_of(self.pipeline.counters)
         self.session.save(self.session.metadata.model_copy(update=changes))
         self._log.write()
 
     def _report_problem(self, problem: str | None) -> None:
-        self._say("INFO" if problem is None else "ERROR", problem or "recording goes on")
+        self._report("INFO" if problem is None else "ERROR", problem or "recording goes on")
 
 
 def arrived(items: SimpleQueue[Item]) -> Iterator[Reads | Event]:

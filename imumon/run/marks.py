@@ -23,13 +23,13 @@ MOST_BYTES = 1 << 16
 
 
 def ask_for_mark(session: Path, kind: EventKind, text: str) -> None:
-    """Ask whoever records this session for a mark, or for the start or stop of a part.
+    """Request a mark, or the start or stop of a part, from whoever records this session.
 
     Raises BAD_CONFIG when the text is empty, the session is not being recorded, what is to begin goes on, or
     what is to stop does not; BAD_DATA when there is no session.
     """
     if not text.strip():
-        raise bad_config("the text of the mark is empty", "say what is marked")
+        raise bad_config("the text of the mark is empty", "name what is marked")
     opened = open_session(session)
     if not (opened.wire_path.exists() and is_recorded(opened.wire_path)):
         raise bad_config(

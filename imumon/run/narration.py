@@ -1,4 +1,4 @@
-"""What a person sees of a run: samples, rates, losses, state lanes, log lines and the status card."""
+"""What is shown of a run: samples, rates, losses, state lanes, log lines and the status card."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from imumon.view.cards import measured
 from imumon.view.items import Drawing, Log, Numbers, State, Status, Timebase, ViewItem, ViewSetup
 
 Publish = Callable[[ViewItem], None]
-Say = Callable[[str, str], None]
+Report = Callable[[str, str], None]
 """Takes the level (INFO, WARN, ERROR) and a line."""
 
 RATE_WINDOW_NS = 2_000_000_000
@@ -83,7 +83,7 @@ def advised(text: str, session: Path) -> str:
 class Narrator:
     """Turns what the pipeline does into view items and log lines; used by one thread.
 
-    `settings` is the port, for the link load.  View items go to `publish`, log lines also to `say`.  The
+    `settings` is the port, for the link load.  View items go to `publish`, log lines also to `report`.  The
     status card begins with `card`, and SESSION in the commands that a warning advises stands for `session`.
     """
 
@@ -92,13 +92,13 @@ class Narrator:
         pipeline: Pipeline,
         settings: PortSettings | None,
         publish: Sequence[Publish],
-        say: Say,
+        report: Report,
         card: dict[str, str],
         session: Path,
     ) -> None:
         self._pipeline, self._session = pipeline, session
         self.publish = tuple(publish)
-        self._say, self._card = say, card
+        self._report, self._card = report, card
         self._timebase = Timebase()
         self._link = LinkStatistics(settings) if settings is not None else None
         self._history: deque[tuple[int, PipelineCounters]] = deque()
@@ -156,7 +156,7 @@ class Narrator:
                     self._lane("motion", state, int(block["arrival_time_ns"][row]))
 
     def event(self, event: Event) -> None:
-        """Show what happened to the port, or what a person says of this moment."""
+        """Show what happened to the port, or a remark of the user on this moment."""
         if event.kind in MARKS:
             self.log("INFO", f"{MARKS[event.kind]}: {event.detail}", event.time_ns)
             lane = "mark" if event.kind is EventKind.MARK else "part"
@@ -171,7 +171,7 @@ class Narrator:
     def log(self, level: str, text: str, time_ns: int | None = None) -> None:
         """Show a log line."""
         text = for_log(text)
-        self._say(level, text)
+        self._report(level, text)
         self._emit(Log(self._timebase.at(time_ns), text, level))
 
     def tick(self, now_ns: int) -> Progress:

@@ -50,7 +50,7 @@ def recover(path: Path, device_name: str | None = None) -> Recovered:
     """Make a session whole that was interrupted or damaged; one that is whole is left as it is.
 
     Raises BAD_DATA when this is no session with a wire file; BAD_CONFIG when session.yaml is lost and nothing
-    says the device, or when a device is named of a session that knows its own; BUSY when it is being
+    names the device, or when a device is named of a session that knows its own; BUSY when it is being
     recorded; OSError when the disk is full or fails; each file is then as it was, or whole and new.
 
     `device_name` is a known name or the path of a device file, where session.yaml is lost and the wire file
@@ -85,7 +85,7 @@ def recover(path: Path, device_name: str | None = None) -> Recovered:
         if (session.path / METADATA_NAME).exists():
             result.originals.append(_keep_original(session.path / METADATA_NAME))
         session.save(metadata)
-        made = f", made anew from what {wire.name} says" if lost is not None else ""
+        made = f", made anew from what {wire.name} holds" if lost is not None else ""
         result.done.append(f"{METADATA_NAME}: closed, with the counters of what there is{made}")
     result.warnings = [*unknown, *warnings]
     return result
@@ -179,7 +179,7 @@ def _keep_original(path: Path) -> Path:
 
 
 def _items(path: Path, writer: WireWriter, bytes_missing: int, ended_ns: int) -> Iterator[Bytes | Event]:
-    """Yield what can be read; say where messages are missing before those behind the place."""
+    """Yield what can be read; report where messages are missing before those behind the place."""
     reader = WireReader(path)
     written = last_ns = 0
     for item in reader:

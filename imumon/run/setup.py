@@ -58,7 +58,7 @@ class RandomErrorParameters(StrictModel):
     Parameters
     ----------
     assume_rest : bool
-        Whether the unit is at rest throughout when nothing says (no column ``at_rest``).
+        Whether the unit is at rest throughout when it is not stated (no column ``at_rest``).
     noise : mapping of gyro_x, gyro_y, gyro_z to GyroNoise
         What is known of an axis; others are learnt.
     learn_s : float
@@ -89,7 +89,7 @@ class Setup(StrictModel):
 
     `model` is the path of a model file, relative to the pipeline file, or the model itself; a session keeps
     the model itself, so that it refers to nothing outside.  `noise` is what `imumon allan --noise-out`
-    writes; it holds for every estimator whose own parameters do not say otherwise.  `published` names methods
+    writes; it holds for every estimator whose own parameters do not state another.  `published` names methods
     of the papers that run beside the defaults.
     """
 
@@ -207,7 +207,7 @@ class Setup(StrictModel):
         return self
 
     def text(self) -> str | None:
-        """Return the pipeline file that says this much, or None when nothing differs from the defaults."""
+        """Return the pipeline file that states this much, or None when nothing differs from the defaults."""
         defaults = Setup()
         names = [name for name in Setup.model_fields if getattr(self, name) != getattr(defaults, name)]
         return dump_yaml({"format": FORMAT, **self.model_dump(include=set(names))}) if names else None

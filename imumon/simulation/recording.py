@@ -36,7 +36,7 @@ WAKE_UP_NS = 100_000.0
 """Mean time until the reader wakes up and has read."""
 
 Progress = Callable[[int], object]
-"""Told the number of samples that are done since it was last called."""
+"""Called with the number of samples that are done since it was last called."""
 
 
 def record_session(
@@ -79,7 +79,7 @@ def record_session(
 def _record(
     session: Session, scenario: Scenario, device: DeviceFile, seed: int, progress: Progress
 ) -> SessionMetadata:
-    """Write bytes and truth of a scenario; return what the session says then."""
+    """Write bytes and truth of a scenario; return the metadata of the session then."""
     encoder, arrivals = device.encoder(), _Arrivals(device.serial.baudrates[0], seed)
     unit = switch_on(device, scenario, seed)
     names = [KNOWN["device_time_ns"], KNOWN["segment"], *TRUTH_COLUMNS]

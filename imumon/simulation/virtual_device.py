@@ -1,6 +1,6 @@
 """A virtual AHRS: a simulated unit behind a real pseudo-terminal, sending packets at its rate.
 
-Where imumon can configure devices of its kind, it answers the same commands and does as it is told.
+Where imumon can configure devices of its kind, it answers the same commands and carries them out.
 """
 
 from __future__ import annotations
@@ -148,7 +148,7 @@ class VirtualDevice(AbstractContextManager["VirtualDevice"]):
             self._begin(self._rate_hz, self._seed + 1)
 
     def _obeyed(self) -> bool:
-        """Answer the commands that have come; tell whether the samples begin anew, or none are sent."""
+        """Answer the commands that have come; return whether the samples begin anew, or none are sent."""
         firmware = self.firmware
         if firmware is None:
             return False
@@ -165,7 +165,7 @@ class VirtualDevice(AbstractContextManager["VirtualDevice"]):
         return not firmware.streaming
 
     def _configure(self, seed: int) -> None:
-        """Send from now on what the settings say."""
+        """Send from now on as the settings require."""
         self._sending = self.firmware.sending()
         self._begin(self._default_hz if self._sending is None else self._sending.rate_hz, seed)
         self.port.baudrate = self.firmware.baudrate

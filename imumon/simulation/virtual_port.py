@@ -1,7 +1,7 @@
 """A serial device without hardware: a pseudo-terminal that behaves like a UART with a cable.
 
 A pseudo-terminal has no speed and no plug.  Here it has: bytes leave at the baud rate of the device, a host
-that opened it at another rate samples garbage, bytes that nobody takes are lost and counted, and the cable
+that opened it at another rate samples garbage, bytes that are not read are lost and counted, and the cable
 can be pulled.  Needs Linux.
 """
 
@@ -227,7 +227,7 @@ class VirtualPort(AbstractContextManager["VirtualPort"]):
         self.bytes_sent += len(data)
 
     def _as_sampled(self, data: bytes) -> bytes:
-        """Return the bytes that a host sees that samples the line at the rate it has set."""
+        """Return the bytes that a host receives that samples the line at the rate it has set."""
         ratio = self.baudrate / max(self.host_baudrate(), 1)
         if abs(ratio - 1) <= SAMPLING_TOLERANCE:
             self._sampler = None

@@ -127,7 +127,7 @@ NOTES = (
     "the largest value; a package that gave another number of values has that number instead.\n\n"
     "Not in the race, as of November 2026: for Xsens, `mti8-navigation` 1.0.0 takes the checksum for an "
     "exclusive or and accepts no packet; for Aceinna, `openimu` 2.6.1 needs packages that it does not name; "
-    "for VectorNav, `vectornav-vn200` 0.1.0 asks for registers and reads no stream; for the BNO08x, "
+    "for VectorNav, `vectornav-vn200` 0.1.0 queries registers and reads no stream; for the BNO08x, "
     "Adafruit's needs CircuitPython's ports. On PyPI none was found for SBG, STIM300, HiPNUC, Inertial Sense "
     "and KVH."
 )
@@ -157,7 +157,7 @@ def difference(found: Sequence[float], unit: float, true: FloatArray) -> str:
 
 
 def decoders(packets: int = PACKETS, rounds: int = ROUNDS) -> Table:
-    """Measure every peer that is installed; one that is not has a row that says so."""
+    """Measure every peer that is installed; one that is not has a row that states it."""
     functions: dict[str, Callable[[], object]] = {}
     apart: dict[str, str] = {}
     for peer in PEERS:
@@ -183,5 +183,5 @@ def decoders(packets: int = PACKETS, rounds: int = ROUNDS) -> Table:
 
 
 def race() -> Result:
-    """Run it; nothing here is a bar, as a row says itself who is better."""
+    """Run it; nothing here is a bar, as a row states itself who is better."""
     return [decoders()], []

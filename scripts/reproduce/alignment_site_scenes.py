@@ -78,7 +78,7 @@ class Scene:
 
 
 ANY = {"accel_bias_sd_ug": None}
-"""Accelerometers that nobody has declared."""
+"""Accelerometers whose bias has no declared sigma."""
 WARM_UP = (83.7, 150.0)
 """Of the paper: µg and s."""
 KINDS: tuple[tuple[str, Callable[..., FloatArray], tuple[tuple[float, ...], ...]], ...] = (
@@ -236,7 +236,7 @@ CREEPS = (
         for first, then, bias in ((0, 10, 30), (10, 0, 30), (3, -3, 2), (3, 3, 2), (0, 3, 0), (1, 0, 0.5))
     ),
 )
-"""Turns about the vertical, each from the first sample on, but where it says otherwise."""
+"""Turns about the vertical, each from the first sample on, where no other time is stated."""
 
 
 @dataclass(frozen=True)
@@ -261,7 +261,7 @@ def record(scene: Scene, seconds: float, seed: int) -> Record:
         step = 1.0 / scene.rate_hz
         angle = sum(tilt(step * np.arange(n), rng, *numbers) for tilt, *numbers in scene.tilts)
         gyro[1:, :2] += np.diff(angle, axis=0) / step
-        # Turned by a about its axes, the body sees the vector f as f - a x f; above its pivot, it swings.
+        # Turned by a about its axes, the body has the vector f as f - a x f; above its pivot, it swings.
         swing = scene.lever_m * np.gradient(np.gradient(angle, step, axis=0), step, axis=0)
         force = angle * STANDARD_GRAVITY + swing
         accel[:, 0] += force[:, 1]

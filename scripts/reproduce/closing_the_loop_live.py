@@ -1,7 +1,7 @@
 """Does the live search name what a calibration had inside, and nothing where nothing is missing?
 
 A curve is fitted to two runs of a unit whose bias has an undeclared effect, so that the model's `residual_sd`
-covers it; a third run from another power-on goes sample by sample through the stage that says MODEL CAN BE
+covers it; a third run from another power-on goes sample by sample through the stage that reports MODEL CAN BE
 BETTER.
 """
 

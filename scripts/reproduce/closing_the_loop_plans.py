@@ -95,7 +95,7 @@ def tables(given: Options) -> Iterator[Table]:
     enough = sum(one.reached >= one.needed for one in able)
     made = sum(not math.isnan(one.hours) for one in found)
     note = (
-        f"{len(found)} questions; {made} with a profile; {len(able)} of them expected to tell."
+        f"{len(found)} questions; {made} with a profile; {len(able)} of them expected to decide."
         f"  Reached within a factor of 2: {within} of {len(able)}; enough: {enough} of {len(able)}."
     )
     heads = ["case", "open", "hours", "expected", "needed", "reached", "s"]

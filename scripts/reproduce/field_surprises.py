@@ -1,4 +1,4 @@
-"""What nobody predicts: gaps, corners, broken thermometers, bias that jumps; with physics of its own.
+"""What cannot be predicted: gaps, corners, broken thermometers, bias that jumps; with physics of its own.
 
 A unit at rest: its gyros' temperature lags that of the thermometer, their bias follows it by a parabola, and
 1/f noise is three Gauss-Markov processes.

@@ -25,7 +25,7 @@ from imumon.geodesy import DEG_PER_H
 
 HOLD_S, RAMP_S = 300.0, 300.0
 SMOOTH_S = 600.0
-"""Window of the Savitzky-Golay filter, which sees what comes later."""
+"""Window of the Savitzky-Golay filter, which uses what comes later."""
 FIRST_WINDOW_S = 70.0
 """Of a unit that never rests; the first value comes after a minute."""
 HEADS = ("part", "kind", "rms error", "others", "claimed", "error/σ rms", "max")

@@ -270,7 +270,7 @@ def percent(found: BoolArray, where: BoolArray) -> float:
 
 
 def vqf_rest(samples: SampleBlock) -> BoolArray:
-    """Return what the rest detection of the PyPI package vqf says, with its default settings.
+    """Return what the rest detection of the PyPI package vqf finds, with its default settings.
 
     It is given gyros without their bias at the start, for it takes more than 2 deg/s for motion.
     """

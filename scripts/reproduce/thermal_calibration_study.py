@@ -125,7 +125,7 @@ def residuals(curve: Curve, points: Points, parts: list[BoolArray]) -> list[floa
 
 
 def sizes(title: str, points: list[Points], truth: FloatArray, channels: list[Channel]) -> Table:
-    """Return S_r, the rms over the axes, of networks of each size: what splits tell, and the truth."""
+    """Return S_r, the rms over the axes, of networks of each size: what splits show, and the truth."""
     rows: list[Cells] = []
     for n in SIZES:
         found = [published(one, n, seed=n) for one in points]

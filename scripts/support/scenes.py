@@ -46,7 +46,7 @@ READ_S = 0.01
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """One run: what sends, what the estimators are told, and how it is looked at."""
+    """One run: what sends, what the estimators are given, and how it is looked at."""
 
     shows: str
     """For the list in the docs."""
@@ -55,12 +55,12 @@ class Scene:
     """Returns what came over the port, given a folder to work in."""
     setup: Callable[[], Setup] = field(default=Setup)
     live: bool = True
-    """As it was seen live; else as a recording is opened afterwards."""
+    """As it was shown live; else as a recording is opened afterwards."""
     baudrate: int | None = None
 
 
 def view_items(name: str, scene: Scene) -> tuple[ViewSetup, list[ViewItem]]:
-    """Return what the view is told of a scene: before the first sample, and then in order."""
+    """Return what the view receives of a scene: before the first sample, and then in order."""
     device = at_baud(load_device(scene.device), scene.baudrate)
     pipeline = pipeline_of(device, scene.setup())
     items: list[ViewItem] = []

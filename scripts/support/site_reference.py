@@ -160,7 +160,7 @@ def _default(field: FieldInfo) -> str:
 
 
 def _parameters(docstring: str) -> dict[str, str]:
-    """Return what the section Parameters of a docstring says of each name."""
+    """Return what the section Parameters of a docstring states of each name."""
     _, _, section = inspect.cleandoc(docstring).partition("Parameters\n----------\n")
     found: dict[str, str] = {}
     names: list[str] = []

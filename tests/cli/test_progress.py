@@ -69,7 +69,7 @@ def test_without_a_terminal_long_work_says_from_time_to_time_how_far_it_has_come
     lines: Queue[str] = Queue()
     for name in ("FIRST_LINE_S", "LINE_S"):
         monkeypatch.setattr(progress, name, 0.01)
-    monkeypatch.setattr(progress, "say", lambda _, text: lines.put(text))
+    monkeypatch.setattr(progress, "log", lambda _, text: lines.put(text))
     monkeypatch.setattr("sys.stderr", io.StringIO())
 
     def until(start: str) -> None:
@@ -93,7 +93,7 @@ def test_long_work_is_announced_with_its_time_and_short_work_is_not(
     monkeypatch: pytest.MonkeyPatch, session: Path
 ) -> None:
     lines: list[str] = []
-    monkeypatch.setattr(progress, "say", lambda _, text: lines.append(text))
+    monkeypatch.setattr(progress, "log", lambda _, text: lines.append(text))
     for expected_s in (4.0, 21.0, 200.0, 7000.0):
         progress.announce("reading", 13500, 6750.0, expected_s, quiet=False)
         progress.announce("reading", 13500, 6750.0, expected_s, quiet=True)
@@ -102,7 +102,7 @@ def test_long_work_is_announced_with_its_time_and_short_work_is_not(
 
 
 def test_simulate_announces_only_what_takes_long(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("imumon.cli.progress.WORTH_SAYING_S", 0.0)
+    monkeypatch.setattr("imumon.cli.progress.WORTH_LOGGING_S", 0.0)
     options = ["crs05-ramp", "--duration", 1, "--out"]
     assert "simulating 100 samples of 1 s: about 1 s" in imumon("simulate", *options, tmp_path / "a").stderr
     assert "about" not in imumon("simulate", *options, tmp_path / "b", "--json").stderr

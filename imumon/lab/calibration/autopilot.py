@@ -127,7 +127,7 @@ def _notes(model: BiasModel, autopilot: Autopilot, low: float, high: float) -> l
     notes = {
         f"outside {low:.1f} to {high:.1f} °C the correction stands still: do not trust offsets that the"
         " autopilot finds at power-on there": True,
-        "the model does not say its axes: they are taken for those of the board, forward-right-down;"
+        "the model does not state its axes: they are taken for those of the board, forward-right-down;"
         " if they are not, the correction has the wrong sign": model.axes is None,
         "the gyros' constant holds the earth rate of the test, up to 15 °/h": (
             autopilot == "px4" and model.earth_rate == "included"

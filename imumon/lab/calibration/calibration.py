@@ -34,7 +34,7 @@ from imumon.recordings.source import Count, no_count
 from imumon.version import __version__
 
 Name = TypeVar("Name", bound=str)
-Tell = Callable[[str], None]
+Progress = Callable[[str], None]
 """Takes what is being done now."""
 MANY_LEVELS = 6
 MARGIN = 0.005
@@ -58,7 +58,7 @@ class Finding:
     """Variance that the samples' own noise leaves in each of the points, if it is white, (n,)."""
     offset: FloatArray
     """Turn-on offset of each run from the mean of all, in the channel's unit, (runs,); NaN where it cannot
-    be told."""
+    be determined."""
     lag_rms: float
     """What a gyro `imumon.effects.thermal_lag.UNTOLD_S` behind its thermometer would err by in this data."""
     comparable: bool = True
@@ -87,7 +87,7 @@ class Calibration:
 
 
 def read_sessions(paths: Sequence[Path], count: Count = no_count) -> tuple[list[Record], list[str]]:
-    """Return the records of sessions, and what is to be said of them.
+    """Return the records of sessions, and remarks on them.
 
     Raises BAD_DATA when one cannot be read.
     """
@@ -100,14 +100,14 @@ def calibrate(
     latitude_deg: float | None = None,
     heading_deg: float | None = None,
     serial: str | None = None,
-    tell: Tell = lambda _: None,
+    progress: Progress = lambda _: None,
 ) -> Calibration:
     """Make a bias model of recordings of one unit.
 
     With latitude and heading, the earth rate is taken from the gyros (levelled by the accelerometers);
     otherwise it stays in the constant of their curves.
 
-    Raises BAD_DATA, with the numbers seen, when the data does not allow a model; BAD_CONFIG when only one of
+    Raises BAD_DATA, with the numbers found, when the data does not allow a model; BAD_CONFIG when only one of
     latitude and heading is given, or the heading cannot be used.
     """
     check_place(latitude_deg, heading_deg)
@@ -119,7 +119,7 @@ def calibrate(
             "the earth rate cannot be removed: the unit has no accelerometers",
             "leave --latitude and --heading away",
         )
-    findings, channels, warnings = _all_channels(records, cells, tell)
+    findings, channels, warnings = _all_channels(records, cells, progress)
     return Calibration(
         model=BiasModel(
             made_by=f"imumon {__version__}",
@@ -152,12 +152,12 @@ def check_place(latitude_deg: float | None, heading_deg: float | None) -> None:
 
 
 def _all_channels(
-    records: Sequence[Record], cells: Cells, tell: Tell
+    records: Sequence[Record], cells: Cells, progress: Progress
 ) -> tuple[dict[str, Finding], dict[str, ChannelModel], list[str]]:
     findings, channels, warnings = {}, {}, []
     centers = levels(cells)
     for name in (*GYRO, *ACCEL):
-        tell(f"trying curves for {name}")
+        progress(f"trying curves for {name}")
         channel = channel_of(records, cells, name, centers)
         if channel is None:
             continue

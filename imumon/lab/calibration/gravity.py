@@ -41,7 +41,7 @@ class Length:
 
     @classmethod
     def from_poses(cls, force: FloatArray, warmth: FloatArray) -> tuple[int, Self] | None:
-        """Return the number of poses and what |f| = g says in them; None with fewer than six poses.
+        """Return the number of poses and the errors by |f| = g in them; None with fewer than six poses.
 
         To first order |f| - g = u·b + g u·S u, with u the direction, b the bias, S scale and misalignment.
 

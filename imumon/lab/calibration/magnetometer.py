@@ -30,7 +30,7 @@ MIDDLES = np.column_stack([*(np.sqrt(1.0 - _Z**2) * (np.cos(_TURN), np.sin(_TURN
 """Directions are counted in so many cells of equal area, each about 30° wide, whose middles, (CELLS, 3), are
 on a spiral by the golden angle."""
 LEAST_COVERAGE = 0.5
-"""Of the cells.  Seen from one side only an ellipsoid's far side is extrapolated."""
+"""Of the cells.  With points on one side only, an ellipsoid's far side is extrapolated."""
 LEAST_POINTS = 100
 """For nine numbers and what is left over."""
 WORST_SD = 0.01
@@ -57,7 +57,7 @@ class MagnetometerFit:
 
     @property
     def doubts(self) -> list[str]:
-        """What is to be said beside it."""
+        """Warnings beside it."""
         strength, (low, high) = self.model.field, EARTH_UT
         if self.model.unit != "uT" or 0.5 * low < strength < 2.0 * high:
             return []
@@ -71,7 +71,7 @@ def fit_magnetometer(blocks: Iterable[SampleBlock], unit: str, source: str) -> M
     """Fit hard and soft iron to the magnetometer of samples.
 
     Raises BAD_DATA when there is no magnetometer, too little was turned, or the readings are on no ellipsoid;
-    it says how much of the directions was seen, and what to turn next.
+    it states which share of the directions was measured, and what to turn next.
 
     Parameters
     ----------
@@ -231,7 +231,7 @@ def slower_than_white(residual: FloatArray) -> float:
 
 
 def _next(seen: FloatArray, directions: FloatArray, accel: FloatArray) -> str:
-    """Say which side of the unit should point along the field, where most is missing."""
+    """Return which side of the unit should point along the field, where most is missing."""
     missing = (1.0 - seen) @ MIDDLES
     axis = int(np.argmax(np.abs(missing)))
     side = f"turn the {'-' if missing[axis] < 0.0 else '+'}{'xyz'[axis]} axis"

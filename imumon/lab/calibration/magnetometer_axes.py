@@ -1,4 +1,4 @@
-"""Whether a magnetometer has the gyros' axes: the field of a recording beside how the gyros say it turned.
+"""Whether a magnetometer has the gyros' axes: the field of a recording beside the turns of the gyros.
 
 The field stays where it is while the unit turns.  With C the gyros' turn from one moment to a later one, and
 P the matrix that takes the magnetometer's axes to the gyros'::
@@ -40,7 +40,7 @@ GYRO_SCALE = 0.01
 """Of gyros without calibration, each element of scale and misalignment, as in `AttitudeParameters`: what is
 fitted to such gyros is known to no better, rad."""
 WORST_SD = np.radians(10.0)
-"""A rotation that is known to no better says nothing of axes, which are 90° apart."""
+"""A rotation that is known to no better does not determine axes, which are 90° apart."""
 MOST_LEFT, BEYOND = 0.25, 3.0
 """Of the squares of how the field went, and of what the fit of its strength left: what is left beyond both
 has not gone as the gyros turned, in any axes."""
@@ -65,7 +65,7 @@ class Axes(NamedTuple):
 
     @property
     def is_significant(self) -> bool:
-        """Whether the gyros tell which axes these are."""
+        """Whether the gyros determine which axes these are."""
         return self.follows and self.sd < WORST_SD
 
     @property
@@ -75,7 +75,7 @@ class Axes(NamedTuple):
 
 
 def axes_of(blocks: Iterable[SampleBlock], model: MagnetometerModel) -> Axes | None:
-    """Return the axes of a magnetometer that is calibrated; None where the gyros do not tell.
+    """Return the axes of a magnetometer that is calibrated; None where the gyros do not determine them.
 
     Slots count whose turn is known from the end of the one before.
     """
@@ -160,7 +160,7 @@ def doubts(axes: Axes | None, source: str) -> list[str]:
             f"{source}: the magnetometer has not the gyros' axes: their x, y, z are its "
             + named(WAYS[axes.way]),
             "name the columns of mag in this order in the map or device file, and reverse what has a minus "
-            "(in a device file by a negative scale); turns do not tell which of the two it is: north of the "
+            "(in a device file by a negative scale); turns do not show which of the two it is: north of the "
             "magnetic equator the field must point down",
         )
     if axes.angle < SIGMAS * axes.sd:
@@ -171,7 +171,7 @@ def doubts(axes: Axes | None, source: str) -> list[str]:
 
 
 def named(way: FloatArray) -> str:
-    """Say which axes of the magnetometer the gyros' x, y, z are by one of `WAYS`, and by its reverse."""
+    """Return which axes of the magnetometer the gyros' x, y, z are by one of `WAYS`, and by its reverse."""
     axes = np.abs(way).argmax(axis=1)
     signs = np.sign(way[range(3), axes])
     both = sorted((signs, -signs), key=lambda of: -of.sum())

@@ -82,7 +82,7 @@ def choose(channel: Channel, points: Points, knots: FloatArray) -> Choice:
 
 
 def held_out(points: Points, fit: Fit) -> FloatArray:
-    """Return the residual of each mean to a curve that has not seen its level, (n,); NaN at the two edges."""
+    """Return the residual of each mean to a curve fitted without its level, (n,); NaN at the two edges."""
     residual = np.full(len(points), np.nan)
     for out in folds(points.level, FOLDS):
         curve = fit(points.only(~out))
@@ -102,7 +102,7 @@ def _rms(points: Points, residual: FloatArray) -> float:
 
 
 def turn_on_offsets(channel: Channel, points: Points, knots: FloatArray) -> FloatArray:
-    """Return the offset of each run, (runs,) in the channel's unit; NaN where it cannot be told.
+    """Return the offset of each run, (runs,) in the channel's unit; NaN where it cannot be determined.
 
     A run is compared only where others were at the same temperatures: with no level in common, an offset and
     a bend of the curve are the same.  The mean over the runs that can be compared is 0.

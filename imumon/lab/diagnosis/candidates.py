@@ -155,7 +155,7 @@ class Finding:
     pooled_gain: float = 0.0
     rivals: dict[str, float] = field(default_factory=dict)
     others: dict[str, Candidate] = field(default_factory=dict)
-    """The best of each other family that cannot be told apart from it."""
+    """The best of each other family that is not told apart from it."""
     size: float = 0.0
     """rms of what it took away from training when it was found."""
     by_test: bool = False
@@ -170,7 +170,7 @@ class Finding:
 
     @property
     def alike(self) -> list[str]:
-        """It and the families that cannot be told apart from it; empty when there is no other."""
+        """It and the families that are not told apart from it; empty when there is no other."""
         return [self.name, *self.others] if self.others else []
 
 
@@ -230,7 +230,7 @@ class Channel:
     """A channel over the runs that it is fitted to, and those that prove what was found.
 
     The declared model of its bias is a polynomial of u = (T - middle) / half span, and a constant of its own
-    for each run, or each pose of each run, where `own` says so.
+    for each run, or each pose of each run, where `own` is set.
     """
 
     name: str

@@ -46,7 +46,7 @@ EARTH_SPREAD = 2.1 * EARTH_RATE
 class Recorded:
     """What is diagnosed: blocks of training and test, and what is declared of them.
 
-    `temperatures` has that of each channel, `degree` is that of the declared polynomial, and `own` says
+    `temperatures` has that of each channel, `degree` is that of the declared polynomial, and `own` is
     whether each run, or each pose of each run, has a constant of its own.  With a `model` that is known, its
     curve is off the runs already.  The search is in `shorter` blocks where there are some.
     """
@@ -111,7 +111,7 @@ def diagnose(
     `declared` does not count.  `drivers` are what may drive an effect beside temperature, time and specific
     force; None: all that was recorded and varies.
 
-    Raises BAD_DATA when the data cannot show anything, saying why; BAD_CONFIG for a wrong declared model,
+    Raises BAD_DATA when the data cannot show anything, and why; BAD_CONFIG for a wrong declared model,
     or a known one that holds at no temperature of the training.
     """
     remarks = [*dict.fromkeys(text for run in (*train, *test) for text in run.warnings)]

@@ -34,7 +34,7 @@ from imumon.simulation.unit.scenario import Chamber, Step, Unit
 from imumon.simulation.unit.thermal import chamber_knots
 
 RATE_HZ = 4.0
-"""Enough for the scatter inside a second to tell the white noise."""
+"""Enough for the scatter inside a second to give the white noise."""
 LATITUDE_DEG = 45.0
 MARGIN = 1.4
 """The evidence that is planned for over what is needed: what is reached scatters."""
@@ -53,7 +53,7 @@ SOAKS_S = (300.0, 1800.0)
 REPEATS = (1, 2, 4, 8)
 HELD_S = (3600.0, 7200.0, 14400.0, 28800.0)
 SLOWER = 4.0
-"""Two rates of temperature that a lag tells apart well."""
+"""Ratio of two rates of temperature between which a lag shows well."""
 POSES = (Turn(kind="turn", at_s=0.0, duration_s=10.0, roll_deg=90.0),) * 3 + (
     Turn(kind="turn", at_s=0.0, duration_s=10.0, roll_deg=90.0, pitch_deg=90.0),
     Turn(kind="turn", at_s=0.0, duration_s=10.0, pitch_deg=-180.0),
@@ -165,10 +165,10 @@ class Question(NamedTuple):
 
 
 class Evidence(NamedTuple):
-    """What a profile shows of the pair of answers that it tells apart worst, `truth` and its `rival`.
+    """What a profile shows of the pair of answers that it separates worst, `truth` and its `rival`.
 
     `value` is the mean difference of their gains in BIC over simulated units, `least` the smallest, `needed`
-    what tells them apart.
+    what separates them.
     """
 
     value: float

@@ -64,7 +64,7 @@ def usable_channels(
     if not found:
         raise bad_data(
             f"no channel of {', '.join(sensors)} has data in every training run",
-            "give sessions that have them, or a map that says which columns they are",
+            "give sessions that have them, or a map that names their columns",
         )
     return found
 
@@ -249,7 +249,7 @@ def usable_blocks(
     remarks: list[str],
     training: bool = False,
 ) -> list[RunBlocks]:
-    """Return the runs at rest as blocks; raises BAD_DATA, saying why, where they are too few for training."""
+    """Return the runs at rest as blocks; raises BAD_DATA, and why, where they are too few for training."""
     found, earlier = [], len(remarks)
     for run in runs:
         lacking = [name for name in (*channels, *temperatures) if name not in run.mean]

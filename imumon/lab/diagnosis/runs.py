@@ -94,7 +94,7 @@ class Run:
     woven: bool = False
     """Whether it lies between parts of the training, whose ends any smooth course joins."""
     warnings: tuple[str, ...] = ()
-    """Why its numbers may not be fit for an estimate; the device has corrected its rates itself, say."""
+    """Why its numbers may not be fit for an estimate; for example, the device corrected its rates itself."""
     slot_s: float = 1.0
     """Whole seconds; more than one where a log is slower than a sample a second."""
     samples: Mapping[str, Samples] = field(default_factory=dict)

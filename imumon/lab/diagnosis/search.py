@@ -107,7 +107,7 @@ def _add(active: Sequence[Search], least: float) -> None:
 
 
 class Selection(NamedTuple):
-    """Effects of which channels lack one, the one that is chosen first; these data do not tell them apart.
+    """Effects of which channels lack one, the one that is chosen first; these data do not separate them.
     `gain` is what it gains on all of these channels."""
 
     names: list[str]
@@ -166,7 +166,7 @@ class Search:
     """The search in one channel, and what it found.
 
     `findings` are the effects in the order in which they were found, those of the present model first;
-    `many_events` says that a run has more than one event, such as two jumps, which no effect explains.
+    `many_events` means that a run has more than one event, such as two jumps, which no effect explains.
     `tables` has the best candidates of each stage, `stages` what was done, with the model that it led to and
     its gain (NaN without); `survey` is what the runs can show, `tried` what may be added.
     """

@@ -183,7 +183,7 @@ class ChannelVerdict:
 
 
 def _numbers(verdict: ChannelVerdict) -> str:
-    """Return what is left, in white floors, of training and of the test: only that says whether it is all."""
+    """Return what is left, in white floors, of training and of the test: only that shows if it is all."""
     floor, score = verdict.channel.floor.sd, verdict.test_after
     before, after = verdict.before.train_rms / floor, verdict.after.train_rms / floor
     changed = bool(verdict.claims or verdict.refit)
@@ -288,7 +288,7 @@ def _claimed(channel: Channel, found: Search, baseline: Fit, left_out: list[Any]
         tests = score_test(channel, baseline, like=after), score_test(channel, after)
         return _Model(findings, after, tests)
 
-    # A jump that is too small to matter beside the rest is not told from the steps of a walk.
+    # A jump that is too small to matter beside the rest is not distinguished from the steps of a walk.
     lasting = [one for one in found.findings if one.candidate.scope != "event"]
     without = fit(channel, [one.candidate for one in lasting]).train_rms
     small = found.many_events or without < MATERIAL * channel.floor.sd
@@ -354,7 +354,7 @@ def _proven_by_test(channel: Channel, found: Search, nothing: _Model) -> Finding
     """Return the effect that predicts the test best, if it explains it, where training proves nothing.
 
     Noise that wanders as fast as it does within minutes may go anywhere within the hour, so that no
-    likelihood tells a loop that was gone through once from a wander.  But no wander goes the same way again.
+    likelihood separates a loop gone through once from a wander.  But no wander goes the same way again.
     Only effects count that make the training likelier, by more than their coefficients cost: the best of each
     family by the likelihood, and by least squares.  The test chooses here, so effects of other names that
     explain it as well are not told apart.

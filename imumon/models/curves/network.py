@@ -26,7 +26,7 @@ DECAY = 1e-7
 With 1e-5 it costs 2 % of the span, more than the noise of the soak, and the slope suffers."""
 FIRST_STEP = 0.1
 """Bound of the first step, in norms of the start; the least that MINPACK takes.  With its usual 100 that step
-makes neurons so steep that they jump between two levels, where no sample sees it."""
+makes neurons so steep that they jump between two levels, where there is no sample."""
 MERGED = 200
 """Means within this part of the span are merged before training."""
 FIRST, LAST = 50, 200
@@ -205,7 +205,7 @@ def train(
     def residual(weights: FloatArray) -> FloatArray:
         return np.concatenate([root * (response(weights, data.u) - data.y), shrink * weights])
 
-    def derivative(weights: FloatArray) -> FloatArray:  # is asked for after each step that was accepted
+    def derivative(weights: FloatArray) -> FloatArray:  # is called after each step that was accepted
         nonlocal best, least
         if validation is not None and (error := mean_square(weights, validation)) < least:
             best, least = weights.copy(), error

@@ -15,7 +15,7 @@ from imumon.models.curves.points import Points
 
 HIGHEST_ORDER = 12
 CUBIC = "polynomial 3"
-"""The words for the curve that a diagnosis assumes where nothing is said; here, as they are wanted early."""
+"""The words for the curve that a diagnosis assumes where none is given; here, as they are wanted early."""
 
 
 class PolynomialCurve(StrictModel):

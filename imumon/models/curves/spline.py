@@ -66,7 +66,7 @@ def fit_spline(points: Points, knots: FloatArray) -> SplineCurve:
     """Fit a cubic spline by penalised least squares: sum of w r² + λ ∫ b''² dT.
 
     λ is that of the least error at levels left out, so the noise within a level, which is not white, has no
-    say in it.  With fewer than three levels, λ is large: nothing but a straight line.
+    part in it.  With fewer than three levels, λ is large: nothing but a straight line.
 
     Parameters
     ----------

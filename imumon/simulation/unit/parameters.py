@@ -1,4 +1,4 @@
-"""What a unit file says: one inertial unit, its biases over temperature, its noise and its thermometers."""
+"""What a unit file holds: one inertial unit, its biases over temperature, its noise and its thermometers."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ Term = Annotated[Shape | Polynomial, Field(discriminator="kind")]
 
 
 class Curves(StrictModel):
-    """A bias over temperature for each axis, as a sum of terms; the key that holds it tells the unit."""
+    """A bias over temperature for each axis, as a sum of terms; the key that holds it names the unit."""
 
     x: list[Term] = Field(default_factory=list)
     y: list[Term] = Field(default_factory=list)

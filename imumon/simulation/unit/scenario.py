@@ -1,6 +1,6 @@
 """Scenario files: which unit, where and how it stands, what the chamber does, and how it is moved.
 
-A scenario or a unit may name a `base` of its kind: what it does not say itself, the base says.
+A scenario or a unit may name a `base` of its kind: what it does not state itself, the base states.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ class _Based(StrictModel):
 
 
 class _Header(StrictModel, extra="ignore"):
-    """What tells whether a file may serve as a base."""
+    """What shows whether a file may serve as a base."""
 
     base: str | None = None
 

@@ -1,4 +1,4 @@
-"""Temperatures: what the chamber does, what the sensors have of it, and what the thermometers say."""
+"""Temperatures: what the chamber does, what the sensors have of it, and what the thermometers read."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ from imumon.simulation.unit.thermal import SensorTemperature, Thermometers
 MICROSECOND = Fraction(1000)
 """ns."""
 CHUNK = 8192
-"""Samples that are computed at once, whatever the calls ask for: so the calls cannot change a bit."""
+"""Samples that are computed at once, whatever the calls request: so the calls cannot change a bit."""
 MAG_NOISE_UT = 0.08
 FIELD_UT = np.array([20.0, 1.0, 43.0])
 """Magnetic field north, east, down, as in central Europe."""
@@ -45,7 +45,7 @@ _CONSTANT: dict[str, ColumnArray] = {
     "supply_voltage": np.array([5.02]),
     "pressure": np.array([101_325.0]),
 }
-"""What encoders may ask for and nothing here changes."""
+"""What encoders may query and nothing here changes."""
 
 
 def _whole(columns: Mapping[str, ColumnArray]) -> SampleBlock:

@@ -88,7 +88,7 @@ def test_a_unit_of_other_axes_is_turned_into_those_of_the_board() -> None:
 
 def test_axes_that_nobody_stated_are_said() -> None:
     unstated = parameters(model(), "ardupilot", 0)[1]
-    assert any("does not say its axes" in note for note in unstated)
+    assert any("does not state its axes" in note for note in unstated)
     stated = parameters(model().model_copy(update={"axes": "FRD"}), "ardupilot", 0)[1]
     assert not any("axes" in note for note in stated)
 
