@@ -61,7 +61,7 @@ def test_rows_of_a_page_are_those_of_the_appendix(page: str, appendix: str, at_l
         assert all(is_rounded(number, source[row[0]]) for number in numbers(row[1:])), row
 
 
-def test_kinds_of_sites_and_what_is_said_of_them() -> None:
+def test_kinds_of_sites_and_what_is_reported_of_them() -> None:
     sites, _, creeps = tables("appendix/alignment-site-results.md")
     kinds = [len(sites) - 1, len(creeps) - 1]
     assert numbers_in(ALIGNMENT, r"runs (\d+) kinds of sites and (\d+) of creeps") == kinds

@@ -42,7 +42,7 @@ def test_a_healthy_record_passes_as_it_is() -> None:
 
 
 @pytest.mark.parametrize("value", [1e30, -1e300, np.inf, -np.inf, 1001.0])
-def test_what_no_gyro_says_is_left_out_and_said_once(value: float) -> None:
+def test_what_no_gyro_reads_is_left_out_and_reported_once(value: float) -> None:
     columns = record(500)
     columns["gyro_y"][100] = value
     block, intake = seen(columns)
@@ -114,7 +114,7 @@ def test_a_gyro_that_has_had_one_reading_only_has_no_bias() -> None:
     ]
 
 
-def test_an_accelerometer_that_is_off_says_zero_and_is_left_out() -> None:
+def test_an_accelerometer_that_is_off_reads_zero_and_is_left_out() -> None:
     columns = record(500)
     columns |= {f"accel_{axis}": columns[f"gyro_{axis}"].copy() for axis in "xyz"}
     columns["accel_x"][50] = 0.0
@@ -266,7 +266,7 @@ def at_50_hz(n: int, seed: int = 0) -> Columns:
     [(0.0, "0 rad/s without any change"), (0.25, "0.25 rad/s without any change"), (np.nan, "nothing")],
 )
 @pytest.mark.parametrize("since", [0, 1000])
-def test_an_axis_that_stays_as_it_is_beside_those_that_do_not_is_told(
+def test_an_axis_that_stays_as_it_is_beside_those_that_do_not_is_reported(
     value: float, said: str, since: int
 ) -> None:
     columns = at_50_hz(5000)
@@ -281,7 +281,7 @@ def test_an_axis_that_stays_as_it_is_beside_those_that_do_not_is_told(
         assert intake.left_out == 0
 
 
-def test_an_axis_that_stays_for_a_shorter_time_is_not_told() -> None:
+def test_an_axis_that_stays_for_a_shorter_time_is_not_reported() -> None:
     columns = at_50_hz(6000)
     for start in (0, 1500, 3000, 4500):  # each time on another value
         columns["gyro_y"][start : start + 1490] = 1e-4 * start
@@ -299,7 +299,7 @@ def test_a_coarse_sensor_at_rest_has_no_dead_axis(step_of_noise: float, seed: in
     assert not [text for text in seen(columns)[1].notices() if "without any change" in text]
 
 
-def test_an_axis_that_dies_is_told_beside_a_coarse_one_and_after_rest() -> None:
+def test_an_axis_that_dies_is_reported_beside_a_coarse_one_and_after_rest() -> None:
     columns = at_50_hz(9000)
     for axis in "xyz":  # a minute of rest within a step, then motion
         columns[f"gyro_{axis}"][:3000] = 0.0

@@ -125,7 +125,7 @@ def test_a_table_in_a_file_of_numpy_is_read_and_others_are_refused_in_words(tmp_
             imumon.read(tmp_path / name)
 
 
-def test_a_table_without_units_is_said_to_be_one(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_table_without_units_is_reported_as_one(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     (tmp_path / "t.csv").write_text("gyro_x,flow\n1.0,2.0\n")
     assert imumon.read(tmp_path / "t.csv").units == {"gyro_x": "rad/s", "flow": ""}
     assert "without t.units.yaml known names have the units of imumon" in caplog.text

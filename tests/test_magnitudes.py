@@ -26,7 +26,7 @@ def found(block: SampleBlock, size: int = 10**6) -> str | None:
 
 
 @pytest.mark.parametrize(("factor", "told"), [(1000.0, "1e+03"), (9.80665, "9.9"), (1 / 9.80665, "0.1")])
-def test_a_specific_force_in_another_unit_is_said_in_motion(factor: float, told: str) -> None:
+def test_a_specific_force_in_another_unit_is_reported_in_motion(factor: float, told: str) -> None:
     text = found(moved(factor, shakes=0.1))
     assert text is not None
     assert f"is {told} times gravity for minutes" in text
@@ -40,7 +40,7 @@ def test_motion_in_the_declared_unit_is_not(factor: float, shakes: float) -> Non
     assert found(moved(factor, shakes=shakes)) is None
 
 
-def test_what_a_rocket_does_for_two_minutes_and_what_is_missing_are_not_said() -> None:
+def test_what_a_rocket_does_for_two_minutes_and_what_is_missing_are_not_reported() -> None:
     block = moved(1.0, 900.0)
     t = np.arange(len(block)) / 10.0
     burns = np.where((t % 300.0) < 110.0, 5.0, 1.0)
@@ -48,7 +48,7 @@ def test_what_a_rocket_does_for_two_minutes_and_what_is_missing_are_not_said() -
     assert found(block.with_columns({"accel_x": np.full(len(block), np.nan)})) is None
 
 
-def test_the_intake_says_it_once() -> None:
+def test_the_intake_reports_it_once() -> None:
     intake = Intake()
     intake.process(moved(1000.0))
     assert "1e+03 times gravity" in intake.notices()[0]
@@ -57,5 +57,5 @@ def test_the_intake_says_it_once() -> None:
 
 
 @pytest.mark.parametrize(("rate_hz", "count"), [(0.05, 1), (5e4, 1), (0.2, 0), (32e3, 0), (np.nan, 0)])
-def test_rates_of_no_inertial_sensor_are_said(rate_hz: float, count: int) -> None:
+def test_rates_of_no_inertial_sensor_are_reported(rate_hz: float, count: int) -> None:
     assert len(rate_doubts(rate_hz)) == count

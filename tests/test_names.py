@@ -1,4 +1,4 @@
-"""Names in the code: the field's words, not who said or was told what."""
+"""Names in the code and of the tests: the field's words, not who said or was told what."""
 
 from __future__ import annotations
 
@@ -44,5 +44,16 @@ def test_names_are_words_of_the_field() -> None:
         for line, name in names(ast.parse(path.read_text(encoding="utf-8")))
         for word in re.split(r"_+", name.lower())
         if word in BANNED and name not in ALLOWED
+    ]
+    assert found == []
+
+
+def test_names_of_tests_are_words_of_the_field() -> None:
+    found = [
+        f"{path.name}: {name}: {BANNED[word]}?"
+        for path in sorted(Path(__file__).parent.rglob("test_*.py"))
+        for name in re.findall(r"def (test_\w+)", path.read_text(encoding="utf-8"))
+        for word in name.replace("not_told_apart", "").split("_")
+        if word in BANNED
     ]
     assert found == []

@@ -31,7 +31,7 @@ def test_a_package_that_gives_fewer_values_is_not_called_equal() -> None:
     assert race.difference([1.0, 2.5], 1.0, true) == "2e-01"
 
 
-def test_a_package_that_is_missing_has_a_row_that_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_package_that_is_missing_has_a_row_that_reports_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(race, "named", lambda _: None)
     assert set(column(race.decoders(50, 1), "the other, µs")) == {"not installed"}
 

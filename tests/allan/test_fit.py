@@ -58,7 +58,7 @@ def test_terms_are_found_within_their_standard_deviations(truth: dict[str, float
             assert sum(fit.terms[term] is not None for fit in found) <= 2, term
 
 
-def test_noise_with_heavy_tails_is_known_less_well_and_says_so() -> None:
+def test_noise_with_heavy_tails_is_known_less_well_and_reports_it() -> None:
     rng = np.random.default_rng(7)
     found = fits([1e-3 / np.sqrt(2.0 * INTERVAL_S) * rng.standard_t(4.0, N) for _ in range(12)])
     walks = [estimate for fit in found if (estimate := fit.terms["angle_random_walk"]) is not None]
@@ -123,7 +123,7 @@ def test_a_slow_tone_of_any_size_leaves_the_angle_random_walk_alone_and_true(siz
 
 
 @pytest.mark.parametrize(("hertz", "size"), [(0.5, 0.1), (5.03, 0.01), (5.03, 0.1)])
-def test_no_term_is_told_of_a_curve_that_a_tone_has_taken_over(hertz: float, size: float) -> None:
+def test_no_term_is_reported_of_a_curve_that_a_tone_has_taken_over(hertz: float, size: float) -> None:
     for fit in fits([noise(seed, N, INTERVAL_S, white=1e-3) + tone(hertz, size) for seed in range(6)]):
         assert not any(fit.terms.values())
 
@@ -140,7 +140,7 @@ def test_a_correlated_disturbance_is_not_taken_for_a_filter() -> None:
 
 
 @pytest.mark.parametrize(("sd", "time_s"), [(2e-3, 10.0), (2e-3, 3.0), (2e-2, 10.0)])
-def test_correlated_noise_is_told_as_such_with_its_time(sd: float, time_s: float) -> None:
+def test_correlated_noise_is_reported_as_such_with_its_time(sd: float, time_s: float) -> None:
     found = fits(
         [
             noise(700 + row, N, INTERVAL_S, white=1e-3) + correlated(800 + row, N, INTERVAL_S, sd, time_s)
@@ -156,7 +156,7 @@ def test_correlated_noise_is_told_as_such_with_its_time(sd: float, time_s: float
         assert not any(fit.terms[name] for fit in found)
 
 
-def test_a_told_term_never_lies_above_the_measured_curve() -> None:
+def test_a_reported_term_never_lies_above_the_measured_curve() -> None:
     """A random walk that was told of such noise stood seven times above the curve of a longer record."""
     records = [
         noise(600 + row, N, INTERVAL_S, white=1e-3) + correlated(row, N, INTERVAL_S, sd, time_s)
@@ -178,7 +178,7 @@ def test_a_told_term_never_lies_above_the_measured_curve() -> None:
 
 
 @pytest.mark.parametrize("steps", [1.0, 2.0, 2.5])
-def test_the_noise_of_rounded_readings_is_told_with_what_rounding_adds(steps: float) -> None:
+def test_the_noise_of_rounded_readings_is_reported_with_what_rounding_adds(steps: float) -> None:
     step = steps * 1e-3 / np.sqrt(INTERVAL_S)
     rng = np.random.default_rng(21)
     found = fits(
@@ -194,7 +194,7 @@ def test_the_noise_of_rounded_readings_is_told_with_what_rounding_adds(steps: fl
 
 
 @pytest.mark.parametrize("steps", [4.0, 10.0, 20.0])
-def test_nothing_is_told_of_noise_that_the_steps_of_the_readings_hide(steps: float) -> None:
+def test_nothing_is_reported_of_noise_that_the_steps_of_the_readings_hide(steps: float) -> None:
     step = steps * 1e-3 / np.sqrt(INTERVAL_S)
     for fit in fits(
         [

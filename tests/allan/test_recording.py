@@ -55,14 +55,14 @@ def test_times_in_another_unit_are_refused(tmp_path: Path, factor: float) -> Non
     assert "nanoseconds" in said or "even rate" in said
 
 
-def test_a_table_that_says_its_other_unit_is_refused(tmp_path: Path) -> None:
+def test_a_table_that_states_its_other_unit_is_refused(tmp_path: Path) -> None:
     made = pa.table(columns())
     field = made.schema.field("gyro_x").with_metadata({"unit": "deg/s"})
     pq.write_table(made.cast(made.schema.set(1, field)), tmp_path / "t.parquet")
     assert "deg/s, not in rad/s" in refusal(tmp_path / "t.parquet")
 
 
-def test_units_that_cannot_be_are_told(tmp_path: Path) -> None:
+def test_units_that_cannot_be_are_reported(tmp_path: Path) -> None:
     made = columns()
     made["gyro_x"] = made["gyro_x"] + 300.0
     made |= {f"accel_{axis}": np.full(N, value) for axis, value in zip("xyz", (0, 0, 1.0), strict=True)}
@@ -71,14 +71,14 @@ def test_units_that_cannot_be_are_told(tmp_path: Path) -> None:
     assert "specific force is 1 m/s^2" in said
 
 
-def test_a_channel_without_numbers_is_left_out_and_told(tmp_path: Path) -> None:
+def test_a_channel_without_numbers_is_left_out_and_reported(tmp_path: Path) -> None:
     opened = read_channels(write(tmp_path, columns() | {"gyro_y": np.full(N, np.nan)}))
     assert list(opened.series) == ["gyro_x", "gyro_z"]
     assert "gyro_y: fewer than two numbers" in " ".join(opened.warnings)
 
 
 @pytest.mark.parametrize("value", [1e4, 1e10, 1e160, -1e300, np.inf])
-def test_what_no_gyro_says_is_left_out_and_told(tmp_path: Path, value: float) -> None:
+def test_what_no_gyro_reads_is_left_out_and_reported(tmp_path: Path, value: float) -> None:
     made = columns()
     made["gyro_y"][N // 2] = value
     opened = read_channels(write(tmp_path, made))
@@ -144,7 +144,7 @@ def test_a_noisy_gyro_at_a_high_rate_does_not_move(tmp_path: Path) -> None:
     assert "moved" not in said
 
 
-def test_nothing_is_said_of_motion_that_coarse_steps_hide(tmp_path: Path) -> None:
+def test_nothing_is_reported_of_motion_that_coarse_steps_hide(tmp_path: Path) -> None:
     said = told_of_rest(write(tmp_path, still(100.0, 60.0, 1e-3, step=0.1)))
     assert "the unit moved" not in said
     assert "cannot be distinguished" in said

@@ -112,7 +112,7 @@ def test_samples_at_another_rate_are_left_out() -> None:
     assert 999 <= found.used <= 1001
 
 
-def test_jitter_is_told_and_taken_as_even() -> None:
+def test_jitter_is_reported_and_taken_as_even() -> None:
     rng = np.random.default_rng(0)
     time_ns = np.arange(5000) * STEP_NS + np.rint(rng.normal(0, 0.05 * STEP_NS, 5000)).astype(np.int64)
     found = series(time_ns, noise(1, 5000, 0.005, white=1.0))

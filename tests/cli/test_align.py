@@ -52,7 +52,7 @@ def refused(*arguments: object) -> str:
     return f"{done.returncode} {done.stderr}"
 
 
-def test_a_recorded_session_is_aligned_and_says_so_in_json(session: Path) -> None:
+def test_a_recorded_session_is_aligned_and_reports_it_in_json(session: Path) -> None:
     code, result = align(session, "--latitude", 36, "--until", 0.05)
     assert code == 0
     assert list(result) == KEYS
@@ -134,7 +134,7 @@ def test_at_a_pole_there_is_no_heading(session: Path, latitude: float) -> None:
     assert result["observable"] is False
 
 
-def test_without_a_latitude_it_is_said_what_to_add(session: Path) -> None:
+def test_without_a_latitude_the_error_names_what_to_add(session: Path) -> None:
     said = refused(session)
     assert said.startswith("2 imumon: bad configuration: ")
     assert "the latitude is not known" in said
@@ -159,7 +159,7 @@ def test_a_session_without_gyros_is_refused_by_name(tmp_path: Path) -> None:
     assert "there is no gyro_x, gyro_y, gyro_z" in said
 
 
-def test_what_is_neither_a_session_nor_a_port_is_said(tmp_path: Path) -> None:
+def test_what_is_neither_a_session_nor_a_port_is_reported(tmp_path: Path) -> None:
     assert "neither a session nor a port" in refused(tmp_path / "nothing", "--latitude", 36)
     assert "its device must be named" in refused("/dev/ttyUSB77", "--latitude", 36)
 

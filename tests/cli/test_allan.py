@@ -151,7 +151,7 @@ def test_people_read_degrees_and_hours(table: Path) -> None:
 
 
 @pytest.mark.parametrize("said", ["at_rest", "nothing"])
-def test_motion_is_told_with_its_share(tmp_path: Path, said: str) -> None:
+def test_motion_is_reported_with_its_share(tmp_path: Path, said: str) -> None:
     n = N // 2
     made = columns(0.03, n)  # with more walk, a bias may leave its law while it moves, and look like a turn
     moving = slice(5000, 7000)
@@ -186,7 +186,7 @@ def test_a_session_is_read_like_a_table(tmp_path: Path) -> None:
     assert "accelerometer" in refused.stderr
 
 
-def test_thermal_drift_is_told(tmp_path: Path) -> None:
+def test_thermal_drift_is_reported(tmp_path: Path) -> None:
     made = columns(n=5000)
     made["temperature"] = np.linspace(20, 24, 5000)
     assert "the temperature moved between 20.0 and 24.0" in allan(write(tmp_path / "t.csv", made)).stderr

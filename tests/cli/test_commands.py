@@ -114,7 +114,7 @@ def test_the_help_of_a_command_imports_nothing_heavy() -> None:
     assert done.stdout.count("Usage: ") == len(commands())
 
 
-def test_a_shell_is_told_what_may_come_next() -> None:
+def test_a_shell_is_offered_what_may_come_next() -> None:
     asked = {**os.environ, "_IMUMON_COMPLETE": "bash_complete", "COMP_WORDS": "imumon re", "COMP_CWORD": "1"}
     done = subprocess.run([IMUMON], env=asked, capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["plain,replay", "plain,recover", "plain,report"]
@@ -139,7 +139,7 @@ def test_decode_accounts_for_every_byte_of_a_capture(capture: Path, tmp_path: Pa
     np.testing.assert_allclose(table["gyro_z"].to_numpy(), truth["gyro_z"][kept], atol=1e-8)
 
 
-def test_a_rate_that_nothing_shows_is_said_and_can_be_given(tmp_path: Path) -> None:
+def test_a_rate_that_nothing_shows_is_reported_and_can_be_given(tmp_path: Path) -> None:
     device, path = load_device("razor"), tmp_path / "razor.txt"
     path.write_bytes(b"".join(device.encoder().encode(SimulatedUnit(load_scenario("bench")).samples(200))))
     asked = ["decode", path, "--device", "razor", "--json"]
@@ -432,7 +432,7 @@ def test_two_monitors_started_at_once_get_sessions_of_their_own(tmp_path: Path) 
         assert answer("replay", tmp_path / result["session"])["identical_to_live"] is True
 
 
-def test_a_virtual_device_whose_values_do_not_fit_says_so(tmp_path: Path) -> None:
+def test_a_virtual_device_whose_values_do_not_fit_reports_it(tmp_path: Path) -> None:
     (tmp_path / "odd.yaml").write_text(
         "format: imumon-device/1\nname: odd\ntitle: Odd\nprotocol: fixed\naxes: FRD\nrate_hz: 50\n"
         "packet:\n  length: 4\n  byte_order: big\n  sync: [0xAA]\n"

@@ -73,7 +73,7 @@ def test_noise_gets_no_device_file(tmp_path: Path) -> None:
     assert not (tmp_path / "board.yaml").exists()
 
 
-def test_the_help_says_in_plain_words_when_no_device_was_found() -> None:
+def test_the_help_states_in_plain_words_when_no_device_was_found() -> None:
     text = " ".join(imumon("detect", "--help").stdout.split())
     assert (
         "3: the port cannot be opened, no bytes arrived, or the bytes are not packets of any device" in text

@@ -94,7 +94,7 @@ def test_an_imported_table_that_was_changed_is_noticed(made: Path, tmp_path: Pat
         assert "was changed after the import: it has 100 rows, and 50 were imported" in done.stderr
 
 
-def test_a_bag_has_the_times_and_is_said_to_hold_only_what_it_holds(made: Path, tmp_path: Path) -> None:
+def test_a_bag_has_the_times_and_is_reported_to_hold_only_what_it_holds(made: Path, tmp_path: Path) -> None:
     out = tmp_path / "run.mcap"
     done = imumon("export", made / "a", "--to", "mcap", "--columns", "gyro_x", "--out", out)
     assert done.returncode == 2
@@ -124,7 +124,7 @@ def test_a_simulation_that_meets_a_full_disk_leaves_nothing_and_can_be_made_agai
 
 
 @pytest.mark.parametrize("suffix", [".npz", ".mat", ".mcap", ".html"])
-def test_a_full_disk_is_said_of_the_file_that_was_given(
+def test_a_full_disk_is_reported_of_the_file_that_was_given(
     made: Path, tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def full(*_: object) -> None:
@@ -142,7 +142,7 @@ def test_a_full_disk_is_said_of_the_file_that_was_given(
     assert out.read_text() == "old"
 
 
-def test_a_report_of_what_is_not_there_says_so(tmp_path: Path) -> None:
+def test_a_report_of_what_is_not_there_reports_it(tmp_path: Path) -> None:
     done = imumon("report", "NOPE", "--out", "r.html", cwd=tmp_path)
     assert done.returncode == 4
     assert "NOPE is neither a session nor a unit of which there are sessions in sessions" in done.stderr

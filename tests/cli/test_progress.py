@@ -63,7 +63,7 @@ def test_nothing_is_shown_beside_json_or_of_short_work_without_a_terminal(
     assert "reading session" not in done.stderr
 
 
-def test_without_a_terminal_long_work_says_from_time_to_time_how_far_it_has_come(
+def test_without_a_terminal_long_work_states_from_time_to_time_how_far_it_has_come(
     session: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     lines: Queue[str] = Queue()

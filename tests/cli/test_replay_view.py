@@ -25,7 +25,7 @@ def session(tmp_path: Path) -> Path:
 @pytest.mark.parametrize(
     ("command", "told"), [(["replay", "--speed", "max"], '"rows": 300'), (["view"], '"samples": 300')]
 )
-def test_a_session_in_the_browser_is_served_until_it_is_interrupted_and_its_readers_are_said(
+def test_a_session_in_the_browser_is_served_until_it_is_interrupted_and_its_readers_are_reported(
     session: Path, command: list[str], told: str
 ) -> None:
     process = subprocess.Popen(
@@ -49,7 +49,7 @@ def test_a_session_in_the_browser_is_served_until_it_is_interrupted_and_its_read
     assert told in out
 
 
-def test_without_a_display_a_native_view_says_so(session: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_display_a_native_view_reports_it(session: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in [name for name in os.environ if "DISPLAY" in name]:
         monkeypatch.delenv(name)
     done = imumon("replay", session, "--view", "native", "--speed", "max")

@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 from tests.cli.command import imumon
 
 
-def test_a_replay_adds_what_the_future_says(tmp_path: Path) -> None:
+def test_a_replay_adds_what_the_future_shows(tmp_path: Path) -> None:
     session, table = tmp_path / "session", tmp_path / "samples.parquet"
     made = imumon("simulate", "self-heating", "--rate", 50, "--duration", 120, "--out", session)
     assert made.returncode == 0, made.stderr

@@ -46,7 +46,7 @@ def test_sessions_begin_at_power_on_side_by_side(sessions: list[Path], tmp_path:
     assert [end for _, end in spans] == pytest.approx([4.0, 5.0], abs=0.5)
 
 
-def test_sessions_stand_where_the_host_clock_says(sessions: list[Path], tmp_path: Path) -> None:
+def test_sessions_stand_where_the_host_clock_states(sessions: list[Path], tmp_path: Path) -> None:
     done = imumon("view", *sessions, "--align", "host", "--out", tmp_path / "both.rrd")
     assert done.returncode == 0, done.stderr
     assert "outages   none" in done.stderr
@@ -54,7 +54,7 @@ def test_sessions_stand_where_the_host_clock_says(sessions: list[Path], tmp_path
     assert all(begin == pytest.approx(1_767_225_600, abs=1.0) for begin, _ in spans)
 
 
-def test_what_is_there_is_not_overwritten_and_no_session_is_said(
+def test_what_is_there_is_not_overwritten_and_no_session_is_reported(
     sessions: list[Path], tmp_path: Path
 ) -> None:
     (tmp_path / "both.rrd").touch()
@@ -62,14 +62,14 @@ def test_what_is_there_is_not_overwritten_and_no_session_is_said(
     assert imumon("view", tmp_path, "--out", tmp_path / "new.rrd").returncode == 4
 
 
-def test_what_is_wrong_with_a_session_is_said_before_anything_is_shown(sessions: list[Path]) -> None:
+def test_what_is_wrong_with_a_session_is_reported_before_anything_is_shown(sessions: list[Path]) -> None:
     done = imumon("view", sessions[0], "NOPE", "--view", "web")
     assert done.returncode == 4
     assert "http://" not in done.stderr
     assert "NOPE is not a session" in done.stderr
 
 
-def test_of_a_table_the_time_of_its_import_is_not_told_as_when_it_was_recorded(tmp_path: Path) -> None:
+def test_of_a_table_the_time_of_its_import_is_not_reported_as_when_it_was_recorded(tmp_path: Path) -> None:
     rows = [f"{0.01 * row:.2f},0.1,0.2,0.3" for row in range(300)]
     (tmp_path / "a.csv").write_text("\n".join(["t,x,y,z", *rows]))
     (tmp_path / "map.yaml").write_text(

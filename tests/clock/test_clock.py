@@ -363,7 +363,7 @@ class TestDeviceClock:
         _, segment = unwrap(clock, sent)
         np.testing.assert_array_equal(segment, np.arange(1500) >= 1000)
 
-    def test_reboot_is_seen_although_the_counter_goes_on_by_chance(self) -> None:
+    def test_reboot_is_detected_although_the_counter_goes_on_by_chance(self) -> None:
         sent = packets(1000, uptime_s=2500.0).then(packets(500, counter=1000 % 256, start_s=13.0))
         clock = DeviceClock(MICROSECONDS)
         _, segment = unwrap(clock, sent)
@@ -391,7 +391,7 @@ class TestDeviceClock:
         assert segment[-1] == 1
         assert time[1000] == 3000 * S
 
-    def test_reboot_of_a_16_bit_counter_without_clock_is_seen_by_the_arrivals(self) -> None:
+    def test_reboot_of_a_16_bit_counter_without_clock_is_detected_by_the_arrivals(self) -> None:
         timing = Timing(counter_bits=16, rate_hz=100.0)
         sent = packets(1000, timing, counter=40_000).then(packets(500, timing, start_s=12.0))
         clock = DeviceClock(timing)

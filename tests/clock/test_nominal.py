@@ -33,7 +33,7 @@ def watched(arrival_ns: IntArray, counted: bool, given: bool = False, size: int 
 
 @pytest.mark.parametrize("rate_hz", [5.0, 46.0, 54.0, 500.0])
 @pytest.mark.parametrize("counted", [False, True])
-def test_another_rate_is_said_once_and_measured(rate_hz: float, counted: bool) -> None:
+def test_another_rate_is_reported_once_and_measured(rate_hz: float, counted: bool) -> None:
     watch = watched(arrivals(rate_hz), counted)
     assert watch.measured_hz == pytest.approx(rate_hz, rel=2e-3)
     (text,) = watch.notices(ended=False)
@@ -42,7 +42,7 @@ def test_another_rate_is_said_once_and_measured(rate_hz: float, counted: bool) -
 
 
 @pytest.mark.parametrize("rate_hz", [48.5, 50.0, 51.5])
-def test_what_a_sensor_clock_may_be_off_is_not_said(rate_hz: float) -> None:
+def test_what_a_sensor_clock_may_be_off_is_not_reported(rate_hz: float) -> None:
     assert watched(arrivals(rate_hz), counted=False).notices(ended=True) == []
 
 

@@ -33,7 +33,7 @@ STAYS = np.full(N, 7)
 
 
 @pytest.mark.parametrize("size", [1, 7, STANDS, N])
-def test_what_stands_is_said_once_with_what_it_means(size: int) -> None:
+def test_what_stands_is_reported_once_with_what_it_means(size: int) -> None:
     (text,) = said(STAYS, GOES_ON, size)
     assert text == "the packet counter stands at 7: it does not show packets that are lost"
     (text,) = said(STAYS, None, size, "counter")
@@ -53,7 +53,7 @@ def test_packets_that_come_twice_are_counted(size: int, each: int) -> None:
 
 
 @pytest.mark.parametrize("size", [1, 7, N])
-def test_what_goes_on_is_not_said(size: int) -> None:
+def test_what_goes_on_is_not_reported(size: int) -> None:
     missing = np.full(N, NO_INT)
     assert said(GOES_ON, GOES_ON, size) == said(GOES_ON % 16, GOES_ON, size) == []
     assert said(None, None, size) == said(missing, missing, size) == said(missing, GOES_ON, size) == []

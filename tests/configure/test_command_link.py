@@ -15,7 +15,7 @@ from imumon.simulation.virtual_device import VirtualDevice
 from imumon.transport.detect import GLANCE_S, Evidence, Verdict, detect
 
 
-def test_a_device_that_a_glance_heard_too_little_of_is_listened_to_for_longer(
+def test_a_device_that_a_glance_received_too_little_of_is_listened_to_for_longer(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As of one that sends once a second, or when the host stalls."""

@@ -58,7 +58,7 @@ def commands_of(monkeypatch: pytest.MonkeyPatch, name: str) -> int:
 
 
 @pytest.mark.parametrize("rate", [1.0, 10.0, 100.0, 0.0])
-def test_the_device_sends_what_was_asked_for(monkeypatch: pytest.MonkeyPatch, name: str, rate: float) -> None:
+def test_the_device_sends_what_was_requested(monkeypatch: pytest.MonkeyPatch, name: str, rate: float) -> None:
     rate = rate or FAST[name]
     one = succeeded(looped(monkeypatch, name), Wish(rate, ("inertial", "temperature", "attitude")), 460_800)
     stream, report = one.report.stream, one.report
@@ -79,7 +79,7 @@ def test_the_load_is_what_really_comes(monkeypatch: pytest.MonkeyPatch, name: st
     assert heard == pytest.approx(family.bytes_per_s(one.port.firmware.volatile), rel=0.01)
 
 
-def test_flash_is_written_only_when_asked(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+def test_flash_is_written_only_on_request(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
     one = looped(monkeypatch, name)
     settings = one.port.firmware
     if name == "xsens":
@@ -156,7 +156,7 @@ def test_ctrl_c_at_any_command_leaves_the_device_as_it_was(
 
 
 @pytest.mark.parametrize("end", ["dies", "is unplugged"])
-def test_what_cannot_be_put_back_is_said(monkeypatch: pytest.MonkeyPatch, name: str, end: str) -> None:
+def test_what_cannot_be_put_back_is_reported(monkeypatch: pytest.MonkeyPatch, name: str, end: str) -> None:
     total = commands_of(monkeypatch, name)
     said = 0
     for k in range(total):
@@ -172,7 +172,7 @@ def test_what_cannot_be_put_back_is_said(monkeypatch: pytest.MonkeyPatch, name: 
 
 
 @pytest.mark.parametrize("name", ["xsens", "microstrain", "vectornav"])
-def test_a_device_that_is_left_silent_is_said_to_be(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+def test_a_device_that_is_left_silent_is_reported(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
     """It was told to be quiet, and does not answer any more when it is told to send again."""
     left = 0
     for k in range(2, commands_of(monkeypatch, name)):
@@ -202,7 +202,7 @@ def test_a_slower_line_comes_after_less_data(monkeypatch: pytest.MonkeyPatch) ->
     assert one.port.firmware.baudrate == 9600
 
 
-def test_an_older_mip_device_is_told_by_its_own_commands(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_older_mip_device_is_recognised_by_its_own_commands(monkeypatch: pytest.MonkeyPatch) -> None:
     one = looped(monkeypatch, "microstrain")
     assert isinstance(one.port.firmware, MipFirmware)
     one.port.firmware.family = Mip(modern=False)
@@ -212,7 +212,7 @@ def test_an_older_mip_device_is_told_by_its_own_commands(monkeypatch: pytest.Mon
     assert one.report.stream.rate_hz == pytest.approx(20.0, rel=0.05)
 
 
-def test_a_device_that_sends_at_another_rate_than_it_says_is_put_back(
+def test_a_device_that_sends_at_another_rate_than_it_states_is_put_back(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     one = looped(monkeypatch, "vectornav")
@@ -251,7 +251,7 @@ def test_a_baud_rate_that_could_not_be_put_back_is_not_changed(monkeypatch: pyte
     assert one.as_found
 
 
-def test_who_else_reads_the_port_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_who_else_reads_the_port_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     one = looped(monkeypatch, "vectornav")
     one.port.shared_with = ("minicom (7)",)
     succeeded(one, Wish(), None, save=False)

@@ -43,7 +43,7 @@ def recorded(path: str, baudrate: int, seconds: float, to: Path) -> float:
 
 
 @pytest.mark.parametrize("name", DEVICES)
-def test_the_device_sends_what_was_asked_for(name: str, tmp_path: Path) -> None:
+def test_the_device_sends_what_was_requested(name: str, tmp_path: Path) -> None:
     with VirtualDevice(load_device(name), tmp_path / "imu") as virtual:
         path = virtual.port.path
         done = answer("configure", path, "--device", name, *ASKED, "--baud", 230_400, "--save")
@@ -86,7 +86,7 @@ def test_what_an_mti_stores_at_once_needs_save(tmp_path: Path) -> None:
     assert "no setting was changed" in done.stderr
 
 
-def test_a_refusal_is_said_and_put_back(tmp_path: Path) -> None:
+def test_a_refusal_is_reported_and_put_back(tmp_path: Path) -> None:
     with VirtualDevice(load_device("vectornav"), tmp_path / "imu") as virtual:
         firmware = firmware_of(virtual)
         Spoilt(Faults(ignored=frozenset([14]))).spoil(firmware)
@@ -99,7 +99,7 @@ def test_a_refusal_is_said_and_put_back(tmp_path: Path) -> None:
     assert "put back: " in done.stderr
 
 
-def test_an_unplugged_device_is_said_to_be_as_it_is(tmp_path: Path) -> None:
+def test_an_unplugged_device_is_reported_with_its_state(tmp_path: Path) -> None:
     with VirtualDevice(load_device("vectornav"), tmp_path / "imu") as virtual:
         Spoilt(Faults(unplugged_after=10), virtual.port.unplug).spoil(firmware_of(virtual))
         done = imumon("configure", virtual.port.path, "--device", "vectornav", *ASKED)
@@ -138,7 +138,7 @@ def test_another_device_is_not_spoken_to(tmp_path: Path) -> None:
     assert "nothing was sent" in done.stderr
 
 
-def test_a_device_that_only_sends_is_said_to_be_deaf(tmp_path: Path) -> None:
+def test_a_device_that_only_sends_is_reported_as_deaf(tmp_path: Path) -> None:
     with VirtualDevice(load_device("vectornav"), tmp_path / "imu") as virtual:
         Spoilt(Faults(unheard=frozenset(range(1000)))).spoil(firmware_of(virtual))
         done = imumon("configure", virtual.port.path, "--device", "vectornav", *ASKED)
@@ -160,7 +160,7 @@ def test_a_device_that_is_silent_is_found_by_asking_and_left_silent(tmp_path: Pa
     assert looked["result"] == "read"
 
 
-def test_json_says_what_failed(tmp_path: Path) -> None:
+def test_json_states_what_failed(tmp_path: Path) -> None:
     with VirtualDevice(load_device("witmotion"), tmp_path / "imu") as virtual:
         Spoilt(Faults(ignored=frozenset(range(1000)))).spoil(firmware_of(virtual))
         done = imumon("configure", virtual.port.path, "--device", "witmotion", *ASKED, "--json")
@@ -211,7 +211,9 @@ def test_a_dry_run_opens_nothing() -> None:
         (["--rate", 800, "--outputs", "inertial,attitude", "--dry-run", "--at", 9600], "of 9600 baud"),
     ],
 )
-def test_what_is_wrong_is_said_in_one_line_before_the_port_is_opened(options: list[Any], said: str) -> None:
+def test_what_is_wrong_is_reported_in_one_line_before_the_port_is_opened(
+    options: list[Any], said: str
+) -> None:
     done = imumon("configure", "/dev/none", "--device", "vectornav", *options)
     assert done.returncode == 2
     assert said in done.stderr

@@ -28,7 +28,7 @@ def cut(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("command", ["decode", "export", "replay", "allan", "report", "batch", "catalog"])
-def test_every_command_says_how_many_bytes_are_missing(cut: Path, tmp_path: Path, command: str) -> None:
+def test_every_command_states_how_many_bytes_are_missing(cut: Path, tmp_path: Path, command: str) -> None:
     given = {
         "decode": ["decode", cut, "--out", tmp_path / "t.csv"],
         "export": ["export", cut, "--to", "csv", "--out", tmp_path / "t.csv"],

@@ -14,7 +14,7 @@ from imumon.transport.reader import Bytes
 from tests.faults.damage import attack_all, made_items, record, truncate_all
 
 
-def test_damage_costs_what_it_touched_and_is_told(tmp_path: Path) -> None:
+def test_damage_costs_what_it_touched_and_is_reported(tmp_path: Path) -> None:
     missed = [row for row in attack_all(tmp_path, 8, 1, seconds=4.0) if not row.held]
     assert not missed
 
@@ -40,7 +40,7 @@ def test_other_readers_of_mcap_pass_the_check_records_over(tmp_path: Path) -> No
         assert sum(1 for _ in StreamReader(file, validate_crcs=True).records) > len(items)
 
 
-def test_a_place_says_where_it_is_how_long_and_how_many_reads(tmp_path: Path) -> None:
+def test_a_place_states_where_it_is_how_long_and_how_many_reads(tmp_path: Path) -> None:
     """Ten reads of 0.1 s stand in a block; each has 31 bytes of MCAP and 8 of CDR before its 40."""
     items = made_items(2.0, 100.0, 40, 0)
     record(tmp_path / "w.mcap", items, closed=True)

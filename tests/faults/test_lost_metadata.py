@@ -99,7 +99,7 @@ def test_a_bag_is_not_decoded_as_bytes(tmp_path: Path) -> None:
     assert "of profile 'ros2'" in done.stderr
 
 
-def test_the_device_is_asked_for_where_nothing_holds_it(old: Path) -> None:
+def test_the_device_is_searched_for_where_nothing_holds_it(old: Path) -> None:
     for command, what in (
         (["recover", old], "does not hold the session.yaml of its start"),
         (["decode", old / "wire.mcap", "--out", old / "a.csv"], "does not hold its device file"),
@@ -128,7 +128,7 @@ def test_a_session_of_another_version_is_left_alone(whole: Path, tmp_path: Path)
     assert (folder / "session.yaml").read_text() == text
 
 
-def test_the_catalog_says_what_it_left_out(whole: Path, tmp_path: Path) -> None:
+def test_the_catalog_states_what_it_left_out(whole: Path, tmp_path: Path) -> None:
     shutil.copytree(whole, tmp_path / "good")
     for name, content in (("gone", None), ("empty", "")):
         damaged(whole, tmp_path / name, content)
@@ -153,7 +153,7 @@ def test_the_wire_file_holds_the_session_yaml_of_its_start() -> None:
     assert begun_of({"device": "ax1"}) is None
 
 
-def test_a_folder_of_samples_alone_says_how_to_read_them(tmp_path: Path) -> None:
+def test_a_folder_of_samples_alone_states_how_to_read_them(tmp_path: Path) -> None:
     (tmp_path / "samples.parquet").touch()
     with pytest.raises(ImumonError, match=r"as a table: .*samples\.parquet") as caught:
         open_session(tmp_path)

@@ -92,7 +92,7 @@ def test_a_calibration_is_the_one_without_the_fault_and_counts_it(
         assert texts.count("left out of all estimates") == texts.count("in all)"), fault
 
 
-def test_a_thermometer_that_says_zero_at_first_is_none_till_then(
+def test_a_thermometer_that_reads_zero_at_first_is_none_till_then(
     bench: dict[str, Path], tmp_path: Path
 ) -> None:
     columns = chamber()
@@ -103,7 +103,7 @@ def test_a_thermometer_that_says_zero_at_first_is_none_till_then(
     assert "temperature while its values are nothing but zero (" in " ".join(said)
 
 
-def test_what_is_refused_says_what_was_left_out(bench: dict[str, Path], tmp_path: Path) -> None:
+def test_what_is_refused_states_what_was_left_out(bench: dict[str, Path], tmp_path: Path) -> None:
     dead = bench["a dead temperature"]
     columns = chamber() | {f"mag_{axis}": np.full(len(chamber()["gyro_x"]), 1e12) for axis in "xyz"}
     beyond = write_session(tmp_path / "beyond", columns, 1.0)

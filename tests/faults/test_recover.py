@@ -66,7 +66,7 @@ def test_a_killed_session_is_finished_and_the_originals_stay(
     assert not list(killed.glob("*partial*"))
 
 
-def test_before_that_it_replays_and_that_it_was_not_closed_is_said(broken: Path) -> None:
+def test_before_that_it_replays_and_that_it_was_not_closed_is_reported(broken: Path) -> None:
     done = imumon("replay", broken, "--json")
     assert done.returncode == 0, done.stderr
     told = json.loads(done.stdout)
@@ -83,7 +83,7 @@ def test_a_second_recovery_does_nothing(recovered: tuple[Path, dict[str, Any]]) 
     assert {path.name: (path.stat().st_mtime_ns, path.stat().st_size) for path in killed.iterdir()} == before
 
 
-def test_what_damage_took_is_said_before_and_after_the_recovery(killed: Path) -> None:
+def test_what_damage_took_is_reported_before_and_after_the_recovery(killed: Path) -> None:
     content = bytearray((killed / "wire.mcap").read_bytes())
     zero_sector(content, np.random.default_rng(3))
     (killed / "wire.mcap").write_bytes(content)

@@ -56,7 +56,9 @@ def test_the_mean_of_rounded_samples_errs_by_no_more(ratio: float) -> None:
 
 
 @pytest.mark.parametrize("ratio", [0.02, 0.083, 0.167, 0.3])
-def test_the_mean_of_rounded_samples_errs_by_no_more_than_is_said_and_by_that_somewhere(ratio: float) -> None:
+def test_the_mean_of_rounded_samples_errs_by_no_more_than_is_reported_and_by_that_somewhere(
+    ratio: float,
+) -> None:
     at, normal = np.linspace(0.0, 0.5, 401), np.random.default_rng(5).standard_normal((20_000, 1))
     errors = np.abs([np.round(x + ratio * normal).mean() - x for x in at])
     assert errors.max() == pytest.approx(0.1 * mean_error(10.0, ratio), abs=0.02)

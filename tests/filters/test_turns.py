@@ -93,7 +93,7 @@ def shaken(hz: float, seconds: float) -> FloatArray:
     return np.column_stack([3.0 * np.cos(9.0 * t), 2.5 * np.sin(7.0 * t + 0.4), 0.5 + np.sin(1.3 * t)])
 
 
-def test_a_bias_and_a_scale_error_turn_the_unit_as_is_said() -> None:
+def test_a_bias_and_a_scale_error_turn_the_unit_as_is_reported() -> None:
     rate, bias = shaken(400.0, 5.0), np.array([2e-3, -1e-3, 3e-3])
     matrix = 1e-3 * np.random.default_rng(1).normal(size=(3, 3))
     true = turned(rate, 400.0)

@@ -151,7 +151,7 @@ def test_what_cannot_give_a_model_ends_with_4_and_no_file(short: Path, tmp_path:
     assert not (tmp_path / "model.yaml").exists()
 
 
-def test_a_folder_that_is_not_there_is_said(short: Path, tmp_path: Path) -> None:
+def test_a_folder_that_is_not_there_is_reported(short: Path, tmp_path: Path) -> None:
     done = imumon("calibrate", short, "--out", tmp_path / "no" / "model.yaml")
     assert done.returncode == 2
     assert "there is no folder" in done.stderr

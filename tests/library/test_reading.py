@@ -156,7 +156,7 @@ def test_columns_a_span_and_blocks_are_parts_of_the_whole(
         imumon.read(session, columns=["true_gyro_x"])
 
 
-def test_a_closed_session_that_was_cut_says_so(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_closed_session_that_was_cut_reports_it(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     scenario = load_scenario("bench").model_copy(update={"duration_s": 5.0, "rate_hz": 100.0, "axes": "FRD"})
     text, source = device_text("ax1")
     record_session(scenario, parse_device(text, source), text, 0, tmp_path / "s", lambda _: None)

@@ -109,13 +109,13 @@ def test_what_cannot_be_verified_is_refused_and_nothing_is_made(tmp_path: Path, 
     assert not (tmp_path / "s").exists()
 
 
-def test_a_log_that_does_not_have_so_many_logs_says_nothing(tmp_path: Path) -> None:
+def test_a_log_that_does_not_have_so_many_logs_reports_nothing(tmp_path: Path) -> None:
     (tmp_path / "LOG7.bbl").write_text(HEAD)
     with pytest.raises(ImumonError, match="the scale of its gyro is not stated"):
         import_log(table(tmp_path / "LOG7.02.csv"), None, tmp_path / "s")
 
 
-def test_a_log_that_was_not_decoded_says_what_to_do(tmp_path: Path) -> None:
+def test_a_log_that_was_not_decoded_states_what_to_do(tmp_path: Path) -> None:
     (tmp_path / "LOG7.bbl").write_bytes(HEAD.encode() + b"I\x00\x01")
     done = imumon("import", tmp_path / "LOG7.bbl", "--out", tmp_path / "s")
     assert done.returncode == 2
@@ -140,6 +140,6 @@ def test_a_row_that_is_cut_is_left_out_and_counted(tmp_path: Path) -> None:
     assert (report.damage.places, report.damage.size) == (1, row.index("-10"))
 
 
-def test_the_command_says_the_scaling(tmp_path: Path) -> None:
+def test_the_command_states_the_scaling(tmp_path: Path) -> None:
     found = answer("import", table(tmp_path / "a.csv", head=HEAD), "--out", tmp_path / "s")
     assert found["scaling"] == "gyro raw x 1 °/s, accelerometer raw / 2048 g, by the head of a.csv"

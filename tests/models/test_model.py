@@ -122,7 +122,9 @@ def test_a_written_file_is_read_again(tmp_path: Path) -> None:
         ("serial: null", "serial: null\nserial: 'A1'", "key 'serial' is there twice"),
     ],
 )
-def test_what_is_wrong_is_said_with_file_and_line(line: str, instead: str, said: str, tmp_path: Path) -> None:
+def test_what_is_wrong_is_reported_with_file_and_line(
+    line: str, instead: str, said: str, tmp_path: Path
+) -> None:
     text = three_curves().to_yaml()
     assert line in text
     path = tmp_path / "model.yaml"

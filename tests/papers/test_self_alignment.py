@@ -49,7 +49,7 @@ def test_the_warm_up_makes_the_published_heading_errors(rate_hz: float) -> None:
         assert 1e3 * abs(control[round(second * rate_hz) - 1, 0]) / LEVEL == pytest.approx(expected, rel=0.01)
 
 
-def test_total_average_and_curve_fit_keep_what_the_paper_says_they_keep() -> None:
+def test_total_average_and_curve_fit_keep_what_the_paper_states_they_keep() -> None:
     """Equation 28: the mean of A e^(-t/T)/(...) over the time, and for the line its least-squares slope."""
     rate_hz, tau = 8.0, 300.0
     control = warming(120.0, rate_hz, tau)
@@ -137,7 +137,7 @@ def test_motion_a_gap_and_a_restart_begin_anew(monkeypatch: pytest.MonkeyPatch) 
     assert np.isfinite(heading[3200:]).all()
 
 
-def test_only_what_is_asked_for_has_columns() -> None:
+def test_only_what_is_requested_has_columns() -> None:
     stage = SelfAlignment(LATITUDE, ["curve_fit"])
     assert [column.name for column in stage.columns] == ["curve_fit_heading"]
     assert list(stage.process(at_rest(1.0, 1.0, 50, np.array([0.0, 0.0, 1.0]), 0))) == ["curve_fit_heading"]

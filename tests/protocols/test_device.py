@@ -88,7 +88,7 @@ def test_an_unknown_device_names_those_that_there_are() -> None:
     assert "ax1" in device_names()
 
 
-def test_a_path_that_is_not_there_is_said_to_be_missing(tmp_path: Path) -> None:
+def test_a_path_that_is_not_there_is_reported_as_missing(tmp_path: Path) -> None:
     with pytest.raises(ImumonError, match="no such file"):
         load_device(str(tmp_path / "mine.yaml"))
 

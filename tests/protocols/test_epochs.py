@@ -117,7 +117,7 @@ def test_a_lost_receiver_message_of_a_shared_counter_is_a_loss() -> None:
     assert len(side["gnss"]) == 19
 
 
-def test_a_restart_of_the_main_stream_is_still_seen() -> None:
+def test_a_restart_of_the_main_stream_is_still_detected() -> None:
     packets = _mti(300, "shared") + _mti(300, "shared")
     pipeline = Pipeline(load_device("xsens"))
     for number, packet in enumerate(packets):

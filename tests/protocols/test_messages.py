@@ -103,7 +103,7 @@ def test_a_hipnuc_frame_of_the_vendor() -> None:
     assert block["q_z"][0] == pytest.approx(0.86022264)
 
 
-def test_a_hipnuc_frame_says_by_bits_what_follows() -> None:
+def test_a_hipnuc_frame_states_by_bits_what_follows() -> None:
     text, source = device_text("hipnuc")
     device = parse_device(text.replace("sends: [imu91]", "sends: ['imu83:0x123']"), source)
     sent = {"accel_x": np.array([1.5, 2.5]), "temperature": np.array([20.125, 20.25]),

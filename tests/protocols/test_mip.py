@@ -145,7 +145,7 @@ def test_units_are_si() -> None:
     assert block["pressure"].tolist() == [100]
 
 
-def test_corrected_rates_alone_are_said() -> None:
+def test_corrected_rates_alone_are_reported() -> None:
     corrected = MipEncoder(["CompensatedRate"], FILTER).encode(samples(40))
     raw = MipEncoder(["ScaledGyro"]).encode(samples(1))
     decoder = MipDecoder()
@@ -208,7 +208,7 @@ def test_every_field_makes_the_round_trip(descriptor_set: int, attitude: Attitud
             np.testing.assert_allclose(got[name], values, rtol=1e-6, atol=1e-6, err_msg=name)
 
 
-def test_a_refused_command_is_said_and_an_accepted_one_is_not() -> None:
+def test_a_refused_command_is_reported_and_an_accepted_one_is_not() -> None:
     decoder = MipDecoder()
     decoder.feed(mip_packet(0x01, b"\x04\xf1\x02\x00"), 0)
     assert decoder.notices() == []

@@ -86,7 +86,7 @@ def test_missing_values_are_missing() -> None:
 
 
 @pytest.mark.parametrize("lengths", [[1 << 16], [1000], [7]])
-def test_all_of_many_messages_are_told(lengths: list[int]) -> None:
+def test_all_of_many_messages_are_reported(lengths: list[int]) -> None:
     messages = [xbus_message(0x10, number.to_bytes(2, "big") * 100) for number in range(200)]
     stream = b"".join(message + data((0x0101, b"\x00\x01")) for message in messages)
     decoder = Talker()

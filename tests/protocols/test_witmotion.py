@@ -55,7 +55,7 @@ def test_the_short_combined_form() -> None:
 
 
 @pytest.mark.parametrize(("zeros", "said"), [(9, False), (10, True)])
-def test_rates_of_exactly_zero_are_said(zeros: int, said: bool) -> None:
+def test_rates_of_exactly_zero_are_reported(zeros: int, said: bool) -> None:
     rate = np.r_[np.ones(20), np.zeros(zeros), np.ones(20)]
     decoder = WitMotionDecoder()
     for packet in TableEncoder(FAMILY, ["gyro"]).encode(SampleBlock({"gyro_z": rate})):

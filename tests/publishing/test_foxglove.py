@@ -107,7 +107,7 @@ def test_a_viewer_sees_samples_with_units_states_and_the_log(port: int) -> None:
     assert publisher.state.dropped == 0
 
 
-def test_a_port_that_another_program_has_is_said_and_tried_again(port: int) -> None:
+def test_a_port_that_another_program_has_is_reported_and_tried_again(port: int) -> None:
     with socket.create_server(("127.0.0.1", port)) as other, publishing(port) as publisher:
         stream = Stream(publisher.publish)
         stream.run_until(lambda: "cannot serve" in publisher.state.text, "said")
@@ -117,7 +117,7 @@ def test_a_port_that_another_program_has_is_said_and_tried_again(port: int) -> N
         assert publisher.state.dropped > 0
 
 
-def test_a_viewer_that_does_not_read_is_said_and_holds_nobody_up(port: int) -> None:
+def test_a_viewer_that_does_not_read_is_reported_and_holds_nobody_up(port: int) -> None:
     with publishing(port) as publisher:
         stream = Stream(publisher.publish)
         stream.run_until(lambda: publisher.state.ready, "serving")

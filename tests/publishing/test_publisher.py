@@ -177,7 +177,7 @@ def test_monitor_publishes_what_it_records(receiver: Receiver, tmp_path: Path) -
     assert {"gyro_x", "at_rest", "host_time_ns", "sample"} <= rows[-1].keys()
 
 
-def test_monitor_says_what_leaves_this_computer_and_begins_nothing_it_cannot_do(tmp_path: Path) -> None:
+def test_monitor_states_what_leaves_this_computer_and_begins_nothing_it_cannot_do(tmp_path: Path) -> None:
     with VirtualDevice(AX1, tmp_path / "ahrs") as ahrs:
         port = (ahrs.port.path, "--device", "ax1", "--view", "none", "--out", tmp_path / "s", "--seconds", 1)
         done = imumon("monitor", *port, "--publish", "udp-json=192.0.2.7")

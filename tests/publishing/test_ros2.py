@@ -84,7 +84,7 @@ def test_the_topics_are_those_of_a_bag_with_the_bias_taken_off(ros: Ros) -> None
     assert ros.ended
 
 
-def test_readings_are_told_when_they_change_however_the_samples_are_cut(ros: Ros) -> None:
+def test_readings_are_recognised_when_they_change_however_the_samples_are_cut(ros: Ros) -> None:
     sent(ros)
     told = [one["temperature"] for one in ros.published["/imu/temperature"]]
     assert told == [value for first in range(0, 300, 8) for value in block(first, 8)["temperature"]]
@@ -96,7 +96,7 @@ def test_a_unit_with_z_down_is_turned(ros: Ros) -> None:
     assert [raw[axis] for axis in "xyz"] == [first["accel_x"][0], -first["accel_y"][0], -first["accel_z"][0]]
 
 
-def test_ros_stays_on_this_computer_unless_asked(ros: Ros) -> None:
+def test_ros_stays_on_this_computer_unless_requested(ros: Ros) -> None:
     setup = ViewSetup("bench", "bench")
     Ros2(Target("ros2", "network"), setup)
     assert not ALONE.keys() & os.environ.keys()
@@ -107,7 +107,7 @@ def test_ros_stays_on_this_computer_unless_asked(ros: Ros) -> None:
     assert outlet.send([Samples(0, None, None, SampleBlock({"gyro_x": np.zeros(1)}))]) == 0
 
 
-def test_without_ros_it_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_ros_it_reports_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(importlib, "import_module", _missing)
     with pytest.raises(ImumonError, match="ROS 2 cannot be started: no rclpy"):
         Ros2(Target("ros2", "network"), ViewSetup("bench", "bench"))

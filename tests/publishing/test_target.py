@@ -50,7 +50,7 @@ def test_without_an_address_beyond_it_nothing_leaves_this_computer(text: str, ta
         ("ros2=network", "every computer that reaches this one"),
     ],
 )
-def test_what_leaves_this_computer_is_said(text: str, said: str) -> None:
+def test_what_leaves_this_computer_is_reported(text: str, said: str) -> None:
     found = parse_target(text)
     assert not found.is_local
     assert said in (found.warning or "")

@@ -134,13 +134,13 @@ def test_import_prefers_what_the_unit_sent_to_rates_without_their_bias(table: Pa
     assert (made.sensor, made.others) == ("/imu/data_raw", ["/imu/data"])
 
 
-def test_axes_that_nobody_said_stay_as_they_are(table: Path, tmp_path: Path) -> None:
+def test_axes_that_nobody_stated_stay_as_they_are(table: Path, tmp_path: Path) -> None:
     write_ros2({"imu": table}, tmp_path / "run.mcap", None)
     first = bag(tmp_path / "run.mcap")["/imu/data_raw"][0]
     assert vector(first.linear_acceleration)[2] == pytest.approx(-9.8, abs=0.05)
 
 
-def test_a_field_in_arbitrary_units_is_left_out_and_said(tmp_path: Path) -> None:
+def test_a_field_in_arbitrary_units_is_left_out_and_reported(tmp_path: Path) -> None:
     block, path = samples(), tmp_path / "run.parquet"
     arbitrary = {name: Column(name, "1") for name in ("mag_x", "mag_y", "mag_z")}
     with TableWriter(path, COLUMNS | arbitrary) as writer:
@@ -199,7 +199,7 @@ def test_a_run_with_a_receiver_is_one_bag(tmp_path: Path) -> None:
     ]  # fmt: skip
 
 
-def test_without_the_package_it_says_what_to_install(table: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_the_package_it_states_what_to_install(table: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "mcap_ros2.writer", None)
     with pytest.raises(ImumonError, match="mcap-ros2-support") as refused:
         write_ros2({"imu": table}, table.with_name("never.mcap"), None)

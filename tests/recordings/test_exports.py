@@ -92,7 +92,7 @@ def export_blocks(
     return export_run(blocks, Pipeline(None), source, out, columns).rows
 
 
-def test_only_the_columns_that_were_asked_for_are_exported_in_that_order(tmp_path: Path) -> None:
+def test_only_the_columns_that_were_requested_are_exported_in_that_order(tmp_path: Path) -> None:
     blocks = [block(0, 5, "gyro_x"), block(5, 9, "gyro_x", "latitude")]
     assert export_blocks(blocks, tmp_path / "t.csv", ["latitude", "device_time_ns"]) == 9
     assert (tmp_path / "t.csv").read_text().splitlines()[:2] == ["latitude,device_time_ns", ",0"]

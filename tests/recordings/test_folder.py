@@ -44,7 +44,7 @@ def test_a_session_is_opened_as_it_was_made(tmp_path: Path) -> None:
     assert DEVICE.splitlines()[1] in (opened.path / "session.yaml").read_text()
 
 
-def test_a_session_that_was_closed_says_when_and_with_what(tmp_path: Path) -> None:
+def test_a_session_that_was_closed_states_when_and_with_what(tmp_path: Path) -> None:
     session = create_session(tmp_path / "s", metadata())
     session.wire_path.touch()
     session.save(metadata().closed(NOW + 10**9, counters={"bytes": 9}, events=2, results_digest="ab"))
@@ -102,7 +102,7 @@ def test_what_is_no_file_is_no_data(make: Callable[[Path], object], tmp_path: Pa
         open_session(tmp_path / "s")
 
 
-def test_a_session_of_a_folder_that_cannot_be_opened_is_told(tmp_path: Path) -> None:
+def test_a_session_of_a_folder_that_cannot_be_opened_is_reported(tmp_path: Path) -> None:
     for name in ("good", "broken", "bare"):
         create_session(tmp_path / name, metadata()).wire_path.touch()
     (tmp_path / "broken" / "session.yaml").write_text("{")

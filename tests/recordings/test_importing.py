@@ -192,7 +192,7 @@ def test_times_that_do_not_increase_are_refused_with_their_line(
 
 
 @pytest.mark.parametrize("rows_per_part", [1, 2, 3, 100])
-def test_a_time_that_goes_back_begins_a_segment_when_the_map_says_so(
+def test_a_time_that_goes_back_begins_a_segment_when_the_map_allows_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rows_per_part: int
 ) -> None:
     monkeypatch.setattr(foreign, "ROWS_PER_PART", rows_per_part)
@@ -359,7 +359,7 @@ def test_the_chamber_cycle_is_imported_row_for_row(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "rows", "bad"), [("cold", 3258, [1, 9, 3258]), ("hot", 6537, [1, 2, 13, 6537])]
 )
-def test_a_terminal_log_with_faults_is_refused_until_the_map_says_to_drop_them(
+def test_a_terminal_log_with_faults_is_refused_until_the_map_drops_them(
     tmp_path: Path, name: str, rows: int, bad: list[int]
 ) -> None:
     map_path = tmp_path / "map.yaml"

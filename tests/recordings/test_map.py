@@ -22,7 +22,7 @@ bad_rows: drop
 """
 
 
-def test_a_map_says_which_column_becomes_what() -> None:
+def test_a_map_states_which_column_becomes_what() -> None:
     table_map = parse_yaml(GOOD, TableMap, "map.yaml")
     sources = {source.column: (source.target, source.unit.target) for source in table_map.sources()}
     assert sources["gy"] == ("gyro_y", "rad/s")

@@ -84,7 +84,7 @@ def test_wraps_of_a_fraction_of_a_nanosecond_do_not_add_up(
     assert max(abs(time - count * unit_ns) for time, count in zip(times, counts, strict=True)) <= 1
 
 
-def test_what_a_gap_may_hide_is_said_once(tmp_path: Path) -> None:
+def test_what_a_gap_may_hide_is_reported_once(tmp_path: Path) -> None:
     text = WRAPPING.replace("UNIT", "ms").replace("AT", "65536")
     report, times, _ = run(tmp_path, [65000, 65500, 464, 30464, 30964], text)
     assert times[-1] == 96_500 * 10**6
@@ -130,7 +130,7 @@ def test_a_map_with_a_wrap_that_cannot_be_is_refused(tmp_path: Path, time: str, 
 
 
 @pytest.mark.parametrize(("step_s", "said"), [(20.0, 1), (2e-5, 1), (0.01, 0)])
-def test_a_rate_of_no_inertial_sensor_is_said(tmp_path: Path, step_s: float, said: int) -> None:
+def test_a_rate_of_no_inertial_sensor_is_reported(tmp_path: Path, step_s: float, said: int) -> None:
     table, map_path = tmp_path / "t.csv", tmp_path / "map.yaml"
     table.write_text("t,x,y,z\n" + "".join(f"{step_s * k:.6f},0.1,0.2,9.8\n" for k in range(50)))
     map_path.write_text("time: {column: t, unit: s}\naccel: {columns: [x, y, z], unit: m/s^2}\n")

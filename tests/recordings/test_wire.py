@@ -252,7 +252,7 @@ def test_after_a_full_disk_the_file_goes_on_where_it_stopped(
     assert reader.summary.checksum_ok
 
 
-def test_bytes_beyond_the_limit_are_counted_and_the_file_says_so(
+def test_bytes_beyond_the_limit_are_counted_and_the_file_reports_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(wire, "PENDING_LIMIT", 100)

@@ -49,7 +49,7 @@ def test_an_outage_that_lasts_ends_with_the_recording() -> None:
     assert found.as_data()[0]["seconds"] == pytest.approx(4.0)
 
 
-def test_no_outage_is_said_to_be_none_and_many_are_counted() -> None:
+def test_no_outage_is_reported_as_none_and_many_are_counted() -> None:
     assert watched(event(EventKind.OPENED, 0), data(1), event(EventKind.CLOSED, 2)).describe() == "none"
     flapping = [event(kind, k) for k in range(NAMED + 5) for kind in (EventKind.LOST, EventKind.OPENED)]
     assert "5 more" in watched(*flapping).describe()

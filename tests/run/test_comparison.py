@@ -110,7 +110,7 @@ def test_a_stage_that_was_switched_off_is_not_compared(tmp_path: Path) -> None:
     assert (mended.identical, mended.only_replay) == (True, ("doubled",))
 
 
-def test_one_digest_of_all_columns_is_the_same_or_says_nothing(session: Session) -> None:
+def test_one_digest_of_all_columns_is_the_same_or_is_absent(session: Session) -> None:
     old: dict[str, Any] = {"column_crc32": {}}
     assert compared(session, [Times("doubled", 2.0)], **old).identical is True
     more = compared(session, [Times("doubled", 2.0), Times("tripled", 3.0)], **old)
@@ -129,7 +129,7 @@ def test_a_late_column_is_the_same_as_one_that_was_missing() -> None:
     assert late.columns(without=["a"]).keys() == {"b", "gnss/a"}
 
 
-def test_replay_says_what_differs_and_exits_with_1(session: Session, tmp_path: Path) -> None:
+def test_replay_states_what_differs_and_exits_with_1(session: Session, tmp_path: Path) -> None:
     (tmp_path / "s").mkdir()
     for name in ("session.yaml", "wire.mcap"):
         (tmp_path / "s" / name).write_bytes((session.path / name).read_bytes())

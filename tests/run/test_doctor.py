@@ -66,7 +66,9 @@ def test_a_person_reads_a_line_per_finding(tmp_path: Path) -> None:
         (replace(PORT, holders=("screen (pid 7)",)), State.WARNING, "end the other"),
     ],
 )
-def test_a_port_is_judged(port: PortInfo, state: State, remedy: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_port_is_evaluated(
+    port: PortInfo, state: State, remedy: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(doctor, "list_ports", lambda: [port])
     finding = only(doctor.serial_ports())
     assert (finding.subject, finding.state) == ("/dev/ttyUSB0", state)
@@ -87,7 +89,7 @@ def test_a_port_that_this_user_may_not_open_gets_the_same_advice_as_when_it_is_o
     assert "udev" in finding.remedy or "group" in finding.remedy
 
 
-def test_no_port_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_port_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(doctor, "list_ports", list)
     assert "imumon virtual" in only(doctor.serial_ports()).remedy
 
@@ -102,7 +104,7 @@ def test_a_full_disk_and_one_that_cannot_be_written_to(
     assert "NUMBA_CACHE_DIR" in only(doctor.compiled_code()).remedy
 
 
-def test_an_empty_cache_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_empty_cache_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
     assert only(doctor.compiled_code()).state is State.WARNING
 

@@ -81,7 +81,7 @@ def test_reads_in_a_row_come_at_once_and_nothing_after_the_end() -> None:
 
 
 @pytest.mark.parametrize(("serial", "said"), [("SN1", True), ("SN2", False), (None, False)])
-def test_a_model_of_another_unit_is_told(
+def test_a_model_of_another_unit_is_reported(
     ahrs: VirtualDevice, tmp_path: Path, serial: str | None, said: bool
 ) -> None:
     setup = Setup(model=three_curves().model_copy(update={"serial": "SN2"}))
@@ -146,7 +146,7 @@ def test_an_unplugged_device_comes_back_and_a_reboot_begins_a_segment(
     assert digest.hexdigest() == summary.results_digest
 
 
-def test_silence_is_said_and_ends_by_itself(tmp_path: Path, ahrs: VirtualDevice) -> None:
+def test_silence_is_reported_and_ends_by_itself(tmp_path: Path, ahrs: VirtualDevice) -> None:
     watcher = Watcher()
     run = start(ahrs.port.path, tmp_path / "session", watcher)
     assert wait_until(lambda: run.pipeline.counters.packets > 10)

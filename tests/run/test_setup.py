@@ -25,11 +25,11 @@ def _model() -> BiasModel:
     return BiasModel(made_by="test", created="2026-01-01T00:00:00Z", channels={"gyro_x": channel})
 
 
-def test_nothing_said_is_no_file() -> None:
+def test_nothing_stated_is_no_file() -> None:
     assert Setup().text() is None
 
 
-def test_what_a_session_keeps_says_the_same_again_with_the_model_in_it() -> None:
+def test_what_a_session_keeps_states_the_same_again_with_the_model_in_it() -> None:
     setup = Setup().with_options(model=_model(), latitude_deg=40.93, heading_deg=12.5, zupt_mode="thermal")
     text = setup.text()
     assert text is not None
@@ -98,7 +98,7 @@ def test_known_noise_holds_for_every_estimator() -> None:
     assert error.noise["gyro_z"].angle_random_walk == 9e-5
 
 
-def test_what_an_estimator_is_told_itself_comes_first_and_what_is_not_known_is_learned() -> None:
+def test_what_an_estimator_is_given_itself_comes_first_and_what_is_not_known_is_learned() -> None:
     told = NOISE + "zupt: {angle_random_walk_rad_per_sqrt_s: 1e-3}\n"
     setup = parse_setup(told.replace("[null, 3e-7, null]", "[null, null, null]"), "pipeline.yaml")
     assert setup.zupt_with_noise.angle_random_walk_rad_per_sqrt_s == 1e-3
@@ -106,7 +106,7 @@ def test_what_an_estimator_is_told_itself_comes_first_and_what_is_not_known_is_l
     assert set(setup.random_error_with_noise.noise) == {"gyro_x", "gyro_z"}
 
 
-def test_a_setup_with_noise_says_the_same_again() -> None:
+def test_a_setup_with_noise_states_the_same_again() -> None:
     setup = parse_setup(NOISE, "pipeline.yaml")
     assert parse_setup(setup.text() or "", "session.yaml") == setup
 

@@ -43,7 +43,7 @@ def test_a_host_at_another_rate_reads_garbage_of_the_length_that_fits_its_rate()
     assert 0.3 < len(seen) / 1024 < 0.7
 
 
-def test_a_rate_without_a_termios_constant_is_told_apart_as_well() -> None:
+def test_a_rate_without_a_termios_constant_is_distinguished_as_well() -> None:
     with VirtualPort(baudrate=250000) as device:
         with serial.Serial(device.path, 250000, timeout=LIMIT_S) as host:
             assert device.host_baudrate() == 250000

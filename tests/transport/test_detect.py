@@ -161,7 +161,7 @@ def test_text_points_to_command_mode() -> None:
     assert "command mode" in error.hint
 
 
-def test_text_is_listened_to_for_as_long_as_asked_at_its_rate() -> None:
+def test_text_is_listened_to_for_as_long_as_requested_at_its_rate() -> None:
     heard, tried = bytearray(), list[int]()
 
     def begin(settings: PortSettings) -> None:

@@ -94,12 +94,12 @@ def test_a_server_that_does_not_answer_is_named_a_timeout() -> None:
     assert "ETIMEDOUT" in error.seen
 
 
-def test_a_host_name_that_nobody_knows_is_told_in_the_words_of_the_resolver() -> None:
+def test_a_host_name_that_nobody_knows_is_reported_in_the_words_of_the_resolver() -> None:
     error = open_error(PortSettings("socket://nowhere:1"), OSError(-2, "Name or service not known"))
     assert "Name or service not known" in error.seen
 
 
-def test_lost_silent_and_wrong_baud_say_what_was_seen() -> None:
+def test_lost_silent_and_wrong_baud_say_what_was_detected() -> None:
     settings = PortSettings("/dev/ttyUSB0", 9600)
     assert lost_error(settings, "the device hung up").seen.endswith(
         "at 9600 8N1 was lost: the device hung up"
@@ -121,7 +121,7 @@ def test_lost_silent_and_wrong_baud_say_what_was_seen() -> None:
         (False, 16, "off, the adapter holds bytes back for up to 16 ms"),
     ],
 )
-def test_low_latency_is_told_from_what_the_driver_does(
+def test_low_latency_is_recognised_by_what_the_driver_does(
     accepted: bool, timer_ms: int | None, expected: str
 ) -> None:
     assert latency_text(accepted, timer_ms, "/sys/x").startswith(expected)

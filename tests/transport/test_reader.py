@@ -76,7 +76,7 @@ def test_a_port_that_was_never_there_is_not_waited_for() -> None:
     assert sink.items == []
 
 
-def test_silence_is_said_once_and_ends_with_the_next_byte(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_silence_is_reported_once_and_ends_with_the_next_byte(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(reader_module, "CHECK_SILENT_S", 0.02)
     sink = Collector()
     with VirtualPort() as device, Reader(PortSettings(device.path), sink, silent_after_s=0.1):
@@ -138,7 +138,7 @@ def test_a_device_that_reboots_several_times_is_followed(tmp_path: Path) -> None
     assert sink.data == b"boot 0boot 1boot 2boot 3"
 
 
-def test_low_latency_is_asked_for_at_every_opening(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_low_latency_is_requested_at_every_opening(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[str] = []
 
     def ask(_fd: int, device: str) -> str:

@@ -31,7 +31,7 @@ def test_first_segment_keeps_the_devices_own_time() -> None:
     np.testing.assert_array_equal(samples.host_ns, block(0, 20)["host_time_ns"])
 
 
-def test_new_segment_begins_as_much_later_as_the_host_clock_says() -> None:
+def test_new_segment_begins_as_much_later_as_the_host_clock_states() -> None:
     samples = Timebase().samples(restarted(gap_ms=250))
     assert samples.device_ns is not None
     steps = np.diff(samples.device_ns)

@@ -198,7 +198,7 @@ def test_stopped_viewer_costs_little_and_gets_what_it_missed(
 
 
 @pytest.mark.viewer
-def test_what_was_sent_last_is_seen_before_the_view_ends(
+def test_what_was_sent_last_is_shown_before_the_view_ends(
     publish: Publish, headless: StartViewer, port: int
 ) -> None:
     headless(port)
@@ -279,7 +279,9 @@ def test_on_this_machine_only_and_by_no_other_web_site_the_stream_is_read(
             assert (b"live-1" in shown) == (status == 200)
 
 
-def test_without_any_viewer_publishing_goes_on_and_the_state_says_why(publish: Publish, port: int) -> None:
+def test_without_any_viewer_publishing_goes_on_and_the_state_gives_the_reason(
+    publish: Publish, port: int
+) -> None:
     publisher = publish("native", port)
     stream = Stream(publisher.publish)
     stream.run_until(lambda: "could not start" in publisher.state.text, "noticed")

@@ -189,7 +189,7 @@ def test_keys_mark_without_a_view_too(tmp_path: Path) -> None:
     assert said[1:3] == [(EventKind.START, "part 1"), (EventKind.MARK, "key m")]
 
 
-def test_without_a_terminal_it_says_so_and_records_nothing(tmp_path: Path) -> None:
+def test_without_a_terminal_it_reports_that_and_records_nothing(tmp_path: Path) -> None:
     done = subprocess.run(
         [IMUMON, "monitor", "/dev/null", "--device", "ax1", "--view", "terminal"],
         capture_output=True, text=True, cwd=tmp_path, check=False,

@@ -28,13 +28,13 @@ def test_nothing_listens(port: int) -> None:
     assert probe(port) is None
 
 
-def test_a_program_that_accepts_and_says_nothing_is_silent(port: int) -> None:
+def test_a_program_that_accepts_and_sends_nothing_is_silent(port: int) -> None:
     with socket.create_server(("127.0.0.1", port)):
         assert probe(port, timeout_s=0.1) is False
 
 
 @pytest.mark.parametrize("reply", [b"HTTP/1.1 200 OK\r\nContent-Length: 0\r\n\r\n", b"220 mail ready\r\n"])
-def test_another_program_is_told_apart(port: int, reply: bytes) -> None:
+def test_another_program_is_distinguished(port: int, reply: bytes) -> None:
     with socket.create_server(("127.0.0.1", port)) as server:
 
         def answer() -> None:

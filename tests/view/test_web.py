@@ -93,7 +93,7 @@ def test_the_stream_comes_through_the_same_port(server: WebServer) -> None:
     assert b"application/grpc-web+proto" in heard[0]
 
 
-def test_nothing_else_is_passed_on_and_a_stream_that_is_away_is_said(server: WebServer) -> None:
+def test_nothing_else_is_passed_on_and_a_stream_that_is_away_is_reported(server: WebServer) -> None:
     for path, status in (("/other", 404), ("/rerun.x/Read", 502)):
         connection = http.client.HTTPConnection("127.0.0.1", server.port)
         connection.request("POST", path, b"body")
@@ -126,5 +126,5 @@ def test_addresses_and_this_computer_are_answered(
 
 
 @given(st.text(), st.text())
-def test_any_header_is_judged(host: str, origin: str) -> None:
+def test_any_header_is_evaluated(host: str, origin: str) -> None:
     refusal(host, origin)

@@ -127,7 +127,7 @@ def test_a_rate_that_does_not_exist_is_refused_with_the_nearest(
         family.wanted({}, Wish(rate, ("inertial",)))
 
 
-def test_an_output_that_is_slower_than_asked_for_is_refused_alone() -> None:
+def test_an_output_that_is_slower_than_requested_is_refused_alone() -> None:
     with pytest.raises(ImumonError, match=r"400 Hz .these outputs are slower.\nnearest: 100 Hz"):
         xsens.Xsens().wanted({}, Wish(400.0, ("magnetometer",)))
     both = xsens.Xsens().wanted({}, Wish(400.0, ("inertial", "magnetometer")))[xsens.OUTPUT]
@@ -140,7 +140,7 @@ def test_a_rate_may_be_rounded_as_people_do() -> None:
         divisor(800, 266)
 
 
-def test_what_is_not_asked_for_stays() -> None:
+def test_what_is_not_requested_stays() -> None:
     family, kept = vectornav.VectorNav(), vectornav.Output(2, 40, 0x14, (0x3E, 0x3A))
     present = {vectornav.OUTPUT: kept.value, vectornav.ASCII: b"14"}
     wanted = family.wanted(present, Wish(rate_hz=200.0))

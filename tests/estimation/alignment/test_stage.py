@@ -64,7 +64,7 @@ def test_a_mems_gyro_never_shows_a_north(seed: int, bias: float) -> None:
 
 
 @pytest.mark.parametrize("declared", [100.0, 1000.0])
-def test_a_mean_that_tells_nothing_is_any_angle_and_said_so(declared: float) -> None:
+def test_a_mean_that_tells_nothing_is_any_angle_and_reported_as_such(declared: float) -> None:
     plan = scenario(40.0, arw=MEMS_ARW, rate_hz=50.0)
     stage, out = aligned(samples(plan), {"gyro_bias_sd_deg_per_h": declared})
     shown = {name: cells for name, *cells in stage.status.estimator_rows()}
@@ -94,7 +94,7 @@ def test_a_declared_bias_counts_and_is_contradicted_when_it_is_too_small() -> No
     assert stage.status.shown.sd == pytest.approx(expected, rel=0.1)
 
 
-def test_a_bias_of_nothing_but_the_east_gyro_is_in_the_sigma_and_said() -> None:
+def test_a_bias_of_nothing_but_the_east_gyro_is_in_the_sigma_and_reported() -> None:
     block = samples(
         scenario(90.0, attitude=(0.0, 0.0, 0.0), gyro_turn_on={"offset_deg_per_h": [0.0, 3.0, 0.0]})
     )

@@ -110,7 +110,7 @@ def test_half_a_turn_removes_the_bias_of_the_accelerometers() -> None:
     assert sd > math.degrees(2e-3 * math.tan(math.radians(36.0)))
 
 
-def test_the_heading_says_while_it_is_waved_how_far_it_may_be_off() -> None:
+def test_the_heading_states_while_it_is_waved_how_far_it_may_be_off() -> None:
     block, _ = sent(waved(times(30.0, 20.0), 30.0, 60.0, 5), 20.0)
     _, out = aligned(block)
     sd = np.degrees(out["heading_sd"])

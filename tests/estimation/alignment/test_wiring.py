@@ -74,7 +74,7 @@ def test_an_accelerometer_that_may_drift_otherwise_leaves_the_level_unknown() ->
     assert found.amplitude_sd_ug is None
 
 
-def test_the_stage_takes_the_warm_up_from_the_model_unless_told_another() -> None:
+def test_the_stage_takes_the_warm_up_from_the_model_unless_given_another() -> None:
     stage = _alignment(Setup(latitude_deg=36.0, model=_model()))
     assert stage is not None
     own = {"amplitude_ug": [1.0, 2.0, 3.0], "time_constant_s": 60.0}

@@ -38,7 +38,7 @@ def estimated(block: SampleBlock, stage: AttitudeEstimate) -> SampleBlock:
 
 @pytest.mark.parametrize("axes", ["FRD", "FLU"])
 @pytest.mark.parametrize("rate_hz", [50.0, 400.0])
-def test_it_follows_turns_and_its_errors_are_as_its_sigma_says(
+def test_it_follows_turns_and_its_errors_are_as_its_sigma_states(
     axes: Literal["FRD", "FLU"], rate_hz: float
 ) -> None:
     # The simulated gyros have no error of scale; three mg are drawn for the accelerometers.
@@ -233,7 +233,7 @@ def test_a_magnetometer_without_calibration_gives_north_but_no_sigma() -> None:
     assert any("imumon magnetometer" in text for text in stage.notices())
 
 
-def test_a_field_that_is_too_strong_is_bent_by_as_much_as_its_sigma_says() -> None:
+def test_a_field_that_is_too_strong_is_bent_by_as_much_as_its_sigma_states() -> None:
     made = scene(seconds=220.0)
     mag = made.block.mag
     assert mag is not None
@@ -289,7 +289,7 @@ def test_missing_rows_a_gap_and_a_restart_cost_what_they_touch(slower: int) -> N
 
 
 @pytest.mark.parametrize("heading_deg", [None, 130.0])
-def test_each_new_reference_of_a_free_heading_is_said(heading_deg: float | None) -> None:
+def test_each_new_reference_of_a_free_heading_is_reported(heading_deg: float | None) -> None:
     made = scene(seconds=60.0)
     block = without_mag(made.block)
     time_ns = block["device_time_ns"].copy()

@@ -94,7 +94,7 @@ def test_earth_rate_is_not_in_the_bias_at_any_attitude(name: str, heading_deg: f
     assert vector(blind)[-1] - bias[-1] == pytest.approx(matrix @ local_earth(), abs=1.0 * DPH)
 
 
-def test_without_heading_only_the_vertical_earth_rate_is_removed_and_it_is_said() -> None:
+def test_without_heading_only_the_vertical_earth_rate_is_removed_and_it_is_reported() -> None:
     stage = GyroBias(latitude_deg=40.93)
     block, bias = record(QUIET, 120.0, 6, earth=local_earth())
     off = vector(run(block, stage))[-1] - bias[-1]
@@ -214,7 +214,7 @@ def test_a_restart_forgets_the_bias_but_not_the_noise() -> None:
     assert after[-1, 0] == pytest.approx(bias[-1, 0] + 0.05, abs=30 * DPH)
 
 
-def test_a_bias_that_jumps_is_found_again_and_it_is_said() -> None:
+def test_a_bias_that_jumps_is_found_again_and_it_is_reported() -> None:
     block, _ = record(SLOW, 600.0, 14)
     jumped = np.where(np.arange(len(block)) > 3000, math.radians(2.0), 0.0)
     stage = GyroBias()
@@ -224,7 +224,7 @@ def test_a_bias_that_jumps_is_found_again_and_it_is_said() -> None:
     assert any("jumped" in text for text in stage.notices())
 
 
-def test_without_a_rest_column_nothing_is_estimated_unless_told() -> None:
+def test_without_a_rest_column_nothing_is_estimated_unless_stated() -> None:
     block, _ = record(SLOW, 30.0, 15)
     bare = SampleBlock({name: values for name, values in block.columns.items() if name != "at_rest"})
     stage = GyroBias()

@@ -85,7 +85,7 @@ def test_short_rests_are_enough_with_a_model(mode: Mode) -> None:
     assert np.mean((vector(added) - bias)[after] ** 2 / vector(added, "gyro_bias_sd")[after] ** 2) < 3.0
 
 
-def test_outside_the_range_the_sigma_widens_and_it_is_said() -> None:
+def test_outside_the_range_the_sigma_widens_and_it_is_reported() -> None:
     t = np.arange(3000) / 10
     temperature = np.interp(t, [0, 100, 200], [48.0, 48.0, 56.0])
     block, _ = warming(temperature)

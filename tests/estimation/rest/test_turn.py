@@ -163,7 +163,7 @@ def test_the_vertical_alone_creeps_with_temperature_and_turns_without(warms: boo
     assert rest[(t > 200.0) & (t < 250.0)].any() == warms
 
 
-def test_a_jump_about_the_vertical_stays_undecided_and_says_so() -> None:
+def test_a_jump_about_the_vertical_stays_undecided_and_reports_it() -> None:
     t, gyro, accel = noise(400.0, 25.0)
     gyro[t > 40.0, 2] += 0.8 * DEG
     _, rest, hypothesis = found(block(t, gyro, accel))

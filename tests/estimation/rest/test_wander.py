@@ -52,7 +52,7 @@ def test_a_turn_that_begins_slowly_on_a_coarse_gyro_is_no_creep(seed: int) -> No
     assert not rest[t > 190.0].any()  # by then it is 0.17 °/s, ten times the wander
 
 
-def test_a_turn_that_begins_slowly_on_a_coarse_gyro_is_seen_as_soon_as_noise_allows() -> None:
+def test_a_turn_that_begins_slowly_on_a_coarse_gyro_is_detected_as_soon_as_noise_allows() -> None:
     rested = []
     for seed in range(20, 24):
         t, gyro, accel = noise(180.0, 25.0, gyro_sd=0.025 * DEG, seed=seed)
@@ -64,7 +64,7 @@ def test_a_turn_that_begins_slowly_on_a_coarse_gyro_is_seen_as_soon_as_noise_all
 
 
 @pytest.mark.parametrize("follows", [True, False])
-def test_a_tilt_that_begins_slowly_is_seen_where_gravity_follows_it(follows: bool) -> None:
+def test_a_tilt_that_begins_slowly_is_detected_where_gravity_follows_it(follows: bool) -> None:
     """Gyros and gravity take 7 s; that the gyros creep and nothing tilts takes 17 s."""
     for seed in range(20, 23):
         t, gyro, accel = noise(180.0, 25.0, gyro_sd=4e-6, accel_sd=2.5e-3, seed=seed)

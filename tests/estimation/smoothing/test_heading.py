@@ -21,7 +21,7 @@ def smoothed(block: SampleBlock) -> tuple[Smoothed, FloatArray]:
     return result, 1e-9 * (record.middle_ns - record.middle_ns[0])
 
 
-def test_the_first_position_knows_what_the_second_told_of_the_bias() -> None:
+def test_the_first_position_knows_what_the_second_showed_of_the_bias() -> None:
     turn = {"kind": "turn", "at_s": 60.0, "duration_s": 4.0, "heading_deg": 180.0}
     bias = {"offset_deg_per_h": [2.0, -3.0, 1.0]}
     block = samples(scenario(130.0, rate_hz=RATE_HZ, motion=[turn], gyro_turn_on=bias))
@@ -57,6 +57,6 @@ def test_halves_that_contradict_each_other_widen_the_sigma() -> None:
     assert other.sd[middle] > 2.0 * same.sd[middle]
 
 
-def test_nothing_is_said_where_the_north_is_not_observable() -> None:
+def test_nothing_is_reported_where_the_north_is_not_observable() -> None:
     found, _ = smoothed(samples(scenario(60.0, rate_hz=RATE_HZ, arw=0.28)))
     assert np.isnan(found.value).all()

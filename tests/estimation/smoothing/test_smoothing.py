@@ -70,7 +70,7 @@ def true_bias(truth: SampleBlock, vertical: float) -> FloatArray:
         {"start_degc": 20.0, "lag_s": 60.0, "steps": [{"to_degc": 30.0, "rate_degc_per_min": 4.0}]},
     ],
 )
-def test_the_smoothed_bias_errs_less_and_as_its_sigma_says(chamber: dict[str, Any]) -> None:
+def test_the_smoothed_bias_errs_less_and_as_its_sigma_states(chamber: dict[str, Any]) -> None:
     errors: dict[str, list[FloatArray]] = {"forward": [], "smoothed": [], "z": []}
     for seed in range(2):
         block, truth = recorded(seed, chamber=chamber, unit="crs05" if "steps" in chamber else "athermal")

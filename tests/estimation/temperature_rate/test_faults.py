@@ -52,7 +52,7 @@ def test_a_spike_before_it_sticks_makes_no_difference() -> None:
     assert np.abs(found - truth)[t > 600.0].max() < 1.0
 
 
-def test_where_it_never_comes_back_nothing_is_said_after_ten_minutes_until_it_moves() -> None:
+def test_where_it_never_comes_back_nothing_is_reported_after_ten_minutes_until_it_moves() -> None:
     t = np.arange(0.0, 2400.0, 0.1)
     reading = read(np.full(len(t), 25.0) + t / 360.0, 0.0625)
     reading[(t >= 600.0) & (t < 1800.0)] = POWER_ON_DEGC

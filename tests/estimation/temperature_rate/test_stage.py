@@ -31,7 +31,7 @@ def test_one_sensor_gives_four_columns() -> None:
 
 
 @pytest.mark.parametrize("rate_hz", [0.1, 1.0, 10.0, 100.0])
-def test_what_a_single_reading_is_worth_nobody_says_before_a_second(rate_hz: float) -> None:
+def test_what_a_single_reading_is_worth_nobody_knows_before_a_second(rate_hz: float) -> None:
     n = max(3, int(5 * rate_hz))
     time_ns, _ = clock(n, rate_hz)
     garbage = np.random.default_rng(0).uniform(-100.0, 250.0, n)

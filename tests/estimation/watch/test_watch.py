@@ -195,7 +195,7 @@ def watched(gyro_lag_s: float, size: int) -> tuple[ModelWatch, FloatArray]:
     return watch, np.concatenate([watch.process(part)["model_suspect"] for part in parts])
 
 
-def test_a_unit_that_is_as_its_model_says_is_not_suspected() -> None:
+def test_a_unit_that_is_as_its_model_states_is_not_suspected() -> None:
     watch, _ = watched(0.0, 10_000)
     assert texts(watch) == {"model": "MODEL OK"}
     assert watch.notices() == []

@@ -133,7 +133,7 @@ def answers(address: str) -> bool:
         return False
 
 
-def test_ctrl_c_on_a_terminal_says_in_one_line_how_to_go_on(tmp_path: Path) -> None:
+def test_ctrl_c_on_a_terminal_states_in_one_line_how_to_go_on(tmp_path: Path) -> None:
     lab = tmp_path / "lab"
     first = tiny(lab / "s000", seconds=30.0)
     for number in range(1, 400):

@@ -39,7 +39,7 @@ def test_drift_is_the_slope_of_the_models() -> None:
     assert np.isnan(only)
 
 
-def test_sigma_of_a_slope_says_how_far_it_errs() -> None:
+def test_sigma_of_a_slope_states_how_far_it_errs() -> None:
     noise, x = np.random.default_rng(0), np.arange(6.0)
     for said, true in ((1.0, 1.0), (1.0, 5.0)):  # the points may scatter more than they say
         found = [line(x, 2 * x + noise.normal(0, true, 6), np.full(6, said)) for _ in range(2000)]

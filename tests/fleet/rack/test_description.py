@@ -35,7 +35,7 @@ def refused(path: Path) -> str:
     return caught.value.seen
 
 
-def test_a_unit_has_what_it_says_and_the_rest_from_the_default(tmp_path: Path) -> None:
+def test_a_unit_has_what_it_states_and_the_rest_from_the_default(tmp_path: Path) -> None:
     plans = load_rack(written(tmp_path, GOOD))
     assert list(plans) == ["left", "right"]
     left, right = plans.values()
@@ -68,7 +68,7 @@ def test_a_device_file_is_looked_for_beside_the_rack(tmp_path: Path) -> None:
         ("/dev/ttyUSB1", '"\\a"', r": right: the name of the port is not plain text"),
     ],
 )
-def test_what_is_wrong_is_said_in_one_line_with_its_place(
+def test_what_is_wrong_is_reported_in_one_line_with_its_place(
     tmp_path: Path, old: str, new: str, said: str
 ) -> None:
     path = written(tmp_path, GOOD.replace(old, new, 1))
@@ -125,7 +125,7 @@ def outcome(path: Path) -> tuple[int, str]:
         return 0, error.seen
 
 
-def test_a_change_is_told_once_and_when_it_is_complete(tmp_path: Path) -> None:
+def test_a_change_is_reported_once_and_when_it_is_complete(tmp_path: Path) -> None:
     path = written(tmp_path, GOOD)
     watched = Watched(path)
     assert not watched.has_changed()

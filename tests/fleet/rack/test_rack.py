@@ -226,7 +226,7 @@ def test_a_unit_whose_rack_is_gone_closes_its_session(tmp_path: Path) -> None:
     assert recorded([session]) in feeder.stream
 
 
-def test_a_wrong_file_or_view_is_said_before_anything_begins(tmp_path: Path) -> None:
+def test_a_wrong_file_or_view_is_reported_before_anything_begins(tmp_path: Path) -> None:
     path = tmp_path / "rack.yaml"
     path.write_text("format: imumon-rack/1\nunits:\n  a: {prot: /dev/ttyUSB0}\n")
     done = imumon("rack", path, "--view", "none", cwd=tmp_path)

@@ -86,7 +86,7 @@ def test_a_unit_of_other_axes_is_turned_into_those_of_the_board() -> None:
         assert unit4[f"TC_G0_X0_{number}"][0] == sign * board4[f"TC_G0_X0_{number}"][0] != 0.0
 
 
-def test_axes_that_nobody_stated_are_said() -> None:
+def test_axes_that_nobody_stated_are_reported() -> None:
     unstated = parameters(model(), "ardupilot", 0)[1]
     assert any("does not state its axes" in note for note in unstated)
     stated = parameters(model().model_copy(update={"axes": "FRD"}), "ardupilot", 0)[1]
@@ -123,7 +123,7 @@ def test_what_an_autopilot_could_not_use_is_refused(unit: BiasModel, autopilot: 
     assert refused.value.hint
 
 
-def test_a_cubic_that_misses_the_curve_is_said() -> None:
+def test_a_cubic_that_misses_the_curve_is_reported() -> None:
     notes = parameters(model(degree=9), "ardupilot", 0)[1]
     assert sum("the cubic misses the curve by" in note for note in notes) == 6
 

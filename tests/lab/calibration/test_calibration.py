@@ -68,7 +68,7 @@ def test_every_kind_of_curve_was_tried_and_the_worst_is_not_chosen(soaked: Calib
         assert rms["polynomial 1"] > 10 * rms[finding.choice.name]
 
 
-def test_the_model_says_where_it_comes_from(soaked: Calibration) -> None:
+def test_the_model_states_where_it_comes_from(soaked: Calibration) -> None:
     model = soaked.model
     assert (model.serial, model.earth_rate, model.block_s) == ("A1", "included", 10.0)
     assert len(model.levels_degc) == 15
@@ -123,7 +123,7 @@ def test_turn_on_offsets_are_found_and_the_curve_is_their_mean() -> None:
 
 
 @pytest.mark.usefixtures("fast")
-def test_runs_without_a_common_temperature_get_no_offset_and_that_is_said() -> None:
+def test_runs_without_a_common_temperature_get_no_offset_and_that_is_reported() -> None:
     t = soak(600.0)
     half = len(t) // 2
     found = calibrate([record(t[:half], "cold"), record(t[half + 500 :], "warm", seed=1)])
@@ -175,7 +175,7 @@ def test_the_earth_rate_is_removed_with_latitude_and_heading(
 
 
 @pytest.mark.usefixtures("fast")
-def test_a_bias_that_is_another_in_each_pose_is_said_and_gravity_is_no_turn_on_offset() -> None:
+def test_a_bias_that_is_another_in_each_pose_is_reported_and_gravity_is_no_turn_on_offset() -> None:
     t = soak(600.0)
     down, up = (samples(t, accel=(0.0, 0.0, sign * GRAVITY)) for sign in (-1.0, 1.0))
     up = up.with_columns({"gyro_x": up["gyro_x"] + np.radians(20.0) / 3600.0})
@@ -265,7 +265,7 @@ def test_a_place_without_accelerometers_is_refused() -> None:
 
 
 @pytest.mark.usefixtures("fast")
-def test_what_goes_one_way_or_is_there_twice_is_said() -> None:
+def test_what_goes_one_way_or_is_there_twice_is_reported() -> None:
     one = record(soak(300.0))
     both = record(np.concatenate([soak(200.0), soak(200.0)[::-1]]))
     assert any("one way only" in text for text in calibrate([one]).warnings)

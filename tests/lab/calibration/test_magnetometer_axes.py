@@ -76,7 +76,7 @@ def test_other_axes_are_refused_and_named(way: FloatArray) -> None:
         assert "+x, +y, -z or -x, -y, +z" in str(caught.value)
 
 
-def test_a_magnetometer_that_is_mounted_askew_is_said_with_its_angle() -> None:
+def test_a_magnetometer_that_is_mounted_askew_is_reported_with_its_angle() -> None:
     askew = Rotation.from_rotvec(np.radians([3.0, -4.0, 0.0])).as_matrix()
     _, axes = found(turns(4, askew))
     assert axes is not None
@@ -84,7 +84,7 @@ def test_a_magnetometer_that_is_mounted_askew_is_said_with_its_angle() -> None:
     assert "° against the gyros" in doubts(axes, "test")[0]
 
 
-def test_gyros_that_do_not_turn_as_the_field_are_said() -> None:
+def test_gyros_that_do_not_turn_as_the_field_are_reported() -> None:
     block = turns(5, np.eye(3))
     slow = {name: values / 57.3 for name, values in block.columns.items() if name.startswith("gyro")}
     _, axes = found(block.with_columns(slow))
@@ -93,7 +93,7 @@ def test_gyros_that_do_not_turn_as_the_field_are_said() -> None:
     assert "unit and axes of the gyros" in doubts(axes, "test")[0]
 
 
-def test_without_gyros_nothing_is_said() -> None:
+def test_without_gyros_nothing_is_reported() -> None:
     block = turns(6, np.eye(3))
     alone = SampleBlock({name: v for name, v in block.columns.items() if not name.startswith("gyro")})
     assert found(alone)[1] is None
@@ -112,7 +112,7 @@ def test_a_current_that_is_switched_on_meanwhile_is_in_the_sigma() -> None:
         found(block.with_columns({"mag_x": block["mag_x"] + 4.0 * half}))
 
 
-def test_a_field_in_another_unit_is_said() -> None:
+def test_a_field_in_another_unit_is_reported() -> None:
     block = turns(8, np.eye(3))
     fit = fit_magnetometer([block], "uT", "test")
     assert fit.doubts == []

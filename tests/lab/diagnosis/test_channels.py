@@ -57,7 +57,7 @@ def test_a_barometer_and_a_second_thermometer_are_diagnosed(sensor: str, effect:
     assert verdict.test_after.rms < 1.2 * verdict.channel.floor.sd
 
 
-def test_what_is_diagnosed_is_no_driver_and_what_is_not_there_is_said() -> None:
+def test_what_is_diagnosed_is_no_driver_and_what_is_not_there_is_reported() -> None:
     train, test = runs()
     found = diagnose(train, test, sensors=("gyro", "pressure"))
     assert "pressure" not in found.verdicts[0].found.survey.others

@@ -130,7 +130,7 @@ def test_a_lag_and_a_loop_are_both_named() -> None:
     assert found["after"]["test_rms"] < 1.3 * found["noise_floor_rms"]
 
 
-def test_the_model_file_predicts_the_test_as_well_as_the_report_says(
+def test_the_model_file_predicts_the_test_as_well_as_the_report_states(
     lagging: Diagnosis, tmp_path: Path
 ) -> None:
     path = tmp_path / "model.yaml"
@@ -175,7 +175,7 @@ def test_a_channel_that_stands_still_is_a_fault_and_no_effect(value: float, said
     assert diagnosis.verdicts[0].summary.startswith("nothing is missing")
 
 
-def test_digits_coarser_than_the_noise_are_said() -> None:
+def test_digits_coarser_than_the_noise_are_reported() -> None:
     train, test = three(nothing, SHORT_S)
     step = 200 * WHITE_DPH * DPH
     coarse = [replace(r, mean={**r.mean, "gyro_x": np.round(r.mean["gyro_x"] / step) * step}) for r in train]
@@ -239,7 +239,7 @@ def test_the_recording_that_was_trained_on_is_no_test() -> None:
     assert any("the training has the same recording" in text for text in diagnosis.caveats)
 
 
-def test_of_a_single_run_every_other_stretch_is_the_test_and_that_is_said() -> None:
+def test_of_a_single_run_every_other_stretch_is_the_test_and_that_is_reported() -> None:
     whole = run(4, *ramps(7200, up=True), lag)
     diagnosis = diagnose([whole], [])
     assert diagnosis.held_out
@@ -519,7 +519,7 @@ def test_a_log_of_few_samples_has_blocks_that_show_its_noise() -> None:
     assert names(diagnosis) == ["thermal_lag"]
 
 
-def test_gaps_are_left_out_and_said() -> None:
+def test_gaps_are_left_out_and_reported() -> None:
     train, test = three(lag)
     holes = train[0].mean["gyro_x"].copy()
     samples = train[0].count["gyro_x"].copy()
@@ -532,7 +532,7 @@ def test_gaps_are_left_out_and_said() -> None:
 
 
 @pytest.mark.parametrize(("field", "warned"), [("Imu.UncompGyro", False), ("Common.AngRate", True)])
-def test_rates_that_the_device_has_corrected_are_said(field: str, warned: bool, tmp_path: Path) -> None:
+def test_rates_that_the_device_has_corrected_are_reported(field: str, warned: bool, tmp_path: Path) -> None:
     text, source = device_text("vectornav")
     sends = f"sends: [Common.TimeStartup, {field}, Imu.Temperature]"
     text = "\n".join(sends if line.startswith("sends:") else line for line in text.splitlines())

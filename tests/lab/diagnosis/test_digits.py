@@ -62,7 +62,7 @@ def test_of_a_complete_model_coarse_digits_leave_open_whether_something_is_missi
     assert report(diagnosis)["channels"]["gyro_x"]["verdict"] == "too few digits"
 
 
-def test_an_effect_that_the_digits_hide_is_not_said_to_be_nothing() -> None:
+def test_an_effect_that_the_digits_hide_is_not_reported_to_be_nothing() -> None:
     (verdict,) = found(creep, 12.0).verdicts
     assert verdict.row.state in ("too few digits", "not proven", "named", "unexplained")
 
@@ -75,7 +75,7 @@ def test_an_effect_that_is_larger_than_the_digits_err_is_named_beside_them() -> 
     assert "steps as coarse may make up to" in verdict.summary
 
 
-def test_with_digits_finer_than_the_noise_the_same_is_told() -> None:
+def test_with_digits_finer_than_the_noise_the_same_is_reported() -> None:
     (verdict,) = found(nothing, 0.5).verdicts
     assert verdict.row.state == "nothing missing"
     (verdict,) = found(creep, 0.5).verdicts

@@ -46,7 +46,7 @@ def test_a_plan_separates_what_was_not_told_apart_and_its_files_play(
         assert len(SimulatedUnit(scenario, 1).samples(10)) == 10
 
 
-def test_what_no_experiment_separates_is_said_and_no_file_is_written(
+def test_what_no_experiment_separates_is_reported_and_no_file_is_written(
     open_report: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert command(["plan", str(open_report), "--out", str(tmp_path), "--hours", "0.9", "--json"]) == 0
@@ -58,7 +58,7 @@ def test_what_no_experiment_separates_is_said_and_no_file_is_written(
     assert not list(tmp_path.iterdir())
 
 
-def test_a_plan_says_how_long_it_takes_and_when_the_time_is_up_what_was_best_so_far(
+def test_a_plan_states_how_long_it_takes_and_when_the_time_is_up_what_was_best_so_far(
     open_report: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("imumon.lab.diagnosis.planning.TIME_UP_S", 0.0)
@@ -69,7 +69,7 @@ def test_a_plan_says_how_long_it_takes_and_when_the_time_is_up_what_was_best_so_
     assert "after 0 s no further one was tried" in shown
 
 
-def test_every_course_is_tried_once_and_lasts_at_most_as_long_as_is_asked_for() -> None:
+def test_every_course_is_tried_once_and_lasts_at_most_as_long_as_is_requested() -> None:
     found = profiles(10.0, 40.0, 1.0, 300.0, 4.0 * 3600.0, poses=False)
     assert len({(one.title, one.duration_s) for one in found}) == len(found)
     assert [one.duration_s for one in found] == sorted(one.duration_s for one in found)

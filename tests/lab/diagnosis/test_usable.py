@@ -27,7 +27,7 @@ def moving(run: Run) -> Run:
     return replace(run, rest=np.zeros_like(run.rest))
 
 
-def test_a_channel_with_one_value_is_left_out_and_said() -> None:
+def test_a_channel_with_one_value_is_left_out_and_reported() -> None:
     train, test = three(still, SECONDS)
     for one in (*train, *test):
         one.mean["gyro_y"], one.variance["gyro_y"] = np.zeros(SECONDS), np.zeros(SECONDS)
@@ -38,7 +38,7 @@ def test_a_channel_with_one_value_is_left_out_and_said() -> None:
     assert remarks == [remark]
 
 
-def test_a_channel_of_one_value_whose_means_differ_in_the_last_bit_is_left_out_and_said() -> None:
+def test_a_channel_of_one_value_whose_means_differ_in_the_last_bit_is_left_out_and_reported() -> None:
     train, test = three(still, SECONDS)
     for one in (*train, *test):
         value = np.full(SECONDS, 0.001)
@@ -50,7 +50,7 @@ def test_a_channel_of_one_value_whose_means_differ_in_the_last_bit_is_left_out_a
     assert "gyro_y is left out: it has one value throughout, 0.001 rad/s" in diagnosis.caveats
 
 
-def test_a_channel_that_a_training_run_lacks_is_left_out_and_said() -> None:
+def test_a_channel_that_a_training_run_lacks_is_left_out_and_reported() -> None:
     train, test = three(still, SECONDS)
     both = {**train[0].mean, "gyro_z": train[0].mean["gyro_x"]}
     train[0] = replace(train[0], mean=both, variance={**train[0].variance, "gyro_z": np.ones(SECONDS)})

@@ -13,7 +13,7 @@ TAUS = np.array([1.0, 10.0, 100.0, 1e3, 1e4])
 
 
 @pytest.mark.parametrize(("instability", "walk"), [(0.0, 0.0), (2.0, 0.0), (0.0, 0.3), (2.0, 0.3)])
-def test_it_whitens_as_the_covariance_says(instability: float, walk: float) -> None:
+def test_it_whitens_as_the_covariance_states(instability: float, walk: float) -> None:
     rng = np.random.default_rng(1)
     model = flicker([instability], [walk], TAUS)
     time_s, white = np.cumsum(rng.uniform(0.5, 40.0, 60)), rng.uniform(0.5, 2.0, 60)

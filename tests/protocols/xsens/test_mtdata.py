@@ -140,7 +140,7 @@ def test_raw_gps_comes_in_si_units() -> None:
     assert row["packet_counter"] == 5
 
 
-def test_a_length_that_does_not_fit_is_an_error_that_says_what_to_change() -> None:
+def test_a_length_that_does_not_fit_is_an_error_that_states_what_to_change() -> None:
     other = Profile(output_mode=["calibrated", "orientation"])
     wrong = mtdata_encoder(other).encode(samples(other, 3))
     right = mtdata_encoder(USUAL).encode(samples(USUAL, 2))

@@ -139,7 +139,7 @@ def test_all_values_of_recorded_frames_are_those_of_the_vendor(recording: str) -
 
 
 @pytest.mark.parametrize("recording", ["mtdata2-1", "mtdata2-3"])
-def test_recorded_output_configuration_is_said_in_words(recording: str) -> None:
+def test_recorded_output_configuration_is_reported_in_words(recording: str) -> None:
     payload = measured(f"xsens/{recording}/outputconfig.bin").read_bytes()
     decoder = MTData2Decoder()
     decoder.feed(xbus_message(0xC1, payload), 0)
@@ -302,7 +302,7 @@ def test_fields_that_overrun_the_payload_are_a_length_error() -> None:
     assert decoder.counters().bytes_skipped == len(bad)
 
 
-def test_unknown_fields_are_said_once_and_the_rest_is_decoded() -> None:
+def test_unknown_fields_are_reported_once_and_the_rest_is_decoded() -> None:
     odd = (
         b"\x10\x20\x02\x00\x07"
         + b"\x77\x70\x03abc"
@@ -432,7 +432,7 @@ def test_every_identifier_makes_the_round_trip(item: Identifier, precision: Prec
 
 
 @pytest.mark.parametrize("frame", ["ENU", "NED", "NWU"])
-def test_the_reference_frame_is_told_and_values_are_left_as_they_are(frame: Frame) -> None:
+def test_the_reference_frame_is_reported_and_values_are_left_as_they_are(frame: Frame) -> None:
     decoder = MTData2Decoder()
     block = samples(1)
     decoder.feed(MTData2Encoder(["Quaternion"], "float64", frame).encode(block)[0], 0)

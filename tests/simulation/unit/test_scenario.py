@@ -80,7 +80,7 @@ def test_three_numbers_or_one_but_nothing_else(tmp_path: Path) -> None:
     assert load_scenario(path).unit.gyro_lag_s == (3, 3, 3)
 
 
-def test_a_base_gives_what_is_not_said(tmp_path: Path) -> None:
+def test_a_base_gives_what_is_not_stated(tmp_path: Path) -> None:
     path = tmp_path / "s.yaml"
     path.write_text(
         "format: imumon-scenario/1\nbase: crs05-ramp\nunit: {base: crs05, gyro_lag_s: 5}\nrate_hz: 50\n"
@@ -111,7 +111,7 @@ def test_an_unknown_name_is_answered_with_those_that_there_are() -> None:
 
 @given(st.text(max_size=40), st.integers(0, 7))
 @settings(max_examples=60, deadline=None)
-def test_whatever_a_file_says_it_is_read_or_refused(
+def test_whatever_a_file_holds_it_is_read_or_refused(
     tmp_path_factory: pytest.TempPathFactory, text: str, line: int
 ) -> None:
     path = tmp_path_factory.mktemp("any") / "s.yaml"

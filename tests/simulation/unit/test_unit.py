@@ -218,7 +218,7 @@ def test_a_gyro_that_lags_has_the_bias_of_an_earlier_temperature() -> None:
     assert np.all(np.abs(lagged[25_900] - bias[25_900]) > 1e-6)
 
 
-def test_the_descent_of_the_ramp_moves_the_bias_as_the_specification_says() -> None:
+def test_the_descent_of_the_ramp_moves_the_bias_as_the_specification_states() -> None:
     """A bias of y that is held errs by -146 deg/h after 66 s of the descent and by -463 after 204 s."""
     plan = load_scenario("crs05-ramp")
     quiet = plan.unit.model_copy(update={"gyro_noise": scenario().unit.gyro_noise})
