@@ -47,7 +47,7 @@ def test_what_it_does_not_know_is_refused(device: VectorNavFirmware, command: st
     assert device.volatile == device.delivered
 
 
-def test_a_command_with_a_bad_checksum_is_not_heard(device: VectorNavFirmware) -> None:
+def test_a_command_with_a_bad_checksum_is_not_answered(device: VectorNavFirmware) -> None:
     assert device.receive(b"$VNWNV*58\r\n$VNRRG,05") == b""
     assert device.receive(b"*76\r\n") == frame("VNRRG,05,115200")
 
