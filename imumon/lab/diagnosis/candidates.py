@@ -82,7 +82,11 @@ class Candidate:
 
 
 def candidates(survey: Survey, families: Iterable[str] = tuple(EFFECTS)) -> list[Candidate]:
-    """Return everything worth trying on such runs."""
+    """Return everything worth trying on such runs.
+
+    By its scope an effect has coefficients that all runs share, is tried so and with those of each run
+    ("either"), has them in each run but the first ("run": an offset), or in one alone ("event": a jump).
+    """
     every, price = tuple(range(survey.runs)), 2.0 * float(np.log(survey.choices))
     found: list[Candidate] = []
     for family in (EFFECTS[name] for name in families):

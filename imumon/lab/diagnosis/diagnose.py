@@ -265,9 +265,9 @@ def likeliest(searched: Sequence[list[Search]], *, live: bool = False) -> list[S
     """Return the search over the base that is likeliest with what was found beside it.
 
     A present model is fitted anew only where that is proven; live, where it is likelier, for nothing is
-    written.  What constants in each pose explain as well may be the earth rate.  Larger ones are not its.
-    Live they are not paid for, as one session has hardly more poses than a sensitivity to g has coefficients:
-    effects have to be likelier than any earth rate.
+    written.  Constants in each pose are for the earth rate, and are preferred by `PROVEN`: what they explain
+    as well is no effect.  Larger ones are refused.  Live their number has no price: one session has hardly
+    more poses than a sensitivity to g has coefficients.
     """
     several = len({found[0].channel.own for found in searched}) > 1
 

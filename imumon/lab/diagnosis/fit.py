@@ -56,7 +56,7 @@ class Fit:
     train: FloatArray
     """Residual in training, (n,)."""
     lifted: float = 0.0
-    """How much of the constant is the mean of effects that do not carry over, such as jumps."""
+    """Part of the constant: the mean of the effects that do not carry over, such as jumps."""
 
     @property
     def train_rms(self) -> float:

@@ -2,9 +2,10 @@
 
 The covariance of a run is s² [W + r F + q R]: W of the white noise of each block, F the mean of
 exp(-|lag|/tau) over `TAUS_S`, which is close to flicker, R = min(ti, tj) over 2 h.  As a state space, x is
-the walk and the Gauss-Markov processes, the bias their sum::
+the walk and the Gauss-Markov processes, the bias their sum, in units of s::
 
-    x(t + dt) = F x(t) + w,   F = diag(1, exp(-dt/tau_i)),   Q = diag(K² dt, sd_i² (1 - exp(-2 dt/tau_i)))
+    x(t + dt) = Phi x(t) + w,         Phi = diag(1, exp(-dt/tau_i))
+    cov w = diag(q dt / 2 h, (r / 6) (1 - exp(-2 dt/tau_i)))
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ WALK_S = 7200.0
 FLICKER = (0.0, 0.3, 1.0, 3.0, 10.0, 100.0, 1000.0)
 WALK = (0.0, 1.0, 10.0, 100.0, 1000.0)
 GRID = [(r, q) for r in FLICKER for q in WALK]
-"""Each likelihood is the largest over these."""
+"""Half a decade to a decade apart; each likelihood is the largest over these."""
 COLLINEAR = 1e-5
 """A column of which less is left beside the base is not used."""
 RIDGE = 1e-9

@@ -35,8 +35,7 @@ SHORTEST_RUN_S = 300.0
 MOSTLY = 0.5
 """Share of its time from which on a run counts as one of a unit at rest."""
 MOST_SLOTS = 7200
-"""Of a run in memory: two hours of seconds; a column takes 32 bytes of each."""
-
+"""Of a run in memory: two hours of seconds; a column takes 16 bytes of each."""
 KEPT = 100_000
 """Samples of a channel that are kept, evenly spaced over the recording, to bound the memory."""
 FREQUENT, TIMES_MORE = 0.01, 10.0

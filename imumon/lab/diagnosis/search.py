@@ -7,13 +7,14 @@ curve, Z the columns of the effects with nonlinear parameters theta, W, F and R 
     S(model)    = 2 ln L - (linear + nonlinear parameters) ln n - price of the choice     (BIC)
     gain(e | M) = S(M + e) - S(M)
 
-with r, q, s, b and c at the maximum of L, the noise no larger than it is without the effect.  A gain is twice
+with s, b and c at the maximum of L, r and q at that of a grid; beside e the noise is no larger (r + q) than
+it is without it, so that an effect leaves less for the noise to explain.  A gain is twice
 the logarithm of a Bayes factor: while nothing is missing it ever exceeds g with a probability of exp(-g / 2)
 at most, however often it is tested (Ville 1939; Shafer et al. 2011, doi:10.1214/10-STS347).
 
 One package has one physics, so what an effect gains on several axes adds up; the choice of one of e effects
 on any of the sets of m axes costs 2 ln(e (2^m - 1)) (extended BIC: Chen & Chen 2008,
-doi:10.1093/biomet/asn034).
+doi:10.1093/biomet/asn034).  Of a single axis the price is left out: its gain has to exceed `PROVEN` alone.
 """
 
 from __future__ import annotations

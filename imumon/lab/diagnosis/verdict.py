@@ -19,13 +19,14 @@ from imumon.lab.diagnosis.fit import Fit, FittedPart, PartSigma, TestScore, fit,
 from imumon.lab.diagnosis.search import MOST_NAMES, Search
 
 CLEAN = 1.8
-"""Residual in white floors below which nothing is missing: as much slow noise as white is allowed."""
+"""Residual below which it is explained, in limits (`Channel.limit`: the white floor and what rounding adds to
+it, the same where digits are fine): slow noise of 1.5 floors leaves that."""
 MATERIAL = 1.3
-"""Of a model that leaves less than so many floors, what is missing is too small to matter."""
+"""Residual below which what is missing is too small to matter, 0.83 floors, in limits."""
 EXPLAINED = 0.6
-"""Share of the excess over the white floor that has to be explained before anything is named, in training
-and in the test.  With it nothing is named in any of 99 channels with wanders, walks, telegraph noise, bursts
-and a hidden supply; on a chamber record true effects have 0.67 to 0.99."""
+"""Share of the excess, the square above that of the limit, that has to be explained before anything is named,
+in training and in the test.  With it nothing is named in any of 99 channels with wanders, walks, telegraph
+noise, bursts and a hidden supply; on a chamber record true effects have 0.67 to 0.99."""
 
 
 class Row(NamedTuple):
