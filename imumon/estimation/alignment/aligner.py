@@ -121,11 +121,18 @@ class Aligner:
         return True
 
     def _update_heading(self) -> None:
-        """Fit the present position, and update the heading by the fits of all positions."""
+        """Fit the present position, and update the heading and whether it has settled."""
         here = self.positions[-1]
         self.due_s = self.rest_s + min(max(here.rest_s / 3.0, 1.0), LONGEST_REFIT_S)
-        if not self._fit_position():
-            return
+        if self._fit_position():
+            self._update_posterior(here)
+        # Settled when sigma falls to the wanted one, and no longer when it exceeds 1.25 times that.
+        wanted = self.wanted_sd * (1.0 if self.settled_s is None else 1.25)
+        settled = self.observable and self.heading_sd <= wanted
+        self.settled_s = (self.settled_s or here.ended_s) if settled else None
+
+    def _update_posterior(self, here: Position) -> None:
+        """Update the posterior by the fits of all positions, of which the present one is new."""
         fitted = [(one.fit, one.azimuth_variance) for one in self.positions if one.fit]
         fits, variances = zip(*fitted, strict=True)
         new = heading_posterior(fits, np.array(variances), self.latitude, self.errors)
@@ -136,10 +143,6 @@ class Aligner:
         self.posterior = new._replace(sd=min(max(new.sd, moved), ANY_ANGLE_SD))
         self.fitted_variance = here.azimuth_variance
         self.history.append((self.rest_s, new.north, self.posterior.sd))
-        # Settled when sigma falls to the wanted one, and no longer when it exceeds 1.25 times that.
-        wanted = self.wanted_sd * (1.0 if self.settled_s is None else 1.25)
-        settled = self.observable and self.heading_sd <= wanted
-        self.settled_s = (self.settled_s or here.ended_s) if settled else None
 
     @property
     def heading_sd(self) -> float:

@@ -166,7 +166,8 @@ def _given_each_hypothesis(
 ) -> tuple[FloatArray, ColumnArray, FloatArray]:
     """Return log weight, mean rate, rad/s, and variance of each part of 38 hypotheses, by Λ and η.
 
-    The unit stands, or settles, with accelerometers that have warmed up, and that warm up.
+    The unit stands, or settles, with accelerometers that have warmed up, and that warm up; the prior
+    probability of the latter is one half.
     """
     stands = np.full((1, len(SETTLING_TAU_S)), NOTHING)
     prior = np.r_[1.0 - P_SETTLES, np.full(len(TILTS), P_SETTLES / len(TILTS))]

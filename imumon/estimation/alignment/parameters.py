@@ -71,10 +71,12 @@ class AlignmentParameters(StrictModel):
         A heading with a larger sigma is not shown.  That of a MEMS gyro whose bias happens to be small is 7
         to 12 degrees.
     gyro_bias_sd_deg_per_h : float, optional
-        Standard deviation of a gyro's bias, from run to run.  Without it, the prior is a
-        regression on the noise, and the data weigh its size by how well the rate fits the earth's.
+        Standard deviation of a gyro's bias, from run to run.  Without it, the prior is a regression on the
+        noise, wide by a factor of 4.5 (one sigma), and the data weigh its size by how well the rate fits the
+        earth's.
     gyro_flicker_deg_per_h : float, optional
         Standard deviation by which the bias changes from position to position: the bias instability.
+        Default: 0.
     gyro_scale_sd_ppm : float, optional
         Standard deviation of a gyro's scale factor and misalignment: the relative error of a turn between
         two positions, and, if declared, of the earth rate at rest.  Default: a regression on the noise, and

@@ -12,8 +12,8 @@ accelerometer with the bias β g tilts the axes, by which the horizontal gyros s
 earth rate.  That turns with the body as well, and is a part of s.
 
 The prior of the errors of gyros and accelerometers is what is declared, or a regression on the gyros' noise
-over the data sheets of docs/appendix/alignment-details.md.  Declare the errors of a better unit: of gyros
-with 0.001 °/√h, too, 0.0014 °/h, 300 ppm and 750 µg are taken.
+over the data sheets of docs/appendix/alignment-details.md.  Declare the errors of a better unit: for
+gyros with 0.001 °/√h, 0.0014 °/h, 300 ppm and 750 µg are taken, of which the 750 µg count most.
 """
 
 from __future__ import annotations

@@ -27,9 +27,9 @@ START_ACCELERATION = UNSEEN_RATE / 300.0
 """Standard deviation of the acceleration at the start, °C/s²: the rate of a warm-up comes about in 5 min."""
 LONG_S = WALK_S = 900.0
 """s.  The variance of the acceleration at the start is at most what the jerk makes of it in this time.  And
-the variance that a walk of the reading gains in this time is never known.  Ablation."""
+the variance that a walk of the reading gains in this time is never known (times `SLOW_MEAN`²).  Ablation."""
 SLOW_MEAN = 0.5
-"""The mean of a slow error is known to so many of its sigmas.  Ablation."""
+"""So many sigmas of a slow error always stay in the standard deviation of T.  Ablation."""
 LEAST_PROBABILITY = 1e-14
 """Least probability of a filter, so that none is lost for ever.  Ablation."""
 NoiseModel = tuple[float, float, float, float]

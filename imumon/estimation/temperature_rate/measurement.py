@@ -1,9 +1,11 @@
 """What the readings of a slot show of y = T + e, for all filters at once: one decision table.
 
 d is the step, n the number of independent readings, p the share of readings above an edge, f the normal
-density at Φ⁻¹(p).  s² = σ² + (r² + P_rr) Δ²/12 is the noise of a model and the motion since the last slot
-that was used, Δ before, and β = exp(-2π²s²/d²).  Of the rows of the code models the first that holds counts;
-the last row always does.  The last reading before the slot counts as one of its codes.
+density at Φ⁻¹(p).  s² = σ² + (r² + P_rr) Δ²/12 is the noise of a model and the motion in Δ, the usual time
+from one slot that is used to the next, and β = exp(-2π²s²/d²).  Of the rows of the code models
+the first that holds counts; the last row always does.  The last reading before the slot counts as one of its
+codes, unless it is long ago.  A code stands for readings about its middle: of a thermometer that truncates T
+is half a step off.
 
 | the slot | filters | what enters the state |
 |---|---|---|
@@ -11,7 +13,7 @@ the last row always does.  The last reading before the slot counts as one of its
 | more than two codes | code models | z = mean less ripple, R = max(s², variance)/n + (β d/π)²/8 |
 | two codes | code models | z = edge + s Φ⁻¹(p), R = s² p(1-p)/(n f²) + (0.1 s Φ⁻¹(p))² |
 | one code: edge soft, a surprise, or prediction wide | code models | y is in the code: truncated Gaussian |
-| one code | code models | nothing, and little likelihood; the code only confines the output |
+| one code | code models | nothing, and little likelihood; the code confines the output of this slot alone |
 | any | mean models | z = mean, R = share of max(ρ, d²/12) + (d/n)²/2π |
 
 "y is in the code" is one statement, however often it is read.  At a soft edge each reading is evidence.

@@ -72,7 +72,7 @@ class Output(NamedTuple):
     temperature_sd: float = math.nan
     rate_sd: float = math.nan
     late_s: float = math.inf
-    """Age beyond which the output does not hold, as readings are missing, s."""
+    """Age beyond which the output does not hold, as rows are missing, s; any slot renews it."""
     reading_sd: float = math.nan
     """Standard deviation of a single reading, °C."""
 
@@ -212,8 +212,9 @@ def output(thermometer: Thermometer, filters: Filters, before: Output, end_s: fl
 def extrapolate(age: FloatArray, known: BoolArray, reading: FloatArray, shown: Output) -> RateEstimate:
     """Return the estimates at samples from the output of the last slot; all arrays are (n,).
 
-    Before the first slot of a segment ends, and behind a gap until the next slot ends, there is the reading,
-    with its standard deviation (NaN while it is unknown), and the last rate or zero, ± `FASTEST_RATE`.
+    Before the first slot of a segment ends, and behind missing rows until the next slot ends, there is the
+    reading, with its standard deviation (NaN while it is unknown), and the last rate or zero, ±
+    `FASTEST_RATE`.
     """
     known = known & (age <= shown.late_s)
     # A slot is known when the next begins; readings farther apart leave the temperature to the rate.

@@ -32,13 +32,13 @@ class Slot:
     """Middle of the slot, which its mean refers to."""
     end_s: float
     sample_s: float
-    """Time between two samples."""
+    """Time between two rows of the stream, with a reading or without."""
     before: float
     """The last reading that was used before the slot; the first in it if that is long ago."""
     count: int
     """Readings; without any, all below is NaN or zero."""
     changes: int
-    """How many readings differ from the one before, in the slot and into it."""
+    """How many readings differ from the one before, whatever rows are between; in the slot and into it."""
     step_squares: float
     """Sum of the squares of these differences, °C²."""
     mean: float
