@@ -82,7 +82,9 @@ class NumberField(StrictModel):
     type: NumberName
     column: ColumnName | None = None
     columns: list[ColumnName] | None = Field(default=None, min_length=1)
-    scale: float | int | Annotated[str, StringConstraints(pattern=r"^\d{1,19}/[1-9]\d{0,18}$")] = 1
+    scale: (
+        float | int | Annotated[str, StringConstraints(pattern=r"^\d{1,19}/[1-9]\d{0,18}(\.\d{1,9})?$")]
+    ) = 1
     offset: float | int = 0
     unit: str = "1"
     description: str = ""
@@ -257,8 +259,9 @@ class Packet(StrictModel):
 
 
 def _fraction(number: float | int | str) -> Fraction:
-    """Take a decimal as it is written: 0.1 is a tenth."""
-    return Fraction(str(number)) if isinstance(number, float) else Fraction(number)
+    """Take a decimal as it is written, 0.1 is a tenth, and a fraction of such."""
+    above, _, below = str(number).partition("/")
+    return Fraction(above) / Fraction(below or 1)
 
 
 class DescribedLayout(Record):

@@ -127,3 +127,20 @@ def test_the_chamber_cycle_is_never_made_worse(tmp_path: Path) -> None:
     assert [effect["name"] for effect in x["effects"]] == ["step"]
     assert not x["in_model_file"]
     assert channels["gyro_y"]["unexplained"]
+
+
+def test_the_worked_case_of_the_page_is_what_the_command_prints(tmp_path: Path) -> None:
+    page = Path(__file__).parents[2] / "docs" / "closing-the-loop.md"
+    shown = [line for line in page.read_text(encoding="utf-8").splitlines() if "white floors become" in line]
+    sessions = [tmp_path / f"S{seed}" for seed in (1, 2, 3)]
+    for seed, session in enumerate(sessions, 1):
+        done = imumon("simulate", "crs05-ramp-lag", "--rate", "10", "--seed", str(seed), "--out", session)
+        assert done.returncode == 0, done.stderr
+    assumed = ("--declared", "polynomial 5", "--channels", "gyro")
+    out = tmp_path / "found"
+    done = imumon("diagnose", "--train", *sessions[:2], "--test", sessions[2], *assumed, "--out", out)
+    assert done.returncode == 0, done.stderr
+    printed = " ".join(done.stderr.split())
+    assert len(shown) == 3
+    for line in shown:
+        assert " ".join(line.removesuffix(", ...").split()) in printed

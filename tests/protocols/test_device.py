@@ -75,6 +75,13 @@ def test_a_wrong_file_is_refused_with_its_line(old: str, new: str, line: int, wo
     assert words in seen, seen
 
 
+@pytest.mark.parametrize("scale", ["1/16.4", "10/164"])
+def test_a_scale_may_be_a_fraction_of_decimals(scale: str) -> None:
+    device = parse_device(GOOD.replace("scale: 0.01,", f"scale: {scale},"), "my.yaml")
+    assert device.name == parse_device(GOOD, "my.yaml").name
+    assert "my.yaml:" in complaint(GOOD.replace("scale: 0.01,", "scale: 1/0,"))
+
+
 def test_an_empty_file_and_a_list_are_refused() -> None:
     assert "my.yaml:1: expected a mapping of keys, got an empty file" in complaint("")
     assert "got a list" in complaint("- 1\n- 2\n")

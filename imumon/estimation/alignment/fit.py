@@ -28,7 +28,7 @@ from imumon.estimation.alignment.position import Position, PositionFit, upright
 from imumon.geodesy import EARTH_RATE, STANDARD_GRAVITY
 
 CELLS = (96, 24, 6)
-"""Candidate numbers of cells in a record; ablation: 48 alone makes 2.5 times the error."""
+"""Candidate numbers of cells in a record; ablation: 48 alone makes 2.4 times the error."""
 MIN_CELLS = 5
 """Fewer used cells give no scatter about a trend."""
 OVERLAP = 1.0 / 6.0

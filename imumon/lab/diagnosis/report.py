@@ -19,7 +19,7 @@ from imumon.lab.diagnosis.diagnose import Diagnosis
 from imumon.lab.diagnosis.extended import with_model
 from imumon.lab.diagnosis.fit import Fit, FittedPart, fit, root_mean_square, score_test
 from imumon.lab.diagnosis.likelihood import WALK_S
-from imumon.lab.diagnosis.verdict import ChannelVerdict, Claim, explained_share
+from imumon.lab.diagnosis.verdict import CLEAN, ChannelVerdict, Claim, explained_share
 from imumon.version import __version__
 
 FORMAT: Final = "imumon-diagnosis/1"
@@ -288,6 +288,10 @@ def _steps(diagnosis: Diagnosis, folder: Path) -> Iterator[NextStep]:
         yield NextStep(what, f"Errors in the test fall by up to {1.0 - least:.0%}.", command)
     if names := which(lambda one: one.row.state == "not proven"):
         why = "What is left is little, noise or an effect too small to prove."
+        if any(one.test_after.rms >= CLEAN * one.channel.limit for one in verdicts):
+            why = (
+                'The test is off, training is not, as by another turn-on bias: add " + offset" to --declared.'
+            )
         yield NextStep(f"Record {names} {ISOTHERMAL}", why)
     yield NextStep("Nothing has to be added.", "The declared model is enough on these recordings.")
 

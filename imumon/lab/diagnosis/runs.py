@@ -241,9 +241,6 @@ def unit_of(channel: str) -> str:
     return KNOWN[channel].unit if channel in KNOWN else ""
 
 
-# Samples one by one, which means of blocks would hide
-
-
 class Watcher:
     """Collects statistics of the samples of some channels while blocks pass."""
 
