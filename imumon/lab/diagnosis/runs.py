@@ -294,9 +294,6 @@ def _samples(values: FloatArray, steps: FloatArray) -> Samples:
     return found._replace(atom=float(distinct[at]), atom_share=share)
 
 
-# The recording that is running
-
-
 class BoundedRun:
     """Sums over slots of 1, 2, 4, ... s: where they would be too many, neighbours are added in pairs.
 
