@@ -32,7 +32,7 @@ LIMITS = {
     "specific force": (*GRAVITIES, "times gravity", 0.5, "byte order, scale and unit"),
 }
 """Least and greatest reading, the unit, the share beyond that is too much (of floats with swapped bytes
-nearly half are), and what in the device file that speaks against."""
+nearly half are), and what in the device file contradicts them."""
 
 
 @dataclass(slots=True)
@@ -134,7 +134,7 @@ def _size(count: float) -> str:
 
 
 class Doubts:
-    """What speaks against the device file in a capture that was decoded with it: readings that no unit has.
+    """What contradicts the device file in a capture that was decoded with it: readings that no unit has.
 
     `described` is whether the device file states how long a packet is and where its checksum stands.
     """

@@ -67,6 +67,8 @@ SENSITIVITY_SD = math.radians(0.05) / STANDARD_GRAVITY
 a second, smaller level a gyro between both was off by 9 sigma."""
 FASTEST_S = 0.02
 """Down to here the flicker of single samples goes on."""
+FASTER = math.log(TAUS_S[0] / FASTEST_S) / math.log(TAUS_S[2] / TAUS_S[1])
+"""Variance of the flicker of single samples that is faster than g1, over that of g1."""
 MEMORY_S = 600.0
 """Time over which σ² is averaged."""
 PRIOR_COUNT, DECLARED_COUNT = 3.0, 0.5 * MEMORY_S
@@ -75,7 +77,7 @@ LEAST_WEIGHT = 1e-4
 """Least weight of a mode over the largest, so that the mode may come back."""
 FLICKER_OF_WALK = 0.05
 """Flicker of the mode with a random walk, over the least of the others.  Assumed: hardly any."""
-UNKNOWN, TURN_ON = 1e8, np.radians(3.0)
+UNKNOWN, TURN_ON = 1e8, math.radians(3.0)
 """Prior variance of w over σ², and at least TURN_ON², rad/s: turn-on biases of any gyro.  With a
 smaller prior, of a gyro that hardly scatters, the first mean would be a sensitivity to g."""
 
@@ -88,7 +90,7 @@ def propagated(
     NaN is no change of temperature; `process` is `Bank.process`.
     """
     # The thermometer's noise times the slope is not in Q: at rest innovations show it, in σ² and the weights.
-    warming, keeps = np.nan_to_num(warming), np.exp(-dt / TAUS_S)
+    warming, keeps = np.where(np.isfinite(warming), warming, 0.0), np.exp(-dt / TAUS_S)
     f = np.zeros((3, STATES, STATES))
     f[:] = np.diag([1.0, *keeps, 1.0, 1.0, 1.0, 1.0])
     f[:, WALK, SLOPE] = warming
@@ -104,6 +106,10 @@ def propagated(
 def measurement_row(force: FloatArray) -> FloatArray:
     """Return H, (8,), at a specific force, m/s², (3,); zero where it is not known."""
     return np.array([1.0, 1.0, 1.0, 1.0, 0.0, *force])
+
+
+TO_TERMS = np.vstack([measurement_row(np.zeros(3)), np.eye(STATES)[SENSITIVITY]])
+"""The terms of a `LinearBias` by the states, (4, 8)."""
 
 
 class LinearBias(NamedTuple):
@@ -157,13 +163,9 @@ class Prediction:
 
     def output(self, added: FloatArray, force: FloatArray, turn: FloatArray) -> LinearBias:
         """Return the bias with `added` variance, (rad/s)², at the mean force of a slot, m/s², (3,) each."""
-        select = np.vstack([measurement_row(np.zeros(3)), np.eye(STATES)[SENSITIVITY]])
-        covariance = select @ self.covariance @ select.T
-        faster = math.log(TAUS_S[0] / FASTEST_S) / math.log(
-            TAUS_S[2] / TAUS_S[1]
-        )  # than g1, over its variance
-        covariance[:, 0, 0] += faster * self.process[:, FLICKER.start] + added
-        return LinearBias(self.mean @ select.T, covariance, force, turn)
+        covariance = TO_TERMS @ self.covariance @ TO_TERMS.T
+        covariance[:, 0, 0] += FASTER * self.process[:, FLICKER.start] + added
+        return LinearBias(self.mean @ TO_TERMS.T, covariance, force, turn)
 
 
 def at_samples(

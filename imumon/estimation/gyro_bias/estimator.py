@@ -5,7 +5,7 @@
 While the unit moves, the variance of the bias grows with time, temperature, gaps and turns against the earth.
 
 Constants that assume a grade of sensors: `QUIET` (rest), `USUAL_CHANGE` and `SLOWEST_TURN` (odds),
-`SENSITIVITY_SD` (bank), `SCALE_SD` (place), `UNKNOWN_RATE` and `BIAS_WALK` (motion).  White noise and
+`SENSITIVITY_SD` (bank), `SCALE_SD` (place), `BIAS_WALK` (motion).  White noise and
 flicker are learned.
 """
 

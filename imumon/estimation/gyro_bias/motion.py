@@ -18,6 +18,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from imumon.blocks import FloatArray
+from imumon.estimation.gyro_bias.bank import TURN_ON
 from imumon.estimation.rest.slots import SLOT_S
 from imumon.filters.turns import STILL, Turn, rotation_by
 from imumon.geodesy import DEG_PER_H
@@ -25,8 +26,6 @@ from imumon.geodesy import DEG_PER_H
 PART_S, PARTS = 5.0, 12
 """A window is a minute: a bias of a degree per second turns it by a radian."""
 WINDOW_S = PARTS * PART_S
-UNKNOWN_RATE = math.radians(3.0)
-"""Standard deviation of the bias before anything is known: turn-on of consumer gyros."""
 ALIKE = 6.0
 """Factor of the variance: accelerations of successive parts are alike, where the speed changes slowly."""
 BIAS_WALK = 30.0 * DEG_PER_H
@@ -38,7 +37,7 @@ class Motion:
     """Bias by motion, rad/s, and its covariance, window by window."""
 
     mean: FloatArray = field(default_factory=lambda: np.zeros(3))
-    covariance: FloatArray = field(default_factory=lambda: UNKNOWN_RATE**2 * np.eye(3))
+    covariance: FloatArray = field(default_factory=lambda: TURN_ON**2 * np.eye(3))
     parts: list[tuple[Turn, FloatArray]] = field(default_factory=list)
     """Of the present window, the last one growing: turn, and ∫ C f dt in the axes of its beginning, m/s."""
 
@@ -77,7 +76,7 @@ class Motion:
             free = len(left) - float(np.trace(covariance @ normal))
             variance, mean = ALIKE * max(float(left @ left) / free, 1e-4), found[3:]
         self.mean, self.covariance = mean - (vertical @ mean) * vertical, covariance[3:, 3:]
-        lacking = UNKNOWN_RATE**2 - float(vertical @ self.covariance @ vertical)
+        lacking = TURN_ON**2 - float(vertical @ self.covariance @ vertical)
         self.covariance = self.covariance + max(lacking, 0.0) * np.outer(vertical, vertical)
 
     def _linear(self, at: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -100,6 +99,6 @@ class Motion:
         """Return bias and variance until the next window ends, (3,) each; NaN where little is known."""
         variance = np.diag(self.covariance) + BIAS_WALK**2 * WINDOW_S
         # A bias that turns a window by half a turn may be a wrong minimum of the fit.
-        known = variance < (0.5 * UNKNOWN_RATE) ** 2
+        known = variance < (0.5 * TURN_ON) ** 2
         known &= float(np.linalg.norm(self.mean)) * WINDOW_S < math.pi
         return np.where(known, self.mean, np.nan), np.where(known, variance, np.nan)

@@ -145,7 +145,7 @@ def read_models(folder: Path) -> list[BiasModel]:
         if path.name == METADATA_NAME or path.stat().st_size > LARGEST_MODEL:
             continue
         if b"imumon-bias-model/" in path.read_bytes():
-            with suppress(ImumonError):  # another file that speaks of the format
+            with suppress(ImumonError):  # another file that mentions the format
                 found.append(load_model(path))
     return found
 

@@ -55,7 +55,7 @@ class Ended(NamedTuple):
 
 
 def run_unit(plan: Plan, sessions: Path, window_s: float, pictures: bool, rack: Connection) -> None:
-    """Record a unit, in a folder of `sessions`, until the rack asks for the end or is gone.
+    """Record a unit, in a folder of `sessions`, until the rack requests the end or is gone.
 
     `window_s`: what the strips of the view show; `pictures`: whether there is a view beside the numbers.
     """

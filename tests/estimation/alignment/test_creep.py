@@ -47,6 +47,16 @@ def test_while_a_head_creeps_sigma_has_what_it_has_turned() -> None:
     assert sd > 0.5
 
 
+def test_a_head_that_creeps_is_not_settled_any_more() -> None:
+    still, creeps = (
+        scenario(seconds, arw=ARW, rate_hz=50.0, warm_up=(0.0, 100.0), motion=[crept(3.0, 60.0, 180.0)])
+        for seconds in (60.0, 150.0)
+    )
+    limits = {"accel_bias_sd_ug": 30.0, "settled_deg": 0.1}
+    assert aligned(samples(still, 0), limits)[0].status.phase == "settled"
+    assert aligned(samples(creeps, 0), limits)[0].status.phase != "settled"
+
+
 @pytest.mark.parametrize("degrees", [0.3, 1.0, 5.0])
 def test_a_creep_after_half_a_turn_of_gyros_with_a_bias(degrees: float) -> None:
     off, sd = found(260.0, 180.0 + degrees, HALF_TURN, crept(degrees, 100.0, 140.0), bias=2.0)

@@ -65,6 +65,30 @@ def test_what_the_model_explains_of_a_warm_up_is_in_the_bias_once() -> None:
     assert np.abs(error).max() < np.abs(BIAS[:2]).min() / 3.0
 
 
+def test_constant_readings_have_a_rounding_in_the_sigma_where_rest_is_given() -> None:
+    n = 60 * 25
+    force = 9.8 + 1e-3 * np.random.default_rng(7).normal(size=n)
+    gyros, accels = ({f"{kind}_{axis}": np.zeros(n) for axis in "xyz"} for kind in ("gyro", "accel"))
+    times = {"device_time_ns": 40_000_000 * np.arange(n), "segment": np.zeros(n, np.int64)}
+    block = SampleBlock({**times, **gyros, **accels, "accel_z": force, "at_rest": np.ones(n, np.int64)})
+    _, sd = estimated(block)
+    assert (sd[-1] > 50.0 * DEG_PER_H).all()  # a step of 220 °/h is not known to be finer
+
+
+def test_without_accelerometers_a_turn_against_the_earth_is_in_the_sigma() -> None:
+    n, hz = 100 * 25, 25
+    gyro = 1e-6 * np.random.default_rng(8).normal(size=(n, 3))
+    gyro[60 * hz : 70 * hz, 2] += np.radians(18.0)
+    columns = {f"gyro_{axis}": gyro[:, j] for j, axis in enumerate("xyz")}
+    times = {"device_time_ns": 40_000_000 * np.arange(n), "segment": np.zeros(n, np.int64)}
+    rest = (np.arange(n) < 60 * hz).astype(np.int64)
+    block = SampleBlock({**times, **columns, "at_rest": rest})
+    sd = vector(
+        block.with_columns(GyroBias(latitude_deg=45.0, heading_deg=0.0).process(block)), "gyro_bias_sd"
+    )
+    assert (sd[80 * hz, :2] > 7.0 * DEG_PER_H).all()
+
+
 def test_a_rest_takes_over() -> None:
     moved = driven(4, 70.0)
     rows = np.arange(25 * 70, 25 * 90)
