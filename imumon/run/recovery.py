@@ -145,7 +145,7 @@ def rewrite(path: Path, bytes_missing: int = 0, ended_ns: int = 0) -> Path:
 
     What is missing is noted in the new file at its place.  How many bytes of the device are missing in all,
     and when the recording ended, is noted at its end, where the session knows it.  The new file takes the
-    name of the old one when it is on the medium, and so is its name in the end.
+    name of the old one when it is on the medium, and then that name is brought there, too.
 
     Raises OSError when the disk is full or fails; the file is then as it was.
     """

@@ -227,16 +227,16 @@ def faults(runs: Sequence[Run], channel: str, floor: float) -> dict[str, float]:
 
     `floor` is the white noise of a mean of a block.
     """
-    unit, kinds = unit_of(channel), (dict[str, float](), dict[str, float]())
+    unit, quantized, frequent = unit_of(channel), dict[str, float](), dict[str, float]()
     for one in (run.samples[channel] for run in runs if channel in run.samples):
         error = mean_error(one.step, one.ratio) if one.step > 0.0 else 0.0
         if not error < 0.5 * floor:
             times = f"about {1 / one.ratio:.2g} times the noise"
-            kinds[0][f"quantized: steps of {one.step:.3g} {unit}, {times}"] = error
+            quantized[f"quantized: steps of {one.step:.3g} {unit}, {times}"] = error
         if one.atom_share > 0.0:
             share = f"{one.atom_share:.1%} of the samples are {one.atom + 0.0:.4g} {unit}"
-            kinds[1][f"frequent value, as of a dead-band, saturation or dropouts: {share}"] = np.inf
-    worst = [max(kind.items(), key=lambda item: item[1]) for kind in kinds if kind]
+            frequent[f"frequent value, as of a dead-band, saturation or dropouts: {share}"] = np.inf
+    worst = [max(kind.items(), key=lambda item: item[1]) for kind in (quantized, frequent) if kind]
     return dict(worst)
 
 
