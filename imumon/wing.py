@@ -63,12 +63,14 @@ class Wing(NamedTuple):
 
 
 BUILT_IN = (
+    "imumon.allan",
     "imumon.papers",
     "imumon.lab",
     "imumon.logs",
     "imumon.publishing",
     "imumon.configure",
     "imumon.fleet",
+    "imumon.simulation",
 )
 """Packages that have `WING`; their stages run in this order."""
 NEEDED = "wing (imumon.wing.Wing)"

@@ -34,7 +34,7 @@ def test_no_output_takes_the_place_of_a_file_of_a_session(tmp_path: Path, there:
 
 def test_what_imumon_keeps_in_a_session_is_known_to_be_kept() -> None:
     names = {folder.METADATA_NAME, folder.WIRE_NAME, folder.SAMPLES_NAME, folder.VIEW_NAME, LOG_NAME}
-    made = {recording.TRUTH_NAME, recording.SCENARIO_NAME, recording.CHAMBER_NAME}
+    made = {folder.TRUTH_NAME, recording.SCENARIO_NAME, recording.CHAMBER_NAME}
     assert names | made == set(SESSION_FILES)
 
 

@@ -20,8 +20,8 @@ import numpy as np
 
 from imumon.allan.covariance import DIFFERENCES, Kind, freedom, intervals
 from imumon.allan.fit import DIGITS, NO_SUM, Division, Estimate, Fit, fit_terms
-from imumon.allan.parameters import NAMES
 from imumon.allan.series import EvenSeries
+from imumon.allan.terms import NAMES
 from imumon.blocks import FloatArray, IntArray
 from imumon.compiled import njit
 from imumon.filters.rounding import Digits, digits

@@ -41,7 +41,6 @@ from typing import NamedTuple
 import numpy as np
 
 from imumon.allan import covariance
-from imumon.allan.parameters import NAMES
 from imumon.allan.problem import (
     EVERY,
     FILTER,
@@ -57,6 +56,7 @@ from imumon.allan.problem import (
     signed,
 )
 from imumon.allan.series import EvenSeries, octaves
+from imumon.allan.terms import NAMES
 from imumon.blocks import FloatArray
 
 FITTED, SHORT_FITTED = 2.0, 3.0

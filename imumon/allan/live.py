@@ -19,13 +19,15 @@ from typing import NamedTuple
 import numpy as np
 
 from imumon.allan.covariance import NOISES, TRUSTED_FREEDOM, Runs, freedom, intervals
-from imumon.allan.parameters import TERMS_OF, AllanParameters
 from imumon.allan.series import JITTER, nominal_interval_ns
+from imumon.allan.terms import TERMS_OF
 from imumon.blocks import ColumnArray, FloatArray, IntArray, SampleBlock
 from imumon.charts import AXIS_COLORS, GREY, Axis, Chart, Curve
 from imumon.columns import Column
 from imumon.compiled import njit, record
 from imumon.estimation.rest.parameters import retired
+from imumon.run.noise import AllanParameters
+from imumon.run.setup import Setup
 
 DENSE = 4
 """Up to this octave differences are taken at every sample."""
@@ -238,6 +240,11 @@ class AllanStage:
                 key, title = f"allan_{group}", _TITLE.format(measured)
                 charts.append(Chart(key, TAB, title, x, y, curves, notes=notes))
         return charts
+
+
+def allan_stage(setup: Setup, *_others: object) -> list[AllanStage]:
+    """Return the stage of a setup."""
+    return [AllanStage(setup.allan)]
 
 
 def _curves(shown: Mapping[str, LiveCurve], factor: float) -> Iterator[Curve]:

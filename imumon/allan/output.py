@@ -23,8 +23,8 @@ import numpy as np
 from imumon.allan.analysis import Result
 from imumon.allan.covariance import CONFIDENCE
 from imumon.allan.fit import AMBIGUOUS, DIGITS, NO_SUM
-from imumon.allan.parameters import TERMS_OF
 from imumon.allan.recording import UNITS, by_text, group_of
+from imumon.allan.terms import TERMS_OF
 from imumon.config import dump_yaml
 from imumon.errors import bad_config, bad_data
 from imumon.files import check_output, write_text

@@ -14,8 +14,8 @@ from matplotlib.patches import Patch
 
 from imumon.allan.analysis import Result
 from imumon.allan.fit import Fit
-from imumon.allan.parameters import TERMS_OF
 from imumon.allan.recording import group_of
+from imumon.allan.terms import TERMS_OF
 from imumon.blocks import FloatArray
 from imumon.files import write_png
 from imumon.harmless import for_plot

@@ -48,8 +48,7 @@ OWN = {
         "export": ("table_commands:export", "Write the samples of a session as a table."),
     },
     "Understand a unit": {
-        "allan": ("rest_commands:allan", "Find noise, bias instability and drift of a recording at rest."),
-        "align": ("rest_commands:align", "Find the heading of a resting unit by the earth rate."),
+        "align": ("align_command:command", "Find the heading of a resting unit by the earth rate."),
     },
     "Devices": {
         "doctor": ("computer_commands:doctor", "Check what this computer lacks."),
@@ -57,11 +56,6 @@ OWN = {
         "detect": ("computer_commands:detect", "Find device and baud rate of a port."),
         "devices": ("computer_commands:devices", "List the devices that imumon knows."),
         "plugins": ("computer_commands:plugins", "List what other packages add, and whether it loads."),
-    },
-    "Without hardware": {
-        "demo": ("simulated_commands:demo", "Watch a simulated AHRS, without hardware."),
-        "virtual": ("simulated_commands:virtual", "Be a device: a simulated AHRS on a pseudo-terminal."),
-        "simulate": ("simulated_commands:simulate", "Make a session or a table, with true values."),
     },
 }
 """Commands of the core by group: where each is in `imumon.cli`, and the line that the help shows."""

@@ -30,6 +30,7 @@ METADATA_NAME = "session.yaml"
 WIRE_NAME = "wire.mcap"
 SAMPLES_NAME = "samples.parquet"
 VIEW_NAME = "view.rrd"
+TRUTH_NAME = "truth.parquet"
 DEFAULT_PARENT = Path("sessions")
 
 State = Literal["closed", "interrupted"]

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any, Final, Literal, Self, get_args
 
 from pydantic import Field, ValidationError, field_validator, model_validator
 
-from imumon.allan.parameters import AllanParameters, Noise
 from imumon.config import StrictModel, dump_yaml, parse_yaml
 from imumon.errors import bad_config
 from imumon.estimation.alignment.parameters import AlignmentParameters, known_warm_up
@@ -20,6 +19,7 @@ from imumon.models.model import BiasModel, load_model
 from imumon.protocols.ranges import Ranges
 from imumon.recordings.folder import Session
 from imumon.run import PublishedMethod
+from imumon.run.noise import AllanParameters, Noise
 
 FORMAT: Final = "imumon-pipeline/1"
 

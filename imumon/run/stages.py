@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from imumon.allan.live import AllanStage
 from imumon.estimation.attitude.stage import AttitudeEstimate
 from imumon.estimation.gyro_bias.stage import RestAndBias
 from imumon.estimation.smoothing.stage import Record, Recorder, SmoothedEstimates, backward, still_heading
@@ -66,7 +65,6 @@ def estimators(device: DeviceFile | None, setup: Setup | None = None) -> list[Es
             setup.zupt_with_noise, model, setup.mode, setup.latitude_deg, setup.heading_deg, setup.rest
         ),
         ModelWatch(setup.watch, modelled=model is not None),
-        AllanStage(setup.allan),
         LiveSpectrum(),
         AttitudeEstimate(setup.attitude, axes, setup.magnetometer, setup.latitude_deg, setup.heading_deg),
     ]

@@ -17,9 +17,9 @@ from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.geodesy import DEG_PER_H
 from imumon.models.model import BiasModel
 from imumon.models.predictor import BiasPredictor
+from imumon.recordings.folder import TRUTH_NAME
 from imumon.recordings.reader import open_recording
 from imumon.recordings.table import read_columns, read_table
-from imumon.simulation.recording import TRUTH_NAME
 
 GYROS = ("gyro_bias_x", "gyro_bias_y", "gyro_bias_z")
 ESTIMATED = tuple(name.replace("temperature", "temperature_estimate") for name in TEMPERATURES)

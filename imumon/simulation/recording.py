@@ -14,7 +14,14 @@ from imumon.blocks import IntArray
 from imumon.columns import KNOWN, Column
 from imumon.files import write_text
 from imumon.protocols.device import DeviceFile
-from imumon.recordings.folder import PortUsed, Session, SessionMetadata, create_session, whole_session
+from imumon.recordings.folder import (
+    TRUTH_NAME,
+    PortUsed,
+    Session,
+    SessionMetadata,
+    create_session,
+    whole_session,
+)
 from imumon.recordings.table import TableWriter
 from imumon.recordings.wire import WireWriter
 from imumon.simulation.unit import TRUTH_COLUMNS, Scenario, SimulatedUnit
@@ -25,7 +32,6 @@ from imumon.simulation.virtual_device import refuse_overload, switch_on
 from imumon.simulation.virtual_port import BITS_PER_BYTE
 from imumon.transport.reader import Bytes, Event, EventKind
 
-TRUTH_NAME = "truth.parquet"
 SCENARIO_NAME = "scenario.yaml"
 CHAMBER_NAME = "chamber.csv"
 START_NS = 1_767_225_600_000_000_000

@@ -83,7 +83,7 @@ def lines_of_rooms() -> Counter[str]:
 
 
 def needs() -> dict[str, list[str]]:
-    """Return the rooms of the core that each wing imports, in order of name."""
+    """Return the rooms that each wing imports, in order of name."""
     found: dict[str, set[str]] = {wing: set() for wing in wings()}
     for path in PACKAGE.rglob("*.py"):
         if (room := room_of(path)) in found:
@@ -97,8 +97,12 @@ def drawing() -> str:
     core = {room: n for room, n in lines.items() if room not in made}
     text = ["    core" + f"{sum(core.values()):>36,} lines; imports no wing"]
     for wing, rooms in needs().items():
+        of_core = ", ".join(room for room in rooms if room not in made)
+        of_wings = ", ".join(room for room in rooms if room in made)
         text.append("      ^")
-        text.append(f"      +-- {wing:<12}{lines[wing]:>22,} lines; of the core: {', '.join(rooms)}")
+        text.append(f"      +-- {wing:<12}{lines[wing]:>22,} lines; of the core: {of_core}")
+        if of_wings:
+            text.append(f"      |   {'':<12}{'':>22}        of wings: {of_wings}")
     table = ["| room | lines | before | | what it gives |", "|---|---:|---:|---|---|"]
     for room in sorted(ROOMS, key=lambda room: -lines[room]):
         before, gives = ROOMS[room]

@@ -7,8 +7,8 @@ import pytest
 
 from imumon.allan.analysis import analyse
 from imumon.allan.fit import DIGITS, Fit
-from imumon.allan.parameters import NAMES
 from imumon.allan.series import even_channels
+from imumon.allan.terms import NAMES
 from imumon.blocks import FloatArray
 from tests.allan.simulated import correlated, noise
 

@@ -13,13 +13,13 @@ import pytest
 import yaml
 from PIL import Image
 
-from imumon.allan.parameters import Noise
 from imumon.allan.recording import CHANNELS
 from imumon.blocks import SampleBlock
 from imumon.columns import KNOWN, Column
 from imumon.config import StrictModel, parse_yaml
 from imumon.recordings.importing import import_table
 from imumon.recordings.table import TableWriter
+from imumon.run.noise import Noise
 from tests.allan.simulated import noise
 from tests.cli.command import imumon
 

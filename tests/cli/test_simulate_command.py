@@ -2,9 +2,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from imumon.recordings.folder import open_session
+from imumon.recordings.folder import TRUTH_NAME, open_session
 from imumon.recordings.table import read_table
-from imumon.simulation.recording import TRUTH_NAME
 from tests.cli.command import answer, imumon
 
 

@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from imumon.allan.parameters import Noise
 from imumon.config import load_yaml
 from imumon.errors import ImumonError, Reason
 from imumon.fleet.rack.description import load_rack
@@ -14,6 +13,7 @@ from imumon.models.model import load_model
 from imumon.protocols.device import device_text, load_device
 from imumon.recordings.folder import read_metadata
 from imumon.recordings.importing import TableImport
+from imumon.run.noise import Noise
 from imumon.run.setup import load_setup
 from imumon.simulation.unit import load_scenario
 from tests.faults.rows import Row

@@ -10,9 +10,9 @@ import pytest
 from imumon.blocks import SampleBlock
 from imumon.errors import ImumonError
 from imumon.geodesy import DEG_PER_H
+from imumon.recordings.folder import TRUTH_NAME as NAME
 from imumon.recordings.table import read_table
 from imumon.run.truth import GYROS, check_truth, errors_of_model, read_truth
-from imumon.simulation.recording import TRUTH_NAME as NAME
 from tests.cli.command import answer, imumon
 from tests.models.models import three_curves
 

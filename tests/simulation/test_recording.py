@@ -9,7 +9,7 @@ from imumon.blocks import SampleBlock, join
 from imumon.errors import ImumonError, Reason
 from imumon.pipeline import Pipeline
 from imumon.protocols.device import device_text, parse_device
-from imumon.recordings.folder import Session, open_session
+from imumon.recordings.folder import TRUTH_NAME, Session, open_session
 from imumon.recordings.source import open_source, run_over
 from imumon.recordings.table import read_table
 from imumon.recordings.wire_reader import WireReader
@@ -17,7 +17,6 @@ from imumon.simulation.recording import (
     CHAMBER_NAME,
     SCENARIO_NAME,
     START_NS,
-    TRUTH_NAME,
     record_session,
     write_table,
 )

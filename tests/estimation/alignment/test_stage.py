@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from imumon.blocks import SampleBlock
-from imumon.cli.rest_commands import as_data
+from imumon.cli.align_command import as_data
 from imumon.estimation.alignment.parameters import AlignmentParameters
 from imumon.estimation.alignment.report import ANY_ANGLE_SD
 from imumon.estimation.alignment.stage import Alignment

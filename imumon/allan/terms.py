@@ -1,45 +1,13 @@
-"""What a user may state of noise, in the noise section of a pipeline, and its units."""
+"""The terms of a fit: their names, and how each is reported of a gyro and of an accelerometer."""
 
 from __future__ import annotations
 
 import math
-from typing import Annotated, NamedTuple
-
-from pydantic import Field
+from typing import NamedTuple
 
 from imumon.config import StrictModel
-from imumon.estimation.rest.parameters import Retired
 from imumon.geodesy import MICRO_G
-
-Size = Annotated[float, Field(ge=0.0)]
-Axes = Annotated[list[Size | None], Field(min_length=3, max_length=3)]
-"""x, y, z; None where the data show none."""
-NONE: Axes = [None, None, None]
-
-
-class GyroNoise(StrictModel):
-    """Noise of the gyros, as ``imumon allan --noise-out`` writes it."""
-
-    angle_random_walk_rad_per_sqrt_s: Axes = NONE
-    bias_instability_rad_per_s: Axes = NONE
-    rate_random_walk_rad_per_s_sqrt_s: Axes = NONE
-    quantization_rad: Axes = NONE
-    rate_ramp_rad_per_s2: Axes = NONE
-    correlated_noise_rad_per_s: Axes = NONE
-    correlation_time_s: Axes = NONE
-
-
-class AccelNoise(StrictModel):
-    """Noise of the accelerometers, as ``imumon allan --noise-out`` writes it."""
-
-    velocity_random_walk_m_per_s_sqrt_s: Axes = NONE
-    bias_instability_m_per_s2: Axes = NONE
-    acceleration_random_walk_m_per_s2_sqrt_s: Axes = NONE
-    quantization_m_per_s: Axes = NONE
-    acceleration_ramp_m_per_s3: Axes = NONE
-    correlated_noise_m_per_s2: Axes = NONE
-    correlation_time_s: Axes = NONE
-
+from imumon.run.noise import AccelNoise, GyroNoise
 
 NAMES = (
     "angle_random_walk", "bias_instability", "rate_random_walk", "quantization", "rate_ramp",
@@ -88,17 +56,3 @@ TERMS_OF = {
     ),
 }
 """Every term of each sensor, by `NAMES`."""
-
-
-class Noise(StrictModel):
-    """The noise section of a pipeline YAML."""
-
-    gyro: GyroNoise | None = None
-    accel: AccelNoise | None = None
-
-
-class AllanParameters(StrictModel):
-    """The live Allan curves have nothing to set; the lines of data sheets of before are read and named."""
-
-    gyro_sheet: Retired = None
-    accel_sheet: Retired = None

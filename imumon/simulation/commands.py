@@ -160,7 +160,8 @@ def simulate(
 def _simulated(plan: Scenario, device: str | None, seed: int, out: Path, *, quiet: bool) -> dict[str, Path]:
     """Write a session or a table, in the axes of the device; return what was written."""
     from imumon.protocols.device import device_text, parse_device
-    from imumon.simulation.recording import TRUTH_NAME, record_session, write_table
+    from imumon.recordings.folder import TRUTH_NAME
+    from imumon.simulation.recording import record_session, write_table
 
     text, source = device_text(device or DEVICE)
     described, as_table = parse_device(text, source), out.suffix in TABLES

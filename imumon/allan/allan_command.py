@@ -1,0 +1,104 @@
+"""``imumon allan``: the noise of a unit at rest, from a recording."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from pkgutil import resolve_name
+from typing import TYPE_CHECKING
+
+import click
+
+from imumon.cli.common import PATH, json_option, print_json, print_rows, print_table, show, warn
+from imumon.cli.progress import reading_bar
+
+if TYPE_CHECKING:
+    from imumon.allan.analysis import Result
+
+WRITERS = {
+    "plot": "plot:write_plot",
+    "noise": "output:write_noise",
+    "kalibr": "output:write_kalibr",
+    "openvins": "output:write_openvins",
+    "vins": "output:write_vins",
+}
+"""Modules and functions that write an output; they are loaded when it is wanted."""
+LARGE = 1e5
+"""From here on a number is written with a power of ten."""
+
+
+@click.command("allan")
+@click.argument("recording", metavar="SESSION|TABLE", type=PATH)
+@click.option("--plot", type=PATH, help="Draw the curves, log-log, into this PNG.")
+@click.option("--noise-out", type=PATH, help="Write the terms as the noise section of a pipeline YAML.")
+@click.option("--kalibr", type=PATH, help="Write the terms as Kalibr's imu.yaml.")
+@click.option("--openvins", type=PATH, help="Write the terms as OpenVINS' kalibr_imu_chain.yaml.")
+@click.option("--vins", type=PATH, help="Write the terms as VINS-Mono and VINS-Fusion have them.")
+@json_option
+def command(
+    recording: Path, plot: Path | None, noise_out: Path | None, as_json: bool, **odometry: Path | None
+) -> None:
+    """Estimate noise, bias instability and drift of a recording at rest.
+
+    \b
+    imumon allan sessions/NAME --plot allan.png
+
+    SESSION is recorded or imported; TABLE is a Parquet or CSV table that imumon wrote.  The terms of
+    the noise are fitted to the whole curve of overlapping Allan deviations, and printed with their standard
+    deviations.
+    """
+    from imumon.allan import output
+    from imumon.allan.analysis import analyse
+    from imumon.allan.recording import read_channels
+    from imumon.estimation.gyro_bias.stage import RestDetector
+
+    output.check_outputs(plot, noise_out, *odometry.values())
+    with reading_bar([recording], quiet=as_json) as progress:
+        opened = read_channels(recording, lambda _: [RestDetector()], progress.count)
+        progress("deviations and terms of all channels")
+        results = analyse(opened.series)
+    warn([*opened.warnings, *output.remarks(results)])
+    outputs = {name: path for name, path in ({"plot": plot, "noise": noise_out} | odometry).items() if path}
+    for name, path in outputs.items():
+        resolve_name(f"imumon.allan.{WRITERS[name]}")(path, results, recording)
+    if as_json:
+        print_json(output.as_json(results))
+    else:
+        _show_terms(results)
+    print_rows({name: str(path) for name, path in outputs.items()})
+
+
+def _show_terms(results: dict[str, Result]) -> None:
+    from rich.table import Column
+
+    from imumon.allan.terms import TERMS_OF
+
+    for group, terms in TERMS_OF.items():
+        of_group = {name: result for name, result in results.items() if name.startswith(group)}
+        found = of_group.values()
+        level = terms["bias_instability"]
+        rows = [
+            [row.title, row.shown, *(_with_sd(result, term, row.factor) for result in found)]
+            for term, row in terms.items()
+        ]
+        lowest = (f"{level.factor * result.allan.values[result.lowest]:.4g}" for result in found)
+        rows.append(["lowest deviation", level.shown, *lowest])
+        rows.append(["  at τ", "s", *(f"{result.tau_s[result.lowest]:.4g}" for result in found)])
+        rows.append(["longest trusted τ", "s", *(f"{result.longest_tau_s:.4g}" for result in found)])
+        if of_group:
+            axes = [Column(name, justify="right", no_wrap=True) for name in of_group]
+            print_table([Column(no_wrap=True), Column(no_wrap=True), *axes], rows)
+    show("1.234(56): 1.234 with a standard deviation of 0.056.  -: not shown by the data.")
+    show("Bias instability B: the flat part of the curve is 0.664 B.")
+
+
+def _with_sd(result: Result, term: str, factor: float) -> str:
+    """Return the value with two digits of its standard deviation behind it: 1.234(56)."""
+    estimate = None if result.fit is None else result.fit.terms[term]
+    if estimate is None:
+        return "-"
+    value, sd = factor * estimate.value, factor * estimate.sd
+    power = math.floor(math.log10(value)) if value >= LARGE else 0
+    value, sd = value / 10.0**power, sd / 10.0**power
+    digits = min(max(1 - math.floor(math.log10(sd)), 0), 9)
+    return f"{value:.{digits}f}({sd * 10**digits:.0f})" + (f"e{power}" if power else "")
