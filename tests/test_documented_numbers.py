@@ -90,9 +90,19 @@ def test_number_of_simulated_cases() -> None:
 
 def test_worst_seeds_of_the_bias_race() -> None:
     worst = [float(row[2]) for table in tables("bias-race.md") for row in table if row[0] == "imumon thermal"]
-    assert [float(row[1]) for row in tables("bias-race.md")[0][1:3]] == worst
+    limits = next(table for table in tables("bias-race.md") if table[0][0] == "limit")
+    assert [float(row[1]) for row in limits[1:3]] == worst
     assert numbers_in("bias-race.md", r"warm-up, worst of the seeds: ([\d.]+) ") == worst[:1]
     assert numbers_in("bias-race.md", r"ramp, worst of the seeds: ([\d.]+) ") == worst[1:]
+
+
+def test_summary_of_the_bias_race() -> None:
+    summary, *others = tables("bias-race.md")
+    warm_up, ramp, _ = ({row[0]: row[1] for row in table} for table in others if table[0][1] == "rms")
+    names = ("mean of each rest", "VQF, tuned", "imumon learned", "imumon thermal")
+    assert [row[1:] for row in summary[1:]] == [[warm_up[name], ramp[name]] for name in names]
+    page = next(table for table in tables("tczupt.md") if table[0][0] == "method")
+    assert [row[1] for row in page[1:]] == [warm_up[name] for name in names]
 
 
 def test_thermal_calibration() -> None:
