@@ -12,7 +12,16 @@ import numpy as np
 from imumon.blocks import FloatArray
 from imumon.estimation.alignment.fit import fit_position
 from imumon.estimation.alignment.parameters import AlignmentParameters
-from imumon.estimation.alignment.position import SLOT_S, Motion, Position, Slot, direction_of, upright
+from imumon.estimation.alignment.position import (
+    NO_TURN,
+    SLOT_S,
+    Azimuth,
+    Motion,
+    Position,
+    Slot,
+    direction_of,
+    upright,
+)
 from imumon.estimation.alignment.posterior import HeadingPosterior, heading_posterior, sensor_errors
 from imumon.estimation.alignment.report import ANY_ANGLE_SD, Estimate, PositionHeading, Status
 from imumon.filters.turns import Turn, angle_of
@@ -53,8 +62,8 @@ class Aligner:
         """Time at rest, s, north and sigma of each fit."""
         self.rest_s, self.due_s = 0.0, FIRST_FIT_S
         """Time at rest, and that at which the next fit is due."""
-        self.fitted_variance = 0.0
-        """`Position.azimuth_variance` of the present position in the last heading, rad²."""
+        self.fitted = NO_TURN
+        """Of the present position in the last heading."""
         self.settled_s: float | None = None
         """Time since the first sample at which the heading settled; None if it is not settled."""
 
@@ -87,9 +96,12 @@ class Aligner:
         # Gravity shows how wrong the horizontal axes are; the vertical one may be as wrong.
         lean = (by_gyros @ attitude[2])[:2]
         by_lean = 0.5 * float(lean @ lean) - 2.0 * self.errors.accel_bias**2
-        variance = max(_azimuth_variance(turn, before.attitude[2], self.errors.scale), by_lean)
+        turned = Azimuth.of(turn, before.attitude[2])
+        variance = turned.variance_from(NO_TURN, self.errors.scale)
+        turned = turned._replace(variance=turned.variance + max(by_lean - variance, 0.0))
         new = angle_of(turn.rotation) > NEW_POSITION
-        angle, sd = math.degrees(_turned(before.attitude, attitude)), math.degrees(math.sqrt(variance))
+        angle = math.degrees(_turned(before.attitude, attitude))
+        sd = math.degrees(math.sqrt(max(variance, by_lean)))
         begun_s, what = self.motion.begun_s, "a new position, " if new else ""
         self.events.append(
             f"alignment: the unit turned at {begun_s:.1f} s for {SLOT_S * rest[0].number - begun_s:.1f} s: "
@@ -97,8 +109,8 @@ class Aligner:
         )
         before.fit = before.fit and before.fit.averaged()
         before.sums = np.empty((0, 7))
-        variance += before.azimuth_variance + before.yaw_since_fit**2
-        self._begin(Position(rest[0].number, attitude, variance, before.number + new))
+        azimuth = before.azimuth_now.then(turned)
+        self._begin(Position(rest[0].number, attitude, azimuth, before.number + new))
 
     @property
     def attitude(self) -> FloatArray:
@@ -114,8 +126,7 @@ class Aligner:
             if here.rest_s > FORGET_S:
                 here.forget_half()
             return False
-        here.azimuth_variance += here.yaw_since_fit**2
-        here.fit, here.yaw_since_fit = fit, 0.0
+        here.azimuth, here.fit, here.yaw_since_fit = here.azimuth_now, fit, 0.0
         white = min(one.fit.white for one in self.positions if one.fit is not None)
         self.errors = sensor_errors(math.sqrt(white), self.parameters)
         return True
@@ -133,15 +144,15 @@ class Aligner:
 
     def _update_posterior(self, here: Position) -> None:
         """Update the posterior by the fits of all positions, of which the present one is new."""
-        fitted = [(one.fit, one.azimuth_variance) for one in self.positions if one.fit]
-        fits, variances = zip(*fitted, strict=True)
-        new = heading_posterior(fits, np.array(variances), self.latitude, self.errors)
+        fitted = [(one.fit, one.azimuth) for one in self.positions if one.fit]
+        about = self.posterior.north if self.posterior else cmath.phase(fitted[-1][0].gyro_mean)
+        new = heading_posterior(fitted, about, self.latitude, self.errors)
         # What no hypothesis explains shows as a heading that moves from fit to fit.
         since_s = self.rest_s - RECENT_SHARE * here.rest_s
         recent = [north for rest_s, north, _ in self.history if rest_s >= since_s]
         moved = max((abs(math.remainder(new.north - north, math.tau)) for north in recent), default=0.0)
         self.posterior = new._replace(sd=min(max(new.sd, moved), ANY_ANGLE_SD))
-        self.fitted_variance = here.azimuth_variance
+        self.fitted = here.azimuth
         self.history.append((self.rest_s, new.north, self.posterior.sd))
 
     @property
@@ -150,10 +161,13 @@ class Aligner:
         if self.posterior is None:
             return math.nan
         here = self.positions[-1]
-        variance = self.posterior.sd**2 + here.azimuth_variance - self.fitted_variance
-        variance += here.yaw_since_fit**2
-        variance += _azimuth_variance(self.motion.turn, here.attitude[2], self.errors.scale)
-        return min(math.sqrt(variance), ANY_ANGLE_SD)
+        return self._heading_sd_at(here.azimuth_now.then(Azimuth.of(self.motion.turn, here.attitude[2])))
+
+    def _heading_sd_at(self, azimuth: Azimuth) -> float:
+        """Return the standard deviation of the heading in another position, rad."""
+        assert self.posterior is not None
+        moved = azimuth.variance_from(self.fitted, self.errors.scale)
+        return min(math.sqrt(self.posterior.sd**2 + moved), ANY_ANGLE_SD)
 
     @property
     def observable(self) -> bool:
@@ -209,24 +223,13 @@ class Aligner:
             self._update_heading()
         if self.posterior is None:
             return []
-        found, last = [], self.positions[-1].azimuth_variance
+        found = []
         for one in self.positions:
-            sd = min(math.sqrt(self.posterior.sd**2 + last - one.azimuth_variance), ANY_ANGLE_SD)
+            sd = self._heading_sd_at(one.azimuth_now)
             shown = self.posterior.north if sd < math.radians(self.parameters.observable_deg) else math.nan
             heading = (shown - direction_of(one.attitude)) % math.tau
             found.append(PositionHeading(run, one.begun_s, one.ended_s, heading, sd))
         return found
-
-
-def _azimuth_variance(turn: Turn, up: FloatArray, scale_sd: float) -> float:
-    """Return the variance of the angle of a turn about the vertical, rad².
-
-    `up` (3,) is the vertical in body axes at its beginning, `scale_sd` is of scale factor and misalignment.
-    """
-    # The earth rate turns against the body: up to all of it is wrong while it turns by a radian.
-    drift = EARTH_RATE * turn.seconds * min(turn.path, 1.0)
-    by_scale = scale_sd**2 * float(np.sum(turn.scale_about(up) ** 2))
-    return by_scale + turn.sampling_variance(up) + drift**2
 
 
 def _mean_force(slots: Sequence[Slot]) -> FloatArray:

@@ -15,7 +15,7 @@ import numpy as np
 
 from imumon.blocks import BoolArray, ColumnArray, FloatArray
 from imumon.filters.turns import STILL, Turn
-from imumon.geodesy import forward
+from imumon.geodesy import EARTH_RATE, forward
 
 SLOT_S = 0.25
 """Length of the slots into which samples are gathered: motion is detected, and rows are filled, four times a
@@ -73,6 +73,36 @@ class PositionFit(NamedTuple):
         return self._replace(log_weight=np.zeros(1), rate=np.array([mean]), variance=np.array([variance]))
 
 
+class Azimuth(NamedTuple):
+    """What may be wrong with the angle about the vertical by which the gyros have turned a unit.
+
+    `by_scale` (3, 3), rad, is that angle by each element of the matrix of scale and misalignment.  These are
+    the same in all turns; the `variance`, rad², is of what is not.
+    """
+
+    variance: float = 0.0
+    by_scale: FloatArray = np.zeros((3, 3))
+
+    @classmethod
+    def of(cls, turn: Turn, up: FloatArray) -> Azimuth:
+        """Return that of a turn; `up` (3,) is the vertical in body axes at its beginning."""
+        # The earth rate turns against the body: up to all of it is wrong while it turns by a radian.
+        drift = EARTH_RATE * turn.seconds * min(turn.path, 1.0)
+        return cls(turn.sampling_variance(up) + drift**2, turn.scale_about(up))
+
+    def then(self, other: Azimuth) -> Azimuth:
+        """Return that of both turns, one after the other."""
+        return Azimuth(self.variance + other.variance, self.by_scale + other.by_scale)
+
+    def variance_from(self, other: Azimuth, scale_sd: float) -> float:
+        """Return the variance of the angle from one to the other, rad²; `scale_sd` of each element."""
+        by_scale = scale_sd**2 * float(np.sum(np.square(self.by_scale - other.by_scale)))
+        return abs(self.variance - other.variance) + by_scale
+
+
+NO_TURN = Azimuth()
+
+
 @dataclass
 class Position:
     """A rest in one attitude: sums over its slots, in rows of `slots_per_row` slots.
@@ -81,13 +111,13 @@ class Position:
     row without slots is a gap in the data.
 
     `attitude` (3, 3) is from body axes to the reference frame, which is forward, left and up of the first
-    position; `azimuth_variance` is that of the angle about the vertical since then, rad².  `number` counts
-    from 1 the attitudes that differ.
+    position, and `azimuth` what may be wrong with the turns since then.  `number` counts from 1 the attitudes
+    that differ.
     """
 
     first_slot: int
     attitude: FloatArray
-    azimuth_variance: float = 0.0
+    azimuth: Azimuth = NO_TURN
     number: int = 1
     fit: PositionFit | None = None
     yaw_since_fit: float = 0.0
@@ -114,6 +144,11 @@ class Position:
         self.sums = np.concatenate([self.sums[half:], np.zeros((half, 7))])
         self.first_slot += half * self.slots_per_row
         self.slots -= half * self.slots_per_row
+
+    @property
+    def azimuth_now(self) -> Azimuth:
+        """`azimuth`, and what the unit has turned since the last fit."""
+        return self.azimuth._replace(variance=self.azimuth.variance + self.yaw_since_fit**2)
 
     @property
     def row_s(self) -> float:

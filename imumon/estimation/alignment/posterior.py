@@ -1,12 +1,13 @@
 """The heading from all positions: a mixture over hypotheses and sizes of the gyros' bias.
 
-Given a hypothesis and a size s of the bias, rates are linear in the direction z = (cos a, sin a) of north and
-the bias b, which turns with the body::
+Given a hypothesis and a size s of the bias, rates are linear in the direction z = (cos a, sin a) of north, in
+the bias b, which turns with the body, and in the error e of scale, which is the same in all turns::
 
-    horizontal gyros   y_p = Ω cos L z + C_p b + noise      C_p the attitude in position p
-    vertical gyro      v_p - Ω sin L = C_p b + noise        b ~ N(0, s²)
+    horizontal gyros   y_p = Ω cos L (z + e t_p J z) + C_p b + noise      C_p the attitude in position p
+    vertical gyro      v_p - Ω sin L = C_p b + noise                      b ~ N(0, s²), e ~ N(0, s_e²)
 
-Eliminating b leaves η'z - ½ z'Λz as the log density on the circle: a von Mises distribution where Λ is
+t_p is the angle turned from the last position back to p.  J turns by 90°, and J z is that of the fit before.
+Eliminating b and e leaves η'z - ½ z'Λz as the log density on the circle: a von Mises distribution where Λ is
 isotropic, and a generalised one (Gatto and Jammalamadaka 2007) where one gyro is worse than the others.  An
 accelerometer with the bias β g tilts the axes, by which the horizontal gyros see β Ω sin L of the vertical
 earth rate.  That turns with the body as well, and is a part of s.
@@ -29,7 +30,7 @@ from scipy.special import i0e, i1e
 from imumon.blocks import FloatArray, IntArray
 from imumon.estimation.alignment.fit import eliminate
 from imumon.estimation.alignment.parameters import AlignmentParameters
-from imumon.estimation.alignment.position import PositionFit
+from imumon.estimation.alignment.position import Azimuth, PositionFit
 from imumon.estimation.alignment.report import ANY_ANGLE_SD
 from imumon.geodesy import DEG_PER_H, EARTH_RATE
 
@@ -39,6 +40,8 @@ least; at most the earth rate."""
 GYRO_SCALE, ACCEL_BIAS, ERROR_POWER, MOST_ERROR = 3e-4, 7.5e-4, 1.4, 100.0
 """Scale factor and misalignment of a gyro, and bias of an accelerometer, g, of gyros with 0.1 °/√h at most;
 of others they grow with this power of the ratio, up to 100 times."""
+LEAST_SCALE = 1e-9
+"""A declared scale error of zero has no logarithm."""
 LOG_SIZES, LOG_SIZE_SD = np.linspace(-4.0, 4.0, 9), 1.5
 """Logarithms of the sizes of a bias over that of the regression, and their standard deviation."""
 WORSE = np.array(
@@ -110,15 +113,16 @@ class HeadingPosterior(NamedTuple):
 
 
 def heading_posterior(
-    fits: Sequence[PositionFit], azimuth_variances: FloatArray, latitude: float, errors: SensorErrors
+    positions: Sequence[tuple[PositionFit, Azimuth]], about: float, latitude: float, errors: SensorErrors
 ) -> HeadingPosterior:
     """Return the heading at a latitude, rad, by the last position and the averaged fits of those before.
 
-    `azimuth_variances` (p,) are of the angle by which the unit was turned since the first position, rad².
+    `about` is the direction of north, rad, near which an error of scale is linear.
     """
-    matrix, vector, log_density = _linear_model(fits, azimuth_variances, latitude, errors.flicker)
+    matrix, vector, log_density = _linear_model(positions, about, latitude, errors)
     sizes = np.hypot(errors.sizes, errors.accel_bias * EARTH_RATE * math.sin(latitude))
-    matrix, vector, log_factor = eliminate(matrix[:, None], vector[:, None], sizes)
+    prior = np.column_stack([sizes, np.full(len(sizes), max(errors.scale, LEAST_SCALE))])
+    matrix, vector, log_factor = eliminate(matrix[:, None], vector[:, None], prior)
     log_weight = (log_density[:, None] + log_factor + errors.log_prior).ravel()
     part, angle, height, sharpness = peaks(matrix.reshape(-1, 2, 2), vector.reshape(-1, 2))
     # Each peak is a von Mises distribution with this concentration; moments of their mixture.
@@ -138,23 +142,40 @@ def heading_posterior(
 
 
 def _linear_model(
-    fits: Sequence[PositionFit], azimuth_variances: FloatArray, latitude: float, flicker: float
+    positions: Sequence[tuple[PositionFit, Azimuth]], about: float, latitude: float, errors: SensorErrors
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return Λ and η of z and b given each hypothesis, (h, 5, 5) and (h, 5, 1), and its log weight, (h,)."""
+    """Return Λ and η of z, b and e given each hypothesis, (h, 6, 6) and (h, 6, 1), and its log weight."""
     horizontal, vertical = EARTH_RATE * math.cos(latitude), EARTH_RATE * math.sin(latitude)
-    matrix, vector = np.zeros((1, 5, 5)), np.zeros((1, 5, 1))
-    log_density = fits[-1].log_weight
-    for fit, azimuth_variance in zip(fits, azimuth_variances[-1] - azimuth_variances, strict=True):
+    across = horizontal * np.array([-math.sin(about), math.cos(about), 0.0])  # Ω cos L J z
+    matrix, vector = np.zeros((1, 6, 6)), np.zeros((1, 6, 1))
+    log_density = positions[-1][0].log_weight
+    turned, azimuth_variance = _turned_to_last([azimuth for _, azimuth in positions], errors.scale)
+    for k, (fit, _) in enumerate(positions):
         one = np.ones(len(fit.rate))
         observed = np.column_stack([fit.rate.real, fit.rate.imag, (fit.vertical - vertical) * one])
-        of_level = fit.variance + horizontal**2 * azimuth_variance
+        of_level = fit.variance + horizontal**2 * azimuth_variance[k]
         variance = np.column_stack([of_level, of_level, fit.vertical_variance * one])
-        weight = 1.0 / (variance + flicker**2)
-        design = np.hstack([horizontal * np.eye(3, 2), fit.attitude])
+        weight = 1.0 / (variance + errors.flicker**2)
+        design = np.column_stack([horizontal * np.eye(3, 2), fit.attitude, turned[k] * across])
         weighted = design.T * weight[:, None, :]
         matrix, vector = matrix + weighted @ design, vector + weighted @ observed[:, :, None]
         log_density = log_density - 0.5 * np.sum(weight * observed**2 - np.log(weight), axis=1)
     return matrix, vector, log_density
+
+
+def _turned_to_last(azimuths: Sequence[Azimuth], scale_sd: float) -> tuple[FloatArray, FloatArray]:
+    """Return t_p, rad, (p,), and the variance of other errors of that angle, rad², (p,).
+
+    Turns about one axis all change by one combination of scale and misalignment, that of the longest; what
+    another axis adds is independent.
+    """
+    last = azimuths[-1]
+    paths = np.array([(one.by_scale - last.by_scale).ravel() for one in azimuths])
+    squares = np.sum(paths**2, axis=1)
+    longest = int(np.argmax(squares))
+    turned = paths @ paths[longest] / max(math.sqrt(squares[longest]), 1e-12)
+    variance = np.array([abs(one.variance - last.variance) for one in azimuths])
+    return turned, variance + scale_sd**2 * np.maximum(squares - turned**2, 0.0)
 
 
 def peaks(matrix: FloatArray, vector: FloatArray) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:

@@ -86,6 +86,32 @@ def test_a_declared_scale_error_is_in_the_sigma_of_the_turn_and_of_coning() -> N
     assert np.abs(ratios).max() < 4.0
 
 
+def stepped(t: FloatArray, turns: int, degrees: float, rest_s: float) -> Rotation:
+    """Return the attitudes of a unit that is turned in one sense, for 4 s each time."""
+    begun = rest_s + (rest_s + 4.0) * np.arange(turns)
+    way = np.clip((t[:, np.newaxis] - begun) / 4.0, 0.0, 1.0).sum(1)
+    return Rotation.from_rotvec(math.radians(degrees) * np.outer(way, UP))
+
+
+def test_an_error_of_scale_is_the_same_in_all_turns() -> None:
+    ratios = []
+    t = np.arange(round((12 * 20.0 + 11 * 4.0) * 20.0) + 1) / 20.0
+    for seed in range(6):
+        block, heading = sent(stepped(t, 11, 30.0, 20.0), 20.0, 0.01, seed)
+        error, sd = error_and_sd(aligned(block, {"gyro_scale_sd_ppm": 1e4})[0], heading)
+        ratios.append(error / sd)
+    assert 0.2 < np.sqrt(np.mean(np.square(ratios))) < 1.8
+    assert np.abs(ratios).max() < 4.0
+
+
+def test_a_last_position_too_short_for_a_fit_has_what_the_turn_to_it_adds() -> None:
+    t = np.arange(round(66.9 * 50.0) + 1) / 50.0
+    block, _ = sent(stepped(t, 1, 90.0, 60.0), 50.0)
+    stage, _ = aligned(block, {"gyro_scale_sd_ppm": 1e4})
+    first, last = stage.finish()
+    assert last.sd > math.hypot(first.sd, 0.009 * math.radians(90.0))
+
+
 @pytest.mark.parametrize("heading_deg", [0.0, 7.0, 12.0, 83.0])
 def test_half_a_turn_of_a_table_whose_axis_leans(heading_deg: float) -> None:
     # The bias along the axis is then a constant level rate: with a turn all along it could explain any north.
