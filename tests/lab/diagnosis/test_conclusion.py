@@ -155,7 +155,8 @@ def test_what_is_not_told_apart_is_one_verdict_with_one_next_step(lagging: Diagn
 
 
 def test_the_documented_table_of_verdicts_is_the_one_that_is_evaluated() -> None:
-    text = (Path(__file__).parents[3] / "docs" / "closing-the-loop.md").read_text(encoding="utf-8")
+    docs = Path(__file__).parents[3] / "docs"
+    text = (docs / "appendix" / "closing-the-loop-details.md").read_text(encoding="utf-8")
     source = " ".join(inspect.getsource(ChannelVerdict).split())
     ends = [
         (row.predicate, f"{row.sentence.format(names='NAMES')} | `{row.state}` |")
@@ -169,3 +170,12 @@ def test_the_documented_table_of_verdicts_is_the_one_that_is_evaluated() -> None
         assert line is not None, name
         meaning = line[1]
         assert f'"""{meaning[0].upper()}{meaning[1:]}' in source
+
+
+def test_the_page_has_the_verdicts_in_the_order_in_which_they_are_evaluated() -> None:
+    page = (Path(__file__).parents[3] / "docs" / "closing-the-loop.md").read_text(encoding="utf-8")
+    shown = re.findall(r"^\| ([^|]+) \|", page.partition("| verdict | when |")[2], re.MULTILINE)
+    sentences = [row.sentence.format(names="NAMES").partition(",")[0] for row in VERDICTS]
+    assert shown[: len(VERDICTS)] == sentences
+    added = re.findall(r"^- \*\*([^*]+)\*\*: ", page.partition("To the names may be added:")[2], re.MULTILINE)
+    assert added[:3] == [more.strip(", ").partition(",")[0] for more in BESIDE_CLAIMS.values()][:3]
