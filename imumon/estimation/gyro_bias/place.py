@@ -65,7 +65,8 @@ class Attitude:
 
         The rate's direction is not known; with the latitude alone the whole is counted, not the level part.
         """
-        if self.latitude is not None and self.heading is not None and self.up.any():
+        known = self.latitude is not None and self.heading is not None and self.up.any()
+        if known or not self.turn.seconds:
             return np.zeros(3)
         change = self.turn.rotation.T - np.eye(3)
         return np.asarray(EARTH_RATE**2 / 3.0 * (change**2).sum(1))

@@ -195,7 +195,7 @@ def heading(measurements: Sequence[Measurement], bias: FloatArray) -> float:
     Both hypotheses give the angle since the first measurement, with one variance; the sense of the angle is
     not compared, for not all devices count the yaw alike.
     """
-    measurements = [one for one in measurements if np.isfinite(one.heading[0]) and one.force.any()]
+    measurements = [one for one in measurements if math.isfinite(one.heading[0]) and any(one.force)]
     if len(measurements) < 4:
         return 0.0
     vectors = np.array([one.heading for one in measurements])
