@@ -122,7 +122,10 @@ def start(thermometer: Thermometer, slot: Slot) -> Filters:
     p[TEMPERATURE, TEMPERATURE] = thermometer.step**2 + thermometer.rho + slot.variance
     p[RATE, RATE] = FASTEST_RATE**2
     p[ACCELERATION, ACCELERATION] = np.minimum(START_ACCELERATION**2, JERK_PSDS * LONG_S)
-    p[ERROR, ERROR], _ = slow = slow_error(thermometer)
+    variance, _ = slow = slow_error(thermometer)  # the mean is of T + e: T is off by -e
+    p[TEMPERATURE, TEMPERATURE] += variance
+    p[ERROR, ERROR] = variance
+    p[TEMPERATURE, ERROR] = p[ERROR, TEMPERATURE] = -variance
     return Filters(x, p, np.full((k, m), 1.0 / (k * m)), slot.time_s, slow)
 
 

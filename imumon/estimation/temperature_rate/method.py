@@ -38,8 +38,9 @@ Ablation."""
 
 SLOT_VALUES = tuple(field.name for field in fields(Slot))[4:]
 """Those fields that are as in `Slots`: all after `before`."""
-Outcome = Literal["predict", "use", "restart"]
-"""A slot only predicts (nothing is learned of the thermometer), is a measurement, or a restart."""
+Outcome = Literal["ignore", "use", "restart", "return"]
+"""A slot is ignored (nothing is learned of the thermometer), is a measurement, a restart, or shows that the
+last restart was a fault: what was before it holds again, as if all slots since had been ignored."""
 
 
 class RateEstimate(NamedTuple):
@@ -116,34 +117,48 @@ class MultipleModelRate:
         self._output = Output()
         self._rejected, self._outlier_degc = 0, math.nan
         """Outliers in a row, and the last reading of the last of them, °C."""
-        self._origin_ns, self._end_s = origin_ns, 0.0
+        self._before: tuple[Filters, Thermometer] | None = None
+        """What the last restart has replaced, for `GATE_SLOTS` slots."""
+        self._accepted = 0
+        """Slots used since the last restart."""
+        self._origin_ns, self._read_s = origin_ns, 0.0
 
     def _slot(self, slots: Slots, i: int, values: Sequence[Any]) -> Slot:
         """Return a slot with its fields `SLOT_VALUES`; the first of a segment begins anew."""
         if slots.begins[i]:
             self._begin(int(slots.start_ns[i]))
         start_s, end_s = (int(ns[i] - self._origin_ns) * 1e-9 for ns in (slots.start_ns, slots.end_ns))
-        sample_s, self._end_s = (end_s - self._end_s) / int(slots.samples[i]), end_s
+        count = int(values[0])
+        sample_s = (end_s - self._read_s) / max(count, 1)
+        self._read_s = end_s if count else self._read_s
         slot = Slot(0.5 * (start_s + end_s), end_s, sample_s, self.thermometer.last, *values)
         if start_s - self.thermometer.used_s >= self.thermometer.neighbour_s:
             return replace(slot, before=slot.first)
-        return replace(slot, changes=max(slot.changes, int(slot.before != slot.first)))
+        changes = slot.changes - (self._rejected > 0)  # back from an outlier is no change
+        return replace(slot, changes=max(changes, int(slot.before != slot.first)))
 
     def _update(self, slot: Slot) -> Output:
         """Process a slot; return the output from its end on."""
         thermometer = self.thermometer
         if slot.end_s - thermometer.used_s > GAP_S:
-            self._filters, self._output = None, Output()
+            self._filters, self._before, self._output = None, None, Output()
         if self._filters is not None:
             self._filters = predict(thermometer, self._filters, slot.time_s)
         new, shown = thermometer.unrepeated(slot), self._filters
-        outcome = self._gate(new) if new else "predict"
+        outcome = self._gate(new) if new else "ignore"
         if new and outcome == "restart":
+            self._before = (self._filters, replace(thermometer)) if self._filters else None
+            self._accepted = 0
             thermometer.means = ()
             thermometer.learn(new)
             shown = self._filters = start(thermometer, new)
             self._output = Output()
+        elif self._before and outcome == "return":
+            (filters, self.thermometer), self._before = self._before, None
+            shown = self._filters = predict(self.thermometer, filters, slot.time_s)
+            thermometer, self._output = self.thermometer, Output()
         elif new and self._filters is not None and outcome == "use":
+            self._accepted += 1
             thermometer.learn(new)
             enters, shows = evaluate(thermometer, new, self._filters)
             predicted, self._filters = self._filters, correct(self._filters, enters)
@@ -156,18 +171,23 @@ class MultipleModelRate:
         """Return the outcome of a slot that has readings: that of the first row that holds."""
         thermometer, span = self.thermometer, slot.largest - slot.smallest
         no_value = thermometer.is_dead(slot) or span > SPIKE * max(1.0, thermometer.step)
+        if self._accepted >= GATE_SLOTS:
+            self._before = None
+        near = self._filters and self._is_near(slot, self._filters)
+        returns = not near and self._before and self._is_near(slot, self._before[0])
         table: tuple[tuple[object, Outcome], ...] = (
-            (no_value, "predict"),  # noise of more than a step has stopped, or there is a spike
-            (slot.smallest == slot.largest == self._outlier_degc, "predict"),  # the outlier before: it sticks
+            (no_value, "ignore"),  # noise of more than a step has stopped, or there is a spike
+            (returns, "return"),  # the restart was a fault
+            (slot.smallest == slot.largest == self._outlier_degc, "ignore"),  # the outlier before: it sticks
             (self._filters is None, "restart"),
-            (self._filters and self._is_near(slot, self._filters), "use"),
+            (near, "use"),
             (math.isnan(thermometer.last_change), "restart"),  # until now it was a value of power-on
             (not thermometer.repeat_s and thermometer.leaps(slot), "restart"),  # repeats were taken for new
             (self._rejected + 1 >= GATE_SLOTS, "restart"),  # a new temperature
-            (True, "predict"),
+            (True, "ignore"),
         )
         outcome = next(outcome for holds, outcome in table if holds)
-        if outcome != "predict":
+        if outcome != "ignore":
             self._rejected, self._outlier_degc = 0, math.nan
         elif not no_value:
             self._rejected, self._outlier_degc = self._rejected + 1, slot.last

@@ -32,7 +32,7 @@ class Slot:
     """Middle of the slot, which its mean refers to."""
     end_s: float
     sample_s: float
-    """Time between two rows of the stream, with a reading or without."""
+    """Time between two readings, since the last slot that has one."""
     before: float
     """The last reading that was used before the slot; the first in it if that is long ago."""
     count: int
@@ -87,7 +87,7 @@ class Thermometer:
     interval_s: float = math.inf
     """Least time between two changes; each change forgets a hundredth."""
     sample_s: float = 0.0
-    """Time between two samples."""
+    """Time between two readings."""
 
     means: tuple[float, ...] = ()
     """Means of the last slots that were used, up to three.  This and all below is of the segment."""
@@ -132,7 +132,8 @@ class Thermometer:
 
     def is_dead(self, slot: Slot) -> bool:
         """Return whether noise of more than a step has stopped for a minute and ten slots."""
-        noise = self.rho if self.repeat_s else self.scatter  # from repeat to repeat a ramp scatters, too
+        # A ramp scatters, too, but not from reading to reading, nor in the second differences of means.
+        noise = self.rho if self.repeat_s else min(self.independence * self.scatter, slot.count * self.rho)
         silent_s = slot.time_s - self.changed_s
         return not slot.changes and noise > self.step**2 and silent_s > max(60.0, 10.0 * self.spacing_s)
 

@@ -82,3 +82,34 @@ def test_the_value_at_power_on_is_doubted_and_left(stuck_s: float, step: float, 
     off = np.abs(found["temperature_estimate"] - 25.03)
     assert np.nanmax((off / found["temperature_estimate_sd"])[behind]) < 4.0
     assert off[t > 3.0 * stuck_s + 15.0].max() < 0.5
+
+
+@pytest.mark.parametrize("moves_s", [10.0, 1e9])
+@pytest.mark.parametrize("glitch_s", [1.0, 2.0])
+def test_a_glitch_after_a_long_silence_is_taken_back(moves_s: float, glitch_s: float) -> None:
+    t = np.arange(1200.0)
+    truth = np.where(t < moves_s, 20.0, 20.5)
+    glitch = (t >= 300.0) & (t < 300.0 + glitch_s)
+    found = process(TemperatureRate(), t, np.where(glitch, POWER_ON_DEGC, truth))
+    later = t > 305.0
+    off = np.abs(found["temperature_estimate"] - truth)[later]
+    assert (off / found["temperature_estimate_sd"][later]).max() < 2.0
+    assert found["temperature_estimate_sd"][later].max() < 1.0
+
+
+def test_three_glitches_of_a_quiet_thermometer_are_no_noise_over_an_edge() -> None:
+    t = np.arange(400.0)
+    truth = np.where(t < 50.0, 20.0, 20.5)
+    found = process(TemperatureRate(), t, np.where(np.isin(t, [100, 140, 180]), POWER_ON_DEGC, truth))
+    off = np.abs(found["temperature_estimate"] - truth)[t > 182.0]
+    assert off.max() < 0.25
+    assert found["temperature_estimate_sd"][-1] > 0.2
+
+
+@pytest.mark.parametrize("rate_hz", [1.0, 100.0])
+def test_a_constant_temperature_after_a_ramp_is_no_dead_thermometer(rate_hz: float) -> None:
+    t = np.arange(0.0, 1500.0, 1.0 / rate_hz)
+    truth = 20.0 + 0.003 * np.minimum(t, 60.0) + 0.05 * np.clip(t - 60.0, 0.0, 120.0)
+    found = process(TemperatureRate(), t, np.round(truth / 0.01) * 0.01)
+    assert np.abs(found["temperature_estimate"] - truth)[t > 200.0].max() < 0.02
+    assert found["temperature_estimate_sd"][-1] < 0.05

@@ -107,3 +107,14 @@ def test_the_slow_error_of_a_sensor_read_every_10_s_is_what_its_spacing_shows() 
     variance, _ = slow_error(thermometer)
     assert of_a_second[row, 0] == pytest.approx(0.01 / 0.1318, rel=0.01)
     assert variance[row, 0] == pytest.approx(0.01 / 0.8258, rel=0.01)
+
+
+@pytest.mark.parametrize("declared", [None, 0.01])
+def test_a_noisy_thermometer_that_is_read_twice_a_minute_among_faster_rows(declared: float | None) -> None:
+    time_ns, segment = clock(3600, 1.0)
+    reading = np.full(3600, np.nan)
+    reading[::30] = quantized(np.full(120, 20.0), 0.2, 3, 0.01)
+    found = MultipleModelRate(declared).process(time_ns, segment, reading)
+    error = (found.temperature - 20.0)[1200:]
+    assert np.sqrt(np.mean((error / found.temperature_sd[1200:]) ** 2)) < 1.8
+    assert np.median(found.temperature_sd[1200:]) < 0.2
