@@ -13,9 +13,9 @@ from imumon.blocks import FloatArray
 from imumon.estimation.alignment.fit import fit_position
 from imumon.estimation.alignment.parameters import AlignmentParameters
 from imumon.estimation.alignment.position import (
-    NO_TURN,
+    NO_ERROR,
     SLOT_S,
-    Azimuth,
+    AzimuthError,
     Motion,
     Position,
     Slot,
@@ -29,8 +29,8 @@ from imumon.geodesy import EARTH_RATE, forward
 
 SAME_ATTITUDE, SHORT_PATH = 1e-3, 20e-3
 """rad: a turn by less (0.06°, the noise of 1 °/√h in 10 s) on a path of less leaves the attitude as it is."""
-NEW_POSITION = 0.01
-"""rad: a turn by less does not separate the bias from the earth rate."""
+NEW_POSITION = 0.2
+"""rad: a turn by less, as of a table that is bumped, does not separate the bias from the earth rate."""
 FIRST_FIT_S, LONGEST_REFIT_S = 10.0, 60.0
 """Time at rest of the first fit of a position, and the longest between two fits; in between a position is
 fitted anew when its time at rest has grown by a third, which lowers sigma by an eighth."""
@@ -62,7 +62,7 @@ class Aligner:
         """Time at rest, s, north and sigma of each fit."""
         self.rest_s, self.due_s = 0.0, FIRST_FIT_S
         """Time at rest, and that at which the next fit is due."""
-        self.fitted = NO_TURN
+        self.fitted_error = NO_ERROR
         """Of the present position in the last heading."""
         self.settled_s: float | None = None
         """Time since the first sample at which the heading settled; None if it is not settled."""
@@ -77,6 +77,9 @@ class Aligner:
             self._begin(Position(rest[0].number, upright(forward(force / np.linalg.norm(force)), force)))
         elif angle_of(turn.rotation) > SAME_ATTITUDE or turn.path > SHORT_PATH:
             self._end_turn(rest, turn)
+        else:
+            here = self.positions[-1]
+            here.azimuth_error = here.azimuth_error.then(AzimuthError(angle_of(turn.rotation) ** 2))
         for one in rest:
             self.positions[-1].add(one)
         self.rest_s += SLOT_S * len(rest)
@@ -96,8 +99,8 @@ class Aligner:
         # Gravity shows how wrong the horizontal axes are; the vertical one may be as wrong.
         lean = (by_gyros @ attitude[2])[:2]
         by_lean = 0.5 * float(lean @ lean) - 2.0 * self.errors.accel_bias**2
-        turned = Azimuth.of(turn, before.attitude[2])
-        variance = turned.variance_from(NO_TURN, self.errors.scale)
+        turned = AzimuthError.of(turn, before.attitude[2])
+        variance = turned.variance_from(NO_ERROR, self.errors.scale)
         turned = turned._replace(variance=turned.variance + max(by_lean - variance, 0.0))
         new = angle_of(turn.rotation) > NEW_POSITION
         angle = math.degrees(_turned(before.attitude, attitude))
@@ -109,8 +112,8 @@ class Aligner:
         )
         before.fit = before.fit and before.fit.averaged()
         before.sums = np.empty((0, 7))
-        azimuth = before.azimuth_now.then(turned)
-        self._begin(Position(rest[0].number, attitude, azimuth, before.number + new))
+        error = before.azimuth_error_now.then(turned)
+        self._begin(Position(rest[0].number, attitude, error, before.number + new, before.still_rate))
 
     @property
     def attitude(self) -> FloatArray:
@@ -126,7 +129,8 @@ class Aligner:
             if here.rest_s > FORGET_S:
                 here.forget_half()
             return False
-        here.azimuth, here.fit, here.yaw_since_fit = here.azimuth_now, fit, 0.0
+        here.azimuth_error = here.azimuth_error_now
+        here.fit, here.still_rate, here.yaw_since_fit = fit, fit.vertical, 0.0
         white = min(one.fit.white for one in self.positions if one.fit is not None)
         self.errors = sensor_errors(math.sqrt(white), self.parameters)
         return True
@@ -144,7 +148,7 @@ class Aligner:
 
     def _update_posterior(self, here: Position) -> None:
         """Update the posterior by the fits of all positions, of which the present one is new."""
-        fitted = [(one.fit, one.azimuth) for one in self.positions if one.fit]
+        fitted = [(one.fit, one.azimuth_error) for one in self.positions if one.fit]
         about = self.posterior.north if self.posterior else cmath.phase(fitted[-1][0].gyro_mean)
         new = heading_posterior(fitted, about, self.latitude, self.errors)
         # What no hypothesis explains shows as a heading that moves from fit to fit.
@@ -152,7 +156,7 @@ class Aligner:
         recent = [north for rest_s, north, _ in self.history if rest_s >= since_s]
         moved = max((abs(math.remainder(new.north - north, math.tau)) for north in recent), default=0.0)
         self.posterior = new._replace(sd=min(max(new.sd, moved), ANY_ANGLE_SD))
-        self.fitted = here.azimuth
+        self.fitted_error = here.azimuth_error
         self.history.append((self.rest_s, new.north, self.posterior.sd))
 
     @property
@@ -161,12 +165,14 @@ class Aligner:
         if self.posterior is None:
             return math.nan
         here = self.positions[-1]
-        return self._heading_sd_at(here.azimuth_now.then(Azimuth.of(self.motion.turn, here.attitude[2])))
+        return self._heading_sd_at(
+            here.azimuth_error_now.then(AzimuthError.of(self.motion.turn, here.attitude[2]))
+        )
 
-    def _heading_sd_at(self, azimuth: Azimuth) -> float:
+    def _heading_sd_at(self, azimuth: AzimuthError) -> float:
         """Return the standard deviation of the heading in another position, rad."""
         assert self.posterior is not None
-        moved = azimuth.variance_from(self.fitted, self.errors.scale)
+        moved = azimuth.variance_from(self.fitted_error, self.errors.scale)
         return min(math.sqrt(self.posterior.sd**2 + moved), ANY_ANGLE_SD)
 
     @property
@@ -225,7 +231,7 @@ class Aligner:
             return []
         found = []
         for one in self.positions:
-            sd = self._heading_sd_at(one.azimuth_now)
+            sd = self._heading_sd_at(one.azimuth_error_now)
             shown = self.posterior.north if sd < math.radians(self.parameters.observable_deg) else math.nan
             heading = (shown - direction_of(one.attitude)) % math.tau
             found.append(PositionHeading(run, one.begun_s, one.ended_s, heading, sd))

@@ -73,7 +73,7 @@ class PositionFit(NamedTuple):
         return self._replace(log_weight=np.zeros(1), rate=np.array([mean]), variance=np.array([variance]))
 
 
-class Azimuth(NamedTuple):
+class AzimuthError(NamedTuple):
     """What may be wrong with the angle about the vertical by which the gyros have turned a unit.
 
     `by_scale` (3, 3), rad, is that angle by each element of the matrix of scale and misalignment.  These are
@@ -84,23 +84,23 @@ class Azimuth(NamedTuple):
     by_scale: FloatArray = np.zeros((3, 3))
 
     @classmethod
-    def of(cls, turn: Turn, up: FloatArray) -> Azimuth:
+    def of(cls, turn: Turn, up: FloatArray) -> AzimuthError:
         """Return that of a turn; `up` (3,) is the vertical in body axes at its beginning."""
         # The earth rate turns against the body: up to all of it is wrong while it turns by a radian.
         drift = EARTH_RATE * turn.seconds * min(turn.path, 1.0)
         return cls(turn.sampling_variance(up) + drift**2, turn.scale_about(up))
 
-    def then(self, other: Azimuth) -> Azimuth:
+    def then(self, other: AzimuthError) -> AzimuthError:
         """Return that of both turns, one after the other."""
-        return Azimuth(self.variance + other.variance, self.by_scale + other.by_scale)
+        return AzimuthError(self.variance + other.variance, self.by_scale + other.by_scale)
 
-    def variance_from(self, other: Azimuth, scale_sd: float) -> float:
-        """Return the variance of the angle from one to the other, rad²; `scale_sd` of each element."""
+    def variance_from(self, other: AzimuthError, scale_sd: float) -> float:
+        """Return the variance of the angle between both, rad²; `scale_sd` of each element."""
         by_scale = scale_sd**2 * float(np.sum(np.square(self.by_scale - other.by_scale)))
         return abs(self.variance - other.variance) + by_scale
 
 
-NO_TURN = Azimuth()
+NO_ERROR = AzimuthError()
 
 
 @dataclass
@@ -111,17 +111,19 @@ class Position:
     row without slots is a gap in the data.
 
     `attitude` (3, 3) is from body axes to the reference frame, which is forward, left and up of the first
-    position, and `azimuth` what may be wrong with the turns since then.  `number` counts from 1 the attitudes
-    that differ.
+    position, and `azimuth_error` what may be wrong with the turns since then.  `number` counts from 1 the
+    attitudes that differ.
     """
 
     first_slot: int
     attitude: FloatArray
-    azimuth: Azimuth = NO_TURN
+    azimuth_error: AzimuthError = NO_ERROR
     number: int = 1
+    still_rate: float = math.nan
+    """Rate about the vertical by the last fit, here or in the position before, rad/s; NaN before that."""
     fit: PositionFit | None = None
     yaw_since_fit: float = 0.0
-    """Angle about the vertical since the last fit by its gyro, less the mean in that fit, rad."""
+    """Angle about the vertical by its gyro less `still_rate`, since the last fit or the beginning, rad."""
     slots_per_row: int = 1
     slots: int = 0
     """Slots from the first to the last."""
@@ -129,8 +131,8 @@ class Position:
 
     def add(self, slot: Slot) -> None:
         """Add a slot at rest."""
-        if self.fit is not None:
-            self.yaw_since_fit += SLOT_S * (float(self.attitude[2] @ slot.rate) - self.fit.vertical)
+        if not math.isnan(self.still_rate):
+            self.yaw_since_fit += SLOT_S * (float(self.attitude[2] @ slot.rate) - self.still_rate)
         self.slots = slot.number + 1 - self.first_slot
         while self.slots > CAPACITY * self.slots_per_row:
             pairs = self.sums.reshape(-1, 2, 7).sum(axis=1)
@@ -146,9 +148,9 @@ class Position:
         self.slots -= half * self.slots_per_row
 
     @property
-    def azimuth_now(self) -> Azimuth:
+    def azimuth_error_now(self) -> AzimuthError:
         """`azimuth`, and what the unit has turned since the last fit."""
-        return self.azimuth._replace(variance=self.azimuth.variance + self.yaw_since_fit**2)
+        return self.azimuth_error._replace(variance=self.azimuth_error.variance + self.yaw_since_fit**2)
 
     @property
     def row_s(self) -> float:

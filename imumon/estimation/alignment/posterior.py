@@ -3,14 +3,15 @@
 Given a hypothesis and a size s of the bias, rates are linear in the direction z = (cos a, sin a) of north, in
 the bias b, which turns with the body, and in the error e of scale, which is the same in all turns::
 
-    horizontal gyros   y_p = Ω cos L (z + e t_p J z) + C_p b + noise      C_p the attitude in position p
-    vertical gyro      v_p - Ω sin L = C_p b + noise                      b ~ N(0, s²), e ~ N(0, s_e²)
+    horizontal gyros   y_p = Ω cos L z + C_p b + noise      C_p the attitude in position p
+    vertical gyro      v_p - Ω sin L = C_p b + noise        b ~ N(0, s²), e ~ N(0, s_e²)
+    a turn             z' = z + (e t + N(0, v)) J z         t its angle, v its variance by all but e
 
-t_p is the angle turned from the last position back to p.  J turns by 90°, and J z is that of the fit before.
-Eliminating b and e leaves η'z - ½ z'Λz as the log density on the circle: a von Mises distribution where Λ is
-isotropic, and a generalised one (Gatto and Jammalamadaka 2007) where one gyro is worse than the others.  An
-accelerometer with the bias β g tilts the axes, by which the horizontal gyros see β Ω sin L of the vertical
-earth rate.  That turns with the body as well, and is a part of s.
+J turns by 90°; J z is that of the fit before.  Eliminating b and e leaves η'z - ½ z'Λz as the log density on
+the circle: a von Mises distribution where Λ is isotropic, and a generalised one (Gatto and Jammalamadaka
+2007) where one gyro is worse than the others.  An accelerometer with the bias β g tilts the axes, by which
+the horizontal gyros see β Ω sin L of the vertical earth rate.  That turns with the body as well, and is a
+part of s.
 
 The prior of the errors of gyros and accelerometers is what is declared, or a regression on the gyros' noise
 over the data sheets of docs/appendix/alignment-details.md.  Declare the errors of a better unit: for
@@ -30,7 +31,7 @@ from scipy.special import i0e, i1e
 from imumon.blocks import FloatArray, IntArray
 from imumon.estimation.alignment.fit import eliminate
 from imumon.estimation.alignment.parameters import AlignmentParameters
-from imumon.estimation.alignment.position import Azimuth, PositionFit
+from imumon.estimation.alignment.position import AzimuthError, PositionFit
 from imumon.estimation.alignment.report import ANY_ANGLE_SD
 from imumon.geodesy import DEG_PER_H, EARTH_RATE
 
@@ -113,7 +114,7 @@ class HeadingPosterior(NamedTuple):
 
 
 def heading_posterior(
-    positions: Sequence[tuple[PositionFit, Azimuth]], about: float, latitude: float, errors: SensorErrors
+    positions: Sequence[tuple[PositionFit, AzimuthError]], about: float, latitude: float, errors: SensorErrors
 ) -> HeadingPosterior:
     """Return the heading at a latitude, rad, by the last position and the averaged fits of those before.
 
@@ -142,40 +143,43 @@ def heading_posterior(
 
 
 def _linear_model(
-    positions: Sequence[tuple[PositionFit, Azimuth]], about: float, latitude: float, errors: SensorErrors
+    positions: Sequence[tuple[PositionFit, AzimuthError]], about: float, latitude: float, errors: SensorErrors
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return Λ and η of z, b and e given each hypothesis, (h, 6, 6) and (h, 6, 1), and its log weight."""
     horizontal, vertical = EARTH_RATE * math.cos(latitude), EARTH_RATE * math.sin(latitude)
-    across = horizontal * np.array([-math.sin(about), math.cos(about), 0.0])  # Ω cos L J z
     matrix, vector = np.zeros((1, 6, 6)), np.zeros((1, 6, 1))
     log_density = positions[-1][0].log_weight
-    turned, azimuth_variance = _turned_to_last([azimuth for _, azimuth in positions], errors.scale)
-    for k, (fit, _) in enumerate(positions):
-        one = np.ones(len(fit.rate))
+    longest = max((error.by_scale for _, error in positions), key=lambda path: float(np.sum(path**2)))
+    before = positions[0][1]
+    for fit, error in positions:
+        by_scale = error.by_scale - before.by_scale
+        angle = float(np.sum(by_scale * longest)) / max(float(np.linalg.norm(longest)), 1e-12)
+        variance = error.variance_from(before, errors.scale) - (errors.scale * angle) ** 2
+        matrix, vector = _turn(matrix, vector, about, angle, variance)
+        before, one = error, np.ones(len(fit.rate))
         observed = np.column_stack([fit.rate.real, fit.rate.imag, (fit.vertical - vertical) * one])
-        of_level = fit.variance + horizontal**2 * azimuth_variance[k]
-        variance = np.column_stack([of_level, of_level, fit.vertical_variance * one])
-        weight = 1.0 / (variance + errors.flicker**2)
-        design = np.column_stack([horizontal * np.eye(3, 2), fit.attitude, turned[k] * across])
+        variances = np.column_stack([fit.variance, fit.variance, fit.vertical_variance * one])
+        weight = 1.0 / (variances + errors.flicker**2)
+        design = np.column_stack([horizontal * np.eye(3, 2), fit.attitude, np.zeros(3)])
         weighted = design.T * weight[:, None, :]
         matrix, vector = matrix + weighted @ design, vector + weighted @ observed[:, :, None]
         log_density = log_density - 0.5 * np.sum(weight * observed**2 - np.log(weight), axis=1)
     return matrix, vector, log_density
 
 
-def _turned_to_last(azimuths: Sequence[Azimuth], scale_sd: float) -> tuple[FloatArray, FloatArray]:
-    """Return t_p, rad, (p,), and the variance of other errors of that angle, rad², (p,).
+def _turn(
+    matrix: FloatArray, vector: FloatArray, about: float, angle: float, variance: float
+) -> tuple[FloatArray, FloatArray]:
+    """Predict Λ and η over a turn by an `angle` t, rad, that has the `variance` v, rad², beside e t.
 
-    Turns about one axis all change by one combination of scale and misalignment, that of the longest; what
-    another axis adds is independent.
+    In information form: x' = F x + N(0, v G Gᵀ), with z at the angle `about`, rad, in F, and G that selects
+    z: a turn of which little is known is not linear, so N(0, v) is taken in both directions.
     """
-    last = azimuths[-1]
-    paths = np.array([(one.by_scale - last.by_scale).ravel() for one in azimuths])
-    squares = np.sum(paths**2, axis=1)
-    longest = int(np.argmax(squares))
-    turned = paths @ paths[longest] / max(math.sqrt(squares[longest]), 1e-12)
-    variance = np.array([abs(one.variance - last.variance) for one in azimuths])
-    return turned, variance + scale_sd**2 * np.maximum(squares - turned**2, 0.0)
+    back = np.eye(6)  # F⁻¹
+    back[:2, -1] = angle * math.sin(about), -angle * math.cos(about)
+    matrix, vector = back.T @ matrix @ back, back.T @ vector
+    gain = variance * matrix[..., :2] @ np.linalg.inv(np.eye(2) + variance * matrix[..., :2, :2])
+    return matrix - gain @ matrix[..., :2, :], vector - gain @ vector[..., :2, :]
 
 
 def peaks(matrix: FloatArray, vector: FloatArray) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
