@@ -55,7 +55,7 @@ GRAVITIES = (0.3, 3.0)
 MINUTE_NS, MINUTES = 60_000_000_000, 3
 """So many in a row, the first of which may be cut short: rockets burn with three times gravity for a minute
 or two, parabolas last half a minute."""
-RATES_HZ = (0.1, 40e3)
+SLOWEST_HZ, FASTEST_HZ = 0.1, 40e3
 """Of samples: slower is no motion sensor, and the fastest that is sold has 32 kHz (ICM-42688)."""
 
 
@@ -145,9 +145,9 @@ class Intake:
             what: f"left out of all estimates: {what}" + (f" ({count:,} in all)" if ended else "")
             for what, count in self._left_out.items()
         }
-        every |= {text: text for unchanged in self._unchanged.values() for text in unchanged.found.values()}
-        if self._force.found is not None:
-            every[self._force.found] = self._force.found
+        found = [text for unchanged in self._unchanged.values() for text in unchanged.found.values()]
+        found += [] if self._force.found is None else [self._force.found]
+        every |= dict(zip(found, found, strict=True))
         new = [text for what, text in every.items() if what not in self._reported]
         self._reported.update(every)
         return new
@@ -221,6 +221,34 @@ class _Still:
         return np.asarray(same & ~was_possible & (run > 2 * longest + REPEATS))
 
 
+class _Windows:
+    """Sums over windows of device time, each within one segment, whatever the division into blocks."""
+
+    def __init__(self, length_ns: int) -> None:
+        self._length_ns = length_ns
+        self._at: tuple[int, int] | None = None
+        """Segment, and number of the window in device time."""
+        self._began_ns = self._latest_ns = 0
+        self._sums = np.zeros(0)
+
+    def ended(
+        self, time_ns: IntArray, segment: IntArray, terms: FloatArray
+    ) -> Iterator[tuple[int, int, int, list[float]]]:
+        """Add the terms (n, k) of rows; yield of each window that ends the first row behind it, the times of
+        its first and last row, and its sums (k,).
+        """
+        number = time_ns // self._length_ns
+        edges = np.flatnonzero((np.diff(number) != 0) | (np.diff(segment) != 0)) + 1
+        for begin, end in pairwise([0, *edges.tolist(), len(number)] if len(number) else []):
+            now = int(segment[begin]), int(number[begin])
+            if now != self._at:
+                if self._at is not None:
+                    yield begin, self._began_ns, self._latest_ns, self._sums.tolist()
+                self._at, self._began_ns, self._sums = now, int(time_ns[begin]), np.zeros(terms.shape[1])
+            self._latest_ns = int(time_ns[end - 1])
+            self._sums += terms[begin:end].sum(axis=0)
+
+
 class _Unchanged:
     """Finds axes of a sensor that stay the same, or missing, in a window while another axis changes.
 
@@ -232,12 +260,9 @@ class _Unchanged:
         self._sensor = sensor
         self.found: dict[str, str] = {}
         """Warning by axis."""
-        self._last = np.full(3, np.nan)
-        self._window = (NO_INT, NO_INT)
-        """Segment, and number of the window in device time."""
-        self._began_ns = self._latest_ns = self._readings = 0
-        self._changes = np.zeros(3, np.int64)
-        """In the window so far: times, readings, and how many of each axis differ from the one before."""
+        self._last: FloatArray | None = None
+        self._windows = _Windows(UNCHANGED_NS)
+        """Readings, and how many of each axis differ from the one before."""
 
     def process(self, sent: SampleBlock) -> None:
         """Take the rows in which any axis has a reading."""
@@ -245,33 +270,31 @@ class _Unchanged:
         there = np.zeros(len(sent), np.bool_) if values is None else ~np.isnan(values).all(axis=1)
         if values is None or not there.any():
             return
-        readings, time_ns, segment = values[there], sent["device_time_ns"][there], sent["segment"][there]
-        before = np.vstack([self._last, readings[:-1]])
+        readings = values[there]
+        before = np.vstack([readings[:1] if self._last is None else self._last, readings[:-1]])
+        self._last = readings[-1:].copy()
         changed = (readings != before) & ~(np.isnan(readings) & np.isnan(before))
-        for window, rows in windows(time_ns, segment, UNCHANGED_NS):
-            if window != self._window:
-                self._evaluate(before[rows.start])
-                self._window, self._began_ns = window, int(time_ns[rows.start])
-                self._readings, self._changes = -1, -changed[rows.start].astype(np.int64)
-            self._latest_ns = int(time_ns[rows.stop - 1])
-            self._readings += rows.stop - rows.start
-            self._changes += changed[rows].sum(axis=0)
-        self._last = readings[-1].copy()
+        terms = np.column_stack([np.ones(len(changed)), changed])
+        time_ns, segment = sent["device_time_ns"][there], sent["segment"][there]
+        for row, began_ns, latest_ns, (count, *changes) in self._windows.ended(time_ns, segment, terms):
+            frequent = AT_AN_EDGE * count + BEYOND_CHANCE * count**0.5
+            if latest_ns - began_ns >= 0.95 * UNCHANGED_NS and max(changes) > frequent:
+                self._report(began_ns, changes, before[row])
 
-    def _evaluate(self, values: FloatArray) -> None:
-        """Report the axes that did not change in a whole window; `values` are its last readings."""
-        changes, is_cut = self._changes.max(), self._latest_ns - self._began_ns < 0.95 * UNCHANGED_NS
-        if is_cut or changes <= AT_AN_EDGE * self._readings + BEYOND_CHANCE * self._readings**0.5:
-            return
-        since = f"for {UNCHANGED_NS * 1e-9:g} s and more, since {self._began_ns * 1e-9:.3f} s of device time"
-        lively = f"{self._sensor}_{'xyz'[self._changes.argmax()]}"
-        for axis in np.flatnonzero(self._changes == 0):
-            name, unit = f"{self._sensor}_{'xyz'[axis]}", RANGES[f"{self._sensor}_"][2]
-            what, why = f"{name} reads nothing", "it is dead"
-            if not np.isnan(values[axis]):
-                what = f"{name} reads {values[axis]:g} {unit} without any change"
-                why = "it is stuck, or its noise is below its steps"
-            self.found.setdefault(name, f"{what} {since}, while {lively} changes: {why}")
+    def _report(self, began_ns: int, changes: list[float], values: FloatArray) -> None:
+        """Report the axes that did not change in a window, and what they read."""
+        names, unit = [f"{self._sensor}_{axis}" for axis in "xyz"], RANGES[f"{self._sensor}_"][2]
+        since = f"for {UNCHANGED_NS * 1e-9:g} s and more, since {began_ns * 1e-9:.3f} s of device time"
+        beside = f"{since}, while {names[int(np.argmax(changes))]} changes"
+        for name, value, changed in zip(names, values.tolist(), changes, strict=True):
+            what, why = (
+                f"reads {value:g} {unit} without any change",
+                "it is stuck, or its noise is below its steps",
+            )
+            if np.isnan(value):
+                what, why = "reads nothing", "it is dead"
+            if not changed:
+                self.found.setdefault(name, f"{name} {what} {beside}: {why}")
 
 
 class _Clock:
@@ -280,7 +303,7 @@ class _Clock:
     def __init__(self) -> None:
         self._last: tuple[int, int] | None = None
         """Time and segment of the last row taken."""
-        self._rejected: list[int] = [0, 0]
+        self._rejected, self._rejected_ns = 0, 0
         """How many rows in a row were left out and go on from each other, and the time of the last."""
         self._shift = 0
         """Segments that were begun here."""
@@ -290,7 +313,7 @@ class _Clock:
         n = len(time_ns)
         taken, shift = np.ones(n, np.bool_), np.full(n, self._shift)
         if n and self._last is not None and self._is_plain(time_ns, segment):
-            self._last, self._rejected = (int(time_ns[-1]), int(segment[-1])), [0, 0]
+            self._last, self._rejected = (int(time_ns[-1]), int(segment[-1])), 0
             return taken, shift
         for row, (time, part) in enumerate(zip(time_ns.tolist(), segment.tolist(), strict=True)):
             taken[row] = self._take(time, part)
@@ -307,42 +330,28 @@ class _Clock:
     def _take(self, time_ns: int, segment: int) -> bool:
         last = self._last
         if last is not None and segment == last[1] and not 0 < time_ns - last[0] <= LONGEST_GAP_S * 1e9:
-            count, before = self._rejected
-            goes_on = count and 0 < time_ns - before <= LONGEST_GAP_S * 1e9
-            self._rejected = [count + 1 if goes_on else 1, time_ns]
-            if self._rejected[0] < STUBBORN:
+            goes_on = 0 < time_ns - self._rejected_ns <= LONGEST_GAP_S * 1e9
+            self._rejected = self._rejected + 1 if goes_on else 1
+            self._rejected_ns = time_ns
+            if self._rejected < STUBBORN:
                 return False
             self._shift += 1
-        self._last, self._rejected = (time_ns, segment), [0, 0]
+        self._last, self._rejected = (time_ns, segment), 0
         return True
 
 
 def rate_doubts(rate_hz: float) -> list[str]:
     """Return the warning for a rate of samples, Hz, that no sensor has; none for NaN."""
-    slowest, fastest = RATES_HZ
-    text = (
-        f"the rows come at {rate_hz:.3g} Hz, as those of no inertial sensor: is the unit of the time right?"
-    )
-    return [text] if rate_hz < slowest or rate_hz > fastest else []
-
-
-def windows(time_ns: IntArray, segment: IntArray, length_ns: int) -> Iterator[tuple[tuple[int, int], slice]]:
-    """Yield each window of device time that rows are in, as its segment and number, and its rows."""
-    number = time_ns // length_ns
-    edges = np.flatnonzero((np.diff(number) != 0) | (np.diff(segment) != 0)) + 1
-    for begin, end in pairwise([0, *edges.tolist(), len(number)]):
-        if end > begin:
-            yield (int(segment[begin]), int(number[begin])), slice(begin, end)
+    what = f"the rows come at {rate_hz:.3g} Hz, as those of no inertial sensor"
+    return [f"{what}: is the unit of the time right?"] if rate_hz < SLOWEST_HZ or rate_hz > FASTEST_HZ else []
 
 
 class SpecificForce:
     """Tests the magnitude of the specific force minute by minute, whatever the division into blocks."""
 
     def __init__(self) -> None:
-        self._minute = (NO_INT, NO_INT)
-        """Segment, and number of the minute in device time."""
-        self._sums = np.zeros(4)
-        """Readings in it that are below `GRAVITIES`, above, and all; and the sum of those beyond, in g."""
+        self._minutes = _Windows(MINUTE_NS)
+        """Readings that are below `GRAVITIES`, above, and all; and the sum of those beyond, in g."""
         self._beyond = 0
         """Minutes in a row most of which was below, or above: negative where below."""
         self.found: str | None = None
@@ -354,23 +363,14 @@ class SpecificForce:
         if self.found is not None or accel is None or "device_time_ns" not in block:
             return
         magnitude = np.sqrt(np.einsum("ij,ij->i", accel, accel)) / STANDARD_GRAVITY
-        time_ns = block["device_time_ns"]
-        there = np.isfinite(magnitude) & (time_ns != NO_INT)
-        for minute, rows in windows(time_ns[there], block["segment"][there], MINUTE_NS):
-            if minute != self._minute:
-                self._end(minute)
-            part = magnitude[there][rows]
-            low, high = part < GRAVITIES[0], part > GRAVITIES[1]
-            self._sums += [low.sum(), high.sum(), len(part), part[low | high].sum()]
-
-    def _end(self, now: tuple[int, int]) -> None:
-        """Classify the minute that has ended."""
-        (low, high, every, total), (segment, minute) = self._sums.tolist(), self._minute
-        way = -1 if 2 * low > every else 1 if 2 * high > every else 0
-        self._beyond = way + (self._beyond if way * self._beyond > 0 else 0)
-        if abs(self._beyond) >= MINUTES and self.found is None:
-            what = f"the specific force is {total / (low + high):.2g} times gravity for minutes, which no "
-            self.found = f"{what}vehicle on earth bears: is its unit right?"
-        if now != (segment, minute + 1):
-            self._beyond = 0
-        self._minute, self._sums = now, np.zeros(4)
+        there = np.isfinite(magnitude) & (block["device_time_ns"] != NO_INT)
+        force = magnitude[there]
+        low, high = force < GRAVITIES[0], force > GRAVITIES[1]
+        terms = np.column_stack([low, high, np.ones(len(force)), np.where(low | high, force, 0.0)])
+        time_ns, segment = block["device_time_ns"][there], block["segment"][there]
+        for *_, (below, above, count, total) in self._minutes.ended(time_ns, segment, terms):
+            way = -1 if 2 * below > count else 1 if 2 * above > count else 0
+            self._beyond = way + (self._beyond if way * self._beyond > 0 else 0)
+            if abs(self._beyond) >= MINUTES and self.found is None:
+                what = f"the specific force is {total / (below + above):.2g} times gravity for minutes"
+                self.found = f"{what}, which no vehicle on earth bears: is its unit right?"

@@ -32,6 +32,8 @@ from imumon.stage import Estimator as Estimator
 from imumon.stage import GuardedStage
 from imumon.transport.statistics import Counters, StreamCounters
 
+BY_RATE = ("rows", "counter")
+"""What dates rows with the nominal rate."""
 UNDATED = NO_INT
 """Arrival time of bytes whose arrival was not recorded, as in a raw capture."""
 
@@ -252,12 +254,14 @@ class Pipeline:
 
     def warnings(self) -> list[str]:
         """Return, once each, the remarks of decoder and estimators on the data or on their parameters."""
-        decoded = self._decoder.warnings() if self._decoder is not None else []
-        if self._dated_by_rate:
-            decoded = [*decoded, *self._nominal.notices(self._ended)]
-        repeated = self._repeats.notices(self._device_clock.dated_by)
-        decoded = [*decoded, *repeated, *self._intake.notices(self._ended)]
-        return [*decoded, *(text for stage in self._stages for text in stage.notices(self.live))]
+        dated_by = self._device_clock.dated_by
+        return [
+            *(self._decoder.warnings() if self._decoder is not None else ()),
+            *(self._nominal.notices(self._ended) if dated_by in BY_RATE else ()),
+            *self._repeats.notices(dated_by),
+            *self._intake.notices(self._ended),
+            *(text for stage in self._stages for text in stage.notices(self.live)),
+        ]
 
     def charts(self) -> list[Chart]:
         """Return the charts of the estimators as they are now."""
@@ -297,7 +301,7 @@ class Pipeline:
         self._repeats.add(counter, ticks, n)
         counted = None if counter is None else self._shared_counter.process(counter, more, side)
         device_ns, segment = self._device_clock.process(counted, ticks, arrival, n)
-        if self._dated_by_rate:
+        if self._device_clock.dated_by in BY_RATE:
             self._nominal.add(device_ns, segment, arrival)
         times: dict[str, ColumnArray] = {
             "device_time_ns": device_ns,
@@ -311,10 +315,6 @@ class Pipeline:
         self._side_clock.follow(dated, ticks)
         self._count(MAIN, dated)
         return self._estimate(dated)
-
-    @property
-    def _dated_by_rate(self) -> bool:
-        return self._device_clock.dated_by in ("rows", "counter")
 
     def _count(self, stream: str, block: SampleBlock) -> None:
         if len(block) and "device_time_ns" in block:

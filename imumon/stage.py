@@ -72,12 +72,11 @@ class GuardedStage:
         Raises whatever a stage of imumon raises where the run is not live: a result without its columns
         would pass for a whole one, and the recording can be read again.
         """
-        if not self.switched_off:
-            new = self._call("process", lambda: self._processed(block), None, live, block)
-            if new is not None:
-                self._samples += len(block)
-                return new
-        return self._missing(block)
+        new = self._call("process", lambda: self._processed(block), None, live, block)
+        if new is None:
+            return self._missing(block)
+        self._samples += len(block)
+        return new
 
     def notices(self, live: bool) -> list[str]:
         """Return, once each, its notices, and why it was switched off."""
@@ -117,26 +116,26 @@ class GuardedStage:
         others = block.columns if block is not None else {}
         self._columns = tuple(column for name, column in declared.items() if name not in others)
         self.switched_off = True
-        what = (
-            f"{name_of(self.stage)} is switched off after {self._samples:,} samples, its columns are missing"
-        )
-        advice = "mend it, or leave it out (a plug-in: --without-plugins)"
-        advice = "report this defect of imumon" if self._own else advice
-        self._report.append(f"{what} from there on: {call}: {described(error, __file__)}; {advice}")
+        what = f"{name_of(self.stage)} is switched off after {self._samples:,} samples"
+        why = described(error, __file__)
+        theirs = "mend it, or leave it out (a plug-in: --without-plugins)"
+        advice = "report this defect of imumon" if self._own else theirs
+        self._report.append(f"{what}, its columns are missing from there on: {call}: {why}; {advice}")
 
     def _processed(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
-        if self._own:
-            new = self.stage.process(block)
-            return self._checked(new, block) if len(block) else new
-        # It cannot write to what was sent.  Compiled code of imumon's own stages would have to be compiled
-        # anew for arrays that are read only.
-        views = {name: nan_for_missing(values).view() for name, values in block.columns.items()}
-        for view in views.values():
-            view.flags.writeable = False
-        new = self.stage.process(SampleBlock(views))
+        sent = block
+        if not self._own:  # it cannot write to what was sent; compiled code would be compiled anew for that
+            sent = SampleBlock(
+                {name: nan_for_missing(values).view() for name, values in block.columns.items()}
+            )
+            for view in sent.columns.values():
+                view.flags.writeable = False
+        new = self.stage.process(sent)
         if not isinstance(new, Mapping):
             raise bad_config(f"it returned {_named(new)}", "return a dict: an array for each column")
-        return self._checked(new, block) if len(block) else self._missing(block)
+        if not len(block):
+            return new if self._own else self._missing(block)
+        return self._checked(new, block)
 
     def _missing(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
         """Return its columns without values, but for what another adds."""
@@ -166,9 +165,8 @@ class GuardedStage:
 def check_stage(stage: Estimator) -> None:
     """Raise BAD_CONFIG for a stage that lacks something, or declares what no table can have."""
     if isinstance(stage, type):
-        raise bad_config(
-            f"stage {stage.__name__} is a class", f"give a stage that it makes: {stage.__name__}()"
-        )
+        name = stage.__name__
+        raise bad_config(f"stage {name} is a class", f"give a stage that it makes: {name}()")
     for needed in ("columns", "process", "notices"):
         if not hasattr(stage, needed):
             raise bad_config(f"{name_of(stage)} has no {needed}", "a stage has columns, process and notices")

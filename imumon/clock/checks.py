@@ -44,13 +44,11 @@ class Repeats:
         self._last = counts[:, -1:]
         self._rows += n
         self._twice += int(stays.all(axis=0).sum())
-        place = np.arange(n)
-        for which in range(2):
-            alone = stays[which] & ~stays[1 - which]
-            run = place - np.maximum.accumulate(np.where(alone, -1 - self._run[which], place))
-            self._run[which] = run[-1]
-            if (run >= STANDS).any():
-                self._stands_at.setdefault(which, int(counts[which, np.argmax(run >= STANDS)]))
+        place, alone = np.arange(n), stays & ~stays[::-1]
+        run = place - np.maximum.accumulate(np.where(alone, -1 - self._run[:, np.newaxis], place), axis=1)
+        self._run = run[:, -1]
+        for which in np.flatnonzero((run >= STANDS).any(axis=1)).tolist():
+            self._stands_at.setdefault(which, int(counts[which, np.argmax(run[which] >= STANDS)]))
 
     def notices(self, dated_by: DatedBy) -> list[str]:
         """Return, once each, what does not go on and what that means for the times of the rows."""

@@ -181,10 +181,8 @@ class DeviceClock:
         """
         dated = self._sources[TICKS].limit and device_ticks is not None
         if n and not dated and not self._sources[ROWS].limit and arrival_ns is None:
-            raise bad_config(
-                "the samples have no device clock, no rate and no arrival times, so they cannot be dated",
-                "give rate_hz in the device file",
-            )
+            what = "the samples have no device clock, no rate and no arrival times, so they cannot be dated"
+            raise bad_config(what, "give rate_hz in the device file")
         time_ns = np.empty(n, np.int64)
         segment = np.empty(n, np.int64)
         absent = missing(n, np.int64)
@@ -242,7 +240,9 @@ def _unwrap(
     for i in range(len(time_ns)):
         number, raw = _best(sources, state, counter[i], ticks[i], arrival[i])
         source = sources[number]
-        packets = _packets(state, counter[i])
+        packets = 0  # by how much the packet counter has advanced, modulo its range; 0 where it is not known
+        if state.counter_modulus and counter[i] != NO_INT and state.raw_counter != NO_INT:
+            packets = (counter[i] - state.raw_counter) % state.counter_modulus
         state.row += 1
         if number == NO_SOURCE or (number < state.source and state.held < LOST_SOURCE_ROWS):
             state.held += 1
@@ -287,14 +287,6 @@ def _best(
     if arrival != NO_INT:
         return ARRIVALS, arrival
     return NO_SOURCE, 0
-
-
-@inner
-def _packets(state: _State, counter: int) -> int:
-    """Return by how much the packet counter has advanced, modulo its range; 0 when it is not known."""
-    if state.counter_modulus == 0 or counter == NO_INT or state.raw_counter == NO_INT:
-        return 0
-    return int((counter - state.raw_counter) % state.counter_modulus)
 
 
 @inner

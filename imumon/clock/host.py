@@ -235,7 +235,11 @@ def _push(hull: IntArray, size: int, x: int, y: int) -> int:
         if y >= hull[size - 1, 1]:
             return size
         size -= 1
-    while size > 1 and not _is_below(hull[size - 2], hull[size - 1], x, y):
+    while size > 1:
+        a, b = hull[size - 2], hull[size - 1]
+        # Whether b lies below the line from a to (x, y); products in float64, as int64 would overflow.
+        if float(b[1] - a[1]) * float(x - a[0]) < float(y - a[1]) * float(b[0] - a[0]):
+            break
         size -= 1
     if size == len(hull):
         # Only a curve that bends upwards for minutes gets here; every other vertex describes it too.
@@ -246,12 +250,6 @@ def _push(hull: IntArray, size: int, x: int, y: int) -> int:
     hull[size, 0] = x
     hull[size, 1] = y
     return size + 1
-
-
-@inner
-def _is_below(a: IntArray, b: IntArray, x: int, y: int) -> bool:
-    """Test whether b lies below the line from a to (x, y).  Products in float64, as int64 would overflow."""
-    return bool(float(b[1] - a[1]) * float(x - a[0]) < float(y - a[1]) * float(b[0] - a[0]))
 
 
 @inner

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from imumon.blocks import NO_INT, ColumnArray, FloatArray, IntArray, SampleBlock, join, missing
+from imumon.blocks import NO_INT, ColumnArray, IntArray, SampleBlock, join, missing
 from imumon.columns import TEMPERATURES
 from imumon.protocols.base import Timing
 from imumon.protocols.epochs import Epochs
@@ -104,23 +104,19 @@ class HeldReadings:
         self._rows += len(main)
         for name in TEMPERATURES:
             having = [epochs for epochs in side.values() if name in epochs.block]
-            if having or name in self._latest:
-                values = np.concatenate([np.zeros(0), *(epochs.block[name] for epochs in having)])
-                at = np.concatenate([np.zeros(0, np.int64), *(epochs.until - first for epochs in having)])
-                main = self._with(main, name, values, at)
+            if not having and name not in self._latest:
+                continue
+            values = np.concatenate([np.zeros(0), *(epochs.block[name] for epochs in having)])
+            at = np.concatenate([np.zeros(0, np.int64), *(epochs.until - first for epochs in having)])
+            order = np.argsort(at, kind="stable")
+            order = order[np.isfinite(values[order])]
+            known = np.append(self._latest.get(name, np.nan), values[order])
+            held = known[np.searchsorted(at[order], np.arange(len(main)), side="right")]
+            self._latest[name] = float(known[-1])
+            if name in main:
+                held = np.where(np.isnan(main[name]), held, main[name])
+            main = main.with_columns({name: held})
         return main
-
-    def _with(self, main: SampleBlock, name: str, values: FloatArray, at: IntArray) -> SampleBlock:
-        """Return the rows with these readings held from row `at` of the block on, where there is none."""
-        there = np.isfinite(values)
-        values, at = values[there], at[there]
-        order = np.argsort(at, kind="stable")
-        known = np.concatenate([[self._latest.get(name, np.nan)], values[order]])
-        held = known[np.searchsorted(at[order], np.arange(len(main)), side="right")]
-        self._latest[name] = float(known[-1])
-        if name in main:
-            held = np.where(np.isnan(main[name]), held, main[name])
-        return main.with_columns({name: held})
 
 
 class SharedCounter:

@@ -27,8 +27,6 @@ LEVELS = {"WARN": logging.WARNING, "ERROR": logging.ERROR}
 NEWEST_NS = round(BATCH_S * 1e9)
 """With `latest`, a block has what arrived within so much time."""
 
-Taken = tuple[SampleBlock, Mapping[str, SampleBlock]]
-
 
 class Live:
     """Samples of a port with the estimates, as they come: iterate over it in a ``with`` statement.
@@ -55,7 +53,7 @@ class Live:
         self._ended = self._stopped = False
         self._last_ns: int | None = None
         """Arrival of the last row that was handed out."""
-        self._ready: SimpleQueue[Taken] = SimpleQueue()
+        self._ready: SimpleQueue[tuple[SampleBlock, Mapping[str, SampleBlock]]] = SimpleQueue()
         run.taken = lambda block, side: self._ready.put((block, side))
         run.open()
         run.begin([])
@@ -107,7 +105,7 @@ class Live:
         Raises LOST, SILENT or WRONG_BAUD when no row came for `timeout`.
         """
         while not self._ended:
-            time.sleep(self._until_batch())
+            time.sleep(max(self._next_batch - time.monotonic(), 0.0))  # none after a loop that was busy
             if (block := self._block()) is not None:
                 return block
         raise StopIteration
@@ -118,7 +116,7 @@ class Live:
     async def __anext__(self) -> SampleBlock:
         """Return the next samples, as `__next__`; nothing is lost when it is cancelled."""
         while not self._ended:
-            await asyncio.sleep(self._until_batch())
+            await asyncio.sleep(max(self._next_batch - time.monotonic(), 0.0))
             if (block := self._block()) is not None:
                 return block
         raise StopAsyncIteration
@@ -131,14 +129,18 @@ class Live:
     ) -> None:
         self.close()
 
-    def _until_batch(self) -> float:
-        """Return how long to wait for the next batch; a loop that was busy for so long waits no more."""
-        return max(self._next_batch - time.monotonic(), 0.0)
-
     def _block(self) -> SampleBlock | None:
         """Return what came, as users get it; None when no row did."""
         self._next_batch = time.monotonic() + BATCH_S
-        block, side = self._take()
+        processing = self._run.processing  # looked at first: what it hands on until its end is taken now
+        taken = [self._ready.get() for _ in range(self._ready.qsize())]
+        if not taken and not processing:
+            self._ended = True
+            if self._run.failure is not None:
+                raise self._run.failure
+        block = join([rows for rows, _ in taken])
+        streams = dict.fromkeys(stream for _, side in taken for stream in side)
+        side = {name: join([side[name] for _, side in taken if name in side]) for name in streams}
         if not len(block) and not side:
             self._raise_overdue()
             return None
@@ -168,18 +170,6 @@ class Live:
         framed = (now.bytes_in_packets - before.bytes_in_packets) / received
         never = nothing_decoded(self._settings, self._device, now)
         raise never or wrong_baud_error(self._settings, received / waited_s, framed)
-
-    def _take(self) -> Taken:
-        """Return at once what came since the last call; at the end of all, set `_ended`."""
-        processing = self._run.processing  # looked at first: what it hands on until its end is taken now
-        taken = [self._ready.get() for _ in range(self._ready.qsize())]
-        if not taken and not processing:
-            self._ended = True
-            if self._run.failure is not None:
-                raise self._run.failure
-        streams = dict.fromkeys(stream for _, side in taken for stream in side)
-        side = {name: join([side[name] for _, side in taken if name in side]) for name in streams}
-        return join([block for block, _ in taken]), side
 
 
 def open(
@@ -234,11 +224,15 @@ def open(
     known, setup = parse_device(text, source), setup or Setup()
     settings = known.port_settings(port, baudrate)
     warm_up(known, setup)
+
+    def report(level: str, line: str) -> None:
+        _log.log(LEVELS.get(level, logging.INFO), line)
+
     run: DecodedPort
     if folder is None:
-        run = DecodedPort(known, settings, pipeline_of(known, setup, stages), _logged)
+        run = DecodedPort(known, settings, pipeline_of(known, setup, stages), report)
     else:
-        run = LiveRun(known, text, settings, setup, folder, _logged, stages)
+        run = LiveRun(known, text, settings, setup, folder, report, stages)
     return Live(known, settings, run, timeout, latest)
 
 
@@ -248,7 +242,3 @@ def _newest(block: SampleBlock) -> SampleBlock:
         return block
     arrival_ns = block["arrival_time_ns"]
     return block.rows(int((arrival_ns <= arrival_ns[-1] - NEWEST_NS).sum()), len(block))
-
-
-def _logged(level: str, text: str) -> None:
-    _log.log(LEVELS.get(level, logging.INFO), text)

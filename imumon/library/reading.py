@@ -144,7 +144,9 @@ class _Run:
         self._source = source = open_source(where, None if device is None else str(device))
         if setup is None and source.session is not None:
             setup = recorded_setup(source.session)
-        needed = estimates and (bool(stages) or columns is None or not _sent(source).issuperset(columns))
+        possible = () if source.device is None else source.device.decoder().possible_columns
+        sent = {*TIME_COLUMNS, *(column.name for column in (*source.imported, *possible))}
+        needed = estimates and (bool(stages) or columns is None or not sent.issuperset(columns))
         self._pipeline = pipeline_of(source, setup, stages, (object,) if needed else ())
 
     def blocks(self) -> Iterator[tuple[SampleBlock, Mapping[str, SampleBlock]]]:
@@ -172,26 +174,21 @@ class _Run:
         if whole or not len(block) or (side and not self._clock):
             return block
         if not self._clock:
-            self._start(block)
+            self._clock = next((name for name in TIMES if name in block and block[name][0] != NO_INT), "")
+            if not self._clock:
+                what = "begin_s, end_s: the first row has neither host_time_ns nor device_time_ns"
+                raise bad_data(what, "read it whole")
+            self._first_ns = int(block[self._clock][0])
+            self._segment = int(block["segment"][0]) if "segment" in block else 0
         restarted = "segment" in block and (block["segment"] != self._segment).any()
         if restarted and self._clock == "device_time_ns":
-            raise bad_data(
-                "begin_s, end_s: the device restarted, and the recording has no times of arrival",
-                "read the recording whole, and select by the columns segment and device_time_ns",
-            )
+            what = "begin_s, end_s: the device restarted, and the recording has no times of arrival"
+            hint = "read the recording whole, and select by the columns segment and device_time_ns"
+            raise bad_data(what, hint)
         since_s = (block[self._clock] - self._first_ns) * 1e-9
         self._over = self._over or (not side and bool(since_s.min() >= self._end_s))
         wanted: BoolArray = (since_s >= self._begin_s) & (since_s < self._end_s)
         return SampleBlock({name: values[wanted] for name, values in block.columns.items()})
-
-    def _start(self, block: SampleBlock) -> None:
-        self._clock = next((name for name in TIMES if name in block and block[name][0] != NO_INT), "")
-        if not self._clock:
-            raise bad_data(
-                "begin_s, end_s: the first row has neither host_time_ns nor device_time_ns", "read it whole"
-            )
-        self._first_ns = int(block[self._clock][0])
-        self._segment = int(block["segment"][0]) if "segment" in block else 0
 
     def _chosen(self, block: SampleBlock) -> SampleBlock:
         """Return the columns that are wanted.
@@ -219,9 +216,8 @@ class _Run:
         self, block: SampleBlock, side: Mapping[str, Samples] | None = None, stream: str = MAIN
     ) -> Samples:
         """Return a block with unit and meaning of its columns, in the order of a table."""
-        known = self._pipeline.stream_columns(stream)
-        if stream == MAIN:
-            known = self._source.columns(self._pipeline)
+        is_main = stream == MAIN
+        known = self._source.columns(self._pipeline) if is_main else self._pipeline.stream_columns(stream)
         declared = {column.name: column for column in known}
         expected = {column.name for column in self._source.imported}
         if self._columns is not None:
@@ -242,10 +238,9 @@ def _table(path: Path, setup: Setup | None, columns: Sequence[str] | None) -> So
     Raises BAD_DATA for a table that imumon cannot read; BAD_CONFIG when a setup is given.
     """
     if setup is not None:
-        raise bad_config(
-            f"setup: {path} is a table, and the estimators, which a setup is for, do not run over one",
-            "leave setup out; imumon import makes a session of a table, and estimators run over that",
-        )
+        what = f"setup: {path} is a table, and the estimators, which a setup is for, do not run over one"
+        hint = "leave setup out; imumon import makes a session of a table, and estimators run over that"
+        raise bad_config(what, hint)
     if path.suffix in SUFFIXES:
         there = read_columns(path)
         chosen = there if columns is None else [name for name in (*columns, *TIME_COLUMNS) if name in there]
@@ -254,10 +249,9 @@ def _table(path: Path, setup: Setup | None, columns: Sequence[str] | None) -> So
         block, there = read_npz(path)
         items = iter([block])
     else:
-        raise bad_data(
-            f"{path}: of tables read takes {', '.join(SUFFIXES)} and .npz, not {path.suffix}",
-            "export the session to one of these, or read the session; a raw capture needs device=",
-        )
+        what = f"{path}: of tables read takes {', '.join(SUFFIXES)} and .npz, not {path.suffix}"
+        hint = "export the session to one of these, or read the session; a raw capture needs device="
+        raise bad_data(what, hint)
     if path.suffix == ".csv" and not units_path(path).is_file():
         _log.warning("%s: without %s known names have the units of imumon", path, units_path(path).name)
     if unknown := [name for name, column in there.items() if not column.unit]:
@@ -267,12 +261,6 @@ def _table(path: Path, setup: Setup | None, columns: Sequence[str] | None) -> So
             ", ".join(unknown),
         )
     return Source(path, items, None, None, tuple(there.values()))
-
-
-def _sent(source: Source) -> set[str]:
-    """Return the names of the columns that need no estimator."""
-    possible = () if source.device is None else source.device.decoder().possible_columns
-    return {*TIME_COLUMNS, *(column.name for column in (*source.imported, *possible))}
 
 
 def _joined(blocks: list[SampleBlock]) -> SampleBlock:

@@ -141,21 +141,18 @@ class Samples:
         """
         out = as_path("path", path)
         if out.suffix not in (*SUFFIXES, ".npz"):
-            raise bad_config(
-                f"{out}: a table cannot have the suffix {out.suffix!r}",
-                f"use {', '.join(SUFFIXES)} or .npz; imumon export writes other formats of a session",
-            )
+            what = f"{out}: a table cannot have the suffix {out.suffix!r}"
+            hint = f"use {', '.join(SUFFIXES)} or .npz; imumon export writes other formats of a session"
+            raise bad_config(what, hint)
         for stream, part in {MAIN: self, **self.side}.items():
-            part._write(out if stream == MAIN else side_path(out, stream))
-
-    def _write(self, out: Path) -> None:
-        if out.suffix == ".npz":
-            check_output(out, replace=True)
-            with replacing(out) as partial, partial.open("wb") as file:
-                write_npz(file, self._table.columns, self.columns)
-            return
-        with TableWriter(out, self.columns) as table:
-            table.write(self._table)
+            place = side_path(out, stream)
+            if out.suffix == ".npz":
+                check_output(place, replace=True)
+                with replacing(place) as partial, partial.open("wb") as file:
+                    write_npz(file, part._table.columns, part.columns)
+            else:
+                with TableWriter(place, part.columns) as table:
+                    table.write(part._table)
 
     def _time(self, name: str) -> Any:
         """Return a time column as NumPy's times, or None where it is absent or wholly missing."""

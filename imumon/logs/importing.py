@@ -37,10 +37,8 @@ def import_log(path: Path, sensor: str | None, out: Path) -> LogReport:
         table = Path(folder) / "log.parquet"
         text, dropped = log.write(table)
         if dropped == len(log.gyro.time_ns):
-            raise bad_data(
-                f"{path}: none of the {dropped:,} samples of {log.sensor} has a time",
-                "make a table of it (mavlogdump.py --format csv), and give --map MAP.yaml",
-            )
+            what = f"{path}: none of the {dropped:,} samples of {log.sensor} has a time"
+            raise bad_data(what, "make a table of it (mavlogdump.py --format csv), and give --map MAP.yaml")
         write_text(table.with_suffix(".yaml"), text)
         files = [one for one in path.iterdir() if one.is_file()] if path.is_dir() else [path]
         largest = max(files, key=lambda one: one.stat().st_size)  # whose fingerprint is kept, of a bag

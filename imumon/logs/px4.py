@@ -63,16 +63,13 @@ def read(path: Path, sensor: str | None = None) -> Log:
     gyro = named(found[name], [*"xyz", "temperature"], [*triple("gyro"), "temperature"])
     accel = Wanted(f"sensor_accel.{name.rpartition('.')[2]}", [*"xyz"], triple("accel"))
     mag = Wanted("sensor_mag.0", [*"xyz"], triple("mag"), logs.GAUSS_TO_TESLA)
-    joined = logs.beside(found, (accel, mag, _baro(found)), _time)
-    return Log(name, others, Series(_time(found[name]), gyro), joined, "FRD", SCALING, damage)
-
-
-def _baro(found: dict[str, Any]) -> Wanted:
-    """Return the barometer with the unit that it has: the log does not state it, and firmwares differ."""
+    # The log does not state the unit of the barometer, and firmwares differ.
     pressure = np.asarray(found.get("sensor_baro.0", {}).get("pressure", ()), np.float64)
     pressure = pressure[np.isfinite(pressure)]
-    old = len(pressure) > 0 and np.median(pressure) < LEAST_PASCAL
-    return Wanted("sensor_baro.0", ["pressure"], ["pressure"], MILLIBAR_TO_PASCAL if old else 1.0)
+    unit = MILLIBAR_TO_PASCAL if len(pressure) and np.median(pressure) < LEAST_PASCAL else 1.0
+    baro = Wanted("sensor_baro.0", ["pressure"], ["pressure"], unit)
+    joined = logs.beside(found, (accel, mag, baro), _time)
+    return Log(name, others, Series(_time(found[name]), gyro), joined, "FRD", SCALING, damage)
 
 
 def _mended(data: bytes) -> tuple[bytes, Damage]:

@@ -15,7 +15,7 @@ import numpy as np
 
 from imumon.errors import ImumonError, bad_data, missing_package
 from imumon.logs.log import Log, Series, pick, triple
-from imumon.recordings.wire_format import is_own
+from imumon.recordings.wire_reader import is_own
 
 SECOND_NS = 1_000_000_000
 SCALING = "the units that sensor_msgs/Imu defines; whether the driver keeps to them is not known"
@@ -43,14 +43,14 @@ def read(path: Path, sensor: str | None = None) -> Log:
             # What a sensor sent comes before what was made of it, such as rates without their bias.
             topics = sorted(found, key=lambda one: (one.removesuffix("_raw"), not one.endswith("_raw")))
             name, others = pick(path, topics, sensor)
-            (gyro, *beside), undated = _collect(bag, [name, *(_first(bag, kind) for kind in BESIDE)])
+            kinds = [[one.topic for one in bag.connections if one.msgtype == kind] for kind in BESIDE]
+            (gyro, *beside), undated = _collect(bag, [name, *(min(of) for of in kinds if of)])
     except ImumonError:
         raise
     except Exception as error:  # each format of a bag has errors of its own
-        raise bad_data(
-            f"{path}: cannot be read as a ROS bag: {str(error) or type(error).__name__}",
-            "if it was cut or damaged, mend it first: mcap recover, ros2 bag reindex or rosbag reindex",
-        ) from error
+        what = f"{path}: cannot be read as a ROS bag: {str(error) or type(error).__name__}"
+        hint = "if it was cut or damaged, mend it first: mcap recover, ros2 bag reindex or rosbag reindex"
+        raise bad_data(what, hint) from error
     received = (
         f"{name}: {undated[name]:,} of {len(gyro.time_ns):,} headers have no time: the time at which the"
         " recorder received them stands in, and its jitter and delay are not the sensor's"
@@ -83,13 +83,9 @@ BESIDE: dict[str, tuple[Callable[[Any], list[float]], list[str]]] = {
 TAKEN = {IMU: (_imu, [*triple("gyro"), *triple("accel"), "q_w", "q_x", "q_y", "q_z"]), **BESIDE}
 
 
-def _first(bag: Any, kind: str) -> str | None:
-    return min((one.topic for one in bag.connections if one.msgtype == kind), default=None)
-
-
-def _collect(bag: Any, topics: list[str | None]) -> tuple[list[Series], Counter[str]]:
+def _collect(bag: Any, topics: list[str]) -> tuple[list[Series], Counter[str]]:
     """Return the samples of topics, in their order, those that are there; and of each the undated ones."""
-    rows: dict[str, list[list[float]]] = {topic: [] for topic in topics if topic is not None}
+    rows: dict[str, list[list[float]]] = {topic: [] for topic in topics}
     times: dict[str, list[int]] = {topic: [] for topic in rows}
     kinds: dict[str, str] = {}
     undated: Counter[str] = Counter()

@@ -2,4 +2,4 @@
 
 from imumon.wing import Wing
 
-WING = Wing("publishing", live_output="imumon.publishing.options:PUBLISH")
+WING = Wing("publishing", live_output="imumon.publishing.options")

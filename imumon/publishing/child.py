@@ -14,7 +14,7 @@ from dataclasses import replace
 from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING
 
-from imumon.publishing.messages import Message, Published, Value, messages
+from imumon.publishing.messages import Published, Value, messages
 from imumon.publishing.publisher import Delivery
 from imumon.publishing.target import Target
 from imumon.view.fed import batches, serve
@@ -49,8 +49,15 @@ class UdpJson:
         """Send items; return how many datagrams the system did not take."""
         failed = burst = 0
         for message in messages(items, self._states):
-            datagram = _datagram(message)
-            failed += not self._put(datagram)
+            when = {} if message.time_ns is None else {"timestamp": message.time_ns * 1e-9}
+            values = {**when, message.topic: message.values}
+            datagram = json.dumps(values, ensure_ascii=False, separators=(",", ":")).encode()
+            try:
+                self._socket.sendto(datagram, self._to)
+                self.text = "sends"
+            except OSError as error:  # its buffer is full, or there is no way to the network at this moment
+                self.text = f"cannot send: {error.strerror}"
+                failed += 1
             burst += len(datagram)
             if burst > BURST_BYTES:
                 time.sleep(PAUSE_S)
@@ -60,21 +67,6 @@ class UdpJson:
     def close(self) -> None:
         """Close the socket; the system sends what it has taken."""
         self._socket.close()
-
-    def _put(self, datagram: bytes) -> bool:
-        try:
-            self._socket.sendto(datagram, self._to)
-        except OSError as error:  # its buffer is full, or there is no way to the network at this moment
-            self.text = f"cannot send: {error.strerror}"
-            return False
-        self.text = "sends"
-        return True
-
-
-def _datagram(message: Message) -> bytes:
-    when = {} if message.time_ns is None else {"timestamp": message.time_ns * 1e-9}
-    values = {**when, message.topic: message.values}
-    return json.dumps(values, ensure_ascii=False, separators=(",", ":")).encode()
 
 
 def make_outlet(target: Target, setup: ViewSetup) -> UdpJson | Foxglove | Ros2:

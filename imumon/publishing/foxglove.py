@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import foxglove
 from foxglove.channels import LogChannel
@@ -43,7 +42,7 @@ class Foxglove:
             raise ImumonError(Reason.BUSY, f"cannot serve {target}: {error}", "give another port") from error
         host = f"[{target.host}]" if ":" in target.host else target.host
         self._url = f"ws://{host}:{self._server.port}"
-        self._channels = {STATE: self._channel(STATE, {})}
+        self._channels = {STATE: self._channel(STATE, set())}
         self._columns: dict[str, set[str]] = {}
         self._log = LogChannel("/log", context=self._context)
 
@@ -78,19 +77,16 @@ class Foxglove:
             self._columns[topic] = columns | known
             if topic in self._channels:
                 self._channels[topic].close()
-            self._channels[topic] = self._channel(topic, self._described(self._columns[topic]))
+            self._channels[topic] = self._channel(topic, self._columns[topic])
         return bool(self._channels[topic].has_sinks())
 
-    def _described(self, columns: set[str]) -> dict[str, Any]:
-        """Return the properties of a JSON schema: unit and meaning of each column."""
-        found = {}
+    def _channel(self, topic: str, columns: set[str]) -> foxglove.Channel:
+        """Return a channel whose schema has unit and meaning of each column."""
+        properties = {}
         for name in sorted(columns):
             known = KNOWN.get(name, Column(name, "1"))
             texts = (self._units.get(name) or known.unit, known.description)
-            found[name] = {"type": "number", "description": ": ".join(filter(None, texts))}
-        return found
-
-    def _channel(self, topic: str, properties: Mapping[str, Any]) -> foxglove.Channel:
+            properties[name] = {"type": "number", "description": ": ".join(filter(None, texts))}
         schema = {"type": "object", "title": f"imumon.{topic}", "properties": properties}
         return foxglove.Channel(f"/{topic}", schema=schema, context=self._context)
 

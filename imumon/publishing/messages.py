@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from imumon.blocks import NO_INT, BoolArray, ColumnArray
+from imumon.blocks import NO_INT
 from imumon.protocols.base import MAIN
 from imumon.view.items import Log, Samples, State
 
@@ -59,14 +59,9 @@ def _rows(item: Samples) -> Iterator[Message]:
     if item.first is not None:
         columns["sample"] = [*range(item.first, item.first + item.rows)]
     for name, values in item.block.columns.items():
-        listed = values.astype(object)
-        listed[~_known(values)] = None
-        columns[name] = listed.tolist()
+        known = np.isfinite(values) if values.dtype == np.float64 else values != NO_INT
+        columns[name] = np.where(known, values.astype(object), np.array(None)).tolist()
     for row in zip(*columns.values(), strict=True):
-        known = {name: value for name, value in zip(columns, row, strict=True) if value is not None}
-        times = (int(known[clock]) for clock in CLOCKS if clock in known)
-        yield Message(topic_of(item), next(times, None), known)
-
-
-def _known(values: ColumnArray) -> BoolArray:
-    return np.asarray(np.isfinite(values) if values.dtype == np.float64 else values != NO_INT)
+        there = {name: value for name, value in zip(columns, row, strict=True) if value is not None}
+        times = (int(there[clock]) for clock in CLOCKS if clock in there)
+        yield Message(topic_of(item), next(times, None), there)

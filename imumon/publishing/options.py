@@ -1,4 +1,4 @@
-"""The option --publish: live samples for other programs."""
+"""The option `--publish` of `imumon monitor`: live samples for other programs."""
 
 from __future__ import annotations
 
@@ -14,36 +14,28 @@ if TYPE_CHECKING:
     from imumon.publishing.target import Target
     from imumon.view.items import ViewSetup
 
-
-class _Publish:
-    """The option `--publish` of `imumon monitor`."""
-
-    name = "publish"
-    option = staticmethod(
-        click.option(
-            "--publish",
-            multiple=True,
-            metavar="KIND[=HOST:PORT]",
-            help="Send the samples, too: udp-json, foxglove or ros2; without an address to this computer"
-            " alone.",
-        )
-    )
-
-    def parse(self, given: Sequence[str]) -> list[Target]:
-        """Return the targets of --publish; report those beyond this computer."""
-        if not given:
-            return []
-        from imumon.publishing.target import parse_target
-
-        targets = [parse_target(text) for text in given]
-        warn(target.warning for target in targets if target.warning is not None)
-        return targets
-
-    def start(self, parsed: Sequence[Target], setup: ViewSetup) -> Publishers:
-        """Begin to send to them."""
-        from imumon.publishing.publisher import Publisher, Publishers
-
-        return Publishers([Publisher(target, setup).start() for target in parsed])
+name = "publish"
+option = click.option(
+    "--publish",
+    multiple=True,
+    metavar="KIND[=HOST:PORT]",
+    help="Send the samples, too: udp-json, foxglove or ros2; without an address to this computer alone.",
+)
 
 
-PUBLISH = _Publish()
+def parse(given: Sequence[str]) -> list[Target]:
+    """Return the targets of --publish; report those beyond this computer."""
+    if not given:
+        return []
+    from imumon.publishing.target import parse_target
+
+    targets = [parse_target(text) for text in given]
+    warn(target.warning for target in targets if target.warning is not None)
+    return targets
+
+
+def start(parsed: Sequence[Target], setup: ViewSetup) -> Publishers:
+    """Begin to send to them."""
+    from imumon.publishing.publisher import Publisher, Publishers
+
+    return Publishers([Publisher(target, setup).start() for target in parsed])

@@ -49,7 +49,11 @@ class Ros2:
         failed = 0
         for item in items:
             if isinstance(item, Samples):
-                stream = self._stream(item)
+                name = topic_of(item)
+                if (stream := self._streams.get(name)) is None:
+                    clock = next((one for one in CLOCKS if one in item.block), "")
+                    stream = Stream(name, self._setup.units, clock, self._setup.z_down)
+                    self._streams[name] = stream
                 stream.learn(item.block)
                 for topic, kind, _, message in stream.messages(item.block):
                     failed += not self._publish(topic, kind, message)
@@ -59,13 +63,6 @@ class Ros2:
         """End the node."""
         self._node.destroy_node()
         self._ros.shutdown()
-
-    def _stream(self, item: Samples) -> Stream:
-        name = topic_of(item)
-        if name not in self._streams:
-            clock = next((one for one in CLOCKS if one in item.block), "")
-            self._streams[name] = Stream(name, self._setup.units, clock, self._setup.z_down)
-        return self._streams[name]
 
     def _publish(self, topic: str, kind: str, values: Message) -> bool:
         if topic not in self._publishers:

@@ -56,26 +56,25 @@ def parse_target(text: str) -> Target:
     kind = next((one for one in PORTS if one == name), None)
     if kind is None:
         raise bad_config(f"--publish {text}: there is no {name!r}", f"one of: {', '.join(PORTS)}")
-    _need_packages(kind)
-    if kind == "ros2":
-        if address not in ("", NETWORK):
-            raise bad_config(
-                f"--publish {text}: ROS 2 takes no address",
-                f"ros2 for this computer alone, ros2={NETWORK} for as far as ROS is set up to reach",
-            )
-        return Target(kind, NETWORK if address else LOCALHOST)
-    host, port = _split(text, address, PORTS[kind])
-    return Target(kind, _resolved(text, host), port)
-
-
-def _need_packages(kind: Kind) -> None:
     if kind == "foxglove" and importlib.util.find_spec("foxglove") is None:
         raise missing_package("--publish foxglove", "foxglove-sdk", "foxglove")
-    if kind == "ros2" and importlib.util.find_spec("rclpy") is None:
-        raise bad_config(
-            "--publish ros2 needs rclpy, which comes with ROS 2 and with no package index",
-            "source /opt/ros/DISTRO/setup.bash, then start imumon with the Python that ROS was built for",
-        )
+    if kind == "ros2":
+        if importlib.util.find_spec("rclpy") is None:
+            raise bad_config(
+                "--publish ros2 needs rclpy, which comes with ROS 2 and with no package index",
+                "source /opt/ros/DISTRO/setup.bash, then start imumon with the Python that ROS was built for",
+            )
+        if address not in ("", NETWORK):
+            what = f"--publish {text}: ROS 2 takes no address"
+            hint = f"ros2 for this computer alone, ros2={NETWORK} for as far as ROS is set up to reach"
+            raise bad_config(what, hint)
+        return Target(kind, NETWORK if address else LOCALHOST)
+    host, port = _split(text, address, PORTS[kind])
+    try:  # once: a name server must not be waited for later on
+        found = socket.getaddrinfo(host, None, type=socket.SOCK_DGRAM)
+    except (OSError, UnicodeError) as error:
+        raise bad_config(f"--publish {text}: the host {host!r} is not known", "give its address") from error
+    return Target(kind, str(found[0][4][0]).partition("%")[0], port)
 
 
 def _split(text: str, address: str, port: int) -> tuple[str, int]:
@@ -89,12 +88,3 @@ def _split(text: str, address: str, port: int) -> tuple[str, int]:
     if not (number.isascii() and number.isdigit() and 0 < int(number) <= _HIGHEST_PORT):
         raise bad_config(f"--publish {text}: the port is {number!r}", "HOST:PORT, with 1 to 65535")
     return host or LOCALHOST, int(number)
-
-
-def _resolved(text: str, host: str) -> str:
-    """Return the address of a host, once: a name server must not be waited for later on."""
-    try:
-        found = socket.getaddrinfo(host, None, type=socket.SOCK_DGRAM)
-    except (OSError, UnicodeError) as error:
-        raise bad_config(f"--publish {text}: the host {host!r} is not known", "give its address") from error
-    return str(found[0][4][0]).partition("%")[0]

@@ -45,8 +45,8 @@ class Exported:
 
 
 def side_path(out: Path, stream: str) -> Path:
-    """Return where the table of a side stream goes: NAME.gnss.parquet beside NAME.parquet."""
-    return out.with_name(f"{out.stem}.{stream}{out.suffix}")
+    """Return where the table of a stream goes: of a side stream NAME.gnss.parquet beside NAME.parquet."""
+    return out if stream == MAIN else out.with_name(f"{out.stem}.{stream}{out.suffix}")
 
 
 def export_run(
@@ -74,8 +74,7 @@ def export_run(
         table = Path(folder) / f"{out.stem}.parquet"
         also = CLOCKS if out.suffix == ".mcap" else ()
         made = _tables(blocks, pipeline, source, table, columns, also)
-        names = {stream: out if stream == MAIN else side_path(out, stream) for stream in made.tables}
-        written = {stream: Path(folder) / path.name for stream, path in names.items()}
+        written = {stream: Path(folder) / side_path(out, stream).name for stream in made.tables}
         files, left_out = convert(made.tables, written, source.axes)
         for path in dict.fromkeys(files.values()):
             path.replace(target(out.with_name(path.name)))
@@ -101,7 +100,11 @@ def _tables(
                 known = source.columns(pipeline) if stream == MAIN else pipeline.stream_columns(stream)
                 if stream == MAIN:
                     there |= dict.fromkeys(rows.columns)
-                    rows, known = _chosen(rows, known, None if columns is None else [*also, *columns])
+                    if columns is not None:
+                        wanted = {name: at for at, name in enumerate(dict.fromkeys([*also, *columns]))}
+                        rows = SampleBlock({name: rows[name] for name in wanted if name in rows})
+                        known = [column for column in known if column.name in wanted]
+                        known.sort(key=lambda column: wanted[column.name])
                 if stream not in written:
                     writer = main if stream == MAIN else TableWriter(side_path(out, stream), {})
                     written[stream] = stack.enter_context(writer)
@@ -115,17 +118,6 @@ def _tables(
             raise bad_data("there are no samples, so there is no table to write")
     order = sorted(written, key=lambda stream: stream != MAIN)
     return Exported(main.rows, {stream: written[stream].path for stream in order})
-
-
-def _chosen(
-    rows: SampleBlock, known: list[Column], wanted: Sequence[str] | None
-) -> tuple[SampleBlock, list[Column]]:
-    """Return the columns of rows that are wanted, and what may come of them, in the order of the table."""
-    if wanted is None:
-        return rows, known
-    of = {column.name: column for column in known}
-    names = dict.fromkeys(wanted)
-    return SampleBlock({n: rows[n] for n in names if n in rows}), [of[n] for n in names if n in of]
 
 
 def convert(
@@ -174,9 +166,8 @@ def read_npz(path: Path) -> tuple[SampleBlock, dict[str, Column]]:
             description = KNOWN[name].description if name in KNOWN else ""
             columns[name] = Column(name, units[name], dtype, description)
     except (OSError, ValueError, TypeError, KeyError, EOFError, BadZipFile) as error:
-        raise bad_data(
-            f"{path}: cannot be read as a table of imumon: {error}", "imumon export writes one"
-        ) from error
+        what = f"{path}: cannot be read as a table of imumon: {error}"
+        raise bad_data(what, "imumon export writes one") from error
     return block, columns
 
 

@@ -32,6 +32,8 @@ SAMPLES_NAME = "samples.parquet"
 VIEW_NAME = "view.rrd"
 TRUTH_NAME = "truth.parquet"
 DEFAULT_PARENT = Path("sessions")
+SHOWN_NAMES = 5
+"""Files of a folder that an error names."""
 
 State = Literal["closed", "interrupted"]
 FORMAT: Final = "imumon-session/1"
@@ -205,9 +207,8 @@ def create_session(path: Path, metadata: SessionMetadata) -> Session:
         raise
     except OSError as error:
         remove_empty(session)
-        raise bad_config(
-            f"the session {path} cannot be made: {error.strerror}", "give another folder"
-        ) from error
+        what = f"the session {path} cannot be made: {error.strerror}"
+        raise bad_config(what, "give another folder") from error
     return session
 
 
@@ -237,11 +238,8 @@ def refuse_existing(path: Path) -> None:
         raise ImumonError(Reason.EXISTS, f"{path} is a file, not a folder", "give another folder")
     parts = [name for name in (METADATA_NAME, WIRE_NAME, SAMPLES_NAME, VIEW_NAME) if (path / name).exists()]
     if parts:
-        raise ImumonError(
-            Reason.EXISTS,
-            f"{path} holds a session already ({', '.join(parts)})",
-            "nothing was overwritten; give another folder",
-        )
+        what = f"{path} holds a session already ({', '.join(parts)})"
+        raise ImumonError(Reason.EXISTS, what, "nothing was overwritten; give another folder")
 
 
 def remove_empty(session: Session) -> None:
@@ -267,34 +265,37 @@ def open_session(path: Path) -> Session:
     """
     folder = _folder(path)
     if not (folder / METADATA_NAME).is_file():
-        seen = f"{path} is not a session: {_what_is_at(folder)}"
-        raise bad_data(seen, _advice(folder) or _HINT)
+        there = f"the folder has no {METADATA_NAME}; it is empty"
+        if not folder.is_dir():
+            size = folder.stat().st_size if folder.exists() else None
+            there = "there is no such file or folder" if size is None else f"it is a file of {size} bytes"
+        elif names := sorted(entry.name for entry in folder.iterdir()):
+            more = ", ..." if len(names) > SHOWN_NAMES else ""
+            there = f"the folder has no {METADATA_NAME}; it has {', '.join(names[:SHOWN_NAMES])}{more}"
+        raise bad_data(f"{path} is not a session: {there}", _advice(folder) or _HINT)
     try:
         session = Session(folder, read_metadata(folder / METADATA_NAME))
     except ImumonError as error:
         raise ImumonError(error.reason, error.seen, _advice(folder) or error.hint) from error
     if not session.truth_path.is_file():
-        raise bad_data(
-            f"{path}: the data of this session is missing: there is no file {session.truth_path.name}"
-        )
+        lacking = f"there is no file {session.truth_path.name}"
+        raise bad_data(f"{path}: the data of this session is missing: {lacking}")
     return session
 
 
 def lost_metadata(path: Path) -> Path | None:
     """Return the wire file whose session.yaml is missing, or is damaged so that no version reads it."""
     wire, metadata = _folder(path) / WIRE_NAME, _folder(path) / METADATA_NAME
-    if not wire.is_file():
-        return None
-    try:
-        read_metadata(metadata)
-    except ImumonError:
-        content = b""
-        if metadata.is_file():
-            with readable(metadata):
-                content = metadata.read_bytes()
-        stated = re.search(rb"^format: imumon-session/(\S+)", content, re.MULTILINE)
-        return None if stated is not None and stated[1] != FORMAT.rpartition("/")[2].encode() else wire
-    return None
+    content = b""
+    if wire.is_file() and metadata.is_file():
+        with suppress(ImumonError):
+            read_metadata(metadata)
+            return None
+        with readable(metadata):
+            content = metadata.read_bytes()
+    stated = re.search(rb"^format: imumon-session/(\S+)", content, re.MULTILINE)
+    is_other = stated is not None and stated[1] != FORMAT.rpartition("/")[2].encode()
+    return None if is_other or not wire.is_file() else wire
 
 
 def name_unit(path: Path, serial: str | None) -> None:
@@ -340,12 +341,3 @@ def _advice(folder: Path) -> str:
     if not (folder / METADATA_NAME).is_file() and (folder / SAMPLES_NAME).is_file():
         return f"its samples are there, and can be read as a table: {folder / SAMPLES_NAME}"
     return ""
-
-
-def _what_is_at(path: Path) -> str:
-    if not path.is_dir():
-        size = path.stat().st_size if path.exists() else None
-        return "there is no such file or folder" if size is None else f"it is a file of {size} bytes"
-    names = sorted(entry.name for entry in path.iterdir())
-    there = f"it has {', '.join(names[:5])}" if names else "it is empty"
-    return f"the folder has no {METADATA_NAME}; {there}{', ...' if len(names) > 5 else ''}"

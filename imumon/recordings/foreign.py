@@ -178,10 +178,8 @@ def _encoding(path: Path, head: bytes) -> str:
         return "utf-16"
     control = sum(byte < 0x20 and byte not in b"\t\n\r\f\x1b" for byte in head)
     if control > CONTROL_SHARE * len(head):
-        raise bad_data(
-            f"{path}: is neither text nor Parquet: {control} of its first {len(head)} bytes are controls",
-            "a raw capture is decoded with: imumon decode FILE --device NAME",
-        )
+        what = f"{path}: is neither text nor Parquet: {control} of its first {len(head)} bytes are controls"
+        raise bad_data(what, "a raw capture is decoded with: imumon decode FILE --device NAME")
     return "utf-8-sig"
 
 

@@ -40,6 +40,11 @@ _BAD_ROWS = (
     ' and comments with csv: {comment: "#"}, read decimal commas with csv: {decimal: ","},'
     " or add bad_rows: drop to the map to import the others"
 )
+_WENT_BACK = (
+    "if the device or the log started anew there, add backwards: segment to time in the map;"
+    " local time goes back where daylight saving ends: write UTC, or the zone (+01:00)"
+)
+_STAYED = "if the rows are evenly spaced, give rate_hz: ... in place of time"
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,7 +153,11 @@ class TableImport:
             self._rows_bad += len(part.bad)
             self._listed += part.bad[: LISTED - len(self._listed)]
             if not (self._listed and strict):
-                yield self._block(part)
+                time_ns, segments = self._dated(part)
+                columns: dict[str, ColumnArray] = {"device_time_ns": time_ns, "segment": segments}
+                for source, values in zip(self.map.sources(), part.values, strict=True):
+                    columns[source.target] = source.unit.convert(values)
+                yield SampleBlock(columns)
         if self._listed and strict:
             shown = [f"{self.table}:{row.line}: {row.why}: {row.text!r}" for row in self._listed]
             if self._rows_bad > len(shown):
@@ -158,13 +167,6 @@ class TableImport:
             raise bad_data("\n".join([seen, *shown]), _BAD_ROWS)
         if not self._rows_good:
             raise bad_data(f"{self.table}: none of its {self._rows_bad} rows can be taken")
-
-    def _block(self, part: Part) -> SampleBlock:
-        time_ns, segments = self._dated(part)
-        columns: dict[str, ColumnArray] = {"device_time_ns": time_ns, "segment": segments}
-        for source, values in zip(self.map.sources(), part.values, strict=True):
-            columns[source.target] = source.unit.convert(values)
-        return SampleBlock(columns)
 
     def report(self) -> ImportReport:
         """Return what became of the table, once its blocks were read."""
@@ -204,19 +206,21 @@ class TableImport:
         try:
             times = self._times(part)
         except OverflowError:
-            raise bad_data(
-                f"{self.table}: its times are beyond the 292 years that a time in ns can hold",
-                "check rate_hz, or wraps_at and the unit of time, in the map",
-            ) from None
+            what = f"{self.table}: its times are beyond the 292 years that a time in ns can hold"
+            raise bad_data(what, "check rate_hz, or wraps_at and the unit of time, in the map") from None
         if not len(times):
             return times, times
         may_go_back = self.map.time is not None and self.map.time.backwards == "segment"
         before_ns, before_line = self._last or (int(times[0]) - 1, 0)
         steps = np.diff(times, prepend=before_ns)
         back = steps < 0
-        for at in np.flatnonzero((steps == 0) | (back & (not may_go_back))).tolist():
-            line = before_line if at == 0 else int(part.line[at - 1])
-            raise self._time_error(int(times[at]), int(steps[at]), int(part.line[at]), line)
+        if (wrong := (steps == 0) | (back & (not may_go_back))).any():
+            at = int(np.argmax(wrong))
+            line, line_before = int(part.line[at]), int(part.line[at - 1]) if at else before_line
+            after_s, before_s = int(times[at]) * 1e-9, int(times[at] - steps[at]) * 1e-9
+            verb, hint = ("is before", _WENT_BACK) if steps[at] else ("is the same as", _STAYED)
+            what = f"time {after_s:.9f} s {verb} {before_s:.9f} s of line {line_before}"
+            raise bad_data(f"{self.table}:{line}: {what}", hint)
         segments = self._segment + np.cumsum(back)
         self._span_ns += sum(steps[~back].tolist()) - (self._last is None)
         self._intervals.add(times, segments)
@@ -238,15 +242,3 @@ class TableImport:
             self._counted = counted
             times.append(counted + round(self._wraps * wrap_ns))
         return np.array(times, np.int64)
-
-    def _time_error(self, time_ns: int, step_ns: int, line: int, line_before: int) -> ImumonError:
-        verb, hint = (
-            "is before",
-            "if the device or the log started anew there, add backwards: segment to time in the map;"
-            " local time goes back where daylight saving ends: write UTC, or the zone (+01:00)",
-        )
-        if not step_ns:
-            verb, hint = "is the same as", "if the rows are evenly spaced, give rate_hz: ... in place of time"
-        after_s, before_s = time_ns * 1e-9, (time_ns - step_ns) * 1e-9
-        seen = f"{self.table}:{line}: time {after_s:.9f} s {verb} {before_s:.9f} s of line {line_before}"
-        return bad_data(seen, hint)

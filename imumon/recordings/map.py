@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from fractions import Fraction
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import (
     AfterValidator,
@@ -94,8 +93,7 @@ class TimeColumn(StrictModel):
         return self
 
 
-@dataclass(frozen=True, slots=True)
-class Source:
+class Source(NamedTuple):
     """A column of the table and the canonical column that it becomes."""
 
     column: str
@@ -136,18 +134,14 @@ def _sources(quantity: str, group: Group) -> list[Source]:
     if len(group.columns) not in targets:
         counts = " or ".join(map(str, targets))
         raise ValueError(f"expected {counts} columns, got {len(group.columns)}")
-    return [
-        Source(column, target, _unit_of(target, group.unit))
-        for column, target in zip(group.columns, targets[len(group.columns)], strict=True)
-    ]
-
-
-def _unit_of(target: str, given: str) -> Unit:
-    """Return the unit as one of a canonical column; arbitrary units of a field stay arbitrary."""
-    unit = "1" if given == "1" and target.startswith("mag_") else KNOWN[target].unit
-    if unit == "1" != given:
-        raise ValueError(f"a quaternion has unit 1, got {given!r}")
-    return parse_unit(given, unit)
+    found = []
+    for column, target in zip(group.columns, targets[len(group.columns)], strict=True):
+        # Arbitrary units of a field stay arbitrary.
+        unit = "1" if group.unit == "1" and quantity == "mag" else KNOWN[target].unit
+        if unit == "1" != group.unit:
+            raise ValueError(f"a quaternion has unit 1, got {group.unit!r}")
+        found.append(Source(column, target, parse_unit(group.unit, unit)))
+    return found
 
 
 RESERVED = (*KNOWN, "accel", "gyro", "vibration", "at_rest")

@@ -114,10 +114,9 @@ def _open(path: Path, map_path: Path | None) -> Source:
     if path.suffix not in SUFFIXES:
         if lost_metadata(path) is not None:
             open_session(path)  # raises, with what to do
-        raise bad_data(
-            f"{path} is neither a session nor a table ({', '.join(SUFFIXES)})",
-            "a raw capture becomes a table first: imumon decode FILE --device NAME --out TABLE.parquet",
-        )
+        what = f"{path} is neither a session nor a table ({', '.join(SUFFIXES)})"
+        hint = "a raw capture becomes a table first: imumon decode FILE --device NAME --out TABLE.parquet"
+        raise bad_data(what, hint)
     columns = read_columns(path)
     if "device_time_ns" not in columns:
         seen = f"{path}: has no column device_time_ns, so it is no table of imumon"

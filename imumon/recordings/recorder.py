@@ -84,7 +84,11 @@ class Recorder:
         stopped = False
         while not stopped:
             self._stopping.wait(FLUSH_PERIOD_S)  # slept through: to be woken by each read costs more than it
-            stopped = self._take()
+            items = [self._items.get_nowait() for _ in range(self._items.qsize())]
+            for item in items:
+                if item is not None:
+                    self._writer.write(item)
+            stopped = None in items
             self._try(self._writer.flush, _WRITING)
             gone = self._writer.has_vanished
             self._report(_GONE, f"{_GONE}: what it held is lost; a new file is begun" if gone else None)
@@ -103,15 +107,6 @@ class Recorder:
                 self._next_save = time.monotonic() + SAVE_PERIOD_S
                 self._try(self._save, "the session's metadata cannot be written")
 
-    def _take(self) -> bool:
-        """Write what has come; return True at the end of the queue."""
-        for _ in range(self._items.qsize()):
-            item = self._items.get_nowait()
-            if item is None:
-                return True
-            self._writer.write(item)
-        return False
-
     def _try(self, action: Callable[[], None], what: str) -> None:
         try:
             action()
@@ -124,13 +119,10 @@ class Recorder:
     def _report(self, what: str, problem: str | None) -> None:
         """Note how one kind of work goes, and report when it begins to fail, or all works again."""
         with self._lock:
-            if problem == self._problems.get(what):
-                return
+            before = self._problems.pop(what, None)
             if problem is not None:
                 self._problems[what] = problem
-            else:
-                del self._problems[what]
-            if problem is not None or not self._problems:
+            if problem != before and (problem is not None or not self._problems):
                 self._on_problem(problem)
 
 

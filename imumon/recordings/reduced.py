@@ -8,7 +8,7 @@ from typing import Self
 
 import numpy as np
 
-from imumon.blocks import BoolArray, ColumnArray, FloatArray, IntArray, SampleBlock
+from imumon.blocks import BoolArray, FloatArray, IntArray, SampleBlock
 from imumon.filters.slots import SlotGatherer, Slots
 
 AXES = "xyz"
@@ -115,7 +115,27 @@ def reduce(blocks: Iterable[SampleBlock], names: Sequence[str], slot_s: float) -
     """
     gatherer = gatherer_of(names, slot_s)
     parts = [part for block in blocks for part in kept_slots(gatherer, block, names)]
-    return _gathered([*parts, KeptSlots.of(gatherer.finish())], tuple(names), slot_s, gatherer.length_ns)
+    parts.append(KeptSlots.of(gatherer.finish()))
+    kept = KeptSlots(*(np.concatenate([getattr(part, name) for part in parts]) for name in KEPT))
+    run = np.cumsum(kept.begins) - 1
+    origin = kept.start_ns[kept.begins][run]
+    number = (kept.start_ns - origin) // gatherer.length_ns
+    with np.errstate(invalid="ignore", divide="ignore"):
+        unbiased = np.where(kept.count > 1, kept.variance * kept.count / (kept.count - 1), np.nan)
+    return Reduced(
+        names=tuple(names),
+        slot_s=slot_s,
+        run=run,
+        number=number,
+        segment=kept.segment,
+        start_ns=origin + number * gatherer.length_ns,
+        span_s=np.asarray((kept.end_ns - kept.start_ns) * 1e-9),
+        rest_share=kept.mean[:, -1],
+        count=kept.count[:, :-1],
+        mean=kept.mean[:, :-1],
+        variance=unbiased[:, :-1],
+        smallest=kept.smallest[:, :-1],
+    )
 
 
 def gatherer_of(names: Sequence[str], slot_s: float) -> SlotGatherer:
@@ -131,18 +151,13 @@ def kept_slots(gatherer: SlotGatherer, block: SampleBlock, names: Sequence[str])
     """
     for start in range(0, len(block), PIECE):
         piece = block.rows(start, start + PIECE)
-        slots = gatherer.process(piece["device_time_ns"], piece["segment"], _values(piece, names))
-        yield KeptSlots.of(slots)
-
-
-def _values(block: SampleBlock, names: Sequence[str]) -> FloatArray:
-    values = np.full((len(block), len(names) + 1), np.nan)
-    for j, name in enumerate(names):
-        if name in block:
-            values[:, j] = block[name]
-    if "at_rest" in block:
-        values[:, -1] = block["at_rest"] == 1
-    return values
+        values = np.full((len(piece), len(names) + 1), np.nan)
+        for j, name in enumerate(names):
+            if name in piece:
+                values[:, j] = piece[name]
+        if "at_rest" in piece:
+            values[:, -1] = piece["at_rest"] == 1
+        yield KeptSlots.of(gatherer.process(piece["device_time_ns"], piece["segment"], values))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -161,37 +176,13 @@ class KeptSlots:
     @classmethod
     def of(cls, slots: Slots) -> Self:
         """Return what is kept, without the memory of the rest."""
-        return cls(*(getattr(slots, field.name).copy() for field in fields(cls)))
+        return cls(*(getattr(slots, name).copy() for name in KEPT))
 
     def __len__(self) -> int:
         return len(self.begins)
 
     def __getitem__(self, which: slice) -> Self:
-        return type(self)(*(getattr(self, field.name)[which] for field in fields(self)))
+        return type(self)(*(getattr(self, name)[which] for name in KEPT))
 
 
-def _gathered(parts: list[KeptSlots], names: tuple[str, ...], slot_s: float, length_ns: int) -> Reduced:
-    def joined(name: str) -> ColumnArray:
-        return np.concatenate([getattr(part, name) for part in parts])
-
-    begins, first_ns, count = joined("begins"), joined("start_ns"), joined("count")
-    mean, variance = joined("mean"), joined("variance")
-    run = np.cumsum(begins) - 1
-    origin = first_ns[begins][run]
-    number = (first_ns - origin) // length_ns
-    with np.errstate(invalid="ignore", divide="ignore"):
-        unbiased = np.where(count > 1, variance * count / (count - 1), np.nan)
-    return Reduced(
-        names=names,
-        slot_s=slot_s,
-        run=run,
-        number=number,
-        segment=joined("segment"),
-        start_ns=origin + number * length_ns,
-        span_s=(joined("end_ns") - first_ns) * 1e-9,
-        rest_share=mean[:, -1],
-        count=count[:, :-1],
-        mean=mean[:, :-1],
-        variance=unbiased[:, :-1],
-        smallest=joined("smallest")[:, :-1],
-    )
+KEPT = tuple(field.name for field in fields(KeptSlots))

@@ -17,8 +17,7 @@ from imumon.protocols.ranges import Ranges, declared
 from imumon.recordings.folder import METADATA_NAME, Session, begun_of, is_session, iso_utc, open_session
 from imumon.recordings.importing import TableImport
 from imumon.recordings.table import SUFFIXES, iterate_samples, read_columns
-from imumon.recordings.wire_format import is_wire
-from imumon.recordings.wire_reader import Place, WireReader, WireSummary
+from imumon.recordings.wire_reader import Place, WireReader, WireSummary, is_wire
 from imumon.transport.reader import Bytes, EventKind, Item, Reads
 
 READ_SIZE = 1 << 16
@@ -87,39 +86,35 @@ class Source:
 
     def lacks(self, summary: WireSummary) -> list[str]:
         """Return what a wire file and its session lack, one sentence each, by what was found in the file."""
-        name, texts = self.path.name if self.session is None else self.session.wire_path.name, list[str]()
-        if self.session is not None and self.session.state == "interrupted":
-            texts.append("the session was not closed: it is still being recorded, or was interrupted")
-        missing = 0 if self.session is None else bytes_missing(self.session, summary)
-        if missing:
-            sent = summary.bytes + summary.bytes_unrecorded + missing
-            texts.append(
-                f"{missing:,} bytes are not in {name}, of the {sent:,} that had come from the device as"
-                f" {METADATA_NAME} states"
-            )
-        elif self.session is not None and self.session.state == "closed" and not summary.complete:
-            texts.append(f"the end of {name} is missing, though the session was closed")
-        if summary.tail_bytes:
-            texts.append(f"{summary.tail_bytes:,} bytes at the end of {name} are not a whole block")
-        if summary.bytes_unrecorded:
-            texts.append(
-                f"{summary.bytes_unrecorded:,} bytes could not be recorded at the time, or were lost since"
-            )
-        damage = summary.damage
-        if damage.places:
-            is_damaged = damage.places > summary.recovered.places
-            verb = "is damaged" if is_damaged else "was damaged, before it was recovered,"
-            count = f"{damage.places:,} place{'s' if damage.places > 1 else ''}"
-            texts.append(
-                f"{name} {verb} in {count}, {damage.seconds:.3f} s in all: {damage.messages:,} reads or"
-                f" events missing, {damage.bytes:,} bytes of no use"
-            )
-        texts += [f"damaged: {self._described(place)}" for place in damage.where[:SHOWN_PLACES]]
-        if damage.places > SHOWN_PLACES:
-            texts.append(f"damaged: {damage.places - SHOWN_PLACES:,} more places, the first with --json")
-        if summary.checksum_ok is False:
-            texts.append(f"{name} was changed after it was recorded: its checksum differs")
-        return [f"{RECORDING}{text}" for text in texts]
+        name = self.path.name if self.session is None else self.session.wire_path.name
+        state = None if self.session is None else self.session.state
+        missing, damage = bytes_missing(self.session, summary), summary.damage
+        sent = summary.bytes + summary.bytes_unrecorded + missing
+        is_damaged = damage.places > summary.recovered.places
+        verb = "is damaged" if is_damaged else "was damaged, before it was recovered,"
+        places = f"{damage.places:,} place{'s' if damage.places > 1 else ''}"
+        texts: dict[str, object] = {
+            "the session was not closed: it is still being recorded, or was interrupted": (
+                state == "interrupted"
+            ),
+            f"{missing:,} bytes are not in {name}, of the {sent:,} that had come from the device as"
+            f" {METADATA_NAME} states": missing,
+            f"the end of {name} is missing, though the session was closed": (
+                state == "closed" and not missing and not summary.complete
+            ),
+            f"{summary.tail_bytes:,} bytes at the end of {name} are not a whole block": summary.tail_bytes,
+            f"{summary.bytes_unrecorded:,} bytes could not be recorded at the time, or were lost since": (
+                summary.bytes_unrecorded
+            ),
+            f"{name} {verb} in {places}, {damage.seconds:.3f} s in all: {damage.messages:,} reads or"
+            f" events missing, {damage.bytes:,} bytes of no use": damage.places,
+            **{f"damaged: {self._described(place)}": True for place in damage.where[:SHOWN_PLACES]},
+            f"damaged: {damage.places - SHOWN_PLACES:,} more places, the first with --json": (
+                damage.places > SHOWN_PLACES
+            ),
+            f"{name} was changed after it was recorded: its checksum differs": summary.checksum_ok is False,
+        }
+        return [f"{RECORDING}{text}" for text, holds in texts.items() if holds]
 
     def losses(self) -> dict[str, Any]:
         """Return what is missing from the recording as ``--json`` has it, as it is known after the run."""
@@ -146,7 +141,7 @@ class Source:
                 "checksum_ok": summary.checksum_ok,
                 "bytes_unrecorded": summary.bytes_unrecorded,
                 "tail_bytes": summary.tail_bytes,
-                "bytes_missing": 0 if self.session is None else bytes_missing(self.session, summary),
+                "bytes_missing": bytes_missing(self.session, summary),
                 "damage": {**damage, "events": 0, "bytes_altered": 0, "where": where},
             }
         }
@@ -167,9 +162,9 @@ class Source:
         return f"{where}, {when} ({missing})"
 
 
-def bytes_missing(session: Session, summary: WireSummary) -> int:
+def bytes_missing(session: Session | None, summary: WireSummary) -> int:
     """Return how many bytes less its wire file has than a closed session reports from the device."""
-    if session.state != "closed":
+    if session is None or session.state != "closed":
         return 0
     received = session.metadata.counters.get("bytes_received", 0)
     return max(0, received - summary.bytes - summary.bytes_unrecorded)
@@ -199,49 +194,42 @@ def open_source(path: Path, device_name: str | None = None, rate_hz: float | Non
     `rate_hz`: packets per second, which dates those of a device that sends no time; default: the device
     file's.
     """
-    if not is_session(path):
-        if not path.is_file() and not path.is_fifo():
-            open_session(path)  # raises, naming what is there
-        wire = WireReader(path) if path.is_file() and is_wire(path) else None
-        if device_name is not None:
-            device = load_device(device_name)
-        elif wire is not None:
-            begun = begun_of(wire.metadata())
-            if begun is None or begun.device_yaml is None:
-                hint = f"add --device {wire.metadata().get('device', 'NAME')}, or the path of its file"
-                raise bad_config(f"{path} does not hold its device file", hint)
-            device = parse_device(begun.device_yaml, f"{path} (device_yaml)")
-        else:
-            raise bad_config(
-                f"{path} is not a session, so its device must be named",
-                "add --device NAME; imumon devices lists them",
-            )
-        return Source(path, wire or capture_items(path), device.at_rate(rate_hz), None)
-    session = open_session(path)
+    device = None if device_name is None else load_device(device_name)
+    if is_session(path):
+        return replace(source_of(open_session(path), device, rate_hz), path=path)
+    if not path.is_file() and not path.is_fifo():
+        open_session(path)  # raises, naming what is there
+    wire = WireReader(path) if path.is_file() and is_wire(path) else None
+    if device is None and wire is None:
+        hint = "add --device NAME; imumon devices lists them"
+        raise bad_config(f"{path} is not a session, so its device must be named", hint)
+    if device is None and wire is not None:
+        begun = begun_of(wire.metadata())
+        if begun is None or begun.device_yaml is None:
+            hint = f"add --device {wire.metadata().get('device', 'NAME')}, or the path of its file"
+            raise bad_config(f"{path} does not hold its device file", hint)
+        device = parse_device(begun.device_yaml, f"{path} (device_yaml)")
+    assert device is not None
+    return Source(path, wire or capture_items(path), device.at_rate(rate_hz), None)
+
+
+def source_of(session: Session, device: DeviceFile | None = None, rate_hz: float | None = None) -> Source:
+    """Return what is read of a session; its device as recorded unless another is given.
+
+    Raises BAD_DATA when it keeps no device file and none is given; BAD_CONFIG as `open_source`.
+    """
     if session.metadata.source == "import":
         if rate_hz is not None:
-            raise bad_config(
-                f"--rate, and the samples of {path} have their times already",
-                "rate_hz in the map of an import spaces rows without a time",
-            )
+            what = f"--rate, and the samples of {session.path} have their times already"
+            raise bad_config(what, "rate_hz in the map of an import spaces rows without a time")
         columns = tuple(read_columns(session.samples_path).values())
-        return Source(path, iterate_samples(session), None, session, columns)
-    source = source_of(session, None if device_name is None else load_device(device_name))
-    assert source.device is not None
-    return replace(source, path=path, device=source.device.at_rate(rate_hz))
-
-
-def source_of(session: Session, device: DeviceFile | None = None) -> Source:
-    """Return what is read of a session that has bytes; its device as recorded unless another is given.
-
-    Raises BAD_DATA when it keeps no device file and none is given.
-    """
+        return Source(session.path, iterate_samples(session), None, session, columns)
     if device is None:
         text = session.metadata.device_yaml
         if text is None:
             raise bad_data(f"{session.path}: session.yaml has no device_yaml")
         device = parse_device(text, f"{session.path / METADATA_NAME} (device_yaml)")
-    return Source(session.path, WireReader(session.wire_path), device, session)
+    return Source(session.path, WireReader(session.wire_path), device.at_rate(rate_hz), session)
 
 
 def capture_items(path: Path) -> Iterator[Item]:

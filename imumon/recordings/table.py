@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 import pyarrow as pa
@@ -27,7 +27,7 @@ from imumon.harmless import for_csv
 from imumon.recordings.folder import Session
 from imumon.version import __version__
 
-FORMAT = "imumon-table/1"
+FORMAT: Final = "imumon-table/1"
 SUFFIXES = (".parquet", ".csv")
 BUFFER_BYTES = 16 << 20
 """Rows are gathered to this size before they are written; it is also the size of a row group."""
@@ -41,12 +41,13 @@ _ARROW = {"float64": pa.float64(), "int64": pa.int64()}
 
 
 class TableWriter:
-    """Writes blocks to a table; the file appears under its name when `close` succeeds, and not before.
+    """Writes blocks to a table in a ``with`` statement, at whose end the file appears, unless with an error.
 
     A column may begin in any block: the rows before have no value there.  NaN and `NO_INT` become null, an
-    empty cell in CSV.  As a context manager it closes at the end, or drops everything when there is an error.
+    empty cell in CSV.
 
-    Raises BAD_CONFIG for another suffix, or when the folder of the output does not exist.
+    Raises BAD_CONFIG for another suffix, or when the folder of the output does not exist; OSError at the end
+    when the disk is full or fails; a file that was there before is then untouched.
 
     `path`: output; the suffix .parquet or .csv decides the format.  An existing file is replaced on success.
     `columns`: every column that may come, in the order in which the table shall have them; only those that
@@ -63,7 +64,6 @@ class TableWriter:
         self._buffered = 0
         self._names: list[str] = []
         """Columns of the part that is being written."""
-        self._folder: TemporaryDirectory[str] | None = None
         self._parts: list[pq.ParquetWriter] = []
 
     def announce(self, columns: Iterable[Column]) -> None:
@@ -87,60 +87,36 @@ class TableWriter:
             with naming(self.path):
                 self._flush()
 
-    def close(self) -> None:
-        """Finish the table and put it in its place.
-
-        Raises OSError when the disk is full or fails; a file that was there before is untouched.
-        """
-        try:
-            with naming(self.path):
-                if self._buffer:
-                    self._flush()
-                if not self._parts:
-                    self._begin_part([*self._columns])
-                self._parts[-1].close()
-                self._finish()
-        finally:
-            self.abort()
-
-    def abort(self) -> None:
-        """Remove what was written; without effect after `close`."""
-        self._buffer = []
-        with suppress(OSError):
-            if self._parts:
-                self._parts[-1].close()
-        self._parts = []
-        if self._folder is not None:
-            self._folder.cleanup()
-
     def __enter__(self) -> TableWriter:
+        with naming(self.path):
+            self._folder = TemporaryDirectory(prefix=".imumon-", dir=target(self.path).parent)
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        if kind is None:
-            self.close()
-        else:
-            self.abort()
+        with self._folder:
+            if kind is None:
+                with naming(self.path):
+                    self._flush()
+                    self._parts[-1].close()
+                    self._finish()
+            elif self._parts:
+                with suppress(OSError):
+                    self._parts[-1].close()
 
     def _flush(self) -> None:
         """Write the buffer as one row group; a column that is new begins a new part."""
         block = join(self._buffer)
         self._buffer, self._buffered = [], 0
-        names = [name for name in self._columns if name in self._names or name in block]
-        if names != self._names:
-            self._begin_part(names)
-        self._parts[-1].write_table(arrow_table(block, self._present()))
-
-    def _begin_part(self, names: list[str]) -> None:
-        if self._folder is None:
-            self._folder = TemporaryDirectory(prefix=".imumon-", dir=target(self.path).parent)
-        if self._parts:
-            self._parts[-1].close()
-        self._names = names
-        self._parts.append(_parquet_writer(self._part(len(self._parts)), _schema(self._present())))
+        names = [name for name in self._columns if not self.rows or name in self._names or name in block]
+        if not self._parts or names != self._names:
+            if self._parts:
+                self._parts[-1].close()
+            self._names = names
+            self._parts.append(_parquet_writer(self._part(len(self._parts)), _schema(self._present())))
+        if len(block):
+            self._parts[-1].write_table(arrow_table(block, self._present()))
 
     def _part(self, number: int) -> Path:
-        assert self._folder is not None
         return Path(self._folder.name) / f"{number}.parquet"
 
     def _present(self) -> list[Column]:
@@ -160,10 +136,11 @@ class TableWriter:
             else:
                 _write_csv(whole, tables, self._names)
                 units = {
-                    c.name: {"unit": c.unit, "type": c.dtype, "description": c.description} for c in columns
+                    c.name: _UnitsColumn(unit=c.unit, type=c.dtype, description=c.description)
+                    for c in columns
                 }
-                content = {"format": FORMAT, "imumon": __version__, "columns": units}
-                write_text(units_path(self.path), dump_yaml(content))
+                content = _UnitsFile(format=FORMAT, imumon=__version__, columns=units)
+                write_text(units_path(self.path), dump_yaml(content.model_dump()))
         whole.replace(target(self.path))
 
 
@@ -281,11 +258,8 @@ def _parquet_column(path: Path, field: Any) -> Column:
 
 def _check_suffix(path: Path, reason: Reason) -> None:
     if path.suffix not in SUFFIXES:
-        raise ImumonError(
-            reason,
-            f"{path}: a table cannot have the suffix {path.suffix!r}",
-            f"use {' or '.join(SUFFIXES)}; to write also .npz, .mat or .mcap",
-        )
+        what = f"{path}: a table cannot have the suffix {path.suffix!r}"
+        raise ImumonError(reason, what, f"use {' or '.join(SUFFIXES)}; to write also .npz, .mat or .mcap")
 
 
 def _schema(columns: Iterable[Column]) -> Any:

@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import fcntl
 import json
+import mmap
 import os
+import struct
 import zlib
 from collections import Counter, deque
 from collections.abc import Mapping
@@ -19,11 +21,74 @@ from pathlib import Path
 
 from mcap import records as mcap
 from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
 
 from imumon.errors import ImumonError, Reason
-from imumon.recordings import wire_format as wf
 from imumon.transport.reader import Bytes, Item
 from imumon.version import __version__
+
+FORMAT = "imumon-wire/2"
+"""Written as the profile of the MCAP file."""
+BARE_CHANNEL, EVENT_CHANNEL, WIRE_CHANNEL = 1, 2, 3
+"""Always these, so that a file whose beginning is damaged can be read; the first has bare bytes."""
+CDR = struct.Struct("<4sI")
+"""What CDR has before the bytes of ``uint8[] data``: little-endian, and how many they are."""
+CDR_LITTLE = b"\x00\x01\x00\x00"
+UNRECORDED = "unrecorded"
+"""Kind of the event that states how many bytes are missing before it."""
+
+MAGIC = b"\x89MCAP0\r\n"
+RECORD = struct.Struct("<BQ")
+"""Opcode, and bytes that follow."""
+MESSAGE = struct.Struct("<BQHIQQ")
+"""Opcode, bytes that follow, channel, sequence, log time, publish time; then the payload."""
+MESSAGE_FIELDS = MESSAGE.size - RECORD.size
+MESSAGE_OP, DATA_END_OP = int(Opcode.MESSAGE), int(Opcode.DATA_END)
+SEQUENCE_MASK = (1 << 32) - 1
+
+CHECK_OP = 0x91
+"""A check record seals the bytes since the one before: who reads the file while it is written, or after a
+crash, can check what is as it was written, and can find back into a file that is damaged in the middle.
+
+MCAP leaves 0x80 and above to the application; other readers pass such a record over.
+"""
+MARKER = bytes.fromhex("a3d1f08b5ce749268e7f13b0c96d42f5")
+"""What to search for: 16 bytes drawn once at random, so that no device sends them."""
+_CHECK = struct.Struct("<BQ16sQQIIq")
+CHECK_SIZE = _CHECK.size + 4
+CHECK_LENGTH = CHECK_SIZE - RECORD.size
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """A check record."""
+
+    start: int
+    size: int
+    """Where in the file the bytes begin that it seals, and how many they are; the record itself is not
+    among them."""
+    sequence: int
+    """Of the message that follows, modulo 2^32."""
+    crc: int
+    """CRC-32 of the bytes."""
+    time_ns: int
+    """Unix time of the latest message before, 0 when there is none."""
+
+    def pack(self) -> bytes:
+        """Return the record."""
+        fields = self.start, self.size, self.sequence, self.crc, self.time_ns
+        body = _CHECK.pack(CHECK_OP, CHECK_LENGTH, MARKER, *fields)
+        return body + zlib.crc32(body).to_bytes(4, "little")
+
+    @classmethod
+    def unpack(cls, buffer: mmap.mmap | bytes, offset: int) -> Check | None:
+        """Return the record that begins here, or None when it is not one, or damaged."""
+        record = buffer[offset : offset + CHECK_SIZE]
+        if len(record) < CHECK_SIZE or zlib.crc32(record[:-4]).to_bytes(4, "little") != record[-4:]:
+            return None
+        opcode, length, marker, *fields = _CHECK.unpack_from(record)
+        return cls(*fields) if (opcode, length, marker) == (CHECK_OP, CHECK_LENGTH, MARKER) else None
+
 
 PENDING_LIMIT = 8 << 20
 """Bytes that are kept for a disk that is full or stuck; what comes on top is counted, not kept."""
@@ -79,9 +144,8 @@ class WireWriter:
         try:
             descriptor = os.open(self._path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
         except FileExistsError as error:
-            raise ImumonError(
-                Reason.EXISTS, f"{self._path} exists already", "nothing was overwritten"
-            ) from error
+            what = f"{self._path} exists already"
+            raise ImumonError(Reason.EXISTS, what, "nothing was overwritten") from error
         with suppress(OSError):  # a file system that knows no locks
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         self._descriptor, made, self._closed = descriptor, os.fstat(descriptor), False
@@ -91,8 +155,8 @@ class WireWriter:
         self._crc = self._written = 0
         """Checksum of all that was put, and how much of it was written."""
         self._block_start = self._block_bytes = 0
-        self._put(wf.MAGIC)
-        self._put(_packed(mcap.Header(profile=wf.FORMAT, library=f"imumon {__version__}")))
+        self._put(MAGIC)
+        self._put(_packed(mcap.Header(profile=FORMAT, library=f"imumon {__version__}")))
         self._metadata_at = self._end
         self._put(_packed(self._metadata))
         self._put(b"".join(map(_packed, _TOPICS)))
@@ -145,7 +209,7 @@ class WireWriter:
             return
         self._note_gap(item.time_ns)
         if isinstance(item, Bytes):
-            self._add(wf.WIRE_CHANNEL, item.time_ns, wf.CDR.pack(wf.CDR_LITTLE, size) + item.data)
+            self._add(WIRE_CHANNEL, item.time_ns, CDR.pack(CDR_LITTLE, size) + item.data)
             self._block_bytes += size
         else:
             self._add_event(item.kind.value, item.time_ns, {"detail": item.detail})
@@ -158,7 +222,7 @@ class WireWriter:
         `size` is the number of their bytes, where that is known.
         """
         lost = {"reads": reads, "bytes": size, "events": 0, "after_ns": after_ns}
-        self._add_event(wf.UNRECORDED, before_ns, lost)
+        self._add_event(UNRECORDED, before_ns, lost)
 
     def flush(self) -> None:
         """Hand everything to the operating system.
@@ -205,8 +269,8 @@ class WireWriter:
             os.close(self._descriptor)
 
     def _add(self, channel: int, time_ns: int, data: bytes) -> None:
-        length, sequence = wf.MESSAGE_FIELDS + len(data), self._sequence & wf.SEQUENCE_MASK
-        self._put(wf.MESSAGE.pack(wf.MESSAGE_OP, length, channel, sequence, time_ns, time_ns) + data)
+        length, sequence = MESSAGE_FIELDS + len(data), self._sequence & SEQUENCE_MASK
+        self._put(MESSAGE.pack(MESSAGE_OP, length, channel, sequence, time_ns, time_ns) + data)
         self._first_ns = min(self._first_ns, time_ns) if self._sequence else time_ns
         self._highest_ns, self._last_ns = max(self._highest_ns, time_ns), time_ns
         self._messages[channel] += 1
@@ -214,11 +278,11 @@ class WireWriter:
 
     def _add_event(self, kind: str, time_ns: int, rest: Mapping[str, str | int]) -> None:
         text = json.dumps({"kind": kind, **rest}, ensure_ascii=False)
-        self._add(wf.EVENT_CHANNEL, time_ns, text.encode(errors="replace"))
+        self._add(EVENT_CHANNEL, time_ns, text.encode(errors="replace"))
 
     def _note_gap(self, time_ns: int) -> None:
         if self._gap.total():
-            self._add_event(wf.UNRECORDED, time_ns, {"reads": 0, "bytes": 0, "events": 0} | self._gap)
+            self._add_event(UNRECORDED, time_ns, {"reads": 0, "bytes": 0, "events": 0} | self._gap)
             self._gap.clear()
 
     def _seal(self) -> None:
@@ -226,7 +290,7 @@ class WireWriter:
         size = self._end - self._block_start
         if size:
             crc = zlib.crc32(self._pending[-size:])  # none of it is written yet
-            check = wf.Check(self._block_start, size, self._sequence & wf.SEQUENCE_MASK, crc, self._last_ns)
+            check = Check(self._block_start, size, self._sequence & SEQUENCE_MASK, crc, self._last_ns)
             self._put(check.pack())
             self._block_start = self._end
             self._unflushed.append((self._block_start, self._block_bytes))
@@ -253,7 +317,7 @@ class WireWriter:
         unchecked = _packed(mcap.Footer(summary_start=start, summary_offset_start=0, summary_crc=0))
         crc = zlib.crc32(unchecked[:-4], zlib.crc32(summary))
         footer = mcap.Footer(summary_start=start, summary_offset_start=0, summary_crc=crc)
-        self._put(summary + _packed(footer) + wf.MAGIC)
+        self._put(summary + _packed(footer) + MAGIC)
         self._block_start = self._end
 
 
@@ -268,8 +332,8 @@ _SCHEMAS = (
     mcap.Schema(id=2, name="imumon.Event", encoding="jsonschema", data=json.dumps(_EVENT_SCHEMA).encode()),
 )
 _CHANNELS = (
-    mcap.Channel(id=wf.WIRE_CHANNEL, topic="/wire", message_encoding="cdr", metadata={}, schema_id=1),
-    mcap.Channel(id=wf.EVENT_CHANNEL, topic="/event", message_encoding="json", metadata={}, schema_id=2),
+    mcap.Channel(id=WIRE_CHANNEL, topic="/wire", message_encoding="cdr", metadata={}, schema_id=1),
+    mcap.Channel(id=EVENT_CHANNEL, topic="/event", message_encoding="json", metadata={}, schema_id=2),
 )
 _TOPICS: tuple[mcap.McapRecord, ...] = (*_SCHEMAS, *_CHANNELS)
 

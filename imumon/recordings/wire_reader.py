@@ -16,7 +16,6 @@ from collections.abc import Generator, Iterator
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from mcap.data_stream import ReadDataStream
@@ -26,20 +25,26 @@ from mcap.records import Header, Metadata
 
 from imumon.errors import ImumonError, bad_data
 from imumon.files import readable
-from imumon.recordings import wire_format as wf
-from imumon.recordings.wire_format import CHECK_SIZE, MAGIC, MESSAGE, RECORD, SEQUENCE_MASK, Check
+from imumon.recordings import wire
+from imumon.recordings.wire import CHECK_SIZE, MAGIC, MESSAGE, RECORD, SEQUENCE_MASK, Check
 from imumon.transport.reader import Event, EventKind, Item, Reads
 
+FORMATS = ("imumon-wire/1", wire.FORMAT)
+"""Those that are read; in the first, reads are bare bytes."""
+PROFILE = wire.FORMAT.rpartition("/")[0].encode()
+HEAD_SIZE = 64
+"""Bytes at the begin of a file among which the profile stands."""
 READ_SIZE = 1 << 20
 """Bytes of reads that are handed on at once, and of which a checksum is taken."""
 RELEASE_SIZE = 16 << 20
 """Bytes of the file that are taken out of the memory of the process at a time."""
-_BEFORE_DATA = {wf.WIRE_CHANNEL: wf.CDR.size, wf.BARE_CHANNEL: 0}
+_BEFORE_DATA = {wire.WIRE_CHANNEL: wire.CDR.size, wire.BARE_CHANNEL: 0}
 """Bytes before the data of a read, by its channel."""
-_PASSED_OVER = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE_INDEX, Opcode.ATTACHMENT, wf.CHECK_OP)
+_PASSED_OVER = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE_INDEX, Opcode.ATTACHMENT, wire.CHECK_OP)
 """The channels of a wire file have the same numbers in all."""
-BAD_EVENT = (ValueError, ArithmeticError, LookupError, TypeError, RuntimeError)
-BAD_RECORD = (McapError, struct.error, MemoryError, *BAD_EVENT)
+BAD_RECORD = (
+    McapError, struct.error, MemoryError, ValueError, ArithmeticError, LookupError, TypeError, RuntimeError,
+)  # fmt: skip
 """What is raised for an event or another record that is not what it states."""
 SHOWN_BYTES = 200
 """Of a record that is not understood."""
@@ -174,17 +179,17 @@ class WireReader:
             size, number = self.path.stat().st_size, file.fileno()
             # The system keeps in memory what is looked at.
             self._begin(mmap.mmap(number, 0, access=mmap.ACCESS_READ) if size else b"")
-        data, head = self._data, self._data[: wf.HEAD_SIZE]
+        data, head = self._data, self._data[:HEAD_SIZE]
         is_mcap = MAGIC.startswith(head[: len(MAGIC)])
-        if not is_mcap and wf.PROFILE in head:
+        if not is_mcap and PROFILE in head:
             self.summary.damage.add(Place(0, len(MAGIC), 0, 0, 0))
         marker = -1
-        while (marker := data.find(wf.MARKER, marker + 1)) >= 0:
+        while (marker := data.find(wire.MARKER, marker + 1)) >= 0:
             at = marker - RECORD.size
             if at >= 0 and (check := Check.unpack(data, at)) is not None:
                 yield from self._block(check, at)
         if not self._done:
-            if not is_mcap and wf.PROFILE not in head:
+            if not is_mcap and PROFILE not in head:
                 hint = "only wire files that imumon recorded can be replayed"
                 raise bad_data(f"{self.path}: is not a wire file", hint)
             end = yield from self._records(data, min(len(MAGIC), len(data)), sealed=False)
@@ -204,7 +209,7 @@ class WireReader:
         block = MAGIC[:first] + block[first:]  # the same in all files, should it be damaged
         is_whole = begin >= 0 and zlib.crc32(block) == check.crc
         sequence, time_ns = check.sequence, check.time_ns
-        messages = (at for opcode, at, _ in _walk(block, first) if opcode == wf.MESSAGE_OP)
+        messages = (at for opcode, at, _ in _walk(block, first) if opcode == wire.MESSAGE_OP)
         if is_whole and (at := next(messages, 0)):
             _, _, _, sequence, time_ns, _ = MESSAGE.unpack_from(block, at - RECORD.size)
         if self._ahead(sequence) < 0:
@@ -221,7 +226,7 @@ class WireReader:
         """Compare checksum and number of messages with those that stand behind the data."""
         data, behind = self._data, _walk(self._data, self._done)
         opcode, begin, end = next(behind, (0, 0, 0))
-        if opcode != wf.DATA_END_OP or end - begin != 4 or end > len(data):
+        if opcode != wire.DATA_END_OP or end - begin != 4 or end > len(data):
             self.summary.tail_bytes = len(data) - self._done
             return
         if expected := int.from_bytes(data[begin:end], "little"):
@@ -269,33 +274,29 @@ class WireReader:
 
         What is sealed is as it was written; any other record is taken for one by its fields.
         """
-        while at < len(data) and (sealed or self._is_record(at)) and data[at] != wf.DATA_END_OP:
-            if data[at] == wf.MESSAGE_OP:
+        while at < len(data) and (sealed or self._is_record(at)) and data[at] != wire.DATA_END_OP:
+            opcode = data[at]
+            if opcode == wire.MESSAGE_OP:
                 _, length, channel, sequence, time_ns, _ = MESSAGE.unpack_from(data, at)
-                after = at + RECORD.size + length
                 self._next_sequence = (sequence + 1) & SEQUENCE_MASK
                 self.summary.last_ns = time_ns
-                if channel in _BEFORE_DATA:
-                    self._pieces.append(data[at + MESSAGE.size + _BEFORE_DATA[channel] : after])
-                    self._arrivals_ns.append(time_ns)
-                    self._kept += length
-                    if self._kept >= READ_SIZE:
-                        yield from self._reads()
-                elif channel == wf.EVENT_CHANNEL:
-                    yield from self._reads()
-                    try:
-                        event = self._event(json.loads(data[at + MESSAGE.size : after]), time_ns)
-                    except BAD_EVENT:
-                        break
-                    if event is not None:
-                        yield event
             else:
-                opcode, length = RECORD.unpack_from(data, at)
-                after = at + RECORD.size + length
+                (_, length), channel, time_ns = RECORD.unpack_from(data, at), 0, 0
+            after = at + RECORD.size + length
+            if channel in _BEFORE_DATA:
+                self._pieces.append(data[at + MESSAGE.size + _BEFORE_DATA[channel] : after])
+                self._arrivals_ns.append(time_ns)
+                self._kept += length
+                if self._kept >= READ_SIZE:
+                    yield from self._reads()
+            else:
+                yield from self._reads()
                 try:
-                    self._rare(opcode, data[at + RECORD.size : after])
+                    event = self._other(opcode, channel, data[at:after], time_ns)
                 except BAD_RECORD:
                     break
+                if event is not None:
+                    yield event
             at = after
         return at
 
@@ -305,8 +306,8 @@ class WireReader:
         if left < RECORD.size:
             return False
         opcode, length = RECORD.unpack_from(data, at)
-        if opcode != wf.MESSAGE_OP:
-            return bool(0 < opcode <= wf.DATA_END_OP and RECORD.size + length <= left)
+        if opcode != wire.MESSAGE_OP:
+            return bool(0 < opcode <= wire.DATA_END_OP and RECORD.size + length <= left)
         if not MESSAGE.size <= RECORD.size + length <= left:
             return False
         _, _, _, sequence, time_ns, published_ns = MESSAGE.unpack_from(data, at)
@@ -323,29 +324,28 @@ class WireReader:
             self.summary.bytes += len(data)
             yield batch
 
-    def _event(self, fields: Any, time_ns: int) -> Event | None:
-        """Return an event, or count what it states is missing; raises one of `BAD_EVENT` for what is none."""
-        if fields["kind"] != wf.UNRECORDED:
-            event = Event(EventKind(fields["kind"]), time_ns, str(fields["detail"]))
-            self.summary.events += 1
-            return event
-        self.summary.bytes_unrecorded += int(fields["bytes"])
-        if "after_ns" in fields:
-            place = Place(0, 0, int(fields["after_ns"]), time_ns, int(fields["reads"]))
-            self.summary.damage.add(place)
-            self.summary.recovered.add(place)
-        return None
+    def _other(self, opcode: int, channel: int, record: bytes, time_ns: int) -> Event | None:
+        """Return an event, or take in what it states is missing, the header or the metadata.
 
-    def _rare(self, opcode: int, body: bytes) -> None:
-        """Take in a rare record: header or metadata.
-
-        Raises ValueError when it is not what its first byte states; the library has others.
+        Raises one of `BAD_RECORD` for a record that is not what it states.
         """
-        stream = ReadDataStream(BytesIO(body))
-        if opcode == Opcode.HEADER:
+        stream = ReadDataStream(BytesIO(record[RECORD.size :]))
+        if opcode == wire.MESSAGE_OP:
+            fields = json.loads(record[MESSAGE.size :]) if channel == wire.EVENT_CHANNEL else None
+            if fields is not None and fields["kind"] != wire.UNRECORDED:
+                event = Event(EventKind(fields["kind"]), time_ns, str(fields["detail"]))
+                self.summary.events += 1
+                return event
+            if fields is not None:
+                self.summary.bytes_unrecorded += int(fields["bytes"])
+                if "after_ns" in fields:
+                    place = Place(0, 0, int(fields["after_ns"]), time_ns, int(fields["reads"]))
+                    self.summary.damage.add(place)
+                    self.summary.recovered.add(place)
+        elif opcode == Opcode.HEADER:
             profile = Header.read(stream).profile
-            if profile not in wf.FORMATS:
-                raise self._error(f"is an MCAP file of profile {profile!r}, not {wf.FORMAT!r}")
+            if profile not in FORMATS:
+                raise self._error(f"is an MCAP file of profile {profile!r}, not {wire.FORMAT!r}")
         elif opcode == Opcode.METADATA:
             metadata = Metadata.read(stream)
             self.summary.metadata |= metadata.metadata if metadata.name == "imumon" else {}
@@ -353,6 +353,25 @@ class WireReader:
             raise self._error("another program has put it into chunks")
         elif opcode not in _PASSED_OVER:
             raise ValueError("such a record does not stand here")
+        return None
+
+
+def is_wire(path: Path) -> bool:
+    """Test whether a file is MCAP by its first bytes, or by the profile behind them where these are damaged.
+
+    Raises BAD_DATA when it cannot be read.
+    """
+    return _head(path).startswith(MAGIC) or is_own(path)
+
+
+def is_own(path: Path) -> bool:
+    """Return whether imumon recorded a file, by the profile at its begin.  Raises BAD_DATA as `is_wire`."""
+    return PROFILE in _head(path)
+
+
+def _head(path: Path) -> bytes:
+    with readable(path), path.open("rb") as file:
+        return file.read(HEAD_SIZE)
 
 
 def _walk(data: mmap.mmap | bytes, at: int) -> Iterator[tuple[int, int, int]]:

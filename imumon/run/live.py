@@ -174,15 +174,15 @@ class DecodedPort:
             next_tick = time.monotonic()
             while not closed:
                 closed = self._take_batch()
-                if not closed:
+                if closed:
+                    self.pipeline.finish()
+                else:
                     self._take_marks()
                 self._hand_on(self.pipeline.take())
                 if time.monotonic() >= next_tick or closed:
                     next_tick = time.monotonic() + TICK_S
                     self.progress = self.narrator.tick(self._clock.now_ns())
-            self.pipeline.finish()
-            self._hand_on(self.pipeline.take())
-            self.progress = self.narrator.ended(self.narrator.tick(self._clock.now_ns()))
+            self.progress = self.narrator.ended(self.progress)
             self._finished = True
         except ImumonError as error:
             # Reading and recording go on; what could not be decoded can be decoded from the recording.
@@ -249,7 +249,13 @@ class LiveRun(DecodedPort):
         self._report = self._log.put
         model = setup.model
         self._of_another = model.of_another(serial) if isinstance(model, BiasModel) else ""
-        self._writer = self._wire_writer(settings)
+        try:
+            wire_metadata = metadata.for_wire() | {"port": str(settings)}
+            self._writer = WireWriter(self.session.wire_path, wire_metadata)
+        except OSError as error:
+            remove_empty(self.session)
+            what = f"the recording {self.session.wire_path} cannot be made: {error.strerror}"
+            raise bad_config(what, "give another folder") from error
         self._recorder = Recorder(self._writer, self._report_problem, self._save)
         path = self.session.path
         card = {"device": device.title, "port": str(settings), "recording": str(path)}
@@ -324,15 +330,6 @@ class LiveRun(DecodedPort):
         with self._marking:
             for kind, text in self._marks.take():
                 self._reader.report(kind, text)
-
-    def _wire_writer(self, settings: PortSettings) -> WireWriter:
-        path, metadata = self.session.wire_path, self.session.metadata.for_wire()
-        try:
-            return WireWriter(path, metadata | {"port": str(settings)})
-        except OSError as error:
-            remove_empty(self.session)
-            what = f"the recording {path} cannot be made: {error.strerror}"
-            raise bad_config(what, "give another folder") from error
 
     def _hand_on(self, block: SampleBlock) -> None:
         self._digest.update(block, self.pipeline.side)

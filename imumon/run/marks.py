@@ -18,8 +18,6 @@ from imumon.transport.reader import EventKind
 
 REQUESTS = "marks.jsonl"
 KINDS = {kind.value: kind for kind in (EventKind.MARK, EventKind.START, EventKind.STOP)}
-MOST_BYTES = 1 << 16
-"""Of requests that are looked at together; a person does not write more in a twentieth of a second."""
 
 
 def ask_for_mark(session: Path, kind: EventKind, text: str) -> None:
@@ -32,10 +30,8 @@ def ask_for_mark(session: Path, kind: EventKind, text: str) -> None:
         raise bad_config("the text of the mark is empty", "name what is marked")
     opened = open_session(session)
     if not (opened.wire_path.exists() and is_recorded(opened.wire_path)):
-        raise bad_config(
-            f"{session} is not being recorded",
-            "marks are made while imumon monitor runs; its summary names the session",
-        )
+        what = f"{session} is not being recorded"
+        raise bad_config(what, "marks are made while imumon monitor runs; its summary names the session")
     if kind is not EventKind.MARK:
         requested = [other for other, part in Marks(opened.path).take() if part == for_log(text)]
         goes_on = [one for one in requested if one is not EventKind.MARK][-1:] == [EventKind.START]
@@ -68,11 +64,11 @@ class Marks:
                 return []
             with self._path.open("rb") as file:
                 file.seek(self._read)
-                lines = file.read(MOST_BYTES)
+                lines = file.read()
         except OSError:
             return []
         end = lines.rfind(b"\n") + 1
-        self._read += end or (len(lines) if len(lines) == MOST_BYTES else 0)
+        self._read += end
         requests = list[tuple[EventKind, str]]()
         for line in lines[:end].splitlines():
             with suppress(ValueError, KeyError, TypeError, RecursionError):

@@ -53,12 +53,8 @@ JUMPED, ACQUIRING = LaneState("jumped", Level.BAD), LaneState("acquiring", Level
 SYNCHRONISED = LaneState("synchronised", Level.GOOD)
 MOTION = {0: LaneState("moving"), 1: LaneState("rest", Level.GOOD)}
 MARKS = {EventKind.MARK: "mark", EventKind.START: "start of part", EventKind.STOP: "end of part"}
-LEVELS = {
-    EventKind.SILENT: "WARN",
-    EventKind.LOST: "ERROR",
-    EventKind.UNAVAILABLE: "WARN",
-    EventKind.SHARED: "WARN",
-}
+LEVELS = {EventKind.LOST: "ERROR"}
+LEVELS |= dict.fromkeys([EventKind.SILENT, EventKind.UNAVAILABLE, EventKind.SHARED], "WARN")
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,7 +107,6 @@ class Narrator:
         self._restless = False
         self._shown: dict[str, str] = {}
         self._numbers: dict[str, float] = {}
-        self._overloaded = False
         self._charts_ns = 0
         self._charts_samples = 0
 
@@ -260,12 +255,11 @@ class Narrator:
     def _watch_link(self, progress: Progress, now_ns: int) -> None:
         if self._link is None or progress.link_load is None:
             return
-        overloaded = self._link.overloaded(now_ns)
-        if overloaded and not self._overloaded:
+        state = FULL if self._link.overloaded(now_ns) else OK
+        if state == FULL and self._lanes.get("link") != FULL:
             text = f"the link is {progress.link_load:.0%} full: beyond 100 % a device drops packets"
             self.log("WARN", text, now_ns)
-        self._overloaded = overloaded
-        self._lane("link", FULL if overloaded else OK, now_ns)
+        self._lane("link", state, now_ns)
 
     def _watch_data(self, now_ns: int) -> None:
         """Classify the data of the last 2 s: framed, damaged, or hardly framed at all."""

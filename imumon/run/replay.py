@@ -45,8 +45,29 @@ def replay(
     if speed is not None:
         items = _paced(items, speed)
     if narrator is None:
-        return run_over(items, pipeline, count)
-    return _narrated(items, pipeline, narrator, count)
+        yield from run_over(items, pipeline, count)
+        return
+
+    def taken() -> SampleBlock:
+        block = pipeline.take()
+        narrator.samples(block, pipeline.side)
+        return block
+
+    next_batch_ns = next_tick_ns = now_ns = 0
+    for item in items:
+        now_ns = _time_ns(item, now_ns)
+        count(feed(item, pipeline))
+        if not isinstance(item, SampleBlock):
+            narrator.item(Reads.of([item]) if isinstance(item, Bytes) else item)
+        if not 0 < next_batch_ns - now_ns <= BATCH_NS:  # passed, or the clock jumped back
+            next_batch_ns = now_ns + BATCH_NS
+            yield taken()
+        if not 0 < next_tick_ns - now_ns <= TICK_NS:
+            next_tick_ns = now_ns + TICK_NS
+            narrator.tick(now_ns)
+    pipeline.finish()
+    yield taken()
+    narrator.tick(now_ns)
 
 
 def digested(blocks: Iterable[SampleBlock], pipeline: Pipeline, digest: Digest) -> Iterator[SampleBlock]:
@@ -123,33 +144,6 @@ def compare_with_live(session: Session, setup: Setup, digest: Digest, pipeline: 
         only_live=tuple(sorted(live.keys() - again.keys() - lost)),
         only_replay=tuple(sorted(again.keys() - live.keys() - lost)),
     )
-
-
-def _narrated(
-    items: Iterable[Item | SampleBlock], pipeline: Pipeline, narrator: Narrator, count: Count
-) -> Iterator[SampleBlock]:
-    """Run over the items, and report each to the narrator as the live run does."""
-    next_batch_ns = next_tick_ns = now_ns = 0
-    for item in items:
-        now_ns = _time_ns(item, now_ns)
-        count(feed(item, pipeline))
-        if not isinstance(item, SampleBlock):
-            narrator.item(Reads.of([item]) if isinstance(item, Bytes) else item)
-        if not 0 < next_batch_ns - now_ns <= BATCH_NS:  # passed, or the clock jumped back
-            next_batch_ns = now_ns + BATCH_NS
-            yield _shown(pipeline, narrator)
-        if not 0 < next_tick_ns - now_ns <= TICK_NS:
-            next_tick_ns = now_ns + TICK_NS
-            narrator.tick(now_ns)
-    pipeline.finish()
-    yield _shown(pipeline, narrator)
-    narrator.tick(now_ns)
-
-
-def _shown(pipeline: Pipeline, narrator: Narrator) -> SampleBlock:
-    block = pipeline.take()
-    narrator.samples(block, pipeline.side)
-    return block
 
 
 def _paced(items: Iterable[Item | SampleBlock], speed: float) -> Iterator[Item | SampleBlock]:

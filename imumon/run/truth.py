@@ -93,17 +93,21 @@ class Truth:
 
     def rows(self) -> dict[str, str]:
         """Return the errors as lines for a person."""
-        return {f"error of {name}": _described(one) for name, one in self.as_data().items()}
+        rows = {}
+        for name, errors in self.as_data().items():
+            unit, ratio = errors["unit"], errors["rms_over_sigma"]
+            sigma = "" if math.isnan(ratio) else f", {ratio:.2f} σ rms"
+            text = f"{errors['rms']:.3g} {unit} rms{sigma}, at most {errors['largest']:.3g} {unit}"
+            rows[f"error of {name}"] = text if errors["samples"] else "no estimate"
+        return rows
 
 
 def check_truth(sessions: Iterable[Path]) -> None:
     """Raise BAD_DATA for the first session that has no truth."""
     for session in sessions:
         if not (session / TRUTH_NAME).is_file():
-            raise bad_data(
-                f"{session}: there is no {TRUTH_NAME} in this session, so its errors are unknown",
-                "only a session of `imumon simulate` has true values; leave --truth away",
-            )
+            what = f"{session}: there is no {TRUTH_NAME} in this session, so its errors are unknown"
+            raise bad_data(what, "only a session of `imumon simulate` has true values; leave --truth away")
 
 
 def read_truth(session: Path, *, earth_removed: bool) -> Truth:
@@ -159,11 +163,3 @@ def _columns(block: SampleBlock, names: Sequence[str]) -> FloatArray:
     """Return columns side by side, (n, len(names)); NaN for one that is not there."""
     nothing = np.full(len(block), np.nan)
     return np.column_stack([block.columns.get(name, nothing) for name in names])
-
-
-def _described(errors: Mapping[str, Any]) -> str:
-    if not errors["samples"]:
-        return "no estimate"
-    unit, ratio = errors["unit"], errors["rms_over_sigma"]
-    sigma = "" if math.isnan(ratio) else f", {ratio:.2f} σ rms"
-    return f"{errors['rms']:.3g} {unit} rms{sigma}, at most {errors['largest']:.3g} {unit}"

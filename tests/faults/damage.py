@@ -16,8 +16,7 @@ from imumon.errors import ImumonError
 from imumon.files import write_text
 from imumon.protocols.device import device_text
 from imumon.recordings.folder import METADATA_NAME, SessionMetadata, read_metadata
-from imumon.recordings.wire import WireWriter
-from imumon.recordings.wire_format import CHECK_SIZE, MARKER, RECORD, WIRE_CHANNEL
+from imumon.recordings.wire import CHECK_SIZE, MARKER, RECORD, WIRE_CHANNEL, WireWriter
 from imumon.recordings.wire_reader import WireReader, WireSummary
 from imumon.transport.reader import Bytes, Event, EventKind, Item
 from tests.faults.rows import Row

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from imumon.recordings.wire_format import MAGIC, RECORD
+from imumon.recordings.wire import MAGIC, RECORD
 from tests.cli.command import answer, imumon
 
 REPORTED = "bytes are not in wire.mcap"

@@ -8,7 +8,7 @@ from mcap.reader import make_reader
 from mcap.stream_reader import StreamReader
 
 from imumon.errors import ImumonError
-from imumon.recordings.wire_format import CDR, CHECK_SIZE, MARKER, MESSAGE
+from imumon.recordings.wire import CDR, CHECK_SIZE, MARKER, MESSAGE
 from imumon.recordings.wire_reader import WireReader
 from imumon.transport.reader import Bytes
 from tests.faults.damage import attack_all, made_items, record, truncate_all

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import psutil
 
-from imumon.recordings.wire_format import (
+from imumon.recordings.wire import (
     CDR,
     MAGIC,
     MESSAGE,

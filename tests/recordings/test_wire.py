@@ -15,9 +15,9 @@ from mcap.writer import CompressionType, Writer
 from mcap_ros2.decoder import DecoderFactory
 
 from imumon.errors import ImumonError, Reason
-from imumon.recordings import wire, wire_format
+from imumon.recordings import wire
 from imumon.recordings.wire import WireWriter
-from imumon.recordings.wire_reader import WireReader, WireSummary
+from imumon.recordings.wire_reader import FORMATS, WireReader, WireSummary
 from imumon.transport.reader import Bytes, Event, EventKind, Item
 
 ITEMS: list[Item] = [
@@ -124,7 +124,7 @@ def test_the_file_is_mcap_for_other_readers(tmp_path: Path) -> None:
     assert (metadata.name, metadata.metadata) == ("imumon", {"device": "test"})
 
 
-@pytest.mark.parametrize("profile", wire_format.FORMATS)
+@pytest.mark.parametrize("profile", FORMATS)
 def test_a_file_that_another_tool_put_into_chunks_is_refused(tmp_path: Path, profile: str) -> None:
     path = tmp_path / "chunked.mcap"
     with path.open("wb") as file:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imumon.recordings.wire_format import CHECK_OP, MAGIC, MESSAGE_OP, RECORD
+from imumon.recordings.wire import CHECK_OP, MAGIC, MESSAGE_OP, RECORD
 from imumon.recordings.wire_reader import WireReader, WireSummary
 from imumon.run.recovery import rewrite
 from imumon.transport.reader import Bytes, Item
