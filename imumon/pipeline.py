@@ -38,25 +38,6 @@ UNDATED = NO_INT
 """Arrival time of bytes whose arrival was not recorded, as in a raw capture."""
 
 
-class SampleSink:
-    """A last stage: passes every block, with the columns of the stages before it, to a callback."""
-
-    columns: Sequence[Column] = ()
-
-    def __init__(self, take: Callable[[SampleBlock], object]) -> None:
-        self._take = take
-
-    def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
-        """Pass the block on; add nothing."""
-        if len(block):
-            self._take(block)
-        return {}
-
-    def notices(self) -> list[str]:
-        """Return nothing."""
-        return []
-
-
 @dataclass(frozen=True, slots=True)
 class PipelineCounters(Counters):
     """What became of every byte and packet, and of values (`left_out`); the keys of ``--json``."""
@@ -98,6 +79,8 @@ class Pipeline:
         self._device_clock = DeviceClock(self._decoder.timing if self._decoder is not None else Timing())
         self.host_clock = HostClock(self._device_clock.drift_limit_ppm)
         self._stages = tuple(GuardedStage(stage) for stage in estimators)
+        self.sink: Callable[[SampleBlock], object] | None = None
+        """Takes what stages may see of each block, which is not empty, with the columns that they add."""
         self.live = False
         """Whether a stage of imumon that fails is switched off, as one of another package always is; else
         its error is raised."""
@@ -114,7 +97,8 @@ class Pipeline:
         self._side_clock, self._shared_counter = SideClock(timing), SharedCounter(timing.counter_bits)
         self._held = HeldReadings()
         self._side_ready: dict[str, list[SampleBlock]] = {}
-        self._side: dict[str, SampleBlock] = {}
+        self.side: Mapping[str, SampleBlock] = {}
+        """The rows of the side streams that belong to what `take` returned last, by stream."""
         self._intervals: dict[str, Intervals] = {}
 
     @property
@@ -240,13 +224,8 @@ class Pipeline:
         block = join([*ready, self._decoded()])
         self._samples += len(block)
         side, self._side_ready = self._side_ready, {}
-        self._side = {stream: join(blocks) for stream, blocks in side.items()}
+        self.side = {stream: join(blocks) for stream, blocks in side.items()}
         return block
-
-    @property
-    def side(self) -> Mapping[str, SampleBlock]:
-        """The rows of the side streams that belong to what `take` returned last, by stream."""
-        return self._side
 
     def notices(self) -> list[str]:
         """Return, once each, what the device sent that is not data."""
@@ -323,7 +302,7 @@ class Pipeline:
 
     def _estimate(self, block: SampleBlock) -> SampleBlock:
         """Run the stages over what no sensor fault spoils; the columns that were sent stay as they are."""
-        if not self._stages:
+        if not self._stages and self.sink is None:
             return block
         taken = self._intake.process(block)
         current, added = taken.block, dict[str, ColumnArray]()
@@ -331,6 +310,8 @@ class Pipeline:
             new = stage.process(current, self.live)
             current = current.with_columns(new)
             added |= {name: taken.spread(values) for name, values in new.items()}
+        if self.sink is not None and len(current):
+            self.sink(current)
         return block.with_columns(added)
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from imumon.blocks import SampleBlock
 from imumon.columns import BodyAxes, Column
 from imumon.errors import bad_data
-from imumon.pipeline import Estimator, Pipeline, SampleSink
+from imumon.pipeline import Estimator, Pipeline
 from imumon.protocols.device import DeviceFile
 from imumon.recordings.folder import fingerprint, is_session, lost_metadata, open_session
 from imumon.recordings.importing import TableImport
@@ -92,7 +92,8 @@ def open_recording(
     session, there = source.session, {column.name: column for column in source.imported}
     made, processed = stages(source.device), list[SampleBlock]()
     wanted = [stage for stage in made if there.keys().isdisjoint(column.name for column in stage.columns)]
-    pipeline = Pipeline(source.device, [*wanted, SampleSink(processed.append)], source.range)
+    pipeline = Pipeline(source.device, wanted, source.range)
+    pipeline.sink = processed.append
     return Recording(
         source, pipeline, processed, count,
         truth=source.path if session is None else session.truth_path,

@@ -94,7 +94,7 @@ class Recorder:
             self._report(_GONE, f"{_GONE}: what it held is lost; a new file is begun" if gone else None)
             if gone:  # tried again until it works
                 with suppress(OSError, ImumonError):
-                    self._writer.begin_again()
+                    self._writer = self._writer.begun_again()
                     self._next_save = 0.0
         self._try(self._writer.close, "the recording could not be finished")
 

@@ -114,8 +114,8 @@ class Stream:
     _squares: dict[str, FloatArray] = field(default_factory=lambda: {name: np.zeros(3) for name in NOISY})
     _steps: dict[str, int] = field(default_factory=lambda: dict.fromkeys(NOISY, 0))
     """Of successive samples at rest, the sum of the squared differences, and how many."""
-    _published_ns: int | None = None
-    """Time of the latest row."""
+    _second: int | None = None
+    """In which the latest row was."""
     _last: dict[str, float] = field(default_factory=dict)
     """The latest reading of what is published when it changes."""
 
@@ -154,8 +154,8 @@ class Stream:
             return
         times: IntArray = block[self.clock]
         second = times // SECOND_NS
-        before = second[0] - 1 if self._published_ns is None else self._published_ns // SECOND_NS
-        begins, self._published_ns = np.diff(second, prepend=before) != 0, int(times[-1])
+        before = second[0] - 1 if self._second is None else self._second
+        begins, self._second = np.diff(second, prepend=before) != 0, int(second[-1])
         topics = list(self._topics(block, begins))
         for row in np.flatnonzero(times != NO_INT).tolist():
             sec, nanosec = divmod(int(times[row]), SECOND_NS)
@@ -184,19 +184,17 @@ class Stream:
                 yield self._scalar(f"{prefix}/imu/{column}", block, column, begins)
 
     def _inertial(self, block: SampleBlock) -> Iterator[_Topic]:
-        (gyro, of_gyro), (accel, of_accel) = (
-            (self._vector(block, name), self._squares[name] / (2.0 * max(self._steps[name], 1)))
+        gyro, accel, mag, bias = (self._vector(block, name) for name in (*NOISY, "mag", "gyro_bias"))
+        noise = {
+            name: np.tile(self._squares[name] / (2.0 * max(self._steps[name], 1)), (len(block), 1))
             for name in NOISY
-        )
-        force = accel, np.tile(of_accel, (len(block), 1))
+        }
+        rate, force, sd = (gyro, noise["gyro"]), (accel, noise["accel"]), block.vector("gyro_bias_sd")
         if gyro is not None or accel is not None:
-            rate = gyro, np.tile(of_gyro, (len(block), 1))
             yield _imu("/imu/data_raw", (None, None), rate, force)
-        bias, sd = self._vector(block, "gyro_bias"), block.vector("gyro_bias_sd")
         if gyro is not None and bias is not None and sd is not None:
-            variances = np.where(of_gyro.all(), sd**2 + of_gyro, 0.0)
+            variances = np.where(self._squares["gyro"].all(), sd**2 + noise["gyro"], 0.0)
             yield _imu("/imu/data", self._attitude(block), (gyro - bias, variances), force)
-        mag = self._vector(block, "mag")
         if mag is not None and (scale := TESLA.get(self.units["mag_x"])):
             values, there = mag * scale, np.asarray(np.isfinite(mag).all(axis=1))
             unknown = {"magnetic_field_covariance": UNKNOWN}

@@ -16,7 +16,7 @@ import zlib
 from collections import Counter, deque
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from mcap import records as mcap
@@ -132,15 +132,6 @@ class WireWriter:
         """Of what is given up since the last message: reads, bytes and events."""
         self._first_ns = self._last_ns = self._highest_ns = 0
         self._messages: Counter[int] = Counter()
-        self._begin()
-        try:
-            self.flush()
-        except OSError:
-            os.close(self._descriptor)
-            raise
-
-    def _begin(self) -> None:
-        """Make the file, and write what stands at its beginning."""
         try:
             descriptor = os.open(self._path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
         except FileExistsError as error:
@@ -160,6 +151,12 @@ class WireWriter:
         self._metadata_at = self._end
         self._put(_packed(self._metadata))
         self._put(b"".join(map(_packed, _TOPICS)))
+        try:
+            self.flush()
+        except OSError:
+            os.close(self._descriptor)
+            path.unlink(missing_ok=True)
+            raise
 
     @property
     def _end(self) -> int:
@@ -179,22 +176,20 @@ class WireWriter:
             return True
         return (now.st_dev, now.st_ino) != self._place
 
-    def begin_again(self) -> None:
-        """Make the file anew, with its folder, after it has vanished; its first event states what is missing.
+    def begun_again(self) -> WireWriter:
+        """Return the writer of a new file, with its folder, after this one has vanished.
 
-        Raises OSError when that cannot be done; what comes until it can is lost as well; EXISTS when there is
-        another file by now.
+        Its first event states what is missing.  Raises OSError when that cannot be done; what comes until it
+        can is lost as well; EXISTS when there is another file by now.
         """
-        gone = self._descriptor
         self._path.parent.mkdir(parents=True, exist_ok=True)
-        self._begin()
-        os.close(gone)
-        self._messages.clear()
-        self._sequence, counts = 0, self.counters
-        counts.bytes_on_disk, counts.bytes_unrecorded = 0, counts.bytes
-        self._unflushed.clear()
-        self._gap = Counter(reads=counts.reads, bytes=counts.bytes, events=counts.events)
-        self._note_gap(self._last_ns)
+        new, counts = WireWriter(self._path, self._metadata.metadata), self.counters
+        new.counters = replace(counts, bytes_on_disk=0, bytes_unrecorded=counts.bytes)
+        new._gap = Counter(reads=counts.reads, bytes=counts.bytes, events=counts.events)
+        new._note_gap(self._last_ns)
+        self._closed = True
+        os.close(self._descriptor)
+        return new
 
     def write(self, item: Item) -> None:
         """Take an item in; it is on disk after the next `flush` that succeeds."""

@@ -26,7 +26,7 @@ from mcap.records import Header, Metadata
 from imumon.errors import ImumonError, bad_data
 from imumon.files import readable
 from imumon.recordings import wire
-from imumon.recordings.wire import CHECK_SIZE, MAGIC, MESSAGE, RECORD, SEQUENCE_MASK, Check
+from imumon.recordings.wire import CHECK_SIZE, MAGIC, RECORD, SEQUENCE_MASK, Check
 from imumon.transport.reader import Event, EventKind, Item, Reads
 
 FORMATS = ("imumon-wire/1", wire.FORMAT)
@@ -34,6 +34,8 @@ FORMATS = ("imumon-wire/1", wire.FORMAT)
 PROFILE = wire.FORMAT.rpartition("/")[0].encode()
 HEAD_SIZE = 64
 """Bytes at the begin of a file among which the profile stands."""
+FIELDS = struct.Struct("<HIQQ")
+"""Of a message: channel, sequence, log time, publish time; then the payload."""
 READ_SIZE = 1 << 20
 """Bytes of reads that are handed on at once, and of which a checksum is taken."""
 RELEASE_SIZE = 16 << 20
@@ -211,7 +213,7 @@ class WireReader:
         sequence, time_ns = check.sequence, check.time_ns
         messages = (at for opcode, at, _ in _walk(block, first) if opcode == wire.MESSAGE_OP)
         if is_whole and (at := next(messages, 0)):
-            _, _, _, sequence, time_ns, _ = MESSAGE.unpack_from(block, at - RECORD.size)
+            _, sequence, time_ns, _ = FIELDS.unpack_from(block, at)
         if self._ahead(sequence) < 0:
             return
         yield from self._lose((begin if is_whole else behind) - self._done, time_ns, sequence)
@@ -274,43 +276,39 @@ class WireReader:
 
         What is sealed is as it was written; any other record is taken for one by its fields.
         """
-        while at < len(data) and (sealed or self._is_record(at)) and data[at] != wire.DATA_END_OP:
-            opcode = data[at]
+        for opcode, begin, end in _walk(data, at):
+            if opcode == wire.DATA_END_OP or not (sealed or self._is_record(opcode, begin, end)):
+                break
+            channel = time_ns = 0
             if opcode == wire.MESSAGE_OP:
-                _, length, channel, sequence, time_ns, _ = MESSAGE.unpack_from(data, at)
+                channel, sequence, time_ns, _ = FIELDS.unpack_from(data, begin)
                 self._next_sequence = (sequence + 1) & SEQUENCE_MASK
                 self.summary.last_ns = time_ns
-            else:
-                (_, length), channel, time_ns = RECORD.unpack_from(data, at), 0, 0
-            after = at + RECORD.size + length
+                begin += FIELDS.size
             if channel in _BEFORE_DATA:
-                self._pieces.append(data[at + MESSAGE.size + _BEFORE_DATA[channel] : after])
+                self._pieces.append(data[begin + _BEFORE_DATA[channel] : end])
                 self._arrivals_ns.append(time_ns)
-                self._kept += length
+                self._kept += end - begin
                 if self._kept >= READ_SIZE:
                     yield from self._reads()
             else:
                 yield from self._reads()
                 try:
-                    event = self._other(opcode, channel, data[at:after], time_ns)
+                    event = self._other(opcode, channel, data[begin:end], time_ns)
                 except BAD_RECORD:
                     break
                 if event is not None:
                     yield event
-            at = after
+            at = end
         return at
 
-    def _is_record(self, at: int) -> bool:
+    def _is_record(self, opcode: int, begin: int, end: int) -> bool:
         """Return whether a whole record stands here: a message has its time twice, and its number follows."""
-        data, left = self._data, len(self._data) - at
-        if left < RECORD.size:
+        if end > len(self._data) or not 0 < opcode <= wire.DATA_END_OP:
             return False
-        opcode, length = RECORD.unpack_from(data, at)
-        if opcode != wire.MESSAGE_OP:
-            return bool(0 < opcode <= wire.DATA_END_OP and RECORD.size + length <= left)
-        if not MESSAGE.size <= RECORD.size + length <= left:
-            return False
-        _, _, _, sequence, time_ns, published_ns = MESSAGE.unpack_from(data, at)
+        if opcode != wire.MESSAGE_OP or end - begin < FIELDS.size:
+            return opcode != wire.MESSAGE_OP
+        _, sequence, time_ns, published_ns = FIELDS.unpack_from(self._data, begin)
         return bool(time_ns == published_ns < 1 << 63 and not self._ahead(sequence))
 
     def _reads(self) -> Generator[Reads]:
@@ -324,24 +322,25 @@ class WireReader:
             self.summary.bytes += len(data)
             yield batch
 
-    def _other(self, opcode: int, channel: int, record: bytes, time_ns: int) -> Event | None:
+    def _other(self, opcode: int, channel: int, body: bytes, time_ns: int) -> Event | None:
         """Return an event, or take in what it states is missing, the header or the metadata.
 
         Raises one of `BAD_RECORD` for a record that is not what it states.
         """
-        stream = ReadDataStream(BytesIO(record[RECORD.size :]))
+        stream = ReadDataStream(BytesIO(body))
         if opcode == wire.MESSAGE_OP:
-            fields = json.loads(record[MESSAGE.size :]) if channel == wire.EVENT_CHANNEL else None
-            if fields is not None and fields["kind"] != wire.UNRECORDED:
+            if channel != wire.EVENT_CHANNEL:
+                return None
+            fields = json.loads(body)
+            if fields["kind"] != wire.UNRECORDED:
                 event = Event(EventKind(fields["kind"]), time_ns, str(fields["detail"]))
                 self.summary.events += 1
                 return event
-            if fields is not None:
-                self.summary.bytes_unrecorded += int(fields["bytes"])
-                if "after_ns" in fields:
-                    place = Place(0, 0, int(fields["after_ns"]), time_ns, int(fields["reads"]))
-                    self.summary.damage.add(place)
-                    self.summary.recovered.add(place)
+            self.summary.bytes_unrecorded += int(fields["bytes"])
+            if "after_ns" in fields:
+                place = Place(0, 0, int(fields["after_ns"]), time_ns, int(fields["reads"]))
+                self.summary.damage.add(place)
+                self.summary.recovered.add(place)
         elif opcode == Opcode.HEADER:
             profile = Header.read(stream).profile
             if profile not in FORMATS:

@@ -247,8 +247,6 @@ class LiveRun(DecodedPort):
         self.session = create_session(folder, metadata)
         self._log = SessionLog(self.session.path / LOG_NAME, report)
         self._report = self._log.put
-        model = setup.model
-        self._of_another = model.of_another(serial) if isinstance(model, BiasModel) else ""
         try:
             wire_metadata = metadata.for_wire() | {"port": str(settings)}
             self._writer = WireWriter(self.session.wire_path, wire_metadata)
@@ -256,6 +254,8 @@ class LiveRun(DecodedPort):
             remove_empty(self.session)
             what = f"the recording {self.session.wire_path} cannot be made: {error.strerror}"
             raise bad_config(what, "give another folder") from error
+        model = setup.model
+        self._of_another = model.of_another(serial) if isinstance(model, BiasModel) else ""
         self._recorder = Recorder(self._writer, self._report_problem, self._save)
         path = self.session.path
         card = {"device": device.title, "port": str(settings), "recording": str(path)}

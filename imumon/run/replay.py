@@ -31,16 +31,9 @@ def replay(
 ) -> Iterator[SampleBlock]:
     """Run what was recorded through a new pipeline; yield the samples in order, to the last byte.
 
-    Parameters
-    ----------
-    items : iterable of Bytes and Event, or of SampleBlock
-        As for `imumon.recordings.source.run_over`.
-    narrator : Narrator or None
-        Shows the run as it would be shown live; needs items with times.
-    speed : float or None
-        1 is as fast as it was recorded, 2 twice as fast; None is as fast as it goes.
-    count : callable
-        Takes how many more bytes were read, for a progress bar.
+    `items`, `count`: as for `imumon.recordings.source.run_over`.
+    `narrator`: shows the run as it would be shown live; needs items with times.
+    `speed`: 1 is as fast as it was recorded, 2 twice as fast; None is as fast as it goes.
     """
     if speed is not None:
         items = _paced(items, speed)

@@ -17,7 +17,7 @@ from imumon.estimation.smoothing.stage import Record, Recorder, SmoothedEstimate
 from imumon.estimation.spectrum.stage import LiveSpectrum
 from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.estimation.watch.stage import ModelWatch
-from imumon.pipeline import Estimator, Pipeline, SampleSink
+from imumon.pipeline import Estimator, Pipeline
 from imumon.plugins import STAGES, plugins
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.ranges import Ranges
@@ -93,7 +93,8 @@ def smoothed(source: Source, setup: Setup) -> SmoothedEstimates:
 
         needed = (*SMOOTHED, Alignment)
     recorder = Recorder()
-    pipeline = pipeline_of(source, setup, [SampleSink(recorder.add)], only=needed)
+    pipeline = pipeline_of(source, setup, only=needed)
+    pipeline.sink = recorder.add
     for _ in run_over(source.items, pipeline):
         pass
     record, heading = recorder.finish(), None

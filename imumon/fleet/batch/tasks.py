@@ -25,7 +25,7 @@ from imumon.blocks import NO_INT, ColumnArray, SampleBlock
 from imumon.errors import ImumonError, Reason, bad_config, bad_data
 from imumon.fleet.batch.dataset import BatchOptions, Row
 from imumon.fleet.batch.places import fetched
-from imumon.pipeline import Digest, Pipeline, SampleSink
+from imumon.pipeline import Digest, Pipeline
 from imumon.recordings.exports import export_run
 from imumon.recordings.folder import is_session, open_session
 from imumon.recordings.source import Source, open_source, run_over
@@ -188,7 +188,8 @@ class _Channels:
 
 def _decode(path: Path, job: Job) -> Iterator[Row]:
     source, channels = open_source(path), _Channels()
-    pipeline = Pipeline(source.device, [SampleSink(channels.add)], source.range)
+    pipeline = Pipeline(source.device, ranges=source.range)
+    pipeline.sink = channels.add
     yield from _samples(source, job, pipeline, run_over(source.items, pipeline), channels)
 
 
@@ -197,7 +198,8 @@ def _replay(path: Path, job: Job) -> Iterator[Row]:
     text = job.options.pipeline_yaml
     setup = recorded_setup(session) if text is None else parse_setup(text, "--pipeline")
     source, digest, channels = open_source(path), Digest(), _Channels()
-    pipeline = pipeline_of(source, setup, [SampleSink(channels.add)])
+    pipeline = pipeline_of(source, setup)
+    pipeline.sink = channels.add
     blocks = digested(run_over(source.items, pipeline), pipeline, digest)
     rows = [*_samples(source, job, pipeline, blocks, channels)]
     identical = compare_with_live(session, setup, digest, pipeline).identical
