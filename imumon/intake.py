@@ -312,20 +312,16 @@ class _Clock:
         """Return which rows are taken, (n,), and what to add to their segment, (n,)."""
         n = len(time_ns)
         taken, shift = np.ones(n, np.bool_), np.full(n, self._shift)
-        if n and self._last is not None and self._is_plain(time_ns, segment):
+        before_ns, before = self._last or (0, 0)
+        step_ns = np.diff(time_ns.astype(np.float64), prepend=before_ns)
+        goes_on = (step_ns > 0.0) & (step_ns <= LONGEST_GAP_S * 1e9)
+        if n and self._last is not None and np.all(goes_on | (np.diff(segment, prepend=before) != 0)):
             self._last, self._rejected = (int(time_ns[-1]), int(segment[-1])), 0
             return taken, shift
         for row, (time, part) in enumerate(zip(time_ns.tolist(), segment.tolist(), strict=True)):
             taken[row] = self._take(time, part)
             shift[row] = self._shift
         return taken, shift
-
-    def _is_plain(self, time_ns: IntArray, segment: IntArray) -> bool:
-        assert self._last is not None
-        before = np.concatenate([[self._last[0]], time_ns[:-1]])
-        same = segment == np.concatenate([[self._last[1]], segment[:-1]])
-        step = time_ns.astype(np.float64) - before
-        return bool(np.all(~same | ((time_ns > before) & (step <= LONGEST_GAP_S * 1e9))))
 
     def _take(self, time_ns: int, segment: int) -> bool:
         last = self._last

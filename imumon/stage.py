@@ -6,7 +6,7 @@ import os
 import re
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from typing import Any, Protocol, TypeVar, get_args
+from typing import Protocol, TypeVar, get_args
 
 import numpy as np
 
@@ -158,7 +158,17 @@ class GuardedStage:
             what = f"it declares {absent}, which did not come"
             raise bad_config(what, "return every column, NaN where there is nothing")
         for name, values in new.items():
-            _check_column(name, values, declared[name], len(block))
+            dtype, n = declared[name], len(block)
+            if not isinstance(values, np.ndarray) or values.ndim != 1:
+                is_array = isinstance(values, np.ndarray)
+                what = f"an array of shape {values.shape}" if is_array else _named(values)
+                raise bad_config(f"{name} is {what}", "return an array of one dimension")
+            if len(values) != n:
+                raise bad_config(f"{name} has {len(values)} values for {n} samples", "return one for each")
+            if values.dtype != dtype:
+                raise bad_config(
+                    f"{name} is {values.dtype} and declared as {dtype}", "return what is declared"
+                )
         return new
 
 
@@ -218,16 +228,6 @@ def name_of(stage: object) -> str:
     """Return what messages call a stage: its class, and the module of one from another package."""
     name = type(stage).__name__
     return f"stage {name}" if is_own(stage) else f"stage {name} of {type(stage).__module__}"
-
-
-def _check_column(name: str, values: object, dtype: np.dtype[Any], n: int) -> None:
-    if not isinstance(values, np.ndarray) or values.ndim != 1:
-        shown = f"an array of shape {values.shape}" if isinstance(values, np.ndarray) else _named(values)
-        raise bad_config(f"{name} is {shown}", "return an array of one dimension")
-    if len(values) != n:
-        raise bad_config(f"{name} has {len(values)} values for {n} samples", "return one for each")
-    if values.dtype != dtype:
-        raise bad_config(f"{name} is {values.dtype} and declared as {dtype}", "return what is declared")
 
 
 def _each_is(kind: type[T], found: object, what: str) -> list[T]:

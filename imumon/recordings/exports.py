@@ -141,7 +141,14 @@ def convert(
         return dict.fromkeys(streams, first), left_out
     for stream, path in tables.items():
         block, columns = read_table(path)
-        {".npz": write_npz, ".mat": _mat}[first.suffix](out[stream], dict(block.columns), columns)
+        if first.suffix == ".npz":
+            write_npz(out[stream], block.columns, columns)
+            continue
+        from scipy.io import savemat
+
+        short = {name[:LONGEST_NAME]: part for name, part in block.columns.items()}
+        units = {"units": {name[:LONGEST_NAME]: column.unit for name, column in columns.items()}}
+        savemat(out[stream], short | units, do_compression=True, long_field_names=True, oned_as="column")
     return dict(out), []
 
 
@@ -169,12 +176,3 @@ def read_npz(path: Path) -> tuple[SampleBlock, dict[str, Column]]:
         what = f"{path}: cannot be read as a table of imumon: {error}"
         raise bad_data(what, "imumon export writes one") from error
     return block, columns
-
-
-def _mat(path: Path, values: Mapping[str, Any], columns: Mapping[str, Column]) -> None:
-    """Write the columns as vectors, and the struct `units`."""
-    from scipy.io import savemat
-
-    short = {name[:LONGEST_NAME]: part for name, part in values.items()}
-    units = {name[:LONGEST_NAME]: column.unit for name, column in columns.items()}
-    savemat(path, {**short, "units": units}, do_compression=True, long_field_names=True, oned_as="column")

@@ -92,19 +92,12 @@ class Reduced:
                 steps = steps[np.isfinite(steps)]
                 scatter_of_means = np.median(steps) / (0.6745 * 2.0**0.5) if len(steps) else 0.0
                 sd = np.where(few, scatter_of_means, sd)
-            if name in ACCEL:
-                quiet &= _steady(self.of(name), sd)
+            if name in ACCEL:  # a slot without a value is no evidence
+                step = np.abs(np.diff(self.of(name)))
+                near = ~(step > JERK + 5.0 * np.hypot(sd[1:], sd[:-1]))
+                quiet[1:] &= near
+                quiet[:-1] &= near
         return quiet
-
-
-def _steady(mean: FloatArray, sd: FloatArray) -> BoolArray:
-    """Return which means do not differ from both neighbours; a slot without a value is no evidence."""
-    near = np.abs(np.diff(mean)) <= JERK + 5.0 * np.hypot(sd[1:], sd[:-1])
-    near |= ~np.isfinite(np.diff(mean))
-    steady = np.ones(len(mean), np.bool_)
-    steady[1:] &= near
-    steady[:-1] &= near
-    return steady
 
 
 def reduce(blocks: Iterable[SampleBlock], names: Sequence[str], slot_s: float) -> Reduced:

@@ -18,7 +18,7 @@ import pyarrow as pa
 import pyarrow.csv as pa_csv
 import pyarrow.parquet as pq
 
-from imumon.blocks import NO_INT, ColumnArray, SampleBlock, join
+from imumon.blocks import NO_INT, SampleBlock, join, missing
 from imumon.columns import KNOWN, Column, ColumnType
 from imumon.config import StrictModel, dump_yaml, load_yaml
 from imumon.errors import ImumonError, Reason, bad_data
@@ -187,7 +187,12 @@ def iterate_table(path: Path, columns: Sequence[str] | None = None) -> Iterator[
     with table_errors(path):
         for batch in _batches(path, schema):
             for start in range(0, len(batch), READ_ROWS):
-                yield _from_arrow(batch.slice(start, READ_ROWS), schema)
+                block = {}
+                for field in schema:
+                    values = batch.slice(start, READ_ROWS).column(field.name).cast(field.type)
+                    absent = pa.scalar(NO_INT if field.type == pa.int64() else np.nan, field.type)
+                    block[field.name] = values.fill_null(absent).to_numpy(zero_copy_only=False)
+                yield SampleBlock(block)
 
 
 def read_table(path: Path) -> tuple[SampleBlock, dict[str, Column]]:
@@ -211,7 +216,16 @@ def read_columns(path: Path) -> dict[str, Column]:
         if path.suffix == ".csv":
             return _csv_columns(path)
         schema = pq.read_schema(path)
-    return {field.name: _parquet_column(path, field) for field in schema}
+    columns = {}
+    for field in schema:
+        if not (pa.types.is_integer(field.type) or pa.types.is_floating(field.type)):
+            raise bad_data(f"{path}: column {field.name!r} is {field.type}, not a number")
+        metadata = {key.decode(): value.decode() for key, value in (field.metadata or {}).items()}
+        known = KNOWN.get(field.name) or Column(field.name, "")
+        dtype: ColumnType = "int64" if pa.types.is_integer(field.type) else "float64"
+        unit, description = metadata.get("unit", known.unit), metadata.get("description", known.description)
+        columns[field.name] = Column(field.name, unit, dtype, description)
+    return columns
 
 
 def units_path(path: Path) -> Path:
@@ -246,16 +260,6 @@ def _csv_columns(path: Path) -> dict[str, Column]:
     }
 
 
-def _parquet_column(path: Path, field: Any) -> Column:
-    metadata = {key.decode(): value.decode() for key, value in (field.metadata or {}).items()}
-    fallback = KNOWN.get(field.name) or Column(field.name, "")
-    if not (pa.types.is_integer(field.type) or pa.types.is_floating(field.type)):
-        raise bad_data(f"{path}: column {field.name!r} is {field.type}, not a number")
-    dtype: ColumnType = "int64" if pa.types.is_integer(field.type) else "float64"
-    unit = metadata.get("unit", fallback.unit)
-    return Column(field.name, unit, dtype, metadata.get("description", fallback.description))
-
-
 def _check_suffix(path: Path, reason: Reason) -> None:
     if path.suffix not in SUFFIXES:
         what = f"{path}: a table cannot have the suffix {path.suffix!r}"
@@ -276,29 +280,15 @@ def _schema(columns: Iterable[Column]) -> Any:
 
 def arrow_table(block: SampleBlock, columns: Iterable[Column]) -> Any:
     """Return a pyarrow table with these columns; missing values are null, a field's metadata has the unit."""
-    schema = _schema(columns)
-    arrays = [
-        _masked(block[field.name], field.type) if field.name in block else pa.nulls(len(block), field.type)
-        for field in schema
-    ]
-    return pa.Table.from_arrays(arrays, schema=schema)
-
-
-def _masked(values: ColumnArray, arrow_type: Any) -> Any:
-    # pyarrow.array does the same once it has imported pandas, 0.3 s, to see whether this is a series.
-    there = values != NO_INT if values.dtype == np.int64 else ~np.isnan(values)
-    bits = None if there.all() else pa.py_buffer(np.packbits(there, bitorder="little"))
-    content = pa.py_buffer(np.ascontiguousarray(values, arrow_type.to_pandas_dtype()))
-    return pa.Array.from_buffers(arrow_type, len(values), [bits, content])
-
-
-def _from_arrow(batch: Any, schema: Any) -> SampleBlock:
-    columns = {}
+    schema, arrays = _schema(columns), []
     for field in schema:
-        values = batch.column(field.name).cast(field.type)
-        absent = pa.scalar(NO_INT if field.type == pa.int64() else np.nan, field.type)
-        columns[field.name] = values.fill_null(absent).to_numpy(zero_copy_only=False)
-    return SampleBlock(columns)
+        values = block.columns.get(field.name, missing(len(block), field.type.to_pandas_dtype()))
+        # pyarrow.array does the same once it has imported pandas, 0.3 s, to see whether this is a series.
+        there = values != NO_INT if values.dtype == np.int64 else ~np.isnan(values)
+        bits = None if there.all() else pa.py_buffer(np.packbits(there, bitorder="little"))
+        content = pa.py_buffer(np.ascontiguousarray(values, field.type.to_pandas_dtype()))
+        arrays.append(pa.Array.from_buffers(field.type, len(values), [bits, content]))
+    return pa.Table.from_arrays(arrays, schema=schema)
 
 
 def _batches(path: Path, schema: Any) -> Iterator[Any]:
@@ -317,20 +307,18 @@ def _batches(path: Path, schema: Any) -> Iterator[Any]:
 
 
 def _write_csv(path: Path, tables: Iterable[Any], names: Sequence[str]) -> None:
+    """Write numbers as the shortest text that reads back the same; whole floats keep their ".0"."""
+    import pyarrow.compute as pc  # 50 ms, for CSV only
+
     options = pa_csv.WriteOptions(include_header=False, quoting_style="none")
     with path.open("wb") as file:
         file.write(",".join(map(for_csv, names)).encode() + b"\n")
         for table in tables:
-            texts = [_as_text(table.column(name)) for name in names]
+            texts = []
+            for values in map(table.column, names):
+                text = values.cast(pa.string())
+                if values.type == pa.float64():
+                    bare = pc.invert(pc.match_substring_regex(text, "[.eni]"))
+                    text = pc.if_else(bare, pc.binary_join_element_wise(text, ".0", ""), text)
+                texts.append(text)
             pa_csv.write_csv(pa.Table.from_arrays(texts, names=names), file, options)
-
-
-def _as_text(values: Any) -> Any:
-    """Return numbers as the shortest text that reads back the same; whole floats keep their ".0"."""
-    import pyarrow.compute as pc  # 50 ms, for CSV only
-
-    text = values.cast(pa.string())
-    if values.type != pa.float64():
-        return text
-    bare = pc.invert(pc.match_substring_regex(text, "[.eni]"))
-    return pc.if_else(bare, pc.binary_join_element_wise(text, ".0", ""), text)

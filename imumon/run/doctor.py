@@ -13,7 +13,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import Enum
 from importlib import metadata
-from importlib.metadata import EntryPoint
 from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
@@ -227,20 +226,16 @@ def installed() -> list[Installed]:
     for entry in chain.from_iterable(map(entries, (STAGES, DEVICES, EFFECTS, WINGS))):
         brings, problem = list[str](), ""
         try:
-            brings = _brought(entry)
+            if entry.group == STAGES:
+                brings = [column.name for column in made_by(load(entry, STAGE, is_callable)).columns]
+            elif entry.group == DEVICES:
+                files = sorted(Path(load(entry, FOLDER, is_folder).offered).glob("*.yaml"))
+                brings = [load_device(str(file)).name for file in files]
+            elif entry.group == EFFECTS:
+                brings = [*guarded(load(entry, EFFECT, is_effect)).sensors]
+            else:
+                brings = [*load(entry, NEEDED, is_wing).offered.commands]
         except ImumonError as error:
             problem = error.seen
         found.append(Installed(entry.group, entry.name, *package_of(entry), tuple(brings), problem))
     return found
-
-
-def _brought(entry: EntryPoint) -> list[str]:
-    """Return the names of what an entry point brings."""
-    if entry.group == STAGES:
-        return [column.name for column in made_by(load(entry, STAGE, is_callable)).columns]
-    if entry.group == DEVICES:
-        files = sorted(Path(load(entry, FOLDER, is_folder).offered).glob("*.yaml"))
-        return [load_device(str(file)).name for file in files]
-    if entry.group == EFFECTS:
-        return [*guarded(load(entry, EFFECT, is_effect)).sensors]
-    return [*load(entry, NEEDED, is_wing).offered.commands]

@@ -173,7 +173,14 @@ class DecodedPort:
             closed = False
             next_tick = time.monotonic()
             while not closed:
-                closed = self._take_batch()
+                for item in arrived(self._items):
+                    feed(item, self.pipeline)
+                    self.narrator.item(item)
+                    if isinstance(item, Reads):
+                        self._outages.last_ns = int(item.arrivals_ns[-1])
+                    else:
+                        self._outages.event(item)
+                        closed = item.kind is EventKind.CLOSED
                 if closed:
                     self.pipeline.finish()
                 else:
@@ -192,19 +199,6 @@ class DecodedPort:
         if self.taken is not None:
             self.taken(block, self.pipeline.side)
         self.narrator.samples(block, self.pipeline.side)
-
-    def _take_batch(self) -> bool:
-        """Feed what comes within a batch's time; return True after the last item."""
-        closed = False
-        for item in arrived(self._items):
-            feed(item, self.pipeline)
-            self.narrator.item(item)
-            if isinstance(item, Reads):
-                self._outages.last_ns = int(item.arrivals_ns[-1])
-            else:
-                self._outages.event(item)
-                closed = item.kind is EventKind.CLOSED
-        return closed
 
     def _take_marks(self) -> None:
         """Put marks that were requested into what comes; only a recording has some."""

@@ -173,7 +173,12 @@ class Narrator:
         """Show rates, losses and lanes; to be called a few times a second."""
         progress = self.progress(now_ns)
         self._show_numbers(progress, now_ns)
-        self._watch_link(progress, now_ns)
+        if self._link is not None and progress.link_load is not None:
+            state = FULL if self._link.overloaded(now_ns) else OK
+            if state == FULL and self._lanes.get("link") != FULL:
+                text = f"the link is {progress.link_load:.0%} full: beyond 100 % a device drops packets"
+                self.log("WARN", text, now_ns)
+            self._lane("link", state, now_ns)
         self._watch_data(now_ns)
         if progress.counters.samples:
             self._watch_clock(now_ns)
@@ -251,15 +256,6 @@ class Narrator:
             self._lane("clock", SYNCHRONISED, now_ns)
         elif self._lanes.get("clock") != JUMPED:
             self._lane("clock", ACQUIRING, now_ns)
-
-    def _watch_link(self, progress: Progress, now_ns: int) -> None:
-        if self._link is None or progress.link_load is None:
-            return
-        state = FULL if self._link.overloaded(now_ns) else OK
-        if state == FULL and self._lanes.get("link") != FULL:
-            text = f"the link is {progress.link_load:.0%} full: beyond 100 % a device drops packets"
-            self.log("WARN", text, now_ns)
-        self._lane("link", state, now_ns)
 
     def _watch_data(self, now_ns: int) -> None:
         """Classify the data of the last 2 s: framed, damaged, or hardly framed at all."""
