@@ -54,7 +54,7 @@ class Live:
         self._last_ns: int | None = None
         """Arrival of the last row that was handed out."""
         self._ready: SimpleQueue[tuple[SampleBlock, Mapping[str, SampleBlock]]] = SimpleQueue()
-        run.taken = lambda block, side: self._ready.put((block, side))
+        run.takers.append(lambda block, side: self._ready.put((block, side)))
         run.open()
         run.begin([])
         self._next_batch = self._valid_at = time.monotonic()

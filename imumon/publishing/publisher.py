@@ -75,7 +75,6 @@ class Publisher(FedProcess):
         now = self._now
         text = "ended" if self._queue.closed.is_set() else "begins again" if now.ready else now.text
         self._sent += now.sent
-        self._lost = self._handed_rows - self._sent
         self._now = Delivery(text, ready=False)
 
 

@@ -39,8 +39,6 @@ class Recording:
     """What is read."""
     pipeline: Pipeline
     """What it runs through."""
-    processed: list[SampleBlock]
-    """Blocks that have gone through the stages and were not yielded yet."""
     count: Count
     """Takes how many more bytes were read."""
     truth: Path
@@ -61,10 +59,11 @@ class Recording:
 
         What cannot be is missing, and so are rows whose time does not go on: `warnings` counts them.
         """
+        blocks = list[SampleBlock]()
+        self.pipeline.sink = blocks.append
         for _ in run_over(self.source.items, self.pipeline, self.count):
-            blocks = [*self.processed]
-            self.processed.clear()
             yield from blocks
+            blocks.clear()
 
     def warnings(self) -> list[str]:
         """Return, once the samples were read, what the recording lacks and what the stages report."""
@@ -90,12 +89,10 @@ def open_recording(
     """
     source = _open(path, map_path)
     session, there = source.session, {column.name: column for column in source.imported}
-    made, processed = stages(source.device), list[SampleBlock]()
+    made = stages(source.device)
     wanted = [stage for stage in made if there.keys().isdisjoint(column.name for column in stage.columns)]
-    pipeline = Pipeline(source.device, wanted, source.range)
-    pipeline.sink = processed.append
     return Recording(
-        source, pipeline, processed, count,
+        source, Pipeline(source.device, wanted, source.range), count,
         truth=source.path if session is None else session.truth_path,
         name=(path if session is None else session.path).name or str(path),
         device=None if source.device is None else source.device.name,
@@ -107,7 +104,6 @@ def open_recording(
 
 def _open(path: Path, map_path: Path | None) -> Source:
     if is_session(path) or not path.is_file():
-        open_session(path)  # raises what there is instead
         return open_source(path)
     if map_path is not None:
         table = TableImport(path, map_path)

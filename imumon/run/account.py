@@ -55,26 +55,26 @@ class Outages:
     last_ns: int = 0
     """Time of the last byte or event."""
 
-    def event(self, event: Event) -> None:
-        """Take an event of the port."""
+    def item(self, item: Item | Reads) -> None:
+        """Take what came from the port."""
+        if not isinstance(item, Event):
+            arrivals_ns = [item.arrival_ns] if isinstance(item, Bytes) else item.arrivals_ns[-1:].tolist()
+            self.last_ns = max(arrivals_ns, default=self.last_ns)
+            return
         lasting = next((one for one in self.found if one.ended_ns is None), None)
-        if event.kind in BEGINS and lasting is None:
-            self.found.append(Outage(BEGINS[event.kind], self.last_ns or event.time_ns))
-        elif event.kind in BEGINS and lasting is not None:  # it was silent before it was lost
-            lasting.kind = BEGINS[event.kind]
-        elif event.kind in ENDS and lasting is not None:
-            lasting.ended_ns = event.time_ns
-        self.last_ns = max(self.last_ns, event.time_ns)
+        if item.kind in BEGINS and lasting is None:
+            self.found.append(Outage(BEGINS[item.kind], self.last_ns or item.time_ns))
+        elif item.kind in BEGINS and lasting is not None:  # it was silent before it was lost
+            lasting.kind = BEGINS[item.kind]
+        elif item.kind in ENDS and lasting is not None:
+            lasting.ended_ns = item.time_ns
+        self.last_ns = max(self.last_ns, item.time_ns)
 
     def watch(self, items: Iterable[Item] | Iterable[SampleBlock]) -> Iterator[Item | Reads | SampleBlock]:
         """Yield what was recorded, and look at it."""
         for item in items.batches() if isinstance(items, WireReader) else items:
-            if isinstance(item, Event):
-                self.event(item)
-            elif isinstance(item, Bytes):
-                self.last_ns = item.arrival_ns
-            elif isinstance(item, Reads) and len(item.arrivals_ns):
-                self.last_ns = int(item.arrivals_ns[-1])
+            if not isinstance(item, SampleBlock):
+                self.item(item)
             yield item
 
     def seconds(self, outage: Outage) -> float:

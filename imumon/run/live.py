@@ -127,14 +127,15 @@ class DecodedPort:
     ) -> None:
         self.pipeline = pipeline
         self.pipeline.live = True
-        self.taken: Callable[[SampleBlock, Mapping[str, SampleBlock]], None] | None = None
-        """Given, in the pipeline's thread, the samples and those of the side streams as they come."""
         self._items: SimpleQueue[Item] = SimpleQueue()
         self._outages, self._clock = Outages(), Clock()
         self._began_ns = self._clock.now_ns()
         silent_after_s = max(SILENT_AFTER_S, SILENT_AFTER_PACKETS / (device.rate_hz or np.inf))
         self._reader = Reader(settings, record, self._items.put, silent_after_s=silent_after_s)
         self.narrator = Narrator(pipeline, settings, (), report, dict(card), session)
+        self.takers: list[Callable[[SampleBlock, Mapping[str, SampleBlock]], object]]
+        self.takers = [self.narrator.samples]
+        """Take, in the pipeline's thread, the samples and those of the side streams as they come."""
         self._thread = threading.Thread(target=self._run, name="pipeline", daemon=True)
         self.progress = self.narrator.progress(self._began_ns)
         """The numbers of the moment, renewed twice a second; in the end with the rates of the whole run."""
@@ -176,16 +177,15 @@ class DecodedPort:
                 for item in arrived(self._items):
                     feed(item, self.pipeline)
                     self.narrator.item(item)
-                    if isinstance(item, Reads):
-                        self._outages.last_ns = int(item.arrivals_ns[-1])
-                    else:
-                        self._outages.event(item)
-                        closed = item.kind is EventKind.CLOSED
+                    self._outages.item(item)
+                    closed = isinstance(item, Event) and item.kind is EventKind.CLOSED
                 if closed:
                     self.pipeline.finish()
                 else:
                     self._take_marks()
-                self._hand_on(self.pipeline.take())
+                block = self.pipeline.take()
+                for take in self.takers:
+                    take(block, self.pipeline.side)
                 if time.monotonic() >= next_tick or closed:
                     next_tick = time.monotonic() + TICK_S
                     self.progress = self.narrator.tick(self._clock.now_ns())
@@ -194,11 +194,6 @@ class DecodedPort:
         except ImumonError as error:
             # Reading and recording go on; what could not be decoded can be decoded from the recording.
             self.failure = error
-
-    def _hand_on(self, block: SampleBlock) -> None:
-        if self.taken is not None:
-            self.taken(block, self.pipeline.side)
-        self.narrator.samples(block, self.pipeline.side)
 
     def _take_marks(self) -> None:
         """Put marks that were requested into what comes; only a recording has some."""
@@ -254,6 +249,7 @@ class LiveRun(DecodedPort):
         path = self.session.path
         card = {"device": device.title, "port": str(settings), "recording": str(path)}
         super().__init__(device, settings, pipeline, self._report, self._recorder.put, card, path)
+        self.takers.append(self._digest.update)
 
     def open(self) -> None:
         """Open the port, and read and record from now on.
@@ -324,10 +320,6 @@ class LiveRun(DecodedPort):
         with self._marking:
             for kind, text in self._marks.take():
                 self._reader.report(kind, text)
-
-    def _hand_on(self, block: SampleBlock) -> None:
-        self._digest.update(block, self.pipeline.side)
-        super()._hand_on(block)
 
     def _save(self) -> None:
         """Renew session.yaml and the log, so that a killed session holds how far it came."""

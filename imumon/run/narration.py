@@ -117,16 +117,24 @@ class Narrator:
         return "does not frame" if port == OPEN and self._lanes.get("data") == GARBLED else port.text
 
     def item(self, item: Reads | Event) -> None:
-        """Take what came from the port: count bytes, or show an event."""
-        if isinstance(item, Event):
-            self.event(item)
-            return
-        if self._began_ns is None:
-            self._began_ns, self._first_bytes = int(item.arrivals_ns[0]), int(item.lengths[0])
-        self._last_ns = int(item.arrivals_ns[-1])
-        if self._link is not None:
-            for length, arrival_ns in zip(item.lengths.tolist(), item.arrivals_ns.tolist(), strict=True):
-                self._link.add(length, arrival_ns)
+        """Take what came from the port: count bytes, or show an event or a remark of the user."""
+        if isinstance(item, Reads):
+            if self._began_ns is None:
+                self._began_ns, self._first_bytes = int(item.arrivals_ns[0]), int(item.lengths[0])
+            self._last_ns = int(item.arrivals_ns[-1])
+            if self._link is not None:
+                for length, arrival_ns in zip(item.lengths.tolist(), item.arrivals_ns.tolist(), strict=True):
+                    self._link.add(length, arrival_ns)
+        elif item.kind in MARKS:
+            self.log("INFO", f"{MARKS[item.kind]}: {item.detail}", item.time_ns)
+            lane = "mark" if item.kind is EventKind.MARK else "part"
+            text = "between parts" if item.kind is EventKind.STOP else for_log(item.detail)
+            self._lanes.pop(lane, None)  # the same mark again is another
+            self._lane(lane, LaneState(text), item.time_ns)
+        else:
+            self.log(LEVELS.get(item.kind, "INFO"), f"port {item.kind.value}: {item.detail}", item.time_ns)
+            if item.kind in PORT:
+                self._lane("port", PORT[item.kind], item.time_ns)
 
     def samples(self, block: SampleBlock, side: Mapping[str, SampleBlock] = MappingProxyType({})) -> None:
         """Show samples and those of side streams, and what changed with them."""
@@ -149,19 +157,6 @@ class Narrator:
             for row in [0, *(np.flatnonzero(np.diff(at_rest)) + 1).tolist()]:  # each change at its own time
                 if (state := MOTION.get(int(at_rest[row]))) is not None:
                     self._lane("motion", state, int(block["arrival_time_ns"][row]))
-
-    def event(self, event: Event) -> None:
-        """Show what happened to the port, or a remark of the user on this moment."""
-        if event.kind in MARKS:
-            self.log("INFO", f"{MARKS[event.kind]}: {event.detail}", event.time_ns)
-            lane = "mark" if event.kind is EventKind.MARK else "part"
-            text = "between parts" if event.kind is EventKind.STOP else for_log(event.detail)
-            self._lanes.pop(lane, None)  # the same mark again is another
-            self._lane(lane, LaneState(text), event.time_ns)
-            return
-        self.log(LEVELS.get(event.kind, "INFO"), f"port {event.kind.value}: {event.detail}", event.time_ns)
-        if event.kind in PORT:
-            self._lane("port", PORT[event.kind], event.time_ns)
 
     def log(self, level: str, text: str, time_ns: int | None = None) -> None:
         """Show a log line."""

@@ -58,7 +58,6 @@ def recover(path: Path, device_name: str | None = None) -> Recovered:
     """
     lost = folder.lost_metadata(path)
     if lost is not None:
-        _refuse_recorded(lost)
         metadata, unknown = _metadata_anew(lost, device_name)
         session = Session(lost.parent, metadata)
     else:
@@ -69,7 +68,8 @@ def recover(path: Path, device_name: str | None = None) -> Recovered:
         hint = "it follows from its table: imumon import makes it anew"
         raise bad_data(f"{path} is an imported session, which has no bytes", hint)
     wire = session.wire_path
-    _refuse_recorded(wire)
+    if is_recorded(wire):
+        raise ImumonError(Reason.BUSY, f"{wire} is being recorded", "stop the recording first")
     source, before = source_of(session), WireReader(wire)
     for _ in before.batches():
         pass
@@ -89,11 +89,6 @@ def recover(path: Path, device_name: str | None = None) -> Recovered:
         result.done.append(f"{METADATA_NAME}: closed, with the counters of what there is{made}")
     result.warnings = [*unknown, *warnings]
     return result
-
-
-def _refuse_recorded(wire: Path) -> None:
-    if is_recorded(wire):
-        raise ImumonError(Reason.BUSY, f"{wire} is being recorded", "stop the recording first")
 
 
 def _run_again(session: Session, source: Source) -> tuple[SessionMetadata, list[str]]:

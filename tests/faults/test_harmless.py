@@ -96,7 +96,7 @@ def test_log_lines_of_the_view_are_one_line_each() -> None:
     lines: list[str] = []
     items: list[ViewItem] = []
     narrator = Narrator(Pipeline(None), None, [items.append], lambda _, text: lines.append(text), {}, Path())
-    narrator.event(Event(EventKind.OPENED, 1, f"{EVIL}\nERROR forged"))
+    narrator.item(Event(EventKind.OPENED, 1, f"{EVIL}\nERROR forged"))
     [log] = [item for item in items if isinstance(item, Log)]
     assert log.text == lines[0]
     assert not CONTROL.search(log.text)

@@ -104,7 +104,7 @@ def test_two_devices_on_one_line_are_called_so_once_and_not_at_each_packet() -> 
 def test_a_lost_port_does_not_fill_the_recording() -> None:
     pipeline, narrator, items = narrated()
     now = send(pipeline, narrator, 4)
-    narrator.event(Event(EventKind.LOST, now, "gone"))
+    narrator.item(Event(EventKind.LOST, now, "gone"))
     for tick in range(10):
         narrator.tick(now + tick * S)
     settled = len(items)
