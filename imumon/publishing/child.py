@@ -14,8 +14,7 @@ from dataclasses import replace
 from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING
 
-from imumon.publishing.messages import Published, Value, messages
-from imumon.publishing.publisher import Delivery
+from imumon.publishing.publisher import Delivery, Published, Value, messages
 from imumon.publishing.target import Target
 from imumon.view.fed import batches, serve
 from imumon.view.items import Instant, State, ViewSetup

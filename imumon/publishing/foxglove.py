@@ -12,7 +12,7 @@ from foxglove.messages import LogLevel, Timestamp
 
 from imumon.columns import KNOWN, Column
 from imumon.errors import ImumonError, Reason
-from imumon.publishing.messages import LOG, STATE, Message, Published, Value, messages, topic_of
+from imumon.publishing.publisher import LOG, STATE, Message, Published, Value, messages, topic_of
 from imumon.publishing.target import Target
 from imumon.view.items import Samples, ViewSetup
 

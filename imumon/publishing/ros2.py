@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from imumon.errors import bad_config
-from imumon.publishing.messages import CLOCKS, Published, topic_of
+from imumon.publishing.publisher import CLOCKS, Published, topic_of
 from imumon.publishing.target import Target
 from imumon.recordings.ros2 import Message, Stream
 from imumon.view.items import Samples, ViewSetup

@@ -35,7 +35,6 @@ DEFAULT_PARENT = Path("sessions")
 SHOWN_NAMES = 5
 """Files of a folder that an error names."""
 
-State = Literal["closed", "interrupted"]
 FORMAT: Final = "imumon-session/1"
 SourceKind = Literal["live", "simulation", "import"]
 SPAN: Final = "span_ns"
@@ -173,7 +172,7 @@ class Session:
         return self.path / VIEW_NAME
 
     @property
-    def state(self) -> State:
+    def state(self) -> Literal["closed", "interrupted"]:
         """How the session ended; one that is being recorded looks like one that was killed."""
         return "closed" if self.metadata.state == "closed" else "interrupted"
 
@@ -185,7 +184,11 @@ class Session:
 def default_path(name: str, now_ns: int, parent: Path = DEFAULT_PARENT) -> Path:
     """Return PARENT/<UTC stamp>-<name of device or unit>, with a number added when that is taken."""
     stamp = datetime.fromtimestamp(now_ns // 1_000_000_000, UTC)
-    path = parent / f"{stamp:%Y%m%dT%H%M%SZ}-{name}"
+    return unused(parent / f"{stamp:%Y%m%dT%H%M%SZ}-{name}")
+
+
+def unused(path: Path) -> Path:
+    """Return a path, with a number added when it is taken."""
     numbered = (path.with_name(f"{path.name}-{number}") for number in count(2))
     return next(one for one in chain([path], numbered) if not one.exists())
 

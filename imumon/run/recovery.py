@@ -165,10 +165,7 @@ def rewrite(path: Path, bytes_missing: int = 0, ended_ns: int = 0) -> Path:
 
 def _keep_original(path: Path) -> Path:
     """Give a file a second name, NAME.original or with a number, and return it."""
-    number, original = 1, path.with_name(f"{path.name}.original")
-    while original.exists():
-        number += 1
-        original = path.with_name(f"{path.name}.original-{number}")
+    original = folder.unused(path.with_name(f"{path.name}.original"))
     original.hardlink_to(path)
     return original
 

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 
 from imumon.blocks import NO_INT, SampleBlock
-from imumon.publishing.messages import Message, messages
+from imumon.publishing.publisher import Message, messages
 from imumon.view.items import Instant, Log, Samples, State
 
 NOW = Instant(None, None, 70)
