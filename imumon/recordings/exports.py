@@ -92,6 +92,7 @@ def _tables(
 ) -> Exported:
     """Write the tables; `also` are columns that come before those that were chosen, where they are there."""
     main, written, there = TableWriter(out, {}), dict[str, TableWriter](), dict[str, None]()
+    wanted = [*dict.fromkeys([*also, *(columns or ())])]
     with ExitStack() as stack:
         for block in blocks:
             for stream, rows in {**(pipeline.side if columns is None else {}), MAIN: block}.items():
@@ -101,10 +102,9 @@ def _tables(
                 if stream == MAIN:
                     there |= dict.fromkeys(rows.columns)
                     if columns is not None:
-                        wanted = {name: at for at, name in enumerate(dict.fromkeys([*also, *columns]))}
                         rows = SampleBlock({name: rows[name] for name in wanted if name in rows})
                         known = [column for column in known if column.name in wanted]
-                        known.sort(key=lambda column: wanted[column.name])
+                        known.sort(key=lambda column: wanted.index(column.name))
                 if stream not in written:
                     writer = main if stream == MAIN else TableWriter(side_path(out, stream), {})
                     written[stream] = stack.enter_context(writer)
