@@ -83,7 +83,9 @@ def parse_yaml(text: str, model: type[Model], source: str) -> Model:
     except yaml.MarkedYAMLError as error:
         line = error.problem_mark.line + 1 if error.problem_mark else 1
         problem = error.problem or "not YAML"
-        raise bad_config(f"{source}:{line}: not valid YAML: {problem}") from error
+        tab = any("\t" in row for row in text.splitlines()[line - 1 : line])
+        hint = "there is a tab in this line: YAML is indented with spaces" if tab else ""
+        raise bad_config(f"{source}:{line}: not valid YAML: {problem}", hint) from error
     except (yaml.YAMLError, ValueError, AttributeError, IndexError, TypeError, ArithmeticError) as error:
         # All but the first come from values such as a date with a month 13.
         raise bad_config(f"{source}: not valid YAML: {error}") from error
@@ -93,8 +95,12 @@ def parse_yaml(text: str, model: type[Model], source: str) -> Model:
     try:
         return model.model_validate(data)
     except ValidationError as error:
-        lines = [_describe(item, root, source) for item in error.errors()]
-        raise bad_config("\n".join(lines)) from error
+        # Of a file of another kind the rest is noise.
+        errors = [one for one in error.errors() if one["loc"] == ("format",)] or error.errors()
+        lines = [_describe(item, root, source) for item in errors]
+        unknown = any(item["type"] == "extra_forbidden" and len(item["loc"]) == 1 for item in errors)
+        hint = f"keys that there are: {', '.join(model.model_fields)}" if unknown else ""
+        raise bad_config("\n".join(lines), hint) from error
 
 
 def dump_yaml(data: Mapping[str, Any], *, flow: bool | None = False) -> str:
@@ -189,6 +195,8 @@ def _refuse_number(node: yaml.ScalarNode, loader: Any, source: str) -> None:
     if node.tag not in ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float"):
         return
     shown = _short(node.value, 40)
+    if re.fullmatch(r"[-+]?(\d+:.*|0\d+)", node.value):  # YAML 1.1 reads 1:30 as 90 and 010 as 8
+        raise _at(node, source, f"{shown} is not a plain number: quote it where it is a text")
     try:
         number = loader.construct_object(node)
     except (ArithmeticError, IndexError, TypeError, ValueError) as error:  # "1:59:59", "0x", "!!int"

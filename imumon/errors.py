@@ -7,7 +7,7 @@ from enum import Enum
 EXIT_OK = 0
 """The command did what was requested."""
 EXIT_NEGATIVE = 1
-"""The command ran, and the answer is no (a verification that differs, a device that was not detected)."""
+"""The command ran, and the answer is no (a verification that differs, a heading that does not settle)."""
 EXIT_USAGE = 2
 """Wrong command line, or a wrong file written by a person (device, map, pipeline YAML)."""
 EXIT_PORT = 3

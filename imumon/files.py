@@ -13,6 +13,7 @@ from typing import Any
 
 from imumon.errors import ImumonError, Reason, bad_config, bad_data
 
+UNREADABLE = "give the path of a file that is there, and that you may read"
 LARGEST_TEXT = 16 << 20
 """Bytes: four for each character of the longest document."""
 TRUTH = ("session.yaml", "wire.mcap", "samples.parquet")
@@ -45,7 +46,7 @@ def read_text(path: Path, reason: Reason = Reason.BAD_CONFIG, hint: str = "") ->
             raise ImumonError(reason, large, hint or "give another file")
         return content.decode("utf-8").replace("\r\n", "\n").replace("\r", "\n")
     except OSError as error:
-        raise ImumonError(reason, f"{path}: cannot be read: {error.strerror}", hint) from error
+        raise ImumonError(reason, f"{path}: cannot be read: {error.strerror}", hint or UNREADABLE) from error
     except UnicodeDecodeError as error:
         raise ImumonError(reason, f"{path}: is not UTF-8 text (byte {error.start})", hint) from error
     except ValueError as error:
@@ -58,7 +59,7 @@ def readable(path: Path, hint: str = "") -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise bad_data(f"{path}: cannot be read: {error.strerror}", hint) from error
+        raise bad_data(f"{path}: cannot be read: {error.strerror}", hint or UNREADABLE) from error
 
 
 @contextmanager
@@ -122,9 +123,9 @@ def write_png(path: Path, figure: Any, dpi: float) -> None:
         partial.write_bytes(picture.getvalue())
 
 
-def check_output(path: Path, *, replace: bool = False) -> None:
+def check_output(path: Path, *, replace: bool = False, suffix: str = "") -> None:
     """Refuse an output that cannot be a file, that would take the place of a file of a session, whoever reads
-    it, or that is there already unless it may be replaced.
+    it, or that is there already unless it may be replaced; and one without the suffix of what is written.
 
     Raises EXISTS or BAD_CONFIG.
     """
@@ -132,6 +133,8 @@ def check_output(path: Path, *, replace: bool = False) -> None:
     if str(path) == "-" or (path.exists() and not path.is_file()):
         what = "is a folder" if path.is_dir() else "is no file"
         raise bad_config(f"{path}: the output {what}", "give the name of a file to write")
+    if not path.name.lower().endswith(suffix):
+        raise bad_config(f"{path}: what is written ends in {suffix}", f"name it {path.stem}{suffix}")
     session = any((place.parent / name).exists() for name in TRUTH)
     if session and (place.name in TRUTH or (place.name in SESSION_FILES and place.exists())):
         what = f"{place.parent} is a session, whose {place.name} no output may be"

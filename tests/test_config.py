@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from typing import Literal
+
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -11,6 +13,10 @@ from imumon.errors import ImumonError, Reason
 class Example(StrictModel):
     name: str
     scale: float = 1.0
+
+
+class Kind(Example):
+    format: Literal["kind/1"]
 
 
 @pytest.mark.parametrize("text", ["1e-6", "1.0e-6", "1E-6", "+1e-6", ".1e-5", "10.e-7"])
@@ -30,6 +36,25 @@ def test_values_that_break_the_parser_are_an_error_of_the_file(text: str) -> Non
     with pytest.raises(ImumonError, match=r"x\.yaml") as caught:
         parse_yaml(text, Example, "x.yaml")
     assert caught.value.reason is Reason.BAD_CONFIG
+
+
+@pytest.mark.parametrize("text", ["1:16.4", "1:30", "010", "-007"])
+def test_numbers_that_yaml_reads_as_others_are_refused(text: str) -> None:
+    with pytest.raises(ImumonError, match=r"x.yaml:2: .* is not a plain number"):
+        parse_yaml(f"name: a\nscale: {text}\n", Example, "x.yaml")
+
+
+def test_of_a_file_of_another_kind_only_that_is_stated() -> None:
+    with pytest.raises(ImumonError) as caught:
+        parse_yaml("format: other/1\nwhat: 1\nelse: 2\n", Kind, "x.yaml")
+    assert caught.value.seen == "x.yaml:1: format: Input should be 'kind/1', got 'other/1'"
+
+
+def test_a_wrong_key_gets_those_that_there_are_and_a_tab_its_cure() -> None:
+    with pytest.raises(ImumonError, match="keys that there are: name, scale"):
+        parse_yaml("name: a\nscael: 2\n", Example, "x.yaml")
+    with pytest.raises(ImumonError, match="YAML is indented with spaces"):
+        parse_yaml("name:\n\tscale: 2\n", Example, "x.yaml")
 
 
 def outcome(text: str) -> Reason | None:

@@ -26,7 +26,7 @@ from imumon.allan.fit import AMBIGUOUS, DIGITS, NO_SUM
 from imumon.allan.recording import UNITS, by_text, group_of
 from imumon.allan.terms import TERMS_OF
 from imumon.config import dump_yaml
-from imumon.errors import bad_config, bad_data
+from imumon.errors import bad_data
 from imumon.files import check_output, write_text
 from imumon.geodesy import STANDARD_GRAVITY
 
@@ -42,10 +42,8 @@ def check_outputs(plot: Path | None, *files: Path | None) -> None:
     Raises EXISTS for a file that is there (a picture is replaced); BAD_CONFIG for a picture that is not a
     PNG, and where there is no folder.
     """
-    if plot is not None and plot.suffix.lower() != ".png":
-        raise bad_config(f"{plot}: the picture is a PNG", "name it NAME.png")
     for path in filter(None, (plot, *files)):
-        check_output(path, replace=path is plot)
+        check_output(path, replace=path is plot, suffix=".png" if path is plot else "")
 
 
 def remarks(results: Mapping[str, Result]) -> list[str]:

@@ -30,6 +30,8 @@ MOST_JITTER = 0.05
 """Share of the interval: less variation of the time from sample to sample is not reported."""
 MOVING_SHARE, LEAST_FOR_MOTION_S = 0.01, 10.0
 """Less is put down to the rest detector, which cannot detect rest before so many s."""
+SHORT_S = 300.0
+"""Bias instability shows at averaging times of minutes, which a shorter recording does not have."""
 FASTEST_HZ, FASTEST_RAD_S = 5e4, 100.0
 """No IMU sends faster; a column device_time_ns in another unit would.  No gyro measures more (5700 deg/s)."""
 NORMAL_G = (9.3, 10.3)
@@ -76,6 +78,10 @@ def read_channels(path: Path, stages: Stages = no_stages, count: Count = no_coun
     for text, alike in of_grids.items():
         warnings.append(text if len(alike) == len(series) else f"{', '.join(alike)}: {text}")
     warnings += _of_motion(samples, series, declared="at_rest" in recording.columns)
+    length_s = max(channel.duration_s for channel in series.values())
+    if length_s < SHORT_S:
+        advice = "record for ten times the longest averaging time of interest, such as an hour"
+        warnings.append(f"{length_s:.3g} s are too short for bias instability and drift: {advice}")
     return Channels(series, [*warnings, *_of_temperature(samples)])
 
 
@@ -139,14 +145,15 @@ def _of_grid(channel: EvenSeries) -> Iterator[str]:
 def _of_motion(samples: SampleBlock, series: Mapping[str, EvenSeries], *, declared: bool) -> Iterator[str]:
     """Yield the share of motion: by the column ``at_rest`` of a table, else by the rest detector."""
     time_ns = samples["device_time_ns"]
-    short = time_ns[-1] - time_ns[0] < LEAST_FOR_MOTION_S * 1e9
-    if "at_rest" not in samples or (short and not declared):
+    known = time_ns >= time_ns[0] + LEAST_FOR_MOTION_S * 1e9
+    if "at_rest" not in samples or not (known.any() or declared):
         return
     at_rest = samples["at_rest"] == 1
-    share = float(np.mean(~at_rest[np.argmax(at_rest) :]))  # until the first rest nothing is known
+    first = np.argmax(at_rest | known)  # until the first rest nothing is known, unless it comes late
+    share = float(np.mean(~at_rest[first:]))
     if share <= MOVING_SHARE:
         return
-    advice = "an Allan deviation of a unit that moves is that of the motion; record it at rest"
+    advice = "these are deviations of the motion, not of the sensor: record it lying still"
     if declared:
         yield f"the unit moved during {share:.1%} of the recording (column at_rest): {advice}"
     elif coarse := [name for name, channel in series.items() if _is_coarse(name, channel)]:

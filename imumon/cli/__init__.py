@@ -94,6 +94,7 @@ class _LazyGroup(click.Group):
             ctx.call_on_close(partial(os.environ.pop, WITHOUT, None))
         found = commands().get(cmd_name) or commands(of_plugins=True).get(cmd_name)
         if found is None:
+            self.commands = {name: click.Command(name) for name in self.list_commands(ctx)}  # to suggest one
             return None
         command = resolve_name(found.module if ":" in found.module else f"{found.module}:command")
         assert isinstance(command, click.Command)
@@ -256,19 +257,17 @@ def _open_missing_streams() -> None:
             setattr(sys, name, stream)
 
 
-class _Compiling(logging.Handler):
-    """Logs what a command waits for; in the main thread only, as a stopped terminal blocks whoever writes."""
+def _report_compiling() -> None:
+    """Log what a command waits for; in the main thread only, as a stopped terminal blocks whoever writes."""
 
-    def emit(self, record: logging.LogRecord) -> None:
+    def report(record: logging.LogRecord) -> bool:
         if threading.current_thread() is threading.main_thread():
             log(record.levelname, record.getMessage())
+        return False  # it goes nowhere else
 
-
-def _report_compiling() -> None:
-    log = logging.getLogger("imumon.compiled")
-    log.setLevel(logging.INFO)
-    log.propagate = False
-    log.addHandler(_Compiling())
+    compiling = logging.getLogger("imumon.compiled")
+    compiling.setLevel(logging.INFO)
+    compiling.addFilter(report)
 
 
 def _settle_streams() -> None:

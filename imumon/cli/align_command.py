@@ -18,6 +18,7 @@ from imumon.cli.common import (
     device_help,
     json_option,
     labelled,
+    latitude_option,
     make_setup,
     note,
     print_json,
@@ -37,7 +38,7 @@ if TYPE_CHECKING:
 
 @click.command("align")
 @click.argument("source", metavar="PORT|SESSION")
-@click.option("--latitude", type=Number(min=-90, max=90), help="Latitude of the place, degrees north.")
+@latitude_option
 @click.option(
     "--until",
     type=Number(min=0, min_open=True, max=90),

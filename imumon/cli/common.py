@@ -34,13 +34,12 @@ ABSURD = 1e5
 """A limit from here on protects the program, and is of no interest in a help text."""
 
 
-def described_range(kind: click.IntRange | click.FloatRange, what: str = "") -> str:
+def described_range(kind: click.IntRange | click.FloatRange) -> str:
     """Return the limits of a number, of which there is a lower one, as people write them."""
     low, high = kind.min, kind.max
-    above = f"{what} > {low:g}".strip() if kind.min_open else f"{low:g}"
     if high is None or high >= ABSURD:
-        return above if kind.min_open else f"{above} or more"
-    return f"{above}, up to {high:g}" if kind.min_open else f"{above} to {high:g}"
+        return f"above {low:g}" if kind.min_open else f"{low:g} or more"
+    return f"above {low:g}, up to {high:g}" if kind.min_open else f"{low:g} to {high:g}"
 
 
 class Number(click.FloatRange):
@@ -52,15 +51,17 @@ class Number(click.FloatRange):
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
         """Return the number."""
-        number = float(click.FLOAT.convert(value, param, ctx))
+        number = math.nan
+        with suppress(ValueError):
+            number = float(value)
         if math.isnan(number):
-            self.fail(f"{value} is not a number", param, ctx)
+            unit = " of seconds, without a unit" if self.name == "seconds" else ""
+            self.fail(f"{value} is not a number{unit}", param, ctx)
         if self.max is not None and self.max >= ABSURD and number > self.max:
             self.fail(f"{value} is not in the range up to {self.max:g}", param, ctx)
         return float(super().convert(value, param, ctx))
 
-    def _describe_range(self) -> str:
-        return described_range(self, "seconds" if self.name == "seconds" else "")
+    _describe_range = described_range
 
 
 class Whole(click.IntRange):
@@ -103,6 +104,21 @@ rate_option = click.option(
     metavar="HZ",
     help="Packets per second of a device that sends no time; default: the device file's rate_hz.",
 )
+latitude_option = click.option(
+    "--latitude",
+    type=Number(min=-90, max=90),
+    help="Latitude of the place, degrees north; needed to separate the earth's rotation.",
+)
+heading_option = click.option(
+    "--heading",
+    type=Number(min=-360, max=360),
+    help="Direction of the x axis, degrees clockwise from true north, where it is known.",
+)
+live_view_option = click.option(
+    "--view",
+    type=click.Choice(["native", "web", "terminal", "none"]),
+    help="Default: native with a display, else web; terminal shows numbers where the command runs.",
+)
 truth_option = click.option(
     "--truth",
     is_flag=True,
@@ -110,12 +126,6 @@ truth_option = click.option(
     " deviation, largest).",
 )
 device_help = "Name of a known device (imumon devices) or path of a device file."
-
-
-def listed(what: str, names: Iterable[str]) -> str:
-    """Return a paragraph of a help text that lists names, none of them broken at a hyphen."""
-    text = f"{what}: {', '.join(names)}."
-    return "\b\n" + "\n".join(textwrap.wrap(text, 78, break_on_hyphens=False))
 
 
 def print_json(data: Mapping[str, Any]) -> None:
@@ -307,16 +317,8 @@ _SETUP_OPTIONS = (
         help="Run methods from papers beside imumon's own, to compare them; the results are unchanged,"
         " columns are added.  Any of: " + ", ".join(PUBLISHED) + ".",
     ),
-    click.option(
-        "--latitude",
-        type=Number(min=-90, max=90),
-        help="Latitude of the place, degrees north; needed to remove the earth's rotation.",
-    ),
-    click.option(
-        "--heading",
-        type=Number(min=-360, max=360),
-        help="Direction of the x axis, degrees clockwise from true north, where it is known.",
-    ),
+    latitude_option,
+    heading_option,
 )
 
 

@@ -19,6 +19,7 @@ from imumon.cli.common import (
     device_help,
     is_terminal,
     json_option,
+    live_view_option,
     make_setup,
     print_result,
     serial_option,
@@ -46,11 +47,7 @@ def _live_outputs(function: Callable[..., int]) -> Callable[..., int]:
 @click.argument("port")
 @click.option("--device", required=True, help=device_help)
 @baud_option
-@click.option(
-    "--view",
-    type=click.Choice(["native", "web", "terminal", "none"]),
-    help="Default: native with a display, else web; terminal shows numbers where the command runs.",
-)
+@live_view_option
 @click.option("--out", type=PATH, help="Session folder; default: a new one in ./sessions.")
 @serial_option
 @click.option("--seconds", type=SECONDS, help="Stop after this time.")

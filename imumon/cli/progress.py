@@ -6,7 +6,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 
 from imumon.cli.common import console, log
@@ -40,14 +40,8 @@ def size_of(paths: Sequence[Path]) -> tuple[int, float]:
 
 
 @contextmanager
-def progress_lines(state: Callable[[], str], *, quiet: bool) -> Iterator[None]:
-    """Log from time to time what is being done, where standard error is no terminal.
-
-    `state` returns what is being done now; it is called by another thread.
-    """
-    if quiet or sys.stderr.isatty():
-        yield
-        return
+def _progress_lines(state: Callable[[], str]) -> Iterator[None]:
+    """Log from time to time what is being done, as `state` returns it; another thread calls that."""
     began, ended = time.monotonic(), threading.Event()
 
     def lines() -> None:
@@ -91,8 +85,8 @@ class ReadingProgress:
 def bar(what: str, total: int | None, *, quiet: bool) -> Iterator[ReadingProgress]:
     """Show how much of a total was done: a bar on a terminal, else lines; nothing when quiet."""
     now = ReadingProgress(what, total)
-    if not sys.stderr.isatty() or quiet:
-        with progress_lines(now.__str__, quiet=quiet):
+    if quiet or not sys.stderr.isatty():
+        with nullcontext() if quiet else _progress_lines(now.__str__):
             yield now
         return
     from rich import progress as rich

@@ -155,7 +155,8 @@ def replay(
     comparison = Comparison(None, "it ran otherwise, by --smooth or --rate")
     if not smooth and rate is None:
         comparison = compare_with_live(opened, setup, digest, pipeline)
-    warn(advised(text, opened.path) for text in [*source.warnings(), *pipeline.warnings()])
+    foreign = setup.bias_model.of_another(opened.metadata.serial) if setup.bias_model else ""
+    warn(advised(text, opened.path) for text in [foreign, *source.warnings(), *pipeline.warnings()] if text)
     if comparison.identical is False:
         warn(["the samples differ from those of the live run: another version, or bytes missing"])
     warn(exported.warnings)
@@ -186,10 +187,9 @@ def _truth(session: Path, setup: Setup) -> Truth:
 
 def _compare(session: Path, given: tuple[Path, Path], out: Path | None, as_json: bool) -> int:
     """Write the page of what two models leave of a session."""
-    if out is None or out.suffix != ".html":
-        what = "--compare-models makes a page, which has no name"
-        raise bad_config(what, "add --out PAGE.html")
-    check_output(out)
+    if out is None:
+        raise bad_config("--compare-models makes a page, which has no name", "add --out PAGE.html")
+    check_output(out, suffix=".html")
     compare, *_ = offers("compare_models")  # that of imumon comes first
     data, rows = compare(session, given, out)
     print_result(as_json, data, {**rows, "page": str(out)})
@@ -257,7 +257,7 @@ def view(
     from imumon.view.viewer import APPLICATION, default_mode
 
     if out is not None:
-        check_output(out)
+        check_output(out, suffix=".rrd")
     names = [path.resolve().name for path in sessions]
     names = [name if names.count(name) == 1 else f"{name} {at + 1}" for at, name in enumerate(names)]
     opened = [_opened(path) for path in sessions]  # what is wrong with one is reported before a viewer comes

@@ -63,17 +63,14 @@ def _write_table(
     from imumon.recordings.exports import Exported, export_run
     from imumon.recordings.source import no_samples, open_source, run_over
     from imumon.run.account import Doubts
-    from imumon.run.narration import describe_losses, describe_streams
+    from imumon.run.narration import describe_losses, describe_skipped, describe_streams
 
     source = open_source(file, device, rate)
     source.refuse_output(out)
     pipeline = Pipeline(source.device)
     session = None if source.session is None else source.session.path
-    named = {
-        "file": source.path,
-        "session": session,
-        "device": None if source.device is None else source.device.name,
-    }
+    sender = None if source.device is None else source.device.name
+    named = {"file": source.path, "session": session, "device": sender}
     doubts = Doubts(source.device is not None and source.device.protocol.startswith("fixed"))
     try:
         with reading_bar([file], quiet=as_json) as progress:
@@ -94,7 +91,7 @@ def _write_table(
     rows = {
         "packets": ", ".join(f"{count:,} {name}" for name, count in counters.packets_by_type.items()),
         "bytes": f"{counters.bytes_received:,} received, {counters.bytes_in_packets:,} in packets, "
-        f"{counters.bytes_skipped:,} skipped, {counters.bytes_pending:,} pending",
+        f"{describe_skipped(counters)}, {counters.bytes_pending:,} pending",
         "losses": describe_losses(counters),
     }
     rows = (rows if counters.bytes_received else {}) | describe_streams(counters, exported.tables)
@@ -125,19 +122,12 @@ def export(session: Path, kind: str, out: Path | None, columns: str | None, as_j
     from imumon.recordings.folder import open_session
 
     folder = open_session(session).path
-    table = folder / f"export.{kind}" if out is None else _named(out, kind)
+    table = folder / f"export.{kind}" if out is None else out
+    if table.suffix[1:] not in KINDS and table.name != "-" and not table.exists():  # a bare name
+        table = table.with_name(f"{table.name}.{kind}")
+    if table.suffix != f".{kind}":
+        check_output(table, replace=True, suffix=f".{kind}")
     _write_table(folder, None, None, table, columns, as_json)
-
-
-def _named(out: Path, kind: str) -> Path:
-    """Return the path of a table of this kind: a bare name, of nothing that is there, gets the suffix."""
-    if out.suffix == f".{kind}":
-        return out
-    check_output(out, replace=True)
-    if out.exists() or out.suffix[1:] in KINDS:
-        what = f"{out}: the output of --to {kind} ends in .{kind}"
-        raise bad_config(what, f"name it {out.stem}.{kind}, or give another --to")
-    return out.with_name(f"{out.name}.{kind}")
 
 
 @click.command("import")
@@ -181,9 +171,9 @@ def import_(
             lost = f"{damage.size:,} bytes in {damage.places:,} damaged place(s) of the log were left out"
             log("WARN", lost)
         chosen = {"sensor": found.sensor, "other_sensors": found.others, "scaling": found.scaling}
+        chosen["damage"] = asdict(damage)
         others = f" (--sensor: {', '.join(found.others)})" if found.others else ""
         more = {"sensor": found.sensor + others, "scaling": found.scaling}
-        chosen["damage"] = asdict(damage)
     elif sensor is not None:
         raise bad_config("--sensor is for logs, --map for tables", "give one of them")
     else:

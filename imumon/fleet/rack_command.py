@@ -16,6 +16,7 @@ from imumon.cli.common import (
     bind_option,
     chosen_view,
     json_option,
+    live_view_option,
     note,
     print_json,
     print_rows,
@@ -35,11 +36,7 @@ LOG_LINES = 100
 
 @click.command("rack")
 @click.argument("file", type=PATH, metavar="RACK.YAML")
-@click.option(
-    "--view",
-    type=click.Choice(["native", "web", "terminal", "none"]),
-    help="Default: native with a display, else web; terminal shows the table where the command runs.",
-)
+@live_view_option
 @click.option("--out", type=PATH, default=Path("sessions"), show_default=True, help="Folder of the sessions.")
 @click.option("--seconds", type=SECONDS, help="Stop after this time.")
 @window_option

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from imumon.cli.common import PATH, print_rows, warn
-from imumon.errors import bad_config, bad_data
+from imumon.errors import bad_data
 from imumon.files import check_output
 
 
@@ -28,9 +28,7 @@ def command(what: str, out: Path, sessions: Path) -> None:
     imumon report sessions/NAME --out record.html
     imumon report 0380123 --sessions sessions --out unit.html
     """
-    if out.suffix != ".html":
-        raise bad_config(f"{out}: the record is a page", "name it NAME.html")
-    check_output(out, replace=True)
+    check_output(out, replace=True, suffix=".html")
     from imumon.fleet.catalog.page import write_session, write_unit
     from imumon.fleet.catalog_command import read
     from imumon.recordings.folder import is_session, open_session

@@ -10,9 +10,10 @@ import click
 
 from imumon.cli.common import (
     PATH,
-    Number,
     Whole,
+    heading_option,
     json_option,
+    latitude_option,
     note,
     print_json,
     print_rows,
@@ -40,14 +41,8 @@ NO_DRIVER = {"drivers": "none of those recorded is proven"}
 @click.argument("sessions", nargs=-1, required=True, metavar="SESSION...", type=PATH)
 @click.option("--out", required=True, type=PATH, help="Model file to write.")
 @click.option("--plot", type=PATH, help="Draw curves, points and residuals into this PNG.")
-@click.option(
-    "--latitude",
-    type=Number(min=-90, max=90),
-    help="Degrees north; with --heading the earth's rotation is removed.",
-)
-@click.option(
-    "--heading", type=Number(min=-360, max=360), help="Direction of the x axis, degrees clockwise from north."
-)
+@latitude_option
+@heading_option
 @click.option(
     "--drivers",
     default="none",
@@ -96,7 +91,7 @@ def command(
 
     export = None if autopilot is None else out.with_suffix(SUFFIX[autopilot])
     for path in filter(None, (out, plot, export)):
-        check_output(path)
+        check_output(path, suffix=".png" if path is plot else "")
     check_ids(autopilot, device_ids)
     if truth:
         check_truth(sessions)

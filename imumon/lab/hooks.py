@@ -35,7 +35,7 @@ def compare_models(
     session: Path, given: tuple[Path, Path], out: Path
 ) -> tuple[Mapping[str, Any], Mapping[str, str]]:
     """Write the page of what two models leave of a session; return it as data and as lines for a person."""
-    from imumon.lab.diagnosis.page import compare, write_comparison
+    from imumon.lab.diagnosis.page import compare, shown, write_comparison
     from imumon.lab.diagnosis_commands import model_of, read
     from imumon.models.model import UNITS
 
@@ -43,8 +43,9 @@ def compare_models(
     compared = compare(read(session, None, at_rest=False), (first, second))
     write_comparison(compared, (str(given[0]), str(given[1])), str(session), out)
     data = {"out": out, "rms": {f"{one.run} {one.channel}": list(one.rms) for one in compared}}
-    rows = {
-        f"{one.run} {one.channel}": f"{one.rms[0]:.3g} become {one.rms[1]:.3g} {UNITS[one.channel]}"
-        for one in compared
-    }
+    rows = {}
+    for one in compared:
+        factor, unit = shown(UNITS[one.channel])
+        before, after = (factor * rms for rms in one.rms)
+        rows[f"{one.run} {one.channel}"] = f"{before:.3g} become {after:.3g} {unit} rms"
     return data, rows

@@ -33,7 +33,7 @@ def command(session: Path, out: Path, model: Path | None, plot: Path | None, as_
     """
     check_output(out)
     if plot is not None:
-        check_output(plot)
+        check_output(plot, suffix=".png")
     from datetime import UTC, datetime
 
     from imumon.lab.calibration.magnetometer import fit_magnetometer

@@ -109,7 +109,7 @@ class NumberField(StrictModel):
             try:
                 self.scaled(name)
             except ImumonError as error:
-                raise ValueError(f"{name}: {error.seen}") from error
+                raise ValueError(f"{name}: {error.seen}; {error.hint}") from error
         return self
 
     def scaled(self, name: str) -> tuple[Column, float, float]:

@@ -267,6 +267,9 @@ def open_session(path: Path) -> Session:
     missing.
     """
     folder = _folder(path)
+    if not folder.exists():
+        hint = f"sessions are folders with a {METADATA_NAME}, usually in ./{DEFAULT_PARENT}"
+        raise bad_data(f"{path}: there is no such file or folder", hint)
     if not (folder / METADATA_NAME).is_file():
         there = f"the folder has no {METADATA_NAME}; it is empty"
         if not folder.is_dir():
@@ -281,8 +284,10 @@ def open_session(path: Path) -> Session:
     except ImumonError as error:
         raise ImumonError(error.reason, error.seen, _advice(folder) or error.hint) from error
     if not session.truth_path.is_file():
-        lacking = f"there is no file {session.truth_path.name}"
-        raise bad_data(f"{path}: the data of this session is missing: {lacking}")
+        raise bad_data(
+            f"{path}: the data of this session is missing: there is no file {session.truth_path.name}",
+            "copy it here from where the session was recorded: nothing else holds the samples",
+        )
     return session
 
 

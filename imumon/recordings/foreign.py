@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -20,7 +21,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from imumon.blocks import FloatArray, IntArray
-from imumon.errors import bad_config, bad_data
+from imumon.errors import bad_data
 from imumon.files import readable
 from imumon.recordings.map import TIMESTAMPS, TextFormat, TimeColumn
 from imumon.recordings.table import table_errors
@@ -71,19 +72,19 @@ class Part:
 
 def read_foreign(
     path: Path, columns: Sequence[str], time: TimeColumn | None, text_format: TextFormat
-) -> tuple[list[str], Iterator[Part]]:
-    """Return the names of all columns of a table, and its rows as a stream of parts.
+) -> tuple[list[str], str, Iterator[Part]]:
+    """Return the names of all columns of a table, where they are, and its rows as a stream of parts.
 
     Whether it is Parquet or text is decided by the content, not by the name.
 
-    Raises BAD_DATA when it cannot be read; BAD_CONFIG when it lacks a column, naming those that it has.
+    Raises BAD_DATA when it cannot be read.
     """
     with readable(path), path.open("rb") as file:
         head = file.read(4096)
     if not head:
         raise bad_data(f"{path}: is empty")
     wanted = list(dict.fromkeys([*columns, *([time.column] if time is not None else [])]))
-    decimal = "."
+    decimal, place = ".", str(path)
     if head.startswith(b"PAR1"):
         with table_errors(path):
             names = list(pq.read_schema(path).names)
@@ -93,20 +94,25 @@ def read_foreign(
         lines = _lines(path, _encoding(path, head), text_format)
         names = [*(text_format.columns or ())]
         if text_format.header:
-            _, first = next(lines, (0, ""))
+            number, first = next(lines, (0, ""))
             if not first:
                 raise bad_data(f"{path}: has no line of column names")
+            place = f"{path}:{number}"
             names = [name.strip() for name in _split(first, text_format.delimiter)]
         rows = _text_rows(lines, names, text_format)
-    if absent := [name for name in wanted if name not in names]:
-        raise bad_config(
-            f"{path}: has no column {', '.join(map(repr, absent))}",
-            f"it has: {', '.join(map(repr, names))}; for another layout of the text add to the map:"
-            ' csv: {delimiter: ";"}, or csv: {header: false, columns: [NAME, ...]}',
-        )
     if twice := [name for name in wanted if names.count(name) > 1]:
         raise bad_data(f"{path}: column {', '.join(map(repr, twice))} is there more than once")
-    return names, _parts(path, rows, columns, time, decimal)
+    return names, place, _parts(path, rows, columns, time, decimal)
+
+
+def layout_hint(names: Sequence[str]) -> str:
+    """Return what to add to a map of whose columns none is among these names."""
+    if delimiter := next((one for one in ";\t|" if one in names[0]), ""):
+        quoted = json.dumps(delimiter)
+        return f'csv: {{delimiter: {quoted}}}; with decimal commas csv: {{delimiter: {quoted}, decimal: ","}}'
+    if names[0].startswith("#"):
+        return 'csv: {comment: "#"}'
+    return "csv: {header: false, columns: [NAME, ...]} for a table without names"
 
 
 def _parts(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -15,9 +16,9 @@ from imumon.blocks import ColumnArray, IntArray, SampleBlock
 from imumon.clock.checks import Intervals
 from imumon.columns import KNOWN, Column
 from imumon.config import parse_yaml
-from imumon.errors import ImumonError, Reason, bad_data
+from imumon.errors import bad_config, bad_data
 from imumon.files import read_text
-from imumon.intake import rate_doubts
+from imumon.intake import SpecificForce, rate_doubts
 from imumon.recordings.folder import (
     SAMPLES_NAME,
     SPAN,
@@ -27,7 +28,7 @@ from imumon.recordings.folder import (
     fingerprint,
     whole_session,
 )
-from imumon.recordings.foreign import BadRow, Part, read_foreign
+from imumon.recordings.foreign import BadRow, Part, layout_hint, read_foreign
 from imumon.recordings.map import TableMap
 from imumon.recordings.table import TableWriter
 
@@ -35,10 +36,10 @@ LISTED = 10
 """Bad rows that an error or a report lists; the others are counted."""
 
 
+_DECIMAL = 'decimal commas are read with csv: {decimal: ","} in the map'
 _BAD_ROWS = (
     "mend the table, pass over lines before the data with csv: {skip_rows: N}"
-    ' and comments with csv: {comment: "#"}, read decimal commas with csv: {decimal: ","},'
-    " or add bad_rows: drop to the map to import the others"
+    ' and comments with csv: {comment: "#"}, or add bad_rows: drop to the map to import the others'
 )
 _WENT_BACK = (
     "if the device or the log started anew there, add backwards: segment to time in the map;"
@@ -120,20 +121,26 @@ class TableImport:
 
     def __init__(self, table: Path, map_path: Path, rows_dropped: int = 0) -> None:
         self.table = table
-        self.map_text = read_text(map_path)
+        self.map_text = read_text(map_path, hint="a map is a YAML file: imumon import --help has an example")
         self.map = parse_yaml(self.map_text, TableMap, str(map_path))
         names = [source.column for source in self.map.sources()]
-        try:
-            self._names, self._parts = read_foreign(table, names, self.map.time, self.map.csv)
-        except ImumonError as error:
-            where = f"{map_path}: " if error.reason is Reason.BAD_CONFIG else ""
-            raise ImumonError(error.reason, f"{where}{error.seen}", error.hint) from error
+        self._names, place, self._parts = read_foreign(table, names, self.map.time, self.map.csv)
+        wanted = [*names, *([self.map.time.column] if self.map.time else [])]
+        if absent := [name for name in wanted if name not in self._names]:
+            first = re.search(rf"(?<!\w){re.escape(absent[0])}(?!\w)", self.map_text)
+            line = 1 + self.map_text.count("\n", 0, first.start() if first else 0)
+            layout = "" if len(absent) < len(wanted) else f"; add to the map: {layout_hint(self._names)}"
+            raise bad_config(
+                f"{map_path}:{line}: {place}: has no column {', '.join(map(repr, absent))}",
+                f"it has: {', '.join(map(repr, self._names))}{layout}",
+            )
         self.columns = {name: KNOWN[name] for name in ("device_time_ns", "segment")}
         """Columns of the samples with their units, in canonical order."""
         for one in self.map.sources():
             column = KNOWN.get(one.target) or Column(one.target, "")
             self.columns[one.target] = replace(column, unit=one.unit.target)
         self._intervals, self._segment, self._span_ns = Intervals(), 0, 0
+        self._force = SpecificForce()
         self._last: tuple[int, int] | None = None
         """Time and line of the last row."""
         self._counted = self._wraps = 0
@@ -157,21 +164,27 @@ class TableImport:
                 columns: dict[str, ColumnArray] = {"device_time_ns": time_ns, "segment": segments}
                 for source, values in zip(self.map.sources(), part.values, strict=True):
                     columns[source.target] = source.unit.convert(values)
-                yield SampleBlock(columns)
+                block = SampleBlock(columns)
+                with np.errstate(over="ignore"):
+                    self._force.look(block)
+                yield block
         if self._listed and strict:
             shown = [f"{self.table}:{row.line}: {row.why}: {row.text!r}" for row in self._listed]
             if self._rows_bad > len(shown):
                 shown.append(f"... and {self._rows_bad - len(shown)} more")
             rows = self._rows_good + self._rows_bad
             seen = f"{self.table}: {self._rows_bad} of {rows} rows cannot be taken; nothing was imported"
-            raise bad_data("\n".join([seen, *shown]), _BAD_ROWS)
+            comma = re.search(r"'-?\d*,\d+'", self._listed[0].why)
+            raise bad_data("\n".join([seen, *shown]), _DECIMAL if comma else _BAD_ROWS)
         if not self._rows_good:
-            raise bad_data(f"{self.table}: none of its {self._rows_bad} rows can be taken")
+            what = f"none of its {self._rows_bad} rows can be taken" if self._rows_bad else "has no rows"
+            raise bad_data(f"{self.table}: {what}")
 
     def report(self) -> ImportReport:
         """Return what became of the table, once its blocks were read."""
         inertial = self.map.gyro is not None or self.map.accel is not None
         rate_hz = self.map.rate_hz or self._intervals.rate_hz or math.nan
+        doubts = [*(rate_doubts(rate_hz) if inertial else ()), *filter(None, [self._force.found])]
         used = {source.column for source in self.map.sources()}
         used |= {self.map.time.column} if self.map.time else set()
         return ImportReport(
@@ -184,7 +197,7 @@ class TableImport:
             span_s=self._span_ns * 1e-9,
             rate_hz=rate_hz,
             bad_rows=tuple(self._listed),
-            warnings=(*self.warnings(), *(rate_doubts(rate_hz) if inertial else ())),
+            warnings=(*self.warnings(), *doubts),
         )
 
     def warnings(self) -> list[str]:

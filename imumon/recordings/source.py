@@ -181,7 +181,7 @@ def no_samples(source: Source, pipeline: Pipeline) -> ImumonError:
         f"no samples of {device} in the {counters.bytes_received:,} bytes of {source.path}: "
         f"{counters.checksum_errors} checksum errors, {counters.length_errors} length errors, "
         f"{others or 'no other'} messages",
-        "is it another device, or text?",
+        "is it another device, or text?  Give its --device; imumon devices lists those that are known",
     )
 
 

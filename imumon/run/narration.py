@@ -303,7 +303,7 @@ def describe(progress: Progress) -> dict[str, str]:
     load = {} if progress.link_load is None else {"link load": f"{progress.link_load:.0%}"}
     return {
         "packets": f"{counters.packets:,} ({progress.packets_per_s:.1f}/s)",
-        "bytes": f"{counters.bytes_received:,} received, {counters.bytes_skipped:,} skipped",
+        "bytes": f"{counters.bytes_received:,} received, {describe_skipped(counters)}",
         "losses": describe_losses(counters),
         **progress.clock,
         **load,
@@ -330,6 +330,13 @@ def describe_streams(counters: PipelineCounters, tables: Mapping[str, Path]) -> 
         where = f" in {tables[name]}" if name in tables else ""
         rows[f"stream {name}"] = f"{stream.rows:,} rows{rate}{parts}{holes}{where}"
     return rows
+
+
+def describe_skipped(counters: PipelineCounters) -> str:
+    """Return how many bytes are in no packet, and why where they may be the rest of a first one."""
+    skipped, packet_bytes = counters.bytes_skipped, counters.bytes_in_packets / max(counters.packets, 1)
+    why = " (part of a packet, as is usual at the start)" if 0 < skipped < packet_bytes else ""
+    return f"{skipped:,} skipped{why}"
 
 
 def describe_losses(counters: PipelineCounters) -> str:

@@ -8,6 +8,7 @@ import sys
 import tempfile
 from inspect import cleandoc
 from pathlib import Path
+from textwrap import fill
 from typing import TYPE_CHECKING
 
 import click
@@ -18,7 +19,6 @@ from imumon.cli.common import (
     Number,
     device_help,
     json_option,
-    listed,
     log,
     print_result,
     seed_option,
@@ -41,7 +41,8 @@ TABLES = (".parquet", ".csv")
 
 @click.command("demo", context_settings={"ignore_unknown_options": True})
 @click.argument("options", nargs=-1, type=click.UNPROCESSED, metavar="[OPTIONS OF MONITOR]...")
-def demo(options: tuple[str, ...]) -> int:
+@click.pass_context
+def demo(context: click.Context, options: tuple[str, ...]) -> int:
     """Watch a virtual AHRS that is turned by hand: to see imumon at work, without hardware.
 
     \b
@@ -50,20 +51,26 @@ def demo(options: tuple[str, ...]) -> int:
 
     The options are those of `imumon monitor`.
     """
+    from imumon.cli.monitor_command import command
+    from imumon.protocols.device import load_device
+    from imumon.simulation.virtual_device import VirtualDevice
     from imumon.simulation.virtual_port import VirtualPort
 
+    try:
+        device = command.make_context("demo", ["PORT", "--device", DEVICE, *options]).params["device"]
+    except click.UsageError as error:
+        error.ctx = context  # the usage is that of this command
+        raise
+    described = load_device(device)
     # Ctrl-C before the monitor is ready waits until it is, so that every run ends with a summary.
     signal.pthread_sigmask(signal.SIG_BLOCK, STOP)
     with tempfile.TemporaryDirectory(prefix="imumon-demo-") as folder:
         port = VirtualPort(Path(folder) / "ahrs")
-        arguments = ["monitor", port.path, "--device", DEVICE, *options]
+        arguments = ["monitor", port.path, "--device", device, *options]
         monitor = subprocess.Popen([sys.executable, "-m", "imumon", *arguments])
         for number in STOP:  # Ctrl-C in a terminal reaches the monitor anyway, and twice does no harm
             signal.signal(number, lambda *_: monitor.send_signal(signal.SIGINT))
-        from imumon.protocols.device import load_device  # only now: the monitor starts meanwhile
-        from imumon.simulation.virtual_device import VirtualDevice
-
-        with VirtualDevice(load_device(DEVICE), port=port):
+        with VirtualDevice(described, port=port):
             signal.pthread_sigmask(signal.SIG_UNBLOCK, STOP)
             return monitor.wait()
 
@@ -177,6 +184,6 @@ def _simulated(plan: Scenario, device: str | None, seed: int, out: Path, *, quie
     return {"session": out, "truth": out / TRUTH_NAME}
 
 
-SCENARIOS = listed("Scenarios", sorted(bundled("scenarios")))
-for described in (virtual, simulate):
-    described.help = cleandoc(str(described.help)).format(scenarios=SCENARIOS)
+SCENARIOS = fill(f"Scenarios: {', '.join(sorted(bundled('scenarios')))}.", 78, break_on_hyphens=False)
+for _command in (virtual, simulate):
+    _command.help = cleandoc(str(_command.help)).format(scenarios=f"\b\n{SCENARIOS}")

@@ -112,7 +112,7 @@ def _errno_text(number: int | None, error: Exception) -> str:
 
 
 def _not_found(device: str, number: int | None) -> tuple[str, str]:
-    if number in (errno.ENOTTY, errno.EINVAL) and Path(device).exists():
+    if number in (errno.ENOTTY, errno.EINVAL, errno.EISDIR) and Path(device).exists():
         return "it exists but is not a serial port", describe_ports()
     hint = "Plug the device in, or give one of these names."
     ports = describe_ports()

@@ -32,7 +32,7 @@ class PortSettings:
 
     def __post_init__(self) -> None:
         if not self.url:
-            raise bad_config("the name of the port is empty")
+            raise bad_config("the name of the port is empty", "imumon ports lists the ports")
         if not self.url.isprintable():
             raise bad_config(f"the name of the port is not plain text: {self.url!a}", "link to it")
         if self.baudrate <= 0:

@@ -115,7 +115,7 @@ def test_nothing_is_overwritten_but_a_picture(tmp_path: Path) -> None:
     with pytest.raises(ImumonError, match="already") as caught:
         check_outputs(None, there)
     assert caught.value.reason is Reason.EXISTS
-    with pytest.raises(ImumonError, match="PNG"):
+    with pytest.raises(ImumonError, match=r"ends in .png"):
         check_outputs(there)
     with pytest.raises(ImumonError, match="no folder"):
         check_outputs(None, tmp_path / "none" / "n.yaml")

@@ -165,6 +165,16 @@ def test_motion_is_reported_with_its_share(tmp_path: Path, said: str) -> None:
     assert share == pytest.approx(10.0, abs=0.05 if said == "at_rest" else 1.5)
 
 
+def test_a_short_recording_in_motion_gets_both_reasons_and_what_to_do(tmp_path: Path) -> None:
+    made = columns(n=round(22 / INTERVAL_S))
+    time_s = np.arange(len(made["gyro_x"])) * INTERVAL_S
+    made["gyro_x"] += 0.3 * np.sin(time_s) * (time_s < 14.0)
+    errors = allan(write(tmp_path / "t.csv", made)).stderr
+    assert "the unit moved during" in errors
+    assert "record it lying still" in errors
+    assert "22 s are too short for bias instability and drift: record for" in errors
+
+
 def test_a_session_is_read_like_a_table(tmp_path: Path) -> None:
     made = columns(n=4000)
     names = ["gyro_x", "gyro_y", "gyro_z"]

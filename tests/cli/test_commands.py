@@ -262,7 +262,20 @@ def test_measured_captures_decode_without_loss(tmp_path: Path) -> None:
         (["export", "nothing", "--to", "csv"], 4, "there is no such file or folder"),
         (["export", "{capture}", "--to", "csv"], 4, "not a session"),
         (["import", "{capture}", "--map", "{map}", "--out", "."], 2, "give the name of a new folder"),
+        (
+            ["import", "{capture}", "--map", "none.yaml", "--out", "s"],
+            2,
+            "imumon import --help has an example",
+        ),
+        (["replay", "{session}", "--pipeline", "{map}"], 2, "keys that there are: format, latitude_deg"),
+        (["replay", "{session}", "--pipeline", "{tab}"], 2, "YAML is indented with spaces"),
+        (["view", "{session}", "--out", "v.html"], 2, "name it v.rrd"),
+        (["simulate", "kitchen", "--out", "s", "--duration", "10m"], 2, "10m is not a number of seconds"),
+        (["monitor", ".", "--device", "ax1", "--view", "none"], 3, "it exists but is not a serial port"),
+        (["demo", "--speed"], 2, "Usage: imumon demo"),
+        (["demo", "--seconds", "fast"], 2, "Usage: imumon demo"),
         (["frobnicate"], 2, "No such command"),
+        (["monitr"], 2, "Did you mean 'monitor'?"),
         (["monitor"], 2, "Missing argument"),
     ],
 )
@@ -271,13 +284,15 @@ def test_wrong_input_gets_one_clear_error_and_writes_nothing(
 ) -> None:
     bad = tmp_path / "bad.yaml"
     bad.write_text("format: imumon-device/1\nname: bad\nprotocol: fixd\n")
-    table_map = capture.with_name("map.yaml")
+    table_map, tab = capture.with_name("map.yaml"), capture.with_name("tab.yaml")
     table_map.write_text("rate_hz: 100\ngyro: {columns: [x, y, z], unit: deg/s}\n")
+    tab.write_text("rest:\n\tminimum_s: 3\n")
     places = {
         "{capture}": str(capture),
         "{session}": str(session),
         "{bad}": str(bad),
         "{map}": str(table_map),
+        "{tab}": str(tab),
     }
     done = imumon(*(places.get(argument, argument) for argument in arguments), cwd=tmp_path)
     assert done.returncode == code, done.stderr

@@ -66,7 +66,7 @@ def test_what_is_wrong_with_a_session_is_reported_before_anything_is_shown(sessi
     done = imumon("view", sessions[0], "NOPE", "--view", "web")
     assert done.returncode == 4
     assert "http://" not in done.stderr
-    assert "NOPE is not a session" in done.stderr
+    assert "NOPE: there is no such file or folder" in done.stderr
 
 
 def test_of_a_table_the_time_of_its_import_is_not_reported_as_when_it_was_recorded(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ from imumon.estimation.gyro_bias.stage import RestDetector
 from imumon.pipeline import Pipeline
 from imumon.protocols.device import device_names, load_device, parse_device
 from imumon.protocols.ranges import Ranges
+from imumon.simulation.unit import SimulatedUnit, load_scenario
 
 GOOD = """\
 format: imumon-device/1
@@ -123,3 +124,17 @@ def test_the_range_of_a_device_holds_unless_another_is_given(
     pipeline.push(SampleBlock(sent))
     beyond = sent["gyro_x"] > 0.998 * np.radians(end_deg_per_s)
     assert pipeline.counters.left_out == 3 * np.sum(beyond) > 0
+
+
+def test_the_complete_file_of_the_docs_decodes_and_is_that_of_the_tutorial() -> None:
+    docs = Path(__file__).parents[2] / "docs"
+    text = (docs / "device-files.md").read_text(encoding="utf-8").split("```yaml\n")[1].split("```")[0]
+    assert text in (docs / "tutorials" / "your-device.md").read_text(encoding="utf-8")
+    device = parse_device(text, "docs/device-files.md")
+    packets = device.encoder().encode(SimulatedUnit(load_scenario("bench")).samples(100))
+    pipeline = Pipeline(device)
+    pipeline.feed(b"".join(packets), 0)
+    assert pipeline.counters.bytes_in_packets == pipeline.counters.bytes_received == 100 * 18
+    force = pipeline.take().accel
+    assert force is not None
+    assert np.linalg.norm(force[50]) == pytest.approx(9.8, abs=0.2)

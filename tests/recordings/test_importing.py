@@ -309,11 +309,13 @@ def test_parquet_rows_that_cannot_be_taken_are_named(tmp_path: Path) -> None:
 def test_a_column_that_the_table_lacks_is_named_with_the_map(tmp_path: Path) -> None:
     error = refused(tmp_path, "t,x,y\n0.5,1,2\n")
     assert error.reason is Reason.BAD_CONFIG
-    assert "map.yaml: " in error.seen
-    assert "has no column 'z'" in error.seen
-    assert "it has: 't', 'x', 'y'" in error.hint
+    assert "map.yaml:2: " in error.seen
+    assert "t.csv:1: has no column 'z'" in error.seen
+    assert error.hint == "it has: 't', 'x', 'y'"  # the layout is right
     error = refused(tmp_path, "t;x;y;z\n0.5;1;2;3\n")
     assert 'csv: {delimiter: ";"}' in error.hint
+    error = refused(tmp_path, "# a logger\nt,x,y,z\n0.5,1,2,3\n")
+    assert 'csv: {comment: "#"}' in error.hint
     error = refused(tmp_path, "0,0.1,0.2,0.3\n0.01,0.1,0.2,0.3\n")
     assert "csv: {header: false, columns: [NAME, ...]}" in error.hint
 
@@ -326,7 +328,7 @@ def test_a_column_that_the_table_lacks_is_named_with_the_map(tmp_path: Path) -> 
         (b"PAR1 and no more", "cannot be read"),
         (b"\n\n", "no line of column names"),
         (b"t,x,y,z,z\n0.5,1,2,3,4\n", "'z' is there more than once"),
-        (b"t,x,y,z\n", "none of its 0 rows"),
+        (b"t,x,y,z\n", "has no rows"),
     ],
 )
 def test_a_file_that_is_no_table_is_bad_data(tmp_path: Path, table: bytes, seen: str) -> None:
@@ -396,6 +398,16 @@ def test_a_further_column_keeps_its_name_and_unit(tmp_path: Path) -> None:
     assert columns["supply_voltage"].unit == "V"
     (block,) = iterate_table(tmp_path / "session" / "samples.parquet")
     assert block["supply_voltage"][-1] == 5.19
+
+
+@pytest.mark.parametrize(("unit", "reported"), [("g", False), ("m/s^2", True)])
+def test_a_force_that_is_not_gravity_is_reported_with_its_unit(
+    tmp_path: Path, unit: str, reported: bool
+) -> None:
+    table = "t,x,y,z\n" + "".join(f"{second},0,0.01,1\n" for second in range(300)) + "301,0,0,1e300\n"
+    text = f"time: {{column: t, unit: s}}\naccel: {{columns: [x, y, z], unit: {unit}}}\n"
+    report, _ = run(tmp_path, table, text)
+    assert any("is its unit right?" in warning for warning in report.warnings) is reported
 
 
 def test_decimal_commas(tmp_path: Path) -> None:

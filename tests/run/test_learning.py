@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import signal
@@ -107,7 +108,9 @@ def test_a_lacking_model_is_warned_of_learned_live_and_the_next_session_is_bette
     plan = plan.played(RATE_HZ, device.axes)
     record_session(plan, device, text, 3, next_one, lambda _: None)
     page = tmp_path / "compared.html"
-    found = answer("replay", next_one, "--compare-models", session, learned, "--out", page)
+    done = imumon("replay", next_one, "--compare-models", session, learned, "--out", page, "--json")
+    assert re.search(r"gyro_x +[\d.]+ become [\d.]+ °/h rms", done.stderr), done.stderr
+    found = json.loads(done.stdout)
     assert "Before and after" in page.read_text(encoding="utf-8")
     before, after = np.transpose(list(found["rms"].values()))
     stated = [float(value) * DEG_PER_H for value in won.groups()]
@@ -152,3 +155,5 @@ def test_sessions_of_several_units_are_not_one(tmp_path: Path, present: Path) ->
     assert "the bias model is of unit SN2, this is SN1" in done.stderr
     assert "a is left out" in done.stderr
     assert "b is left out" not in done.stderr
+    done = imumon("replay", tmp_path / "lab" / "a", "--model", other)
+    assert "the bias model is of unit SN2, this is SN1" in done.stderr

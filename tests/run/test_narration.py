@@ -6,7 +6,7 @@ import pytest
 
 from imumon.pipeline import Pipeline
 from imumon.protocols.device import load_device
-from imumon.run.narration import Narrator, advised
+from imumon.run.narration import Narrator, advised, describe_skipped
 from imumon.simulation.unit import SimulatedUnit, load_scenario
 from imumon.transport.reader import Bytes, Event, EventKind, Reads
 from imumon.transport.settings import PortSettings
@@ -41,6 +41,17 @@ def send(pipeline: Pipeline, narrator: Narrator, seconds: int, damage: bool = Fa
 
 def states(items: list[ViewItem], lane: str) -> list[str]:
     return [item.state for item in items if isinstance(item, State) and item.lane == lane]
+
+
+@pytest.mark.parametrize(("skipped", "explained"), [(0, False), (35, True), (58, False), (5000, False)])
+def test_the_rest_of_a_first_packet_is_explained(skipped: int, explained: bool) -> None:
+    pipeline, narrator, _ = narrated()
+    pipeline.feed(bytes(skipped), START)
+    send(pipeline, narrator, 1)
+    assert pipeline.counters.bytes_skipped == skipped
+    text = describe_skipped(pipeline.counters)
+    assert text.startswith(f"{skipped:,} skipped")
+    assert ("usual at the start" in text) is explained
 
 
 def test_rates_losses_and_lanes_follow_the_data() -> None:

@@ -73,7 +73,7 @@ class Alignment:
     def columns(self) -> Sequence[Column]:
         """The columns that `process` adds."""
         texts = {
-            "heading": "heading of the body x axis, clockwise from true north; NaN if not observable",
+            "heading": "heading of the body x axis, clockwise from true north; missing if not observable",
             "heading_sd": "its standard deviation",
             f"{self._prefix}roll": "roll of the alignment",
             f"{self._prefix}pitch": "pitch of the alignment",

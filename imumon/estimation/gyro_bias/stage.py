@@ -38,7 +38,7 @@ BIAS = (
     *vector_columns("gyro_bias_sd", "rad/s", "standard deviation of the bias"),
     *vector_columns("gyro_corrected", "rad/s", "angular rate less bias"),
     *vector_columns(
-        "zupt_innovation", "1", "zero-velocity innovation over its standard deviation; NaN between slots"
+        "zupt_innovation", "1", "zero-velocity innovation over its standard deviation; missing between slots"
     ),
     *vector_columns(
         "gyro_random_error", "rad/s", "bias less the model's curve; the bias where there is no model"

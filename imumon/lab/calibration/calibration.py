@@ -230,6 +230,7 @@ def _trained_on(records: Sequence[Record], cells: Cells, findings: dict[str, Fin
 
 def _remarks(records: Sequence[Record], cells: Cells, findings: dict[str, Finding]) -> list[str]:
     devices = sorted({record.device for record in records if record.device is not None})
+    units = sorted({record.serial for record in records if record.serial is not None})
     far = {
         name: f"{spread / DEG_PER_H:.3g}"
         for name in GYRO
@@ -239,6 +240,7 @@ def _remarks(records: Sequence[Record], cells: Cells, findings: dict[str, Findin
     }
     remarks = {
         f"the sessions are of different devices: {', '.join(devices)}": len(devices) > 1,
+        f"the sessions are of different units: {', '.join(units)}": len(units) > 1,
         "a session is there twice: it counts twice, and its repeatability means nothing": (
             len({record.sha256 for record in records}) < len(records)
         ),

@@ -133,6 +133,13 @@ def test_runs_without_a_common_temperature_get_no_offset_and_that_is_reported() 
     )
 
 
+@pytest.mark.usefixtures("fast")
+def test_sessions_of_different_units_are_reported() -> None:
+    one = replace(record(soak(600.0)), serial="SN1")
+    other = replace(record(soak(600.0), seed=1), serial="SN2", sha256="1" * 64)
+    assert "the sessions are of different units: SN1, SN2" in calibrate([one, other]).warnings
+
+
 def test_sessions_with_different_thermometers_are_refused() -> None:
     t = soak(300.0)
     columns = samples(t).columns
