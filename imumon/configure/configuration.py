@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import signal
-import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from imumon.configure.command_link import HEAR_S, CommandLink
+from imumon.configure.command_link import HEAR_S, CommandLink, Stream, measure
 from imumon.configure.core import BAUD, CommandError, Family, Request, Wish
-from imumon.configure.measured_stream import Stream, measure
 from imumon.errors import ImumonError, Reason, bad_config, bad_data
 from imumon.protocols.device import DeviceFile
 from imumon.transport.settings import PortSettings
@@ -36,6 +34,8 @@ class Report:
     before: dict[str, str] = field(default_factory=dict)
     after: dict[str, str] = field(default_factory=dict)
     plan: list[Request] = field(default_factory=list)
+    sent: list[tuple[Request, bool | None]] = field(default_factory=list)
+    """As `CommandLink.sent`."""
     warnings: list[str] = field(default_factory=list)
     stream: Stream | None = None
     result: str = "failed"
@@ -46,20 +46,15 @@ class Report:
     restored: list[str] = field(default_factory=list)
     not_restored: list[str] = field(default_factory=list)
 
-    def as_dict(self, link: CommandLink | None) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, Any]:
         """Return the report as JSON has it."""
-        sent = link.sent if link else []
         stream = self.stream
         return {
             **vars(self),
-            "plan": [_as_dict(request) for request in self.plan],
-            "sent": [{**_as_dict(request), "answered": answered} for request, answered in sent],
+            "plan": [request.as_dict() for request in self.plan],
+            "sent": [{**request.as_dict(), "answered": answered} for request, answered in self.sent],
             "stream": stream and {name: getattr(stream, name) for name in ("seconds", "rate_hz", "columns")},
         }
-
-
-def _as_dict(request: Request) -> dict[str, str]:
-    return {"meaning": request.meaning, "bytes": request.frame.hex(" ").upper(), "text": request.shown}
 
 
 def planned(family: Family, wish: Wish, now: int) -> list[Request]:
@@ -120,6 +115,7 @@ class Configuration:
     ) -> None:
         self._link, self._family, self._device = link, family, device
         self._report, self._progress = report, progress
+        report.sent = link.sent
         self._present: dict[str, bytes] = {}
         self._wanted: dict[str, bytes] = {}
         """Settings of the device before, and those that the wish needs."""
@@ -203,7 +199,6 @@ class Configuration:
                 break
         self._report.warnings += stream.warnings
         if problem:
-            self._report.result = "failed"
             raise ImumonError(
                 Reason.REFUSED,
                 f"the device takes the settings and reads them back, but {problem}",
@@ -311,9 +306,6 @@ class Configuration:
 @contextmanager
 def _uninterrupted() -> Iterator[None]:
     """Hold off Ctrl-C while a device is put back as it was."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
     numbers = [one for one in signal.Signals if one.name in ("SIGINT", "SIGTERM", "SIGHUP")]
     before = {number: signal.signal(number, signal.SIG_IGN) for number in numbers}
     try:

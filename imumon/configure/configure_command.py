@@ -61,14 +61,17 @@ def command(
 
     described = load_device(device)
     family = family_of(described)
-    wish = Wish(rate, None if outputs is None else tuple(dict.fromkeys(_names(outputs))), baud, save)
+    names = None if outputs is None else tuple(dict.fromkeys(map(str.strip, outputs.split(","))))
+    if names and "" in names:
+        raise bad_config(f"--outputs {outputs!r}: a name is empty")
+    wish = Wish(rate, names, baud, save)
     family.check(wish)
     if save and wish.only_reads:
         raise bad_config("--save, but nothing to save", "give --rate, --outputs or --baud")
     report = Report(described.name, port, verified=family.verified)
     if dry_run:
         _plan(family, wish, at or described.serial.baudrates[0], report)
-        print_json(report.as_dict(None)) if as_json else _show_plan(report)
+        print_json(report.as_dict()) if as_json else _show_plan(report)
         return
     from imumon.configure.command_link import connect
     from imumon.configure.configuration import Configuration
@@ -85,18 +88,11 @@ def command(
     finally:
         link.close()
         if as_json:
-            print_json(report.as_dict(link))
+            print_json(report.as_dict())
         _show(report, family, str(link.port.settings))
     now = link.port.settings.baudrate
     again = f" --baud {now}" if now != described.serial.baudrates[0] and link.port.settings.has_line else ""
     note(f"to watch it: imumon monitor {port} --device {device}{again}")
-
-
-def _names(outputs: str) -> list[str]:
-    names = [name.strip() for name in outputs.split(",")]
-    if not all(names):
-        raise bad_config(f"--outputs {outputs!r}: a name is empty")
-    return names
 
 
 def _plan(family: Family, wish: Wish, now: int, report: Report) -> None:

@@ -8,7 +8,7 @@ Nothing here opens a port: `imumon.configure.configuration` sends.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pkgutil import resolve_name
 from typing import NamedTuple
@@ -30,8 +30,8 @@ OUTPUTS = {
 }
 """What can be requested, whatever the family; the time or counter of the sample comes with it."""
 _FIRST = ("gyro_x", "delta_velocity_x", "mag_x", "temperature", "pressure", "q_w", "status")
-USUAL_COLUMNS = {name: (column,) for name, column in zip(OUTPUTS, _FIRST, strict=True)}
-"""For each output the columns of which one must come, in most families."""
+USUAL_COLUMNS = dict(zip(OUTPUTS, _FIRST, strict=True))
+"""For each output a column that must come, in most families."""
 
 BAUD = "baud rate"
 """Name of the setting that changes the line itself."""
@@ -81,6 +81,10 @@ class Request:
         text = self.frame.rstrip(b"\r\n").decode("latin-1")
         return text if text.isascii() and text.isprintable() else self.frame.hex(" ").upper()
 
+    def as_dict(self) -> dict[str, str]:
+        """Return what JSON has of it."""
+        return {"meaning": self.meaning, "bytes": self.frame.hex(" ").upper(), "text": self.shown}
+
 
 class CommandError(Exception):
     """A request came to nothing.
@@ -126,6 +130,31 @@ class Wish:
         return self.rate_hz is None and self.outputs is None and self.baudrate is None
 
 
+class Sent(NamedTuple):
+    """A field that a device sends."""
+
+    name: str
+    """As encoders have it; empty when it cannot be encoded."""
+    size: int
+    """Bytes with what precedes it in the packet."""
+    rate_hz: float
+
+
+class PacketKind(NamedTuple):
+    """Fields that are sent in packets of one kind."""
+
+    key: int
+    """What the family distinguishes kinds by."""
+    around: int
+    """Bytes of a packet besides its fields."""
+    fields: list[Sent]
+
+    @property
+    def rate_hz(self) -> float:
+        """Rate of the packets."""
+        return max((field.rate_hz for field in self.fields), default=0.0)
+
+
 def packets_among(data: bytes, frame: Frame) -> tuple[list[bytes], int]:
     """Return the packets among bytes, and how many bytes are done with.
 
@@ -142,8 +171,8 @@ class Family(ABC):
     """How a device of a family is configured: its settings are bytes under names."""
 
     title: str
-    columns: Mapping[str, tuple[str, ...]] = USUAL_COLUMNS
-    """For each output the columns of which one must come when it is on."""
+    columns: Mapping[str, str] = USUAL_COLUMNS
+    """For each output a column that must come when it is on."""
     baud_codes: Mapping[int, bytes]
     """Value of the baud setting for each baud rate."""
     verified: str
@@ -230,12 +259,18 @@ class Family(ABC):
         return wanted == found
 
     @abstractmethod
-    def bytes_per_s(self, values: Mapping[str, bytes]) -> float:
-        """Return what these settings send."""
+    def kinds(self, values: Mapping[str, bytes]) -> list[PacketKind]:
+        """Return what these settings send, the inertial data first."""
 
-    @abstractmethod
+    def bytes_per_s(self, values: Mapping[str, bytes]) -> float:
+        """Return how many bytes these settings send."""
+        kinds = self.kinds(values)
+        around = sum(kind.around * kind.rate_hz for kind in kinds)
+        return around + sum(field.size * field.rate_hz for kind in kinds for field in kind.fields)
+
     def rate_hz(self, values: Mapping[str, bytes]) -> float | None:
         """Return the rate of the inertial data, or None when none come."""
+        return next((kind.rate_hz for kind in self.kinds(values) if kind.rate_hz), None)
 
     def describe(self, name: str, value: bytes) -> str:
         """Return what a value of a setting means, in words."""
@@ -259,13 +294,10 @@ class Family(ABC):
         for name in wish.outputs or ():
             if name not in self.columns:
                 what = f"{self.title} devices have no {name} ({OUTPUTS[name]})" if name in OUTPUTS else ""
-                raise _refused(what or f"no output {name!r}", self.columns)
+                raise bad_config(what or f"no output {name!r}", f"there are: {', '.join(self.columns)}")
         if wish.baudrate is not None and wish.baudrate not in self.baud_codes:
-            raise _refused(f"no baud rate {wish.baudrate}", self.baud_codes)
-
-
-def _refused(seen: str, there: Iterable[object]) -> ImumonError:
-    return bad_config(seen, f"there are: {', '.join(map(str, there))}")
+            there = ", ".join(map(str, self.baud_codes))
+            raise bad_config(f"no baud rate {wish.baudrate}", f"there are: {there}")
 
 
 def no_rate(rate_hz: float, there: Sequence[float], why: str) -> ImumonError:

@@ -3,51 +3,46 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Sequence
 from functools import cache
 from math import gcd
-from typing import NamedTuple
 
 import numpy as np
 
 from imumon.blocks import SampleBlock
-from imumon.configure.core import BAUD, MOST_DIVISOR, Family, Message
+from imumon.configure.core import BAUD, MOST_DIVISOR, Family, Message, PacketKind
 from imumon.protocols.base import Encoder
-from imumon.protocols.device import DeviceFile
+from imumon.protocols.messages import TableDevice
 
-
-class PacketKind(NamedTuple):
-    """Fields that are sent in packets of one kind: each by name, with every how many samples it is sent."""
-
-    make: Callable[[list[str]], Encoder]
-    every: Mapping[str, int]
+EncoderOf = Callable[[int, tuple[str, ...]], Encoder]
 
 
 class Sending:
     """What a configured device sends of the samples of its unit.
 
-    `base_hz` is the rate that the outputs divide; these are sent in their order.
+    `base_hz`: the rate that those of the fields divide.  `make`: makes the encoder of a kind of packets.
     """
 
-    def __init__(self, base_hz: float, outputs: list[PacketKind]) -> None:
-        shared = gcd(*(by for output in outputs for by in output.every.values())) or 1
+    def __init__(self, base_hz: float, kinds: list[PacketKind], make: EncoderOf) -> None:
+        every = [{field.name: round(base_hz / field.rate_hz) for field in kind.fields} for kind in kinds]
+        shared = gcd(*(by for fields in every for by in fields.values())) or 1
         self.rate_hz = base_hz / shared
         """Samples per second that the unit must take."""
-        self._outputs = [
-            PacketKind(o.make, {name: by // shared for name, by in o.every.items()}) for o in outputs
+        self._every = [
+            (kind.key, {name: by // shared for name, by in fields.items() if name})
+            for kind, fields in zip(kinds, every, strict=True)
         ]
-        self._encoder = cache(lambda number, names: self._outputs[number].make([*names]))
+        self._encoder = cache(make)
         self._sample = 0
 
     def encode(self, block: SampleBlock) -> bytes:
         """Return the packets of the next samples."""
         packets: list[bytes] = []
         for row in range(len(block)):
-            one = SampleBlock({name: values[row : row + 1] for name, values in block.columns.items()})
-            for number, output in enumerate(self._outputs):
-                names = tuple(name for name, by in output.every.items() if self._sample % by == 0)
+            for key, every in self._every:
+                names = tuple(name for name, by in every.items() if self._sample % by == 0)
                 if names:
-                    packets += self._encoder(number, names).encode(one)
+                    packets += self._encoder(key, names).encode(block.rows(row, row + 1))
             self._sample += 1
         return b"".join(packets)
 
@@ -59,9 +54,12 @@ class Firmware(ABC):
     """
 
     family: Family
-    """Tells commands, which have the same form as answers, and what baud rates are called."""
+    """Tells commands, which have the same form as answers, and what settings mean."""
+    base_hz: float
+    """Rate that those of the outputs divide."""
 
-    def __init__(self, device: DeviceFile, settings: dict[str, bytes]) -> None:
+    def __init__(self, device: TableDevice, settings: dict[str, bytes]) -> None:
+        self.device = device
         self.baudrate, known = device.serial.baudrates[0], self.family.baud_codes
         named = self.baudrate if self.baudrate in known else next(iter(known))
         self.delivered = settings | {BAUD: known[named]}
@@ -103,16 +101,20 @@ class Firmware(ABC):
     def answer(self, command: Message) -> bytes:
         """Carry a command out and return the answer."""
 
-    @abstractmethod
-    def outputs(self) -> tuple[float, list[PacketKind]]:
-        """Return the base rate and what is sent with the settings as they are."""
+    def kinds(self) -> list[PacketKind]:
+        """Return what is sent with the settings as they are."""
+        return self.family.kinds(self.volatile)
+
+    def encoder(self, key: int, names: Sequence[str]) -> Encoder:
+        """Return the encoder of fields in packets of a kind; most devices have one."""
+        del key
+        return self.device.decoder().encoder(names)
 
     def sending(self) -> Sending | None:
         """Return what is sent; None when that is what the device file states, at the rate of the start."""
         if all(value == self.delivered[name] for name, value in self.volatile.items() if name != BAUD):
             return None
-        base_hz, outputs = self.outputs()
-        return Sending(base_hz, [output for output in outputs if output.every])
+        return Sending(self.base_hz, self.kinds(), self.encoder)
 
 
 def nearest(base_hz: float, rate_hz: float) -> int:

@@ -11,22 +11,20 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Mapping, Sequence
-from functools import partial
 
 from imumon.configure import core
-from imumon.configure.core import Family, Message, Request
-from imumon.configure.firmware import Firmware, PacketKind, nearest
+from imumon.configure.core import Family, Message, PacketKind, Request, Sent
+from imumon.configure.firmware import Firmware, nearest
 from imumon.errors import bad_config, bad_data
+from imumon.protocols.base import Encoder
 from imumon.protocols.device import DeviceFile
-from imumon.protocols.mip import ERRORS, SET_NAMES, MipDevice, MipEncoder
-from imumon.protocols.mip_fields import FILTER, SENSOR, Attitude, Clock, mip_fields
+from imumon.protocols.mip import ACK, ERRORS, FILTER, SENSOR, SET_NAMES, MipDevice, fields_of, mip_fields
 from imumon.protocols.tagged import MIP
 
 BASE, THREE_DM = 0x01, 0x0C
 PING, IDLE, DEVICE_INFO, RESUME, COMM_SPEED = 0x01, 0x02, 0x03, 0x06, 0x09
 IMU_BASE_RATE, IMU_FORMAT, FILTER_FORMAT, FILTER_BASE_RATE = 0x06, 0x08, 0x0A, 0x0B
 BASE_RATE, FORMAT, STREAM, UART_BAUD = 0x0E, 0x0F, 0x11, 0x40
-ACK = 0xF1
 APPLY, READ, SAVE = b"\x01", b"\x02", b"\x03"
 ANSWERS = {(BASE, DEVICE_INFO): 0x81, (BASE, COMM_SPEED): 0x89, (THREE_DM, IMU_BASE_RATE): 0x83,
            (THREE_DM, FILTER_BASE_RATE): 0x8A, (THREE_DM, IMU_FORMAT): 0x80, (THREE_DM, FILTER_FORMAT): 0x82,
@@ -60,15 +58,6 @@ TIME = {"reference": (0xD5, 0xD5), "gps": (0x12, 0x11)}
 """Field that dates a packet of the sensors, and one of the filter."""
 
 
-def fields(payload: bytes) -> list[tuple[int, bytes]]:
-    """Return descriptor and data of the fields of a packet, as far as they make sense."""
-    found = []
-    while len(payload) >= 2 and 2 <= payload[0] <= len(payload):
-        found.append((payload[1], payload[2 : payload[0]]))
-        payload = payload[payload[0] :]
-    return found
-
-
 def request(
     command_set: int, command: int, data: bytes, meaning: str, strip: int = 0, timeout_s: float = 0.5
 ) -> Request:
@@ -77,7 +66,7 @@ def request(
     repeated = data[:strip] if asking else data[1 : 1 + strip]
 
     def answer(message: Message) -> bytes | core.Refusal | None:
-        there = fields(message.payload) if message.kind == command_set else []
+        there = fields_of(message.payload) if message.kind == command_set else []
         acks = [ack for code, ack in there if code == ACK and len(ack) == 2 and ack[0] == command]
         if not acks:
             return None
@@ -125,7 +114,7 @@ class Mip(Family):
     title = "MicroStrain"
     verified = "frames of other programs (0x08, 0x0A), and the virtual device; never a real unit"
     baud_codes: Mapping[int, bytes] = {rate: rate.to_bytes(4, "big") for rate in BAUDRATES}
-    columns = core.USUAL_COLUMNS | {"status": ("overrange",)}
+    columns = core.USUAL_COLUMNS | {"status": "overrange"}
     assumed = (
         f"base rate {USUAL_BASE_HZ} Hz for sensors and filter; the device is queried for it first",
         "message format by command 0x0F; older devices are set by 0x08 and 0x0A",
@@ -141,8 +130,10 @@ class Mip(Family):
     )
 
     def __init__(self, device: DeviceFile | None = None, modern: bool = True) -> None:
-        self.attitude: Attitude = device.attitude if isinstance(device, MipDevice) else "filter"
-        self.clock: Clock = device.clock if isinstance(device, MipDevice) else "reference"
+        self.attitude, self.clock, self.fields = "filter", "reference", mip_fields()
+        if isinstance(device, MipDevice):
+            self.attitude, self.clock = device.attitude, device.clock
+            self.fields = mip_fields(device.attitude, device.clock)
         self.modern = modern
 
     def message(self, packet: bytes) -> Message:
@@ -226,32 +217,28 @@ class Mip(Family):
             raise core.nothing_to_keep("output", "give --outputs")
         return result
 
-    def rate_hz(self, values: Mapping[str, bytes]) -> float | None:
-        """Return the rate of the fastest field of the sensors, else of the filter."""
-        for of, name in FORMATS.items():
-            items = [by for _, by in formatted(values.get(name, b"")) if by]
-            if items:
-                return self.base_hz[of] / min(items)
-        return None
-
-    def bytes_per_s(self, values: Mapping[str, bytes]) -> float:
+    def kinds(self, values: Mapping[str, bytes]) -> list[PacketKind]:
         """Return packets of both data sets, as long as they do not exceed 255 bytes of fields."""
-        there, total = mip_fields(self.attitude, self.clock), 0.0
+        found = list[PacketKind]()
         for of, name in FORMATS.items():
-            items = [(code, by) for code, by in formatted(values.get(name, b"")) if by]
-            if items and values.get(STREAMS[of]) != OFF:
-                total += 6 * self.base_hz[of] / min(by for _, by in items)
-                for code, by in items:
-                    field = there.get(of << 8 | code)
-                    total += (2 + (max(field.size, 0) if field else 0)) * self.base_hz[of] / by
-        return total
+            fields = []
+            for code, by in formatted(values.get(name, b"") if values.get(STREAMS[of]) != OFF else b""):
+                item = self.fields.get(of << 8 | code)
+                named, size = (item.name if item.columns else "", max(item.size, 0)) if item else ("", 0)
+                fields += [Sent(named, 2 + size, self.base_hz[of] / by)] if by else []
+            found += [PacketKind(of, 6, fields)] if fields else []
+        return found
+
+    def rate_hz(self, values: Mapping[str, bytes]) -> float | None:
+        """Return the rate of the formats, also where their streams are off."""
+        return super().rate_hz({name: values.get(name, b"") for name in FORMATS.values()})
 
     def meaning(self, name: str, value: bytes) -> str:
         """Return whether a stream is on, or each field of a format with its rate."""
         if name in STREAMS.values():
             return "off" if value == OFF else "on"
         of = OF_SET[name]
-        names = {key: item.name for key, item in mip_fields(self.attitude, self.clock).items()}
+        names = {key: item.name for key, item in self.fields.items()}
         base = self.base_hz.get(of, USUAL_BASE_HZ)
         shown = [
             f"{names.get(of << 8 | code, f'0x{code:02X}')} {f'{base / by:.6g} Hz' if by else 'never'}"
@@ -267,12 +254,17 @@ class MipFirmware(Firmware):
     """A MicroStrain device with sensors and a filter."""
 
     family: Mip
+    base_hz = USUAL_BASE_HZ
 
     def __init__(self, device: DeviceFile, rate_hz: float) -> None:
         assert isinstance(device, MipDevice)
         self.family, self._device = Mip(device), device
         by = nearest(USUAL_BASE_HZ, rate_hz)
-        codes = {name: code for code, name in self._names(SENSOR).items()}
+        codes = {
+            item.name: key & 0xFF
+            for key, item in self.family.fields.items()
+            if key >> 8 == SENSOR and item.columns
+        }
         settings = {
             SENSOR_FORMAT: message_format([(codes[name], by) for name in device.sends]),
             FILTER_FORMAT_NAME: message_format([]),
@@ -280,14 +272,9 @@ class MipFirmware(Firmware):
         }
         super().__init__(device, settings)
 
-    def _names(self, of: int) -> dict[int, str]:
-        """Return the names of the fields of a data set, by their descriptors."""
-        there = mip_fields(self._device.attitude, self._device.clock).items()
-        return {key & 0xFF: field.name for key, field in there if key >> 8 == of and field.columns}
-
     def answer(self, command: Message) -> bytes:
         """Carry a command out."""
-        there = fields(command.payload)
+        there = fields_of(command.payload)
         code, data = there[0] if there else (0, b"")
         if command.kind == BASE:
             return self._base(command, code)
@@ -333,25 +320,18 @@ class MipFirmware(Firmware):
             return value in Mip.baud_codes.values()
         if name in STREAMS.values():
             return len(value) == 1
-        items, names = formatted(value), self._names(OF_SET[name])
-        return len(value) == 1 + 3 * len(items) and all(code in names and by > 0 for code, by in items)
+        items = formatted(value)
+        there = [field.name for kind in self.family.kinds({name: value}) for field in kind.fields]
+        return len(value) == 1 + 3 * len(items) and len(there) == len(items) and "" not in there
 
-    def outputs(self) -> tuple[float, list[PacketKind]]:
-        """Return packets of the sensors and of the filter."""
-        found = []
-        for of, name in FORMATS.items():
-            names, on = self._names(of), self.volatile[STREAMS[of]] == ON
-            every = {names[code]: by for code, by in formatted(self.volatile[name]) if on}
-            found.append(PacketKind(partial(self._encoder, of), every))
-        return USUAL_BASE_HZ, found
-
-    def _encoder(self, of: int, names: Sequence[str]) -> MipEncoder:
-        return MipEncoder(names, of, self._device.attitude, self._device.clock)
+    def encoder(self, key: int, names: Sequence[str]) -> Encoder:
+        """Return the encoder of fields of a data set."""
+        return self._device.decoder().encoder(names, key)
 
 
 def acknowledged(command: Message, code: int, data: bytes | None = None) -> bytes:
     """Return an answer with its code, zero when the command was carried out, and data."""
-    there = fields(command.payload)
+    there = fields_of(command.payload)
     number = there[0][0] if there else 0
     parts = [(ACK, bytes([number, code]))]
     kind = int(command.kind)

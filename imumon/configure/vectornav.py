@@ -11,11 +11,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from imumon.configure import core
-from imumon.configure.core import Family, Message, Request
-from imumon.configure.firmware import Firmware, PacketKind, nearest
+from imumon.configure.core import Family, Message, PacketKind, Request, Sent
+from imumon.configure.firmware import Firmware, nearest
 from imumon.protocols import vectornav
 from imumon.protocols.device import DeviceFile
-from imumon.protocols.text import line_frame, sentence, sentence_body
+from imumon.protocols.messages import TableDevice
+from imumon.protocols.text import line_frame, sentence
 from imumon.protocols.vectornav_fields import GROUP_NAMES
 
 ERRORS = {1: "hard fault", 2: "serial buffer overflow", 3: "invalid checksum", 4: "invalid command",
@@ -34,6 +35,7 @@ FIELDS: Mapping[str, tuple[str, ...]] = {
     "status": ("Attitude.VpeStatus",),
 }
 """AngRate and Accel have the filter's bias taken off and are never requested."""
+FIELD_OF_PLACE = {place: name for name, place in vectornav.PLACES.items()}
 FAST_HZ, SLOW_HZ = 800, 400
 """Base rate of the binary outputs of a VN-100 (and 110), and of the others."""
 
@@ -44,12 +46,6 @@ BAUDRATES = (9600, 19_200, 38_400, 57_600, 115_200, 128_000, 230_400, 460_800, 9
 def frame(text: str) -> bytes:
     """Return a command: $, text, checksum, line end."""
     return sentence(f"${text}") + b"\r\n"
-
-
-def _body(line: str) -> str | None:
-    """Return what a line has before its checksum, of eight bits or a CRC, or None when that is wrong."""
-    body = sentence_body(line.rstrip("\r\n"), vectornav.XMODEM)
-    return body if body is not None and body.isascii() else None
 
 
 def request(command: str, meaning: str, echo: str = "", timeout_s: float = 0.5) -> Request:
@@ -110,6 +106,17 @@ class Output:
         return f"{self.port},{self.by},{self.groups:02X}{words}".encode()
 
     @property
+    def names(self) -> list[str]:
+        """Its fields as encoders have them; empty where one cannot be encoded."""
+        groups = [bit + 1 for bit in range(7) if self.groups >> bit & 1]
+        return [
+            FIELD_OF_PLACE.get((group, bit), "")
+            for group, word in zip(groups, self.words, strict=False)
+            for bit in range(16)
+            if word >> bit & 1
+        ]
+
+    @property
     def contents(self) -> vectornav.Contents | None:
         """What its packets hold; None when that is not known."""
         found = vectornav.read_contents(vectornav.header_of(self.groups, self.words) + bytes(512))
@@ -119,17 +126,13 @@ class Output:
 NO_OUTPUT = Output(0, 0, 0, ())
 
 
-def _groups(mask: int) -> list[str]:
-    return [GROUP_NAMES.get(bit + 1, f"group {bit + 1}") for bit in range(7) if mask >> bit & 1]
-
-
 class VectorNav(Family):
     """Commands of a VectorNav."""
 
     base_hz = FAST_HZ
     """What the divisors of the outputs divide."""
     settings = tuple(REGISTERS)
-    answer_frame = line_frame({b"$VN": "ascii"}, _body)
+    answer_frame = line_frame({b"$VN": "ascii"}, vectornav.body_of)
     title = "VectorNav"
     verified = "lines of other programs and of the vendor's, and the virtual device; never a real unit"
     baud_codes: Mapping[int, bytes] = {rate: str(rate).encode() for rate in BAUDRATES}
@@ -147,7 +150,7 @@ class VectorNav(Family):
 
     def message(self, packet: bytes) -> Message:
         """Return the letters of the command, and what follows them."""
-        body = _body(packet.decode("ascii", "replace"))
+        body = vectornav.body_of(packet.decode("ascii", "replace"))
         assert body is not None
         return Message(body[3:6], body[7:].encode())
 
@@ -202,16 +205,15 @@ class VectorNav(Family):
         off = name in (OUTPUT, SECOND, THIRD) and not (Output.read(wanted).on or Output.read(found).on)
         return off or wanted == found
 
-    def rate_hz(self, values: Mapping[str, bytes]) -> float | None:
-        """Return the rate of the first binary output."""
-        output = Output.read(values[OUTPUT])
-        return self.base_hz / output.by if output.on else None
-
-    def bytes_per_s(self, values: Mapping[str, bytes]) -> float:
+    def kinds(self, values: Mapping[str, bytes]) -> list[PacketKind]:
         """Return the packets of the binary outputs."""
         outputs = [Output.read(values[name]) for name in (OUTPUT, SECOND, THIRD) if name in values]
-        sent = [(output.contents, output.by) for output in outputs if output.on]
-        return sum((found.end + 2) * self.base_hz / by for found, by in sent if found is not None)
+        sent = [(output, output.contents) for output in outputs if output.on]
+        return [
+            PacketKind(one.port, found.end + 2, [Sent(name, 0, self.base_hz / one.by) for name in one.names])
+            for one, found in sent
+            if found is not None
+        ]
 
     def meaning(self, name: str, value: bytes) -> str:
         """Return fields, rate and port of a binary output, or the type of the ASCII output."""
@@ -223,24 +225,24 @@ class VectorNav(Family):
         rate = f"{self.base_hz / output.by:.6g} Hz ({self.base_hz}/{output.by})"
         found, fields = output.contents, "fields that imumon does not know"
         if found is not None:
-            names = [item.name for item, _ in found.fields]
-            fields = f"{' '.join(_groups(output.groups))}: {', '.join(names)}"
+            groups = [name for group, name in GROUP_NAMES.items() if output.groups >> group - 1 & 1]
+            fields = f"{' '.join(groups)}: {', '.join(item.name for item, _ in found.fields)}"
         return f"{rate} on serial port {output.port}, {fields}"
 
 
 INVALID_COMMAND, INVALID_PARAMETER, INVALID_REGISTER = 4, 7, 8
 IDENTITY = {1: "VN-100-VIRTUAL", 3: "0100000001", 4: "2.1.0.0"}
 NAMES = {number: name for name, number in REGISTERS.items()}
-FIELD_OF_PLACE = {place: name for name, place in vectornav.PLACES.items()}
 
 
 class VectorNavFirmware(Firmware):
     """A VN-100."""
 
     family = VectorNav()
+    base_hz = FAST_HZ
 
     def __init__(self, device: DeviceFile, rate_hz: float) -> None:
-        assert isinstance(device, vectornav.VectorNavDevice)
+        assert isinstance(device, TableDevice)
         off = Output(0, 1, 0, ()).value
         settings = dict.fromkeys(REGISTERS, off) | {
             OUTPUT: Output.of(1, nearest(FAST_HZ, rate_hz), device.sends).value,
@@ -273,21 +275,9 @@ class VectorNavFirmware(Firmware):
         self.obey(name, value.encode())
         return frame(f"VNWRG,{register:02d},{value}")
 
-    def outputs(self) -> tuple[float, list[PacketKind]]:
+    def kinds(self) -> list[PacketKind]:
         """Return the packets of the binary outputs that go to port 1."""
-        registers = [Output.read(self.volatile[name]) for name in (OUTPUT, SECOND, THIRD)]
-        every = [dict.fromkeys(_names(one), one.by) for one in registers if one.on and one.port & 1]
-        return FAST_HZ, [PacketKind(vectornav.VectorNavEncoder, one) for one in every]
-
-
-def _names(register: Output) -> list[str]:
-    groups = [bit + 1 for bit in range(7) if register.groups >> bit & 1]
-    return [
-        FIELD_OF_PLACE[group, bit]
-        for group, word in zip(groups, register.words, strict=True)
-        for bit in range(16)
-        if word >> bit & 1
-    ]
+        return [kind for kind in super().kinds() if kind.key & 1]
 
 
 def _possible(name: str, value: bytes) -> bool:
@@ -299,7 +289,5 @@ def _possible(name: str, value: bytes) -> bool:
     register = Output.read(value)
     if not register.on:
         return register.value == value
-    try:
-        return bool(_names(register))
-    except (KeyError, ValueError):  # a field that the encoder lacks, or a word too many
-        return False
+    fits = len(register.words) == register.groups.bit_count() and register.contents is not None
+    return fits and "" not in register.names

@@ -8,17 +8,17 @@ reading back, and one query waits for its answer before the next.  Saving stores
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import partial, reduce
+from functools import reduce
 from operator import or_
 
 from imumon.configure import core
-from imumon.configure.core import Family, Message, Request
-from imumon.configure.firmware import Firmware, PacketKind
+from imumon.configure.core import Family, Message, PacketKind, Request, Sent
+from imumon.configure.firmware import Firmware
 from imumon.protocols.checks import Checksum
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.framing import Frame, fixed_length, unchecked
-from imumon.protocols.messages import TableDevice, TableEncoder
-from imumon.protocols.witmotion import SIZE, TYPES, WitMotionDecoder
+from imumon.protocols.messages import TableDevice
+from imumon.protocols.witmotion import SIZE, TYPES
 
 REGISTER_ANSWER = 0x5F
 CONTENT, RATE = "output content", "output rate"
@@ -29,6 +29,8 @@ PAUSE_S = 0.1
 """Between writes: the vendor's code leaves 1 to 200 ms."""
 OPENING = Request("unlock", UNLOCK, None, PAUSE_S)
 RATES = {1: 0.2, 2: 0.5, 3: 1.0, 4: 2.0, 5: 5.0, 6: 10.0, 7: 20.0, 8: 50.0, 9: 100.0, 11: 200.0}
+FIRST_FRAME = 0x50
+NOT_ENCODED = ("time", "position")
 BAUDRATES = (4800, 9600, 19_200, 38_400, 57_600, 115_200, 230_400, 460_800, 921_600)
 """By their codes, from 1 on."""
 BITS = ("time", "accel with temperature", "gyro", "angle", "mag", "ports", "pressure", "position", "speed",
@@ -64,7 +66,7 @@ class WitMotion(Family):
     title = "WitMotion"
     verified = "codes of the vendor's sample code, and the virtual device; never a real unit"
     baud_codes: Mapping[int, bytes] = {rate: bytes([code, 0]) for code, rate in enumerate(BAUDRATES, 1)}
-    columns = {name: core.USUAL_COLUMNS[name] for name in FRAMES} | {"attitude": ("roll",)}
+    columns = {name: core.USUAL_COLUMNS[name] for name in FRAMES} | {"attitude": "roll"}
     settings = tuple(REGISTERS)
     hello = _read(RATE)
     save_all = (OPENING, Request("save all registers", frame(SAVE, b"\0\0"), None, 0.5))
@@ -98,14 +100,16 @@ class WitMotion(Family):
             result[RATE] = bytes([near[0], 0])
         return result
 
+    def kinds(self, values: Mapping[str, bytes]) -> list[PacketKind]:
+        """Return a frame for each quantity of a sample."""
+        content, rate = int.from_bytes(values[CONTENT], "little"), self.rate_hz(values) or 0.0
+        frames = [TYPES.get(FIRST_FRAME + bit) for bit in range(16) if content >> bit & 1]
+        names = [frame.name if frame and frame.name not in NOT_ENCODED else "" for frame in frames]
+        return [PacketKind(0, 0, [Sent(name, SIZE, rate) for name in names])]
+
     def rate_hz(self, values: Mapping[str, bytes]) -> float | None:
         """Return the rate of all frames."""
         return RATES.get(values[RATE][0])
-
-    def bytes_per_s(self, values: Mapping[str, bytes]) -> float:
-        """Return 11 bytes for each frame of a sample."""
-        frames = int.from_bytes(values[CONTENT], "little").bit_count()
-        return SIZE * frames * (self.rate_hz(values) or 0.0)
 
     def meaning(self, name: str, value: bytes) -> str:
         """Return the rate, or the frames of a sample."""
@@ -117,15 +121,13 @@ class WitMotion(Family):
 
 WRITE = Frame({b"\xff\xaa": "write"}, fixed_length(5), unchecked)
 """A command; it has no checksum."""
-FASTEST_HZ = 200.0
-FIRST_FRAME = 0x50
-NOT_ENCODED = ("time", "position")
 
 
 class WitMotionFirmware(Firmware):
     """A WitMotion module."""
 
     family = WitMotion()
+    base_hz = max(RATES.values())
 
     def __init__(self, device: DeviceFile, rate_hz: float) -> None:
         assert isinstance(device, TableDevice)
@@ -159,11 +161,3 @@ class WitMotionFirmware(Firmware):
         elif not self._locked and possible.get(register):
             self.obey(next(name for name, number in REGISTERS.items() if number == register), data)
         return b""
-
-    def outputs(self) -> tuple[float, list[PacketKind]]:
-        """Return the frames of a sample; what the encoder lacks is left out."""
-        content = int.from_bytes(self.volatile[CONTENT], "little")
-        names = [TYPES[FIRST_FRAME + bit].name for bit in range(len(BITS)) if content >> bit & 1]
-        rate = RATES[self.volatile[RATE][0]]
-        every = {name: round(FASTEST_HZ / rate) for name in names if name not in NOT_ENCODED}
-        return FASTEST_HZ, [PacketKind(partial(TableEncoder, WitMotionDecoder()), every)]

@@ -12,8 +12,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from imumon.configure import core
-from imumon.configure.core import Family, Message, Request
-from imumon.configure.firmware import Firmware, PacketKind, nearest
+from imumon.configure.core import Family, Message, PacketKind, Request, Sent
+from imumon.configure.firmware import Firmware
 from imumon.errors import bad_config
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.tagged import XBUS, xbus_message
@@ -150,19 +150,16 @@ class Xsens(Family):
             for (code, a), (_, b) in zip(pairs, there, strict=True)
         )
 
-    def rate_hz(self, values: Mapping[str, bytes]) -> float | None:
-        """Return the highest rate of an output."""
-        rates = [rate for _, rate in entries(values[OUTPUT]) if rate not in (0, WITH_EVERY_PACKET)]
-        return max(rates, default=None)
-
-    def bytes_per_s(self, values: Mapping[str, bytes]) -> float:
-        """Return headers and checksums of all messages, and each output at its rate."""
-        fastest = self.rate_hz(values) or 0.0
-        total = 5 * fastest
-        for code, rate in entries(values[OUTPUT]):
-            field = message_of(code)
-            total += (3 + (max(field.size, 0) if field else 0)) * min(rate, fastest)
-        return total
+    def kinds(self, values: Mapping[str, bytes]) -> list[PacketKind]:
+        """Return MTData2 messages."""
+        pairs = entries(values[OUTPUT])
+        fastest = max((rate for _, rate in pairs if rate != WITH_EVERY_PACKET), default=0)
+        fields = []
+        for code, rate in pairs if fastest else ():
+            item = message_of(code)
+            named, size = (item.name if item.columns else "", max(item.size, 0)) if item else ("", 0)
+            fields += [Sent(named, 3 + size, min(rate, fastest))] if rate else []
+        return [PacketKind(mtdata.MTDATA2, 5, fields)] if fields else []
 
     def meaning(self, name: str, value: bytes) -> str:
         """Return each output with its rate."""
@@ -189,6 +186,7 @@ class XsensFirmware(Firmware):
     """An MTi that sends MTData2."""
 
     family = Xsens()
+    base_hz = FASTEST_HZ
 
     def __init__(self, device: DeviceFile, rate_hz: float) -> None:
         assert isinstance(device, mtdata.MTData2Device)
@@ -228,23 +226,7 @@ class XsensFirmware(Firmware):
         """Set a setting; a baud rate counts after a reset."""
         self.volatile[name] = value
 
-    def outputs(self) -> tuple[float, list[PacketKind]]:
-        """Return MTData2 messages; each holds what is due."""
-        pairs = entries(self.volatile[OUTPUT])
-        fastest = max((rate for _, rate in pairs if rate != WITH_EVERY_PACKET), default=0)
-        every = {
-            _name(code): nearest(FASTEST_HZ, fastest if rate == WITH_EVERY_PACKET else rate)
-            for code, rate in pairs
-            if fastest and rate
-        }
-        return FASTEST_HZ, [PacketKind(mtdata.MTData2Encoder, every)]
-
-
-def _name(code: int) -> str:
-    """Return the name of an identifier that can be encoded; else nothing."""
-    field = message_of(code)
-    return field.name if field is not None and field.columns else ""
-
 
 def _sendable(code: int, rate: int) -> bool:
-    return bool(_name(code)) and (rate == WITH_EVERY_PACKET or rate <= FASTEST_HZ)
+    item = message_of(code)
+    return item is not None and bool(item.columns) and rate in (WITH_EVERY_PACKET, *range(FASTEST_HZ + 1))

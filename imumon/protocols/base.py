@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import NamedTuple, TypeVar
@@ -93,18 +92,24 @@ class Packets(NamedTuple):
     """Bits of the groups of which the packet has fields, (n,)."""
 
 
-class Encoder(ABC):
-    """Makes the bytes that a device would send, for tests, the virtual device and benchmarks."""
+class Encoder:
+    """Makes the bytes that a device would send, for tests, the virtual device and benchmarks.
 
-    @abstractmethod
+    `kinds`: each makes one packet of every row; those of a row are sent one after the other.
+    """
+
+    def __init__(self, *kinds: Callable[[SampleBlock], list[bytes]]) -> None:
+        self._kinds = kinds
+
     def encode(self, block: SampleBlock) -> list[bytes]:
-        """Return one packet per row; columns that the block lacks are sent as zero.
+        """Return the bytes of each row; columns that the block lacks are sent as zero.
 
         Counters and clocks wrap as in the device.  What is missing is sent as NaN, or as zero where the
         number has no NaN.
 
         Raises BAD_DATA when a value does not fit the field that carries it.
         """
+        return [b"".join(row) for row in zip(*(make(block) for make in self._kinds), strict=True)]
 
 
 def chosen(names: Sequence[str], there: Mapping[str, T], what: str) -> list[T]:

@@ -8,47 +8,47 @@ bytes stay unknown, for somebody to fill in.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from imumon.blocks import BoolArray, IntArray
 from imumon.protocols.base import ByteArray
-from imumon.protocols.checks import CHECKSUM_NAMES, Checksum, sent
-from imumon.protocols.framing import windows
+from imumon.protocols.checks import CHECKSUM_NAMES, Checksum
+from imumon.protocols.framing import integers, windows
 from imumon.protocols.text_proposal import file_head
 
-LEAST_PACKETS: Final = 8
+LEAST_PACKETS = 8
 """Packets from which a layout is proposed."""
 SHORTEST, LONGEST = 6, 1024
 """Lengths of packets that are looked for."""
-MOST_BYTES: Final = 1 << 16
-USUAL: Final = 0.1
+MOST_BYTES = 1 << 16
+USUAL = 0.1
 """Share of the distances between sync patterns from which a distance is the length of a packet."""
-CONSTANT: Final = 0.9
+CONSTANT = 0.9
 """Share of the packets in which a byte that is always the same must be so: some are damaged."""
-COVERED: Final = 0.5
+COVERED = 0.5
 """Share of the bytes that must be in packets; a damaged sync pattern takes two packets out of the count."""
-COVERED_UNCHECKED: Final = 0.8
+COVERED_UNCHECKED = 0.8
 """The same where no checksum proves the packets."""
-RIGHT: Final = 0.3
-LEAST_RIGHT: Final = 5
+RIGHT = 0.3
+LEAST_RIGHT = 5
 """Share and number of packets whose checksum must fit: 0.3 of 120 bytes with 1 % of bytes damaged."""
-TRIED_PACKETS: Final = 24
-TRIED_PATTERNS: Final = 8
-FIRSTS: Final = np.arange(9)
+TRIED_PACKETS = 24
+TRIED_PATTERNS = 8
+FIRSTS = np.arange(9)
 """Places at which a checksum may begin: it often leaves out the sync pattern."""
-UNITS: Final = {"us": 1e-6, "ms": 1e-3}
+UNITS = {"us": 1e-6, "ms": 1e-3}
 """Units of a clock of 32 bits; in ns it would wrap after 4 s."""
-LONGEST_SYNC: Final = 4
+LONGEST_SYNC = 4
 """A constant byte behind these may be a status that changes one day."""
-HIGH_BYTES: Final = (0x00, 0xFF)
+HIGH_BYTES = (0x00, 0xFF)
 """Such a byte behind a sync pattern is more often the high byte of a counter or of a small reading."""
-COUNTS: Final = 0.8
+COUNTS = 0.8
 """Share of the packets that must count on from the one before."""
-BYTES_PER_LINE: Final = 8
-MOSTLY_TEXT: Final = 0.95
+BYTES_PER_LINE = 8
+MOSTLY_TEXT = 0.95
 """Share of printable bytes from which a stream is text, whose lines may all be of one length."""
 
 
@@ -165,7 +165,7 @@ def _fitting(packets: ByteArray) -> Iterator[tuple[float, Checksum]]:
             first, last = (begin[:, np.newaxis] + firsts).reshape(-1), begin + size - check.size
             values = check.values(held, first, last.repeat(len(firsts))).reshape(n, -1)
             for big in (False, True)[: check.size]:
-                stored = sent(held, begin + size, check.size, big)
+                stored = integers(held, begin + size - check.size, check.size, big)
                 right = np.sum(values == stored[:, np.newaxis], axis=0)
                 k = int(np.argmax(right))
                 if right[k] >= max(LEAST_RIGHT, RIGHT * n) and len(np.unique(stored)) >= LEAST_RIGHT:

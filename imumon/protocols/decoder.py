@@ -1,14 +1,8 @@
-"""Decoders: bytes to columns, whatever the family.
-
-What a packet carries is a *layout*.  Packets are alike when their *signature* is the same: kind, length, and
-the bytes that identify what they carry.  The first packet of each signature is looked at in Python; all that
-are like it are read at once.
-"""
+"""Decoders: bytes to columns, whatever the family.  What a packet carries is a *layout*."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from typing import NamedTuple
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -16,14 +10,12 @@ from imumon.blocks import ColumnArray, IntArray, SampleBlock, join, missing
 from imumon.columns import KNOWN, Column
 from imumon.protocols.base import CHUNK, ByteArray, Groups, Packets, Timing
 from imumon.protocols.epochs import GENERATION
-from imumon.protocols.framing import BAD_SUM, IMPOSSIBLE, Candidates, Found, Frame, windows
-from imumon.protocols.numbers import Layout
+from imumon.protocols.framing import BAD_SUM, IMPOSSIBLE, Candidates, Found, Frame
+from imumon.protocols.numbers import Record
 from imumon.transport.statistics import Counters
 
 MOST_NOTICES = 1000
 """Different notices that a decoder gives at the most; more would be a stream of rubbish."""
-MOST_LAYOUTS = 4096
-"""Signatures that are remembered: so many come of random bytes alone."""
 ONLY_CORRECTED = (
     "only rates come from which the device's filter has taken its own estimate of the bias "
     "(gyro_compensated_*): what imumon finds is the rest of it; send calibrated rates as well, as "
@@ -32,16 +24,6 @@ ONLY_CORRECTED = (
 """Warning of a device that sends no rate as it was calibrated in the factory."""
 _ORDER = {name: place for place, name in enumerate(KNOWN)}
 """Place of the canonical columns, which go before the others."""
-
-
-class Alike(NamedTuple):
-    """Packets of one signature: their rows, the number of their kind, and the first of them."""
-
-    rows: IntArray
-    kind: int
-    packet: bytes
-    key: tuple[int, int, bytes]
-    """The signature: kind, length, and the bytes that identify what is in the packet."""
 
 
 class Decoder:
@@ -54,10 +36,16 @@ class Decoder:
     `groups`: those of all columns that may come, for a protocol that may spread one moment over several
         packets; None where each packet is a row.
     `possible`: all columns that may come.
+    `layouts`: what packets of each kind carry, where their kind alone states it.
     """
 
     def __init__(
-        self, frames: Sequence[Frame], timing: Timing, groups: Groups | None, possible: Iterable[Column] = ()
+        self,
+        frames: Sequence[Frame],
+        timing: Timing,
+        groups: Groups | None,
+        possible: Iterable[Column] = (),
+        layouts: Sequence[Record] = (),
     ) -> None:
         self.timing, self.groups = timing, groups
         self._frames = tuple(frames)
@@ -75,8 +63,9 @@ class Decoder:
         self._received = self._in_packets = self._checksum_errors = self._length_errors = 0
         self._names = [name for frame in frames for name in frame.names.values()]
         self._by_kind = np.zeros(len(self._names), np.int64)
-        self._layouts: dict[tuple[int, int, bytes], Layout | None] = {}
+        self._of_kind = layouts
         self._columns = {"arrival_time_ns": KNOWN["arrival_time_ns"]}
+        self._columns |= {column.name: column for layout in layouts for column in layout.columns}
         self._possible = self._columns | {column.name: column for column in possible}
 
     @property
@@ -207,47 +196,17 @@ class Decoder:
         self._checksum_errors += int(np.sum(outside & (verdict == BAD_SUM)))
         self._length_errors += int(np.sum(outside & (verdict == IMPOSSIBLE)))
 
-    def _signature(self, packet: bytes) -> Sequence[int]:
-        """Return the places of the bytes that identify what is in a packet."""
-        raise NotImplementedError
-
-    def _layout(self, alike: Alike) -> Layout | None:
-        """Return what packets of a signature carry; None: nothing for a row."""
-        raise NotImplementedError
-
     def _plain(self, found: Found) -> Found:
         """Return the packets as the layouts have them, where they are sent in another form."""
         return found
 
-    def _alike(self, found: Found) -> Iterator[Alike]:
-        """Yield the packets by their signatures, in the order of the first of each."""
-        left = np.arange(len(found))
-        while len(left):
-            one = int(left[0])
-            kind, size = int(found.kind[one]), int(found.length[one])
-            packet = found.held[found.at[one] :][:size].tobytes()
-            places = [*self._signature(packet)]
-            same = (found.length[left] == size) & (found.kind[left] == kind)
-            key = bytes(packet[k] for k in places)
-            if places:
-                heads = windows(found.held, found.at[left[same]], max(places) + 1)[:, places]
-                same[same] = np.all(heads == np.frombuffer(key, np.uint8), axis=1)
-            yield Alike(left[same], kind, packet, (kind, size, key))
-            left = left[~same]
-
-    def _by_layout(self, found: Found) -> Iterable[tuple[Layout, IntArray]]:
+    def _by_layout(self, found: Found) -> Iterable[tuple[Record, IntArray]]:
         """Yield the layouts of the packets, and which have each; others have nothing for a row."""
-        for alike in self._alike(found):
-            if alike.key not in self._layouts:
-                self._layouts[alike.key] = self._layout(alike)
-            layout = self._layouts[alike.key]
-            if layout is not None:
-                yield layout, alike.rows
+        for kind in np.flatnonzero(np.bincount(found.kind)).tolist():
+            yield self._of_kind[kind], np.flatnonzero(found.kind == kind)
 
     def _read(self, found: Found, arrival_ns: IntArray) -> Packets:
         """Return what the packets carry: a row for each that has something for a row, in order."""
-        if len(self._layouts) > MOST_LAYOUTS:
-            self._layouts.clear()
         found = self._plain(found)
         parts = [*self._by_layout(found)]
         rows = np.sort(np.concatenate([np.zeros(0, np.int64), *(mine for _, mine in parts)]))
@@ -266,21 +225,3 @@ class Decoder:
                     columns[column.name] = missing(len(rows), column.dtype)
                 columns[column.name][place] = values[column.name]
         return Packets(SampleBlock(columns), groups)
-
-
-class DescribedDecoder(Decoder):
-    """Decodes packets of described kinds, a row for each, or for those of one moment.
-
-    `layouts` are those of the frames, of which the first counts that is valid at a place.
-    """
-
-    def __init__(
-        self, frames: Sequence[Frame], timing: Timing, layouts: Sequence[Layout], groups: Groups | None
-    ) -> None:
-        super().__init__(frames, timing, groups)
-        self._described = layouts
-        self._columns |= {column.name: column for layout in layouts for column in layout.columns}
-
-    def _by_layout(self, found: Found) -> Iterable[tuple[Layout, IntArray]]:
-        for kind in np.flatnonzero(np.bincount(found.kind)).tolist():
-            yield self._described[kind], np.flatnonzero(found.kind == kind)

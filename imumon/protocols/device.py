@@ -22,20 +22,16 @@ from imumon.transport.settings import PortSettings
 
 PROTOCOLS = {
     "fixed": "imumon.protocols.fixed:FixedDevice",
-    "text": "imumon.protocols.text:TextDevice",
-    "ximu3": "imumon.protocols.messages:TableDevice",
-    "mavlink": "imumon.protocols.messages:TableDevice",
     "fixed-several": "imumon.protocols.fixed:SeveralDevice",
+    "text": "imumon.protocols.text:TextDevice",
     "xsens-mtdata2": "imumon.protocols.xsens.mtdata:MTData2Device",
     "xsens-mtdata": "imumon.protocols.xsens.mtdata:MTDataDevice",
-    "witmotion": "imumon.protocols.messages:TableDevice",
-    "vectornav": "imumon.protocols.vectornav:VectorNavDevice",
-    "sbg": "imumon.protocols.messages:TableDevice",
-    "inertialsense": "imumon.protocols.messages:TableDevice",
-    "hipnuc": "imumon.protocols.messages:TableDevice",
     "stim300": "imumon.protocols.stim300:StimDevice",
     "mip": "imumon.protocols.mip:MipDevice",
-}
+} | dict.fromkeys(
+    ("vectornav", "witmotion", "sbg", "ximu3", "hipnuc", "inertialsense", "mavlink"),
+    "imumon.protocols.messages:TableDevice",
+)
 """Class that reads the device files of each protocol; imported when a device of it is loaded."""
 FOLDER = "path of a folder of device files"
 """What a plug-in offers in the group `imumon.plugins.DEVICES`, in words."""

@@ -29,6 +29,8 @@ from imumon.protocols.numbers import is_missing
 GENERATION = 32
 """Epochs after which it is known what an epoch may have; a field that is rarer comes out a row later."""
 NO_TIME, COUNTED, TIMED = range(3)
+EPOCH, GROUP, AFTER, UNTIL = range(4)
+"""Columns of the ended epochs: number, group, and main rows as `Epochs` counts them."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,15 +80,6 @@ class _Group:
     ended: int  # and how many have ended in this call
 
 
-class _Ended:
-    """An epoch that ended; `after` and `until` count main rows as `Epochs` does."""
-
-    epoch: int
-    group: int
-    after: int
-    until: int
-
-
 class _Work(NamedTuple):
     """What the assignment reads of each new packet, (n,), and what it writes."""
 
@@ -104,7 +97,8 @@ class _Work(NamedTuple):
     """Epoch of each packet, kept and new, in each group; 0: none, (packets, groups)."""
     own: IntArray
     """The columns that it has there."""
-    ended: Sequence[_Ended]
+    ended: IntArray
+    """Of each epoch that ended: `EPOCH`, `GROUP`, `AFTER`, `UNTIL`, (packets * groups + groups, 4)."""
     behind: IntArray
     """Main rows that had begun before each packet of a side stream; -1 for others."""
 
@@ -151,21 +145,21 @@ class EpochAssembler:
         is_open = (epoch > 0) & (epoch == self._records["epoch"])
         found = {}
         for g, name in enumerate(self._groups.names):
-            of_group = ended[ended["group"] == g]
+            of_group = ended[ended[:, GROUP] == g]
             if g and not len(of_group):
                 continue
             row = np.flatnonzero((epoch[:, g] > 0) & ~is_open[:, g])
             self._packets[g] += len(row)
-            place = np.searchsorted(of_group["epoch"], epoch[row, g])
+            place = np.searchsorted(of_group[:, EPOCH], epoch[row, g])
             gathered = self._gather(name, block, row, own[row, g], place, len(of_group))
             more = _steps_within(block, row, place, len(of_group))
-            found[name] = Epochs(gathered, of_group["after"], of_group["until"], more)
+            found[name] = Epochs(gathered, of_group[:, AFTER], of_group[:, UNTIL], more)
         rows = np.flatnonzero(is_open.any(axis=1))
         self._kept = SampleBlock({name: values[rows] for name, values in block.columns.items()})
         self._kept_epoch, self._kept_own = np.where(is_open, epoch, 0)[rows], own[rows]
         return found
 
-    def _assigned(self, packets: Packets, end: bool) -> tuple[IntArray, IntArray, npt.NDArray[np.void]]:
+    def _assigned(self, packets: Packets, end: bool) -> tuple[IntArray, IntArray, IntArray]:
         """Return epoch and own columns of kept and new packets in each group, and the epochs that ended."""
         block, n = packets.block, len(packets.block)
         masks, may = np.zeros(n, np.int64), np.zeros(len(self._state), np.int64)
@@ -184,13 +178,13 @@ class EpochAssembler:
         for number, counts in ((COUNTED, counter), (TIMED, ticks)):
             kind[counts != NO_INT], key[counts != NO_INT] = number, counts[counts != NO_INT]
         epoch, own = np.vstack([self._kept_epoch, np.zeros_like(new)]), np.vstack([self._kept_own, new])
-        ended, behind = records(_Ended, epoch.size + len(may)), np.full(n, -1, np.int64)
+        ended, behind = np.zeros((epoch.size + len(may), 4), np.int64), np.full(n, -1, np.int64)
         self._state[0].ended = 0
         work = _Work(packets.groups, kind, key, masks, may, self._state, epoch, own, ended, behind)
         _assign(work, end)
         aside = (behind >= 0) & (counter != NO_INT)
         self.counted_aside = list(zip(behind[aside].tolist(), counter[aside].tolist(), strict=True))
-        return epoch, own, cast(npt.NDArray[np.void], ended)[: self._state[0].ended]
+        return epoch, own, ended[: self._state[0].ended]
 
     def _bit(self, name: str) -> int:
         """Return the bit of a column: columns that always come together have one.
@@ -317,8 +311,7 @@ def _end(g: int, work: _Work) -> None:
     """End the open epoch of a group, and learn what epochs have."""
     group, main = work.groups[g], work.groups[0]
     ended = work.ended[main.ended]
-    ended.epoch, ended.group = group.epoch, g
-    ended.after, ended.until = group.after, main.epochs
+    ended[EPOCH], ended[GROUP], ended[AFTER], ended[UNTIL] = group.epoch, g, group.after, main.epochs
     main.ended += 1
     mask, always = group.mask, group.all_before
     group.epoch = 0

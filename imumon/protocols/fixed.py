@@ -6,7 +6,6 @@ A packet has sync bytes, a length, a checksum and fields, all of it data of the 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from fractions import Fraction
 from functools import partial
 from typing import Annotated, Literal, Self
@@ -14,15 +13,15 @@ from typing import Annotated, Literal, Self
 import numpy as np
 from pydantic import AfterValidator, Field, NonNegativeInt, PositiveInt, StringConstraints, model_validator
 
-from imumon.blocks import ColumnArray, IntArray, SampleBlock, missing
+from imumon.blocks import IntArray, SampleBlock
 from imumon.columns import KNOWN, NAME, Column
 from imumon.config import LARGEST_NUMBER, StrictModel
 from imumon.errors import ImumonError
 from imumon.protocols.base import COMMON, LONGEST_PACKET, MAIN, NO_GROUP, ByteArray, Encoder, Groups, Timing
-from imumon.protocols.checks import CHECKSUM_NAMES, Checksum, Rearranged
-from imumon.protocols.decoder import DescribedDecoder
+from imumon.protocols.checks import CHECKSUM_NAMES, Checksum
+from imumon.protocols.decoder import Decoder
 from imumon.protocols.device import DeviceFile
-from imumon.protocols.framing import IMPOSSIBLE, Check, Found, Frame, unchecked
+from imumon.protocols.framing import IMPOSSIBLE, Frame, unchecked
 from imumon.protocols.numbers import NUMBER_TYPES, Number, Record, write
 from imumon.units import exact_conversion
 
@@ -231,6 +230,7 @@ class Packet(StrictModel):
                 at=field.at + k * NUMBER_TYPES[field.type].size,
                 group=NO_GROUP if column.name in COMMON else MAIN,
                 big=(field.byte_order or self.byte_order) == "big",
+                when=(w.column, w.modulo, w.equals) if (w := field.when) else None,
             )
             for field in self.fields
             for k, (column, scale, offset) in enumerate(map(field.scaled, field.names))
@@ -247,15 +247,12 @@ class Packet(StrictModel):
 
     @property
     def check(self) -> Checksum | None:
-        """The checksum of the bytes that it covers, if there is one."""
+        """The checksum, if there is one."""
         field = self.checksum
+        if field.type == "none":
+            return None
         big = (field.byte_order or self.byte_order) == "big"
-        return None if field.type == "none" else Checksum(field.type, 0, big, field.zeros)
-
-    @property
-    def turns(self) -> dict[str, When]:
-        """In which packets the columns are there that are not in all."""
-        return {name: field.when for field in self.fields for name in field.names if field.when}
+        return Checksum(field.type, field.first, big, field.zeros, field.last + 1, field.at)
 
 
 def _fraction(number: float | int | str) -> Fraction:
@@ -264,31 +261,16 @@ def _fraction(number: float | int | str) -> Fraction:
     return Fraction(above) / Fraction(below or 1)
 
 
-class DescribedLayout(Record):
-    """What a described packet carries; a field that is not there at its turn is missing."""
-
-    def __init__(self, packet: Packet) -> None:
-        super().__init__(packet.numbers)
-        self._turns = packet.turns
-
-    def read(self, found: Found) -> dict[str, ColumnArray]:
-        """Return a value a packet for each column."""
-        columns = super().read(found)
-        for name, when in self._turns.items():
-            absent = columns[when.column] % when.modulo != when.equals
-            columns[name][absent] = missing(1, columns[name].dtype)
-        return columns
-
-
-def fixed_decoder(name: str, packets: Sequence[Packet], rate_hz: float | None) -> DescribedDecoder:
+def fixed_decoder(name: str, packets: Sequence[Packet], rate_hz: float | None) -> Decoder:
     """Return a decoder of packets; `name` is what one without a name is called in the counters."""
     frames = [
-        Frame({bytes(x.sync): x.name or name}, partial(_length, x), _check(x), bytes(x.tail)) for x in packets
+        Frame({bytes(x.sync): x.name or name}, partial(_length, x), x.check or unchecked, bytes(x.tail))
+        for x in packets
     ]
     timing = timing_of([field for packet in packets[::-1] for field in packet.fields], rate_hz)
-    layouts = [DescribedLayout(packet) for packet in packets]
+    layouts = [Record(packet.numbers) for packet in packets]
     groups = Groups.of([layout.of_column for layout in layouts]) if len(packets) > 1 else None
-    return DescribedDecoder(frames, timing, layouts, groups)
+    return Decoder(frames, timing, groups, layouts=layouts)
 
 
 def _length(packet: Packet, held: ByteArray, at: IntArray) -> IntArray:
@@ -299,43 +281,18 @@ def _length(packet: Packet, held: ByteArray, at: IntArray) -> IntArray:
     return result
 
 
-def _check(packet: Packet) -> Check:
-    field, check = packet.checksum, packet.check
-    if check is None:
-        return unchecked
-    if field.last + 1 == field.at and field.at + check.size == packet.length:
-        return replace(check, first=field.first)
-    return Rearranged(check, (*range(field.first, field.last + 1), *range(field.at, field.at + check.size)))
-
-
-class FixedEncoder(Encoder):
-    """Makes described packets, one after the other for each row."""
-
-    def __init__(self, packets: Sequence[Packet]) -> None:
-        self._packets = packets
-
-    def encode(self, block: SampleBlock) -> list[bytes]:
-        """Return the packets of each row; see `imumon.protocols.base.Encoder`."""
-        parts = [_encoded(packet, block) for packet in self._packets]
-        return [b"".join(row) for row in zip(*parts, strict=True)]
+def fixed_encoder(packets: Sequence[Packet]) -> Encoder:
+    """Return an encoder of described packets, one after the other for each row."""
+    return Encoder(*(partial(_encoded, packet) for packet in packets))
 
 
 def _encoded(packet: Packet, block: SampleBlock) -> list[bytes]:
-    columns, numbers, blank = dict(block.columns), packet.numbers, bytearray(packet.length)
-    for item in numbers:
-        when = packet.turns.get(item.name)
-        if when is not None and item.name in block and when.column in block:
-            there = block[when.column] % when.modulo == when.equals
-            columns[item.name] = np.where(there, block[item.name], item.offset)  # a raw zero
+    blank = bytearray(packet.length)
     for at, byte in (*enumerate(packet.sync), *packet.length_bytes):
         blank[at] = byte
-    sent = write(packet.name or "packet", numbers, bytes(blank), columns, len(block))
-    field, check = packet.checksum, packet.check
-    if check is not None:
-        begin = np.arange(len(sent)) * packet.length
-        sums = check.values(sent.reshape(-1), begin + field.first, begin + field.last + 1)
-        sent[:, field.at : field.at + check.size] = check.stored(sums)
-    return [row.tobytes() + bytes(packet.tail) for row in sent]
+    sent = write(packet.name or "packet", packet.numbers, bytes(blank), block.columns, len(block))
+    sealed = sent if packet.check is None else packet.check.sealed_rows(sent)
+    return [row.tobytes() + bytes(packet.tail) for row in sealed]
 
 
 class FixedDevice(DeviceFile):
@@ -344,13 +301,13 @@ class FixedDevice(DeviceFile):
     protocol: Literal["fixed"]
     packet: Packet
 
-    def decoder(self) -> DescribedDecoder:
+    def decoder(self) -> Decoder:
         """Make a decoder for this packet."""
         return fixed_decoder(self.name, [self.packet], self.rate_hz)
 
-    def encoder(self) -> FixedEncoder:
+    def encoder(self) -> Encoder:
         """Make an encoder for this packet."""
-        return FixedEncoder([self.packet])
+        return fixed_encoder([self.packet])
 
 
 class SeveralDevice(DeviceFile):
@@ -370,10 +327,10 @@ class SeveralDevice(DeviceFile):
             raise ValueError(f"sends: no packet {', '.join(unknown)}; there are: {', '.join(names)}")
         return self
 
-    def decoder(self) -> DescribedDecoder:
+    def decoder(self) -> Decoder:
         """Make a decoder for these packets."""
         return fixed_decoder(self.name, self.packets, self.rate_hz)
 
-    def encoder(self) -> FixedEncoder:
+    def encoder(self) -> Encoder:
         """Make an encoder for those that are sent."""
-        return FixedEncoder([packet for packet in self.packets if packet.name in self.sends])
+        return fixed_encoder([packet for packet in self.packets if packet.name in self.sends])

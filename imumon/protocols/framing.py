@@ -57,19 +57,14 @@ class Frame:
 
     def places(self, held: ByteArray) -> tuple[IntArray, IntArray]:
         """Return where packets may begin, also where only the first bytes are there, and of which kind."""
-        sync = np.frombuffer(b"".join(self.names), np.uint8).reshape(len(self.names), -1)
-        at = np.flatnonzero(reduce(or_, [held == byte for byte in {*sync[:, 0].tolist()}]))
-        whole, cut = np.split(at, [np.searchsorted(at, len(held) - sync.shape[1], "right")])
-        kind = np.zeros_like(whole)
-        for k, bytes_there in enumerate(sync.T):
-            if len(sync) > 1 and len({*bytes_there.tolist()}) > 1:
-                numbers = np.full(256, -1)
-                numbers[bytes_there] = np.arange(len(sync))
-                kind = numbers[held[whole + k]]
-                whole, kind = whole[kind >= 0], kind[kind >= 0]
-            elif k:
-                there = held[whole + k] == bytes_there[0]
-                whole, kind = whole[there], kind[there]
+        starts = {name[0] for name in self.names}
+        at = np.flatnonzero(reduce(or_, [held == byte for byte in starts]))
+        size = len(next(iter(self.names)))
+        whole, cut = np.split(at, [np.searchsorted(at, len(held) - size, "right")])
+        begins, kind = integers(held, whole, size), np.full(len(whole), -1)
+        for k, name in enumerate(self.names):
+            kind[begins == int.from_bytes(name.ljust(8, b"\0"), "little", signed=True)] = k
+        whole, kind = whole[kind >= 0], kind[kind >= 0]
         begun = [any(name.startswith(held[k:].tobytes()) for name in self.names) for k in cut.tolist()]
         cut = cut[np.array(begun, np.bool_)]
         return np.append(whole, cut), np.append(kind, np.zeros_like(cut))
@@ -118,6 +113,14 @@ class Found:
         """Return some of the packets."""
         return Found(self.held, self.at[rows], self.length[rows], self.kind[rows])
 
+    def replaced(self, packets: Mapping[int, bytes]) -> Found:
+        """Return the packets, of which some rows are these bytes."""
+        at, length, end = self.at.copy(), self.length.copy(), len(self.held)
+        for row, packet in packets.items():
+            at[row], length[row], end = end, len(packet), end + len(packet)
+        held = np.frombuffer(b"".join([self.held.tobytes(), *packets.values()]), np.uint8)
+        return Found(held, at, length, self.kind)
+
 
 def windows(held: ByteArray, at: IntArray, size: int) -> ByteArray:
     """Return so many bytes from each place on, (n, size)."""
@@ -126,6 +129,14 @@ def windows(held: ByteArray, at: IntArray, size: int) -> ByteArray:
     # Taken as items of one type they are copied as wholes, twenty times faster than byte by byte.
     every = np.ndarray((len(held) - size + 1,), f"V{size}", held, strides=(1,))
     return every[at].view(np.uint8).reshape(-1, size)
+
+
+def integers(held: ByteArray, at: IntArray, size: int, big: bool = False) -> IntArray:
+    """Return the unsigned integers of `size` bytes that begin at these places."""
+    value = np.zeros(len(at), np.int64)
+    for n, k in enumerate(range(size)[:: -1 if big else 1]):
+        value |= held[at + k].astype(np.int64) << 8 * n
+    return value
 
 
 class Candidates:
@@ -195,8 +206,7 @@ class Candidates:
 
 def fixed_length(size: int) -> Lengths:
     """Return the `Lengths` of packets that are all of one size."""
-
-    return partial(_all_of, size)
+    return partial(_counted, 0, 0, size, size)
 
 
 def counted_length(at: int, size: int, more: int, longest: int) -> Lengths:
@@ -207,16 +217,9 @@ def counted_length(at: int, size: int, more: int, longest: int) -> Lengths:
     return partial(_counted, at, size, more, longest)
 
 
-def _all_of(size: int, held: ByteArray, at: IntArray) -> IntArray:
-    del held
-    return np.full(len(at), size, np.int64)
-
-
 def _counted(at: int, size: int, more: int, longest: int, held: ByteArray, begin: IntArray) -> IntArray:
     result = np.full(len(begin), INCOMPLETE, np.int64)
     there = np.flatnonzero(begin + at + size <= len(held))
-    counted = np.zeros(len(there), np.int64)
-    for k in range(size):
-        counted |= held[begin[there] + at + k].astype(np.int64) << 8 * k
-    result[there] = np.where(counted + more <= longest, counted + more, IMPOSSIBLE)
+    counted = more + integers(held, begin[there] + at, size)
+    result[there] = np.where(counted <= longest, counted, IMPOSSIBLE)
     return result

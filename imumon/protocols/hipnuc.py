@@ -9,112 +9,105 @@ from __future__ import annotations
 from collections.abc import Sequence
 from fractions import Fraction
 from math import pi
-from typing import Final
 
-from imumon.columns import Column
+import numpy as np
+
+from imumon.blocks import BoolArray, IntArray
 from imumon.geodesy import STANDARD_GRAVITY
-from imumon.protocols.base import Timing
-from imumon.protocols.checks import Checksum, Rearranged
-from imumon.protocols.framing import Frame, counted_length
-from imumon.protocols.messages import FamilyDecoder, Message, part
+from imumon.protocols.base import ByteArray, Timing
+from imumon.protocols.checks import Checksum
+from imumon.protocols.framing import Frame, counted_length, windows
+from imumon.protocols.messages import FamilyDecoder, Message, Part, counted, field, floats, gap, real
 from imumon.protocols.numbers import count, known, number, vector
 
 SYNC = b"\x5a\xa5"
 HEADER, LONGEST = 6, 512 + 6
-DEGREE: Final = pi / 180
-SHORT_FORCE: Final = 0.0048828
-SHORT_MAG: Final = 0.030517
+DEGREE = pi / 180
+SHORT_FORCE = 0.0048828
+SHORT_MAG = 0.030517
 OF_BITS = 0x83
 
-STATUS = part(1, "u16", "status")
-INS_STATUS = part(3, "u8", [count("ins_status", "status of the filter")])
+TAG, STATUS = gap(1), floats("status", kind="u16")
+INS_STATUS = counted("ins_status", "status of the filter", "u8")
 PLACE = known("longitude", "latitude", "altitude")
 VELOCITY_ENU = vector("velocity_enu", "m/s", "velocity east, north, up")
 FREE_ENU = vector("free_accel_enu", "m/s^2", "acceleration without gravity, east, north, up")
 
 PACKETS = {
-    0x91: Message("imu91", 76, (STATUS, part(3, "i8", "temperature"), part(4, "f32", "pressure"),
-                                part(8, "u32", "device_ticks", 1000.0),
-                                part(12, "f32", "accel", STANDARD_GRAVITY), part(24, "f32", "gyro", DEGREE),
-                                part(36, "f32", "mag"), part(48, "f32", "angles", DEGREE),
-                                part(60, "f32", "q"))),
-    0x81: Message("ins81", 104, (STATUS, INS_STATUS, part(4, "u16", [count("gps_week", "GPS week")]),
-                                 part(6, "u32", [count("gps_time_of_week", "GPS time of week", "ms")]),
-                                 part(12, "i16", "gyro", 1e-3), part(18, "i16", "accel", SHORT_FORCE),
-                                 part(24, "i16", "mag", SHORT_MAG), part(34, "i8", "temperature"),
-                                 part(42, "i16", known("roll", "pitch"), DEGREE / 100),
-                                 part(46, "u16", "yaw", DEGREE / 100), part(48, "i16", "q", 1e-4),
-                                 part(56, "i32", PLACE[:2], 1e-7), part(64, "i32", PLACE[2:], 1e-3),
-                                 part(78, "i16", VELOCITY_ENU, 0.01),
-                                 part(84, "i16", FREE_ENU, SHORT_FORCE))),
+    0x91: field("imu91", TAG, STATUS, floats("temperature", kind="i8"), floats("pressure"),
+                floats("device_ticks", 1000.0, "u32"), floats("accel", STANDARD_GRAVITY),
+                floats("gyro", DEGREE), floats("mag"), floats("angles", DEGREE), floats("q")),
+    0x81: field("ins81", TAG, STATUS, INS_STATUS, counted("gps_week", "GPS week", "u16"),
+                counted("gps_time_of_week", "GPS time of week", "u32", "ms"), gap(2),
+                floats("gyro", 1e-3, "i16"), floats("accel", SHORT_FORCE, "i16"),
+                floats("mag", SHORT_MAG, "i16"), gap(4), floats("temperature", kind="i8"), gap(7),
+                floats(known("roll", "pitch"), DEGREE / 100, "i16"), floats("yaw", DEGREE / 100, "u16"),
+                floats("q", 1e-4, "i16"), floats(PLACE[:2], 1e-7, "i32"), floats(PLACE[2:], 1e-3, "i32"),
+                gap(10), floats(VELOCITY_ENU, 0.01, "i16"), floats(FREE_ENU, SHORT_FORCE, "i16"), gap(14)),
 }  # fmt: skip
 """Packets with one layout, by their tag."""
 
-Bit = tuple[str, str | Sequence[Column], float, int]
+
+def _several(name: str, unit: str, what: str) -> Part:
+    return floats([number(f"{axis}{name}", unit, f"{axis}: {what}") for axis in ("heave", "surge", "sway")])
 
 
-def _several(name: str, unit: str, what: str) -> Sequence[Column]:
-    return tuple(number(f"{axis}{name}", unit, f"{axis}: {what}") for axis in ("heave", "surge", "sway"))
-
-
-BITS: dict[int, Bit] = {
-    0: ("f32", "accel", 1.0, 12),
-    1: ("f32", "gyro", DEGREE, 12),
-    2: ("f32", "mag", 1.0, 12),
-    3: ("f32", "angles", DEGREE, 12),
-    4: ("f32", "q", 1.0, 16),
-    5: ("u64", "device_ticks", 1.0, 8),
-    6: ("", (), 1.0, 8),
-    7: ("f32", "pressure", 1.0, 4),
-    8: ("f32", "temperature", 1.0, 4),
-    9: ("f32", vector("inclination", "deg", "of the axis"), 1.0, 12),
-    10: ("f32", _several("", "m", "displacement"), 1.0, 12),
-    11: ("f32", _several("_frequency", "Hz", "frequency"), 1.0, 12),
-    12: ("f32", VELOCITY_ENU, 1.0, 12),
-    13: ("f32", FREE_ENU, 1.0, 12),
-    14: ("f64", PLACE, 1.0, 24),
-    15: ("u8", [count(f"quality_{k}", "quality of the solution") for k in range(4)], 1.0, 4),
-    16: ("f32", [number("odometer_speed", "m/s", "of the odometer")], 1.0, 4),
-    17: ("f32", [number("undulation", "m", "of the geoid")], 1.0, 4),
-    18: ("f32", [number("correction_age", "s", "of differential corrections")], 1.0, 4),
-    19: ("u8", [count("node", "number of the node")], 1.0, 4),
-    30: ("f64", [number(f"gnss_{c.name}", c.unit, "of the receiver") for c in PLACE], 1.0, 24),
-    31: ("f32", vector("gnss_velocity", "m/s", "of the receiver"), 1.0, 12),
+BITS: dict[int, Part] = {
+    0: floats("accel"),
+    1: floats("gyro", DEGREE),
+    2: floats("mag"),
+    3: floats("angles", DEGREE),
+    4: floats("q"),
+    5: floats("device_ticks", kind="u64"),
+    6: gap(8),
+    7: floats("pressure"),
+    8: floats("temperature"),
+    9: floats(vector("inclination", "deg", "of the axis")),
+    10: _several("", "m", "displacement"),
+    11: _several("_frequency", "Hz", "frequency"),
+    12: floats(VELOCITY_ENU),
+    13: floats(FREE_ENU),
+    14: floats(PLACE, kind="f64"),
+    15: floats([count(f"quality_{k}", "quality of the solution") for k in range(4)], kind="u8"),
+    16: real("odometer_speed", "m/s", "of the odometer"),
+    17: real("undulation", "m", "of the geoid"),
+    18: real("correction_age", "s", "of differential corrections"),
+    19: counted("node", "number of the node", "u8") + gap(3),
+    30: floats([number(f"gnss_{c.name}", c.unit, "of the receiver") for c in PLACE], kind="f64"),
+    31: floats(vector("gnss_velocity", "m/s", "of the receiver")),
 }
-"""Fields of 0x83: number type, columns, factor, and bytes.
+"""Fields of 0x83.
 
 The unit of the rate, deg/s, is by analogy with 0x91: the vendor prints both under one name.
 """
+HEAD = (TAG, STATUS, INS_STATUS, gap(4))
 
 
 def of_bits(bits: int) -> Message:
     """Return the message 0x83 with the fields of these bits; it ends at the first bit that nobody knows."""
-    parts = [STATUS, INS_STATUS]
-    at = 8
-    for bit in (bit for bit in range(32) if bits >> bit & 1):
-        if bit not in BITS:
-            break
-        kind, columns, factor, size = BITS[bit]
-        if columns:
-            parts.append(part(at, kind, columns, factor))
-        at += size
-    return Message(f"imu83:{bits:#x}", at, tuple(parts))
-
-
-def _header_behind(size: int) -> list[int]:
-    return [*range(4), *range(HEADER, size), 4, 5]
+    there = [BITS.get(bit) for bit in range(32) if bits >> bit & 1]
+    end = there.index(None) if None in there else len(there)
+    return field(f"imu83:{bits:#x}", *HEAD, *filter(None, there[:end]))
 
 
 _XMODEM = Checksum("crc16-xmodem")
-_RIGHT = Rearranged(_XMODEM, _header_behind)
 """The CRC stands in the header: as if it stood behind the payload."""
+
+
+def _right(held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
+    right = np.zeros(len(at), np.bool_)
+    for size in np.flatnonzero(np.bincount(length)).tolist():
+        which = np.flatnonzero(length == size)
+        moved = windows(held, at[which], size)[:, [*range(4), *range(HEADER, size), 4, 5]]
+        right[which] = _XMODEM(moved.reshape(-1), np.arange(len(which)) * size, np.full(len(which), size))
+    return right
 
 
 class HipnucDecoder(FamilyDecoder):
     """Decodes the first packet of each frame: devices send one."""
 
     messages = PACKETS | {OF_BITS: of_bits(sum(1 << bit for bit in BITS))}
-    frames = (Frame({SYNC: "HiPNUC"}, counted_length(2, 2, HEADER, LONGEST), _RIGHT),)
+    frames = (Frame({SYNC: "HiPNUC"}, counted_length(2, 2, HEADER, LONGEST), _right),)
     timing = Timing(tick_ns=Fraction(1000))
     start, more = HEADER, HEADER
 

@@ -7,7 +7,6 @@ rates of its own.  PIMU carries increments, with the time over which they were s
 from __future__ import annotations
 
 from fractions import Fraction
-from typing import Final
 
 import numpy as np
 
@@ -15,25 +14,28 @@ from imumon.blocks import ColumnArray
 from imumon.protocols.base import LONGEST_PACKET, Timing
 from imumon.protocols.checks import Checksum
 from imumon.protocols.framing import Frame, counted_length
-from imumon.protocols.messages import FamilyDecoder, Message, part, whole
+from imumon.protocols.messages import FamilyDecoder, counted, field, floats, gap, real
 from imumon.protocols.numbers import Columns, Derived, known, number, vector
 
 SYNC = b"\xef\x49"
 HEADER, AROUND = 6, 8
 FLETCHER = Checksum("fletcher16-256")
 DATA, SET_DATA, WITH_OFFSET = 4, 5, 0x20
-KILOPASCAL: Final = 1000.0
-USUAL_S: Final = 0.004
+KILOPASCAL = 1000.0
+USUAL_S = 0.004
 """Time over which a virtual device sums increments where it is not stated, s."""
 
-TIME = part(0, "f64", "device_ticks", 1e9)
+TIME, STATUS = floats("device_ticks", 1e9, "f64"), floats("status", kind="u32")
 DELTA_TIME = [number("delta_time", "s", "time over which the increments were summed")]
 THETA = vector("delta_theta", "rad", "rotation over the sample")
 DELTA_VELOCITY = vector("delta_velocity", "m/s", "velocity increment")
-BODY_VELOCITY = vector("velocity_body", "m/s", "velocity in the body frame")
-OF_WEEK = (whole(0, "u32", "gps_week", "GPS week"), part(4, "f64", [number("gps_time_of_week", "s", "GPS")]))
-FILTER = (whole(12, "u32", "ins_status", "status of the filter, bits"),
-          whole(16, "u32", "hardware_status", "status of the hardware, bits"))  # fmt: skip
+BODY_VELOCITY = floats(vector("velocity_body", "m/s", "velocity in the body frame"))
+OF_FILTER = (
+    *counted("gps_week", "GPS week", "u32"),
+    *real("gps_time_of_week", "s", "GPS", "f64"),
+    *counted("ins_status", "status of the filter, bits", "u32"),
+    *counted("hardware_status", "status of the hardware, bits", "u32"),
+)
 
 
 def _mean_rates(columns: Columns) -> list[ColumnArray]:
@@ -50,26 +52,22 @@ def _with_increments(columns: Columns) -> list[ColumnArray]:
 MEANS = Derived(tuple(c.name for c in (*DELTA_TIME, *THETA, *DELTA_VELOCITY)), known("gyro", "accel"),
                 _mean_rates, _with_increments)  # fmt: skip
 
-SAMPLE = (TIME, part(8, "u32", "status"), part(12, "f32", "gyro"), part(24, "f32", "accel"))
+SAMPLE = (TIME, STATUS, floats("gyro"), floats("accel"))
+PRESSURE = floats("pressure", KILOPASCAL)
 DATA_SETS = {
-    58: Message("imu", 36, SAMPLE),
-    97: Message("imu_raw", 36, SAMPLE),
-    3: Message("pimu", 40, (TIME, part(8, "f32", DELTA_TIME), part(12, "u32", "status"),
-                            part(16, "f32", THETA), part(28, "f32", DELTA_VELOCITY))),
-    11: Message("sys_sensors", 80, (TIME, part(8, "f32", "temperature"), part(12, "f32", "gyro"),
-                                    part(24, "f32", "accel"), part(36, "f32", "mag"),
-                                    part(48, "f32", "pressure", KILOPASCAL)), "sensors"),
-    10: Message("sys_params", 64, (whole(0, "u32", "time_of_week_ms", "GPS time of week", "ms"),
-                                   part(12, "f32", "temperature")), "temperature"),
-    52: Message("mag", 20, (TIME, part(8, "f32", "mag")), "mag"),
-    53: Message("baro", 24, (TIME, part(8, "f32", "pressure", KILOPASCAL),
-                             part(12, "f32", [number("altitude_msl", "m", "from the pressure")]),
-                             part(16, "f32", [number("baro_temperature", "degC", "of the barometer")])),
-                "pressure"),
-    4: Message("ins_1", 80, (*OF_WEEK, *FILTER, part(20, "f32", "angles"), part(32, "f32", BODY_VELOCITY),
-                             part(44, "f64", "place")), "filter"),
-    5: Message("ins_2", 72, (*OF_WEEK, *FILTER, part(20, "f32", "q"),
-                             part(36, "f32", BODY_VELOCITY), part(48, "f64", "place")), "filter"),
+    58: field("imu", *SAMPLE),
+    97: field("imu_raw", *SAMPLE),
+    3: field("pimu", TIME, floats(DELTA_TIME), STATUS, floats(THETA), floats(DELTA_VELOCITY)),
+    11: field("sys_sensors", TIME, floats("temperature"), floats("gyro"), floats("accel"), floats("mag"),
+              PRESSURE, gap(28), group="sensors"),
+    10: field("sys_params", counted("time_of_week_ms", "GPS time of week", "u32", "ms"), gap(8),
+              floats("temperature"), gap(48), group="temperature"),
+    52: field("mag", TIME, floats("mag"), group="mag"),
+    53: field("baro", TIME, PRESSURE, real("altitude_msl", "m", "from the pressure"),
+              real("baro_temperature", "degC", "of the barometer"), gap(4), group="pressure"),
+    4: field("ins_1", OF_FILTER, floats("angles"), BODY_VELOCITY, floats("place", kind="f64"), gap(12),
+             group="filter"),
+    5: field("ins_2", OF_FILTER, floats("q"), BODY_VELOCITY, floats("place", kind="f64"), group="filter"),
 }  # fmt: skip
 """Data sets by their identifier."""
 

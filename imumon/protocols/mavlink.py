@@ -11,24 +11,23 @@ from __future__ import annotations
 
 from fractions import Fraction
 from functools import partial
-from typing import Final
 
 import numpy as np
 
 from imumon.blocks import BoolArray, ColumnArray, IntArray
 from imumon.geodesy import STANDARD_GRAVITY
-from imumon.protocols.base import MAIN, ByteArray, Timing
-from imumon.protocols.checks import CRCS, Checksum, by_distance, sent
-from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, Found, Frame, windows
-from imumon.protocols.messages import FamilyDecoder, Message, part, whole
-from imumon.protocols.numbers import Columns, Derived, count, known, number, vector
+from imumon.protocols.base import ByteArray, Timing
+from imumon.protocols.checks import CRCS, Checksum, by_distance
+from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, Found, Frame, integers, windows
+from imumon.protocols.messages import FamilyDecoder, Message, Part, counted, field, floats, gap, real
+from imumon.protocols.numbers import Columns, Derived, count, known, vector
 
 FIRST, SECOND = b"\xfe", b"\xfd"
 HEADERS = {FIRST: 6, SECOND: 10}
-SIGNATURE: Final = 13
-SIGNED: Final = 1
+SIGNATURE = 13
+SIGNED = 1
 GAUSS, HECTOPASCAL = 100.0, 100.0
-LONGEST: Final = 64
+LONGEST = 64
 """Bytes of the longest payload in the table, with its extensions."""
 
 HUNDREDTHS = count("_hundredths", "temperature, 0 when there is none")
@@ -48,36 +47,27 @@ def _of_celsius(columns: Columns) -> list[ColumnArray]:
 CELSIUS = Derived((HUNDREDTHS.name,), known("temperature"), _to_celsius, _of_celsius)
 
 
-def _imu(
-    at: int, temperature_at: int, size: int, name: str, ticks: str, factor: float, group: str
-) -> Message:
-    parts = (
-        part(0, ticks, "device_ticks", factor),
-        part(at, "i16", "accel", STANDARD_GRAVITY / 1000),
-        part(at + 6, "i16", "gyro", 1e-3),
-        part(at + 12, "i16", "mag", GAUSS / 1000),
-        part(temperature_at, "i16", [HUNDREDTHS]),
-    )
-    return Message(name, size, parts, group, least=1)
+def _imu(name: str, ticks: Part, unread: Part) -> Message:
+    vectors = floats("accel", STANDARD_GRAVITY / 1000, "i16") + floats("gyro", 1e-3, "i16")
+    field_of_earth, celsius = floats("mag", GAUSS / 1000, "i16"), floats([HUNDREDTHS], kind="i16")
+    return field(name, ticks, vectors, field_of_earth, unread, celsius, least=1)
 
 
+MILLISECONDS, MICROSECONDS = floats("device_ticks", 1000.0, "u32"), floats("device_ticks", kind="u64")
 MESSAGES = {
-    105: Message("highres_imu", 63, (part(0, "u64", "device_ticks"), part(8, "f32", "accel"),
-                                     part(20, "f32", "gyro"),
-                                     part(32, "f32", "mag", GAUSS),
-                                     part(44, "f32", "pressure", HECTOPASCAL),
-                                     part(52, "f32", [number("pressure_altitude", "m", "from the pressure")]),
-                                     part(56, "f32", "temperature"),
-                                     whole(60, "u16", "updated", "which values are new, bits")), least=1),
-    26: _imu(4, 22, 24, "scaled_imu", "u32", 1000.0, MAIN),
-    27: _imu(8, 27, 29, "raw_imu", "u64", 1.0, MAIN),
-    29: Message("scaled_pressure", 16, (part(0, "u32", "device_ticks", 1000.0),
-                                        part(4, "f32", "pressure", HECTOPASCAL)), "pressure", least=1),
-    30: Message("attitude", 28, (part(0, "u32", "device_ticks", 1000.0), part(4, "f32", "angles"),
-                                 part(16, "f32", FILTER_RATE)), "attitude", least=1),
-    31: Message("attitude_quaternion", 32, (part(0, "u32", "device_ticks", 1000.0), part(4, "f32", "q"),
-                                            part(20, "f32", FILTER_RATE)), "attitude", least=1),
-    0: Message("heartbeat", 9, (whole(0, "u32", "vehicle_mode", "mode of the vehicle"),), "vehicle", least=1),
+    105: field("highres_imu", MICROSECONDS, floats("accel"), floats("gyro"), floats("mag", GAUSS),
+               floats("pressure", HECTOPASCAL), gap(4), real("pressure_altitude", "m", "from the pressure"),
+               floats("temperature"), counted("updated", "which values are new, bits", "u16"), gap(1),
+               least=1),
+    26: _imu("scaled_imu", MILLISECONDS, gap(0)),
+    27: _imu("raw_imu", MICROSECONDS, gap(1)),
+    29: field("scaled_pressure", MILLISECONDS, floats("pressure", HECTOPASCAL), gap(8), group="pressure",
+              least=1),
+    30: field("attitude", MILLISECONDS, floats("angles"), floats(FILTER_RATE), group="attitude", least=1),
+    31: field("attitude_quaternion", MILLISECONDS, floats("q"), floats(FILTER_RATE), group="attitude",
+              least=1),
+    0: field("heartbeat", counted("vehicle_mode", "mode of the vehicle", "u32"), gap(5), group="vehicle",
+             least=1),
 }  # fmt: skip
 """Messages by their number; the second and third sensors (116, 129) are only counted."""
 EXTRA = {0: 50, 2: 137, 26: 170, 27: 144, 29: 115, 30: 39, 31: 246, 105: 93, 107: 108, 111: 34, 116: 76,
@@ -93,7 +83,8 @@ _BEFORE_EXTRA = Checksum("crc16-mcrf4xx", zeros=1)
 
 def _number(held: ByteArray, at: IntArray, header: int) -> IntArray:
     """Return the number of each message."""
-    return sent(held, at + header, 1 if header == HEADERS[FIRST] else 3, big=False)
+    size = 1 if header == HEADERS[FIRST] else 3
+    return integers(held, at + header - size, size)
 
 
 def _length(header: int, held: ByteArray, at: IntArray) -> IntArray:
@@ -115,7 +106,7 @@ def _right(header: int, held: ByteArray, at: IntArray, length: IntArray) -> Bool
     end, extra = at + length - signature, EXTRAS[_number(held, at, header)]
     # The CRC is linear: that of a zero in the place of the extra byte, and what this adds.
     crc = _BEFORE_EXTRA.values(held, at + 1, end - 2) ^ _OF_LAST_BYTE[extra]
-    return np.asarray(crc == sent(held, end, 2, big=False))
+    return np.asarray(crc == integers(held, end - 2, 2))
 
 
 class MavlinkDecoder(FamilyDecoder):

@@ -3,23 +3,30 @@
 A family is a table of `Message`, frames, and a `FamilyDecoder` that knows where the identifier stands.  Older
 devices send shorter messages and newer ones longer: what is behind the last number that is known is passed
 over, and numbers behind the end are absent.
+
+Packets are alike when their *signature* is the same: kind, length, and the bytes that identify what they
+carry.  The first packet of each signature is looked at in Python; all that are like it are read at once.
 """
 
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
+from itertools import chain
 from pkgutil import resolve_name
+from typing import Any, NamedTuple
 
-from imumon.blocks import SampleBlock
+import numpy as np
+
+from imumon.blocks import IntArray, SampleBlock
 from imumon.columns import Column
 from imumon.protocols.base import COMMON, MAIN, NO_GROUP, Encoder, Groups, Timing, chosen
-from imumon.protocols.decoder import Alike, Decoder
+from imumon.protocols.decoder import Decoder
 from imumon.protocols.device import DeviceFile
-from imumon.protocols.framing import Frame
-from imumon.protocols.numbers import Derived, Layout, Number, Record, count, known, with_sources, write
+from imumon.protocols.framing import Found, Frame, windows
+from imumon.protocols.numbers import Derived, Number, Record, count, known, number, with_sources, write
 
 FAMILIES = {
     "ximu3": "imumon.protocols.ximu3:XimuDecoder",
@@ -28,23 +35,15 @@ FAMILIES = {
     "sbg": "imumon.protocols.sbg:SbgDecoder",
     "inertialsense": "imumon.protocols.inertialsense:InertialSenseDecoder",
     "hipnuc": "imumon.protocols.hipnuc:HipnucDecoder",
+    "vectornav": "imumon.protocols.vectornav:VectorNavDecoder",
 }
 """Decoder of each protocol that is a table of messages; imported when a device of it is decoded."""
+MOST_LAYOUTS = 4096
+"""Signatures that are remembered: so many come of random bytes alone."""
 ANY_SIZE = -1
 """Size of a field that is recognised and skipped whatever its length."""
 Part = tuple[Number, ...]
-"""Numbers with their places in the payload."""
-
-
-def part(at: int, kind: str, columns: str | Sequence[Column], factor: float = 1.0, group: str = "") -> Part:
-    """Return numbers of one type, one behind the other.
-
-    `kind` is one of `NUMBER_TYPES`; `factor` leads to the unit of the column.  A canonical quantity goes by
-    its name.  Without a group the numbers are of that of the message.
-    """
-    there = known(columns) if isinstance(columns, str) else columns
-    size = Number(None, kind).end
-    return tuple(Number(c, kind, factor, at=at + k * size, group=group) for k, c in enumerate(there))
+"""Numbers that stand one behind the other."""
 
 
 def floats(columns: str | Iterable[Column], factor: float = 1.0, kind: str = "f32") -> Part:
@@ -53,14 +52,19 @@ def floats(columns: str | Iterable[Column], factor: float = 1.0, kind: str = "f3
     return tuple(Number(column, kind, factor) for column in there)
 
 
-def counted(name: str, description: str, kind: str, unit: str = "1") -> Number:
+def real(name: str, unit: str, description: str, kind: str = "f32", factor: float = 1.0) -> Part:
+    """Return a number of a column of its own, not placed yet."""
+    return (Number(number(name, unit, description), kind, factor),)
+
+
+def counted(name: str, description: str, kind: str, unit: str = "1") -> Part:
     """Return an integer that is a column as it is, not placed yet."""
-    return Number(count(name, description, unit), kind)
+    return (Number(count(name, description, unit), kind),)
 
 
-def whole(at: int, kind: str, name: str, description: str, unit: str = "1") -> Part:
-    """Return an integer that is a column as it is."""
-    return part(at, kind, [count(name, description, unit)])
+def gap(size: int) -> Part:
+    """Return so many bytes that are passed over, not placed yet."""
+    return (Number(None, "u8"),) * size
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,9 +74,9 @@ class Message:
     name: str
     """What the device file and the counters call it."""
     size: int
-    """Bytes of the payload of today's devices."""
-    parts: tuple[Part, ...]
-    """Its numbers, as `part` makes them."""
+    """Bytes of the payload of today's devices; `ANY_SIZE` when it is recognised and skipped."""
+    numbers: Part
+    """Its numbers, with their places in the payload."""
     group: str = MAIN
     """Group of its columns; times and counters have none."""
     least: int = 0
@@ -81,7 +85,7 @@ class Message:
     @property
     def columns(self) -> list[Column]:
         """Columns of its numbers."""
-        return [item.column for one in self.parts for item in one if item.column is not None]
+        return [item.column for item in self.numbers if item.column is not None]
 
     def placed(self, start: int, size: int, big: bool) -> list[Number]:
         """Return the numbers of a payload that begins at `start` and has `size` bytes."""
@@ -91,19 +95,18 @@ class Message:
                 group=NO_GROUP if item.name in COMMON else item.group or self.group,
                 big=big,
             )
-            for one in self.parts
-            for item in one
+            for item in self.numbers
             if item.end <= size
         ]
 
 
-def field(name: str, numbers: Iterable[Number], group: str = MAIN) -> Message:
-    """Return a field of numbers that stand one behind the other; of any size when there are none."""
+def field(name: str, *parts: Part, group: str = MAIN, least: int = 0) -> Message:
+    """Return a message of parts that stand one behind the other; of any size when there are none."""
     at, placed = 0, list[Number]()
-    for number in numbers:
-        placed.append(number._replace(at=at))
+    for item in chain(*parts):
+        placed.append(item._replace(at=at))
         at = placed[-1].end
-    return Message(name, at if placed else ANY_SIZE, (tuple(placed),), group)
+    return Message(name, at if placed else ANY_SIZE, tuple(placed), group, least)
 
 
 @lru_cache
@@ -117,62 +120,95 @@ def _all_columns(
     )
 
 
+class Alike(NamedTuple):
+    """Packets of one signature: their rows, the number of their kind, and the first of them."""
+
+    rows: IntArray
+    kind: int
+    packet: bytes
+    key: tuple[int, int, bytes]
+    """The signature: kind, length, and the bytes that identify what is in the packet."""
+
+
 class TableDecoder(Decoder):
-    """Decodes packets that hold messages of a table.
+    """Decodes packets that hold messages of a table; a subclass is the table of a family."""
 
-    `messages` are all that may come; `names` and `apart` as for `Groups.of`.
-    """
+    frames: Sequence[Frame]
+    """Kinds of packets."""
+    timing: Timing
+    """How the devices count time."""
+    messages: Mapping[Any, Message]
+    """All that may come, by what identifies it."""
+    derived: Sequence[Derived] = ()
+    """Columns that are computed."""
+    names: Sequence[str] = ()
+    apart: Sequence[str] = ()
+    """As for `Groups.of`."""
+    big: bool = False
+    """Whether the most significant byte comes first."""
 
-    def __init__(
-        self,
-        frames: Sequence[Frame],
-        timing: Timing,
-        messages: Iterable[Message],
-        derived: Sequence[Derived] = (),
-        names: Sequence[str] = (),
-        apart: Sequence[str] = (),
-        big: bool = False,
-    ) -> None:
-        groups, possible = _all_columns(*map(tuple, (messages, derived, names, apart)))
-        super().__init__(frames, timing, groups, possible)
-        self._derived, self._big = derived, big
+    def __init__(self, rate_hz: float | None = None) -> None:
+        table = (tuple(self.messages.values()), *map(tuple, (self.derived, self.names, self.apart)))
+        self._layouts: dict[tuple[int, int, bytes], Record | None] = {}
+        super().__init__(self.frames, replace(self.timing, rate_hz=rate_hz), *_all_columns(*table))
+
+    @abstractmethod
+    def _signature(self, packet: bytes) -> Sequence[int]:
+        """Return the places of the bytes that identify what is in a packet."""
 
     @abstractmethod
     def _contents(self, packet: bytes) -> list[tuple[Message, int, int]]:
         """Return the messages in a packet that are in the table, and where each begins and its size."""
 
-    def _layout(self, alike: Alike) -> Layout | None:
+    def _layout(self, alike: Alike) -> Record | None:
+        """Return what packets of a signature carry; None: nothing for a row."""
         there = self._contents(alike.packet)
-        numbers = [item for message, at, size in there for item in message.placed(at, size, self._big)]
-        layout = Record(numbers, self._derived)
+        numbers = [item for message, at, size in there for item in message.placed(at, size, self.big)]
+        layout = Record(numbers, self.derived)
         return layout if layout.columns else None
+
+    def _alike(self, found: Found) -> Iterator[Alike]:
+        """Yield the packets by their signatures, in the order of the first of each."""
+        left = np.arange(len(found))
+        while len(left):
+            one = int(left[0])
+            kind, size = int(found.kind[one]), int(found.length[one])
+            packet = found.held[found.at[one] :][:size].tobytes()
+            places = [*self._signature(packet)]
+            same = (found.length[left] == size) & (found.kind[left] == kind)
+            key = bytes(packet[k] for k in places)
+            if places:
+                heads = windows(found.held, found.at[left[same]], max(places) + 1)[:, places]
+                same[same] = np.all(heads == np.frombuffer(key, np.uint8), axis=1)
+            yield Alike(left[same], kind, packet, (kind, size, key))
+            left = left[~same]
+
+    def _by_layout(self, found: Found) -> Iterable[tuple[Record, IntArray]]:
+        if len(self._layouts) > MOST_LAYOUTS:
+            self._layouts.clear()
+        for alike in self._alike(found):
+            if alike.key not in self._layouts:
+                self._layouts[alike.key] = self._layout(alike)
+            layout = self._layouts[alike.key]
+            if layout is not None:
+                yield layout, alike.rows
+
+    @abstractmethod
+    def encoder(self, names: Sequence[str]) -> Encoder:
+        """Return an encoder of messages or fields of the table, which are sent in this order.
+
+        Raises BAD_CONFIG when there is none of a name.
+        """
 
 
 class FamilyDecoder(TableDecoder):
-    """Decodes packets that are each a message of a table; a subclass is the table of a family."""
+    """Decodes packets that are each a message of a table."""
 
-    messages: Mapping[int, Message]
-    """What each identifier means."""
-    frames: Sequence[Frame]
-    """Kinds of packets."""
-    timing: Timing
-    """How the devices count time."""
     start: int
     more: int
     """Bytes before the payload; bytes of the packet besides the payload."""
     head: Sequence[int]
     """Places of the bytes that identify what a packet carries."""
-    big: bool = False
-    """Whether the most significant byte comes first."""
-    apart: Sequence[str] = ()
-    """Groups that never join the main rows."""
-    derived: Sequence[Derived] = ()
-    """Columns that are computed."""
-
-    def __init__(self, rate_hz: float | None = None) -> None:
-        timing = replace(self.timing, rate_hz=rate_hz)
-        messages = self.messages.values()
-        super().__init__(self.frames, timing, messages, self.derived, apart=self.apart, big=self.big)
 
     @abstractmethod
     def wrap(self, key: int, payload: bytes) -> bytes:
@@ -201,28 +237,16 @@ class FamilyDecoder(TableDecoder):
             return []
         return [(message, self.start, min(size, message.size))]
 
+    def encoder(self, names: Sequence[str]) -> Encoder:
+        """Return an encoder of messages; see `TableDecoder.encoder`."""
+        sent = chosen(names, self.named(names), "message")
+        return Encoder(*(partial(self._encode, *one) for one in sent))
 
-class TableEncoder(Encoder):
-    """Makes the packets of a sample, one message after the other.
-
-    Raises BAD_CONFIG when there is no such message.
-
-    `names`: those of messages, in the order in which they are sent.
-    """
-
-    def __init__(self, family: FamilyDecoder, names: Sequence[str]) -> None:
-        self._sent = chosen(names, family.named(names), "message")
-        self._family = family
-
-    def encode(self, block: SampleBlock) -> list[bytes]:
-        """Return the packets of each row; see `imumon.protocols.base.Encoder`."""
-        parts = list[list[bytes]]()
-        for key, message in self._sent:
-            numbers = message.placed(0, message.size, self._family.big)
-            columns = with_sources(block.columns, self._family.derived, [item.name for item in numbers])
-            payloads = write(message.name, numbers, bytes(message.size), columns, len(block))
-            parts.append([self._family.wrap(key, payload.tobytes()) for payload in payloads])
-        return [b"".join(row) for row in zip(*parts, strict=True)]
+    def _encode(self, key: int, message: Message, block: SampleBlock) -> list[bytes]:
+        numbers = message.placed(0, message.size, self.big)
+        columns = with_sources(block.columns, self.derived, [item.name for item in numbers])
+        payloads = write(message.name, numbers, bytes(message.size), columns, len(block))
+        return [self.wrap(key, payload.tobytes()) for payload in payloads]
 
 
 class TableDevice(DeviceFile):
@@ -230,11 +254,11 @@ class TableDevice(DeviceFile):
 
     sends: list[str]
 
-    def decoder(self) -> FamilyDecoder:
+    def decoder(self) -> TableDecoder:
         """Make a decoder for this device."""
-        family: type[FamilyDecoder] = resolve_name(FAMILIES[self.protocol])
+        family: type[TableDecoder] = resolve_name(FAMILIES[self.protocol])
         return family(self.rate_hz)
 
-    def encoder(self) -> TableEncoder:
+    def encoder(self) -> Encoder:
         """Make an encoder that sends what the device would send."""
-        return TableEncoder(self.decoder(), self.sends)
+        return self.decoder().encoder(self.sends)

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
-from imumon.blocks import NO_INT, BoolArray, ColumnArray, FloatArray, IntArray
+from imumon.blocks import NO_INT, BoolArray, ColumnArray, FloatArray, IntArray, missing
 from imumon.columns import KNOWN, Column
 from imumon.errors import bad_data
 from imumon.protocols.base import NO_GROUP, ByteArray
@@ -77,6 +77,8 @@ class Number(NamedTuple):
     group: str = NO_GROUP
     big: bool = False
     """Whether the most significant byte comes first."""
+    when: tuple[str, int, int] | None = None
+    """Counter, divisor, remainder: it is there only where the counter, divided, leaves this; None: always."""
 
     @property
     def name(self) -> str:
@@ -146,7 +148,12 @@ def write(what: str, numbers: Sequence[Number], blank: bytes, columns: Columns, 
     packets = np.tile(np.frombuffer(blank, np.uint8), (n, 1))
     for item in numbers:
         if item.name in columns:
-            most_first = _packed(f"{what}, column {item.name}", item, columns[item.name])
+            values = columns[item.name]
+            if item.when is not None and item.when[0] in columns:
+                counter, divisor, remainder = item.when
+                there = columns[counter] % divisor == remainder
+                values = np.where(there, values, item.offset)  # a raw zero
+            most_first = _packed(f"{what}, column {item.name}", item, values)
             packets[:, item.at : item.end] |= most_first if item.big else most_first[:, ::-1]
     return packets
 
@@ -193,17 +200,6 @@ def with_sources(
     return found
 
 
-class Layout(Protocol):
-    """What packets of one kind carry."""
-
-    columns: tuple[Column, ...]
-    of_column: dict[str, str]
-    """Group of each column that has one."""
-
-    def read(self, found: Found) -> dict[str, ColumnArray]:
-        """Return a value a packet for each column."""
-
-
 class Record:
     """A layout of numbers that stand at the same places in every packet.
 
@@ -231,6 +227,11 @@ class Record:
         """Return a value a packet for each column."""
         records = windows(found.held, found.at, self._type.itemsize).view(self._type)[:, 0]
         columns = {item.name: item.read(records[item.name]) for item in self._numbers}
+        for item in self._numbers:
+            if item.when is not None:
+                counter, divisor, remainder = item.when
+                absent = columns[counter] % divisor != remainder
+                columns[item.name][absent] = missing(1, columns[item.name].dtype)
         for made in self._derived:
             for name, values in zip(made.names, made.decode(columns), strict=True):
                 sent = columns.get(name)

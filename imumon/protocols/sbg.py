@@ -15,7 +15,7 @@ from imumon.blocks import BoolArray, ColumnArray, IntArray
 from imumon.protocols.base import LONGEST_PACKET, ByteArray, Timing
 from imumon.protocols.checks import Checksum
 from imumon.protocols.framing import Frame, counted_length
-from imumon.protocols.messages import FamilyDecoder, Message, part, whole
+from imumon.protocols.messages import FamilyDecoder, counted, field, floats, gap, real
 from imumon.protocols.numbers import Columns, Derived, count, known, number, vector
 
 SYNC, END = b"\xff\x5a", 0x33
@@ -26,10 +26,10 @@ HIGH_RATE = 1 << 10
 """Bit of the status of IMU_SHORT: the rates have the scale of fast sensors."""
 FAST, FINE = 12_304_174.0, 67_108_864.0
 
-TIME = part(0, "u32", "device_ticks")
-STATUS = part(4, "u16", "status")
+TIME = floats("device_ticks", kind="u32")
+STATUS = floats("status", kind="u16")
 RAW_RATE = tuple(count(f"_rate_{axis}", "rate as it is sent") for axis in "xyz")
-FILTER = count("filter_status", "mode of the filter and what it uses, bits")
+FILTER = counted("filter_status", "mode of the filter and what it uses, bits", "u32")
 
 
 def _to_rates(columns: Columns) -> list[ColumnArray]:
@@ -45,49 +45,44 @@ def _of_rates(columns: Columns) -> list[ColumnArray]:
 
 RATES = Derived(tuple(column.name for column in RAW_RATE), known("gyro"), _to_rates, _of_rates)
 
-ANGLE_SIGMA = tuple(
-    number(f"{name}_sigma", "rad", f"uncertainty of {name}") for name in ("roll", "pitch", "yaw")
+ANGLE_SIGMA = floats(
+    [number(f"{name}_sigma", "rad", f"uncertainty of {name}") for name in ("roll", "pitch", "yaw")]
 )
-DECLINATION = (number("declination", "rad", "of the magnetic field"),
-               number("inclination", "rad", "of the magnetic field"))  # fmt: skip
-VELOCITY = vector("velocity", "m/s", "velocity north, east, down")
-VELOCITY_SIGMA = vector("velocity_sigma", "m/s", "uncertainty of the velocity north, east, down")
-POSITION_SIGMA = tuple(number(f"{name}_sigma", "m", f"uncertainty of the {name}")
-                       for name in ("latitude", "longitude", "altitude"))  # fmt: skip
-FREE = (vector("gyro_compensated", "rad/s", "angular rate, bias and earth rate taken off"),
-        vector("free_accel", "m/s^2", "acceleration without gravity and bias"))  # fmt: skip
-NED = (vector("rate_ned", "rad/s", "angular rate, bias and earth rate taken off, north, east, down"),
-       vector("free_accel_ned", "m/s^2", "acceleration without gravity, north, east, down"))  # fmt: skip
+DECLINATION = (real("declination", "rad", "of the magnetic field")
+               + real("inclination", "rad", "of the magnetic field"))  # fmt: skip
+POSITION_SIGMA = [number(f"{name}_sigma", "m", f"uncertainty of the {name}")
+                  for name in ("latitude", "longitude", "altitude")]  # fmt: skip
 
 LOGS = {
-    44: Message("imu_short", 32, (TIME, STATUS, part(6, "i32", "accel", 2.0**-20), part(18, "i32", RAW_RATE),
-                                  part(30, "i16", "temperature", 1 / 256))),
-    3: Message("imu_data", 58, (TIME, STATUS, part(6, "f32", "accel"), part(18, "f32", "gyro"),
-                                part(30, "f32", "temperature")), least=34),
-    4: Message("mag", 30, (TIME, whole(4, "u16", "mag_status", "status of the magnetometer"),
-                           part(6, "f32", vector("mag", "a.u.", "field, 1 when calibrated"))), "mag"),
-    6: Message("ekf_euler", 40, (TIME, part(4, "f32", "angles"), part(16, "f32", ANGLE_SIGMA),
-                                 part(28, "u32", [FILTER]), part(32, "f32", DECLINATION)),
-                "filter", least=32),
-    7: Message("ekf_quat", 44, (TIME, part(4, "f32", "q"),
-                                part(20, "f32", ANGLE_SIGMA), part(32, "u32", [FILTER]),
-                                part(36, "f32", DECLINATION)), "filter", least=36),
-    8: Message("ekf_nav", 72, (TIME, part(4, "f32", VELOCITY), part(16, "f32", VELOCITY_SIGMA),
-                               part(28, "f64", "place"),
-                               part(52, "f32", [number("undulation", "m", "of the geoid")]),
-                               part(56, "f32", POSITION_SIGMA), part(68, "u32", [FILTER])), "filter"),
-    1: Message("status", 27, (TIME, whole(4, "u16", "general_status", "power, temperature, processor, bits"),
-                              whole(8, "u32", "com_status", "ports, bits"),
-                              whole(12, "u32", "aiding_status", "what aids the filter, bits"),
-                              whole(22, "u32", "up_time", "since power-up", "s"),
-                              whole(26, "u8", "processor_load", "in use, percent")), "status", least=22),
-    2: Message("utc_time", 33, (TIME, whole(4, "u16", "clock_status", "clock and UTC, bits"),
-                                whole(17, "u32", "gps_time_of_week", "GPS time of week", "ms")), "clock",
-               least=21),
-    52: Message("rate_body", 32, (TIME, part(8, "f32", FREE[0]), part(20, "f32", FREE[1])), "filter"),
-    53: Message("rate_ned", 32, (TIME, part(8, "f32", NED[0]), part(20, "f32", NED[1])), "filter"),
-    54: Message("velocity_body", 32, (TIME, part(8, "f32", vector("velocity_body", "m/s", "in the body"))),
-                "filter", least=20),
+    44: field("imu_short", TIME, STATUS, floats("accel", 2.0**-20, "i32"), floats(RAW_RATE, kind="i32"),
+              floats("temperature", 1 / 256, "i16")),
+    3: field("imu_data", TIME, STATUS, floats("accel"), floats("gyro"), floats("temperature"), gap(24),
+             least=34),
+    4: field("mag", TIME, counted("mag_status", "status of the magnetometer", "u16"),
+             floats(vector("mag", "a.u.", "field, 1 when calibrated")), gap(12), group="mag"),
+    6: field("ekf_euler", TIME, floats("angles"), ANGLE_SIGMA, FILTER, DECLINATION, group="filter", least=32),
+    7: field("ekf_quat", TIME, floats("q"), ANGLE_SIGMA, FILTER, DECLINATION, group="filter", least=36),
+    8: field("ekf_nav", TIME, floats(vector("velocity", "m/s", "velocity north, east, down")),
+             floats(vector("velocity_sigma", "m/s", "uncertainty of the velocity north, east, down")),
+             floats("place", kind="f64"), real("undulation", "m", "of the geoid"), floats(POSITION_SIGMA),
+             FILTER, group="filter"),
+    1: field("status", TIME, counted("general_status", "power, temperature, processor, bits", "u16"), gap(2),
+             counted("com_status", "ports, bits", "u32"),
+             counted("aiding_status", "what aids the filter, bits", "u32"), gap(6),
+             counted("up_time", "since power-up", "u32", "s"),
+             counted("processor_load", "in use, percent", "u8"), group="status", least=22),
+    2: field("utc_time", TIME, counted("clock_status", "clock and UTC, bits", "u16"), gap(11),
+             counted("gps_time_of_week", "GPS time of week", "u32", "ms"), gap(12), group="clock", least=21),
+    52: field("rate_body", TIME, gap(4),
+              floats(vector("gyro_compensated", "rad/s", "angular rate, bias and earth rate taken off")),
+              floats(vector("free_accel", "m/s^2", "acceleration without gravity and bias")),
+              group="filter"),
+    53: field("rate_ned", TIME, gap(4), floats(vector("rate_ned", "rad/s",
+                            "angular rate, bias and earth rate taken off, north, east, down")),
+              floats(vector("free_accel_ned", "m/s^2", "acceleration without gravity, north, east, down")),
+              group="filter"),
+    54: field("velocity_body", TIME, gap(4), floats(vector("velocity_body", "m/s", "in the body")), gap(12),
+              group="filter", least=20),
 }  # fmt: skip
 """Logs of class 0 by their identifier, those with the inertial sensors first."""
 

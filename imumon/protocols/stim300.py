@@ -8,31 +8,27 @@ set in the unit and is not in the datagram: the device file has to state it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from fractions import Fraction
 from functools import lru_cache
 from math import pi
-from typing import Final, Literal
+from typing import Literal
 
 import numpy as np
 from pydantic import PositiveFloat, model_validator
 
 from imumon.blocks import BoolArray, IntArray
-from imumon.columns import Column
 from imumon.geodesy import STANDARD_GRAVITY
-from imumon.protocols.base import ByteArray, Timing
+from imumon.protocols.base import ByteArray, Encoder, Timing
 from imumon.protocols.checks import Checksum
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.framing import Frame
-from imumon.protocols.messages import FamilyDecoder, Message, Part, TableEncoder, part, whole
-from imumon.protocols.numbers import known, number, vector
+from imumon.protocols.messages import FamilyDecoder, Message, counted, field, floats, gap, real
+from imumon.protocols.numbers import known, vector
 
-TICK_NS: Final = 500_000
+TICK_NS = 500_000
 """The counter counts samples of the internal 2000 Hz, not datagrams."""
 CRC_SIZE = 4
 LINE_END = b"\r\n"
-BLOCKS = {"gyro": 10, "acc": 10, "incl": 10, "gyro_temp": 7, "acc_temp": 7, "incl_temp": 7, "pps": 4}
-"""Bytes of each block, of which the last is its status."""
 PLAIN = {
     0x90: ("gyro", 2),
     0x91: ("gyro acc", 0),
@@ -49,7 +45,7 @@ DATAGRAMS = {
     for k, (plain, (blocks, zeros)) in enumerate(PLAIN.items())
     for key, names in ((plain, blocks), (0xF0 + k, f"{blocks} pps"))
 }
-"""The same with those from F0 on, which have a block for the pulse (PPS), of four bytes."""
+"""The same with those from F0 on, which have a block for the pulse (PPS)."""
 RANGE_BITS = {5: 20, 10: 19, 30: 18, 80: 16}
 """Bits behind the point of an acceleration in g, by the range in g; of an increment in m/s three more."""
 
@@ -64,33 +60,33 @@ def datagrams(output: Output, accel_range_g: AccelRange, rate_hz: float | None) 
     rate = pi / 180 * (2.0**-14 if is_rate else 2.0**-21 * per_sample)
     force = STANDARD_GRAVITY * 2.0**-bits if is_rate else 2.0 ** -(bits + 3) * per_sample
     tilt = STANDARD_GRAVITY * 2.0**-22 if is_rate else 2.0**-25 * per_sample
-    blocks: dict[str, tuple[str, str | Sequence[Column], float]] = {
-        "gyro": ("i24", "gyro", rate),
-        "acc": ("i24", "accel", force),
-        "incl": ("i24", vector("inclinometer", "m/s^2", "specific force of the inclinometer"), tilt),
-        "gyro_temp": ("i16", known("temperature_x", "temperature_y", "temperature_z"), 2.0**-8),
-        "acc_temp": ("i16", vector("accel_temperature", "degC", "of the accelerometer"), 2.0**-8),
-        "incl_temp": ("i16", vector("inclinometer_temperature", "degC", "of the inclinometer"), 2.0**-8),
-        "pps": ("u24", [number("time_since_pps", "us", "since the edge of the pulse")], 1.0),
+    blocks = {
+        "gyro": floats("gyro", rate, "i24"),
+        "acc": floats("accel", force, "i24"),
+        "incl": floats(vector("inclinometer", "m/s^2", "specific force of the inclinometer"), tilt, "i24"),
+        "gyro_temp": floats(known("temperature_x", "temperature_y", "temperature_z"), 2.0**-8, "i16"),
+        "acc_temp": floats(vector("accel_temperature", "degC", "of the accelerometer"), 2.0**-8, "i16"),
+        "incl_temp": floats(
+            vector("inclinometer_temperature", "degC", "of the inclinometer"), 2.0**-8, "i16"
+        ),
+        "pps": real("time_since_pps", "us", "since the edge of the pulse", "u24"),
     }
-    messages = {}
-    for key, (names, _) in DATAGRAMS.items():
-        at, parts = 1, list[Part]()
-        for name in names.split():
-            parts.append(part(at, *blocks[name]))
-            at += BLOCKS[name]
-            parts.append(whole(at - 1, "u8", f"{name}_status", f"status of {name}, bits; 0 is good"))
-        parts.append(part(at, "u8", "device_ticks"))
-        parts.append(part(at + 1, "u16", [number("latency", "us", "measurement to transmission")]))
-        messages[key] = Message(f"{key:02X}", at + 3, tuple(parts))
-    return messages
+    with_status = {
+        name: block + counted(f"{name}_status", f"status of {name}, bits; 0 is good", "u8")
+        for name, block in blocks.items()
+    }
+    end = floats("device_ticks", kind="u8") + real("latency", "us", "measurement to transmission", "u16")
+    return {
+        key: field(f"{key:02X}", gap(1), *(with_status[name] for name in names.split()), end)
+        for key, (names, _) in DATAGRAMS.items()
+    }
 
 
 CHECKS = [Checksum("crc32-mpeg2", big=True, zeros=zeros) for zeros in range(4)]
 ZEROS, SIZES = np.zeros((2, 256), np.int64)
 """Zeros before the CRC, and bytes, of each datagram by its identifier."""
-for _key, (_names, _zeros) in DATAGRAMS.items():
-    ZEROS[_key], SIZES[_key] = _zeros, 1 + sum(BLOCKS[name] for name in _names.split()) + 3 + CRC_SIZE
+for _key, _message in datagrams("rate", 10, None).items():
+    ZEROS[_key], SIZES[_key] = DATAGRAMS[_key][1], _message.size + CRC_SIZE
 
 
 def _length(held: ByteArray, at: IntArray) -> IntArray:
@@ -151,6 +147,6 @@ class StimDevice(DeviceFile):
         """Make a decoder for this device."""
         return StimDecoder(self)
 
-    def encoder(self) -> TableEncoder:
+    def encoder(self) -> Encoder:
         """Make an encoder that sends what the device would send."""
-        return TableEncoder(self.decoder(), [self.sends])
+        return self.decoder().encoder([self.sends])

@@ -18,16 +18,17 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
-from imumon.blocks import BoolArray, ColumnArray, IntArray, SampleBlock
+from imumon.blocks import BoolArray, IntArray, SampleBlock
 from imumon.errors import bad_config
-from imumon.protocols.base import OTHER, ByteArray, Encoder, Timing
+from imumon.protocols.base import OTHER, ByteArray, Encoder
 from imumon.protocols.checks import Checksum
 from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, NO_PACKET, Found, Frame, counted_length
 from imumon.protocols.messages import Message, TableDecoder
-from imumon.protocols.numbers import Derived, Layout, Number, is_missing, with_sources, write
+from imumon.protocols.numbers import Derived, Number, Record, is_missing, with_sources, write
 
 LONGEST_XBUS_PAYLOAD = 2048
 KIND_AT = 2
@@ -118,28 +119,21 @@ MIP = Form(MIP_FRAME, _FLETCHER, _mip_message, 255, 2)
 
 
 class TaggedDecoder(TableDecoder):
-    """Decodes packets of identified fields by a table; a row for each packet that carries a known one.
+    """Decodes packets of identified fields by a table; a row for each packet that carries a known one."""
 
-    `fields` are all that may come; `data` the types of packets that carry data: others are messages.
-    """
-
-    def __init__(
-        self,
-        form: Form,
-        timing: Timing,
-        fields: Iterable[Message],
-        data: Collection[int],
-        derived: Sequence[Derived] = (),
-        apart: Sequence[str] = (),
-    ) -> None:
-        self._form, self._is_data = form, np.isin(np.arange(256), [*data])
-        self._types = np.zeros(256, np.int64)
-        there = [field for field in fields if field.columns]
-        frames = [replace(form.frame, fits=self._fit)]
-        super().__init__(frames, timing, there, derived, (OTHER,), apart, big=True)
-
-    _type_names: Mapping[int, str] = {}
+    form: Form
+    data: Collection[int]
+    """Types of packets that carry data: others are messages."""
+    type_names: Mapping[int, str] = {}
     """Names of the packet types."""
+    names = (OTHER,)
+    big = True
+
+    def __init__(self, rate_hz: float | None = None) -> None:
+        self._is_data = np.isin(np.arange(256), [*self.data])
+        self._types = np.zeros(256, np.int64)
+        self.frames = [replace(self.form.frame, fits=self._fit)]
+        super().__init__(rate_hz)
 
     @abstractmethod
     def _field(self, key: int, size: int) -> Message | None:
@@ -147,7 +141,7 @@ class TaggedDecoder(TableDecoder):
 
     def _contents(self, packet: bytes) -> list[tuple[Message, int, int]]:
         found = []
-        for key, at, size in self._form.places(packet):
+        for key, at, size in self.form.places(packet):
             field = self._field(key, size)
             if field is not None:
                 found.append((field, at, size))
@@ -156,15 +150,15 @@ class TaggedDecoder(TableDecoder):
         return found
 
     def _signature(self, packet: bytes) -> Sequence[int]:
-        header, begin = self._form.header, _begin(packet)
-        heads = (range(at - header, at) for _, at, _ in self._form.places(packet))
+        header, begin = self.form.header, _begin(packet)
+        heads = (range(at - header, at) for _, at, _ in self.form.places(packet))
         return [*range(KIND_AT, begin), *(place for head in heads for place in head)]
 
     def _is_filled(self, packet: bytes) -> bool:
         """Return whether the fields of a packet end where its payload ends."""
-        fields = self._form.places(packet)
+        fields = self.form.places(packet)
         end = sum(fields[-1][1:]) if fields else _begin(packet)
-        return end == len(packet) - self._form.check.size
+        return end == len(packet) - self.form.check.size
 
     def _fit(self, held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
         """Return whether the payload of packets with a right checksum is what their type states."""
@@ -174,12 +168,12 @@ class TaggedDecoder(TableDecoder):
             fit[data[alike.rows]] = self._is_filled(alike.packet)
         return fit
 
-    def _by_layout(self, found: Found) -> Iterable[tuple[Layout, IntArray]]:
+    def _by_layout(self, found: Found) -> Iterable[tuple[Record, IntArray]]:
         kind = found.held[found.at + KIND_AT]
         self._types += np.bincount(kind, minlength=256)
         for row in np.flatnonzero(~self._is_data[kind]).tolist():
             packet = found.held[found.at[row] :][: found.length[row]].tobytes()
-            for text in self._describe(int(kind[row]), self._form.payload(packet)):
+            for text in self._describe(int(kind[row]), self.form.payload(packet)):
                 self._report(text)
         data = np.flatnonzero(self._is_data[kind])
         return ((layout, data[rows]) for layout, rows in super()._by_layout(found.only(data)))
@@ -193,57 +187,58 @@ class TaggedDecoder(TableDecoder):
         return f"0x{key:04X}"
 
     def _type_name(self, kind: int) -> str:
-        return self._type_names.get(kind, f"0x{kind:02X}")
+        return self.type_names.get(kind, f"0x{kind:02X}")
 
     def _by_type(self) -> dict[str, int]:
         return {self._type_name(kind): n for kind, n in enumerate(self._types.tolist())}
 
 
-class TaggedEncoder(Encoder):
-    """Makes one Xbus or MIP packet per row.
+def tagged_encoder(
+    form: Form, kind: int, fields: Sequence[tuple[int, Message]], derived: Sequence[Derived] = ()
+) -> Encoder:
+    """Return an encoder of one Xbus or MIP packet per row.
 
     Raises BAD_CONFIG when a field has no values to encode or the packet becomes too long.
 
     `kind` is the packet type, `fields` have their keys.  A field of which a row has no value is left out.
     """
+    if empty := [field.name for _, field in fields if field.size < 0]:
+        raise bad_config(f"{', '.join(empty)}: carries nothing that can be encoded")
+    longest = sum(form.header + field.size for _, field in fields)
+    if longest > form.longest:
+        raise bad_config(f"a packet with these fields has {longest} bytes, too many")
+    return Encoder(partial(_encode, form, kind, fields, derived))
 
-    def __init__(
-        self, form: Form, kind: int, fields: Sequence[tuple[int, Message]], derived: Sequence[Derived] = ()
-    ) -> None:
-        if empty := [field.name for _, field in fields if field.size < 0]:
-            raise bad_config(f"{', '.join(empty)}: carries nothing that can be encoded")
-        longest = sum(form.header + field.size for _, field in fields)
-        if longest > form.longest:
-            raise bad_config(f"a packet with these fields has {longest} bytes, too many")
-        self._form, self._kind, self._fields, self._derived = form, kind, fields, derived
 
-    def encode(self, block: SampleBlock) -> list[bytes]:
-        """Return a packet for each row, of fields that have a value; see `imumon.protocols.base.Encoder`."""
-        sent = [column.name for _, field in self._fields for column in field.columns]
-        columns = with_sources(block.columns, self._derived, sent)
-        present = np.ones((len(block), len(self._fields)), np.bool_)
-        for k, (_, field) in enumerate(self._fields):
-            there = [~is_missing(columns[c.name]) for c in field.columns if c.name in columns]
-            if there:  # a field without any column is sent as zero
-                present[:, k] = np.any(there, axis=0)
-        packets = [b""] * len(block)
-        patterns, which = np.unique(present, axis=0, return_inverse=True)
-        for number, pattern in enumerate(patterns):
-            rows = np.flatnonzero(which.reshape(-1) == number)
-            fields = [field for field, there in zip(self._fields, pattern, strict=True) if there]
-            of_rows = {name: values[rows] for name, values in columns.items()}
-            for row, packet in zip(rows, self._packets(fields, of_rows, len(rows)), strict=True):
-                packets[row] = packet.tobytes()
-        return packets
-
-    def _packets(
-        self, fields: Sequence[tuple[int, Message]], columns: Mapping[str, ColumnArray], n: int
-    ) -> ByteArray:
-        """Return n packets of these fields, (n, size)."""
-        blank = self._form.packed(self._kind, [(key, bytes(field.size)) for key, field in fields])
+def _encode(
+    form: Form,
+    kind: int,
+    fields: Sequence[tuple[int, Message]],
+    derived: Sequence[Derived],
+    block: SampleBlock,
+) -> list[bytes]:
+    sent = [column.name for _, field in fields for column in field.columns]
+    columns = with_sources(block.columns, derived, sent)
+    present = np.ones((len(block), len(fields)), np.bool_)
+    for k, (_, field) in enumerate(fields):
+        there = [~is_missing(columns[c.name]) for c in field.columns if c.name in columns]
+        if there:  # a field without any column is sent as zero
+            present[:, k] = np.any(there, axis=0)
+    packets = [b""] * len(block)
+    patterns, which = np.unique(present, axis=0, return_inverse=True)
+    for number, pattern in enumerate(patterns):
+        rows = np.flatnonzero(which.reshape(-1) == number)
+        blank = form.packed(
+            kind, [(key, bytes(f.size)) for (key, f), is_sent in zip(fields, pattern, strict=True) if is_sent]
+        )
         at, numbers = len(blank), list[Number]()
-        for _, field in fields[::-1]:
+        for k in np.flatnonzero(pattern)[::-1]:
+            field = fields[k][1]
             at -= field.size
             numbers += field.placed(at, field.size, big=True)
-            at -= self._form.header
-        return self._form.check.sealed_rows(write("packet", numbers, blank, columns, n))
+            at -= form.header
+        of_rows = {name: values[rows] for name, values in columns.items()}
+        sealed = form.check.sealed_rows(write("packet", numbers, blank, of_rows, len(rows)))
+        for row, packet in zip(rows, sealed, strict=True):
+            packets[row] = packet.tobytes()
+    return packets

@@ -12,27 +12,28 @@ import json
 import re
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property, lru_cache, partial, reduce
+from itertools import chain
 from math import isfinite
 from operator import xor
-from typing import Any, Final, Literal, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 from pydantic import Field, NonNegativeInt, PositiveInt, model_validator
 
-from imumon.blocks import BoolArray, ColumnArray, FloatArray, IntArray, SampleBlock
+from imumon.blocks import BoolArray, IntArray, SampleBlock
 from imumon.config import StrictModel
-from imumon.protocols.base import COMMON, MAIN, ByteArray, Encoder, Groups
+from imumon.protocols.base import COMMON, MAIN, NO_GROUP, ByteArray, Encoder, Groups, Timing
 from imumon.protocols.checks import Checksum
-from imumon.protocols.decoder import DescribedDecoder
+from imumon.protocols.decoder import Decoder
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.fixed import NumberField, NumberName, timing_of
 from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, Found, Frame
-from imumon.protocols.numbers import NUMBER_TYPES, WRAPPING, Number, is_missing
+from imumon.protocols.numbers import NUMBER_TYPES, WRAPPING, Number, Record, is_missing
 
-LINE_END: Final = 0x0A
-MOST_LINES: Final = 1 << 14
+LINE_END = 0x0A
+MOST_LINES = 1 << 14
 """Lines of which the numbers are remembered: those of a search of 64 KiB and more."""
-LONGEST_LINE: Final = 1024
+LONGEST_LINE = 1024
 """Bytes of a line that is believed; more is binary data."""
 HEXADECIMAL = re.compile("[0-9A-Fa-f]{2}|[0-9A-Fa-f]{4}")
 NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
@@ -104,9 +105,12 @@ class Line(StrictModel):
 
     @property
     def numbers(self) -> list[Number]:
-        """What each number is; its place in the line does not count."""
+        """What each number is in a record of the numbers of a line."""
         scaled = [field.scaled(name) for field in self.fields for name in field.names]
-        return [Number(column, "f64", factor, offset) for column, factor, offset in scaled]
+        return [
+            Number(c, "f64", factor, zero, at=8 * k, group=NO_GROUP if c.name in COMMON else MAIN)
+            for k, (c, factor, zero) in enumerate(scaled)
+        ]
 
     def read(self, text: str) -> list[float] | None:
         """Return the numbers of a line, in the order of the columns; None when it is not one of these."""
@@ -129,12 +133,6 @@ class Line(StrictModel):
         return [
             (k, *kind.range) for k, (name, kind) in enumerate(columns) if name in WRAPPING and kind.integer
         ]
-
-    def wrapped(self, numbers: FloatArray) -> FloatArray:
-        """Return the numbers of lines, (n, columns), with the low bits of counts alone."""
-        for k, low, high in self._counts:
-            numbers[:, k] = (numbers[:, k] - low) % (high + 1 - low) + low
-        return numbers
 
     def _words(self, body: str) -> Any:
         """Return what stands at each place or key."""
@@ -166,7 +164,18 @@ class Line(StrictModel):
             raise ValueError("not finite")
         return value
 
-    def write(self, numbers: Sequence[float]) -> bytes:
+    def encode(self, block: SampleBlock) -> list[bytes]:
+        """Return the line of each row; see `imumon.protocols.base.Encoder`."""
+        table = np.zeros((len(block), len(self.numbers)))
+        for k, number in enumerate(self.numbers):
+            if number.name in block:
+                values = block[number.name]
+                table[:, k] = np.where(is_missing(values), 0.0, (values - number.offset) / number.factor)
+        for k, low, high in self._counts:
+            table[:, k] = (table[:, k] - low) % (high + 1 - low) + low
+        return [self._written(row) for row in table.tolist()]
+
+    def _written(self, numbers: Sequence[float]) -> bytes:
         """Return the line with these numbers, in the order of the columns."""
         words = {
             key: f"{number:.0f}" if number.is_integer() else f"{number:.7g}"
@@ -227,25 +236,30 @@ def _tree(leaves: dict[str, float]) -> Any:
     return list(branches.values()) if all(head.isdigit() for head in heads) else branches
 
 
-class LineLayout:
-    """What lines of one kind carry.
+class TextDecoder(Decoder):
+    """Decodes lines as records of their numbers; `readers`: read the lines of each frame."""
 
-    `read` returns the numbers of a line, `numbers` describes each of them.
-    """
+    def __init__(self, lines: Sequence[Line], timing: Timing) -> None:
+        readers = [partial(read_once, line) for line in lines]
+        frames = [
+            line_frame({line.prefix.encode() or b"\n": line.name}, read, not line.prefix)
+            for line, read in zip(lines, readers, strict=True)
+        ]
+        layouts = [Record(line.numbers) for line in lines]
+        groups = Groups.of([layout.of_column for layout in layouts])
+        super().__init__(frames, timing, groups, layouts=layouts)
+        self._readers = readers
 
-    def __init__(self, read: Callable[[str], list[float] | None], numbers: Sequence[Number]) -> None:
-        self._read, self._numbers = read, numbers
-        self.columns = tuple(n.column for n in numbers if n.column is not None)
-        self.of_column = {c.name: MAIN for c in self.columns if c.name not in COMMON}
-
-    def read(self, found: Found) -> dict[str, ColumnArray]:
-        """Return a value a line for each column."""
-        lines = (self._read(text) for text in _texts(found.held, found.at, found.length))
-        table = np.array([line for line in lines if line is not None])
-        return {number.name: number.read(table[:, k]) for k, number in enumerate(self._numbers)}
+    def _plain(self, found: Found) -> Found:
+        lines = zip(found.kind.tolist(), texts(found.held, found.at, found.length), strict=True)
+        records = [self._readers[kind](text) or () for kind, text in lines]
+        sizes = 8 * np.array([len(record) for record in records], np.int64)
+        held = np.array([*chain(*records)], np.float64).view(np.uint8)
+        return Found(held, np.cumsum(sizes) - sizes, sizes, found.kind)
 
 
-def _texts(held: ByteArray, at: IntArray, length: IntArray) -> list[str]:
+def texts(held: ByteArray, at: IntArray, length: IntArray) -> list[str]:
+    """Return lines as text."""
     spans = zip(at.tolist(), length.tolist(), strict=True)
     return [held[a : a + n].tobytes().decode("ascii", "replace") for a, n in spans]
 
@@ -267,7 +281,7 @@ def line_lengths(after_end: bool, held: ByteArray, at: IntArray) -> IntArray:
 
 def lines_right(read: Callable[[str], object], held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
     """Tell which lines can be read; the `Check` of a frame when `read` is given."""
-    return np.array([read(text) is not None for text in _texts(held, at, length)], np.bool_)
+    return np.array([read(text) is not None for text in texts(held, at, length)], np.bool_)
 
 
 def line_frame(names: Mapping[bytes, str], read: Callable[[str], object], after_end: bool = False) -> Frame:
@@ -281,26 +295,6 @@ def read_once(line: Line, text: str) -> list[float] | None:
     return line.read(text)
 
 
-class TextEncoder(Encoder):
-    """Makes the lines of a sample, one after the other."""
-
-    def __init__(self, lines: Sequence[Line]) -> None:
-        self._lines = lines
-
-    def encode(self, block: SampleBlock) -> list[bytes]:
-        """Return the lines of each row; see `imumon.protocols.base.Encoder`."""
-        parts = []
-        for line in self._lines:
-            table = np.zeros((len(block), len(line.numbers)))
-            for k, number in enumerate(line.numbers):
-                if number.name in block:
-                    values = block[number.name]
-                    raw = (values - number.offset) / number.factor
-                    table[:, k] = np.where(is_missing(values), 0.0, raw)
-            parts.append([line.write(row) for row in line.wrapped(table).tolist()])
-        return [b"".join(row) for row in zip(*parts, strict=True)]
-
-
 class TextDevice(DeviceFile):
     """Device file of a device that sends lines of text; `sends` is for its virtual twin alone."""
 
@@ -308,15 +302,12 @@ class TextDevice(DeviceFile):
     lines: list[Line] = Field(min_length=1)
     sends: list[str] = Field(default=[], max_length=32)
 
-    def decoder(self) -> DescribedDecoder:
+    def decoder(self) -> Decoder:
         """Make a decoder for these lines; of several kinds that fit one the first counts."""
-        readers = [partial(read_once, line) for line in self.lines]
-        both = list(zip(self.lines, readers, strict=True))
-        frames = [line_frame({x.prefix.encode() or b"\n": x.name}, read, not x.prefix) for x, read in both]
-        layouts = [LineLayout(read, line.numbers) for line, read in both]
-        timing = timing_of([field for line in self.lines for field in line.fields], self.rate_hz)
-        return DescribedDecoder(frames, timing, layouts, Groups.of([layout.of_column for layout in layouts]))
+        fields = [field for line in self.lines for field in line.fields]
+        return TextDecoder(self.lines, timing_of(fields, self.rate_hz))
 
-    def encoder(self) -> TextEncoder:
+    def encoder(self) -> Encoder:
         """Make an encoder for the lines that are sent: all when `sends` is empty."""
-        return TextEncoder([line for line in self.lines if not self.sends or line.name in self.sends])
+        sent = [line for line in self.lines if not self.sends or line.name in self.sends]
+        return Encoder(*(line.encode for line in sent))

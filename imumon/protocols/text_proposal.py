@@ -9,44 +9,45 @@ from __future__ import annotations
 import json
 import re
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Final, NamedTuple
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import chain, product
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.protocols.text import NUMBER, Line
 
-LEAST_LINES: Final = 20
+LEAST_LINES = 20
 """Lines of one kind from which columns are proposed."""
-SAME: Final = 0.8
+SAME = 0.8
 """Share of the lines that must be of one kind: others are headers, comments, torn lines."""
-GRAVITIES: Final = {
+GRAVITIES = {
     9.80665: ("m/s^2", "1"), 1.0: ("g", "1"), 1000.0: ("mg", "1"),
     16384.0: ("g", "1/16384"), 8192.0: ("g", "1/8192"), 4096.0: ("g", "1/4096"),
     2048.0: ("g", "1/2048"), 256.0: ("g", "1/256"),
 }  # fmt: skip
 """What the norm of the specific force at rest is, in units and counts that are usual; with unit and scale."""
-NEAR: Final = 0.06
+NEAR = 0.06
 """Offset and scale errors of a sensor that nobody calibrated: a few percent of gravity."""
-STEADY: Final = 0.05
+STEADY = 0.05
 """Scatter of a norm, relative, up to which it is that of a constant vector."""
-FIELDS: Final = {(20.0, 70.0): "uT", (0.2, 0.7): "gauss", (200.0, 700.0): "mgauss"}
+FIELDS = {(20.0, 70.0): "uT", (0.2, 0.7): "gauss", (200.0, 700.0): "mgauss"}
 """Norms of the magnetic field of the earth."""
-UNITS: Final = {"us": 1e-6, "ms": 1e-3, "s": 1.0, "ns": 1e-9}
-QUANTITIES: Final = {
+UNITS = {"us": 1e-6, "ms": 1e-3, "s": 1.0, "ns": 1e-9}
+QUANTITIES = {
     "accel": re.compile(r"^(imu[._ ]?)?a(cc(el(eration)?)?)?[._ ]?([xyz012])$", re.I),
     "gyro": re.compile(r"^(imu[._ ]?)?(g(yro?)?|w|omega|rate)[._ ]?([xyz012])$", re.I),
     "mag": re.compile(r"^(imu[._ ]?)?m(ag)?[._ ]?([xyz012])$", re.I),
 }
-NAMED_TEMPERATURE: Final = re.compile(r"^t(emp(erature)?)?([._ ]?(c|degc))?$", re.I)
+NAMED_TEMPERATURE = re.compile(r"^t(emp(erature)?)?([._ ]?(c|degc))?$", re.I)
 
 Guess = tuple[str, str]
 """What stands in the file for a field besides its place, and why."""
 
 
-class _Lines(NamedTuple):
-    """Lines of one kind."""
+class _Described(NamedTuple):
+    """What lines may be."""
 
     keys: Mapping[str, Any]
     """Keys of the description of a line."""
@@ -54,8 +55,8 @@ class _Lines(NamedTuple):
     """Place or key of each column."""
     names: Sequence[str]
     """Name of each column, or ""."""
-    numbers: FloatArray
-    """Numbers, (n, columns)."""
+    lines: Sequence[str]
+    """Those that may be so."""
 
 
 def propose(data: bytes, seconds: float, baudrate: int | None) -> str | None:
@@ -67,11 +68,11 @@ def propose(data: bytes, seconds: float, baudrate: int | None) -> str | None:
     lines = [line for line in lines if line.strip()]
     if len(lines) < LEAST_LINES:
         return None
-    readers: tuple[Callable[[list[str]], _Lines | None], ...] = (_json, _pairs, _delimited)
-    found = next((table for read in readers if (table := read(lines)) is not None), None)
+    read = ((one, _read(one)) for one in chain(_named(lines), _delimited(lines)))
+    found, numbers = next(((one, rows) for one, rows in read if rows is not None), (None, np.zeros(0)))
     if found is None:
         return None
-    n = len(found.numbers)
+    n = len(numbers)
     rate = n / seconds if seconds > 0 else 0.0
     text = [
         "# Proposed from what came; every reason stands beside its line.  Look at it before you trust it.",
@@ -79,7 +80,7 @@ def propose(data: bytes, seconds: float, baudrate: int | None) -> str | None:
         "lines:", "  - name: line",
         *(f"    {key}: {json.dumps(value)}" for key, value in found.keys.items()), "    fields:",
     ]  # fmt: skip
-    for place, (keys, why) in zip(found.places, _guesses(found, rate), strict=True):
+    for place, (keys, why) in zip(found.places, _guesses(found.names, numbers, rate), strict=True):
         text.append(f"      # {why}")
         text.append(f"      - {{{'at' if isinstance(place, int) else 'key'}: {json.dumps(place)}, {keys}}}")
     return "\n".join(text) + "\n"
@@ -95,71 +96,66 @@ def file_head(what: str, protocol: str, baudrate: int | None, rate: str) -> list
     ]  # fmt: skip
 
 
-def _read(
-    keys: Mapping[str, Any], places: Sequence[int | str], names: Sequence[str], lines: Sequence[str]
-) -> _Lines | None:
-    """Return the lines as they are described, when nearly all are so."""
-    place = "key" if isinstance(places[0], str) else "at"
-    fields = [{place: at, "column": f"value_{k}"} for k, at in enumerate(places)]
-    line = Line.model_validate({**keys, "name": "line", "fields": fields})
-    rows = [numbers for text in lines if (numbers := line.read(text)) is not None]
-    enough = len(rows) >= max(LEAST_LINES, SAME * len(lines))
-    return _Lines(keys, places, names, np.array(rows)) if enough else None
+def _read(found: _Described) -> FloatArray | None:
+    """Return the numbers of the lines, (n, columns), when nearly all are as they are described."""
+    place = "key" if isinstance(found.places[0], str) else "at"
+    fields = [{place: at, "column": f"value_{k}"} for k, at in enumerate(found.places)]
+    line = Line.model_validate({**found.keys, "name": "line", "fields": fields})
+    rows = [numbers for text in found.lines if (numbers := line.read(text)) is not None]
+    return np.array(rows) if len(rows) >= max(LEAST_LINES, SAME * len(found.lines)) else None
 
 
-def _json(lines: list[str]) -> _Lines | None:
-    shapes: Counter[tuple[str, ...]] = Counter()
-    for text in lines:
-        try:
-            shapes[tuple(_leaves(json.loads(text)))] += 1
-        except (ValueError, RecursionError):
-            continue
-    names = shapes.most_common(1)[0][0] if shapes else ()
-    return _read({"form": "json"}, names, names, lines) if names else None
+def _named(lines: list[str]) -> Iterator[_Described]:
+    """Yield descriptions of lines that name their numbers, as JSON or pairs."""
+    yield from _of_shape({"form": "json"}, map(_leaves_of, lines), lines)
+    for separator in (",", ";", "\t", " "):
+        keys = (_keys_of(text, separator) for text in lines)
+        yield from _of_shape({"form": "pairs", "separator": separator}, keys, lines)
+
+
+def _of_shape(keys: Mapping[str, Any], shapes: Iterable[list[str]], lines: list[str]) -> Iterator[_Described]:
+    """Yield the description by the names that most lines have."""
+    for names, _ in Counter(tuple(shape) for shape in shapes if shape).most_common(1):
+        yield _Described(keys, names, names, lines)
+
+
+def _leaves_of(text: str) -> list[str]:
+    """Return the paths to the numbers of a line of JSON."""
+    try:
+        return _leaves(json.loads(text))
+    except (ValueError, RecursionError):
+        return []
 
 
 def _leaves(tree: Any, path: str = "") -> list[str]:
-    """Return the paths to the numbers of a JSON value."""
     if isinstance(tree, dict | list):
         items = tree.items() if isinstance(tree, dict) else enumerate(tree)
         return [leaf for key, branch in items for leaf in _leaves(branch, f"{path}.{key}".lstrip("."))]
     return [path] if isinstance(tree, int | float) and not isinstance(tree, bool) else []
 
 
-def _pairs(lines: list[str]) -> _Lines | None:
-    for separator in (",", ";", "\t", " "):
-        shapes: Counter[tuple[str, ...]] = Counter()
-        for text in lines:
-            words = [re.split("[:=]", word, maxsplit=1) for word in text.split(separator)]
-            if all(len(word) == 2 and NUMBER.fullmatch(word[1].strip()) for word in words):
-                shapes[tuple(word[0].strip() for word in words)] += 1
-        names = shapes.most_common(1)[0][0] if shapes else ()
-        if names and (found := _read({"form": "pairs", "separator": separator}, names, names, lines)):
-            return found
-    return None
+def _keys_of(text: str, separator: str) -> list[str]:
+    """Return the keys of a line of pairs of key and number."""
+    words = [re.split("[:=]", word, maxsplit=1) for word in text.split(separator)]
+    pairs = all(len(word) == 2 and NUMBER.fullmatch(word[1].strip()) for word in words)
+    return [word[0].strip() for word in words] if pairs else []
 
 
-def _delimited(lines: list[str]) -> _Lines | None:
-    for prefix, checksum in _beginnings(lines):
+def _delimited(lines: list[str]) -> Iterator[_Described]:
+    """Yield descriptions of lines of words, of which most are numbers."""
+    for (prefix, checksum), separator in product(_beginnings(lines), (",", ";", "\t", "|", " ")):
         begun = [x for x in lines if x.startswith(prefix)]
-        for separator in (",", ";", "\t", "|", " "):
-            apart = None if separator == " " else separator
-            rows = [(x.rpartition("*")[0] if checksum else x)[len(prefix) :].split(apart) for x in begun]
-            size = Counter(map(len, rows)).most_common(1)[0][0] if rows else 0
-            whole = [row for row in rows if len(row) == size]
-            numeric = [
-                k
-                for k in range(size)
-                if sum(bool(NUMBER.fullmatch(row[k].strip())) for row in whole) >= SAME * len(rows)
-            ]
-            if not numeric or (size == 1 and separator != " "):
-                continue
-            headers = (h.lstrip("#% ").split(apart) for h in lines if not any(c.isdigit() for c in h))
-            names = next((h for h in headers if len(h) == size), [""] * size)
-            keys = {"prefix": prefix, "separator": separator, "values": size, "checksum": checksum or "none"}
-            if found := _read(keys, numeric, [names[k].strip() for k in numeric], begun):
-                return found
-    return None
+        apart = None if separator == " " else separator
+        rows = [(x.rpartition("*")[0] if checksum else x)[len(prefix) :].split(apart) for x in begun]
+        size = Counter(map(len, rows)).most_common(1)[0][0] if rows else 0
+        numbers = [[bool(NUMBER.fullmatch(word.strip())) for word in row] for row in rows if len(row) == size]
+        numeric = [k for k in range(size) if sum(row[k] for row in numbers) >= SAME * len(rows)]
+        if not numeric or (size == 1 and separator != " "):
+            continue
+        headers = (h.lstrip("#% ").split(apart) for h in lines if not any(c.isdigit() for c in h))
+        names = next((h for h in headers if len(h) == size), [""] * size)
+        keys = {"prefix": prefix, "separator": separator, "values": size, "checksum": checksum or "none"}
+        yield _Described(keys, numeric, [names[k].strip() for k in numeric], begun)
 
 
 def _beginnings(lines: list[str]) -> list[tuple[str, str]]:
@@ -172,9 +168,8 @@ def _beginnings(lines: list[str]) -> list[tuple[str, str]]:
     return [*((begin, "xor8" if starred and begin[0] == "$" else "") for begin in usual), ("", "")]
 
 
-def _guesses(found: _Lines, rate: float) -> list[Guess]:
+def _guesses(names: Sequence[str], x: FloatArray, rate: float) -> list[Guess]:
     """Return what each column is taken for."""
-    x, names = found.numbers, found.names
     taken = {k: guess for k in range(len(names)) if (guess := _time(x[:, k], rate)) is not None}
     for k in range(len(names) - 2):
         three = range(k, k + 3)

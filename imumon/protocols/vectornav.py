@@ -11,27 +11,24 @@ already taken off.  `Uncomp...` and `Imu` are calibrated in the factory and no m
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Iterable, Sequence
 from fractions import Fraction
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from imumon.blocks import BoolArray, IntArray, SampleBlock
+from imumon.blocks import IntArray, SampleBlock
 from imumon.columns import KNOWN
 from imumon.protocols import vectornav_fields as tables
 from imumon.protocols.base import LONGEST_PACKET, MAIN, ByteArray, Encoder, Timing, chosen
 from imumon.protocols.checks import Checksum
-from imumon.protocols.decoder import Alike
-from imumon.protocols.device import DeviceFile
 from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, Found, Frame, counted_length, windows
-from imumon.protocols.messages import Message, TableDecoder
-from imumon.protocols.numbers import Layout, Number, Record, write
-from imumon.protocols.text import LineLayout, line_frame, sentence_body
+from imumon.protocols.messages import Alike, Message, TableDecoder
+from imumon.protocols.numbers import Number, Record, write
+from imumon.protocols.text import line_frame, sentence_body, texts
 
 MOST_HEADER = 64
-KINDS = 8
-"""Headers that are looked for in all packets at once; packets with rarer ones are measured one by one."""
 
 
 class Contents(NamedTuple):
@@ -50,7 +47,7 @@ class Contents(NamedTuple):
 def read_contents(packet: bytes) -> Contents | int:
     """Return what a packet holds, or the code of why that is not known; see `framing.Lengths`."""
     try:
-        return _contents(packet)
+        return _contents(packet) if packet[0] == 0xFA else IMPOSSIBLE
     except IndexError:
         return INCOMPLETE
     except KeyError:  # a group that nobody knows
@@ -89,54 +86,56 @@ def _contents(packet: bytes) -> Contents | int:
     return Contents(tuple(fields), at, end) if items else IMPOSSIBLE
 
 
-KNOWN_BITS = np.array([0] + [len(tables.GROUPS[(m & -m).bit_length()]) for m in range(1, 128)])
-"""Fields of the first group that a group byte names."""
-KNOWN_SECOND = 1 << tables.GNSS3 - 8
-"""Groups of a second group byte."""
+def _in_word(group: int, bit: int) -> tuple[int, int, int]:
+    """Return bytes of a field, whether it is not known, and whether its length depends on what follows."""
+    if bit == 15 and group != tables.COMMON:
+        return 0, 0, 1  # another word follows
+    item = tables.BY_PLACE.get((group, bit))
+    return (0, 1, 0) if item is None else (item.size, 0, item.name in tables.REPEATS)
 
 
-def _hopeless(held: ByteArray, at: IntArray) -> BoolArray:
-    """Tell where the first groups show that there is no packet: most of what only looks like one."""
-    rows = np.flatnonzero(at + MOST_HEADER + 4 <= len(held))
-    groups, low, high = (held[at[rows] + k].astype(np.int64) for k in (1, 2, 3))
-    word = low | (high & np.where(groups & 1, 0xFF, 0x7F)) << 8
-    found = np.zeros(len(at), np.bool_)
-    found[rows] = np.where(groups < 0x80, word >> KNOWN_BITS[groups & 0x7F] > 0, low & ~KNOWN_SECOND > 0)
-    return found
+IN_WORD = {group: np.array([_in_word(group, bit) for bit in range(16)], float) for group in range(1, 8)}
+"""For each bit of the word of a group what `_in_word` returns, (16, 3); reals are multiplied faster."""
+NOT_KNOWN_SECOND = 0xFF & ~(1 << tables.GNSS3 - 8)
+"""Bits of a second group byte that nobody knows."""
 
 
 def _lengths(held: ByteArray, at: IntArray) -> IntArray:
     """Return the length of the packet at each place; see `framing.Lengths`."""
-    hopeless, stream = _hopeless(held, at), held.tobytes()
-    length, left = np.where(hopeless, IMPOSSIBLE, 0), np.flatnonzero(~hopeless)
-    for _ in range(min(KINDS, len(at))):
-        if not len(left):
-            break
-        packet = stream[at[left[0]] :][:LONGEST_PACKET]
-        found = read_contents(packet)
-        same = left == left[0]
-        if isinstance(found, Contents) and not found.counters:
-            whole = np.flatnonzero(at[left] + found.header <= len(held))
-            heads = windows(held, at[left[whole]], found.header)
-            same[whole] = np.all(heads == np.frombuffer(packet[: found.header], np.uint8), axis=1)
-        length[left[same]] = _length(found)
-        left = left[~same]
-    for k, place in zip(left.tolist(), at[left].tolist(), strict=True):
-        length[k] = _length(read_contents(stream[place : place + LONGEST_PACKET]))
+    groups, second = (np.append(held, np.zeros(2, np.uint8))[at + k] for k in (1, 2))
+    place, total = at + 2, np.zeros((len(at), 3))
+    is_cut = place > len(held)
+    for group, in_word in IN_WORD.items():
+        there = np.flatnonzero(groups >> group - 1 & 1)
+        is_cut[there] |= place[there] + 2 > len(held)
+        there = there[~is_cut[there] & (total[there, 2] == 0.0)]
+        bits = np.unpackbits(windows(held, place[there], 2), axis=1, bitorder="little")
+        total[there] += bits.astype(np.float64) @ in_word
+        place[there] += 2
+    size, unknown, more = total.astype(np.int64).T
+    length = np.where(is_cut, INCOMPLETE, place - at + size + 2)
+    length[(unknown > 0) | (~is_cut & (size == 0)) | (length > LONGEST_PACKET)] = IMPOSSIBLE
+    hopeless = (groups > 0x7F) & (second & NOT_KNOWN_SECOND > 0) & (at + MOST_HEADER + 4 <= len(held))
+    length[hopeless] = IMPOSSIBLE
+    for k in np.flatnonzero(np.where(groups > 0x7F, ~hopeless, (more > 0) & (unknown == 0))).tolist():
+        found = read_contents(held[at[k] : at[k] + LONGEST_PACKET].tobytes())
+        length[k] = found.end + 2 if isinstance(found, Contents) else found
     return length
-
-
-def _length(found: Contents | int) -> int:
-    return found if isinstance(found, int) else found.end + 2
 
 
 XMODEM = Checksum("crc16-xmodem", first=1, big=True)
 
 
+def body_of(line: str) -> str | None:
+    """Return what a sentence has before its checksum, of eight bits or a CRC, or None when that is wrong."""
+    body = sentence_body(line.rstrip("\r\n"), XMODEM)
+    return body if body is not None and body.isascii() else None
+
+
 def _sentence(text: str) -> tuple[str, list[str], list[float]] | None:
     """Return header, fields, numbers of a line that is right, else None: torn ones may have a fitting sum."""
-    body = sentence_body(text.rstrip("\r\n"), XMODEM)
-    if body is None or not body.isascii():
+    body = body_of(text)
+    if body is None:
         return None
     name, *fields = body[3:].split(",")
     if name not in tables.SENTENCES:
@@ -151,116 +150,14 @@ def _sentence(text: str) -> tuple[str, list[str], list[float]] | None:
     return (name, fields, numbers) if len(fields) == size and "_" not in body else None
 
 
-def _numbers_in(text: str) -> list[float] | None:
-    read = _sentence(text)
-    return None if read is None else read[2]
-
-
 SENTENCE = 2
 """Number of their kind."""
 
 
-class VectorNavDecoder(TableDecoder):
-    """Decodes binary outputs with any fields and ASCII sentences, mixed as they may come."""
-
-    def __init__(self, rate_hz: float | None = None) -> None:
-        frames = (
-            Frame({b"\xfa": "binary"}, _lengths, XMODEM),
-            Frame({b"\xfb\x00": "split"}, counted_length(4, 2, 8, LONGEST_PACKET), XMODEM),
-            line_frame({b"$VN": "ascii"}, _sentence),
-        )
-        timing = Timing(tick_ns=Fraction(1), rate_hz=rate_hz)
-        super().__init__(
-            frames,
-            timing,
-            [item for items in tables.GROUPS.values() for item in items if item is not None],
-            names=tables.SIDE_GROUPS,
-            apart=(*tables.RECEIVERS.values(),),
-        )
-        for name in ("roll", "pitch"):  # alignment calls its own otherwise where a device may send these
-            del self._possible[name]
-        self._factory: frozenset[str] = frozenset()
-        """Quantities that have come as they were calibrated in the factory."""
-
-    def _by_layout(self, found: Found) -> Iterable[tuple[Layout, IntArray]]:
-        """Yield the layouts; where calibrated quantities begin, the filtered ones step back."""
-        start = 0
-        for alike in self._alike(found):
-            new = _factory(self._numbers_of(alike)) - self._factory
-            if new:
-                first = int(alike.rows[0])
-                yield from self._of_rows(found, start, first)
-                start, self._factory = first, self._factory | new
-                self._layouts.clear()
-        yield from self._of_rows(found, start, len(found))
-
-    def _of_rows(self, found: Found, start: int, stop: int) -> Iterable[tuple[Layout, IntArray]]:
-        """Yield the layouts of some of the packets."""
-        for layout, rows in super()._by_layout(found.only(np.arange(start, stop))):
-            yield layout, rows + start
-
-    def _signature(self, packet: bytes) -> Sequence[int]:
-        if packet[:1] == b"$":
-            return range(6)
-        found = read_contents(packet) if packet[0] == 0xFA else IMPOSSIBLE
-        return () if isinstance(found, int) else [*range(found.header), *found.counters]
-
-    def _contents(self, packet: bytes) -> list[tuple[Message, int, int]]:
-        found = read_contents(packet) if packet[0] == 0xFA else IMPOSSIBLE
-        return [] if isinstance(found, int) else [(item, at, item.size) for item, at in found.fields]
-
-    def _numbers_of(self, alike: Alike) -> list[Number]:
-        """Return the numbers of packets; those of a sentence are in its order."""
-        if alike.kind == SENTENCE:
-            values = tables.SENTENCES.get(alike.packet[3:6].decode("ascii", "replace"), ())
-            return [value._replace(group=MAIN) for value in values]
-        return [n for item, at, size in self._contents(alike.packet) for n in item.placed(at, size, False)]
-
-    def _layout(self, alike: Alike) -> Layout | None:
-        numbers = _renamed(self._numbers_of(alike), self._factory)
-        if alike.kind == SENTENCE:
-            self._report_sentence(alike.packet.decode("ascii", "replace"))
-            layout: Layout = LineLayout(_numbers_in, numbers)
-        else:
-            layout = Record(numbers)
-        if "gyro_x" in layout.of_column and "gyro" not in self._factory:
-            self._warn(
-                "the angular rate is that of the device's filter, which has taken its own estimate of "
-                "the gyro bias off: what imumon finds is the rest of it; send UncompGyro, Imu or $VNIMU"
-            )
-        return layout if layout.columns else None
-
-    def _report_sentence(self, line: str) -> None:
-        """Report a sentence that is not data."""
-        read = _sentence(line)
-        assert read is not None
-        if read[0] == "ERR":
-            self._report(f"the device reports error {', '.join(read[1])}")
-        elif read[0] not in tables.SENTENCES:
-            self._report(f"sentence $VN{read[0]} is counted and not read")
-
-
-def _factory(numbers: Sequence[Number]) -> frozenset[str]:
-    """Return of which quantities there are numbers as they were calibrated in the factory."""
-    names = {number.name for number in numbers}
-    return frozenset(base for base in tables.FILTERED if f"{base}_x" in names)
-
-
-def _renamed(numbers: Sequence[Number], factory: frozenset[str]) -> list[Number]:
-    """Return the numbers; those of the filter have the plain names where nothing comes as calibrated."""
-    bases = {*tables.FILTERED} - factory
-    plain = {f"{base}_compensated_{axis}": f"{base}_{axis}" for base in bases for axis in "xyz"}
-    return [
-        number._replace(column=KNOWN[plain[number.name]]) if number.name in plain else number
-        for number in numbers
-    ]
-
-
 PLACES = {
     f"{tables.GROUP_NAMES[group]}.{item.name}": (group, bit)
-    for group, items in tables.GROUPS.items()
-    for bit, item in enumerate(items[:15])
-    if group < 8 and item is not None and item.columns
+    for (group, bit), item in tables.BY_PLACE.items()
+    if group < 8 and bit < 15 and item.columns
 }
 """Group and bit of the fields that can be sent, by GROUP.FIELD: those that need no second byte or word."""
 
@@ -281,41 +178,117 @@ def header_of(groups: int, words: Iterable[int]) -> bytes:
     return bytes([0xFA, groups & 0xFF]) + b"".join(word.to_bytes(2, "little") for word in words)
 
 
-class VectorNavEncoder(Encoder):
-    """Makes binary packets of one output.
+def _factory(numbers: Sequence[Number]) -> frozenset[str]:
+    """Return of which quantities there are numbers as they were calibrated in the factory."""
+    names = {number.name for number in numbers}
+    return frozenset(base for base in tables.FILTERED if f"{base}_x" in names)
 
-    Raises BAD_CONFIG when there is no such field.
 
-    Fields are GROUP.FIELD, as ``Imu.UncompGyro``; they are sent in the order of their bits.
-    """
+def _renamed(numbers: Sequence[Number], factory: frozenset[str]) -> list[Number]:
+    """Return the numbers; those of the filter have the plain names where nothing comes as calibrated."""
+    bases = {*tables.FILTERED} - factory
+    plain = {f"{base}_compensated_{axis}": f"{base}_{axis}" for base in bases for axis in "xyz"}
+    return [
+        number._replace(column=KNOWN[plain[number.name]]) if number.name in plain else number
+        for number in numbers
+    ]
 
-    def __init__(self, names: Sequence[str]) -> None:
+
+class VectorNavDecoder(TableDecoder):
+    """Decodes binary outputs with any fields and ASCII sentences, mixed as they may come."""
+
+    frames = (
+        Frame({b"\xfa": "binary"}, _lengths, XMODEM),
+        Frame({b"\xfb\x00": "split"}, counted_length(4, 2, 8, LONGEST_PACKET), XMODEM),
+        line_frame({b"$VN": "ascii"}, _sentence),
+    )
+    timing = Timing(tick_ns=Fraction(1))
+    messages = tables.BY_PLACE
+    names, apart = tables.SIDE_GROUPS, (*tables.RECEIVERS.values(),)
+
+    def __init__(self, rate_hz: float | None = None) -> None:
+        super().__init__(rate_hz)
+        for name in ("roll", "pitch"):  # alignment calls its own otherwise where a device may send these
+            del self._possible[name]
+        self._factory: frozenset[str] = frozenset()
+        """Quantities that have come as they were calibrated in the factory."""
+
+    def _by_layout(self, found: Found) -> Iterable[tuple[Record, IntArray]]:
+        """Yield the layouts; where calibrated quantities begin, the filtered ones step back."""
+        start = 0
+        for alike in self._alike(found):
+            new = _factory(self._numbers_of(alike)) - self._factory
+            if new:
+                first = int(alike.rows[0])
+                yield from self._of_rows(found, start, first)
+                start, self._factory = first, self._factory | new
+                self._layouts.clear()
+        yield from self._of_rows(found, start, len(found))
+
+    def _of_rows(self, found: Found, start: int, stop: int) -> Iterable[tuple[Record, IntArray]]:
+        """Yield the layouts of some of the packets."""
+        for layout, rows in super()._by_layout(found.only(np.arange(start, stop))):
+            yield layout, rows + start
+
+    def _signature(self, packet: bytes) -> Sequence[int]:
+        if packet[:1] == b"$":
+            return range(8)
+        found = read_contents(packet)
+        return () if isinstance(found, int) else [*range(found.header), *found.counters]
+
+    def _contents(self, packet: bytes) -> list[tuple[Message, int, int]]:
+        found = read_contents(packet)
+        return [] if isinstance(found, int) else [(item, at, item.size) for item, at in found.fields]
+
+    def _numbers_of(self, alike: Alike) -> list[Number]:
+        """Return the numbers of packets; those of a sentence are in its order."""
+        if alike.kind == SENTENCE:
+            values = tables.SENTENCES.get(alike.packet[1:8].decode().strip(), ())
+            return [v._replace(type="f64", at=8 + 8 * k, group=MAIN) for k, v in enumerate(values)]
+        return [n for item, at, size in self._contents(alike.packet) for n in item.placed(at, size, False)]
+
+    def _layout(self, alike: Alike) -> Record | None:
+        layout = Record(_renamed(self._numbers_of(alike), self._factory))
+        if "gyro_x" in layout.of_column and "gyro" not in self._factory:
+            self._warn(
+                "the angular rate is that of the device's filter, which has taken its own estimate of "
+                "the gyro bias off: what imumon finds is the rest of it; send UncompGyro, Imu or $VNIMU"
+            )
+        return layout if layout.columns else None
+
+    def _plain(self, found: Found) -> Found:
+        """Return sentences as records of their name and numbers; those that are no data are reported."""
+        rows = np.flatnonzero(found.kind == SENTENCE)
+        records = dict[int, bytes]()
+        for row, line in zip(
+            rows.tolist(), texts(found.held, found.at[rows], found.length[rows]), strict=True
+        ):
+            read = _sentence(line)
+            assert read is not None
+            name, words, numbers = read
+            records[row] = f"${name:<7}"[:8].encode() + array("d", numbers).tobytes()
+            if name == "ERR":
+                self._report(f"the device reports error {', '.join(words)}")
+            elif name not in tables.SENTENCES:
+                self._report(f"sentence $VN{name} is counted and not read")
+        return found.replaced(records)
+
+    def encoder(self, names: Sequence[str]) -> Encoder:
+        """Return an encoder of one binary output; see `TableDecoder.encoder`.
+
+        Fields are GROUP.FIELD, as ``Imu.UncompGyro``; they are sent in the order of their bits.
+        """
         words, numbers = words_of(names), list[Number]()
         header = header_of(sum(1 << group - 1 for group in words), words.values())
         size = len(header)
-        for group, bit in sorted({PLACES[name] for name in names}):
-            item = tables.GROUPS[group][bit]
-            assert item is not None
+        for place in sorted({PLACES[name] for name in names}):
+            item = tables.BY_PLACE[place]
             numbers += item.placed(size, item.size, False)
             size += item.size
-        self._numbers, self._blank = _renamed(numbers, _factory(numbers)), header.ljust(size, b"\0")
+        renamed, blank = _renamed(numbers, _factory(numbers)), header.ljust(size, b"\0")
 
-    def encode(self, block: SampleBlock) -> list[bytes]:
-        """Return one packet per row; see `imumon.protocols.base.Encoder`."""
-        packets = write("binary output", self._numbers, self._blank, block.columns, len(block))
-        return [packet.tobytes() for packet in XMODEM.sealed_rows(packets)]
+        def encode(block: SampleBlock) -> list[bytes]:
+            packets = write("binary output", renamed, blank, block.columns, len(block))
+            return [packet.tobytes() for packet in XMODEM.sealed_rows(packets)]
 
-
-class VectorNavDevice(DeviceFile):
-    """Device file of a VectorNav; `sends` is for its virtual twin alone."""
-
-    protocol: Literal["vectornav"]
-    sends: list[str]
-
-    def decoder(self) -> VectorNavDecoder:
-        """Make a decoder for this device."""
-        return VectorNavDecoder(self.rate_hz)
-
-    def encoder(self) -> VectorNavEncoder:
-        """Make an encoder that sends what the device would send."""
-        return VectorNavEncoder(self.sends)
+        return Encoder(encode)

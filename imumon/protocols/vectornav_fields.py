@@ -9,8 +9,8 @@ from functools import partial
 from math import pi
 
 from imumon.columns import KNOWN, Column
-from imumon.protocols.base import MAIN, NO_GROUP
-from imumon.protocols.messages import Message, counted, field, floats
+from imumon.protocols.base import NO_GROUP
+from imumon.protocols.messages import Message, Part, counted, field, floats, gap, real
 from imumon.protocols.numbers import Number, known, number, vector
 
 DEGREE = pi / 180
@@ -23,10 +23,6 @@ FILTERED = ("gyro", "accel", "mag")
 """What the device sends both as it was calibrated in the factory and as its filter has left it."""
 
 
-def _whole(name: str, description: str, kind: str, unit: str = "1") -> tuple[Number, ...]:
-    return (counted(name, description, kind, unit),)
-
-
 def _filtered(base: str) -> tuple[Column, ...]:
     """Columns of what the filter has left; where nothing else comes they become those without a suffix."""
     unit = KNOWN[f"{base}_x"].unit
@@ -35,142 +31,138 @@ def _filtered(base: str) -> tuple[Column, ...]:
 
 YPR = floats(known("yaw", "pitch", "roll"), DEGREE)
 QUATERNION = floats(known("q_x", "q_y", "q_z", "q_w"))
-TICKS = (Number(KNOWN["device_ticks"], "u64"),)
+TICKS = floats("device_ticks", kind="u64")
 RATE, FORCE, FIELD = floats(_filtered("gyro")), floats(_filtered("accel")), floats(_filtered("mag"), GAUSS)
 RAW_RATE, RAW_FORCE, RAW_FIELD = floats("gyro"), floats("accel"), floats("mag", GAUSS)
-DELTA_TIME = number("delta_time", "s", "time over which the increments were summed")
-DELTA_THETA = (*floats([DELTA_TIME]),
-               *floats(vector("delta_theta", "rad", "rotation over the sample"), DEGREE))  # fmt: skip
+DELTA_TIME = real("delta_time", "s", "time over which the increments were summed")
+DELTA_THETA = DELTA_TIME + floats(vector("delta_theta", "rad", "rotation over the sample"), DEGREE)
 DELTA_VELOCITY = floats(vector("delta_velocity", "m/s", "velocity increment"))
 TEMPERATURE, PRESSURE = floats("temperature"), floats("pressure", KILOPASCAL)
 POSITION = floats("place", kind="f64")
 VELOCITY_NED = floats(vector("velocity", "m/s", "velocity north, east, down"))
-SYNC_IN = _whole("sync_in_count", "pulses at the input", "u32")
-PPS = _whole("time_since_pps", "time since the receiver's last pulse", "u64", "ns")
-GPS_TIME = _whole("gps_time", "time since 1980-01-06 on the GPS clock", "u64", "ns")
-SYNC_TIME = _whole("time_since_sync_in", "time since the last pulse at the input", "u64", "ns")
-STATUS = (Number(KNOWN["status"], "u16"),)
-
-
-def _skipped(name: str, size: int, group: str = MAIN) -> Message:
-    return Message(name, size, (), group)
+SYNC_IN = counted("sync_in_count", "pulses at the input", "u32")
+PPS = counted("time_since_pps", "time since the receiver's last pulse", "u64", "ns")
+GPS_TIME = counted("gps_time", "time since 1980-01-06 on the GPS clock", "u64", "ns")
+SYNC_TIME = counted("time_since_sync_in", "time since the last pulse at the input", "u64", "ns")
+STATUS = floats("status", kind="u16")
 
 
 COMMON_ITEMS = (
-    field("TimeStartup", TICKS, NO_GROUP),
-    field("TimeGps", GPS_TIME, NO_GROUP),
-    field("TimeSyncIn", SYNC_TIME, NO_GROUP),
-    field("Ypr", YPR, "attitude"),
-    field("Quaternion", QUATERNION, "attitude"),
+    field("TimeStartup", TICKS, group=NO_GROUP),
+    field("TimeGps", GPS_TIME, group=NO_GROUP),
+    field("TimeSyncIn", SYNC_TIME, group=NO_GROUP),
+    field("Ypr", YPR, group="attitude"),
+    field("Quaternion", QUATERNION, group="attitude"),
     field("AngRate", RATE),
-    field("Position", POSITION, "filter"),
-    field("Velocity", VELOCITY_NED, "filter"),
+    field("Position", POSITION, group="filter"),
+    field("Velocity", VELOCITY_NED, group="filter"),
     field("Accel", FORCE),
     field("Imu", RAW_FORCE + RAW_RATE),
-    field("MagPres", FIELD + TEMPERATURE + PRESSURE, "mag"),
+    field("MagPres", FIELD + TEMPERATURE + PRESSURE, group="mag"),
     field("Deltas", DELTA_THETA + DELTA_VELOCITY),
     field("Status", STATUS),
     field("SyncInCnt", SYNC_IN),
-    field("TimeGpsPps", PPS, NO_GROUP),
+    field("TimeGpsPps", PPS, group=NO_GROUP),
 )
 TIME_ITEMS = (
-    field("TimeStartup", TICKS, NO_GROUP),
-    field("TimeGps", GPS_TIME, NO_GROUP),
-    field("TimeGpsTow", _whole("gps_time_of_week", "GPS time of week", "u64", "ns"), NO_GROUP),
-    field("TimeGpsWeek", _whole("gps_week", "GPS week", "u16"), NO_GROUP),
-    field("TimeSyncIn", SYNC_TIME, NO_GROUP),
-    field("TimeGpsPps", PPS, NO_GROUP),
-    _skipped("TimeUtc", 8),
+    field("TimeStartup", TICKS, group=NO_GROUP),
+    field("TimeGps", GPS_TIME, group=NO_GROUP),
+    field("TimeGpsTow", counted("gps_time_of_week", "GPS time of week", "u64", "ns"), group=NO_GROUP),
+    field("TimeGpsWeek", counted("gps_week", "GPS week", "u16"), group=NO_GROUP),
+    field("TimeSyncIn", SYNC_TIME, group=NO_GROUP),
+    field("TimeGpsPps", PPS, group=NO_GROUP),
+    field("TimeUtc", gap(8)),
     field("SyncInCnt", SYNC_IN),
-    field("SyncOutCnt", _whole("sync_out_count", "pulses at the output", "u32")),
-    field("TimeStatus", _whole("time_status", "which clocks are valid, bits", "u8")),
+    field("SyncOutCnt", counted("sync_out_count", "pulses at the output", "u32")),
+    field("TimeStatus", counted("time_status", "which clocks are valid, bits", "u8")),
 )
 IMU_ITEMS = (
-    field("ImuStatus", _whole("imu_status", "status of the sensors", "u16")),
-    field("UncompMag", RAW_FIELD, "mag"),
+    field("ImuStatus", counted("imu_status", "status of the sensors", "u16")),
+    field("UncompMag", RAW_FIELD, group="mag"),
     field("UncompAccel", RAW_FORCE),
     field("UncompGyro", RAW_RATE),
-    field("Temperature", TEMPERATURE, "temperature"),
-    field("Pressure", PRESSURE, "pressure"),
+    field("Temperature", TEMPERATURE, group="temperature"),
+    field("Pressure", PRESSURE, group="pressure"),
     field("DeltaTheta", DELTA_THETA),
     field("DeltaVelocity", DELTA_VELOCITY),
-    field("Mag", FIELD, "mag"),
+    field("Mag", FIELD, group="mag"),
     field("Accel", FORCE),
     field("AngRate", RATE),
-    field("SensSat", _whole("saturation", "saturated: mag, accel, gyro x y z, pressure, bits", "u16")),
-    _skipped("reserved", 40),
+    field("SensSat", counted("saturation", "saturated: mag, accel, gyro x y z, pressure, bits", "u16")),
+    field("reserved", gap(40)),
 )
 ATTITUDE_ITEMS = (
     field("VpeStatus", STATUS),
-    field("Ypr", YPR, "attitude"),
-    field("Quaternion", QUATERNION, "attitude"),
-    _skipped("Dcm", 36, "attitude"),
-    field("MagNed", floats(vector("mag_ned", "uT", "magnetic field, north, east, down"), GAUSS),
-         "mag"),
+    field("Ypr", YPR, group="attitude"),
+    field("Quaternion", QUATERNION, group="attitude"),
+    field("Dcm", gap(36)),
+    field("MagNed", floats(vector("mag_ned", "uT", "magnetic field, north, east, down"), GAUSS), group="mag"),
     field("AccelNed", floats(vector("accel_ned", "m/s^2", "acceleration with gravity, north, east, down"))),
     field("LinearAccelBody", floats(vector("free_accel", "m/s^2", "acceleration without gravity"))),
-    _skipped("LinearAccelNed", 12),
+    field("LinearAccelNed", gap(12)),
     field("YprU", floats(vector("ypr_sigma", "rad", "uncertainty of yaw, pitch, roll"),
-                          DEGREE), "attitude"),
-    _skipped("reserved", 12), _skipped("reserved", 28), _skipped("reserved", 24),
+                          DEGREE), group="attitude"),
+    field("reserved", gap(12)), field("reserved", gap(28)), field("reserved", gap(24)),
     field("Heave", floats(vector("heave", "m", "heave, its rate, and delayed"))),
-    field("AttU", floats((number("attitude_sigma", "rad", "uncertainty of the attitude"),), DEGREE),
-         "attitude"),
+    field("AttU", real("attitude_sigma", "rad", "uncertainty of the attitude", factor=DEGREE),
+          group="attitude"),
 )  # fmt: skip
 INS_ITEMS = (
-    field("InsStatus", _whole("ins_status", "status of the navigation filter", "u16"), "filter"),
-    field("Position", POSITION, "filter"),
-    _skipped("PositionEcef", 24, "filter"),
-    field("VelocityBody", floats(vector("velocity_body", "m/s", "velocity in the body frame")), "filter"),
-    field("Velocity", VELOCITY_NED, "filter"),
-    *(_skipped(name, 12, "filter") for name in ("VelocityEcef", "MagEcef", "AccelEcef", "LinearAccelEcef")),
-    field("PositionU", floats((number("position_sigma", "m", "uncertainty of the position"),)), "filter"),
-    field("VelocityU", floats((number("velocity_sigma", "m/s", "uncertainty of the velocity"),)), "filter"),
-    _skipped("reserved", 68),
-    _skipped("reserved", 64),
+    field("InsStatus", counted("ins_status", "status of the navigation filter", "u16"), group="filter"),
+    field("Position", POSITION, group="filter"),
+    field("PositionEcef", gap(24)),
+    field(
+        "VelocityBody", floats(vector("velocity_body", "m/s", "velocity in the body frame")), group="filter"
+    ),
+    field("Velocity", VELOCITY_NED, group="filter"),
+    *(field(name, gap(12)) for name in ("VelocityEcef", "MagEcef", "AccelEcef", "LinearAccelEcef")),
+    field("PositionU", real("position_sigma", "m", "uncertainty of the position"), group="filter"),
+    field("VelocityU", real("velocity_sigma", "m/s", "uncertainty of the velocity"), group="filter"),
+    field("reserved", gap(68)),
+    field("reserved", gap(64)),
 )
 
 
 def _receiver_items(prefix: str) -> tuple[Message | None, ...]:
     """Return the fields of a receiver."""
 
-    def real(unit: str, *names: str, kind: str = "f32") -> tuple[Number, ...]:
+    def reals(unit: str, *names: str, kind: str = "f32") -> Part:
         columns = [number(f"{prefix}_{name}", unit, f"receiver {prefix}: {name}") for name in names]
         return floats(columns, kind=kind)
 
-    def whole(name: str, kind: str, unit: str = "1") -> tuple[Number, ...]:
-        return _whole(f"{prefix}_{name}", f"receiver {prefix}: {name.replace('_', ' ')}", kind, unit)
+    def whole(name: str, kind: str, unit: str = "1") -> Part:
+        return counted(f"{prefix}_{name}", f"receiver {prefix}: {name.replace('_', ' ')}", kind, unit)
 
     of_receiver = partial(field, group=prefix)
     return (
-        _skipped("TimeUtc", 8),
+        field("TimeUtc", gap(8)),
         of_receiver("Tow", whole("time_of_week", "u64", "ns")),
         of_receiver("Week", whole("week", "u16")),
         of_receiver("NumSats", whole("satellites", "u8")),
         of_receiver("Fix", whole("fix", "u8")),
-        of_receiver("Position", (*real("deg", "latitude", "longitude", kind="f64"),
-                                 *real("m", "altitude", kind="f64"))),
-        _skipped("PositionEcef", 24),
-        of_receiver("Velocity", real("m/s", "velocity_north", "velocity_east", "velocity_down")),
-        _skipped("VelocityEcef", 12),
-        of_receiver("PositionU", real("m", "position_sigma_north", "position_sigma_east",
+        of_receiver("Position", reals("deg", "latitude", "longitude", kind="f64"),
+                    reals("m", "altitude", kind="f64")),
+        field("PositionEcef", gap(24)),
+        of_receiver("Velocity", reals("m/s", "velocity_north", "velocity_east", "velocity_down")),
+        field("VelocityEcef", gap(12)),
+        of_receiver("PositionU", reals("m", "position_sigma_north", "position_sigma_east",
                                       "position_sigma_down")),
-        of_receiver("VelocityU", real("m/s", "velocity_sigma")),
-        of_receiver("TimeU", real("s", "time_sigma")),
-        _skipped("TimeInfo", 2),
-        of_receiver("Dop", real("1", *(f"{name}dop" for name in "gptvhne"))),
-        _skipped("SatInfo", 2),
+        of_receiver("VelocityU", reals("m/s", "velocity_sigma")),
+        of_receiver("TimeU", reals("s", "time_sigma")),
+        field("TimeInfo", gap(2)),
+        of_receiver("Dop", reals("1", *(f"{name}dop" for name in "gptvhne"))),
+        field("SatInfo", gap(2)),
         None,
-        _skipped("RawMeas", 12),
+        field("RawMeas", gap(12)),
         of_receiver("Status", whole("status", "u16")),
-        of_receiver("AltMsl", real("m", "altitude_msl", kind="f64")),
+        of_receiver("AltMsl", reals("m", "altitude_msl", kind="f64")),
     )  # fmt: skip
 
 
 REPEATS = {"SatInfo": (8, 0), "RawMeas": (28, 10)}
 """Fields that have more bytes for each count of a byte in them: how many, and the place of that byte."""
-GROUP_NAMES = {COMMON: "Common", TIME: "Time", IMU: "Imu", ATTITUDE: "Attitude", INS: "Ins",
-               GNSS1: "Gnss1", GNSS2: "Gnss2", GNSS3: "Gnss3"}  # fmt: skip
+GROUP_NAMES = {COMMON: "Common", TIME: "Time", IMU: "Imu", GNSS1: "Gnss1", ATTITUDE: "Attitude", INS: "Ins",
+               GNSS2: "Gnss2", GNSS3: "Gnss3"}  # fmt: skip
 GROUPS: dict[int, tuple[Message | None, ...]] = {
     COMMON: COMMON_ITEMS,
     TIME: TIME_ITEMS,
@@ -180,6 +172,13 @@ GROUPS: dict[int, tuple[Message | None, ...]] = {
     **{group: _receiver_items(prefix) for group, prefix in RECEIVERS.items()},
 }
 """Fields of each group by bit; None is a bit that has none."""
+BY_PLACE = {
+    (group, bit): item
+    for group, items in GROUPS.items()
+    for bit, item in enumerate(items)
+    if item is not None
+}
+"""The same by group and bit."""
 
 SENTENCES: dict[str, tuple[Number, ...]] = {
     "YPR": YPR,

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from fractions import Fraction
 from math import pi
-from typing import Final
 
 import numpy as np
 
@@ -22,28 +21,25 @@ from imumon.geodesy import STANDARD_GRAVITY
 from imumon.protocols.base import NO_GROUP, ByteArray, Packets, Timing
 from imumon.protocols.checks import Checksum
 from imumon.protocols.framing import INCOMPLETE, NO_PACKET, Found, Frame, fixed_length, unchecked
-from imumon.protocols.messages import FamilyDecoder, Message, Part, part
+from imumon.protocols.messages import FamilyDecoder, Part, counted, field, floats, gap, real
 from imumon.protocols.numbers import Columns, Derived, Number, count, date, known, number, utc_time, vector
 
 FORCE_FACTOR, RATE_FACTOR, ANGLE_FACTOR = (16 * STANDARD_GRAVITY / 32768, 2000 * pi / 180 / 32768, pi / 32768)
 HEADER, SIZE = 2, 11
 SHORT, LONG = 20, 28
 COMBINED = 0x61
-ZEROS: Final = 10
+ZEROS = 10
 """Frames in a row with three rates of zero, after which it is reported: with noise that needs much luck."""
 
 
-def _date(at: int, prefix: str, per_ms: int) -> Part:
+def _date(prefix: str, per_ms: int) -> Part:
     """Return the parts of a date, sources of a time; so many counts a millisecond."""
     of_second, year, *parts = date(prefix)
-    rest = (*part(at + 1, "u8", parts), *part(at + 6, "u16", [of_second], per_ms))
-    return (Number(year, "u8", offset=2000, at=at), *rest)
+    return (Number(year, "u8", offset=2000), *floats(parts, kind="u8"), *floats([of_second], per_ms, "u16"))
 
 
 CLOCK = count("device_clock", "calendar of the device as Unix time; not that of the sample", "ns")
-SATELLITES, SPEED = [count("gnss_satellites", "in use")], [number("gnss_speed", "m/s", "over ground")]
 DILUTIONS = [number(f"gnss_{c}dop", "1", "dilution") for c in "phv"]
-RECEIVER = number("gnss_altitude", "m", "of the receiver"), number("gnss_course", "rad", "of the receiver")
 
 
 def _degrees_of(columns: Columns) -> list[ColumnArray]:
@@ -58,7 +54,6 @@ def _digits_of(columns: Columns) -> list[ColumnArray]:
 
 
 PORTS = [count(f"port_d{k}", f"port D{k}") for k in range(4)]
-HEIGHT = [number("pressure_altitude", "m", "from the pressure")]
 PLACE = [count("_longitude", "longitude"), count("_latitude", "latitude")]
 DERIVED = (
     utc_time("clock_", CLOCK),
@@ -66,26 +61,31 @@ DERIVED = (
     Derived(("_longitude", "_latitude"), known("longitude", "latitude"), _degrees_of, _digits_of),
 )
 
+ACCEL, GYRO = floats("accel", FORCE_FACTOR, "i16"), floats("gyro", RATE_FACTOR, "i16")
+ANGLES = floats("angles", ANGLE_FACTOR, "i16")
 TYPES = {
-    0x50: Message("time", 8, (_date(0, "clock_", 1_000_000),), NO_GROUP),
-    0x51: Message("accel", 8, (part(0, "i16", "accel", FORCE_FACTOR), part(6, "i16", "temperature", 0.01))),
-    0x52: Message("gyro", 8, (part(0, "i16", "gyro", RATE_FACTOR),)),
-    0x53: Message("angle", 8, (part(0, "i16", "angles", ANGLE_FACTOR),), "attitude"),
-    0x54: Message("mag", 8, (part(0, "i16", vector("mag", "a.u.", "magnetic field, raw counts")),), "mag"),
-    0x55: Message("ports", 8, (part(0, "u16", PORTS),), "status"),
-    0x56: Message("pressure", 8, (part(0, "u32", "pressure"), part(4, "i32", HEIGHT, 0.01)), "pressure"),
-    0x57: Message("position", 8, (part(0, "i32", PLACE),), "gnss"),
-    0x58: Message("speed", 8, (part(0, "i16", RECEIVER[:1], 0.1), part(2, "i16", RECEIVER[1:], pi / 1800),
-                               part(4, "u32", SPEED, 1 / 3600)), "gnss"),
-    0x59: Message("quaternion", 8, (part(0, "i16", "q", 1 / 32768),), "attitude"),
-    0x5A: Message("satellites", 8, (part(0, "u16", SATELLITES), part(2, "u16", DILUTIONS, 0.01)), "gnss"),
+    0x50: field("time", _date("clock_", 1_000_000), group=NO_GROUP),
+    0x51: field("accel", ACCEL, floats("temperature", 0.01, "i16")),
+    0x52: field("gyro", GYRO, gap(2)),
+    0x53: field("angle", ANGLES, gap(2), group="attitude"),
+    0x54: field("mag", floats(vector("mag", "a.u.", "magnetic field, raw counts"), kind="i16"), gap(2),
+                group="mag"),
+    0x55: field("ports", floats(PORTS, kind="u16"), group="status"),
+    0x56: field("pressure", floats("pressure", kind="u32"),
+                real("pressure_altitude", "m", "from the pressure", "i32", 0.01), group="pressure"),
+    0x57: field("position", floats(PLACE, kind="i32"), group="gnss"),
+    0x58: field("speed", real("gnss_altitude", "m", "of the receiver", "i16", 0.1),
+                real("gnss_course", "rad", "of the receiver", "i16", pi / 1800),
+                real("gnss_speed", "m/s", "over ground", "u32", 1 / 3600), group="gnss"),
+    0x59: field("quaternion", floats("q", 1 / 32768, "i16"), group="attitude"),
+    0x5A: field("satellites", counted("gnss_satellites", "in use", "u16"), floats(DILUTIONS, 0.01, "u16"),
+                group="gnss"),
 }  # fmt: skip
 """What each type carries; the fourth number of 0x52 and 0x54 depends on the model and is left out."""
-IN_ONE = (part(0, "i16", "accel", FORCE_FACTOR), part(6, "i16", "gyro", RATE_FACTOR),
-          part(12, "i16", "angles", ANGLE_FACTOR, "attitude"))  # fmt: skip
+IN_ONE = (ACCEL, GYRO, tuple(angle._replace(group="attitude") for angle in ANGLES))
 COMBINED_FORMS = {
-    COMBINED << 8 | SHORT: Message("combined", SHORT - HEADER, IN_ONE),
-    COMBINED << 8 | LONG: Message("timed", LONG - HEADER, (*IN_ONE, _date(18, "sample_", 1))),
+    COMBINED << 8 | SHORT: field("combined", *IN_ONE),
+    COMBINED << 8 | LONG: field("timed", *IN_ONE, _date("sample_", 1)),
 }
 """The frame of several quantities, by its length."""
 
@@ -117,7 +117,8 @@ class WitMotionDecoder(FamilyDecoder):
     start, more, head = HEADER, HEADER, (1,)
     apart = ("gnss",)
     derived = DERIVED
-    _zeros = 0
+    _still = np.zeros(ZEROS, np.bool_)
+    """Whether the last rates were zero."""
 
     def wrap(self, key: int, payload: bytes) -> bytes:
         """Make a frame of a type, or the combined one."""
@@ -134,11 +135,9 @@ class WitMotionDecoder(FamilyDecoder):
         if "gyro_x" not in packets.block:
             return packets
         rates = np.column_stack([packets.block[f"gyro_{axis}"] for axis in "xyz"])
-        still = ~np.any(rates[~np.isnan(rates[:, 0])], axis=1)
-        run = np.arange(1, len(still) + 1) + self._zeros
-        run = run - np.maximum.accumulate(np.where(still, 0, run))
-        self._zeros = int(run[-1]) if len(run) else self._zeros
-        if np.any(run >= ZEROS):
+        still = np.append(self._still, ~np.any(rates[~np.isnan(rates[:, 0])], axis=1))
+        self._still = still[1 - ZEROS :]
+        if np.convolve(still, np.ones(ZEROS), "valid").max(initial=0) == ZEROS:
             self._warn(
                 "the device sends rates of exactly zero: at rest it takes off what it holds for bias, "
                 "so bias and noise found from them mean nothing"

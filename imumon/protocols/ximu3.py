@@ -7,64 +7,57 @@ its numbers) and a time that a device can have run.  Temperature comes in messag
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from fractions import Fraction
 from functools import partial
 from math import pi
-from typing import Final
 
 import numpy as np
 
 from imumon.blocks import BoolArray, IntArray
-from imumon.columns import Column
 from imumon.geodesy import STANDARD_GRAVITY
 from imumon.protocols.base import MAIN, ByteArray, Timing
 from imumon.protocols.framing import Found, Frame
-from imumon.protocols.messages import FamilyDecoder, Message, part
+from imumon.protocols.messages import FamilyDecoder, Message, Part, field, floats, real
 from imumon.protocols.numbers import number, vector
-from imumon.protocols.text import NUMBER, line_frame, line_lengths
+from imumon.protocols.text import NUMBER, line_frame, line_lengths, texts
 
-BINARY: Final = 0x80
+BINARY = 0x80
 END, ESCAPE, ESCAPED_END, ESCAPED_ESCAPE = 0x0A, 0xDB, 0xDC, 0xDD
 """In a message, the first two are an escape and one of the others."""
-TIME_SIZE: Final = 8
-YEARS_US: Final = 1 << 58
+TIME_SIZE = 8
+YEARS_US = 1 << 58
 """Microseconds of 9000 years: a message that claims more began in the middle of another."""
-DEGREE: Final = pi / 180
+DEGREE = pi / 180
 
 MATRIX = [number(f"matrix_{i}{j}", "1", "rotation matrix") for i in "xyz" for j in "xyz"]
 
 
-def _message(name: str, group: str, *vectors: tuple[str | Sequence[Column], float]) -> Message:
-    """Return a message of the time and of floats: columns with their factors."""
-    at, parts = TIME_SIZE, [part(0, "u64", "device_ticks")]
-    for columns, factor in vectors:
-        parts.append(part(at, "f32", columns, factor))
-        at = parts[-1][-1].end
-    return Message(name, at, tuple(parts), group)
+def _message(name: str, group: str, *parts: Part) -> Message:
+    """Return a message of the time and of floats."""
+    return field(name, floats("device_ticks", kind="u64"), *parts, group=group)
 
 
 MESSAGES = {
-    ord("I"): _message("inertial", MAIN, ("gyro", DEGREE), ("accel", STANDARD_GRAVITY)),
+    ord("I"): _message("inertial", MAIN, floats("gyro", DEGREE), floats("accel", STANDARD_GRAVITY)),
     ord("M"): _message("magnetometer", "mag",
-                       (vector("mag", "a.u.", "magnetic field, 1 when calibrated"), 1.0)),
-    ord("T"): _message("temperature", "temperature", ("temperature", 1.0)),
-    ord("Q"): _message("quaternion", "attitude", ("q", 1.0)),
-    ord("A"): _message("euler", "attitude", ("angles", DEGREE)),
-    ord("R"): _message("matrix", "attitude", (MATRIX, 1.0)),
+                       floats(vector("mag", "a.u.", "magnetic field, 1 when calibrated"))),
+    ord("T"): _message("temperature", "temperature", floats("temperature")),
+    ord("Q"): _message("quaternion", "attitude", floats("q")),
+    ord("A"): _message("euler", "attitude", floats("angles", DEGREE)),
+    ord("R"): _message("matrix", "attitude", floats(MATRIX)),
     ord("L"): _message("linear", "attitude",
-                       (vector("free_accel", "m/s^2", "without gravity"), STANDARD_GRAVITY)),
+                       floats(vector("free_accel", "m/s^2", "without gravity"), STANDARD_GRAVITY)),
     ord("E"): _message("earth", "attitude",
-                       (vector("earth_accel", "m/s^2", "without gravity, in the reference frame"),
+                       floats(vector("earth_accel", "m/s^2", "without gravity, in the reference frame"),
                         STANDARD_GRAVITY)),
     ord("H"): _message("high_g", "high_g",
-                       (vector("accel_high_g", "m/s^2", "for high accelerations"), STANDARD_GRAVITY)),
-    ord("B"): _message("battery", "status", ([number("battery", "1", "charge, percent"),
-                                              number("battery_voltage", "V", "of the battery"),
-                                              number("charging", "1", "status of charging")], 1.0)),
-    ord("W"): _message("rssi", "status", ([number("rssi_percent", "1", "strength of the radio signal"),
-                                           number("rssi_power", "1", "the same, dBm")], 1.0)),
-    ord("Y"): _message("sync", "sync", ([number("sync_edge", "1", "edge at the input")], 1.0)),
+                       floats(vector("accel_high_g", "m/s^2", "for high accelerations"), STANDARD_GRAVITY)),
+    ord("B"): _message("battery", "status", real("battery", "1", "charge, percent"),
+                       real("battery_voltage", "V", "of the battery"),
+                       real("charging", "1", "status of charging")),
+    ord("W"): _message("rssi", "status", real("rssi_percent", "1", "strength of the radio signal"),
+                       real("rssi_power", "1", "the same, dBm")),
+    ord("Y"): _message("sync", "sync", real("sync_edge", "1", "edge at the input")),
 }  # fmt: skip
 """Messages with numbers by their letter."""
 SIZES = np.zeros(256, np.int64)
@@ -99,11 +92,13 @@ def _numbers(text: str) -> list[float] | None:
     return [float(word) for word in words] if good and float(words[0]) < YEARS_US else None
 
 
-def _as_binary(message: bytes) -> bytes:
-    numbers = _numbers(message.decode("ascii"))
+def _as_binary(line: str) -> bytes:
+    numbers = _numbers(line)
     assert numbers is not None
     return (
-        message[:1] + int(numbers[0]).to_bytes(TIME_SIZE, "little") + np.array(numbers[1:], "<f4").tobytes()
+        line[:1].encode()
+        + int(numbers[0]).to_bytes(TIME_SIZE, "little")
+        + np.array(numbers[1:], "<f4").tobytes()
     )
 
 
@@ -133,13 +128,10 @@ class XimuDecoder(FamilyDecoder):
         at = place[found.at]
         plain[at] = found.held[found.at]  # a damaged byte before a message may be an escape
         length = place[found.at + found.length - 1] - at
-        parts, size = [plain.tobytes()], len(plain)
-        for row in np.flatnonzero(found.kind >= len(MESSAGES)).tolist():
-            message = found.held[found.at[row] : found.at[row] + found.length[row]].tobytes()
-            parts.append(_as_binary(message))
-            at[row], length[row] = size, len(parts[-1])
-            size += len(parts[-1])
-        return Found(np.frombuffer(b"".join(parts), np.uint8), at, length, found.kind)
+        lines = np.flatnonzero(found.kind >= len(MESSAGES))
+        of_text = texts(found.held, found.at[lines], found.length[lines])
+        binary = dict(zip(lines.tolist(), map(_as_binary, of_text), strict=True))
+        return Found(plain, at, length, found.kind).replaced(binary)
 
     def _key(self, packet: bytes) -> int:
         return packet[0] & ~BINARY

@@ -10,6 +10,7 @@ import struct
 import sys
 import termios
 import time
+from contextlib import AbstractContextManager
 from dataclasses import replace
 
 import serial
@@ -47,7 +48,7 @@ class _SocketHandler(protocol_socket.Serial):
 Handle = serial.Serial | _SocketHandler
 
 
-class Port:
+class Port(AbstractContextManager["Port"]):
     """An open port; made by `open_port`.
 
     `handle` is an open pyserial port, owned from now on; `settings` are those it was opened with.
@@ -133,9 +134,6 @@ class Port:
         _close(self._handle)
         if self._socket is not None:
             self._socket.close()  # the rfc2217 handler forgets it when the peer has closed first
-
-    def __enter__(self) -> Port:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.close()

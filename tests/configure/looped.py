@@ -12,7 +12,7 @@ from typing import cast
 import pytest
 
 from imumon.blocks import SampleBlock, join
-from imumon.configure import command_link, measured_stream
+from imumon.configure import command_link
 from imumon.configure.command_link import CommandLink
 from imumon.configure.configuration import Configuration, Report
 from imumon.configure.core import Wish, family_of
@@ -145,7 +145,6 @@ def looped(monkeypatch: pytest.MonkeyPatch, name: str, rate_hz: float | None = N
     port = LoopedPort(name, rate_hz or device_of(name).rate_hz or 100.0)
     clock = SimpleNamespace(monotonic=port.monotonic, time_ns=port.time_ns)
     monkeypatch.setattr(command_link, "time", clock)
-    monkeypatch.setattr(measured_stream, "time", clock)
     family = family_of(port.device)
     link = CommandLink(cast(Port, port), family, streaming=True)
     report = Report(port.device.name, port.settings.url)

@@ -7,11 +7,10 @@ from dataclasses import replace
 
 import pytest
 
-from imumon.configure import configuration, measured_stream
-from imumon.configure.command_link import CommandLink
+from imumon.configure import command_link, configuration
+from imumon.configure.command_link import CommandLink, Stream
 from imumon.configure.configuration import planned
-from imumon.configure.core import BAUD, Wish
-from imumon.configure.measured_stream import Stream
+from imumon.configure.core import BAUD, PacketKind, Wish
 from imumon.configure.mip import Mip, MipFirmware
 from imumon.errors import ImumonError, Reason
 from imumon.protocols.device import DeviceFile
@@ -212,12 +211,24 @@ def test_an_older_mip_device_is_recognised_by_its_own_commands(monkeypatch: pyte
     assert one.report.stream.rate_hz == pytest.approx(20.0, rel=0.05)
 
 
+def slow_down(monkeypatch: pytest.MonkeyPatch, one: Looped, by: int) -> None:
+    """Let a device send more slowly than it states."""
+    real = one.port.firmware.kinds
+
+    def kinds() -> list[PacketKind]:
+        return [
+            kind._replace(fields=[field._replace(rate_hz=field.rate_hz / by) for field in kind.fields])
+            for kind in real()
+        ]
+
+    monkeypatch.setattr(one.port.firmware, "kinds", kinds)
+
+
 def test_a_device_that_sends_at_another_rate_than_it_states_is_put_back(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     one = looped(monkeypatch, "vectornav")
-    real = one.port.firmware.outputs
-    monkeypatch.setattr(one.port.firmware, "outputs", lambda: (real()[0] / 2, real()[1]))
+    slow_down(monkeypatch, one, 2)
     assert "Hz, not at 20 Hz" in failed(one, WISH).seen
     assert one.as_found
 
@@ -225,15 +236,14 @@ def test_a_device_that_sends_at_another_rate_than_it_states_is_put_back(
 def test_a_device_that_hardly_sends_is_put_back(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of one or two samples no rate can be told, and it was taken for the right one."""
     one = looped(monkeypatch, "vectornav")
-    real = one.port.firmware.outputs
-    monkeypatch.setattr(one.port.firmware, "outputs", lambda: (real()[0] / 20, real()[1]))
+    slow_down(monkeypatch, one, 20)
     assert "s, not at 20 Hz" in failed(one, WISH).seen
     assert one.as_found
 
 
 def test_a_host_that_stalls_once_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     one, rates = looped(monkeypatch, "witmotion"), [30.0, 20.0]
-    real = measured_stream.measure
+    real = command_link.measure
 
     def stalled(link: CommandLink, device: DeviceFile, rate_hz: float | None) -> Stream:
         return replace(real(link, device, rate_hz), rate_hz=rates.pop(0))

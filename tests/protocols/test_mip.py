@@ -9,8 +9,7 @@ from imumon.blocks import NO_INT, SampleBlock
 from imumon.errors import ImumonError, Reason
 from imumon.geodesy import STANDARD_GRAVITY
 from imumon.protocols.device import load_device
-from imumon.protocols.mip import MipDecoder, MipDevice, MipEncoder
-from imumon.protocols.mip_fields import FILTER, GNSS, SENSOR, Attitude, mip_fields
+from imumon.protocols.mip import FILTER, GNSS, SENSOR, Attitude, MipDecoder, MipDevice, mip_fields
 from imumon.protocols.tagged import MIP
 from tests.data_folder import measured
 from tests.protocols.streams import chunkings, damage, feed_in_chunks
@@ -77,8 +76,8 @@ def test_the_attitude_of_the_imu_can_be_the_canonical_one() -> None:
 @given(st.integers(0, 9), chunkings)
 @settings(max_examples=30, deadline=None)
 def test_any_chunking_gives_the_same_as_the_plain_twin(seed: int, lengths: list[int]) -> None:
-    packets = MipEncoder(NAMES).encode(samples(25, seed))
-    packets[3:3] = MipEncoder(["Euler", "FilterStatus"], FILTER).encode(samples(2))
+    packets = MipDecoder().encoder(NAMES).encode(samples(25, seed))
+    packets[3:3] = MipDecoder().encoder(["Euler", "FilterStatus"], FILTER).encode(samples(2))
     packets.insert(8, mip_packet(0x0C, b"\x04\xf1\x08\x00"))
     data, _ = damage(packets, np.random.default_rng(seed), 0.1, 0.1, 0.2)
     arrival = [i // 41 for i in range(len(data))]
@@ -95,7 +94,7 @@ def test_any_chunking_gives_the_same_as_the_plain_twin(seed: int, lengths: list[
 pieces = st.one_of(
     st.binary(max_size=30),
     st.sampled_from([b"ue", b"ue\x80", b"ue\x80\xff", b"u"]),
-    st.sampled_from(MipEncoder(["ScaledGyro"]).encode(samples(3))),
+    st.sampled_from(MipDecoder().encoder(["ScaledGyro"]).encode(samples(3))),
     st.binary(max_size=20).map(lambda fields: mip_packet(SENSOR, fields)),
 )
 
@@ -146,8 +145,8 @@ def test_units_are_si() -> None:
 
 
 def test_corrected_rates_alone_are_reported() -> None:
-    corrected = MipEncoder(["CompensatedRate"], FILTER).encode(samples(40))
-    raw = MipEncoder(["ScaledGyro"]).encode(samples(1))
+    corrected = MipDecoder().encoder(["CompensatedRate"], FILTER).encode(samples(40))
+    raw = MipDecoder().encoder(["ScaledGyro"]).encode(samples(1))
     decoder = MipDecoder()
     block = feed_in_chunks(decoder, b"".join(corrected), [100])
     assert "gyro_x" not in block
@@ -177,7 +176,7 @@ def test_gps_time_can_be_the_clock_of_devices_without_reference_time() -> None:
     assert gps.take()["device_ticks"].tolist() == [2100 * 604_800 * 10**9 + 100_250_000_000]
     ticks = np.array([5, NO_INT, 10**18])
     again = MipDecoder(clock="gps")
-    encoder = MipEncoder(["SensorGpsTime", "ScaledGyro"], clock="gps")
+    encoder = MipDecoder(clock="gps").encoder(["SensorGpsTime", "ScaledGyro"])
     again.feed(b"".join(encoder.encode(SampleBlock({"device_ticks": ticks, "gyro_x": np.ones(3)}))), 0)
     np.testing.assert_allclose(again.take()["device_ticks"], ticks, atol=100)
 
@@ -190,7 +189,7 @@ def test_every_field_makes_the_round_trip(descriptor_set: int, attitude: Attitud
         if key >> 8 != descriptor_set or not field.columns:
             continue
         columns = {}
-        for value in field.parts[0]:
+        for value in field.numbers:
             if value.column is not None and not value.column.name.startswith("_"):
                 numbers = rng.integers(0, 100, 4)
                 integer = value.column.dtype == "int64"
@@ -200,7 +199,7 @@ def test_every_field_makes_the_round_trip(descriptor_set: int, attitude: Attitud
             q *= np.sign(q[0]) / np.linalg.norm(q, axis=0)
             columns.update(zip(("q_w", "q_x", "q_y", "q_z"), q, strict=True))
         decoder = MipDecoder(attitude)
-        packets = MipEncoder([field.name], descriptor_set, attitude).encode(SampleBlock(columns))
+        packets = MipDecoder(attitude).encoder([field.name], descriptor_set).encode(SampleBlock(columns))
         decoder.feed(b"".join(packets), 0)
         got = decoder.take()
         assert set(got.columns) == {"arrival_time_ns", *columns}, field.name
@@ -234,7 +233,7 @@ def test_unknown_fields_are_named_by_their_set() -> None:
 def test_a_field_list_that_overruns_is_a_length_error() -> None:
     decoder = MipDecoder()
     bad = mip_packet(SENSOR, b"\x0e\x05\x00\x00")
-    block = feed_in_chunks(decoder, bad + MipEncoder(["ScaledGyro"]).encode(samples(1))[0], [5])
+    block = feed_in_chunks(decoder, bad + MipDecoder().encoder(["ScaledGyro"]).encode(samples(1))[0], [5])
     assert len(block) == 1
     assert decoder.counters().length_errors == 1
     assert decoder.counters().bytes_skipped == len(bad)
@@ -242,7 +241,7 @@ def test_a_field_list_that_overruns_is_a_length_error() -> None:
 
 def test_an_unknown_field_name_is_refused() -> None:
     with pytest.raises(ImumonError, match="ScaledGyroscope") as caught:
-        MipEncoder(["ScaledGyroscope"])
+        MipDecoder().encoder(["ScaledGyroscope"])
     assert caught.value.reason is Reason.BAD_CONFIG
 
 

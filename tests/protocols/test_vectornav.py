@@ -11,7 +11,8 @@ from imumon.errors import ImumonError
 from imumon.pipeline import Pipeline
 from imumon.protocols.device import load_device
 from imumon.protocols.framing import IMPOSSIBLE
-from imumon.protocols.vectornav import XMODEM, VectorNavDecoder, VectorNavEncoder, read_contents
+from imumon.protocols.text import sentence
+from imumon.protocols.vectornav import XMODEM, VectorNavDecoder, read_contents
 from tests.data_folder import measured
 from tests.protocols.streams import feed_in_chunks
 
@@ -68,8 +69,8 @@ def test_sentences_are_read_and_torn_ones_refused() -> None:
 
 def test_rates_that_the_filter_has_corrected_step_back_for_those_of_the_factory() -> None:
     block = SampleBlock({"device_ticks": np.arange(1, 4) * 1000, "gyro_x": np.full(3, 0.5)})
-    raw = VectorNavEncoder(["Common.TimeStartup", "Imu.UncompGyro"]).encode(block)
-    corrected = VectorNavEncoder(["Common.TimeStartup", "Common.AngRate"]).encode(block)
+    raw = VectorNavDecoder().encoder(["Common.TimeStartup", "Imu.UncompGyro"]).encode(block)
+    corrected = VectorNavDecoder().encoder(["Common.TimeStartup", "Common.AngRate"]).encode(block)
     alone = feed_in_chunks(decoder := VectorNavDecoder(), b"".join(corrected), [99])
     np.testing.assert_array_equal(alone["gyro_x"], 0.5)
     assert decoder.warnings()
@@ -81,7 +82,7 @@ def test_rates_that_the_filter_has_corrected_step_back_for_those_of_the_factory(
 
 def test_a_recording_of_corrected_rates_alone_is_warned_of() -> None:
     block = SampleBlock({"device_ticks": np.arange(1, 50) * 20_000_000})
-    packets = VectorNavEncoder(["Common.TimeStartup", "Common.AngRate"]).encode(block)
+    packets = VectorNavDecoder().encoder(["Common.TimeStartup", "Common.AngRate"]).encode(block)
     pipeline = Pipeline(load_device("vectornav"), [])
     pipeline.feed(b"".join(packets), 1)
     pipeline.finish()
@@ -122,7 +123,7 @@ def test_fields_that_count_themselves(satellites: int) -> None:
 
 def test_a_field_that_is_not_there_is_named() -> None:
     with pytest.raises(ImumonError, match=r"Imu\.Nonsense"):
-        VectorNavEncoder(["Imu.Nonsense"])
+        VectorNavDecoder().encoder(["Imu.Nonsense"])
 
 
 def test_packets_of_the_third_receiver_are_read_between_others() -> None:
@@ -139,3 +140,10 @@ def test_columns_are_declared_before_the_first_packet() -> None:
     names = {column.name for column in VectorNavDecoder().possible_columns}
     assert {"gyro_x", "gyro_compensated_x", "mag_x", "temperature", "pressure", "q_w"} <= names
     assert not {"roll", "pitch"} & names
+
+
+def test_every_error_of_the_device_is_reported_once() -> None:
+    decoder = VectorNavDecoder()
+    lines = b"".join(sentence(f"$VNERR,0{code}") + b"\r\n" for code in (3, 7, 3))
+    assert len(feed_in_chunks(decoder, lines, [9])) == 0
+    assert decoder.notices() == ["the device reports error 03", "the device reports error 07"]

@@ -7,7 +7,6 @@ from imumon.blocks import SampleBlock
 from imumon.errors import ImumonError
 from imumon.pipeline import Pipeline
 from imumon.protocols.device import load_device
-from imumon.protocols.messages import TableEncoder
 from imumon.protocols.witmotion import WitMotionDecoder
 from tests.protocols.streams import feed_in_chunks
 
@@ -25,7 +24,7 @@ def test_a_frame_worked_out_by_hand() -> None:
 def test_frames_of_one_sample_are_one_row() -> None:
     rng = np.random.default_rng(0)
     sent = {name: rng.normal(0, 0.5, 300) for name in ("gyro_x", "accel_y", "roll", "temperature", "q_w")}
-    packets = TableEncoder(FAMILY, ["accel", "gyro", "angle"]).encode(SampleBlock(sent))
+    packets = FAMILY.encoder(["accel", "gyro", "angle"]).encode(SampleBlock(sent))
     pipeline = Pipeline(load_device("witmotion"), [])
     for k, packet in enumerate(packets):
         pipeline.feed(packet, (k + 1) * 100_000_000)
@@ -58,7 +57,7 @@ def test_the_short_combined_form() -> None:
 def test_rates_of_exactly_zero_are_reported(zeros: int, said: bool) -> None:
     rate = np.r_[np.ones(20), np.zeros(zeros), np.ones(20)]
     decoder = WitMotionDecoder()
-    for packet in TableEncoder(FAMILY, ["gyro"]).encode(SampleBlock({"gyro_z": rate})):
+    for packet in FAMILY.encoder(["gyro"]).encode(SampleBlock({"gyro_z": rate})):
         decoder.feed(packet, 0)
         decoder.take()
     assert any("exactly zero" in text for text in decoder.warnings()) is said
@@ -74,4 +73,4 @@ def test_a_position_is_in_degrees() -> None:
 
 def test_a_frame_that_is_not_there_is_named() -> None:
     with pytest.raises(ImumonError, match="sonar"):
-        TableEncoder(FAMILY, ["sonar"])
+        FAMILY.encoder(["sonar"])

@@ -8,13 +8,14 @@ the reference frame.  Values are in the device's units times a factor.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
+from itertools import chain
 from math import pi
 
 from imumon.columns import KNOWN, Column
 from imumon.protocols.base import MAIN, NO_GROUP
-from imumon.protocols.messages import Message, counted, field, floats
+from imumon.protocols.messages import Message, Part, counted, field, floats, gap, real
 from imumon.protocols.numbers import FROM_MATRIX, MATRIX, Number, count, date, known, number, utc_time, vector
 
 DEGREE = pi / 180
@@ -76,7 +77,7 @@ class Identifier:
         elif self.raw or not self.numbers:
             kind, good = ("u16", "i16")[form & 1], form < 2
         typed = [n._replace(type=n.type or kind, factor=n.factor * factor) for n in self.numbers]
-        return replace(field(self.name, typed, group), least=self.least) if good else None
+        return field(self.name, tuple(typed), group=group, least=self.least) if good else None
 
 
 _GROUPS = {
@@ -101,12 +102,8 @@ def _real(
     return Identifier(code, name, floats(columns, factor, kind=""), framed)
 
 
-def _plain(code: int, name: str, *numbers: Number) -> Identifier:
-    return Identifier(code, name, numbers)
-
-
-def _count(code: int, name: str, kind: str, column: str, description: str, unit: str = "1") -> Identifier:
-    return Identifier(code, name, (counted(column, description, kind, unit),))
+def _plain(code: int, name: str, *parts: Part, least: int = 0) -> Identifier:
+    return Identifier(code, name, tuple(chain(*parts)), least=least)
 
 
 def _raw(code: int, name: str, *columns: Column) -> Identifier:
@@ -127,35 +124,37 @@ def _trigger(code: int, line: int) -> Identifier:
     )
 
 
-def _gnss(name: str, unit: str, description: str, kind: str, factor: float) -> Number:
-    return Number(number(f"gnss_{name}", unit, f"GNSS receiver: {description}"), kind, factor)
+def _gnss(name: str, unit: str, description: str, kind: str, factor: float) -> Part:
+    return real(f"gnss_{name}", unit, f"GNSS receiver: {description}", kind, factor)
 
 
-def _gnss_count(name: str, description: str, kind: str) -> Number:
+def _gnss_count(name: str, description: str, kind: str) -> Part:
     return counted(f"gnss_{name}", f"GNSS receiver: {description}", kind)
 
 
 _TIME_OF_WEEK = _gnss("time_of_week", "s", "GPS time of week", "u32", 1e-3)
 _DATE = tuple(map(Number, date("gnss_utc_")[1:], UTC_KINDS[1:]))
-_NANO = Number(date("gnss_utc_")[0], "i32")
+_NANO = floats(date("gnss_utc_")[:1], kind="i32")
 _TIME_VALID = _gnss_count("time_valid", "validity bits of date and time", "u8")
 _TIME_ACCURACY = _gnss("time_accuracy", "s", "time accuracy", "u32", 1e-9)
 
 
-def _dilutions(names: str) -> tuple[Number, ...]:
-    return tuple(_gnss(f"{name}dop", "1", f"dilution of precision, {name}", "u16", 0.01) for name in names)
+def _dilutions(names: str) -> Part:
+    return tuple(
+        chain(*(_gnss(f"{name}dop", "1", f"dilution of precision, {name}", "u16", 0.01) for name in names))
+    )
 
 
 _PVT = (
     _TIME_OF_WEEK,
-    *_DATE,
+    _DATE,
     _TIME_VALID,
     _TIME_ACCURACY,
     _NANO,
     _gnss_count("fix_type", "kind of fix", "u8"),
     _gnss_count("flags", "flags of the fix", "u8"),
     _gnss_count("satellites", "satellites used", "u8"),
-    Number(None, "u8"),
+    gap(1),
     _gnss("longitude", "deg", "longitude", "i32", 1e-7),
     _gnss("latitude", "deg", "latitude", "i32", 1e-7),
     _gnss("altitude", "m", "height above the ellipsoid", "i32", 1e-3),
@@ -168,11 +167,11 @@ _PVT = (
     _gnss("speed_accuracy", "m/s", "speed accuracy", "u32", 1e-3),
     _gnss("course_accuracy", "rad", "course accuracy", "u32", 1e-5 * DEGREE),
     _gnss("vehicle_heading", "rad", "heading of the vehicle", "i32", 1e-5 * DEGREE),
-    *_dilutions("gptvhne"),
+    _dilutions("gptvhne"),
 )
 _SOLUTION = (
     _TIME_OF_WEEK,
-    Number(None, "i32"),
+    gap(4),
     _gnss_count("week", "GPS week", "i16"),
     _gnss_count("fix_type", "kind of fix", "u8"),
     _gnss_count("flags", "flags of the fix", "u8"),
@@ -180,17 +179,17 @@ _SOLUTION = (
     _gnss("position_accuracy", "m", "position accuracy", "u32", 0.01),
     *(_gnss(f"ecef_velocity_{x}", "m/s", f"velocity, earth-fixed, {x}", "i32", 0.01) for x in "xyz"),
     _gnss("speed_accuracy", "m/s", "speed accuracy", "u32", 0.01),
-    *_dilutions("p"),
-    Number(None, "u8"),
+    _dilutions("p"),
+    gap(1),
     _gnss_count("satellites", "satellites used", "u8"),
-    Number(None, "u8"),
+    gap(1),
 )
 
 MOST_SATELLITES = 60
 """In a GnssSatInfo."""
 
 
-def _satellite(k: int) -> tuple[Number, ...]:
+def _satellite(k: int) -> tuple[Part, ...]:
     return (
         _gnss_count(f"sat{k}_id", f"satellite {k}: system times 256 and number", "u16"),
         _gnss_count(f"sat{k}_cno", f"satellite {k}: carrier to noise, dBHz", "u8"),
@@ -198,18 +197,18 @@ def _satellite(k: int) -> tuple[Number, ...]:
     )
 
 
-_SATELLITES = (_TIME_OF_WEEK, _gnss_count("satellites_seen", "satellites listed", "u8"), Number(None, "u24"))
+_SATELLITES = (_TIME_OF_WEEK, _gnss_count("satellites_seen", "satellites listed", "u8"), gap(3))
 
 IDENTIFIERS: tuple[Identifier, ...] = (
-    _plain(0x1020, "PacketCounter", Number(KNOWN["packet_counter"], "u16")),
-    _plain(0x1060, "SampleTimeFine", Number(KNOWN["device_ticks"], "u32")),
-    _count(0x1070, "SampleTimeCoarse", "u32", "sample_time_coarse", "device clock, s", "s"),
-    _count(0x10A0, "SampleTime64", "u64", "sample_time_64", "device clock", "ns"),
-    _count(0x1090, "PacketCounter8", "u8", "packet_counter_8", "packet counter of 8 bits"),
-    _plain(0x1010, "UtcTime", *UTC_VALUES),
-    _plain(0x1030, "Itow", Number(number("time_of_week", "s", "GPS time of week"), "u32", 1e-3)),
-    _count(0x1040, "GnssAge", "u8", "gnss_age", "age of the GNSS data, in packets"),
-    _count(0x1050, "PressureAge", "u8", "pressure_age", "age of the pressure, in packets"),
+    _plain(0x1020, "PacketCounter", floats("packet_counter", kind="u16")),
+    _plain(0x1060, "SampleTimeFine", floats("device_ticks", kind="u32")),
+    _plain(0x1070, "SampleTimeCoarse", counted("sample_time_coarse", "device clock, s", "u32", "s")),
+    _plain(0x10A0, "SampleTime64", counted("sample_time_64", "device clock", "u64", "ns")),
+    _plain(0x1090, "PacketCounter8", counted("packet_counter_8", "packet counter of 8 bits", "u8")),
+    _plain(0x1010, "UtcTime", UTC_VALUES),
+    _plain(0x1030, "Itow", real("time_of_week", "s", "GPS time of week", "u32", 1e-3)),
+    _plain(0x1040, "GnssAge", counted("gnss_age", "age of the GNSS data, in packets", "u8")),
+    _plain(0x1050, "PressureAge", counted("pressure_age", "age of the pressure, in packets", "u8")),
     _plain(0x1080, "FrameRange", counted("frame_first", "first frame of the packet", "u16"),
            counted("frame_last", "last frame of the packet", "u16")),
     _real(0x8020, "RateOfTurn", "gyro"),
@@ -219,7 +218,7 @@ IDENTIFIERS: tuple[Identifier, ...] = (
     _real(0x2010, "Quaternion", "q", framed=True),
     _real(0x2020, "RotationMatrix", MATRIX, framed=True),
     _real(0x2030, "EulerAngles", "angles", DEGREE, framed=True),
-    _plain(0x3010, "BaroPressure", Number(KNOWN["pressure"], "u32")),
+    _plain(0x3010, "BaroPressure", floats("pressure", kind="u32")),
     _real(0x5040, "LatLon", known("latitude", "longitude")),
     _real(0x5020, "AltitudeEllipsoid", "altitude"),
     _real(0x5010, "AltitudeMsl", [number("altitude_msl", "m", "height above mean sea level")]),
@@ -231,19 +230,19 @@ IDENTIFIERS: tuple[Identifier, ...] = (
     _real(0x4040, "AccelerationHR", vector("accel_hr", "m/s^2", "specific force, high rate")),
     _real(0x8040, "RateOfTurnHR", vector("gyro_hr", "rad/s", "angular rate, high rate")),
     _real(0xC030, "MagneticFieldCorrected", vector("mag_corrected", "a.u.", "magnetic field, corrected")),
-    _plain(0xE010, "StatusByte", Number(KNOWN["status"], "u8")),
-    _plain(0xE020, "StatusWord", Number(KNOWN["status"], "u32")),
-    _plain(0xE040, "Rssi", Number(number("rssi", "1", "strength of the radio signal"), "i8")),
-    _count(0xE080, "DeviceId", "u32", "device_id", "identity of the device"),
-    _count(0xE080, "DeviceId", "u64", "device_id", "identity of the device"),
-    _count(0xE090, "LocationId", "u16", "location_id", "number given by the user"),
+    _plain(0xE010, "StatusByte", floats("status", kind="u8")),
+    _plain(0xE020, "StatusWord", floats("status", kind="u32")),
+    _plain(0xE040, "Rssi", real("rssi", "1", "strength of the radio signal", "i8")),
+    _plain(0xE080, "DeviceId", counted("device_id", "identity of the device", "u32")),
+    _plain(0xE080, "DeviceId", counted("device_id", "identity of the device", "u64")),
+    _plain(0xE090, "LocationId", counted("location_id", "number given by the user", "u16")),
     _plain(0x7010, "GnssPvtData", *_PVT),
-    Identifier(0x7020, "GnssSatInfo", (*_SATELLITES, *(
-        value for k in range(MOST_SATELLITES) for value in _satellite(k + 1))), least=8),
+    _plain(0x7020, "GnssSatInfo", *_SATELLITES, *(
+        value for k in range(MOST_SATELLITES) for value in _satellite(k + 1)), least=8),
     _plain(0x7030, "GnssPvtPulse"),
-    _plain(0x8830, "GpsDop", _TIME_OF_WEEK, *_dilutions("gptvhne")),
+    _plain(0x8830, "GpsDop", _TIME_OF_WEEK, _dilutions("gptvhne")),
     _plain(0x8840, "GpsSol", *_SOLUTION),
-    _plain(0x8880, "GpsTimeUtc", _TIME_OF_WEEK, _TIME_ACCURACY, _NANO, *_DATE, _TIME_VALID),
+    _plain(0x8880, "GpsTimeUtc", _TIME_OF_WEEK, _TIME_ACCURACY, _NANO, _DATE, _TIME_VALID),
     _plain(0x88A0, "GpsSvInfo"),
     _raw(0xA010, "RawAccGyrMagTemp", *RAW, RAW_TEMPERATURE),
     _raw(0xA020, "RawGyroTemp", *vector("raw_gyro_temperature", "1", "gyroscope temperature, raw counts")),
@@ -253,8 +252,8 @@ IDENTIFIERS: tuple[Identifier, ...] = (
     _plain(0xA060, "RawDeltaQ"),
     _plain(0xA070, "RawDeltaV"),
     _plain(0xA080, "RawBlob"),
-    _plain(0xB010, "AnalogIn1", Number(number("analog_1", "1", "analog input 1, raw counts"), "u16")),
-    _plain(0xB020, "AnalogIn2", Number(number("analog_2", "1", "analog input 2, raw counts"), "u16")),
+    _plain(0xB010, "AnalogIn1", real("analog_1", "1", "analog input 1, raw counts", "u16")),
+    _plain(0xB020, "AnalogIn2", real("analog_2", "1", "analog input 2, raw counts", "u16")),
     *(_trigger(code, line) for code in (0xEE00, 0x4800) for line in (1, 2, 3)),
 )  # fmt: skip
 """Every data identifier, in the order of the columns."""

@@ -16,11 +16,11 @@ from pydantic import model_validator
 
 from imumon.columns import KNOWN
 from imumon.config import StrictModel
-from imumon.protocols.base import Timing, chosen
+from imumon.protocols.base import Encoder, Timing, chosen
 from imumon.protocols.device import DeviceFile
-from imumon.protocols.messages import Message, counted, field, floats
+from imumon.protocols.messages import Message, TableDevice, counted, field, floats
 from imumon.protocols.numbers import MATRIX, Number, known, number
-from imumon.protocols.tagged import XBUS, XBUS_DATA, TaggedDecoder, TaggedEncoder
+from imumon.protocols.tagged import XBUS, XBUS_DATA, TaggedDecoder, tagged_encoder
 from imumon.protocols.xsens import fields
 from imumon.protocols.xsens.fields import DEGREE, DERIVED, FRAMES, IDENTIFIERS, PRECISIONS, message_of
 
@@ -96,21 +96,28 @@ Frame = Literal["ENU", "NED", "NWU"]
 
 TICK_NS = Fraction(100_000)
 """SampleTimeFine counts in 10 kHz."""
-_PLAIN_FIELDS = [plain for item in IDENTIFIERS if (plain := item.message()) is not None]
+_MESSAGES = dict(enumerate(filter(None, (item.message() for item in IDENTIFIERS))))
 _FRAMED = {item.code for item in IDENTIFIERS if item.framed}
 
 
 class MTData2Decoder(TaggedDecoder):
     """Decodes MTData2; one row per message, with the columns that the device has sent so far.
 
-    `rate_hz` is the nominal rate of the messages.
+    `precision`: that of the fields that are encoded.
     """
 
-    _type_names = NAMES
+    form, data, type_names = XBUS, (MTDATA2,), NAMES
+    timing = Timing(counter_bits=16, tick_ns=TICK_NS, tick_bits=32)
+    messages = _MESSAGES
+    derived, apart = DERIVED, ("gnss",)
 
-    def __init__(self, rate_hz: float | None = None) -> None:
-        timing = Timing(counter_bits=16, tick_ns=TICK_NS, tick_bits=32, rate_hz=rate_hz)
-        super().__init__(XBUS, timing, _PLAIN_FIELDS, [MTDATA2], DERIVED, apart=("gnss",))
+    def __init__(self, rate_hz: float | None = None, precision: Precision = "float32") -> None:
+        self._precision = precision
+        super().__init__(rate_hz)
+
+    def encoder(self, names: Sequence[str]) -> Encoder:
+        """Return an encoder of data identifiers; see `TableDecoder.encoder`."""
+        return mtdata2_encoder(names, self._precision)
 
     def _field(self, key: int, size: int) -> Message | None:
         found = message_of(key, size)
@@ -131,7 +138,7 @@ class MTData2Decoder(TaggedDecoder):
 def find_fields(
     names: Sequence[str], precision: Precision = "float32", frame: Frame = "ENU"
 ) -> list[tuple[int, Message]]:
-    """Return codes and fields of these data identifiers in a precision; raises as `MTData2Encoder`."""
+    """Return codes and fields of these data identifiers in a precision; raises as `mtdata2_encoder`."""
     found = []
     there = {item.name: item for item in reversed(IDENTIFIERS) if item.numbers}
     for item in chosen(names, there, "data identifier"):
@@ -143,33 +150,26 @@ def find_fields(
     return found
 
 
-class MTData2Encoder(TaggedEncoder):
-    """Makes MTData2 messages.
+def mtdata2_encoder(names: Sequence[str], precision: Precision = "float32", frame: Frame = "ENU") -> Encoder:
+    """Return an encoder of MTData2 messages.
 
     Raises BAD_CONFIG when a name is not that of a data identifier that carries values.
 
     `names`: data identifiers as in `fields.IDENTIFIERS`, in the order in which they are sent.
     `frame`: for the bits in the identifiers; values are sent as they are.
     """
-
-    def __init__(self, names: Sequence[str], precision: Precision = "float32", frame: Frame = "ENU") -> None:
-        super().__init__(XBUS, MTDATA2, find_fields(names, precision, frame), DERIVED)
+    return tagged_encoder(XBUS, MTDATA2, find_fields(names, precision, frame), DERIVED)
 
 
-class MTData2Device(DeviceFile):
+class MTData2Device(TableDevice):
     """Device file of an MTi that sends MTData2; `sends` and `precision` are for its virtual twin alone."""
 
     protocol: Literal["xsens-mtdata2"]
-    sends: list[str]
     precision: Precision = "float32"
 
     def decoder(self) -> MTData2Decoder:
         """Make a decoder for this device."""
-        return MTData2Decoder(self.rate_hz)
-
-    def encoder(self) -> MTData2Encoder:
-        """Make an encoder that sends what the device would send."""
-        return MTData2Encoder(self.sends, self.precision)
+        return MTData2Decoder(self.rate_hz, self.precision)
 
 
 Part = Literal[
@@ -210,15 +210,15 @@ def _gps(kind: str, factor: float, unit: str, *names: str) -> tuple[Number, ...]
 
 
 _RAW_GPS = (
-    Number(KNOWN["pressure"], "u16", 2.0),
-    counted("pressure_age", "age of the pressure, in packets", "u8"),
+    *floats("pressure", 2.0, "u16"),
+    *counted("pressure_age", "age of the pressure, in packets", "u8"),
     *_gps("u32", 1e-3, "s", "time_of_week"),
     *_gps("i32", 1e-7, "deg", "latitude", "longitude"),
     *_gps("i32", 1e-3, "m", "altitude"),
     *_gps("i32", 0.01, "m/s", "velocity_north", "velocity_east", "velocity_down"),
     *_gps("u32", 1e-3, "m", "horizontal_accuracy", "vertical_accuracy"),
     *_gps("u32", 0.01, "m/s", "speed_accuracy"),
-    counted("gnss_age", "age of the GNSS data, in packets", "u8"),
+    *counted("gnss_age", "age of the GNSS data, in packets", "u8"),
 )
 
 _CALIBRATED = {"accel": known("accel"), "gyro": known("gyro"), "mag": fields.MAG}
@@ -243,15 +243,12 @@ def mtdata_field(profile: Profile) -> Message:
         "velocity": floats(fields.VELOCITY, factor, kind),
         "status": floats("status", kind="u8" if settings.status == "compact" else "u32"),
     }
-    values = [value for part, content in parts.items() if part in profile.output_mode for value in content]
+    sent = [content for part, content in parts.items() if part in profile.output_mode]
     if "sample_counter" in settings.timestamp:
-        values.append(Number(KNOWN["packet_counter"], "u16"))
+        sent.append(floats("packet_counter", kind="u16"))
     if "utc" in settings.timestamp:
-        values.extend(fields.UTC_VALUES)
-    return field("MTData", values)
-
-
-_DERIVED = (fields.DEVICE_TICKS_OF_UTC, *DERIVED)
+        sent.append(fields.UTC_VALUES)
+    return field("MTData", *sent)
 
 
 class MTDataDecoder(TaggedDecoder):
@@ -260,24 +257,30 @@ class MTDataDecoder(TaggedDecoder):
     `rate_hz`: nominal rate of the messages; with the sample counter it dates them.
     """
 
-    _type_names = NAMES
+    form, data, type_names = XBUS_DATA, (MTDATA,), NAMES
+    derived = (fields.DEVICE_TICKS_OF_UTC, *DERIVED)
 
     def __init__(self, profile: Profile, rate_hz: float | None = None) -> None:
         self._data = mtdata_field(profile)
+        self.messages = {0: self._data}
         sent = {column.name for column in self._data.columns}
-        timing = Timing(
+        self.timing = Timing(
             counter_bits=16 if KNOWN["packet_counter"].name in sent else None,
             tick_ns=Fraction(1) if "_utc_year" in sent else None,
-            rate_hz=rate_hz,
         )
-        super().__init__(XBUS_DATA, timing, [self._data], [MTDATA], _DERIVED)
+        super().__init__(rate_hz)
+
+    def encoder(self, names: Sequence[str] = ()) -> Encoder:
+        """Return an encoder of messages of the profile."""
+        del names
+        return tagged_encoder(XBUS_DATA, MTDATA, [(0, self._data)], self.derived)
 
     def _field(self, key: int, size: int) -> Message | None:
         del key
         return self._data if size == self._data.size else None
 
     def _is_filled(self, packet: bytes) -> bool:
-        size = len(self._form.payload(packet))
+        size = len(self.form.payload(packet))
         if size != self._data.size:
             self._report(
                 f"MTData of {size} bytes came where the profile makes {self._data.size}: "
@@ -291,11 +294,6 @@ class MTDataDecoder(TaggedDecoder):
             yield "the device sends MTData2, which needs the device xsens"
 
 
-def mtdata_encoder(profile: Profile) -> TaggedEncoder:
-    """Return an encoder of MTData messages by a profile."""
-    return TaggedEncoder(XBUS_DATA, MTDATA, [(0, mtdata_field(profile))], _DERIVED)
-
-
 class MTDataDevice(DeviceFile, Profile):
     """Device file of an MTi that sends MTData, with its profile."""
 
@@ -305,6 +303,6 @@ class MTDataDevice(DeviceFile, Profile):
         """Make a decoder for this device."""
         return MTDataDecoder(self, self.rate_hz)
 
-    def encoder(self) -> TaggedEncoder:
+    def encoder(self) -> Encoder:
         """Make an encoder that sends what the device would send."""
-        return mtdata_encoder(self)
+        return self.decoder().encoder()

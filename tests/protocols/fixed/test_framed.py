@@ -7,7 +7,7 @@ import pytest
 
 from imumon.blocks import SampleBlock
 from imumon.geodesy import STANDARD_GRAVITY
-from imumon.protocols.decoder import DescribedDecoder
+from imumon.protocols.decoder import Decoder
 from imumon.protocols.device import load_device, parse_device
 from tests.protocols.streams import feed_in_chunks
 from tests.protocols.test_device import complaint
@@ -108,7 +108,7 @@ def test_several_packets_with_tails_zeros_and_turns(chunk: int) -> None:
     packets = device.encoder().encode(SampleBlock(sent))
     assert {len(packet) for packet in packets} == {16}
     decoder = device.decoder()
-    assert isinstance(decoder, DescribedDecoder)
+    assert isinstance(decoder, Decoder)
     block = feed_in_chunks(decoder, b"\x11\x22" + b"".join(packets) + packets[0][:6], [chunk])
     assert decoder.counters().packets_by_type == {"fast": 7, "slow": 6}
     assert decoder.counters().bytes_skipped == 2

@@ -17,7 +17,6 @@ from imumon.protocols.xsens.mtdata import (
     MTDataDevice,
     OutputSettings,
     Profile,
-    mtdata_encoder,
     mtdata_field,
 )
 from tests.protocols.streams import chunkings, damage, feed_in_chunks, xbus_message
@@ -74,7 +73,7 @@ def samples(profile: Profile, n: int, seed: int = 0) -> SampleBlock:
 def test_every_profile_makes_the_round_trip(profile: Profile) -> None:
     block = samples(profile, 4)
     decoder = MTDataDecoder(profile)
-    decoder.feed(b"".join(mtdata_encoder(profile).encode(block)), 0)
+    decoder.feed(b"".join(MTDataDecoder(profile).encoder().encode(block)), 0)
     got = decoder.take()
     assert len(got) == 4
     assert decoder.counters().bytes_skipped == decoder.counters().bytes_pending == 0
@@ -142,8 +141,8 @@ def test_raw_gps_comes_in_si_units() -> None:
 
 def test_a_length_that_does_not_fit_is_an_error_that_states_what_to_change() -> None:
     other = Profile(output_mode=["calibrated", "orientation"])
-    wrong = mtdata_encoder(other).encode(samples(other, 3))
-    right = mtdata_encoder(USUAL).encode(samples(USUAL, 2))
+    wrong = MTDataDecoder(other).encoder().encode(samples(other, 3))
+    right = MTDataDecoder(USUAL).encoder().encode(samples(USUAL, 2))
     decoder = MTDataDecoder(USUAL)
     block = feed_in_chunks(decoder, b"".join([*wrong, *right]), [40])
     assert len(block) == 2
@@ -178,7 +177,7 @@ def test_the_device_tells_its_profile() -> None:
 @given(st.integers(0, 9), chunkings)
 @settings(max_examples=30, deadline=None)
 def test_any_chunking_gives_the_same_as_the_plain_twin(seed: int, lengths: list[int]) -> None:
-    packets = mtdata_encoder(USUAL).encode(samples(USUAL, 25, seed))
+    packets = MTDataDecoder(USUAL).encoder().encode(samples(USUAL, 25, seed))
     packets.insert(7, xbus_message(0x42, b"\x03"))
     packets.insert(9, configuration(0x0007, 0x1, 58))
     data, _ = damage(packets, np.random.default_rng(seed), 0.1, 0.1, 0.2)
@@ -196,7 +195,7 @@ def test_any_chunking_gives_the_same_as_the_plain_twin(seed: int, lengths: list[
 @pytest.mark.parametrize("seed", range(4))
 def test_no_whole_packet_is_lost_in_a_damaged_stream(seed: int) -> None:
     block = samples(USUAL, 6000, seed)
-    packets = mtdata_encoder(USUAL).encode(block)
+    packets = MTDataDecoder(USUAL).encoder().encode(block)
     data, whole = damage(packets, np.random.default_rng(seed), 0.01, 0.005, 0.005)
     decoder = MTDataDecoder(USUAL)
     got = feed_in_chunks(decoder, data, [1000, 77, 4096])

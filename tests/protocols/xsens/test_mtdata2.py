@@ -21,8 +21,8 @@ from imumon.protocols.xsens.mtdata import (
     Frame,
     MTData2Decoder,
     MTData2Device,
-    MTData2Encoder,
     Precision,
+    mtdata2_encoder,
 )
 from tests.data_folder import measured
 from tests.protocols.streams import check_books, chunkings, damage, feed_in_chunks, xbus_message
@@ -56,7 +56,7 @@ def samples(n: int, seed: int = 0) -> SampleBlock:
 
 
 def stream(n: int, seed: int = 0, names: list[str] | None = None) -> bytes:
-    return b"".join(MTData2Encoder(names or TYPICAL).encode(samples(n, seed)))
+    return b"".join(mtdata2_encoder(names or TYPICAL).encode(samples(n, seed)))
 
 
 GOLDEN: dict[str, dict[str, tuple[str, float]]] = {
@@ -158,7 +158,7 @@ def test_any_chunking_gives_the_same_rows_times_and_counters(
     seed: int, lengths: list[int], reads: list[int]
 ) -> None:
     rng = np.random.default_rng(seed)
-    packets = MTData2Encoder(TYPICAL).encode(samples(30, seed))
+    packets = mtdata2_encoder(TYPICAL).encode(samples(30, seed))
     packets.insert(5, xbus_message(0x42, b"\x1e"))
     data, _ = damage(packets, rng, 0.1, 0.1, 0.2)
     # The bytes of one read share their time of arrival.
@@ -193,7 +193,7 @@ pieces = st.one_of(
     st.sampled_from(
         [b"\xfa\xff", b"\xfa\xff\x36", b"\xfa\xff\x36\x06", b"\xfa\x01\x42\xff\x07\xd0", b"\xfa", b"\x75e"]
     ),
-    st.sampled_from(MTData2Encoder(["PacketCounter", "Temperature"]).encode(samples(3))),
+    st.sampled_from(mtdata2_encoder(["PacketCounter", "Temperature"]).encode(samples(3))),
     st.binary(max_size=8).map(lambda payload: xbus_message(0x42, payload)),
     st.binary(max_size=12).map(lambda payload: xbus_message(MTDATA2, payload)),
 )
@@ -216,7 +216,7 @@ def test_garbage_is_accounted_for_as_by_the_plain_twin(data: bytes, lengths: lis
 @pytest.mark.parametrize("seed", range(4))
 def test_no_whole_packet_is_lost_in_a_damaged_stream(seed: int) -> None:
     block = samples(6000, seed)
-    packets = MTData2Encoder(TYPICAL).encode(block)
+    packets = mtdata2_encoder(TYPICAL).encode(block)
     data, whole = damage(packets, np.random.default_rng(seed), 0.01, 0.005, 0.005)
     decoder = MTData2Decoder()
     got = feed_in_chunks(decoder, data, [1000, 77, 4096])
@@ -284,7 +284,7 @@ def test_a_payload_of_more_than_254_bytes_has_an_extended_length() -> None:
         if item.numbers and not item.raw and item.code not in (0x10A0, 0xE080, 0x7020)
     ]
     names = [name for name in dict.fromkeys(names) if not name.startswith("Trigger")]
-    (packet,) = MTData2Encoder(names, "float64").encode(SampleBlock({"packet_counter": np.array([3])}))
+    (packet,) = mtdata2_encoder(names, "float64").encode(SampleBlock({"packet_counter": np.array([3])}))
     assert packet[3] == 255
     assert len(packet) == 7 + int.from_bytes(packet[4:6], "big") > 300
     decoder = MTData2Decoder()
@@ -392,7 +392,7 @@ def test_round_trip_is_exact_to_the_resolution(precision: Precision, values: lis
     accel = np.array(values[: 3 * n], np.float64).reshape(n, 3)
     block = SampleBlock({f"accel_{axis}": accel[:, i] for i, axis in enumerate("xyz")})
     decoder = MTData2Decoder()
-    decoder.feed(b"".join(MTData2Encoder(["Acceleration"], precision).encode(block)), 0)
+    decoder.feed(b"".join(mtdata2_encoder(["Acceleration"], precision).encode(block)), 0)
     back = decoder.take().accel
     assert back is not None
     np.testing.assert_allclose(back, accel, rtol=0, atol=RESOLUTION[precision])
@@ -423,7 +423,7 @@ def test_every_identifier_makes_the_round_trip(item: Identifier, precision: Prec
         q *= np.sign(q[0]) / np.linalg.norm(q, axis=0)
         columns.update(zip(("q_w", "q_x", "q_y", "q_z"), q, strict=True))
     decoder = MTData2Decoder()
-    decoder.feed(b"".join(MTData2Encoder([item.name], precision).encode(SampleBlock(columns))), 0)
+    decoder.feed(b"".join(mtdata2_encoder([item.name], precision).encode(SampleBlock(columns))), 0)
     got = decoder.take()
     assert {*got.columns} == {"arrival_time_ns", *columns}
     for name, values in columns.items():
@@ -435,7 +435,7 @@ def test_every_identifier_makes_the_round_trip(item: Identifier, precision: Prec
 def test_the_reference_frame_is_reported_and_values_are_left_as_they_are(frame: Frame) -> None:
     decoder = MTData2Decoder()
     block = samples(1)
-    decoder.feed(MTData2Encoder(["Quaternion"], "float64", frame).encode(block)[0], 0)
+    decoder.feed(mtdata2_encoder(["Quaternion"], "float64", frame).encode(block)[0], 0)
     assert any(frame in notice for notice in decoder.notices())
     assert decoder.take()["q_x"].tolist() == block["q_x"].tolist()
 
@@ -463,7 +463,7 @@ def test_what_is_not_a_date_or_a_rotation_is_missing_and_raises_nothing() -> Non
 
 def test_a_field_without_values_is_left_out_of_the_row() -> None:
     block = SampleBlock({"packet_counter": np.array([1, 2]), "latitude": np.array([np.nan, 1.0])})
-    packets = MTData2Encoder(["PacketCounter", "LatLon"]).encode(block)
+    packets = mtdata2_encoder(["PacketCounter", "LatLon"]).encode(block)
     assert [len(packet) for packet in packets] == [10, 21]
     decoder = MTData2Decoder()
     decoder.feed(b"".join(packets), 0)
@@ -486,7 +486,7 @@ def test_a_value_that_does_not_fit_is_refused(
     names: list[str], precision: Precision, column: str, value: float
 ) -> None:
     with pytest.raises(ImumonError, match=column) as caught:
-        MTData2Encoder(names, precision).encode(SampleBlock({column: np.array([0, value])}))
+        mtdata2_encoder(names, precision).encode(SampleBlock({column: np.array([0, value])}))
     assert caught.value.reason is Reason.BAD_DATA
 
 
@@ -495,7 +495,7 @@ def test_counter_and_clock_wrap_as_in_the_device() -> None:
         {"packet_counter": np.array([65_535, 65_536]), "device_ticks": np.array([1, (1 << 32) + 2])}
     )
     decoder = MTData2Decoder()
-    decoder.feed(b"".join(MTData2Encoder(["PacketCounter", "SampleTimeFine"]).encode(block)), 0)
+    decoder.feed(b"".join(mtdata2_encoder(["PacketCounter", "SampleTimeFine"]).encode(block)), 0)
     got = decoder.take()
     assert got["packet_counter"].tolist() == [65_535, 0]
     assert got["device_ticks"].tolist() == [1, 2]
@@ -506,15 +506,15 @@ def test_a_value_missing_in_a_field_that_is_sent_becomes_nan_or_zero() -> None:
         {"accel_x": np.array([1.0]), "accel_y": np.array([np.nan]), "accel_z": np.array([2.0])}
     )
     decoder = MTData2Decoder()
-    decoder.feed(MTData2Encoder(["Acceleration"]).encode(block)[0], 0)
-    decoder.feed(MTData2Encoder(["Acceleration"], "fp16.32").encode(block)[0], 0)
+    decoder.feed(mtdata2_encoder(["Acceleration"]).encode(block)[0], 0)
+    decoder.feed(mtdata2_encoder(["Acceleration"], "fp16.32").encode(block)[0], 0)
     np.testing.assert_array_equal(decoder.take()["accel_y"], [np.nan, 0])
 
 
 @pytest.mark.parametrize("name", ["Accelleration", "GnssPvtPulse"])
 def test_an_identifier_that_cannot_be_encoded_is_refused(name: str) -> None:
     with pytest.raises(ImumonError, match=name) as caught:
-        MTData2Encoder([name])
+        mtdata2_encoder([name])
     assert caught.value.reason is Reason.BAD_CONFIG
 
 
@@ -563,6 +563,6 @@ PARTS = ("id", "cno", "flags")
 def test_satellites_that_are_sent_come_back() -> None:
     sent = {f"gnss_sat{k}_{what}": np.array([k, k + 1]) for k in range(1, 9) for what in PARTS}
     block = SampleBlock({**sent, "gnss_satellites_seen": np.array([8, 8])})
-    back = feed_in_chunks(MTData2Decoder(), b"".join(MTData2Encoder(["GnssSatInfo"]).encode(block)), [50])
+    back = feed_in_chunks(MTData2Decoder(), b"".join(mtdata2_encoder(["GnssSatInfo"]).encode(block)), [50])
     for name, values in sent.items():
         np.testing.assert_array_equal(back[name], values)
