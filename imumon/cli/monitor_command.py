@@ -131,17 +131,15 @@ class _Views:
         from imumon.view.recorder import ViewRecorder
         from imumon.view.terminal import TerminalView
 
-        self._live = self.terminal = None
-        if mode == "terminal":
-            self.terminal = TerminalView(setup)
-        elif mode != "none":
+        self.terminal = TerminalView(setup) if mode == "terminal" else None
+        self._live: ViewPublisher | None = None
+        if mode == "native" or mode == "web":
             self._live = ViewPublisher(mode, setup, bind=bind).start()
         self._recorder = ViewRecorder(run.session.view_path, setup, on_error=run.report_view_error)
         self.outputs = outputs
         ours = [one for one in (self._recorder, self._live, self.terminal) if one is not None]
         self.publish = [one.publish for one in ours]
         self.publish += [publish for output in outputs for publish in output.publish]
-        self._announced = ""
 
     @property
     def files(self) -> list[str]:
@@ -149,27 +147,22 @@ class _Views:
 
     @property
     def dropped(self) -> int:
-        return self._recorder.dropped + (self._live.state.dropped if self._live else 0)
+        return self._recorder.dropped + (self._live.dropped if self._live else 0)
 
     @property
-    def state(self) -> str:
+    def text(self) -> str:
         """What the status line has of them."""
-        return (f"  view: {self._live.state}" if self._live else "") + "".join(o.text for o in self.outputs)
+        return (f"  view: {self._live.text}" if self._live else "") + "".join(o.text for o in self.outputs)
 
-    def announce(self, report: Callable[[str, str], None]) -> None:
-        """Log where the view is, as soon as it is known and when it changes."""
-        if self._live is not None and self._live.url and self._live.url != self._announced:
-            self._announced = self._live.url
-            report("INFO", f"live view: {self._live.url}")
-        for output in self.outputs:
-            output.announce(report)
+    def announce(self, log: Callable[[str, str], None]) -> None:
+        """Log where each is, as soon as it is known and when it changes."""
+        for output in (*([self._live] if self._live else []), *self.outputs):
+            output.announce(log)
 
     def close(self) -> None:
         self._recorder.end()
-        for output in self.outputs:
+        for output in (*self.outputs, *([self._live] if self._live else [])):
             output.close()
-        if self._live is not None:
-            self._live.close()
         self._recorder.close()
 
 
@@ -182,10 +175,10 @@ def _watch(live: PortRun, views: _Views) -> None:
     from imumon.transport.reader import EventKind
 
     run, lines, view = live.run, live.lines, views.terminal
-    stopped, switches = False, 0
+    switches = 0
 
     def step() -> None:
-        nonlocal stopped, switches
+        nonlocal switches
         for key in keys.pressed():
             if key == "m":
                 run.mark(EventKind.MARK, "key m")
@@ -194,12 +187,9 @@ def _watch(live: PortRun, views: _Views) -> None:
                 run.mark(kind, f"part {switches // 2 + 1}")
                 switches += 1
         views.announce(lines.put)
-        if not run.processing and not stopped:
-            stopped = True
-            lines.put("ERROR", "decoding stopped; reading and recording go on, decode the session afterwards")
 
     def status() -> str:
-        return status_line(run.progress) + views.state
+        return status_line(run.progress) + views.text
 
     def screen(columns: int, rows: int) -> Sequence[str]:
         assert view is not None

@@ -38,7 +38,7 @@ from imumon.wing import offers
 if TYPE_CHECKING:
     import rerun as rr
 
-    from imumon.pipeline import Estimator, Pipeline
+    from imumon.pipeline import Pipeline
     from imumon.recordings.folder import Session
     from imumon.recordings.source import Count, Source
     from imumon.run.setup import Setup
@@ -114,7 +114,7 @@ def replay(
     from imumon.recordings.source import open_source
     from imumon.run.narration import Narrator, advised, describe_losses, describe_streams, view_setup
     from imumon.run.replay import Comparison, compare_with_live, digested, replay
-    from imumon.run.stages import pipeline_of
+    from imumon.run.stages import pipeline_of, smoothed
 
     opened = open_session(session)  # a raw capture has no times: that is for decode
     recorded = opened.metadata.pipeline_yaml
@@ -123,14 +123,8 @@ def replay(
     source = open_source(session, rate_hz=rate)
     source.refuse_output(out)
     pace = _speed(speed, view)
-    more: list[Estimator] = []
-    disagreement: dict[str, float] | None = None
-    if smooth:
-        from imumon.run.stages import smoothed
-
-        stage = smoothed(open_source(session, rate_hz=rate), setup)
-        more, disagreement = [stage], stage.residuals
-    pipeline, digest = pipeline_of(source, setup, more), Digest()
+    smoother = smoothed(open_source(session, rate_hz=rate), setup) if smooth else None
+    pipeline, digest = pipeline_of(source, setup, [smoother] if smoother else []), Digest()
     publisher = narrator = None
     if view != "none":
         units = {column.name: column.unit for column in source.imported} | pipeline.units
@@ -164,9 +158,9 @@ def replay(
     data |= {"results_digest": digest.hexdigest()} | comparison.as_dict()
     rows = {"samples": f"{exported.rows:,}, {comparison}", "losses": describe_losses(pipeline.counters)}
     rows |= describe_streams(pipeline.counters, exported.tables)
-    if disagreement is not None:
-        data["disagreement"] = disagreement
-        text = ", ".join(f"{name} {value:.2f}" for name, value in disagreement.items())
+    if smoother is not None:
+        data["disagreement"] = smoother.residuals
+        text = ", ".join(f"{name} {value:.2f}" for name, value in smoother.residuals.items())
         rows["forward less backward"] = f"{text} σ rms" if text else "nothing to compare"
     if true is not None:
         data["truth"] = true.as_data()
@@ -205,7 +199,7 @@ def _begun(view: Mode, setup: ViewSetup, bind: str) -> ViewPublisher:
     end = time.monotonic() + STARTING_S
     while not publisher.url and time.monotonic() < end:
         time.sleep(0.05)
-    note(f"view: {publisher.url or publisher.state}")
+    note(f"view: {publisher.url or publisher.text}")
     return publisher
 
 

@@ -11,16 +11,7 @@ from typing import Any
 
 import click
 
-from imumon.cli.common import (
-    PATH,
-    SECONDS,
-    Number,
-    Whole,
-    json_option,
-    note,
-    print_result,
-    warn,
-)
+from imumon.cli import common
 from imumon.cli.progress import bar
 from imumon.errors import EXIT_NEGATIVE, EXIT_OK
 from imumon.files import write_text
@@ -47,11 +38,13 @@ def command() -> None:
 
 
 TABLES = click.option("--tables", is_flag=True, help="Also write DIR/tables/SESSION.parquet.")
-PIPELINE = click.option("--pipeline", type=PATH, help="Pipeline file; default: as each session was recorded.")
+PIPELINE = click.option(
+    "--pipeline", type=common.PATH, help="Pipeline file; default: as each session was recorded."
+)
 PLACE = (
-    click.option("--latitude", "latitude_deg", type=Number(min=-90, max=90),
+    click.option("--latitude", "latitude_deg", type=common.Number(min=-90, max=90),
         help="Degrees north; with --heading the earth's rotation is removed."),
-    click.option("--heading", "heading_deg", type=Number(min=-360, max=360),
+    click.option("--heading", "heading_deg", type=common.Number(min=-360, max=360),
         help="Direction of the x axis, degrees clockwise from north."),
 )  # fmt: skip
 DECLARED = click.option("--declared", help="Bias model that is assumed; see imumon diagnose.")
@@ -68,11 +61,11 @@ SUBCOMMANDS: dict[str, tuple[str, tuple[Any, ...]]] = {
 """What each does, and options of its own."""
 SHARED: tuple[Any, ...] = (
     click.argument("sessions", nargs=-1, required=True),
-    click.option("--out", required=True, type=PATH, help="Folder of the results."),
+    click.option("--out", required=True, type=common.PATH, help="Folder of the results."),
     click.option("--scheduler", help="Address of a Dask scheduler; default: processes on this computer."),
-    click.option("--workers", type=Whole(min=1), default=os.cpu_count(), show_default=True,
+    click.option("--workers", type=common.Whole(min=1), default=os.cpu_count(), show_default=True,
         help="Number of processes on this computer."),
-    click.option("--timeout", type=SECONDS,
+    click.option("--timeout", type=common.SECONDS,
         help="Longest time for a session; one that takes longer has failed."),
     click.option("--retry", is_flag=True, help="Repeat the sessions that failed."),
 )  # fmt: skip
@@ -102,7 +95,7 @@ def _run(
     from imumon.fleet.batch.running import workers as workers_of
     from imumon.fleet.batch.tasks import Job
 
-    options = BatchOptions.model_validate(_settings(name, **given))
+    options = BatchOptions.model_validate({"command": name, **_chosen(given)})
     every = dict.fromkeys(place for one in sessions for place in find(one))
     results = Dataset(out.absolute(), options)
     try:
@@ -123,7 +116,7 @@ def _run(
     except KeyboardInterrupt:
         results.write()
         kept = f"{len(results.done().keys() & every.keys()):,} of {len(every):,} sessions are done"
-        note(f"imumon: interrupted: {kept}; the same command does the rest")
+        common.note(f"imumon: interrupted: {kept}; the same command does the rest")
         raise
     finally:
         results.close()
@@ -152,35 +145,32 @@ def _report(out: Path, rows: Mapping[str, Mapping[str, Any]], before: int, as_js
         "lacking": f"{len(lacks):,} with parts of the recording missing" if lacks else "none",
         "table": str(out / ROWS / "*.parquet"),
     }
-    print_result(as_json, data, shown)
+    common.print_result(as_json, data, shown)
     return EXIT_NEGATIVE if len(failures) == len(rows) else EXIT_OK
 
 
 def _warn_first(lines: list[str], more: str) -> None:
     """Warn of the first lines, and of how many more there are."""
     hidden = [f"{len(lines) - SHOWN:,} {more}"] if len(lines) > SHOWN else []
-    warn([*lines[:SHOWN], *hidden])
+    common.warn([*lines[:SHOWN], *hidden])
 
 
-def _settings(
-    command: str, pipeline: Path | None = None, declared: str | None = None, **given: Any
-) -> dict[str, Any]:
-    """Return the options of a batch as its folder keeps them."""
-    found: dict[str, Any] = {"command": command, **given}
-    if pipeline is not None:
+def _chosen(given: dict[str, Any]) -> dict[str, Any]:
+    """Return the options that are given as the folder of a batch keeps them."""
+    chosen = {name: value for name, value in given.items() if value is not None}
+    if (pipeline := chosen.pop("pipeline", None)) is not None:
         from imumon.run.setup import load_setup
 
-        found["pipeline_yaml"] = load_setup(pipeline).text()
-    if declared is not None:
+        chosen["pipeline_yaml"] = load_setup(pipeline).text()
+    if "declared" in chosen:
         from imumon.lab.diagnosis.diagnose import parse_declared
 
-        parse_declared(declared)
-        found["declared"] = declared
-    return found
+        parse_declared(chosen["declared"])
+    return chosen
 
 
 for _name, (_what, _own) in SUBCOMMANDS.items():
     _function: Any = partial(_run, _name)
-    for _option in reversed((*SHARED, *_own, json_option)):
+    for _option in reversed((*SHARED, *_own, common.json_option)):
         _function = _option(_function)
     command.command(_name, help=HELP.format(what=_what, name=_name))(_function)

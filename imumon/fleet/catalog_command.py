@@ -10,20 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from imumon.cli.common import (
-    PATH,
-    columns_of,
-    console,
-    json_option,
-    labelled,
-    log,
-    print_json,
-    print_rows,
-    print_table,
-    results_folder,
-    show,
-    warn,
-)
+from imumon.cli import common
 from imumon.errors import bad_data
 
 if TYPE_CHECKING:
@@ -38,14 +25,16 @@ HEADS = (
 
 
 @click.command("catalog")
-@click.argument("folder", metavar="DIR", type=PATH)
+@click.argument("folder", metavar="DIR", type=common.PATH)
 @click.option(
-    "--results", type=PATH, help="Folder of results of imumon batch replay; new sessions are added to it."
-    "  Default: DIR/catalog."
+    "--results", type=common.PATH, help="Folder of results of imumon batch replay; new sessions are added to"
+    " it.  Default: DIR/catalog."
 )  # fmt: skip
-@click.option("--out", type=PATH, help="Folder for sessions.parquet, units.parquet and models.parquet.")
+@click.option(
+    "--out", type=common.PATH, help="Folder for sessions.parquet, units.parquet and models.parquet."
+)
 @click.option("--rrd", hidden=True, help="Retired: imumon report UNIT draws the drift.")
-@json_option
+@common.json_option
 def command(folder: Path, results: Path | None, out: Path | None, rrd: str | None, as_json: bool) -> None:
     """List the units of the sessions in DIR: temperatures, σ, losses, models, their drift, and outliers.
 
@@ -58,17 +47,21 @@ def command(folder: Path, results: Path | None, out: Path | None, rrd: str | Non
     from imumon.fleet.catalog.tables import tables, write_tables
 
     if rrd is not None:
-        log("WARN", "--rrd is retired, and nothing is written: imumon report UNIT draws the drift of a unit")
-    with nullcontext() if out is None else results_folder(out):
+        common.log(
+            "WARN", "--rrd is retired, and nothing is written: imumon report UNIT draws the drift of a unit"
+        )
+    with nullcontext() if out is None else common.results_folder(out):
         units, unusual, left_out = read(folder, results)
         rows = tables(units, unusual)
         written = [] if out is None else write_tables(rows, out)
-    warn(f"{row['session']}: {row['error']}" for row in rows["sessions"] if row["error"])
+    common.warn(f"{row['session']}: {row['error']}" for row in rows["sessions"] if row["error"])
     if as_json:
-        print_json(rows | {"left_out": [{"session": place, "error": why} for place, why in left_out.items()]})
+        common.print_json(
+            rows | {"left_out": [{"session": place, "error": why} for place, why in left_out.items()]}
+        )
     else:
         _show([_row(unit, unusual) for unit in units])
-    print_rows({path.name: str(path) for path in written})
+    common.print_rows({path.name: str(path) for path in written})
 
 
 def read(folder: Path, results: Path | None = None) -> tuple[list[Unit], list[Outlier], dict[str, str]]:
@@ -81,11 +74,11 @@ def read(folder: Path, results: Path | None = None) -> tuple[list[Unit], list[Ou
 
     if not folder.is_dir():
         raise bad_data(f"{folder} is no folder", "give the folder of the sessions")
-    with console(error=True).status("reading") as status:
+    with common.console(error=True).status("reading") as status:
         entries, left_out = read_sessions(folder, results or folder / RESULTS, status.update)
     units = units_of(entries, read_models(folder))
-    warn(f"{place} is left out: {why}" for place, why in left_out.items())
-    warn(f"{entry.session.path}: {text}" for entry in entries for text in entry.lacking)
+    common.warn(f"{place} is left out: {why}" for place, why in left_out.items())
+    common.warn(f"{entry.session.path}: {text}" for entry in entries for text in entry.lacking)
     return units, outliers(units), left_out
 
 
@@ -119,9 +112,9 @@ def _show(rows: Sequence[Sequence[str]]) -> None:
     from rich.table import Column
 
     widths = [2 + max(map(len, cells)) for cells in zip(HEADS, *rows, strict=True)]  # with what is between
-    if 1 + sum(widths) <= console().width:
-        print_table([Column(head, no_wrap=True) for head in HEADS], rows)
+    if 1 + sum(widths) <= common.console().width:
+        common.print_table([Column(head, no_wrap=True) for head in HEADS], rows)
         return
     for row in rows:
-        lines = labelled(dict(zip(HEADS, row, strict=True)), columns_of(sys.stdout))
-        show("\n".join([*lines, ""]))
+        lines = common.labelled(dict(zip(HEADS, row, strict=True)), common.columns_of(sys.stdout))
+        common.show("\n".join([*lines, ""]))

@@ -4,29 +4,17 @@ from __future__ import annotations
 
 import time
 from collections import deque
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from imumon.cli.common import (
-    PATH,
-    SECONDS,
-    View,
-    bind_option,
-    chosen_view,
-    json_option,
-    live_view_option,
-    note,
-    print_json,
-    print_rows,
-    window_option,
-)
+from imumon.cli import common
 from imumon.cli.live_run import Ending, Lines, watch
 from imumon.errors import EXIT_NEGATIVE, EXIT_OK, ImumonError
 
 if TYPE_CHECKING:
-    from imumon.fleet.rack.description import Watched
     from imumon.fleet.rack.rack import Rack
     from imumon.view.publisher import ViewPublisher
 
@@ -35,16 +23,18 @@ LOG_LINES = 100
 
 
 @click.command("rack")
-@click.argument("file", type=PATH, metavar="RACK.YAML")
-@live_view_option
-@click.option("--out", type=PATH, default=Path("sessions"), show_default=True, help="Folder of the sessions.")
-@click.option("--seconds", type=SECONDS, help="Stop after this time.")
-@window_option
-@bind_option
-@json_option
+@click.argument("file", type=common.PATH, metavar="RACK.YAML")
+@common.live_view_option
+@click.option(
+    "--out", type=common.PATH, default=Path("sessions"), show_default=True, help="Folder of the sessions."
+)
+@click.option("--seconds", type=common.SECONDS, help="Stop after this time.")
+@common.window_option
+@common.bind_option
+@common.json_option
 def command(
     file: Path,
-    view: View | None,
+    view: common.View | None,
     out: Path,
     seconds: float | None,
     window: float,
@@ -69,19 +59,21 @@ def command(
     A unit whose port does not exist yet is waited for.  A process that ends or hangs is started again; the
     others go on.  The file is read again when it changes: new units start, removed units end.
     """
-    from imumon.fleet.rack.description import Watched, load_rack
+    from imumon.fleet.rack.description import changes, load_rack
     from imumon.fleet.rack.rack import Rack
     from imumon.fleet.rack.table import text_lines
 
-    mode = chosen_view(view, bind)
-    watched, plans = Watched(file), load_rack(file)
+    mode = common.chosen_view(view, bind)
+    changed = changes(file)
+    next(changed)  # those from here on
+    plans = load_rack(file)
     ending, lines = Ending(seconds), Lines()
     publisher = _publisher(file, out, mode, window, bind)
-    rack = Rack(out, lines.put, None if publisher is None else publisher.publish, window)
+    rack = Rack(out, lines.put, None if publisher is None else publisher.publish)
     try:
         rack.change(plans)
         ending.begin()
-        _watch(rack, watched, ending, lines, publisher, file.stem if mode == "terminal" else None)
+        _watch(rack, file, changed, ending, lines, publisher, in_terminal=mode == "terminal")
     finally:
         rack.stop()
         if publisher is not None:
@@ -89,15 +81,15 @@ def command(
         lines.write()
     units = rack.as_dict()
     if as_json:
-        print_json({"units": units, "view_dropped": 0 if publisher is None else publisher.state.dropped})
+        common.print_json({"units": units, "view_dropped": 0 if publisher is None else publisher.dropped})
     for line in text_lines(rack.rows):
-        note(line)
+        common.note(line)
     troubles = {name: text for name, unit in units.items() if (text := trouble(unit))}
-    print_rows({"sessions": str(out), **troubles})
+    common.print_rows({"sessions": str(out), **troubles})
     return EXIT_NEGATIVE if troubles else EXIT_OK
 
 
-def _publisher(file: Path, out: Path, mode: View, window: float, bind: str) -> ViewPublisher | None:
+def _publisher(file: Path, out: Path, mode: common.View, window: float, bind: str) -> ViewPublisher | None:
     """Return the view that all units share, where there is one."""
     if mode == "terminal" or mode == "none":
         return None
@@ -126,38 +118,37 @@ def trouble(unit: dict[str, Any]) -> str:
 
 def _watch(
     rack: Rack,
-    watched: Watched,
+    file: Path,
+    changed: Iterator[bool],
     ending: Ending,
     lines: Lines,
     publisher: ViewPublisher | None,
-    title: str | None,
+    *,
+    in_terminal: bool,
 ) -> None:
-    """Keep a rack as in its file, until the end; with a title the terminal shows its table, else a line."""
+    """Keep a rack as in its file, until the end; the terminal shows its table or a line."""
     from imumon.fleet.rack.description import load_rack
     from imumon.fleet.rack.table import in_short, text_lines
 
     log: deque[str] = deque(maxlen=LOG_LINES)
-    announced = ""
 
     def step() -> None:
-        nonlocal announced
         rack.look()
-        if watched.has_changed():
+        if next(changed):
             try:
-                rack.change(load_rack(watched.path))
+                rack.change(load_rack(file))
             except ImumonError as error:  # a bad file changes nothing
                 lines.put("ERROR", f"{error.line}; the rack goes on as it is")
-        if publisher is not None and publisher.url not in ("", announced):
-            announced = publisher.url
-            lines.put("INFO", f"live view: {announced}")
+        if publisher is not None:
+            publisher.announce(lines.put)
 
     def status() -> str:
-        return in_short(rack.rows) + ("" if publisher is None else f"  view: {publisher.state}")
+        return in_short(rack.rows) + ("" if publisher is None else f"  view: {publisher.text}")
 
     def screen(columns: int, rows: int) -> list[str]:
         log.extend(f"{level} {text}" for level, text in lines.take())
-        shown = [f"rack {title}: {in_short(rack.rows)}", "", *text_lines(rack.rows), ""]
+        shown = [f"rack {file.stem}: {in_short(rack.rows)}", "", *text_lines(rack.rows), ""]
         newest = list(log)[::-1][: max(rows - len(shown), 0)][::-1]
         return [line[:columns] for line in [*shown, *newest][:rows]]
 
-    watch(ending, lines, step, status, None if title is None else screen)
+    watch(ending, lines, step, status, screen if in_terminal else None)

@@ -60,8 +60,8 @@ def messages(items: Sequence[Published], states: dict[str, Value]) -> Iterator[M
 
 def _rows(item: Samples) -> Iterator[Message]:
     columns: dict[str, list[Value | None]] = {}
-    if item.first is not None:
-        columns["sample"] = [*range(item.first, item.first + item.rows)]
+    if item.sample is not None:
+        columns["sample"] = item.sample.tolist()
     for name, values in item.block.columns.items():
         known = np.isfinite(values) if values.dtype == np.float64 else values != NO_INT
         columns[name] = np.where(known, values.astype(object), np.array(None)).tolist()
@@ -116,11 +116,11 @@ class Publisher(FedProcess):
     def state(self) -> Delivery:
         """How it goes now."""
         now, sent = self._now, self._sent + self._now.sent
-        dropped = self._published - sent if self._closed else self._queue.dropped + self._lost + now.dropped
+        dropped = self._published - sent if self._closed else self.dropped + self._lost + now.dropped
         return replace(now, sent=sent, dropped=dropped)
 
     def _first(self) -> tuple[Target, ViewSetup]:
-        if self._restarts:  # what waited for the process is not news any more
+        if self.restarts:  # what waited for the process is not news any more
             self._handed(self._queue.take(0.0, 0.0))
         self._lost = self._handed_rows - self._sent
         return self.target, self._setup

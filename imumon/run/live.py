@@ -321,6 +321,14 @@ class LiveRun(DecodedPort):
             for kind, text in self._marks.take():
                 self._reader.report(kind, text)
 
+    def _run(self) -> None:
+        try:
+            super()._run()
+        finally:
+            if not self._finished:
+                text = "decoding stopped; reading and recording go on, decode the session afterwards"
+                self._report("ERROR", text)
+
     def _save(self) -> None:
         """Renew session.yaml and the log, so that a killed session holds how far it came."""
         changes = summary_of(self.pipeline.counters)

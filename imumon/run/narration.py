@@ -277,7 +277,7 @@ class Narrator:
 
 
 def view_setup(
-    session: Session, units: Mapping[str, str], window_s: float, replay: bool = False
+    session: Session, units: Mapping[str, str], window_s: float = 30.0, replay: bool = False
 ) -> ViewSetup:
     """Return what the view must know of a session and its units before the first sample."""
     metadata, name = session.metadata, session.path.name

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple
 
 import rerun.blueprint as rrb
 
 from imumon.view.items import ViewSetup
 from imumon.view.lanes import LOG_TEXT
-from imumon.view.layout import FIRST, SCENE, STRIPS, tab_of
+from imumon.view.layout import FIRST, OTHER, SCENE, STRIPS, Strip, tab_of
 from imumon.view.panel_log import card_path
 from imumon.view.panels import Panel
 from imumon.view.pictures import chart_view
 from imumon.view.window import Window, series_view, slow_window
 
-OTHER_TAB = "Other"
 TAB, LANE, LANES_FRAME, LOG = 560.0, 40.0, 42.0, 150.0
 """Points: height of a tab in a browser of 1456 x 819; what a lane takes, title and times of all; what some
 lines of the log need at least."""
@@ -44,16 +44,13 @@ class Contents(NamedTuple):
     log: bool
     status: bool
     """Whether there are log lines, a status card."""
-    others: tuple[tuple[str, tuple[str, ...]], ...]
-    """Views of the columns that no panel draws."""
-    cards: tuple[str, ...]
-    """Tabs that have a card of numbers."""
     full: bool
     """Whether as much has come as the slow tabs show."""
 
-    def __bool__(self) -> bool:
-        """Return whether there is anything besides charts."""
-        return bool(self.panels or self.lanes or self.others) or self.log or self.status
+    def card(self, tab: str) -> Any:
+        """Return the view of the numbers of a tab, of which the first has all; None where there are none."""
+        shown = any(panel.card and tab in (FIRST, tab_of(panel.place)) for panel in self.panels)
+        return rrb.TextDocumentView(origin=card_path(tab), name="Now") if shown else None
 
 
 def blueprint(setup: ViewSetup, contents: Contents, timeline: str, *, live: bool) -> rrb.Blueprint:
@@ -64,15 +61,17 @@ def blueprint(setup: ViewSetup, contents: Contents, timeline: str, *, live: bool
     window = Window(setup.window_s) if live else Window()
     slow = Window(slow_window(setup.window_s), contents.full) if live else Window()
     views: dict[str, list[Any]] = {SCENE: [], STRIPS: []}
+    others: dict[tuple[str, str], list[Strip]] = {}
     for panel in contents.panels:
-        shown = window if tab_of(panel.place) == FIRST else slow
-        views.setdefault(panel.place, []).append(panel.view(setup, shown))
+        if isinstance(panel, Strip) and panel.place == OTHER:
+            group = panel.title.rpartition("/")[0], panel.unit_read(setup)
+            others.setdefault(group, []).append(panel)
+        else:
+            shown = window if tab_of(panel.place) == FIRST else slow
+            views.setdefault(panel.place, []).append(panel.view(setup, shown))
     for place, key, title in contents.charts:
         views.setdefault(place, []).append(chart_view(key, title))
-    views[OTHER_TAB] = [
-        series_view(paths[0], title, slow, others=paths[1:], legend=len(paths) > 1)
-        for title, paths in contents.others
-    ]
+    views[OTHER] = [_of_one_unit(*group, panels, setup, slow) for group, panels in others.items()]
     name = setup.first_tab if live else "Recording"
     first = _first_tab(name, views, window, contents)
     tabs = [_tab(place, views[place], contents) for place in views if tab_of(place) != FIRST and views[place]]
@@ -96,6 +95,16 @@ def arranged(
     )
 
 
+def _of_one_unit(stream: str, unit: str, panels: list[Strip], setup: ViewSetup, window: Window) -> Any:
+    """Return the view of the columns of a stream in a unit that no panel draws."""
+    first, *others = panels
+    if not others:
+        return first.view(setup, window)
+    title = unit or "no unit"
+    paths = [other.drawn for other in others]
+    return series_view(first.drawn, f"{stream}: {title}" if stream else title, window, paths, legend=True)
+
+
 def _tab(name: str, views: list[Any], contents: Contents) -> Any:
     """Return a tab of its own: its numbers, series above each other, charts to their right.
 
@@ -104,53 +113,55 @@ def _tab(name: str, views: list[Any], contents: Contents) -> Any:
     """
     charts = [view for view in views if isinstance(view, rrb.Spatial2DView)]
     series = [view for view in views if view not in charts]
-    numbers = [rrb.TextDocumentView(origin=card_path(name), name="Now")] if name in contents.cards else []
+    numbers = contents.card(name)
     if series and len(charts) > SIDE_CHARTS:
-        grid = rrb.Grid(*charts, grid_columns=2)
-        rows = rrb.Vertical(*numbers, grid, row_shares=[1.0] * len(numbers) + [CHARTS_ROWS])
-        return rrb.Horizontal(_strips(series, MOST_NARROW), rows, column_shares=[2.4, 3.0], name=name)
+        side = _column([(1.0, numbers), (CHARTS_ROWS, rrb.Grid(*charts, grid_columns=2))])
+        return _row([(2.4, _strips(series, MOST_NARROW)), (3.0, side)], name)
     if charts and len(series) > MOST_STRIPS:
-        shares = [1.0] * len(numbers) + [CHART_ROW] * len(charts)
-        rows = rrb.Vertical(*numbers, *charts, row_shares=shares)
-        return rrb.Horizontal(_strips(series, MOST_STRIPS), rows, column_shares=[3.8, 1.6], name=name)
-    parts: list[tuple[float, Any]] = [(0.9, view) for view in numbers]
-    if series:
-        parts.append((2.2, _strips(series, MOST_STRIPS)))
-    if charts:
-        parts.append((2.0, rrb.Vertical(*charts) if series else rrb.Grid(*charts)))
-    shares = [share for share, _ in parts]
-    return rrb.Horizontal(*[part for _, part in parts], column_shares=shares, name=name)
+        side = _column([(1.0, numbers), *((CHART_ROW, chart) for chart in charts)])
+        return _row([(3.8, _strips(series, MOST_STRIPS)), (1.6, side)], name)
+    drawn = rrb.Vertical(*charts) if series else rrb.Grid(*charts)
+    parts = [(0.9, numbers), (2.2, _strips(series, MOST_STRIPS)), (2.0, drawn if charts else None)]
+    return _row(parts, name)
+
+
+def _row(parts: Sequence[tuple[float, Any]], name: str | None = None) -> Any:
+    """Return parts beside each other, each with its share of the width; None is no part."""
+    there = [(share, part) for share, part in parts if part is not None]
+    return rrb.Horizontal(
+        *[part for _, part in there], column_shares=[share for share, _ in there], name=name
+    )
+
+
+def _column(parts: Sequence[tuple[float, Any]]) -> Any:
+    """Return parts above each other, each with its share of the height; None is no part, and without any."""
+    there = [(share, part) for share, part in parts if part is not None]
+    column = rrb.Vertical(*[part for _, part in there], row_shares=[share for share, _ in there])
+    return column if there else None
 
 
 def _strips(views: list[Any], most: int) -> Any:
-    """Return views of series, at the most so many above each other."""
-    columns = math.ceil(len(views) / most)
-    return rrb.Vertical(*views) if columns == 1 else rrb.Grid(*views, grid_columns=columns)
+    """Return views of series, at the most so many above each other; None without any."""
+    if len(views) <= most:
+        return rrb.Vertical(*views) if views else None
+    return rrb.Grid(*views, grid_columns=math.ceil(len(views) / most))
 
 
 def _first_tab(name: str, views: dict[str, list[Any]], window: Window, contents: Contents) -> Any:
     """Return the first tab; if it is `TAB` points high lanes have what they need, the log the rest."""
-    left: list[tuple[float, Any]] = [(1.9, view) for view in views[SCENE]]
-    if FIRST in contents.cards:
-        left.append((2.9, rrb.TextDocumentView(origin=card_path(FIRST), name="Now")))
+    scene, states, log, status = views[SCENE], None, None, None
     if contents.status:
-        left.append((1.6, rrb.TextDocumentView(origin="/status", name="Status")))
-    right: list[tuple[float, Any]] = []
-    lanes = LANE * len(contents.lanes) + LANES_FRAME
+        status = rrb.TextDocumentView(origin="/status", name="Status")
     if contents.lanes:
-        shown, axis = list(contents.lanes), window.axis
+        lanes, axis = list(contents.lanes), window.axis
         states = rrb.StateTimelineView(
-            origin="/", contents=shown, name="States", time_ranges=window.ranges, time_view=axis
+            origin="/", contents=lanes, name="States", time_ranges=window.ranges, time_view=axis
         )
-        right.append((lanes, states))
     if contents.log:
-        right.append((max(LOG, TAB - lanes), rrb.TextDocumentView(origin=LOG_TEXT, name="Log")))
+        log = rrb.TextDocumentView(origin=LOG_TEXT, name="Log")
+    left = [*((1.9, view) for view in scene), (2.9, contents.card(FIRST)), (1.6, status)]
+    height = LANE * len(contents.lanes) + LANES_FRAME
+    right = [(height, states), (max(LOG, TAB - height), log)]
     is_short = window.seconds is not None and window.seconds <= SHORT_S
-    most = MOST_STRIPS if is_short else MOST_NARROW
-    middle = [(1.0, _strips(views[STRIPS], most))] if views[STRIPS] else []
-    columns = [(share, part) for share, part in ((3.1, left), (5.2, middle), (2.7, right)) if part]
-    stacked = [
-        rrb.Vertical(*[view for _, view in part], row_shares=[share for share, _ in part])
-        for _, part in columns
-    ]
-    return rrb.Horizontal(*stacked, column_shares=[share for share, _ in columns], name=name)
+    middle = _strips(views[STRIPS], MOST_STRIPS if is_short else MOST_NARROW)
+    return _row([(3.1, _column(left)), (5.2, middle), (2.7, _column(right))], name)

@@ -11,7 +11,6 @@ import gc
 import subprocess
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING, Any
 
@@ -57,9 +56,9 @@ class Viewers:
         serving, code = self._serving, None if self._viewer is None else self._viewer.poll()
         if code:
             text = f"the viewer could not start or go on (exit code {code}); try --view web"
-            return replace(serving, text=text)
+            return serving._replace(text=text)
         if code == 0 and not probe(self._port):  # nor did it pass the stream on
-            return replace(serving, text=f"viewer closed; `rerun {serving.url}` brings it back")
+            return serving._replace(text=f"viewer closed; `rerun {serving.url}` brings it back")
         return serving
 
 

@@ -56,7 +56,8 @@ class FedProcess:
         self._module = module
         self._queue = DropOldestQueue(QUEUE_BYTES)
         self._sending_s = math.inf  # since when
-        self._restarts = 0
+        self.restarts = 0
+        """How often the process was started again."""
         self._process: subprocess.Popen[bytes] | None = None
         self._supervisor = threading.Thread(target=self._supervise, name=f"feeds {module}", daemon=True)
 
@@ -72,6 +73,11 @@ class FedProcess:
 
     def _gone(self) -> None:
         """Note that the process has ended, and was read to its end."""
+
+    @property
+    def dropped(self) -> int:
+        """Samples and events that the queue was full for."""
+        return self._queue.dropped
 
     def start(self) -> Self:
         """Start the process and return at once."""
@@ -98,9 +104,9 @@ class FedProcess:
         """Keep a process alive and supplied until closed."""
         while True:
             self._run_process()
-            if self._queue.closed.wait(BACKOFF_S[min(self._restarts, len(BACKOFF_S) - 1)]):
+            if self._queue.closed.wait(BACKOFF_S[min(self.restarts, len(BACKOFF_S) - 1)]):
                 return
-            self._restarts += 1
+            self.restarts += 1
 
     def _run_process(self) -> None:
         """Run one process from its start to its end."""

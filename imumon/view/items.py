@@ -8,7 +8,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 
@@ -59,8 +59,8 @@ class ViewItem:
 class Samples(ViewItem):
     """Consecutive samples on the three timelines."""
 
-    first: int | None
-    """Running index of the first sample; None in a side stream."""
+    sample: IntArray | None
+    """Running index, (n,); None in a side stream."""
     device_ns: IntArray | None
     host_ns: IntArray | None
     """Device time continued across segments, and Unix time, ns, (n,); None when a row has none."""
@@ -79,14 +79,15 @@ class Samples(ViewItem):
         """Samples in the item."""
         return len(self.block)
 
-    def follows(self, other: Samples) -> bool:
-        """Test whether this continues `other` without a gap, on the same timelines, with the same columns."""
-        return (
-            self.first == (None if other.first is None else other.first + other.rows)
-            and (self.device_ns is None) == (other.device_ns is None)
-            and (self.host_ns is None) == (other.host_ns is None)
-            and self.block.columns.keys() == other.block.columns.keys()
-        )
+    @property
+    def times(self) -> tuple[IntArray | None, IntArray | None, IntArray | None]:
+        """The times on the three timelines."""
+        return self.sample, self.device_ns, self.host_ns
+
+    @property
+    def kind(self) -> tuple[object, ...]:
+        """What samples must have in common to be joined: stream, timelines and columns."""
+        return self.stream, *(values is None for values in self.times), *self.block.columns
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,7 +192,7 @@ class Timebase:
 
     def samples(self, block: SampleBlock) -> Samples:
         """Return the block with its times; blocks must come in order."""
-        first = self._count
+        sample = np.arange(self._count, self._count + len(block), dtype=np.int64)
         self._count += len(block)
         host = _complete(block, "host_time_ns")
         device = _complete(block, "device_time_ns")
@@ -203,7 +204,7 @@ class Timebase:
                 self._last.device_ns if device is None else int(device[-1]),
                 self._last.host_ns if host is None else int(host[-1]),
             )
-        return Samples(first, device, host, block)
+        return Samples(sample, device, host, block)
 
     def side(self, stream: str, block: SampleBlock) -> Samples:
         """Return a block of a side stream with its times, which are those of the main stream's segments."""
@@ -255,41 +256,37 @@ def first_of_steps(times_ns: IntArray, step_ns: int, before_ns: int | None = Non
 
 
 def merge(items: Iterable[ViewItem]) -> list[ViewItem]:
-    """Join consecutive samples into few large items; events follow them in their order."""
-    runs: list[list[Samples]] = []
-    latest: dict[str, list[Samples]] = {}
+    """Join samples into few large items; events follow them in their order."""
+    kinds: dict[tuple[object, ...], list[Samples]] = {}
     events: list[ViewItem] = []
     for item in items:
         if not isinstance(item, Samples):
             events.append(item)
-        elif item.stream in latest and item.follows(latest[item.stream][-1]):
-            latest[item.stream].append(item)
         elif item.rows:
-            latest[item.stream] = [item]
-            runs.append(latest[item.stream])
-    return [*map(_joined, runs), *events]
+            kinds.setdefault(item.kind, []).append(item)
+    return [*map(_joined, kinds.values()), *events]
 
 
-def _joined(run: list[Samples]) -> Samples:
-    if len(run) == 1:
-        return run[0]
-    times = ([item.device_ns for item in run], [item.host_ns for item in run])
-    known = ([part for part in parts if part is not None] for parts in times)
-    device, host = (np.concatenate(parts) if parts else None for parts in known)
-    return Samples(run[0].first, device, host, join([item.block for item in run]), run[0].stream)
+def _joined(items: Sequence[Samples]) -> Samples:
+    if len(items) == 1:
+        return items[0]
+    parts = zip(*(item.times for item in items), strict=True)
+    sample, device_ns, host_ns = (None if part[0] is None else np.concatenate(part) for part in parts)
+    return Samples(sample, device_ns, host_ns, join([item.block for item in items]), items[0].stream)
 
 
 class DropOldestQueue:
     """View items in order, at the most `max_bytes` of them.
 
-    States and the status card outlive their place in the queue: the latest of each that had to be dropped is
-    handed out with the next batch, so that a lane never stays wrong.
+    What lasts (states, the status card, charts) outlives its place in the queue: where any of it had to be
+    dropped, the latest of all is handed out before the next batch, so that a lane never stays wrong.
     """
 
     def __init__(self, max_bytes: int) -> None:
         self._max_bytes = max_bytes
         self._items: deque[ViewItem] = deque()
         self._lasting: dict[str, ViewItem] = {}
+        self._is_incomplete = False
         self._bytes = 0
         self.closed = threading.Event()
         """Set once `close` was called."""
@@ -304,11 +301,13 @@ class DropOldestQueue:
             was_empty = not self._items
             self._items.append(item)
             self._bytes += item.nbytes
+            if item.lasting is not None:
+                self._lasting[item.lasting] = item
             while self._bytes > self._max_bytes:
                 oldest = self._items.popleft()
                 self._bytes -= oldest.nbytes
                 if oldest.lasting is not None:
-                    self._lasting[oldest.lasting] = oldest
+                    self._is_incomplete = True
                 else:
                     self.dropped += oldest.rows
             if was_empty:
@@ -326,11 +325,16 @@ class DropOldestQueue:
         self.closed.wait(self._taken_s + apart_s - time.monotonic())
         with self._filled:
             self._taken_s = time.monotonic()
-            items = [*self._lasting.values(), *self._items]
-            self._lasting.clear()
+            items = [*(self._lasting.values() if self._is_incomplete else ()), *self._items]
             self._items.clear()
-            self._bytes = 0
+            self._bytes, self._is_incomplete = 0, False
             return items
+
+    @property
+    def lasting(self) -> list[ViewItem]:
+        """The latest of each that lasts, of all that was ever put in."""
+        with self._filled:
+            return list(self._lasting.values())
 
     def close(self) -> None:
         """End all waiting."""

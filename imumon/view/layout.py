@@ -1,7 +1,7 @@
 """Panels as data: which columns make which entities, how they are drawn, and where they stand.
 
-A panel is an entry in `imumon.view.panels.PANELS`; the logger and the blueprint know nothing else, so a panel
-for another estimator is one more entry.  Values go to ``/samples/<panel>`` in the unit of their column, or to
+A panel is an entry of `panels.yaml`; the logger and the blueprint know nothing else, so a panel for another
+estimator is one more entry.  Values go to ``/samples/<panel>`` in the unit of their column, or to
 ``/view/<panel>`` in the unit that a person reads (°/s, °, %).
 """
 
@@ -23,8 +23,8 @@ from imumon.view.items import ViewSetup
 from imumon.view.rows import Rows
 from imumon.view.window import RECENT_S, Window, declare_extent, entity, series_view
 
-FIRST = "Live"
-"""The first tab."""
+FIRST, OTHER = "Live", "Other"
+"""The first tab, and that of the columns that no panel draws."""
 SCENE, STRIPS = "scene", "strips"
 """Places in the first tab; any other place is a tab of that name."""
 
@@ -50,7 +50,16 @@ def tab_of(place: str) -> str:
 
 
 DEG = float(np.rad2deg(1.0))
-FACTORS = {"": 1.0, "°": DEG, "°/s": DEG, "°/h": 3600.0 * DEG, "°C": 1.0, "°C/h": 3600.0, "µg": 1e6}
+FACTORS = {
+    "": 1.0,
+    "°": DEG,
+    "°/s": DEG,
+    "°/s²": DEG,
+    "°/h": 3600.0 * DEG,
+    "°C": 1.0,
+    "°C/h": 3600.0,
+    "µg": 1e6,
+}
 FACTORS |= {"1/s": 1.0, "%": 100.0}
 """Units that are drawn, and how many of each are one unit of the columns."""
 READ_AS = {"rad": ("°", DEG), "rad/s": ("°/s", DEG), "rad/s^2": ("°/s²", DEG), "deg": ("°", 1.0)}
@@ -72,7 +81,8 @@ class Line:
 
     column: str
     name: str
-    color: Color
+    color: Color | None
+    """None: the viewer chooses one."""
     sd: str | None = None
 
 
@@ -93,7 +103,7 @@ class Strip:
     that have a value, where most have none."""
     beside: str | None = None
     """Entity of another panel, drawn in the same view."""
-    limits: tuple[float, float] | None = None
+    limits: tuple[float, ...] = ()
     """Two level lines, in the unit that is drawn."""
     least: float = 0.0
     """The axis spans at least as much, in the unit that is drawn."""
@@ -122,7 +132,8 @@ class Strip:
 
     def declare(self, rec: rr.RecordingStream) -> None:
         """Log what does not change: names, colours and styles."""
-        names, colors = [line.name for line in self.lines], [list(line.color) for line in self.lines]
+        names = [line.name for line in self.lines]
+        colors = [line.color for line in self.lines if line.color is not None] or None
         look: Any = rr.SeriesPoints(names=names, colors=colors, marker_sizes=[2.0] * len(names))
         steps = rr.components.InterpolationMode.StepAfter
         if self.look != "points":
@@ -140,9 +151,17 @@ class Strip:
         declare_extent(rec, self.drawn)
 
     def ends(self, rows: Rows) -> tuple[float, float] | None:
-        """Return how far the vertical axis must reach over the last seconds, in the unit that is drawn."""
+        """Return how far the vertical axis must reach over the last seconds, in the unit that is drawn.
+
+        None without a value, and for the columns that no panel draws.
+        """
+        if self.place == OTHER:
+            return None
         values = self._factor * rows.matrix([line.column for line in self.lines])
-        half = self._factor * self._half_bands(rows)
+        half = np.zeros_like(values)
+        for at, line in enumerate(self.lines):
+            if line.sd is not None:
+                half[:, at] = 2.0 * self._factor * rows.columns[line.sd]
         known = np.isfinite(values + half)
         if rows.clock is not None:
             known &= (rows.clock >= rows.clock[-1] - 1e9 * RECENT_S)[:, np.newaxis]
@@ -154,32 +173,31 @@ class Strip:
         beyond = max(0.0, span - (high - low)) / 2
         return low - beyond, high + beyond
 
-    def _half_bands(self, rows: Rows) -> FloatArray:
-        """Return half of the height of the band about each value, in the unit of the columns, (n, lines)."""
-        return np.zeros((len(rows.columns[self.lines[0].column]), len(self.lines)))
-
     def readings(self, setup: ViewSetup) -> list[Reading]:
         """Return what the card of its tab shows: a number for each line."""
         if not self.card:
             return []
         last = self.lines[-1]
-        unit, factor = self._unit(setup), self._factor
+        unit, factor = self.unit_read(setup), self._factor
         return [
             Reading(self.card, one.name, one.column, one.sd, unit, factor, self.headline and one is last)
             for one in self.lines
         ]
 
+    def unit_read(self, setup: ViewSetup) -> str:
+        """Return the unit that is drawn."""
+        return read_as(setup, self.lines[0].column)[0] if self.unit is None else self.unit
+
     @property
     def _factor(self) -> float:
         return FACTORS[self.unit or ""]
 
-    def _unit(self, setup: ViewSetup) -> str:
-        return read_as(setup, self.lines[0].column)[0] if self.unit is None else self.unit
-
     def log(self, rec: rr.RecordingStream, rows: Rows) -> None:
         """Log the values in the unit that is drawn."""
         values = self._factor * rows.matrix(self.columns)
-        kept: Any = np.isfinite(values).any(axis=1) if self.look == "points" else rows.extremes(values)
+        kept = rows.extremes(values)
+        if self.look == "points" or self.place == OTHER:
+            kept &= np.isfinite(values).any(axis=1)
         if not kept.any():
             return
         values, rows = values[kept], rows.kept(kept)
@@ -187,15 +205,17 @@ class Strip:
         if self.limits:
             ends = np.zeros(len(values), np.bool_)
             ends[[0, -1]] = True
-            levels = np.tile(self.limits, (int(ends.sum()), 1))
+            levels = np.tile(np.array(self.limits), (int(ends.sum()), 1))
             rows.kept(ends).send(rec, f"{self.drawn}/limits", levels)
 
     def view(self, setup: ViewSetup, window: Window) -> Any:
         """Return the view, its unit and the colours of its lines in the title: a legend would cover data."""
-        unit = self._unit(setup)
+        unit = self.unit_read(setup)
         title = f"{self.title} [{unit}]" if unit else self.title
         if len(self.lines) > 1:
-            title += ": " + ", ".join(f"{line.name} {COLOR_NAMES[line.color]}" for line in self.lines)
+            title += ": " + ", ".join(
+                f"{line.name} {COLOR_NAMES[line.color]}" for line in self.lines if line.color
+            )
         beside = [self.beside] if self.beside else []
         ends = [entity(drawn.removesuffix("/**")) for drawn in (self.drawn, *beside)]
         return series_view(self.drawn, title, window, beside, ends)
@@ -208,13 +228,10 @@ class Bands(Strip):
     def declare(self, rec: rr.RecordingStream) -> None:
         """Log names and colours; each band is an entity of its own."""
         for line in self.lines:
-            style = rr.Measurements.from_fields(names=[line.name], colors=[list(line.color)], widths=[1.6])
+            color = None if line.color is None else [line.color]
+            style = rr.Measurements.from_fields(names=[line.name], colors=color, widths=[1.6])
             rec.log(self._entity(line), style, static=True)
         declare_extent(rec, self.drawn)
-
-    def _half_bands(self, rows: Rows) -> FloatArray:
-        zero = np.zeros(len(rows.columns[self.lines[0].column]))
-        return np.column_stack([zero if one.sd is None else 2.0 * rows.columns[one.sd] for one in self.lines])
 
     def log(self, rec: rr.RecordingStream, rows: Rows) -> None:
         """Log values and bands, five times a second."""
@@ -246,6 +263,8 @@ class Attitude:
     up: float | None = None
     """Which way the third axis points, 1 or -1; None: as the axes of the device do."""
     place: str = SCENE
+    card: str = ""
+    """None: its angles are in panels of their own."""
 
     def has_values(self, rows: Rows) -> bool:
         """Return whether each column has a value."""

@@ -30,7 +30,7 @@ from imumon.view.items import (
 )
 from imumon.view.lanes import COLORED_STATES, LINES, LOG_TEXT, declare_lane, lane_path, lane_place, markdown
 from imumon.view.layout import DEVICE
-from imumon.view.panel_log import Others, PanelLog
+from imumon.view.panel_log import PanelLog
 from imumon.view.pictures import Painter
 from imumon.view.rows import Rows, at_instants, log_markdown
 from imumon.view.window import slow_window
@@ -39,8 +39,6 @@ RECORDED_STEP_NS = 500_000_000
 """Of so much time a recording of the view keeps the extremes."""
 ARRANGE_S = 5.0
 """Live, the arrangement is sent so often at the most: it leads whoever looks on back to the first tab."""
-EARLY_EVENTS = 1000
-"""Events before the first sample that are shown again on the timelines that begin with it."""
 
 
 class StreamLogger:
@@ -55,12 +53,10 @@ class StreamLogger:
 
     def __init__(self, rec: rr.RecordingStream, setup: ViewSetup, *, live: bool) -> None:
         self._rec, self._setup, self._live = rec, setup, live
-        self._panels, self._others = PanelLog(rec, setup, live=live), Others(rec, setup)
+        self._panels = PanelLog(rec, setup, live=live)
         self._painter = Painter(rec, live=live)
         self._lanes: dict[str, dict[str, Level]] = {}
         self._lasting: dict[str, Event] = {}
-        self._early: list[Event] = []
-        self._has_log = False
         self._lines: deque[str] = deque(maxlen=LINES)
         """The newest log lines, the last one first."""
         self._timeline = "host_time"
@@ -69,8 +65,9 @@ class StreamLogger:
         self.arrangement: rrb.Blueprint | None = None
         """The one that was shown last."""
         self._last_ns: dict[str, int] = {}
+        self._began: Rows | None = None
         self._newest: Rows | None = None
-        self._began_ns: int | None = None
+        """Times of the first and of the latest sample."""
         self._step_ns = 0 if live else RECORDED_STEP_NS
 
     def begin(self) -> None:
@@ -84,10 +81,9 @@ class StreamLogger:
         up = axes.RIGHT_HAND_Z_DOWN if self._setup.z_down else axes.RIGHT_HAND_Z_UP
         self._rec.log(DEVICE, up, static=True)
         self._panels.declare()
-        self._others.declare()
         for lane, states in self._lanes.items():
             declare_lane(self._rec, lane, states)
-        self._log_events(list(self._lasting.values()), again=True)
+        self._log_events([*self._lasting.values()])
 
     def log(self, items: Iterable[ViewItem]) -> None:
         """Log items, samples in batches as they come; join them with `items.merge` first."""
@@ -95,11 +91,11 @@ class StreamLogger:
         for item in items:
             if isinstance(item, Samples):
                 self._log_samples(item)
+            elif isinstance(item, Drawing):
+                self._painter.add(item)
             elif isinstance(item, Event):
-                events.append(item)
+                events.append(self._placed(item))
         self._log_events(events)
-        self._early += [event for event in events if event.at.sample is None]
-        del self._early[EARLY_EVENTS:]
         if self._newest is not None:
             self._panels.log_cards(self._newest)
         self._painter.draw_next()
@@ -107,70 +103,52 @@ class StreamLogger:
             self._arrange()
 
     def _log_samples(self, item: Samples) -> None:
-        count = None if item.first is None else np.arange(item.first, item.first + item.rows, dtype=np.int64)
-        before_ns = self._last_ns.get(item.stream)
-        rows = Rows(item.block.columns, count, item.device_ns, item.host_ns, self._step_ns, before_ns)
+        before_ns, stream = self._last_ns.get(item.stream), item.stream
+        rows = Rows(item.block.columns, *item.times, self._step_ns, before_ns, stream)
         if rows.clock is not None and len(rows.clock):
             self._last_ns[item.stream] = int(rows.clock[-1])
         if item.device_ns is not None:
             self._timeline = "device_time"
         elif item.host_ns is None and self._timeline == "host_time":
             self._timeline = "sample"
-        if self._early and item.first is not None:
-            self._log_early_events(item)
         if not item.stream and item.rows:
+            if self._began is None:
+                self._began = self._newest = rows.kept(np.array([0]))
+                self._lasting = {name: self._placed(event) for name, event in self._lasting.items()}
+                self.repeat()
             self._newest = rows.kept(np.array([item.rows - 1]))
-            if self._began_ns is None and rows.clock is not None:
-                self._began_ns = int(rows.clock[0])
-        self._log_floats(rows, item.stream)
+        self._panels.log(rows)
 
-    def _log_floats(self, rows: Rows, stream: str = "") -> None:
-        claimed = self._panels.log(rows)
-        for name, values in rows.columns.items():
-            if values.dtype == np.float64 and name not in claimed:
-                own = name.removeprefix(f"{stream}_")
-                self._others.log(f"{stream}/{own}" if stream else name, values, rows)
+    def _placed(self, event: Event) -> Event:
+        """Return an event of before the first sample as it is on the timelines that begin with that."""
+        at, began = event.at, self._began
+        if began is None or began.sample is None or at.sample is not None:
+            return event
+        device = None if began.device_ns is None else int(began.device_ns[0])
+        if device is not None and began.host_ns is not None and at.host_ns is not None:
+            device -= max(0, int(began.host_ns[0]) - at.host_ns)
+        return replace(event, at=Instant(int(began.sample[0]), device, at.host_ns))
 
-    def _log_early_events(self, first: Samples) -> None:
-        """Show the events before the first sample on the timelines that begin with it."""
-        moved: list[Event] = []
-        for event in self._early:
-            device = None if first.device_ns is None else int(first.device_ns[0])
-            if device is not None and first.host_ns is not None and event.at.host_ns is not None:
-                device -= max(0, int(first.host_ns[0]) - event.at.host_ns)
-            moved.append(replace(event, at=Instant(first.first, device, None)))
-            if event.lasting is not None and self._lasting[event.lasting] is event:
-                self._lasting[event.lasting] = moved[-1]
-        self._early.clear()
-        self._log_events(moved, again=True)
-
-    def _log_events(self, events: Sequence[Event], *, again: bool = False) -> None:
-        """Log events, those of a kind together: a chunk costs 2 kB, whatever is in it.
-
-        What is shown `again` has its place among the newest lines, and in time, already.
-        """
+    def _log_events(self, events: Sequence[Event]) -> None:
+        """Log events, those of a kind together: a chunk costs 2 kB, whatever is in it."""
         kinds: dict[tuple[object, ...], list[Any]] = {}
         for event in events:
             kinds.setdefault(_kind_of(event), []).append(event)
-            if event.lasting is not None and not again:
+            if event.lasting is not None:
                 self._lasting[event.lasting] = event
-            if isinstance(event, Drawing) and not again:
-                self._painter.add(event)
         for found in kinds.values():
             times = at_instants(*(event.at for event in found))
             if isinstance(found[0], Log):
-                self._log_lines(found, times, again=again)
+                self._log_lines(found, times)
             elif times.indexes:
                 self._log_kind(found, times)
 
-    def _log_lines(self, lines: Sequence[Log], times: Rows, *, again: bool) -> None:
+    def _log_lines(self, lines: Sequence[Log], times: Rows) -> None:
         texts = []
         for line in lines:
-            if not again:
-                self._lines.appendleft(markdown(line))
+            self._lines.appendleft(markdown(line))
             texts.append("\n\n".join(self._lines))
         if times.indexes:
-            self._has_log = True
             log_markdown(self._rec, LOG_TEXT, texts, times)
 
     def _log_kind(self, events: list[Any], times: Rows) -> None:
@@ -178,7 +156,7 @@ class StreamLogger:
         first = events[0]
         if isinstance(first, Numbers):
             values = {name: np.array([event.values[name] for event in events]) for name in first.values}
-            self._log_floats(Rows(values, times.sample, times.device_ns, times.host_ns, self._step_ns))
+            self._panels.log(replace(times, columns=values, step_ns=self._step_ns))
         elif isinstance(first, State):
             self._color_states(events)
             change = rr.StateChange.columns(state=[event.state for event in events])
@@ -189,47 +167,43 @@ class StreamLogger:
     def _color_states(self, events: Sequence[State]) -> None:
         """Declare the colours of a lane anew where it has states that it had not."""
         lane = events[0].lane
-        known = self._lanes.get(lane, {})
-        levels = known | {event.state: event.level for event in events if event.state not in known}
-        if len(levels) > len(known) and len(known) < COLORED_STATES:
-            self._lanes[lane] = levels
-            declare_lane(self._rec, lane, levels)
+        known = self._lanes.setdefault(lane, {})
+        new = {event.state: event.level for event in events if event.state not in known}
+        if new and len(known) < COLORED_STATES:
+            known |= new
+            declare_lane(self._rec, lane, known)
 
     def end_file(self) -> None:
         """Log what a file of a recording has at its end."""
         self._panels.end_file()
 
     def finish(self) -> None:
-        """Log the charts and the status card as they are at the end."""
+        """Log the charts as they are at the end."""
         self._panels.end_file()
         self._painter.finish()
-        self._log_events([event for event in self._lasting.values() if isinstance(event, Status)])
         self._arrange()
 
     def repeat(self) -> None:
         """Log the latest states, status card and log lines once more, for who takes the newest first."""
         if self._newest is None:
             return
-        self._log_events(list(self._lasting.values()), again=True)
-        if self._has_log:
+        self._log_events([*self._lasting.values()])
+        if self._lines:
             log_markdown(self._rec, LOG_TEXT, ["\n\n".join(self._lines)], self._newest)
 
     def _arrange(self) -> None:
         """Send the blueprint when what there is to see has changed."""
-        age_ns = 0
-        if self._live and self._newest is not None and self._newest.clock is not None:
-            age_ns = int(self._newest.clock[0]) - (self._began_ns or 0)
+        first, last = (None if rows is None else rows.clock for rows in (self._began, self._newest))
+        age_ns = 0 if first is None or last is None else int(last[0] - first[0])
         contents = Contents(
             panels=self._panels.shown,
             charts=tuple(self._painter.titles.values()),
             lanes=tuple(map(lane_path, sorted(self._lanes, key=lane_place))),
-            log=self._has_log,
+            log=bool(self._lines),
             status="status" in self._lasting,
-            others=self._others.views,
-            cards=tuple(self._panels.readings()),
-            full=age_ns > 1e9 * slow_window(self._setup.window_s),
+            full=self._live and age_ns > 1e9 * slow_window(self._setup.window_s),
         )
-        if contents and (contents, self._timeline) != self._arranged:
+        if any(contents) and (contents, self._timeline) != self._arranged:
             self._arranged, self._arranged_s = (contents, self._timeline), time.monotonic()
             self.arrangement = blueprint(self._setup, contents, self._timeline, live=self._live)
             self._rec.send_blueprint(self.arrangement)

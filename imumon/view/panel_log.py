@@ -1,17 +1,16 @@
-"""Logs rows to the panels that draw their columns, with axes and cards of numbers; other columns by unit."""
+"""Logs rows to the panels that draw their columns, with axes and cards of numbers."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import rerun as rr
 
-from imumon.blocks import ColumnArray
 from imumon.charts import AXIS_COLORS, BLUE, GREEN, RED
 from imumon.view.cards import Cards, Reading, card
 from imumon.view.items import ViewSetup
-from imumon.view.layout import FIRST, SCENE, read_as, tab_of
+from imumon.view.layout import FIRST, OTHER, SCENE, Line, Strip, read_as, tab_of
 from imumon.view.panels import PANELS, Panel
 from imumon.view.rows import Rows, log_markdown
 from imumon.view.window import Extents
@@ -19,8 +18,6 @@ from imumon.view.window import Extents
 LIVE_CARD_NS, RECORDED_CARD_NS = 500_000_000, 10_000_000_000
 """How often the cards are written: a person cannot read faster; in a recording each costs 2 kB."""
 
-OTHER, CONVERTED = "/samples/other", "/view/other"
-"""Entities of columns that are read in their own unit, and in another."""
 PART_COLORS = {**AXIS_COLORS, "roll": RED, "pitch": GREEN, "yaw": BLUE}
 """Colour of a column by how its name ends."""
 
@@ -29,27 +26,45 @@ class ShownPanels:
     """The panels that have had a value in each column, and their numbers: for viewer and terminal."""
 
     def __init__(self, setup: ViewSetup) -> None:
-        self.readings = {panel.key: panel.readings(setup) for panel in PANELS}
-        """What the card shows of each panel, by its key."""
+        self._setup = setup
         self.begun: dict[str, Panel] = {}
         """Those that have had data, in the order in which they began."""
+        self.readings: dict[str, Sequence[Reading]] = {}
+        """What the card shows of each."""
         self.cards = Cards()
+        self._others: dict[tuple[str, str], Strip] = {}
 
     def take(self, rows: Rows) -> Iterator[tuple[Panel, bool]]:
         """Yield the panels that draw these rows, and whether they begin; only one body can turn."""
-        for panel in drawing(rows):
+        for panel in self._drawing(rows):
             turns = panel.place == SCENE and any(other.place == SCENE for other in self.begun.values())
             begins = panel.key not in self.begun and not turns and panel.has_values(rows)
             if begins:
-                self.begun[panel.key] = panel
+                self.begun[panel.key], self.readings[panel.key] = panel, panel.readings(self._setup)
             if panel.key in self.begun:
                 self.cards.add(self.readings[panel.key], rows.columns)
                 yield panel, begins
 
+    def _drawing(self, rows: Rows) -> Iterator[Panel]:
+        """Yield the panels of which all columns are there, and a strip for each other column of floats."""
+        claimed: set[str] = set()
+        for panel in PANELS:
+            if rows.columns.keys() >= set(panel.columns):
+                claimed.update(panel.columns)
+                yield panel
+        for column, values in rows.columns.items():
+            if values.dtype == np.float64 and column not in claimed:
+                key = rows.stream, column
+                if key not in self._others:
+                    self._others[key] = self._other(*key)
+                yield self._others[key]
 
-def drawing(rows: Rows) -> list[Panel]:
-    """Return the panels of which all columns are there, whether they have a value or not."""
-    return [panel for panel in PANELS if rows.columns.keys() >= set(panel.columns)]
+    def _other(self, stream: str, column: str) -> Strip:
+        """Return the strip of a column that no panel draws, in the unit that a person reads."""
+        name = f"{stream}/{column.removeprefix(f'{stream}_')}" if stream else column
+        unit, factor = read_as(self._setup, column)
+        line = Line(column, name, PART_COLORS.get(name.rpartition("_")[2]))
+        return Strip(f"other/{name}", name, (line,), unit if factor != 1.0 else None, OTHER, silent=0.0)
 
 
 class PanelLog:
@@ -65,15 +80,17 @@ class PanelLog:
     @property
     def shown(self) -> tuple[Panel, ...]:
         """The panels that have data, in the order in which they stand."""
-        return tuple(panel for panel in PANELS if panel.key in self._panels.begun)
+        begun = self._panels.begun.values()
+        others = sorted((panel for panel in begun if panel.place == OTHER), key=lambda panel: panel.key)
+        return (*(panel for panel in PANELS if panel.key in self._panels.begun), *others)
 
     def declare(self) -> None:
         """Log what does not change, for a new file."""
         for panel in self._panels.begun.values():
             panel.declare(self._rec)
 
-    def log(self, rows: Rows) -> set[str]:
-        """Log rows; return the columns that panels draw."""
+    def log(self, rows: Rows) -> None:
+        """Log rows to the panels that draw them."""
         for panel, begins in self._panels.take(rows):
             if begins:
                 panel.declare(self._rec)
@@ -82,7 +99,6 @@ class PanelLog:
             if ends is not None:
                 last = np.array([len(rows.columns[panel.columns[0]]) - 1])
                 self._extents.set(panel.drawn, ends, rows.kept(last))
-        return {name for panel in drawing(rows) for name in panel.columns}
 
     def log_cards(self, newest: Rows) -> None:
         """Write the present values of every tab at the time of the newest row, when it is time."""
@@ -111,55 +127,3 @@ class PanelLog:
 def card_path(place: str) -> str:
     """Return the entity of a tab's card."""
     return f"/cards/{rr.escape_entity_path_part(place)}"
-
-
-class Others:
-    """Logs float columns that no panel draws, each to an entity, once one of their values is not zero."""
-
-    def __init__(self, rec: rr.RecordingStream, setup: ViewSetup) -> None:
-        self._rec, self._setup = rec, setup
-        self._names: set[str] = set()
-
-    @property
-    def views(self) -> tuple[tuple[str, tuple[str, ...]], ...]:
-        """A title and the entities of each view; that of one column names it."""
-        found: dict[tuple[str, str], list[str]] = {}
-        for name in sorted(self._names):
-            found.setdefault((name.rpartition("/")[0], self._read_as(name)[0]), []).append(name)
-        views = []
-        for (stream, unit), names in found.items():
-            title = f"{stream}: {unit or 'no unit'}" if stream else unit or "no unit"
-            if len(names) == 1:
-                title = f"{names[0]} [{unit}]" if unit else names[0]
-            views.append((title, tuple(map(self._drawn, names))))
-        return tuple(views)
-
-    def declare(self) -> None:
-        """Log what does not change, for a new file."""
-        for name in self._names:
-            self._declare(name)
-
-    def log(self, name: str, values: ColumnArray, rows: Rows) -> None:
-        """Log a column; its stream, if any, stands before its name and a slash."""
-        numbers = np.asarray(values, np.float64)
-        if name not in self._names:
-            if not np.any(np.isfinite(numbers) & (numbers != 0.0)):
-                return
-            self._names.add(name)
-            self._declare(name)
-        kept = rows.extremes(numbers[:, np.newaxis]) & np.isfinite(numbers)
-        if kept.any():
-            _, factor = self._read_as(name)
-            rows.kept(kept).send(self._rec, self._drawn(name), factor * numbers[kept])
-
-    def _read_as(self, name: str) -> tuple[str, float]:
-        return read_as(self._setup, name.replace("/", "_"))
-
-    def _drawn(self, name: str) -> str:
-        """Return the entity of a column, by whether it is drawn in its own unit."""
-        return f"{OTHER if self._read_as(name)[1] == 1.0 else CONVERTED}/{name}"
-
-    def _declare(self, name: str) -> None:
-        color = PART_COLORS.get(name.rpartition("_")[2])
-        look = rr.SeriesLines(names=[name], colors=None if color is None else [list(color)])
-        self._rec.log(self._drawn(name), look, static=True)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 from imumon.view.fed import FedProcess
 from imumon.view.items import ViewItem, ViewSetup
@@ -22,32 +23,22 @@ class Start:
     open_viewer: bool = True
     """Whether a native viewer is opened where none is open; False after a restart."""
     lasting: Sequence[ViewItem] = ()
-    """States and charts that an earlier process has shown."""
+    """States and charts so far."""
 
 
-@dataclass(frozen=True, slots=True)
-class Report:
-    """What a view process reports: a phrase; once it serves, what to open and the port of page or viewer.
-
-    `dropped` and `restarts` are counted by who feeds it.
-    """
+class Report(NamedTuple):
+    """What a view process reports: a phrase; once it serves, what to open and the port of page or viewer."""
 
     text: str
     url: str = ""
     port: int = 0
-    dropped: int = 0
-    restarts: int = 0
-
-    def __str__(self) -> str:
-        """Return one phrase, for the status line."""
-        return f"{self.text}, {self.dropped} dropped" if self.dropped else self.text
 
 
 class ViewPublisher(FedProcess):
     """Feeds a process that shows the live view; nothing that happens there delays the caller.
 
-    Where another program has the port of the viewer or `web_port` of the page, the next free one is taken.
-    The page is on the address `bind`.
+    Where another program has the `port` of the viewer, or of the page, the next free one is taken.  The page
+    is on the address `bind`.
     """
 
     def __init__(
@@ -55,31 +46,33 @@ class ViewPublisher(FedProcess):
         mode: Mode,
         setup: ViewSetup,
         *,
-        port: int = VIEWER_PORT,
-        web_port: int = WEB_PORT,
+        port: int | None = None,
         bind: str = LOCALHOST,
         module: str = "imumon.view.child",
     ) -> None:
         super().__init__(module)
-        self._start = Start(setup, mode, web_port if mode == "web" else port, bind)
-        self._lasting: dict[str, ViewItem] = {}
+        self._start = Start(setup, mode, port or (WEB_PORT if mode == "web" else VIEWER_PORT), bind)
         self._report = Report("view starts")
+        self._announced = ""
 
     @property
-    def state(self) -> Report:
-        """How the view is now."""
-        return replace(self._report, dropped=self._queue.dropped, restarts=self._restarts)
+    def text(self) -> str:
+        """How the view is now, in one phrase."""
+        return f"{self._report.text}, {self.dropped} dropped" if self.dropped else self._report.text
 
     @property
     def url(self) -> str:
         """What to open: the page in a browser (web), the stream (native); empty until it is known."""
         return self._report.url
 
-    def _first(self) -> Start:
-        return replace(self._start, lasting=list(self._lasting.values()))
+    def announce(self, log: Callable[[str, str], None]) -> None:
+        """Log where the view is, as soon as it is known and when it changes."""
+        if self.url not in ("", self._announced):
+            self._announced = self.url
+            log("INFO", f"live view: {self.url}")
 
-    def _handed(self, items: Sequence[ViewItem]) -> None:
-        self._lasting |= {item.lasting: item for item in items if item.lasting is not None}
+    def _first(self) -> Start:
+        return replace(self._start, lasting=self._queue.lasting)
 
     def _received(self, report: Report) -> None:
         """Keep what a later view process needs: the same port, and no second window."""

@@ -21,7 +21,8 @@ BATCH_S = 30.0
 """Items of this long become one chunk per panel.  A chunk costs about 1.4 kB beside its rows: with 80 panels
 30 B a sample at 100 Hz."""
 SEGMENT_S = 600.0
-"""Rerun keeps 2 kB of each chunk until the file ends: at 1 kHz 25 MB/h."""
+"""A segment ends with the first batch after it.  Until then Rerun keeps 2 kB of each chunk: 25 MB/h at
+1 kHz."""
 QUEUE_BYTES = 64 << 20
 FLUSH_S, TIMEOUTS = 5.0, 6
 """How long a flush may take; after so many in a row that take longer the disk is taken for full, which Rerun
@@ -37,16 +38,14 @@ class ViewRecorder:
 
     Raises EXISTS when there is a file already; NOT_FOUND when the folder is missing.
 
-    `path` is the first segment, the others stand beside it; one begins with the first batch after
-    `segment_s`. `on_error` is called with `error` once, from the thread that writes.
+    `path` is the first segment, the others stand beside it.  `on_error` is called with `error` once, from the
+    thread that writes.
     """
 
     def __init__(
         self,
         path: Path,
         setup: ViewSetup,
-        *,
-        segment_s: float = SEGMENT_S,
         on_error: Callable[[str], None] = lambda _: None,
     ) -> None:
         if path.exists():
@@ -54,7 +53,7 @@ class ViewRecorder:
         if not path.parent.is_dir():
             raise ImumonError(Reason.NOT_FOUND, f"there is no folder {path.parent}")
         self._path = path
-        self._segment_s, self._opened_s = segment_s, -math.inf
+        self._opened_s = -math.inf
         self._rec = rr.RecordingStream(APPLICATION, recording_id=setup.recording_id)
         self._logger = StreamLogger(self._rec, setup, live=False)
         self._queue = DropOldestQueue(QUEUE_BYTES)
@@ -104,7 +103,7 @@ class ViewRecorder:
         """Write what has come; where that cannot be, count it."""
         items = merge(self._queue.take(BATCH_S, BATCH_S))
         if items and not self.error:
-            if time.monotonic() - self._opened_s > self._segment_s:
+            if time.monotonic() - self._opened_s > SEGMENT_S:
                 self._logger.end_file()
                 self._open_segment()
             self._logger.log(items)

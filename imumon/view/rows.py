@@ -29,6 +29,8 @@ class Rows:
     host_ns: IntArray | None
     step_ns: int = 0
     before_ns: int | None = None
+    stream: str = ""
+    """Name of the side stream that they are of; empty for the main one."""
 
     @cached_property
     def indexes(self) -> list[rr.TimeColumn]:

@@ -18,7 +18,7 @@ def test_a_row_is_a_message_without_what_is_not_there() -> None:
             "gyro_bias_x": np.full(3, np.nan),
         }
     )
-    assert [*messages([Samples(5, None, None, block)], {})] == [
+    assert [*messages([Samples(np.arange(5, 5 + len(block)), None, None, block)], {})] == [
         Message("imu", 10, {"sample": 5, "host_time_ns": 10, "arrival_time_ns": 11, "gyro_x": 0.1}),
         Message("imu", 12, {"sample": 6, "arrival_time_ns": 12}),
         Message("imu", None, {"sample": 7}),

@@ -104,7 +104,8 @@ def test_ros_stays_on_this_computer_unless_requested(ros: Ros) -> None:
     assert {name: os.environ.pop(name) for name in ALONE} == ALONE
     assert outlet.send([State(Timebase().at(1), "port", "open")]) == 0
     assert not ros.published
-    assert outlet.send([Samples(0, None, None, SampleBlock({"gyro_x": np.zeros(1)}))]) == 0
+    untimed = SampleBlock({"gyro_x": np.zeros(1)})
+    assert outlet.send([Samples(np.zeros(1, np.int64), None, None, untimed)]) == 0
 
 
 def test_without_ros_it_reports_it(monkeypatch: pytest.MonkeyPatch) -> None:

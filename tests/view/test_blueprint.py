@@ -18,8 +18,10 @@ from imumon.view.blueprint import Contents, blueprint
 from imumon.view.items import Log, Numbers, State, Status, Timebase, ViewItem, ViewSetup
 from imumon.view.layout import STRIPS
 from imumon.view.logger import StreamLogger
-from imumon.view.panels import ALIGNMENT, PANELS, RESIDUAL
+from imumon.view.panels import PANELS
 from tests.view.streams import block
+
+ALIGNMENT, RESIDUAL = "Alignment", "Residual"
 
 
 def blueprint_of(path: Path) -> dict[str, list[object]]:
@@ -82,7 +84,7 @@ def test_every_panel_with_data_has_a_view(tmp_path: Path) -> None:
 def test_charts_beside_strips_have_two_columns_before_they_are_too_small(charts: int, columns: int) -> None:
     strips = tuple(panel for panel in PANELS if panel.place == RESIDUAL)
     drawn = tuple((RESIDUAL, f"chart {number}", "title") for number in range(charts))
-    contents = Contents(strips, drawn, (), False, False, (), (), False)
+    contents = Contents(strips, drawn, (), False, False, False)
     root: Any = blueprint(SETUP, contents, "device_time", live=True).root_container
     (tab,) = (part for part in root.contents if part.name == RESIDUAL)
     beside = tab.contents[-1] if columns == 1 else tab.contents[-1].contents[-1]
@@ -101,15 +103,15 @@ def test_strips_have_two_columns_before_their_axes_lack_numbers(
     setup = ViewSetup("test", "test", window_s=window_s or 30.0)
     strips = tuple(panel for panel in PANELS if panel.place == STRIPS)[:count]
     assert len(strips) == count
-    contents = Contents(strips, (), (), False, False, (), (), False)
+    contents = Contents(strips, (), (), False, False, False)
     root: Any = blueprint(setup, contents, "device_time", live=window_s is not None).root_container
-    (beside,) = root.contents[0].contents
-    assert (getattr(beside.contents[0], "grid_columns", None) or 1) == columns
+    beside = root.contents[0].contents[-1]
+    assert (getattr(beside, "grid_columns", None) or 1) == columns
 
 
 def test_four_strips_beside_a_chart_have_the_width_for_their_time_axes() -> None:
     strips = tuple(panel for panel in PANELS if panel.place == ALIGNMENT)[:4]
-    contents = Contents(strips, ((ALIGNMENT, "a", "title"),), (), False, False, (), (ALIGNMENT,), False)
+    contents = Contents(strips, ((ALIGNMENT, "a", "title"),), (), False, False, False)
     root: Any = blueprint(SETUP, contents, "device_time", live=True).root_container
     (tab,) = (part for part in root.contents if part.name == ALIGNMENT)
     grid, beside = tab.contents

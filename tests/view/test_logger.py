@@ -14,7 +14,6 @@ from imumon.view.items import Instant, Log, Numbers, State, Status, Timebase, Vi
 from imumon.view.lanes import LOG_TEXT
 from imumon.view.layout import Line, Strip, read_as, xyzw
 from imumon.view.logger import StreamLogger, status_card
-from imumon.view.panel_log import OTHER
 from imumon.view.panels import PANELS
 from imumon.view.rows import Rows
 from imumon.view.window import Window
@@ -121,8 +120,8 @@ def test_a_side_stream_has_entities_of_its_own(write: Callable[[Write], Path]) -
         logger.log([timebase.side("gnss", SampleBlock({**times, **side}))])
 
     there = entities(write(fill))
-    assert f"{OTHER}/gnss/latitude" in there
-    assert f"{OTHER}/gnss_latitude" not in there
+    assert "/samples/other/gnss/latitude" in there
+    assert "/samples/other/gnss_latitude" not in there
 
 
 def test_state_before_the_first_sample_shows_on_device_time(write: Callable[[Write], Path]) -> None:

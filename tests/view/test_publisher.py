@@ -46,7 +46,7 @@ def publish(monkeypatch: pytest.MonkeyPatch) -> Iterator[Publish]:
 
     def start(mode: Mode, port: int) -> ViewPublisher:
         monkeypatch.setenv("IMUMON_TEST_PORT", str(port))  # marks every process that comes of it
-        publisher = ViewPublisher(mode, ViewSetup("synthetic AHRS", "live-1"), port=port, web_port=port + 1)
+        publisher = ViewPublisher(mode, ViewSetup("synthetic AHRS", "live-1"), port=port + (mode == "web"))
         started.append(publisher)
         return publisher.start()
 
@@ -158,7 +158,7 @@ def test_a_viewer_that_comes_later_sees_all_from_the_start(
         stream.run_until(lambda: "Log" in views(later), "as it is arranged")
         end = seen(later)["sample"][1]
         stream.run_until(lambda: seen(later)["sample"][1] > end, "it goes on")
-    assert (publisher.state.restarts, publisher.state.dropped) == (0, 0)
+    assert (publisher.restarts, publisher.dropped) == (0, 0)
 
 
 @pytest.mark.viewer
@@ -169,12 +169,12 @@ def test_an_open_viewer_goes_on_with_a_view_process_that_is_started_again(
     publisher = publish("native", port)
     stream = Stream(publisher.publish)
     stream.run_until(lambda: "sample" in seen(port), "samples seen")
-    stream.run_until(lambda: publisher.state.text == "viewer open", "it is known to be open")
+    stream.run_until(lambda: publisher.text == "viewer open", "it is known to be open")
     child().kill()
-    stream.run_until(lambda: publisher.state.restarts == 1 and bool(publisher.url), "it is back")
+    stream.run_until(lambda: publisher.restarts == 1 and bool(publisher.url), "it is back")
     sent = stream.sent
     stream.run_until(lambda: seen(port)["sample"][1] > sent, "samples of the second process are seen")
-    assert publisher.state.text == "viewer open"
+    assert publisher.text == "viewer open"
 
 
 @pytest.mark.viewer
@@ -188,7 +188,7 @@ def test_stopped_viewer_costs_little_and_gets_what_it_missed(
     viewer.send_signal(signal.SIGSTOP)
     for _ in range(200):
         stream.send(50)
-    assert publisher.state.dropped == 0
+    assert publisher.dropped == 0
     viewer.send_signal(signal.SIGCONT)
     stream.run_until(lambda: seen(port)["sample"][1] >= 10_000, "what was missed is shown")
     viewer.send_signal(signal.SIGSTOP)
@@ -240,7 +240,7 @@ def test_killed_view_process_is_started_again_on_the_same_ports(publish: Publish
     stream.run_until(lambda: bool(publisher.url), "serving")
     url = publisher.url
     child().kill()
-    stream.run_until(lambda: publisher.state.restarts == 1, "noticed")
+    stream.run_until(lambda: publisher.restarts == 1, "noticed")
     stream.run_until(lambda: bool(publisher.url), "serving again")
     assert publisher.url == url
 
@@ -284,9 +284,9 @@ def test_without_any_viewer_publishing_goes_on_and_the_state_gives_the_reason(
 ) -> None:
     publisher = publish("native", port)
     stream = Stream(publisher.publish)
-    stream.run_until(lambda: "could not start" in publisher.state.text, "noticed")
+    stream.run_until(lambda: "could not start" in publisher.text, "noticed")
     stream.run(0.5)
-    assert publisher.state.dropped == 0
+    assert publisher.dropped == 0
     started = time.monotonic()
     publisher.close()
     assert time.monotonic() - started < LIMIT_S
@@ -302,7 +302,7 @@ def test_stopped_view_process_costs_bounded_memory_and_does_not_block_exit(
     large = Timebase().samples(block(0, 100_000))
     for _ in range(2 * QUEUE_BYTES // large.nbytes + 20):
         publisher.publish(large)
-    stream.run_until(lambda: publisher.state.dropped > 0, "counted")
+    stream.run_until(lambda: publisher.dropped > 0, "counted")
     started = time.monotonic()
     publisher.close()
     assert time.monotonic() - started < LIMIT_S
@@ -318,7 +318,7 @@ def test_view_process_that_takes_nothing_is_started_again(
         impatient.setattr("imumon.view.fed.STUCK_S", 1.0)
         os.kill(child().pid, signal.SIGSTOP)
         stream.send(20_000)  # more than a pipe holds
-        stream.run_until(lambda: publisher.state.restarts >= 1, "noticed")
+        stream.run_until(lambda: publisher.restarts >= 1, "noticed")
     stream.run_until(lambda: bool(publisher.url), "serving again")
 
 

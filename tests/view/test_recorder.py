@@ -64,7 +64,8 @@ def test_spikes_come_back_bit_for_bit_in_a_fraction_of_the_rows(tmp_path: Path) 
 
 def test_segments_open_as_one_and_each_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("imumon.view.recorder.BATCH_S", 0.01)
-    recorder = ViewRecorder(tmp_path / "view.rrd", SETUP, segment_s=0.35)
+    monkeypatch.setattr("imumon.view.recorder.SEGMENT_S", 0.35)
+    recorder = ViewRecorder(tmp_path / "view.rrd", SETUP)
     stream = Stream(recorder.publish)
     while len(recorder.files) < 4:
         stream.send(9 * RATE_HZ)
@@ -86,7 +87,8 @@ def test_segments_open_as_one_and_each_alone(tmp_path: Path, monkeypatch: pytest
 
 def test_segments_cost_no_threads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("imumon.view.recorder.BATCH_S", 0.01)
-    recorder = ViewRecorder(tmp_path / "view.rrd", SETUP, segment_s=0.0)
+    monkeypatch.setattr("imumon.view.recorder.SEGMENT_S", 0.0)
+    recorder = ViewRecorder(tmp_path / "view.rrd", SETUP)
     stream = Stream(recorder.publish)
     while len(recorder.files) < 3:
         stream.send(10)

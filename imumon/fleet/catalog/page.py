@@ -15,7 +15,7 @@ from imumon.columns import TEMPERATURES
 from imumon.files import write_text
 from imumon.fleet.catalog.drift import Drift, Outlier, drifts
 from imumon.fleet.catalog.tables import day
-from imumon.fleet.catalog.units import BEST, COLDEST, HOTTEST, WORST, Entry, Unit
+from imumon.fleet.catalog.units import Unit
 from imumon.harmless import for_plot
 from imumon.lab.diagnosis.page import COLOURS, HOUR_S, environment, shown, svg
 from imumon.models.model import BiasModel
@@ -27,42 +27,18 @@ from imumon.run.stages import estimators
 from imumon.version import __version__
 
 TEMPLATE = "record.html.j2"
+"""Holds all words and tables of the page."""
 POINTS = 400
 """Of a curve over time: more than a figure has pixels for is not visible."""
 BIASES = tuple((f"gyro_bias_{axis}", f"gyro_bias_sd_{axis}") for axis in "xyz")
 PER_HOUR, HOURLY = shown("rad/s")
 
 
-class Section(NamedTuple):
-    """A part of the page: a table, and figures by their captions."""
-
-    title: str
-    words: str = ""
-    heads: Sequence[str] = ()
-    rows: Sequence[Sequence[str | float]] = ()
-    figures: Mapping[str, str] = {}
-
-
 def write_unit(unit: Unit, unusual: Sequence[Outlier], path: Path) -> None:
     """Write the record of a unit; raises OSError when that fails."""
-    row = unit.row
-    facts = {
-        "serial number": unit.name,
-        "device": unit.device,
-        "sessions": f"{row['sessions']}, {row['hours']:.2f} h, {day(row['first'])} to {day(row['last'])}",
-        "temperature": f"{row[COLDEST]:.2f} to {row[HOTTEST]:.2f} °C",
-        "smallest σ of the gyro bias": f"{row[BEST] * PER_HOUR:.3g} to {row[WORST] * PER_HOUR:.3g} {HOURLY}",
-        "made by": f"imumon {__version__}",
-    }
-    caveats = [str(outlier) for outlier in unusual if outlier.unit == unit.name]
-    if any(dated.model.earth_rate == "included" for dated in unit.models):
-        caveats.append(
-            "the models hold the earth rate of the place and the pose of their test (up to 15.04 °/h): what"
-            " is called drift is one only if both stayed the same"
-        )
-    models = [dated.model for dated in unit.models[-1:]]
-    sections = [_sessions(unit.entries), _drift(drifts(unit)), *map(_model, models)]
-    _write(path, f"Calibration record of {unit.name}", facts, caveats, sections)
+    model = unit.models[-1].model if unit.models else None
+    drifted, own = drifts(unit), [outlier for outlier in unusual if outlier.unit == unit.name]
+    _write(path, model, unit=unit, unusual=own, drifted=drifted, draw_drift=lambda: svg(_drift(drifted)))
 
 
 def write_session(session: Session, path: Path) -> list[str]:
@@ -70,64 +46,27 @@ def write_session(session: Session, path: Path) -> list[str]:
 
     Raises `ImumonError` and OSError when that fails.
     """
-    setup, metadata = recorded_setup(session), session.metadata
+    setup = recorded_setup(session)
     recording = open_recording(session.path, lambda device: estimators(device, setup))
     names = [*GYRO, *TEMPERATURES, *itertools.chain(*BIASES)]
-    slot_s = max(1.0, np.nan_to_num(metadata.duration_s) / POINTS)
+    slot_s = max(1.0, np.nan_to_num(session.metadata.duration_s) / POINTS)
     means = reduce(recording.blocks(), names, slot_s)
-    counters, port = recording.pipeline.counters, metadata.port
-    facts = {
-        "serial number": metadata.serial or "not given",
-        "device": metadata.device,
-        "recorded": f"{metadata.created} to {metadata.ended or 'it was interrupted'}",
-        "port": "-" if port is None else port.url,
-        "samples": f"{counters.samples:,}; {counters.packets_missing:,} packets missing, "
-        f"{counters.checksum_errors + counters.length_errors:,} damaged",
-        "SHA-256 of the data": fingerprint(session.truth_path),
-        "versions": ", ".join(f"{name} {version}" for name, version in metadata.versions.items()),
-        "made by": f"imumon {__version__}",
-    }
-    sections = [_course(means), *([] if setup.bias_model is None else [_model(setup.bias_model)])]
-    warnings = recording.warnings()
-    _write(path, f"Record of {session.path.name}", facts, warnings, sections)
+    warnings, counters = recording.warnings(), recording.pipeline.counters
+    content: dict[str, Any] = {"session": session, "sha256": fingerprint(session.truth_path)}
+    content["course"] = {"slot_s": means.slot_s, "figures": _course(means), "rows": _biases(means)}
+    _write(path, setup.bias_model, **content, warnings=warnings, counters=counters)
     return warnings
 
 
-def _write(
-    path: Path, title: str, facts: Mapping[str, str], caveats: Sequence[str], sections: Sequence[Section]
-) -> None:
-    content = {"title": title, "facts": facts, "caveats": caveats, "sections": sections}
-    write_text(path, environment("imumon.fleet.catalog").get_template(TEMPLATE).render(**content))
+def _write(path: Path, model: BiasModel | None, unit: Unit | None = None, **content: Any) -> None:
+    template = environment("imumon.fleet.catalog").get_template(TEMPLATE)
+    units = {"per_hour": PER_HOUR, "hourly": HOURLY, "day": day, "version": __version__}
+    curves = {} if model is None else _curves(model)
+    write_text(path, template.render(model=model, curves=curves, unit=unit, **units, **content))
 
 
-def _sessions(entries: Sequence[Entry]) -> Section:
-    rows: list[Sequence[str | float]] = [
-        [
-            entry.session.path.name, day(row["begun"]), row["hours"], row[COLDEST], row[HOTTEST],
-            PER_HOUR * row[BEST], PER_HOUR * row[WORST],
-            np.nan if row["lost"] is None else float(row["lost"]), row["error"] or "",
-        ]
-        for entry in entries
-        for row in [entry.row]
-    ]  # fmt: skip
-    heads = ["session", "day", "h", "from °C", "to °C", f"best σ, {HOURLY}", "worst", "packets lost", ""]
-    words = "best, worst: the smallest σ that the gyro bias reached, on the best axis and on the worst."
-    return Section("Sessions", words, heads, rows)
-
-
-def _drift(drifted: Sequence[Drift]) -> Section:
-    if not drifted:
-        return Section("Drift", "There is no bias model of this unit.")
-    rows: list[Sequence[str | float]] = [
-        [one.channel, one.at_degc, float(len(one.bias)), *(PER_HOUR * value for value in of)]
-        for one in drifted
-        for of in [(one.bias[-1], one.sd[-1], one.per_month, one.per_month_sd)]
-    ]
-    heads = ["channel", "at °C", "models", f"latest bias, {HOURLY}", "σ", f"per month, {HOURLY}", "σ"]
-    words = (
-        "The bias of each model at the middle of the temperatures that all of them know. σ is of the curve"
-        " and of the turn-on offset; that of the drift is larger where the models scatter more than their σ."
-    )
+def _drift(drifted: Sequence[Drift]) -> Callable[[Axes], None]:
+    """Return what draws the bias of each model less that of the first."""
 
     def draw(axes: Axes) -> None:
         for one, colour in zip(drifted, COLOURS, strict=False):
@@ -139,27 +78,13 @@ def _drift(drifted: Sequence[Drift]) -> Section:
         axes.tick_params(axis="x", rotation=30)
         axes.legend(fontsize=6)
 
-    return Section("Drift", words, heads, rows, {"Bias by each model, less the first": svg(draw)})
+    return draw
 
 
-def _model(model: BiasModel) -> Section:
-    """Return the section of a model: its channels, its data, its curves."""
-    rows: list[Sequence[str | float]] = []
-    for name, channel in model.channels.items():
-        factor, unit = shown(channel.unit)
-        middle = 0.5 * sum(channel.temperature_range_degc)
-        effects = ", ".join(effect.name for effect in channel.effects)
-        numbers = (channel.value(middle), channel.slope(middle), channel.residual_sd)
-        rows.append(
-            [name, *channel.temperature_range_degc, *(factor * float(x) for x in numbers), unit, effects]
-        )
-    data = "; ".join(f"{run.session} (SHA-256 {run.sha256[:16]}…)" for run in model.trained_on)
-    made = f"Made {model.created} by {model.made_by}; earth rate {model.earth_rate}."
-    heads = [
-        "channel", "from °C", "to °C", "bias in the middle", "slope per °C", "residual σ", "unit", "effects",
-    ]  # fmt: skip
-    kinds = {"gyro": "Bias of the gyros", "accel": "Change of the accelerometers' bias"}
+def _curves(model: BiasModel) -> dict[str, str]:
+    """Return figures of the curves of a model by their captions."""
     figures = {}
+    kinds = {"gyro": "Bias of the gyros", "accel": "Change of the accelerometers' bias"}
     for kind, caption in kinds.items():
         curves = dict[str, Curve]()
         for name, channel in model.channels.items():
@@ -171,14 +96,13 @@ def _model(model: BiasModel) -> Section:
         if curves:
             labels = {"xlabel": "temperature, °C", "ylabel": f"bias ± 2σ, {unit}"}
             figures[f"{caption} over temperature"] = svg(_lines(curves, **labels))
-    return Section("Bias model", f"{made} Of: {data or 'unknown'}.", heads, rows, figures)
+    return figures
 
 
-def _course(means: Reduced) -> Section:
-    """Return temperature and gyro bias over time, and the bias at the end."""
+def _course(means: Reduced) -> dict[str, str]:
+    """Return figures of temperature and gyro bias over time by their captions."""
     hours = (means.start_ns - means.start_ns[:1]).astype(np.float64) * 1e-9 / HOUR_S
     figures: dict[str, str] = {}
-    rows: list[Sequence[str | float]] = []
     if readings := {name: Curve(hours, means.of(name)) for name in TEMPERATURES if means.has(name)}:
         figures["Temperature"] = svg(_lines(readings, xlabel="time, h", ylabel="temperature, °C"))
     biases = {
@@ -190,12 +114,19 @@ def _course(means: Reduced) -> Section:
         widest = max(np.nanmedian(np.abs(one.y) + 2 * one.sd) for one in biases.values())
         labels: dict[str, Any] = {"xlabel": "time, h", "ylabel": HOURLY, "ylim": (-2 * widest, 2 * widest)}
         figures["Gyro bias, with 2σ"] = svg(_lines(biases, **labels))
-    for bias, (_, value, sd) in biases.items():
-        known = np.flatnonzero(np.isfinite(value) & np.isfinite(sd))
-        if len(known):
-            rows.append([bias, float(value[known[-1]]), float(sd[known[-1]]), float(np.nanmin(sd))])
-    heads = ["", f"at the end, {HOURLY}", "σ", "smallest σ"]
-    return Section("Course", f"Means of {means.slot_s:.0f} s.", heads, rows, figures)
+    return figures
+
+
+def _biases(means: Reduced) -> list[tuple[str, float, float, float]]:
+    """Return name, last value and sigma, and smallest sigma of each gyro bias, rad/s."""
+    rows = []
+    for bias, sd_name in BIASES:
+        if means.has(bias) and means.has(sd_name):
+            value, sd = means.of(bias), means.of(sd_name)
+            known = np.flatnonzero(np.isfinite(value) & np.isfinite(sd))
+            if len(known):
+                rows.append((bias, float(value[known[-1]]), float(sd[known[-1]]), float(np.nanmin(sd))))
+    return rows
 
 
 class Curve(NamedTuple):

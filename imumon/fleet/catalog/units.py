@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -61,6 +61,7 @@ class Unit:
     def row(self) -> dict[str, Any]:
         """Of the table of units, without its outliers."""
         rows = [entry.row for entry in self.entries]
+        of = {name: [row[name] for row in rows] for name in (COLDEST, HOTTEST, BEST, WORST)}
         return {
             "unit": self.name,
             "device": self.device,
@@ -68,16 +69,11 @@ class Unit:
             "first": min((row["begun"] for row in rows), default=None),
             "last": max((row["begun"] for row in rows), default=None),
             "hours": float(np.nansum([row["hours"] for row in rows])),
-            **{name: _known(min, (row[name] for row in rows)) for name in (COLDEST, BEST)},
-            **{name: _known(max, (row[name] for row in rows)) for name in (HOTTEST, WORST)},
+            **{name: float(np.fmin.reduce(of[name], initial=np.nan)) for name in (COLDEST, BEST)},
+            **{name: float(np.fmax.reduce(of[name], initial=np.nan)) for name in (HOTTEST, WORST)},
             "models": len(self.models),
             "latest_model": self.models[-1].model.created if self.models else None,
         }
-
-
-def _known(choose: Callable[..., float], values: Iterable[float]) -> float:
-    """Return the least or the greatest of the values that are not NaN; NaN when all are."""
-    return choose((value for value in values if value == value), default=np.nan)
 
 
 def read_sessions(
@@ -152,26 +148,23 @@ def read_models(folder: Path) -> list[BiasModel]:
 
 def units_of(entries: Sequence[Entry], models: Sequence[BiasModel]) -> list[Unit]:
     """Return the units, by name: a serial number is the session's own, or that of a model made of it."""
-    trained: dict[str, str] = {}
-    for model in [*models, *(entry.model for entry in entries if entry.model is not None)]:
-        if model.serial is not None:
-            trained |= {run.session: model.serial for run in model.trained_on}
+    every = [*models, *(entry.model for entry in entries if entry.model is not None)]
+    trained = {run.session: one.serial for one in every if one.serial for run in one.trained_on}
+    begun = {entry.session.path.name: entry.session.metadata.created_ns for entry in entries}
     units: dict[tuple[str, str], Unit] = {}
-    begun: dict[str, int] = {}
 
     def unit_of(serial: str | None, device: str) -> Unit:
         name = serial or f"({device})"
         return units.setdefault((name, device), Unit(name, device))
 
     for entry in entries:
-        metadata, name = entry.session.metadata, entry.session.path.name
-        of_model = None if entry.model is None else entry.model.serial
-        serial = metadata.serial or trained.get(name) or of_model
+        metadata, model = entry.session.metadata, entry.model
+        of_model = None if model is None else model.serial
+        serial = metadata.serial or trained.get(entry.session.path.name) or of_model
         unit = unit_of(serial, metadata.device)
         unit.entries.append(entry)
-        begun[name] = metadata.created_ns
-        if entry.model is not None and entry.model.serial in (None, serial):
-            _add(unit, entry.model, begun)
+        if model is not None and model.serial in (None, serial):
+            _add(unit, model, begun)
     for model in models:
         _add(unit_of(model.serial, model.device or "unknown"), model, begun)
     for unit in units.values():

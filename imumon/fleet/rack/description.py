@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Final, Literal, NamedTuple
 
@@ -100,26 +102,16 @@ def _plan(name: str, place: Place, default: Shared, path: Path) -> Plan:
     return Plan(name, device_yaml, settings, unit.serial, setup.text())
 
 
-class Watched:
-    """A rack file that may be changed while the rack runs."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self._read = self._latest = self._stamp()
-
-    def has_changed(self) -> bool:
-        """Tell, once for each change, that the file is another one and stays so: it may be half written."""
-        stamp, before = self._stamp(), self._latest
-        self._latest = stamp
-        if stamp is None or stamp != before or stamp == self._read:
-            return False
-        self._read = stamp
-        return True
-
-    def _stamp(self) -> tuple[int, int, int] | None:
-        """Return what distinguishes one state of the file from another; None while there is none."""
-        try:
-            now = self.path.stat()
-        except OSError:
-            return None
-        return now.st_mtime_ns, now.st_size, now.st_ino
+def changes(path: Path) -> Iterator[bool]:
+    """Yield, once for each change, that a file is another one and stays so: it may be half written."""
+    read: tuple[int, int, int] | None = None
+    latest = read
+    while True:
+        before, latest = latest, None
+        with suppress(OSError):  # there is none
+            now = path.stat()
+            latest = now.st_mtime_ns, now.st_size, now.st_ino
+        is_new = latest is not None and latest == before != read
+        if is_new or read is None:
+            read = latest
+        yield is_new

@@ -16,7 +16,7 @@ from typing import Any
 from imumon.fleet.rack.description import Plan
 from imumon.fleet.rack.feed import OfUnit, Overview, Vitals
 from imumon.fleet.rack.table import Row, markdown, row_of
-from imumon.fleet.rack.unit import Ended, Update, run_unit
+from imumon.fleet.rack.unit import Update, run_unit
 from imumon.lane import Level
 from imumon.recordings.lines import SessionLog
 from imumon.view.items import Instant, Log, State, ViewItem, ViewSetup
@@ -48,7 +48,7 @@ class Process:
         self._ours, theirs = context.Pipe()
         self.received_s = time.monotonic() + FIRST_WORD_S
         """When its last message came; before the first one when that is due."""
-        self._messages: SimpleQueue[Update | Ended] = SimpleQueue()
+        self._messages: SimpleQueue[Update] = SimpleQueue()
         self._process = context.Process(target=run_unit, args=(plan, *others, theirs), name=plan.name)
         self._process.start()
         self.pid, self.kill = self._process.pid or 0, self._process.kill
@@ -56,7 +56,7 @@ class Process:
         self._listener = threading.Thread(target=self._listen, daemon=True)
         self._listener.start()
 
-    def messages(self) -> list[Update | Ended]:
+    def messages(self) -> list[Update]:
         """Return what it has reported since the last time."""
         messages = [self._messages.get_nowait() for _ in range(self._messages.qsize())]
         if messages:
@@ -126,9 +126,8 @@ class Unit:
 
     @property
     def row(self) -> Row:
-        """What the table shows: of a unit that has ended, the cost of its life."""
-        cpu = self.vitals.mean_cpu if self.process is None else self.vitals.cpu
-        return row_of(self.plan.name, self.state, self.vitals, cpu, len(self.deaths))
+        """What the table shows."""
+        return row_of(self.plan.name, self.state, self.vitals, len(self.deaths))
 
     def as_dict(self) -> dict[str, Any]:
         """Return what ``--json`` holds of it."""
@@ -147,7 +146,7 @@ class Rack:
     """Many units, each in a process; nothing that one does delays another.
 
     Used by one thread; `look` is to be called several times a second.  Sessions and the rack's own log go to
-    `folder`, log lines also to `log`, view items to `publish`; strips of the view show `window_s` seconds.
+    `folder`, log lines also to `log`, view items to `publish`.
     """
 
     def __init__(
@@ -155,9 +154,8 @@ class Rack:
         folder: Path,
         log: Callable[[str, str], None],
         publish: Callable[[ViewItem], None] | None = None,
-        window_s: float = 30.0,
     ) -> None:
-        self._folder, self._window_s, self._publish = folder, window_s, publish
+        self._folder, self._publish = folder, publish
         folder.mkdir(parents=True, exist_ok=True)
         self._log = SessionLog(folder / LOG_NAME, log)
         self._present: dict[str, Unit] = {}
@@ -225,7 +223,7 @@ class Rack:
 
     def _begin(self, unit: Unit) -> None:
         try:
-            unit.process = Process(unit.plan, self._folder, self._window_s, self._publish is not None)
+            unit.process = Process(unit.plan, self._folder, self._publish is not None)
         except (OSError, EOFError) as error:  # no memory, or no processes, for one more
             unit.begin_s = time.monotonic() + LONGEST_PAUSE_S
             self._put(unit, "ERROR", f"its process cannot be begun ({error}); again in {LONGEST_PAUSE_S:g} s")
@@ -241,11 +239,9 @@ class Rack:
         for message in unit.process.messages() if unit.process is not None else ():
             for level, text in message.lines:
                 self._log.put(level, f"{unit.plan.name}: {text}")
-            if isinstance(message, Ended):
-                unit.problem = message.problem
-                if message.summary is not None:
-                    unit.summaries.append(message.summary)
-                continue
+            unit.problem = message.problem or ""
+            if message.summary is not None:
+                unit.summaries.append(message.summary)
             is_back = unit.silent or (unit.deaths and not unit.vitals.session)
             unit.silent, unit.vitals = False, message.vitals
             unit.setup = message.setup or unit.setup

@@ -22,8 +22,8 @@ Row = tuple[str, ...]
 """What stands below `HEADINGS`."""
 
 
-def row_of(name: str, state: str, vitals: Vitals, cpu: float, deaths: int) -> Row:
-    """Return the row of a unit; `cpu` is the share of a core, `deaths` how often its process died."""
+def row_of(name: str, state: str, vitals: Vitals, deaths: int) -> Row:
+    """Return the row of a unit; `deaths` is how often its process died."""
     return (
         name,
         state,
@@ -33,7 +33,7 @@ def row_of(name: str, state: str, vitals: Vitals, cpu: float, deaths: int) -> Ro
         f"{vitals.packets_per_s:.0f}",
         f"{vitals.packets_lost:,}",
         amount(vitals.bytes_received),
-        f"{cpu:.0%}",
+        f"{vitals.cpu:.0%}",
         measured(vitals.memory_mb, decimals=0),
         str(deaths),
     )

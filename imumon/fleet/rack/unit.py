@@ -38,26 +38,23 @@ RETRY_S = 2.0
 
 
 class Update(NamedTuple):
-    """What a unit reports once a second; `setup` is what the view must know of it, None before it records."""
+    """What a unit reports once a second; the last one has a problem, and a summary if a port was open."""
 
     lines: Sequence[Line]
     vitals: Vitals
     setup: ViewSetup | None = None
+    """What the view must know of it, None before it records."""
     items: Sequence[ViewItem] = ()
-
-
-class Ended(NamedTuple):
-    """The last report of a unit; `summary` is that of `imumon monitor --json`, None without an open port."""
-
-    lines: Sequence[Line]
-    problem: str
+    problem: str | None = None
+    """Why the session has no samples; empty where it has."""
     summary: dict[str, object] | None = None
+    """That of `imumon monitor --json`."""
 
 
-def run_unit(plan: Plan, sessions: Path, window_s: float, pictures: bool, rack: Connection) -> None:
+def run_unit(plan: Plan, sessions: Path, pictures: bool, rack: Connection) -> None:
     """Record a unit, in a folder of `sessions`, until the rack requests the end or is gone.
 
-    `window_s`: what the strips of the view show; `pictures`: whether there is a view beside the numbers.
+    `pictures`: whether there is a view beside the numbers.
     """
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
@@ -65,10 +62,10 @@ def run_unit(plan: Plan, sessions: Path, window_s: float, pictures: bool, rack: 
     with suppress(PermissionError):
         os.nice(BEFORE)
     with suppress(BrokenPipeError):  # the rack was killed; the session is closed by then
-        _run(plan, sessions, window_s, pictures, rack)
+        _run(plan, sessions, pictures, rack)
 
 
-def _run(plan: Plan, sessions: Path, window_s: float, pictures: bool, rack: Connection) -> None:
+def _run(plan: Plan, sessions: Path, pictures: bool, rack: Connection) -> None:
     lines = Lines()
     setup = Setup() if plan.pipeline_yaml is None else parse_setup(plan.pipeline_yaml, plan.name)
     device = parse_device(plan.device_yaml, plan.name)
@@ -84,20 +81,16 @@ def _run(plan: Plan, sessions: Path, window_s: float, pictures: bool, rack: Conn
 
     run = _opened(new_run, lines, rack)
     if run is None:
-        rack.send(Ended(lines.take(), "its port was never opened"))
+        rack.send(Update(lines.take(), Vitals(), problem="its port was never opened"))
         return
-    whole = view_setup(run.session, run.pipeline.units, window_s)
+    whole = view_setup(run.session, run.pipeline.units)
     # Of the unit, not of its session: a tab that is there goes on when a process was begun anew.
-    own = ViewSetup(plan.name, plan.name, whole.units, whole.z_down, whole.window_s)
+    own = ViewSetup(plan.name, plan.name, whole.units, whole.z_down)
     recorder = ViewRecorder(run.session.view_path, whole, on_error=run.report_view_error)
     feed = Feed(str(run.session.path), pictures=pictures)
     run.begin([recorder.publish, feed.publish])
-    reported = False
     try:
         while not _ends_on_request(rack, PERIOD_S):
-            if not run.processing and not reported:
-                reported = True
-                lines.put("ERROR", "decoding stopped; reading and recording go on")
             vitals, items = feed.take(run.progress)
             rack.send(Update(lines.take(), vitals, own, items))
     finally:
@@ -105,7 +98,10 @@ def _run(plan: Plan, sessions: Path, window_s: float, pictures: bool, rack: Conn
         summary = run.stop([path.name for path in recorder.files if path.exists()])
         recorder.close()
     problem = run.failure or nothing_decoded(plan.settings, device, summary.counters)
-    rack.send(Ended(lines.take(), "" if problem is None else problem.seen, summary.as_dict()))
+    vitals, items = feed.take(run.progress)
+    vitals.cpu = vitals.mean_cpu  # what its life has cost
+    seen = "" if problem is None else problem.seen
+    rack.send(Update(lines.take(), vitals, own, items, seen, summary.as_dict()))
 
 
 def _opened(new_run: Callable[[], LiveRun], lines: Lines, rack: Connection) -> LiveRun | None:

@@ -10,6 +10,7 @@ import os
 import re
 import time
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import Any
 
 import rerun as rr
@@ -82,7 +83,7 @@ class UnitsLogger:
         known = self._units.get(setup.title)
         if known is None or known[0] != setup:
             below: Any = Below(self._rec, f"/{setup.title}")
-            logger = StreamLogger(below, setup, live=True)
+            logger = StreamLogger(below, replace(setup, window_s=self._setup.window_s), live=True)
             logger.declare()
             self._units[setup.title] = setup, logger
 

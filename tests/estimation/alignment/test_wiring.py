@@ -12,7 +12,7 @@ from imumon.models.model import BiasModel, ChannelModel
 from imumon.protocols.device import load_device
 from imumon.run.setup import Setup, parse_setup
 from imumon.run.stages import estimators
-from imumon.view.panels import ALIGNMENT, PANELS
+from imumon.view.panels import PANELS
 
 
 def _model() -> BiasModel:
@@ -88,7 +88,7 @@ def test_the_stage_takes_the_warm_up_from_the_model_unless_given_another() -> No
 
 
 def test_the_panels_draw_columns_that_the_stage_has() -> None:
-    bands = [panel for panel in PANELS if panel.place == ALIGNMENT]
+    bands = [panel for panel in PANELS if panel.place == "Alignment"]
     stages = [_alignment(Setup(latitude_deg=36.0), device) for device in (None, "ax1")]
     there = {column.name for stage in stages if stage is not None for column in stage.columns}
     there |= set(value_and_sd("heading_smoothed"))

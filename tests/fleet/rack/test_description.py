@@ -8,7 +8,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from imumon.errors import ImumonError, Reason
-from imumon.fleet.rack.description import MOST_UNITS, Watched, load_rack
+from imumon.fleet.rack.description import MOST_UNITS, changes, load_rack
 from imumon.protocols.device import device_text
 
 GOOD = """format: imumon-rack/1
@@ -127,11 +127,11 @@ def outcome(path: Path) -> tuple[int, str]:
 
 def test_a_change_is_reported_once_and_when_it_is_complete(tmp_path: Path) -> None:
     path = written(tmp_path, GOOD)
-    watched = Watched(path)
-    assert not watched.has_changed()
+    changed = changes(path)
+    assert not next(changed)
     path.write_text(GOOD + "#")
-    assert [watched.has_changed() for _ in range(4)] == [False, True, False, False]
+    assert [next(changed) for _ in range(4)] == [False, True, False, False]
     path.unlink()
-    assert [watched.has_changed() for _ in range(3)] == [False, False, False]
+    assert [next(changed) for _ in range(3)] == [False, False, False]
     path.write_text(GOOD + "##")
-    assert [watched.has_changed() for _ in range(3)] == [False, True, False]
+    assert [next(changed) for _ in range(3)] == [False, True, False]

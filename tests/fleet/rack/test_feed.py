@@ -20,7 +20,7 @@ def test_the_picture_is_thin_and_by_the_clock_of_the_host() -> None:
     assert isinstance(shown, Samples)
     assert samples.host_ns is not None
     assert shown.host_ns is not None
-    assert shown.first is None
+    assert shown.sample is None
     assert shown.device_ns is None
     span_s = float(samples.host_ns[-1] - samples.host_ns[0]) * 1e-9
     assert shown.rows <= 50 * span_s + 2 < samples.rows

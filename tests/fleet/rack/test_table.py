@@ -15,6 +15,7 @@ RESTING = Vitals(
     packets_per_s=399.6,
     packets_lost=1234,
     bytes_received=23_200_000,
+    cpu=0.052,
     memory_mb=121.4,
 )
 
@@ -26,13 +27,13 @@ def test_a_bias_has_the_digits_of_its_largest_sigma() -> None:
 
 
 def test_what_is_not_known_is_a_dash() -> None:
-    row = row_of("a", "starting", Vitals(), 0.0, 0)
+    row = row_of("a", "starting", Vitals(), 0)
     assert row == ("a", "starting", "–", "–", "–", "0", "0", "0.0 MB", "0%", "–", "0")
     assert math.isnan(Vitals().memory_mb)
 
 
 def test_terminal_and_viewer_have_the_same_cells() -> None:
-    rows = [row_of("left", "rest", RESTING, 0.052, 0), row_of("a|b", "DEAD (-9)", Vitals(), 0.0, 3)]
+    rows = [row_of("left", "rest", RESTING, 0), row_of("a|b", "DEAD (-9)", Vitals(), 3)]
     head, first, second = text_lines(rows)
     assert head.split("  ")[0] == "unit"
     assert first.split() == [
