@@ -40,8 +40,10 @@ _TESTS = Path(__file__).parent
 _COMPILE = _TESTS.parent / "scripts" / "support" / "compile_kernels.py"
 _VIEWERS = "viewers"
 _LONG = (
-    _VIEWERS, "diagnosis/test_diagnose.py", "test_reproduce.py", "batch/test_running.py",
-    "cli/test_commands.py", "faults/test_viewer.py", "faults/test_recovery.py", "view/test_terminal.py",
+    "docs/test_tutorials.py", _VIEWERS, "fleet/batch/test_running.py", "fleet/rack/test_rack.py",
+    "configure/test_configure_command.py", "lab/diagnosis/test_diagnose.py", "cli/test_commands.py",
+    "run/test_learning.py", "lab/diagnosis/test_poses.py", "lab/test_diagnose.py", "lab/test_calibrate.py",
+    "faults/test_line.py", "faults/test_viewer.py", "publishing/test_foxglove.py", "test_reproduce.py",
 )  # fmt: skip
 """These take longest: begun last, they would leave one of the parallel processes alone with one of them."""
 

@@ -22,8 +22,8 @@ from imumon.run.setup import Setup
 from imumon.run.stages import pipeline_of
 from tests.cli.command import imumon
 
-N = 1300
-MAP = "rate_hz: 4\naccel: {columns: [x, y, z], unit: g}\ngyro: {columns: [p, q, r], unit: deg/s}\n"
+N = 330
+MAP = "rate_hz: 1\naccel: {columns: [x, y, z], unit: g}\ngyro: {columns: [p, q, r], unit: deg/s}\n"
 DECLARED = "range: {accel_g: 0.9}\n"
 
 

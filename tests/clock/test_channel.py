@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import cache
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from imumon.lab.diagnosis.runs import Run, collect
 from tests.lab.diagnosis.units import ramps
 
 RATE_HZ = 20
-SECONDS = 5000
+SECONDS = 4000
 UNIX_NS = 1_767_225_600_000_000_000
 PARABOLA_PPM = -0.034
 """Per °C², of a tuning-fork crystal about 25 °C."""
@@ -61,6 +62,7 @@ def heard(seed: int, up: bool, crystal: Crystal, held: bool = False) -> Iterator
         yield block.rows(start, min(start + 7001, n))
 
 
+@cache
 def runs(crystal: Crystal, seed: int = 0) -> list[Run]:
     return [
         collect(with_delay(heard(seed + at, at != 1, crystal)), f"run {at}", (CLOCK,))[0] for at in range(3)

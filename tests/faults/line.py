@@ -339,9 +339,10 @@ class Watched:
 
     def _recovered_s(self, since: int, good_ns: int) -> float:
         """Return how long after a time the first packet was read; infinite while none was."""
-        if since == len(self.items):
+        rows = self.rows(since)
+        if not len(rows):
             return np.inf
-        arrivals = self.rows(since)["arrival_time_ns"]
+        arrivals = rows["arrival_time_ns"]
         later = arrivals[arrivals >= good_ns]
         return float(later[0] - good_ns) * 1e-9 if len(later) else np.inf
 

@@ -174,8 +174,8 @@ class Variant:
 
 
 VARIANTS: dict[str, Variant] = {
-    "0.001 Hz": Variant(0.001, 1e6),
-    "0.01 Hz": Variant(0.01, 1e5),
+    "0.001 Hz": Variant(0.001, 5e5),
+    "0.01 Hz": Variant(0.01, 5e4),
     "0.1 Hz": Variant(0.1, 5e3),
     "4 kHz": Variant(4000.0, 60.0),
     "one sample": Variant(1.0, 1.0),

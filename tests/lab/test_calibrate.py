@@ -54,7 +54,7 @@ def write_truth(session: Path, temperature: FloatArray) -> None:
 
 @pytest.fixture(scope="module")
 def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return imported(tmp_path_factory.mktemp("calibrated"), soak(300.0)[::3])
+    return imported(tmp_path_factory.mktemp("calibrated"), soak(300.0)[::5])
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +63,8 @@ def short(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return imported(tmp_path_factory.mktemp("short"), np.linspace(20.0, 23.0, 1500))
 
 
-def test_a_session_becomes_a_model(session: Path, tmp_path: Path) -> None:
+def test_a_session_becomes_a_model(session: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    few_steps(monkeypatch)
     out = tmp_path / "model.yaml"
     picture, export = tmp_path / "model.png", ("--export", "ardupilot", "--imu", "1")
     done = imumon(

@@ -288,12 +288,12 @@ def _digest(main: SampleBlock, side: dict[str, SampleBlock]) -> str:
 
 @cache
 def _xsens_stream() -> tuple[str, list[bytes]]:
-    return "xsens", _mti(80, "shared")
+    return "xsens", _mti(60, "shared")
 
 
 @cache
 def _microstrain_stream() -> tuple[str, list[bytes]]:
-    return "microstrain", _mip_epochs(80, split=True)
+    return "microstrain", _mip_epochs(60, split=True)
 
 
 @given(chunk=st.integers(1, 3000), seed=st.integers(0, 50))

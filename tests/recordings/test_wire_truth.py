@@ -14,7 +14,7 @@ from imumon.run.recovery import rewrite
 from imumon.transport.reader import Bytes, Item
 from tests.faults.damage import made_items, record
 
-ITEMS = made_items(1.2, 100.0, 24, 5)
+ITEMS = made_items(0.6, 100.0, 24, 5)
 
 
 def records(whole: bytes | bytearray) -> list[tuple[int, int]]:

@@ -11,7 +11,7 @@ from imumon.estimation.temperature_rate.stage import TemperatureRate
 from tests.estimation.gyro_bias.records import DPH, Truth, record, slope_model, vector, with_rest
 
 RATE_HZ, LAG_S, SLOPE = 20.0, 30.0, np.array([60.0, -90.0, 20.0]) * DPH
-BEFORE_S, AFTER_S = 600.0, 20.0
+BEFORE_S, AFTER_S = 400.0, 20.0
 
 
 def warmed(gap_s: float, seed: int, slope: FloatArray = SLOPE) -> tuple[SampleBlock, FloatArray]:

@@ -99,7 +99,7 @@ def test_outside_the_range_the_sigma_widens_and_it_is_reported() -> None:
 
 @pytest.mark.parametrize("seed", [0, 1])
 def test_a_slope_is_learned(seed: int) -> None:
-    t = np.arange(15000) / 10
+    t = np.arange(12000) / 10
     block, bias = warming(30.0 + 2.0 * np.sin(2 * np.pi * t / 600.0), 40.0, seed)
     plain = rms(block, bias, GyroBias(), 300.0)
     learned = rms(block, bias, GyroBias(mode="learned"), 300.0)

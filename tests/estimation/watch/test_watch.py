@@ -20,6 +20,7 @@ from imumon.simulation.unit.scenario import Scenario
 from tests.lanes import texts
 
 HOURS = 2.0
+RATE_HZ, SECONDS = 2.0, 1800.0
 
 
 def drive(seed: int, hours: float = HOURS) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
@@ -114,7 +115,7 @@ def test_each_fault_is_found_within_half_an_hour_or_so(what: str) -> None:
 
 
 def test_a_knock_is_no_alarm() -> None:
-    seconds, innovation, temperature, rate = drive(4)
+    seconds, innovation, temperature, rate = drive(4, 0.5)
     innovation[2000:2003] = 50.0
     assert alarm(seconds, innovation, temperature, rate, 24.0) < 0
 
@@ -156,7 +157,7 @@ def scenario(gyro_lag_s: float) -> Scenario:
     chamber = {**base.chamber.model_dump(), "start_degc": 25.0, "steps": steps}
     unit = {**base.unit.model_dump(), "gyro_lag_s": gyro_lag_s}
     return Scenario.model_validate(
-        {**base.model_dump(), "rate_hz": 20.0, "duration_s": 1800, "chamber": chamber, "unit": unit}
+        {**base.model_dump(), "rate_hz": RATE_HZ, "duration_s": SECONDS, "chamber": chamber, "unit": unit}
     )
 
 
@@ -181,7 +182,7 @@ def true_model() -> BiasModel:
 @cache
 def followed(gyro_lag_s: float) -> SampleBlock:
     """Return what the stages before the watch say of a unit."""
-    sent, _ = SimulatedUnit(scenario(gyro_lag_s), seed=1).run(1800 * 20)
+    sent, _ = SimulatedUnit(scenario(gyro_lag_s), seed=1).run(int(SECONDS * RATE_HZ))
     sent = sent.with_columns({"at_rest": np.ones(len(sent), np.int64)})
     for stage in (TemperatureRate(), GyroBias(model=true_model(), mode="thermal")):
         sent = sent.with_columns(stage.process(sent))
@@ -202,7 +203,7 @@ def test_a_unit_that_is_as_its_model_states_is_not_suspected() -> None:
 
 
 def test_a_lag_that_the_model_lacks_is_suspected_whatever_the_blocks() -> None:
-    watch, whole = watched(60.0, 36_000)
+    watch, whole = watched(60.0, 3600)
     assert watch.lanes()["model"].text.startswith("MODEL SUSPECT: innovations follow")
     (said,) = watch.notices()
     assert "thermal_lag" in said

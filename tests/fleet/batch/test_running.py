@@ -43,12 +43,6 @@ def sessions(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def long_session(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("batch") / "long"
-    return tiny(folder, seconds=2400.0, scenario="self-heating", rate_hz=2.0)
-
-
-@pytest.fixture(scope="module")
 def client() -> Iterator[Any]:
     with workers(None, 2) as made:
         # A task has failed when it killed two workers, not four as by default: each takes seconds to start.
@@ -198,7 +192,7 @@ def first_channels(rows: list[Row]) -> list[Row]:
 def test_nothing_is_lost_or_doubled_when_a_worker_dies_with_results_not_yet_fetched(
     sessions: Path, tmp_path: Path
 ) -> None:
-    jobs = [Job(str(sessions / "s00"), DECODE, str(tmp_path), version=f"{n}") for n in range(40)]
+    jobs = [Job(str(sessions / "s00"), DECODE, str(tmp_path), version=f"{n}") for n in range(12)]
     taken: list[Row] = []
     with workers(None, 1) as client:
 
@@ -214,7 +208,7 @@ def test_nothing_is_lost_or_doubled_when_a_worker_dies_with_results_not_yet_fetc
                 assert wait_until(lambda: "lost" in statuses())
 
         run_jobs(client, jobs, take)
-    assert sorted(row["error"].rpartition(" ")[2] for row in taken) == sorted(str(n) for n in range(40))
+    assert sorted(row["error"].rpartition(" ")[2] for row in taken) == sorted(str(n) for n in range(12))
 
 
 def test_a_session_that_kills_its_workers_is_a_failure(tmp_path: Path, client: Any) -> None:
@@ -301,12 +295,13 @@ def test_every_command_has_rows_or_a_reason(command: Any, tmp_path: Path) -> Non
         assert [row["reason"] for row in rows] == ["bad data"]
 
 
-@pytest.mark.parametrize("command", ["calibrate", "diagnose"])
+@pytest.mark.parametrize(("command", "rate_hz"), [("calibrate", 1.0), ("diagnose", 2.0)])
 def test_a_long_session_has_rows_of_every_channel_that_the_table_takes(
-    command: Any, long_session: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    command: Any, rate_hz: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     few_steps(monkeypatch)
-    rows = work(Job(str(long_session), BatchOptions(command=command), str(tmp_path)))
+    session = tiny(tmp_path / "long", seconds=2400.0, scenario="self-heating", rate_hz=rate_hz)
+    rows = work(Job(str(session), BatchOptions(command=command), str(tmp_path)))
     units = {row["channel"]: row["unit"] for row in rows}
     assert units.keys() > {"gyro_x", "accel_z"}
     assert units["gyro_x"] == "rad/s"

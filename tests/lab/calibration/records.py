@@ -73,5 +73,5 @@ def record(temperature: FloatArray, name: str = "soak", **given: object) -> Reco
 
 def few_steps(monkeypatch: pytest.MonkeyPatch) -> None:
     """Train the networks in a moment, where it does not matter how good they are."""
-    for steps in ("FIRST", "LAST"):
-        monkeypatch.setattr(f"imumon.models.curves.network.{steps}", 5)
+    for name, few in {"FIRST": 5, "LAST": 5, "fit_network.__defaults__": (2,)}.items():
+        monkeypatch.setattr(f"imumon.models.curves.network.{name}", few)

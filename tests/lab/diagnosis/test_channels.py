@@ -41,8 +41,8 @@ def with_columns(run: Run, seed: int) -> Run:
     return replace(run, mean=mean, variance=variance, count=dict.fromkeys(mean, np.full(n, SAMPLES)))
 
 
-def runs() -> tuple[list[Run], list[Run]]:
-    train, test = three(lambda time, _: np.zeros_like(time))
+def runs(seconds: int = 3000) -> tuple[list[Run], list[Run]]:
+    train, test = three(lambda time, _: np.zeros_like(time), seconds)
     return [with_columns(one, seed) for seed, one in enumerate(train)], [with_columns(test[0], 9)]
 
 
@@ -58,7 +58,7 @@ def test_a_barometer_and_a_second_thermometer_are_diagnosed(sensor: str, effect:
 
 
 def test_what_is_diagnosed_is_no_driver_and_what_is_not_there_is_reported() -> None:
-    train, test = runs()
+    train, test = runs(1200)
     found = diagnose(train, test, sensors=("gyro", "pressure"))
     assert "pressure" not in found.verdicts[0].found.survey.others
     with pytest.raises(ImumonError, match="no channel of mag"):
@@ -72,7 +72,7 @@ def test_a_sensor_is_its_column_or_those_of_its_axes() -> None:
 
 def test_the_command_diagnoses_a_column_of_the_log_and_writes_no_model(tmp_path: Path) -> None:
     (tmp_path / "map.yaml").write_text(MAP, encoding="utf-8")
-    train, test = runs()
+    train, test = runs(2000)
     for name, run in zip("abc", (*train, *test), strict=True):
         random = np.random.default_rng(len(name))
         gyro = random.normal(0.0, 20.0 * DEG_PER_H, (len(run.time_s), 3))

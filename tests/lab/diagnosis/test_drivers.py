@@ -49,7 +49,7 @@ def recorded(folder: Path, seed: int) -> Path:
                 "accel_noise": {"vrw_m_per_s_per_sqrt_s": 0.001},
                 "gyro_effects_deg_per_h": {"x": [EFFECT]},
             },
-            "rate_hz": 1,
+            "rate_hz": 0.5,
             "duration_s": 1500,
             "latitude_deg": 0,
             "chamber": {

@@ -16,23 +16,23 @@ from imumon.pipeline import Estimator
 from imumon.simulation.unit import SimulatedUnit, load_scenario
 from imumon.simulation.unit.scenario import Scenario
 
-RATE_HZ = 5.0
+RATE_HZ, SECONDS = 5.0, 1700
 LAG_S = 90.0
 GYRO = ("gyro_x", "gyro_y", "gyro_z")
 
 
 def scenario(*ends_degc: float) -> Scenario:
     base = load_scenario("crs05-ramp-lag")
-    steps = [{"hold_s": 300}, *({"to_degc": end, "rate_degc_per_min": 2, "hold_s": 400} for end in ends_degc)]
+    steps = [{"hold_s": 300}, *({"to_degc": end, "rate_degc_per_min": 3, "hold_s": 300} for end in ends_degc)]
     chamber = {**base.chamber.model_dump(), "start_degc": 25.0, "steps": steps}
     unit = {**base.unit.model_dump(), "gyro_lag_s": LAG_S}
-    said = {**base.model_dump(), "rate_hz": RATE_HZ, "duration_s": 2400, "chamber": chamber, "unit": unit}
+    said = {**base.model_dump(), "rate_hz": RATE_HZ, "duration_s": SECONDS, "chamber": chamber, "unit": unit}
     return Scenario.model_validate(said)
 
 
 def samples(seed: int, *ends_degc: float) -> tuple[SampleBlock, SampleBlock]:
     unit = SimulatedUnit(scenario(*ends_degc), seed=seed)
-    return unit.run(int(2400 * RATE_HZ))
+    return unit.run(int(SECONDS * RATE_HZ))
 
 
 def as_run(seed: int, *ends_degc: float) -> Run:

@@ -15,7 +15,7 @@ from imumon.lab.diagnosis.diagnose import Diagnosis, diagnose
 from imumon.lab.diagnosis.runs import Run
 from tests.lab.diagnosis.units import DPH, SAMPLES, WHITE_DPH, cubic, lagged, ramps
 
-SECONDS = 5400
+SECONDS = 3600
 WHITE_UG = 50.0
 """White noise of a mean of 30 s."""
 SIDES = (("x", 0.0), ("x", 180.0), ("x", 90.0), ("x", -90.0), ("y", 90.0), ("y", -90.0))
@@ -96,7 +96,10 @@ def test_bias_and_scale_follow_from_the_length_of_gravity_and_an_effect_is_named
 
 
 def test_a_scale_that_depends_on_temperature_is_a_product() -> None:
-    diagnosis = found("accel", lambda _, t, force: np.asarray(3e-4 * force * ((t - 25) / 20)[:, np.newaxis]))
+    def scaled(_: FloatArray, temperature: FloatArray, force: FloatArray) -> FloatArray:
+        return np.asarray(3e-4 * force * ((temperature - 25) / 20)[:, np.newaxis])
+
+    diagnosis = found("accel", scaled, seconds=5400)
     assert names(diagnosis) == [["product(temperature, accel)"]] * 3
 
 
@@ -110,16 +113,16 @@ def test_the_earth_rate_of_every_pose_is_nothing_that_is_missing(mag: bool) -> N
 
 def test_a_sensitivity_to_g_beyond_the_earth_rate_is_named() -> None:
     diagnosis = found(
-        "gyro", lambda _, __, force: np.asarray(force @ np.diag([8.0, -9.0, 10.0])), False, 3000
+        "gyro", lambda _, __, force: np.asarray(force @ np.diag([8.0, -9.0, 10.0])), False, 2400
     )
     assert all("g_sensitivity" in each for each in names(diagnosis))
 
 
 def test_a_jump_is_no_earth_rate_and_no_g_sensitivity() -> None:
     def jump(time: FloatArray, _: FloatArray, __: FloatArray) -> FloatArray:
-        return np.asarray((time > 2300)[:, np.newaxis] * np.array([12.0, -9.0, 8.0]))
+        return np.asarray((time > 1700)[:, np.newaxis] * np.array([12.0, -9.0, 8.0]))
 
-    diagnosis = found("gyro", jump, seconds=4200)
+    diagnosis = found("gyro", jump, seconds=3000)
     assert [set(each) for each in names(diagnosis)] == [{"step"}] * 3
 
 

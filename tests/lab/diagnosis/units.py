@@ -70,7 +70,7 @@ def run(
     return Run(f"run {seed}", time, count, mean, variance, np.ones(n))
 
 
-def three(bias: Bias, seconds: int = 3000) -> tuple[list[Run], list[Run]]:
+def three(bias: Bias, seconds: int = 2400) -> tuple[list[Run], list[Run]]:
     """Return two runs for training and one for the test."""
     first, second, last = (
         run(seed, *ramps(seconds, up, rate), bias)
