@@ -18,7 +18,7 @@ from imumon.lab.diagnosis import candidates, likelihood, search, verdict
 from imumon.lab.diagnosis import diagnose as engine
 from imumon.lab.diagnosis.candidates import Candidate
 from imumon.lab.diagnosis.diagnose import diagnose
-from imumon.lab.diagnosis.search import PROVEN
+from imumon.lab.diagnosis.search import PROVEN_GAIN
 
 SHARES = (0.5, 0.55, 0.6, 0.65, 0.7, 0.75)
 """Of the chamber's record that is trained on."""
@@ -31,7 +31,8 @@ TITLE = (
 )
 SIZES = (0.0, 5.0)
 """White floors of the effects in the cases that are run, none of which has other drivers than temperature."""
-_candidates, _add, _refine = candidates.candidates, search._add, search.Search._refine
+_candidates, _add_families = candidates.candidates, search._add_families
+_refine_each = search.AxisSearch._refine_each
 
 
 def _untried(unwanted: Callable[[Candidate], bool]) -> Change:
@@ -48,28 +49,32 @@ def _family(name: str) -> Change:
 
 
 def _noise(flicker: Sequence[float], walk: Sequence[float]) -> Change:
-    return [(likelihood, "GRID", [(r, q) for r in flicker for q in walk])]
+    return [(likelihood, "NOISE_GRID", [(r, q) for r in flicker for q in walk])]
 
 
-def _each_alone(active: Sequence[search.Search], least: float) -> None:  # noqa: ARG001 - as what it replaces
+def _each_alone(active: Sequence[search.AxisSearch], bar: float) -> None:  # noqa: ARG001 - as what it replaces
     for one in active:
-        _add([one], PROVEN)
+        _add_families([one], PROVEN_GAIN)
+
+
+def _without_exchange(axis: search.AxisSearch, exchange: bool) -> None:  # noqa: ARG001 - as what it replaces
+    _refine_each(axis, exchange=False)
 
 
 MECHANISMS: Mapping[str, Change] = {
-    "choice over all axes": [(search, "_add", _each_alone)],
-    "pairs of effects at once": [(search.Search, "_beside_partner", lambda _self, _scored, _best: {})],
-    "exchange at the end": [(search.Search, "_refine", lambda self, exchange: _refine(self, exchange=False))],  # noqa: ARG005
+    "choice over all axes": [(search, "_add_families", _each_alone)],
+    "pairs of effects at once": [(search.AxisSearch, "_beside_partner", lambda _self, _scored, _best: {})],
+    "exchange at the end": [(search.AxisSearch, "_refine_each", _without_exchange)],
     "least share of the largest effect": [(search, "SECOND_SHARE", 0.0)],
-    "shorter blocks for short runs": [(engine, "SHORTER", (1,))],
+    "shorter blocks for short runs": [(engine, "BLOCK_FRACTIONS", (1,))],
     "refinement of parameters": [(search, "REFINEMENTS", 0)],
-    "flicker in the noise": _noise((0.0,), likelihood.WALK),
-    "walk in the noise": _noise(likelihood.FLICKER, (0.0,)),
-    "refuted by the test": [(verdict, "_not_worse", lambda _channel, findings, _left_out: list(findings))],
+    "flicker in the noise": _noise((0.0,), likelihood.WALK_RATIOS),
+    "walk in the noise": _noise(likelihood.FLICKER_RATIOS, (0.0,)),
+    "refuted by the test": [(verdict, "_not_refuted", lambda _channel, findings, _left_out: list(findings))],
     "proven by the test": [(verdict, "_proven_by_test", lambda *_given: None)],
-    "eight floors of what the test proves": [(verdict, "PROVEN_FLOORS", 0.0)],
+    "eight floors of what the test proves": [(verdict, "FLOORS_BY_TEST", 0.0)],
     "free state at power-on": _untried(lambda one: one.free_start),
-    "coefficients of each run": _untried(lambda one: one.scope == "either" and not one.carries),
+    "coefficients of each run": _untried(lambda one: one.scope == "either" and not one.shared),
     "a curve that is late as a whole": _untried(lambda one: len(one.parts) > 1),
     "followers of the third order": _untried(lambda one: getattr(one.parts[0].effect, "order", 1) > 1),
     "smooth loops": _untried(

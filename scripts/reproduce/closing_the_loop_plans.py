@@ -76,7 +76,7 @@ def _reached(known: Report, made: Plan, seed: int) -> float:
     diagnosis = diagnose([train], [test], f"polynomial {degree}", sensors=(made.question.channel[:-2],))
     verdict = next(one for one in diagnosis.verdicts if one.name == made.question.channel)
     for claim in verdict.claims:
-        gains = claim.finding.rivals
+        gains = claim.finding.family_gains
         if claim.finding.name in (truth, rival):
             return gains.get(truth, 0.0) - (0.0 if rival == NOTHING else max(gains.get(rival, 0.0), 0.0))
     return 0.0

@@ -187,9 +187,9 @@ def steps() -> list[Axes]:
     figure = Figure(figsize=(11.0, 3.3), dpi=80)
     residual, effect, test = figure.subplots(1, 3, sharey=True)
     at = 0
-    for run in verdict.channel.pool.runs:
+    for run in verdict.channel.training.runs:
         minutes, rows = run.time_s / 60.0, slice(at, at + len(run))
-        before, after = (fit.train[rows] / DEG_PER_H for fit in (verdict.before, verdict.after))
+        before, after = (fit.residual[rows] / DEG_PER_H for fit in (verdict.before, verdict.after))
         residual.plot(minutes, before, ".", ms=4, label=run.name)
         effect.plot(minutes, before, ".", ms=4)
         name = "" if at else verdict.claims[0].finding.name
@@ -199,7 +199,7 @@ def steps() -> list[Axes]:
     scores = {"curve alone": (verdict.test_before, "C3."), "with the effect": (verdict.test_after, "C2.")}
     for label, (score, style) in scores.items():
         name = f"{label}: {score.rms / DEG_PER_H:.3g} °/h"
-        test.plot(last.time_s / 60.0, score.residual[0] / DEG_PER_H, style, ms=4, label=name)
+        test.plot(last.time_s / 60.0, score.predicted_residual[0] / DEG_PER_H, style, ms=4, label=name)
     floor = verdict.channel.floor.sd / DEG_PER_H
     titles = ("1 what the curve leaves", "2 the effect that follows it", "3 what is left of unused data")
     for one, title in zip((residual, effect, test), titles, strict=True):
@@ -218,10 +218,10 @@ def chamber_cycle() -> list[Axes]:
     figure = Figure(figsize=(11.0, 3.3), dpi=80)
     drawn = list(figure.subplots(1, 3))
     for one, verdict in zip(drawn, found.verdicts, strict=True):
-        (run,) = verdict.channel.pool.runs
+        (run,) = verdict.channel.training.runs
         effects = ", ".join(claim.finding.name for claim in verdict.claims) or "nothing named"
         for fit, style, name in ((verdict.before, "C3.", "cubic"), (verdict.after, "C2.", f"with {effects}")):
-            one.plot(run.time_s / 60.0, np.degrees(fit.train), style, ms=4, label=name)
+            one.plot(run.time_s / 60.0, np.degrees(fit.residual), style, ms=4, label=name)
         one.set_title(verdict.name, fontsize=10)
         one.set_xlabel("minutes")
         one.grid(alpha=0.3)

@@ -58,9 +58,9 @@ class RunBlocks:
     drives: dict[str, Drive]
     """What drives the effects, each slot, for each temperature; gaps are bridged."""
     weight: FloatArray
-    """Of each slot in the means, (slots,): samples, over those of a whole slot.  A block is a gap where it is
+    """Of each slot of the run, (slots,): samples, over those of a whole slot.  A block is a gap where it is
     less than half a block's."""
-    slots: int
+    slots_per_block: int
     pose: IntArray
     """Number of the pose of each block, from 0, (n,)."""
 
@@ -78,9 +78,14 @@ class RunBlocks:
     def __len__(self) -> int:
         return len(self.time_s)
 
+    def in_blocks_of(self, block_s: float) -> RunBlocks:
+        """Return the same run in blocks of another length, s."""
+        drivers = next(iter(self.drives.values())).others
+        return make_blocks(self.run, [*self.mean], [*self.temperature], [*drivers], block_s)
+
     def average(self, columns: FloatArray) -> FloatArray:
         """Return block means (n, k) of columns (slots, k), or (n,) of values (slots,)."""
-        means, share = _block_means(columns.reshape(len(self.weight), -1), self.weight, self.slots)
+        means, share = _block_means(columns.reshape(len(self.weight), -1), self.weight, self.slots_per_block)
         return means[share >= 0.5].reshape(-1, *columns.shape[1:])
 
 
@@ -91,10 +96,7 @@ def make_blocks(
     drivers: Sequence[str] = (),
     block_s: float = BLOCK_S,
 ) -> RunBlocks:
-    """Return the block means of a run over the slots at rest in which every channel has samples.
-
-    `drivers` are what may drive effects besides the temperatures.
-    """
+    """Return means over the slots at rest with samples of every channel; `drivers` may drive effects, too."""
     valid = run.at_rest
     for name in channels:
         valid = valid & np.isfinite(run.mean[name])
@@ -124,7 +126,7 @@ def make_blocks(
         temperature=dict(zip(drives, columns[len(channels) :], strict=True)),
         drives=drives,
         weight=weight,
-        slots=slots,
+        slots_per_block=slots,
         pose=np.rint(number).astype(np.int64),
     )
 
@@ -171,10 +173,8 @@ def in_one_pose(valid: BoolArray, pose: IntArray, slots: int) -> BoolArray:
 
 
 def at_poses(run: RunBlocks) -> RunBlocks:
-    """Return a run in which the specific force that drives effects is the mean of its pose.
-
-    A reading that is to be explained must not explain its own noise.
-    """
+    """Return a run in which the specific force that drives effects is the mean of its pose: a reading that is
+    to be explained must not explain its own noise."""
     force, middle = run.force, 0.5 * (run.time_s[1:] + run.time_s[:-1])
     if force is None:
         return run
@@ -215,7 +215,7 @@ def white_floor(channel: str, blocks: Sequence[RunBlocks]) -> WhiteFloor:
     differences are less the mean of their block, so that no ramp gets in.  The clock's is that of the delays
     at both ends of a block.
     """
-    slots, gaps = blocks[0].slots, np.concatenate([run.white for run in blocks]).mean()
+    slots, gaps = blocks[0].slots_per_block, np.concatenate([run.white for run in blocks]).mean()
     values = []
     for run in (one.run for one in blocks):
         rows = np.where(run.at_rest, run.mean[channel], np.nan)

@@ -1,4 +1,13 @@
-"""A channel with its declared model, and what may be added to that: effects and their columns."""
+"""A channel with its declared model, X b of (1), and what may be added: candidates, and their columns of Z.
+
+A coefficient is *shared* when it is one for all runs, so that it carries over to any other run, and
+*separate* when each of some runs has one of its own.  `Effect.scope` states which an effect may have::
+
+    shared    shared
+    either    tried as shared, and as separate in every run
+    run       separate in every run but the first: an offset against the first
+    event     separate in one run, tried in each: a jump
+"""
 
 from __future__ import annotations
 
@@ -16,100 +25,97 @@ from imumon.effects.temperature_curve import TemperatureCurve
 from imumon.lab.diagnosis.blocks import RunBlocks, WhiteFloor
 from imumon.lab.diagnosis.runs import unit_of
 
-Own = Literal["", "run", "pose"]
-"""Whether each run, or each pose of each run, has a constant of its own."""
-SHARED = -1
-"""Scope: one coefficient for all runs; a number from 0 on is the one run that has it."""
+OffsetPer = Literal["all", "run", "pose"]
+"""What has a constant of the declared model: all runs one, each run one, or each pose of each run one."""
+ALL_RUNS = -1
 
-Term = tuple[int, int]
-"""Column of a pool, and scope."""
+
+class Term(NamedTuple):
+    """One column of Z: the index of a column that `Training` has made, and the number of the run outside of
+    which it is zero, or `ALL_RUNS`."""
+
+    column: int
+    run: int
 
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """An effect with the scope of its coefficients: shared, or own to these runs."""
+    """An effect, and the numbers of the runs with separate coefficients of it (none: they are shared)."""
 
     effect: Effect
-    runs: tuple[int, ...] = ()
-    """Empty when the coefficients are shared by all runs."""
+    separate_runs: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """One or more parts, and whether the state at power-on of each run is free.
+    """What may be added at once: one part, or more.
 
-    `choice` is the price in BIC for having been chosen among what other drivers there are (extended BIC,
-    gamma = 1: Chen & Chen 2008, doi:10.1093/biomet/asn034).
+    With `free_start` the state at power-on of each run is fitted as well.  `choice_price` is what it costs in
+    BIC to have been chosen among all drivers (extended BIC, gamma = 1: Chen & Chen 2008,
+    doi:10.1093/biomet/asn034).
     """
 
     parts: tuple[Part, ...]
     free_start: bool = False
-    choice: float = 0.0
+    choice_price: float = 0.0
 
     @property
     def family(self) -> str:
-        """Name of its effect."""
+        """Name of its first effect; candidates of one family differ in their parameters."""
         return self.parts[0].effect.label
 
     @property
-    def nonlinear(self) -> int:
-        """Number of nonlinear parameters."""
+    def n_nonlinear(self) -> int:
+        """Number of nonlinear parameters theta, such as time constants."""
         return sum(len(part.effect.nonlinear) for part in self.parts)
 
     @property
     def scope(self) -> str:
-        """Whose its coefficients are by nature, see `imumon.effects.base.Scope`."""
+        """Scope of its first effect, see the table above."""
         return self.parts[0].effect.scope
 
     @property
-    def carries(self) -> bool:
-        """Whether its coefficients are shared by all runs."""
-        return not any(part.runs for part in self.parts)
+    def shared(self) -> bool:
+        """Whether all its coefficients are shared by all runs."""
+        return not any(part.separate_runs for part in self.parts)
 
     def neighbours(self, survey: Survey, level: int) -> list[Candidate]:
         """Return candidates with one parameter of one part changed, closer at each level."""
         start = self.parts[0].effect.free_start and level == 0 and len(self.parts) == 1
-        other = [replace(self, free_start=not self.free_start)] if start else []
-        return other + [
-            self.with_part(at, Part(effect, part.runs))
+        other_start = [replace(self, free_start=not self.free_start)] if start else []
+        return other_start + [
+            self.with_part(at, Part(effect, part.separate_runs))
             for at, part in enumerate(self.parts)
             for effect in part.effect.refined(survey, level)
         ]
 
     def with_part(self, at: int, part: Part) -> Candidate:
-        """Return it with another part in the place of one."""
+        """Return it with another part in the place of part number `at`."""
         return replace(self, parts=(*self.parts[:at], part, *self.parts[at + 1 :]))
 
 
 def candidates(survey: Survey, families: Iterable[str] = tuple(EFFECTS)) -> list[Candidate]:
-    """Return everything worth trying on such runs.
-
-    By its scope an effect has coefficients that all runs share, is tried so and with those of each run
-    ("either"), has them in each run but the first ("run": an offset), or in one alone ("event": a jump).
-    """
-    every, price = tuple(range(survey.runs)), 2.0 * float(np.log(survey.choices))
+    """Return all candidates of these families that such runs can show, over their grids of theta."""
+    every_run, price = tuple(range(survey.runs)), 2.0 * float(np.log(survey.choices))
     found: list[Candidate] = []
     for family in (EFFECTS[name] for name in families):
         grid = family.grid(survey)
         if family.scope == "event":
-            found += [
-                Candidate((Part(effect, (run,)),))
-                for run, duration_s in enumerate(survey.durations_s)
-                for effect in grid
-                if effect.fits_in(duration_s, survey)
-            ]
+            for run, duration_s in enumerate(survey.durations_s):
+                here = [effect for effect in grid if effect.fits_in(duration_s, survey)]
+                found += [Candidate((Part(effect, (run,)),)) for effect in here]
             continue
         if family.scope == "run":
-            found += [Candidate((Part(effect, every[1:]),)) for effect in grid]
+            found += [Candidate((Part(effect, every_run[1:]),)) for effect in grid]
             continue
         shared = [Candidate((Part(effect),)) for effect in grid]
         driven = [effect for driver in survey.others for effect in family.driven(survey, driver)]
-        found += [*shared, *(Candidate((Part(effect),), choice=price) for effect in driven)]
+        found += [*shared, *(Candidate((Part(effect),), choice_price=price) for effect in driven)]
         found += [Candidate(_late_curve(effect, survey)) for effect in family.of_curve(survey)]
         if family.free_start:
             found += [replace(one, free_start=True) for one in shared]
         if family.scope == "either" and survey.runs > 1:
-            found += [Candidate((Part(effect, every),)) for effect in grid]
+            found += [Candidate((Part(effect, every_run),)) for effect in grid]
     return found
 
 
@@ -124,48 +130,41 @@ def _late_curve(late: Effect, survey: Survey) -> tuple[Part, ...]:
 
 
 class Scored(NamedTuple):
-    """A candidate with its gain over the model so far.
+    """A candidate with its gain (4) over a model.
 
-    `fit` is the gain without the price of the nonlinear parameters and of the choice.  `partner` names the
-    effect beside which it gains so much, where neither gains it alone.
+    `linear_gain` is the gain without the price of theta and of the choice.  `partner` is the family beside
+    which it gains so much, where neither gains it alone; else empty.
     """
 
     candidate: Candidate
     gain: float
-    fit: float
+    linear_gain: float
     partner: str = ""
 
-    @property
-    def family(self) -> str:
-        """Name of its effect."""
-        return self.candidate.family
 
-
-Table = Mapping[str, Scored]
-"""The best candidate of each family."""
+GainTable = Mapping[str, Scored]
+"""The candidate of each family that gains most."""
 
 
 @dataclass(slots=True, eq=False)
 class Finding:
-    """An effect that was chosen for a channel, or that the present model has.
+    """An effect that the search added to a channel, or that is `of_present_model`.
 
-    `gain` is that over the model before it, `pooled_gain` the same summed over the channels that show it, and
-    `rivals` has the gain of every family at that stage.
+    `gain` is that over the model before it, `gain_over_axes` the same summed over the axes that show it, and
+    `family_gains` has the gain of each family at that stage.  `removed_rms` is what it took away from the
+    training then, in the unit of the channel.  `by_test`: the test alone proves it.
     """
 
     candidate: Candidate
-    """With refined parameters; coefficients come with the fit."""
+    """With refined theta; coefficients come with the fit."""
     gain: float = 0.0
-    pooled_gain: float = 0.0
-    rivals: dict[str, float] = field(default_factory=dict)
-    others: dict[str, Candidate] = field(default_factory=dict)
-    """The best of each other family that is not told apart from it."""
-    size: float = 0.0
-    """rms of what it took away from training when it was found."""
+    gain_over_axes: float = 0.0
+    family_gains: dict[str, float] = field(default_factory=dict)
+    alternatives: dict[str, Candidate] = field(default_factory=dict)
+    """The best candidate of each other family that these data do not separate from it."""
+    removed_rms: float = 0.0
     by_test: bool = False
-    """Whether the test alone proves it."""
-    known: bool = False
-    """Whether it is of the present model, and fitted anew."""
+    of_present_model: bool = False
 
     @property
     def name(self) -> str:
@@ -173,84 +172,88 @@ class Finding:
         return self.candidate.family
 
     @property
-    def alike(self) -> list[str]:
-        """It and the families that are not told apart from it; empty when there is no other."""
-        return [self.name, *self.others] if self.others else []
+    def indistinguishable(self) -> list[str]:
+        """It and its alternatives by name; empty when there is no alternative."""
+        return [self.name, *self.alternatives] if self.alternatives else []
 
 
 @dataclass(slots=True)
-class Pool:
-    """Columns of effects as block means, made once for each effect and run."""
+class Training:
+    """Training runs, and the columns of effects over them as block means, made once for each effect."""
 
     runs: Sequence[RunBlocks]
-    temperature: str
+    temperature_name: str
     """Which temperature drives the effects."""
     _columns: list[FloatArray] = field(default_factory=list)
-    _spectra: list[int] = field(default_factory=list)
-    _known: dict[tuple[int, str], tuple[Effect, list[int]]] = field(default_factory=dict)
+    _spectrum_of_column: list[int] = field(default_factory=list)
+    _made: dict[tuple[int, str], tuple[Effect, list[int]]] = field(default_factory=dict)
 
     def terms(self, candidate: Candidate) -> tuple[list[Term], list[Term]]:
-        """Return the terms that define a candidate, and those of its free start."""
-        defining, start = list[Term](), list[Term]()
+        """Return the terms of a candidate's coefficients, and those of its free start."""
+        of_effect, of_start = list[Term](), list[Term]()
         for part in candidate.parts:
-            columns = self._index(part.effect, "columns")
-            defining += [(column, scope) for scope in part.runs or (SHARED,) for column in columns]
+            columns = self._indices(part.effect, "columns")
+            runs = part.separate_runs or (ALL_RUNS,)
+            of_effect += [Term(column, run) for run in runs for column in columns]
             if candidate.free_start:
-                columns = self._index(part.effect, "start_columns")
-                start += [(column, run) for run in range(len(self.runs)) for column in columns]
-        return defining, start
+                columns = self._indices(part.effect, "start_columns")
+                of_start += [Term(column, run) for run in range(len(self.runs)) for column in columns]
+        return of_effect, of_start
 
     def spectra(self, terms: Sequence[Term]) -> IntArray:
-        """Return a number for each term, (k,): those of the same are of one sign; -1 where that is free."""
-        found = [(self._spectra[column], scope) for column, scope in terms]
+        """Return a number for each term, (k,): coefficients of terms with the same have one sign; -1: any."""
+        numbers = [(self._spectrum_of_column[column], run) for column, run in terms]
         of_each = len(self.runs) + 1
-        return np.array([one * of_each + scope + 1 if one >= 0 else -1 for one, scope in found], np.int64)
+        return np.array([n * of_each + run + 1 if n >= 0 else -1 for n, run in numbers], np.int64)
 
     def matrix(self, terms: Sequence[Term]) -> FloatArray:
-        """Return the columns of terms over all runs, (n, k): zero in runs that a term is not of."""
-        which = np.repeat(np.arange(len(self.runs)), [*map(len, self.runs)])
-        out = np.empty((len(which), len(terms)))
-        for at, (column, scope) in enumerate(terms):
-            out[:, at] = self._columns[column] * ((scope == SHARED) | (which == scope))
+        """Return the columns of terms over all n training blocks, (n, k)."""
+        run_of_block = np.repeat(np.arange(len(self.runs)), [*map(len, self.runs)])
+        out = np.empty((len(run_of_block), len(terms)))
+        for at, (column, run) in enumerate(terms):
+            out[:, at] = self._columns[column] * ((run == ALL_RUNS) | (run_of_block == run))
         return out
 
-    def design(self, found: Sequence[Candidate]) -> FloatArray:
-        """Return all columns of candidates over all runs, (n, k)."""
-        return self.matrix([term for one in found for terms in self.terms(one) for term in terms])
+    def design(self, model: Sequence[Candidate]) -> FloatArray:
+        """Return Z of (1) for some candidates, (n, k): of each its coefficients, then its free start."""
+        return self.matrix([term for one in model for terms in self.terms(one) for term in terms])
 
-    def _index(self, effect: Effect, what: str) -> list[int]:
-        key = (id(effect), what)  # the effect is kept beside it, so that no other can have its id
-        if key not in self._known:
-            parts = [run.average(getattr(effect, what)(run.drives[self.temperature])) for run in self.runs]
-            first, width = len(self._columns), parts[0].shape[1]
-            self._columns += [*np.concatenate(parts).T]
-            self._spectra += [first if effect.one_sign and what == "columns" else -1] * width
-            self._known[key] = effect, list(range(first, first + width))
-        return self._known[key][1]
+    def _indices(self, effect: Effect, method: str) -> list[int]:
+        """Return where the columns are that a method of an effect returns; they are made if need be."""
+        key = (id(effect), method)  # the effect is kept beside it, so that no other can have its id
+        if key not in self._made:
+            drives = [run.drives[self.temperature_name] for run in self.runs]
+            both = zip(self.runs, drives, strict=True)
+            means = [run.average(getattr(effect, method)(drive)) for run, drive in both]
+            first, width = len(self._columns), means[0].shape[1]
+            self._columns += [*np.concatenate(means).T]
+            of_one_sign = effect.one_sign and method == "columns"
+            self._spectrum_of_column += [first if of_one_sign else -1] * width
+            self._made[key] = effect, list(range(first, first + width))
+        return self._made[key][1]
 
 
 @dataclass(frozen=True, eq=False)
 class Channel:
-    """A channel over the runs that it is fitted to, and those that prove what was found.
+    """One axis of a sensor with its declared model, over training and test; its unit is `unit`.
 
-    The declared model of its bias is a polynomial of u = (T - middle) / half span, and a constant of its own
-    for each run, or each pose of each run, where `own` is set.
+    The declared model is a polynomial of u = (T - middle) / half span, T in °C, whose constant is one for all
+    runs, or one for each run or pose.
     """
 
     name: str
     floor: WhiteFloor
-    """Of a block."""
+    """White noise of a block mean."""
     degree: int
-    own: Own
-    pool: Pool
-    """Training runs, which temperature drives the channel, and the columns of effects over them."""
+    offset_per: OffsetPer
+    training: Training
     test: Sequence[RunBlocks]
     faults: Mapping[str, float] = field(default_factory=dict)
-    """What is wrong with its data, and the most that this alone makes of a smooth bias: a smaller effect
+    """What is wrong with its samples, and the rms that this alone makes of a smooth bias: a smaller effect
     cannot be found.  It is infinite where nothing that is fitted would be the bias."""
-    known: tuple[Effect, ...] | None = None
-    """Effects of the present model, whose curve is off the means already; None without one."""
-    kept: tuple[Effect, ...] = ()
+    present_effects: tuple[Effect, ...] | None = None
+    """Effects of the present model, whose curve is off the means already; None without a present model."""
+    fixed_effects: tuple[Effect, ...] = ()
     """Those of them that stay as they are; a search begins with the others, and fits them anew."""
 
     @property
@@ -259,37 +262,40 @@ class Channel:
         return unit_of(self.name)
 
     @property
-    def blind(self) -> float:
+    def fault_rms(self) -> float:
         """rms below which an effect may be a fault of the data."""
         return max(self.faults.values(), default=0.0)
 
     @property
-    def limit(self) -> float:
-        """rms that white noise and faults of the data together make of a block: no structure is below it."""
-        return float(np.hypot(self.floor.sd, self.blind))
+    def total_floor(self) -> float:
+        """rms that white noise and faults together make of a block mean: no structure is below it."""
+        return float(np.hypot(self.floor.sd, self.fault_rms))
 
     @property
     def coarse(self) -> bool:
-        """Whether faults of the data may make what matters of a smooth bias: an error of a floor."""
-        return self.blind >= self.floor.sd
+        """Whether faults may make as much of a smooth bias as white noise does of a block mean."""
+        return self.fault_rms >= self.floor.sd
 
     @property
-    def refitted(self) -> bool:
-        """Whether the present model is fitted anew, its curve, or effects of it."""
-        return self.known is not None and bool(self.degree or len(self.kept) < len(self.known))
+    def refits_model(self) -> bool:
+        """Whether anything of a present model is fitted anew: its curve, or some of its effects."""
+        present = self.present_effects
+        return present is not None and bool(self.degree or len(self.fixed_effects) < len(present))
 
-    def as_given(self) -> Channel:
-        """Return it with the present model as it is, where there is one, but for a constant."""
-        return self if self.known is None else replace(self, degree=0, kept=self.known)
+    def with_model_fixed(self) -> Channel:
+        """Return it with the present model as it is but for a constant; without one, itself."""
+        if self.present_effects is None:
+            return self
+        return replace(self, degree=0, fixed_effects=self.present_effects)
 
     @cached_property
     def temperature(self) -> FloatArray:
-        """Temperature of each block over all training runs, °C, (n,)."""
-        return np.concatenate([run.temperature[self.pool.temperature] for run in self.pool.runs])
+        """Temperature of each training block, °C, (n,)."""
+        return np.concatenate([run.temperature[self.training.temperature_name] for run in self.training.runs])
 
     @cached_property
     def scale(self) -> Scale:
-        """Middle and half of the span of the trained temperatures, °C."""
+        """Middle and half span of the trained temperatures, °C."""
         low, high = float(self.temperature.min()), float(self.temperature.max())
         return Scale(0.5 * (low + high), max(0.5 * (high - low), 1e-3))
 
@@ -298,39 +304,39 @@ class Channel:
         u = (temperature - self.scale.middle) / self.scale.half_span
         return np.asarray(u[:, np.newaxis] ** np.arange(count))
 
-    def levels(self, run: RunBlocks) -> IntArray:
-        """Return which of the constants of a run each block has, (n,), from 0."""
-        return run.pose if self.own == "pose" else np.zeros(len(run), np.int64)
+    def offset_numbers(self, run: RunBlocks) -> IntArray:
+        """Return which of the constants of a run each of its blocks has, (n,), from 0."""
+        return run.pose if self.offset_per == "pose" else np.zeros(len(run), np.int64)
 
     @cached_property
-    def values(self) -> FloatArray:
-        """Block means over all training runs less the effects that stay as they are, (n,)."""
-        means = np.concatenate([run.mean[self.name] for run in self.pool.runs])
-        for effect in self.kept:
-            columns = self.pool.design([Candidate((Part(effect),))])
+    def y(self) -> FloatArray:
+        """y of (1), (n,): training block means less the effects that stay as they are."""
+        means = np.concatenate([run.mean[self.name] for run in self.training.runs])
+        for effect in self.fixed_effects:
+            columns = self.training.design([Candidate((Part(effect),))])
             means = means - columns @ np.asarray(effect.coefficients)
         return means
 
     @cached_property
     def base(self) -> FloatArray:
-        """Columns of the declared model over all training runs, (n, p): powers of u, and a constant for each
-        further run or pose that has one of its own."""
-        runs, columns = self.pool.runs, self.powers(self.temperature, self.degree + 1)
-        if not self.own:
+        """X of (1), (n, p): powers of u, and a column of 0 and 1 for each constant but the first."""
+        runs, columns = self.training.runs, self.powers(self.temperature, self.degree + 1)
+        if self.offset_per == "all":
             return columns
-        which = [np.column_stack([np.full(len(run), at), self.levels(run)]) for at, run in enumerate(runs)]
-        level = np.unique(np.concatenate(which), axis=0, return_inverse=True)[1].reshape(-1, 1)
-        return np.column_stack([columns, level == np.arange(1, level.max() + 1)]).astype(np.float64)
+        offset_numbers = np.concatenate([self.offset_numbers(run) for run in runs])
+        pairs = np.column_stack([np.repeat(np.arange(len(runs)), [*map(len, runs)]), offset_numbers])
+        number = np.unique(pairs, axis=0, return_inverse=True)[1].reshape(-1, 1)
+        return np.column_stack([columns, number == np.arange(1, number.max() + 1)]).astype(np.float64)
 
-    def design(self, found: Sequence[Candidate]) -> FloatArray:
-        """Return the columns of the declared model and of what was found, (n, k)."""
-        return np.column_stack([self.base, self.pool.design(found)])
+    def design(self, model: Sequence[Candidate]) -> FloatArray:
+        """Return [X Z] of (1), (n, p + k)."""
+        return np.column_stack([self.base, self.training.design(model)])
 
-    def residual_rms(self, found: Sequence[Candidate]) -> float:
-        """Return the rms of what ordinary least squares leave beside what was found."""
-        columns = self.design(found)
-        left = self.values - columns @ least_squares(columns, self.values)
-        return float(np.sqrt(np.mean(left**2)))
+    def residual_rms(self, model: Sequence[Candidate]) -> float:
+        """Return the rms that ordinary least squares leave of training with a model."""
+        design = self.design(model)
+        residual = self.y - design @ least_squares(design, self.y)
+        return float(np.sqrt(np.mean(residual**2)))
 
 
 def least_squares(columns: FloatArray, values: FloatArray) -> FloatArray:

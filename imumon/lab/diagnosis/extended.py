@@ -36,7 +36,7 @@ def extended_model(diagnosis: Diagnosis) -> BiasModel:
     update: dict[str, Any] = {
         "made_by": f"imumon {__version__}",
         "created": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}",
-        "block_s": diagnosis.block_s,
+        "block_s": diagnosis.train[0].block_s,
         "trained_on": [trained_on(one) for one in recorded],
         "channels": {one.name: _channel(one, known) for one in with_model(diagnosis)},
     }
@@ -62,7 +62,7 @@ def _channel(verdict: ChannelVerdict, known: BiasModel | None) -> ChannelModel:
     residual = float(np.sqrt(max(rms**2 - channel.floor.sd**2, 0.0)))
     new = {
         "unit": channel.unit,
-        "temperature_column": channel.pool.temperature,
+        "temperature_column": channel.training.temperature_name,
         "temperature_range_degc": [middle - WIDENED * half, middle + WIDENED * half],
         "residual_sd": residual,
         "curve": PolynomialCurve(center_degc=middle, half_width_degc=half, coefficients=[0.0]),
@@ -84,7 +84,7 @@ def refitted(known: ChannelModel, channel: Channel, fitted: Fit, residual_sd: fl
     low, high = middle - half, middle + half
     more = Polynomial(fitted.declared, domain=[low, high])
     others, own = list[Effect](), list[Polynomial]()
-    for effect in (part.effect.with_start(part.start) for part in fitted.parts if part.carries):
+    for effect in (part.effect.with_start(part.start) for part in fitted.parts if part.carries_over):
         part = effect.polynomial()
         if part is None or part.degree() > HIGHEST_ORDER:
             others.append(effect)
@@ -121,7 +121,7 @@ def trained_on(blocks: RunBlocks) -> TrainedOn:
         session=origin.session,
         run=origin.index,
         sha256=origin.sha256,
-        rest_s=float(blocks.weight.sum()) * blocks.block_s / blocks.slots,
+        rest_s=float(blocks.weight.sum()) * blocks.block_s / blocks.slots_per_block,
         blocks=len(blocks),
         temperature_range_degc=[float(temperature.min()), float(temperature.max())],
     )
@@ -142,7 +142,7 @@ def model_with_drivers(
     declared = "polynomial 3 + offset"  # the degree is that of the model, the offset as in the calibration
     diagnosis = diagnose(*latest(recordings), declared, progress, model=model, drivers=drivers)
     useful = [one for one in diagnosis.verdicts if one.predicts]
-    found = [one for one in useful if any(claim.finding.candidate.choice > 0.0 for claim in one.claims)]
+    found = [one for one in useful if any(claim.finding.candidate.choice_price > 0.0 for claim in one.claims)]
     extended = extended_model(diagnosis).channels
     channels = {**model.channels, **{verdict.name: extended[verdict.name] for verdict in found}}
     return model.model_copy(update={"channels": channels}), found, diagnosis.caveats

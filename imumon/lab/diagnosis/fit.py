@@ -1,4 +1,7 @@
-"""Fit an extended model: coefficients, their sigma, what is left in training, and the score on the test."""
+"""Fit an extended model, the declared one with effects: coefficients, residuals, score on the test, sigmas.
+
+Coefficients are those of ordinary least squares; the noise of (1) enters their sigmas only (`sigmas`).
+"""
 
 from __future__ import annotations
 
@@ -15,11 +18,11 @@ from imumon.lab.diagnosis.candidates import Candidate, Channel, Part, least_squa
 from imumon.lab.diagnosis.likelihood import Likelihood
 
 CARRY_SPREAD = 0.35
-"""Own coefficients carry over when none is further from their mean than this share of it."""
+"""Separate coefficients carry over when none is further from their mean than this share of it."""
 LEAST_TEST_BLOCKS = 10
-"""Of fewer there is no rms."""
-LEAST_LEVEL_BLOCKS = 4
-"""Of fewer the mean takes too much of their own noise away."""
+"""Of fewer there is no rms of the test."""
+LEAST_OFFSET_BLOCKS = 4
+"""With one constant: the mean of fewer takes too much of their own noise away."""
 CHANGE = 0.01
 """Share by which a parameter is changed for the slope of the model in it."""
 
@@ -30,20 +33,20 @@ class FittedPart:
 
     effect: Effect
     """With the coefficients that carry over."""
-    runs: tuple[int, ...]
-    """The runs that have coefficients of their own; empty where they are shared."""
-    own: FloatArray
-    """Coefficients, (runs, k); one row where they are shared."""
+    separate_runs: tuple[int, ...]
+    """The runs that have separate coefficients; empty where they are shared."""
+    coefficients: FloatArray
+    """In the unit of the channel per unit of the column, (separate runs, k); (1, k) where they are shared."""
     start: FloatArray
-    """Of `Effect.start_columns`, (runs, m); empty when the start is not free."""
+    """Coefficients of `Effect.start_columns`, (runs, m); empty when the start is not free."""
 
     @property
-    def carries(self) -> bool:
-        """Whether it carries over to another run: its coefficients are shared, or as good as."""
-        mean = self.own.mean(axis=0)
-        spread = float(np.linalg.norm(self.own - mean, axis=1).max())
-        alike = self.effect.scope == "either" and spread <= CARRY_SPREAD * float(np.linalg.norm(mean))
-        return not self.runs or alike
+    def carries_over(self) -> bool:
+        """Whether it predicts another run: its coefficients are shared, or nearly the same in every run."""
+        mean = self.coefficients.mean(axis=0)
+        spread = float(np.linalg.norm(self.coefficients - mean, axis=1).max())
+        same = self.effect.scope == "either" and spread <= CARRY_SPREAD * float(np.linalg.norm(mean))
+        return not self.separate_runs or same
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,114 +54,121 @@ class Fit:
     """An extended model fitted by ordinary least squares."""
 
     declared: FloatArray
-    """Coefficients of the declared model, (degree + 1,); the constant is the one to predict with."""
+    """Coefficients of the powers of u, (degree + 1,); the constant is the one to predict another run with:
+    the mean of those of the training, and `mean_of_separate`."""
     parts: list[FittedPart]
-    train: FloatArray
-    """Residual in training, (n,)."""
-    lifted: float = 0.0
-    """Part of the constant: the mean of the effects that do not carry over, such as jumps."""
+    residual: FloatArray
+    """y less the model, (n,)."""
+    mean_of_separate: float = 0.0
+    """Mean over training of what does not carry over, such as jumps."""
 
     @property
     def train_rms(self) -> float:
         """rms of the residual in training."""
-        return root_mean_square(self.train)
+        return root_mean_square(self.residual)
 
     @property
-    def carries(self) -> bool:
+    def carries_over(self) -> bool:
         """Whether any effect carries over to another run."""
-        return any(part.carries for part in self.parts)
+        return any(part.carries_over for part in self.parts)
 
 
-def fit(channel: Channel, found: Sequence[Candidate]) -> Fit:
-    """Fit the declared model and the candidates by ordinary least squares."""
-    width, further = channel.base.shape[1], channel.degree + 1
-    design = channel.design(found)
-    coefficients = least_squares(design, channel.values)
-    model = coefficients[:further].copy()
-    model[0] += float(coefficients[further:width].sum()) / (width - further + 1)
+def fit(channel: Channel, model: Sequence[Candidate]) -> Fit:
+    """Fit the declared model and candidates to training by ordinary least squares."""
+    n_base, n_powers = channel.base.shape[1], channel.degree + 1
+    design = channel.design(model)
+    coefficients = least_squares(design, channel.y)
+    declared = coefficients[:n_powers].copy()
+    # Further constants are differences from the first: this is the mean of all.
+    declared[0] += float(coefficients[n_powers:n_base].sum()) / (n_base - n_powers + 1)
     none = np.empty((0, 0))
-    parts = [FittedPart(one, (), np.array([one.coefficients]), none) for one in channel.kept]
-    lifted = 0.0
-    for candidate, where, starts in _layout(channel, found):
-        own, runs = coefficients[where], len(channel.pool.runs) if candidate.free_start else 0
-        begun_at = coefficients[starts].reshape(len(candidate.parts), runs, -1 if runs else 0)
-        for part, rows, start in zip(candidate.parts, _by_part(candidate, own), begun_at, strict=True):
+    parts = [FittedPart(one, (), np.array([one.coefficients]), none) for one in channel.fixed_effects]
+    mean_of_separate = 0.0
+    for candidate, where, starts in _layout(channel, model):
+        runs = len(channel.training.runs) if candidate.free_start else 0
+        start_of_parts = coefficients[starts].reshape(len(candidate.parts), runs, -1 if runs else 0)
+        rows_of_parts = _by_part(candidate, coefficients[where])
+        for part, rows, start in zip(candidate.parts, rows_of_parts, start_of_parts, strict=True):
             effect = part.effect.with_coefficients(rows.mean(axis=0))
-            parts.append(FittedPart(effect, part.runs, rows, start))
-        if not parts[-1].carries:
-            lifted += float((design[:, where] @ own).mean())
-    model[0] += lifted
-    return Fit(model, parts, channel.values - design @ coefficients, lifted)
+            parts.append(FittedPart(effect, part.separate_runs, rows, start))
+        if not parts[-1].carries_over:
+            mean_of_separate += float((design[:, where] @ coefficients[where]).mean())
+    declared[0] += mean_of_separate
+    return Fit(declared, parts, channel.y - design @ coefficients, mean_of_separate)
 
 
 def _layout(channel: Channel, model: Sequence[Candidate]) -> Iterator[tuple[Candidate, slice, slice]]:
-    """Yield each candidate with the columns of the design that define it, and those of its free start."""
+    """Yield each candidate with its columns of the design, and those of its free start."""
     at = channel.base.shape[1]
     for one in model:
-        defining, start = map(len, channel.pool.terms(one))
-        yield one, slice(at, at + defining), slice(at + defining, at + defining + start)
-        at += defining + start
+        of_effect, of_start = map(len, channel.training.terms(one))
+        yield one, slice(at, at + of_effect), slice(at + of_effect, at + of_effect + of_start)
+        at += of_effect + of_start
 
 
 def _by_part(candidate: Candidate, values: FloatArray) -> list[FloatArray]:
-    """Return values of all defining columns of a candidate for each of its parts, (runs or 1, k)."""
-    sizes = [part.effect.width * max(1, len(part.runs)) for part in candidate.parts]
+    """Return values of a candidate's columns for each of its parts, (separate runs or 1, k)."""
+    sizes = [part.effect.width * max(1, len(part.separate_runs)) for part in candidate.parts]
     rows = np.split(values, np.cumsum(sizes)[:-1])
     return [row.reshape(-1, part.effect.width) for part, row in zip(candidate.parts, rows, strict=True)]
 
 
-# The test
-
-
 @dataclass(slots=True, eq=False)
 class TestScore:
-    """How a model does on runs that it was not fitted to; NaN without a test."""
+    """How a model does on runs that it was not fitted to, in the unit of the channel; NaN without a test.
+
+    *Predicted*: by what carries over; nothing of the test is used but a constant where the declared model has
+    one for each run or pose.  *Estimated*: with what does not carry over fitted to the test itself.  Of each
+    run there are both residuals, and which blocks count, (n,).
+    """
 
     __test__ = False
 
     rms: float
-    """Predicted: no gyro of the test is used."""
+    """Predicted."""
     estimated_rms: float
-    """With what does not carry over estimated in the test itself."""
     coverage: float
     """Share of the blocks inside the trained temperatures."""
-    scored: float
+    scored_share: float
     """Share of those that count: after the state at power-on is forgotten."""
-    residual: list[FloatArray]
-    estimated: list[FloatArray]
-    counted: list[BoolArray]
-    """What is left, predicted and estimated, and which blocks count, of each run."""
+    predicted_residual: list[FloatArray]
+    estimated_residual: list[FloatArray]
+    counts: list[BoolArray]
+    continues_training: bool
+    """Whether a run of the test continues a training run with separate coefficients."""
 
     @property
-    def left(self) -> float:
-        """What is left: predicted, or with what does not carry over estimated."""
+    def smaller_rms(self) -> float:
+        """rms predicted or estimated, the smaller one; NaN only without both."""
         return float(np.fmin(self.rms, self.estimated_rms))
 
 
-def score_test(channel: Channel, model: Fit, like: Fit | None = None) -> TestScore:
+def score_test(channel: Channel, model: Fit, settled_as: Fit | None = None) -> TestScore:
     """Return how a fitted model does on the test runs, within the trained temperatures.
 
-    Blocks count after the state at power-on is forgotten, of the model `like` where one is given: the same
-    for the models that are compared.
+    Blocks count after the state at power-on is forgotten, of the model `settled_as` where one is given: the
+    same for the models that are compared.
     """
-    trained, left, estimated, counted, inside = channel.temperature, [], [], [], 0
+    trained, predicted, estimated, counts, inside = channel.temperature, [], [], [], 0
+    with_separate = {number for part in model.parts for number in part.separate_runs}
+    continues = any(_continued_run(channel, run) in with_separate for run in channel.test)
     for run in channel.test:
-        t = run.temperature[channel.pool.temperature]
-        use = (t >= trained.min()) & (t <= trained.max())
-        inside += int(use.sum())
-        for part in (like or model).parts:
-            settled = part.effect.settled(run.drives[channel.pool.temperature])
-            use &= run.average(settled.astype(np.float64)) > 0.99
-        residual = run.mean[channel.name] - _predicted(channel, run, model)
-        if channel.own:
-            residual, use = _without_levels(residual, use, channel.levels(run))
-        left.append(residual)
-        estimated.append(residual - _estimated(channel, run, model, residual, use))
-        counted.append(use)
-    coverage = inside / sum(map(len, counted)) if channel.test else np.nan
-    scored = sum(int(part.sum()) for part in counted) / max(inside, 1) if channel.test else np.nan
-    rms, estimated_rms = _rms_of(left, counted), _rms_of(estimated, counted)
-    return TestScore(rms, estimated_rms, coverage, scored, left, estimated, counted)
+        t = run.temperature[channel.training.temperature_name]
+        counting = (t >= trained.min()) & (t <= trained.max())
+        inside += int(counting.sum())
+        for part in (settled_as or model).parts:
+            settled = part.effect.settled(run.drives[channel.training.temperature_name])
+            counting &= run.average(settled.astype(np.float64)) > 0.99
+        residual = run.mean[channel.name] - _predicted_bias(channel, run, model)
+        if channel.offset_per != "all":
+            residual, counting = _without_offsets(residual, counting, channel.offset_numbers(run))
+        predicted.append(residual)
+        estimated.append(residual - _estimated_bias(channel, run, model, residual, counting))
+        counts.append(counting)
+    coverage = inside / sum(map(len, counts)) if channel.test else np.nan
+    scored_share = sum(int(part.sum()) for part in counts) / max(inside, 1) if channel.test else np.nan
+    rms, estimated_rms = _rms_of(predicted, counts), _rms_of(estimated, counts)
+    return TestScore(rms, estimated_rms, coverage, scored_share, predicted, estimated, counts, continues)
 
 
 def root_mean_square(values: FloatArray) -> float:
@@ -166,134 +176,133 @@ def root_mean_square(values: FloatArray) -> float:
     return float(np.sqrt(np.mean(values**2))) if len(values) else float("nan")
 
 
-def _rms_of(parts: Sequence[FloatArray], counted: Sequence[BoolArray]) -> float:
+def _rms_of(residuals: Sequence[FloatArray], counts: Sequence[BoolArray]) -> float:
     """Return the rms over the blocks that count; NaN when they are too few."""
-    values = np.concatenate([np.empty(0), *(part[use] for part, use in zip(parts, counted, strict=True))])
+    parts = [residual[counting] for residual, counting in zip(residuals, counts, strict=True)]
+    values = np.concatenate([np.empty(0), *parts])
     return root_mean_square(values) if len(values) >= LEAST_TEST_BLOCKS else float("nan")
 
 
-def goes_on(channel: Channel, model: Fit) -> bool:
-    """Return whether the test goes on from a training run that has coefficients of its own."""
-    return any(_begun(channel, run) in part.runs for part in model.parts for run in channel.test)
-
-
-def _begun(channel: Channel, run: RunBlocks) -> int | None:
-    """Return the training run that a run goes on from; None where it begins with a power-on of its own."""
-    names = [other.name for other in channel.pool.runs]
+def _continued_run(channel: Channel, run: RunBlocks) -> int | None:
+    """Return the number of the training run that a run continues; None where it has its own power-on."""
+    names = [other.name for other in channel.training.runs]
     return names.index(run.run.begun_in) if run.run.begun_in in names else None
 
 
-def _without_levels(residual: FloatArray, use: BoolArray, levels: IntArray) -> tuple[FloatArray, BoolArray]:
-    """Return a residual less the mean of each level, and which blocks count: of levels with enough."""
-    each = levels[:, np.newaxis] == np.unique(levels)
-    count = each[use].sum(axis=0)
-    mean = residual[use] @ each[use] / np.maximum(count, 1)
-    return residual - each @ mean, use & (each @ (count >= LEAST_LEVEL_BLOCKS))
+def _without_offsets(
+    residual: FloatArray, counting: BoolArray, numbers: IntArray
+) -> tuple[FloatArray, BoolArray]:
+    """Return a residual less a constant for each number, and which blocks count: of numbers with enough."""
+    member = numbers[:, np.newaxis] == np.unique(numbers)
+    number = member[counting].sum(axis=0)
+    mean = residual[counting] @ member[counting] / np.maximum(number, 1)
+    return residual - member @ mean, counting & (member @ (number >= LEAST_OFFSET_BLOCKS))
 
 
-def _predicted(channel: Channel, run: RunBlocks, model: Fit) -> FloatArray:
+def _predicted_bias(channel: Channel, run: RunBlocks, model: Fit) -> FloatArray:
     """Return the bias that a fitted model predicts of a run, (n,)."""
-    temperature = run.temperature[channel.pool.temperature]
-    expected = channel.powers(temperature, len(model.declared)) @ model.declared
-    drive, which = run.drives[channel.pool.temperature], _begun(channel, run)
+    temperature = run.temperature[channel.training.temperature_name]
+    bias = channel.powers(temperature, len(model.declared)) @ model.declared
+    drive, continued = run.drives[channel.training.temperature_name], _continued_run(channel, run)
     for part in model.parts:
-        if part.carries:
-            expected = expected + run.average(part.effect.simulate(drive))
-        elif which in part.runs:
-            expected = expected + run.average(part.effect.columns(drive)) @ part.own[part.runs.index(which)]
-    return np.asarray(expected if which is None else expected - model.lifted)
+        if part.carries_over:
+            bias = bias + run.average(part.effect.simulate(drive))
+        elif continued in part.separate_runs:
+            row = part.coefficients[part.separate_runs.index(continued)]
+            bias = bias + run.average(part.effect.columns(drive)) @ row
+    return np.asarray(bias if continued is None else bias - model.mean_of_separate)
 
 
-def _estimated(channel: Channel, run: RunBlocks, model: Fit, left: FloatArray, use: BoolArray) -> FloatArray:
-    """Return the least-squares estimate, from the blocks that count, of what does not carry over, (n,).
+def _estimated_bias(
+    channel: Channel, run: RunBlocks, model: Fit, residual: FloatArray, counting: BoolArray
+) -> FloatArray:
+    """Return what does not carry over, fitted to the residual of the blocks that count, (n,).
 
-    That is a level, the coefficients that are each run's own, and one jump where the model has jumps.  What
-    the training run has that this one goes on from is predicted.
+    That is a constant, the coefficients that each run may have, and one jump where the model has jumps.  What
+    the training run has that this one continues is predicted, and is not fitted.
     """
-    which = _begun(channel, run)
-    own = [part.effect for part in model.parts if not part.carries and which not in part.runs]
-    if not own or int(use.sum()) < LEAST_TEST_BLOCKS:
+    continued = _continued_run(channel, run)
+    parts = [part for part in model.parts if not part.carries_over and continued not in part.separate_runs]
+    if not parts or int(counting.sum()) < LEAST_TEST_BLOCKS:
         return np.zeros(len(run))
-    drive = run.drives[channel.pool.temperature]
-    further = [run.average(one.columns(drive)) for one in own if one.scope == "either"]
-    levels = channel.levels(run)
-    columns = np.column_stack([levels[:, np.newaxis] == np.unique(levels[use]), *further]).astype(float)
-    if any(one.scope == "event" for one in own):
-        first = np.flatnonzero(use)[_jump_at(columns[use], left[use])]
+    drive, effects = run.drives[channel.training.temperature_name], [part.effect for part in parts]
+    of_effects = [run.average(one.columns(drive)) for one in effects if one.scope == "either"]
+    numbers = channel.offset_numbers(run)[:, np.newaxis]
+    columns = np.column_stack([numbers == np.unique(numbers[counting]), *of_effects]).astype(float)
+    if any(one.scope == "event" for one in effects):
+        first = np.flatnonzero(counting)[_jump_at(columns[counting], residual[counting])]
         columns = np.column_stack([columns, np.arange(len(run)) >= first])
-    return np.asarray(columns @ least_squares(columns[use], left[use]))
+    return np.asarray(columns @ least_squares(columns[counting], residual[counting]))
 
 
 def _jump_at(columns: FloatArray, residual: FloatArray) -> int:
-    """Return the index from which a jump beside the columns leaves least of a residual."""
+    """Return the block from which on a jump, beside the columns (n, k), explains most of a residual (n,).
+
+    By (7) with a jump z at each block: (z' r)² / (z' z - |Q' z|²).
+    """
     basis = np.linalg.qr(columns)[0]
-    left = residual - basis @ (basis.T @ residual)
-    size = np.cumsum(left[::-1])[::-1]
-    norm = np.arange(len(left), 0, -1) - (np.cumsum(basis[::-1], axis=0)[::-1] ** 2).sum(axis=1)
-    taken = (size**2 / np.maximum(norm, 1e-9))[LEAST_LEVEL_BLOCKS : -LEAST_LEVEL_BLOCKS + 1]
-    return LEAST_LEVEL_BLOCKS + int(np.argmax(taken))
-
-
-# How well the parameters are known
+    r = residual - basis @ (basis.T @ residual)
+    g = np.cumsum(r[::-1])[::-1]
+    gram = np.arange(len(r), 0, -1) - (np.cumsum(basis[::-1], axis=0)[::-1] ** 2).sum(axis=1)
+    explained = (g**2 / np.maximum(gram, 1e-9))[LEAST_OFFSET_BLOCKS : -LEAST_OFFSET_BLOCKS + 1]
+    return LEAST_OFFSET_BLOCKS + int(np.argmax(explained))
 
 
 class PartSigma(NamedTuple):
-    """Standard deviations of a part of a model."""
+    """Standard deviations of a part: of its coefficients, (separate runs or 1, k), and of theta by name."""
 
     coefficients: FloatArray
-    """One row where they are shared, (runs, k)."""
-    searched: dict[str, float]
-    """Of each nonlinear parameter, in its unit."""
+    nonlinear: dict[str, float]
 
 
 def sigmas(
     channel: Channel, likelihood: Likelihood, model: Sequence[Candidate]
 ) -> tuple[FloatArray, list[list[PartSigma]]]:
-    """Return the covariance of the declared model, (degree + 1, degree + 1), and the standard deviations of
-    each candidate's parts, with the noise that the model is likeliest with.
+    """Return the covariance of the declared coefficients, (degree + 1, degree + 1), and the standard
+    deviations of each candidate's parts, with the noise that the model is likeliest with.
 
-    What is searched (time constants, widths) is where the likelihood is largest, what is linear is ordinary
-    least squares beside it.  Both are linear in the noise near the truth, so one covariance of the noise
-    gives all errors, those that the linear ones take over from the searched ones among them.
+    theta is where the likelihood is largest, b and c are those of ordinary least squares beside it.  Near the
+    truth both are linear in the noise e.  With A = [X Z], D the slopes in ln theta, e = s L w, w white::
+
+        error of ln theta = s B w,                       B the last rows of pinv(L^-1 [A D])            (9)
+        error of (b, c)   = s (pinv(A) L - pinv(A) D B) w
     """
     design = channel.design(model)
-    slopes = _slopes(channel, model, least_squares(design, channel.values))
-    whiten, _ = likelihood.white(np.eye(len(design)), likelihood.best(channel.values, design)[1])
-    both, left = whiten @ np.column_stack([design, slopes]), whiten @ channel.values
-    searching = np.linalg.pinv(both, rcond=1e-10)
-    freedom = max(len(left) - both.shape[1], 1)
-    sd = float(np.sqrt(np.sum((left - both @ (searching @ left)) ** 2) / freedom))
-    # The error of each parameter as weights on whitened noise.
-    logarithms = searching[design.shape[1] :]
+    slopes = _slopes(channel, model, least_squares(design, channel.y))
+    l_inverse, _ = likelihood.whitened(np.eye(len(design)), likelihood.maximum(channel.y, design)[1])
+    columns, y = l_inverse @ np.column_stack([design, slopes]), l_inverse @ channel.y
+    inverse = np.linalg.pinv(columns, rcond=1e-10)
+    freedom = max(len(y) - columns.shape[1], 1)
+    s = float(np.sqrt(np.sum((y - columns @ (inverse @ y)) ** 2) / freedom))
+    b = inverse[design.shape[1] :]
     least = np.linalg.pinv(design, rcond=1e-10)
-    linear = sd * (np.linalg.solve(whiten.T, least.T).T - (least @ slopes) @ logarithms)
-    share, spread = sd * np.linalg.norm(logarithms, axis=1), np.linalg.norm(linear, axis=1)
-    relative, parts = iter(share.tolist()), []
+    linear = s * (np.linalg.solve(l_inverse.T, least.T).T - (least @ slopes) @ b)
+    sd_of_log, sd = s * np.linalg.norm(b, axis=1), np.linalg.norm(linear, axis=1)
+    relative, found = iter(sd_of_log.tolist()), []
     for one, where, _ in _layout(channel, model):
-        found = []
-        for part, rows in zip(one.parts, _by_part(one, spread[where]), strict=True):
-            found.append(PartSigma(rows, {name: next(relative) * at for name, at in _searched(part).items()}))
-        parts.append(found)
+        thetas = [{name: next(relative) * at for name, at in _theta(part).items()} for part in one.parts]
+        found.append([*map(PartSigma, _by_part(one, sd[where]), thetas)])
     declared = linear[: channel.degree + 1]
-    return declared @ declared.T, parts
+    return declared @ declared.T, found
 
 
-def _searched(part: Part) -> dict[str, float]:
+def _theta(part: Part) -> dict[str, float]:
     """Return the nonlinear parameters of a part that are not zero."""
     found = {name: float(getattr(part.effect, name)) for name in part.effect.nonlinear}
     return {name: value for name, value in found.items() if value > 0.0}
 
 
 def _slopes(channel: Channel, model: Sequence[Candidate], coefficients: FloatArray) -> FloatArray:
-    """Return how the model changes with the logarithm of each searched parameter, (n, p)."""
-    slopes = [np.empty((len(channel.values), 0))]
+    """Return D of (9), how the model changes with the logarithm of each nonlinear parameter, (n, thetas)."""
+    slopes = [np.empty((len(channel.y), 0))]
     for one, where, starts in _layout(channel, model):
-        own = coefficients[where.start : starts.stop]
+        of_candidate = coefficients[where.start : starts.stop]
         for at, part in enumerate(one.parts):
-            for name, value in _searched(part).items():
+            for name, value in _theta(part).items():
                 ends = []
                 for factor in (1.0 - CHANGE, 1.0 + CHANGE):
-                    changed = Part(part.effect.model_copy(update={name: value * factor}), part.runs)
-                    ends.append(channel.pool.design([one.with_part(at, changed)]) @ own)
+                    effect = part.effect.model_copy(update={name: value * factor})
+                    changed = one.with_part(at, Part(effect, part.separate_runs))
+                    ends.append(channel.training.design([changed]) @ of_candidate)
                 slopes.append(np.diff(np.column_stack(ends)) / (2.0 * CHANGE))
     return np.column_stack(slopes)

@@ -1,24 +1,32 @@
-"""The likelihood of every candidate at once: generalised least squares for a grid of noise parameters.
+"""The log-likelihood (2) of every candidate at once: generalised least squares for a grid of noise (r, q).
 
-The covariance of a run is s² [W + r F + q R]: W of the white noise of each block, F the mean of
-exp(-|lag|/tau) over `TAUS_S`, which is close to flicker, R = min(ti, tj) over 2 h.  As a state space, x is
-the walk and the Gauss-Markov processes, the bias their sum, in units of s::
+Rows of y, X and Z are blocks, n over all runs.  With V = L L' a tilde means behind L^-1, as in ỹ = L^-1 y::
 
-    x(t + dt) = Phi x(t) + w,         Phi = diag(1, exp(-dt/tau_i))
-    cov w = diag(q dt / 2 h, (r / 6) (1 - exp(-2 dt/tau_i)))
+    r         = ỹ - Q Q' ỹ                  Q (n, p) an orthonormal basis of X̃                       (6)
+    RSS(X)    = r' r
+    RSS(X, Z) = r' r - g' G^-1 g            g = Z̃' r,   G = Z̃' Z̃ - (Z̃' Q) (Q' Z̃)                      (7)
+
+(7) is the theorem of Frisch, Waugh and Lovell.  L^-1 is a Kalman filter for each run, in linear time: its
+state x is the random walk and a Gauss-Markov process for each tau, the bias their sum, in units of s::
+
+    x(t + dt) = Phi x(t) + w,         Phi = diag(1, exp(-dt / tau_i))                                 (8)
+    cov w     = diag(q dt / 2 h, (r / 6) (1 - exp(-2 dt / tau_i)))
+
+Its innovations over their standard deviations are ỹ, and these are the diagonal of L.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from imumon.blocks import BoolArray, FloatArray, IntArray
 from imumon.compiled import njit
-from imumon.lab.diagnosis.candidates import Pool, Term
+from imumon.lab.diagnosis.candidates import Term, Training
 
 Noise = tuple[float, float]
 """Flicker r and random walk q, variances over that of the white noise of a full block."""
@@ -27,149 +35,153 @@ TAUS_S = np.array([30.0, 100.0, 300.0, 1000.0, 3000.0, 10000.0])
 """s, half a decade apart: from one block to longer than most runs."""
 WALK_S = 7200.0
 """s: q is the variance of the walk after this time."""
-FLICKER = (0.0, 0.3, 1.0, 3.0, 10.0, 100.0, 1000.0)
-WALK = (0.0, 1.0, 10.0, 100.0, 1000.0)
-GRID = [(r, q) for r in FLICKER for q in WALK]
+FLICKER_RATIOS = (0.0, 0.3, 1.0, 3.0, 10.0, 100.0, 1000.0)
+WALK_RATIOS = (0.0, 1.0, 10.0, 100.0, 1000.0)
+NOISE_GRID = [(r, q) for r in FLICKER_RATIOS for q in WALK_RATIOS]
 """Half a decade to a decade apart; each likelihood is the largest over these."""
 COLLINEAR = 1e-5
-"""A column of which less is left beside the base is not used."""
+"""A column of which less is left beside the base (its norm, over that before) is not used."""
 RIDGE = 1e-9
-"""On the diagonal of normalised equations, so that collinear terms can be solved for."""
+"""On the diagonal of the normalised G, so that collinear columns can be solved for."""
 
 
 class Likelihood:
-    """Log-likelihoods of the n block means of some runs, for a base (n, p) that the model so far has."""
+    """Log-likelihoods ln p, half of (2), of values of the n training blocks, over all runs."""
 
-    def __init__(self, pool: Pool) -> None:
-        self.n = sum(map(len, pool.runs))
+    def __init__(self, training: Training) -> None:
+        self.n = sum(map(len, training.runs))
         self.price = float(np.log(self.n))
         """What a parameter costs in BIC."""
-        self._pool = pool
-        self._sd = {noise: self.white(np.empty((self.n, 0)), noise)[1] for noise in GRID}
-        """Standard deviation of each innovation, for each noise, (n,)."""
-        self._whitened: dict[Noise, dict[Term, FloatArray]] = {noise: {} for noise in GRID}
+        self._training = training
+        self._diagonal = {noise: self.whitened(np.empty((self.n, 0)), noise)[1] for noise in NOISE_GRID}
+        """Diagonal of L for each noise, (n,)."""
+        self._whitened_terms: dict[Noise, dict[Term, FloatArray]] = {noise: {} for noise in NOISE_GRID}
 
-    def best(self, values: FloatArray, base: FloatArray) -> tuple[float, Noise]:
-        """Return the best log-likelihood of values (n,), and its noise on the whole grid."""
+    def maximum(self, y: FloatArray, base: FloatArray) -> tuple[float, Noise]:
+        """Return ln p of y (n,) beside a base (n, p) at its maximum over the grid, and the noise there."""
         found = []
-        for noise in GRID:
-            left, _ = self.left(values, base, noise)
-            found.append((float(self._of(left @ left, noise)), noise))
+        for noise in NOISE_GRID:
+            residual, _ = self.residual(y, base, noise)
+            found.append((float(self._ln_p(residual @ residual, noise)), noise))
         return max(found)
 
-    def predictive(self, values: FloatArray, early: BoolArray) -> float:
-        """Return the predictive log-likelihood of later values, given the early ones and their noise."""
+    def predictive(self, y: FloatArray, early: BoolArray) -> float:
+        """Return ln p of the later values given the early ones (n,), s, r and q fitted to these."""
         found = []
-        for noise in GRID:
-            (white,), sd = self.white(values[:, np.newaxis], noise)[0].T, self._sd[noise]
-            variance = float(np.mean(white[early] ** 2))
-            fit = -0.5 * early.sum() * np.log(variance) - np.log(sd[early]).sum()
-            later = -0.5 * np.sum(white[~early] ** 2) / variance
-            found.append((fit, float(later - np.log(sd[~early] * np.sqrt(variance)).sum())))
+        for noise in NOISE_GRID:
+            innovation, sd = self.whitened(y[:, np.newaxis], noise)[0][:, 0], self._diagonal[noise]
+            variance = float(np.mean(innovation[early] ** 2))
+            ln_p_early = -0.5 * early.sum() * np.log(variance) - np.log(sd[early]).sum()
+            later = -0.5 * np.sum(innovation[~early] ** 2) / variance
+            found.append((ln_p_early, float(later - np.log(sd[~early] * np.sqrt(variance)).sum())))
         return max(found)[1]
 
     def scan(
-        self, values: FloatArray, base: FloatArray, terms: Sequence[Sequence[Term]], grid: Sequence[Noise]
+        self, y: FloatArray, base: FloatArray, candidates: Sequence[Sequence[Term]], grid: Sequence[Noise]
     ) -> FloatArray:
-        """Return the best log-likelihood of the base with each candidate, given as terms.
+        """Return ln p of the base with each of the candidates, its maximum over a grid, (candidates,).
 
         A candidate whose spectrum would have both signs explains nothing.
         """
-        used = list(dict.fromkeys(term for group in terms for term in group))
-        place = {term: at for at, term in enumerate(used)}
-        groups = _by_size([[place[term] for term in group] for group in terms], self._pool.spectra(used))
-        best = np.full(len(terms), -np.inf)
-        for point in grid:
-            residual, basis = self.left(values, base, point)
-            explained = _explained(residual, basis, self._terms(used, point), groups, len(terms))
-            best = np.maximum(best, self._of(residual @ residual - explained, point))
+        terms = list(dict.fromkeys(term for one in candidates for term in one))
+        place = {term: at for at, term in enumerate(terms)}
+        indices = [[place[term] for term in one] for one in candidates]
+        groups = _by_size(indices, self._training.spectra(terms))
+        best = np.full(len(candidates), -np.inf)
+        for noise in grid:
+            residual, basis = self.residual(y, base, noise)
+            explained = _explained(residual, basis, self._rows(terms, noise), groups, len(candidates))
+            best = np.maximum(best, self._ln_p(residual @ residual - explained, noise))
         return best
 
-    def _terms(self, terms: Sequence[Term], noise: Noise) -> FloatArray:
-        """Return the whitened columns of terms, a row each; each is whitened once for each noise."""
-        known = self._whitened[noise]
-        new = [term for term in terms if term not in known]
-        known.update(zip(new, self.white(self._pool.matrix(new), noise)[0].T, strict=True))
-        return np.array([known[term] for term in terms])
+    def residual(self, y: FloatArray, base: FloatArray, noise: Noise) -> tuple[FloatArray, FloatArray]:
+        """Return r (n,) and Q (n, p) of (6)."""
+        columns, _ = self.whitened(np.column_stack([base, y]), noise)
+        basis = _orthonormal(columns[:, :-1])
+        return columns[:, -1] - basis @ (basis.T @ columns[:, -1]), basis
 
-    def _of(self, squares: npt.ArrayLike, noise: Noise) -> FloatArray:
-        """Return log-likelihoods from sums of squares of whitened residuals, s² profiled."""
-        determinant = np.log(self._sd[noise]).sum()
-        return np.asarray(-0.5 * self.n * np.log(np.maximum(squares, 1e-300) / self.n) - determinant)
-
-    def left(self, values: FloatArray, base: FloatArray, noise: Noise) -> tuple[FloatArray, FloatArray]:
-        """Return what the base leaves of the values, whitened, and an orthonormal basis of the base."""
-        both, _ = self.white(np.column_stack([base, values]), noise)
-        basis = _orthonormal(both[:, :-1])
-        return both[:, -1] - basis @ (basis.T @ both[:, -1]), basis
-
-    def white(self, columns: FloatArray, noise: Noise) -> tuple[FloatArray, FloatArray]:
-        """Return columns (n, k) whitened: behind the inverse Cholesky factor of the covariance over s², and
-        the standard deviations of their innovations, (n,)."""
+    def whitened(self, columns: FloatArray, noise: Noise) -> tuple[FloatArray, FloatArray]:
+        """Return L^-1 columns, (n, k), and the diagonal of L, (n,), for V of (1)."""
         flicker, walk = noise
         markov_sd = np.full(len(TAUS_S), np.sqrt(flicker / len(TAUS_S)))
-        parts = np.split(columns, np.cumsum([len(run) for run in self._pool.runs])[:-1])
-        both, walk_sd = zip(self._pool.runs, parts, strict=True), np.sqrt(walk / WALK_S)
-        found = [whiten(part, run.time_s, run.white, TAUS_S, markov_sd, walk_sd) for run, part in both]
-        return np.concatenate([part for part, _ in found]), np.concatenate([sd for _, sd in found])
+        of_runs = np.split(columns, np.cumsum([len(run) for run in self._training.runs])[:-1])
+        both, walk_sd = zip(self._training.runs, of_runs, strict=True), np.sqrt(walk / WALK_S)
+        found = [whiten(rows, run.time_s, run.white, TAUS_S, markov_sd, walk_sd) for run, rows in both]
+        return np.concatenate([rows for rows, _ in found]), np.concatenate([sd for _, sd in found])
+
+    def _rows(self, terms: Sequence[Term], noise: Noise) -> FloatArray:
+        """Return Z̃' of terms, (k, n): a row each, which is whitened once for each noise."""
+        known = self._whitened_terms[noise]
+        new = [term for term in terms if term not in known]
+        known.update(zip(new, self.whitened(self._training.matrix(new), noise)[0].T, strict=True))
+        return np.array([known[term] for term in terms])
+
+    def _ln_p(self, rss: npt.ArrayLike, noise: Noise) -> FloatArray:
+        """Return ln p by (2) of sums of squares of whitened residuals, s² = RSS / n."""
+        half_ln_det = np.log(self._diagonal[noise]).sum()
+        return np.asarray(-0.5 * self.n * np.log(np.maximum(rss, 1e-300) / self.n) - half_ln_det)
 
 
-def no_larger(start: Noise) -> list[Noise]:
-    """Return every noise that is no larger: a better model leaves less for the noise to explain.
+def noise_no_larger(than: Noise) -> list[Noise]:
+    """Return every noise of the grid that is no larger: a better model leaves less for it to explain.
 
     What a walk explained may have been flicker and an effect, or the other way round: both together are less.
     """
-    return [point for point in GRID if sum(point) <= sum(start)]
+    return [noise for noise in NOISE_GRID if sum(noise) <= sum(than)]
 
 
-def _by_size(terms: Sequence[Sequence[int]], spectra: IntArray) -> list[tuple[IntArray, IntArray, BoolArray]]:
-    """Return, for each number of terms, which candidates have it (count,), their terms (count, size), and
-    whether a term and the next are of one sign (count, size - 1)."""
+class _Group(NamedTuple):
+    """The m candidates of one number of terms, k: which they are (m,), the indices of their terms (m, k), and
+    whether the coefficients of a term and of the next have one sign (m, k - 1)."""
+
+    numbers: IntArray
+    terms: IntArray
+    one_sign: BoolArray
+
+
+def _by_size(candidates: Sequence[Sequence[int]], spectra: IntArray) -> list[_Group]:
+    """Return the candidates by their number of terms; one without terms is in no group."""
     found = []
-    for size in sorted({len(group) for group in terms} - {0}):
-        which = [at for at, group in enumerate(terms) if len(group) == size]
-        places = np.array([terms[at] for at in which])
-        this, following = spectra[places[:, :-1]], spectra[places[:, 1:]]
-        found.append((np.array(which), places, (this == following) & (this >= 0)))
+    for size in sorted({len(terms) for terms in candidates} - {0}):
+        numbers = [at for at, terms in enumerate(candidates) if len(terms) == size]
+        terms = np.array([candidates[at] for at in numbers])
+        this, following = spectra[terms[:, :-1]], spectra[terms[:, 1:]]
+        found.append(_Group(np.array(numbers), terms, (this == following) & (this >= 0)))
     return found
 
 
 def _explained(
-    residual: FloatArray,
-    basis: FloatArray,
-    matrix: FloatArray,
-    groups: Sequence[tuple[IntArray, IntArray, BoolArray]],
-    count: int,
+    residual: FloatArray, basis: FloatArray, rows: FloatArray, groups: Sequence[_Group], count: int
 ) -> FloatArray:
-    """Return by how much each candidate lowers the sum of squares of the whitened residual.
+    """Return g' G^-1 g of (7) for each of `count` candidates; `rows` is Z̃' of all their terms, (k, n).
 
-    What the base leaves of a term is never written out: the residual is orthogonal to it already.
+    Columns are normalised: their norm beside the base is 1, so that the diagonal of G is.
     """
-    within = matrix @ basis
-    before = np.einsum("ij,ij->i", matrix, matrix)
-    after = before - np.einsum("ij,ij->i", within, within)
-    usable = after > COLLINEAR**2 * before
-    scale = np.where(usable, 1.0 / np.sqrt(np.where(usable, after, 1.0)), 0.0)
-    slope = scale * (matrix @ residual)
-    out = np.zeros(count)
-    for which, places, one_sign in groups:
-        part = slope[places]
-        if places.shape[1] == 1:
-            out[which] = part[:, 0] ** 2
+    within = rows @ basis
+    before = np.einsum("ij,ij->i", rows, rows)
+    beside_base = before - np.einsum("ij,ij->i", within, within)
+    usable = beside_base > COLLINEAR**2 * before
+    scale = np.where(usable, 1.0 / np.sqrt(np.where(usable, beside_base, 1.0)), 0.0)
+    g_of_terms = scale * (rows @ residual)
+    explained = np.zeros(count)
+    for numbers, terms, one_sign in groups:
+        g = g_of_terms[terms]
+        if terms.shape[1] == 1:
+            explained[numbers] = g[:, 0] ** 2
             continue
-        x, y = (part_of[places] * scale[places][:, :, np.newaxis] for part_of in (matrix, within))
+        z, zq = (of_terms[terms] * scale[terms][:, :, np.newaxis] for of_terms in (rows, within))
         # A term that the base explains has a zero row: one on the diagonal makes its coefficient zero.
-        diagonal = RIDGE + (~usable[places])
-        gram = x @ x.transpose(0, 2, 1) - y @ y.transpose(0, 2, 1)
-        gram += diagonal[:, :, np.newaxis] * np.eye(places.shape[1])
-        solution = np.linalg.solve(gram, part[:, :, np.newaxis])[:, :, 0]
-        against = one_sign & (solution[:, :-1] * solution[:, 1:] < 0)
-        out[which] = np.where(against.any(axis=1), 0.0, np.einsum("ij,ij->i", solution, part))
-    return out
+        diagonal = RIDGE + (~usable[terms])
+        gram = z @ z.transpose(0, 2, 1) - zq @ zq.transpose(0, 2, 1)
+        gram += diagonal[:, :, np.newaxis] * np.eye(terms.shape[1])
+        c = np.linalg.solve(gram, g[:, :, np.newaxis])[:, :, 0]
+        both_signs = one_sign & (c[:, :-1] * c[:, 1:] < 0)
+        explained[numbers] = np.where(both_signs.any(axis=1), 0.0, np.einsum("ij,ij->i", c, g))
+    return explained
 
 
 def _orthonormal(columns: FloatArray) -> FloatArray:
-    """Return an orthonormal basis of the columns, without those that add nothing."""
+    """Return an orthonormal basis of the columns, (n, rank), without those that add nothing."""
     norm = np.linalg.norm(columns, axis=0)
     left, values, _ = np.linalg.svd(columns / np.where(norm > 0, norm, 1.0), full_matrices=False)
     return np.asarray(left[:, values > 1e-10 * values[0]]) if len(values) else left
@@ -183,63 +195,58 @@ def whiten(
     markov_sd: FloatArray,
     walk: float,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return columns (n, k) of means behind the inverse Cholesky factor of their covariance, and the factor's
-    diagonal (n,): innovations of a Kalman filter over their standard deviations, in linear time.
+    """Return L^-1 columns, (n, k), and the diagonal of L, (n,), for means over the n blocks of one run.
 
-    Parameters
-    ----------
-    time_s, white : array of shape (n,)
-        Time of each mean since power-on, and variance of its white noise.
-    taus_s, markov_sd : array of shape (m,)
-        Correlation times and standard deviations of the processes, which begin stationary.
-    walk : float
-        K, in the unit of the bias per sqrt(s); the walk begins at zero.
+    The noise is that of (8): `time_s` and `white` (n,) are the time of each mean since power-on and the
+    variance of its white noise, `taus_s` and `markov_sd` (m,) the correlation times and standard deviations
+    of the processes, which begin stationary, and `walk` is K in the unit of the bias per sqrt(s), from zero.
     """
     dt = np.diff(time_s, prepend=0.0)[:, np.newaxis]
-    decay = np.column_stack([np.ones(len(dt)), np.exp(-dt / taus_s)])
-    growth = np.column_stack([walk**2 * dt, markov_sd**2 * -np.expm1(-2.0 * dt / taus_s)])
-    growth[0, 1:] = markov_sd**2
+    phi = np.column_stack([np.ones(len(dt)), np.exp(-dt / taus_s)])
+    process = np.column_stack([walk**2 * dt, markov_sd**2 * -np.expm1(-2.0 * dt / taus_s)])
+    process[0, 1:] = markov_sd**2
     variance = np.asarray(white, np.float64)
-    whitened, sd = _innovations(decay, growth, variance, np.ascontiguousarray(columns))
+    whitened, sd = _innovations(phi, process, variance, np.ascontiguousarray(columns))
     return np.asarray(whitened), np.asarray(sd)
 
 
 @partial(njit, fastmath=True)
 def _innovations(
-    decay: FloatArray, growth: FloatArray, white: FloatArray, columns: FloatArray
+    phi: FloatArray, process: FloatArray, white: FloatArray, columns: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Predict, and correct by the innovation, all columns at once: compiled, for a search has thousands.
+    """Predict by (8), and correct by the innovation, all columns at once: compiled, for there are thousands.
 
-    The one measurement is the sum of the states.  Columns come innermost: they lie side by side in memory.
+    H = (1, ..., 1): the one measurement is the sum of the states.  `phi` and `process` (n, states) are the
+    diagonals of Phi and cov w.  Columns come innermost: they lie side by side in memory.
     """
     n, m = columns.shape
-    states = decay.shape[1]
+    states = phi.shape[1]
     out, sd = np.empty((n, m)), np.empty(n)
     x, innovation = np.zeros((states, m)), np.empty(m)
-    covariance, spread = np.zeros((states, states)), np.empty(states)
+    p, ph = np.zeros((states, states)), np.empty(states)
     for k in range(n):
-        variance = white[k]
+        variance = white[k]  # that of the innovation: H P H' + W
         for i in range(states):
-            spread[i] = 0.0
+            ph[i] = 0.0
             for j in range(states):
-                covariance[i, j] *= decay[k, i] * decay[k, j]
-            covariance[i, i] += growth[k, i]
+                p[i, j] *= phi[k, i] * phi[k, j]
+            p[i, i] += process[k, i]
             for j in range(states):
-                spread[i] += covariance[i, j]
-            variance += spread[i]
+                ph[i] += p[i, j]
+            variance += ph[i]
         sd[k] = np.sqrt(variance)
         for c in range(m):
             innovation[c] = columns[k, c]
         for i in range(states):
             for c in range(m):
-                x[i, c] *= decay[k, i]
+                x[i, c] *= phi[k, i]
                 innovation[c] -= x[i, c]
         for c in range(m):
             out[k, c] = innovation[c] / sd[k]
         for i in range(states):
-            gain = spread[i] / variance
+            gain = ph[i] / variance
             for c in range(m):
                 x[i, c] += gain * innovation[c]
             for j in range(states):
-                covariance[i, j] -= gain * spread[j]
+                p[i, j] -= gain * ph[j]
     return out, sd

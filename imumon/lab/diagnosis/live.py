@@ -1,9 +1,8 @@
 """The diagnosis of the session that is running, as a stage behind the bias filter.
 
 A better model is found by the search and proven on what comes later: both models predict each block mean from
-those before it, with the noise that each had when the better one was found.  The ratio of the two likelihoods
-is a test martingale: were the present model right, it would exceed A with a probability of 1 / A at most,
-however often it is tested (Ville 1939; Shafer et al. 2011, doi:10.1214/10-STS347).
+those before it, with the noise that each had when the better one was found.  Were the present model right,
+the ratio of the two likelihoods would ever exceed A with a probability of 1 / A at most (Ville's inequality).
 """
 
 from __future__ import annotations
@@ -23,14 +22,14 @@ from imumon.errors import ImumonError
 from imumon.geodesy import DEG_PER_H
 from imumon.lab.diagnosis import prepare
 from imumon.lab.diagnosis.blocks import LEAST_BLOCKS, common_block_s, make_blocks, survey
-from imumon.lab.diagnosis.candidates import Pool
-from imumon.lab.diagnosis.diagnose import Recorded, likeliest, search_sensor
+from imumon.lab.diagnosis.candidates import Training
+from imumon.lab.diagnosis.diagnose import Prepared, likeliest, search_sensor
 from imumon.lab.diagnosis.extended import refitted, trained_on
 from imumon.lab.diagnosis.fit import LEAST_TEST_BLOCKS, fit
 from imumon.lab.diagnosis.likelihood import Likelihood
 from imumon.lab.diagnosis.runs import DRIVERS, LONGEST_GAP_S, BoundedRun, Origin, Run, further_columns
-from imumon.lab.diagnosis.search import PROVEN, Search, least_gain
-from imumon.lab.diagnosis.verdict import MATERIAL
+from imumon.lab.diagnosis.search import PROVEN_GAIN, AxisSearch, gain_bar
+from imumon.lab.diagnosis.verdict import CLEAN_REST
 from imumon.lane import LaneState, Level
 from imumon.models.model import BiasModel, ChannelModel, TrainedOn
 from imumon.models.predictor import BiasPredictor
@@ -75,44 +74,42 @@ def better_models(run: Run, model: BiasModel, channels: Sequence[str]) -> list[B
     """
     temperatures = {name: prepare.temperature_of(name, model, [run]) for name in channels}
     used = list(dict.fromkeys(temperatures.values()))
-    left = prepare.without_curves(run, model, channels)
+    without_curves = prepare.without_curves(run, model, channels)
     drivers = prepare.usable_drivers([run], [], used, None, [])
-    blocks = make_blocks(left, channels, used, drivers, common_block_s([run]))
+    blocks = make_blocks(without_curves, channels, used, drivers, common_block_s([run]))
     if len(blocks) < LEAST_BLOCKS:
         return []
     degree = prepare.CUBIC_DEGREE if survey([blocks], used[0], 0).thermal else 0
-    data = Recorded([blocks], temperatures, degree, model=model)
+    data = Prepared([blocks], temperatures, degree, model=model)
     searched = search_sensor(data, channels, LASTING, stages=1)
     found = likeliest(searched, live=True)
-    of_poses = [one[0].channel.own == "pose" for one in searched]
-    if found[0].channel.own == "pose" and not all(of_poses):
+    of_poses = [axes[0].channel.offset_per == "pose" for axes in searched]
+    if found[0].channel.offset_per == "pose" and not all(of_poses):
         return []  # it may be the earth rate: `imumon diagnose` has more sessions to decide
-    lacking = [one for one in found if any(not finding.known for finding in one.findings)]
-    gain = sum(map(_gain_over_given, lacking))
-    if not gain > least_gain(len(LASTING) * (2 if degree else 1), len(channels)):
+    lacking = [one for one in found if any(not finding.of_present_model for finding in one.findings)]
+    gain = sum(map(_gain_over_present, lacking))
+    if not gain > gain_bar(len(LASTING) * (2 if degree else 1), len(channels)):
         return []
-    every = [_better(one, gain, model) for one in lacking]
+    better = {axis: _better(axis, gain, model) for axis in lacking}
     # What a model leaves hardly above the white noise is too small to matter.
-    floors = [MATERIAL * one.channel.floor.sd for one in lacking]
-    return [better for better, floor in zip(every, floors, strict=True) if better.before >= floor]
+    return [one for axis, one in better.items() if one.before >= CLEAN_REST * axis.channel.floor.sd]
 
 
-def _gain_over_given(found: Search) -> float:
+def _gain_over_present(found: AxisSearch) -> float:
     """Return what a model gains over the present one as it is."""
-    given = found.channel.as_given()
-    price = given.base.shape[1] * found.likelihood.price
-    return found.criterion() - float(2.0 * found.likelihood.best(given.values, given.base)[0] - price)
+    present = AxisSearch(found.channel.with_model_fixed(), found.survey, found.likelihood, [])
+    return found.criterion(found.model) - present.criterion([])
 
 
-def _better(found: Search, gain: float, model: BiasModel) -> Better:
+def _better(found: AxisSearch, gain: float, model: BiasModel) -> Better:
     """Return the present model of a channel with what it lacks, fitted."""
-    channel, lacking = found.channel, next(one for one in found.findings if not one.known)
-    present, given = model.channels[channel.name], fit(channel.as_given(), [])
+    channel, lacking = found.channel, next(one for one in found.findings if not one.of_present_model)
+    present, before = model.channels[channel.name], fit(channel.with_model_fixed(), [])
     fitted = fit(channel, found.model)
     # What is left holds the white noise of the means as well: the model's own error is no larger.
     better = refitted(present, channel, fitted, min(present.residual_sd, fitted.train_rms))
-    names = lacking.alike or [lacking.name]
-    return Better(channel.name, names, gain, given.train_rms, fitted.train_rms, better)
+    names = lacking.indistinguishable or [lacking.name]
+    return Better(channel.name, names, gain, before.train_rms, fitted.train_rms, better)
 
 
 class Challenger:
@@ -137,10 +134,10 @@ class Challenger:
             early = blocks.time_s < self.since_s
             if min(early.sum(), (~early).sum()) < LEAST_TEST_BLOCKS:
                 return None
-            left = [blocks.mean[name] - blocks.mean[name][early].mean() for name in self._names]
-            likelihood = Likelihood(Pool([blocks], "temperature"))
-            ratio += sign * sum(likelihood.predictive(one, early) for one in left)
-            squares.append(np.mean([one[~early] ** 2 for one in left]))
+            residuals = [blocks.mean[name] - blocks.mean[name][early].mean() for name in self._names]
+            likelihood = Likelihood(Training([blocks], "temperature"))
+            ratio += sign * sum(likelihood.predictive(one, early) for one in residuals)
+            squares.append(np.mean([one[~early] ** 2 for one in residuals]))
         before, after = np.sqrt(squares).tolist()
         return ratio, before, after
 
@@ -224,14 +221,14 @@ class LiveDiagnosis:
     def _compare(self, challenger: Challenger, run: Run) -> None:
         """Compare the model that runs beside the present one with it, on what came since it was found.
 
-        Above PROVEN it has won, 1 in 3000 by chance; below -PROVEN it has lost.
+        Above PROVEN_GAIN it has won, 1 in 3000 by chance; below -PROVEN_GAIN it has lost.
         """
         ratio, before, after = challenger.compare(run) or (0.0, np.nan, np.nan)
         change = f"{before / DEG_PER_H:.3g} become {after / DEG_PER_H:.3g} °/h"
-        if ratio < -PROVEN:
+        if ratio < -PROVEN_GAIN:
             self._challenger = None
             self._report(f"the better model is dropped: what came later is less likely with it ({change})")
-        elif ratio > PROVEN:
+        elif ratio > PROVEN_GAIN:
             self.offered = challenger
             won = f"a better model has won on what came later: {change} (likelihood ratio e^{ratio:.0f})"
             self._report(f"{won}; it is kept with the session when that ends")
@@ -306,16 +303,16 @@ def _charts(run: Run, present: BiasModel, better: BiasModel, one: Better) -> lis
     difference of the two models.
     """
     name, axis, what = one.channel, one.channel[-1], one.names[0]
-    left, after = (prepare.residual(run, model, [name]) for model in (present, better))
-    both = left.mean[name], left.mean[name] - after.mean[name]
+    before, after = (prepare.residual(run, model, [name]) for model in (present, better))
+    both = before.mean[name], before.mean[name] - after.mean[name]
     points, line = ((part - part.mean()) / DEG_PER_H for part in both)
-    degc = left.temperature[prepare.temperature_of(name, present, [run])]
-    time = "time", left.time_s / 60.0, "time since power-on [min]"
+    degc = before.temperature[prepare.temperature_of(name, present, [run])]
+    time = "time", before.time_s / 60.0, "time since power-on [min]"
     return [
         Chart(
             f"model_lacks_over_{key}",
             RESIDUAL,
-            f"Gyro {axis} less the model, means of {left.block_s:.0f} s, and {what} through it",
+            f"Gyro {axis} less the model, means of {before.block_s:.0f} s, and {what} through it",
             Axis(label),
             Axis("[°/h]"),
             (

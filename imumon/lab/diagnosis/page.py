@@ -84,7 +84,7 @@ def write_page(diagnosis: Diagnosis, path: Path, progress: Progress = None) -> N
 def _errors(verdict: ChannelVerdict) -> tuple[float, float]:
     """Return the rms of the test before and after; NaN without one."""
     test = verdict.test_after
-    return verdict.test_before.rms, test.left if verdict.claims else test.rms
+    return verdict.test_before.rms, test.smaller_rms if verdict.claims else test.rms
 
 
 def _curve(verdict: ChannelVerdict) -> list[tuple[float, float, float]]:
@@ -112,10 +112,10 @@ def _number(value: float | None, scale: float = 1.0, digits: int = 3) -> str:
 
 def _figures(diagnosis: Diagnosis, verdict: ChannelVerdict) -> dict[str, str]:
     """Return the plots of a channel, caption to SVG."""
-    runs, column = diagnosis.train, verdict.channel.pool.temperature
+    runs, column = diagnosis.train, verdict.channel.training.temperature_name
     scale, unit = shown(verdict.channel.unit)
     ends = np.cumsum([len(run) for run in runs])[:-1]
-    before, after = (np.split(model.train * scale, ends) for model in (verdict.before, verdict.after))
+    before, after = (np.split(model.residual * scale, ends) for model in (verdict.before, verdict.after))
 
     def draw(axes: Axes, over: Sequence[FloatArray], label: str) -> None:
         for at, run in enumerate(runs):
@@ -140,42 +140,38 @@ def _draw_errors(axes: Axes, diagnosis: Diagnosis, verdict: ChannelVerdict) -> N
     scale, unit = shown(verdict.channel.unit)
     if diagnosis.test:
         what, runs, score = "test", diagnosis.test, verdict.test_after
-        before, counted = verdict.test_before.residual, np.concatenate(score.counted)
-        after = score.estimated if score.left < score.rms else score.residual
+        before, counts = verdict.test_before.predicted_residual, np.concatenate(score.counts)
+        after = score.estimated_residual if score.smaller_rms < score.rms else score.predicted_residual
     else:
         what, runs = "training", diagnosis.train
-        before, after = [verdict.before.train], [verdict.after.train]
-        counted = np.ones(len(after[0]), bool)
+        before, after = [verdict.before.residual], [verdict.after.residual]
+        counts = np.ones(len(after[0]), bool)
     ends = np.cumsum([0.0, *(run.time_s[-1] for run in runs)])
     time = np.concatenate([run.time_s + end for run, end in zip(runs, ends[:-1], strict=True)]) / HOUR_S
     axes.plot(time, np.concatenate(before) * scale, ".", ms=4, color=BEFORE, label="before")
     if verdict.claims:
         axes.plot(time, np.concatenate(after) * scale, ".", ms=4, color=AFTER, label="after")
-    if not counted.all():
-        axes.plot(time[~counted], np.zeros(int((~counted).sum())), "k|", ms=4, label="not scored")
+    if not counts.all():
+        axes.plot(time[~counts], np.zeros(int((~counts).sum())), "k|", ms=4, label="not scored")
     floor = verdict.channel.floor.sd * scale
     axes.axhspan(-floor, floor, color="0.85", zorder=0, label="white noise of a mean")
     axes.set(xlabel="time, h", ylabel=f"{what} error of {verdict.name}, {unit}")
     axes.legend(fontsize=6)
 
 
-# Two models on the same recording
-
-
 class Compared(NamedTuple):
-    """What two models leave of a channel in a run, as block means at rest."""
+    """What each of two models leaves of a channel in a run, as block means at rest, and the temperature that
+    the curve of the first is over."""
 
     run: str
     channel: str
     temperature: str
-    """That the first model's curve is over."""
-    left: list[RunBlocks]
-    """With the first and with the second model."""
+    residuals: list[RunBlocks]
 
     @property
     def rms(self) -> list[float]:
         """Of what is left, less its mean: no model knows the turn-on offset, gravity or the earth rate."""
-        return [float(blocks.mean[self.channel].std()) for blocks in self.left]
+        return [float(blocks.mean[self.channel].std()) for blocks in self.residuals]
 
 
 def compare(runs: Sequence[Run], models: tuple[BiasModel, BiasModel]) -> list[Compared]:
@@ -186,10 +182,10 @@ def compare(runs: Sequence[Run], models: tuple[BiasModel, BiasModel]) -> list[Co
     found = []
     for run in runs:
         names = [name for name in models[0].channels if name in models[1].channels and name in run.mean]
-        left = [residual(run, model, names) for model in models] if names else []
-        if left and len(left[0]) > 1:
+        residuals = [residual(run, model, names) for model in models] if names else []
+        if residuals and len(residuals[0]) > 1:
             degc = [temperature_of(name, models[0], [run]) for name in names]
-            found += [Compared(run.name, *of, left) for of in zip(names, degc, strict=True)]
+            found += [Compared(run.name, *of, residuals) for of in zip(names, degc, strict=True)]
     if not found:
         raise bad_data(
             "there is nothing to compare: no channel of both models, or no 30 s at rest",
@@ -200,7 +196,7 @@ def compare(runs: Sequence[Run], models: tuple[BiasModel, BiasModel]) -> list[Co
 
 def write_comparison(compared: Sequence[Compared], names: tuple[str, str], session: str, path: Path) -> None:
     """Write the page; raises OSError when that fails."""
-    page, block_s = environment().get_template("compared.html.j2"), round(compared[0].left[0].block_s)
+    page, block_s = environment().get_template("compared.html.j2"), round(compared[0].residuals[0].block_s)
     rows = [(one, [_drawn(one, names, over) for over in (OVER_TIME, OVER_DEGC)]) for one in compared]
     write_text(path, page.render(rows=rows, names=names, session=session, block_s=block_s))
 
@@ -210,7 +206,7 @@ def _drawn(one: Compared, names: tuple[str, str], over: str) -> str:
 
     def draw(axes: Axes) -> None:
         scale, unit = shown(unit_of(one.channel))
-        for blocks, name, colour in zip(one.left, names, (BEFORE, AFTER), strict=True):
+        for blocks, name, colour in zip(one.residuals, names, (BEFORE, AFTER), strict=True):
             x = blocks.time_s / HOUR_S if over == OVER_TIME else blocks.temperature[one.temperature]
             values = blocks.mean[one.channel]
             axes.plot(x, (values - values.mean()) * scale, ".", ms=3, color=colour, label=name)

@@ -22,11 +22,11 @@ from imumon.effects.library import EFFECTS, AnyEffect, effects_for
 from imumon.files import write_text
 from imumon.geodesy import DEG_PER_H, MICRO_G
 from imumon.lab.diagnosis.blocks import BLOCK_S, make_blocks, survey
-from imumon.lab.diagnosis.diagnose import Recorded, likeliest, search_block_s, search_sensor
+from imumon.lab.diagnosis.diagnose import Prepared, likeliest, search_block_s, search_sensor
 from imumon.lab.diagnosis.likelihood import TAUS_S
 from imumon.lab.diagnosis.report import NOTHING
 from imumon.lab.diagnosis.runs import Run, collect
-from imumon.lab.diagnosis.search import CLOSE, CLOSE_SHARE, PROVEN, Progress, Search
+from imumon.lab.diagnosis.search import NEAR_GAIN, NEAR_SHARE, PROVEN_GAIN, AxisSearch, Progress
 from imumon.models.model import UNITS
 from imumon.simulation.unit import Scenario, SimulatedUnit
 from imumon.simulation.unit.motion import Turn
@@ -59,9 +59,6 @@ POSES = (Turn(kind="turn", at_s=0.0, duration_s=10.0, roll_deg=90.0),) * 3 + (
     Turn(kind="turn", at_s=0.0, duration_s=10.0, pitch_deg=-180.0),
 )
 """From level to each side, upside down, and to both ends."""
-
-
-# Courses of temperature, and poses, that an experiment may be
 
 
 class Profile(NamedTuple):
@@ -109,20 +106,14 @@ def _thermal(low: float, high: float, rate: float, soak_s: float) -> dict[str, l
 
     quarter, slow = 0.25 * (high - low), rate / SLOWER
     soaks = f"soaks of {soak_s / 60:.0f} min"
+    fast, slowly = [to(high), to(low)], [to(high, slow), to(low, slow)]
+    stairs = [to(low + at * quarter) for at in (1, 2, 3, 4, 3, 2, 1, 0)]
     return {
-        f"warmed and cooled at {rate:.2g} °C/min with {soaks}": [to(high), to(low)],
-        f"warmed and cooled at {rate:.2g} and {slow:.2g} °C/min with {soaks}": [
-            *(to(high), to(low)),
-            *(to(high, slow), to(low, slow)),
-        ],
-        f"in stairs of a quarter of the span with {soaks}": [
-            to(low + at * quarter) for at in (1, 2, 3, 4, 3, 2, 1, 0)
-        ],
+        f"warmed and cooled at {rate:.2g} °C/min with {soaks}": fast,
+        f"warmed and cooled at {rate:.2g} and {slow:.2g} °C/min with {soaks}": [*fast, *slowly],
+        f"in stairs of a quarter of the span with {soaks}": stairs,
         "turned round inside the span": [to(low + at * quarter, soak=0.0) for at in (4, 2, 4, 0, 2, 0)],
     }
-
-
-# Questions, and what answers them
 
 
 class Answer(StrictModel, extra="ignore"):
@@ -165,11 +156,8 @@ class Question(NamedTuple):
 
 
 class Evidence(NamedTuple):
-    """What a profile shows of the pair of answers that it separates worst, `truth` and its `rival`.
-
-    `value` is the mean difference of their gains in BIC over simulated units, `least` the smallest, `needed`
-    what separates them.
-    """
+    """What a profile shows of the pair of answers that it separates worst, `truth` and its `rival`: mean and
+    least difference of their gains in BIC over simulated units, and what is needed to separate them."""
 
     value: float
     least: float
@@ -220,8 +208,8 @@ def plan(report: Report, question: Question, most_s: float, progress: Progress =
     inputs = {name for effect in effects for name in effect.inputs}
     if why_not := _impossible(question, inputs - {ACCEL}):
         return Plan(question, why_not=why_not)
-    in_question = {effect.name for effect in effects}
-    few, every = [name for name in EFFECTS if name in in_question], effects_for(question.channel)
+    few = [name for name in EFFECTS if any(effect.name == name for effect in effects)]
+    every = effects_for(question.channel)
     times = [getattr(effect, key) for effect in effects for key in effect.nonlinear if key.endswith("_s")]
     slowest_s, (low, high) = max(map(float, times), default=0.0), report.temperature_range_degc
     tried: dict[str, tuple[Evidence, Profile]] = {}
@@ -283,15 +271,15 @@ def evidence(
     return min(found, key=lambda one: one.ratio)
 
 
-def _difference(searched: Search, truth: str, rival: str) -> tuple[float, float]:
+def _difference(searched: AxisSearch, truth: str, rival: str) -> tuple[float, float]:
     """Return by how much the gain of one effect exceeds another's, or nothing's, and what is needed of it."""
-    stages = [one.rivals for one in searched.findings if one.name in (truth, rival)]
+    stages = [one.family_gains for one in searched.findings if one.name in (truth, rival)]
     stages += [{name: one.gain for name, one in table.items()} for table in searched.tables[-1:]]
     gains = stages[0] if stages else {}
-    own = gains.get(truth, 0.0)
+    of_truth, of_rival = gains.get(truth, 0.0), max(gains.get(rival, 0.0), 0.0)
     if rival == NOTHING:
-        return own, PROVEN
-    return own - max(gains.get(rival, 0.0), 0.0), max(CLOSE, CLOSE_SHARE * max(gains.values(), default=0.0))
+        return of_truth, PROVEN_GAIN
+    return of_truth - of_rival, max(NEAR_GAIN, NEAR_SHARE * max(gains.values(), default=0.0))
 
 
 def scenario(report: Report, channel: str, profile: Profile, answer: Answer) -> Scenario:
@@ -351,20 +339,17 @@ def simulated_run(plan: Scenario, seed: int) -> Run:
     return collect([SampleBlock({**sent.columns, "at_rest": truth["at_rest"]})], plan.title)[0]
 
 
-def _searched(run: Run, channel: str, truth: Answer, effects: Sequence[str]) -> Search:
+def _searched(run: Run, channel: str, truth: Answer, effects: Sequence[str]) -> AxisSearch:
     """Return the search of the diagnosis in one channel of a run, for as many effects as the unit has."""
-    blocks = [make_blocks(run, [channel], ["temperature"])]
-    degree = len(truth.declared) - 1 if survey(blocks, "temperature", 0).thermal else 0
-    shorter = [make_blocks(run, [channel], ["temperature"], block_s=search_block_s(blocks))]
-    data = Recorded(shorter, {channel: "temperature"}, degree)
+    blocks = make_blocks(run, [channel], ["temperature"])
+    degree = len(truth.declared) - 1 if survey([blocks], "temperature", 0).thermal else 0
+    shorter = blocks.in_blocks_of(search_block_s([blocks]))
+    data = Prepared([shorter], {channel: "temperature"}, degree)
     return likeliest(search_sensor(data, [channel], effects, max(1, len(truth.effects))))[0]
 
 
 def write_plan(report: Report, number: int, made: Plan, folder: Path) -> list[Path]:
-    """Write an experiment: the chamber's course, and a scenario of it for each answer.
-
-    Raises OSError when a file cannot be written.
-    """
+    """Write the chamber's course, and a scenario for each answer; raises OSError when that fails."""
     if made.profile is None:
         return []
     times, degrees = (values.tolist() for values in chamber_knots(made.profile.chamber))

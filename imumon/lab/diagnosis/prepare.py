@@ -1,7 +1,5 @@
-"""What of the recordings is searched: channels, drivers and runs of training and test, less what a known
-model expects of them.
-
-On what is left out functions add to `remarks`.
+"""What of the recordings is searched: channels, drivers, runs of training and test, blocks without faults;
+and these less what a present model expects of them.  On what is left out functions add to `remarks`.
 """
 
 from __future__ import annotations
@@ -37,9 +35,6 @@ CUBIC_DEGREE = 3
 """As what is assumed without a model: other curves keep their shape, and have a cubic added."""
 RESOLUTION = 1e-12
 """Share of its value below which the changes of a channel are rounding in the computation of its means."""
-
-
-# Channels and drivers
 
 
 def usable_channels(
@@ -110,9 +105,6 @@ def usable_drivers(
         else:
             found.append(name)
     return found
-
-
-# Training and test
 
 
 def latest(recordings: Sequence[Sequence[Run]]) -> tuple[list[Run], list[Run]]:
@@ -192,9 +184,6 @@ def _continued(before: Run, after: Run) -> Run:
         start_ns=before.start_ns,
         begun_in=before.begun_in or before.name,
     )
-
-
-# What cannot be fitted
 
 
 def without_standstill(run: Run, channels: Sequence[str], remarks: list[str]) -> Run:
@@ -282,9 +271,6 @@ def usable_blocks(
     return found
 
 
-# A model that is known
-
-
 def channels_with_model(channels: Sequence[str], model: BiasModel) -> list[str]:
     """Return the channels that a model has; raises BAD_CONFIG where it has none of them."""
     if found := [name for name in channels if name in model.channels]:
@@ -314,10 +300,7 @@ def temperature_of(channel: str, model: BiasModel | None, runs: Sequence[Run]) -
 
 
 def check_range(model: BiasModel, temperatures: Mapping[str, str], runs: Sequence[RunBlocks]) -> None:
-    """Refuse a model whose curves hold at no temperature of the runs: nothing of them could be fitted anew.
-
-    Raises BAD_CONFIG, naming both ranges.
-    """
+    """Raise BAD_CONFIG for a model whose curves hold at no temperature of the runs, naming both ranges."""
     for name, temperature in temperatures.items():
         found = np.concatenate([run.temperature[temperature] for run in runs])
         low, high = model.channels[name].temperature_range_degc
@@ -363,8 +346,8 @@ def without_model(run: Run, model: BiasModel, channels: Sequence[str]) -> Run:
 def residual(run: Run, model: BiasModel, channels: Sequence[str]) -> RunBlocks:
     """Return block means of what a model leaves of the channels, its effects integrated from power-on."""
     temperatures = dict.fromkeys(temperature_of(name, model, [run]) for name in channels)
-    left = without_model(run, model, channels)
-    return make_blocks(left, channels, [*temperatures], block_s=common_block_s([run]))
+    rest = without_model(run, model, channels)
+    return make_blocks(rest, channels, [*temperatures], block_s=common_block_s([run]))
 
 
 def within_range(model: BiasModel, run: Run, channels: Sequence[str], until_s: float | None = None) -> Run:

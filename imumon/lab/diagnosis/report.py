@@ -1,4 +1,4 @@
-"""The report of a diagnosis: report.json for programs, and the whole in a few words."""
+"""The report of a diagnosis: report.json for programs, and the conclusion and next step in words."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from imumon.lab.diagnosis.diagnose import Diagnosis
 from imumon.lab.diagnosis.extended import with_model
 from imumon.lab.diagnosis.fit import Fit, FittedPart, fit, root_mean_square, score_test
 from imumon.lab.diagnosis.likelihood import WALK_S
-from imumon.lab.diagnosis.verdict import CLEAN, ChannelVerdict, Claim, explained_share
+from imumon.lab.diagnosis.verdict import SMALL_REST, ChannelVerdict, Claim, explained_share
 from imumon.version import __version__
 
 FORMAT: Final = "imumon-diagnosis/1"
@@ -43,7 +43,7 @@ def report(diagnosis: Diagnosis, folder: Path | None = None) -> dict[str, Any]:
         "conclusion": conclusion(diagnosis),
         "next": [next_step(diagnosis, folder)._asdict()],
         "declared_model": diagnosis.declared if given is None else f"model of {given.created}",
-        "block_s": diagnosis.block_s,
+        "block_s": diagnosis.train[0].block_s,
         "train": [_run(one) for one in diagnosis.train],
         "test": [_run(one) for one in diagnosis.test],
         "independent_test": bool(diagnosis.test) and not diagnosis.held_out,
@@ -54,8 +54,7 @@ def report(diagnosis: Diagnosis, folder: Path | None = None) -> dict[str, Any]:
         "length_of_gravity": length and {name: np.asarray(v).tolist() for name, v in asdict(length).items()},
         "channels": {verdict.name: _channel(verdict) for verdict in diagnosis.verdicts},
     }
-    found: dict[str, Any] = plain(content)
-    return found
+    return dict(plain(content))
 
 
 def write_report(diagnosis: Diagnosis, path: Path) -> None:
@@ -69,8 +68,9 @@ def _run(one: RunBlocks) -> dict[str, Any]:
 
 def _channel(verdict: ChannelVerdict) -> dict[str, Any]:
     channel, before, after = verdict.channel, verdict.test_before, verdict.test_after
-    sets = [claim.finding.alike for claim in verdict.claims if claim.finding.alike]
-    explained = explained_share(verdict.before.train_rms, verdict.after.train_rms, channel.limit)
+    sets = [names for claim in verdict.claims if (names := claim.finding.indistinguishable)]
+    train_before, train_after = verdict.before.train_rms, verdict.after.train_rms
+    explained = explained_share(train_before, train_after, channel.total_floor)
     apart = [(first, other) for first, *others in sets for other in others]
     return {
         "verdict": verdict.row.state,
@@ -78,14 +78,10 @@ def _channel(verdict: ChannelVerdict) -> dict[str, Any]:
         "noise_floor_rms": channel.floor.sd,
         "noise_floor_from": channel.floor.source,
         "slow_noise": _slow_noise(verdict),
-        "before": {"train_rms": verdict.before.train_rms, "test_rms": before.rms},
-        "after": {
-            "train_rms": verdict.after.train_rms,
-            "test_rms": after.rms,
-            "test_rms_tracked": after.estimated_rms,
-        },
+        "before": {"train_rms": train_before, "test_rms": before.rms},
+        "after": {"train_rms": train_after, "test_rms": after.rms, "test_rms_tracked": after.estimated_rms},
         "coverage": after.coverage,
-        "scored": after.scored,
+        "scored": after.scored_share,
         "explained_share": explained if verdict.claims else 0.0,
         "curve": {
             "coefficients": verdict.after.declared.tolist(),
@@ -93,9 +89,9 @@ def _channel(verdict: ChannelVerdict) -> dict[str, Any]:
             "middle_degc": channel.scale.middle,
             "half_span_degc": channel.scale.half_span,
         },
-        "effects": [_effect(claim) for claim in verdict.claims],
+        "effects": [_effect(verdict, claim) for claim in verdict.claims],
         "ranking": [
-            {"name": one.family, "gain": one.gain, **_left(verdict, fit(channel, [one.candidate]))}
+            {"name": one.candidate.family, "gain": one.gain, **_left(verdict, fit(channel, [one.candidate]))}
             for one in _leaders(verdict, 0)[:MOST_RANKED]
         ],
         "runs": list(_runs_left(verdict)),
@@ -121,41 +117,43 @@ def _slow_noise(verdict: ChannelVerdict) -> dict[str, float]:
     Flicker and random walk are Gaussian: what jumps or comes in bursts is neither, however slow it is.  Score
     test of Jarque and Bera (1980, doi:10.1016/0165-1765(80)90024-5): n (kurtosis - 3)² / 24.
     """
-    found, channel = verdict.found, verdict.found.channel
-    flicker, walk = noise = found.fitted(found.model)[1]
-    left, _ = found.likelihood.left(channel.values, channel.design(found.model), noise)
-    sd = float(np.sqrt(left @ left / len(left)))
-    excess = float(np.mean(left**4) / np.mean(left**2) ** 2) - 3.0
+    search, channel = verdict.search, verdict.search.channel
+    flicker, walk = noise = search.maximum(search.model)[1]
+    residual, _ = search.likelihood.residual(channel.y, channel.design(search.model), noise)
+    sd = float(np.sqrt(residual @ residual / len(residual)))
+    excess = float(np.mean(residual**4) / np.mean(residual**2) ** 2) - 3.0
     return {
         "flicker": flicker,
         "random_walk": walk,
         "flicker_rms": float(np.sqrt(flicker) * sd),
         "random_walk_per_sqrt_s": float(np.sqrt(walk / WALK_S) * sd),
-        "heavy_tails": len(left) * max(excess, 0.0) ** 2 / 24.0 - found.likelihood.price,
+        "heavy_tails": len(residual) * max(excess, 0.0) ** 2 / 24.0 - search.likelihood.price,
     }
 
 
-def _effect(claim: Claim) -> dict[str, Any]:
-    finding = claim.finding
+def _effect(verdict: ChannelVerdict, claim: Claim) -> dict[str, Any]:
+    finding, before = claim.finding, verdict.before.train_rms
+    alone = _left(verdict, fit(verdict.channel, [finding.candidate]))
+    after = alone["train_rms"]
     sigma = [
-        {**one.searched, "coefficients": rows if len(rows := one.coefficients.tolist()) > 1 else rows[0]}
+        {**one.nonlinear, "coefficients": rows if len(rows := one.coefficients.tolist()) > 1 else rows[0]}
         for one in claim.sigmas
     ]
     return {
         "name": finding.name,
         "parameters": _parameters(claim.parts),
         "sigma": sigma,
-        "carried_over": any(part.carries for part in claim.parts),
+        "carried_over": any(part.carries_over for part in claim.parts),
         "evidence": {
             "proven_by": "test" if finding.by_test else "training",
             "gain_bic": finding.gain,
             "test_gain": None,
-            "pooled_gain_bic": finding.pooled_gain,
-            "rms_explained": claim.size,
-            "explained_share_alone": claim.explained,
-            "rivals_gain_bic": {name: value for name, value in finding.rivals.items() if value > 0},
+            "pooled_gain_bic": finding.gain_over_axes,
+            "rms_explained": float(np.sqrt(max(before**2 - after**2, 0.0))),
+            "explained_share_alone": explained_share(before, after, verdict.channel.floor.sd),
+            "rivals_gain_bic": {name: value for name, value in finding.family_gains.items() if value > 0},
         },
-        "test_rms_alone": claim.test_alone,
+        "test_rms_alone": alone["test_rms"],
     }
 
 
@@ -164,8 +162,9 @@ def _parameters(parts: Sequence[FittedPart]) -> dict[str, Any]:
     each = []
     for part in parts:
         found = part.effect.model_dump(exclude={"kind", "coefficients"})
-        found["coefficients"] = part.own.tolist() if part.runs else part.own[0].tolist()
-        found |= {"runs": list(part.runs)} if part.runs else {}
+        rows = part.coefficients.tolist()
+        found["coefficients"] = rows if part.separate_runs else rows[0]
+        found |= {"runs": list(part.separate_runs)} if part.separate_runs else {}
         found |= {"start": part.start.tolist()} if len(part.start) else {}
         each.append(found)
     return each[0] if len(each) == 1 else {key: [found.get(key) for found in each] for key in each[0]}
@@ -173,7 +172,7 @@ def _parameters(parts: Sequence[FittedPart]) -> dict[str, Any]:
 
 def _leaders(verdict: ChannelVerdict, stage: int) -> list[Scored]:
     """Return the best of each family at a stage of the search, the best of all first."""
-    return sorted(verdict.found.tables[stage].values(), key=lambda one: -one.gain)
+    return sorted(verdict.search.tables[stage].values(), key=lambda one: -one.gain)
 
 
 def _left(verdict: ChannelVerdict, fitted: Fit) -> dict[str, float]:
@@ -184,18 +183,21 @@ def _left(verdict: ChannelVerdict, fitted: Fit) -> dict[str, float]:
 def _turns(verdict: ChannelVerdict) -> Iterator[dict[str, Any]]:
     """Yield what was done in each stage of the search, and what is left after it."""
     yield {"done": "what was assumed", "gain_bic": float("nan"), **_left(verdict, verdict.before)}
-    for done, model, gain in verdict.found.stages:
+    for done, model, gain in verdict.search.history:
         yield {"done": done, "gain_bic": gain, **_left(verdict, fit(verdict.channel, model))}
 
 
 def _runs_left(verdict: ChannelVerdict) -> Iterator[dict[str, Any]]:
     """Yield what each run of training and test is left with; NaN where nothing counts."""
     channel, (before, after) = verdict.channel, (verdict.test_before, verdict.test_after)
-    ends = np.cumsum([len(run) for run in channel.pool.runs])[:-1]
-    training = [np.split(one.train, ends) for one in (verdict.before, verdict.after)]
-    test = [[of[use] for of, use in zip(one.residual, after.counted, strict=True)] for one in (before, after)]
-    for is_test, runs, left in ((False, channel.pool.runs, training), (True, channel.test, test)):
-        for run, first, last in zip(runs, *left, strict=True):
+    ends = np.cumsum([len(run) for run in channel.training.runs])[:-1]
+    training = [np.split(one.residual, ends) for one in (verdict.before, verdict.after)]
+    test = [
+        [of_run[counting] for of_run, counting in zip(one.predicted_residual, after.counts, strict=True)]
+        for one in (before, after)
+    ]
+    for is_test, runs, residuals in ((False, channel.training.runs, training), (True, channel.test, test)):
+        for run, first, last in zip(runs, *residuals, strict=True):
             yield {
                 "name": run.name,
                 "test": is_test,
@@ -215,25 +217,24 @@ def _questions(verdict: ChannelVerdict) -> list[list[dict[str, Any]]]:
         model = fit(verdict.channel, beside if one is None else [*beside, one])
         return {
             "name": NOTHING if one is None else one.family,
-            "carries": one is None or one.carries,
+            "carries": one is None or one.shared,
             "declared": model.declared.tolist(),
-            "effects": [part.effect.model_dump() for part in model.parts if part.carries],
+            "effects": [part.effect.model_dump() for part in model.parts if part.carries_over],
         }
 
     for finding in verdict.findings:
-        if finding.others:
+        if finding.alternatives:
             beside = [other for other in claimed if other is not finding.candidate]
-            opened.append([answer(beside, one) for one in (finding.candidate, *finding.others.values())])
+            opened.append(
+                [answer(beside, one) for one in (finding.candidate, *finding.alternatives.values())]
+            )
     if verdict.unexplained:
-        tried = [one.candidate for one in _leaders(verdict, -1) if one.fit > 0.0]
+        tried = [one.candidate for one in _leaders(verdict, -1) if one.linear_gain > 0.0]
         # A chamber, or poses, can make these show themselves in another run.
         lasting = [one for one in tried if one.scope in ("shared", "either") and one not in claimed]
         further = [one for one in lasting if {*one.parts[0].effect.inputs} <= {ACCEL}][:MOST_ANSWERS]
         opened.append([answer(claimed, one) for one in (None, *further)])
     return opened
-
-
-# In a few words
 
 
 class NextStep(NamedTuple):
@@ -276,11 +277,11 @@ def _steps(diagnosis: Diagnosis, folder: Path) -> Iterator[NextStep]:
         beside = "what else may drive it (supply, load, pressure, another thermometer)"
         why = "What is left jumps or comes in bursts, as no noise does, or it is slow noise of the unit."
         yield NextStep(f"Record {names} beside {beside}, {ISOTHERMAL}", why)
-    sets = (one.finding.alike for verdict in verdicts for one in verdict.claims)
-    if alike := next(filter(None, sets), []):
-        why = f"{alike[0]} and {alike[1]} fit these recordings alike, and predict others differently."
+    sets = (one.finding.indistinguishable for verdict in verdicts for one in verdict.claims)
+    if effects := next(filter(None, sets), []):
+        why = f"{effects[0]} and {effects[1]} fit these recordings alike, and predict others differently."
         command = f"imumon plan {folder} --out {folder / 'next'}"
-        yield NextStep(f"Record {separated_by(alike[0], alike[1])}.", why, command)
+        yield NextStep(f"Record {separated_by(*effects[:2])}.", why, command)
     if useful := [one for one in with_model(diagnosis) if one.claims and one.predicts]:
         least = min(one.test_after.rms / one.test_before.rms for one in useful)
         what = f"Use the model with what is named of {', '.join(one.name for one in useful)}."
@@ -288,10 +289,9 @@ def _steps(diagnosis: Diagnosis, folder: Path) -> Iterator[NextStep]:
         yield NextStep(what, f"Errors in the test fall by up to {1.0 - least:.0%}.", command)
     if names := which(lambda one: one.row.state == "not proven"):
         why = "What is left is little, noise or an effect too small to prove."
-        if any(one.test_after.rms >= CLEAN * one.channel.limit for one in verdicts):
-            why = (
-                'The test is off, training is not, as by another turn-on bias: add " + offset" to --declared.'
-            )
+        if any(one.test_after.rms >= SMALL_REST * one.channel.total_floor for one in verdicts):
+            why = "The test is off, training is not, as by another turn-on bias:"
+            why += ' add " + offset" to --declared.'
         yield NextStep(f"Record {names} {ISOTHERMAL}", why)
     yield NextStep("Nothing has to be added.", "The declared model is enough on these recordings.")
 

@@ -59,10 +59,8 @@ class Samples(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Origin:
-    """Where a run comes from: session or table, its number in it, fingerprint of its bytes, and unit.
-
-    Two are the same whose bytes are, whatever their names.
-    """
+    """Where a run comes from: session or table, its number in it, fingerprint of its bytes, and unit; two are
+    the same whose bytes are, whatever their names."""
 
     session: str = field(compare=False)
     index: int
@@ -126,8 +124,7 @@ def read_runs(
 ) -> list[Run]:
     """Read a session, or a table with its map (one that imumon wrote needs none), as runs from power-on.
 
-    `sensors` are those that are to be diagnosed, see `channels_of`; `at_rest` declares the unit at rest all
-    the time.
+    `sensors` are to be diagnosed, see `channels_of`; `at_rest` declares the unit at rest all the time.
 
     Raises BAD_DATA when there is nothing to read, no run of five minutes, or a table that needs a map.
     """
@@ -309,10 +306,8 @@ class BoundedRun:
         self._width, self._last, self._begun_ns = 1, -1, 0
 
     def take(self, part: KeptSlots) -> float:
-        """Add seconds, and return the time from the first sample to the end of the last of them, s.
-
-        The last column of the part is the share at rest, which is not one of the run's.
-        """
+        """Add seconds, and return the time from the first sample to the end of the last of them, s; the last
+        column of the part is the share at rest, which is not one of the run's."""
         if self._last < 0:
             self._begun_ns = int(part.start_ns[0])
         second = (part.start_ns - self._begun_ns) // SECOND_NS

@@ -60,7 +60,7 @@ def test_a_barometer_and_a_second_thermometer_are_diagnosed(sensor: str, effect:
 def test_what_is_diagnosed_is_no_driver_and_what_is_not_there_is_reported() -> None:
     train, test = runs(1200)
     found = diagnose(train, test, sensors=("gyro", "pressure"))
-    assert "pressure" not in found.verdicts[0].found.survey.others
+    assert "pressure" not in found.verdicts[0].search.survey.others
     with pytest.raises(ImumonError, match="no channel of mag"):
         diagnose(train, test, sensors=("mag",))
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from imumon.effects.since_power_on import Drift, WarmUp
-from imumon.lab.diagnosis.candidates import Candidate, Part, Scored, Table
-from imumon.lab.diagnosis.search import Selection, least_gain, select
+from imumon.lab.diagnosis.candidates import Candidate, GainTable, Part, Scored
+from imumon.lab.diagnosis.search import Selection, gain_bar, select
 
-LEAST = least_gain(2, 3)
+BAR = gain_bar(2, 3)
 
 
-def axes(drift: tuple[float, ...], warm_up: tuple[float, ...] = (-9.0, -9.0, -9.0)) -> dict[str, Table]:
+def axes(drift: tuple[float, ...], warm_up: tuple[float, ...] = (-9.0, -9.0, -9.0)) -> dict[str, GainTable]:
     """Return what these gain on the axes."""
     made = {"drift": Part(Drift()), "warm_up": Part(WarmUp(time_constant_s=200.0))}
     return {
@@ -21,33 +21,33 @@ def axes(drift: tuple[float, ...], warm_up: tuple[float, ...] = (-9.0, -9.0, -9.
     }
 
 
-def lacks(tables: dict[str, Table], least: float) -> list[Selection]:
+def lacks(tables: dict[str, GainTable], bar: float) -> list[Selection]:
     """Return what the axes lack, each one effect."""
     found, left = list[Selection](), dict(tables)
-    while (lack := select(left, least)) is not None:
+    while (lack := select(left, bar)) is not None:
         found.append(lack)
         left = {name: table for name, table in left.items() if name not in lack.channels}
     return found
 
 
 def test_what_no_axis_proves_is_named_where_they_prove_it_together() -> None:
-    each = LEAST / 3.0 + 0.1
-    assert lacks({"x": axes((each,) * 3)["x"]}, LEAST) == []
-    (one,) = lacks(axes((each,) * 3), LEAST)
-    assert (one.names, one.channels) == (["drift"], ["x", "y", "z"])
-    assert lacks(axes((each, each, -9.0)), LEAST) == []
+    each = BAR / 3.0 + 0.1
+    assert lacks({"x": axes((each,) * 3)["x"]}, BAR) == []
+    (one,) = lacks(axes((each,) * 3), BAR)
+    assert ([one.family, *one.alternatives], one.channels) == (["drift"], ["x", "y", "z"])
+    assert lacks(axes((each, each, -9.0)), BAR) == []
 
 
 def test_an_axis_agrees_with_the_others_unless_it_proves_another_by_itself() -> None:
-    (one,) = lacks(axes((60.0, 60.0, 12.0), (0.0, 0.0, 24.0)), LEAST)
-    assert (one.names, one.channels) == (["drift"], ["x", "y", "z"])
-    both = lacks(axes((60.0, 60.0, 12.0), (0.0, 0.0, 60.0)), LEAST)
-    assert {name: one.channels for one in both for name in one.names} == {
+    (one,) = lacks(axes((60.0, 60.0, 12.0), (0.0, 0.0, 24.0)), BAR)
+    assert ([one.family, *one.alternatives], one.channels) == (["drift"], ["x", "y", "z"])
+    both = lacks(axes((60.0, 60.0, 12.0), (0.0, 0.0, 60.0)), BAR)
+    assert {name: one.channels for one in both for name in [one.family, *one.alternatives]} == {
         "drift": ["x", "y"],
         "warm_up": ["z"],
     }
 
 
 def test_what_is_not_told_apart_is_named_the_likelier_first() -> None:
-    (one,) = lacks(axes((40.0, 40.0, 40.0), (43.0, 41.0, 35.0)), LEAST)
-    assert one.names == ["drift", "warm_up"]
+    (one,) = lacks(axes((40.0, 40.0, 40.0), (43.0, 41.0, 35.0)), BAR)
+    assert [one.family, *one.alternatives] == ["drift", "warm_up"]

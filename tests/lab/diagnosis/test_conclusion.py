@@ -15,7 +15,7 @@ import pytest
 from imumon.lab.diagnosis.diagnose import Diagnosis, diagnose
 from imumon.lab.diagnosis.page import write_page
 from imumon.lab.diagnosis.report import conclusion, next_step, report
-from imumon.lab.diagnosis.search import PROVEN
+from imumon.lab.diagnosis.search import PROVEN_GAIN
 from imumon.lab.diagnosis.verdict import BESIDE_CLAIMS, VERDICTS, ChannelVerdict
 from tests.lab.diagnosis.units import DPH, Bias, lagged, ramps, run, telegraph, three
 
@@ -74,9 +74,9 @@ def test_time_constant_and_coefficient_are_within_three_sigma(lagging: Diagnosis
     (claim,) = lagging.verdicts[0].claims
     (sigma,), effect = claim.sigmas, claim.parts[0].effect
     off_s = effect.model_dump()["time_constant_s"] - TAU_S
-    assert abs(off_s) < 3.0 * sigma.searched["time_constant_s"]
-    assert sigma.searched["time_constant_s"] < 0.2 * TAU_S
-    off = claim.parts[0].own[0, 0] - -2.0 * DPH * effect.model_dump()["half_span"]
+    assert abs(off_s) < 3.0 * sigma.nonlinear["time_constant_s"]
+    assert sigma.nonlinear["time_constant_s"] < 0.2 * TAU_S
+    off = claim.parts[0].coefficients[0, 0] - -2.0 * DPH * effect.model_dump()["half_span"]
     assert abs(off) < 3.0 * sigma.coefficients[0, 0]
 
 
@@ -122,7 +122,7 @@ def test_what_is_unexplained_is_recorded_beside_what_may_drive_it_and_jumps_have
     runs = [run(seed, *ramps(5000, up), walking(seed)) for seed, up in ((11, True), (12, False), (13, True))]
     noisy = diagnose(runs[:2], runs[2:])
     assert [one.row.state for one in noisy.verdicts] == ["unexplained"]
-    assert heavy_tails(unexplained) > PROVEN > heavy_tails(noisy)
+    assert heavy_tails(unexplained) > PROVEN_GAIN > heavy_tails(noisy)
     for diagnosis in (unexplained, noisy):
         step = next_step(diagnosis, None)
         assert "supply" in step.what
@@ -139,7 +139,7 @@ def test_what_is_not_told_apart_is_one_verdict_with_one_next_step(lagging: Diagn
     (claim,) = verdict.claims
     assert claim.finding.name == "thermal_lag"
     others = {"dead_time": claim.finding.candidate}
-    both = replace(claim, finding=replace(claim.finding, others=others))
+    both = replace(claim, finding=replace(claim.finding, alternatives=others))
     found = replace(lagging, verdicts=[replace(verdict, claims=[both])])
     assert found.verdicts[0].row.predicate == "claimed"
     assert conclusion(found) == "gyro_x: thermal_lag or dead_time, not told apart"
@@ -148,7 +148,7 @@ def test_what_is_not_told_apart_is_one_verdict_with_one_next_step(lagging: Diagn
     found = replace(lagging, verdicts=[replace(verdict, claims=[chosen])])
     assert "no longer unseen" in conclusion(found)
     assert "--test NEW" in next_step(found, tmp_path).command
-    alone = replace(claim, finding=replace(claim.finding, others={}))
+    alone = replace(claim, finding=replace(claim.finding, alternatives={}))
     found = replace(lagging, verdicts=[replace(verdict, claims=[alone])])
     assert conclusion(found) == "gyro_x: thermal_lag"
     assert "model.yaml" in next_step(found, tmp_path).command

@@ -248,7 +248,7 @@ def test_of_a_single_run_every_other_stretch_is_the_test_and_that_is_reported() 
     verdict = diagnosis.verdicts[0]
     assert verdict.test_before is not None
     assert verdict.test_after is not None
-    assert "thermal_lag" in {*verdict.claims[0].finding.alike, verdict.claims[0].finding.name}
+    assert "thermal_lag" in {*verdict.claims[0].finding.indistinguishable, verdict.claims[0].finding.name}
     assert verdict.test_after.rms < 0.5 * verdict.test_before.rms
 
 
@@ -283,7 +283,7 @@ def test_any_log_will_do(rate: float, hours: float, gap_s: float, tmp_path: Path
         found += read_runs(tmp_path / f"{seed}.parquet", None, lambda _: [RestDetector()])
     diagnosis = diagnose(found[:2], found[2:], sensors=("gyro",))
     finding = diagnosis.verdicts[0].claims[0].finding
-    assert "thermal_lag" in {finding.name, *finding.alike}
+    assert "thermal_lag" in {finding.name, *finding.indistinguishable}
     score = diagnosis.verdicts[0].test_after
     assert score is not None
     assert score.rms < 1.3 * diagnosis.verdicts[0].channel.floor.sd
@@ -398,7 +398,7 @@ def test_a_test_that_goes_on_where_training_ended_takes_lag_and_time_with_it() -
     score = together.verdicts[0].test_after
     assert score is not None
     assert score.rms < 1.3 * together.verdicts[0].channel.floor.sd
-    assert score.residual[0][0] == pytest.approx(0.0, abs=5 * WHITE_DPH * DPH)
+    assert score.predicted_residual[0][0] == pytest.approx(0.0, abs=5 * WHITE_DPH * DPH)
 
 
 def test_a_jump_stays_where_the_test_goes_on_and_is_no_part_of_the_model_file() -> None:

@@ -7,19 +7,19 @@ import numpy as np
 from imumon.effects.base import Drive
 from imumon.effects.since_power_on import Drift, StressRelaxation
 from imumon.lab.diagnosis.blocks import make_blocks
-from imumon.lab.diagnosis.candidates import Candidate, Part, Pool
-from imumon.lab.diagnosis.likelihood import GRID, TAUS_S, Likelihood, no_larger
+from imumon.lab.diagnosis.candidates import Candidate, Part, Training
+from imumon.lab.diagnosis.likelihood import NOISE_GRID, TAUS_S, Likelihood, noise_no_larger
 from tests.lab.diagnosis.units import DPH, WHITE_DPH, ramps, run
 
 SECONDS = 7200
 
 
 def test_noise_beside_a_better_model_is_no_larger_but_may_be_of_another_kind() -> None:
-    for start in GRID:
-        grid = no_larger(start)
+    for start in NOISE_GRID:
+        grid = noise_no_larger(start)
         assert start in grid
         assert max(map(sum, grid)) == sum(start)
-    assert (3.0, 0.0) in no_larger((0.0, 10.0))
+    assert (3.0, 0.0) in noise_no_larger((0.0, 10.0))
 
 
 def test_what_is_a_walk_without_a_drift_is_flicker_with_it() -> None:
@@ -33,13 +33,13 @@ def test_what_is_a_walk_without_a_drift_is_flicker_with_it() -> None:
     told = run(4, *ramps(SECONDS, up=True), lambda time, _: 15.0 * time / SECONDS + flicker)
     blocks = make_blocks(told, ["gyro_x"], ["temperature"])
     curve = (blocks.temperature["temperature"] - 25.0)[:, np.newaxis] ** np.arange(4)
-    pool = Pool([blocks], "temperature")
-    likelihood = Likelihood(pool)
-    walk = likelihood.best(blocks.mean["gyro_x"] / DPH, curve)[1]
+    training = Training([blocks], "temperature")
+    likelihood = Likelihood(training)
+    walk = likelihood.maximum(blocks.mean["gyro_x"] / DPH, curve)[1]
     assert walk[1] > walk[0]
-    beside = np.column_stack([curve, pool.design([Candidate((Part(Drift()),))])])
-    noise = likelihood.best(blocks.mean["gyro_x"] / DPH, beside)[1]
-    assert noise in no_larger(walk)
+    beside = np.column_stack([curve, training.design([Candidate((Part(Drift()),))])])
+    noise = likelihood.maximum(blocks.mean["gyro_x"] / DPH, beside)[1]
+    assert noise in noise_no_larger(walk)
     assert noise[0] > walk[0]
     assert noise[1] < walk[1]
 
@@ -51,10 +51,10 @@ def test_a_spectrum_with_both_signs_explains_nothing() -> None:
         told = run(6, *ramps(SECONDS, up=True), lambda time, t: effect.simulate(Drive(time, t)))  # noqa: B023 - called at once
         blocks = make_blocks(told, ["gyro_x"], ["temperature"])
         curve = (blocks.temperature["temperature"] - 25.0)[:, np.newaxis] ** np.arange(4)
-        pool = Pool([blocks], "temperature")
-        likelihood = Likelihood(pool)
+        training = Training([blocks], "temperature")
+        likelihood = Likelihood(training)
         values, white = blocks.mean["gyro_x"] / DPH, (0.0, 0.0)
-        terms = [pool.terms(Candidate((Part(creep),)))[0]]
+        terms = [training.terms(Candidate((Part(creep),)))[0]]
         found, alone = likelihood.scan(values, curve, [*terms, []], [white]).tolist()
         gain = found - alone
         assert gain > 50.0 if explains else abs(gain) < 1e-6

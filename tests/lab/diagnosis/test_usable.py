@@ -12,7 +12,7 @@ from imumon.lab.diagnosis.blocks import common_block_s
 from imumon.lab.diagnosis.diagnose import diagnose
 from imumon.lab.diagnosis.prepare import usable_blocks, usable_channels
 from imumon.lab.diagnosis.runs import MOSTLY, SENSORS, Run
-from tests.lab.diagnosis.units import three
+from tests.lab.diagnosis.units import ramps, run, three
 
 SECONDS = 2400
 NAMES = ["gyro_x"], ["temperature"], list[str]()
@@ -76,3 +76,20 @@ def test_runs_that_move_or_lack_a_temperature_are_named_and_the_others_used() ->
     caveats = diagnose(train, [moving(test[0])]).caveats
     assert "no run can be used as a test: there is no independent proof" in caveats
     assert train[1].rest_share > MOSTLY > moving(train[1]).rest_share
+
+
+def jump(time: np.ndarray, temperature: np.ndarray) -> np.ndarray:  # noqa: ARG001 - as all biases
+    return np.where(time > 1500.0, 12.0, 0.0)
+
+
+def test_a_jump_is_in_its_run_where_a_short_run_before_has_too_few_blocks_to_be_scored() -> None:
+    short = run(7, *ramps(360, True), still)
+    gaps = np.zeros(360, bool)
+    gaps[:90] = np.tile(np.repeat([False, True, False, True, True], [7, 3, 7, 3, 10]), 3)
+    short.mean["gyro_x"][gaps], short.count["gyro_x"][gaps] = np.nan, 0.0
+    train = [short, run(1, *ramps(3000, True), still), run(2, *ramps(3000, False), jump)]
+    diagnosis = diagnose(train, [run(3, *ramps(3000, True, 1.0), still)])
+    assert [one.name for one in diagnosis.train] == ["run 1", "run 2"]
+    (claim,) = diagnosis.verdicts[0].claims
+    assert claim.finding.name == "step"
+    assert [diagnosis.train[at].name for at in claim.parts[0].separate_runs] == ["run 2"]
