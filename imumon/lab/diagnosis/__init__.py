@@ -13,7 +13,7 @@ runs one after another.  A run is a recording from power-on; runs are independen
     2 ln p(y)   = -n ln(RSS / n) - ln det V,    RSS = min over b, c of e' V^-1 e  (least squares)     (2)
     S(model)    = max over r, q of 2 ln p - (p + k + number of theta) ln n - choice                  (3)
     gain(f | M) = S(M + f) - S(M),    where beside f the noise r + q is no larger than beside M       (4)
-    bar         = 8 for one axis;  8 + 2 ln(f (2^m - 1)) for one of f families on any of m axes       (5)
+    bar         = 8 for an axis alone;  8 + 2 ln(f (2^m - 1)) for one of f families on any of m axes  (5)
 
 S is the BIC with its sign turned; the last terms of (3), for a choice among other drivers than temperature,
 and of (5) are those of the extended BIC (Chen & Chen 2008, doi:10.1093/biomet/asn034).  A gain is twice the
@@ -28,7 +28,7 @@ most, however often it is tested (Ville 1939; Shafer et al. 2011, doi:10.1214/10
 4. the axes that are left choose again; then 1 to 3 are repeated until no family exceeds the bar;
 5. backwards, each axis drops what it does not need beside the rest, and refines the rest.
 
-**Verdict** (`verdict`): of what was found, that is claimed which explains training and test.
+**Verdict** (`verdict`): of what was found, that is claimed which explains training and the test, if any.
 
 **Words.**  *Base*: X.  *Family*: effects of one name.  *Candidate*: what may be added.  *Finding*: what the
 search added.  *Claim*: a finding that training and test bear out.  *Floor*: sd of a block's mean by white

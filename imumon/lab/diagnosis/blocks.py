@@ -212,28 +212,38 @@ def white_floor(channel: str, blocks: Sequence[RunBlocks]) -> WhiteFloor:
 
     It is half the mean square difference of neighbouring parts of a block (an Allan variance), of 2 s in most
     cases: an output filter makes shorter ones too small and rounding too large, flicker longer ones.  The
-    differences are less the mean of their block, so that no ramp gets in.  The clock's is that of the delays
-    at both ends of a block.
+    differences are less the mean of their block, so that no ramp gets in.  Where every block lacks readings,
+    its parts have fewer slots; where parts have none, neighbouring blocks are compared.  The clock's is that
+    of the delays at both ends of a block.
     """
     slots, gaps = blocks[0].slots_per_block, np.concatenate([run.white for run in blocks]).mean()
     values = []
     for run in (one.run for one in blocks):
         rows = np.where(run.at_rest, run.mean[channel], np.nan)
         values.append(rows[: len(rows) // slots * slots].reshape(-1, slots))
-    if channel == CLOCK:  # no step leads from one run to the next
-        rates = [part for each in values for part in (each.mean(axis=1), [np.nan])]
-        sd = block_noise(np.concatenate(rates)) * float(np.sqrt(gaps))
-        return WhiteFloor(sd, "delays at the ends of blocks")
     step = max(1, slots // PARTS)
     number = slots // step
-    parts = np.concatenate(values)[:, : number * step].reshape(-1, number, step).mean(axis=2)
-    differences = np.diff(parts[np.isfinite(parts).all(axis=1)], axis=1)
+    parts, count = _means(np.concatenate(values)[:, : number * step].reshape(-1, number, step))
+    whole = (count == step).all(axis=1)
+    used = whole if whole.any() else (count > 0).all(axis=1)
+    if channel == CLOCK or not used.any():  # no step leads from one run to the next
+        rates = [part for each in values for part in (_means(each)[0], [np.nan])]
+        sd = block_noise(np.concatenate(rates)) * float(np.sqrt(gaps))
+        return WhiteFloor(sd, "delays at the ends of blocks" if channel == CLOCK else "neighbouring blocks")
+    differences = np.diff(parts[used], axis=1)
     spread = differences - differences.mean(axis=1, keepdims=True)
+    slots_of_part = step if whole.any() else 1.0 / float(np.mean(1.0 / count[used]))
     # The mean of k differences is (last - first) / k, which holds 2 / k² of the variance.
-    squares = float(np.mean(spread**2)) if len(spread) else 0.0
-    variance = squares / (2.0 * (1.0 - 1.0 / (number - 1) ** 2)) * step / slots
+    squares = float(np.mean(spread**2))
+    variance = squares / (2.0 * (1.0 - 1.0 / (number - 1) ** 2)) * slots_of_part / slots
     sd = float(np.sqrt(variance)) * float(np.sqrt(gaps))
     return WhiteFloor(sd, f"means of {step * blocks[0].run.slot_s:.0f} s inside blocks")
+
+
+def _means(values: FloatArray) -> tuple[FloatArray, IntArray]:
+    """Return means over the last axis of what is not missing, and how many values each has."""
+    count = np.isfinite(values).sum(axis=-1)
+    return np.where(count > 0, np.nansum(values, axis=-1) / np.maximum(count, 1), np.nan), count
 
 
 def survey(runs: Sequence[RunBlocks], temperature: str, degree: int) -> Survey:

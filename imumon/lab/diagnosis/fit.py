@@ -282,7 +282,9 @@ def sigmas(
     for one, where, _ in _layout(channel, model):
         thetas = [{name: next(relative) * at for name, at in _theta(part).items()} for part in one.parts]
         found.append([*map(PartSigma, _by_part(one, sd[where]), thetas)])
-    declared = linear[: channel.degree + 1]
+    n_base, n_powers = channel.base.shape[1], channel.degree + 1
+    declared = linear[:n_powers].copy()
+    declared[0] += linear[n_powers:n_base].sum(axis=0) / (n_base - n_powers + 1)  # as `fit` has it
     return declared @ declared.T, found
 
 

@@ -248,14 +248,14 @@ class LiveDiagnosis:
         if not found:
             self.state, self._lacking = "", []
             return
-        best = max(found, key=lambda one: one.gain)
+        worst = max(found, key=lambda one: one.before)
         before, after = (max(getattr(one, key) for one in found) / DEG_PER_H for key in ("before", "after"))
         what, length_s = "; ".join(_effects_by_axes(found)), common_block_s([run])
         self.state = f"MODEL CAN BE BETTER: {what}: {before:.3g} become {after:.3g} °/h"
         command = "imumon diagnose --train SESSION --model SESSION --out DIR"
-        self._report(f"{self.state} (rms of {length_s:.0f} s, gain {best.gain:.0f}): {command}", what)
+        self._report(f"{self.state} (rms of {length_s:.0f} s, gain {worst.gain:.0f}): {command}", what)
         challenger, beside = Challenger(self._model, found, elapsed_s), self._challenger
-        self._lacking = _charts(run, self._model, challenger.model, best)
+        self._lacking = _charts(run, self._model, challenger.model, worst)
         if self._learn and (beside is None or elapsed_s >= REPLACED_AFTER * beside.since_s):
             self._challenger = challenger
 

@@ -360,9 +360,10 @@ def within_range(model: BiasModel, run: Run, channels: Sequence[str], until_s: f
     for name in channels:
         values = run.mean[temperature_of(name, model, [run])]
         known = np.isfinite(values)
+        values = np.interp(run.time_s, run.time_s[known], values[known])
         if until_s is None:
-            inside &= model.channels[name].inside(np.interp(run.time_s, run.time_s[known], values[known]))
+            inside &= model.channels[name].inside(values)
         else:
-            early = values[(run.time_s < until_s) & known]
+            early = values[run.time_s < until_s]
             inside &= (values >= early.min()) & (values <= early.max())
     return replace(run, rest=np.where(inside, run.rest, 0.0))

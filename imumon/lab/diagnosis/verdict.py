@@ -3,11 +3,13 @@
 What is claimed of the findings of the search (`_claimable`):
 
 1. a jump counts only where more than 1.3 floors are left without it;
-2. a finding is left out without which the test is predicted better;
-3. by training: the rest is claimed if it explains training and test, else nothing;
-4. by the test: where 3 leaves 1.8 floors, one effect that explains the test, if it leaves less than half.
+2. a finding is left out without which the test is estimated better (with the values of its own);
+3. by training: the rest is claimed if it explains training and, where there is one, the test; else nothing;
+4. by the test: where 3 leaves 1.8 floors, one effect that takes away 8 white floors and 60 % of the excess of
+   the test, if it leaves less than half of what 3 leaves.
 
-To *explain*, of rms A before and B after, is to leave less than 1.8 floors, or 60 % of the excess::
+To *explain*, of rms A before and B after, is to leave less than 1.8 total floors, or to take away 60 % of the
+excess::
 
     explained share = 1 - (B² - floor²) / (A² - floor²)                                              (10)
 """

@@ -93,3 +93,24 @@ def test_a_jump_is_in_its_run_where_a_short_run_before_has_too_few_blocks_to_be_
     (claim,) = diagnosis.verdicts[0].claims
     assert claim.finding.name == "step"
     assert [diagnosis.train[at].name for at in claim.parts[0].separate_runs] == ["run 2"]
+
+
+@pytest.mark.parametrize("every", [25, 3])
+def test_the_white_floor_of_a_log_that_lacks_a_sample_in_every_block(every: int) -> None:
+    """It was zero, and a unit that lacks nothing was unexplained."""
+    train, test = three(still, SECONDS)
+    for one in (*train, *test):
+        lost = np.arange(len(one.time_s)) % every == 7 % every
+        for name in one.mean:
+            one.mean[name] = np.where(lost, np.nan, one.mean[name])
+            one.count[name] = np.where(lost, 0, one.count[name])
+    (verdict,) = diagnose(train, test, "polynomial 1", sensors=("gyro",)).verdicts
+    expected = one_floor(train) * np.sqrt(every / (every - 1.0))
+    assert verdict.channel.floor.sd == pytest.approx(expected, rel=0.15)
+    assert not verdict.unexplained
+
+
+def one_floor(runs: list[Run]) -> float:
+    """Return the standard deviation of white noise of a mean of 30 s, from single slots."""
+    slots = runs[0].mean["gyro_x"]
+    return float(np.nanstd(np.diff(slots)) / np.sqrt(2.0 * 30.0 / runs[0].slot_s))
