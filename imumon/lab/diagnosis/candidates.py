@@ -308,6 +308,12 @@ class Channel:
         """Return which of the constants of a run each of its blocks has, (n,), from 0."""
         return run.pose if self.offset_per == "pose" else np.zeros(len(run), np.int64)
 
+    @property
+    def run_of_offset(self) -> IntArray:
+        """Number of the run that each constant belongs to, for `offset_per` run or pose."""
+        counts = [len(np.unique(self.offset_numbers(run))) for run in self.training.runs]
+        return np.repeat(np.arange(len(counts)), counts)
+
     @cached_property
     def y(self) -> FloatArray:
         """y of (1), (n,): training block means less the effects that stay as they are."""

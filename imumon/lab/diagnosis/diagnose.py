@@ -276,13 +276,15 @@ def likeliest(searched: Sequence[list[AxisSearch]], *, live: bool = False) -> li
             criterion -= PROVEN_GAIN
         if axes[0].channel.offset_per != "pose" or not several:
             return criterion
-        constants = []  # of each pose but the first, less that of the first
+        number = 0
         for channel, model in ((axis.channel, axis.model) for axis in axes):
             coefficients = least_squares(channel.design(model), channel.y)
-            constants.append(coefficients[channel.degree + 1 : channel.base.shape[1]])
-        if max(np.ptp(np.append(values, 0.0)) for values in constants) > EARTH_SPREAD:
-            return -np.inf
-        price = math.log(len(axes[0].channel.y)) * sum(map(len, constants))
+            # Less the first of all; those of another run have another turn-on bias, too.
+            constants = np.append(0.0, coefficients[channel.degree + 1 : channel.base.shape[1]])
+            runs, number = channel.run_of_offset, number + len(constants) - 1
+            if max(np.ptp(constants[runs == run]) for run in np.unique(runs)) > EARTH_SPREAD:
+                return -np.inf
+        price = math.log(len(axes[0].channel.y)) * number
         return criterion + PROVEN_GAIN + (price if live else 0.0)
 
     return max(searched, key=order)

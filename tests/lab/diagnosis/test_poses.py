@@ -140,3 +140,12 @@ def test_a_turn_begins_a_pose_and_a_block_is_of_one() -> None:
     assert kept[:40].all()
     assert kept[47:].all()
     assert poses(force[:47], resting[:47]).max() == 0
+
+
+@pytest.mark.parametrize("turn_on_dph", [60.0, 200.0])
+def test_another_turn_on_bias_is_no_larger_earth_rate(turn_on_dph: float) -> None:
+    """A loop was named, proven by the test."""
+    of_runs = iter((0.0, turn_on_dph, 30.0))
+    diagnosis = found("gyro", lambda _, __, force: np.full_like(force, next(of_runs)), False, 2400)
+    assert names(diagnosis) == [[], [], []]
+    assert all(verdict.summary.startswith("nothing is missing") for verdict in diagnosis.verdicts)
