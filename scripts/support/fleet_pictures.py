@@ -24,10 +24,12 @@ from tests.faults.rack import Feeder, packets, write_rack
 from tests.fleet.catalog.fleet import RUNAWAY, fleet
 from tests.view.browser import browser, browser_binary
 
-RATE_HZ = 400.0
-UNITS, SECONDS = 16, 90.0
-DEAD_FOR_S = 1.5
-"""Before the picture of the page a process is killed."""
+RATE_HZ = 100.0
+UNITS, SECONDS = 8, 90.0
+SCENARIO = "night"
+"""At rest, so that every unit has a bias."""
+DEAD_FOR_S, JUNK_FOR_S = 1.5, 6.0
+"""Before the picture of the page a process is killed, and the port of another brings junk."""
 
 
 def record(folder: Path) -> None:
@@ -49,7 +51,7 @@ def rack(folder: Path) -> None:
     device = folder / "fast.yaml"
     text = device_text("ax1")[0].replace("name: ax1", "name: fast")
     device.write_text(text.replace("baudrates: [115200", "baudrates: [921600"))
-    sent = packets(load_device(str(device)), RATE_HZ, SECONDS + 60.0)
+    sent = packets(load_device(str(device)), RATE_HZ, SECONDS + 60.0, SCENARIO)
     items: list[ViewItem] = []
     running = Rack(folder / "sessions", print, items.append)
     with studio() as place, closing(Feeder(folder, names, sent, RATE_HZ)) as feeder:
@@ -69,6 +71,8 @@ def rack(folder: Path) -> None:
                 logger.log(items)
                 items.clear()
                 time.sleep(0.2)
+                if passed_s > SECONDS - JUNK_FOR_S:
+                    feeder.flooding.add(names[2])
                 if passed_s > SECONDS - DEAD_FOR_S and not killed:
                     killed = True
                     os.kill(running.units[-2].process.pid, signal.SIGKILL)  # type: ignore[union-attr]

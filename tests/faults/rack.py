@@ -39,10 +39,10 @@ FIRST = -10
 MEGABYTE = 1e6
 
 
-def packets(device: DeviceFile, rate_hz: float, seconds: float) -> list[bytes]:
+def packets(device: DeviceFile, rate_hz: float, seconds: float, scenario: str = "bench") -> list[bytes]:
     """Return what a simulated unit sends in so long."""
-    scenario = load_scenario("bench").played(rate_hz, device.axes)
-    unit = SimulatedUnit(scenario, 0, device.decoder().timing.tick_ns or MICROSECOND)
+    played = load_scenario(scenario).played(rate_hz, device.axes)
+    unit = SimulatedUnit(played, 0, device.decoder().timing.tick_ns or MICROSECOND)
     samples = unit.samples(round(rate_hz * seconds))
     wrapped = {
         "packet_counter": samples["packet_counter"] % (1 << 16),
