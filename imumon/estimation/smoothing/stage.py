@@ -164,12 +164,10 @@ def combine(
     p_f, p_b = forward_sd[both] ** 2, backward_sd[both] ** 2
     residual = np.abs(forward - backward)[both] / np.sqrt(p_f + p_b)
     r = float(np.sqrt(np.mean(residual**2)))
-    # At most the smaller variance: then the direction that has it is taken alone.
     common = np.minimum(max(1.0 - r * r, 0.0) * 0.5 * (p_f + p_b), np.minimum(p_f, p_b))
-    own_f, own_b = p_f - common, p_b - common
-    weight = np.divide(own_b, own_f + own_b, out=np.full(len(p_f), 0.5), where=own_f + own_b > 0.0)
+    weight = p_b / (p_f + p_b)
     value[both] = weight * forward[both] + (1.0 - weight) * backward[both]
-    variance = weight**2 * own_f + (1.0 - weight) ** 2 * own_b + common
+    variance = weight**2 * p_f + (1.0 - weight) ** 2 * p_b + 2.0 * weight * (1.0 - weight) * common
     usual = max(min(r, float(np.median(residual)) / MEDIAN), 1.0)
     sd *= usual  # also where there is one direction
     sd[both] = np.sqrt(variance) * np.where(residual > SUSPECT, np.maximum(residual, usual), usual)
