@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import bias_race_study as race
 import numpy as np
 import sketches
 from attitude_scenes import SCENES
@@ -26,6 +27,7 @@ from imumon.blocks import FloatArray
 from imumon.estimation.attitude.stage import AttitudeEstimate
 from imumon.estimation.gyro_bias.stage import GyroBias, RestAndBias, RestDetector
 from imumon.estimation.temperature_rate.method import MultipleModelRate
+from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.geodesy import DEG_PER_H
 from imumon.lab.diagnosis.diagnose import diagnose
 from imumon.lab.diagnosis.runs import collect
@@ -137,6 +139,24 @@ def smoothed_bias() -> list[Axes]:
     return [ax]
 
 
+def bias_race() -> list[Axes]:
+    """Draw the error of the bias of y in the race, by four methods, on the first half of a warm-up."""
+    run = play(race.scenario_of(race.WARM_UP), 0, (TemperatureRate(), RestDetector()), 90_000)
+    (ax,) = axes("Carried about, at rest for 10 s every two minutes (grey): error of the bias of y", 1)
+    t, truth = run.time_s - run.time_s[0], (run.bias + run.earth)[:, 1]
+    tuned = {"restThGyr": 0.3, "restMinT": 1.5, "biasForgettingTime": 100.0, "biasSigmaRest": 0.01}
+    for name, method in {
+        "mean of each rest, held": race.averaging,
+        "VQF, tuned": race.vqf(**tuned, motionBiasEstEnabled=True),
+        "imumon learned": race.imumon("learned", None, True),
+        "imumon thermal": race.imumon("thermal", race.calibrated(), True),
+    }.items():
+        ax.plot(t[::20], ((method(run)[:, 1] - truth) / DEG_PER_H)[::20], linewidth=1.0, label=name)
+    ax.fill_between(t, -60.0, 180.0, where=run.rest, color="0.85", zorder=0)
+    ax.set(ylabel="°/h", xlim=(0.0, 900.0), ylim=(-60.0, 180.0))
+    return [ax]
+
+
 def attitude_sigma() -> list[Axes]:
     """Draw error of tilt and heading beside sigma of a unit that is turned by hand without a magnetometer."""
     record = turned_unit(SCENES["by hand"], 50.0, 9700)
@@ -233,6 +253,7 @@ PICTURES: dict[str, Callable[[], list[Axes]]] = {
     "attitude-sigma": attitude_sigma,
     "turn-or-bias": turn_or_bias,
     "bias-in-motion": bias_in_motion,
+    "bias-race": bias_race,
     "smoothed-bias": smoothed_bias,
     "temperature-rate": temperature_rate,
     "closing-the-loop/steps": steps,
