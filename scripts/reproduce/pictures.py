@@ -71,7 +71,7 @@ def temperature_rate() -> list[Axes]:
     ax.fill_between(t[each] / 60.0, low, high, color="C1", alpha=0.3)
     curves = {
         "differences over 180 s": difference,
-        "published filter (FIR 300/180) ± 2σ": fir.rate,
+        "published filter ± 2σ": fir.rate,
         "imumon": bank.rate,
         "truth": truth,
     }
@@ -109,7 +109,7 @@ def bias_in_motion() -> list[Axes]:
     """Draw the bias of y less the truth on a ramp of temperature without rest from 330 s on."""
     record = ramp_test("crs05-ramp", 0)
     block = record.block.with_columns({"at_rest": (record.seconds < 330.0).astype(np.int64)})
-    (ax,) = axes("No update from 330 s on: bias of y less the truth, with 2σ", 1, "s after the zeroing")
+    (ax,) = axes("Error of the bias of y, with ±2σ; no rest is used after 330 s", 1)
     part = slice(ZEROING, None, 50)
     for name, stage in {
         "held (standard)": GyroBias(latitude_deg=LATITUDE_DEG, heading_deg=0.0),
@@ -127,7 +127,7 @@ def bias_in_motion() -> list[Axes]:
 def smoothed_bias() -> list[Axes]:
     """Draw the error of the bias of a unit that is handled, with rests of 10 s, live and smoothed."""
     record, _, columns = smoothed("warm-up", 900, 100)
-    (ax,) = axes("Turned by hand, at rest for 10 s every two minutes: bias of y less the truth", 1)
+    (ax,) = axes("Turned by hand, at rest for 10 s every two minutes: error of the bias of y", 1)
     t = record.stop / SMOOTHED_HZ
     part = slice(None, None, 8)
     for name, bias in {
