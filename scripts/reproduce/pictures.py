@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import bias_race_study as race
 import numpy as np
 import sketches
 from attitude_scenes import SCENES
@@ -26,6 +27,7 @@ from imumon.blocks import FloatArray
 from imumon.estimation.attitude.stage import AttitudeEstimate
 from imumon.estimation.gyro_bias.stage import GyroBias, RestAndBias, RestDetector
 from imumon.estimation.temperature_rate.method import MultipleModelRate
+from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.geodesy import DEG_PER_H
 from imumon.lab.diagnosis.diagnose import diagnose
 from imumon.lab.diagnosis.runs import collect
@@ -69,7 +71,7 @@ def temperature_rate() -> list[Axes]:
     ax.fill_between(t[each] / 60.0, low, high, color="C1", alpha=0.3)
     curves = {
         "differences over 180 s": difference,
-        "published filter (FIR 300/180) ± 2σ": fir.rate,
+        "published filter ± 2σ": fir.rate,
         "imumon": bank.rate,
         "truth": truth,
     }
@@ -107,7 +109,7 @@ def bias_in_motion() -> list[Axes]:
     """Draw the bias of y less the truth on a ramp of temperature without rest from 330 s on."""
     record = ramp_test("crs05-ramp", 0)
     block = record.block.with_columns({"at_rest": (record.seconds < 330.0).astype(np.int64)})
-    (ax,) = axes("No update from 330 s on: bias of y less the truth, with 2σ", 1, "s after the zeroing")
+    (ax,) = axes("Error of the bias of y, with ±2σ; no rest is used after 330 s", 1)
     part = slice(ZEROING, None, 50)
     for name, stage in {
         "held (standard)": GyroBias(latitude_deg=LATITUDE_DEG, heading_deg=0.0),
@@ -125,7 +127,7 @@ def bias_in_motion() -> list[Axes]:
 def smoothed_bias() -> list[Axes]:
     """Draw the error of the bias of a unit that is handled, with rests of 10 s, live and smoothed."""
     record, _, columns = smoothed("warm-up", 900, 100)
-    (ax,) = axes("Turned by hand, at rest for 10 s every two minutes: bias of y less the truth", 1)
+    (ax,) = axes("Turned by hand, at rest for 10 s every two minutes: error of the bias of y", 1)
     t = record.stop / SMOOTHED_HZ
     part = slice(None, None, 8)
     for name, bias in {
@@ -134,6 +136,24 @@ def smoothed_bias() -> list[Axes]:
     }.items():
         ax.plot(t[part], ((bias - columns["true"][:, 1]) / DEG_PER_H)[part], linewidth=1.0, label=name)
     ax.set(ylabel="°/h", xlim=(60.0, 420.0), ylim=(-100.0, 250.0))
+    return [ax]
+
+
+def bias_race() -> list[Axes]:
+    """Draw the error of the bias of y in the race, by four methods, on the first half of a warm-up."""
+    run = play(race.scenario_of(race.WARM_UP), 0, (TemperatureRate(), RestDetector()), 90_000)
+    (ax,) = axes("Carried about, at rest for 10 s every two minutes (grey): error of the bias of y", 1)
+    t, truth = run.time_s - run.time_s[0], (run.bias + run.earth)[:, 1]
+    tuned = {"restThGyr": 0.3, "restMinT": 1.5, "biasForgettingTime": 100.0, "biasSigmaRest": 0.01}
+    for name, method in {
+        "mean of each rest, held": race.averaging,
+        "VQF, tuned": race.vqf(**tuned, motionBiasEstEnabled=True),
+        "imumon learned": race.imumon("learned", None, True),
+        "imumon thermal": race.imumon("thermal", race.calibrated(), True),
+    }.items():
+        ax.plot(t[::20], ((method(run)[:, 1] - truth) / DEG_PER_H)[::20], linewidth=1.0, label=name)
+    ax.fill_between(t, -60.0, 180.0, where=run.rest, color="0.85", zorder=0)
+    ax.set(ylabel="°/h", xlim=(0.0, 900.0), ylim=(-60.0, 180.0))
     return [ax]
 
 
@@ -233,6 +253,7 @@ PICTURES: dict[str, Callable[[], list[Axes]]] = {
     "attitude-sigma": attitude_sigma,
     "turn-or-bias": turn_or_bias,
     "bias-in-motion": bias_in_motion,
+    "bias-race": bias_race,
     "smoothed-bias": smoothed_bias,
     "temperature-rate": temperature_rate,
     "closing-the-loop/steps": steps,

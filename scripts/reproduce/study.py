@@ -35,7 +35,7 @@ STUDIES: Mapping[str, Mapping[str, str]] = {
     },
     "alignment_site": {"": "alignment_site"},
     "allan_terms": {"": "allan_terms_study"},
-    "attitude": {"": "attitude_table", "worked": "attitude_worked"},
+    "attitude": {"": "attitude_table", "worked": "attitude_worked", "straight": "attitude_worked:STRAIGHT"},
     "bias_race": {"": "bias_race_study"},
     "closing_the_loop": {
         "simulated": "closing_the_loop_statistics",
