@@ -6,13 +6,13 @@ recording.  Reversed in time, a rotation by ω is one by -ω: the rates change t
 estimated bias.
 
 Each estimate is one from a forward and a backward filter (Fraser and Potter 1969).  If their errors are
-independent, their difference has the variance P_f + P_b, and the weights are the inverse variances.  Let r be
-the rms over a recording of the normalised residual |f - b| / sqrt(P_f + P_b)::
+independent, their difference has the variance P_f + P_b, and the weights are the inverse variances.  (Errors
+that are wholly the same make sigma too small by the root of two, as averaging then removes nothing.)
 
-    r < 1    the errors have a common covariance c = (1 - r²) (P_f + P_b) / 2, which averaging cannot reduce
-    r > 1    the model lacks an effect: all standard deviations are multiplied by r, or by the median
-             residual over that of a normal one if that is smaller (scale factor of the Particle Data
-             Group); where a single residual exceeds two, the standard deviation is multiplied by it
+Let r be the rms over a recording of the normalised residual |f - b| / sqrt(P_f + P_b).  If it exceeds one,
+the model lacks an effect.  All standard deviations are then multiplied by r, or by the median residual over
+that of a normal one if that is smaller (scale factor of the Particle Data Group); where a single residual
+exceeds two, by that.
 """
 
 from __future__ import annotations
@@ -164,13 +164,11 @@ def combine(
     p_f, p_b = forward_sd[both] ** 2, backward_sd[both] ** 2
     residual = np.abs(forward - backward)[both] / np.sqrt(p_f + p_b)
     r = float(np.sqrt(np.mean(residual**2)))
-    common = np.minimum(max(1.0 - r * r, 0.0) * 0.5 * (p_f + p_b), np.minimum(p_f, p_b))
     weight = p_b / (p_f + p_b)
     value[both] = weight * forward[both] + (1.0 - weight) * backward[both]
-    variance = weight**2 * p_f + (1.0 - weight) ** 2 * p_b + 2.0 * weight * (1.0 - weight) * common
     usual = max(min(r, float(np.median(residual)) / MEDIAN), 1.0)
     sd *= usual  # also where there is one direction
-    sd[both] = np.sqrt(variance) * np.where(residual > SUSPECT, np.maximum(residual, usual), usual)
+    sd[both] = np.sqrt(weight * p_f) * np.where(residual > SUSPECT, np.maximum(residual, usual), usual)
     return Smoothed(value, sd, r)
 
 

@@ -16,14 +16,14 @@ def test_two_independent_sides_are_weighed_by_their_variances() -> None:
 
 
 @pytest.mark.parametrize("share", [0.2, 0.5, 0.9])
-def test_what_both_sides_have_in_common_stays(share: float) -> None:
+def test_errors_in_common_make_sigma_too_small_by_the_root_of_two_at_most(share: float) -> None:
     rng = np.random.default_rng(1)
     n = 40_000
     common = np.sqrt(share) * rng.normal(size=n)
     f, b = (common + np.sqrt(1.0 - share) * rng.normal(size=n) for _ in range(2))
     found = combine(f, np.ones(n), b, np.ones(n))
     assert found.residual == pytest.approx(np.sqrt(1.0 - share), abs=0.02)
-    assert found.value.std() == pytest.approx(found.sd[0], rel=0.03)
+    assert found.value.std() == pytest.approx(np.sqrt(1.0 + share) * found.sd[0], rel=0.03)
 
 
 def test_a_contradiction_widens_the_sigma() -> None:
