@@ -137,7 +137,7 @@ def diagnose(
         testing = [run for group in runs[split:] for run in group]
         beside = chosen_drivers(drivers)
         diagnosis = find_effects(training, testing, assumed, progress, sensors, model, beside)
-        diagnosis.given = _given(click.get_current_context())
+        diagnosis.options = _given(click.get_current_context())
         written = {"report": "report.html", "numbers": "report.json"}
         if with_model(diagnosis):
             extended_model(diagnosis).write(out / "model.yaml")

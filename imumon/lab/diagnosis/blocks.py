@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -28,8 +28,6 @@ PARTS = 15
 """Of a block, at most, whose differences show its white noise..."""
 LEAST_PARTS = 3
 """...and at least: two of their differences, less their mean, are not zero."""
-OPERATORS = sum(issubclass(kind, (DrivenEffect, Product)) for kind in EFFECTS.values())
-"""Number of effects that a driver may have."""
 TURN_SHARE = 0.2
 """A turn of the temperature counts when it goes back by this share of the span."""
 BESIDE = 4
@@ -41,28 +39,24 @@ times the median change."""
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunBlocks:
-    """One run as block means at rest."""
+    """One run as means over n blocks at rest, of nominal length `block_s`; `pose` numbers their poses from 0.
+
+    `time_s`, the mean time of the samples since power-on, is (n,), as are `white`, the variance of the white
+    noise over that of a full block, each `mean` of a channel, in SI units, and each `temperature`, in °C.
+    The `drives` of the effects, for each temperature, have all slots, with gaps bridged, and so has `weight`:
+    samples in a slot over those of a whole one.  A block is a gap where these make less than half of it.
+    """
 
     run: Run
-    """What they are made of."""
     block_s: float
-    """Nominal length of a block."""
     time_s: FloatArray
-    """Mean time of the samples of each block since power-on, (n,)."""
     white: FloatArray
-    """Variance of the white noise of each block over that of a full block, (n,)."""
     mean: dict[str, FloatArray]
-    """Channels, in SI units, (n,) each."""
     temperature: dict[str, FloatArray]
-    """Temperatures in °C, (n,) each."""
     drives: dict[str, Drive]
-    """What drives the effects, each slot, for each temperature; gaps are bridged."""
     weight: FloatArray
-    """Of each slot of the run, (slots,): samples, over those of a whole slot.  A block is a gap where it is
-    less than half a block's."""
     slots_per_block: int
     pose: IntArray
-    """Number of the pose of each block, from 0, (n,)."""
 
     @property
     def name(self) -> str:
@@ -217,10 +211,8 @@ def white_floor(channel: str, blocks: Sequence[RunBlocks]) -> WhiteFloor:
     of the delays at both ends of a block.
     """
     slots, gaps = blocks[0].slots_per_block, np.concatenate([run.white for run in blocks]).mean()
-    values = []
-    for run in (one.run for one in blocks):
-        rows = np.where(run.at_rest, run.mean[channel], np.nan)
-        values.append(rows[: len(rows) // slots * slots].reshape(-1, slots))
+    every = [np.where(one.run.at_rest, one.run.mean[channel], np.nan) for one in blocks]
+    values = [rows[: len(rows) // slots * slots].reshape(-1, slots) for rows in every]
     step = max(1, slots // PARTS)
     number = slots // step
     parts, count = _means(np.concatenate(values)[:, : number * step].reshape(-1, number, step))
@@ -234,9 +226,8 @@ def white_floor(channel: str, blocks: Sequence[RunBlocks]) -> WhiteFloor:
     spread = differences - differences.mean(axis=1, keepdims=True)
     slots_of_part = step if whole.any() else 1.0 / float(np.mean(1.0 / count[used]))
     # The mean of k differences is (last - first) / k, which holds 2 / k² of the variance.
-    squares = float(np.mean(spread**2))
-    variance = squares / (2.0 * (1.0 - 1.0 / (number - 1) ** 2)) * slots_of_part / slots
-    sd = float(np.sqrt(variance)) * float(np.sqrt(gaps))
+    of_part = np.mean(spread**2) / (2.0 * (1.0 - 1.0 / (number - 1) ** 2))
+    sd = float(np.sqrt(of_part * slots_of_part / slots * gaps))
     return WhiteFloor(sd, f"means of {step * blocks[0].run.slot_s:.0f} s inside blocks")
 
 
@@ -246,10 +237,13 @@ def _means(values: FloatArray) -> tuple[FloatArray, IntArray]:
     return np.where(count > 0, np.nansum(values, axis=-1) / np.maximum(count, 1), np.nan), count
 
 
-def survey(runs: Sequence[RunBlocks], temperature: str, degree: int) -> Survey:
-    """Return what the training runs can show, with the drivers that there are beside a temperature."""
-    found = [run.temperature[temperature] for run in runs]
-    low, high = min(float(t.min()) for t in found), max(float(t.max()) for t in found)
+def survey(runs: Sequence[RunBlocks], temperatures: Iterable[str], degree: int) -> Survey:
+    """Return what the training runs can show, with the drivers that there are beside temperature: that of the
+    thermometer that varies most, for one of several may not."""
+    of_all = {name: np.concatenate([run.temperature[name] for run in runs]) for name in temperatures}
+    temperature = max(of_all, key=lambda name: float(np.ptp(of_all[name])))
+    low, high = float(of_all[temperature].min()), float(of_all[temperature].max())
+    effects_of_driver = sum(issubclass(kind, (DrivenEffect, Product)) for kind in EFFECTS.values())
     forces = [force for run in runs if (force := run.force) is not None]
     others = {}
     for name in runs[0].drives[temperature].others:
@@ -259,14 +253,14 @@ def survey(runs: Sequence[RunBlocks], temperature: str, degree: int) -> Survey:
     return Survey(
         durations_s=[float(run.time_s[-1]) + run.block_s / 2 for run in runs],
         span_degc=high - low,
-        reversals=sum(_turns(t, TURN_SHARE * (high - low)) for t in found),
+        reversals=sum(_turns(run.temperature[temperature], TURN_SHARE * (high - low)) for run in runs),
         accel_range=max((float(np.ptp(force, axis=0).max()) for force in forces), default=0.0),
         block_s=runs[0].block_s,
         degree=degree,
         middle_degc=0.5 * (low + high),
         half_span_degc=max(0.5 * (high - low), 1e-3),
         others=others,
-        choices=max(1, len(others)) * OPERATORS,
+        choices=max(1, len(others)) * effects_of_driver,
     )
 
 

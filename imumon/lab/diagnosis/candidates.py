@@ -32,10 +32,11 @@ ALL_RUNS = -1
 
 class Term(NamedTuple):
     """One column of Z: the index of a column that `Training` has made, and the number of the run outside of
-    which it is zero, or `ALL_RUNS`."""
+    which it is zero, or `ALL_RUNS`.  Coefficients of terms of one `spectrum` (-1: none) have one sign."""
 
     column: int
     run: int
+    spectrum: int = -1
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,9 +51,8 @@ class Part:
 class Candidate:
     """What may be added at once: one part, or more.
 
-    With `free_start` the state at power-on of each run is fitted as well.  `choice_price` is what it costs in
-    BIC to have been chosen among all drivers (extended BIC, gamma = 1: Chen & Chen 2008,
-    doi:10.1093/biomet/asn034).
+    With `free_start` the state at power-on of each run is fitted as well.  `choice_price` is 2 ln(choices) of
+    (3).
     """
 
     parts: tuple[Part, ...]
@@ -61,7 +61,7 @@ class Candidate:
 
     @property
     def family(self) -> str:
-        """Name of its first effect; candidates of one family differ in their parameters."""
+        """Name of its first effect: kind and driver.  Candidates of one family differ in their parameters."""
         return self.parts[0].effect.label
 
     @property
@@ -81,9 +81,8 @@ class Candidate:
 
     def neighbours(self, survey: Survey, level: int) -> list[Candidate]:
         """Return candidates with one parameter of one part changed, closer at each level."""
-        start = self.parts[0].effect.free_start and level == 0 and len(self.parts) == 1
-        other_start = [replace(self, free_start=not self.free_start)] if start else []
-        return other_start + [
+        may_start = self.parts[0].effect.free_start and level == 0 and len(self.parts) == 1
+        return [replace(self, free_start=not self.free_start)] * may_start + [
             self.with_part(at, Part(effect, part.separate_runs))
             for at, part in enumerate(self.parts)
             for effect in part.effect.refined(survey, level)
@@ -94,27 +93,27 @@ class Candidate:
         return replace(self, parts=(*self.parts[:at], part, *self.parts[at + 1 :]))
 
 
-def candidates(survey: Survey, families: Iterable[str] = tuple(EFFECTS)) -> list[Candidate]:
-    """Return all candidates of these families that such runs can show, over their grids of theta."""
+def candidates(survey: Survey, kinds: Iterable[str]) -> list[Candidate]:
+    """Return all candidates of these kinds that such runs can show, over their grids of theta."""
     every_run, price = tuple(range(survey.runs)), 2.0 * float(np.log(survey.choices))
     found: list[Candidate] = []
-    for family in (EFFECTS[name] for name in families):
-        grid = family.grid(survey)
-        if family.scope == "event":
+    for kind in (EFFECTS[name] for name in kinds):
+        grid = kind.grid(survey)
+        if kind.scope == "event":
             for run, duration_s in enumerate(survey.durations_s):
                 here = [effect for effect in grid if effect.fits_in(duration_s, survey)]
                 found += [Candidate((Part(effect, (run,)),)) for effect in here]
             continue
-        if family.scope == "run":
+        if kind.scope == "run":
             found += [Candidate((Part(effect, every_run[1:]),)) for effect in grid]
             continue
         shared = [Candidate((Part(effect),)) for effect in grid]
-        driven = [effect for driver in survey.others for effect in family.driven(survey, driver)]
+        driven = [effect for driver in survey.others for effect in kind.driven(survey, driver)]
         found += [*shared, *(Candidate((Part(effect),), choice_price=price) for effect in driven)]
-        found += [Candidate(_late_curve(effect, survey)) for effect in family.of_curve(survey)]
-        if family.free_start:
+        found += [Candidate(_late_curve(effect, survey)) for effect in kind.of_curve(survey)]
+        if kind.free_start:
             found += [replace(one, free_start=True) for one in shared]
-        if family.scope == "either" and survey.runs > 1:
+        if kind.scope == "either" and survey.runs > 1:
             found += [Candidate((Part(effect, every_run),)) for effect in grid]
     return found
 
@@ -185,7 +184,6 @@ class Training:
     temperature_name: str
     """Which temperature drives the effects."""
     _columns: list[FloatArray] = field(default_factory=list)
-    _spectrum_of_column: list[int] = field(default_factory=list)
     _made: dict[tuple[int, str], tuple[Effect, list[int]]] = field(default_factory=dict)
 
     def terms(self, candidate: Candidate) -> tuple[list[Term], list[Term]]:
@@ -194,23 +192,27 @@ class Training:
         for part in candidate.parts:
             columns = self._indices(part.effect, "columns")
             runs = part.separate_runs or (ALL_RUNS,)
-            of_effect += [Term(column, run) for run in runs for column in columns]
+            spectrum = columns[0] if part.effect.one_sign else -1
+            of_effect += [Term(column, run, spectrum) for run in runs for column in columns]
             if candidate.free_start:
                 columns = self._indices(part.effect, "start_columns")
                 of_start += [Term(column, run) for run in range(len(self.runs)) for column in columns]
         return of_effect, of_start
 
-    def spectra(self, terms: Sequence[Term]) -> IntArray:
-        """Return a number for each term, (k,): coefficients of terms with the same have one sign; -1: any."""
-        numbers = [(self._spectrum_of_column[column], run) for column, run in terms]
-        of_each = len(self.runs) + 1
-        return np.array([n * of_each + run + 1 if n >= 0 else -1 for n, run in numbers], np.int64)
+    @property
+    def run_of_block(self) -> IntArray:
+        """Number of the run of each training block, (n,)."""
+        return np.repeat(np.arange(len(self.runs)), [*map(len, self.runs)])
+
+    def split(self, values: FloatArray) -> list[FloatArray]:
+        """Return rows of the n training blocks by run."""
+        return np.split(values, np.cumsum([*map(len, self.runs)])[:-1])
 
     def matrix(self, terms: Sequence[Term]) -> FloatArray:
         """Return the columns of terms over all n training blocks, (n, k)."""
-        run_of_block = np.repeat(np.arange(len(self.runs)), [*map(len, self.runs)])
+        run_of_block = self.run_of_block
         out = np.empty((len(run_of_block), len(terms)))
-        for at, (column, run) in enumerate(terms):
+        for at, (column, run, _) in enumerate(terms):
             out[:, at] = self._columns[column] * ((run == ALL_RUNS) | (run_of_block == run))
         return out
 
@@ -227,8 +229,6 @@ class Training:
             means = [run.average(getattr(effect, method)(drive)) for run, drive in both]
             first, width = len(self._columns), means[0].shape[1]
             self._columns += [*np.concatenate(means).T]
-            of_one_sign = effect.one_sign and method == "columns"
-            self._spectrum_of_column += [first if of_one_sign else -1] * width
             self._made[key] = effect, list(range(first, first + width))
         return self._made[key][1]
 
@@ -265,6 +265,11 @@ class Channel:
     def fault_rms(self) -> float:
         """rms below which an effect may be a fault of the data."""
         return max(self.faults.values(), default=0.0)
+
+    @property
+    def faulty(self) -> bool:
+        """Whether one value of its samples is far too frequent: nothing that is fitted would be the bias."""
+        return bool(np.isinf(self.fault_rms))
 
     @property
     def total_floor(self) -> float:
@@ -308,11 +313,13 @@ class Channel:
         """Return which of the constants of a run each of its blocks has, (n,), from 0."""
         return run.pose if self.offset_per == "pose" else np.zeros(len(run), np.int64)
 
-    @property
-    def run_of_offset(self) -> IntArray:
-        """Number of the run that each constant belongs to, for `offset_per` run or pose."""
-        counts = [len(np.unique(self.offset_numbers(run))) for run in self.training.runs]
-        return np.repeat(np.arange(len(counts)), counts)
+    @cached_property
+    def offsets(self) -> tuple[IntArray, IntArray]:
+        """Run and pose of each constant, (constants, 2), and which of them each training block has, (n,)."""
+        numbers = np.concatenate([self.offset_numbers(run) for run in self.training.runs])
+        pairs = np.column_stack([self.training.run_of_block, numbers])
+        constants, which = np.unique(pairs, axis=0, return_inverse=True)
+        return constants, which.reshape(-1)
 
     @cached_property
     def y(self) -> FloatArray:
@@ -326,13 +333,11 @@ class Channel:
     @cached_property
     def base(self) -> FloatArray:
         """X of (1), (n, p): powers of u, and a column of 0 and 1 for each constant but the first."""
-        runs, columns = self.training.runs, self.powers(self.temperature, self.degree + 1)
+        columns = self.powers(self.temperature, self.degree + 1)
         if self.offset_per == "all":
             return columns
-        offset_numbers = np.concatenate([self.offset_numbers(run) for run in runs])
-        pairs = np.column_stack([np.repeat(np.arange(len(runs)), [*map(len, runs)]), offset_numbers])
-        number = np.unique(pairs, axis=0, return_inverse=True)[1].reshape(-1, 1)
-        return np.column_stack([columns, number == np.arange(1, number.max() + 1)]).astype(np.float64)
+        constants, which = self.offsets
+        return np.column_stack([columns, which[:, np.newaxis] == np.arange(1, len(constants))]).astype(float)
 
     def design(self, model: Sequence[Candidate]) -> FloatArray:
         """Return [X Z] of (1), (n, p + k)."""

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from imumon.clock.channel import CLOCK
-from imumon.effects.base import LEAST_SPAN_DEGC, Survey
+from imumon.effects.base import LEAST_SPAN_DEGC
 from imumon.effects.library import effects_for
 from imumon.errors import bad_config
 from imumon.geodesy import EARTH_RATE
@@ -34,9 +34,10 @@ HIGHEST_DEGREE = 8
 BLOCK_FRACTIONS, LEAST_SEARCH_BLOCKS = (1, 2, 3), 200
 """Runs of fewer blocks are searched in halves or thirds of them: of few the one with a jump in it decides."""
 ON_POSES = (
-    "several poses: what is named g_sensitivity holds the vertical earth rate as well, up to 15.04 °/h per g",
-    "several poses: a sensitivity of the gyros to g cannot be distinguished from the earth rate",
+    "what is named g_sensitivity holds the vertical earth rate as well, up to 15.04 °/h per g",
+    "a sensitivity of the gyros to g cannot be distinguished from the earth rate",
 )
+"""With one constant for all poses, and with one in each."""
 EARTH_SPREAD = 2.1 * EARTH_RATE
 """rad/s: most that the constants of a gyro in two poses differ by the earth rate, and by 5 % of its scale."""
 
@@ -63,8 +64,8 @@ class Prepared:
 class Diagnosis:
     """Verdicts on all channels, and caveats of the data.
 
-    `model` is the present one, or None.  `length` is what follows from |f| = g in several poses, `given` the
-    options of the command that made it, all but the test and the folder.
+    `model` is the present one, or None.  `length` is what follows from |f| = g in several poses, `options`
+    are those of the command that made it, all but the test and the folder.
     """
 
     declared: str
@@ -74,7 +75,7 @@ class Diagnosis:
     caveats: list[str] = field(default_factory=list)
     model: BiasModel | None = None
     length: Length | None = None
-    given: str = "--train SESSION"
+    options: str = "--train SESSION"
 
     @property
     def held_out(self) -> bool:
@@ -121,9 +122,12 @@ def diagnose(
     for sensor in sensors:
         if names := channels_of([sensor], data.temperature_names):
             axes = likeliest(search_sensor(data, names, effects_for(names[0]), progress=progress))
-            verdicts += map(decide, axes, _scored_channels(data, axes))
+            base, found = axes[0].channel.offset_per, [axis.channel for axis in axes]
+            scored = zip(_channels(data, names, base, data.train), found, strict=True)
+            like = [replace(one, degree=by.degree, fixed_effects=by.fixed_effects) for one, by in scored]
+            verdicts += map(decide, axes, like)
             if names[0].startswith("gyro") and any(run.pose.any() for run in data.train):
-                remarks.append(ON_POSES[axes[0].channel.offset_per == "pose"])
+                remarks.append(f"several poses: {ON_POSES[base == 'pose']}")
     return Diagnosis(declared, verdicts, data.train, data.test, remarks, model, _length(data, remarks))
 
 
@@ -146,7 +150,7 @@ def _prepared(
     temperatures = [*dict.fromkeys(temperature_names.values())]
     if model is not None:
         train, test = ([prepare.without_curves(one, model, names) for one in runs] for runs in (train, test))
-        degree = max(prepare.order_of(model.channels[name]) for name in names)
+        degree = prepare.degree_of(model, names)
         if drivers is not None:
             needed = dict.fromkeys([*drivers, *BiasPredictor(model, names).drivers])
             drivers = [name for name in needed if name in drivers or name not in temperatures]
@@ -154,29 +158,22 @@ def _prepared(
     columns, block_s = (names, temperatures, others), common_block_s([*train, *test])
     training = prepare.usable_blocks(train, *columns, block_s, remarks, training=True)
     tested = prepare.usable_blocks(test, *columns, block_s, remarks)
-    span = survey(training, temperatures[0], degree)
-    remarks += _limits(span, training, tested)
-    if model is not None and span.thermal:  # else no curve is fitted, and that of the model stays as it is
+    span = survey(training, temperatures, degree)
+    if not span.thermal:
+        moves = f"moves by {span.span_degc:.1f} °C only ({LEAST_SPAN_DEGC:.0f} °C are needed)"
+        nothing = "no curve over temperature is fitted, and no effect of temperature can be found"
+        remarks.append(f"the temperature {moves}: {nothing}")
+    elif model is not None:  # else no curve is fitted, and that of the model stays as it is
         prepare.check_range(model, temperature_names, training)
+    if not tested:
+        remarks.append("no run can be used as a test: there is no independent proof")
+    if len(training) < 2:
+        alike = "what depends on time and what depends on temperature may look alike"
+        remarks.append(f"one training run: {alike}")
     # The same runs and no others: separate coefficients have the number of their run.
     search_train = [one.in_blocks_of(search_block_s(training)) for one in training]
     degree = degree if span.thermal else 0
     return Prepared(training, temperature_names, degree, tested, search_train, offset_per, model)
-
-
-def _limits(span: Survey, train: Sequence[RunBlocks], test: Sequence[RunBlocks]) -> list[str]:
-    """Return what these recordings cannot show."""
-    found = []
-    if not span.thermal:
-        found.append(
-            f"the temperature moves by {span.span_degc:.1f} °C only ({LEAST_SPAN_DEGC:.0f} °C are needed):"
-            " no curve over temperature is fitted, and no effect of temperature can be found"
-        )
-    if not test:
-        found.append("no run can be used as a test: there is no independent proof")
-    if len(train) < 2:
-        found.append("one training run: what depends on time and what depends on temperature may look alike")
-    return found
 
 
 def _length(data: Prepared, remarks: list[str]) -> Length | None:
@@ -194,41 +191,29 @@ def _length(data: Prepared, remarks: list[str]) -> Length | None:
 
 
 def search_sensor(
-    data: Prepared,
-    names: Sequence[str],
-    families: Sequence[str],
-    stages: int = STAGES,
-    progress: Progress = None,
+    data: Prepared, axes: Sequence[str], kinds: Sequence[str], stages: int = STAGES, progress: Progress = None
 ) -> list[list[AxisSearch]]:
     """Return the search in the axes of a sensor over each base that is possible, a list of its axes each.
 
     In each pose, and each day, other sensors than gyros have another part of gravity, field or weather, which
     is not known: they have a constant in each.  So may gyros have, by the earth rate.
     """
-    is_gyro = names[0].startswith("gyro")
-    possible: list[OffsetPer] = [data.offset_per] if is_gyro or names[0].startswith(CLOCK) else []
+    is_gyro = axes[0].startswith("gyro")
+    possible: list[OffsetPer] = [data.offset_per] if is_gyro or axes[0].startswith(CLOCK) else []
     blocks = data.search_train or data.train
     turned = any(run.pose.max() > run.pose.min() for run in blocks)
     if not possible or (is_gyro and turned):
         possible.append("pose")
     found = []
     for offset_per in possible:
-        channels = _channels(data, names, offset_per, blocks)
-        training = channels[0].training
-        span = survey(training.runs, training.temperature_name, data.degree)
-        found.append(search(channels, span, families, stages, progress))
+        channels = _channels(data, axes, offset_per, blocks)
+        temperatures = [data.temperature_names[name] for name in axes]
+        span = survey(channels[0].training.runs, temperatures, data.degree)
+        found.append(search(channels, span, kinds, stages, progress))
         if any(channel.refits_model for channel in channels):
             fixed = [channel.with_model_fixed() for channel in channels]
-            found.append(search(fixed, span, families, stages, progress))
+            found.append(search(fixed, span, kinds, stages, progress))
     return found
-
-
-def _scored_channels(data: Prepared, axes: Sequence[AxisSearch]) -> list[Channel]:
-    """Return the axes that were searched, over the base of the search, in the blocks that are scored."""
-    searched = [axis.channel for axis in axes]
-    scored = _channels(data, [channel.name for channel in searched], searched[0].offset_per, data.train)
-    both = zip(scored, searched, strict=True)
-    return [replace(one, degree=like.degree, fixed_effects=like.fixed_effects) for one, like in both]
 
 
 def search_block_s(blocks: Sequence[RunBlocks]) -> float:
@@ -270,7 +255,8 @@ def likeliest(searched: Sequence[list[AxisSearch]], *, live: bool = False) -> li
     """
     several = len({axes[0].channel.offset_per for axes in searched}) > 1
 
-    def order(axes: list[AxisSearch]) -> float:
+    def order(every: list[AxisSearch]) -> float:
+        axes = [axis for axis in every if not axis.channel.faulty] or every
         criterion = sum(axis.criterion(axis.model) for axis in axes)
         if axes[0].channel.refits_model and not live:
             criterion -= PROVEN_GAIN
@@ -281,7 +267,7 @@ def likeliest(searched: Sequence[list[AxisSearch]], *, live: bool = False) -> li
             coefficients = least_squares(channel.design(model), channel.y)
             # Less the first of all; those of another run have another turn-on bias, too.
             constants = np.append(0.0, coefficients[channel.degree + 1 : channel.base.shape[1]])
-            runs, number = channel.run_of_offset, number + len(constants) - 1
+            runs, number = channel.offsets[0][:, 0], number + len(constants) - 1
             if max(np.ptp(constants[runs == run]) for run in np.unique(runs)) > EARTH_SPREAD:
                 return -np.inf
         price = math.log(len(axes[0].channel.y)) * number

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.polynomial import Chebyshev, Polynomial
 
-from imumon.effects.base import Effect
 from imumon.effects.temperature_curve import TemperatureCurve
 from imumon.lab.diagnosis.blocks import RunBlocks
 from imumon.lab.diagnosis.candidates import Channel
@@ -32,16 +31,16 @@ def extended_model(diagnosis: Diagnosis) -> BiasModel:
 
     A jump, a turn-on offset and an amplitude that is another in each run are in the report alone.
     """
-    known, recorded = diagnosis.model, [one for one in diagnosis.train if one.run.origin is not None]
+    present, recorded = diagnosis.model, [one for one in diagnosis.train if one.run.origin is not None]
     update: dict[str, Any] = {
         "made_by": f"imumon {__version__}",
         "created": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}",
         "block_s": diagnosis.train[0].block_s,
         "trained_on": [trained_on(one) for one in recorded],
-        "channels": {one.name: _channel(one, known) for one in with_model(diagnosis)},
+        "channels": {one.name: _channel(one, present) for one in with_model(diagnosis)},
     }
-    if known is not None:
-        return known.model_copy(update=update)
+    if present is not None:
+        return present.model_copy(update=update)
     for name in ("device", "serial"):
         distinct = {getattr(one.run.origin, name) for one in recorded}
         update |= {name: distinct.pop()} if len(distinct) == 1 else {}
@@ -53,10 +52,10 @@ def with_model(diagnosis: Diagnosis) -> list[ChannelVerdict]:
     return [verdict for verdict in diagnosis.verdicts if verdict.name in UNITS]
 
 
-def _channel(verdict: ChannelVerdict, known: BiasModel | None) -> ChannelModel:
-    """Return the model of a channel: the known one, or none at all, with what was fitted."""
+def _channel(verdict: ChannelVerdict, model: BiasModel | None) -> ChannelModel:
+    """Return the model of a channel: the present one, or none at all, with what was fitted."""
     fitted = verdict.after if verdict.predicts else verdict.before
-    channel, rms = verdict.channel, verdict.test_after.rms
+    channel, rms = verdict.channel, (verdict.test_after if verdict.predicts else verdict.test_before).rms
     middle, half = channel.scale.middle, channel.scale.half_span
     rms = rms if np.isfinite(rms) else fitted.train_rms
     residual = float(np.sqrt(max(rms**2 - channel.floor.sd**2, 0.0)))
@@ -67,50 +66,46 @@ def _channel(verdict: ChannelVerdict, known: BiasModel | None) -> ChannelModel:
         "residual_sd": residual,
         "curve": PolynomialCurve(center_degc=middle, half_width_degc=half, coefficients=[0.0]),
     }
-    present = ChannelModel.model_validate(new) if known is None else known.channels[verdict.name]
-    model = refitted(present, channel, fitted, residual)
+    present = ChannelModel.model_validate(new) if model is None else model.channels[verdict.name]
+    extended = refitted(present, channel, fitted, residual)
     if verdict.name.startswith("accel"):  # what it has at the middle is gravity
-        more = model.curve.value(middle) - present.curve.value(middle)
-        model = model.model_copy(update={"curve": model.curve.minus(float(more))})
-    return model
+        more = extended.curve.value(middle) - present.curve.value(middle)
+        extended = extended.model_copy(update={"curve": extended.curve.minus(float(more))})
+    return extended
 
 
-def refitted(known: ChannelModel, channel: Channel, fitted: Fit, residual_sd: float) -> ChannelModel:
-    """Return a known model with the fitted polynomial more in its curve, and what carries over beside it.
+def refitted(present: ChannelModel, channel: Channel, fitted: Fit, residual_sd: float) -> ChannelModel:
+    """Return the present model with the fitted polynomial more in its curve, and what carries over beside it.
 
     To a curve that is no polynomial itself it is added as an effect.  The curve holds where it was fitted.
     """
-    curve, middle, half = known.curve, channel.scale.middle, channel.scale.half_span
+    curve, middle, half = present.curve, channel.scale.middle, channel.scale.half_span
     low, high = middle - half, middle + half
     more = Polynomial(fitted.declared, domain=[low, high])
-    others, own = list[Effect](), list[Polynomial]()
-    for effect in (part.effect.with_start(part.start) for part in fitted.parts if part.carries_over):
-        part = effect.polynomial()
-        if part is None or part.degree() > HIGHEST_ORDER:
-            others.append(effect)
-        else:
-            own.append(part)
-    parts = [part for effect in known.effects if (part := effect.polynomial()) is not None]
+    lasting = [part.effect.with_start(part.start) for part in fitted.parts if part.carries_over]
+    shapes = [(one, one.polynomial()) for one in lasting]
+    own = [shape for _, shape in shapes if shape is not None and shape.degree() <= HIGHEST_ORDER]
+    others = [one for one, shape in shapes if shape is None or shape.degree() > HIGHEST_ORDER]
+    present_shapes = [part for effect in present.effects if (part := effect.polynomial()) is not None]
     update: dict[str, Any] = {"residual_sd": residual_sd, "held_out_rms": {}, "effects": others}
     if more.degree() > 0 or own:
-        margin, (known_low, known_high) = (WIDENED - 1.0) * half, known.temperature_range_degc
-        update["temperature_range_degc"] = [max(low - margin, known_low), min(high + margin, known_high)]
+        margin, (lowest, highest) = (WIDENED - 1.0) * half, present.temperature_range_degc
+        update["temperature_range_degc"] = [max(low - margin, lowest), min(high + margin, highest)]
+    total = more
+    for shape in (*present_shapes, *own):
+        total = total + shape.convert(domain=more.domain, window=more.window)
     if isinstance(curve, PolynomialCurve):
         ends = curve.center_degc - curve.half_width_degc, curve.center_degc + curve.half_width_degc
-        parts.append(Chebyshev(curve.coefficients, domain=ends).convert(kind=Polynomial))
-    total = more
-    for part in (*parts, *own):
-        total = total + part.convert(domain=more.domain, window=more.window)
-    if isinstance(curve, PolynomialCurve):
-        series = total.convert(domain=more.domain, kind=Chebyshev).coef.tolist()
-        curve = PolynomialCurve(center_degc=middle, half_width_degc=half, coefficients=series)
+        own_curve = Chebyshev(curve.coefficients, ends).convert(more.domain)
+        coefficients = (total.convert(more.domain, Chebyshev) + own_curve).coef.tolist()
+        curve = PolynomialCurve(center_degc=middle, half_width_degc=half, coefficients=coefficients)
     else:
         constant, *powers = total.coef.tolist()
         curve = curve.minus(-constant)
         if any(powers):
-            shape = TemperatureCurve(middle=middle, half_span=half, first_power=1, powers=len(powers))
-            others.append(shape.with_coefficients(powers))
-    return known.model_copy(update={**update, "curve": curve})
+            more_powers = TemperatureCurve(middle=middle, half_span=half, first_power=1, powers=len(powers))
+            others.append(more_powers.with_coefficients(powers))
+    return present.model_copy(update={**update, "curve": curve})
 
 
 def trained_on(blocks: RunBlocks) -> TrainedOn:

@@ -1,6 +1,8 @@
-"""Fit an extended model, the declared one with effects: coefficients, residuals, score on the test, sigmas.
+"""Fit an extended model, the base with effects: coefficients, residuals, score on the test, sigmas.
 
-Coefficients are those of ordinary least squares; the noise of (1) enters their sigmas only (`sigmas`).
+Coefficients are those of ordinary least squares: the verdict goes by the rms, which they make least, and they
+do not depend on the noise of (1): beside a large random walk, generalised least squares fit little but the
+differences of neighbouring blocks.  That noise enters the sigmas only (`sigmas`).
 """
 
 from __future__ import annotations
@@ -75,14 +77,11 @@ class Fit:
 
 def fit(channel: Channel, model: Sequence[Candidate]) -> Fit:
     """Fit the declared model and candidates to training by ordinary least squares."""
-    n_base, n_powers = channel.base.shape[1], channel.degree + 1
     design = channel.design(model)
     coefficients = least_squares(design, channel.y)
-    declared = coefficients[:n_powers].copy()
-    # Further constants are differences from the first: this is the mean of all.
-    declared[0] += float(coefficients[n_powers:n_base].sum()) / (n_base - n_powers + 1)
-    none = np.empty((0, 0))
-    parts = [FittedPart(one, (), np.array([one.coefficients]), none) for one in channel.fixed_effects]
+    declared = _of_powers(channel, coefficients)
+    fixed, no_start = channel.fixed_effects, np.empty((0, 0))
+    parts = [FittedPart(one, (), np.array([one.coefficients]), no_start) for one in fixed]
     mean_of_separate = 0.0
     for candidate, where, starts in _layout(channel, model):
         runs = len(channel.training.runs) if candidate.free_start else 0
@@ -95,6 +94,15 @@ def fit(channel: Channel, model: Sequence[Candidate]) -> Fit:
             mean_of_separate += float((design[:, where] @ coefficients[where]).mean())
     declared[0] += mean_of_separate
     return Fit(declared, parts, channel.y - design @ coefficients, mean_of_separate)
+
+
+def _of_powers(channel: Channel, coefficients: FloatArray) -> FloatArray:
+    """Return what belongs to the powers of u of a row for each coefficient, with the mean of all constants:
+    further ones are differences from the first."""
+    n_base, n_powers = channel.base.shape[1], channel.degree + 1
+    declared = coefficients[:n_powers].copy()
+    declared[0] += coefficients[n_powers:n_base].sum(axis=0) / (n_base - n_powers + 1)
+    return declared
 
 
 def _layout(channel: Channel, model: Sequence[Candidate]) -> Iterator[tuple[Candidate, slice, slice]]:
@@ -113,7 +121,7 @@ def _by_part(candidate: Candidate, values: FloatArray) -> list[FloatArray]:
     return [row.reshape(-1, part.effect.width) for part, row in zip(candidate.parts, rows, strict=True)]
 
 
-@dataclass(slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False)
 class TestScore:
     """How a model does on runs that it was not fitted to, in the unit of the channel; NaN without a test.
 
@@ -238,12 +246,12 @@ def _estimated_bias(
 def _jump_at(columns: FloatArray, residual: FloatArray) -> int:
     """Return the block from which on a jump, beside the columns (n, k), explains most of a residual (n,).
 
-    By (7) with a jump z at each block: (z' r)² / (z' z - |Q' z|²).
+    By (7) with a jump z at each block: (z' v)² / (z' z - |Q' z|²).
     """
     basis = np.linalg.qr(columns)[0]
-    r = residual - basis @ (basis.T @ residual)
-    g = np.cumsum(r[::-1])[::-1]
-    gram = np.arange(len(r), 0, -1) - (np.cumsum(basis[::-1], axis=0)[::-1] ** 2).sum(axis=1)
+    v = residual - basis @ (basis.T @ residual)
+    g = np.cumsum(v[::-1])[::-1]
+    gram = np.arange(len(v), 0, -1) - (np.cumsum(basis[::-1], axis=0)[::-1] ** 2).sum(axis=1)
     explained = (g**2 / np.maximum(gram, 1e-9))[LEAST_OFFSET_BLOCKS : -LEAST_OFFSET_BLOCKS + 1]
     return LEAST_OFFSET_BLOCKS + int(np.argmax(explained))
 
@@ -264,8 +272,8 @@ def sigmas(
     theta is where the likelihood is largest, b and c are those of ordinary least squares beside it.  Near the
     truth both are linear in the noise e.  With A = [X Z], D the slopes in ln theta, e = s L w, w white::
 
-        error of ln theta = s B w,                       B the last rows of pinv(L^-1 [A D])            (9)
-        error of (b, c)   = s (pinv(A) L - pinv(A) D B) w
+        error of ln theta = s M w,                       M the last rows of pinv(L^-1 [A D])            (9)
+        error of (b, c)   = s (pinv(A) L - pinv(A) D M) w
     """
     design = channel.design(model)
     slopes = _slopes(channel, model, least_squares(design, channel.y))
@@ -274,17 +282,15 @@ def sigmas(
     inverse = np.linalg.pinv(columns, rcond=1e-10)
     freedom = max(len(y) - columns.shape[1], 1)
     s = float(np.sqrt(np.sum((y - columns @ (inverse @ y)) ** 2) / freedom))
-    b = inverse[design.shape[1] :]
+    of_log_theta = inverse[design.shape[1] :]
     least = np.linalg.pinv(design, rcond=1e-10)
-    linear = s * (np.linalg.solve(l_inverse.T, least.T).T - (least @ slopes) @ b)
-    sd_of_log, sd = s * np.linalg.norm(b, axis=1), np.linalg.norm(linear, axis=1)
+    linear = s * (np.linalg.solve(l_inverse.T, least.T).T - (least @ slopes) @ of_log_theta)
+    sd_of_log, sd = s * np.linalg.norm(of_log_theta, axis=1), np.linalg.norm(linear, axis=1)
     relative, found = iter(sd_of_log.tolist()), []
     for one, where, _ in _layout(channel, model):
         thetas = [{name: next(relative) * at for name, at in _theta(part).items()} for part in one.parts]
         found.append([*map(PartSigma, _by_part(one, sd[where]), thetas)])
-    n_base, n_powers = channel.base.shape[1], channel.degree + 1
-    declared = linear[:n_powers].copy()
-    declared[0] += linear[n_powers:n_base].sum(axis=0) / (n_base - n_powers + 1)  # as `fit` has it
+    declared = _of_powers(channel, linear)
     return declared @ declared.T, found
 
 

@@ -2,9 +2,9 @@
 
 Rows of y, X and Z are blocks, n over all runs.  With V = L L' a tilde means behind L^-1, as in ỹ = L^-1 y::
 
-    r         = ỹ - Q Q' ỹ                  Q (n, p) an orthonormal basis of X̃                       (6)
-    RSS(X)    = r' r
-    RSS(X, Z) = r' r - g' G^-1 g            g = Z̃' r,   G = Z̃' Z̃ - (Z̃' Q) (Q' Z̃)                      (7)
+    v         = ỹ - Q Q' ỹ                  Q (n, p) an orthonormal basis of X̃                       (6)
+    RSS(X)    = v' v
+    RSS(X, Z) = v' v - g' G^-1 g            g = Z̃' v,   G = Z̃' Z̃ - (Z̃' Q) (Q' Z̃)                      (7)
 
 (7) is the theorem of Frisch, Waugh and Lovell.  L^-1 is a Kalman filter for each run, in linear time: its
 state x is the random walk and a Gauss-Markov process for each tau, the bias their sum, in units of s::
@@ -19,7 +19,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -46,7 +45,7 @@ RIDGE = 1e-9
 
 
 class Likelihood:
-    """Log-likelihoods ln p, half of (2), of values of the n training blocks, over all runs."""
+    """Log-likelihoods, half of (2), of values of the n training blocks, over all runs."""
 
     def __init__(self, training: Training) -> None:
         self.n = sum(map(len, training.runs))
@@ -56,97 +55,95 @@ class Likelihood:
         self._diagonal = {noise: self.whitened(np.empty((self.n, 0)), noise)[1] for noise in NOISE_GRID}
         """Diagonal of L for each noise, (n,)."""
         self._whitened_terms: dict[Noise, dict[Term, FloatArray]] = {noise: {} for noise in NOISE_GRID}
+        """Rows of Z̃', which are whitened once for each noise."""
 
     def maximum(self, y: FloatArray, base: FloatArray) -> tuple[float, Noise]:
-        """Return ln p of y (n,) beside a base (n, p) at its maximum over the grid, and the noise there."""
+        """Return loglik of y (n,) beside a base (n, p) at its maximum over the grid, and the noise there."""
         found = []
         for noise in NOISE_GRID:
             residual, _ = self.residual(y, base, noise)
-            found.append((float(self._ln_p(residual @ residual, noise)), noise))
+            found.append((float(self._loglik(residual @ residual, noise)), noise))
         return max(found)
 
     def predictive(self, y: FloatArray, early: BoolArray) -> float:
-        """Return ln p of the later values given the early ones (n,), s, r and q fitted to these."""
+        """Return loglik of the later values given the early ones (n,), s, r and q fitted to these."""
         found = []
         for noise in NOISE_GRID:
             innovation, sd = self.whitened(y[:, np.newaxis], noise)[0][:, 0], self._diagonal[noise]
             variance = float(np.mean(innovation[early] ** 2))
-            ln_p_early = -0.5 * early.sum() * np.log(variance) - np.log(sd[early]).sum()
+            loglik_early = -0.5 * early.sum() * np.log(variance) - np.log(sd[early]).sum()
             later = -0.5 * np.sum(innovation[~early] ** 2) / variance
-            found.append((ln_p_early, float(later - np.log(sd[~early] * np.sqrt(variance)).sum())))
+            found.append((loglik_early, float(later - np.log(sd[~early] * np.sqrt(variance)).sum())))
         return max(found)[1]
 
     def scan(
         self, y: FloatArray, base: FloatArray, candidates: Sequence[Sequence[Term]], grid: Sequence[Noise]
     ) -> FloatArray:
-        """Return ln p of the base with each of the candidates, its maximum over a grid, (candidates,).
+        """Return loglik of the base with each of the candidates, its maximum over a grid, (candidates,).
 
         A candidate whose spectrum would have both signs explains nothing.
         """
         terms = list(dict.fromkeys(term for one in candidates for term in one))
         place = {term: at for at, term in enumerate(terms)}
         indices = [[place[term] for term in one] for one in candidates]
-        groups = _by_size(indices, self._training.spectra(terms))
+        groups = _by_size(indices, np.array([(term.spectrum, term.run) for term in terms]))
         best = np.full(len(candidates), -np.inf)
         for noise in grid:
+            whitened = self._whitened_terms[noise]
+            new = [term for term in terms if term not in whitened]
+            whitened.update(zip(new, self.whitened(self._training.matrix(new), noise)[0].T, strict=True))
+            rows = np.array([whitened[term] for term in terms])
             residual, basis = self.residual(y, base, noise)
-            explained = _explained(residual, basis, self._rows(terms, noise), groups, len(candidates))
-            best = np.maximum(best, self._ln_p(residual @ residual - explained, noise))
+            explained = _explained(residual, basis, rows, groups, len(candidates))
+            best = np.maximum(best, self._loglik(residual @ residual - explained, noise))
         return best
 
     def residual(self, y: FloatArray, base: FloatArray, noise: Noise) -> tuple[FloatArray, FloatArray]:
-        """Return r (n,) and Q (n, p) of (6)."""
+        """Return v (n,) and Q (n, p) of (6)."""
         columns, _ = self.whitened(np.column_stack([base, y]), noise)
-        basis = _orthonormal(columns[:, :-1])
-        return columns[:, -1] - basis @ (basis.T @ columns[:, -1]), basis
+        base, y = columns[:, :-1], columns[:, -1]
+        norm = np.linalg.norm(base, axis=0)
+        left, values, _ = np.linalg.svd(base / np.where(norm > 0, norm, 1.0), full_matrices=False)
+        basis = left[:, values > 1e-10 * values[0]] if len(values) else left  # without what adds nothing
+        return y - basis @ (basis.T @ y), basis
 
     def whitened(self, columns: FloatArray, noise: Noise) -> tuple[FloatArray, FloatArray]:
         """Return L^-1 columns, (n, k), and the diagonal of L, (n,), for V of (1)."""
         flicker, walk = noise
-        markov_sd = np.full(len(TAUS_S), np.sqrt(flicker / len(TAUS_S)))
-        of_runs = np.split(columns, np.cumsum([len(run) for run in self._training.runs])[:-1])
-        both, walk_sd = zip(self._training.runs, of_runs, strict=True), np.sqrt(walk / WALK_S)
-        found = [whiten(rows, run.time_s, run.white, TAUS_S, markov_sd, walk_sd) for run, rows in both]
+        processes = np.array([TAUS_S, np.full(len(TAUS_S), np.sqrt(flicker / len(TAUS_S)))])
+        both = zip(self._training.runs, self._training.split(columns), strict=True)
+        noise_of_each = processes, float(np.sqrt(walk / WALK_S))
+        found = [whiten(rows, run.time_s, run.white, *noise_of_each) for run, rows in both]
         return np.concatenate([rows for rows, _ in found]), np.concatenate([sd for _, sd in found])
 
-    def _rows(self, terms: Sequence[Term], noise: Noise) -> FloatArray:
-        """Return Z̃' of terms, (k, n): a row each, which is whitened once for each noise."""
-        known = self._whitened_terms[noise]
-        new = [term for term in terms if term not in known]
-        known.update(zip(new, self.whitened(self._training.matrix(new), noise)[0].T, strict=True))
-        return np.array([known[term] for term in terms])
-
-    def _ln_p(self, rss: npt.ArrayLike, noise: Noise) -> FloatArray:
-        """Return ln p by (2) of sums of squares of whitened residuals, s² = RSS / n."""
+    def _loglik(self, rss: npt.ArrayLike, noise: Noise) -> FloatArray:
+        """Return loglik by (2) of sums of squares of whitened residuals, s² = RSS / n."""
         half_ln_det = np.log(self._diagonal[noise]).sum()
         return np.asarray(-0.5 * self.n * np.log(np.maximum(rss, 1e-300) / self.n) - half_ln_det)
 
 
 def noise_no_larger(than: Noise) -> list[Noise]:
-    """Return every noise of the grid that is no larger: a better model leaves less for it to explain.
-
-    What a walk explained may have been flicker and an effect, or the other way round: both together are less.
-    """
+    """Return every noise of the grid that is no larger: a better model leaves less for it to explain.  What a
+    walk explained may have been flicker and an effect, or the other way round: both together are less."""
     return [noise for noise in NOISE_GRID if sum(noise) <= sum(than)]
 
 
-class _Group(NamedTuple):
-    """The m candidates of one number of terms, k: which they are (m,), the indices of their terms (m, k), and
-    whether the coefficients of a term and of the next have one sign (m, k - 1)."""
-
-    numbers: IntArray
-    terms: IntArray
-    one_sign: BoolArray
+_Group = tuple[IntArray, IntArray, BoolArray]
+"""The m candidates of k terms: which they are (m,), the indices of their terms (m, k), and whether the
+coefficients of a term and of the next have one sign (m, k - 1)."""
 
 
 def _by_size(candidates: Sequence[Sequence[int]], spectra: IntArray) -> list[_Group]:
-    """Return the candidates by their number of terms; one without terms is in no group."""
+    """Return the candidates by their number of terms; one without terms is in no group.
+
+    `spectra` has the spectrum (-1: none) and the run of each term, (terms, 2).
+    """
     found = []
     for size in sorted({len(terms) for terms in candidates} - {0}):
         numbers = [at for at, terms in enumerate(candidates) if len(terms) == size]
         terms = np.array([candidates[at] for at in numbers])
         this, following = spectra[terms[:, :-1]], spectra[terms[:, 1:]]
-        found.append(_Group(np.array(numbers), terms, (this == following) & (this >= 0)))
+        found.append((np.array(numbers), terms, (this == following).all(-1) & (this[..., 0] >= 0)))
     return found
 
 
@@ -180,33 +177,22 @@ def _explained(
     return explained
 
 
-def _orthonormal(columns: FloatArray) -> FloatArray:
-    """Return an orthonormal basis of the columns, (n, rank), without those that add nothing."""
-    norm = np.linalg.norm(columns, axis=0)
-    left, values, _ = np.linalg.svd(columns / np.where(norm > 0, norm, 1.0), full_matrices=False)
-    return np.asarray(left[:, values > 1e-10 * values[0]]) if len(values) else left
-
-
 def whiten(
-    columns: FloatArray,
-    time_s: FloatArray,
-    white: FloatArray,
-    taus_s: FloatArray,
-    markov_sd: FloatArray,
-    walk: float,
+    columns: FloatArray, time_s: FloatArray, white: FloatArray, processes: FloatArray, walk: float
 ) -> tuple[FloatArray, FloatArray]:
     """Return L^-1 columns, (n, k), and the diagonal of L, (n,), for means over the n blocks of one run.
 
     The noise is that of (8): `time_s` and `white` (n,) are the time of each mean since power-on and the
-    variance of its white noise, `taus_s` and `markov_sd` (m,) the correlation times and standard deviations
-    of the processes, which begin stationary, and `walk` is K in the unit of the bias per sqrt(s), from zero.
+    variance of its white noise, `processes` (2, m) the correlation times, s, and standard deviations of
+    Gauss-Markov processes, which begin stationary.  The random walk begins at zero and has the coefficient
+    `walk`, in the unit of the bias per sqrt(s).
     """
+    taus_s, markov_sd = processes
     dt = np.diff(time_s, prepend=0.0)[:, np.newaxis]
     phi = np.column_stack([np.ones(len(dt)), np.exp(-dt / taus_s)])
     process = np.column_stack([walk**2 * dt, markov_sd**2 * -np.expm1(-2.0 * dt / taus_s)])
     process[0, 1:] = markov_sd**2
-    variance = np.asarray(white, np.float64)
-    whitened, sd = _innovations(phi, process, variance, np.ascontiguousarray(columns))
+    whitened, sd = _innovations(phi, process, np.asarray(white), np.ascontiguousarray(columns))
     return np.asarray(whitened), np.asarray(sd)
 
 

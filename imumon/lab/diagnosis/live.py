@@ -28,8 +28,8 @@ from imumon.lab.diagnosis.extended import refitted, trained_on
 from imumon.lab.diagnosis.fit import LEAST_TEST_BLOCKS, fit
 from imumon.lab.diagnosis.likelihood import Likelihood
 from imumon.lab.diagnosis.runs import DRIVERS, LONGEST_GAP_S, BoundedRun, Origin, Run, further_columns
-from imumon.lab.diagnosis.search import PROVEN_GAIN, AxisSearch, gain_bar
-from imumon.lab.diagnosis.verdict import CLEAN_REST
+from imumon.lab.diagnosis.search import AxisSearch, gain_bar
+from imumon.lab.diagnosis.verdict import CLEAN_RESIDUAL
 from imumon.lane import LaneState, Level
 from imumon.models.model import BiasModel, ChannelModel, TrainedOn
 from imumon.models.predictor import BiasPredictor
@@ -39,6 +39,8 @@ LANE, RESIDUAL = "model", "Residual"
 FIRST_SEARCH_S, SEARCH_EVERY_S = 1200.0, 600.0
 """The first search has forty means of 30 s, the least that a diagnosis needs; the next ones follow at even
 distances, so that nothing stays unnoticed for longer."""
+DECISIVE = 8.0
+"""Logarithm of the likelihood ratio (half a gain in BIC) by which a model wins: 1 in 3000 by chance."""
 REPLACED_AFTER = 2.0
 """Times the age at which a challenger was found: by then the last model that was found takes its place."""
 HELD_NS = 10 * SECOND_NS
@@ -79,7 +81,7 @@ def better_models(run: Run, model: BiasModel, channels: Sequence[str]) -> list[B
     blocks = make_blocks(without_curves, channels, used, drivers, common_block_s([run]))
     if len(blocks) < LEAST_BLOCKS:
         return []
-    degree = prepare.CUBIC_DEGREE if survey([blocks], used[0], 0).thermal else 0
+    degree = prepare.CUBIC_DEGREE if survey([blocks], used, 0).thermal else 0
     data = Prepared([blocks], temperatures, degree, model=model)
     searched = search_sensor(data, channels, LASTING, stages=1)
     found = likeliest(searched, live=True)
@@ -87,18 +89,13 @@ def better_models(run: Run, model: BiasModel, channels: Sequence[str]) -> list[B
     if found[0].channel.offset_per == "pose" and not all(of_poses):
         return []  # it may be the earth rate: `imumon diagnose` has more sessions to decide
     lacking = [one for one in found if any(not finding.of_present_model for finding in one.findings)]
-    gain = sum(map(_gain_over_present, lacking))
+    present = [AxisSearch(one.channel.with_model_fixed(), one.survey, one.likelihood, []) for one in lacking]
+    gain = sum(one.criterion(one.model) for one in lacking) - sum(one.criterion([]) for one in present)
     if not gain > gain_bar(len(LASTING) * (2 if degree else 1), len(channels)):
         return []
     better = {axis: _better(axis, gain, model) for axis in lacking}
     # What a model leaves hardly above the white noise is too small to matter.
-    return [one for axis, one in better.items() if one.before >= CLEAN_REST * axis.channel.floor.sd]
-
-
-def _gain_over_present(found: AxisSearch) -> float:
-    """Return what a model gains over the present one as it is."""
-    present = AxisSearch(found.channel.with_model_fixed(), found.survey, found.likelihood, [])
-    return found.criterion(found.model) - present.criterion([])
+    return [one for axis, one in better.items() if one.before >= CLEAN_RESIDUAL * axis.channel.floor.sd]
 
 
 def _better(found: AxisSearch, gain: float, model: BiasModel) -> Better:
@@ -219,16 +216,13 @@ class LiveDiagnosis:
                 self._search(now_s)
 
     def _compare(self, challenger: Challenger, run: Run) -> None:
-        """Compare the model that runs beside the present one with it, on what came since it was found.
-
-        Above PROVEN_GAIN it has won, 1 in 3000 by chance; below -PROVEN_GAIN it has lost.
-        """
+        """Compare the model that runs beside the present one with it, on what came since it was found."""
         ratio, before, after = challenger.compare(run) or (0.0, np.nan, np.nan)
         change = f"{before / DEG_PER_H:.3g} become {after / DEG_PER_H:.3g} °/h"
-        if ratio < -PROVEN_GAIN:
+        if ratio < -DECISIVE:
             self._challenger = None
             self._report(f"the better model is dropped: what came later is less likely with it ({change})")
-        elif ratio > PROVEN_GAIN:
+        elif ratio > DECISIVE:
             self.offered = challenger
             won = f"a better model has won on what came later: {change} (likelihood ratio e^{ratio:.0f})"
             self._report(f"{won}; it is kept with the session when that ends")
@@ -250,7 +244,11 @@ class LiveDiagnosis:
             return
         worst = max(found, key=lambda one: one.before)
         before, after = (max(getattr(one, key) for one in found) / DEG_PER_H for key in ("before", "after"))
-        what, length_s = "; ".join(_effects_by_axes(found)), common_block_s([run])
+        axes: dict[str, list[str]] = {}
+        for one in sorted(found, key=lambda one: -one.gain):
+            axes.setdefault(" or ".join(one.names), []).append(one.channel[-1])
+        what = "; ".join(f"{text} on {', '.join(sorted(letters))}" for text, letters in axes.items())
+        length_s = common_block_s([run])
         self.state = f"MODEL CAN BE BETTER: {what}: {before:.3g} become {after:.3g} °/h"
         command = "imumon diagnose --train SESSION --model SESSION --out DIR"
         self._report(f"{self.state} (rms of {length_s:.0f} s, gain {worst.gain:.0f}): {command}", what)
@@ -288,14 +286,6 @@ class LiveDiagnosis:
         return self._lacking
 
 
-def _effects_by_axes(found: Sequence[Better]) -> list[str]:
-    """Return which effects may be missing on which axes."""
-    axes: dict[str, list[str]] = {}
-    for one in sorted(found, key=lambda one: -one.gain):
-        axes.setdefault(" or ".join(one.names), []).append(one.channel[-1])
-    return [f"{text} on {', '.join(sorted(letters))}" for text, letters in axes.items()]
-
-
 def _charts(run: Run, present: BiasModel, better: BiasModel, one: Better) -> list[Chart]:
     """Return what is left of a channel over time and temperature, and what the better model would take away.
 
@@ -308,19 +298,11 @@ def _charts(run: Run, present: BiasModel, better: BiasModel, one: Better) -> lis
     points, line = ((part - part.mean()) / DEG_PER_H for part in both)
     degc = before.temperature[prepare.temperature_of(name, present, [run])]
     time = "time", before.time_s / 60.0, "time since power-on [min]"
-    return [
-        Chart(
-            f"model_lacks_over_{key}",
-            RESIDUAL,
-            f"Gyro {axis} less the model, means of {before.block_s:.0f} s, and {what} through it",
-            Axis(label),
-            Axis("[°/h]"),
-            (
-                Curve(f"left, {axis}", x, points, AXIS_COLORS[axis], points=True, width=4.0),
-                Curve(what, x, line, INK),
-            ),
-            headline=f"{one.before / DEG_PER_H:.3g} → {one.after / DEG_PER_H:.3g} °/h",
-            notes=(f"{' or '.join(one.names)}, gain {one.gain:.0f}",),
-        )
-        for key, x, label in (time, ("temperature", degc, "temperature [°C]"))
-    ]
+    title = f"Gyro {axis} less the model, means of {before.block_s:.0f} s, and {what} through it"
+    headline = f"{one.before / DEG_PER_H:.3g} → {one.after / DEG_PER_H:.3g} °/h"
+    notes, charts = (f"{' or '.join(one.names)}, gain {one.gain:.0f}",), []
+    for key, x, label in (time, ("temperature", degc, "temperature [°C]")):
+        dots = Curve(f"left, {axis}", x, points, AXIS_COLORS[axis], points=True, width=4.0)
+        drawn = Axis(label), Axis("[°/h]"), (dots, Curve(what, x, line, INK))
+        charts.append(Chart(f"model_lacks_over_{key}", RESIDUAL, title, *drawn, headline, notes))
+    return charts

@@ -114,8 +114,8 @@ def _figures(diagnosis: Diagnosis, verdict: ChannelVerdict) -> dict[str, str]:
     """Return the plots of a channel, caption to SVG."""
     runs, column = diagnosis.train, verdict.channel.training.temperature_name
     scale, unit = shown(verdict.channel.unit)
-    ends = np.cumsum([len(run) for run in runs])[:-1]
-    before, after = (np.split(model.residual * scale, ends) for model in (verdict.before, verdict.after))
+    split = verdict.channel.training.split
+    before, after = (split(model.residual * scale) for model in (verdict.before, verdict.after))
 
     def draw(axes: Axes, over: Sequence[FloatArray], label: str) -> None:
         for at, run in enumerate(runs):

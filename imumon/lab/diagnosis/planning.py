@@ -46,12 +46,13 @@ LONG_S = 1e5
 """Correlation time of a process that stands for a random walk of an accelerometer."""
 SCALES = {"gyro": (np.pi / 180.0, DEG_PER_H), "accel": (1e3 * MICRO_G, MICRO_G)}
 """SI units in those of a bias and of an effect in a unit file."""
-SHORTEST_S = 1800.0
 SETTLED = 5.0
 """Time constants after which a lag has decayed, or a warm-up."""
+SHORTEST_S = 1800.0
 SOAKS_S = (300.0, 1800.0)
 REPEATS = (1, 2, 4, 8)
 HELD_S = (3600.0, 7200.0, 14400.0, 28800.0)
+"""Of what is tried: least length, soaks at both ends, repetitions, and times at one temperature."""
 SLOWER = 4.0
 """Ratio of two rates of temperature between which a lag shows well."""
 POSES = (Turn(kind="turn", at_s=0.0, duration_s=10.0, roll_deg=90.0),) * 3 + (
@@ -254,15 +255,21 @@ def _impossible(question: Question, others: set[str]) -> str:
 
 
 def evidence(
-    report: Report, question: Question, profile: Profile, seeds: Sequence[int], effects: Sequence[str]
+    report: Report, question: Question, profile: Profile, seeds: Sequence[int], kinds: Sequence[str]
 ) -> Evidence:
-    """Return what the search finds on simulated units with each of the answers, among these effects."""
+    """Return what the search finds on simulated units with each of the answers, among these kinds."""
     found = []
     for truth in question.answers:
         if truth.name == NOTHING:
             continue  # that nothing is there shows in that an effect would show
-        runs = [simulated_run(scenario(report, question.channel, profile, truth), seed) for seed in seeds]
-        searches = [_searched(run, question.channel, truth, effects) for run in runs]
+        planned, searches = scenario(report, question.channel, profile, truth), list[AxisSearch]()
+        for seed in seeds:  # as `diagnose` does, for as many effects as the unit has
+            blocks = make_blocks(simulated_run(planned, seed), [question.channel], ["temperature"])
+            degree = len(truth.declared) - 1 if survey([blocks], ["temperature"], 0).thermal else 0
+            shorter = blocks.in_blocks_of(search_block_s([blocks]))
+            data = Prepared([shorter], {question.channel: "temperature"}, degree)
+            stages = max(1, len(truth.effects))
+            searches += likeliest(search_sensor(data, [question.channel], kinds, stages))
         for rival in question.answers:
             if rival is not truth:
                 each = [_difference(one, truth.name, rival.name) for one in searches]
@@ -337,15 +344,6 @@ def simulated_run(plan: Scenario, seed: int) -> Run:
     """Return what a diagnosis reads of a simulated session."""
     sent, truth = SimulatedUnit(plan, seed).run(plan.samples)
     return collect([SampleBlock({**sent.columns, "at_rest": truth["at_rest"]})], plan.title)[0]
-
-
-def _searched(run: Run, channel: str, truth: Answer, effects: Sequence[str]) -> AxisSearch:
-    """Return the search of the diagnosis in one channel of a run, for as many effects as the unit has."""
-    blocks = make_blocks(run, [channel], ["temperature"])
-    degree = len(truth.declared) - 1 if survey([blocks], "temperature", 0).thermal else 0
-    shorter = blocks.in_blocks_of(search_block_s([blocks]))
-    data = Prepared([shorter], {channel: "temperature"}, degree)
-    return likeliest(search_sensor(data, [channel], effects, max(1, len(truth.effects))))[0]
 
 
 def write_plan(report: Report, number: int, made: Plan, folder: Path) -> list[Path]:

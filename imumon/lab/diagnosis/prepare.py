@@ -19,9 +19,10 @@ from imumon.filters.rounding import mean_error
 from imumon.lab.diagnosis.blocks import BLOCK_S, LEAST_BLOCKS, RunBlocks, common_block_s, make_blocks
 from imumon.lab.diagnosis.runs import CHANNELS, MOSTLY, SHORTEST_RUN_S, Run, channels_of, unit_of
 from imumon.models.curves.polynomial import PolynomialCurve
-from imumon.models.model import BiasModel, ChannelModel
+from imumon.models.model import BiasModel
 from imumon.models.predictor import BiasPredictor
 
+Runs = Sequence[Run]
 STRETCHES = 12
 """Alternating stretches of a single run for training and test; of two halves one may lack an end of the
 temperatures, of single blocks both have the same flicker."""
@@ -37,9 +38,7 @@ RESOLUTION = 1e-12
 """Share of its value below which the changes of a channel are rounding in the computation of its means."""
 
 
-def usable_channels(
-    train: Sequence[Run], test: Sequence[Run], sensors: Sequence[str], remarks: list[str]
-) -> list[str]:
+def usable_channels(train: Runs, test: Runs, sensors: Sequence[str], remarks: list[str]) -> list[str]:
     """Return the channels that vary and that every training run has at a tenth of its time or more.
 
     The clock of the device beside others only where all runs have it.
@@ -51,7 +50,9 @@ def usable_channels(
         lacking = [run.name for run in train if _share_there(run, name) <= LEAST_THERE]
         if lacking:
             remarks.append(f"{name} is left out: {', '.join(lacking)} hardly has it")
-        elif not any(_varies(run.mean[name]) for run in train):
+            continue
+        low, high = ([by(run.mean[name]) for run in train] for by in (np.nanmin, np.nanmax))
+        if all(b - a <= RESOLUTION * max(abs(a), abs(b)) for a, b in zip(low, high, strict=True)):
             value = float(np.nanmean(train[0].mean[name]))
             remarks.append(f"{name} is left out: it has one value throughout, {value:g} {unit_of(name)}")
         elif name != CLOCK or len(sensors) == 1 or all(CLOCK in run.mean for run in test):
@@ -69,17 +70,8 @@ def _share_there(run: Run, name: str) -> float:
     return float(np.isfinite(run.mean[name]).mean()) if name in run.mean else 0.0
 
 
-def _varies(mean: FloatArray) -> bool:
-    """Return whether the means of a channel change by more than the rounding in their computation."""
-    return bool(np.nanmax(mean) - np.nanmin(mean) > RESOLUTION * np.nanmax(np.abs(mean)))
-
-
 def usable_drivers(
-    train: Sequence[Run],
-    test: Sequence[Run],
-    beside: Sequence[str],
-    wanted: Sequence[str] | None,
-    remarks: list[str],
+    train: Runs, test: Runs, beside: Sequence[str], wanted: Sequence[str] | None, remarks: list[str]
 ) -> list[str]:
     """Return the drivers that vary in training and are in every run, of those wanted (None: of all).
 
@@ -114,7 +106,7 @@ def latest(recordings: Sequence[Sequence[Run]]) -> tuple[list[Run], list[Run]]:
 
 
 def train_and_test(
-    train: Sequence[Run], test: Sequence[Run], channels: Sequence[str], remarks: list[str]
+    train: Runs, test: Runs, channels: Sequence[str], remarks: list[str]
 ) -> tuple[list[Run], list[Run]]:
     """Return the runs of training and test without what stands still.
 
@@ -241,17 +233,16 @@ def usable_blocks(
     """Return the runs at rest as blocks; raises BAD_DATA, and why, where they are too few for training."""
     found, earlier = [], len(remarks)
     for run in runs:
-        lacking = [name for name in (*channels, *temperatures) if name not in run.mean]
-        if lacking:
-            remarks.append(f"{run.name}: not used, it lacks {', '.join(lacking)}")
-            continue
-        if run.rest_share < MOSTLY:
-            of = f"at rest for {run.rest_share:.0%} of its {run.duration_s / 60:.0f} min"
-            remarks.append(f"{run.name}: not used, the unit moves: {of}")
-            continue
-        blocks = make_blocks(run, channels, temperatures, drivers, block_s)
-        if len(blocks) * block_s < SHORTEST_RUN_S:
-            remarks.append(f"{run.name}: not used, too few means of {block_s:.0f} s at rest: {len(blocks)}")
+        if lacking := [name for name in (*channels, *temperatures) if name not in run.mean]:
+            why = f"it lacks {', '.join(lacking)}"
+        elif run.rest_share < MOSTLY:
+            why = f"the unit moves: at rest for {run.rest_share:.0%} of its {run.duration_s / 60:.0f} min"
+        else:
+            blocks = make_blocks(run, channels, temperatures, drivers, block_s)
+            few = f"too few means of {block_s:.0f} s at rest: {len(blocks)}"
+            why = few if len(blocks) * block_s < SHORTEST_RUN_S else ""
+        if why:
+            remarks.append(f"{run.name}: not used, {why}")
             continue
         found.append(blocks)
         there = run.count[channels[0]] > 0
@@ -312,10 +303,11 @@ def check_range(model: BiasModel, temperatures: Mapping[str, str], runs: Sequenc
             )
 
 
-def order_of(channel: ChannelModel) -> int:
-    """Return the degree of the polynomial by which a curve is fitted anew: its own, or a cubic's."""
-    curve = channel.curve
-    return len(curve.coefficients) - 1 if isinstance(curve, PolynomialCurve) else CUBIC_DEGREE
+def degree_of(model: BiasModel, channels: Sequence[str]) -> int:
+    """Return the degree of the polynomial by which curves are fitted anew: their largest, or a cubic's."""
+    curves = [model.channels[name].curve for name in channels]
+    own = [len(one.coefficients) - 1 for one in curves if isinstance(one, PolynomialCurve)]
+    return max(own if len(own) == len(curves) else [CUBIC_DEGREE, *own])
 
 
 def without_curves(run: Run, model: BiasModel, channels: Sequence[str]) -> Run:
@@ -346,8 +338,8 @@ def without_model(run: Run, model: BiasModel, channels: Sequence[str]) -> Run:
 def residual(run: Run, model: BiasModel, channels: Sequence[str]) -> RunBlocks:
     """Return block means of what a model leaves of the channels, its effects integrated from power-on."""
     temperatures = dict.fromkeys(temperature_of(name, model, [run]) for name in channels)
-    rest = without_model(run, model, channels)
-    return make_blocks(rest, channels, [*temperatures], block_s=common_block_s([run]))
+    left = without_model(run, model, channels)
+    return make_blocks(left, channels, [*temperatures], block_s=common_block_s([run]))
 
 
 def within_range(model: BiasModel, run: Run, channels: Sequence[str], until_s: float | None = None) -> Run:

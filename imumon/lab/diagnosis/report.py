@@ -13,13 +13,12 @@ import numpy as np
 from imumon.effects.base import ACCEL
 from imumon.effects.library import separated_by
 from imumon.files import plain, write_text
-from imumon.lab.diagnosis.blocks import RunBlocks
 from imumon.lab.diagnosis.candidates import Candidate, Scored
 from imumon.lab.diagnosis.diagnose import Diagnosis
 from imumon.lab.diagnosis.extended import with_model
 from imumon.lab.diagnosis.fit import Fit, FittedPart, fit, root_mean_square, score_test
 from imumon.lab.diagnosis.likelihood import WALK_S
-from imumon.lab.diagnosis.verdict import SMALL_REST, ChannelVerdict, Claim, explained_share
+from imumon.lab.diagnosis.verdict import SMALL_RESIDUAL, ChannelVerdict, Claim, explained_share
 from imumon.version import __version__
 
 FORMAT: Final = "imumon-diagnosis/1"
@@ -34,7 +33,7 @@ ISOTHERMAL = "at constant temperature, and run imumon allan on that."
 
 def report(diagnosis: Diagnosis, folder: Path | None = None) -> dict[str, Any]:
     """Return the report as it is written into a folder; absent numbers are None."""
-    given, scale, length = diagnosis.model, diagnosis.verdicts[0].channel.scale, diagnosis.length
+    present, scale, length = diagnosis.model, diagnosis.verdicts[0].channel.scale, diagnosis.length
     every = [(run.time_s, t) for run in diagnosis.train for t in run.temperature.values()]
     rates = np.concatenate([np.abs(np.diff(t) / np.diff(time_s)) for time_s, t in every])
     content = {
@@ -42,10 +41,12 @@ def report(diagnosis: Diagnosis, folder: Path | None = None) -> dict[str, Any]:
         "imumon": __version__,
         "conclusion": conclusion(diagnosis),
         "next": [next_step(diagnosis, folder)._asdict()],
-        "declared_model": diagnosis.declared if given is None else f"model of {given.created}",
+        "declared_model": diagnosis.declared if present is None else f"model of {present.created}",
         "block_s": diagnosis.train[0].block_s,
-        "train": [_run(one) for one in diagnosis.train],
-        "test": [_run(one) for one in diagnosis.test],
+        **{
+            key: [{"name": one.name, "blocks": len(one), "duration_s": one.run.duration_s} for one in runs]
+            for key, runs in (("train", diagnosis.train), ("test", diagnosis.test))
+        },
         "independent_test": bool(diagnosis.test) and not diagnosis.held_out,
         "held_out": diagnosis.held_out,
         "temperature_range_degc": [scale.middle - scale.half_span, scale.middle + scale.half_span],
@@ -62,16 +63,14 @@ def write_report(diagnosis: Diagnosis, path: Path) -> None:
     write_text(path, json.dumps(report(diagnosis, path.parent), indent=2, ensure_ascii=False) + "\n")
 
 
-def _run(one: RunBlocks) -> dict[str, Any]:
-    return {"name": one.name, "blocks": len(one), "duration_s": one.run.duration_s}
-
-
 def _channel(verdict: ChannelVerdict) -> dict[str, Any]:
     channel, before, after = verdict.channel, verdict.test_before, verdict.test_after
     sets = [names for claim in verdict.claims if (names := claim.finding.indistinguishable)]
     train_before, train_after = verdict.before.train_rms, verdict.after.train_rms
     explained = explained_share(train_before, train_after, channel.total_floor)
     apart = [(first, other) for first, *others in sets for other in others]
+    turns = [("what was assumed", verdict.before, float("nan"))]
+    turns += [(done, fit(channel, model), gain) for done, model, gain in verdict.search.history]
     return {
         "verdict": verdict.row.state,
         "unit": channel.unit,
@@ -98,7 +97,8 @@ def _channel(verdict: ChannelVerdict) -> dict[str, Any]:
         "indistinguishable": sets,
         "to_separate": [{"effects": [*pair], "by": separated_by(*pair)} for pair in apart],
         "questions": _questions(verdict),
-        "turns": list(_turns(verdict)),
+        "turns": [{"done": done, "gain_bic": gain, **_left(verdict, model)} for done, model, gain in turns],
+        "refused": verdict.search.refused,
         "fitted_anew": verdict.refit,
         "left_out": verdict.left_out,
         "in_model_file": verdict.predicts,
@@ -180,18 +180,10 @@ def _left(verdict: ChannelVerdict, fitted: Fit) -> dict[str, float]:
     return {"train_rms": fitted.train_rms, "test_rms": score_test(verdict.channel, fitted).rms}
 
 
-def _turns(verdict: ChannelVerdict) -> Iterator[dict[str, Any]]:
-    """Yield what was done in each stage of the search, and what is left after it."""
-    yield {"done": "what was assumed", "gain_bic": float("nan"), **_left(verdict, verdict.before)}
-    for done, model, gain in verdict.search.history:
-        yield {"done": done, "gain_bic": gain, **_left(verdict, fit(verdict.channel, model))}
-
-
 def _runs_left(verdict: ChannelVerdict) -> Iterator[dict[str, Any]]:
     """Yield what each run of training and test is left with; NaN where nothing counts."""
     channel, (before, after) = verdict.channel, (verdict.test_before, verdict.test_after)
-    ends = np.cumsum([len(run) for run in channel.training.runs])[:-1]
-    training = [np.split(one.residual, ends) for one in (verdict.before, verdict.after)]
+    training = [channel.training.split(one.residual) for one in (verdict.before, verdict.after)]
     test = [
         [of_run[counting] for of_run, counting in zip(one.predicted_residual, after.counts, strict=True)]
         for one in (before, after)
@@ -225,9 +217,8 @@ def _questions(verdict: ChannelVerdict) -> list[list[dict[str, Any]]]:
     for finding in verdict.findings:
         if finding.alternatives:
             beside = [other for other in claimed if other is not finding.candidate]
-            opened.append(
-                [answer(beside, one) for one in (finding.candidate, *finding.alternatives.values())]
-            )
+            possible = (finding.candidate, *finding.alternatives.values())
+            opened.append([answer(beside, one) for one in possible])
     if verdict.unexplained:
         tried = [one.candidate for one in _leaders(verdict, -1) if one.linear_gain > 0.0]
         # A chamber, or poses, can make these show themselves in another run.
@@ -266,12 +257,13 @@ def _steps(diagnosis: Diagnosis, folder: Path) -> Iterator[NextStep]:
     def which(holds: Callable[[ChannelVerdict], bool]) -> str:
         return ", ".join(one.name for one in verdicts if holds(one))
 
-    if names := which(_of_few_digits):
+    unproven = {one.name for one in verdicts if one.channel.test and one.row.state == "not proven"}
+    if names := which(lambda one: one.faulty or one.hidden or (one.channel.coarse and one.name in unproven)):
         what = f"Record {names} again with a range and digits that its noise and bias fit in."
         yield NextStep(what, "The steps of its values hide what matters.")
     if not chosen or any(one.by_test for one in verdicts):
         why = "The test has chosen the effect." if chosen else "Without a test nothing is proven."
-        command = f"imumon diagnose {diagnosis.given} --test NEW --out {folder}"
+        command = f"imumon diagnose {diagnosis.options} --test NEW --out {folder}"
         yield NextStep("Record another session from power-on and test on that.", why, command)
     if names := which(lambda one: one.unexplained):
         beside = "what else may drive it (supply, load, pressure, another thermometer)"
@@ -289,13 +281,8 @@ def _steps(diagnosis: Diagnosis, folder: Path) -> Iterator[NextStep]:
         yield NextStep(what, f"Errors in the test fall by up to {1.0 - least:.0%}.", command)
     if names := which(lambda one: one.row.state == "not proven"):
         why = "What is left is little, noise or an effect too small to prove."
-        if any(one.test_after.rms >= SMALL_REST * one.channel.total_floor for one in verdicts):
+        if any(one.test_after.rms >= SMALL_RESIDUAL * one.channel.total_floor for one in verdicts):
             why = "The test is off, training is not, as by another turn-on bias:"
             why += ' add " + offset" to --declared.'
         yield NextStep(f"Record {names} {ISOTHERMAL}", why)
     yield NextStep("Nothing has to be added.", "The declared model is enough on these recordings.")
-
-
-def _of_few_digits(verdict: ChannelVerdict) -> bool:
-    channel, unproven = verdict.channel, verdict.row.state == "not proven"
-    return verdict.faulty or verdict.hidden or (unproven and bool(channel.test) and channel.coarse)

@@ -134,7 +134,8 @@ def read_runs(
         first.append(more)
     wanted = channels_of(sensors, first[0].columns) if first else []
     further, watcher = [*wanted], Watcher(wanted)
-    # A table that imumon wrote may have columns beside the known ones that are made of the gyros themselves.
+    # Stages name what they made of a session, a map what was measured.  Of a table that imumon wrote nothing
+    # tells which of its further columns are made of the gyros themselves: they are not read.
     if first and (recording.source.session is not None or map_path is not None):
         further += further_columns(first[0], {one.name for stage in stages(None) for one in stage.columns})
     samples: Iterable[SampleBlock] = watcher.through(chain(first, blocks))
@@ -171,7 +172,7 @@ def _slot_s(blocks: Sequence[SampleBlock], channels: Sequence[str]) -> float:
         times += [block["device_time_ns"][np.any(known, axis=0)]] if known else []
     steps = np.diff(np.concatenate(times))
     period_s = float(np.median(steps[steps > 0])) / SECOND_NS if (steps > 0).any() else 0.0
-    # A clock that is off by a percent still puts a sample into each slot.
+    # A period of a second by a clock that is off by a percent is a second: few slots are empty then.
     return float(max(1, np.ceil(period_s / 1.01)))
 
 
@@ -256,8 +257,8 @@ class Watcher:
                 steps = np.diff(values, prepend=np.nan)
                 self._kept[name].append(np.column_stack([values, steps])[chosen].astype(np.float64))
             while self._rows > KEPT * self._stride:
-                joined = {name: np.concatenate(kept) for name, kept in self._kept.items() if kept}
-                self._kept = {name: [values[::2]] for name, values in joined.items()}
+                for name, kept in self._kept.items():
+                    self._kept[name] = [np.concatenate(kept)[::2]] if kept else []
                 self._stride *= 2
             yield block
 

@@ -1,8 +1,8 @@
 """Search for the effects that each axis of a sensor lacks: forward over all axes at once, then backward.
 
 The package docstring has the search in five steps, and the equations (3) to (5).  `search` runs the stages;
-in each, `_add_families` asks `select` for the next family until none exceeds the bar; `AxisSearch` is one
-axis with what was found in it.
+`AxisSearch.tabulate` is step 1, `select` step 2, `AxisSearch.add` step 3, `_add_families` step 4 with these,
+`AxisSearch.eliminate` step 5.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
 from operator import attrgetter
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -43,17 +43,17 @@ Progress = Callable[[str], None] | None
 
 
 def search(
-    channels: Sequence[Channel], survey: Survey, families: Sequence[str], stages: int, progress: Progress
+    channels: Sequence[Channel], survey: Survey, kinds: Sequence[str], stages: int, progress: Progress
 ) -> list[AxisSearch]:
-    """Find what the axes of one sensor, over the same training runs, lack of these families.
+    """Find what the axes of one sensor, over the same training runs, lack of these kinds of effects.
 
     A present model's effects that are fitted anew are the first findings; those that these runs do not show
     stay as they are.  At most `stages` effects are added to an axis.
     """
-    tried, trainings = candidates(survey, families), {id(one.training): one.training for one in channels}
-    likelihoods = {key: Likelihood(training) for key, training in trainings.items()}
+    tried = candidates(survey, kinds)
+    likelihoods = {id(one.training): Likelihood(one.training) for one in channels}  # thermometers may differ
     axes = [AxisSearch(one, survey, likelihoods[id(one.training)], tried) for one in channels]
-    n_families = len({one.family for one in tried if not one.choice_price})
+    n_families = len({one.family for one in tried if not one.choice_price})  # the others pay for themselves
     bar = gain_bar(n_families, len(axes)) if len(axes) > 1 else PROVEN_GAIN
     for axis in axes:
         axis.eliminate()
@@ -79,25 +79,32 @@ def gain_bar(families: int, axes: int) -> float:
 def _add_families(active: Sequence[AxisSearch], bar: float) -> None:
     """Add one effect to each axis, by its newest table, until none exceeds the bar; finish the other axes.
 
-    An axis to which the selected family cannot be added goes on without that family.
+    An axis that refuses the selected family goes on without it.  What a faulty axis gains is of its fault.
     """
     axes = {axis.channel.name: axis for axis in active}
-    tables = {name: dict(axis.tables[-1]) for name, axis in axes.items()}
+    tables = {name: dict(axis.tables[-1]) for name, axis in axes.items() if not axis.channel.faulty}
+    added = set[str]()
     while (selection := select(tables, bar)) is not None:
         for name in selection.channels:
-            if axes[name].add(selection) or axes[name].finished:
+            if axes[name].add(selection):
+                added.add(name)
+            if name in added or axes[name].finished:
                 del tables[name]
             else:
                 del tables[name][selection.family]
-    for name in tables:
+    for name in axes.keys() - added:
         axes[name].finished = True
+    for name, table in tables.items():
+        family = max(table, key=lambda one: table[one].gain, default="")
+        if family and table[family].gain > 0.0:
+            showing = [one for one in tables if _shows(tables[one], family, bar)]
+            why = f"the sum over the axes that show it is below the bar of {bar:.1f}"
+            axes[name].refuse(family, table[family].gain, showing, why)
 
 
 class Selection(NamedTuple):
-    """The family that is added next, on these channels, and its gain summed over them.
-
-    `alternatives` are the families that these data do not separate from it, the likeliest first.
-    """
+    """The family that is added next, its gain summed over these channels, and the `alternatives` that these
+    data do not separate from it, the likeliest first."""
 
     family: str
     alternatives: list[str]
@@ -128,10 +135,8 @@ def select(tables: Mapping[str, GainTable], bar: float) -> Selection | None:
 
 
 def _shows(table: GainTable, family: str, bar: float) -> bool:
-    """Return whether a channel shows a family, and does not prove another in its place.
-
-    An event has a time of its own in each channel, so that each has to prove its own.
-    """
+    """Return whether a channel shows a family, and does not prove another in its place.  An event has a time
+    of its own in each channel, so that each has to prove its own."""
     if family not in table:
         return False
     best = max(one.gain for one in table.values())
@@ -150,7 +155,7 @@ class AxisSearch:
     `findings` are in the order in which they were found, those of the present model first.  With a
     `repeated_event` a run has several events, such as two jumps, which no effect explains.  Once `finished`,
     nothing is added.  `tables` has the gains of each stage; `history` what was added or exchanged, the model
-    after that, and the gain (NaN of an exchange).
+    after that, and the gain (NaN of an exchange); `refused` what was not added or dropped, for report.json.
     """
 
     def __init__(
@@ -161,6 +166,7 @@ class AxisSearch:
         self.findings = [Finding(Candidate((Part(effect),)), of_present_model=True) for effect in again]
         self.tables: list[GainTable] = []
         self.history: list[tuple[str, Sequence[Candidate], float]] = []
+        self.refused: list[dict[str, Any]] = []
         self.repeated_event = self.finished = False
         self._maxima: dict[tuple[int, ...], tuple[Channel, Sequence[Candidate], float, Noise]] = {}
 
@@ -170,7 +176,7 @@ class AxisSearch:
         return [finding.candidate for finding in self.findings]
 
     def maximum(self, model: Sequence[Candidate]) -> tuple[float, Noise]:
-        """Return ln p of a model at its maximum, and the noise there."""
+        """Return loglik (2) of a model at its maximum, and the noise there."""
         key = (id(self.channel), *map(id, model))  # both are kept, so that no other has their id
         if key not in self._maxima:
             found = self.likelihood.maximum(self.channel.y, self.channel.design(model))
@@ -255,34 +261,41 @@ class AxisSearch:
         return {one.candidate.family: one for one in sorted(beside, key=attrgetter("gain"))}
 
     def add(self, selection: Selection) -> bool:
-        """Add the best of a family with theta refined; return False where it takes too little away.
+        """Add the best of a family with theta refined; return False where it is refused.
 
         Beside jumps that are too small, and with a second one in a run, nothing else is proven: the channel
         is finished.
         """
         table, family, model = self.tables[-1], selection.family, self.model
         best = self.refined(table[family].candidate, model)
+        best = best._replace(gain=max(best.gain, table[family].gain))  # beside a partner the latter is more
         is_event = best.candidate.scope == "event"
         runs_with_event = [one.parts[0].separate_runs for one in model if one.family == family]
         again = is_event and best.candidate.parts[0].separate_runs in runs_with_event
         removed = self._removed_rms(best.candidate, model)
-        if removed < self._least_removed(best.candidate, JUMP_SHARE if again else SECOND_SHARE):
-            self.finished = is_event
+        least = self._least_removed(best.candidate, JUMP_SHARE if again else SECOND_SHARE)
+        if again or removed < least:
+            self.repeated_event, self.finished = again and removed >= least, is_event
+            floor = self.channel.floor.sd
+            why = f"takes away {removed / floor:.2f} white floors, needed are {least / floor:.2f}"
+            why = "a second one in a run" if self.repeated_event else why
+            self.refuse(family, best.gain, selection.channels, why)
             return False
-        if again:
-            self.repeated_event = self.finished = True
-            return False
-        gain = max(best.gain, table[family].gain)  # beside a partner the latter is more
         there = {finding.name for finding in self.findings}
         others = [other for other in selection.alternatives if other not in there]
         alternatives = {other: table[other].candidate for other in others[: MOST_NAMES - 1]}
-        gains = {**{other: one.gain for other, one in table.items()}, family: gain}
-        finding = Finding(best.candidate, gain, selection.gain, gains, alternatives, removed)
+        gains = {**{other: one.gain for other, one in table.items()}, family: best.gain}
+        finding = Finding(best.candidate, best.gain, selection.gain, gains, alternatives, removed)
         self.findings.append(finding)
         if len(self.findings) > 1:
             self._refine_each(exchange=False)
-        self.history.append((family, self.model, gain))
+        self.history.append((family, self.model, best.gain))
         return True
+
+    def refuse(self, family: str, gain: float, axes: Sequence[str], why: str) -> None:
+        """Note what is not added at this stage, or dropped after it: with its gain here, and who shows it."""
+        row = {"stage": len(self.tables), "name": family, "axes": [*axes], "gain_bic": gain, "why": why}
+        self.refused.append(row)
 
     def _removed_rms(self, candidate: Candidate, model: Sequence[Candidate]) -> float:
         """Return sqrt(A² - B²), A and B the rms that least squares leave with a model and with both."""
@@ -304,10 +317,6 @@ class AxisSearch:
         """Return the model without a finding."""
         return [other.candidate for other in self.findings if other is not finding]
 
-    def _worth(self, finding: Finding) -> float:
-        """Return what a finding gains beside the others."""
-        return self.criterion(self.model) - self.criterion(self._others(finding))
-
     def eliminate(self) -> None:
         """Drop what others make needless, and refine what is left, each beside the others.
 
@@ -315,13 +324,18 @@ class AxisSearch:
         A finding gives way to an alternative where that is likelier beside what was found later.
         """
         for finding in list(self.findings):
-            single = len(self.findings) == 1 and not finding.of_present_model
-            if not single and self._worth(finding) <= PROVEN_GAIN:
-                self.findings.remove(finding)
-                if finding.of_present_model and not self.tables:
-                    (part,) = finding.candidate.parts
-                    fixed = (*self.channel.fixed_effects, part.effect)
-                    self.channel = replace(self.channel, fixed_effects=fixed)
+            if len(self.findings) == 1 and not finding.of_present_model:
+                continue
+            gain = self.criterion(self.model) - self.criterion(self._others(finding))
+            if gain > PROVEN_GAIN:
+                continue
+            self.findings.remove(finding)
+            if finding.of_present_model and not self.tables:
+                (part,) = finding.candidate.parts
+                fixed = (*self.channel.fixed_effects, part.effect)
+                self.channel = replace(self.channel, fixed_effects=fixed)
+            else:
+                self.refuse(finding.name, gain, [self.channel.name], "dropped, needless beside the rest")
         before = [finding.name for finding in self.findings]
         if len(before) == 1 and not self.findings[0].of_present_model:
             return

@@ -2,14 +2,14 @@
 
 What is claimed of the findings of the search (`_claimable`):
 
-1. a jump counts only where more than 1.3 floors are left without it;
+1. a jump counts only where more than 1.3 white floors are left without it, and no run has two;
 2. a finding is left out without which the test is estimated better (with the values of its own);
-3. by training: the rest is claimed if it explains training and, where there is one, the test; else nothing;
-4. by the test: where 3 leaves 1.8 floors, one effect that takes away 8 white floors and 60 % of the excess of
-   the test, if it leaves less than half of what 3 leaves.
+3. (a) by training: the others are claimed if they explain training and the test, if any; else none is;
+4. (b) by the test: where 3 leaves 1.8 total floors of it, and the base as much of training, one effect that
+   takes away 8 white floors and 60 % of the excess of the test, if it leaves less than half of what 3 leaves.
 
 To *explain*, of rms A before and B after, is to leave less than 1.8 total floors, or to take away 60 % of the
-excess::
+excess over the floor (the total floor in 3, the white floor in 4)::
 
     explained share = 1 - (B² - floor²) / (A² - floor²)                                              (10)
 """
@@ -17,7 +17,7 @@ excess::
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from typing import Any, NamedTuple
 
@@ -29,11 +29,11 @@ from imumon.lab.diagnosis.candidates import Channel, Finding
 from imumon.lab.diagnosis.fit import Fit, FittedPart, PartSigma, TestScore, fit, score_test, sigmas
 from imumon.lab.diagnosis.search import MOST_NAMES, AxisSearch
 
-SMALL_REST = 1.8
-"""Residual below which a channel is explained, in total floors (the white floor and what rounding adds to it,
-the same where digits are fine): slow noise of 1.5 floors leaves that."""
-CLEAN_REST = 1.3
-"""Residual below which what is missing is too small to matter, 0.83 floors, in floors."""
+SMALL_RESIDUAL = 1.8
+"""Total floors below which a residual is explained: slow noise of 1.5 of them leaves that."""
+CLEAN_RESIDUAL = 1.3
+"""White floors below which what is missing from a residual is too small to matter, 0.83 of them; of coarse
+samples total floors."""
 LEAST_EXPLAINED = 0.6
 """Explained share (10) from which on effects are named, in training and in the test.  With it nothing is
 named in any of 99 channels with wanders, walks, telegraph noise, bursts and a hidden supply; on a chamber
@@ -95,8 +95,8 @@ class ChannelVerdict:
     claims: list[Claim]
     """Those of the findings that the present model has not."""
     unexplained: bool
-    """More than 1.8 floors are left in training, or in the test after the named effects; or a session has two
-    jumps."""
+    """More than 1.8 total floors are left in training, or in the test after the named effects; or a session
+    has two jumps."""
     remark: str
     """Why nothing else is claimed."""
     left_out: Sequence[dict[str, Any]]
@@ -116,14 +116,15 @@ class ChannelVerdict:
 
     @property
     def claimed(self) -> bool:
-        """(a) the effects that pass explain 60 % of the excess or leave less than 1.8 floors, in training and
-        in the test; or (b) one effect takes away 8 floors and 60 % of the excess of the test."""
+        """(a) the effects that pass explain 60 % of the excess or leave less than 1.8 total floors, in
+        training and in the test; or (b) one effect takes away 8 white floors and 60 % of the excess of the
+        test."""
         return bool(self.claims)
 
     @property
     def faulty(self) -> bool:
         """One value of the samples is far too frequent (saturation, dead band, dropouts)."""
-        return bool(np.isinf(self.channel.fault_rms))
+        return self.channel.faulty
 
     @property
     def by_test(self) -> bool:
@@ -148,12 +149,12 @@ class ChannelVerdict:
         if self.unexplained or not channel.coarse or self.faulty:
             return False
         rms = test.smaller_rms if self.claims else test.rms
-        return not rms >= CLEAN_REST * channel.total_floor
+        return not rms >= CLEAN_RESIDUAL * channel.total_floor
 
     @property
     def clean(self) -> bool:
-        """Less than 1.3 floors are left in the test."""
-        return self.test_after.rms < CLEAN_REST * self.channel.floor.sd
+        """Less than 1.3 white floors are left in the test."""
+        return self.test_after.rms < CLEAN_RESIDUAL * self.channel.floor.sd
 
     @property
     def row(self) -> Row:
@@ -191,10 +192,9 @@ def _numbers(verdict: ChannelVerdict) -> str:
     floor, score = verdict.channel.floor.sd, verdict.test_after
     before, after = verdict.before.train_rms / floor, verdict.after.train_rms / floor
     changed = bool(verdict.claims or verdict.refit)
-    text = f"the declared model leaves {before:.2f} white floors in training"
-    if changed:
-        anew = "" if verdict.claims else f"{', '.join(verdict.refit)} fitted anew, "
-        text = f"{anew}{before:.1f} white floors become {after:.2f} in training"
+    anew = "" if verdict.claims else f"{', '.join(verdict.refit)} fitted anew, "
+    text = f"{anew}{before:.1f} white floors become {after:.2f} in training"
+    text = text if changed else f"the declared model leaves {before:.2f} white floors in training"
     if not verdict.channel.test:
         return f"{text}; without a test that is no proof"
     if not np.isfinite(score.rms):
@@ -210,14 +210,15 @@ def _numbers(verdict: ChannelVerdict) -> str:
 
 
 def explained_share(before: float, after: float, floor: float) -> float:
-    """Return the explained share (10), or 0 where `before` is below the floor; all three are rms."""
+    """Return the explained share (10), 0 where `before` is below the (total or white) floor; all are rms."""
     excess = before**2 - floor**2
     return 1.0 - (after**2 - floor**2) / excess if excess > 0 and np.isfinite(after) else 0.0
 
 
-def explains(before: float, after: float, floor: float) -> bool:
+def explains(before: float, after: float, total_floor: float) -> bool:
     """Return whether a model that leaves `after` explains enough of what another left to be named."""
-    return after < SMALL_REST * floor or explained_share(before, after, floor) >= LEAST_EXPLAINED
+    share = explained_share(before, after, total_floor)
+    return after < SMALL_RESIDUAL * total_floor or share >= LEAST_EXPLAINED
 
 
 class _Hypothesis(NamedTuple):
@@ -239,13 +240,13 @@ def decide(search: AxisSearch, channel: Channel) -> ChannelVerdict:
     """Return the verdict on a channel, in the blocks that are scored, by what the search found in it."""
     baseline, left_out = fit(channel.with_model_fixed(), []), list[Any]()
     claimed = _claimable(channel, search, baseline, left_out)
-    after, test_before, test_after = claimed.after, claimed.test_before, claimed.test_after
+    _, after, test_before, test_after, remark = claimed
     # Jumps of the test itself may make the prediction worse, whatever else was found.
     predicts = (not after.parts or after.carries_over) and not test_after.rms > test_before.rms
     if not predicts and not (test_after.continues_training and test_after.rms < test_before.rms):
-        # The declared model then predicts as it did, and is what the model file has.
-        test_after.rms = test_before.rms
-    rest = max(after.train_rms, test_after.smaller_rms) if claimed.new else after.train_rms
+        # Then only the declared model predicts, which is what the model file has.
+        test_after = replace(test_after, rms=test_before.rms)
+    residual_rms = max(after.train_rms, test_after.smaller_rms) if claimed.new else after.train_rms
     model = [one.candidate for one in claimed.findings]
     covariance, part_sigmas = sigmas(search.channel, search.likelihood, model)
     parts = iter(after.parts[len(channel.fixed_effects) :])
@@ -262,8 +263,8 @@ def decide(search: AxisSearch, channel: Channel) -> ChannelVerdict:
         test_after=test_after,
         findings=claimed.findings,
         claims=[claim for claim in claims if not claim.finding.of_present_model],
-        unexplained=search.repeated_event or rest >= SMALL_REST * channel.total_floor,
-        remark=claimed.remark,
+        unexplained=search.repeated_event or residual_rms >= SMALL_RESIDUAL * channel.total_floor,
+        remark=remark,
         left_out=left_out,
         predicts=predicts,
         refit=refit if channel.present_effects is not None and predicts else [],
@@ -280,28 +281,25 @@ def _claimable(channel: Channel, search: AxisSearch, baseline: Fit, left_out: li
         return _Hypothesis(findings, after, test_before, score_test(channel, after))
 
     nothing = hypothesis([one for one in search.findings if one.of_present_model])
-    trained = hypothesis(_not_refuted(channel, _without_small_jumps(channel, search), left_out))  # 1, 2
+    lasting = [one for one in search.findings if one.candidate.scope != "event"]  # 1
+    without_jumps = fit(channel, [one.candidate for one in lasting]).train_rms
+    small_jumps = search.repeated_event or without_jumps < CLEAN_RESIDUAL * channel.floor.sd
+    findings = lasting if small_jumps else search.findings
+    trained = hypothesis(_not_refuted(channel, findings, left_out))  # 2
     if trained.new and (why := _refutation(channel, baseline, trained)):  # 3
         best = max(trained.new, key=lambda finding: finding.gain)
         trained = nothing._replace(remark=f"the best of the known effects is {best.name}, but {why}")
     elif search.repeated_event:
         trained = trained._replace(remark="there is more than one jump in a run")
-    rest, small = trained.test_after.smaller_rms if trained.new else np.inf, SMALL_REST * channel.total_floor
-    lacking = not trained.new or (trained.after.carries_over and rest >= small)
+    small = SMALL_RESIDUAL * channel.total_floor
+    residual_rms = trained.test_after.smaller_rms if trained.new else np.inf
+    lacking = not trained.new or (trained.after.carries_over and residual_rms >= small)
     if lacking and nothing.after.train_rms >= small and (one := _proven_by_test(channel, search, nothing)):
         by_test = hypothesis([*nothing.findings, one])  # 4
         # What training proves goes first unless it leaves twice as much of the test.
-        if 2.0 * by_test.test_after.rms < rest:
+        if 2.0 * by_test.test_after.rms < residual_rms:
             return by_test
     return trained
-
-
-def _without_small_jumps(channel: Channel, search: AxisSearch) -> list[Finding]:
-    """Return the findings without jumps that are too small, or too many, to be told from steps of a walk."""
-    lasting = [one for one in search.findings if one.candidate.scope != "event"]
-    rest = fit(channel, [one.candidate for one in lasting]).train_rms
-    small = search.repeated_event or rest < CLEAN_REST * channel.floor.sd
-    return lasting if small else search.findings
 
 
 def _not_refuted(channel: Channel, findings: list[Finding], left_out: list[Any]) -> list[Finding]:
@@ -336,12 +334,13 @@ def _refutation(channel: Channel, baseline: Fit, found: _Hypothesis) -> str:
         return "no block of the test can be scored with it"
     what, before, after = "the training", baseline.train_rms, found.after.train_rms
     if explains(before, after, floor):
-        little_left = not found.test_after.smaller_rms >= SMALL_REST * floor
+        little_left = not found.test_after.smaller_rms >= SMALL_RESIDUAL * floor
         if little_left or explains(test_before, test_after, floor):
             return ""
         what, before, after = "the test", test_before, test_after
     share = max(0.0, explained_share(before, after, floor))
-    floors = f"{before / floor:.1f} white floors become {after / floor:.1f}"
+    white = channel.floor.sd
+    floors = f"{before / white:.1f} white floors become {after / white:.1f}"
     return f"it explains only {share:.0%} of {what}: {floors}"
 
 
@@ -364,6 +363,7 @@ def _proven_by_test(channel: Channel, search: AxisSearch, nothing: _Hypothesis) 
             continue
         # The likelihood looks at what is fast; of a slow course least squares see more.
         of_family = [one for one in plain if one.family == leader.candidate.family]
+        # There is one: what is late as a whole or has a free start is made of the plain ones of its family.
         closest = min(of_family, key=lambda one: channel.residual_rms([*present, one]))
         for candidate in (leader.candidate, closest):
             after = fit(channel, [*present, candidate])

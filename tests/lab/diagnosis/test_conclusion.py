@@ -179,3 +179,13 @@ def test_the_page_has_the_verdicts_in_the_order_in_which_they_are_evaluated() ->
     assert shown[: len(VERDICTS)] == sentences
     added = re.findall(r"^- \*\*([^*]+)\*\*: ", page.partition("To the names may be added:")[2], re.MULTILINE)
     assert added[:3] == [more.strip(", ").partition(",")[0] for more in BESIDE_CLAIMS.values()][:3]
+
+
+def test_the_report_has_what_the_search_refused_and_why() -> None:
+    train, test = three(lambda time, _: 2.5 * time / 2400.0)
+    channel = report(diagnose(train, test))["channels"]["gyro_x"]
+    assert channel["effects"] == []
+    (refused,) = channel["refused"]
+    assert (refused["stage"], refused["axes"]) == (1, ["gyro_x"])
+    assert 0.0 < refused["gain_bic"] < 8.0
+    assert refused["why"] == "the sum over the axes that show it is below the bar of 8.0"

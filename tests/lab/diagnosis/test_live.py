@@ -182,3 +182,18 @@ def test_after_a_week_a_period_of_less_than_an_hour_is_named() -> None:
 
 def test_what_a_curve_leaves_beyond_its_temperatures_is_no_effect() -> None:
     assert said(session(), LiveDiagnosis(model(18.0, 28.0))) == ""
+
+
+def test_a_better_model_is_compared_also_where_the_thermometer_has_a_reading_in_ten_seconds() -> None:
+    """Seconds without a reading counted as outside the temperatures, and nothing was ever compared."""
+    degc = session().mean["temperature"].copy()
+    degc[np.arange(SECONDS) % 10 != 0] = np.nan
+    told = session(20.0 * DPH * np.sin(np.arange(SECONDS) / 90.0), temperature=degc)
+    since = 2.0 * FIRST_SEARCH_S
+    rest = np.where(told.time_s < since, told.rest, 0.0)
+    found = better_models(replace(told, rest=rest), model(), ["gyro_x"])
+    compared = Challenger(model(), found, since).compare(told)
+    assert compared is not None
+    ratio, before, after = compared
+    assert ratio > 0.0
+    assert after < 0.5 * before

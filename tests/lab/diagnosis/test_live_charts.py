@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 
@@ -37,9 +39,13 @@ def curve_alone() -> BiasModel:
     return BiasModel(made_by="a test", created="2026-01-01T00:00:00Z", channels={"gyro_x": channel})
 
 
-def watched(model: BiasModel, bias: Bias) -> LiveDiagnosis:
-    """Return the diagnosis after a session of means of a second."""
-    told = run(5, *ramps(SECONDS, up=True), bias)
+def watched(
+    model: BiasModel, bias: Bias, names: Sequence[str] = ("gyro_x",), larger: str = ""
+) -> LiveDiagnosis:
+    """Return the diagnosis after a session of means of a second; one axis may have twice the bias."""
+    told = run(5, *ramps(SECONDS, up=True), bias, tuple(names))
+    if larger:
+        told.mean[larger] = told.mean[larger] + bias(told.time_s, told.mean["temperature"]) * DPH
     columns = {**told.mean, "at_rest": told.rest}
     columns["device_time_ns"] = (told.time_s * 1e9).astype(np.int64)
     columns["segment"] = np.zeros(SECONDS, np.int64)
@@ -63,3 +69,10 @@ def test_the_effect_that_is_lacking_follows_what_is_left(curve_alone: BiasModel)
 
 def test_a_model_that_lacks_nothing_has_no_chart(curve_alone: BiasModel) -> None:
     assert watched(curve_alone, nothing).charts() == []
+
+
+def test_the_chart_is_of_the_axis_with_the_largest_error(curve_alone: BiasModel) -> None:
+    names = [f"gyro_{axis}" for axis in "xyz"]
+    every = curve_alone.model_copy(update={"channels": dict.fromkeys(names, curve_alone.channels["gyro_x"])})
+    stage = watched(every, lambda time, _: 12.0 * np.sin(time / 90.0), names, larger="gyro_y")
+    assert [chart.title.split(" less")[0] for chart in stage.charts()] == ["Gyro y", "Gyro y"]

@@ -114,3 +114,16 @@ def one_floor(runs: list[Run]) -> float:
     """Return the standard deviation of white noise of a mean of 30 s, from single slots."""
     slots = runs[0].mean["gyro_x"]
     return float(np.nanstd(np.diff(slots)) / np.sqrt(2.0 * 30.0 / runs[0].slot_s))
+
+
+def test_a_stuck_thermometer_of_one_axis_takes_no_curve_from_the_others() -> None:
+    """No axis had a curve where the first thermometer was stuck."""
+    runs = []
+    for seed, up, rate in ((1, True, 1.5), (2, False, 1.5), (3, True, 1.0)):
+        one = run(seed, *ramps(SECONDS, up, rate), still, ("gyro_x", "gyro_y"))
+        one.mean |= {"temperature_x": np.full(SECONDS, 25.0), "temperature_y": one.mean.pop("temperature")}
+        one.count |= dict.fromkeys(one.mean, one.count["gyro_x"])
+        runs.append(one)
+    x, y = diagnose(runs[:2], runs[2:]).verdicts
+    assert x.unexplained
+    assert y.row.state == "nothing missing"

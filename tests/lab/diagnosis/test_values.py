@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from imumon.blocks import FloatArray, SampleBlock
+from imumon.lab.diagnosis.diagnose import diagnose
 from imumon.lab.diagnosis.prepare import faults, without_standstill
-from imumon.lab.diagnosis.runs import KEPT, Run, Watcher
+from imumon.lab.diagnosis.runs import KEPT, Run, Samples, Watcher
+from tests.lab.diagnosis.units import DPH, ramps, run
 
 SECONDS, RATE = 600, 50
 N = SECONDS * RATE
@@ -85,3 +88,22 @@ def test_what_is_kept_of_a_long_recording_is_spread_over_it() -> None:
     assert KEPT / 4 < len(kept) < 2 * KEPT
     assert kept[0] < 10
     assert kept[-1] > n - 100
+
+
+def test_a_channel_that_comes_late_is_watched_as_well() -> None:
+    watcher, values = Watcher(["gyro_x", "gyro_y"]), np.random.default_rng(1).standard_normal(KEPT)
+    blocks = [SampleBlock({"gyro_x": values})] * 2 + [SampleBlock({"gyro_x": values, "gyro_y": values})]
+    assert len(list(watcher.through(blocks))) == 3
+    assert set(watcher.samples()) == {"gyro_x", "gyro_y"}
+
+
+def test_a_faulty_axis_decides_nothing_of_the_others() -> None:
+    """A drift of its fault was named on axes that warm up."""
+    axes, runs = ("gyro_x", "gyro_y", "gyro_z"), []
+    for seed, up, rate in ((1, True, 1.5), (2, False, 1.5), (3, True, 1.0)):
+        one = run(seed, *ramps(2400, up, rate), lambda time, _: 6.0 * np.exp(-time / 600.0), axes)
+        one.mean["gyro_x"] = one.mean["gyro_x"] + 60.0 * DPH * one.time_s / 2400.0
+        runs.append(replace(one, samples={"gyro_x": Samples(0.0, 1.0, atom=0.0, atom_share=0.3)}))
+    faulty, *sound = diagnose(runs[:2], runs[2:]).verdicts
+    assert faulty.row.state == "faulty"
+    assert [one.claims[0].finding.name for one in sound] == ["warm_up", "warm_up"]

@@ -19,7 +19,7 @@ def test_it_whitens_as_the_covariance_states(instability: float, walk: float) ->
     time_s, white = np.cumsum(rng.uniform(0.5, 40.0, 60)), rng.uniform(0.5, 2.0, 60)
     factor = np.linalg.cholesky(covariance(model, time_s)[0] + np.diag(white))
     columns = rng.normal(size=(60, 3))
-    noise = model.taus_s, model.markov_sd[0], float(model.walk[0])
+    noise = np.array([model.taus_s, model.markov_sd[0]]), float(model.walk[0])
     whitened, sd = whiten(columns, time_s, white, *noise)
     np.testing.assert_allclose(whitened, np.linalg.solve(factor, columns), rtol=1e-7, atol=1e-9)
     np.testing.assert_allclose(sd, np.diag(factor), rtol=1e-9)
