@@ -37,8 +37,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from imumon.blocks import FloatArray, IntArray
-from imumon.estimation.temperature_rate.method import RateEstimate
-from imumon.estimation.temperature_rate.stage import TemperatureRate
+from imumon.estimation.temperature_rate.stage import RateEstimate, TemperatureRate
 from imumon.filters.slots import Breaks
 
 ORDER = 3

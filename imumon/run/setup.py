@@ -12,7 +12,7 @@ from imumon.errors import bad_config
 from imumon.estimation.alignment.parameters import AlignmentParameters, known_warm_up
 from imumon.estimation.attitude.parameters import AttitudeParameters
 from imumon.estimation.rest.parameters import GyroBiasParameters, RestParameters, Retired, retired
-from imumon.estimation.watch.parameters import WatchParameters
+from imumon.estimation.watch.stage import WatchParameters
 from imumon.files import as_path, read_text
 from imumon.models.magnetometer import MagnetometerModel
 from imumon.models.model import BiasModel, load_model

@@ -13,16 +13,17 @@ from thermometers import KINDS, PER_HOUR, Profile, constant, drifting, errors, r
 
 from imumon.blocks import FloatArray
 from imumon.estimation.temperature_rate import filter as filter_module
-from imumon.estimation.temperature_rate import measurement, method, thermometer
+from imumon.estimation.temperature_rate import measurement, stage, thermometer
 from imumon.estimation.temperature_rate.filter import (
     CODE_MODELS,
     JERK_PSDS,
     MEAN_MODELS,
     Correction,
     NoiseModel,
+    NoiseModels,
 )
 from imumon.estimation.temperature_rate.measurement import evaluate
-from imumon.estimation.temperature_rate.method import MultipleModelRate
+from imumon.estimation.temperature_rate.stage import MultipleModelRate
 from imumon.estimation.temperature_rate.thermometer import Slot, Thermometer
 
 TITLE = "Rate of temperature: kinds of thermometers, and a measured record in steps of 0, 1/16, 0.5 and 1 °C."
@@ -60,7 +61,7 @@ def _noise(
     codes: tuple[NoiseModel, ...] = CODE_MODELS, means: tuple[NoiseModel, ...] = MEAN_MODELS
 ) -> Change:
     """Return what replaces the models of the noise."""
-    noise = np.array([*codes, *means]).T[:, :, np.newaxis]
+    noise = NoiseModels(*np.array([*codes, *means]).T[:, :, np.newaxis])
     rows = {"NOISE": noise, "CODE": slice(0, len(codes)), "MEAN": slice(len(codes), None)}
     return [(module, name, each) for module in (filter_module, measurement) for name, each in rows.items()]
 
@@ -87,7 +88,7 @@ VARIANTS: dict[str, Change] = {
     "no soft edges": [(measurement, "SOFT", 0.0)],
     "no code is a surprise": [(measurement, "SURPRISE", 1e-300)],
     "a code never replaces a wide prediction": [(measurement, "WIDE", 1e9)],
-    "a code that does not enter does not confine the output": [(method, "evaluate", _entering_only)],
+    "a code that does not enter does not confine the output": [(stage, "evaluate", _entering_only)],
     "the scatter of readings is no evidence": [(measurement, "_scatter", _nothing)],
     "σ of a model exact": [(measurement, "SIGMA_ERROR", 0.0)],
     "all readings independent": [(Thermometer, "independent", _count)],
@@ -108,9 +109,9 @@ VARIANTS: dict[str, Change] = {
     "any acceleration at the start": [(filter_module, "LONG_S", 1e30)],
     "no walk in the output": [(filter_module, "WALK_S", 0.0)],
     "mean of a slow error known": [(filter_module, "SLOW_MEAN", 0.0)],
-    "edges known from the start": [(method, "HYSTERESIS", 0.05)],
-    "no ramp that may have begun": [(method, "RAMP_S", 1e9)],
-    "no output lag": [(method, "LAG_S", 1e-3)],
+    "edges known from the start": [(stage, "HYSTERESIS", 0.05)],
+    "no ramp that may have begun": [(stage, "RAMP_S", 1e9)],
+    "no output lag": [(stage, "LAG_S", 1e-3)],
     "a code is a surprise below 10 %, not 2": [(measurement, "SURPRISE", 0.1)],
     "soft below 1 sigma, not 2": [(measurement, "SOFT", 1.0)],
     "wide beyond 3 steps, not 1.5": [(measurement, "WIDE", 3.0)],

@@ -26,8 +26,7 @@ from thermometers import PER_HOUR
 from imumon.blocks import FloatArray
 from imumon.estimation.attitude.stage import AttitudeEstimate
 from imumon.estimation.gyro_bias.stage import GyroBias, RestAndBias, RestDetector
-from imumon.estimation.temperature_rate.method import MultipleModelRate
-from imumon.estimation.temperature_rate.stage import TemperatureRate
+from imumon.estimation.temperature_rate.stage import MultipleModelRate, TemperatureRate
 from imumon.geodesy import DEG_PER_H
 from imumon.lab.diagnosis.diagnose import diagnose
 from imumon.lab.diagnosis.runs import collect

@@ -10,8 +10,7 @@ from samples import sent
 from scipy.signal import lfilter
 
 from imumon.blocks import FloatArray
-from imumon.estimation.temperature_rate.method import RateMethod
-from imumon.estimation.temperature_rate.stage import TemperatureRate
+from imumon.estimation.temperature_rate.stage import RateMethod, TemperatureRate
 
 Generator = np.random.Generator
 Noise = Callable[[int, float, Generator], FloatArray]

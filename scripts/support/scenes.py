@@ -9,7 +9,7 @@ from pathlib import Path
 
 from samples import crs05_model
 
-from imumon.estimation.watch.parameters import WatchParameters
+from imumon.estimation.watch.stage import WatchParameters
 from imumon.models.model import BiasModel
 from imumon.protocols.device import DeviceFile, device_text, load_device, parse_device
 from imumon.recordings.folder import open_session

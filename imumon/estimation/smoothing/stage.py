@@ -24,7 +24,7 @@ from typing import NamedTuple
 import numpy as np
 
 from imumon.blocks import NO_INT, ColumnArray, FloatArray, IntArray, SampleBlock
-from imumon.columns import Column
+from imumon.columns import TEMPERATURES, Column
 from imumon.estimation.alignment.report import PositionHeading
 from imumon.estimation.rest.slots import SENSORS
 from imumon.filters.slots import SlotGatherer, Slots
@@ -36,14 +36,11 @@ SUSPECT = 2.0
 """A standard normal value exceeds this in magnitude with a probability of 5 %."""
 MEDIAN = 0.6745
 """Median of the magnitude of a standard normal value."""
-SUFFIXES = ("", "_x", "_y", "_z")
-"""Of the columns of a thermometer: of the unit, and of the sensors of its axes."""
-THERMOMETERS = tuple(f"temperature{suffix}" for suffix in SUFFIXES)
 REVERSED = {"temperature_estimate": 1.0, "temperature_rate": -1.0, "gyro_bias": -1.0}
-"""What is smoothed, and its sign when time is reversed."""
+"""What is smoothed with a backward filter, and its sign when time is reversed."""
 UNITS = {"temperature_estimate": "degC", "temperature_rate": "degC/s", "gyro_bias": "rad/s", "heading": "rad"}
-QUANTITIES = [(name, suffix) for name in REVERSED for suffix in SUFFIXES[name == "gyro_bias" :]]
-"""A quantity, and the suffix of its columns."""
+QUANTITIES = [(name, suffix) for name in REVERSED for suffix in ("", "_x", "_y", "_z")]
+"""Names of columns: a quantity and of which thermometer or axis it is."""
 
 
 def value_and_sd(quantity: str, suffix: str = "") -> tuple[str, str]:
@@ -53,7 +50,7 @@ def value_and_sd(quantity: str, suffix: str = "") -> tuple[str, str]:
 
 NAMES = (
     *SENSORS,
-    *THERMOMETERS,
+    *TEMPERATURES,
     "at_rest",
     *(name for quantity in QUANTITIES for name in value_and_sd(*quantity)),
     *(f"gyro_random_error_{axis}" for axis in "xyz"),
@@ -64,17 +61,12 @@ NAMES = (
 
 
 class Record(NamedTuple):
-    """n slots of a recording, in order.
+    """n slots of a recording, in order; arrays are (n,)."""
 
-    `stop` (n,) is the row of the recording after the last of each slot, `run` (n,) the number of the segment,
-    counted from restart to restart, and `middle_ns` (n,) the device time.  `columns` are means of the
-    sensors, (n,) each; the last value of temperatures, rest and estimates.
-    """
-
-    stop: IntArray
-    run: IntArray
-    middle_ns: IntArray
-    columns: dict[str, FloatArray]
+    stop: IntArray  # row of the recording after the last of each slot
+    run: IntArray  # number of the segment, counted from restart to restart
+    middle_ns: IntArray  # device time
+    columns: dict[str, FloatArray]  # means of sensors; last values of temperatures, rest and estimates
 
     def vector(self, name: str) -> FloatArray:
         """Return the three axes of a column, (n, 3)."""
@@ -123,7 +115,7 @@ def backward(record: Record, temperature: Estimator, bias: Estimator) -> dict[st
     model = record.vector("gyro_bias") - record.vector("gyro_random_error")
     modelled = (np.nan_to_num(model) != 0.0).any(0)
     model = np.where(np.isfinite(model) | modelled, model, 0.0)
-    present = [name for name in THERMOMETERS if np.isfinite(record.columns[name]).any()]
+    present = [name for name in TEMPERATURES if np.isfinite(record.columns[name]).any()]
     columns: dict[str, ColumnArray] = {
         "device_time_ns": last_ns - record.middle_ns,
         "segment": record.run.max(initial=0) - record.run,
@@ -199,10 +191,8 @@ class SmoothedEstimates:
     ) -> None:
         self._stop, self._rows = record.stop, 0
         self._values: dict[str, FloatArray] = {}
-        self.residuals: dict[str, float] = {}
-        """r of `combine`, by quantity."""
+        self.residuals: dict[str, float] = {}  # r of `combine`, by quantity
         self.columns: tuple[Column, ...] = ()
-        """The columns that `process` adds."""
         found = {}
         for quantity in QUANTITIES:
             names = value_and_sd(*quantity)
@@ -216,9 +206,8 @@ class SmoothedEstimates:
             if np.isfinite(one.sd).any():
                 value, sd = value_and_sd(f"{name}_smoothed", suffix)
                 self._values |= {value: one.value, sd: one.sd}
-                text, unit = "with what came later", UNITS[name]
-                self.columns += (Column(value, unit, description=text),)
-                self.columns += (Column(sd, unit, description=f"standard deviation {text}"),)
+                texts = {value: "with what came later", sd: "standard deviation with what came later"}
+                self.columns += tuple(Column(of, UNITS[name], description=texts[of]) for of in texts)
         contradict = [f"{name} ({r:.1f} σ)" for name, r in self.residuals.items() if r > SUSPECT]
         self._notices = [
             f"forward and backward contradict each other in {', '.join(contradict)}: something changed "

@@ -1,20 +1,20 @@
 """What the readings of a slot show of y = T + e, for all filters at once: one decision table.
 
-d is the step, n the number of independent readings, p the share of readings above an edge, f the normal
-density at Φ⁻¹(p).  s² = σ² + (r² + P_rr) Δ²/12 is the noise of a model and the motion in Δ, the usual time
-from one slot that is used to the next, and β = exp(-2π²s²/d²).  Of the rows of the code models
-the first that holds counts; the last row always does.  The last reading before the slot counts as one of its
-codes, unless it is long ago.  A code stands for readings about its middle: of a thermometer that truncates T
-is half a step off.
+`step` is d in °C, n the number of independent readings, u the fraction of readings above an edge, f the
+normal density at Φ⁻¹(u).  s² = σ² + (r² + P_rr) Δ²/12, in °C², is the white noise of a model and the motion
+in Δ, the usual time from one slot that is used to the next, and β = exp(-2π²s²/d²).  Of the rows of the code
+models the first that holds counts; the last row always does.  The last reading before the slot counts as one
+of its codes, unless it is long ago.  A code stands for readings about its middle: of a thermometer that
+truncates T is half a step off.
 
 | the slot | filters | what enters the state |
 |---|---|---|
 | one code in it, more than a step from the last reading | code models | as one code |
-| more than two codes | code models | z = mean less ripple, R = max(s², variance)/n + (β d/π)²/8 |
-| two codes | code models | z = edge + s Φ⁻¹(p), R = s² p(1-p)/(n f²) + (0.1 s Φ⁻¹(p))² |
-| one code: edge soft, a surprise, or prediction wide | code models | y is in the code: truncated Gaussian |
+| more than two codes | code models | (6) z = mean less ripple, R = max(s², variance)/n + (β d/π)²/8 |
+| two codes | code models | (7) z = edge + s Φ⁻¹(u), R = s² u(1-u)/(n f²) + (0.1 s Φ⁻¹(u))² |
+| one code: soft edge, surprise, or prediction wide | code models | (8) y is in the code: truncated Gaussian |
 | one code | code models | nothing, and little likelihood; the code confines the output of this slot alone |
-| any | mean models | z = mean, R = share of max(ρ, d²/12) + (d/n)²/2π |
+| any | mean models | (9) z = mean, R = white part of max(ρ, d²/12) + (d/n)²/2π |
 
 "y is in the code" is one statement, however often it is read.  At a soft edge each reading is evidence.
 
@@ -25,7 +25,6 @@ With R = (d/n)²/2π the density 1/√(2πR) times d/n is 1: no point of the lat
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 from scipy.special import log_ndtr, ndtr, ndtri
@@ -44,18 +43,7 @@ WIDE = 1.5
 SIGMA_ERROR = 0.1
 """Relative standard deviation of the σ of a code model: half the distance of two models.  Ablation."""
 RENEWAL = 0.1
-"""Share of the log likelihood of a code that stays, per renewal of the slow error.  Ablation."""
-
-
-class Measurement(NamedTuple):
-    """A slot as some of the filters measure it, (k, m) or one value for all: y = z with the variance R."""
-
-    z: FloatArray | float
-    """°C."""
-    noise: FloatArray
-    """R, °C²."""
-    log_scale: FloatArray | float
-    """Logarithm of what makes a probability of the density of z, °C, and of further evidence."""
+"""Part of the log likelihood of a code that stays, per renewal of the slow error.  Ablation."""
 
 
 def evaluate(thermometer: Thermometer, slot: Slot, filters: Filters) -> tuple[Correction, Correction]:
@@ -64,101 +52,98 @@ def evaluate(thermometer: Thermometer, slot: Slot, filters: Filters) -> tuple[Co
     The first is what enters the states, the second all that the slot shows, for the output.
     """
     step, n = thermometer.step, thermometer.independent(slot)
-    white, _, slow_s, _ = NOISE
-    # The mean of a slot is on a lattice of d/n.
-    noise = white[MEAN] * thermometer.mean_variance + (step / n) ** 2 / (2.0 * math.pi)
-    of_means = _gaussian(filters, MEAN, Measurement(slot.mean, noise, math.log(step / n)))
+    variance = NOISE.white[MEAN] * thermometer.mean_variance + (step / n) ** 2 / (2.0 * math.pi)
+    of_means = _gaussian(filters, MEAN, slot.mean, variance, math.log(step / n))
     square_rate = filters.x[RATE, CODE] ** 2 + filters.p[RATE, RATE, CODE]
-    noise_sd = np.sqrt(white[CODE] * step**2 + square_rate * thermometer.spacing_s**2 / 12.0)
+    s = np.sqrt(NOISE.white[CODE] * step**2 + square_rate * thermometer.spacing_s**2 / 12.0)
     span = (slot.highest - slot.lowest) / step
     if span > 1.5 and slot.largest > slot.smallest:
-        of_codes = [_gaussian(filters, CODE, _many_codes(slot, step, n, noise_sd))]
+        of_codes = [_many_codes(filters, slot, step, n, s)]
     elif 0.5 <= span <= 1.5:
-        of_codes = [_gaussian(filters, CODE, _two_codes(slot, step, n, noise_sd))]
+        of_codes = [_two_codes(filters, slot, step, n, s)]
     else:
-        renewed = 1.0 - np.exp(-thermometer.spacing_s / slow_s[CODE])
-        of_codes = _one_code(filters, slot, step, n, noise_sd, renewed)
+        renewed = 1.0 - np.exp(-thermometer.spacing_s / NOISE.tau_s[CODE])
+        of_codes = _one_code(filters, slot, step, n, s, renewed)
     found = [Correction(*map(np.concatenate, zip(each, of_means, strict=True))) for each in of_codes]
     return found[0], found[-1]
 
 
-def _gaussian(filters: Filters, rows: slice, measured: Measurement) -> Correction:
-    """Correct by y = z with the noise R: the mean by P (z - mean)/S, the variance by -P²/S, with S = P + R.
+def _gaussian(
+    filters: Filters, rows: slice, z: FloatArray | float, r: FloatArray, log_scale: FloatArray | float
+) -> Correction:
+    """Correct by y = z with the variance R: mean by P (z - mean)/S, variance by -P²/S, with S = P + R.
 
-    P is the variance of y.
+    P is the variance of y.  A density of z times exp(`log_scale`), °C, is a probability.
     """
-    mean, variance = (of_all[rows] for of_all in filters.reading)
-    innovation, innovation_variance = measured.z - mean, variance + measured.noise
+    mean, variance = (of_all[rows] for of_all in filters.y)
+    innovation, innovation_variance = z - mean, variance + r
     gain = variance / innovation_variance
-    log = measured.log_scale - 0.5 * (
-        np.log(2.0 * math.pi * innovation_variance) + innovation**2 / innovation_variance
-    )
-    return Correction(gain * innovation, -gain * variance, log)
+    log_density = -0.5 * (np.log(2.0 * math.pi * innovation_variance) + innovation**2 / innovation_variance)
+    return Correction(gain * innovation, -gain * variance, log_density + log_scale)
 
 
-def _many_codes(slot: Slot, step: float, n: float, noise_sd: FloatArray) -> Measurement:
-    """Measure by the mean: with white noise, E[mean] = x - β/π sin 2πx in steps, β = exp(-2π²s²).
+def _many_codes(filters: Filters, slot: Slot, step: float, n: float, s: FloatArray) -> Correction:
+    """Measure by the mean (6): with white noise, E[mean] = x - β/π sin 2πx, with x = y/d.
 
     Widrow and Kollar, Quantization Noise (2008), ch. 4.
     """
-    ripple = np.exp(-2.0 * np.pi**2 * (noise_sd / step) ** 2)
+    ripple = np.exp(-2.0 * np.pi**2 * (s / step) ** 2)
     offset = (slot.mean - slot.smallest) / step
-    place = np.full_like(ripple, offset)
-    for _ in range(4):  # solve for x
-        place = offset + np.minimum(ripple, 0.4) / math.pi * np.sin(2.0 * math.pi * place)
-    noise = np.maximum(noise_sd**2, slot.variance) / n + (ripple * step / math.pi) ** 2 / 8.0
-    scatter = _scatter(place, noise_sd / step, slot.variance / step**2, n)
-    return Measurement(slot.smallest + step * place, noise, math.log(step / n) + scatter)
+    x = np.full_like(ripple, offset)
+    for _ in range(4):
+        x = offset + np.minimum(ripple, 0.4) / math.pi * np.sin(2.0 * math.pi * x)
+    r = np.maximum(s**2, slot.variance) / n + (ripple * step / math.pi) ** 2 / 8.0
+    scatter = _scatter(x, s / step, slot.variance / step**2, n)
+    return _gaussian(filters, CODE, slot.smallest + step * x, r, math.log(step / n) + scatter)
 
 
-def _scatter(place: FloatArray, noise_sd: FloatArray, variance: float, n: float) -> FloatArray:
+def _scatter(x: FloatArray, s: FloatArray, variance: float, n: float) -> FloatArray:
     """Return the log likelihood of readings that scatter more than noise and rounding: χ² of n.
 
-    Rounded readings have the variance s² + d²/12 and its first harmonic in the place; all in steps.
+    Rounded readings have the variance s² + d²/12 and its first harmonic in x; all in steps.
     """
-    ripple, phase = np.exp(-2.0 * np.pi**2 * noise_sd**2), 2.0 * math.pi * place
-    harmonic = -ripple * np.cos(phase) * (1.0 / math.pi**2 + 4.0 * noise_sd**2)
+    ripple, phase = np.exp(-2.0 * np.pi**2 * s**2), 2.0 * math.pi * x
+    harmonic = -ripple * np.cos(phase) * (1.0 / math.pi**2 + 4.0 * s**2)
     harmonic -= (ripple * np.sin(phase) / math.pi) ** 2
-    excess = np.maximum(variance / (noise_sd**2 + np.maximum(1.0 / 12.0 + harmonic, 0.0)), 1.0)
+    excess = np.maximum(variance / (s**2 + np.maximum(1.0 / 12.0 + harmonic, 0.0)), 1.0)
     # Its mean is made zero: half the time it is -χ²/2, of mean -1/2.
     return np.asarray(0.25 - 0.5 * n * (excess - 1.0 - np.log(excess)))
 
 
-def _two_codes(slot: Slot, step: float, n: float, noise_sd: FloatArray) -> Measurement:
-    """Measure by the share of readings above the edge between the two codes."""
-    share = (slot.mean - slot.lowest) / (slot.highest - slot.lowest)
-    share = min(max(share, 0.5 / slot.count), 1.0 - 0.5 / slot.count)
-    quantile = float(ndtri(share))
+def _two_codes(filters: Filters, slot: Slot, step: float, n: float, s: FloatArray) -> Correction:
+    """Measure by the fraction u of readings above the edge between the two codes (7)."""
+    least = 0.5 / slot.count
+    u = min(max((slot.mean - slot.lowest) / (slot.highest - slot.lowest), least), 1.0 - least)
+    quantile = float(ndtri(u))
     density = math.exp(-0.5 * quantile**2) / ROOT_2_PI
-    noise = noise_sd**2 * (share * (1.0 - share) / (n * density**2) + (SIGMA_ERROR * quantile) ** 2)
-    z = 0.5 * (slot.lowest + slot.highest) + noise_sd * quantile
+    r = s**2 * (u * (1.0 - u) / (n * density**2) + (SIGMA_ERROR * quantile) ** 2)
+    z = 0.5 * (slot.lowest + slot.highest) + s * quantile
     # All n readings are of these two codes: models of more noise would have read a third.
-    apart = step / noise_sd
+    apart = step / s
     within = n * np.log(np.maximum(ndtr(apart - quantile) - ndtr(-apart - quantile), 1e-300))
-    return Measurement(z, noise, np.log(noise_sd / (density * n)) + within)
+    return _gaussian(filters, CODE, z, r, np.log(s / (density * n)) + within)
 
 
 def _one_code(
-    filters: Filters, slot: Slot, step: float, n: float, noise_sd: FloatArray, renewed: FloatArray
+    filters: Filters, slot: Slot, step: float, n: float, s: FloatArray, renewed: FloatArray
 ) -> list[Correction]:
-    """Confine y to the code; its edges are as soft as the extreme of n readings, moved in by its median.
+    """Confine y to the code (8); its edges are as soft as the extreme of n readings, moved in by its median.
 
-    `renewed` is the share of the slow error that is new: to that share, a code that stays is new evidence.
+    `renewed` is the part of the slow error that is new: to that part, a code that stays is new evidence.
     Returns what enters the states, and all that the code shows.
     """
-    mean, variance = (of_all[CODE] for of_all in filters.reading)
-    extreme = float(ndtri(2.0 ** (-1.0 / n)))
-    softness_variance = noise_sd**2 / (1.0 + 2.0 * math.log(n))
-    total_sd = np.sqrt(variance + softness_variance)
-    off, half = mean - slot.last, np.maximum(0.5 * step - extreme * noise_sd, 0.1 * step)
+    mean, variance = (of_all[CODE] for of_all in filters.y)
+    edge_variance = s**2 / (1.0 + 2.0 * math.log(n))
+    total_sd = np.sqrt(variance + edge_variance)
+    half = np.maximum(0.5 * step - float(ndtri(2.0 ** (-1.0 / n))) * s, 0.1 * step)
+    off = mean - slot.last
     shift, kept, log_mass = truncated((-half - np.abs(off)) / total_sd, (half - np.abs(off)) / total_sd)
     gain = variance / total_sd
-    change, narrowing = np.sign(off) * gain * shift, gain**2 * (kept - 1.0)
-    soft, wide = variance < SOFT**2 * softness_variance, variance > (WIDE * step) ** 2
+    shown = Correction(np.sign(off) * gain * shift, gain**2 * (kept - 1.0), log_mass)
+    soft, wide = variance < SOFT**2 * edge_variance, variance > (WIDE * step) ** 2
     enters = soft | wide | (log_mass < math.log(SURPRISE))
     evidence = np.where(enters, 1.0, RENEWAL * renewed) * log_mass
-    entering = Correction(enters * change, enters * narrowing, evidence)
-    return [entering, Correction(change, narrowing, log_mass)]
+    return [Correction(enters * shown.mean_change, enters * shown.variance_change, evidence), shown]
 
 
 def truncated(low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

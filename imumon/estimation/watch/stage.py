@@ -22,11 +22,12 @@ from collections.abc import Mapping, Sequence
 from enum import StrEnum
 
 import numpy as np
+from pydantic import Field
 
 from imumon.blocks import NO_INT, ColumnArray, FloatArray, IntArray, SampleBlock
 from imumon.columns import Column
+from imumon.config import StrictModel
 from imumon.effects.library import suspected_by
-from imumon.estimation.watch.parameters import WatchParameters
 from imumon.lane import LaneState, Level
 
 SUSPECT = Column("model_suspect", "1", "int64", "1 once the bias filter is caught at being wrong, else 0")
@@ -44,6 +45,22 @@ THETAS = (0.12, 0.35, 1.0, -0.12, -0.35, -1.0)
 """Means that are tested for, per unit of a regressor; the best is at most 1.7 times off in between."""
 LAMBDAS = np.array([0.1, 0.3])
 """Of (2): best for variances of 1.4 and 3."""
+
+
+class WatchParameters(StrictModel):
+    """How rare false alarms are.
+
+    Parameters
+    ----------
+    false_alarm_hours : float
+        Least mean time at rest, h, until a false alarm, while the filter is right.
+    learn : bool
+        Whether a better model, where one is found, runs beside the present one, and replaces it once its
+        predictions are better.
+    """
+
+    false_alarm_hours: float = Field(default=24.0, ge=0.1, le=1e5)
+    learn: bool = False
 
 
 class Pattern(StrEnum):
@@ -87,18 +104,14 @@ class State:
     """All that is carried from slot to slot, by axis."""
 
     def __init__(self, segment: int = NO_INT, first_ns: int = 0) -> None:
-        self.low = np.full((3, len(HIGH_PASS_S)), np.nan)
-        """Low-passes of temperature and rate, °C and °C/s."""
-        self.scale = np.zeros((3, len(HIGH_PASS_S)))
-        """Their largest high-passed values."""
-        self.past = np.zeros((3, len(KEPT)))
-        """Means of earlier innovations."""
+        self.low = np.full((3, len(HIGH_PASS_S)), np.nan)  # low-passes of temperature and rate, °C and °C/s
+        self.scale = np.zeros((3, len(HIGH_PASS_S)))  # their largest high-passed values
+        self.past = np.zeros((3, len(KEPT)))  # means of earlier innovations
         self.gain, self.cusum, self.peaks = np.zeros((3, 3, len(PATTERNS)))
         """Of each test: the sum of log e over the block, the CUSUM, and its largest value since the start."""
         self.segment, self.first_ns, self.last_s, self.slots = segment, first_ns, 0.0, 0
         """Segment and time of the first slot, ns; time of the last one since then, s; how many there were."""
-        self.suspect_segment = NO_INT
-        """Segment in which the filter was caught at being wrong."""
+        self.suspect_segment = NO_INT  # in which the filter was caught at being wrong
 
 
 def limit(false_alarm_hours: float) -> float:
@@ -240,17 +253,14 @@ def interpret(peaks: FloatArray, modelled: bool) -> tuple[str, str]:
     named = max(drivers, key=lambda pattern: float(strength[pattern].max())) if drivers else explains[0]
     does = f"follow {named}" if drivers else str(named)
     axes = ", ".join(axis for axis, peak in zip("xyz", strength[named], strict=True) if peak >= least)
-    where = f"MODEL SUSPECT: on {axes} the innovations of the bias filter {does}"
-    return f"innovations {does}", f"{where}; {_advice(named, modelled)}"
-
-
-def _advice(named: Pattern, modelled: bool) -> str:
-    """Return what may be the cause, and which command tests it."""
     if named is Pattern.VARIANCE:
-        return "the noise declared is too small, or something shakes the unit: imumon allan SESSION"
-    if not modelled and named in (Pattern.TEMPERATURE, Pattern.RATE):
-        return "there is no model of the bias: imumon calibrate SESSION --out MODEL.yaml"
-    lacks = "the model lacks" if modelled else "there may be"
-    # A session that ran with a model has it.
-    diagnose = f"imumon diagnose --train SESSION{' --model SESSION' * modelled} --out DIR"
-    return f"{lacks} an effect such as {', '.join(suspected_by(named))}: {diagnose}"
+        advice = "the noise declared is too small, or something shakes the unit: imumon allan SESSION"
+    elif not modelled and named in (Pattern.TEMPERATURE, Pattern.RATE):
+        advice = "there is no model of the bias: imumon calibrate SESSION --out MODEL.yaml"
+    else:
+        lacks = "the model lacks" if modelled else "there may be"
+        # A session that ran with a model has it.
+        diagnose = f"imumon diagnose --train SESSION{' --model SESSION' * modelled} --out DIR"
+        advice = f"{lacks} an effect such as {', '.join(suspected_by(named))}: {diagnose}"
+    where = f"on {axes} the innovations of the bias filter {does}"
+    return f"innovations {does}", f"MODEL SUSPECT: {where}; {advice}"

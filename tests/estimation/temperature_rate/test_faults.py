@@ -113,3 +113,21 @@ def test_a_constant_temperature_after_a_ramp_is_no_dead_thermometer(rate_hz: flo
     found = process(TemperatureRate(), t, np.round(truth / 0.01) * 0.01)
     assert np.abs(found["temperature_estimate"] - truth)[t > 200.0].max() < 0.02
     assert found["temperature_estimate_sd"][-1] < 0.05
+
+
+def test_a_thermometer_that_dies_is_named_and_a_gap_is_not() -> None:
+    t = np.arange(0.0, 900.0, 0.1)
+    reading = read(np.full(len(t), 25.0), 0.01) + quantized(np.zeros(len(t)), 0.03, 1, 0.01)
+    for fault, texts in ((np.nan, []), (25.0, ["temperature: its noise has stopped"])):
+        stage = TemperatureRate()
+        process(stage, t, np.where(t > 600.0, fault, reading))
+        assert [text.split(": taken")[0] for text in stage.notices()] == texts
+
+
+@pytest.mark.parametrize("size", [0.5, 3.0, 6.0])
+def test_a_small_glitch_after_a_silence_is_no_repeated_reading(size: float) -> None:
+    t = np.arange(1200.0)
+    truth = np.where(t < 10.0, 20.0, 20.0625)
+    found = process(TemperatureRate(), t, np.where(t == 600.0, truth + size, truth))
+    assert np.abs(found["temperature_estimate"] - truth)[t > 605.0].max() < 0.0625
+    assert found["temperature_estimate_sd"][t > 620.0].max() < 0.1

@@ -15,7 +15,7 @@ from imumon.estimation.temperature_rate import measurement
 from imumon.estimation.temperature_rate.filter import CODE, RATE
 from imumon.estimation.temperature_rate.filter import start as start_filters
 from imumon.estimation.temperature_rate.measurement import evaluate
-from imumon.estimation.temperature_rate.method import MultipleModelRate, RateEstimate
+from imumon.estimation.temperature_rate.stage import MultipleModelRate, RateEstimate
 from imumon.estimation.temperature_rate.thermometer import Slot, Thermometer
 from tests.estimation.temperature_rate.records import PER_HOUR, clock, quantized, self_heating, steady
 
@@ -174,13 +174,13 @@ def test_a_spike_at_the_end_of_a_silent_slot_restarts_nothing() -> None:
 def test_equal_readings_two_codes_from_the_last_are_known_to_a_code_not_better() -> None:
     thermometer = Thermometer(0.1)
     slot = Slot(
-        time_s=0.5, end_s=1.0, sample_s=0.5, before=25.0, count=2, changes=1, step_squares=0.04, mean=25.2,
-        variance=0.0, smallest=25.2, largest=25.2, first=25.2, last=25.2,
+        time_s=0.5, end_s=1.0, sample_s=0.5, before=25.0, count=2, changes=1, difference_squares=0.04,
+        mean=25.2, variance=0.0, smallest=25.2, largest=25.2, first=25.2, last=25.2,
     )  # fmt: skip
     filters = start_filters(thermometer, slot)
     filters.p[RATE, RATE] = 0.0
     found, _ = evaluate(thermometer, slot, filters)
-    sd = np.sqrt(filters.reading[1] + found.variance_change)[CODE]
+    sd = np.sqrt(filters.y[1] + found.variance_change)[CODE]
     assert sd.min() > 0.25 * 0.1
 
 

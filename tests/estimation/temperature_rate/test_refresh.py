@@ -7,7 +7,7 @@ import pytest
 
 from imumon.blocks import FloatArray
 from imumon.estimation.temperature_rate.filter import MEAN_MODELS, slow_error
-from imumon.estimation.temperature_rate.method import MultipleModelRate
+from imumon.estimation.temperature_rate.stage import MultipleModelRate
 from imumon.estimation.temperature_rate.thermometer import Thermometer
 from tests.estimation.temperature_rate.records import clock, quantized, steady
 

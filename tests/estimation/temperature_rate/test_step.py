@@ -37,3 +37,10 @@ def test_steps_written_with_too_few_digits_are_found() -> None:
 
 def test_nothing_is_known_before_the_readings_change() -> None:
     assert found(np.array([np.nan, 20.0, 20.0, np.nan, 20.0])) == UNKNOWN_STEP_DEGC
+
+
+def test_a_single_odd_reading_is_no_step_for_ever() -> None:
+    reading = np.repeat(20.0 + 0.0625 * np.arange(150), 2)
+    reading[21] += 0.01
+    assert found(reading[:200]) == pytest.approx(0.01)
+    assert found(reading) == pytest.approx(0.0625)
