@@ -33,7 +33,7 @@ def _best(*given: Any) -> PositionFit | None:
 
 def _tilts(neighbours: int) -> FloatArray:
     """Return the sizes of the exponentials of tripods that settle by some neighbouring ones of one size."""
-    k = np.arange(len(fit.SETTLING_TAU_S))
+    k = np.arange(len(fit.TILT_TAU_S))
     first = np.arange(len(k) - neighbours + 1)[:, None]
     chosen = (k >= first) & (k < first + neighbours)
     return np.concatenate([np.where(chosen, sd, fit.NOTHING) for sd in fit.TILT_SD])
@@ -43,14 +43,14 @@ VARIANTS: Mapping[str, Change] = {
     "cells: 48 alone": [(fit, "CELLS", (48,))],
     "cells: also 48 and 12": [(fit, "CELLS", (96, 48, 24, 12, 6))],
     "rejection of knocks": [(fit, "KNOCK", 1e9)],
-    "sway": [(fit, "LINE_RATIO", math.inf)],
+    "sway": [(fit, "LEFT_SHARE", -1.0)],
     "sway with fewer than 5 periods": [(fit, "MIN_PERIODS", 5.0)],
-    "the record of a creep is halved": [(fit, "CREEP_YAW", math.inf)],
+    "the record of a creep is halved": [(fit, "CREEP_ANGLE", math.inf)],
     "warm-up": [(fit, "ANY_WARM_UP", (fit.NOTHING, ANY_WARM_UP[1]))],
-    "settling": [(fit, "P_SETTLES", 1e-9)],
+    "settling": [(fit, "P_TILTS", 1e-9)],
     "settling: one exponential": [(fit, "TILTS", _tilts(1))],
     "settling: all exponentials": [(fit, "TILTS", _tilts(8))],
-    "settling: prior of 0.03": [(fit, "P_SETTLES", 0.03)],
+    "settling: prior of 0.03": [(fit, "P_TILTS", 0.03)],
     "averaging: the best hypothesis": [(aligner, "fit_position", _best)],
     "gyros worse than the others": [(posterior, "P_WORSE", 1e-12)],
     "sigma of a heading that moves from fit to fit": [(aligner, "RECENT_SHARE", 0.0)],

@@ -81,7 +81,7 @@ def test_the_sigma_and_the_place_may_stand_in_the_pipeline_file(session: Path, t
     code, result = align(session, "--pipeline", file)
     assert code == 0
     coarse = result["settled_s"]
-    assert coarse < align(session, "--latitude", 36, "--until", 0.05)[1]["settled_s"]
+    assert coarse < align(session, "--latitude", 36, "--until", 0.045)[1]["settled_s"]
 
 
 def test_gyros_that_cannot_see_the_earth_rate_give_no_north(tmp_path: Path) -> None:

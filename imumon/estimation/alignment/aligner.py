@@ -31,6 +31,8 @@ SAME_ATTITUDE, SHORT_PATH = 1e-3, 20e-3
 """rad: a turn by less (0.06°, the noise of 1 °/√h in 10 s) on a path of less leaves the attitude as it is."""
 NEW_POSITION = 0.2
 """rad: a turn by less, as of a table that is bumped, does not separate the bias from the earth rate."""
+SAME_UP = 0.99
+"""Cosine of the angle between two body axes which count as the same vertical: 8°."""
 FIRST_FIT_S, LONGEST_REFIT_S = 10.0, 60.0
 """Time at rest of the first fit of a position, and the longest between two fits; in between a position is
 fitted anew when its time at rest has grown by a third, which lowers sigma by an eighth."""
@@ -54,14 +56,16 @@ class Aligner:
         self.wanted_sd = math.radians(parameters.settled_deg)
         self.motion = Motion()
         self.positions: list[Position] = []
+        self.still_rate = math.nan
+        """Rate of the vertical gyro of a unit that does not creep, rad/s; NaN before the first fit."""
         self.errors = sensor_errors(0.0, parameters)
-        """Of the sensors: declared, or by the noise of the quietest gyro in any fit."""
+        """Of the sensors: declared, or by the noise of the gyros."""
         self.posterior: HeadingPosterior | None = None
         """Of the last fit; None before it."""
         self.history: deque[tuple[float, float, float]] = deque(maxlen=MOST_FITS)
         """Time at rest, s, north and sigma of each fit."""
         self.rest_s, self.due_s = 0.0, FIRST_FIT_S
-        """Time at rest, and that at which the next fit is due."""
+        """Time at rest in all positions, and that at which the next fit is due."""
         self.fitted_error = NO_ERROR
         """Of the present position in the last heading."""
         self.settled_s: float | None = None
@@ -72,48 +76,50 @@ class Aligner:
         rest, turn = self.motion.step(slot, at_rest, turn)
         if not rest:
             return
+        angle = angle_of(turn.rotation)
         if not self.positions:
-            force = _mean_force(rest)
-            self._begin(Position(rest[0].number, upright(forward(force / np.linalg.norm(force)), force)))
-        elif angle_of(turn.rotation) > SAME_ATTITUDE or turn.path > SHORT_PATH:
+            force = np.mean([one.force for one in rest], axis=0)
+            attitude = upright(forward(force / np.linalg.norm(force)), force)
+            self.positions.append(Position(rest[0].begun_s, attitude))
+        elif angle > SAME_ATTITUDE or turn.path > SHORT_PATH:
             self._end_turn(rest, turn)
         else:
             here = self.positions[-1]
-            here.azimuth_error = here.azimuth_error.then(AzimuthError(angle_of(turn.rotation) ** 2))
+            here.azimuth_error = here.azimuth_error.then(AzimuthError(angle**2))
+        here = self.positions[-1]
         for one in rest:
-            self.positions[-1].add(one)
+            here.add(one)
+            if not math.isnan(self.still_rate):
+                here.creep_angle += SLOT_S * (float(here.attitude[2] @ one.rate) - self.still_rate)
         self.rest_s += SLOT_S * len(rest)
         if self.rest_s >= self.due_s:
             self._update_heading()
-
-    def _begin(self, position: Position) -> None:
-        self.positions.append(position)
-        self.due_s = self.rest_s + FIRST_FIT_S
 
     def _end_turn(self, rest: Sequence[Slot], turn: Turn) -> None:
         """Begin a position with the rest after a turn."""
         before = self.positions[-1]
         self._fit_position()
         by_gyros = before.attitude @ turn.rotation
-        attitude = upright(by_gyros[0], _mean_force(rest[len(rest) // 2 :]))
+        force = np.mean([slot.force for slot in rest[len(rest) // 2 :]], axis=0)
+        attitude = upright(by_gyros[0], force)
+        error = AzimuthError.of(turn, before.attitude[2])
+        variance = error.variance_from(NO_ERROR, self.errors.scale)
         # Gravity shows how wrong the horizontal axes are; the vertical one may be as wrong.
         lean = (by_gyros @ attitude[2])[:2]
         by_lean = 0.5 * float(lean @ lean) - 2.0 * self.errors.accel_bias**2
-        turned = AzimuthError.of(turn, before.attitude[2])
-        variance = turned.variance_from(NO_ERROR, self.errors.scale)
-        turned = turned._replace(variance=turned.variance + max(by_lean - variance, 0.0))
+        error = error.then(AzimuthError(max(by_lean - variance, 0.0)))
         new = angle_of(turn.rotation) > NEW_POSITION
-        angle = math.degrees(_turned(before.attitude, attitude))
-        sd = math.degrees(math.sqrt(max(variance, by_lean)))
+        angle, sd = _turned(before.attitude, attitude), math.sqrt(max(variance, by_lean))
         begun_s, what = self.motion.begun_s, "a new position, " if new else ""
         self.events.append(
-            f"alignment: the unit turned at {begun_s:.1f} s for {SLOT_S * rest[0].number - begun_s:.1f} s: "
-            f"left out; {what}turned by {angle:.2f}° ± {sd:.2f}° about the vertical"
+            f"alignment: the unit turned at {begun_s:.1f} s for {rest[0].begun_s - begun_s:.1f} s: left out; "
+            f"{what}turned by {math.degrees(angle):.2f}° ± {math.degrees(sd):.2f}° about the vertical"
         )
         before.fit = before.fit and before.fit.averaged()
         before.sums = np.empty((0, 7))
-        error = before.azimuth_error_now.then(turned)
-        self._begin(Position(rest[0].number, attitude, error, before.number + new, before.still_rate))
+        error = before.azimuth_error_now.then(error)
+        self.positions.append(Position(rest[0].begun_s, attitude, error, before.ordinal + new))
+        self.due_s = self.rest_s + FIRST_FIT_S
 
     @property
     def attitude(self) -> FloatArray:
@@ -126,99 +132,93 @@ class Aligner:
         here = self.positions[-1]
         fit = fit_position(here, self.latitude, self.parameters.known_warm_up)
         if fit is None:
-            if here.rest_s > FORGET_S:
+            if here.position_s > FORGET_S:
                 here.forget_half()
             return False
-        here.azimuth_error = here.azimuth_error_now
-        here.fit, here.still_rate, here.yaw_since_fit = fit, fit.vertical, 0.0
-        white = min(one.fit.white for one in self.positions if one.fit is not None)
+        here.azimuth_error, here.fit, here.creep_angle = here.azimuth_error_now, fit, 0.0
+        # The bias is that of the body axis that is up; what creeps is further from the earth rate.
+        up, earth_up = here.attitude[2], EARTH_RATE * math.sin(self.latitude)
+        rates = [one.fit.vertical for one in self.positions if one.fit and one.attitude[2] @ up > SAME_UP]
+        self.still_rate = min(rates, key=lambda rate: abs(rate - earth_up))
+        white = np.median([one.fit.white for one in self.positions if one.fit])
         self.errors = sensor_errors(math.sqrt(white), self.parameters)
         return True
 
     def _update_heading(self) -> None:
         """Fit the present position, and update the heading and whether it has settled."""
         here = self.positions[-1]
-        self.due_s = self.rest_s + min(max(here.rest_s / 3.0, 1.0), LONGEST_REFIT_S)
+        self.due_s = self.rest_s + min(max(here.position_s / 3.0, 1.0), LONGEST_REFIT_S)
         if self._fit_position():
             self._update_posterior(here)
         # Settled when sigma falls to the wanted one, and no longer when it exceeds 1.25 times that.
         wanted = self.wanted_sd * (1.0 if self.settled_s is None else 1.25)
-        settled = self.observable and self.heading_sd <= wanted
+        joint = self.estimates.get("joint", Estimate(math.nan, math.nan))
+        settled = joint.sd <= wanted and math.isfinite(joint.heading)
         self.settled_s = (self.settled_s or here.ended_s) if settled else None
 
     def _update_posterior(self, here: Position) -> None:
         """Update the posterior by the fits of all positions, of which the present one is new."""
         fitted = [(one.fit, one.azimuth_error) for one in self.positions if one.fit]
-        about = self.posterior.north if self.posterior else cmath.phase(fitted[-1][0].gyro_mean)
+        fit, _ = fitted[-1]
+        about = self.posterior.north if self.posterior else cmath.phase(fit.gyro_mean)
         new = heading_posterior(fitted, about, self.latitude, self.errors)
-        # What no hypothesis explains shows as a heading that moves from fit to fit.
-        since_s = self.rest_s - RECENT_SHARE * here.rest_s
+        # What no hypothesis explains shows as a heading that changes from fit to fit.
+        since_s = self.rest_s - RECENT_SHARE * here.position_s
         recent = [north for rest_s, north, _ in self.history if rest_s >= since_s]
-        moved = max((abs(math.remainder(new.north - north, math.tau)) for north in recent), default=0.0)
-        self.posterior = new._replace(sd=min(max(new.sd, moved), ANY_ANGLE_SD))
+        change = max((abs(math.remainder(new.north - north, math.tau)) for north in recent), default=0.0)
+        # A unit that creeps at a constant rate points elsewhere than in the middle of the record.
+        creep = 0.5 * (fit.vertical - self.still_rate) * here.position_s
+        self.posterior = new._replace(sd=min(math.hypot(max(new.sd, change), creep), ANY_ANGLE_SD))
         self.fitted_error = here.azimuth_error
         self.history.append((self.rest_s, new.north, self.posterior.sd))
 
-    @property
-    def heading_sd(self) -> float:
-        """Standard deviation of the heading, rad: of the last fit, turns and creep since; NaN before it."""
-        if self.posterior is None:
-            return math.nan
-        here = self.positions[-1]
-        return self._heading_sd_at(
-            here.azimuth_error_now.then(AzimuthError.of(self.motion.turn, here.attitude[2]))
-        )
-
-    def _heading_sd_at(self, azimuth: AzimuthError) -> float:
-        """Return the standard deviation of the heading in another position, rad."""
+    def _heading_at(self, attitude: FloatArray, error: AzimuthError) -> Estimate:
+        """Return the heading in an attitude with this azimuth error; NaN above `observable_deg`."""
         assert self.posterior is not None
-        moved = azimuth.variance_from(self.fitted_error, self.errors.scale)
-        return min(math.sqrt(self.posterior.sd**2 + moved), ANY_ANGLE_SD)
-
-    @property
-    def observable(self) -> bool:
-        """Whether the heading is shown: its standard deviation is below `observable_deg`."""
-        return self.heading_sd < math.radians(self.parameters.observable_deg)
+        since_fit = error.variance_from(self.fitted_error, self.errors.scale)
+        sd = min(math.sqrt(self.posterior.sd**2 + since_fit), ANY_ANGLE_SD)
+        observable = sd < math.radians(self.parameters.observable_deg)
+        north = self.posterior.north if observable else math.nan
+        return Estimate((north - direction_of(attitude)) % math.tau, sd)
 
     @property
     def estimates(self) -> dict[str, Estimate]:
         """Headings by the joint fit and the means of the gyros, NaN if not observable; none before a fit."""
         if self.posterior is None:
             return {}
-        fit = [one.fit for one in self.positions if one.fit][-1]
-        found = {"joint": (self.posterior.north, self.heading_sd)}
+        here = self.positions[-1]
+        turning = AzimuthError.of(self.motion.turn, here.attitude[2])
+        joint = self._heading_at(self.attitude, here.azimuth_error_now.then(turning))
+        found, fit = {"joint": joint}, [one.fit for one in self.positions if one.fit][-1]
         for name, mean, factor in (("gyro_mean", fit.gyro_mean, 1.0), ("hann_mean", fit.hann_mean, 1.5)):
-            rate_sd = math.sqrt(factor * fit.white / fit.rest_s + self.posterior.bias_size**2)
-            found[name] = cmath.phase(mean), min(rate_sd / self.earth_horizontal, ANY_ANGLE_SD)
-        direction = direction_of(self.attitude) if self.observable else math.nan
-        return {name: Estimate((north - direction) % math.tau, sd) for name, (north, sd) in found.items()}
+            heading = joint.heading + cmath.phase(mean) - self.posterior.north
+            rate_sd = math.sqrt(factor * fit.white / fit.position_s + self.posterior.rate_sd**2)
+            sd = min(rate_sd / self.earth_horizontal, ANY_ANGLE_SD)
+            found[name] = Estimate(heading % math.tau, sd)
+        return found
 
-    @property
-    def remaining_s(self) -> float | None:
-        """Time until the wanted sigma, if all of sigma that is no bias is noise; None if unknown or never."""
-        if self.posterior is None or not self.observable:
-            return None
-        alone = self.positions[-1].number == 1  # several positions separate the bias from the earth rate
-        by_bias = alone * (self.posterior.bias_size / self.earth_horizontal) ** 2
-        noise, wanted = self.heading_sd**2 - by_bias, self.wanted_sd**2 - by_bias
-        return max(self.rest_s * (noise / wanted - 1.0), 0.0) if wanted > 0.0 else None
+    def _remaining_s(self, sd: float) -> float | None:
+        """Return the time until the wanted sigma, if all of sigma that is no bias is noise; None if never."""
+        assert self.posterior is not None
+        alone = self.positions[-1].ordinal == 1  # several positions separate the bias from the earth rate
+        by_bias = alone * (self.posterior.rate_sd / self.earth_horizontal) ** 2
+        now, wanted = sd**2 - by_bias, self.wanted_sd**2 - by_bias
+        return max(self.rest_s * (now / wanted - 1.0), 0.0) if wanted > 0.0 else None
 
     def status(self, elapsed_s: float) -> Status:
         """Return the state so long after the first sample."""
-        status = Status(self.wanted_sd, elapsed_s, self.motion.moving)
+        status = Status(self.wanted_sd, elapsed_s, self.motion.moving, estimates=self.estimates)
         if not self.positions:
             return status
         here = self.positions[-1]
-        moving, number = status.moving, here.number
-        before = [one.attitude for one in self.positions if moving or one.number < number]
+        before = [one.attitude for one in self.positions if status.moving or one.ordinal < here.ordinal]
         by_noise = here.fit.variance.min() if here.fit else math.inf
         return status._replace(
-            estimates=self.estimates,
             settled_s=self.settled_s,
-            remaining_s=self.remaining_s,
+            remaining_s=self._remaining_s(status.shown.sd) if status.shown and status.observable else None,
             rest_s=self.rest_s,
-            positions=number,
-            position_s=here.rest_s,
+            positions=here.ordinal,
+            position_s=here.position_s,
             position_sd=math.sqrt(by_noise) / self.earth_horizontal,
             turned=_turned(before[-1], self.attitude) if before else 0.0,
         )
@@ -227,20 +227,13 @@ class Aligner:
         """Fit the rest since the last fit; return the heading in each position of a segment."""
         if self.positions:
             self._update_heading()
-        if self.posterior is None:
-            return []
-        found = []
-        for one in self.positions:
-            sd = self._heading_sd_at(one.azimuth_error_now)
-            shown = self.posterior.north if sd < math.radians(self.parameters.observable_deg) else math.nan
-            heading = (shown - direction_of(one.attitude)) % math.tau
-            found.append(PositionHeading(run, one.begun_s, one.ended_s, heading, sd))
-        return found
-
-
-def _mean_force(slots: Sequence[Slot]) -> FloatArray:
-    """Return the mean specific force of slots, m/s², (3,)."""
-    return np.asarray(np.mean([slot.force for slot in slots], axis=0))
+        return [
+            PositionHeading(
+                run, one.begun_s, one.ended_s, *self._heading_at(one.attitude, one.azimuth_error_now)
+            )
+            for one in self.positions
+            if self.posterior is not None
+        ]
 
 
 def _turned(before: FloatArray, after: FloatArray) -> float:

@@ -4,16 +4,15 @@
 2. The rest is averaged in cells, Hann windows that overlap by half: an angle that stays bounded falls out of
    their mean, as their sum is flat with smooth ends.  The scatter of the cells about a slow trend is their
    noise, and a cell far beyond that is a knock.
-3. One linear regression, complex (forward + i left), on the cells::
+3. One linear regression, complex (forward + i left), on the cells, of α on the steps from cell to cell::
 
-       gyros                       y = c + b + Σ A_k d/dt s_k + noise                  c earth rate, b bias
-       accelerometers, as angle    α =         Σ A_k s_k + Σ B_j w_j + walk + noise
-       unit that settles, accelerometers that warm up: s_k = 1 - exp(-t/τ_k), w_j = 1 - exp(-t/T_j)
+       gyros                       y = c + b + Σ A_k ds_k/dt + noise,      s_k = 1 - exp(-t/τ_k)      (4)
+       accelerometers, as angle    α = Σ A_k s_k + Σ B_j w_j + walk + noise,  w_j = 1 - exp(-t/T_j)   (5)
 
-The unknowns are the constant rate c + b and the amplitudes A and B, with two real parts each.  A hypothesis
-is a prior of the amplitudes: the unit stands, or settles by three neighbours of the τ_k; the accelerometers
-have warmed up, or warm up.  Mean, variance and evidence are closed forms; c + b has a flat prior.  Of α the
-steps from cell to cell are the data, so that it needs no constant part.
+The unknowns are the constant rate c + b, of earth rate and bias, and the amplitudes A of the tilt and B of
+the accelerometers' warm-up, with two real parts each.  A hypothesis is a prior of the amplitudes: the unit
+stands, or tilts by three neighbours of the τ_k; the accelerometers have warmed up, or warm up.  Mean,
+variance and evidence are closed forms; c + b has a flat prior.
 """
 
 from __future__ import annotations
@@ -41,28 +40,21 @@ KNOCK = 10.0
 tilts the unit by 0.005° leaves a heading error of 1.1° after 2 minutes, not 0.01°."""
 MIN_VARIANCE = 1e-24
 """Lower bound of a variance, (rad/s)² or rad², for readings that do not change at all."""
-CREEP_CELLS, CREEP_YAW, CREEP_NOISE = 12, 3e-4, 4.0
+CREEP_CELLS, CREEP_ANGLE, CREEP_NOISE = 12, 3e-4, 4.0
 """A unit creeps about the vertical whose angle by means of 12 cells of the vertical gyro, less their mean,
 varies by more than 0.3 mrad and more than 4 times what the white noise turns in this time."""
-MIN_PERIODS, LINE_RATIO, LEFT_SHARE = 1.5, 40.0, 0.3
+MIN_PERIODS, LEFT_SHARE = 1.5, 0.3
 """A line of the sway has so many periods in the record at least (a slower sway is left to the trend and the
-settling hypotheses), a power of so many times the median of the spectrum (white noise exceeds it with
-probability e^-40 a bin), and leaves this share of the variance at most: a knock has power at all frequencies,
-too."""
-SETTLING_TAU_S = np.geomspace(5.0, 640.0, 8)
-"""Time constants of a tripod that settles, in octaves."""
+tilt), and leaves this share of the variance at most: noise and knocks have power at all frequencies."""
+TILT_TAU_S = np.geomspace(5.0, 640.0, 8)
+"""Time constants of a unit that tilts, as a tripod that settles, in octaves."""
 NOTHING = 1e-9
 """rad or g: standard deviation of an amplitude that is none."""
-TILT_SD, P_SETTLES = (1e-5, 1e-4, 1e-3), 0.3
-"""Standard deviation of the amplitudes of a tripod that settles, rad, and the prior probability that it does.
+TILT_SD, P_TILTS = (1e-5, 1e-4, 1e-3), 0.3
+"""Standard deviation of the amplitudes of a unit that tilts, rad, and the prior probability that it does.
 With 0.03 a slow tilt passes for a bias, 9 sigma off."""
-TILTS = np.array(
-    [
-        [sd if abs(k - middle) <= 1 else NOTHING for k in range(len(SETTLING_TAU_S))]
-        for sd in TILT_SD
-        for middle in range(1, len(SETTLING_TAU_S) - 1)
-    ]
-)
+NEIGHBOURS = [np.abs(np.arange(len(TILT_TAU_S)) - middle) <= 1 for middle in range(1, len(TILT_TAU_S) - 1)]
+TILTS = np.concatenate([np.where(NEIGHBOURS, sd, NOTHING) for sd in TILT_SD])
 """Standard deviation of each amplitude, rad, (18, 8): three neighbouring exponentials of one size."""
 WALK = 1e-7
 """Random walk of a warmed-up accelerometer, g/√s."""
@@ -94,46 +86,45 @@ def fit_position(record: Position, latitude: float, known: KnownWarmUp | None) -
     """
     valid, gyro, alpha, attitude = _horizontal(record, known)
     n, dt = len(valid), record.row_s
-    if creeps(gyro[:, 2], valid, dt):
-        return None
-    rate = gyro[:, 0] + 1j * gyro[:, 1] - 1j * alpha * EARTH_RATE * math.sin(latitude)
-    courses = -np.expm1(-dt * np.arange(n + 1.0)[:, None] / SETTLING_TAU_S)
-    slopes, middles = np.diff(courses, axis=0) / dt, 0.5 * (courses[1:] + courses[:-1])
-    (steady, level), line = _without_sway(rate, alpha, valid, np.hstack([_trend(n, TREND_ORDER), slopes]))
-    cells = _divide(steady, valid)
-    if cells is None:
+    y = gyro[:, 0] + 1j * gyro[:, 1] - 1j * alpha * EARTH_RATE * math.sin(latitude)
+    tilt, tilt_rate = _exponentials(n, dt, TILT_TAU_S)
+    slow = np.hstack([_trend(n, TREND_ORDER), tilt_rate])
+    steady, line = _without_sway(np.column_stack([y, alpha]), valid, slow)
+    cells = _divide(steady[:, 0], valid)
+    if cells is None or creeps(gyro[:, 2], valid, dt):
         return None
     windows, used, variance = cells
+    y_cells, alpha_cells = (windows @ steady).T
+    y_mean, count, one = y_cells[used].mean(), len(used), np.ones((n, 1))
     warm_sd, warm_tau_s = ANY_WARM_UP if known is None else known.remaining
-    warm = -np.expm1(-dt * (np.arange(n)[:, None] + 0.5) / np.array(warm_tau_s))
-    y, swing = windows[used] @ steady, windows[used] @ line
-    information = _information(
-        windows[used] @ np.hstack([np.ones((n, 1)), slopes, 0.0 * warm]),
-        y - y.mean(),
-        variance * _correlation(np.eye(len(used))[used]) + swing @ swing.T,
-    )
-    # The constant part of α is in no step from cell to cell, and a cell with a knock is in none.
-    noise, level_used, _ = _scatter(windows @ level, used, TREND_ORDER)
-    step = np.diff(np.eye(len(used)), axis=0)[level_used[1:] & level_used[:-1]]
-    information += _information(
-        step @ windows @ np.hstack([np.zeros((n, 1)), middles, warm]),
-        step @ windows @ level,
-        noise * _correlation(step) + WALK**2 * dt * n / (len(used) + 1.0) * np.eye(len(step)),
-    )
-    log_weight, rates, variances = _given_each_hypothesis(information, warm_sd, len(warm_tau_s))
-    up = windows @ gyro[:, 2]
-    up_variance, up_used, _ = _scatter(up, used, 1)
+    warm, _ = _exponentials(n, dt, np.array(warm_tau_s))
+    correlation = np.eye(count) + OVERLAP * (np.eye(count, k=1) + np.eye(count, k=-1))
+    # (4); the amplitudes of the line are uncertain.
+    swing = windows[used] @ line
+    design = windows[used] @ np.hstack([one, tilt_rate, 0.0 * warm])
+    covariance = variance * correlation[np.ix_(used, used)] + swing @ swing.T
+    information = _information(design, y_cells[used] - y_mean, covariance)
+    # (5) in steps from cell to cell: in none is the constant part of α, nor a cell with a knock.
+    alpha_variance, alpha_used, _ = _scatter(alpha_cells, used, TREND_ORDER)
+    step = np.diff(np.eye(count), axis=0)[alpha_used[1:] & alpha_used[:-1]]
+    design = step @ windows @ np.hstack([0.0 * one, tilt, warm])
+    walk = WALK**2 * dt * n / (count + 1.0) * np.eye(len(step))
+    covariance = alpha_variance * step @ correlation @ step.T + walk
+    information += _information(design, step @ alpha_cells, covariance)
+    log_weight, rate, rate_variance = _given_each_hypothesis(information, warm_sd, len(warm_tau_s))
+    up_cells = windows @ gyro[:, 2]
+    up_variance, up_used, _ = _scatter(up_cells, used, 1)
     return PositionFit(
         log_weight=log_weight,
-        rate=rates + y.mean(),
-        variance=variances,
-        vertical=float(up[up_used].mean()),
+        rate=rate + y_mean,
+        variance=rate_variance,
+        vertical=float(up_cells[up_used].mean()),
         vertical_variance=(1.0 + 2.0 * OVERLAP) * up_variance / float(up_used.sum()),
         white=min(variance, up_variance) * dt / float(np.sum(windows[0] ** 2)),
         attitude=attitude,
-        gyro_mean=complex(rate[valid].mean()),
-        hann_mean=complex(np.hanning(valid.sum()) @ rate[valid]),
-        rest_s=record.rest_s,
+        gyro_mean=complex(y[valid].mean()),
+        hann_mean=complex(np.hanning(valid.sum()) @ y[valid]),
+        position_s=record.position_s,
     )
 
 
@@ -155,6 +146,12 @@ def _horizontal(
     return valid, means[:, :3] @ attitude.T, np.where(valid, force[:, 1] - 1j * force[:, 0], 0.0), attitude
 
 
+def _exponentials(n: int, row_s: float, tau_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return mean and rate of change, 1/s, of 1 - exp(-t/τ) in each row, (n, len(tau_s)) each."""
+    ends = -np.expm1(-row_s * np.arange(n + 1.0)[:, None] / tau_s)
+    return 0.5 * (ends[1:] + ends[:-1]), np.diff(ends, axis=0) / row_s
+
+
 def _information(design: FloatArray, data: ColumnArray, covariance: FloatArray) -> FloatArray:
     """Return Λ and η, (k, k + 2), of complex data (m,) = design (m, k) x + noise in each part."""
     weighted = np.linalg.solve(covariance, design).T
@@ -166,13 +163,13 @@ def _given_each_hypothesis(
 ) -> tuple[FloatArray, ColumnArray, FloatArray]:
     """Return log weight, mean rate, rad/s, and variance of each part of 38 hypotheses, by Λ and η.
 
-    The unit stands, or settles, with accelerometers that have warmed up, and that warm up; the prior
+    The unit stands, or tilts, with accelerometers that have warmed up, and that warm up; the prior
     probability of the latter is one half.
     """
-    stands = np.full((1, len(SETTLING_TAU_S)), NOTHING)
-    prior = np.r_[1.0 - P_SETTLES, np.full(len(TILTS), P_SETTLES / len(TILTS))]
-    drift = np.repeat([[NOTHING], [warm_sd]], len(prior), axis=0) * np.ones(warm_ups)
-    sd = np.hstack([np.tile(np.vstack([stands, TILTS]), (2, 1)), drift])
+    prior = np.r_[1.0 - P_TILTS, np.full(len(TILTS), P_TILTS / len(TILTS))]
+    tilt = np.vstack([np.full((1, len(TILT_TAU_S)), NOTHING), TILTS])
+    warm = np.repeat([NOTHING, warm_sd], len(prior))[:, None] * np.ones(warm_ups)
+    sd = np.hstack([np.tile(tilt, (2, 1)), warm])
     precision, of_rate, evidence = eliminate(information[:, :-2], information[:, -2:], sd)
     variance = 1.0 / precision[:, 0, 0]
     mean = of_rate[:, 0, :] * variance[:, None]
@@ -180,7 +177,22 @@ def _given_each_hypothesis(
     return evidence, mean @ np.array([1.0, 1j]), variance
 
 
-def _divide(rate: ColumnArray, valid: BoolArray) -> tuple[FloatArray, BoolArray, float] | None:
+def _cells(valid: BoolArray, count: int) -> tuple[FloatArray, BoolArray] | None:
+    """Return Hann windows that overlap by half, (count, n), and which have all rows; None if too few have.
+
+    Each sums to one.
+    """
+    n = len(valid)
+    row = (np.arange(n) + 0.5) * ((count + 1) / n)
+    from_middle = np.minimum(np.abs(row - np.arange(1, count + 1)[:, None]), 1.0)
+    windows = 1.0 + np.cos(np.pi * from_middle)
+    used = windows @ ~valid == 0.0
+    if n < 2 * (count + 1) or used.sum() < MIN_CELLS:
+        return None
+    return windows / windows.sum(axis=1, keepdims=True), used
+
+
+def _divide(y: ColumnArray, valid: BoolArray) -> tuple[FloatArray, BoolArray, float] | None:
     """Return the division into cells with the smallest variance of the mean; None if the record is too short.
 
     It has the weights of the rows in each cell, (J, n), which cells have all rows and no knock, (J,), and the
@@ -188,11 +200,10 @@ def _divide(rate: ColumnArray, valid: BoolArray) -> tuple[FloatArray, BoolArray,
     degrees of freedom ν: they must be better by the standard deviation √(2/ν) of that estimate.
     """
     best, smallest = None, math.inf
-    for count in [one for one in CELLS if len(rate) >= 2 * (one + 1)]:
-        windows = hann_windows(len(rate), count)
-        used = windows @ ~valid == 0.0
-        if used.sum() >= MIN_CELLS:
-            variance, used, freedom = _scatter(windows @ rate, used, TREND_ORDER)
+    for cells in (_cells(valid, count) for count in CELLS):
+        if cells is not None:
+            windows, used = cells
+            variance, used, freedom = _scatter(windows @ y, used, TREND_ORDER)
             of_mean = variance / float(used.sum())
             if of_mean * (1.0 + math.sqrt(2.0 / freedom)) < smallest:
                 best, smallest = (windows, used, variance), of_mean
@@ -212,82 +223,62 @@ def _scatter(values: ColumnArray, used: BoolArray, order: int) -> tuple[float, B
     return max(float(square[used].sum()), MIN_VARIANCE) / max(freedom - 2.0, 1.0), used, freedom
 
 
-def hann_windows(n: int, cells: int) -> FloatArray:
-    """Return the weights of n rows in Hann windows that overlap by half, (cells, n); each sums to one."""
-    row = (np.arange(n) + 0.5) * ((cells + 1) / n)
-    from_middle = np.minimum(np.abs(row - np.arange(1, cells + 1)[:, None]), 1.0)
-    windows = 1.0 + np.cos(np.pi * from_middle)
-    return np.asarray(windows / windows.sum(axis=1, keepdims=True))
-
-
-def _correlation(combined: FloatArray) -> FloatArray:
-    """Return the covariance of sums over all J cells, (m, m), whose white noise has the variance 1.
-
-    `combined` (m, J) are the weights of the cells in each sum.
-    """
-    near = np.eye(combined.shape[1], k=1)
-    return np.asarray(combined @ (np.eye(len(near)) + OVERLAP * (near + near.T)) @ combined.T)
-
-
 def _trend(n: int, order: int) -> FloatArray:
     """Return the first Chebyshev polynomials over n points, (n, order)."""
     return np.asarray(np.polynomial.chebyshev.chebvander((np.arange(n) + 0.5) / n * 2.0 - 1.0, order - 1))
 
 
+def _amplitudes(columns: FloatArray, data: ColumnArray, valid: BoolArray) -> ColumnArray:
+    """Return the least-squares solution over the valid rows.
+
+    The slow columns are almost dependent.  The weak prior keeps them from following a sway all the same.
+    """
+    columns = columns[valid]
+    normal = columns.T @ columns
+    normal.flat[:: len(normal) + 1] *= 1.0 + 1e-9
+    return np.asarray(np.linalg.solve(normal, columns.T @ data[valid]))
+
+
 def creeps(vertical: FloatArray, valid: BoolArray, row_s: float) -> bool:
     """Return whether the vertical gyro, rad/s, (n,), shows a slow turn at a rate that changes."""
-    n = len(valid)
-    if n < 2 * (CREEP_CELLS + 1):
+    cells = _cells(valid, CREEP_CELLS)
+    if cells is None:
         return False
-    windows = hann_windows(n, CREEP_CELLS)
-    means = (windows @ vertical)[windows @ ~valid == 0.0]
-    if len(means) < MIN_CELLS:
-        return False
+    windows, used = cells
+    means = windows[used] @ vertical
+    angle = np.cumsum(means - means.mean()) * row_s * len(valid) / (CREEP_CELLS + 1)
     steps = np.diff(vertical[valid])
     steps = steps[steps != 0.0]  # a sample may fill several rows
-    noise = math.sqrt(0.5 * steps @ steps) * row_s * n / max(len(steps), 1)
-    yaw = np.cumsum(means - means.mean()) * row_s * n / (CREEP_CELLS + 1)
-    return float(np.ptp(yaw)) > max(CREEP_YAW, CREEP_NOISE * noise)
+    white_angle = math.sqrt(0.5 * steps @ steps) * row_s * len(valid) / max(len(steps), 1)
+    return float(np.ptp(angle)) > max(CREEP_ANGLE, CREEP_NOISE * white_angle)
 
 
-def _without_sway(
-    rate: ColumnArray, alpha: ColumnArray, valid: BoolArray, slow: FloatArray
-) -> tuple[ColumnArray, FloatArray]:
-    """Return rate, rad/s, and α, rad, (n,) each, without the strongest line of the rate, (2, n).
+def _without_sway(data: ColumnArray, valid: BoolArray, slow: FloatArray) -> tuple[ColumnArray, FloatArray]:
+    """Return y, rad/s, and α, rad, (n, 2), without the strongest line of y.
 
     The line is fitted beside slow functions of time, (n, m).  Cosine and sine have an amplitude that may
     change along the record, and the frequency by a fraction of a period in the record.  The second result
     are these functions times the amplitude, (n, 4), rad/s: its uncertainty; zero where there is no line.
     """
-    n, given = len(rate), np.column_stack([rate, alpha])
-    left = (rate - slow @ _amplitudes(slow, rate, valid)) * valid
-    periods, is_line = _strongest(left * np.hanning(n + 2)[1:-1])
-    time = np.linspace(-1.0, 1.0, n)[:, None]
-    wave = np.hstack([np.cos(math.pi * periods * time), np.sin(math.pi * periods * time)])
-    line = np.hstack([wave, wave * time])
-    columns = np.hstack([slow, line])
-    amplitudes = _amplitudes(columns, given, valid)
-    remains = (rate - columns @ amplitudes[:, 0]) * valid
-    if not is_line or np.vdot(remains, remains).real > LEFT_SHARE * np.vdot(left, left).real:
-        line = np.zeros_like(line)
-    swing = line @ amplitudes[-4:]
-    return np.asarray((given - swing).T), line * math.sqrt(2.0 * np.mean(np.abs(swing[:, 0]) ** 2))
-
-
-def _strongest(left: ColumnArray) -> tuple[float, bool]:
-    """Return periods in the record of the strongest oscillation, (n,), and whether it is a line."""
+    left = (data[:, 0] - slow @ _amplitudes(slow, data[:, 0], valid)) * valid
     n = len(left)
+    phase = np.pi * _strongest_periods(left) * np.linspace(-1.0, 1.0, n)
+    wave = np.column_stack([np.cos(phase), np.sin(phase)])
+    line = np.hstack([wave, wave * np.linspace(-1.0, 1.0, n)[:, None]])
+    columns = np.hstack([slow, line])
+    amplitudes = _amplitudes(columns, data, valid)
+    remains = (data - columns @ amplitudes)[valid, 0]
+    if np.vdot(remains, remains).real > LEFT_SHARE * np.vdot(left, left).real:
+        return data, np.zeros_like(line)
+    swing = line @ amplitudes[-4:]
+    return data - swing, line * math.sqrt(2.0 * np.mean(np.abs(swing[:, 0]) ** 2))
+
+
+def _strongest_periods(y: ColumnArray) -> float:
+    """Return the number of periods in the record of the strongest oscillation, (n,)."""
+    n = len(y)
     bins = 1 << (8 * n - 1).bit_length()  # at least eight to a period in the record
     least = math.ceil(MIN_PERIODS * bins / n)
-    axes = np.column_stack([left.real, left.imag])
+    axes = np.column_stack([y.real, y.imag]) * np.hanning(n + 2)[1:-1, None]
     power = np.sum(np.abs(np.fft.rfft(axes, bins, axis=0)) ** 2, axis=1)[least : bins // 2]
-    peak = int(np.argmax(power))
-    return (least + peak) * (n - 1) / bins, bool(power[peak] > LINE_RATIO * np.median(power))
-
-
-def _amplitudes(columns: FloatArray, data: ColumnArray, valid: BoolArray) -> ColumnArray:
-    """Return the least-squares solution over the valid rows."""
-    columns = columns[valid]
-    normal = columns.T @ columns
-    normal.flat[:: len(normal) + 1] *= 1.0 + 1e-9
-    return np.asarray(np.linalg.solve(normal, columns.T @ data[valid]))
+    return (least + int(np.argmax(power))) * (n - 1) / bins

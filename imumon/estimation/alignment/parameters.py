@@ -15,10 +15,6 @@ from imumon.estimation.rest.parameters import Retired
 from imumon.geodesy import MICRO_G
 from imumon.models.model import BiasModel
 
-_Micro = Annotated[float, Field(ge=-1e5, le=1e5)]
-_Seconds = Annotated[float, Field(gt=0.0, le=1e5)]
-
-
 ANY_WARM_UP = 1e-4, (100.0, 300.0, 1000.0)
 """Warm-up of accelerometers: standard deviation of its amplitudes, g, and their time constants, s."""
 
@@ -36,9 +32,9 @@ class KnownWarmUp(StrictModel):
         tilt of the unit.
     """
 
-    amplitude_ug: Annotated[list[_Micro], Field(min_length=3, max_length=3)]
+    amplitude_ug: Annotated[list[Annotated[float, Field(ge=-1e5, le=1e5)]], Field(min_length=3, max_length=3)]
     time_constant_s: Annotated[
-        list[_Seconds],
+        list[Annotated[float, Field(gt=0.0, le=1e5)]],
         BeforeValidator(lambda given: [given] * 3 if isinstance(given, int | float) else given),
         Field(min_length=3, max_length=3),
     ]
@@ -71,19 +67,17 @@ class AlignmentParameters(StrictModel):
         A heading with a larger sigma is not shown.  That of a MEMS gyro whose bias happens to be small is 7
         to 12 degrees.
     gyro_bias_sd_deg_per_h : float, optional
-        Standard deviation of a gyro's bias, from run to run.  Without it, the prior is a regression on the
-        noise, wide by a factor of 4.5 (one sigma), and the data weigh its size by how well the rate fits the
-        earth's.
+        Standard deviation of a gyro's bias, from run to run.  Default: a regression on the noise, wide by a
+        factor of 4.5 (one sigma), and the data weigh its size by how well the rate fits the earth's.
     gyro_flicker_deg_per_h : float, optional
         Standard deviation by which the bias changes from position to position: the bias instability.
         Default: 0.
     gyro_scale_sd_ppm : float, optional
-        Standard deviation of a gyro's scale factor and misalignment: the relative error of a turn between
-        two positions, and, if declared, of the earth rate at rest.  Default: a regression on the noise, and
-        300 at least.
+        Standard deviation of each element of a gyro's scale and misalignment: in turns between positions,
+        and, if declared, of the earth rate at rest.  Default: a regression on the noise, 300 at least.
     accel_bias_sd_ug : float, optional
         Standard deviation of the constant bias of an accelerometer; it tilts the horizon.  Default:
-        a regression on the noise of the gyros, and 750 at least.
+        a regression on the noise of the gyros, 750 at least.
     known_warm_up : KnownWarmUp, optional
         Counted from the first sample of the device.
     coarse_s, corner_hz, damping
@@ -111,7 +105,7 @@ def known_warm_up(model: BiasModel | None) -> KnownWarmUp | None:
     accels = [model.channels.get(f"accel_{axis}") for axis in "xyz"] if model else []
     effects = [accel.effects if accel else [] for accel in accels]
     found = [next((effect for effect in of if isinstance(effect, WarmUp)), None) for of in effects]
-    warm_ups = [one for one in found if one is not None]
+    warm_ups = [one for one in found if one]
     if not warm_ups:
         return None
     residual = max(accel.residual_sd for accel, one in zip(accels, found, strict=True) if accel and one)

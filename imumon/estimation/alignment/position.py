@@ -1,6 +1,7 @@
-"""Which slots are rest and which are turns, and what a unit at rest in one position measured.
+"""Which slots are rest and which are turns, and the record of a rest in one attitude.
 
-A turn is followed by the gyros, sample by sample (`imumon.filters.turns`), less what they read at rest.
+A turn is integrated from the gyros, sample by sample (`imumon.filters.turns`), less their rate at rest.  The
+reference frame is forward, left and up of the first position.
 """
 
 from __future__ import annotations
@@ -18,8 +19,7 @@ from imumon.filters.turns import STILL, Turn
 from imumon.geodesy import EARTH_RATE, forward
 
 SLOT_S = 0.25
-"""Length of the slots into which samples are gathered: motion is detected, and rows are filled, four times a
-second."""
+"""Length of the slots into which samples are gathered, s."""
 CAPACITY = 4096
 """Largest number of rows of a record: 17 minutes of slots; then rows are merged in pairs, so that the time of
 a fit stays bounded."""
@@ -30,16 +30,17 @@ sway, noise or creep), and by more than 5 times the largest deviation of the las
 SWAYING_RATE = 20e-3
 """rad/s: at the start, a rate that varies by less for 10 s is taken for rest."""
 CALM_SLOTS, SWAYING_SLOTS, MEDIAN_SLOTS = 8, 40, 120
-"""Slots: 2 s of calm are a rest, 10 s of sway at the start; the rate at rest is the median of 30 s."""
+"""Slots: 2 s of calm are a rest, 10 s of sway at the start; the rate at rest is the median of 30 s, computed
+every 10 s."""
 
 
 class Slot(NamedTuple):
     """Mean rate, rad/s, (3,), and specific force, m/s², (3,), over a slot, in body axes.
 
-    `number` counts slots of `SLOT_S` since the first sample of the segment.
+    It begins `begun_s` s after the first sample of the segment, a multiple of `SLOT_S`.
     """
 
-    number: int
+    begun_s: float
     rate: FloatArray
     force: FloatArray
 
@@ -50,7 +51,7 @@ class PositionFit(NamedTuple):
     `log_weight` (h,) is that of prior and evidence; `rate` (h,) earth rate and bias, rad/s, with the variance
     of each part; `vertical` is the vertical gyro, rad/s, and `white` the white noise of the quietest gyro,
     (rad/s)²/Hz; `attitude` (3, 3) is from body axes.  `gyro_mean` and `hann_mean` have the directions of the
-    plain and the Hann-weighted mean of the gyros over `rest_s`, s.
+    plain and the Hann-weighted mean of the gyros over `position_s`, s.
     """
 
     log_weight: FloatArray
@@ -62,7 +63,7 @@ class PositionFit(NamedTuple):
     attitude: FloatArray
     gyro_mean: complex
     hann_mean: complex
-    rest_s: float
+    position_s: float
 
     def averaged(self) -> PositionFit:
         """Return the fit with one hypothesis that has the mean and the variance of all."""
@@ -76,8 +77,8 @@ class PositionFit(NamedTuple):
 class AzimuthError(NamedTuple):
     """What may be wrong with the angle about the vertical by which the gyros have turned a unit.
 
-    `by_scale` (3, 3), rad, is that angle by each element of the matrix of scale and misalignment.  These are
-    the same in all turns; the `variance`, rad², is of what is not.
+    `by_scale` (3, 3), rad, is that angle by each element of E, scale and misalignment, which is the same in
+    all turns; the `variance`, rad², is by all else.
     """
 
     variance: float = 0.0
@@ -87,15 +88,15 @@ class AzimuthError(NamedTuple):
     def of(cls, turn: Turn, up: FloatArray) -> AzimuthError:
         """Return that of a turn; `up` (3,) is the vertical in body axes at its beginning."""
         # The earth rate turns against the body: up to all of it is wrong while it turns by a radian.
-        drift = EARTH_RATE * turn.seconds * min(turn.path, 1.0)
-        return cls(turn.sampling_variance(up) + drift**2, turn.scale_about(up))
+        by_earth = EARTH_RATE * turn.seconds * min(turn.path, 1.0)
+        return cls(turn.sampling_variance(up) + by_earth**2, turn.scale_about(up))
 
     def then(self, other: AzimuthError) -> AzimuthError:
         """Return that of both turns, one after the other."""
         return AzimuthError(self.variance + other.variance, self.by_scale + other.by_scale)
 
     def variance_from(self, other: AzimuthError, scale_sd: float) -> float:
-        """Return the variance of the angle between both, rad²; `scale_sd` of each element."""
+        """Return the variance of the angle between both, rad²; `scale_sd` of each element of E."""
         by_scale = scale_sd**2 * float(np.sum(np.square(self.by_scale - other.by_scale)))
         return abs(self.variance - other.variance) + by_scale
 
@@ -105,76 +106,61 @@ NO_ERROR = AzimuthError()
 
 @dataclass
 class Position:
-    """A rest in one attitude: sums over its slots, in rows of `slots_per_row` slots.
+    """A rest in one attitude: sums over its slots, in rows of `row_s` s.
 
     A row of `sums` (7,) has the number of slots, and the sums of their rates (3) and specific forces (3).  A
     row without slots is a gap in the data.
 
-    `attitude` (3, 3) is from body axes to the reference frame, which is forward, left and up of the first
-    position, and `azimuth_error` what may be wrong with the turns since then.  `number` counts from 1 the
-    attitudes that differ.
+    `attitude` (3, 3) is from body axes to the reference frame, and `azimuth_error` what may be wrong with the
+    turns since the first position.  `ordinal` counts from 1 the attitudes that differ enough to separate a
+    bias from the earth rate.  Times are since the first sample of the segment.
     """
 
-    first_slot: int
+    begun_s: float
     attitude: FloatArray
     azimuth_error: AzimuthError = NO_ERROR
-    number: int = 1
-    still_rate: float = math.nan
-    """Rate about the vertical by the last fit, here or in the position before, rad/s; NaN before that."""
+    ordinal: int = 1
     fit: PositionFit | None = None
-    yaw_since_fit: float = 0.0
-    """Angle about the vertical by its gyro less `still_rate`, since the last fit or the beginning, rad."""
-    slots_per_row: int = 1
-    slots: int = 0
-    """Slots from the first to the last."""
+    creep_angle: float = 0.0
+    """About the vertical by its gyro, less its rate at rest, since the last fit or the beginning, rad."""
+    ended_s: float = math.nan
+    row_s: float = SLOT_S
     sums: FloatArray = field(default_factory=lambda: np.zeros((CAPACITY, 7)))
 
     def add(self, slot: Slot) -> None:
         """Add a slot at rest."""
-        if not math.isnan(self.still_rate):
-            self.yaw_since_fit += SLOT_S * (float(self.attitude[2] @ slot.rate) - self.still_rate)
-        self.slots = slot.number + 1 - self.first_slot
-        while self.slots > CAPACITY * self.slots_per_row:
+        self.ended_s = slot.begun_s + SLOT_S
+        while self.ended_s - self.begun_s > CAPACITY * self.row_s:
             pairs = self.sums.reshape(-1, 2, 7).sum(axis=1)
             self.sums = np.concatenate([pairs, np.zeros_like(pairs)])
-            self.slots_per_row *= 2
-        self.sums[(self.slots - 1) // self.slots_per_row] += np.concatenate([[1.0], slot.rate, slot.force])
+            self.row_s *= 2.0
+        row = int((slot.begun_s - self.begun_s) / self.row_s)
+        self.sums[row] += np.concatenate([[1.0], slot.rate, slot.force])
 
     def forget_half(self) -> None:
         """Drop the first half of the rows."""
-        half = self.slots // self.slots_per_row // 2
+        half = self.complete_rows // 2
         self.sums = np.concatenate([self.sums[half:], np.zeros((half, 7))])
-        self.first_slot += half * self.slots_per_row
-        self.slots -= half * self.slots_per_row
+        self.begun_s += half * self.row_s
 
     @property
-    def azimuth_error_now(self) -> AzimuthError:
-        """`azimuth`, and what the unit has turned since the last fit."""
-        return self.azimuth_error._replace(variance=self.azimuth_error.variance + self.yaw_since_fit**2)
+    def complete_rows(self) -> int:
+        """Number of rows which have ended."""
+        return int((self.ended_s - self.begun_s) / self.row_s)
 
     @property
-    def row_s(self) -> float:
-        """Length of a row, s."""
-        return SLOT_S * self.slots_per_row
-
-    @property
-    def rest_s(self) -> float:
-        """Time at rest, s."""
+    def position_s(self) -> float:
+        """Time at rest in this position, s."""
         return SLOT_S * float(self.sums[:, 0].sum())
 
     @property
-    def begun_s(self) -> float:
-        """Beginning, s since the first sample of the segment."""
-        return SLOT_S * self.first_slot
-
-    @property
-    def ended_s(self) -> float:
-        """End of the last slot, s since the first sample of the segment."""
-        return SLOT_S * (self.first_slot + self.slots)
+    def azimuth_error_now(self) -> AzimuthError:
+        """`azimuth_error`, and what the unit has crept since the last fit."""
+        return self.azimuth_error.then(AzimuthError(self.creep_angle**2))
 
     def rows(self) -> tuple[BoolArray, FloatArray]:
-        """Return of the complete rows which have samples, (n,), and the mean rates and forces, (n, 6)."""
-        sums = self.sums[: self.slots // self.slots_per_row]
+        """Return which complete rows have samples, (n,), and the mean rates and forces, (n, 6)."""
+        sums = self.sums[: self.complete_rows]
         count = sums[:, 0]
         return count > 0.0, sums[:, 1:] / np.maximum(count, 1.0)[:, None]
 
@@ -209,8 +195,8 @@ class Motion:
         self.pending: deque[Slot] = deque(maxlen=SWAYING_SLOTS)
         """The latest slots that are not known to be rest."""
         self.moving, self.begun_s = False, 0.0
-        """Whether the unit moves, or came to rest less than 2 s ago, and since when, s since the first
-        sample."""
+        """Whether the unit moves, or came to rest less than 2 s ago; when the last motion began, s since the
+        first sample."""
         self.turn = STILL
         """Since the motion began."""
 
@@ -225,14 +211,14 @@ class Motion:
             return [], STILL
         rest = list(takewhile(self._is_calm, reversed(self.pending)))[::-1]
         if not (rest or self.moving):
-            self.moving, self.begun_s = True, SLOT_S * slot.number
+            self.moving, self.begun_s = True, slot.begun_s
         if self.moving:
             self.turn = self.turn.then(turn.less(self.rest_rate))
             if len(rest) < CALM_SLOTS:
                 return [], STILL
         self.pending.clear()
         self.recent.extend(one.rate for one in rest)
-        if self.moving or slot.number % SWAYING_SLOTS == 0:
+        if self.moving or slot.begun_s % (SLOT_S * SWAYING_SLOTS) == 0.0:
             self.rest_rate = np.median(self.recent, axis=0)
             self.limit = max(MOTION_RATE, LIMIT_FACTOR * float(np.abs(self.recent - self.rest_rate).max()))
         ended, self.moving, self.turn = self.turn, False, STILL

@@ -14,12 +14,12 @@ from imumon.charts import GREEN, GREY, Axis, Chart, Curve
 from imumon.columns import Column
 from imumon.estimation.alignment.aligner import Aligner
 from imumon.estimation.alignment.parameters import AlignmentParameters
-from imumon.estimation.alignment.position import CALM_SLOTS, SLOT_S, Slot, direction_of
+from imumon.estimation.alignment.position import CALM_SLOTS, SLOT_S, Slot
 from imumon.estimation.alignment.report import Estimate, PositionHeading
 from imumon.estimation.rest.parameters import retired
 from imumon.filters.slots import SlotGatherer, Slots, held
 from imumon.filters.turns import STILL
-from imumon.geodesy import DEG_PER_H
+from imumon.geodesy import DEG_PER_H, heading_of
 from imumon.lane import LaneState, Level
 
 LONGEST_GAP_S, LONGEST_MOTION_S = 30.0, 120.0
@@ -126,7 +126,7 @@ class Alignment:
         # The samples stand for the slots since those before them, but longer without samples is no rest.
         for number in range(max(self._index + 1, index - CALM_SLOTS + 1), index + 1):
             self._recent.append(mean[3:9])
-            self._aligner.step(Slot(number, mean[:3], mean[3:6]), at_rest, turn)
+            self._aligner.step(Slot(SLOT_S * number, mean[:3], mean[3:6]), at_rest, turn)
             turn = STILL
         self._index, motion = index, self._aligner.motion
         moving_s = SLOT_S * index - motion.begun_s
@@ -147,17 +147,16 @@ class Alignment:
 
     def _make_row(self) -> list[float]:
         """Return the values of `columns`, NaN where unknown."""
-        aligner, magnetic = self._aligner, math.nan
+        aligner = self._aligner
         if not aligner.positions:
             return [math.nan] * len(self._row)
         estimates, unknown = aligner.estimates, Estimate(math.nan, math.nan)
         joint, gyro, hann = (estimates.get(name, unknown) for name in ("joint", "gyro_mean", "hann_mean"))
-        recent, attitude = np.array(self._recent), aligner.attitude
-        if len(field := recent[np.isfinite(recent[:, 3:]).all(axis=1), 3:]):
-            ahead, left, _ = attitude @ field.mean(axis=0)
-            magnetic = (math.atan2(left, ahead) - direction_of(attitude)) % math.tau
-        up = attitude[2] if aligner.motion.moving else recent[:, :3].sum(axis=0)
-        angles, first = self._roll_and_pitch(up), self._roll_and_pitch(aligner.positions[0].attitude[2])
+        recent, up = np.array(self._recent), aligner.attitude[2]
+        field = recent[np.isfinite(recent).all(axis=1), 3:]
+        magnetic = heading_of(up, field.mean(axis=0)) % math.tau if len(field) else math.nan
+        angles = self._roll_and_pitch(up if aligner.motion.moving else recent[:, :3].sum(axis=0))
+        first = self._roll_and_pitch(aligner.positions[0].attitude[2])
         drifts = [math.remainder(now - then, math.tau) for now, then in zip(angles, first, strict=True)]
         return [*joint, *angles, *drifts, magnetic, *gyro, *hann]
 
@@ -178,19 +177,13 @@ class Alignment:
         """Return sigma against time."""
         if len(self._aligner.history) < 2:
             return []
-        time_s, _, sd = np.array(self._aligner.history).T
-        wanted = np.full(2, self._parameters.settled_deg)
-        curves = (
-            Curve("σ", time_s, np.degrees(sd), GREEN, width=2.0),
-            Curve("wanted", time_s[[0, -1]], wanted, GREY),
-        )
-        return [
-            Chart(
-                "alignment_progress", "Alignment", "Sigma of the heading shown",
-                Axis("observed time [s]", log=True), Axis("σ [°]", log=True), curves,
-                headline=f"{self.status.heading_text}; {self.status.to_go_text}",
-            )
-        ]  # fmt: skip
+        rest_s, _, sd = np.array(self._aligner.history).T
+        wanted = Curve("wanted", rest_s[[0, -1]], np.full(2, self._parameters.settled_deg), GREY)
+        curves = (Curve("σ", rest_s, np.degrees(sd), GREEN, width=2.0), wanted)
+        axes = Axis("observed time [s]", log=True), Axis("σ [°]", log=True)
+        headline = f"{self.status.heading_text}; {self.status.to_go_text}"
+        title = "Sigma of the heading shown"
+        return [Chart("alignment_progress", "Alignment", title, *axes, curves, headline=headline)]
 
     def notices(self) -> list[str]:
         """Return, once each, motions and restarts, and conditions that limit the heading."""

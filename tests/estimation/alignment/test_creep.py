@@ -33,7 +33,14 @@ def found(
 
 @pytest.mark.parametrize(
     ("degrees", "begin_s", "seconds"),
-    [(0.3, 60.0, 20.0), (0.3, 60.0, 200.0), (1.0, 60.0, 60.0), (10.0, 60.0, 200.0), (10.0, 0.0, 20.0)],
+    [
+        (0.3, 60.0, 20.0),
+        (0.3, 60.0, 200.0),
+        (1.0, 60.0, 60.0),
+        (10.0, 60.0, 200.0),
+        (10.0, 0.0, 20.0),
+        (30.0, 60.0, 60.0),
+    ],
 )
 def test_a_head_that_has_crept_shows_north_again(degrees: float, begin_s: float, seconds: float) -> None:
     off, sd = found(600.0, degrees, crept(degrees, begin_s, seconds))
@@ -91,3 +98,19 @@ def test_a_creep_all_along_at_a_constant_rate_is_in_the_sigma() -> None:
     sure = {"offset_deg_per_h": [0.0, 0.0, 20.0]}
     stage, _ = aligned(samples(scenario(200.0, arw=ARW, rate_hz=50.0, gyro_turn_on=sure)))
     assert not stage.status.observable or math.degrees(stage.status.shown.sd) > 0.5  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize(("mrad_per_s", "seconds"), [(0.05, 40.0), (0.05, 300.0), (0.3, 120.0)])
+def test_a_constant_creep_that_begins_after_half_a_turn_is_in_the_sigma(
+    mrad_per_s: float, seconds: float
+) -> None:
+    t = np.arange(round((106.0 + seconds) * 20.0) + 1) / 20.0
+    angle = math.pi * np.clip((t - 100.0) / 6.0, 0.0, 1.0) + 1e-3 * mrad_per_s * np.clip(t - 106.0, 0.0, None)
+    ratios = []
+    for seed in range(4):
+        block, heading = sent(Rotation.from_rotvec(np.outer(angle, UP)), 20.0, seed=seed)
+        stage, _ = aligned(block)
+        stage.finish()
+        estimate = stage._aligner.estimates["joint"]
+        ratios.append(error_deg(estimate.heading, heading) / math.degrees(estimate.sd))
+    assert np.sqrt(np.mean(np.square(ratios))) < 1.8

@@ -12,25 +12,25 @@ from tests.estimation.alignment.units import aligned, error_deg, samples, scenar
 
 
 def test_merged_rows_keep_time_and_mean() -> None:
-    record, rng = Position(100, np.eye(3)), np.random.default_rng(1)
+    record, rng = Position(25.0, np.eye(3)), np.random.default_rng(1)
     slots = rng.normal(size=(2 * CAPACITY + 6, 6))
     for k, values in enumerate(slots):
-        record.add(Slot(100 + k, values[:3], values[3:]))
+        record.add(Slot(25.0 + SLOT_S * k, values[:3], values[3:]))
     valid, means = record.rows()
     assert record.row_s == 1.0
     assert valid.all()
     np.testing.assert_allclose(means, slots[:-2].reshape(-1, 4, 6).mean(axis=1), atol=1e-12)
     assert (record.begun_s, record.ended_s) == (25.0, 25.0 + SLOT_S * len(slots))
-    assert record.rest_s == SLOT_S * len(slots)
+    assert record.position_s == SLOT_S * len(slots)
     record.forget_half()
     assert record.begun_s == 25.0 + 1024.0
     np.testing.assert_allclose(record.rows()[1], means[1024:])
 
 
 def test_slots_without_samples_are_rows_without_values() -> None:
-    record = Position(0, np.eye(3))
+    record = Position(0.0, np.eye(3))
     for number in (0, 1, 3):
-        record.add(Slot(number, np.full(3, float(number)), np.zeros(3)))
+        record.add(Slot(SLOT_S * number, np.full(3, float(number)), np.zeros(3)))
     valid, means = record.rows()
     assert valid.tolist() == [True, True, False, True]
     assert means[valid, 0].tolist() == [0.0, 1.0, 3.0]
@@ -41,7 +41,7 @@ def test_a_device_with_a_sample_a_slot_at_most_leaves_no_row_empty(rate_hz: floa
     stage, _ = aligned(samples(scenario(120.0, rate_hz=rate_hz)))
     record = stage._aligner.positions[-1]
     assert record.rows()[0].all()
-    assert record.rest_s == pytest.approx(120.0, abs=3.0)
+    assert record.position_s == pytest.approx(120.0, abs=3.0)
 
 
 def test_an_hour_of_rest_is_as_good_as_it_should_be() -> None:

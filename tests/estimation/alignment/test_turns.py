@@ -49,9 +49,9 @@ def times(seconds: float, hz: float) -> FloatArray:
 def error_and_sd(stage: Alignment, heading: float) -> tuple[float, float]:
     stage.finish()
     shown = stage.status.shown
-    aligner = stage._aligner
+    joint = stage._aligner.estimates["joint"]
     assert shown is not None
-    return error_deg(aligner.estimates["joint"].heading, heading), math.degrees(aligner.heading_sd)
+    return error_deg(joint.heading, heading), math.degrees(joint.sd)
 
 
 @pytest.mark.parametrize(("hz", "seed"), [(20.0, 1), (50.0, 2), (50.0, 3), (200.0, 4)])
