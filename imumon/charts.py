@@ -3,8 +3,6 @@
 Plain data: who makes a chart knows nothing of who draws it.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from imumon.blocks import FloatArray

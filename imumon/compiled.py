@@ -6,8 +6,6 @@ other kernels, and constants.  So here any file of the package counts (`package_
 What has to be compiled, and so keeps a command waiting, goes to the logger ``imumon.compiled``.
 """
 
-from __future__ import annotations
-
 import copyreg
 import logging
 from collections.abc import Callable, Sequence
@@ -15,10 +13,11 @@ from functools import cache
 from importlib.util import find_spec
 from operator import getitem
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any, TypeVar, cast, get_type_hints
 
 import numba
 import numpy as np
+import numpy.typing as npt
 from numba.core.caching import FunctionCache
 from numba.core.runtime.nrt import rtsys
 from numba.extending import register_jitable
@@ -42,28 +41,27 @@ def njit(function: F, fastmath: bool | set[str] = False) -> F:
     return compiled
 
 
-def inner(function: F, fastmath: bool | set[str] = False) -> F:
+def inner(function: F) -> F:
     """Let compiled functions call this one; called from Python it is the plain function that it was.
 
     It is compiled as a part of the kernels that need it: without a way in from Python and a file of its own,
     a function of ten lines takes half as long.
     """
-    part: F = register_jitable(no_cfunc_wrapper=True, fastmath=fastmath)(function)
+    part: F = register_jitable(no_cfunc_wrapper=True)(function)
     return part
 
 
-_TYPES = {"int": np.int64, "IntArray": np.int64, "float": np.float64, "FloatArray": np.float64}
+_TYPES: dict[Any, type[np.generic]] = {
+    **dict.fromkeys((int, npt.NDArray[np.int64]), np.int64),
+    **dict.fromkeys((float, npt.NDArray[np.float64]), np.float64),
+}
 
 
 def record(fields: type[Fields], **shapes: int | tuple[int, ...]) -> Fields:
     """Return one NumPy record of zeros, of which compiled functions read and write the fields by name.
 
-    Parameters
-    ----------
-    fields : type
-        A class that annotates the fields as int, float, or an array of either.
-    shapes : int or tuple of int
-        Of the fields that are arrays.
+    `fields`: a class that annotates the fields as int, float, or an array of either.
+    `shapes`: of the fields that are arrays.
     """
     return records(fields, 1, **shapes)[0]
 
@@ -73,9 +71,10 @@ def records(fields: type[Fields], count: int, **shapes: int | tuple[int, ...]) -
 
     Raises ValueError when a NumPy record has an attribute of its own with the name of a field.
     """
-    if taken := [name for name in fields.__annotations__ if hasattr(np.record, name)]:
+    kinds = get_type_hints(fields)
+    if taken := [name for name in kinds if hasattr(np.record, name)]:
         raise ValueError(f"{fields.__name__}: NumPy has another meaning for {', '.join(taken)}")
-    layout = [(name, _TYPES[kind], shapes.get(name, ())) for name, kind in fields.__annotations__.items()]
+    layout = [(name, _TYPES[kind], shapes.get(name, ())) for name, kind in kinds.items()]
     made: Any = np.zeros(count, np.dtype((np.record, layout)))
     return cast(Sequence[Fields], made)
 

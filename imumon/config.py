@@ -3,8 +3,6 @@
 Each document is held to the limits below, whatever it is: a device, a pipeline, a map, a model, a session.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -27,7 +25,38 @@ Location = tuple[str | int, ...]
 
 
 class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]  # ten times as fast
-    """PyYAML's safe loader, but 1e-6 is a number, as in YAML 1.2."""
+    """PyYAML's safe loader, but 1e-6 is a number, as in YAML 1.2; no key twice."""
+
+    source: str
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        """Refuse a key that is there twice, of which YAML loaders take the last."""
+        keys = set[str]()
+        for key, _ in node.value:
+            if str(key.value) in keys:
+                raise _at(key, self.source, f"key {key.value!r} is there twice")
+            keys.add(str(key.value))
+        mapping: dict[Any, Any] = super().construct_mapping(node, deep)
+        return mapping
+
+    def construct_number(self, node: yaml.ScalarNode) -> int | float:
+        """Refuse numbers that are none."""
+        shown = _short(node.value, 40)
+        if re.fullmatch(r"[-+]?(\d+:.*|0\d+)", node.value):  # YAML 1.1 reads 1:30 as 90 and 010 as 8
+            raise _at(node, self.source, f"{shown} is not a plain number: quote it where it is a text")
+        try:
+            is_whole = node.tag.endswith("int")
+            number: int | float = (self.construct_yaml_int if is_whole else self.construct_yaml_float)(node)
+        except (ArithmeticError, IndexError, TypeError, ValueError) as error:  # "1:59:59", "0x", "!!int"
+            raise _at(node, self.source, f"{shown} is not a number that can be read") from error
+        if not -LARGEST_NUMBER < number < LARGEST_NUMBER:  # nor NaN
+            what = f"{shown} is not a reasonable number: expected a finite one within ±2^63"
+            raise _at(node, self.source, what)
+        return number
+
+
+for _kind in ("int", "float"):
+    _Loader.add_constructor(f"tag:yaml.org,2002:{_kind}", _Loader.construct_number)
 
 
 class _Dumper(yaml.SafeDumper):
@@ -77,8 +106,8 @@ def parse_yaml(text: str, model: type[Model], source: str) -> Model:
     try:
         _refuse_deep(text, source)
         loader = _Loader(text)
+        loader.source = source
         root = loader.get_single_node()
-        _refuse_unreasonable(root, loader, source)
         data = None if root is None else loader.construct_document(root)
     except yaml.MarkedYAMLError as error:
         line = error.problem_mark.line + 1 if error.problem_mark else 1
@@ -172,37 +201,6 @@ def _refuse_deep(text: str, source: str) -> None:
             raise _at(event, source, f"nested more than {DEEPEST} deep, which no file of imumon is")
         if isinstance(event, yaml.AliasEvent):
             raise _at(event, source, f"*{event.anchor} is an alias, which is not read: repeat what it means")
-
-
-def _refuse_unreasonable(node: yaml.Node | None, loader: Any, source: str) -> None:
-    """Refuse a key that is there twice, of which YAML loaders take the last; and numbers that are none."""
-    if isinstance(node, yaml.ScalarNode):
-        _refuse_number(node, loader, source)
-    elif isinstance(node, yaml.SequenceNode):
-        for part in node.value:
-            _refuse_unreasonable(part, loader, source)
-    elif isinstance(node, yaml.MappingNode):
-        keys = set[str]()
-        for key, value in node.value:
-            if str(key.value) in keys:
-                raise _at(key, source, f"key {key.value!r} is there twice")
-            keys.add(str(key.value))
-            _refuse_unreasonable(key, loader, source)
-            _refuse_unreasonable(value, loader, source)
-
-
-def _refuse_number(node: yaml.ScalarNode, loader: Any, source: str) -> None:
-    if node.tag not in ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float"):
-        return
-    shown = _short(node.value, 40)
-    if re.fullmatch(r"[-+]?(\d+:.*|0\d+)", node.value):  # YAML 1.1 reads 1:30 as 90 and 010 as 8
-        raise _at(node, source, f"{shown} is not a plain number: quote it where it is a text")
-    try:
-        number = loader.construct_object(node)
-    except (ArithmeticError, IndexError, TypeError, ValueError) as error:  # "1:59:59", "0x", "!!int"
-        raise _at(node, source, f"{shown} is not a number that can be read") from error
-    if not -LARGEST_NUMBER < number < LARGEST_NUMBER:  # nor NaN
-        raise _at(node, source, f"{shown} is not a reasonable number: expected a finite one within ±2^63")
 
 
 def _at(node: Any, source: str, seen: str) -> ImumonError:

@@ -1,7 +1,5 @@
 """Text files read whole, or refused with the reason; files written whole or not at all; values for JSON."""
 
-from __future__ import annotations
-
 import errno
 import io
 import math

@@ -5,8 +5,6 @@ is that of -z, which then lies level.  Body axes are right-handed, of any kind. 
 points up.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -28,10 +26,7 @@ LEAST_HORIZONTAL = 0.1
 def forward(up: FloatArray) -> FloatArray:
     """Return the level direction whose heading is meant, a unit vector in body axes, (3,).
 
-    Parameters
-    ----------
-    up : array (3,)
-        Unit vector up, body axes.
+    `up` (3,): unit vector up, body axes.
     """
     ahead = np.array([1.0, 0.0, 0.0]) - up[0] * up
     length = math.sqrt((ahead * ahead).sum())
@@ -77,12 +72,9 @@ def earth_rate_in_body(up: FloatArray, heading: float, latitude: float) -> Float
 def earth_rate_along(up: FloatArray, northward: FloatArray, latitude: float) -> FloatArray:
     """Return the earth rate in the axes of the given directions, rad/s, (3,).
 
-    Parameters
-    ----------
-    up, northward : array (3,)
-        Unit vectors; `northward` zero where the heading is not known: the vertical part only.
-    latitude : float
-        rad.
+    `up`, `northward` (3,): unit vectors; `northward` zero where the heading is not known: the vertical part
+        only.
+    `latitude`: rad.
     """
     rate: FloatArray = EARTH_RATE * (math.cos(latitude) * northward + math.sin(latitude) * up)
     return rate

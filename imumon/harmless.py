@@ -4,8 +4,6 @@ Such text may hold escape sequences that write to a terminal, line breaks that f
 that a report would carry out, or formulas that a spreadsheet would compute.  What is changed stays readable.
 """
 
-from __future__ import annotations
-
 import re
 
 LONGEST_LINE = 2000

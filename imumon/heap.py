@@ -1,7 +1,5 @@
 """Keeps the memory of programs that run for days: what is free goes back to the system."""
 
-from __future__ import annotations
-
 import ctypes
 import sys
 

@@ -6,8 +6,6 @@ axis that stays the same for long while another does not is reported, and a spec
 the unit that was declared.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from itertools import pairwise

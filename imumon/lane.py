@@ -1,7 +1,5 @@
 """What a lane of states shows: a text, and how good that is."""
 
-from __future__ import annotations
-
 from enum import Enum
 from typing import NamedTuple
 

@@ -26,7 +26,7 @@ from imumon.intake import Intake
 from imumon.lane import LaneState
 from imumon.protocols.base import COMMON, MAIN, ByteArray, Timing
 from imumon.protocols.device import DeviceFile
-from imumon.protocols.epochs import EpochAssembler, EpochCounters
+from imumon.protocols.epochs import EpochAssembler
 from imumon.protocols.ranges import Ranges
 from imumon.stage import Estimator as Estimator
 from imumon.stage import GuardedStage
@@ -144,13 +144,13 @@ class Pipeline:
         assembled = self._epochs.counters if self._epochs is not None else {}
         streams = {}
         for stream, intervals in self._intervals.items():
-            own, is_main = assembled.get(stream, EpochCounters()), stream == MAIN
+            (packets, incomplete), is_main = assembled.get(stream, (0, 0)), stream == MAIN
             streams[stream] = StreamCounters(
-                packets=own.packets or intervals.rows,
+                packets=packets or intervals.rows,
                 rows=intervals.rows,
                 rate_hz=intervals.rate_hz,
                 gaps=intervals.gaps,
-                incomplete=own.incomplete,
+                incomplete=incomplete,
                 restarts=self._device_clock.resets if is_main else intervals.backwards,
                 dated_by=self._device_clock.dated_by if is_main else "",
             )

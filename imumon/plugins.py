@@ -1,7 +1,5 @@
 """What other packages add to imumon: entry points, by their group."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace

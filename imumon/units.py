@@ -1,7 +1,5 @@
 """Units at the boundary: from what a device or a table has to what imumon has inside."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from dataclasses import dataclass

@@ -3,8 +3,6 @@
 Those of imumon are listed here, those of other packages found by their entry points.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from functools import cache
 from importlib import import_module

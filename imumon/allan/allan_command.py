@@ -71,7 +71,7 @@ def command(
 def _show_terms(results: dict[str, Result]) -> None:
     from rich.table import Column
 
-    from imumon.allan.terms import TERMS_OF
+    from imumon.allan.covariance import TERMS_OF
 
     for group, terms in TERMS_OF.items():
         of_group = {name: result for name, result in results.items() if name.startswith(group)}

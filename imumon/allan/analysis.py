@@ -6,8 +6,6 @@ differences whose whole span lies in one run of samples are taken.  The sums are
 three times as long (an hour of six channels at 400 Hz: 2 s), and a hundred times with a gap every 20 samples.
 """
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Mapping
@@ -18,10 +16,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from imumon.allan.covariance import DIFFERENCES, Kind, freedom, intervals
-from imumon.allan.fit import DIGITS, NO_SUM, Division, Estimate, Fit, fit_terms
-from imumon.allan.series import EvenSeries
-from imumon.allan.terms import NAMES
+from imumon.allan.covariance import DIFFERENCES, NAMES, Kind, freedom, intervals
+from imumon.allan.fit import DIGITS, NO_SUM, Estimate, Fit, fit_terms
+from imumon.allan.series import Division, EvenSeries
 from imumon.blocks import FloatArray, IntArray
 from imumon.compiled import njit
 from imumon.filters.rounding import Digits, digits
@@ -89,12 +86,8 @@ def sums_of_squares(x: FloatArray, starts: IntArray, stops: IntArray, m: int) ->
     The modified one takes sums of m second differences; from one such sum to the next the step is the third
     difference.  Their rounding stays below 1e-9 of the result for 1e8 samples.
 
-    Parameters
-    ----------
-    x : array, (n + 1,)
-        Running sum of the samples without their mean.
-    starts, stops : arrays of int64
-        Runs: samples start..stop, so that x[start] ... x[stop] belong to the run.
+    `x` (n + 1,): running sum of the samples without their mean.
+    `starts`, `stops` (k,): runs: samples start..stop, so that x[start] ... x[stop] belong to the run.
     """
     sums, numbers = np.zeros(3), np.zeros(3, np.int64)
     for run in range(len(starts)):

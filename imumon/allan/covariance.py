@@ -1,4 +1,4 @@
-"""Variance of an overlapping deviation, and covariance between averaging times.
+"""The terms of the noise; variance of an overlapping deviation, and covariance between averaging times.
 
 A difference of the integrated signal is stationary for every power-law noise, with a covariance that
 follows from the generalised autocovariance G of the integral (Greenhall and Riley, "Uncertainty of stability
@@ -12,8 +12,6 @@ Gauss-Legendre between the kinks of G where it is long.  Everything is in units 
 that each noise has the variance given in `SHAPES` per unit of its coefficient.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -24,6 +22,58 @@ import numpy as np
 from numpy.polynomial.legendre import leggauss
 
 from imumon.blocks import FloatArray, IntArray
+from imumon.config import StrictModel
+from imumon.geodesy import MICRO_G
+from imumon.run.noise import AccelNoise, GyroNoise
+
+NAMES = (
+    "angle_random_walk", "bias_instability", "rate_random_walk", "quantization", "rate_ramp",
+    "correlated_noise", "correlation_time",
+)  # fmt: skip
+"""The terms of a fit, in the order of the fields of a sensor's noise."""
+_DEG = math.degrees(1.0)
+
+
+class TermOfSensor(NamedTuple):
+    """How a term of one sensor is reported: field of the noise section and SI unit, and for people its name,
+    its unit, and how many of that are one SI unit."""
+
+    key: str
+    unit: str
+    title: str
+    shown: str
+    factor: float
+
+
+def _terms(section: type[StrictModel], *rows: tuple[str, str, str, float]) -> dict[str, TermOfSensor]:
+    fields = zip(NAMES, section.model_fields, rows, strict=True)
+    return {name: TermOfSensor(key, *row) for name, key, row in fields}
+
+
+TERMS_OF = {
+    "gyro": _terms(
+        GyroNoise,
+        ("rad/sqrt(s)", "angle random walk", "°/√h", 60.0 * _DEG),
+        ("rad/s", "bias instability", "°/h", 3600.0 * _DEG),
+        ("rad/s/sqrt(s)", "rate random walk", "°/h/√h", 60.0 * 3600.0 * _DEG),
+        ("rad", "quantization", "arcsec", 3600.0 * _DEG),
+        ("rad/s^2", "rate ramp", "°/h/h", 3600.0**2 * _DEG),
+        ("rad/s", "correlated noise", "°/h", 3600.0 * _DEG),
+        ("s", "  correlated for", "s", 1.0),
+    ),
+    "accel": _terms(
+        AccelNoise,
+        ("m/s/sqrt(s)", "velocity random walk", "m/s/√h", 60.0),
+        ("m/s^2", "bias instability", "µg", 1.0 / MICRO_G),
+        ("m/s^2/sqrt(s)", "accel. random walk", "µg/√h", 60.0 / MICRO_G),
+        ("m/s", "quantization", "mm/s", 1e3),
+        ("m/s^3", "accel. ramp", "µg/h", 3600.0 / MICRO_G),
+        ("m/s^2", "correlated noise", "µg", 1.0 / MICRO_G),
+        ("s", "  correlated for", "s", 1.0),
+    ),
+}
+"""Every term of each sensor, by `NAMES`."""
+
 
 Kind = Literal["allan", "modified", "hadamard"]
 Autocovariance = Callable[[FloatArray], FloatArray]
@@ -107,7 +157,7 @@ def markov(time: float) -> Autocovariance:
         x = k / time
         series = x**3 / -6.0 * (1.0 - x / 4.0 * (1.0 - x / 5.0 * (1.0 - x / 6.0 * (1.0 - x / 7.0))))
         rest = np.where(x < SMALL, series, np.expm1(-x) + x - 0.5 * x**2)
-        return np.asarray(-scale * (rest + linear * k))
+        return -scale * (rest + linear * k)
 
     return g
 
@@ -116,7 +166,15 @@ def markov_shape(m: FloatArray, time: float) -> FloatArray:
     """Return the Allan variance at averaging factors of a Gauss-Markov process of unit variance, (n,)."""
     g = markov(time)
     # The terms of the second difference with itself; IEEE Std 952, C.1.5, is the limit of a long time.
-    return np.asarray((g(2.0 * m) - 4.0 * g(m) + 3.0 * g(np.zeros(1))) / m**2)
+    return (g(2.0 * m) - 4.0 * g(m) + 3.0 * g(np.zeros(1))) / m**2
+
+
+def shapes_at(m: FloatArray, time: float) -> FloatArray:
+    """Return the Allan variance at averaging factors, (n,), per unit of the first six terms, (n, 6).
+
+    `time`: correlation time of the Gauss-Markov process, samples.
+    """
+    return np.column_stack([*(shape(m) for shape in SHAPES.values()), markov_shape(m, time)])
 
 
 class Runs(NamedTuple):
@@ -126,7 +184,7 @@ class Runs(NamedTuple):
     weights: FloatArray
 
     @staticmethod
-    def of(starts: IntArray, stops: IntArray, least: int) -> Runs:
+    def of(starts: IntArray, stops: IntArray, least: int) -> "Runs":
         """Return the runs of this length or more."""
         lengths = stops - starts
         found, counts = np.unique(lengths[lengths >= least], return_counts=True)
@@ -200,7 +258,6 @@ def covariances_of(factors: IntArray, runs: Sequence[Runs], time: float) -> Cova
     """
     m = factors.astype(np.float64)
     by_time = (markov_shape(m, time * STEP) - markov_shape(m, time / STEP)) / (2.0 * math.log(STEP))
-    shapes = [*(shape(m) for shape in SHAPES.values()), markov_shape(m, time), by_time]
     noises = (*AUTOCOVARIANCES[1], markov(time))
     n, p = len(factors), len(noises)
     quadratic, linear = np.empty((n, n, p, p)), np.empty((n, n, p))
@@ -209,7 +266,7 @@ def covariances_of(factors: IntArray, runs: Sequence[Runs], time: float) -> Cova
             rows, pairs = _correlations("allan", int(factors[i]), int(factors[j]), runs[j], noises)
             quadratic[i, j] = quadratic[j, i] = 2.0 * (rows * pairs) @ rows.T
             linear[i, j] = linear[j, i] = 2.0 * rows @ pairs
-    return Covariances(m, time, np.column_stack(shapes), quadratic, linear)
+    return Covariances(m, time, np.column_stack([shapes_at(m, time), by_time]), quadratic, linear)
 
 
 def freedom(kind: Kind, m: int, runs: Runs, noise: FloatArray) -> float:

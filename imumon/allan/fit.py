@@ -4,6 +4,10 @@ The variances are a sum of known shapes with coefficients that are not negative.
 generalised least squares whose covariance matrix, over all averaging times together, is that of the fitted
 noise itself, until both agree: the quasi-likelihood of variances.  No slope is picked by eye.
 
+A variance is distributed about as chi-square, and so its cube root about normally (Wilson and Hilferty 1931):
+whether a sum of terms describes the curve, and which one does so better, is tested by that.  By the variance
+itself no curve could be too low for a large random walk, which makes the variance of its variances large.
+
 1. `usable_range`: the shortest averaging times are left out where a filter of the device has shaped them, the
    longest where something else than noise has, such as a vibration; or the curve gets a model error.
 2. `with_correlated`: a first-order Gauss-Markov process is a term where the curve is far less likely without:
@@ -29,36 +33,35 @@ correlation time T    (3 - 4 exp(-tau/T) + exp(-2tau/T)))  1.89 T
 ====================  ===================================  =======================
 """
 
-from __future__ import annotations
-
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import partial
 from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
+from scipy.optimize import nnls
+from scipy.special import gammaincc
 
-from imumon.allan import covariance
-from imumon.allan.problem import (
-    EVERY,
-    FILTER,
-    FLICKER,
-    MARKOV,
-    QUANTIZATION,
-    RAMP,
-    TIME,
-    WALK,
-    WHITE,
-    Problem,
-    Solution,
-    signed,
-)
-from imumon.allan.series import EvenSeries, octaves
-from imumon.allan.terms import NAMES
+from imumon.allan.covariance import FLOOR_PER_INSTABILITY, NAMES, Covariances, shapes_at
+from imumon.allan.series import LONGEST_START_S, Division
 from imumon.blocks import FloatArray
 
+GOOD = 1e-3
+"""A fit is taken for good when chi-square is exceeded by chance with at least this probability."""
+ITERATIONS = 20
+CONVERGED = 1e-5
+
+WHITE, FLICKER, WALK, QUANTIZATION, RAMP, MARKOV, TIME, FILTER = range(8)
+"""Columns of the design: the shapes; the derivative by the correlation time, which is not fitted, but makes
+the others uncertain; and the filter.
+
+A low-pass filter takes from white noise, at averaging times longer than itself, what has the shape of
+quantization: its column is that shape with a minus.
+"""
+EVERY = (WHITE, FLICKER, WALK, QUANTIZATION, RAMP, FILTER)
+"""What is fitted without correlated noise."""
 FITTED, SHORT_FITTED = 2.0, 3.0
 """A term is in the fit when the data call for it by this many standard deviations; the second number is that
 of quantization and filter, at the short averaging times: with 2 the error of N in white noise is a quarter
@@ -66,8 +69,6 @@ larger."""
 SHOWN = 3.5
 """A term is in the result when the data call for it by so many standard deviations; noise alone does that
 once in some hundred curves."""
-LONGEST_START_S = 1.0
-"""The shortest averaging times are left out, up to this one, where a filter of the device has shaped them."""
 BEYOND_FILTER = 1
 """Octaves that are left out besides: chi-square does not see the end of a filter, and the error of N would be
 up to 4.8 of its standard deviations (rms); with one octave it is up to 1.1."""
@@ -80,8 +81,6 @@ ROUNDS, CLOSE, LARGEST_ERROR = 8, 0.05, 3.0
 """The model error is found to 5 %: chi-square falls with its square where it counts."""
 FEWEST, FEWEST_BEFORE = 5, 4
 """Averaging times that a fit must keep; and that one before a disturbance must have."""
-LEAST_TIME = 4.0
-"""Samples: a shorter correlation cannot be distinguished from white noise behind a filter."""
 WITHIN = 0.25
 """A process whose correlation time is a longer part of the longest trusted averaging time is, as far as the
 curve goes, a random walk: its highest point, at 1.89 times the correlation time, would have to be passed."""
@@ -90,7 +89,119 @@ ALIKE = frozenset((FLICKER, WALK))
 """Each of these can stand in the place of the other at the longest averaging times."""
 
 AMBIGUOUS, DIGITS = "ambiguous", "digits"
-_WALK = np.array([0.0, 0.0, 1.0, 0.0])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solution:
+    """What was fitted and how likely it is."""
+
+    coefficients: FloatArray
+    """By the columns, (8,), none negative."""
+    chi_square: float
+    log_likelihood: float
+    design: FloatArray
+    residual: FloatArray
+    """Columns, (n, 8), and what is left of the variances, (n,), both scaled to white errors of one."""
+
+    @property
+    def columns(self) -> frozenset[int]:
+        """Return the columns of the terms that are not zero."""
+        return frozenset(np.flatnonzero(self.coefficients).tolist())
+
+    @property
+    def degrees_of_freedom(self) -> int:
+        """Return those that are left, one at least."""
+        return max(1, len(self.residual) - len(self.columns))
+
+    def is_good(self) -> bool:
+        """Return whether chi-square is in order for its degrees of freedom."""
+        return float(gammaincc(0.5 * self.degrees_of_freedom, 0.5 * self.chi_square)) > GOOD
+
+    def sd(self, columns: Iterable[int]) -> dict[int, float]:
+        """Return the standard deviation of each of these coefficients, where all of them are unknown."""
+        columns = sorted(columns)
+        design = self.design[:, columns]
+        scale = np.linalg.norm(design, axis=0)
+        inverse = np.linalg.pinv((design / scale).T @ (design / scale))
+        return dict(zip(columns, (np.sqrt(np.diag(inverse)) / scale).tolist(), strict=True))
+
+    def called_for(self, column: int) -> float:
+        """Return the significance of one more term in the residual, in standard deviations."""
+        wanted = self.design[:, column]
+        others = np.linalg.qr(self.design[:, sorted(self.columns)])[0]
+        beyond = wanted - others @ (others.T @ wanted)
+        if beyond @ beyond <= 1e-9 * (wanted @ wanted):
+            return 0.0
+        return float(wanted @ self.residual) / float(np.linalg.norm(beyond))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Problem:
+    """Variances from one averaging time to another, with the covariance of each set of coefficients."""
+
+    variances: FloatArray
+    """At all trusted averaging times, (n,)."""
+    covariances: Covariances
+    """At these and maybe further ones."""
+    start: int
+    stop: int
+    """The averaging times that are to be described: start..stop, without the last."""
+    model_error: float = 0.0
+    """Part of each variance that no sum of the terms describes."""
+
+    @property
+    def design(self) -> FloatArray:
+        """Return the expected variance per unit of each coefficient, (n, 8)."""
+        shapes = self.covariances.shapes[: len(self.variances)]
+        return np.column_stack([shapes, -shapes[:, QUANTIZATION]])
+
+    def fit(self, columns: Iterable[int]) -> Solution:
+        """Fit these terms; some may end at zero."""
+        columns, part = sorted(columns), slice(self.start, self.stop)
+        design, variances = self.design[part], self.variances[part]
+        found = _bounded(columns, design, variances, np.diag(variances))
+        for _ in range(ITERATIONS):
+            before = found
+            found = _bounded(columns, design, variances, self._root(design, before))
+            if np.all(np.abs(found - before) <= CONVERGED * np.maximum(found, before)):
+                break
+        root = self._root(design, found)
+        expected = np.maximum(design @ found, 1e-3 * variances)
+        freedom = 2.0 * (expected / np.linalg.norm(root, axis=1)) ** 2
+        ratio = variances / expected
+        normal = np.linalg.solve(root, 3.0 * expected * (np.cbrt(ratio) - 1.0 + 2.0 / (9.0 * freedom)))
+        chi_square = float(normal @ normal)
+        # Of the density of the variances themselves: the last part is the derivative of `normal`.
+        spread = float(2.0 * np.log(np.diag(root)).sum() + 4.0 / 3.0 * np.log(ratio).sum())
+        left = np.column_stack([design, variances - design @ found])
+        white = np.asarray(np.linalg.solve(root, left), np.float64)
+        return Solution(found, chi_square, -0.5 * (chi_square + spread), white[:, :-1], white[:, -1])
+
+    def _root(self, design: FloatArray, coefficients: FloatArray) -> FloatArray:
+        """Return the Cholesky factor of the covariance of the variances, (n, n), for coefficients."""
+        part = slice(self.start, self.stop)
+        expected = design @ coefficients
+        matrix = self.covariances.matrix(signed(coefficients))[part, part].copy()
+        diagonal = np.einsum("ii->i", matrix)  # a view
+        diagonal += (self.model_error * expected) ** 2
+        diagonal += 1e-12 * diagonal + 1e-9 * (np.abs(expected) + 1e-3 * self.variances[part]) ** 2
+        return np.asarray(np.linalg.cholesky(matrix), np.float64)
+
+
+def _bounded(columns: list[int], design: FloatArray, variances: FloatArray, root: FloatArray) -> FloatArray:
+    """Return the coefficients, (8,), of these columns that fit best; they may differ by powers of ten."""
+    whitened = np.linalg.solve(root, np.column_stack([design[:, columns], variances]))
+    scale = np.linalg.norm(whitened[:, :-1], axis=0)
+    coefficients = np.zeros(design.shape[1])
+    coefficients[columns] = nnls(whitened[:, :-1] / scale, whitened[:, -1])[0] / scale
+    return coefficients
+
+
+def signed(coefficients: FloatArray) -> FloatArray:
+    """Return the coefficients of the six shapes, (6,), with what a filter takes away."""
+    found = coefficients[:TIME].copy()
+    found[QUANTIZATION] -= coefficients[FILTER]
+    return found
 
 
 class Estimate(NamedTuple):
@@ -125,28 +236,7 @@ class Fit:
 
     def shares(self, m: FloatArray) -> FloatArray:
         """Return the Allan variance that each of the first six terms makes at averaging factors, (n, 6)."""
-        shapes = [*(shape(m) for shape in covariance.SHAPES.values()), covariance.markov_shape(m, self.time)]
-        return np.column_stack(shapes) * self.coefficients
-
-
-class Division:
-    """A record divided into runs, at each averaging factor; the same for all channels with the same gaps."""
-
-    def __init__(self, series: EvenSeries) -> None:
-        self.factors = octaves(series)
-        self.runs = [covariance.Runs.of(*series.runs(m), 2 * m) for m in self.factors.tolist()]
-        each = zip(self.factors.tolist(), self.runs, strict=True)
-        few = [covariance.freedom("allan", *one, _WALK) < covariance.TRUSTED_FREEDOM for one in each]
-        self.trusted = [*few, True].index(True)
-        """How many of the averaging times can be trusted, from the shortest on."""
-        first = math.log2(max(LONGEST_START_S / series.interval_s, LEAST_TIME))
-        last = max(math.log2(self.factors[: self.trusted].max(initial=1)), first)
-        self.times = [float(time) for time in 2.0 ** np.arange(first, last + 1e-9)]
-        """Correlation times that are tried, samples, in octaves: beyond a filter, to the longest of these."""
-        self.at = cache(partial(covariance.covariances_of, self.factors, self.runs))
-        """Return the covariances for a correlation time, samples."""
-        for time in self.times:
-            self.at(time)  # now, and not once in each thread
+        return shapes_at(m, self.time) * self.coefficients
 
 
 def fit_terms(variances: FloatArray, division: Division, interval_s: float) -> Fit | None:
@@ -174,7 +264,7 @@ def fit_terms(variances: FloatArray, division: Division, interval_s: float) -> F
     sd = solution.sd({*fitted, TIME} if correlated else fitted)
     terms: dict[str, Estimate | None] = dict.fromkeys(NAMES)
     # Squares of the terms per unit of their coefficients, the Allan variances at one sample.
-    dt, flat = interval_s, covariance.FLOOR_PER_INSTABILITY**-2
+    dt, flat = interval_s, FLOOR_PER_INSTABILITY**-2
     squares = (dt, flat, 3.0 / dt, dt**2 / 3.0, 2.0 / dt**2, 1.0)
     for column in shown:
         coefficient = float(solution.coefficients[column])
@@ -244,10 +334,7 @@ def with_correlated(plain: Problem, division: Division) -> Problem | None:
 
     None where the other terms alone make the variances about as likely.
     """
-
-    def likelihood(time: float) -> float:
-        return replace(plain, covariances=division.at(time)).fit(WITH_MARKOV).log_likelihood
-
+    likelihood = partial(_likelihood, plain, division, WITH_MARKOV)
     longest = plain.covariances.m[plain.stop - 1]
     tried = {time: likelihood(time) for time in division.times if time <= longest}
     # As much as of any term; and of so many correlation times one does well by chance.
@@ -269,8 +356,13 @@ def may_be_correlated(plain: Problem, division: Division, smallest: Solution) ->
     """Return whether a process short enough to show, in place of flicker and random walk, is as likely."""
     needed, longest = plain.fit(EVERY).log_likelihood, plain.covariances.m[plain.stop - 1]
     columns = smallest.columns - ALIKE | {MARKOV}
-    problems = [replace(plain, covariances=division.at(t)) for t in division.times if t <= WITHIN * longest]
-    return any(problem.fit(columns).log_likelihood > needed for problem in problems)
+    times = [time for time in division.times if time <= WITHIN * longest]
+    return any(_likelihood(plain, division, columns, time) > needed for time in times)
+
+
+def _likelihood(plain: Problem, division: Division, columns: Iterable[int], time: float) -> float:
+    """Return the log likelihood of these terms with a correlation time, samples."""
+    return replace(plain, covariances=division.at(time)).fit(columns).log_likelihood
 
 
 def smallest_set(problem: Problem, every: Sequence[int]) -> Solution:

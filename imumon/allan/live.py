@@ -10,17 +10,14 @@ For each octave a ring of the last 64 running sums is kept, one a stride, of whi
 two: 18 kB for a channel, for averaging times of up to 2^35 samples.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from imumon.allan.covariance import NOISES, TRUSTED_FREEDOM, Runs, freedom, intervals
+from imumon.allan.covariance import NOISES, TERMS_OF, TRUSTED_FREEDOM, Runs, freedom, intervals
 from imumon.allan.series import JITTER, nominal_interval_ns
-from imumon.allan.terms import TERMS_OF
 from imumon.blocks import ColumnArray, FloatArray, IntArray, SampleBlock
 from imumon.charts import AXIS_COLORS, GREY, Axis, Chart, Curve
 from imumon.columns import Column
@@ -114,7 +111,7 @@ class LiveCurve(NamedTuple):
     high: FloatArray
     freedom: FloatArray
 
-    def trusted(self) -> LiveCurve:
+    def trusted(self) -> "LiveCurve":
         """Return the part up to the first averaging time without enough degrees of freedom."""
         n = int(np.argmax([*(self.freedom < TRUSTED_FREEDOM), True]))
         return LiveCurve(*(part[:n] for part in self))

@@ -10,8 +10,6 @@ bias random walk K are continuous-time densities, N in rad/s/√Hz or m/s²/√H
   in each step, so that of the white noise it counts 1/√2.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterator, Mapping
@@ -21,10 +19,9 @@ from typing import Any
 import numpy as np
 
 from imumon.allan.analysis import Result
-from imumon.allan.covariance import CONFIDENCE
+from imumon.allan.covariance import CONFIDENCE, TERMS_OF
 from imumon.allan.fit import AMBIGUOUS, DIGITS, NO_SUM
 from imumon.allan.recording import UNITS, by_text, group_of
-from imumon.allan.terms import TERMS_OF
 from imumon.config import dump_yaml
 from imumon.errors import bad_data
 from imumon.files import check_output, write_text
@@ -129,7 +126,7 @@ def value_of(result: Result | None, term: str) -> float | None:
     if result is None or result.fit is None:
         return None
     estimate = result.fit.terms[term]
-    return None if estimate is None else float(f"{estimate.value:.6g}")
+    return None if estimate is None else _rounded(estimate.value)
 
 
 def write_noise(path: Path, results: Mapping[str, Result], source: Path) -> None:

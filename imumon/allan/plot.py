@@ -1,21 +1,18 @@
 """The log-log picture of a recording's Allan deviations."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from imumon.allan.analysis import Result
+from imumon.allan.covariance import TERMS_OF
 from imumon.allan.fit import Fit
 from imumon.allan.recording import group_of
-from imumon.allan.terms import TERMS_OF
 from imumon.blocks import FloatArray
 from imumon.files import write_png
 from imumon.harmless import for_plot
@@ -42,7 +39,6 @@ def write_plot(path: Path, results: Mapping[str, Result], source: Path) -> None:
     """
     groups = [group for group in TERMS_OF if any(group_of(name) == group for name in results)]
     figure = Figure(figsize=(7.0 * len(groups), 5.6), layout="constrained")
-    FigureCanvasAgg(figure)
     for number, group in enumerate(groups):
         axes = figure.add_subplot(1, len(groups), number + 1)
         _draw(axes, group, {name: result for name, result in results.items() if group_of(name) == group})

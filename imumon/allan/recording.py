@@ -1,7 +1,5 @@
 """The channels of a recording for the Allan deviation, and what the user should know of it."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import NamedTuple

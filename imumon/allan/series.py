@@ -7,14 +7,14 @@ neighbours, as many on either side as are missing; no difference crosses a gap t
 unknown or great length.
 """
 
-from __future__ import annotations
-
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from functools import cache, partial
 
 import numpy as np
 
+from imumon.allan.covariance import TRUSTED_FREEDOM, Runs, covariances_of, freedom
 from imumon.blocks import BoolArray, FloatArray, IntArray
 
 JITTER = 0.35
@@ -25,6 +25,11 @@ variance: a quarter of the cube of its part."""
 LONGEST_GAP = 200
 """A gap of more than one part in so many of the samples ends an island: no averaging time could bridge it."""
 SHORTEST_ISLAND = 4
+LONGEST_START_S = 1.0
+"""The shortest averaging times are left out, up to this one, where a filter of the device has shaped them."""
+LEAST_TIME = 4.0
+"""Samples: a shorter correlation cannot be distinguished from white noise behind a filter."""
+_WALK = np.array([0.0, 0.0, 1.0, 0.0])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,7 +85,27 @@ def octaves(series: EvenSeries) -> IntArray:
     n = 0
     while np.subtract(*series.runs(1 << n)[::-1]).max(initial=0) >= 2 << n:
         n += 1
-    return np.asarray(1 << np.arange(n, dtype=np.int64))
+    return 1 << np.arange(n, dtype=np.int64)
+
+
+class Division:
+    """A record divided into runs, at each averaging factor; the same for all channels with the same gaps."""
+
+    def __init__(self, series: EvenSeries) -> None:
+        self.factors = octaves(series)
+        self.runs = [Runs.of(*series.runs(m), 2 * m) for m in self.factors.tolist()]
+        each = zip(self.factors.tolist(), self.runs, strict=True)
+        few = [freedom("allan", *one, _WALK) < TRUSTED_FREEDOM for one in each]
+        self.trusted = [*few, True].index(True)
+        """How many of the averaging times can be trusted, from the shortest on."""
+        first = math.log2(max(LONGEST_START_S / series.interval_s, LEAST_TIME))
+        last = max(math.log2(self.factors[: self.trusted].max(initial=1)), first)
+        self.times = [float(time) for time in 2.0 ** np.arange(first, last + 1e-9)]
+        """Correlation times that are tried, samples, in octaves: beyond a filter, to the longest of these."""
+        self.at = cache(partial(covariances_of, self.factors, self.runs))
+        """Return the covariances for a correlation time, samples."""
+        for time in self.times:
+            self.at(time)  # now, and not once in each thread
 
 
 def nominal_interval_ns(time_ns: IntArray, segment: IntArray) -> float:
@@ -94,12 +119,8 @@ def nominal_interval_ns(time_ns: IntArray, segment: IntArray) -> float:
     return float(near.mean())
 
 
-class _Grid(NamedTuple):
-    """Where samples lie on an even grid: which are kept, at which position; and a series without values."""
-
-    kept: BoolArray
-    position: IntArray
-    series: EvenSeries
+Grid = tuple[BoolArray, IntArray, EvenSeries]
+"""Where samples lie on an even grid: which are kept, at which position; and a series without values."""
 
 
 def even_channels(
@@ -110,7 +131,7 @@ def even_channels(
     Device time, the count of its restarts, and channels are (n,), NaN where a channel has no sample: one that
     is slower than the packets has its own interval.
     """
-    grids: dict[bytes, _Grid | None] = {}
+    grids: dict[bytes, Grid | None] = {}
     series = {}
     for name, values in channels.items():
         present = np.isfinite(values)
@@ -118,11 +139,12 @@ def even_channels(
         if key not in grids:
             grids[key] = _grid(time_ns[present], segment[present])
         if (grid := grids[key]) is not None:
-            series[name] = replace(grid.series, values=_filled(values[present][grid.kept], grid))
+            kept, position, bare = grid
+            series[name] = replace(bare, values=_filled(values[present][kept], position, bare))
     return series
 
 
-def _grid(time_ns: IntArray, segment: IntArray) -> _Grid | None:
+def _grid(time_ns: IntArray, segment: IntArray) -> Grid | None:
     interval = nominal_interval_ns(time_ns, segment)
     if interval <= 0.0:
         return None
@@ -143,14 +165,14 @@ def _grid(time_ns: IntArray, segment: IntArray) -> _Grid | None:
     gaps = np.diff(position) - 1
     starts, lengths = position[:-1][gaps > 0] + 1, gaps[gaps > 0]
     series = EvenSeries(interval * 1e-9, np.empty(0), islands, starts, lengths, n, jitter)
-    return _Grid(kept, position, series)
+    return kept, position, series
 
 
-def _filled(values: FloatArray, grid: _Grid) -> FloatArray:
+def _filled(values: FloatArray, position: IntArray, bare: EvenSeries) -> FloatArray:
     """Return the samples at their positions, and between them the mean of their neighbours."""
-    islands, starts, lengths = grid.series.islands, grid.series.gap_starts, grid.series.gap_lengths
+    islands, starts, lengths = bare.islands, bare.gap_starts, bare.gap_lengths
     laid, there = np.zeros(islands[-1]), np.zeros(islands[-1], np.int64)
-    laid[grid.position], there[grid.position] = values, 1
+    laid[position], there[position] = values, 1
     island = np.searchsorted(islands, starts, side="right")
     low = np.maximum(starts - lengths, islands[island - 1])
     high = np.minimum(starts + 2 * lengths, islands[island])

@@ -6,8 +6,6 @@ alone, however late the packets between were, and an error at an end is in both 
 host's own clock is the measure; what that errs by, or is slewed by, is in the rate as well.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 
 import numpy as np

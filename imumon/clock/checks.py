@@ -1,7 +1,5 @@
 """Rate and gaps of a stream; whether what dates its rows is true: counts that stand, a nominal rate."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from imumon.blocks import NO_INT, IntArray, missing

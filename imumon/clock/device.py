@@ -20,8 +20,6 @@ then detects the offset step.  So does any restart of a device without a clock w
 slack (8 bits at 100 Hz).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from fractions import Fraction
 from typing import Final, Literal

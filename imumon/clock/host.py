@@ -14,8 +14,6 @@ below.
 A delay that all packets have in common cannot be determined: it is part of the offset.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -5,8 +5,6 @@ may be older or newer than the inertial data between which they come.  So each o
 to that of the latest main row as the range of the counter allows.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

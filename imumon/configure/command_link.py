@@ -1,7 +1,5 @@
 """The line to a device: finds it, sends requests, finds answers among the data, measures what it sends."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
@@ -14,8 +12,8 @@ from imumon.errors import ImumonError, Reason
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.numbers import is_missing
 from imumon.transport.detect import GLANCE_S, Evidence, Verdict, detect
-from imumon.transport.errors import wrong_baud_error
 from imumon.transport.port import Port, open_port
+from imumon.transport.ports import wrong_baud_error
 from imumon.transport.settings import PortSettings
 
 TRIES = 3

@@ -1,7 +1,5 @@
 """Configuring a device: read, plan, write, read back, listen, save; and back as it was if anything fails."""
 
-from __future__ import annotations
-
 import signal
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress

@@ -5,8 +5,6 @@ which values make a rate and outputs, and how answers are distinguished from the
 Nothing here opens a port: `imumon.configure.configuration` sends.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -15,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from imumon.configure import WING
 from imumon.errors import ImumonError, bad_config
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.framing import Candidates, Frame
@@ -94,7 +93,7 @@ class CommandError(Exception):
 
     def __init__(self, request: Request, why: str, refused: bool) -> None:
         super().__init__(f"{request.meaning}: {why}")
-        self.request, self.why, self.refused = request, why, refused
+        self.why, self.refused = why, refused
 
 
 Ask = Callable[[Request], bytes]
@@ -160,9 +159,7 @@ def packets_among(data: bytes, frame: Frame) -> tuple[list[bytes], int]:
 
     A packet that is cut off hides none behind it, as it may be none: an answer would come too late.
     """
-    candidates = Candidates([frame], np.frombuffer(data, np.uint8), final=True)
-    taken, done, _ = candidates.walk(0)
-    found = candidates.found(taken)
+    found, done, _ = Candidates([frame], np.frombuffer(data, np.uint8), final=True).walk(0)
     spans = zip(found.at.tolist(), found.length.tolist(), strict=True)
     return [data[at : at + size] for at, size in spans], done
 
@@ -329,12 +326,7 @@ def divisor(base_hz: float, rate_hz: float | None) -> int:
     raise no_rate(rate_hz, there, f"the device divides {base_hz:g} Hz by a whole number")
 
 
-FAMILIES = {
-    "xsens-mtdata2": "imumon.configure.xsens:Xsens",
-    "mip": "imumon.configure.mip:Mip",
-    "vectornav": "imumon.configure.vectornav:VectorNav",
-    "witmotion": "imumon.configure.witmotion:WitMotion",
-}
+FAMILIES = {protocol: place.removesuffix("Firmware") for protocol, place in WING.firmware.items()}
 """Class of the commands of each protocol; imported when a device of it is requested."""
 
 

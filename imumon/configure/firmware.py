@@ -1,7 +1,5 @@
 """What a virtual device does with commands, whatever its family."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from functools import cache

@@ -7,8 +7,6 @@ nothing is in flash unless it is saved.  Newer devices have one command for the 
 older ones one for each (0x08, 0x0A): the device is queried for those it knows.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Mapping, Sequence
 

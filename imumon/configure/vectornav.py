@@ -5,8 +5,6 @@ base rate, groups, a word of fields for each group), 6 the ASCII output, 5 the b
 volatile memory and $VNWNV saves **all** registers.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -77,7 +75,7 @@ class Output:
     words: tuple[int, ...]
 
     @classmethod
-    def read(cls, value: bytes) -> Output:
+    def read(cls, value: bytes) -> "Output":
         """Read a register; what makes no sense is an output that is off."""
         try:
             port, by, *hexadecimal = value.decode("ascii", "replace").split(",")
@@ -89,7 +87,7 @@ class Output:
         return found if fits else NO_OUTPUT
 
     @classmethod
-    def of(cls, port: int, by: int, names: Sequence[str]) -> Output:
+    def of(cls, port: int, by: int, names: Sequence[str]) -> "Output":
         """Return the output of fields."""
         words = vectornav.words_of(names)
         return cls(port, by, sum(1 << group - 1 for group in words), tuple(words.values()))

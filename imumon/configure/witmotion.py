@@ -5,8 +5,6 @@ answered by a frame 0x5F with four registers that does not name them.  So every 
 reading back, and one query waits for its answer before the next.  Saving stores **all** registers.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from functools import reduce
 from operator import or_
@@ -14,9 +12,8 @@ from operator import or_
 from imumon.configure import core
 from imumon.configure.core import Family, Message, PacketKind, Request, Sent
 from imumon.configure.firmware import Firmware
-from imumon.protocols.checks import Checksum
 from imumon.protocols.device import DeviceFile
-from imumon.protocols.framing import Frame, fixed_length, unchecked
+from imumon.protocols.framing import Checksum, Frame, fixed_length, unchecked
 from imumon.protocols.messages import TableDevice
 from imumon.protocols.witmotion import SIZE, TYPES
 

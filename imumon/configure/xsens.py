@@ -5,8 +5,6 @@ and **writes what it receives into its non-volatile memory at once**: there is n
 counts after a reset.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

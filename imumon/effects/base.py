@@ -5,13 +5,11 @@ force it makes k columns; the bias that it adds is columns times coefficients.
 
 - simulate: ``effect.added(memory, drive)``, chunk by chunk, or ``effect.simulate(drive)`` of a whole run;
 - regress: ``effect.columns(drive)`` for each parameter of ``type(effect).grid(survey)``;
-- live: `imumon.effects.live.Carrier`, fed block by block, with the same numbers however they are divided.
+- live: `imumon.models.predictor.Carrier`, fed block by block, with the same numbers however they are divided.
 
 What the diagnosis has to know of an effect beyond that are its class attributes: no other code asks for an
 effect by its name.
 """
-
-from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -265,7 +263,7 @@ class Effect(StrictModel):
         if ends is None:
             return np.empty((len(drive), 0))
         low, high = (self.advance(memory, drive)[:, :1] for memory in ends)
-        return np.asarray(0.5 * (high - low))
+        return 0.5 * (high - low)
 
     def settled(self, drive: Drive) -> BoolArray:
         """Return from when on the state at power-on no longer matters, (n,)."""

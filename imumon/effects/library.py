@@ -1,14 +1,11 @@
 """The effects of imumon and of other packages, by the name of their kind."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING, Annotated, Union
 
 from pydantic import AfterValidator, Field
 
 from imumon.effects.base import DrivenEffect, Effect
-from imumon.effects.kinds import KINDS, SEPARATED_BY
-from imumon.effects.offered import EFFECT, guarded, is_effect
+from imumon.effects.kinds import EFFECT, KINDS, SEPARATED_BY, guarded, is_effect
 from imumon.plugins import EFFECTS as OFFERED
 from imumon.plugins import plugins
 

@@ -4,8 +4,6 @@ The last values before a block come in as numbers; NaN means that there were non
 begins in equilibrium with the first temperature.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from imumon.blocks import FloatArray

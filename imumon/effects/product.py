@@ -1,7 +1,5 @@
 """Effects of the specific force on a gyro, and of the product of two drivers on any sensor."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal, Self
 
 import numpy as np
@@ -107,5 +105,5 @@ class Product(Effect):
         )
         if first.shape[1] == second.shape[1] == 3:
             rows, columns = (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)
-            return np.asarray(first[:, rows] * second[:, columns])
-        return np.asarray(first * second if ACCEL in self.drivers else np.hstack([first * second, second]))
+            return first[:, rows] * second[:, columns]
+        return first * second if ACCEL in self.drivers else np.hstack([first * second, second])

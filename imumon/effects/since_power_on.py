@@ -1,7 +1,5 @@
 """Effects of the time since power-on: what dies away, grows, jumps or swings, and each run's own constant."""
 
-from __future__ import annotations
-
 from functools import cache
 from itertools import pairwise
 from typing import Annotated, Literal, Self

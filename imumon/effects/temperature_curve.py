@@ -1,7 +1,5 @@
 """A curve over temperature of a higher degree than the one declared, or over another driver."""
 
-from __future__ import annotations
-
 from dataclasses import asdict
 from typing import Annotated, Literal, Self
 
@@ -48,7 +46,7 @@ class TemperatureCurve(ScaledEffect):
     def advance(self, memory: Memory, drive: Drive) -> FloatArray:  # noqa: ARG002 - it has no memory
         """Return the powers of u."""
         u = (drive.of(self.driver) - self.middle) / self.half_span
-        return np.asarray(u[:, np.newaxis] ** np.arange(self.first_power, self.first_power + self.powers))
+        return u[:, np.newaxis] ** np.arange(self.first_power, self.first_power + self.powers)
 
     def polynomial(self) -> Polynomial | None:
         """Return its powers as they are, of the temperature."""

@@ -1,23 +1,95 @@
-"""The sensor's own temperature follows the thermometer's late: behind a lag, or a fixed time later."""
-
-from __future__ import annotations
+"""A bias that follows its driver: late, behind a lag or a fixed time later; in a loop; or as its rate."""
 
 from dataclasses import asdict
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self, get_args
 
 import numpy as np
 from pydantic import Field, FiniteFloat
 
 from imumon.blocks import BoolArray, FloatArray
-from imumon.effects.base import RATIO, Drive, Memory, NotNegative, Positive, Survey, logarithmic
-from imumon.effects.follower import SHORTEST_S, Follower
+from imumon.effects.base import (
+    RATIO,
+    Drive,
+    DrivenEffect,
+    Memory,
+    NotNegative,
+    Positive,
+    ScaledEffect,
+    Survey,
+    logarithmic,
+)
+from imumon.effects.temperature_curve import MORE_DEGREES
 
+SHORTEST_S = 20.0
+"""A lag or delay that is shorter is a rate in means of 30 s."""
+HIGHEST_ORDER = 9
 UNTOLD_S = 30.0
 """sd of a gyro's lag behind the thermometer: half of the lag that means of 30 s separate from a rate."""
 SPACING_S = 0.25
 """One temperature is remembered of each such interval; the temperature of a unit is straight in between."""
 START_SD_DEGC = 1.0
 """How far from equilibrium a unit is at power-on, where nothing better is known (standard deviation)."""
+SHARES = (0.05, 0.1, 0.2, 0.4)
+"""Half widths of a loop of another driver, of its span."""
+SLACK_DEGC = 0.15
+"""Way of the thermometer that its noise and its steps make up."""
+
+Shape = Literal["play", "smooth"]
+FILTERS_S = (5.0, 15.0, 45.0)
+"""Of the rate of another driver."""
+
+
+class Follower(ScaledEffect):
+    """u^k - v^k, k = 1 .. order: u the driver, v what follows it, both as (driver - middle) / half span.
+
+    Of another driver than the temperature, which no declared curve is over, u is a column as well, the last.
+    """
+
+    order: Annotated[int, Field(ge=1, le=HIGHEST_ORDER)] = 1
+
+    @property
+    def width(self) -> int:
+        """One for each power, and that of the driver itself."""
+        return self.order + (not self.of_temperature)
+
+    @classmethod
+    def forms(cls, survey: Survey) -> list[dict[str, Any]]:
+        """Return orders and scale to try: none at constant temperature, the cubic where runs can show it."""
+        if not survey.thermal:
+            return []
+        orders = (1, 3) if may_sum(survey, 4) else (1,)
+        return [{"order": order, **asdict(survey.scale)} for order in orders]
+
+    @classmethod
+    def of_curve(cls, survey: Survey) -> list[Self]:
+        """Return those of more powers than are declared; none where the temperature went one way only."""
+        every = [max(survey.degree, 1) + more for more in (0, *MORE_DEGREES)]
+        orders = [order for order in every if order <= HIGHEST_ORDER]
+        linear = [one for one in cls.grid(survey) if one.order == 1] if may_sum(survey, 2) else []
+        return [one.model_copy(update={"order": order}) for order in orders for one in linear]
+
+    def follow(self, memory: Memory, drive: Drive) -> FloatArray:
+        """Return what follows the driver, (n,), and carry the memory along."""
+        raise NotImplementedError
+
+    def advance(self, memory: Memory, drive: Drive) -> FloatArray:
+        """Return the differences of powers, ahead less following."""
+        ahead, behind = self._powers(drive.of(self.driver)), self._powers(self.follow(memory, drive))
+        late = ahead - behind
+        return late if self.of_temperature else np.column_stack([late, ahead[:, :1]])
+
+    def _powers(self, values: FloatArray) -> FloatArray:
+        u = (values - self.middle) / self.half_span
+        powers = np.empty((len(u), self.order), order="F")
+        powers[:, 0] = u
+        for k in range(1, self.order):
+            powers[:, k] = powers[:, k - 1] * u
+        return powers
+
+
+def may_sum(survey: Survey, reversals: int) -> bool:
+    """Return whether the runs can show more than one term of a kind: two runs, or so many turns."""
+    return survey.runs > 1 or survey.reversals >= reversals
 
 
 class ThermalLag(Follower):
@@ -105,4 +177,89 @@ class DeadTime(Follower):
 
     def settled(self, drive: Drive) -> BoolArray:
         """Return whether the delay has passed: what was before power-on, nobody knows."""
-        return np.asarray(drive.time_s > self.delay_s)
+        return drive.time_s > self.delay_s
+
+
+class Hysteresis(Follower):
+    """What follows is dragged along with a backlash of this half width, or in a smooth loop (Dahl's).
+
+    The powers let its width change with temperature.  A smooth loop goes behind a backlash of half width
+    `slack`, so that the noise of a thermometer moves nothing.
+    """
+
+    kind: Literal["hysteresis"] = "hysteresis"
+    operator = "loop"
+    nonlinear = ("half_width",)
+    start_share = 3.0**-0.5  # equally likely anywhere between its ends
+    suspected_by = ("temperature", "temperature rate")
+    half_width: Positive
+    shape: Shape = "play"
+    slack: NotNegative = SLACK_DEGC
+
+    @classmethod
+    def grid(cls, survey: Survey) -> list[Self]:
+        """Return widths from twice the slack up to half the span."""
+        return [
+            cls(half_width=width, shape=shape, **form)
+            for form in cls.forms(survey)
+            for shape in get_args(Shape)
+            for width in logarithmic(2 * SLACK_DEGC, survey.span_degc / 2)
+        ]
+
+    @classmethod
+    def driven(cls, survey: Survey, driver: str) -> list[Self]:
+        """Return backlashes of a tenth to four fifths of the span."""
+        scale = asdict(survey.others[driver])
+        widths = [share * 2 * scale["half_span"] for share in SHARES]
+        return [cls(driver=driver, half_width=width, slack=0.0, **scale) for width in widths]
+
+    @classmethod
+    def of_curve(cls, survey: Survey) -> list[Self]:  # noqa: ARG003 - whatever the runs can show
+        """Return none: a loop of the third order bends as well."""
+        return []
+
+    def follow(self, memory: Memory, drive: Drive) -> FloatArray:
+        """Return what is dragged along."""
+        from imumon.effects.operators import play, smooth_loop
+
+        values = drive.of(self.driver)
+        if not len(values):
+            return values
+        if self.shape == "play":
+            dragged = play(values, self.half_width, memory.follower)
+            memory.follower = dragged[-1]
+            return dragged
+        steady = play(values, self.slack, memory.driver)
+        ahead = smooth_loop(steady, self.half_width, memory.driver, memory.ahead)
+        memory.driver, memory.ahead = steady[-1], ahead[-1]
+        return values - ahead
+
+    def starts(self, drive: Drive) -> tuple[Memory, Memory]:
+        """Return the ends between which a loop can be."""
+        first = float(drive.of(self.driver)[0])
+        low = Memory(driver=first, follower=first + self.half_width, ahead=-self.half_width)
+        return low, Memory(driver=first, follower=first - self.half_width, ahead=self.half_width)
+
+
+class TemperatureRate(DrivenEffect):
+    """The rate of the driver behind a first-order filter of `smoothing_s`, in its unit per second."""
+
+    kind: Literal["temperature_rate"] = "temperature_rate"
+    operator = "rate"
+    suspected_by = ("temperature rate",)
+    smoothing_s: Positive = 15.0
+
+    @classmethod
+    def grid(cls, survey: Survey) -> list[Self]:
+        """Return the one there is; none at constant temperature."""
+        return [cls()] if survey.thermal else []
+
+    @classmethod
+    def driven(cls, survey: Survey, driver: str) -> list[Self]:  # noqa: ARG003 - whatever varies has a rate
+        """Return one behind a fast, a usual and a slow filter."""
+        return [cls(driver=driver, smoothing_s=seconds) for seconds in FILTERS_S]
+
+    def advance(self, memory: Memory, drive: Drive) -> FloatArray:
+        """Return the filtered rate: how far a lag is behind, over its time constant."""
+        lag = ThermalLag(driver=self.driver, time_constant_s=self.smoothing_s, middle=0.0, half_span=1.0)
+        return lag.advance(memory, drive)[:, :1] / self.smoothing_s

@@ -1,7 +1,5 @@
 """Vibration as a driver: the variance of the specific force within a second, summed over its components."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from imumon.blocks import FloatArray, IntArray

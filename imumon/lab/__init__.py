@@ -3,8 +3,8 @@
 from imumon.wing import Command, Wing
 
 _COMMANDS = {
-    "calibrate": ("calibrate_command", "Find the bias over temperature from recordings at rest."),
-    "magnetometer": ("magnetometer_command", "Find hard and soft iron from a figure-eight."),
+    "calibrate": ("calibrate_commands:calibrate", "Find the bias over temperature from recordings at rest."),
+    "magnetometer": ("calibrate_commands:magnetometer", "Find hard and soft iron from a figure-eight."),
     "diagnose": ("diagnosis_commands:diagnose", "Name the effect that a bias model lacks."),
     "learn": ("diagnosis_commands:learn", "Make a better bias model from all sessions of a unit."),
     "plan": ("diagnosis_commands:plan", "Find the experiment that settles what a diagnosis leaves open."),

@@ -1,7 +1,5 @@
 """What the core requires of the lab; the diagnosis, which takes time to load, is loaded when it is needed."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -14,10 +12,7 @@ from imumon.run.setup import Setup
 def better_model(setup: Setup, _: object, others: Sequence[Estimator]) -> list[Estimator]:
     """Return the stage that looks for a better model than the present one, where there is one.
 
-    Parameters
-    ----------
-    others : sequence of Estimator
-        The stages before it.
+    `others`: the stages before it.
     """
     if setup.bias_model is None:
         return []

@@ -19,7 +19,7 @@ from imumon.protocols.device import DeviceFile, device_text, parse_device
 from imumon.run.live import BATCH_S, DecodedPort, LiveRun, nothing_decoded, warm_up
 from imumon.run.setup import Setup
 from imumon.run.stages import pipeline_of
-from imumon.transport.errors import lost_error, silent_error, wrong_baud_error
+from imumon.transport.ports import lost_error, silent_error, wrong_baud_error
 from imumon.transport.settings import PortSettings
 
 _log = logging.getLogger("imumon")

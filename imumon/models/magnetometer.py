@@ -1,7 +1,5 @@
 """Hard and soft iron of a unit: what turns its magnetometer's readings into the field."""
 
-from __future__ import annotations
-
 from typing import Annotated, Self
 
 import numpy as np

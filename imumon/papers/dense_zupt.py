@@ -8,8 +8,6 @@ its bias walks at random; TCZUPT takes raw ones and adds T_s (db/dT) T' to the b
 A step takes one sample, or the mean of several: with the noise given as densities the result is the same.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -19,6 +17,7 @@ import numpy as np
 
 from imumon.blocks import ColumnArray, FloatArray, SampleBlock
 from imumon.columns import Column
+from imumon.filters.turns import rotation_by
 from imumon.geodesy import EARTH_RATE, STANDARD_GRAVITY, body_to_ned
 from imumon.models.model import BiasModel
 from imumon.papers.slot_stage import SlotStage, at_rest, gyro_predictor, inertial
@@ -97,18 +96,11 @@ class DenseSettings:
 class State:
     """What the filter carries from step to step.
 
-    Parameters
-    ----------
-    attitude, held : array (3, 3)
-        C, body to north-east-down, now and at the start: the yaw that is held.
-    gravity : float
-        m/s².
-    bias, accel_bias : array (3,)
-        rad/s and m/s², body axes.
-    velocity : array (3,)
-        m/s.
-    covariance : array (12, 12)
-        Of the error states.
+    `attitude`, `held` (3, 3): C, body to north-east-down, now and at the start: the yaw that is held.
+    `gravity`: m/s².
+    `bias`, `accel_bias` (3,): rad/s and m/s², body axes.
+    `velocity` (3,): m/s.
+    `covariance` (12, 12): of the error states.
     """
 
     attitude: FloatArray
@@ -141,12 +133,6 @@ def cross(a: FloatArray) -> FloatArray:
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
-def turn(a: FloatArray) -> FloatArray:
-    """Return exp([a x]) for a small rotation vector in rad, to second order."""
-    small = cross(a)
-    return np.eye(3) + small + 0.5 * (small @ small)
-
-
 def transition(state: State, force: FloatArray, earth: FloatArray, dt: float) -> FloatArray:
     """Return F = 1 + A dt of the error states, and half (A dt)² from bias to velocity, (12, 12).
 
@@ -165,17 +151,14 @@ def step(
 ) -> FloatArray:
     """Go on by one step at rest; return the innovations over their standard deviations, (3,).
 
-    Parameters
-    ----------
-    gyro, accel : array (3,)
-        rad/s and m/s², body axes; means over the step.
-    drift : array (3,)
-        What the thermal model adds to the bias, rad/s: T_s (db/dT) T'; zero for the standard filter.
+    `gyro`, `accel` (3,): rad/s and m/s², body axes; means over the step.
+    `drift` (3,): what the thermal model adds to the bias, rad/s: T_s (db/dT) T'; zero for the standard
+        filter.
     """
     dt, earth = settings.interval_s, settings.earth
     # Mechanization: the step's rotation half before and half after the specific force.
     state.bias = state.bias + drift
-    half = turn(0.5 * dt * (gyro - state.bias - state.attitude.T @ earth))
+    half = rotation_by(0.5 * dt * (gyro - state.bias - state.attitude.T @ earth))
     state.attitude = state.attitude @ half
     force = state.attitude @ (accel - state.accel_bias)
     state.attitude = state.attitude @ half
@@ -191,11 +174,11 @@ def step(
     gain = np.linalg.solve(total, spread.T).T
     error, rest = gain @ z, np.eye(STATES) - gain @ h
     state.covariance = rest @ predicted @ rest.T + gain @ r @ gain.T  # Joseph's form
-    state.attitude = turn(error[PHI]) @ state.attitude
+    state.attitude = rotation_by(error[PHI]) @ state.attitude
     state.velocity = state.velocity + error[VELOCITY]
     state.bias = state.bias + error[GYRO]
     state.accel_bias = state.accel_bias + error[ACCEL]
-    return np.asarray((z / np.sqrt(np.diag(total)))[:3])
+    return (z / np.sqrt(np.diag(total)))[:3]
 
 
 class DenseZupt(SlotStage):
@@ -204,16 +187,11 @@ class DenseZupt(SlotStage):
     The first minute at rest is the initial zeroing.  In motion the bias is predicted only; after it the unit
     is levelled anew.
 
-    Parameters
-    ----------
-    method : "dense_zupt" or "dense_tczupt"
-    settings : DenseSettings
-        Its interval is that of the slots.
-    model : BiasModel, optional
-        Bias over temperature: taken off before dense_zupt, slope of the bias for dense_tczupt, which also
-        needs the column ``temperature_rate`` (or one for each axis).
-    assume_rest : bool
-        Whether the unit is at rest throughout where it is not stated (no column ``at_rest``).
+    `method`: "dense_zupt" or "dense_tczupt".
+    `settings`: its interval is that of the slots.
+    `model`: bias over temperature: taken off before dense_zupt, slope of the bias for dense_tczupt, which
+        also needs the column ``temperature_rate`` (or one for each axis).
+    `assume_rest`: whether the unit is at rest throughout where it is not stated (no column ``at_rest``).
     """
 
     def __init__(

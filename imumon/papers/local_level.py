@@ -7,17 +7,15 @@ instead.  With φ = 0 and δ² = 0 model L is a random walk measured with white 
 R = white / Δt.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from imumon.blocks import FloatArray, IntArray
+from imumon.blocks import FloatArray
 from imumon.errors import bad_data
-from imumon.filters.slots import SlotGatherer, Slots
+from imumon.filters.slots import Slots
 
 SLOT_S = 1.0
 LEAST_S = 0.5
@@ -121,13 +119,6 @@ class LocalLevel:
     """(rad/s)²/s."""
 
 
-def means_of(time_ns: IntArray, reading: FloatArray) -> list[RestMean]:
-    """Return the means of a recording at rest, reading (n,) in rad/s, NaN where it is not."""
-    gatherer = SlotGatherer(1, round(SLOT_S * 1e9))
-    slots = gatherer.process(time_ns, np.zeros(len(time_ns), np.int64), reading[:, np.newaxis])
-    return [row[0] for row in RestMeans().process(slots)]
-
-
 def fit_local_level(means: Sequence[RestMean]) -> LocalLevel:
     """Fit white noise and random walk by likelihood.
 
@@ -139,17 +130,18 @@ def fit_local_level(means: Sequence[RestMean]) -> LocalLevel:
         raise bad_data(
             f"{count} s of readings at rest", f"noise can be fitted from {LEAST_MEANS} s on; hours are better"
         )
-    deviance, white = deviances(means, RATIOS)
+    deviance, white, *_ = filtered(means, RATIOS)
     weights = np.exp(-0.5 * (deviance - deviance.min()))
     weights /= weights.sum()
     mean_white = float(weights @ white)
     return LocalLevel(mean_white, math.exp(float(weights @ np.log(RATIOS))) * mean_white)
 
 
-def deviances(means: Sequence[RestMean], ratios: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return -2 log likelihood and the white noise's density at its best, (g,), for ratios walk / white.
+def filtered(means: Sequence[RestMean], ratios: FloatArray) -> FloatArray:
+    """Run a Kalman filter of the level for each ratio walk / white, all in units of the white noise.
 
-    One Kalman filter for each ratio, all in units of the white noise, whose density is profiled out.
+    Return -2 log likelihood, the white noise's density at its best, and after the last mean the level and its
+    variance over that density, infinite without a reading, (4, g).
     """
     level, variance = np.zeros(len(ratios)), np.full(len(ratios), np.inf)
     logs, squares, count = np.zeros(len(ratios)), np.zeros(len(ratios)), 0
@@ -170,25 +162,13 @@ def deviances(means: Sequence[RestMean], ratios: FloatArray) -> tuple[FloatArray
         level += variance / total * innovation
         variance = variance * noise / total
     white = squares / max(count, 1) + FLOOR
-    return count * np.log(white) + logs, white
+    return np.array([count * np.log(white) + logs, white, level, variance])
 
 
 def level_after(means: Sequence[RestMean], noise: LocalLevel) -> tuple[float, float]:
-    """Return the level after the last mean of a segment and its variance, NaN where there is none."""
-    level, variance = math.nan, math.nan
-    for new in means:
-        if new.begins:
-            level = variance = math.nan
-        variance += noise.walk * new.elapsed_s
-        if new.covered_s > 0.0:
-            measured = noise.white / new.covered_s
-            if math.isnan(level):
-                level, variance = new.mean, measured
-            else:
-                gain = variance / (variance + measured)
-                level += gain * (new.mean - level)
-                variance *= 1.0 - gain
-    return level, variance
+    """Return the level after the last mean of a segment and its variance."""
+    *_, level, variance = filtered(means, np.array([noise.walk / noise.white]))[:, 0].tolist()
+    return level, noise.white * variance
 
 
 def from_noise(

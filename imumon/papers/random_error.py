@@ -8,8 +8,6 @@ The zero of the estimates is a rate of zero: they hold the turn-on bias, the dri
 along the axis, less the thermal bias of a model where there is one.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -19,7 +17,6 @@ import numpy as np
 from imumon.blocks import ColumnArray, FloatArray, IntArray, SampleBlock
 from imumon.columns import Column
 from imumon.models.model import BiasModel
-from imumon.papers.linear import LinearFilter, Model, SampleFilter
 from imumon.papers.local_level import (
     LEAST_MEANS,
     SLOT_S,
@@ -32,7 +29,7 @@ from imumon.papers.local_level import (
     hold,
     level_after,
 )
-from imumon.papers.sigma_points import SigmaPointFilter
+from imumon.papers.shi_filters import LinearFilter, Model, SampleFilter, SigmaPointFilter
 from imumon.papers.slot_stage import SlotStage, at_rest, gyro_predictor
 from imumon.run.setup import RandomErrorParameters
 
@@ -115,14 +112,9 @@ class RandomErrorMethods(SlotStage):
     Columns are ``{method}_random_error_{axis}`` and ``{method}_random_error_sd_{axis}`` in rad/s, φ as
     ``{method}_phi_{axis}`` with its standard deviation, and ``gyro_rest_mean`` and ``gyro_rest_hold``.
 
-    Parameters
-    ----------
-    methods : sequence of str
-        Of `METHODS`.
-    given : RandomErrorParameters, optional
-        Its noise is that of the axes that are not learnt.
-    model : BiasModel, optional
-        Its bias is taken off before; axes that it lacks keep theirs.
+    `methods`: of `METHODS`.
+    `given`: its noise is that of the axes that are not learnt.
+    `model`: its bias is taken off before; axes that it lacks keep theirs.
     """
 
     def __init__(

@@ -17,8 +17,6 @@ in the paper, and so there is none here.  The paper runs the loop at 200 Hz; her
 `SLOT_S`, with the poles of each step at exactly exp(s h), so that it is stable at any rate.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -96,12 +94,8 @@ def coarse(rate: FloatArray, force: FloatArray) -> FloatArray:
 def step(loop: Loop, gain: Gains, earth: FloatArray, rate: FloatArray, force: FloatArray) -> FloatArray:
     """Go on by one step (4 to 7); return the control rates ω_Ec, ω_Nc in rad/s, (2,).
 
-    Parameters
-    ----------
-    earth : array (3,)
-        Ω east, north, up, rad/s.
-    rate, force : array (3,)
-        rad/s and m/s², body axes.
+    `earth` (3,): Ω east, north, up, rad/s.
+    `rate`, `force` (3,): rad/s and m/s², body axes.
     """
     frame = loop.attitude @ rate - earth
     loop.velocity = gain.decay * loop.velocity + gain.interval_s * (loop.attitude @ force)[:2]
@@ -179,12 +173,8 @@ class State:
 class SelfAlignment(SlotStage):
     """The published alignment as a stage; it begins anew after motion, a gap or a restart of the device.
 
-    Parameters
-    ----------
-    latitude : float
-        rad.
-    methods : sequence of str
-        Of `METHODS`: whose columns are given.
+    `latitude`: rad.
+    `methods`: of `METHODS`: whose columns are given.
     """
 
     def __init__(self, latitude: float, methods: Sequence[str] = METHODS) -> None:

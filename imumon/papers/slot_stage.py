@@ -1,7 +1,5 @@
 """What the stages that compute once a slot have in common."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -15,13 +13,8 @@ from imumon.models.predictor import BiasPredictor
 class SlotStage:
     """A stage whose results of a slot hold until the next slot, and are void from a restart of the device on.
 
-    Parameters
-    ----------
-    inputs : int
-        Columns that are gathered into slots.
-    slot_s : float
-    shape : sequence of int
-        Of the results of a slot.
+    `inputs`: columns that are gathered into slots.
+    `shape`: of the results of a slot.
     """
 
     def __init__(self, inputs: int, slot_s: float, shape: Sequence[int]) -> None:

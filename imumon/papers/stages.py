@@ -1,7 +1,5 @@
 """The published methods that a setup names, as stages beside the defaults; each is loaded when it runs."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """What decoders and encoders of all families have in common: timing, groups of columns, packets."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
@@ -63,7 +61,7 @@ class Groups:
     @classmethod
     def of(
         cls, layouts: Iterable[Mapping[str, str]], names: Sequence[str] = (), apart: Sequence[str] = ()
-    ) -> Groups:
+    ) -> "Groups":
         """Return the groups of layouts, of which the group of each column is given; the first counts.
 
         `names`: groups that come first, behind the main one; `OTHER`: there is a stream of what has no group.

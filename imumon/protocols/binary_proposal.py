@@ -5,8 +5,6 @@ catalogue is tried at the end of the packet.  A counter and a clock are found by
 bytes stay unknown, for somebody to fill in.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import NamedTuple
 
@@ -15,8 +13,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from imumon.blocks import BoolArray, IntArray
 from imumon.protocols.base import ByteArray
-from imumon.protocols.checks import CHECKSUM_NAMES, Checksum
-from imumon.protocols.framing import integers, windows
+from imumon.protocols.framing import CHECKSUM_NAMES, Checksum, integers, windows
 from imumon.protocols.text_proposal import file_head
 
 LEAST_PACKETS = 8
@@ -256,7 +253,7 @@ def _clock(
 def _numbers(packets: ByteArray, size: int, order: str) -> IntArray:
     """Return the unsigned numbers of `size` bytes that begin at each byte, (n, length - size + 1)."""
     of_bytes = sliding_window_view(packets, size, axis=1).astype(np.int64)
-    return np.asarray(of_bytes @ 256 ** np.arange(size)[:: -1 if order == "big" else 1])
+    return of_bytes @ 256 ** np.arange(size)[:: -1 if order == "big" else 1]
 
 
 def _steps(

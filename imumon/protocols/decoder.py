@@ -1,7 +1,5 @@
 """Decoders: bytes to columns, whatever the family.  What a packet carries is a *layout*."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 
 import numpy as np
@@ -171,8 +169,7 @@ class Decoder:
         self._parts.clear()
         self._waiting = 0
         candidates = Candidates(self._frames, np.frombuffer(data, np.uint8), final)
-        taken, rest, overlap = candidates.walk(self._overlap)
-        found = candidates.found(taken)
+        found, rest, overlap = candidates.walk(self._overlap)
         self._count(found, candidates.at, candidates.verdict, rest)
         ends, times = np.concatenate(self._ends), np.concatenate(self._times)
         if len(found):

@@ -1,7 +1,5 @@
 """Device files: a device is a YAML file that names a protocol and fills in what that protocol leaves open."""
 
-from __future__ import annotations
-
 import os
 from abc import abstractmethod
 from pathlib import Path

@@ -12,8 +12,6 @@ there already; and at once when it has every field that any of the last `GENERAT
 had.  So a row waits for one epoch at the most.  Nothing is reordered and no field is lost.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, cast
@@ -45,14 +43,6 @@ class Epochs:
     """How many were complete when each ended, (n,)."""
     more: IntArray
     """Steps of the packet counter within the epoch, (n,): packets that came besides the first."""
-
-
-@dataclass(slots=True)
-class EpochCounters:
-    """What became of the packets of a stream."""
-
-    packets: int = 0
-    incomplete: int = 0
 
 
 BITS = 62
@@ -122,10 +112,10 @@ class EpochAssembler:
         self._columns: dict[str, set[str]] = {name: set() for name in groups.names}
 
     @property
-    def counters(self) -> dict[str, EpochCounters]:
-        """What became of the packets, by stream; streams without epochs are left out."""
+    def counters(self) -> dict[str, tuple[int, int]]:
+        """Packets and incomplete epochs by stream; streams without epochs are left out."""
         return {
-            name: EpochCounters(int(self._packets[g]), int(group.incomplete))
+            name: (int(self._packets[g]), int(group.incomplete))
             for g, (name, group) in enumerate(zip(self._groups.names, self._state, strict=True))
             if group.epochs
         }

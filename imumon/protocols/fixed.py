@@ -3,8 +3,6 @@
 A packet has sync bytes, a length, a checksum and fields, all of it data of the device file.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from fractions import Fraction
 from functools import partial
@@ -18,10 +16,9 @@ from imumon.columns import KNOWN, NAME, Column
 from imumon.config import LARGEST_NUMBER, StrictModel
 from imumon.errors import ImumonError
 from imumon.protocols.base import COMMON, LONGEST_PACKET, MAIN, NO_GROUP, ByteArray, Encoder, Groups, Timing
-from imumon.protocols.checks import CHECKSUM_NAMES, Checksum
 from imumon.protocols.decoder import Decoder
 from imumon.protocols.device import DeviceFile
-from imumon.protocols.framing import IMPOSSIBLE, Frame, unchecked
+from imumon.protocols.framing import CHECKSUM_NAMES, IMPOSSIBLE, Checksum, Frame, unchecked
 from imumon.protocols.numbers import NUMBER_TYPES, Number, Record, write
 from imumon.units import exact_conversion
 
@@ -281,11 +278,6 @@ def _length(packet: Packet, held: ByteArray, at: IntArray) -> IntArray:
     return result
 
 
-def fixed_encoder(packets: Sequence[Packet]) -> Encoder:
-    """Return an encoder of described packets, one after the other for each row."""
-    return Encoder(*(partial(_encoded, packet) for packet in packets))
-
-
 def _encoded(packet: Packet, block: SampleBlock) -> list[bytes]:
     blank = bytearray(packet.length)
     for at, byte in (*enumerate(packet.sync), *packet.length_bytes):
@@ -307,7 +299,7 @@ class FixedDevice(DeviceFile):
 
     def encoder(self) -> Encoder:
         """Make an encoder for this packet."""
-        return fixed_encoder([self.packet])
+        return Encoder(partial(_encoded, self.packet))
 
 
 class SeveralDevice(DeviceFile):
@@ -333,4 +325,4 @@ class SeveralDevice(DeviceFile):
 
     def encoder(self) -> Encoder:
         """Make an encoder for those that are sent."""
-        return fixed_encoder([packet for packet in self.packets if packet.name in self.sends])
+        return Encoder(*(partial(_encoded, one) for one in self.packets if one.name in self.sends))

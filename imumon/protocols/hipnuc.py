@@ -4,8 +4,6 @@ Facts from the vendor's drivers.  0x83 lists the fields that follow by the bits 
 0x91 and 0x81 has steps of 1 degC: too coarse for a rate of change, so prefer 0x83 with bit 8.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from fractions import Fraction
 from math import pi
@@ -15,8 +13,7 @@ import numpy as np
 from imumon.blocks import BoolArray, IntArray
 from imumon.geodesy import STANDARD_GRAVITY
 from imumon.protocols.base import ByteArray, Timing
-from imumon.protocols.checks import Checksum
-from imumon.protocols.framing import Frame, counted_length, windows
+from imumon.protocols.framing import Checksum, Frame, counted_length, windows
 from imumon.protocols.messages import FamilyDecoder, Message, Part, counted, field, floats, gap, real
 from imumon.protocols.numbers import count, known, number, vector
 

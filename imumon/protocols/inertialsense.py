@@ -4,16 +4,13 @@ Facts from the vendor's SDK and manual.  Temperature comes in other data sets th
 rates of its own.  PIMU carries increments, with the time over which they were summed.
 """
 
-from __future__ import annotations
-
 from fractions import Fraction
 
 import numpy as np
 
 from imumon.blocks import ColumnArray
 from imumon.protocols.base import LONGEST_PACKET, Timing
-from imumon.protocols.checks import Checksum
-from imumon.protocols.framing import Frame, counted_length
+from imumon.protocols.framing import Checksum, Frame, counted_length
 from imumon.protocols.messages import FamilyDecoder, counted, field, floats, gap, real
 from imumon.protocols.numbers import Columns, Derived, known, number, vector
 

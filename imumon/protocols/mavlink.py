@@ -7,8 +7,6 @@ Only the first vehicle that is received is read: a stream may hold many.
 SCALED_IMU and RAW_IMU have rates in steps of 1 mrad/s, 206 deg/h.
 """
 
-from __future__ import annotations
-
 from fractions import Fraction
 from functools import partial
 
@@ -17,8 +15,17 @@ import numpy as np
 from imumon.blocks import BoolArray, ColumnArray, IntArray
 from imumon.geodesy import STANDARD_GRAVITY
 from imumon.protocols.base import ByteArray, Timing
-from imumon.protocols.checks import CRCS, Checksum, by_distance
-from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, Found, Frame, integers, windows
+from imumon.protocols.framing import (
+    CRCS,
+    IMPOSSIBLE,
+    INCOMPLETE,
+    Checksum,
+    Found,
+    Frame,
+    by_distance,
+    integers,
+    windows,
+)
 from imumon.protocols.messages import FamilyDecoder, Message, Part, counted, field, floats, gap, real
 from imumon.protocols.numbers import Columns, Derived, count, known, vector
 

@@ -8,8 +8,6 @@ Packets are alike when their *signature* is the same: kind, length, and the byte
 carry.  The first packet of each signature is looked at in Python; all that are like it are read at once.
 """
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace

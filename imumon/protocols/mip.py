@@ -4,8 +4,6 @@ Facts from the data communications protocols of the devices and the public defin
 The fields of one moment may come in several packets, of which often only the first carries the time.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from fractions import Fraction
 from functools import cache

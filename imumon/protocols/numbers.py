@@ -1,7 +1,5 @@
 """Numbers in packets: how they are read and written, their columns, and what is computed of them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial

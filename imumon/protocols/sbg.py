@@ -5,16 +5,13 @@ sensors come as IMU_SHORT (integers) or, from older firmware, as IMU_DATA; the r
 52 and 53 have bias, gravity and earth rate taken off, and are columns of their own.
 """
 
-from __future__ import annotations
-
 from fractions import Fraction
 
 import numpy as np
 
 from imumon.blocks import BoolArray, ColumnArray, IntArray
 from imumon.protocols.base import LONGEST_PACKET, ByteArray, Timing
-from imumon.protocols.checks import Checksum
-from imumon.protocols.framing import Frame, counted_length
+from imumon.protocols.framing import Checksum, Frame, counted_length
 from imumon.protocols.messages import FamilyDecoder, counted, field, floats, gap, real
 from imumon.protocols.numbers import Columns, Derived, count, known, number, vector
 

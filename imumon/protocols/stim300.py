@@ -6,8 +6,6 @@ multiple of four bytes.  What the numbers mean - rates or increments, the range 
 set in the unit and is not in the datagram: the device file has to state it.
 """
 
-from __future__ import annotations
-
 from fractions import Fraction
 from functools import lru_cache
 from math import pi
@@ -19,9 +17,8 @@ from pydantic import PositiveFloat, model_validator
 from imumon.blocks import BoolArray, IntArray
 from imumon.geodesy import STANDARD_GRAVITY
 from imumon.protocols.base import ByteArray, Encoder, Timing
-from imumon.protocols.checks import Checksum
 from imumon.protocols.device import DeviceFile
-from imumon.protocols.framing import Frame
+from imumon.protocols.framing import Checksum, Frame
 from imumon.protocols.messages import FamilyDecoder, Message, counted, field, floats, gap, real
 from imumon.protocols.numbers import known, vector
 
@@ -108,7 +105,7 @@ class StimDecoder(FamilyDecoder):
     timing = Timing(tick_ns=Fraction(TICK_NS), tick_bits=8)
     start, more, head, big = 0, CRC_SIZE, (0,), True
 
-    def __init__(self, device: StimDevice) -> None:
+    def __init__(self, device: "StimDevice") -> None:
         self.messages = datagrams(device.output, device.accel_range_g, device.rate_hz)
         self._end = LINE_END if device.line_end else b""
         self._assumed = (
@@ -137,7 +134,7 @@ class StimDevice(DeviceFile):
     line_end: bool = False
 
     @model_validator(mode="after")
-    def _is_there(self) -> StimDevice:
+    def _is_there(self) -> "StimDevice":
         there = [f"{key:02X}" for key in sorted(DATAGRAMS)]
         if self.sends not in there:
             raise ValueError(f"sends: expected one of {', '.join(there)}")

@@ -13,8 +13,6 @@ Other Xbus addresses than FF (the device on its own) and 01 are those of tracker
 answer only to commands; taking them for packets would make noise of every FA in damaged data.
 """
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -25,8 +23,7 @@ import numpy as np
 from imumon.blocks import BoolArray, IntArray, SampleBlock
 from imumon.errors import bad_config
 from imumon.protocols.base import OTHER, ByteArray, Encoder
-from imumon.protocols.checks import Checksum
-from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, NO_PACKET, Found, Frame, counted_length
+from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, NO_PACKET, Checksum, Found, Frame, counted_length
 from imumon.protocols.messages import Message, TableDecoder
 from imumon.protocols.numbers import Derived, Number, Record, is_missing, with_sources, write
 

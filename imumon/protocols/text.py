@@ -6,8 +6,6 @@ finite: there is mostly no checksum, and a torn line must not become a sample.  
 without prefix, of which nobody knows where it began, does not count.
 """
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -23,11 +21,10 @@ from pydantic import Field, NonNegativeInt, PositiveInt, model_validator
 from imumon.blocks import BoolArray, IntArray, SampleBlock
 from imumon.config import StrictModel
 from imumon.protocols.base import COMMON, MAIN, NO_GROUP, ByteArray, Encoder, Groups, Timing
-from imumon.protocols.checks import Checksum
 from imumon.protocols.decoder import Decoder
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.fixed import NumberField, NumberName, timing_of
-from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, Found, Frame
+from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, Checksum, Found, Frame
 from imumon.protocols.numbers import NUMBER_TYPES, WRAPPING, Number, Record, is_missing
 
 LINE_END = 0x0A

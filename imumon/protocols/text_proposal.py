@@ -4,8 +4,6 @@ It is a proposal: statistics of a unit at rest separate force from rates, but no
 reasons stand beside each field, for somebody to confirm.
 """
 
-from __future__ import annotations
-
 import json
 import re
 from collections import Counter

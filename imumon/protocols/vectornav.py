@@ -9,8 +9,6 @@ already taken off.  `Uncomp...` and `Imu` are calibrated in the factory and no m
 ``accel`` and ``mag`` as soon as they come, and the others are then ``gyro_compensated`` and so on.
 """
 
-from __future__ import annotations
-
 from array import array
 from collections.abc import Iterable, Sequence
 from fractions import Fraction
@@ -22,8 +20,7 @@ from imumon.blocks import IntArray, SampleBlock
 from imumon.columns import KNOWN
 from imumon.protocols import vectornav_fields as tables
 from imumon.protocols.base import LONGEST_PACKET, MAIN, ByteArray, Encoder, Timing, chosen
-from imumon.protocols.checks import Checksum
-from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, Found, Frame, counted_length, windows
+from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, Checksum, Found, Frame, counted_length, windows
 from imumon.protocols.messages import Alike, Message, TableDecoder
 from imumon.protocols.numbers import Number, Record, write
 from imumon.protocols.text import line_frame, sentence_body, texts

@@ -3,8 +3,6 @@
 Facts from the vendor's SDK and the VN-100 manual.
 """
 
-from __future__ import annotations
-
 from functools import partial
 from math import pi
 

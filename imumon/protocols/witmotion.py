@@ -8,8 +8,6 @@ attitude in one frame of 20 or 28 bytes, without a checksum: it counts when the 
 Many units send a rate of exactly zero while they take themselves to be at rest.
 """
 
-from __future__ import annotations
-
 from fractions import Fraction
 from math import pi
 
@@ -19,8 +17,7 @@ from imumon.blocks import ColumnArray, IntArray
 from imumon.columns import KNOWN
 from imumon.geodesy import STANDARD_GRAVITY
 from imumon.protocols.base import NO_GROUP, ByteArray, Packets, Timing
-from imumon.protocols.checks import Checksum
-from imumon.protocols.framing import INCOMPLETE, NO_PACKET, Found, Frame, fixed_length, unchecked
+from imumon.protocols.framing import INCOMPLETE, NO_PACKET, Checksum, Found, Frame, fixed_length, unchecked
 from imumon.protocols.messages import FamilyDecoder, Part, counted, field, floats, gap, real
 from imumon.protocols.numbers import Columns, Derived, Number, count, date, known, number, utc_time, vector
 

@@ -5,8 +5,6 @@ Facts from the vendor's software.  A message ends with a line feed; its first by
 its numbers) and a time that a device can have run.  Temperature comes in messages of its own, five a second.
 """
 
-from __future__ import annotations
-
 from fractions import Fraction
 from functools import partial
 from math import pi

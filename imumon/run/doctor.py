@@ -17,14 +17,13 @@ from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
-from imumon.effects.offered import EFFECT, guarded, is_effect
+from imumon.effects.kinds import EFFECT, guarded, is_effect
 from imumon.errors import ImumonError
 from imumon.plugins import DEVICES, EFFECTS, STAGES, WINGS, entries, load, package_of
 from imumon.protocols.device import FOLDER, is_folder, load_device
 from imumon.stage import STAGE, is_callable, made_by
-from imumon.transport.errors import open_error
 from imumon.transport.port import latency_text
-from imumon.transport.ports import PortInfo, latency_timer_path, list_ports
+from imumon.transport.ports import PortInfo, latency_timer_path, list_ports, open_error
 from imumon.transport.settings import PortSettings
 from imumon.view.viewer import has_display, quiet_environment, viewer_binary
 from imumon.wing import NEEDED, is_wing

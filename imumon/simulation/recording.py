@@ -1,7 +1,5 @@
 """A scenario as a session or as a table, as fast as it can be computed."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import replace

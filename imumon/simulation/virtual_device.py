@@ -3,8 +3,6 @@
 Where imumon can configure devices of its kind, it answers the same commands and carries them out.
 """
 
-from __future__ import annotations
-
 import threading
 import time
 from collections import deque
@@ -49,16 +47,10 @@ class VirtualDevice(AbstractContextManager["VirtualDevice"]):
 
     Raises BAD_CONFIG when the packets do not fit through the line at this rate.
 
-    Parameters
-    ----------
-    link : Path or None
-        Name of a symlink to the port.
-    rate_hz : float or None
-        Packets per second; those of the scenario, else the device file's own, when None.
-    port : VirtualPort or None
-        Port to send through; one is made when None.  Closed with the device.
-    scenario : Scenario or None
-        What the unit does, in the axes of the device; the scenario "bench" when None.
+    `link`: name of a symlink to the port.
+    `rate_hz`: packets per second; those of the scenario, else the device file's own, when None.
+    `port`: port to send through; one is made when None.  Closed with the device.
+    `scenario`: what the unit does, in the axes of the device; the scenario "bench" when None.
     """
 
     def __init__(

@@ -5,8 +5,6 @@ that opened it at another rate samples garbage, bytes that are not read are lost
 can be pulled.  Needs Linux.
 """
 
-from __future__ import annotations
-
 import array
 import fcntl
 import math
@@ -46,11 +44,8 @@ class VirtualPort(AbstractContextManager["VirtualPort"]):
     Raises EXISTS when there is something under the name of the link, unless it is a link that leads nowhere,
     as a killed process leaves it; BAD_CONFIG when the link cannot be made.
 
-    Parameters
-    ----------
-    link : Path or None
-        Name of a symlink to the device node, made here and removed by `unplug` and `close`; it stays the same
-        when the device is plugged in again, as under ``/dev/serial/by-id``.
+    `link`: name of a symlink to the device node, made here and removed by `unplug` and `close`; it stays the
+        same when the device is plugged in again, as under ``/dev/serial/by-id``.
     """
 
     def __init__(self, link: Path | None = None, baudrate: int = 115200) -> None:
@@ -284,7 +279,7 @@ def _leads_to(link: Path, node: str) -> bool:
     return link.is_symlink() and str(link.readlink()) == node
 
 
-def _termios2(fd: int) -> array.array[int]:
+def _termios2(fd: int) -> "array.array[int]":
     buffer = array.array("i", [0] * _TERMIOS2_INTS)
     fcntl.ioctl(fd, _TCGETS2, buffer)
     return buffer

@@ -1,18 +1,15 @@
 """Find baud rate and protocol of a device by listening, and show the evidence."""
 
-from __future__ import annotations
-
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence, Sized
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
-from typing import Protocol
+from typing import Any
 
 from imumon.errors import ImumonError, Reason, bad_config
-from imumon.transport.errors import silent_error, wrong_baud_error
 from imumon.transport.port import open_port
+from imumon.transport.ports import silent_error, wrong_baud_error
 from imumon.transport.settings import PortSettings
-from imumon.transport.statistics import Counters
 
 COMMON_BAUDRATES = (
     *(115200, 921600, 460800, 230400, 57600, 38400, 9600, 19200),
@@ -39,20 +36,8 @@ POLL_S = 0.05
 TEXT, ODD = b"\t\r\n" + bytes(range(0x20, 0x7F)), b"\x00\xff"
 
 
-class Candidate(Protocol):
-    """What is required of a protocol; every `imumon.protocols.framing.Decoder` can do it."""
-
-    def feed(self, data: bytes, arrival_ns: int) -> None:
-        """Decode bytes that arrived at `arrival_ns` (Unix time, ns)."""
-
-    def finish(self) -> None:
-        """Decode what is held back: no more bytes will come."""
-
-    def take(self) -> Sized:
-        """Return the samples decoded since the last call."""
-
-    def counters(self) -> Counters:
-        """Return what became of the bytes so far."""
+Candidate = Any
+"""A decoder (`imumon.protocols.decoder.Decoder`): has `feed`, `finish`, `take` and `counters`."""
 
 
 class Verdict(Enum):

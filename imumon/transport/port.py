@@ -1,7 +1,5 @@
 """One open port: exclusive, low latency, read as soon as bytes are there."""
 
-from __future__ import annotations
-
 import fcntl
 import os
 import select
@@ -16,8 +14,15 @@ from dataclasses import replace
 import serial
 from serial.urlhandler import protocol_socket
 
-from imumon.transport.errors import OPEN_ERRORS, PORT_ERRORS, lost_error, open_error
-from imumon.transport.ports import holders, latency_timer_ms, latency_timer_path
+from imumon.transport.ports import (
+    OPEN_ERRORS,
+    PORT_ERRORS,
+    holders,
+    latency_timer_ms,
+    latency_timer_path,
+    lost_error,
+    open_error,
+)
 from imumon.transport.settings import PortSettings
 
 READ_SIZE = 1 << 16

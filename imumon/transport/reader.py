@@ -1,7 +1,5 @@
 """The reader thread: read, stamp, hand on; watch for silence, reopen what was lost."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -13,8 +11,8 @@ import numpy.typing as npt
 
 from imumon.blocks import IntArray
 from imumon.errors import ImumonError
-from imumon.transport.errors import lost_error, silent_error
 from imumon.transport.port import Port, open_port
+from imumon.transport.ports import lost_error, silent_error
 from imumon.transport.settings import PortSettings
 
 ByteArray = npt.NDArray[np.uint8]
@@ -80,7 +78,7 @@ class Reads:
     """Unix time right after each, (n,)."""
 
     @classmethod
-    def of(cls, reads: Sequence[Bytes]) -> Reads:
+    def of(cls, reads: Sequence[Bytes]) -> "Reads":
         """Return reads as one."""
         data = np.frombuffer(b"".join([read.data for read in reads]), np.uint8)
         ends = np.cumsum([len(read.data) for read in reads], dtype=np.int64)
@@ -173,7 +171,7 @@ class Reader:
             self._thread.join()
             self._thread = None
 
-    def __enter__(self) -> Reader:
+    def __enter__(self) -> "Reader":
         self.start()
         return self
 

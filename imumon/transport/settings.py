@@ -1,7 +1,5 @@
 """How a port is opened: its URL and the shape of a character on the line."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from imumon.errors import bad_config

@@ -1,7 +1,5 @@
 """What arrives on a link: how full it is, and what became of every byte."""
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import dataclass, field
 from typing import ClassVar

@@ -23,9 +23,8 @@ from imumon.allan.series import even_channels, octaves
 from imumon.blocks import SampleBlock
 from imumon.estimation.gyro_bias.stage import GyroBias
 from imumon.papers.dense_zupt import DenseSettings
-from imumon.papers.linear import LinearFilter, Model
 from imumon.papers.random_error import RandomErrorMethods
-from imumon.papers.sigma_points import SigmaPointFilter
+from imumon.papers.shi_filters import LinearFilter, Model, SigmaPointFilter
 from imumon.run.setup import RandomErrorParameters
 
 RATE_HZ = 100

@@ -13,11 +13,11 @@ from samples import sent
 from scipy.signal import butter, lfilter
 from study import Options, Study, Table, rms
 
-from imumon.blocks import FloatArray
+from imumon.blocks import FloatArray, IntArray
 from imumon.estimation.gyro_bias.stage import GyroBias
-from imumon.papers.linear import LinearFilter, Model
-from imumon.papers.local_level import ExponentialMean, hold, means_of
-from imumon.papers.sigma_points import SigmaPointFilter
+from imumon.filters.slots import SlotGatherer
+from imumon.papers.local_level import SLOT_S, ExponentialMean, RestMean, RestMeans, hold
+from imumon.papers.shi_filters import LinearFilter, Model, SigmaPointFilter
 
 RATE_HZ = 100
 WHITE_HZ, LOW_PASS_HZ = 1000, 40.0
@@ -36,6 +36,13 @@ MINUTE_SEEDS, HOUR_SEEDS, JOURNEY_SEEDS = range(48), range(100, 108), range(300,
 TAUS_S = (0.02, 0.1, 1.0, 10.0)
 REST_S, MOTION_S = 600, 60
 """Of a journey."""
+
+
+def means_of(time_ns: IntArray, reading: FloatArray) -> list[RestMean]:
+    """Return the means of a recording at rest, reading (n,) in rad/s, NaN where it is not."""
+    gatherer = SlotGatherer(1, round(SLOT_S * 1e9))
+    slots = gatherer.process(time_ns, np.zeros(len(time_ns), np.int64), reading[:, np.newaxis])
+    return [row[0] for row in RestMeans().process(slots)]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

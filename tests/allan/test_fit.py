@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from imumon.allan.analysis import analyse
+from imumon.allan.covariance import NAMES
 from imumon.allan.fit import DIGITS, Fit
 from imumon.allan.series import even_channels
-from imumon.allan.terms import NAMES
 from imumon.blocks import FloatArray
 from tests.allan.simulated import correlated, noise
 

@@ -21,8 +21,8 @@ from imumon.errors import ImumonError
 from imumon.protocols.device import DeviceFile, load_device
 from imumon.simulation.unit import SimulatedUnit, load_scenario
 from imumon.simulation.unit.unit import CHUNK
-from imumon.transport.errors import lost_error
 from imumon.transport.port import Port
+from imumon.transport.ports import lost_error
 from imumon.transport.settings import PortSettings
 from imumon.wing import firmware_of
 from tests.configure.faults import Spoilt

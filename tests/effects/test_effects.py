@@ -13,14 +13,13 @@ from pydantic import ValidationError
 from imumon.blocks import FloatArray, IntArray
 from imumon.effects import library
 from imumon.effects.base import Drive, Effect, Scale, Survey
-from imumon.effects.hysteresis import Hysteresis
 from imumon.effects.kinds import SEPARATED_BY
 from imumon.effects.library import EFFECTS
-from imumon.effects.live import Carrier
 from imumon.effects.product import GSensitivity
 from imumon.effects.since_power_on import StressRelaxation
-from imumon.effects.thermal_lag import DeadTime, ThermalLag
+from imumon.effects.thermal_lag import DeadTime, Hysteresis, ThermalLag
 from imumon.effects.vibration import Vibration
+from imumon.models.predictor import Carrier
 
 SURVEY = Survey((7200.0, 7200.0), 30.0, 4, 19.6, 30.0, 3, 25.0, 15.0)
 

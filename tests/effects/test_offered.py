@@ -10,7 +10,7 @@ import pytest
 
 from imumon.blocks import FloatArray
 from imumon.effects.base import Drive, Effect, Memory, Survey
-from imumon.effects.offered import guarded, is_effect
+from imumon.effects.kinds import guarded, is_effect
 from imumon.effects.since_power_on import Drift
 from imumon.errors import ImumonError, Reason
 from imumon.plugins import EFFECTS, Plugin

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from imumon.blocks import FloatArray
-from imumon.papers.fir import FirRate, Params, move_bias
+from imumon.papers.fir import FirRate, Params, fit
 from tests.estimation.temperature_rate.records import PER_HOUR, clock, quantized, self_heating, steady
 
 
@@ -65,7 +65,7 @@ def test_state_is_the_batch_fit_of_every_buffer_over_hours(noise: float, hours: 
         fir.process(time_ns[at:stop], segment[at:stop], reading[at:stop])
         at = int(stop)
         assert fir.state is not None
-        x, p = batch(np.array(fir.state.buffer), fir.state.t0, 180.0, 3)
+        x, p = batch(np.array(fir.state.buffer), float(fir.state.buffer[0, 1]), 180.0, 3)
         worst = max(worst, float(np.linalg.norm(fir.state.x - x) / np.linalg.norm(x)))
         root = fir.state.s
         p = p * 0.0125**2
@@ -129,19 +129,15 @@ def test_a_full_buffer_gives_up_its_oldest() -> None:
     np.testing.assert_allclose(np.diff(times), 0.1)
 
 
-def test_moving_the_bias_changes_no_prediction() -> None:
-    rng = np.random.default_rng(2)
-    x, s = rng.normal(size=3), np.triu(rng.uniform(0.5, 1.5, (3, 3)))
-    u, shift = 3.0, 0.7
-    before, after = (np.array([1.0, v, np.exp(-v)]) for v in (u, u - shift))
-    value, sd = before @ x, np.linalg.norm(before @ s)
-    c = np.array([[1.0, shift, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, np.exp(-shift)]])
-    flipped = (c @ s @ s.T @ c.T)[::-1, ::-1]
-    factor = np.linalg.cholesky(flipped)[::-1, ::-1]
-    x, s = move_bias(x, s, shift)
-    assert after @ x == pytest.approx(value, rel=1e-12)
-    assert np.linalg.norm(after @ s) == pytest.approx(sd, rel=1e-12)
-    np.testing.assert_allclose(s, factor, rtol=1e-12)
+def test_the_factor_of_the_covariance_is_triangular_with_a_positive_diagonal() -> None:
+    rng = np.random.default_rng(3)
+    buffer = np.column_stack([rng.normal(25.0, 0.1, 20), np.sort(rng.uniform(0.0, 300.0, 20))])
+    x, s = fit(buffer, Params())
+    expected, covariance = batch(buffer, float(buffer[0, 1]), 180.0, 3)
+    np.testing.assert_allclose(x, expected, rtol=1e-6)
+    np.testing.assert_allclose(s @ s.T, covariance * Params().sigma ** 2, rtol=1e-6)
+    assert (np.diag(s) > 0).all()
+    assert np.array_equal(s, np.triu(s))
 
 
 @pytest.mark.parametrize("wrong", [{"step": 0.0}, {"window_s": -1.0}, {"buffer_size": 6}])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from imumon.blocks import FloatArray
-from imumon.papers.linear import LinearFilter, Model
+from imumon.papers.shi_filters import LinearFilter, Model
 from tests.papers.plain_filters import CHECK_ROWS, check_signal
 
 CHECK = Model((0.0, 0.0, 0.3, 0.05, 0.02), (0.1, 0.1, 0.0, 0.0, 0.0), 0.1)

@@ -8,20 +8,30 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
+from imumon.blocks import FloatArray, IntArray
 from imumon.errors import ImumonError
+from imumon.filters.slots import SlotGatherer
 from imumon.papers.local_level import (
+    SLOT_S,
     ExponentialMean,
     LocalLevel,
     RestMean,
-    deviances,
+    RestMeans,
+    filtered,
     fit_local_level,
     from_noise,
     hold,
     level_after,
-    means_of,
 )
 
 RNG = np.random.default_rng(0)
+
+
+def means_of(time_ns: IntArray, reading: FloatArray) -> list[RestMean]:
+    """Return the means of a recording at rest, reading (n,) in rad/s, NaN where it is not."""
+    gatherer = SlotGatherer(1, round(SLOT_S * 1e9))
+    slots = gatherer.process(time_ns, np.zeros(len(time_ns), np.int64), reading[:, np.newaxis])
+    return [row[0] for row in RestMeans().process(slots)]
 
 
 def seconds(values: list[float], covered_s: float = 1.0) -> list[RestMean]:
@@ -32,7 +42,7 @@ def seconds(values: list[float], covered_s: float = 1.0) -> list[RestMean]:
 def test_the_likelihood_is_that_of_the_differences_from_the_first_mean(ratio: float) -> None:
     values = np.cumsum(RNG.normal(size=40)) * 0.3 + RNG.normal(size=40)
     values[[7, 20]] = math.nan
-    deviance, white = deviances(seconds(values.tolist()), np.array([ratio]))
+    deviance, white, *_ = filtered(seconds(values.tolist()), np.array([ratio]))
     at = np.flatnonzero(np.isfinite(values))
     walk = ratio * np.minimum.outer(at[1:], at[1:])
     covariance = walk + np.eye(len(at) - 1) + 1.0

@@ -10,8 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from imumon.blocks import FloatArray
-from imumon.papers.linear import LinearFilter, Model
-from imumon.papers.sigma_points import (
+from imumon.papers.shi_filters import (
+    LinearFilter,
+    Model,
     SigmaPointFilter,
     take_risk,
 )

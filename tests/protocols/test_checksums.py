@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from imumon.protocols.checks import CHECKSUM_NAMES, CRCS, Checksum
+from imumon.protocols.framing import CHECKSUM_NAMES, CRCS, Checksum
 
 # Check values of the CRC catalogue (over the ASCII digits 1 to 9), and sums worked out by hand.
 CHECK = {

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from imumon.blocks import ColumnArray, SampleBlock
 from imumon.pipeline import Pipeline
-from imumon.protocols.checks import Checksum
 from imumon.protocols.device import device_names, load_device
+from imumon.protocols.framing import Checksum
 from tests.protocols.streams import chunkings, damage, feed_in_chunks
 from tests.protocols.test_checksums import CHECK
 

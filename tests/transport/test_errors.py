@@ -10,8 +10,8 @@ import pytest
 import serial
 
 from imumon.errors import ImumonError, Reason
-from imumon.transport.errors import lost_error, open_error, silent_error, wrong_baud_error
 from imumon.transport.port import latency_text
+from imumon.transport.ports import lost_error, open_error, silent_error, wrong_baud_error
 from imumon.transport.settings import PortSettings
 
 

@@ -231,8 +231,8 @@ def _samples(
 
 def _allan(path: Path, _: Job) -> Iterator[Row]:
     from imumon.allan.analysis import analyse
+    from imumon.allan.covariance import TERMS_OF
     from imumon.allan.recording import UNITS, group_of, read_channels
-    from imumon.allan.terms import TERMS_OF
     from imumon.estimation.gyro_bias.stage import RestDetector
 
     opened = read_channels(path, lambda _: [RestDetector()])

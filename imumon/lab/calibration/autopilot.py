@@ -10,8 +10,6 @@ ArduPilot that with a fixed reference (a development version before 4.1 took the
   that of the sensor.  The gyros' constant goes along; the accelerometers' is zero, as gravity is in it.
 """
 
-from __future__ import annotations
-
 from typing import Literal
 
 import numpy as np
@@ -42,13 +40,9 @@ def parameters(
     Raises BAD_DATA when the span is too small, or a channel has more than a curve; BAD_CONFIG when
     identifiers or gyros are missing.
 
-    Parameters
-    ----------
-    autopilot : "ardupilot" or "px4"
-    imu : int
-        Number of the inertial sensor, from 0, as the logs count.
-    ids : tuple of int, optional
-        PX4's device identifiers of gyro and accelerometer.
+    `autopilot`: "ardupilot" or "px4".
+    `imu`: number of the inertial sensor, from 0, as the logs count.
+    `ids`: PX4's device identifiers of gyro and accelerometer.
     """
     check_ids(autopilot, ids)
     kinds = [kind for kind in KINDS if all(f"{kind}_{axis}" in model.channels for axis in "xyz")]

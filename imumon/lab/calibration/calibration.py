@@ -1,7 +1,5 @@
 """From recordings to a bias model."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime

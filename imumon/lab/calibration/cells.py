@@ -1,7 +1,5 @@
 """From recordings to means at rest, cells, runs and levels: what curves are fitted to and left out by."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -108,7 +106,7 @@ class Channel:
     level: IntArray
     """From power-on to the next, or to another pose, (n,); temperature level, upwards."""
 
-    def only(self, chosen: BoolArray) -> Channel:
+    def only(self, chosen: BoolArray) -> "Channel":
         """Return the cells that are chosen."""
         names = ("temperature", "value", "white", "seconds", "run", "level")
         return replace(self, **{name: getattr(self, name)[chosen] for name in names})

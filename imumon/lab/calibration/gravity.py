@@ -1,7 +1,5 @@
 """Bias and scale of an accelerometer triad from the length of gravity in several poses."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Self
 
@@ -45,12 +43,8 @@ class Length:
 
         To first order |f| - g = u·b + g u·S u, with u the direction, b the bias, S scale and misalignment.
 
-        Parameters
-        ----------
-        force : array of shape (n, 3)
-            Means of the specific force at rest, m/s².
-        warmth : array of shape (n, d)
-            Powers of the scaled temperature that the bias may follow; the first is linear.
+        `force` (n, 3): means of the specific force at rest, m/s².
+        `warmth` (n, d): powers of the scaled temperature that the bias may follow; the first is linear.
         """
         poses = _distinct(force / np.linalg.norm(force, axis=1, keepdims=True))
         if poses < LEAST_POSES:
@@ -103,9 +97,7 @@ def _least_squares(columns: FloatArray, values: FloatArray) -> tuple[FloatArray,
     """Return the coefficients of ordinary least squares, the smallest where columns are collinear, and their
     standard deviations, (k,); infinite where the columns do not determine one.
 
-    Parameters
-    ----------
-    columns, values : array of shape (n, k) and (n,)
+    `columns` (n, k), `values` (n,).
     """
     norm = np.linalg.norm(columns, axis=0)
     norm = np.where(norm > 0, norm, 1.0)

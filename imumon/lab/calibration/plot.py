@@ -1,23 +1,17 @@
 """The pictures of a calibration: each channel's curve with its points, and a magnetometer's three planes."""
 
-from __future__ import annotations
-
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from imumon.files import write_png
 from imumon.harmless import for_plot
 from imumon.lab.calibration import SHOWN
 from imumon.lab.calibration.calibration import Calibration
+from imumon.lab.calibration.magnetometer import MagnetometerFit
 from imumon.recordings.reduced import ACCEL
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-    from imumon.lab.calibration.magnetometer import MagnetometerFit
 
 COLUMNS = 3
 """Channels beside each other: those of one sensor."""
@@ -36,7 +30,7 @@ def write_calibration_plot(path: Path, result: Calibration, title: str) -> None:
     """
     names = list(result.findings)
     columns, rows = min(COLUMNS, len(names)), -(-len(names) // COLUMNS)
-    figure = _figure(4.8 * columns, 6.4 * rows)
+    figure = Figure(figsize=(4.8 * columns, 6.4 * rows), layout="constrained")
     grid = figure.subplots(2 * rows, columns, squeeze=False, height_ratios=(2, 1) * rows)
     for number, name in enumerate(names):
         row, column = divmod(number, columns)
@@ -82,7 +76,7 @@ def write_magnetometer_plot(path: Path, fit: MagnetometerFit, title: str) -> Non
     model, turn = fit.model, np.linspace(0.0, 2.0 * np.pi, 200)
     every = 1 + len(fit.field) // MOST_POINTS
     readings, field = fit.readings[::every], fit.field[::every]
-    figure = _figure(13.0, 4.8)
+    figure = Figure(figsize=(13.0, 4.8), layout="constrained")
     for number, (i, j) in enumerate(PLANES):
         axes = figure.add_subplot(1, 3, number + 1)
         axes.plot(readings[:, i], readings[:, j], ".", ms=2, color="0.65", label="as sent")
@@ -99,12 +93,3 @@ def write_magnetometer_plot(path: Path, fit: MagnetometerFit, title: str) -> Non
         fontsize=11,
     )
     write_png(path, figure, 110)
-
-
-def _figure(width: float, height: float) -> Figure:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg  # takes 0.3 s, and few want a picture
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(width, height), layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure

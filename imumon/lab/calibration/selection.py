@@ -1,7 +1,5 @@
 """Which curve: the one that errs least at temperature levels left out of its fit; and the turn-on offsets."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial

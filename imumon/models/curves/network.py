@@ -4,8 +4,6 @@ starts, with the analytic Jacobian.
 Fontanella, Accardo, Schiano Lo Moriello, Angrisani, De Simone, Sensors 2018, 18(5), 1457, section 5 (n = 2).
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Annotated, Literal, Self
@@ -77,7 +75,7 @@ class NetworkCurve(StrictModel):
         outer = (1.0 - second**2) * _times(inner[..., np.newaxis, :], np.array(self.second_weights))
         return _times(outer, np.array(self.output_weights)) * (self.scale / self.half_width_degc)
 
-    def minus(self, constant: float) -> NetworkCurve:
+    def minus(self, constant: float) -> "NetworkCurve":
         """Return the curve lowered by a constant."""
         return self.model_copy(update={"offset": self.offset - constant})
 
@@ -115,7 +113,7 @@ class Scaled:
     """In the unit of the channel: y is 0 and 1 there."""
 
     @classmethod
-    def of(cls, points: Points) -> Scaled:
+    def of(cls, points: Points) -> "Scaled":
         """Return points, scaled."""
         low, high = float(points.temperature.min()), float(points.temperature.max())
         center, half_width = 0.5 * (low + high), 0.5 * (high - low) or 1.0

@@ -1,7 +1,5 @@
 """What a curve is fitted to."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,15 +24,15 @@ class Points:
         """Return the number of means."""
         return len(self.temperature)
 
-    def only(self, chosen: BoolArray) -> Points:
+    def only(self, chosen: BoolArray) -> "Points":
         """Return the means that are chosen."""
         return Points(self.temperature[chosen], self.value[chosen], self.weight[chosen], self.level[chosen])
 
-    def shifted(self, offset: FloatArray) -> Points:
+    def shifted(self, offset: FloatArray) -> "Points":
         """Return the means with an offset taken from each."""
         return Points(self.temperature, self.value - offset, self.weight, self.level)
 
-    def merged(self, width: float) -> Points:
+    def merged(self, width: float) -> "Points":
         """Return weighted means of those of the same level that are in the same `width` of °C.
 
         To a curve that is smooth over `width` they are worth the same, and there are fewer of them.

@@ -1,7 +1,5 @@
 """A polynomial in temperature, in Chebyshev form: well conditioned at any order that is of use."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 import numpy as np
@@ -38,7 +36,7 @@ class PolynomialCurve(StrictModel):
         slope = chebyshev.chebval(self._scaled(temperature), derivative) / self.half_width_degc
         return np.asarray(slope, np.float64)
 
-    def minus(self, constant: float) -> PolynomialCurve:
+    def minus(self, constant: float) -> "PolynomialCurve":
         """Return the curve lowered by a constant."""
         first, *others = self.coefficients
         return self.model_copy(update={"coefficients": [first - constant, *others]})

@@ -68,10 +68,7 @@ def fit_spline(points: Points, knots: FloatArray) -> SplineCurve:
     λ is that of the least error at levels left out, so the noise within a level, which is not white, has no
     part in it.  With fewer than three levels, λ is large: nothing but a straight line.
 
-    Parameters
-    ----------
-    knots : array (m,)
-        Breaks, °C, increasing, at least the two ends of the range.
+    `knots` (m,): breaks, °C, increasing, at least the two ends of the range.
     """
     from scipy.interpolate import BSpline
 

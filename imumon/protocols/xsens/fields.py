@@ -5,8 +5,6 @@ vendor.  The last four bits of an identifier are its format: bits 0-1 the precis
 the reference frame.  Values are in the device's units times a factor.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache

@@ -4,8 +4,6 @@ Facts from the MT Low Level Communication documentation of the MTi, MTi-G and MT
 messages SetOutputMode (16 bits) and SetOutputSettings (32 bits), and the fixed order of the parts of MTData.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Iterable, Sequence
 from fractions import Fraction
@@ -197,7 +195,7 @@ class Profile(StrictModel):
     output_settings: OutputSettings = OutputSettings()
 
     @model_validator(mode="after")
-    def _raw_goes_alone(self) -> Profile:
+    def _raw_goes_alone(self) -> "Profile":
         others = set(self.output_mode) - {"raw_inertial", "raw_gps"}
         if "raw_inertial" in self.output_mode and others:
             raise ValueError(f"output_mode: raw_inertial cannot be combined with {', '.join(sorted(others))}")

@@ -1,7 +1,5 @@
 """Total biases of the sensors: what is in a signal besides motion, gravity, earth rate and white noise."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -10,8 +8,8 @@ from numpy.polynomial import polynomial
 
 from imumon.blocks import FloatArray
 from imumon.effects.base import Drive, Effect, Memory
-from imumon.effects.hysteresis import Hysteresis
 from imumon.effects.since_power_on import RunOffset, WarmUp
+from imumon.effects.thermal_lag import Hysteresis
 from imumon.geodesy import DEG_PER_H, MICRO_G
 from imumon.simulation.unit.noise import GaussMarkov, RandomWalk, White, generator
 from imumon.simulation.unit.parameters import Curves, Effects, Polynomial, Term, UnitParameters

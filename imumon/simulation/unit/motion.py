@@ -3,8 +3,6 @@
 So any part of a run can be computed by itself.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, Literal, Self
@@ -207,7 +205,7 @@ Triple = tuple[FloatArray, FloatArray, FloatArray]
 
 
 def _within(since_s: FloatArray, length_s: float) -> BoolArray:
-    return np.asarray((since_s >= 0.0) & (since_s < length_s))
+    return (since_s >= 0.0) & (since_s < length_s)
 
 
 def _minimum_jerk(since_s: FloatArray, length_s: float) -> Triple:

@@ -4,8 +4,6 @@ A generator's seed is the seed of the unit and the name of the error, so one err
 the others as they were.
 """
 
-from __future__ import annotations
-
 import zlib
 from collections.abc import Sequence
 
@@ -30,18 +28,14 @@ class White:
         """Return the next n values of each column, (n, k)."""
         if not self._sd.any():
             return np.zeros((n, len(self._sd)))
-        return np.asarray(self._random.standard_normal((n, len(self._sd))) * self._sd)
+        return self._random.standard_normal((n, len(self._sd))) * self._sd
 
 
 class GaussMarkov:
     """First-order Gauss-Markov process in equilibrium: x' = -x / tau + noise.
 
-    Parameters
-    ----------
-    sd : sequence of float
-        Standard deviation of x, for each of k columns.
-    tau_s, step_s : float
-        Correlation time, and time between samples.
+    `sd`: standard deviation of x, for each of k columns.
+    `tau_s`, `step_s`: correlation time, and time between samples.
     """
 
     def __init__(

@@ -1,7 +1,5 @@
 """What a unit file holds: one inertial unit, its biases over temperature, its noise and its thermometers."""
 
-from __future__ import annotations
-
 from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field

@@ -3,8 +3,6 @@
 A scenario or a unit may name a `base` of its kind: what it does not state itself, the base states.
 """
 
-from __future__ import annotations
-
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, ClassVar, Literal, Self
@@ -27,11 +25,6 @@ class _Based(StrictModel):
     """Its word in messages; with an s the folder of those that come along."""
 
     base: str | None = None
-
-    @classmethod
-    def names(cls) -> list[str]:
-        """Return the names that `load` knows without a path."""
-        return sorted(bundled(f"{cls.kind}s"))
 
     @classmethod
     def load(cls, name: str | Path) -> Self:
@@ -204,7 +197,7 @@ class Scenario(_Based):
         """Number of samples from power-on to the end."""
         return max(int(self.duration_s * self.rate_hz + 0.5), 1)
 
-    def played(self, rate_hz: float, axes: BodyAxes) -> Scenario:
+    def played(self, rate_hz: float, axes: BodyAxes) -> "Scenario":
         """Return the scenario as a device plays it, at its packet rate and in its body axes."""
         return self.model_copy(update={"rate_hz": rate_hz, "axes": axes})
 

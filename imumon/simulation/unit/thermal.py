@@ -1,7 +1,5 @@
 """Temperatures: what the chamber does, what the sensors have of it, and what the thermometers read."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -33,7 +31,7 @@ def chamber_temperature(chamber: Chamber, time_s: FloatArray) -> FloatArray:
     value = np.interp(time_s, *chamber_knots(chamber))
     if chamber.wobble is not None:
         value = value + chamber.wobble.amplitude_degc * np.sin(2 * np.pi / chamber.wobble.period_s * time_s)
-    return np.asarray(value)
+    return value
 
 
 class Lags:
@@ -95,7 +93,7 @@ class Thermometers:
         readings = np.vstack([self._held, readings])  # row 0 is the reading before the first fresh one
         self._held = readings[-1:]
         before = -(-first // self._packets) - 1
-        return np.asarray(readings[np.arange(first, first + n) // self._packets - before])
+        return readings[np.arange(first, first + n) // self._packets - before]
 
 
 def chamber_log(scenario: Scenario, seed: int) -> tuple[FloatArray, FloatArray]:

@@ -3,8 +3,6 @@
 Angles are roll, pitch and heading in rad, ZYX, of forward-right-down body axes to north-east-down.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from fractions import Fraction
 

@@ -8,8 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.errors import ImumonError
-from imumon.lab.calibration.magnetometer import fit_magnetometer
-from imumon.lab.calibration.magnetometer_axes import WAYS, Axes, axes_of, doubts
+from imumon.lab.calibration.magnetometer import WAYS, Axes, axes_of, doubts, fit_magnetometer
 from imumon.models.magnetometer import MagnetometerModel
 
 FIELD = np.array([2.0, 20.0, -43.0])

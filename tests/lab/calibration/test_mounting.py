@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from imumon.blocks import FloatArray
-from imumon.lab.calibration.magnetometer_axes import WAYS, fitted_axes, named
+from imumon.lab.calibration.magnetometer import WAYS, fitted_axes, named
 
 FIELD = np.array([0.4, 0.1, -0.9])
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from imumon.effects.base import Drive
-from imumon.effects.hysteresis import Hysteresis
 from imumon.effects.since_power_on import Drift, WarmUp
+from imumon.effects.thermal_lag import Hysteresis
 from imumon.lab.diagnosis.candidates import Candidate, Finding, Part
 from imumon.lab.diagnosis.diagnose import diagnose
 from imumon.lab.diagnosis.report import report

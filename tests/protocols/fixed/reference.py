@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from imumon.protocols.checks import Checksum
 from imumon.protocols.fixed import FixedDevice
+from imumon.protocols.framing import Checksum
 
 CODES = {"u8": "B", "i8": "b", "u16": "H", "i16": "h", "u32": "I", "i32": "i", "u64": "Q", "i64": "q",
          "f32": "f", "f64": "d"}  # fmt: skip

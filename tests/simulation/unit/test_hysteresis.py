@@ -5,7 +5,7 @@ import pytest
 
 from imumon.blocks import FloatArray
 from imumon.effects.base import Drive, Memory
-from imumon.effects.hysteresis import Hysteresis
+from imumon.effects.thermal_lag import Hysteresis
 from imumon.simulation.unit import SimulatedUnit
 from tests.simulation.unit.scenarios import scenario
 

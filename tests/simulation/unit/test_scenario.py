@@ -9,11 +9,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from imumon.errors import ImumonError, Reason
+from imumon.files import bundled
 from imumon.protocols.device import load_device
 from imumon.simulation.unit import SimulatedUnit, load_scenario, load_unit
 from imumon.simulation.unit.biases import axis_values
 from imumon.simulation.unit.parameters import UnitParameters
-from imumon.simulation.unit.scenario import Scenario, Unit
+from imumon.simulation.unit.scenario import Scenario
 
 GOOD = """\
 format: imumon-scenario/1
@@ -35,7 +36,7 @@ def refusal(path: Path, text: str) -> str:
     return caught.value.seen
 
 
-@pytest.mark.parametrize("name", Scenario.names())
+@pytest.mark.parametrize("name", sorted(bundled("scenarios")))
 def test_every_scenario_that_comes_along_runs_and_fits_into_packets(name: str) -> None:
     plan = load_scenario(name)
     assert plan.title
@@ -43,7 +44,7 @@ def test_every_scenario_that_comes_along_runs_and_fits_into_packets(name: str) -
     assert len(load_device("ax1").encoder().encode(unit.samples(50))) == 50
 
 
-@pytest.mark.parametrize("name", Unit.names())
+@pytest.mark.parametrize("name", sorted(bundled("units")))
 def test_every_unit_that_comes_along_loads(name: str) -> None:
     assert load_unit(name).title
 
@@ -138,7 +139,8 @@ def test_the_example_in_the_documentation_is_a_scenario(tmp_path: Path) -> None:
 def test_the_documentation_names_every_scenario_unit_and_key() -> None:
     text = DOCUMENT.read_text(encoding="utf-8")
     keys = set(UnitParameters.model_fields) - {"format", "title"}
-    assert [name for name in (*Scenario.names(), *Unit.names(), *keys) if f"`{name}`" not in text] == []
+    names = (*bundled("scenarios"), *bundled("units"), *keys)
+    assert [name for name in names if f"`{name}`" not in text] == []
 
 
 def test_the_loop_of_crs05_is_one_and_a_half_percent_of_the_span() -> None:

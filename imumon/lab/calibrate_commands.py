@@ -1,8 +1,9 @@
-"""``imumon calibrate``: the bias of a unit over temperature, from recordings at rest."""
+"""``imumon calibrate``, ``magnetometer``: bias over temperature, hard and soft iron, from recordings."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from math import degrees
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -29,6 +30,7 @@ from imumon.lab.diagnosis_commands import chosen_drivers, read
 
 if TYPE_CHECKING:
     from imumon.lab.calibration.calibration import Calibration, Finding
+    from imumon.lab.calibration.magnetometer import Axes, MagnetometerFit
     from imumon.lab.diagnosis.verdict import ChannelVerdict
 
 STARTING_S, SAMPLES_PER_S, SPAN_PER_S = 2.0, 55_000.0, 670.0
@@ -62,7 +64,7 @@ NO_DRIVER = {"drivers": "none of those recorded is proven"}
     "--device-ids", nargs=2, type=int, metavar="GYRO ACCEL", help="PX4's identifiers of the sensors."
 )
 @json_option
-def command(
+def calibrate(
     sessions: tuple[Path, ...],
     out: Path,
     plot: Path | None,
@@ -86,7 +88,8 @@ def command(
     model are refused, with the reason.
     """
     from imumon.lab.calibration.autopilot import SUFFIX, check_ids, parameters
-    from imumon.lab.calibration.calibration import calibrate, check_place, read_sessions
+    from imumon.lab.calibration.calibration import calibrate as find_bias
+    from imumon.lab.calibration.calibration import check_place, read_sessions
     from imumon.run.truth import check_truth, errors_of_model
 
     export = None if autopilot is None else out.with_suffix(SUFFIX[autopilot])
@@ -106,7 +109,7 @@ def command(
         check_place(latitude, heading)
         records, found = read_sessions(sessions, progress.count)
         warnings += found
-        result = calibrate(records, latitude, heading, serial, progress)
+        result = find_bias(records, latitude, heading, serial, progress)
         result.warnings[:0] = warnings
         model = result.model
         if chosen != []:
@@ -216,3 +219,83 @@ def _per_channel(result: Calibration, of: Callable[[Finding], float | None]) -> 
         value = of(finding)
         parts.setdefault(unit, []).append("-" if value is None else f"{value * factor:.3g}")
     return "; ".join(f"{' '.join(values)} {unit}" for unit, values in parts.items())
+
+
+@click.command("magnetometer")
+@click.argument("session", type=PATH)
+@click.option("--out", required=True, type=PATH, help="Model file to write.")
+@click.option("--model", type=PATH, help="Model file of the unit; its other contents are kept.")
+@click.option("--plot", type=PATH, help="Draw readings and field into this PNG.")
+@json_option
+def magnetometer(session: Path, out: Path, model: Path | None, plot: Path | None, as_json: bool) -> None:
+    """Find hard and soft iron from SESSION, in which the unit was moved in figures of eight and turned over.
+
+    \b
+    imumon magnetometer sessions/NAME --out unit.yaml
+
+    Stay away from iron and cables.  If there are too few directions, imumon refuses and reports what to
+    turn next.  It also refuses a magnetometer whose axes are not those of the gyros.
+    """
+    check_output(out)
+    if plot is not None:
+        check_output(plot, suffix=".png")
+    from datetime import UTC, datetime
+
+    from imumon.lab.calibration.magnetometer import axes_of, doubts, fit_magnetometer
+    from imumon.models.model import BiasModel, load_model
+    from imumon.recordings.reader import open_recording
+    from imumon.version import __version__
+
+    known = None if model is None else load_model(model)
+    recording = open_recording(session)
+    units = dict(recording.pipeline.units)
+
+    def warnings() -> list[str]:
+        return [f"{session}: {text}" for text in recording.warnings()]
+
+    with with_warnings(warnings):
+        fit = fit_magnetometer(recording.blocks(), units.get("mag_x", "uT"), str(session))
+        axes = axes_of(open_recording(session).blocks(), fit.model)  # read again: it may not fit in memory
+        texts = [*fit.doubts, *doubts(axes, str(session))]
+    named = {"session": recording.name, "sha256": recording.sha256()}
+    found = fit.model.model_copy(update=named)
+    if known is None:
+        known = BiasModel(
+            made_by=f"imumon {__version__}",
+            created=datetime.now(UTC).isoformat(timespec="seconds"),
+            device=recording.device,
+            axes=recording.axes,
+            magnetometer=found,
+        )
+    known.model_copy(update={"magnetometer": found}).write(out)
+    if plot is not None:
+        from imumon.lab.calibration.plot import write_magnetometer_plot
+
+        write_magnetometer_plot(plot, fit, recording.name)
+    warned = [*warnings(), *(f"{session}: {text}" for text in texts)]
+    warn(warned)
+    if as_json:
+        result = {"out": out, "residual_before": fit.residual_before, "points": len(fit.field)}
+        turned = axes is not None and axes.is_significant
+        result["axes_off_deg"] = degrees(axes.angle) if axes is not None and turned else None
+        result["axes_off_sd_deg"] = degrees(axes.sd) if axes is not None and turned else None
+        print_json({**result, **found.model_dump(), "warnings": warned})
+    print_rows(_magnetometer_rows(fit, axes, out))
+
+
+def _magnetometer_rows(fit: MagnetometerFit, axes: Axes | None, out: Path) -> dict[str, str]:
+    model = fit.model
+    hard = zip(model.hard_iron, model.hard_iron_sd, strict=True)
+    worst = max(value for row in model.soft_iron_sd for value in row)
+    return {
+        "directions": f"{model.coverage:.0%}, {len(fit.field):,} readings",
+        "hard iron": ", ".join(f"{value:.2f} ± {sd:.2g}" for value, sd in hard) + f" {model.unit}",
+        "soft iron": "; ".join(" ".join(f"{value:.4f}" for value in row) for row in model.soft_iron)
+        + f", ± {worst:.1g}",
+        "strength": f"{model.field:.2f} {model.unit}, scatter {fit.residual_before:.2g} as sent, "
+        f"{model.residual_sd:.2g} corrected",
+        "axes": "not checked, for want of gyros or turns"
+        if axes is None or not axes.is_significant
+        else f"the gyros', turned against them by {degrees(axes.angle):.1f} ± {degrees(axes.sd):.1g}°",
+        "written": str(out),
+    }
