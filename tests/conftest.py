@@ -40,12 +40,17 @@ _TESTS = Path(__file__).parent
 _COMPILE = _TESTS.parent / "scripts" / "support" / "compile_kernels.py"
 _VIEWERS = "viewers"
 _LONG = (
-    "docs/test_tutorials.py", _VIEWERS, "fleet/batch/test_running.py", "fleet/rack/test_rack.py",
-    "configure/test_configure_command.py", "lab/diagnosis/test_diagnose.py", "cli/test_commands.py",
-    "run/test_learning.py", "lab/diagnosis/test_poses.py", "lab/test_diagnose.py", "lab/test_calibrate.py",
-    "faults/test_line.py", "faults/test_viewer.py", "publishing/test_foxglove.py", "test_reproduce.py",
+    "docs/test_tutorials.py", _VIEWERS, "fleet/batch/test_running.py", "lab/diagnosis/test_diagnose.py",
+    "fleet/rack/test_rack.py", "lab/diagnosis/test_poses.py", "configure/test_configure_command.py",
+    "estimation/rest/test_turn.py", "run/test_learning.py", "test_reproduce.py", "faults/test_line.py",
+    "estimation/temperature_rate/test_method.py", "view/test_recorder.py", "lab/test_diagnose.py",
+    "publishing/test_foxglove.py", "lab/test_calibrate.py", "transport/test_reader.py",
+    "estimation/gyro_bias/test_consistency.py", "cli/test_align.py", "cli/test_commands.py",
+    "transport/test_detect.py", "faults/test_readings.py", "faults/test_killed.py", "faults/test_viewer.py",
+    "view/test_terminal.py", "run/test_live.py", "fleet/batch/test_cluster.py", "faults/test_service.py",
 )  # fmt: skip
-"""These take longest: begun last, they would leave one of the parallel processes alone with one of them."""
+"""These take longest: begun last, they would leave one of the parallel processes alone with one of them.
+Some compute and some wait for a device in real time, in turn, so that no core is without work."""
 
 
 def pytest_configure(config: pytest.Config) -> None:

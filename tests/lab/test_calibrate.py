@@ -60,7 +60,7 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def short(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A session that is soon read, and gives no model."""
-    return imported(tmp_path_factory.mktemp("short"), np.linspace(20.0, 23.0, 1500))
+    return imported(tmp_path_factory.mktemp("short"), np.linspace(20.0, 23.0, 750))
 
 
 def test_a_session_becomes_a_model(session: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

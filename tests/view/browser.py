@@ -24,7 +24,6 @@ FLAGS = (
     "--disable-background-networking",
     "--disable-component-update",
     "--disable-sync",
-    "--window-size=1456,819",
     "--remote-debugging-pipe",
 )
 ANSWER_S = 60.0
@@ -118,14 +117,14 @@ class Browser:
 
 
 @contextmanager
-def browser(binary: str) -> Iterator[Browser]:
-    """Start a browser, and end it."""
+def browser(binary: str, size: str = "1456,819") -> Iterator[Browser]:
+    """Start a browser with a window of this width and height, and end it."""
     there, to = os.pipe()
     back, here = os.pipe()
     with tempfile.TemporaryDirectory(prefix="imumon-", ignore_cleanup_errors=True) as profile:
-        command = " ".join([f'exec "{binary}"', *FLAGS, f'"--user-data-dir={profile}"', "about:blank"])
+        flags = " ".join([*FLAGS, f"--window-size={size}", f'"--user-data-dir={profile}"'])
         process = subprocess.Popen(
-            ["bash", "-c", f"{command} 3<&{there} 4>&{here}"],
+            ["bash", "-c", f'exec "{binary}" {flags} about:blank 3<&{there} 4>&{here}'],
             pass_fds=(there, here),
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,

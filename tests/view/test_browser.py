@@ -40,7 +40,7 @@ def test_two_tabs_in_a_browser_show_something_and_nothing_goes_out(tmp_path: Pat
     rec.flush()
     arrangement = logger.arrangement
     assert arrangement is not None
-    with browser(binary) as page:
+    with browser(binary, "910,512") as page:  # drawn without a GPU: each pixel costs
         page.open(site.url)
         seen = [shown(page, tmp_path / "first.png")]
         arrangement.root_container.active_tab = 1

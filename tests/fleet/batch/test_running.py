@@ -295,12 +295,14 @@ def test_every_command_has_rows_or_a_reason(command: Any, tmp_path: Path) -> Non
         assert [row["reason"] for row in rows] == ["bad data"]
 
 
-@pytest.mark.parametrize(("command", "rate_hz"), [("calibrate", 1.0), ("diagnose", 2.0)])
+@pytest.mark.parametrize(
+    ("command", "rate_hz", "seconds"), [("calibrate", 1.0, 1500.0), ("diagnose", 2.0, 2400.0)]
+)
 def test_a_long_session_has_rows_of_every_channel_that_the_table_takes(
-    command: Any, rate_hz: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    command: Any, rate_hz: float, seconds: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     few_steps(monkeypatch)
-    session = tiny(tmp_path / "long", seconds=2400.0, scenario="self-heating", rate_hz=rate_hz)
+    session = tiny(tmp_path / "long", seconds=seconds, scenario="self-heating", rate_hz=rate_hz)
     rows = work(Job(str(session), BatchOptions(command=command), str(tmp_path)))
     units = {row["channel"]: row["unit"] for row in rows}
     assert units.keys() > {"gyro_x", "accel_z"}
