@@ -13,7 +13,7 @@ truncates T is half a step off.
 | more than two codes | code models | (6) z = mean less ripple, R = max(s², variance)/n + (β d/π)²/8 |
 | two codes | code models | (7) z = edge + s Φ⁻¹(u), R = s² u(1-u)/(n f²) + (0.1 s Φ⁻¹(u))² |
 | one code: soft edge, surprise, or prediction wide | code models | (8) y is in the code: truncated Gaussian |
-| one code | code models | nothing, and little likelihood; the code confines the output of this slot alone |
+| one code | code models | nothing, probabilities hardly change; the code confines this slot's output alone |
 | any | mean models | (9) z = mean, R = white part of max(ρ, d²/12) + (d/n)²/2π |
 
 "y is in the code" is one statement, however often it is read.  At a soft edge each reading is evidence.
@@ -127,7 +127,10 @@ def _two_codes(filters: Filters, slot: Slot, step: float, n: float, s: FloatArra
 def _one_code(
     filters: Filters, slot: Slot, step: float, n: float, s: FloatArray, renewed: FloatArray
 ) -> list[Correction]:
-    """Confine y to the code (8); its edges are as soft as the extreme of n readings, moved in by its median.
+    """Confine y to the code (8).
+
+    All n readings are in it, so the most extreme noise of n was: of the median s Φ⁻¹(2^(-1/n)), by which the
+    edges move in, and of the variance s²/(1 + 2 ln n), by which they are soft.
 
     `renewed` is the part of the slow error that is new: to that part, a code that stays is new evidence.
     Returns what enters the states, and all that the code shows.

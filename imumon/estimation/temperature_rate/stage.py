@@ -25,6 +25,8 @@ from imumon.protocols.thermometer import TemperatureRateParameters
 GATE_SIGMA, GATE_STEPS, GATE_SLOTS = 8.0, 5.0, 3
 """A slot is an outlier that lies so many sigmas, so many steps, and farther than a temperature moves from the
 prediction; after so many slots it may be the truth.  Assumed: wide, as the filters weigh what is nearer."""
+POWER_ON_S = 60.0
+"""For so long without a change, readings may be a value of power-on, s.  Assumed: sensors take seconds."""
 GAP_S = 600.0
 """After so long without a reading, or of a sensor that is dead or sticks, there is no estimate, s.  Assumed:
 in that time a board goes through most of a warm-up."""
@@ -155,16 +157,17 @@ class MultipleModelRate:
     def _gate(self, slot: Slot) -> Outcome:
         """Return the outcome of a slot: that of the first row that holds."""
         thermometer, filters = self.thermometer, self._filters
-        dead, span = thermometer.is_dead(slot), slot.largest - slot.smallest
+        dead, span = bool(slot.count) and thermometer.is_dead(slot), slot.largest - slot.smallest
         no_value = not slot.count or dead or span > SPIKE * max(1.0, thermometer.step)
         stuck = slot.smallest == slot.largest == self._outlier_degc
-        young = math.isnan(thermometer.last_change) or len(thermometer.means) < GATE_SLOTS
+        waits = math.isnan(thermometer.last_change) and slot.time_s - thermometer.changed_s < POWER_ON_S
+        young = waits or len(thermometer.means) < GATE_SLOTS
         table: tuple[tuple[object, Outcome], ...] = (
             (no_value, "ignore"),  # no reading, noise of more than a step has stopped, or a spike
-            (stuck, "ignore"),  # at the outlier before
+            (stuck, "ignore"),  # still exactly at the outlier
             (filters is None, "restart"),
             (filters and self._is_near(slot, filters), "use"),
-            (young, "restart"),  # until now it was a value of power-on, or a fault
+            (young, "restart"),  # what came first may be a value of power-on, or a fault
             (not thermometer.repeat_s and thermometer.leaps(slot), "leap"),  # repeats were taken for new
             (self._outliers + 1 >= GATE_SLOTS, "restart"),  # a new temperature
             (True, "ignore"),

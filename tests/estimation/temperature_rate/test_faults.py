@@ -86,15 +86,15 @@ def test_the_value_at_power_on_is_doubted_and_left(stuck_s: float, step: float, 
 
 @pytest.mark.parametrize("moves_s", [10.0, 1e9])
 @pytest.mark.parametrize("glitch_s", [1.0, 2.0])
-def test_a_glitch_after_a_long_silence_is_taken_back(moves_s: float, glitch_s: float) -> None:
+def test_a_glitch_after_a_long_silence_is_ignored(moves_s: float, glitch_s: float) -> None:
     t = np.arange(1200.0)
     truth = np.where(t < moves_s, 20.0, 20.5)
     glitch = (t >= 300.0) & (t < 300.0 + glitch_s)
     found = process(TemperatureRate(), t, np.where(glitch, POWER_ON_DEGC, truth))
-    later = t > 305.0
+    later = t >= 300.0
     off = np.abs(found["temperature_estimate"] - truth)[later]
     assert (off / found["temperature_estimate_sd"][later]).max() < 2.0
-    assert found["temperature_estimate_sd"][later].max() < 1.0
+    assert found["temperature_estimate_sd"][t > 305.0].max() < 1.0
 
 
 def test_three_glitches_of_a_quiet_thermometer_are_no_noise_over_an_edge() -> None:
