@@ -26,7 +26,8 @@ degrees of freedom and squared scale S β/a, and it weighs the modes of each axi
 are means, with E[σ²] = β/(a - 1).
 
 All modes have one F, so the moments of their mixture, the *prediction*, propagate as those of each of them.
-It is evaluated at each sample: a unit in the hand is in another pose a quarter of a second later.
+It is evaluated at the specific force of the latest slot; its variance contains how that may change until the
+next one, as in a hand.
 """
 
 from __future__ import annotations
@@ -35,11 +36,11 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import Self
 
 import numpy as np
 
-from imumon.blocks import BoolArray, FloatArray, IntArray
+from imumon.blocks import FloatArray
 from imumon.estimation.rest.slots import Measurement
 from imumon.geodesy import STANDARD_GRAVITY
 
@@ -51,9 +52,6 @@ FLOOR_OF_FLICKER = 0.664
 """Floor of the Allan deviation over B, sqrt(2 ln 2 / π) (IEEE 952)."""
 FLICKER_CORNERS_S = (100.0, 10.0, 1.0, 0.1)
 """Averaging times at which flicker overtakes white noise."""
-STRONG_FLICKER = 2.0
-"""Prior of flicker that overtakes at 1 s over that of any other level: it is not observable in the first
-seconds, and a gyro of 40 °/h was off by 8 sigmas in them."""
 WALK_CORNER_S = 10.0
 """Averaging time at which a random walk overtakes white noise: both are equal at √3 σ/K."""
 SLOPE_PER_SIGMA = 3.6
@@ -75,32 +73,42 @@ PRIOR_COUNT, DECLARED_COUNT = 3.0, 0.5 * MEMORY_S
 """Shape a of a σ² that second differences of 16 slots have shown, and of a declared one."""
 LEAST_WEIGHT = 1e-4
 """Least weight of a mode over the largest, so that the mode may come back."""
-FLICKER_OF_WALK = 0.05
-"""Flicker of the mode with a random walk, over the least of the others.  Assumed: hardly any."""
 UNKNOWN, TURN_ON = 1e8, math.radians(3.0)
 """Prior variance of w over σ², and at least TURN_ON², rad/s: turn-on biases of any gyro.  With a
 smaller prior, of a gyro that hardly scatters, the first mean would be a sensitivity to g."""
 
 
-def propagated(
-    mean: FloatArray, covariance: FloatArray, process: FloatArray, dt: float, warming: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return F x, (3, ..., 8), and F P Fᵀ + Q, (3, ..., 8, 8), over dt seconds and `warming` °C, (3,).
+@dataclass(frozen=True, eq=False)
+class States:
+    """States of three axes, (3, ..., 8): those of all modes over σ², or of their mixture."""
 
-    NaN is no change of temperature; `process` is `Bank.process`.
-    """
-    # The thermometer's noise times the slope is not in Q: at rest innovations show it, in σ² and the weights.
-    warming, keeps = np.where(np.isfinite(warming), warming, 0.0), np.exp(-dt / TAUS_S)
-    f = np.zeros((3, STATES, STATES))
-    f[:] = np.diag([1.0, *keeps, 1.0, 1.0, 1.0, 1.0])
-    f[:, WALK, SLOPE] = warming
-    grows = np.zeros((3, STATES))
-    grows[:, WALK], grows[:, FLICKER], grows[:, SLOPE] = dt, 1.0 - keeps**2, np.abs(warming)
-    modes = (1,) * (mean.ndim - 2)
-    f, grows = f.reshape(3, *modes, STATES, STATES), grows.reshape(3, *modes, STATES)
-    covariance = f @ covariance @ f.swapaxes(-1, -2)
-    np.einsum("...ii->...i", covariance)[...] += process * grows
-    return (f @ mean[..., np.newaxis])[..., 0], covariance
+    process: FloatArray
+    """Q: of w per second, of each gi when it is in equilibrium, of s per °C, (3, ..., 8)."""
+    mean: FloatArray
+    covariance: FloatArray
+    """x, (3, ..., 8), and P, (3, ..., 8, 8)."""
+    time_s: float
+    degc: FloatArray
+    """°C, (3,)."""
+
+    def at(self, time_s: float, degc: FloatArray) -> Self:
+        """Return F x and F P Fᵀ + Q at a later time and temperatures, °C, (3,); NaN is no change."""
+        dt, warming = time_s - self.time_s, degc - self.degc
+        if dt <= 0.0:
+            return self
+        # The thermometer's noise times the slope is not in Q: innovations at rest show it, in σ² and weights.
+        warming, keeps = np.where(np.isfinite(warming), warming, 0.0), np.exp(-dt / TAUS_S)
+        f, grows = np.zeros((3, STATES, STATES)), np.zeros((3, STATES))
+        f[:] = np.diag([1.0, *keeps, 1.0, 1.0, 1.0, 1.0])
+        f[:, WALK, SLOPE] = warming
+        grows[:, WALK], grows[:, FLICKER], grows[:, SLOPE] = dt, 1.0 - keeps**2, np.abs(warming)
+        modes = (1,) * (self.mean.ndim - 2)
+        f, grows = f.reshape(3, *modes, STATES, STATES), grows.reshape(3, *modes, STATES)
+        covariance = f @ self.covariance @ f.swapaxes(-1, -2)
+        np.einsum("...ii->...i", covariance)[...] += self.process * grows
+        known = np.where(np.isfinite(degc), degc, self.degc)
+        mean = (f @ self.mean[..., np.newaxis])[..., 0]
+        return replace(self, mean=mean, covariance=covariance, time_s=time_s, degc=known)
 
 
 def measurement_row(force: FloatArray) -> FloatArray:
@@ -108,45 +116,12 @@ def measurement_row(force: FloatArray) -> FloatArray:
     return np.array([1.0, 1.0, 1.0, 1.0, 0.0, *force])
 
 
-TO_TERMS = np.vstack([measurement_row(np.zeros(3)), np.eye(STATES)[SENSITIVITY]])
-"""The terms of a `LinearBias` by the states, (4, 8)."""
+@dataclass(frozen=True, eq=False)
+class Prediction(States):
+    """The mixture of all modes, in absolute units."""
 
-
-class LinearBias(NamedTuple):
-    """A bias as a linear function of the specific force f, t (1, f); NaN where nothing is known."""
-
-    terms: FloatArray
-    """t: bias without specific force, rad/s, and sensitivity, rad/s per m/s², (3, 4)."""
-    covariance: FloatArray
-    """C of t, (3, 4, 4)."""
-    force: FloatArray
-    """Mean f of the slot, m/s², (3,)."""
-    turn: FloatArray
-    """Turn hypothesis, rad/s, (3,); its square is not in C."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Prediction:
-    """Mean and covariance of the states of three axes, absolute."""
-
-    mean: FloatArray
-    covariance: FloatArray
-    process: FloatArray
-    """(3, 8), (3, 8, 8), and the process noise as `Bank.process` has it, (3, 8)."""
     white: FloatArray
     """Variance of the white noise of a second, (rad/s)², (3,)."""
-    time_s: float
-    degc: FloatArray
-    """°C, (3,)."""
-
-    def at(self, time_s: float, degc: FloatArray) -> Prediction:
-        """Return the prediction at a later time and temperatures, (3,); NaN is no change."""
-        dt, warming = time_s - self.time_s, degc - self.degc
-        if dt <= 0.0:
-            return self
-        mean, covariance = propagated(self.mean, self.covariance, self.process, dt, warming)
-        known = np.where(np.isfinite(degc), degc, self.degc)
-        return replace(self, mean=mean, covariance=covariance, time_s=time_s, degc=known)
 
     def bias(self, force: FloatArray, of_mean: bool = False) -> tuple[FloatArray, FloatArray]:
         """Return bias and variance at a specific force, (3,) each; `of_mean` without the fastest flicker."""
@@ -161,47 +136,23 @@ class Prediction:
         bias, variance = self.at(now.end_s, now.degc).bias(now.force)
         return now.rate - bias, variance + self.white / now.covered_s
 
-    def output(self, added: FloatArray, force: FloatArray, turn: FloatArray) -> LinearBias:
-        """Return the bias with `added` variance, (rad/s)², at the mean force of a slot, m/s², (3,) each."""
-        covariance = TO_TERMS @ self.covariance @ TO_TERMS.T
-        covariance[:, 0, 0] += FASTER * self.process[:, FLICKER.start] + added
-        return LinearBias(self.mean @ TO_TERMS.T, covariance, force, turn)
-
-
-def at_samples(
-    rows: IntArray, every: list[LinearBias], force: FloatArray, moving: BoolArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return bias t (1, f), variance (1, f) C (1, f) and turn hypothesis of samples, (n, 3) each.
-
-    `every` bias but the first holds from its row on, (m,).  f is the specific force of the sample, (n, 3); at
-    rest, where its noise is no change of pose, and without accelerometers, that of the slot.  The sums are of
-    few terms each, so they are the same whatever the division into blocks.
-    """
-    which = np.searchsorted(rows, np.arange(len(moving)), side="right")
-    terms, covariance, of_slot, turn = (np.array(one)[which] for one in zip(*every, strict=True))
-    row = np.ones((len(force), 1, 4))
-    row[:, 0, 1:] = np.where((moving & np.isfinite(force).all(1))[:, np.newaxis], force, of_slot)
-    variance = ((covariance * row[:, np.newaxis]).sum(3) * row).sum(2)
-    return (terms * row).sum(2), np.maximum(variance, 0.0), turn
+    def sample_variance(self, change: FloatArray) -> FloatArray:
+        """Return the variance that single samples have beside that of a mean, (rad/s)², (3,): of flicker that
+        is faster, and of a specific force that may change by so much, m/s², (3,)."""
+        h = np.concatenate([np.zeros(SENSITIVITY.start), change])
+        flicker = FASTER * self.process[:, FLICKER.start]
+        return np.asarray(flicker + (self.mean @ h) ** 2 + self.covariance @ h @ h)
 
 
 @dataclass(frozen=True, eq=False)
-class Bank:
-    """The filters at a time, (3 axes, F modes, ...)."""
+class Bank(States):
+    """The filters at a time, (3 axes, F modes, ...), Q and P over σ²."""
 
-    process: FloatArray
-    """Q over σ²: of w per second, of each gi when it is in equilibrium, of s per °C, (3, F, 8)."""
-    mean: FloatArray
-    covariance: FloatArray
-    """P, over σ²."""
     log_weight: FloatArray
-    """Logarithm of prior times likelihood of each mode, but for a constant, (3, F)."""
+    """Logarithm of the likelihood of each mode, but for a constant, (3, F)."""
     shape: float
     scale: FloatArray
     """a, and β in (rad/s)², (3, F)."""
-    time_s: float
-    degc: FloatArray
-    """(3,)."""
     declared: bool
     """Whether flicker and walk are declared, so that Q σ² stays where σ² changes, as by a fan."""
 
@@ -220,16 +171,16 @@ class Bank:
         the slope over σ, 1/°C; `white` is σ², the variance of the mean rate of a second, (rad/s)², (3,), with
         `count` as its a.
         """
-        process, log_prior = _modes(noise, slopes, count / (count - 1.0) * white)
+        process = _process(noise, slopes, count / (count - 1.0) * white)
         variance = process.copy()
         variance[..., WALK] = 0.0
         variance[..., SLOPE] *= SLOPE_DEGC
         variance[..., SENSITIVITY] = (SENSITIVITY_SD**2 / white)[:, np.newaxis, np.newaxis]
-        scale = np.zeros_like(log_prior) + count * white[:, np.newaxis]
+        scale = np.tile(count * white[:, np.newaxis], process.shape[1])
         start_s, zero = first.end_s - first.covered_s, np.zeros_like(variance)
         covariance = variance[..., np.newaxis] * np.eye(STATES)
         declared = all(one is not None for one in noise)
-        bank = cls(process, zero, covariance, log_prior, count, scale, start_s, first.degc, declared)
+        bank = cls(process, zero, covariance, start_s, first.degc, 0.0 * scale, count, scale, declared)
         return bank.after(first, jumped=True)
 
     def fits(self, now: Measurement, sigmas: float) -> bool:
@@ -242,19 +193,17 @@ class Bank:
 
         With `jumped` the bias may be any, so the mean rate shows nothing of modes and σ², which stay.
         """
-        dt, warming = now.end_s - self.time_s, now.degc - self.degc
-        mean, covariance = propagated(self.mean, self.covariance, self.process, dt, warming)
+        prior = self.at(now.end_s, now.degc)
         if jumped:
-            covariance[..., WALK, WALK] += np.maximum(UNKNOWN, TURN_ON**2 / self.white)
+            prior = prior.wider(np.maximum(UNKNOWN * self.white, TURN_ON**2))
         h = measurement_row(now.force)
-        cross = (covariance.reshape(-1, STATES) @ h).reshape(mean.shape)  # P Hᵀ
+        cross = (prior.covariance.reshape(-1, STATES) @ h).reshape(prior.mean.shape)  # P Hᵀ
         spread = cross @ h + 1.0 / now.covered_s  # S
-        innovation = now.rate[:, np.newaxis] - mean @ h
+        innovation = now.rate[:, np.newaxis] - prior.mean @ h
         gain = cross / spread[..., np.newaxis]
-        mean += gain * innovation[..., np.newaxis]
-        covariance -= gain[..., np.newaxis] * cross[..., np.newaxis, :]
-        degc = np.where(np.isfinite(now.degc), now.degc, self.degc)
-        bank = replace(self, mean=mean, covariance=covariance, time_s=now.end_s, degc=degc)
+        mean = prior.mean + gain * innovation[..., np.newaxis]
+        covariance = prior.covariance - gain[..., np.newaxis] * cross[..., np.newaxis, :]
+        bank = replace(prior, mean=mean, covariance=covariance)
         if jumped:
             return bank
         a, square = self.shape, innovation**2 / spread
@@ -293,12 +242,12 @@ class Bank:
         # g1 at the end of a second is not its mean over it, by which it was updated: the difference, of
         # 1 + 0.736 - 2 x 0.632 of its variance, dies away with g1.
         covariance[:, FLICKER.start, FLICKER.start] += 0.47 * process[:, FLICKER.start]
-        return Prediction(mean, covariance, process, white.sum(1), self.time_s, self.degc)
+        return Prediction(process, mean, covariance, self.time_s, self.degc, white.sum(1))
 
     def wider(self, variance: FloatArray) -> Bank:
-        """Let the bias have changed by an unknown amount of this variance, (rad/s)², (3,)."""
+        """Let the bias have changed by an unknown amount of this variance, (rad/s)², (3,) or (3, F)."""
         covariance = self.covariance.copy()
-        covariance[..., WALK, WALK] += variance[:, np.newaxis] / self.white
+        covariance[..., WALK, WALK] += variance.reshape(3, -1) / self.white
         return replace(self, covariance=covariance)
 
     def with_noise_of(self, other: Bank) -> Bank:
@@ -313,27 +262,21 @@ class Bank:
         return self.with_noise_of(replace(self, shape=PRIOR_COUNT, scale=scale))
 
 
-def _modes(
-    noise: Sequence[FloatArray | None], slopes: Sequence[float], white: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return each noise level with each slope: `Bank.process`, (3, F, 8), and ln of the prior, (3, F).
+def _process(noise: Sequence[FloatArray | None], slopes: Sequence[float], white: FloatArray) -> FloatArray:
+    """Return `States.process` over σ² of each noise level with each slope, (3, F, 8).
 
     See `Bank.begin` for the arguments; `white` is E[σ²] here.
     """
     b, k = noise
     if b is None or k is None:
         corners = np.array(FLICKER_CORNERS_S)
-        flicker = 1.0 / (FLOOR_OF_FLICKER * np.sqrt(corners))
-        b = np.tile([*flicker, FLICKER_OF_WALK * flicker[0]], (3, 1))
+        b = np.tile([*1.0 / (FLOOR_OF_FLICKER * np.sqrt(corners)), 0.0], (3, 1))
         k = np.tile([*0.0 * corners, math.sqrt(3.0) / WALK_CORNER_S], (3, 1))
-        prior = np.array([*np.where(corners == 1.0, STRONG_FLICKER, 1.0), 1.0])
     else:
         b, k = ((one / np.sqrt(white))[:, np.newaxis] for one in (b, k))
-        prior = np.ones(1)
-    process = np.zeros((3, len(prior), len(slopes), STATES))
+    process = np.zeros((*b.shape, len(slopes), STATES))
     process[..., WALK] = k[..., np.newaxis] ** 2
     flicker_variance = b**2 * math.log(TAUS_S[2] / TAUS_S[1]) / math.pi
     process[..., FLICKER] = flicker_variance[..., np.newaxis, np.newaxis]
     process[..., SLOPE] = np.square(slopes) / SLOPE_DEGC
-    log_prior = np.log(np.repeat(prior, len(slopes)))
-    return process.reshape(3, -1, STATES), np.tile(log_prior, (3, 1))
+    return process.reshape(3, -1, STATES)

@@ -19,18 +19,11 @@ from functools import partial
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.estimation.gyro_bias.bank import (
-    DECLARED_COUNT,
-    PRIOR_COUNT,
-    SENSITIVITY_SD,
-    SLOPE,
-    Bank,
-    LinearBias,
-)
-from imumon.estimation.gyro_bias.hypotheses import Hypotheses
+from imumon.estimation.gyro_bias.bank import DECLARED_COUNT, PRIOR_COUNT, SENSITIVITY_SD, SLOPE, Bank
+from imumon.estimation.gyro_bias.hypotheses import NEW_POSE, Hypotheses
 from imumon.estimation.gyro_bias.motion import Motion
 from imumon.estimation.gyro_bias.place import Attitude
-from imumon.estimation.gyro_bias.thermal import ThermalVariance
+from imumon.estimation.gyro_bias.thermal import Thermal
 from imumon.estimation.rest.parameters import GyroBiasParameters, RestParameters
 from imumon.estimation.rest.quiet import QUIET_TOO_SHORT, SECOND_SLOTS, TRIAL, QuietDetector
 from imumon.estimation.rest.slots import (
@@ -49,9 +42,11 @@ LEAST_WHITE = 1e-15
 """Variance of the mean of a second, (rad/s)²: 0.0065 °/h, less than any gyro has.  Assumed."""
 SECOND_S = 1.0 - 1e-6
 """Length of a measurement; slots of 0.25 s add up to it in spite of rounding."""
-
 UNDO_SLOTS = 2
 """Motion that begins within so many slots after a measurement takes it back from the filters."""
+FORCE_AHEAD = 1.5
+"""Until the end of the next slot the specific force may change by so many changes of a slot: it is that of
+the middle of the last one."""
 
 
 @dataclass(slots=True, eq=False)
@@ -62,7 +57,7 @@ class Estimator:
     slopes: tuple[float, ...]
     """Standard deviations of the slope over temperature, over σ, 1/°C."""
     limits: RestParameters
-    thermal: ThermalVariance
+    thermal: Thermal
     attitude: Attitude
     quiet: QuietDetector = field(default_factory=QuietDetector)
     jumped: bool = False
@@ -77,6 +72,8 @@ class Estimator:
     """Variance that has not been taken into the filters yet, (rad/s)², (3,)."""
     force: FloatArray = field(default_factory=partial(np.zeros, 3))
     """The last specific force that was known, m/s², (3,); zero before the first."""
+    force_change: FloatArray = field(default_factory=partial(np.zeros, 3))
+    """By how much the specific force may change until the next slot ends, m/s², (3,)."""
     degc: FloatArray = field(default_factory=partial(np.full, 3, np.nan))
     """The last temperatures that were known, °C, (3,)."""
     motion: Motion = field(default_factory=Motion)
@@ -85,8 +82,9 @@ class Estimator:
     def restarted(self) -> Estimator:
         """Return what holds after a restart of the device: the noise is what it was, the bias is not."""
         self.quiet.restart()
-        thermal, place = ThermalVariance(self.thermal.trust), self.attitude.anew()
-        return Estimator(self.parameters, self.slopes, self.limits, thermal, place, self.quiet, self.jumped)
+        self.thermal.restart()
+        given = self.parameters, self.slopes, self.limits, self.thermal
+        return Estimator(*given, self.attitude.anew(), self.quiet, self.jumped)
 
     @property
     def unrest(self) -> str:
@@ -107,9 +105,11 @@ class Estimator:
         NaN."""
         innovation = np.full(3, np.nan)
         force, degc = slot.mean[ACCEL], slot.mean[DEGC]
-        self.force = np.where(np.isfinite(force), force, self.force)
+        before, self.force = self.force, np.where(np.isfinite(force), force, self.force)
+        change = self.force - before
+        self.force_change = FORCE_AHEAD * change * (math.hypot(*change) > NEW_POSE)
         self.degc = np.where(np.isfinite(degc), degc, self.degc)
-        self.added = self.added + self.thermal.step(degc, slot.mean[POWER_ON_SD], np.zeros(3))
+        self.added = self.added + self.thermal.variance(degc, slot.mean[POWER_ON_SD], np.zeros(3))
         self.latest = [*self.latest[1 - TRIAL :], slot]
         self.quiet.update(slot, self.limits.drift)
         if not self.quiet.present[GYRO].all():
@@ -130,16 +130,16 @@ class Estimator:
                 innovation = self._decide(self.hypotheses)
         return np.full(3, np.nan) if self.unrest else innovation
 
-    def bridge_gap(self, degc: FloatArray, lag_degc: FloatArray, long: bool) -> None:
-        """Widen the bias by a gap; a `long` one ends rest.
+    def bridge_gap(self, gap_s: float, degc: FloatArray, lag_degc: FloatArray, long: bool) -> None:
+        """Widen the bias by a gap of so many seconds; a `long` one ends rest.
 
         Behind it the temperatures are `degc`, °C, (3,), NaN where not known; the lag of the gyros behind them
         may have changed by `lag_degc` (sd).
         """
-        self.motion.interrupt(0.0)
+        self.motion.interrupt(gap_s)
         self.attitude.lost |= long or self.quiet.quiet_slots == 0
         self.degc = np.where(np.isfinite(degc), degc, self.degc)
-        self.added = self.added + self.thermal.step(degc, np.full(3, np.nan), lag_degc)
+        self.added = self.added + self.thermal.variance(degc, np.full(3, np.nan), lag_degc)
         if self.hypotheses is not None:
             prediction = self.hypotheses.shown.prediction
             slope2 = prediction.mean[:, SLOPE] ** 2 + prediction.covariance[:, SLOPE, SLOPE]
@@ -169,8 +169,8 @@ class Estimator:
         self._interrupt()
         if self.hypotheses is not None:
             self._follow(slot, self.hypotheses)
-        elif slot.gap_s or np.isnan(slot.mean[ACCEL]).any():
-            self.motion.interrupt(slot.length_s + slot.gap_s)
+        elif np.isnan(slot.mean[ACCEL]).any():
+            self.motion.interrupt(slot.length_s)
         else:
             self.motion.take(slot.turn.less(slot.mean[MODELLED]), slot.mean[ACCEL])
 
@@ -178,7 +178,6 @@ class Estimator:
         """Add a slot to the turn since the attitude was taken."""
         bias, _ = hypotheses.shown.prediction.bias(self.force)
         self.attitude.follow(slot.turn, bias + slot.mean[MODELLED])
-        self.attitude.lost |= slot.gap_s > 0.0
 
     def _come_to_rest(self, force: FloatArray, hypotheses: Hypotheses | None) -> None:
         """Take the attitude at a specific force, m/s², (3,)."""
@@ -219,7 +218,7 @@ class Estimator:
         innovation = innovation / np.sqrt(variance + self.added)
         hypotheses.map(lambda bank: bank.wider(self.added))
         accel_noise = float(self._noise()[ACCEL].max()) if self.quiet.present[ACCEL].all() else math.inf
-        parts = (self._measurement([slot]) for slot in slots)
+        parts = [self._measurement([slot]) for slot in slots]
         self.jumped |= hypotheses.decide(now, parts, accel_noise)
         self.added = np.zeros(3)
         if hypotheses.began_turning and hypotheses.changes:
@@ -229,20 +228,20 @@ class Estimator:
             self._come_to_rest(slots[-1].mean[ACCEL], hypotheses)
         return np.asarray(innovation)
 
-    def output(self, now_s: float) -> LinearBias:
-        """Return the bias from a time on.
+    def output(self, now_s: float) -> FloatArray:
+        """Return the bias from a time on, its variance, and the turn hypothesis, rad/s and (rad/s)², (3, 3).
 
-        Its variance has these parts: the states of all modes, flicker of single samples, what `added` holds
-        of temperature, gaps and turns, the unknown part of the earth rate, and the turn hypothesis, which
-        contains the largest error by rounding.
+        The variance has these parts: the states of all modes, flicker and specific force of single samples,
+        what `added` holds of temperature, gaps and turns, and the unknown part of the earth rate.  The square
+        of the turn hypothesis, which contains the largest error by rounding, is not in it.
         """
         if self.hypotheses is None:
-            terms, covariance = np.zeros((3, 4)), np.zeros((3, 4, 4))
-            terms[:, 0], variance = self.motion.bias
+            bias, variance = self.motion.bias
             any_pose = EARTH_RATE**2 + (SENSITIVITY_SD * STANDARD_GRAVITY) ** 2
-            covariance[:, 0, 0] = variance + any_pose
-            return LinearBias(terms, covariance, np.zeros(3), np.zeros(3))
+            return np.array([bias, variance + any_pose, np.zeros(3)])
         turn, rounding = self.hypotheses.ambiguity, self.quiet.rounding_error[GYRO]
         prediction = self.hypotheses.shown.prediction.at(now_s, self.degc)
-        added, turn = self.added + self.attitude.uncertain_earth, np.copysign(np.hypot(turn, rounding), turn)
-        return prediction.output(added, self.force, turn)
+        bias, variance = prediction.bias(self.force)
+        variance += prediction.sample_variance(self.force_change)
+        variance += self.added + self.attitude.uncertain_earth
+        return np.array([bias, variance, np.copysign(np.hypot(turn, rounding), turn)])

@@ -12,18 +12,13 @@ from imumon.blocks import NO_INT, BoolArray, ColumnArray, FloatArray, IntArray, 
 from imumon.charts import Chart
 from imumon.columns import Column, vector_columns
 from imumon.errors import bad_config
-from imumon.estimation.gyro_bias.bank import (
-    SLOPE_LEFT_PER_SIGMA,
-    SLOPE_PER_SIGMA,
-    LinearBias,
-    at_samples,
-)
+from imumon.estimation.gyro_bias.bank import SLOPE_LEFT_PER_SIGMA, SLOPE_PER_SIGMA
 from imumon.estimation.gyro_bias.estimator import Estimator
 from imumon.estimation.gyro_bias.place import Attitude
-from imumon.estimation.gyro_bias.thermal import BiasTrail, ThermalInput, ThermalVariance
+from imumon.estimation.gyro_bias.thermal import BiasTrail, Thermal
 from imumon.estimation.rest.parameters import GyroBiasParameters, RestParameters, retired
-from imumon.estimation.rest.slots import ACCEL, GATHERED, GYRO, SLOT_S, Timing, heading_of, readings_of
-from imumon.filters.slots import Breaks, SlotGatherer, Slots
+from imumon.estimation.rest.slots import GATHERED, GYRO, SLOT_S, Timing, heading_of, readings_of
+from imumon.filters.slots import SlotGatherer, Slots, held
 from imumon.models.model import BiasModel
 
 Mode = Literal["standard", "thermal", "learned"]
@@ -101,19 +96,15 @@ class RestAndBias:
             )
         self._parameters, rest = parameters or GyroBiasParameters(), rest or RestParameters()
         slopes = (0.0, SLOPE_LEFT_PER_SIGMA if model else SLOPE_PER_SIGMA) if mode == "learned" else (0.0,)
-        self._thermal = ThermalInput(model)
-        self._estimator = Estimator(
-            self._parameters,
-            slopes,
-            rest,
-            ThermalVariance(self._thermal.trust),
-            Attitude(_radians(latitude_deg), _radians(heading_deg)),
-        )
+        self._thermal = Thermal(model)
+        angles = latitude_deg, heading_deg
+        latitude, heading = (None if angle is None else math.radians(angle) for angle in angles)
+        place = Attitude(latitude, heading)
+        self._estimator = Estimator(self._parameters, slopes, rest, self._thermal, place)
         self._timing = Timing()
         self._slots = SlotGatherer(GATHERED, round(SLOT_S * 1e9), turns=True)
         self._bias = self._estimator.output(0.0)
         self._trail = BiasTrail(model)
-        self._breaks = Breaks()
         self._last_ns = NO_INT
         keys = retired(self._parameters) + retired(rest)
         texts = [f"{key} is not used any more" for key in keys]
@@ -130,31 +121,32 @@ class RestAndBias:
         n, time_ns, segment = len(block), block["device_time_ns"], block["segment"]
         readings = readings_of(block, np.asarray(time_ns != NO_INT))
         usable = np.asarray(np.isfinite(readings).any(1))
-        given, breaks = self._given_rest(block), self._breaks.rows(time_ns, segment)
-        temperature, (total, curve, power_on_sd) = self._thermal.process(block, breaks)
+        temperature, (total, curve, power_on_sd) = self._thermal.process(block)
+        given = self._given_rest(block)
         values = np.column_stack([readings, total, temperature, power_on_sd, heading_of(block), given])
         slots = self._slots.process(np.where(usable, time_ns, NO_INT), segment, values)
         rest, innovation, every = self._estimate(block, slots, readings, temperature)
         self._expire(rest, time_ns, usable)
         if self._rest_given:
             rest[:] = given
-        bias, variance, turn = at_samples(slots.row, every, readings[:, ACCEL], rest == 0)
+        results = np.reshape(every, (-1, 3, 3))
+        bias, variance, turn = held(slots.row, results[1:], results[0], n).swapaxes(0, 1)
         if self._rest_given:
             reported = block.vector("turn_hypothesis")
             if reported is not None:
                 turn = np.maximum(np.abs(turn), np.abs(np.nan_to_num(reported)))
         sd = np.sqrt(variance + turn**2)
-        bias += total
+        bias = bias + total
         ended = slots.row[slots.row < n]
         self._trail.add(temperature[ended], bias[ended])
         vectors = bias, sd, readings[:, GYRO] - bias, innovation, bias - curve, sd
-        results = [rest, *turn.T, *(axis for vector in vectors for axis in vector.T)]
-        added = dict(zip((column.name for column in (*REST, *BIAS)), results, strict=True))
+        columns = [rest, *turn.T, *(axis for vector in vectors for axis in vector.T)]
+        added = dict(zip((column.name for column in (*REST, *BIAS)), columns, strict=True))
         return {column.name: added[column.name] for column in self.columns}
 
     def _estimate(
         self, block: SampleBlock, slots: Slots, readings: FloatArray, temperature: FloatArray
-    ) -> tuple[IntArray, FloatArray, list[LinearBias]]:
+    ) -> tuple[IntArray, FloatArray, list[FloatArray]]:
         """Return at_rest, (n,), innovations, (n, 3), and the bias before the first slot and behind each."""
         rest, innovation = np.zeros(len(block), np.int64), np.full((len(block), 3), np.nan)
         every, start = [self._bias], 0
@@ -181,7 +173,8 @@ class RestAndBias:
         if not gap_s:
             return self._timing.end_s
         lag = self._thermal.unseen_lag(gap_s, block.rows(row, row + 1))
-        self._estimator.bridge_gap(degc, lag, gap_s > max(LONGEST_PAUSE_S, 3.0 * self._timing.interval_s))
+        long = gap_s > max(LONGEST_PAUSE_S, 3.0 * self._timing.interval_s)
+        self._estimator.bridge_gap(gap_s, degc, lag, long)
         return behind_s
 
     def _hold(self, rest: IntArray, readings: FloatArray, start: int, stop: int) -> None:
@@ -255,10 +248,6 @@ class RestDetector(RestAndBias):
     def notices(self) -> list[str]:
         """Return, once, which parameters are not used any more."""
         return [text for text in super().notices() if "any more" in text]
-
-
-def _radians(degrees: float | None) -> float | None:
-    return None if degrees is None else math.radians(degrees)
 
 
 def _notices_of_place(latitude_deg: float | None, heading_deg: float | None) -> list[str]:

@@ -3,10 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, field
-from functools import partial
-from itertools import pairwise
 
 import numpy as np
 
@@ -38,49 +34,12 @@ def trust_in(model: BiasModel) -> FloatArray:
     return np.array(rows).T
 
 
-@dataclass(slots=True, eq=False)
-class ThermalVariance:
-    """Variance that an uncertain thermal model brings, of three axes, (rad/s)².
+class Thermal:
+    """The model's increments since the first temperature, and their variance; zero without a model.
 
     Within the calibrated range the error of the curve is a random walk over temperature; outside it the slope
     itself is unknown, and the farthest counts.  An unknown state at power-on fades: what has
     faded, its sd at first less that now, has moved the bias.
-    """
-
-    trust: FloatArray | None
-    """As from `trust_in`; None without a model."""
-    mark_degc: FloatArray = field(default_factory=partial(np.full, 3, np.nan))
-    """Temperature up to which the random walk has been counted, (3,)."""
-    beyond_degc: FloatArray = field(default_factory=partial(np.zeros, 3))
-    """Farthest outside of the calibrated range, °C, (3,)."""
-    power_on_sd: FloatArray = field(default_factory=partial(np.full, 3, np.nan))
-    """sd of the state at power-on when it was first known, rad/s, (3,)."""
-    faded: FloatArray = field(default_factory=partial(np.zeros, 3))
-    """Variance by what has faded of this state, (rad/s)², (3,)."""
-
-    def step(self, degc: FloatArray, sd: FloatArray, lag_degc: FloatArray) -> FloatArray:
-        """Return the variance, (rad/s)², that temperatures add, with this sd of the state, (3,); NaN: none.
-
-        In a gap the lag of the gyros behind the thermometer may have changed by `lag_degc` (sd), (3,).
-        """
-        if self.trust is None:
-            return np.zeros(3)
-        residual, steepness, low, high = self.trust
-        before2, faded = self.beyond_degc**2, self.faded
-        self.mark_degc = np.where(np.isfinite(self.mark_degc), self.mark_degc, degc)
-        moved = np.abs(degc - self.mark_degc)
-        far = moved >= MOVED_DEGC
-        self.mark_degc = np.where(far, degc, self.mark_degc)
-        walk = np.where(far, 2.0 * residual**2 * moved / CORRELATION_DEGC, 0.0)
-        self.beyond_degc = np.fmax(self.beyond_degc, np.fmax(low - degc, degc - high))
-        self.power_on_sd = np.where(np.isfinite(self.power_on_sd), self.power_on_sd, sd)
-        self.faded = np.fmax(self.faded, (sd - self.power_on_sd) ** 2)
-        degc2 = self.beyond_degc**2 - before2 + lag_degc**2
-        return np.asarray(walk + steepness**2 * degc2 + self.faded - faded)
-
-
-class ThermalInput:
-    """Sum of the model's increments since the start; zero without a model.
 
     Raises BAD_CONFIG when the model lacks a gyro.
     """
@@ -90,10 +49,38 @@ class ThermalInput:
         columns = ["temperature"] * 3 if self._predictor is None else self._predictor.temperature_columns
         self._sources = [_sources(name, axis) for name, axis in zip(columns, "xyz", strict=True)]
         self._reference = np.full(3, np.nan)
-        self.trust = None if model is None else trust_in(model)
-        """As from `trust_in`; None without a model."""
+        self._trust = None if model is None else trust_in(model)
         self.notices: dict[str, None] = {}
         """What was missing, or out of range, so far, in order."""
+        self.restart()
+
+    def restart(self) -> None:
+        """Count the variance from now on."""
+        self._mark_degc = self._power_on_sd = np.full(3, np.nan)
+        """Temperature up to which the random walk has been counted, and sd of the state at power-on when it
+        was first known, rad/s, (3,)."""
+        self._beyond_degc = self._faded = np.zeros(3)
+        """Farthest outside of the calibrated range, °C, and variance by what has faded, (rad/s)², (3,)."""
+
+    def variance(self, degc: FloatArray, sd: FloatArray, lag_degc: FloatArray) -> FloatArray:
+        """Return the variance, (rad/s)², that temperatures add, with this sd of the state, (3,); NaN: none.
+
+        In a gap the lag of the gyros behind the thermometer may have changed by `lag_degc` (sd), (3,).
+        """
+        if self._trust is None:
+            return np.zeros(3)
+        residual, steepness, low, high = self._trust
+        before2, faded = self._beyond_degc**2, self._faded
+        self._mark_degc = np.where(np.isfinite(self._mark_degc), self._mark_degc, degc)
+        moved = np.abs(degc - self._mark_degc)
+        far = moved >= MOVED_DEGC
+        self._mark_degc = np.where(far, degc, self._mark_degc)
+        walk = np.where(far, 2.0 * residual**2 * moved / CORRELATION_DEGC, 0.0)
+        self._beyond_degc = np.fmax(self._beyond_degc, np.fmax(low - degc, degc - high))
+        self._power_on_sd = np.where(np.isfinite(self._power_on_sd), self._power_on_sd, sd)
+        self._faded = np.fmax(self._faded, (sd - self._power_on_sd) ** 2)
+        degc2 = self._beyond_degc**2 - before2 + lag_degc**2
+        return np.asarray(walk + steepness**2 * degc2 + self._faded - faded)
 
     def unseen_lag(self, gap_s: float, behind: SampleBlock) -> FloatArray:
         """Return by how much the lag of each gyro's temperature may have changed in a gap (sd), °C, (3,).
@@ -104,40 +91,34 @@ class ThermalInput:
         unseen = np.where(np.isfinite(rate_sd), rate_sd, UNSEEN_RATE)
         return np.asarray(-UNTOLD_S * math.expm1(-gap_s / UNTOLD_S) * unseen)
 
-    def process(self, block: SampleBlock, breaks: Sequence[int]) -> tuple[FloatArray, FloatArray]:
+    def process(self, block: SampleBlock) -> tuple[FloatArray, FloatArray]:
         """Return the temperature of each gyro, °C, (n, 3), the estimated one where there is one, and by the
-        model, rad/s, (3, n, 3), what it has added to the bias since a restart, its curve, and the sd of its
-        unknown state at power-on.
+        model, rad/s, (3, n, 3), what it has added to the bias since the first temperature, its curve, and the
+        sd of its unknown state at power-on.
 
-        The device has restarted at the rows `breaks`.  Without a model all by it are zero; before the first
-        temperature curve and sd are NaN.
+        Without a model all by it are zero; before the first temperature curve and sd are NaN.
         """
         # The reading is a stopgap where the estimate has not begun; mixed with it, it would jump.
         temperature = _first_of(block, self._sources)
-        if self._predictor is None or self.trust is None:
+        if self._predictor is None or self._trust is None:
             return temperature, np.zeros((3, len(block), 3))
         others = {name: block[name] for name in self._predictor.drivers if name in block}
         times, segment = block["device_time_ns"], block["segment"]
         predicted = self._predictor.process(times, segment, temperature, block.accel, others)
         curve, known = predicted.bias, np.isfinite(predicted.bias)
-        total = np.zeros_like(curve)
-        for start, stop in pairwise([0, *(row for row in breaks if row > 0), len(block)]):
-            run = slice(start, stop)
-            if start in breaks:
-                self._reference[:] = np.nan
-            for j in np.flatnonzero(np.isnan(self._reference) & known[run].any(0)):
-                self._reference[j] = curve[run][np.argmax(known[run, j]), j]
-            total[run] = np.where(known[run], curve[run] - self._reference, 0.0)
-            if stop > start and not known[run].any():
-                self.notices["the bias model lacks its temperature: the bias is taken as constant"] = None
+        for j in np.flatnonzero(np.isnan(self._reference) & known.any(0)):
+            self._reference[j] = curve[np.argmax(known[:, j]), j]
+        if len(block) and not known.any():
+            self.notices["the bias model lacks its temperature: the bias is taken as constant"] = None
         if (np.isfinite(temperature) & ~predicted.inside).any():
-            _, _, low, high = self.trust
+            _, _, low, high = self._trust
             text = (
                 "the temperature is outside the range of the bias model, "
                 f"{low.max():.1f} to {high.min():.1f} °C: the bias is extrapolated and its standard "
                 "deviation widened"
             )
             self.notices[text] = None
+        total = np.where(known, curve - self._reference, 0.0)
         return temperature, np.stack([total, curve, np.where(known, predicted.start_sd, np.nan)])
 
 

@@ -1,48 +1,26 @@
 """P(turn): is a steady rate a turn, or the bias?  A Bayesian test of one hypothesis against three others.
 
 The rate differs by the vector d from the nominal bias; |d| is its size.  Each o is the odds of an explanation
-over a turn, by the prior and the gyros; Λ is the likelihood ratio of no turn over a turn, by the other
-sensors::
+over a turn, by the prior and the gyros; each Λ is the likelihood ratio of no turn over a turn, by another
+sensor::
 
     P(turn) = 1 / (1 + Λ_gravity Λ_heading (o_changed + o_nominal + o_first))
 
-Explanations other than a turn:
+    o_changed = 2 D c / (π (|d|/50 + 50/|d|) (1 + n))       the bias has changed: half-Cauchy of 50 °/h, and
+                                                            prior odds of 1 : 1 + n after n changes, as a hand
+                                                            changes its rate more often than a bias does
+    o_nominal = 2 N(|d|; 0, σ²) |d| D c                     nothing has changed: the nominal bias is vague
+    o_first   = 0.05 (size of the first rate / of this)³    the first rest was a turn, and this is the bias
 
-==============  ============================================  ================================================
-row             what it stands for                            odds o over a turn
-==============  ============================================  ================================================
-changed_bias    the bias has changed: half-Cauchy, scale      2 D c / (π (|d|/50 + 50/|d|) (1 + n)),
-                50 °/h; prior odds 1 : 1 + n, as a hand       10⁻⁹ if |d| > `largest_jump`
-                changes its rate more often than a bias does
-nominal_bias    nothing has changed: the nominal bias is      2 N(|d|; 0, σ²) |d| D c
-                vague
-first_turn      the first rest was a turn, and this is the    0.05 (first rate / this rate)³
-                bias
-==============  ============================================  ================================================
-
-Sensors:
-
-==============  ============================================  ================================================
-row             what it compares                              likelihood ratio Λ of no turn over a turn
-==============  ============================================  ================================================
-gravity         a turn about a tilted axis tilts the unit by  2 / (1 + L(tilt | turn) / L(tilt | no turn)),
-                the angle turned; nothing else does           e⁵⁰ for a level change without its tilt
-heading         a turn turns magnetometer or yaw by its       1 / (0.95 L(heading | turn) / L(heading | no
-                angle, unless one is stuck or iron is near    turn) + 0.05)
-==============  ============================================  ================================================
-
-Time limit:
-
-==============  ============================================  ================================================
-row             when                                          what follows
-==============  ============================================  ================================================
-time excludes   the rate has lasted for `undecided_s`         P(turn) = 0, unless Λ_gravity Λ_heading < e⁻² or
-                                                              |d| > `largest_jump`
-==============  ============================================  ================================================
+    Λ_gravity = 2 / (1 + r)                                 a turn about a tilted axis tilts the unit by its
+                                                            angle; r is the ratio of such a turn over no turn
+    Λ_heading = 1 / (0.95 r + 0.05)                         a turn turns magnetometer or yaw by its angle,
+                                                            unless one is stuck or iron is near
 
 Turns are log-uniform from 36 °/h (0.01 °/s) to 300 °/s, so their density is 1/(D |d|), D = ln(30000); slower
-ones are rare: c = 1 + (36/|d|)² divides their density.  n is the number of changes before the present one, σ²
-the variance of d along its direction.  |d| and σ are in °/h here.
+ones are rare: c = 1 + (36/|d|)² divides their density.  σ² is the variance of d along its direction.  |d| and
+σ are in °/h here.  When the rate has lasted for `undecided_s` it is no turn, unless Λ_gravity Λ_heading is
+below e⁻² or |d| above `largest_jump`.
 """
 
 from __future__ import annotations
@@ -64,8 +42,6 @@ SLOWEST_TURN, FASTEST_TURN = math.radians(0.01), math.radians(300.0)
 """rad/s: turns are as likely on a logarithmic scale between these."""
 LOG_RANGE = math.log(FASTEST_TURN / SLOWEST_TURN)
 """D of the table, a natural logarithm."""
-OBLIQUE = 0.3
-"""Share of a rate across the vertical from which on gravity is compared: no turntable leans so much (17°)."""
 EXCLUDED_SIGMAS = 4.0
 """An oblique turn by more than so many sigmas of the tilt is excluded where the unit has tilted by less than
 half as many, and the change is mostly about level axes."""
@@ -175,8 +151,6 @@ def gravity(rate: SteadyRate, drift: float) -> float:
         return 0.0
     across = np.eye(3) - np.outer(last, last) / g**2
     level = math.hypot(*(across @ rate.change))
-    if level < OBLIQUE * rate.size:
-        return 0.0
     seconds = sum(one.covered_s for one in rate.measurements[1:])
     phi = across @ _turned(rate.measurements, rate.bias)
     tilt = np.cross(last, first) / g**2

@@ -32,8 +32,6 @@ UNSEEN_STEP = np.repeat([np.radians(2000.0 / 2**15), 0.0], 3)
 """rad/s, and not used for m/s²: the step of gyros that measure to 2000 °/s with 16 bits."""
 NO_NOISE = 1e-20
 """Variance of the samples, (rad/s)² and (m/s²)², below which they do not change: rounding in a mean."""
-VIBRATION = np.repeat([3.5e-2, 0.5], 3)
-"""rad/s and m/s², rms within a slot: more is motion.  VQF's limits (Laidig and Seel 2023)."""
 ROAD = np.array([2.5e-3, 0.021])
 """rad/s and m/s², rms of slot means: no sensor is noisier (0.1 °/s/√Hz and 1.5 mg/√Hz), a road is."""
 VARIANCE_SIGMAS, VARIANCE_FACTOR = 6.0, 2.0
@@ -249,8 +247,7 @@ class QuietDetector:
         loud = np.maximum(mean.var(0), noise).reshape(2, 3).mean(1) > ROAD**2
         road = loud & (count.reshape(2, 3).max(1) >= 3.0)
         white = (noise * count < 1.5 * samples) & (np.arange(AXES) < ACCEL.start)
-        shaken = (samples > VIBRATION**2) | np.repeat(road, 3)
-        if slow.any() or uneven.any() or (shaken & ~white).any():
+        if slow.any() or uneven.any() or (np.repeat(road, 3) & ~white).any():
             return
         larger = noise > NOISE_CHANGE * self.noise + self.floor
         larger |= samples > NOISE_CHANGE * self.sample_noise + self.floor
