@@ -6,7 +6,7 @@ Each document is held to the limits below, whatever it is: a device, a pipeline,
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args
 
 import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -127,9 +127,15 @@ def parse_yaml(text: str, model: type[Model], source: str) -> Model:
         # Of a file of another kind the rest is noise.
         errors = [one for one in error.errors() if one["loc"] == ("format",)] or error.errors()
         lines = [_describe(item, root, source) for item in errors]
-        unknown = any(item["type"] == "extra_forbidden" and len(item["loc"]) == 1 for item in errors)
-        hint = f"keys that there are: {', '.join(model.model_fields)}" if unknown else ""
-        raise bad_config("\n".join(lines), hint) from error
+        places = dict.fromkeys(item["loc"][:-1] for item in errors if item["type"] == "extra_forbidden")
+        hints = [_possible_keys(model, root, place) for place in places]
+        raise bad_config("\n".join(lines), "\n".join(hints)) from error
+
+
+def wrong_arguments(error: ValidationError) -> str:
+    """Return which arguments of a call are wrong, and why, in one line."""
+    found = {str(one["loc"][0]): f"{one['input']!r:.60}: {one['msg']}" for one in reversed(error.errors())}
+    return "; ".join(f"{name}={wrong}" for name, wrong in found.items())
 
 
 def dump_yaml(data: Mapping[str, Any], *, flow: bool | None = False) -> str:
@@ -153,6 +159,24 @@ def _describe(item: Any, root: yaml.Node, source: str) -> str:
     if item["type"] == "value_error":
         return where + message
     return f"{where}{message}, got {_short(repr(item['input']), 60)}"
+
+
+def _possible_keys(model: type[BaseModel], root: yaml.Node, place: Location) -> str:
+    """Return which keys the mapping at this place may have."""
+    models = [model]
+    for step in place:
+        fields = [one.model_fields[step] for one in models if step in one.model_fields]
+        models = [inner for field in fields for inner in _models_of(field.annotation)] or models
+    path = _locate(root, place)[1]
+    keys = dict.fromkeys(key for one in models for key in one.model_fields)
+    return f"keys that there are{f' in {path}' if path else ''}: {', '.join(keys)}"
+
+
+def _models_of(annotation: Any) -> list[type[BaseModel]]:
+    """Return the models in a type, as in a union or as the values of a mapping."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [model for part in get_args(annotation) for model in _models_of(part)]
 
 
 def _short(text: str, most: int) -> str:

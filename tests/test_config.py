@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from imumon.config import StrictModel, parse_yaml
 from imumon.errors import ImumonError, Reason
+from imumon.fleet.rack.description import RackFile
 
 
 class Example(StrictModel):
@@ -53,6 +54,9 @@ def test_of_a_file_of_another_kind_only_that_is_stated() -> None:
 def test_a_wrong_key_gets_those_that_there_are_and_a_tab_its_cure() -> None:
     with pytest.raises(ImumonError, match="keys that there are: name, scale"):
         parse_yaml("name: a\nscael: 2\n", Example, "x.yaml")
+    nested = "format: imumon-rack/1\nunits:\n  port: {prot: /dev/ttyUSB0}\n  b: {port: x, baud: 1}\n"
+    with pytest.raises(ImumonError, match=r"in units\.port: device, baud, model, pipeline, port, serial"):
+        parse_yaml(nested, RackFile, "x.yaml")
     with pytest.raises(ImumonError, match="YAML is indented with spaces"):
         parse_yaml("name:\n\tscale: 2\n", Example, "x.yaml")
 

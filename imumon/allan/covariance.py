@@ -24,7 +24,7 @@ from numpy.polynomial.legendre import leggauss
 from imumon.blocks import FloatArray, IntArray
 from imumon.config import StrictModel
 from imumon.geodesy import MICRO_G
-from imumon.run.noise import AccelNoise, GyroNoise
+from imumon.run.setup import AccelNoise, GyroNoise
 
 NAMES = (
     "angle_random_walk", "bias_instability", "rate_random_walk", "quantization", "rate_ramp",

@@ -23,8 +23,7 @@ from imumon.charts import AXIS_COLORS, GREY, Axis, Chart, Curve
 from imumon.columns import Column
 from imumon.compiled import njit, record
 from imumon.estimation.rest.parameters import retired
-from imumon.run.noise import AllanParameters
-from imumon.run.setup import Setup
+from imumon.run.setup import AllanParameters, Setup
 
 DENSE = 4
 """Up to this octave differences are taken at every sample."""

@@ -13,9 +13,8 @@ from imumon.columns import TEMPERATURES
 from imumon.errors import bad_data
 from imumon.estimation.rest.slots import COARSEST_STEPS
 from imumon.filters.rounding import digits
-from imumon.recordings.reader import Stages, no_stages, open_recording
 from imumon.recordings.reduced import ACCEL, GYRO
-from imumon.recordings.source import Count, no_count
+from imumon.recordings.source import Count, Stages, no_count, no_stages, open_recording
 
 UNITS = {"gyro": "rad/s", "accel": "m/s^2"}
 CHANNELS = (*GYRO, *ACCEL)

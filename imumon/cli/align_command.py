@@ -8,24 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from imumon.cli.common import (
-    PATH,
-    SECONDS,
-    Number,
-    Whole,
-    baud_option,
-    console,
-    device_help,
-    json_option,
-    labelled,
-    latitude_option,
-    make_setup,
-    note,
-    print_json,
-    print_table,
-    show,
-    warn,
-)
+from imumon.cli import common
 from imumon.cli.live_run import PortRun
 from imumon.errors import EXIT_NEGATIVE, EXIT_OK, ImumonError, Reason, bad_config, bad_data
 from imumon.estimation.alignment.report import Estimate, Guide, Status
@@ -38,27 +21,27 @@ if TYPE_CHECKING:
 
 @click.command("align")
 @click.argument("source", metavar="PORT|SESSION")
-@latitude_option
+@common.latitude_option
 @click.option(
     "--until",
-    type=Number(min=0, min_open=True, max=90),
+    type=common.Number(min=0, min_open=True, max=90),
     help="Wanted standard deviation of the heading, degrees; default: 0.05.",
 )
-@click.option("--device", help=device_help)
-@baud_option
+@click.option("--device", help=common.device_help)
+@common.baud_option
 @click.option(
     "--positions",
-    type=Whole(1, 12),
+    type=common.Whole(1, 12),
     default=1,
     show_default=True,
     help="Number of positions.  With 2 or more the unit is turned in between, and the bias of the gyros does"
     " not matter.",
 )
-@click.option("--seconds", type=SECONDS, help="Give up after this time; for a port only.")
-@click.option("--out", type=PATH, help="Folder for the live session; default: a new one in ./sessions.")
-@click.option("--pipeline", type=PATH, help="Pipeline file: place, model and parameters of the estimators.")
-@click.option("--model", type=PATH, help="Bias model, for instance with the warm-up of the accelerometers.")
-@json_option
+@click.option("--seconds", type=common.SECONDS, help="Give up after this time; for a port only.")
+@common.session_option
+@common.pipeline_option
+@common.model_option
+@common.json_option
 def command(
     source: str,
     until: float | None,
@@ -88,7 +71,7 @@ def command(
             raise click.UsageError("--baud, --seconds and --out are for a port; a session is only read")
         ran, columns = _recorded(Path(source), device, options, until)
     else:
-        setup = _with_sigma(make_setup(options), until)
+        setup = _with_sigma(common.make_setup(options), until)
         if device is None:
             hint = f"add --device NAME (imumon devices lists them) or a file; try imumon detect {source}"
             raise bad_config(f"{source} is a port, so its device must be named", hint)
@@ -96,13 +79,17 @@ def command(
         columns = {column.name for column in ran.columns}
     status = _stage_of(ran).status
     if status.phase == "waiting":
-        raise _no_reading(source, columns)
+        needed = [f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz"]
+        lacking = ", ".join(name for name in needed if name not in columns)
+        found = f"there is no {lacking}" if lacking else "fewer than two samples have all six readings"
+        hint = "the heading needs angular rate and specific force of all three axes, in the same packets"
+        raise bad_data(f"{source}: {found}", hint)
     if as_json:
-        print_json(as_data(status, positions) | {"left_out": ran.counters.left_out})
+        common.print_json(as_data(status, positions) | {"left_out": ran.counters.left_out})
     else:
         if status.rest_s > 0.0:
-            print_table(["estimator", "heading [°]", "σ [°]"], status.estimator_rows())
-        show("\n".join(labelled(status.rows())))
+            common.print_table(["estimator", "heading [°]", "σ [°]"], status.estimator_rows())
+        common.show("\n".join(common.labelled(status.rows())))
     settled = status.settled_s is not None and status.positions >= positions
     return EXIT_OK if settled else EXIT_NEGATIVE
 
@@ -146,15 +133,14 @@ def _recorded(
     from imumon.run.stages import pipeline_of
 
     source = open_source(path, device)
-    recorded = None if source.session is None else source.session.metadata.pipeline_yaml
-    setup = _with_sigma(make_setup(options, recorded, f"{path} (pipeline_yaml)"), until)
+    setup = _with_sigma(common.make_setup(options, source.session), until)
     # Only what the heading needs: the other estimators do not change it.
     pipeline = pipeline_of(source, setup, only=(RestAndBias, Alignment))
     stage = _stage_of(pipeline)
-    with console(error=True).status("alignment") as line:
+    with common.console(error=True).status("alignment") as line:
         for _ in run_over(source.items, pipeline):
             line.update(_progress(stage.status))
-    warn([*source.warnings(), *pipeline.warnings()])
+    common.warn([*source.warnings(), *pipeline.warnings()])
     return pipeline, {column.name for column in source.columns(pipeline)}
 
 
@@ -163,16 +149,16 @@ def _live(live: PortRun, positions: int) -> Pipeline:
     stage, guide = _stage_of(live.run.pipeline), Guide(positions)
     try:
         live.begin(())
-        with console(error=True).status("alignment") as line:
+        with common.console(error=True).status("alignment") as line:
             while not guide.done and live.ending.wait() and live.run.processing:
                 live.lines.write()
                 line.update(_progress(stage.status, guide.instruction))
                 for text in guide.update(stage.status):
-                    note(text)
+                    common.note(text)
     finally:
         summary = live.run.stop()
         live.lines.write()
-    note(f"recorded: {summary.session}")
+    common.note(f"recorded: {summary.session}")
     live.raise_problem(summary)
     return live.run.pipeline
 
@@ -181,15 +167,6 @@ def _progress(status: Status, instruction: str = "") -> str:
     """Return what the terminal's line shows: state, sigma on its way to the one wanted, and time to go."""
     text = f"{status.phase}: {status.heading_text}; {status.to_go_text}"
     return f"{instruction}; {text}" if instruction else text
-
-
-def _no_reading(where: str, columns: set[str]) -> ImumonError:
-    """Return the error of data without one whole reading of gyros and accelerometers."""
-    needed = [f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz"]
-    lacking = ", ".join(name for name in needed if name not in columns)
-    found = f"there is no {lacking}" if lacking else "fewer than two samples have all six readings"
-    hint = "the heading needs angular rate and specific force of all three axes, in the same packets"
-    return bad_data(f"{where}: {found}", hint)
 
 
 def as_data(status: Status, positions: int = 1) -> dict[str, object]:

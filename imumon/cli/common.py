@@ -25,6 +25,7 @@ from imumon.run import PUBLISHED
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from imumon.recordings.folder import Session
     from imumon.run.setup import Setup
 
 Options = TypeVar("Options", bound=Callable[..., Any])
@@ -83,6 +84,18 @@ baud_option = click.option(
 )
 seed_option = click.option(
     "-s", "--seed", default=0, show_default=True, type=Whole(min=0), help="Seed of all noise."
+)
+seconds_option = click.option("--seconds", type=SECONDS, help="Stop after this time.")
+session_option = click.option(
+    "--out", type=PATH, help="Session folder of the recording; default: a new one in ./sessions."
+)
+pipeline_option = click.option(
+    "--pipeline",
+    type=PATH,
+    help="Pipeline file (YAML): place, bias model and parameters of the estimators.",
+)
+model_option = click.option(
+    "--model", type=PATH, help="Model of the bias over temperature, a file of imumon calibrate."
 )
 serial_option = click.option("--serial", help="Serial number of the unit, for the catalog.")
 columns_option = click.option("--columns", help="Columns of the table, separated by commas; default: all.")
@@ -294,14 +307,8 @@ def results_folder(out: Path) -> Iterator[None]:
 
 
 _SETUP_OPTIONS = (
-    click.option(
-        "--pipeline",
-        type=PATH,
-        help="Pipeline file (YAML): place, bias model and parameters of the estimators.",
-    ),
-    click.option(
-        "--model", type=PATH, help="Model of the bias over temperature, a file of imumon calibrate."
-    ),
+    pipeline_option,
+    model_option,
     click.option(
         "--zupt",
         type=click.Choice(["standard", "thermal", "learned"]),
@@ -329,18 +336,18 @@ def setup_options(command: Options) -> Options:
     return command
 
 
-def make_setup(given: Mapping[str, Any], recorded: str | None = None, source: str = "") -> Setup:
-    """Return the setup of a run: the pipeline file, else that of the recording, changed by the options.
+def make_setup(given: Mapping[str, Any], session: Session | None = None) -> Setup:
+    """Return the setup of a run: the pipeline file, else that of the session, changed by the options.
 
     Raises BAD_CONFIG when a file cannot be read, or the parts contradict each other.
     """
-    from imumon.run.setup import Setup, load_setup, parse_setup
+    from imumon.run.setup import Setup, load_setup, recorded_setup
 
     setup = Setup()
     if (path := given.get("pipeline")) is not None:
         setup = load_setup(path)
-    elif recorded is not None:
-        setup = parse_setup(recorded, source)
+    elif session is not None:
+        setup = recorded_setup(session)
     model = random_error = published = None
     if (path := given.get("model")) is not None:
         from imumon.models.model import load_model

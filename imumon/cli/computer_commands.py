@@ -10,19 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from imumon.cli.common import (
-    PATH,
-    SECONDS,
-    Whole,
-    device_help,
-    json_option,
-    note,
-    print_json,
-    print_listing,
-    print_table,
-    results_folder,
-    show,
-)
+from imumon.cli import common
 from imumon.errors import EXIT_NEGATIVE, EXIT_OK, ImumonError, Reason
 from imumon.files import check_output, plain, write_text
 from imumon.version import __version__
@@ -35,8 +23,8 @@ COLOURS = {"good": "green", "warning": "yellow", "fault": "red"}
 
 
 @click.command("doctor")
-@click.argument("folder", type=PATH, default=Path("sessions"))
-@json_option
+@click.argument("folder", type=common.PATH, default=Path("sessions"))
+@common.json_option
 def doctor(folder: Path, as_json: bool) -> int:
     """Check packages, compiled code, disk, ports, viewer and display, and print what to do.
 
@@ -50,18 +38,17 @@ def doctor(folder: Path, as_json: bool) -> int:
     findings = list(examine(folder))
     faults = sum(finding.state is State.FAULT for finding in findings)
     if as_json:
-        found = [{**finding._asdict(), "state": finding.state.value} for finding in findings]
-        print_json({"findings": found, "faults": faults})
+        common.print_json({"findings": [finding._asdict() for finding in findings], "faults": faults})
     for finding in () if as_json else findings:
-        click.echo(click.style(f"{finding.state.value:<8}", fg=COLOURS[finding.state.value]), nl=False)
-        show(f"{finding.subject}: {finding.seen}")
+        click.echo(click.style(f"{finding.state:<8}", fg=COLOURS[finding.state]), nl=False)
+        common.show(f"{finding.subject}: {finding.seen}")
         if finding.remedy:
-            show(f"{'':<8}  -> {finding.remedy}")
+            common.show(f"{'':<8}  -> {finding.remedy}")
     return EXIT_NEGATIVE if faults else EXIT_OK
 
 
 @click.command("ports")
-@json_option
+@common.json_option
 def ports(as_json: bool) -> None:
     """List serial ports with their USB ids, and whether they can be opened.
 
@@ -72,7 +59,7 @@ def ports(as_json: bool) -> None:
 
     found = list_ports()
     if not found and not as_json:
-        note("no serial ports exist; imumon virtual makes one without hardware")
+        common.note("no serial ports exist; imumon virtual makes one without hardware")
     lines = []
     for port in found:
         facts = {
@@ -84,12 +71,14 @@ def ports(as_json: bool) -> None:
             "access": None if port.accessible else "not for this user",
         }
         lines += [str(port), *(f"    {label:<14} {text}" for label, text in facts.items() if text)]
-    print_listing(as_json, {"ports": [{**asdict(port), "usb_id": port.usb_id} for port in found]}, lines)
+    common.print_listing(
+        as_json, {"ports": [{**asdict(port), "usb_id": port.usb_id} for port in found]}, lines
+    )
 
 
 @click.command("devices")
 @click.argument("name", required=False)
-@json_option
+@common.json_option
 def devices(name: str | None, as_json: bool) -> None:
     """List the devices that imumon knows; with NAME, print its file, to copy and change.
 
@@ -101,7 +90,7 @@ def devices(name: str | None, as_json: bool) -> None:
 
     if name is not None:
         load_device(name)
-        show(device_text(name)[0], newline=False)
+        common.show(device_text(name)[0], newline=False)
         return
     data: dict[str, object] = {}
     lines = []
@@ -111,11 +100,11 @@ def devices(name: str | None, as_json: bool) -> None:
         data[device.name] = facts | {"baudrates": rates}
         lines.append(f"{device.name:<14} {device.title} ({device.protocol}, {rates[0]} baud)")
         lines.append(f"{'':<14} checked against {device.verified}")
-    print_listing(as_json, data, lines)
+    common.print_listing(as_json, data, lines)
 
 
 @click.command("plugins")
-@json_option
+@common.json_option
 def plugins(as_json: bool) -> int:
     """List the plug-ins with their packages, what each brings, and whether it loads.
 
@@ -132,15 +121,19 @@ def plugins(as_json: bool) -> int:
         lines.append(f"{plugin.name:<14} {plugin.group} of {plugin.package} {plugin.version}".rstrip())
         brings = f"loads; brings {', '.join(plugin.brings) or 'nothing'}"
         lines.append(f"{'':<14} {f'does NOT load: {plugin.problem}' if plugin.problem else brings}")
-    print_listing(as_json, {"plugins": [asdict(plugin) for plugin in found]}, lines)
+    common.print_listing(as_json, {"plugins": [asdict(plugin) for plugin in found]}, lines)
     return EXIT_NEGATIVE if any(plugin.problem for plugin in found) else EXIT_OK
 
 
 @click.command("detect")
 @click.argument("port")
-@click.option("--device", "names", multiple=True, help=device_help + "  May be repeated; default: all.")
-@click.option("--baud", "rates", multiple=True, type=Whole(min=1), help="Rate to try; may be repeated.")
-@click.option("--seconds", default=1.5, show_default=True, type=SECONDS, help="Time at each rate.")
+@click.option(
+    "--device", "names", multiple=True, help=common.device_help + "  May be repeated; default: all."
+)
+@click.option(
+    "--baud", "rates", multiple=True, type=common.Whole(min=1), help="Rate to try; may be repeated."
+)
+@click.option("--seconds", default=1.5, show_default=True, type=common.SECONDS, help="Time at each rate.")
 @click.option(
     "--propose",
     "proposed",
@@ -150,11 +143,11 @@ def plugins(as_json: bool) -> int:
 @click.option(
     "--save",
     "folder",
-    type=PATH,
+    type=common.PATH,
     metavar="FOLDER",
     help="Keep the bytes of each baud rate (RATE.bin) and evidence.json in a new folder, to report a device.",
 )
-@json_option
+@common.json_option
 def detect(
     port: str,
     names: tuple[str, ...],
@@ -190,7 +183,7 @@ def detect(
     def begin(settings: PortSettings) -> None:
         rate = settings.baudrate if settings.has_line else None
         received[rate] = bytearray()
-        note(f"listening to {settings.url if rate is None else f'{rate} baud'}")
+        common.note(f"listening to {settings.url if rate is None else f'{rate} baud'}")
 
     def keep(data: bytes) -> None:
         received[next(reversed(received))].extend(data)
@@ -214,19 +207,19 @@ def detect(
     if folder is not None:
         _save(folder, received, data)
     if as_json:
-        print_json(data)
+        common.print_json(data)
     else:
         _show(evidence)
         if len(fit) > 1:
-            show("\nmore than one fits; the columns and their units show which it is")
+            common.show("\nmore than one fits; the columns and their units show which it is")
         for item in fit:
             rate = f" --baud {item.baudrate}" if item.baudrate is not None else ""
-            show(f"\n{item.protocol}: imumon monitor {port} --device {item.protocol}{rate}")
+            common.show(f"\n{item.protocol}: imumon monitor {port} --device {item.protocol}{rate}")
         if proposal:
-            show(f"\nno device file describes what came; this one may:\n\n{proposal}")
+            common.show(f"\nno device file describes what came; this one may:\n\n{proposal}")
     if proposal and proposed:
         write_text(proposed, proposal)
-        note(f"look at {proposed}, then: imumon monitor {port} --device {proposed}")
+        common.note(f"look at {proposed}, then: imumon monitor {port} --device {proposed}")
     if wrong:
         raise wrong
 
@@ -234,12 +227,12 @@ def detect(
 def _save(folder: Path, received: Mapping[int | None, bytearray], data: Mapping[str, object]) -> None:
     """Write the bytes of each rate, and what was found in them, without the name of computer or port."""
     names = {rate: "port.bin" if rate is None else f"{rate}.bin" for rate in received}
-    with results_folder(folder):
+    with common.results_folder(folder):
         for rate, name in names.items():
             (folder / name).write_bytes(received[rate])
         facts = {"imumon": __version__, "files": [*names.values()], **data}
         write_text(folder / "evidence.json", json.dumps(plain(facts), indent=2) + "\n")
-    note(f"{folder} has the bytes of {len(names)} baud rate(s) and evidence.json")
+    common.note(f"{folder} has the bytes of {len(names)} baud rate(s) and evidence.json")
 
 
 def _propose(received: dict[int | None, bytearray], evidence: list[Evidence]) -> str | None:
@@ -275,4 +268,4 @@ def _show(evidence: list[Evidence]) -> None:
         )
         for item in evidence
     )
-    print_table([Column(name, no_wrap=name != names[-1]) for name in names], rows)
+    common.print_table([Column(name, no_wrap=name != names[-1]) for name in names], rows)

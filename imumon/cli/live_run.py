@@ -148,7 +148,7 @@ class Lines(lines.Lines):
 
     def write(self, before: str = "") -> None:
         """Write the lines that wait; `before` clears what stands in the terminal's line."""
-        for level, text in self.take():
+        for _, level, text in self.take():
             note("", newline=False, control=before)
             log(level, text)
 
@@ -198,26 +198,21 @@ class Keys:
     @property
     def possible(self) -> bool:
         """Whether keys can come now; the system stops who reads a terminal from the background."""
-        if self._descriptor is None:
-            return False
-        try:
-            return os.tcgetpgrp(self._descriptor) == os.getpgrp()
-        except OSError:  # a terminal that controls no job
-            return True
+        with suppress(OSError):
+            return self._descriptor is not None and os.tcgetpgrp(self._descriptor) == os.getpgrp()
+        return True  # a terminal that controls no job
 
     def pressed(self) -> str:
         """Return the keys since the last time."""
-        if self._descriptor is None or not self.possible:
-            return ""
-        try:
+        with suppress(OSError):
+            if self._descriptor is None or not self.possible:
+                return ""
             if not select.select([self._descriptor], [], [], 0)[0]:
                 return ""
-            pressed = os.read(self._descriptor, 100)
-        except OSError:
-            pressed = b""
-        if not pressed:  # the terminal was closed
-            self._descriptor = None
-        return pressed.decode(errors="replace")
+            if pressed := os.read(self._descriptor, 100):
+                return pressed.decode(errors="replace")
+        self._descriptor = None  # the terminal was closed
+        return ""
 
 
 @contextmanager

@@ -9,23 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from imumon.cli.common import (
-    PATH,
-    SECONDS,
-    View,
-    baud_option,
-    bind_option,
-    chosen_view,
-    device_help,
-    is_terminal,
-    json_option,
-    live_view_option,
-    make_setup,
-    print_result,
-    serial_option,
-    setup_options,
-    window_option,
-)
+from imumon.cli import common
 from imumon.cli.live_run import PortRun, single_keys, watch
 from imumon.errors import EXIT_NEGATIVE, EXIT_OK, bad_config
 from imumon.wing import offers
@@ -45,28 +29,28 @@ def _live_outputs(function: Callable[..., int]) -> Callable[..., int]:
 
 @click.command("monitor")
 @click.argument("port")
-@click.option("--device", required=True, help=device_help)
-@baud_option
-@live_view_option
-@click.option("--out", type=PATH, help="Session folder; default: a new one in ./sessions.")
-@serial_option
-@click.option("--seconds", type=SECONDS, help="Stop after this time.")
+@click.option("--device", required=True, help=common.device_help)
+@common.baud_option
+@common.live_view_option
+@common.session_option
+@common.serial_option
+@common.seconds_option
 @click.option(
     "--learn",
     is_flag=True,
     help="Look for a bias model that is better than --model, run it beside, and keep it with the session if"
     " its errors are smaller.",
 )
-@setup_options
+@common.setup_options
 @_live_outputs
-@window_option
-@bind_option
-@json_option
+@common.window_option
+@common.bind_option
+@common.json_option
 def command(
     port: str,
     device: str,
     baud: int | None,
-    view: View | None,
+    view: common.View | None,
     out: Path | None,
     serial: str | None,
     seconds: float | None,
@@ -89,9 +73,9 @@ def command(
     from imumon.run.narration import view_setup
     from imumon.run.stages import compared, keep_learned
 
-    mode = chosen_view(view, bind)
+    mode = common.chosen_view(view, bind)
     outputs = [(one, one.parse(options.pop(one.name))) for one in offers("live_output")]
-    setup = make_setup(options)
+    setup = common.make_setup(options)
     if learn and setup.bias_model is None:
         what = "--learn: there is no bias model that could be better"
         hint = "add --model MODEL.yaml, made by: imumon calibrate SESSION... --out MODEL.yaml"
@@ -118,7 +102,7 @@ def command(
     rows = _rows(summary, run.progress, views)
     if learned is not None:
         rows["learned"] = f"{learned}; before and after: {compared(run.session, learned)}"
-    print_result(as_json, data, rows)
+    common.print_result(as_json, data, rows)
     live.raise_problem(summary)
     return EXIT_NEGATIVE if summary.wire.bytes_unrecorded else EXIT_OK
 
@@ -126,7 +110,9 @@ def command(
 class _Views:
     """The live view, if any, the recording of the view, and what other programs get."""
 
-    def __init__(self, setup: ViewSetup, run: LiveRun, mode: View, bind: str, outputs: Sequence[Any]) -> None:
+    def __init__(
+        self, setup: ViewSetup, run: LiveRun, mode: common.View, bind: str, outputs: Sequence[Any]
+    ) -> None:
         from imumon.view.publisher import ViewPublisher
         from imumon.view.recorder import ViewRecorder
         from imumon.view.terminal import TerminalView
@@ -196,7 +182,7 @@ def _watch(live: PortRun, views: _Views) -> None:
         return view.lines(columns, rows, f"{status()}  {KEYS}")
 
     with single_keys() as keys:
-        if view is None and keys.possible and is_terminal():
+        if view is None and keys.possible and common.is_terminal():
             lines.put("INFO", f"keys: {KEYS}")
         watch(live.ending, lines, step, status, None if view is None else screen)
 
@@ -214,11 +200,10 @@ def status_line(progress: Progress) -> str:
 def _rows(summary: LiveSummary, progress: Progress, views: _Views) -> dict[str, str]:
     """Return what a person reads at the end."""
     from imumon.run.account import describe_disk, describe_span
-    from imumon.run.narration import describe, describe_losses
+    from imumon.run.narration import describe
 
     rows = {"recorded": describe_span(summary.began_ns, summary.ended_ns)}
     rows |= describe(progress)
-    rows["losses"] = describe_losses(summary.counters)
     rows["outages"] = summary.outages.describe()
     rows["on disk"] = describe_disk(summary.session)
     if summary.wire.bytes_unrecorded:

@@ -9,25 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
-from imumon.cli.common import (
-    PATH,
-    TABLE,
-    bind_option,
-    chosen_view,
-    columns_option,
-    json_option,
-    make_setup,
-    note,
-    print_json,
-    print_result,
-    print_rows,
-    rate_option,
-    setup_options,
-    split_columns,
-    truth_option,
-    warn,
-    window_option,
-)
+from imumon.cli import common
 from imumon.cli.live_run import serve
 from imumon.cli.progress import reading_bar
 from imumon.cli.table_commands import exported_as_data
@@ -55,11 +37,11 @@ CLOSE_S = 5.0
 
 
 @click.command("replay")
-@click.argument("session", type=PATH)
+@click.argument("session", type=common.PATH)
 @click.option("--speed", help="1: as recorded; N: N times as fast; max.  Default: 1 with a view, else max.")
-@click.option("--out", type=PATH, help=TABLE)
-@columns_option
-@rate_option
+@click.option("--out", type=common.PATH, help=common.TABLE)
+@common.columns_option
+@common.rate_option
 @click.option(
     "--view",
     type=click.Choice(["native", "web", "none"]),
@@ -70,7 +52,7 @@ CLOSE_S = 5.0
 @click.option(
     "--compare-models",
     nargs=2,
-    type=PATH,
+    type=common.PATH,
     metavar="A B",
     help="Only compare two bias models (files, or sessions that ran with one) on this session;"
     " --out PAGE.html.",
@@ -78,11 +60,11 @@ CLOSE_S = 5.0
 @click.option(
     "--smooth", is_flag=True, help="Also estimate with the data after each sample: columns ..._smoothed."
 )
-@truth_option
-@setup_options
-@window_option
-@bind_option
-@json_option
+@common.truth_option
+@common.setup_options
+@common.window_option
+@common.bind_option
+@common.json_option
 def replay(
     session: Path,
     speed: str | None,
@@ -117,8 +99,7 @@ def replay(
     from imumon.run.stages import pipeline_of, smoothed
 
     opened = open_session(session)  # a raw capture has no times: that is for decode
-    recorded = opened.metadata.pipeline_yaml
-    setup = make_setup(options, recorded, f"{session} (pipeline_yaml)")
+    setup = common.make_setup(options, opened)
     true = _truth(session, setup) if truth else None
     source = open_source(session, rate_hz=rate)
     source.refuse_output(out)
@@ -140,7 +121,7 @@ def replay(
             if out is None:
                 exported = Exported(sum(map(len, blocks)), {})
             else:
-                exported = export_run(blocks, pipeline, source, out, split_columns(columns))
+                exported = export_run(blocks, pipeline, source, out, common.split_columns(columns))
         if publisher is not None and view == "web":
             serve(publisher.url)
     finally:
@@ -150,10 +131,12 @@ def replay(
     if not smooth and rate is None:
         comparison = compare_with_live(opened, setup, digest, pipeline)
     foreign = setup.bias_model.of_another(opened.metadata.serial) if setup.bias_model else ""
-    warn(advised(text, opened.path) for text in [foreign, *source.warnings(), *pipeline.warnings()] if text)
+    common.warn(
+        advised(text, opened.path) for text in [foreign, *source.warnings(), *pipeline.warnings()] if text
+    )
     if comparison.identical is False:
-        warn(["the samples differ from those of the live run: another version, or bytes missing"])
-    warn(exported.warnings)
+        common.warn(["the samples differ from those of the live run: another version, or bytes missing"])
+    common.warn(exported.warnings)
     data = {"session": source.path} | exported_as_data(source, pipeline, exported)
     data |= {"results_digest": digest.hexdigest()} | comparison.as_dict()
     rows = {"samples": f"{exported.rows:,}, {comparison}", "losses": describe_losses(pipeline.counters)}
@@ -165,7 +148,7 @@ def replay(
     if true is not None:
         data["truth"] = true.as_data()
         rows |= true.rows()
-    print_result(as_json, data, rows)
+    common.print_result(as_json, data, rows)
     return EXIT_NEGATIVE if comparison.identical is False else EXIT_OK
 
 
@@ -186,7 +169,7 @@ def _compare(session: Path, given: tuple[Path, Path], out: Path | None, as_json:
     check_output(out, suffix=".html")
     compare, *_ = offers("compare_models")  # that of imumon comes first
     data, rows = compare(session, given, out)
-    print_result(as_json, data, {**rows, "page": str(out)})
+    common.print_result(as_json, data, {**rows, "page": str(out)})
     return EXIT_OK
 
 
@@ -194,12 +177,12 @@ def _begun(view: Mode, setup: ViewSetup, bind: str) -> ViewPublisher:
     """Return a view that begins, and report where it is before what it shows is over."""
     from imumon.view.publisher import ViewPublisher
 
-    chosen_view(view, bind)
+    common.chosen_view(view, bind)
     publisher = ViewPublisher(view, setup, bind=bind).start()
     end = time.monotonic() + STARTING_S
     while not publisher.url and time.monotonic() < end:
         time.sleep(0.05)
-    note(f"view: {publisher.url or publisher.text}")
+    common.note(f"view: {publisher.url or publisher.text}")
     return publisher
 
 
@@ -214,7 +197,7 @@ def _speed(text: str | None, view: str) -> float | None:
 
 
 @click.command("view")
-@click.argument("sessions", nargs=-1, required=True, metavar="SESSION...", type=PATH)
+@click.argument("sessions", nargs=-1, required=True, metavar="SESSION...", type=common.PATH)
 @click.option(
     "--align",
     type=click.Choice(["power-on", "host"]),
@@ -225,9 +208,9 @@ def _speed(text: str | None, view: str) -> float | None:
 @click.option(
     "--view", type=click.Choice(["native", "web"]), help="Default: native with a display, else web."
 )
-@click.option("--out", type=PATH, help="Write the comparison as NAME.rrd for Rerun, and show nothing.")
-@bind_option
-@json_option
+@click.option("--out", type=common.PATH, help="Write the comparison as NAME.rrd for Rerun, and show nothing.")
+@common.bind_option
+@common.json_option
 def view(
     sessions: tuple[Path, ...],
     align: Alignment,
@@ -262,7 +245,7 @@ def view(
     if out is not None:
         rec.set_sinks(rr.FileSink(out))
     else:
-        chosen_view(mode, bind)
+        common.chosen_view(mode, bind)
         url = _shown(rec, setup, mode, bind)
     comparison = Comparison(rec, setup, align)
     titles = []
@@ -280,12 +263,12 @@ def view(
             out.unlink(missing_ok=True)
         raise
     if url:
-        note(f"view: {url}")
+        common.note(f"view: {url}")
     if as_json:
-        print_json({"sessions": [data for data, _ in titles], "out": out, "url": url or None})
+        common.print_json({"sessions": [data for data, _ in titles], "out": out, "url": url or None})
     for name, (_, rows) in zip(names, titles, strict=True):
-        note(name)
-        print_rows(rows)
+        common.note(name)
+        common.print_rows(rows)
     if mode == "web" and out is None:
         serve(url)
     rec.disconnect()
@@ -323,7 +306,7 @@ def _log_session(
     for block in run_over(outages.watch(source.items), pipeline, count):
         samples += len(block)
         comparison.log(block)
-    warn([*source.warnings(), *pipeline.warnings()])
+    common.warn([*source.warnings(), *pipeline.warnings()])
     ended_ns = max(metadata.ended_ns or 0, outages.last_ns) or metadata.created_ns
     span = describe_span(metadata.created_ns, ended_ns)
     if metadata.table is not None:  # when a table was measured is not known

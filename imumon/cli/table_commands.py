@@ -9,20 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from imumon.cli.common import (
-    PATH,
-    TABLE,
-    columns_option,
-    device_help,
-    json_option,
-    log,
-    print_json,
-    print_result,
-    rate_option,
-    serial_option,
-    split_columns,
-    warn,
-)
+from imumon.cli import common
 from imumon.cli.progress import reading_bar
 from imumon.errors import ImumonError, Reason, bad_config
 from imumon.files import check_output
@@ -37,12 +24,12 @@ KINDS = ["parquet", "csv", "npz", "mat", "mcap"]
 
 
 @click.command("decode")
-@click.argument("file", type=PATH)
-@click.option("--device", help=device_help + "  A session knows its own.")
-@click.option("--out", type=PATH, required=True, help=TABLE)
-@columns_option
-@rate_option
-@json_option
+@click.argument("file", type=common.PATH)
+@click.option("--device", help=common.device_help + "  A session knows its own.")
+@click.option("--out", type=common.PATH, required=True, help=common.TABLE)
+@common.columns_option
+@common.rate_option
+@common.json_option
 def decode(
     file: Path, device: str | None, out: Path, columns: str | None, rate: float | None, as_json: bool
 ) -> None:
@@ -75,19 +62,19 @@ def _write_table(
     try:
         with reading_bar([file], quiet=as_json) as progress:
             blocks = doubts.through(run_over(source.items, pipeline, progress.count))
-            exported = export_run(blocks, pipeline, source, out, split_columns(columns))
+            exported = export_run(blocks, pipeline, source, out, common.split_columns(columns))
     except ImumonError as error:
         unread = not pipeline.counters.bytes_received and file.is_file() and file.stat().st_size
         if error.reason is not Reason.BAD_DATA or pipeline.counters.samples or unread:
             raise
         if as_json:
-            print_json(named | exported_as_data(source, pipeline, Exported(0, {})))
+            common.print_json(named | exported_as_data(source, pipeline, Exported(0, {})))
         raise no_samples(source, pipeline) from error
     counters = pipeline.counters
     doubtful = doubts.found(counters)
-    warn([*source.warnings(), *pipeline.warnings(), *exported.warnings, *doubtful])
+    common.warn([*source.warnings(), *pipeline.warnings(), *exported.warnings, *doubtful])
     for notice in pipeline.notices():
-        log("INFO", f"device: {notice}")
+        common.log("INFO", f"device: {notice}")
     rows = {
         "packets": ", ".join(f"{count:,} {name}" for name, count in counters.packets_by_type.items()),
         "bytes": f"{counters.bytes_received:,} received, {counters.bytes_in_packets:,} in packets, "
@@ -96,7 +83,7 @@ def _write_table(
     }
     rows = (rows if counters.bytes_received else {}) | describe_streams(counters, exported.tables)
     data = named | exported_as_data(source, pipeline, exported) | {"doubts": doubtful}
-    print_result(as_json, data, rows)
+    common.print_result(as_json, data, rows)
 
 
 def exported_as_data(source: Source, pipeline: Pipeline, exported: Exported) -> dict[str, object]:
@@ -108,11 +95,11 @@ def exported_as_data(source: Source, pipeline: Pipeline, exported: Exported) -> 
 
 
 @click.command("export")
-@click.argument("session", type=PATH)
+@click.argument("session", type=common.PATH)
 @click.option("--to", "kind", required=True, type=click.Choice(KINDS), help="Format; mcap: ROS 2 messages.")
-@click.option("--out", type=PATH, help="Table to write; default: export.FORMAT in the session.")
-@columns_option
-@json_option
+@click.option("--out", type=common.PATH, help="Table to write; default: export.FORMAT in the session.")
+@common.columns_option
+@common.json_option
 def export(session: Path, kind: str, out: Path | None, columns: str | None, as_json: bool) -> None:
     """Write the samples of SESSION, recorded or imported, as a table.
 
@@ -131,12 +118,12 @@ def export(session: Path, kind: str, out: Path | None, columns: str | None, as_j
 
 
 @click.command("import")
-@click.argument("table", type=PATH)
-@click.option("--map", "map_path", type=PATH, help="YAML file: column and unit of each quantity.")
+@click.argument("table", type=common.PATH)
+@click.option("--map", "map_path", type=common.PATH, help="YAML file: column and unit of each quantity.")
 @click.option("--sensor", help="Inertial sensor or topic of a log; default: the first.")
-@click.option("--out", required=True, type=PATH, help="Session folder to make.")
-@serial_option
-@json_option
+@click.option("--out", required=True, type=common.PATH, help="Session folder to make.")
+@common.serial_option
+@common.json_option
 def import_(
     table: Path, map_path: Path | None, sensor: str | None, out: Path, serial: str | None, as_json: bool
 ) -> None:
@@ -169,7 +156,7 @@ def import_(
         report, damage = found.rows, found.damage
         if damage.places:
             lost = f"{damage.size:,} bytes in {damage.places:,} damaged place(s) of the log were left out"
-            log("WARN", lost)
+            common.log("WARN", lost)
         chosen = {"sensor": found.sensor, "other_sensors": found.others, "scaling": found.scaling}
         chosen["damage"] = asdict(damage)
         others = f" (--sensor: {', '.join(found.others)})" if found.others else ""
@@ -181,8 +168,8 @@ def import_(
     name_unit(out, serial)
     if report.rows_dropped:
         why = "as their time does not increase" if map_path is None else "as the map requires"
-        log("WARN", f"{report.rows_dropped} of {report.rows_in} rows were dropped, {why}")
-    warn(report.warnings)
+        common.log("WARN", f"{report.rows_dropped} of {report.rows_in} rows were dropped, {why}")
+    common.warn(report.warnings)
     rate = f" at {report.rate_hz:.4g} Hz" if isfinite(report.rate_hz) else ""
     rows = {
         "rows": f"{report.rows_in:,} in, {report.rows_out:,} out, {report.rows_dropped:,} dropped",
@@ -191,11 +178,11 @@ def import_(
         "span": f"{report.span_s:.1f} s{rate}, {report.segments} segment(s)",
         "session": str(out),
     }
-    print_result(as_json, {"session": out, **asdict(report), **chosen}, rows | more)
+    common.print_result(as_json, {"session": out, **asdict(report), **chosen}, rows | more)
 
 
 @click.command("mark")
-@click.argument("session", type=PATH)
+@click.argument("session", type=common.PATH)
 @click.argument("text")
 @click.option("--start", is_flag=True, help="A part of the recording called TEXT begins here.")
 @click.option("--stop", is_flag=True, help="The part called TEXT ends here.")
@@ -216,11 +203,11 @@ def mark(session: Path, text: str, start: bool, stop: bool) -> None:
 
 
 @click.command("recover")
-@click.argument("session", type=PATH)
+@click.argument("session", type=common.PATH)
 @click.option(
-    "--device", help=device_help + "  Only where session.yaml is lost and wire.mcap does not hold it."
+    "--device", help=common.device_help + "  Only where session.yaml is lost and wire.mcap does not hold it."
 )
-@json_option
+@common.json_option
 def recover(session: Path, device: str | None, as_json: bool) -> None:
     """Finish SESSION, which was interrupted or damaged: its recording and its counters.
 
@@ -234,12 +221,12 @@ def recover(session: Path, device: str | None, as_json: bool) -> None:
 
     result = recovered(session, device)
     for sentence in result.done or ["the session is whole; nothing was written"]:
-        log("INFO", sentence)
+        common.log("INFO", sentence)
     for original in result.originals:
-        log("INFO", f"the original is {original}")
-    warn(result.warnings)
+        common.log("INFO", f"the original is {original}")
+    common.warn(result.warnings)
     if as_json:
         before = asdict(result.before)
         before.pop("metadata")
         found = {"session": result.session, "done": result.done, "originals": result.originals}
-        print_json({**found, "warnings": result.warnings, "before": before})
+        common.print_json({**found, "warnings": result.warnings, "before": before})

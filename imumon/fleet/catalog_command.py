@@ -1,4 +1,4 @@
-"""``imumon catalog``: the sessions of a folder, and the units that they are of."""
+"""``imumon catalog``, ``report``: the sessions of a folder, and the units that they are of."""
 
 from __future__ import annotations
 
@@ -12,9 +12,10 @@ import click
 
 from imumon.cli import common
 from imumon.errors import bad_data
+from imumon.files import check_output
 
 if TYPE_CHECKING:
-    from imumon.fleet.catalog.drift import Outlier
+    from imumon.fleet.catalog.tables import Outlier
     from imumon.fleet.catalog.units import Unit
 
 RESULTS = "catalog"
@@ -35,7 +36,7 @@ HEADS = (
 )
 @click.option("--rrd", hidden=True, help="Retired: imumon report UNIT draws the drift.")
 @common.json_option
-def command(folder: Path, results: Path | None, out: Path | None, rrd: str | None, as_json: bool) -> None:
+def catalog(folder: Path, results: Path | None, out: Path | None, rrd: str | None, as_json: bool) -> None:
     """List the units of the sessions in DIR: temperatures, σ, losses, models, their drift, and outliers.
 
     \b
@@ -69,7 +70,7 @@ def read(folder: Path, results: Path | None = None) -> tuple[list[Unit], list[Ou
 
     The latter is warned of, and of what recordings lack.
     """
-    from imumon.fleet.catalog.drift import outliers
+    from imumon.fleet.catalog.tables import outliers
     from imumon.fleet.catalog.units import read_models, read_sessions, units_of
 
     if not folder.is_dir():
@@ -83,8 +84,7 @@ def read(folder: Path, results: Path | None = None) -> tuple[list[Unit], list[Ou
 
 
 def _row(unit: Unit, unusual: Sequence[Outlier]) -> list[str]:
-    from imumon.fleet.catalog.drift import drifts
-    from imumon.fleet.catalog.tables import day
+    from imumon.fleet.catalog.tables import day, drifts
     from imumon.fleet.catalog.units import BEST, COLDEST, HOTTEST, WORST
     from imumon.lab.diagnosis.page import shown
 
@@ -118,3 +118,38 @@ def _show(rows: Sequence[Sequence[str]]) -> None:
     for row in rows:
         lines = common.labelled(dict(zip(HEADS, row, strict=True)), common.columns_of(sys.stdout))
         common.show("\n".join([*lines, ""]))
+
+
+@click.command("report")
+@click.argument("what", metavar="SESSION|UNIT")
+@click.option("--out", required=True, type=common.PATH, help="Page to write: NAME.html.")
+@click.option(
+    "--sessions",
+    type=common.PATH,
+    default=Path("sessions"),
+    show_default=True,
+    help="Where the sessions of a UNIT are.",
+)
+def report(what: str, out: Path, sessions: Path) -> None:
+    """Write the record of a SESSION, or of the UNIT with this serial number, as one HTML page.
+
+    \b
+    imumon report sessions/NAME --out record.html
+    imumon report 0380123 --sessions sessions --out unit.html
+    """
+    check_output(out, replace=True, suffix=".html")
+    from imumon.fleet.catalog.page import write_session, write_unit
+    from imumon.recordings.folder import is_session, open_session
+
+    if is_session(Path(what)):
+        common.warn(write_session(open_session(Path(what)), out))
+    else:
+        units, unusual, _ = read(sessions) if sessions.is_dir() else ([], [], {})
+        known = {unit.name: unit for unit in units}
+        if what not in known:
+            raise bad_data(
+                f"{what} is neither a session nor a unit of which there are sessions in {sessions}",
+                f"there are: {', '.join(known) or 'none'}; --sessions DIR names another folder",
+            )
+        write_unit(known[what], unusual, out)
+    common.print_rows({"record": str(out)})

@@ -28,7 +28,7 @@ LOG_LINES = 100
 @click.option(
     "--out", type=common.PATH, default=Path("sessions"), show_default=True, help="Folder of the sessions."
 )
-@click.option("--seconds", type=common.SECONDS, help="Stop after this time.")
+@common.seconds_option
 @common.window_option
 @common.bind_option
 @common.json_option
@@ -146,7 +146,7 @@ def _watch(
         return in_short(rack.rows) + ("" if publisher is None else f"  view: {publisher.text}")
 
     def screen(columns: int, rows: int) -> list[str]:
-        log.extend(f"{level} {text}" for level, text in lines.take())
+        log.extend(f"{level} {text}" for _, level, text in lines.take())
         shown = [f"rack {file.stem}: {in_short(rack.rows)}", "", *text_lines(rack.rows), ""]
         newest = list(log)[::-1][: max(rows - len(shown), 0)][::-1]
         return [line[:columns] for line in [*shown, *newest][:rows]]

@@ -243,7 +243,7 @@ def magnetometer(session: Path, out: Path, model: Path | None, plot: Path | None
 
     from imumon.lab.calibration.magnetometer import axes_of, doubts, fit_magnetometer
     from imumon.models.model import BiasModel, load_model
-    from imumon.recordings.reader import open_recording
+    from imumon.recordings.source import open_recording
     from imumon.version import __version__
 
     known = None if model is None else load_model(model)

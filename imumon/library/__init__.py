@@ -3,25 +3,28 @@
 Everything here is what the command line is made of; the names that `import imumon` offers stay.
 """
 
-import math
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable
+from functools import wraps
+from typing import ParamSpec, TypeVar
 
+from pydantic import ConfigDict, ValidationError, validate_call
+
+from imumon.config import wrong_arguments
 from imumon.errors import bad_config
 
-
-def require(ok: bool, name: str, value: object, expected: str) -> None:
-    """Raise BAD_CONFIG, naming an argument, when it is not what was expected."""
-    if not ok:
-        raise bad_config(f"{name}={value!r:.60}: expected {expected}")
+Arguments = ParamSpec("Arguments")
+Result = TypeVar("Result")
 
 
-def require_list(name: str, value: object, expected: str) -> None:
-    """Raise BAD_CONFIG unless an argument is a list or tuple."""
-    require(isinstance(value, Sequence) and not isinstance(value, str | bytes), name, value, expected)
+def checked(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
+    """Let a function raise BAD_CONFIG, naming each argument that is not of the type that it states."""
+    call = validate_call(config=ConfigDict(strict=True, arbitrary_types_allowed=True))(function)
 
+    @wraps(function)
+    def checked_call(*arguments: Arguments.args, **named: Arguments.kwargs) -> Result:
+        try:
+            return call(*arguments, **named)
+        except ValidationError as error:
+            raise bad_config(wrong_arguments(error)) from error
 
-def require_seconds(name: str, value: Any, expected: str) -> None:
-    """Raise BAD_CONFIG unless an argument is None or a finite number that is not negative."""
-    number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-    require(value is None or (number and value >= 0), name, value, f"a number of seconds {expected}, or None")
+    return checked_call

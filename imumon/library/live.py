@@ -9,11 +9,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from queue import SimpleQueue
 from types import TracebackType
-from typing import Self
+from typing import Annotated, Self
+
+from pydantic import Field, InstanceOf, SkipValidation
 
 from imumon.blocks import SampleBlock, join, with_nan
-from imumon.files import as_path
-from imumon.library import require, require_list, require_seconds
+from imumon.library import checked
 from imumon.pipeline import Estimator, PipelineCounters
 from imumon.protocols.device import DeviceFile, device_text, parse_device
 from imumon.run.live import BATCH_S, DecodedPort, LiveRun, nothing_decoded, warm_up
@@ -83,7 +84,7 @@ class Live:
     @property
     def lag_s(self) -> float:
         """How far the loop is behind: from the last row handed out to the newest bytes, seconds."""
-        return 0.0 if self._last_ns is None else max(self._run.newest_ns - self._last_ns, 0) * 1e-9
+        return 0.0 if self._last_ns is None else max(self._run.reader.newest_ns - self._last_ns, 0) * 1e-9
 
     @property
     def session(self) -> Path | None:
@@ -165,22 +166,23 @@ class Live:
             raise lost_error(self._settings, f"no row for {waited_s:.1f} s")
         received = now.bytes_received - before.bytes_received
         if received <= now.bytes_pending:  # at most the beginning of a packet came
-            silent_s = (time.time_ns() - self._run.newest_ns) * 1e-9 if received else waited_s
+            silent_s = (time.time_ns() - self._run.reader.newest_ns) * 1e-9 if received else waited_s
             raise silent_error(self._settings, silent_s)
         framed = (now.bytes_in_packets - before.bytes_in_packets) / received
         never = nothing_decoded(self._settings, self._device, now)
         raise never or wrong_baud_error(self._settings, received / waited_s, framed)
 
 
+@checked
 def open(
     port: str,
     device: str | Path,
     *,
-    baudrate: int | None = None,
+    baudrate: Annotated[int, Field(gt=0)] | None = None,
     record: str | Path | None = None,
-    setup: Setup | None = None,
-    stages: Sequence[Estimator] = (),
-    timeout: float | None = None,
+    setup: InstanceOf[Setup] | None = None,
+    stages: Sequence[SkipValidation[Estimator]] = (),
+    timeout: Annotated[float, Field(gt=0.0, allow_inf_nan=False)] | None = None,
     latest: bool = False,
 ) -> Live:
     """Open a port and return its samples with the estimates, as they come.
@@ -209,17 +211,6 @@ def open(
         Whether a loop that was busy gets only the newest rows, those of the last 0.08 s; the estimators see
         all rows.
     """
-    require(isinstance(port, str), "port", port, "the name of a port")
-    is_name = isinstance(device, str | Path)
-    require(is_name, "device", device, "the name of a device or the path of its file")
-    is_rate = baudrate is None or (type(baudrate) is int and baudrate > 0)
-    require(is_rate, "baudrate", baudrate, "a whole number of bits per second")
-    require(setup is None or isinstance(setup, Setup), "setup", setup, "an imumon.Setup")
-    require_list("stages", stages, "a list of stages")
-    require_seconds("timeout", timeout, "above 0")
-    require(timeout != 0, "timeout", timeout, "a number of seconds above 0, or None")
-    require(isinstance(latest, bool), "latest", latest, "True or False")
-    folder = None if record is None else as_path("record", record)
     text, source = device_text(str(device))
     known, setup = parse_device(text, source), setup or Setup()
     settings = known.port_settings(port, baudrate)
@@ -229,10 +220,10 @@ def open(
         _log.log(LEVELS.get(level, logging.INFO), line)
 
     run: DecodedPort
-    if folder is None:
+    if record is None:
         run = DecodedPort(known, settings, pipeline_of(known, setup, stages), report)
     else:
-        run = LiveRun(known, text, settings, setup, folder, report, stages)
+        run = LiveRun(known, text, settings, setup, Path(record), report, stages)
     return Live(known, settings, run, timeout, latest)
 
 

@@ -5,15 +5,16 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+from pydantic import Field, InstanceOf, SkipValidation
 
 from imumon.blocks import NO_INT, BoolArray, SampleBlock, missing
 from imumon.columns import KNOWN, TIME_COLUMNS, Column
 from imumon.errors import ImumonError, Reason, bad_config, bad_data
-from imumon.files import as_path
 from imumon.heap import trim_heap
-from imumon.library import require, require_list, require_seconds
+from imumon.library import checked
 from imumon.library.samples import TIMES, Samples
 from imumon.pipeline import Estimator, Pipeline
 from imumon.protocols.base import MAIN
@@ -26,18 +27,21 @@ from imumon.run.stages import pipeline_of
 _log = logging.getLogger("imumon")
 LARGE_BYTES = 1 << 20
 """Of a column, from which on memory is worth the time that it takes to give it back."""
+Seconds = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+Stages = Sequence[SkipValidation[Estimator]]
 
 
+@checked
 def read(
     path: str | Path,
     device: str | Path | None = None,
     *,
-    setup: Setup | None = None,
+    setup: InstanceOf[Setup] | None = None,
     estimates: bool = True,
-    stages: Sequence[Estimator] = (),
+    stages: Stages = (),
     columns: Sequence[str] | None = None,
-    begin_s: float | None = None,
-    end_s: float | None = None,
+    begin_s: Seconds | None = None,
+    end_s: Seconds | None = None,
 ) -> Samples:
     """Read a session, a raw capture or a table into memory.
 
@@ -77,16 +81,17 @@ def read(
     return run.samples(whole, side_samples)
 
 
+@checked
 def read_blocks(
     path: str | Path,
     device: str | Path | None = None,
     *,
-    setup: Setup | None = None,
+    setup: InstanceOf[Setup] | None = None,
     estimates: bool = True,
-    stages: Sequence[Estimator] = (),
+    stages: Stages = (),
     columns: Sequence[str] | None = None,
-    begin_s: float | None = None,
-    end_s: float | None = None,
+    begin_s: Seconds | None = None,
+    end_s: Seconds | None = None,
 ) -> Iterator[Samples]:
     """Yield what `read` would return block by block, for recordings larger than memory.
 
@@ -115,20 +120,9 @@ class _Run:
         begin_s: float | None,
         end_s: float | None,
     ) -> None:
-        where = as_path("path", path)
-        is_name = device is None or isinstance(device, str | Path)
-        require(is_name, "device", device, "the name of a device or the path of its file")
-        require(setup is None or isinstance(setup, Setup), "setup", setup, "an imumon.Setup")
-        require(isinstance(estimates, bool), "estimates", estimates, "True or False")
-        require_list("stages", stages, "a list of stages")
-        if columns is not None:
-            require_list("columns", columns, 'a list of names, as ["gyro_x"]')
-            for name in columns:
-                require(isinstance(name, str), "columns", name, "names of columns")
-        require_seconds("begin_s", begin_s, "from 0 on")
-        require_seconds("end_s", end_s, "from 0 on")
-        if begin_s is not None and end_s is not None:
-            require(end_s > begin_s, "end_s", end_s, f"more than begin_s={begin_s!r}")
+        if begin_s is not None and end_s is not None and end_s <= begin_s:
+            raise bad_config(f"end_s={end_s!r}: expected more than begin_s={begin_s!r}")
+        where = Path(path)
         self._columns = columns
         self._begin_s, self._end_s = begin_s or 0.0, np.inf if end_s is None else end_s
         self._clock, self._first_ns, self._segment = "", 0, 0

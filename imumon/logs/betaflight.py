@@ -14,7 +14,6 @@ import re
 import struct
 from collections.abc import Mapping
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -49,11 +48,8 @@ Lines = Mapping[str, str]
 """The H lines of a log: its settings by name."""
 
 
-class _Column(NamedTuple):
-    """A column of the table: its title, and the unit in it; "raw" where it names none."""
-
-    title: str
-    unit: str
+Columns = dict[str, tuple[str, str]]
+"""The columns of a table by name: its title, and the unit in it; "raw" where it names none."""
 
 
 def read(path: Path, sensor: str | None = None) -> Log:
@@ -76,14 +72,14 @@ def read(path: Path, sensor: str | None = None) -> Log:
     name, others = pick(path, [one for one in GYROS if f"{one}[0]" in columns], sensor)
     lines, source = (settings, f"the head of {path.name}") if settings else _beside(path)
     values, damage = _read_table(path, data[end:], titles, columns)
-    rate, remark = _rate_scale(path, lines, columns[f"{name}[0]"].unit)
+    rate, remark = _rate_scale(path, lines, columns[f"{name}[0]"][1])
     gyro = named(values, _parts(name), triple("gyro"), rate)
     if "accSmooth[0]" in columns:
-        force, of_force = _force_scale(lines, columns["accSmooth[0]"].unit)
+        force, of_force = _force_scale(lines, columns["accSmooth[0]"][1])
         remark += f", accelerometer {of_force}"
         if force is not None:
             gyro |= named(values, _parts("accSmooth"), triple("accel"), force)
-    time = nanoseconds(np.nan_to_num(values["time"] * MICROSECONDS[columns["time"].unit], nan=-1.0))
+    time = nanoseconds(np.nan_to_num(values["time"] * MICROSECONDS[columns["time"][1]], nan=-1.0))
     return Log(name, others, Series(time, gyro), [], "FLU", f"gyro {remark}, by {source}", damage)
 
 
@@ -119,13 +115,13 @@ def _force_scale(lines: Lines, unit: str) -> tuple[float | None, str]:
 
 
 def _read_table(
-    path: Path, data: bytes, titles: list[str], columns: Mapping[str, _Column]
+    path: Path, data: bytes, titles: list[str], columns: Columns
 ) -> tuple[dict[str, FloatArray], Damage]:
     """Return columns as float64 by name, and the rows that are cut."""
     rows = [row.rstrip(b"\r") for row in data.split(b"\n")]
     cut = [row for row in rows if row.strip() and row.count(b",") != len(titles) - 1]
     whole = b"\n".join(row for row in rows if row.count(b",") == len(titles) - 1)
-    wanted = [column.title for column in columns.values()]
+    wanted = [title for title, _ in columns.values()]
     try:
         table = csv.read_csv(
             io.BytesIO(whole),
@@ -136,23 +132,23 @@ def _read_table(
         )
     except (pa.ArrowException, UnicodeDecodeError) as error:
         raise bad_data(f"{path}: cannot be read as a table: {error}") from error
-    values = {name: table[column.title].to_numpy() for name, column in columns.items()}
+    values = {name: table[title].to_numpy() for name, (title, _) in columns.items()}
     return values, Damage(len(cut), sum(map(len, cut)))
 
 
-def _columns(titles: list[str]) -> dict[str, _Column]:
+def _columns(titles: list[str]) -> Columns:
     """Return the columns that may be taken, by name: all of a vector are there, in units that are known."""
-    found = dict[str, _Column]()
+    found = Columns()
     for title in titles:
         parts = COLUMN.fullmatch(title)
         assert parts is not None
-        found[parts[1]] = _Column(title, parts[2] or "raw")
+        found[parts[1]] = (title, parts[2] or "raw")
     known: dict[str, Mapping[str, float]] = {"time": MICROSECONDS, "accSmooth": {"raw": 1.0, **FORCES}}
     known |= {name: {"raw": 1.0, **RATES} for name in GYROS}
-    taken = dict[str, _Column]()
+    taken = Columns()
     for name, units in known.items():
         parts_of = [name] if name == "time" else _parts(name)
-        if all(part in found and found[part].unit in units for part in parts_of):
+        if all(part in found and found[part][1] in units for part in parts_of):
             taken |= {part: found[part] for part in parts_of}
     return taken
 

@@ -12,16 +12,13 @@ import time
 from collections.abc import Sequence
 from dataclasses import replace
 from multiprocessing.connection import Connection
-from typing import TYPE_CHECKING
+from pkgutil import resolve_name
+from typing import Any
 
 from imumon.publishing.publisher import Delivery, Published, Value, messages
 from imumon.publishing.target import Target
 from imumon.view.fed import batches, serve
 from imumon.view.items import Instant, State, ViewSetup
-
-if TYPE_CHECKING:
-    from imumon.publishing.foxglove import Foxglove
-    from imumon.publishing.ros2 import Ros2
 
 REPEAT_S = 1.0
 """How often states are sent again, for who came later: every message of a state has all of them."""
@@ -68,20 +65,17 @@ class UdpJson:
         self._socket.close()
 
 
-def make_outlet(target: Target, setup: ViewSetup) -> UdpJson | Foxglove | Ros2:
-    """Return the outlet for a target.
+OUTLETS = {"foxglove": "imumon.publishing.foxglove:Foxglove", "ros2": "imumon.publishing.ros2:Ros2"}
+"""Of the kinds that need a package."""
+
+
+def make_outlet(target: Target, setup: ViewSetup) -> Any:
+    """Return the outlet for a target: with `text`, `send` and `close`.
 
     Raises BUSY or BAD_CONFIG when it cannot be opened.
     """
-    if target.kind == "foxglove":
-        from imumon.publishing.foxglove import Foxglove
-
-        return Foxglove(target, setup)
-    if target.kind == "ros2":
-        from imumon.publishing.ros2 import Ros2
-
-        return Ros2(target, setup)
-    return UdpJson(target)
+    place = OUTLETS.get(target.kind)
+    return UdpJson(target) if place is None else resolve_name(place)(target, setup)
 
 
 def run(stream: Connection, out: Connection) -> None:

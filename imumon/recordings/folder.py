@@ -273,8 +273,7 @@ def open_session(path: Path) -> Session:
     if not (folder / METADATA_NAME).is_file():
         there = f"the folder has no {METADATA_NAME}; it is empty"
         if not folder.is_dir():
-            size = folder.stat().st_size if folder.exists() else None
-            there = "there is no such file or folder" if size is None else f"it is a file of {size} bytes"
+            there = f"it is a file of {folder.stat().st_size} bytes"
         elif names := sorted(entry.name for entry in folder.iterdir()):
             more = ", ..." if len(names) > SHOWN_NAMES else ""
             there = f"the folder has no {METADATA_NAME}; it has {', '.join(names[:SHOWN_NAMES])}{more}"

@@ -19,15 +19,7 @@ from imumon.config import parse_yaml
 from imumon.errors import bad_config, bad_data
 from imumon.files import read_text
 from imumon.intake import SpecificForce, rate_doubts
-from imumon.recordings.folder import (
-    SAMPLES_NAME,
-    SPAN,
-    Session,
-    SessionMetadata,
-    TableUsed,
-    fingerprint,
-    whole_session,
-)
+from imumon.recordings import folder
 from imumon.recordings.foreign import BadRow, Part, layout_hint, read_foreign
 from imumon.recordings.map import TableMap
 from imumon.recordings.table import TableWriter
@@ -82,31 +74,31 @@ def import_table(
     `made_of`: where the table is only a step on the way: the file that it was made of.
     `rows_dropped`: how many rows of that file are not in the table.
     """
-    with whole_session(out) as partial:
+    with folder.whole_session(out) as partial:
         source = TableImport(table, map_path, rows_dropped)
-        with TableWriter(partial / SAMPLES_NAME, source.columns) as writer:
+        with TableWriter(partial / folder.SAMPLES_NAME, source.columns) as writer:
             for block in source.blocks():
                 writer.write(block)
         report = source.report()
         now_ns, file = time.time_ns(), made_of or table
         counters = {"samples": report.rows_out, "segments": report.segments}
-        begun = SessionMetadata.begun(
+        begun = folder.SessionMetadata.begun(
             "import",
             now_ns,
             device="import",
             axes=source.map.axes,
-            table=TableUsed(
+            table=folder.TableUsed(
                 file=file.name,
                 size_bytes=file.stat().st_size,
-                sha256=fingerprint(file),
+                sha256=folder.fingerprint(file),
                 map_yaml=source.map_text,
                 rows_in=report.rows_in,
                 rows_out=report.rows_out,
                 rows_dropped=report.rows_dropped,
             ),
-            counters=counters | {SPAN: round(report.span_s * 1e9)},
+            counters=counters | {folder.SPAN: round(report.span_s * 1e9)},
         )
-        Session(partial, begun).save(begun.closed(now_ns))
+        folder.Session(partial, begun).save(begun.closed(now_ns))
     return report
 
 

@@ -10,8 +10,8 @@ from pathlib import Path
 from queue import SimpleQueue
 
 LOG_NAME = "log.jsonl"
-Line = tuple[str, str]
-"""Level and text of a line."""
+Line = tuple[int, str, str]
+"""Unix time (ns), level and text of a line."""
 
 
 class Lines:
@@ -21,7 +21,7 @@ class Lines:
     """
 
     def __init__(self, report: Callable[[str, str], object] = lambda *_: None) -> None:
-        self._waiting: SimpleQueue[tuple[int, str, str]] = SimpleQueue()
+        self._waiting: SimpleQueue[Line] = SimpleQueue()
         self._report = report
 
     def put(self, level: str, text: str) -> None:
@@ -31,9 +31,6 @@ class Lines:
 
     def take(self) -> list[Line]:
         """Return the lines since the last time."""
-        return [(level, text) for _, level, text in self._take()]
-
-    def _take(self) -> list[tuple[int, str, str]]:
         return [self._waiting.get_nowait() for _ in range(self._waiting.qsize())]
 
 
@@ -50,7 +47,7 @@ class SessionLog(Lines):
 
         lines = [
             {"time": iso_utc(now_ns), "time_ns": now_ns, "level": level, "text": text}
-            for now_ns, level, text in self._take()
+            for now_ns, level, text in self.take()
         ]
         if lines:
             with self._path.open("a", encoding="utf-8", errors="replace") as file:

@@ -44,6 +44,8 @@ class Recorder:
         self._on_problem = on_problem
         self._save = save
         self._items: SimpleQueue[Item | None] = SimpleQueue()
+        self.put = self._items.put
+        """Takes an item and returns at once: a sink for `imumon.transport.reader.Reader`."""
         self._problems: dict[str, str] = {}
         self._lock = threading.Lock()
         self._stopping = threading.Event()
@@ -55,10 +57,6 @@ class Recorder:
     def problem(self) -> str | None:
         """Why writing fails at present, or None."""
         return next(iter(self._problems.values()), None)
-
-    def put(self, item: Item) -> None:
-        """Take an item; returns at once.  A sink for `imumon.transport.reader.Reader`."""
-        self._items.put(item)
 
     def start(self) -> None:
         """Start the threads."""

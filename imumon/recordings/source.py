@@ -1,23 +1,37 @@
-"""What was recorded, opened and run through a pipeline: a session, live or imported, or a raw capture."""
+"""What was recorded, run through a pipeline: a session, live or imported, a raw capture or a table.
+
+`run_over` has the samples as they were sent, for tables.  A `Recording` is read as whoever computes from
+samples needs them: what no estimate may be made from is left out, as it is for all stages.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from imumon.blocks import SampleBlock
 from imumon.columns import BodyAxes, Column
 from imumon.errors import ImumonError, Reason, bad_config, bad_data
 from imumon.files import readable
-from imumon.pipeline import UNDATED, Pipeline
+from imumon.pipeline import UNDATED, Estimator, Pipeline
 from imumon.protocols.device import DeviceFile, load_device, parse_device
 from imumon.protocols.ranges import Ranges, declared
-from imumon.recordings.folder import METADATA_NAME, Session, begun_of, is_session, iso_utc, open_session
+from imumon.recordings.folder import (
+    METADATA_NAME,
+    Session,
+    begun_of,
+    fingerprint,
+    is_session,
+    lost_metadata,
+    open_session,
+)
 from imumon.recordings.importing import TableImport
-from imumon.recordings.table import SUFFIXES, iterate_samples, read_columns
-from imumon.recordings.wire_reader import Place, WireReader, WireSummary, is_wire
+from imumon.recordings.table import SUFFIXES, iterate_samples, iterate_table, read_columns
+from imumon.recordings.wire_reader import WireReader, WireSummary, is_wire
 from imumon.transport.reader import Bytes, EventKind, Item, Reads
 
 READ_SIZE = 1 << 16
@@ -108,10 +122,7 @@ class Source:
             ),
             f"{name} {verb} in {places}, {damage.seconds:.3f} s in all: {damage.messages:,} reads or"
             f" events missing, {damage.bytes:,} bytes of no use": damage.places,
-            **{f"damaged: {self._described(place)}": True for place in damage.where[:SHOWN_PLACES]},
-            f"damaged: {damage.places - SHOWN_PLACES:,} more places, the first with --json": (
-                damage.places > SHOWN_PLACES
-            ),
+            **{f"damaged: {place}": True for place in damage.where[:SHOWN_PLACES]},
             f"{name} was changed after it was recorded: its checksum differs": summary.checksum_ok is False,
         }
         return [f"{RECORDING}{text}" for text, holds in texts.items() if holds]
@@ -121,16 +132,12 @@ class Source:
         if not isinstance(self.items, WireReader):
             return {}
         summary = self.items.summary
-        damage = asdict(summary.damage)
+        began_ns = None if self.session is None else self.session.metadata.created_ns
         where = [
             {
-                "offset": place.offset,
-                "bytes": place.size,
-                "at_s": None if (at_s := self._since(place)) is None else round(at_s, 6),
+                **asdict(place),
+                "at_s": None if began_ns is None else place.begins_s(began_ns),
                 "seconds": place.seconds,
-                "after_ns": place.after_ns or None,
-                "before_ns": place.before_ns or None,
-                "messages": place.messages,
                 "altered": False,  # blocks that are not as they were written are left out
             }
             for place in summary.damage.where
@@ -142,24 +149,9 @@ class Source:
                 "bytes_unrecorded": summary.bytes_unrecorded,
                 "tail_bytes": summary.tail_bytes,
                 "bytes_missing": bytes_missing(self.session, summary),
-                "damage": {**damage, "events": 0, "bytes_altered": 0, "where": where},
+                "damage": {**asdict(summary.damage), "events": 0, "bytes_altered": 0, "where": where},
             }
         }
-
-    def _since(self, place: Place) -> float | None:
-        """Return when a damaged place begins, s after the start of the session; None where not known."""
-        if not place.after_ns or self.session is None:
-            return None
-        return (place.after_ns - self.session.metadata.created_ns) * 1e-9
-
-    def _described(self, place: Place) -> str:
-        where = f"{place.size:,} bytes at byte {place.offset:,}" if place.size else "cut out"
-        missing = f"{place.messages:,} missing" if place.messages or place.size else "how many is not known"
-        if not place.after_ns:
-            return f"{where}, before the first message ({missing})"
-        when = f"{place.seconds:.3f} s from {iso_utc(place.after_ns)}"
-        when += "" if (since := self._since(place)) is None else f", {since:.3f} s after the start"
-        return f"{where}, {when} ({missing})"
 
 
 def bytes_missing(session: Session | None, summary: WireSummary) -> int:
@@ -295,3 +287,107 @@ def feed(item: Item | Reads | SampleBlock, pipeline: Pipeline) -> int:
     elif item.kind in (EventKind.SILENT, EventKind.LOST):
         pipeline.pause()
     return 0
+
+
+Stages = Callable[[DeviceFile | None], Sequence[Estimator]]
+"""Makes the stages for a device, or for a table when there is none."""
+
+
+def no_stages(_: DeviceFile | None) -> Sequence[Estimator]:
+    """Return no stages."""
+    return ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recording:
+    """A recording that is open; its samples can be read once."""
+
+    source: Source
+    """What is read."""
+    pipeline: Pipeline
+    """What it runs through."""
+    count: Count
+    """Takes how many more bytes were read."""
+    truth: Path
+    """The file that everything follows from."""
+    name: str
+    """Of its folder or file."""
+    device: str | None
+    """What sent it; None for a table."""
+    axes: BodyAxes | None
+    """In which body axes it is; None where it is not stated."""
+    serial: str | None
+    """Serial number of the unit, as its session has it."""
+    columns: dict[str, Column]
+    """Columns of a table or an imported session; empty for a recording that has to be decoded."""
+
+    def blocks(self) -> Iterator[SampleBlock]:
+        """Yield the samples in order, with device_time_ns, segment and what the stages add to them.
+
+        What cannot be is missing, and so are rows whose time does not go on: `warnings` counts them.
+        """
+        blocks = list[SampleBlock]()
+        self.pipeline.sink = blocks.append
+        for _ in run_over(self.source.items, self.pipeline, self.count):
+            yield from blocks
+            blocks.clear()
+
+    def warnings(self) -> list[str]:
+        """Return, once the samples were read, what the recording lacks and what the stages report."""
+        return [*self.source.warnings(), *self.pipeline.warnings()]
+
+    def sha256(self) -> str:
+        """Return the fingerprint of its bytes."""
+        return fingerprint(self.truth)
+
+
+def open_recording(
+    path: Path, stages: Stages = no_stages, map_path: Path | None = None, count: Count = no_count
+) -> Recording:
+    """Open a session, live or imported, or a table: one that imumon wrote, or any with its map.
+
+    Raises BAD_DATA when there is nothing to read, or something that is no recording; BAD_CONFIG for a wrong
+    map.
+
+    `path`: folder of a session or its session.yaml, or a table.
+    `stages`: what the samples run through; a stage of which a table has a column already is left out.
+    `map_path`: states what is in which column of a table from elsewhere.
+    `count`: takes how many more bytes were read, for a progress bar.
+    """
+    source = _open(path, map_path)
+    session, there = source.session, {column.name: column for column in source.imported}
+    made = stages(source.device)
+    wanted = [stage for stage in made if there.keys().isdisjoint(column.name for column in stage.columns)]
+    return Recording(
+        source, Pipeline(source.device, wanted, source.range), count,
+        truth=source.path if session is None else session.truth_path,
+        name=(path if session is None else session.path).name or str(path),
+        device=None if source.device is None else source.device.name,
+        axes=source.axes,
+        serial=None if session is None else session.metadata.serial,
+        columns=there,
+    )  # fmt: skip
+
+
+def _open(path: Path, map_path: Path | None) -> Source:
+    if is_session(path) or not path.is_file():
+        return open_source(path)
+    if map_path is not None:
+        table = TableImport(path, map_path)
+        return Source(path, table.blocks(), None, None, tuple(table.columns.values()), table)
+    if path.suffix not in SUFFIXES:
+        if lost_metadata(path) is not None:
+            open_session(path)  # raises, with what to do
+        what = f"{path} is neither a session nor a table ({', '.join(SUFFIXES)})"
+        hint = "a raw capture becomes a table first: imumon decode FILE --device NAME --out TABLE.parquet"
+        raise bad_data(what, hint)
+    columns = read_columns(path)
+    if "device_time_ns" not in columns:
+        seen = f"{path}: has no column device_time_ns, so it is no table of imumon"
+        raise bad_data(seen, "a table from elsewhere needs a map: imumon import")
+    # Without a column segment it is one segment.
+    blocks = (
+        block if "segment" in block else block.with_columns({"segment": np.zeros(len(block), np.int64)})
+        for block in iterate_table(path)
+    )
+    return Source(path, blocks, None, None, tuple(columns.values()))

@@ -9,6 +9,7 @@ from __future__ import annotations
 import csv
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final, Literal
@@ -38,6 +39,7 @@ CLOCKS = ("host_time_ns", "arrival_time_ns", "device_time_ns")
 """The first that has values is the time of ROS messages: Unix time, or since power-on in a log without it."""
 
 _ARROW = {"float64": pa.float64(), "int64": pa.int64()}
+_parquet_writer = partial(pq.ParquetWriter, compression="zstd", use_dictionary=False)
 
 
 class TableWriter:
@@ -142,10 +144,6 @@ class TableWriter:
                 content = _UnitsFile(format=FORMAT, imumon=__version__, columns=units)
                 write_text(units_path(self.path), dump_yaml(content.model_dump()))
         whole.replace(target(self.path))
-
-
-def _parquet_writer(path: Path, schema: Any) -> Any:
-    return pq.ParquetWriter(path, schema, compression="zstd", use_dictionary=False)
 
 
 def iterate_samples(session: Session) -> Iterator[SampleBlock]:

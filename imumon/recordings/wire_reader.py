@@ -26,6 +26,7 @@ from mcap.records import Header, Metadata
 from imumon.errors import ImumonError, bad_data
 from imumon.files import readable
 from imumon.recordings import wire
+from imumon.recordings.folder import iso_utc
 from imumon.recordings.wire import CHECK_SIZE, MAGIC, RECORD, SEQUENCE_MASK, Check
 from imumon.transport.reader import Event, EventKind, Item, Reads
 
@@ -59,19 +60,30 @@ class Place:
     """A place of a wire file at which something is missing."""
 
     offset: int
-    size: int
+    bytes: int
     """Where in the file, and how many bytes of the file are of no use there; 0 when bytes were cut out."""
-    after_ns: int
-    before_ns: int
-    """Unix time of the last message before, and of the last one lost or the first one behind; 0 when there
+    after_ns: int | None
+    before_ns: int | None
+    """Unix time of the last message before, and of the last one lost or the first one behind; None when there
     is none."""
     messages: int
-    """Reads and events that are missing, by the numbers of those before and behind."""
+    """Reads and events that are missing, by the numbers of those before and behind; 0 where not known."""
 
     @property
     def seconds(self) -> float:
         """Time that it spans."""
         return max(0, self.before_ns - self.after_ns) * 1e-9 if self.after_ns and self.before_ns else 0.0
+
+    def begins_s(self, began_ns: int) -> float | None:
+        """Return when it begins, s after the start of a session; None where not known."""
+        return None if self.after_ns is None else round((self.after_ns - began_ns) * 1e-9, 6)
+
+    def __str__(self) -> str:
+        """Return it in a few words."""
+        when = f", {self.seconds:.3f} s from {iso_utc(self.after_ns)}" if self.after_ns else ""
+        return (
+            f"{self.bytes:,} bytes at byte {self.offset:,}{when}, {self.messages or 'some'} messages missing"
+        )
 
 
 @dataclass(slots=True)
@@ -91,7 +103,7 @@ class Damage:
     def add(self, place: Place) -> None:
         """Count a place."""
         self.places += 1
-        self.bytes += place.size
+        self.bytes += place.bytes
         self.messages += place.messages
         self.seconds += place.seconds
         if len(self.where) < KEPT_PLACES:
@@ -184,7 +196,7 @@ class WireReader:
         data, head = self._data, self._data[:HEAD_SIZE]
         is_mcap = MAGIC.startswith(head[: len(MAGIC)])
         if not is_mcap and PROFILE in head:
-            self.summary.damage.add(Place(0, len(MAGIC), 0, 0, 0))
+            self.summary.damage.add(Place(0, len(MAGIC), None, None, 0))
         marker = -1
         while (marker := data.find(wire.MARKER, marker + 1)) >= 0:
             at = marker - RECORD.size
@@ -262,7 +274,8 @@ class WireReader:
         missing = max(0, self._ahead(sequence))
         if size or missing:
             yield from self._reads()
-            self.summary.damage.add(Place(self._done, size, self.summary.last_ns, before_ns, missing))
+            after_ns, before = self.summary.last_ns or None, before_ns or None
+            self.summary.damage.add(Place(self._done, size, after_ns, before, missing))
         self._next_sequence = self._next_sequence + missing & SEQUENCE_MASK
 
     def _error(self, what: str) -> ImumonError:

@@ -11,7 +11,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
-from enum import Enum
+from enum import StrEnum
 from importlib import metadata
 from itertools import chain
 from pathlib import Path
@@ -44,7 +44,7 @@ EXTRAS = {
 """What the packages of each extra are for."""
 
 
-class State(Enum):
+class State(StrEnum):
     """How bad a finding is."""
 
     GOOD = "good"

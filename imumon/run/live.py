@@ -131,7 +131,7 @@ class DecodedPort:
         self._outages, self._clock = Outages(), Clock()
         self._began_ns = self._clock.now_ns()
         silent_after_s = max(SILENT_AFTER_S, SILENT_AFTER_PACKETS / (device.rate_hz or np.inf))
-        self._reader = Reader(settings, record, self._items.put, silent_after_s=silent_after_s)
+        self.reader = Reader(settings, record, self._items.put, silent_after_s=silent_after_s)
         self.narrator = Narrator(pipeline, settings, (), report, dict(card), session)
         self.takers: list[Callable[[SampleBlock, Mapping[str, SampleBlock]], object]]
         self.takers = [self.narrator.samples]
@@ -143,18 +143,13 @@ class DecodedPort:
         self.failure: ImumonError | None = None
 
     @property
-    def newest_ns(self) -> int:
-        """Arrival of the newest bytes, Unix time; 0 before the first."""
-        return self._reader.newest_ns
-
-    @property
     def processing(self) -> bool:
         """Whether the pipeline thread works; without it reading and recording go on."""
         return self._thread.is_alive()
 
     def open(self) -> None:
         """Open the port, and read from now on; raises ImumonError the reasons of `Reader.start`."""
-        self._reader.start()
+        self.reader.start()
 
     def begin(self, publish: Sequence[Publish]) -> None:
         """Decode what has come and what comes, and show it to `publish` as view items."""
@@ -163,7 +158,7 @@ class DecodedPort:
 
     def stop(self) -> LiveSummary | None:
         """Close the port, and decode all that came."""
-        self._reader.stop()
+        self.reader.stop()
         if self._thread.ident is not None:
             self._thread.join()
         return None
@@ -319,7 +314,7 @@ class LiveRun(DecodedPort):
     def _take_marks(self) -> None:
         with self._marking:
             for kind, text in self._marks.take():
-                self._reader.report(kind, text)
+                self.reader.report(kind, text)
 
     def _run(self) -> None:
         try:

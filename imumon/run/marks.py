@@ -59,14 +59,10 @@ class Marks:
 
     def take(self) -> list[tuple[EventKind, str]]:
         """Return what is new, whole lines only; what is no request is passed over."""
-        try:
-            if self._path.stat().st_size <= self._read:
-                return []
-            with self._path.open("rb") as file:
-                file.seek(self._read)
-                lines = file.read()
-        except OSError:
-            return []
+        lines = b""
+        with suppress(OSError), self._path.open("rb") as file:
+            file.seek(self._read)
+            lines = file.read()
         end = lines.rfind(b"\n") + 1
         self._read += end
         requests = list[tuple[EventKind, str]]()

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal, Self, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self, get_args
 
 from pydantic import Field, ValidationError, field_validator, model_validator
 
-from imumon.config import StrictModel, dump_yaml, parse_yaml
+from imumon.config import StrictModel, dump_yaml, parse_yaml, wrong_arguments
 from imumon.errors import bad_config
 from imumon.estimation.alignment.parameters import AlignmentParameters, known_warm_up
 from imumon.estimation.attitude.parameters import AttitudeParameters
@@ -19,7 +19,6 @@ from imumon.models.model import BiasModel, load_model
 from imumon.protocols.ranges import Ranges
 from imumon.recordings.folder import Session
 from imumon.run import PublishedMethod
-from imumon.run.noise import AllanParameters, Noise
 
 FORMAT: Final = "imumon-pipeline/1"
 
@@ -27,8 +26,51 @@ ZuptMode = Literal["standard", "thermal", "learned"]
 Channel = Literal["gyro_x", "gyro_y", "gyro_z"]
 CHANNELS: tuple[Channel, ...] = get_args(Channel)
 
+Size = Annotated[float, Field(ge=0.0)]
+Axes = Annotated[list[Size | None], Field(min_length=3, max_length=3)]
+"""x, y, z; None where the data show none."""
+NONE: Axes = [None, None, None]
+
 
 class GyroNoise(StrictModel):
+    """Noise of the gyros, as ``imumon allan --noise-out`` writes it."""
+
+    angle_random_walk_rad_per_sqrt_s: Axes = NONE
+    bias_instability_rad_per_s: Axes = NONE
+    rate_random_walk_rad_per_s_sqrt_s: Axes = NONE
+    quantization_rad: Axes = NONE
+    rate_ramp_rad_per_s2: Axes = NONE
+    correlated_noise_rad_per_s: Axes = NONE
+    correlation_time_s: Axes = NONE
+
+
+class AccelNoise(StrictModel):
+    """Noise of the accelerometers, as ``imumon allan --noise-out`` writes it."""
+
+    velocity_random_walk_m_per_s_sqrt_s: Axes = NONE
+    bias_instability_m_per_s2: Axes = NONE
+    acceleration_random_walk_m_per_s2_sqrt_s: Axes = NONE
+    quantization_m_per_s: Axes = NONE
+    acceleration_ramp_m_per_s3: Axes = NONE
+    correlated_noise_m_per_s2: Axes = NONE
+    correlation_time_s: Axes = NONE
+
+
+class Noise(StrictModel):
+    """The noise section of a pipeline YAML."""
+
+    gyro: GyroNoise | None = None
+    accel: AccelNoise | None = None
+
+
+class AllanParameters(StrictModel):
+    """The live Allan curves have nothing to set; the lines of data sheets of before are read and named."""
+
+    gyro_sheet: Retired = None
+    accel_sheet: Retired = None
+
+
+class AxisNoise(StrictModel):
     """Noise of a gyro axis, as Allan deviations give it; at least one kind of drift is needed.
 
     Parameters
@@ -59,7 +101,7 @@ class RandomErrorParameters(StrictModel):
     ----------
     assume_rest : bool
         Whether the unit is at rest throughout when it is not stated (no column ``at_rest``).
-    noise : mapping of gyro_x, gyro_y, gyro_z to GyroNoise
+    noise : mapping of gyro_x, gyro_y, gyro_z to AxisNoise
         What is known of an axis; others are learnt.
     learn_s : float
         s at rest from which the noise is learnt before SR-RSUKF starts.
@@ -71,7 +113,7 @@ class RandomErrorParameters(StrictModel):
 
     method: Literal["drift", "sr_rsukf"] = "drift"
     assume_rest: bool = False
-    noise: dict[Channel, GyroNoise] = Field(default_factory=dict)
+    noise: dict[Channel, AxisNoise] = Field(default_factory=dict)
     learn_s: float = Field(default=60.0, ge=10.0, le=86400.0)
     mean_s: float = Field(default=100.0, ge=1.0, le=86400.0)
     hold_s: float = Field(default=60.0, ge=1.0, le=86400.0)
@@ -116,8 +158,7 @@ class Setup(StrictModel):
             try:
                 super().__init__(**given)
             except ValidationError as error:
-                wrong = [f"{one['loc'][0]}={one['input']!r:.60}: {one['msg']}" for one in error.errors()]
-                raise bad_config(f"Setup: {'; '.join(wrong)}") from error
+                raise bad_config(f"Setup: {wrong_arguments(error)}") from error
             if isinstance(self.model, str):  # only `load_setup` knows the folder that it is relative to
                 what = f"Setup: model={self.model!r}: expected a bias model"
                 raise bad_config(what, "use imumon.load_model(path)")
@@ -187,7 +228,7 @@ class Setup(StrictModel):
         whites, flickers = gyro.angle_random_walk_rad_per_sqrt_s, gyro.bias_instability_rad_per_s
         walks = gyro.rate_random_walk_rad_per_s_sqrt_s
         known = {
-            channel: GyroNoise(angle_random_walk=white, bias_instability=flicker, rate_random_walk=walk)
+            channel: AxisNoise(angle_random_walk=white, bias_instability=flicker, rate_random_walk=walk)
             for channel, white, flicker, walk in zip(CHANNELS, whites, flickers, walks, strict=True)
             if white and (flicker or walk)
         }

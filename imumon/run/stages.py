@@ -13,7 +13,7 @@ import numpy as np
 
 from imumon.estimation.attitude.stage import AttitudeEstimate
 from imumon.estimation.gyro_bias.stage import RestAndBias
-from imumon.estimation.smoothing.stage import Record, Recorder, SmoothedEstimates, backward, still_heading
+from imumon.estimation.smoothing.stage import Recorder, SmoothedEstimates, backward, still_heading
 from imumon.estimation.spectrum.stage import LiveSpectrum
 from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.estimation.watch.stage import ModelWatch
@@ -102,20 +102,16 @@ def smoothed(source: Source, setup: Setup) -> SmoothedEstimates:
         stage = next(stage for stage in pipeline.estimators if isinstance(stage, Alignment))
         heading = still_heading(record, stage.finish())
     given = None if source.device is None else source.device.temperature
-    against_time = backward(record, TemperatureRate(parameters=given), _bias(record, setup))
-    return SmoothedEstimates(record, against_time, heading)
-
-
-def _bias(record: Record, setup: Setup) -> RestAndBias:
-    """Return the stage that goes backward, for which the earth turns the other way."""
+    # For the stage that goes backward the earth turns the other way.
     latitude = None if setup.latitude_deg is None else -setup.latitude_deg
-    heading = setup.heading_deg
-    if heading is not None:
+    toward = setup.heading_deg
+    if toward is not None:
         known = record.columns["attitude_estimate_heading"]
         known = known[np.isfinite(known)]
-        heading += 180.0 + (math.degrees(known[-1] - known[0]) if len(known) else 0.0)
+        toward += 180.0 + (math.degrees(known[-1] - known[0]) if len(known) else 0.0)
     mode: ZuptMode = "learned" if setup.mode == "learned" else "standard"
-    return RestAndBias(setup.zupt_with_noise, None, mode, latitude, heading, setup.rest)
+    bias = RestAndBias(setup.zupt_with_noise, None, mode, latitude, toward, setup.rest)
+    return SmoothedEstimates(record, backward(record, TemperatureRate(parameters=given), bias), heading)
 
 
 def keep_learned(pipeline: Pipeline, session: Session) -> Path | None:

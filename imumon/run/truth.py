@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from imumon.geodesy import DEG_PER_H
 from imumon.models.model import BiasModel
 from imumon.models.predictor import BiasPredictor
 from imumon.recordings.folder import TRUTH_NAME
-from imumon.recordings.reader import open_recording
+from imumon.recordings.source import open_recording
 from imumon.recordings.table import read_columns, read_table
 
 GYROS = ("gyro_bias_x", "gyro_bias_y", "gyro_bias_z")
@@ -143,13 +143,7 @@ def errors_of_model(session: Path, model: BiasModel) -> Truth:
     )
     for block in recording.blocks():
         n = len(block)
-        predicted = predictor.process(
-            block["device_time_ns"],
-            block["segment"],
-            _columns(block, predictor.temperature_columns),
-            _columns(block, ["accel_x", "accel_y", "accel_z"]),
-            {name: block[name] for name in predictor.drivers if name in block},
-        ).bias
+        predicted = predictor.of_block(block).bias
         found: dict[str, Estimate] = {
             name.replace("gyro", "gyro_bias"): (values, np.full(n, model.channels[name].residual_sd))
             for name, values in zip(names, predicted.T, strict=True)
@@ -157,9 +151,3 @@ def errors_of_model(session: Path, model: BiasModel) -> Truth:
         found |= {name: (block[name], None) for name in TEMPERATURES if name in block}
         truth.take(block, found, at_rest=True)
     return truth
-
-
-def _columns(block: SampleBlock, names: Sequence[str]) -> FloatArray:
-    """Return columns side by side, (n, len(names)); NaN for one that is not there."""
-    nothing = np.full(len(block), np.nan)
-    return np.column_stack([block.columns.get(name, nothing) for name in names])

@@ -26,6 +26,7 @@ from imumon.cli.common import (
     show,
 )
 from imumon.cli.progress import announce, bar
+from imumon.errors import bad_config
 from imumon.files import bundled
 
 if TYPE_CHECKING:
@@ -37,6 +38,8 @@ STARTING_S, SAMPLES_PER_S = 1.0, 250_000.0
 """For the estimate of the time: measured with `crs05-soak` on one core, 600,000 samples in 2.4 s."""
 STOP = {signal.SIGINT, signal.SIGTERM}
 TABLES = (".parquet", ".csv")
+OTHERS = (".mat", ".mcap", ".npz", ".h5", ".json", ".txt", ".xls", ".xlsx")
+"""Suffixes of files that are not written, and would become folders."""
 
 
 @click.command("demo", context_settings={"ignore_unknown_options": True})
@@ -172,6 +175,9 @@ def _simulated(plan: Scenario, device: str | None, seed: int, out: Path, *, quie
 
     text, source = device_text(device or DEVICE)
     described, as_table = parse_device(text, source), out.suffix in TABLES
+    if out.suffix in OTHERS:
+        what = f"{out}: simulate writes no such file: a table is NAME.parquet or NAME.csv, a session a folder"
+        raise bad_config(what, "imumon export writes the other formats of a session")
     if device is not None or not as_table:
         plan = plan.played(plan.rate_hz, described.axes)
     expected_s = STARTING_S + plan.samples / SAMPLES_PER_S

@@ -11,8 +11,7 @@ import rerun.blueprint as rrb
 from imumon.view.items import ViewSetup
 from imumon.view.lanes import LOG_TEXT
 from imumon.view.layout import FIRST, OTHER, SCENE, STRIPS, Strip, tab_of
-from imumon.view.panel_log import card_path
-from imumon.view.panels import Panel
+from imumon.view.panels import Panel, card_path
 from imumon.view.pictures import chart_view
 from imumon.view.window import Window, series_view, slow_window
 
@@ -125,12 +124,11 @@ def _tab(name: str, views: list[Any], contents: Contents) -> Any:
     return _row(parts, name)
 
 
-def _row(parts: Sequence[tuple[float, Any]], name: str | None = None) -> Any:
+def _row(parts: Sequence[tuple[float, Any]], name: str) -> Any:
     """Return parts beside each other, each with its share of the width; None is no part."""
     there = [(share, part) for share, part in parts if part is not None]
-    return rrb.Horizontal(
-        *[part for _, part in there], column_shares=[share for share, _ in there], name=name
-    )
+    shares = [share for share, _ in there]
+    return rrb.Horizontal(*[part for _, part in there], column_shares=shares, name=name)
 
 
 def _column(parts: Sequence[tuple[float, Any]]) -> Any:

@@ -30,7 +30,7 @@ from imumon.view.items import (
 )
 from imumon.view.lanes import COLORED_STATES, LINES, LOG_TEXT, declare_lane, lane_path, lane_place, markdown
 from imumon.view.layout import DEVICE
-from imumon.view.panel_log import PanelLog
+from imumon.view.panels import PanelLog
 from imumon.view.pictures import Painter
 from imumon.view.rows import Rows, at_instants, log_markdown
 from imumon.view.window import slow_window
@@ -54,6 +54,8 @@ class StreamLogger:
     def __init__(self, rec: rr.RecordingStream, setup: ViewSetup, *, live: bool) -> None:
         self._rec, self._setup, self._live = rec, setup, live
         self._panels = PanelLog(rec, setup, live=live)
+        self.end_file = self._panels.end_file
+        """Logs what a file of a recording has at its end."""
         self._painter = Painter(rec, live=live)
         self._lanes: dict[str, dict[str, Level]] = {}
         self._lasting: dict[str, Event] = {}
@@ -133,23 +135,22 @@ class StreamLogger:
         """Log events, those of a kind together: a chunk costs 2 kB, whatever is in it."""
         kinds: dict[tuple[object, ...], list[Any]] = {}
         for event in events:
-            kinds.setdefault(_kind_of(event), []).append(event)
+            at, what = event.at, ",".join(event.values) if isinstance(event, Numbers) else event.lasting
+            alike = type(event), what, at.sample is None, at.device_ns is None, at.host_ns is None
+            kinds.setdefault(alike, []).append(event)
             if event.lasting is not None:
                 self._lasting[event.lasting] = event
         for found in kinds.values():
             times = at_instants(*(event.at for event in found))
             if isinstance(found[0], Log):
-                self._log_lines(found, times)
+                texts = []
+                for line in found:
+                    self._lines.appendleft(markdown(line))
+                    texts.append("\n\n".join(self._lines))
+                if times.indexes:
+                    log_markdown(self._rec, LOG_TEXT, texts, times)
             elif times.indexes:
                 self._log_kind(found, times)
-
-    def _log_lines(self, lines: Sequence[Log], times: Rows) -> None:
-        texts = []
-        for line in lines:
-            self._lines.appendleft(markdown(line))
-            texts.append("\n\n".join(self._lines))
-        if times.indexes:
-            log_markdown(self._rec, LOG_TEXT, texts, times)
 
     def _log_kind(self, events: list[Any], times: Rows) -> None:
         """Log numbers, the states of a lane, or the status card."""
@@ -158,28 +159,19 @@ class StreamLogger:
             values = {name: np.array([event.values[name] for event in events]) for name in first.values}
             self._panels.log(replace(times, columns=values, step_ns=self._step_ns))
         elif isinstance(first, State):
-            self._color_states(events)
+            known = self._lanes.setdefault(first.lane, {})
+            new = {event.state: event.level for event in events if event.state not in known}
+            if new and len(known) < COLORED_STATES:
+                known |= new
+                declare_lane(self._rec, first.lane, known)
             change = rr.StateChange.columns(state=[event.state for event in events])
             self._rec.send_columns(lane_path(first.lane), indexes=times.indexes, columns=change)
         elif isinstance(first, Status):
             log_markdown(self._rec, "/status", [status_card(events[-1])], at_instants(events[-1].at))
 
-    def _color_states(self, events: Sequence[State]) -> None:
-        """Declare the colours of a lane anew where it has states that it had not."""
-        lane = events[0].lane
-        known = self._lanes.setdefault(lane, {})
-        new = {event.state: event.level for event in events if event.state not in known}
-        if new and len(known) < COLORED_STATES:
-            known |= new
-            declare_lane(self._rec, lane, known)
-
-    def end_file(self) -> None:
-        """Log what a file of a recording has at its end."""
-        self._panels.end_file()
-
     def finish(self) -> None:
         """Log the charts as they are at the end."""
-        self._panels.end_file()
+        self.end_file()
         self._painter.finish()
         self._arrange()
 
@@ -220,10 +212,3 @@ def status_card(event: Status) -> str:
     """Return the status card as a compact Markdown table."""
     rows = [f"| **{for_markdown(name)}** | {for_markdown(value)} |" for name, value in event.fields.items()]
     return "\n".join(["| | |", "|:--|:--|", *rows])
-
-
-def _kind_of(event: Event) -> tuple[object, ...]:
-    """Return what events must have in common to be logged together."""
-    at = event.at
-    what = ",".join(event.values) if isinstance(event, Numbers) else event.lasting
-    return type(event), what, at.sample is None, at.device_ns is None, at.host_ns is None

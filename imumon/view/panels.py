@@ -1,4 +1,4 @@
-"""The panels of the live view, as `panels.yaml` lists them: which columns are drawn where."""
+"""The panels of the live view, as `panels.yaml` lists them, and what logs rows, axes and cards to them."""
 
 from __future__ import annotations
 
@@ -7,11 +7,17 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import rerun as rr
 from pydantic import RootModel
 
-from imumon.charts import AXIS_COLORS, COLOR_NAMES
+from imumon.charts import AXIS_COLORS, BLUE, COLOR_NAMES, GREEN, RED
 from imumon.config import load_yaml
-from imumon.view.layout import Attitude, Bands, Line, Strip
+from imumon.view.cards import Cards, Reading, card
+from imumon.view.items import ViewSetup
+from imumon.view.layout import FIRST, OTHER, SCENE, Attitude, Bands, Line, Strip, read_as, tab_of
+from imumon.view.rows import Rows, log_markdown
+from imumon.view.window import Extents
 
 Panel = Strip | Attitude
 
@@ -62,3 +68,107 @@ PANELS: tuple[Panel, ...] = (
     *_strips(),
 )
 """All panels, in the order in which they stand.  The attitude that comes first turns the body."""
+
+LIVE_CARD_NS, RECORDED_CARD_NS = 500_000_000, 10_000_000_000
+"""How often the cards are written: a person cannot read faster; in a recording each costs 2 kB."""
+
+PART_COLORS = {**AXIS_COLORS, "roll": RED, "pitch": GREEN, "yaw": BLUE}
+"""Colour of a column by how its name ends."""
+
+
+class ShownPanels:
+    """The panels that have had a value in each column, and their numbers: for viewer and terminal."""
+
+    def __init__(self, setup: ViewSetup) -> None:
+        self._setup = setup
+        self.begun: dict[str, Panel] = {}
+        """Those that have had data, in the order in which they began."""
+        self.readings: dict[str, Sequence[Reading]] = {}
+        """What the card shows of each."""
+        self.cards = Cards()
+
+    def take(self, rows: Rows) -> Iterator[tuple[Panel, bool]]:
+        """Yield the panels that draw these rows, and whether they begin; only one body can turn."""
+        for panel in self._drawing(rows):
+            turns = panel.place == SCENE and any(other.place == SCENE for other in self.begun.values())
+            begins = panel.key not in self.begun and not turns and panel.has_values(rows)
+            if begins:
+                self.begun[panel.key], self.readings[panel.key] = panel, panel.readings(self._setup)
+            if panel.key in self.begun:
+                self.cards.add(self.readings[panel.key], rows.columns)
+                yield panel, begins
+
+    def _drawing(self, rows: Rows) -> Iterator[Panel]:
+        """Yield the panels of which all columns are there, and a strip for each other column of floats."""
+        claimed: set[str] = set()
+        for panel in PANELS:
+            if rows.columns.keys() >= set(panel.columns):
+                claimed.update(panel.columns)
+                yield panel
+        for column, values in rows.columns.items():
+            if values.dtype == np.float64 and column not in claimed:
+                name = f"{rows.stream}/{column.removeprefix(f'{rows.stream}_')}" if rows.stream else column
+                unit, factor = read_as(self._setup, column)
+                line = Line(column, name, PART_COLORS.get(name.rpartition("_")[2]))
+                drawn = unit if factor != 1.0 else None
+                yield Strip(f"other/{name}", name, (line,), drawn, OTHER, silent=0.0)
+
+
+class PanelLog:
+    """Logs the panels that have had data."""
+
+    def __init__(self, rec: rr.RecordingStream, setup: ViewSetup, *, live: bool) -> None:
+        self._rec = rec
+        self._step_ns = LIVE_CARD_NS if live else RECORDED_CARD_NS
+        self._panels = ShownPanels(setup)
+        self._extents = Extents(rec, live=live)
+        self.end_file = self._extents.finish
+        """Logs how far the axes of a recording reach at its end."""
+        self._written_ns: int | None = None
+
+    @property
+    def shown(self) -> tuple[Panel, ...]:
+        """The panels that have data, in the order in which they stand."""
+        begun = self._panels.begun.values()
+        others = sorted((panel for panel in begun if panel.place == OTHER), key=lambda panel: panel.key)
+        return (*(panel for panel in PANELS if panel.key in self._panels.begun), *others)
+
+    def declare(self) -> None:
+        """Log what does not change, for a new file."""
+        for panel in self._panels.begun.values():
+            panel.declare(self._rec)
+
+    def log(self, rows: Rows) -> None:
+        """Log rows to the panels that draw them."""
+        for panel, begins in self._panels.take(rows):
+            if begins:
+                panel.declare(self._rec)
+            panel.log(self._rec, rows)
+            ends = panel.ends(rows)
+            if ends is not None:
+                last = np.array([len(rows.columns[panel.columns[0]]) - 1])
+                self._extents.set(panel.drawn, ends, rows.kept(last))
+
+    def log_cards(self, newest: Rows) -> None:
+        """Write the present values of every tab at the time of the newest row, when it is time."""
+        now = 0 if newest.clock is None else int(newest.clock[0])
+        if self._written_ns is not None and 0 <= now - self._written_ns < self._step_ns:
+            return
+        self._written_ns = now
+        values = self._panels.cards.take()
+        for place, readings in self.readings().items():
+            log_markdown(self._rec, card_path(place), [card(readings, values)], newest)
+
+    def readings(self) -> dict[str, list[Reading]]:
+        """Return what the card of each tab shows: that of the first tab everything."""
+        found: dict[str, list[Reading]] = {}
+        for panel in self.shown:
+            if readings := self._panels.readings[panel.key]:
+                for place in dict.fromkeys((FIRST, tab_of(panel.place))):
+                    found.setdefault(place, []).extend(readings)
+        return found
+
+
+def card_path(place: str) -> str:
+    """Return the entity of a tab's card."""
+    return f"/cards/{rr.escape_entity_path_part(place)}"

@@ -13,7 +13,7 @@ import rerun as rr
 
 from imumon.errors import ImumonError, Reason
 from imumon.heap import trim_heap
-from imumon.view.items import DropOldestQueue, ViewItem, ViewSetup, merge
+from imumon.view.items import DropOldestQueue, ViewSetup, merge
 from imumon.view.logger import StreamLogger
 from imumon.view.viewer import APPLICATION
 
@@ -57,6 +57,8 @@ class ViewRecorder:
         self._rec = rr.RecordingStream(APPLICATION, recording_id=setup.recording_id)
         self._logger = StreamLogger(self._rec, setup, live=False)
         self._queue = DropOldestQueue(QUEUE_BYTES)
+        self.publish, self.end = self._queue.put, self._queue.close
+        """Queue an item, and begin to write what is left; both return at once."""
         self._refused = self._timeouts = 0
         self.error = ""
         """Why nothing is written any more (disk full, ...); empty while all is well."""
@@ -71,14 +73,6 @@ class ViewRecorder:
     def dropped(self) -> int:
         """Samples and events that are missing because the disk could not follow, or not take them at all."""
         return self._queue.dropped + self._refused
-
-    def publish(self, item: ViewItem) -> None:
-        """Queue an item; takes microseconds."""
-        self._queue.put(item)
-
-    def end(self) -> None:
-        """Begin to write what is left; returns at once."""
-        self._queue.close()
 
     def close(self, timeout_s: float = 10.0) -> None:
         """Write what is left and finish the file."""

@@ -12,9 +12,9 @@ import numpy as np
 from imumon.blocks import ColumnArray
 from imumon.harmless import for_log
 from imumon.view.cards import AXES, cell, rows_of
-from imumon.view.items import DropOldestQueue, Log, Numbers, Samples, State, ViewItem, ViewSetup, merge
+from imumon.view.items import DropOldestQueue, Log, Numbers, Samples, State, ViewSetup, merge
 from imumon.view.lanes import dated, states_text
-from imumon.view.panel_log import ShownPanels
+from imumon.view.panels import ShownPanels
 from imumon.view.rows import Rows
 
 QUEUE_BYTES = 4 << 20
@@ -32,18 +32,22 @@ class TerminalView:
     def __init__(self, setup: ViewSetup) -> None:
         self._setup = setup
         self._queue = DropOldestQueue(QUEUE_BYTES)
+        self.publish = self._queue.put
         self._panels = ShownPanels(setup)
         self._lanes: dict[str, str] = {}
         self._log: deque[str] = deque(maxlen=LOG_LINES)
 
-    @property
-    def publish(self) -> Callable[[ViewItem], None]:
-        """Where view items go."""
-        return self._queue.put
-
     def lines(self, columns: int, rows: int, status: str) -> list[str]:
         """Return the text of a screen, at most so many rows, each at most so many columns wide."""
-        self._take()
+        for item in merge(self._queue.take(0.0, 0.0)):
+            if isinstance(item, Samples):
+                self._gather(item.block.columns)
+            elif isinstance(item, Numbers):
+                self._gather({name: np.array([value]) for name, value in item.values.items()})
+            elif isinstance(item, State):
+                self._lanes[item.lane] = item.state
+            elif isinstance(item, Log):
+                self._log.append(dated(item))
         now = self._panels.cards.take()
         readings = [one for key in self._panels.begun for one in self._panels.readings[key]]
         numbers = [
@@ -59,17 +63,6 @@ class TerminalView:
             log = [part for line in self._log for part in wrap(line, columns, subsequent_indent="  ")]
             found += ["", *log[-room:]]
         return [_one_line(line)[:columns] for line in found[:rows]]
-
-    def _take(self) -> None:
-        for item in merge(self._queue.take(0.0, 0.0)):
-            if isinstance(item, Samples):
-                self._gather(item.block.columns)
-            elif isinstance(item, Numbers):
-                self._gather({name: np.array([value]) for name, value in item.values.items()})
-            elif isinstance(item, State):
-                self._lanes[item.lane] = item.state
-            elif isinstance(item, Log):
-                self._log.append(dated(item))
 
     def _gather(self, columns: Mapping[str, ColumnArray]) -> None:
         for _ in self._panels.take(Rows(columns, None, None, None)):

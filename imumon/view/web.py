@@ -21,17 +21,8 @@ from urllib.parse import quote, urlsplit
 from urllib.request import urlopen
 
 from imumon.errors import ImumonError, Reason
+from imumon.view import viewer
 from imumon.view.items import ViewSetup
-from imumon.view.viewer import (
-    LOCALHOST,
-    SERVER_MEMORY,
-    WEB_PORT,
-    hidden_address,
-    listen,
-    proxy_url,
-    start_quietly,
-    viewer_binary,
-)
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -80,9 +71,9 @@ def bundled_assets() -> dict[str, bytes]:
 
     Raises NOT_FOUND when the executable is missing or does not hand them out within 10 s.
     """
-    address, port = hidden_address()
-    command = [str(viewer_binary()), proxy_url(1), "--serve-web", f"--bind={address}"]
-    program = start_quietly([*command, f"--web-viewer-port={port}", "--port=auto"], own_session=False)
+    address, port = viewer.hidden_address()
+    command = [str(viewer.viewer_binary()), viewer.proxy_url(1), "--serve-web", f"--bind={address}"]
+    program = viewer.start_quietly([*command, f"--web-viewer-port={port}", "--port=auto"], own_session=False)
     try:
         deadline = time.monotonic() + FETCH_S
         while True:
@@ -110,17 +101,17 @@ def serve_stream(rec: rr.RecordingStream) -> tuple[str, int]:
     """Let viewers read a stream, and return where."""
     import rerun as rr
 
-    address = hidden_address()
-    rec.set_sinks(rr.GrpcServerSink(*address, server_memory_limit=SERVER_MEMORY, newest_first=True))
+    address = viewer.hidden_address()
+    rec.set_sinks(rr.GrpcServerSink(*address, server_memory_limit=viewer.SERVER_MEMORY, newest_first=True))
     return address
 
 
 def serve_page(
-    rec: rr.RecordingStream, setup: ViewSetup, port: int = WEB_PORT, bind: str = LOCALHOST
+    rec: rr.RecordingStream, setup: ViewSetup, port: int = viewer.WEB_PORT, bind: str = viewer.LOCALHOST
 ) -> WebServer:
     """Let browsers read a stream, on this port or the next one free."""
     title = " - ".join(filter(None, (setup.properties.get("device", ""), setup.title, "imumon")))
-    return WebServer(listen(port, bind), serve_stream(rec), title)
+    return WebServer(viewer.listen(port, bind), serve_stream(rec), title)
 
 
 POLICY = (

@@ -19,7 +19,7 @@ from imumon.columns import KNOWN, Column
 from imumon.config import StrictModel, parse_yaml
 from imumon.recordings.importing import import_table
 from imumon.recordings.table import TableWriter
-from imumon.run.noise import Noise
+from imumon.run.setup import Noise
 from tests.allan.simulated import noise
 from tests.cli.command import imumon
 

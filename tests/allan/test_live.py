@@ -13,7 +13,7 @@ from imumon.allan.covariance import NOISES, Runs, freedom
 from imumon.allan.live import RING, RINGS, STRIDES_PER_TAU, AllanStage, StreamingAllan, identify
 from imumon.allan.series import EvenSeries, even_channels
 from imumon.blocks import FloatArray, IntArray, SampleBlock
-from imumon.run.noise import AllanParameters
+from imumon.run.setup import AllanParameters
 from tests.allan.simulated import noise
 
 INTERVAL_NS = 10_000_000

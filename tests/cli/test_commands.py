@@ -270,6 +270,7 @@ def test_measured_captures_decode_without_loss(tmp_path: Path) -> None:
         (["replay", "{session}", "--pipeline", "{map}"], 2, "keys that there are: format, latitude_deg"),
         (["replay", "{session}", "--pipeline", "{tab}"], 2, "YAML is indented with spaces"),
         (["view", "{session}", "--out", "v.html"], 2, "name it v.rrd"),
+        (["simulate", "kitchen", "--out", "s.xlsx"], 2, "a table is NAME.parquet or NAME.csv"),
         (["simulate", "kitchen", "--out", "s", "--duration", "10m"], 2, "10m is not a number of seconds"),
         (["monitor", ".", "--device", "ax1", "--view", "none"], 3, "it exists but is not a serial port"),
         (["demo", "--speed"], 2, "Usage: imumon demo"),

@@ -10,13 +10,15 @@ import pytest
 
 from imumon.cli.common import make_setup
 from imumon.papers.random_error import RandomErrorMethods
+from imumon.recordings.folder import Session, SessionMetadata
 from imumon.run.setup import Setup
 from imumon.run.stages import estimators
 
 
 def given(**options: Any) -> Setup:
     recorded = "format: imumon-pipeline/1\npublished: [stf]\n"
-    return make_setup(options, recorded, "session.yaml")
+    metadata = SessionMetadata.begun("live", 0, device="ax1", pipeline_yaml=recorded)
+    return make_setup(options, Session(Path("session"), metadata))
 
 
 def test_published_methods_are_named_by_commas_and_go_before_the_file() -> None:

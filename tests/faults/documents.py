@@ -13,8 +13,7 @@ from imumon.models.model import load_model
 from imumon.protocols.device import device_text, load_device
 from imumon.recordings.folder import read_metadata
 from imumon.recordings.importing import TableImport
-from imumon.run.noise import Noise
-from imumon.run.setup import load_setup
+from imumon.run.setup import Noise, load_setup
 from imumon.simulation.unit import load_scenario
 from tests.faults.rows import Row
 

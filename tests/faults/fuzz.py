@@ -22,8 +22,7 @@ from imumon.pipeline import Pipeline
 from imumon.protocols.device import device_names, device_text, load_device
 from imumon.recordings.folder import METADATA_NAME, WIRE_NAME, SessionMetadata
 from imumon.recordings.importing import import_table
-from imumon.recordings.reader import open_recording
-from imumon.recordings.source import open_source, run_over
+from imumon.recordings.source import open_recording, open_source, run_over
 from imumon.recordings.table import TableWriter, read_table
 from imumon.recordings.wire import WireWriter
 from imumon.transport.reader import Bytes, Event, EventKind

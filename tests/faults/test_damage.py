@@ -53,7 +53,7 @@ def test_a_place_states_where_it_is_how_long_and_how_many_reads(tmp_path: Path) 
     [place] = reader.summary.damage.where
     size = len(lost) * (MESSAGE.size + CDR.size + 40) + CHECK_SIZE
     first = content.index(lost[0].data) - MESSAGE.size - CDR.size  # type: ignore[union-attr]
-    assert (place.offset, place.size, place.messages) == (first, size, len(lost)) == (first, size, 10)
+    assert (place.offset, place.bytes, place.messages) == (first, size, len(lost)) == (first, size, 10)
     assert place.after_ns == items[items.index(lost[0]) - 1].arrival_ns  # type: ignore[union-attr]
     assert place.seconds == pytest.approx(0.1)
 

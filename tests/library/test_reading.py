@@ -191,7 +191,7 @@ def test_a_span_across_a_restart_needs_times_of_arrival(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("wrong", "named"),
     [
-        ({"path": 3}, "path=3: expected a path"),
+        ({"path": 3}, "path=3: Input should be a valid string"),
         ({"device": 3}, "device=3"),
         ({"setup": {"latitude_deg": 48}}, "setup="),
         ({"estimates": 1}, "estimates=1"),
@@ -217,10 +217,10 @@ def test_a_wrong_argument_of_read_is_named(tmp_path: Path, wrong: dict[str, Any]
         ({"device": None}, "device=None"),
         ({"baudrate": "fast"}, "baudrate='fast'"),
         ({"baudrate": 0}, "baudrate=0"),
-        ({"record": 3}, "record=3: expected a path"),
+        ({"record": 3}, "record=3: Input should be a valid string"),
         ({"setup": 48.0}, "setup=48.0"),
         ({"stages": None}, "stages=None"),
-        ({"timeout": 0}, "timeout=0: expected a number of seconds above 0"),
+        ({"timeout": 0}, "timeout=0: Input should be greater than 0"),
         ({"timeout": float("nan")}, "timeout=nan"),
         ({"latest": "yes"}, "latest='yes'"),
     ],

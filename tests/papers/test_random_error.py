@@ -8,7 +8,7 @@ import pytest
 from imumon.blocks import SampleBlock
 from imumon.papers.random_error import METHODS, RandomErrorMethods
 from imumon.pipeline import Estimator
-from imumon.run.setup import GyroNoise, RandomErrorParameters
+from imumon.run.setup import AxisNoise, RandomErrorParameters
 from tests.papers.records import DEG_PER_HOUR, WHITE, flicker, samples
 
 QUICK = RandomErrorParameters(learn_s=40.0)
@@ -96,7 +96,7 @@ def test_gaps_and_another_rate_are_survived() -> None:
 
 
 def test_known_noise_starts_the_filters_after_a_second() -> None:
-    noise = GyroNoise(angle_random_walk=WHITE, rate_random_walk=1e-2 * WHITE)
+    noise = AxisNoise(angle_random_walk=WHITE, rate_random_walk=1e-2 * WHITE)
     known = QUICK.model_copy(update={"noise": {"gyro_x": noise}})
     added = RandomErrorMethods(given=known).process(record(20))
     assert np.isfinite(added["sr_rsukf_random_error_x"][60])

@@ -14,7 +14,7 @@ from imumon.estimation.gyro_bias.stage import RestDetector
 from imumon.pipeline import Estimator
 from imumon.protocols.device import DeviceFile
 from imumon.recordings.importing import import_table
-from imumon.recordings.reader import Recording, no_stages, open_recording
+from imumon.recordings.source import Recording, no_stages, open_recording
 from imumon.recordings.table import TableWriter
 
 N = 500

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from imumon.errors import ImumonError
 from imumon.recordings import foreign
 from imumon.recordings.importing import ImportReport, TableImport, import_table
-from imumon.recordings.reader import open_recording
+from imumon.recordings.source import open_recording
 from imumon.recordings.table import read_table
 
 WRAPPING = "time: {column: t, unit: UNIT, wraps_at: AT}\npressure: {columns: [p], unit: Pa}\n"

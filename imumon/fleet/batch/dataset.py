@@ -113,7 +113,15 @@ class Dataset:
         except OSError as error:
             raise bad_config(f"{folder}: cannot be made: {error.strerror}") from error
         try:
-            self._check(options)
+            path = folder / SETTINGS_NAME
+            if not path.exists():
+                write_text(path, dump_yaml(options.model_dump()))
+            elif load_yaml(path, BatchOptions) != options:
+                raise ImumonError(
+                    Reason.EXISTS,
+                    f"{folder} holds a batch with other settings ({path.name})",
+                    "nothing was overwritten; give another folder, or the same command and options",
+                )
         except (ImumonError, OSError):
             self._lock.close()
             raise
@@ -168,17 +176,6 @@ class Dataset:
             self.write()
         finally:
             self._lock.close()
-
-    def _check(self, options: BatchOptions) -> None:
-        path = self.folder / SETTINGS_NAME
-        if not path.exists():
-            write_text(path, dump_yaml(options.model_dump()))
-        elif load_yaml(path, BatchOptions) != options:
-            raise ImumonError(
-                Reason.EXISTS,
-                f"{self.folder} holds a batch with other settings ({path.name})",
-                "nothing was overwritten; give another folder, or the same command and options",
-            )
 
     def _put(self, path: Path, table: pa.Table) -> None:
         with replacing(path) as partial:

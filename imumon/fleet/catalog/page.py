@@ -13,15 +13,14 @@ from matplotlib.axes import Axes
 from imumon.blocks import FloatArray
 from imumon.columns import TEMPERATURES
 from imumon.files import write_text
-from imumon.fleet.catalog.drift import Drift, Outlier, drifts
-from imumon.fleet.catalog.tables import day
+from imumon.fleet.catalog.tables import Drift, Outlier, day, drifts
 from imumon.fleet.catalog.units import Unit
 from imumon.harmless import for_plot
 from imumon.lab.diagnosis.page import COLOURS, HOUR_S, environment, shown, svg
 from imumon.models.model import BiasModel
 from imumon.recordings.folder import Session, fingerprint
-from imumon.recordings.reader import open_recording
 from imumon.recordings.reduced import GYRO, Reduced, reduce
+from imumon.recordings.source import open_recording
 from imumon.run.setup import recorded_setup
 from imumon.run.stages import estimators
 from imumon.version import __version__

@@ -80,9 +80,17 @@ class Feed:
                 self._vitals.lanes[item.lane] = item.state
             elif isinstance(item, Samples) and not item.stream:
                 self._measure(item.block)
-        self._measure_cost(progress)
+        vitals, now_s = self._vitals, time.monotonic()
+        if now_s - self._memory_s > MEMORY_S:
+            self._memory_s = now_s
+            vitals.memory_mb = self._process.memory_full_info().pss / 1e6
+        vitals.packets_per_s = progress.packets_per_s
+        vitals.packets_lost = progress.counters.lost
+        vitals.bytes_received = progress.counters.bytes_received
+        vitals.cpu = self._process.cpu_percent() / 100.0
+        vitals.mean_cpu = (time.process_time() - self._cpu_s) / (now_s - self._opened_s)
         pictured = map(picture, items) if self._pictures else ()
-        return self._vitals, [item for item in pictured if item is not None]
+        return vitals, [item for item in pictured if item is not None]
 
     def _measure(self, block: SampleBlock) -> None:
         """Note temperature and bias of the newest samples that have them."""
@@ -93,17 +101,6 @@ class Feed:
             known = np.flatnonzero(np.isfinite(bias).all(axis=1) & np.isfinite(sd).all(axis=1))
             if len(known):
                 self._vitals.bias, self._vitals.bias_sd = tuple(bias[known[-1]]), tuple(sd[known[-1]])
-
-    def _measure_cost(self, progress: Progress) -> None:
-        vitals, now_s = self._vitals, time.monotonic()
-        if now_s - self._memory_s > MEMORY_S:
-            self._memory_s = now_s
-            vitals.memory_mb = self._process.memory_full_info().pss / 1e6
-        vitals.packets_per_s = progress.packets_per_s
-        vitals.packets_lost = progress.counters.lost
-        vitals.bytes_received = progress.counters.bytes_received
-        vitals.cpu = self._process.cpu_percent() / 100.0
-        vitals.mean_cpu = (time.process_time() - self._cpu_s) / (now_s - self._opened_s)
 
 
 @dataclass(frozen=True, slots=True)

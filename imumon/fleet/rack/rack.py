@@ -124,11 +124,6 @@ class Unit:
             return "no packets"
         return "losses" if data.startswith("warning") else lanes.get("motion", "open")
 
-    @property
-    def row(self) -> Row:
-        """What the table shows."""
-        return row_of(self.plan.name, self.state, self.vitals, len(self.deaths))
-
     def as_dict(self) -> dict[str, Any]:
         """Return what ``--json`` holds of it."""
         return {
@@ -170,7 +165,7 @@ class Rack:
     @property
     def rows(self) -> list[Row]:
         """The table."""
-        return [unit.row for unit in self.units]
+        return [row_of(one.plan.name, one.state, one.vitals, len(one.deaths)) for one in self.units]
 
     def change(self, plans: Mapping[str, Plan]) -> None:
         """Begin the units that are new, end those that are gone, and both where the plan is another one."""
@@ -237,7 +232,7 @@ class Rack:
 
     def _receive(self, unit: Unit) -> None:
         for message in unit.process.messages() if unit.process is not None else ():
-            for level, text in message.lines:
+            for _, level, text in message.lines:
                 self._log.put(level, f"{unit.plan.name}: {text}")
             unit.problem = message.problem or ""
             if message.summary is not None:

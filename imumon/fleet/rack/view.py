@@ -61,7 +61,10 @@ class UnitsLogger:
                 self._meet(item.setup)
                 found.setdefault(item.setup.title, []).append(item.item)
             elif isinstance(item, Overview):
-                self._show_overview(item)
+                self._order = item.units
+                log_markdown(self._rec, OVERVIEW, [item.markdown], at_instants(item.at))
+                for unit in self._units.keys() - set(item.units):
+                    del self._units[unit]
         for unit, own in found.items():
             self._units[unit][1].log(merge(own))
         if time.monotonic() - self._sent_s > ARRANGE_S:
@@ -86,13 +89,6 @@ class UnitsLogger:
             logger = StreamLogger(below, replace(setup, window_s=self._setup.window_s), live=True)
             logger.declare()
             self._units[setup.title] = setup, logger
-
-    def _show_overview(self, page: Overview) -> None:
-        """Log the page, and forget the units that are gone from it."""
-        self._order = page.units
-        log_markdown(self._rec, OVERVIEW, [page.markdown], at_instants(page.at))
-        for unit in self._units.keys() - set(page.units):
-            del self._units[unit]
 
     def _arrange(self) -> None:
         """Send the arrangement when that of a unit has changed, or which units there are."""

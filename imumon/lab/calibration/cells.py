@@ -15,9 +15,8 @@ from imumon.geodesy import earth_rate_in_body
 from imumon.models.curves.points import Points
 from imumon.pipeline import Estimator
 from imumon.protocols.device import DeviceFile
-from imumon.recordings.reader import open_recording
 from imumon.recordings.reduced import ACCEL, AXES, GYRO, Reduced, reduce
-from imumon.recordings.source import Count, no_count
+from imumon.recordings.source import Count, no_count, open_recording
 
 COLUMNS = (*GYRO, *ACCEL, *TEMPERATURES, "temperature_estimate", *(f"temperature_estimate_{a}" for a in AXES))
 BLOCK_S = 10.0

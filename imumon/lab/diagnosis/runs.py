@@ -16,9 +16,8 @@ from imumon.columns import KNOWN, TEMPERATURES
 from imumon.effects.vibration import SECOND_NS, VIBRATION
 from imumon.errors import bad_data
 from imumon.filters.rounding import digits, grid_step
-from imumon.recordings.reader import Stages, no_stages, open_recording
 from imumon.recordings.reduced import ACCEL, GYRO, KeptSlots, Reduced, reduce
-from imumon.recordings.source import Count, no_count
+from imumon.recordings.source import Count, Stages, no_count, no_stages, open_recording
 
 CHANNELS = (*GYRO, *ACCEL)
 SENSORS = ("gyro", "accel", CLOCK)

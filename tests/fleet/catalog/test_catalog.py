@@ -8,7 +8,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from imumon.fleet.catalog.drift import MONTH_NS, drifts, line, outliers
+from imumon.fleet.catalog.tables import MONTH_NS, drifts, line, outliers
 from imumon.fleet.catalog.units import Dated, Unit, read_models, units_of
 from tests.cli.command import imumon
 from tests.fleet.batch.sessions import tiny
