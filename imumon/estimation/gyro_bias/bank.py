@@ -26,8 +26,7 @@ degrees of freedom and squared scale S β/a, and it weighs the modes of each axi
 are means, with E[σ²] = β/(a - 1).
 
 All modes have one F, so the moments of their mixture, the *prediction*, propagate as those of each of them.
-It is evaluated at the specific force of the latest slot; its variance contains how that may change until the
-next one, as in a hand.
+It is evaluated at each sample: a unit in the hand is in another pose a quarter of a second later.
 """
 
 from __future__ import annotations
@@ -36,11 +35,11 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 
-from imumon.blocks import FloatArray
+from imumon.blocks import BoolArray, FloatArray, IntArray
 from imumon.estimation.rest.slots import Measurement
 from imumon.geodesy import STANDARD_GRAVITY
 
@@ -116,6 +115,23 @@ def measurement_row(force: FloatArray) -> FloatArray:
     return np.array([1.0, 1.0, 1.0, 1.0, 0.0, *force])
 
 
+TO_TERMS = np.vstack([measurement_row(np.zeros(3)), np.eye(STATES)[SENSITIVITY]])
+"""The terms of a `LinearBias` by the states, (4, 8)."""
+
+
+class LinearBias(NamedTuple):
+    """A bias as a linear function of the specific force f, t (1, f); NaN where nothing is known."""
+
+    terms: FloatArray
+    """t: bias without specific force, rad/s, and sensitivity, rad/s per m/s², (3, 4)."""
+    covariance: FloatArray
+    """C of t, (3, 4, 4)."""
+    force: FloatArray
+    """Mean f of the slot, m/s², (3,)."""
+    turn: FloatArray
+    """Turn hypothesis, rad/s, (3,); its square is not in C."""
+
+
 @dataclass(frozen=True, eq=False)
 class Prediction(States):
     """The mixture of all modes, in absolute units."""
@@ -136,12 +152,28 @@ class Prediction(States):
         bias, variance = self.at(now.end_s, now.degc).bias(now.force)
         return now.rate - bias, variance + self.white / now.covered_s
 
-    def sample_variance(self, change: FloatArray) -> FloatArray:
-        """Return the variance that single samples have beside that of a mean, (rad/s)², (3,): of flicker that
-        is faster, and of a specific force that may change by so much, m/s², (3,)."""
-        h = np.concatenate([np.zeros(SENSITIVITY.start), change])
-        flicker = FASTER * self.process[:, FLICKER.start]
-        return np.asarray(flicker + (self.mean @ h) ** 2 + self.covariance @ h @ h)
+    def output(self, added: FloatArray, force: FloatArray, turn: FloatArray) -> LinearBias:
+        """Return the bias with `added` variance, (rad/s)², at the mean force of a slot, m/s², (3,) each."""
+        covariance = TO_TERMS @ self.covariance @ TO_TERMS.T
+        covariance[:, 0, 0] += FASTER * self.process[:, FLICKER.start] + added
+        return LinearBias(self.mean @ TO_TERMS.T, covariance, force, turn)
+
+
+def at_samples(
+    rows: IntArray, every: list[LinearBias], force: FloatArray, moving: BoolArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return bias t (1, f), variance (1, f) C (1, f) and turn hypothesis of samples, (n, 3) each.
+
+    `every` bias but the first holds from its row on, (m,).  f is the specific force of the sample, (n, 3); at
+    rest, where its noise is no change of pose, and without accelerometers, that of the slot.  The sums are of
+    few terms each, so they are the same whatever the division into blocks.
+    """
+    which = np.searchsorted(rows, np.arange(len(moving)), side="right")
+    terms, covariance, of_slot, turn = (np.array(one)[which] for one in zip(*every, strict=True))
+    row = np.ones((len(force), 1, 4))
+    row[:, 0, 1:] = np.where((moving & np.isfinite(force).all(1))[:, np.newaxis], force, of_slot)
+    variance = ((covariance * row[:, np.newaxis]).sum(3) * row).sum(2)
+    return (terms * row).sum(2), np.maximum(variance, 0.0), turn
 
 
 @dataclass(frozen=True, eq=False)

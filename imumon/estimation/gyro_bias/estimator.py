@@ -19,8 +19,15 @@ from functools import partial
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.estimation.gyro_bias.bank import DECLARED_COUNT, PRIOR_COUNT, SENSITIVITY_SD, SLOPE, Bank
-from imumon.estimation.gyro_bias.hypotheses import NEW_POSE, Hypotheses
+from imumon.estimation.gyro_bias.bank import (
+    DECLARED_COUNT,
+    PRIOR_COUNT,
+    SENSITIVITY_SD,
+    SLOPE,
+    Bank,
+    LinearBias,
+)
+from imumon.estimation.gyro_bias.hypotheses import Hypotheses
 from imumon.estimation.gyro_bias.motion import Motion
 from imumon.estimation.gyro_bias.place import Attitude
 from imumon.estimation.gyro_bias.thermal import Thermal
@@ -44,9 +51,6 @@ SECOND_S = 1.0 - 1e-6
 """Length of a measurement; slots of 0.25 s add up to it in spite of rounding."""
 UNDO_SLOTS = 2
 """Motion that begins within so many slots after a measurement takes it back from the filters."""
-FORCE_AHEAD = 1.5
-"""Until the end of the next slot the specific force may change by so many changes of a slot: it is that of
-the middle of the last one."""
 
 
 @dataclass(slots=True, eq=False)
@@ -72,8 +76,6 @@ class Estimator:
     """Variance that has not been taken into the filters yet, (rad/s)², (3,)."""
     force: FloatArray = field(default_factory=partial(np.zeros, 3))
     """The last specific force that was known, m/s², (3,); zero before the first."""
-    force_change: FloatArray = field(default_factory=partial(np.zeros, 3))
-    """By how much the specific force may change until the next slot ends, m/s², (3,)."""
     degc: FloatArray = field(default_factory=partial(np.full, 3, np.nan))
     """The last temperatures that were known, °C, (3,)."""
     motion: Motion = field(default_factory=Motion)
@@ -105,9 +107,7 @@ class Estimator:
         NaN."""
         innovation = np.full(3, np.nan)
         force, degc = slot.mean[ACCEL], slot.mean[DEGC]
-        before, self.force = self.force, np.where(np.isfinite(force), force, self.force)
-        change = self.force - before
-        self.force_change = FORCE_AHEAD * change * (math.hypot(*change) > NEW_POSE)
+        self.force = np.where(np.isfinite(force), force, self.force)
         self.degc = np.where(np.isfinite(degc), degc, self.degc)
         self.added = self.added + self.thermal.variance(degc, slot.mean[POWER_ON_SD], np.zeros(3))
         self.latest = [*self.latest[1 - TRIAL :], slot]
@@ -228,20 +228,20 @@ class Estimator:
             self._come_to_rest(slots[-1].mean[ACCEL], hypotheses)
         return np.asarray(innovation)
 
-    def output(self, now_s: float) -> FloatArray:
-        """Return the bias from a time on, its variance, and the turn hypothesis, rad/s and (rad/s)², (3, 3).
+    def output(self, now_s: float) -> LinearBias:
+        """Return the bias from a time on.
 
-        The variance has these parts: the states of all modes, flicker and specific force of single samples,
-        what `added` holds of temperature, gaps and turns, and the unknown part of the earth rate.  The square
-        of the turn hypothesis, which contains the largest error by rounding, is not in it.
+        Its variance has these parts: the states of all modes, flicker of single samples, what `added` holds
+        of temperature, gaps and turns, the unknown part of the earth rate, and the turn hypothesis, which
+        contains the largest error by rounding.
         """
         if self.hypotheses is None:
-            bias, variance = self.motion.bias
+            terms, covariance = np.zeros((3, 4)), np.zeros((3, 4, 4))
+            terms[:, 0], variance = self.motion.bias
             any_pose = EARTH_RATE**2 + (SENSITIVITY_SD * STANDARD_GRAVITY) ** 2
-            return np.array([bias, variance + any_pose, np.zeros(3)])
+            covariance[:, 0, 0] = variance + any_pose
+            return LinearBias(terms, covariance, np.zeros(3), np.zeros(3))
         turn, rounding = self.hypotheses.ambiguity, self.quiet.rounding_error[GYRO]
         prediction = self.hypotheses.shown.prediction.at(now_s, self.degc)
-        bias, variance = prediction.bias(self.force)
-        variance += prediction.sample_variance(self.force_change)
-        variance += self.added + self.attitude.uncertain_earth
-        return np.array([bias, variance, np.copysign(np.hypot(turn, rounding), turn)])
+        added, turn = self.added + self.attitude.uncertain_earth, np.copysign(np.hypot(turn, rounding), turn)
+        return prediction.output(added, self.force, turn)

@@ -12,13 +12,13 @@ from imumon.blocks import NO_INT, BoolArray, ColumnArray, FloatArray, IntArray, 
 from imumon.charts import Chart
 from imumon.columns import Column, vector_columns
 from imumon.errors import bad_config
-from imumon.estimation.gyro_bias.bank import SLOPE_LEFT_PER_SIGMA, SLOPE_PER_SIGMA
+from imumon.estimation.gyro_bias.bank import SLOPE_LEFT_PER_SIGMA, SLOPE_PER_SIGMA, LinearBias, at_samples
 from imumon.estimation.gyro_bias.estimator import Estimator
 from imumon.estimation.gyro_bias.place import Attitude
 from imumon.estimation.gyro_bias.thermal import BiasTrail, Thermal
 from imumon.estimation.rest.parameters import GyroBiasParameters, RestParameters, retired
-from imumon.estimation.rest.slots import GATHERED, GYRO, SLOT_S, Timing, heading_of, readings_of
-from imumon.filters.slots import SlotGatherer, Slots, held
+from imumon.estimation.rest.slots import ACCEL, GATHERED, GYRO, SLOT_S, Timing, heading_of, readings_of
+from imumon.filters.slots import SlotGatherer, Slots
 from imumon.models.model import BiasModel
 
 Mode = Literal["standard", "thermal", "learned"]
@@ -129,8 +129,7 @@ class RestAndBias:
         self._expire(rest, time_ns, usable)
         if self._rest_given:
             rest[:] = given
-        results = np.reshape(every, (-1, 3, 3))
-        bias, variance, turn = held(slots.row, results[1:], results[0], n).swapaxes(0, 1)
+        bias, variance, turn = at_samples(slots.row, every, readings[:, ACCEL], rest == 0)
         if self._rest_given:
             reported = block.vector("turn_hypothesis")
             if reported is not None:
@@ -146,7 +145,7 @@ class RestAndBias:
 
     def _estimate(
         self, block: SampleBlock, slots: Slots, readings: FloatArray, temperature: FloatArray
-    ) -> tuple[IntArray, FloatArray, list[FloatArray]]:
+    ) -> tuple[IntArray, FloatArray, list[LinearBias]]:
         """Return at_rest, (n,), innovations, (n, 3), and the bias before the first slot and behind each."""
         rest, innovation = np.zeros(len(block), np.int64), np.full((len(block), 3), np.nan)
         every, start = [self._bias], 0
