@@ -51,6 +51,9 @@ FLOOR_OF_FLICKER = 0.664
 """Floor of the Allan deviation over B, sqrt(2 ln 2 / π) (IEEE 952)."""
 FLICKER_CORNERS_S = (100.0, 10.0, 1.0, 0.1)
 """Averaging times at which flicker overtakes white noise."""
+STRONG_FLICKER = 2.0
+"""Prior of flicker that overtakes at 1 s over that of any other level: it is not observable in the first
+seconds, and a gyro of 40 °/h was off by 8 sigmas in them."""
 WALK_CORNER_S = 10.0
 """Averaging time at which a random walk overtakes white noise: both are equal at √3 σ/K."""
 SLOPE_PER_SIGMA = 3.6
@@ -181,7 +184,7 @@ class Bank(States):
     """The filters at a time, (3 axes, F modes, ...), Q and P over σ²."""
 
     log_weight: FloatArray
-    """Logarithm of the likelihood of each mode, but for a constant, (3, F)."""
+    """Logarithm of prior times likelihood of each mode, but for a constant, (3, F)."""
     shape: float
     scale: FloatArray
     """a, and β in (rad/s)², (3, F)."""
@@ -203,7 +206,7 @@ class Bank(States):
         the slope over σ, 1/°C; `white` is σ², the variance of the mean rate of a second, (rad/s)², (3,), with
         `count` as its a.
         """
-        process = _process(noise, slopes, count / (count - 1.0) * white)
+        process, log_prior = _modes(noise, slopes, count / (count - 1.0) * white)
         variance = process.copy()
         variance[..., WALK] = 0.0
         variance[..., SLOPE] *= SLOPE_DEGC
@@ -212,7 +215,7 @@ class Bank(States):
         start_s, zero = first.end_s - first.covered_s, np.zeros_like(variance)
         covariance = variance[..., np.newaxis] * np.eye(STATES)
         declared = all(one is not None for one in noise)
-        bank = cls(process, zero, covariance, start_s, first.degc, 0.0 * scale, count, scale, declared)
+        bank = cls(process, zero, covariance, start_s, first.degc, log_prior, count, scale, declared)
         return bank.after(first, jumped=True)
 
     def fits(self, now: Measurement, sigmas: float) -> bool:
@@ -294,8 +297,10 @@ class Bank(States):
         return self.with_noise_of(replace(self, shape=PRIOR_COUNT, scale=scale))
 
 
-def _process(noise: Sequence[FloatArray | None], slopes: Sequence[float], white: FloatArray) -> FloatArray:
-    """Return `States.process` over σ² of each noise level with each slope, (3, F, 8).
+def _modes(
+    noise: Sequence[FloatArray | None], slopes: Sequence[float], white: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return `States.process` over σ² of each noise level and slope, (3, F, 8), and ln of the prior, (3, F).
 
     See `Bank.begin` for the arguments; `white` is E[σ²] here.
     """
@@ -304,11 +309,13 @@ def _process(noise: Sequence[FloatArray | None], slopes: Sequence[float], white:
         corners = np.array(FLICKER_CORNERS_S)
         b = np.tile([*1.0 / (FLOOR_OF_FLICKER * np.sqrt(corners)), 0.0], (3, 1))
         k = np.tile([*0.0 * corners, math.sqrt(3.0) / WALK_CORNER_S], (3, 1))
+        prior = np.array([*np.where(corners == 1.0, STRONG_FLICKER, 1.0), 1.0])
     else:
         b, k = ((one / np.sqrt(white))[:, np.newaxis] for one in (b, k))
+        prior = np.ones(1)
     process = np.zeros((*b.shape, len(slopes), STATES))
     process[..., WALK] = k[..., np.newaxis] ** 2
     flicker_variance = b**2 * math.log(TAUS_S[2] / TAUS_S[1]) / math.pi
     process[..., FLICKER] = flicker_variance[..., np.newaxis, np.newaxis]
     process[..., SLOPE] = np.square(slopes) / SLOPE_DEGC
-    return process.reshape(3, -1, STATES)
+    return process.reshape(3, -1, STATES), np.tile(np.log(np.repeat(prior, len(slopes))), (3, 1))

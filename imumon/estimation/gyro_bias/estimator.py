@@ -130,13 +130,13 @@ class Estimator:
                 innovation = self._decide(self.hypotheses)
         return np.full(3, np.nan) if self.unrest else innovation
 
-    def bridge_gap(self, gap_s: float, degc: FloatArray, lag_degc: FloatArray, long: bool) -> None:
-        """Widen the bias by a gap of so many seconds; a `long` one ends rest.
+    def bridge_gap(self, degc: FloatArray, lag_degc: FloatArray, long: bool) -> None:
+        """Widen the bias by a gap; a `long` one ends rest.
 
         Behind it the temperatures are `degc`, °C, (3,), NaN where not known; the lag of the gyros behind them
         may have changed by `lag_degc` (sd).
         """
-        self.motion.interrupt(gap_s)
+        self.motion.interrupt(0.0)
         self.attitude.lost |= long or self.quiet.quiet_slots == 0
         self.degc = np.where(np.isfinite(degc), degc, self.degc)
         self.added = self.added + self.thermal.variance(degc, np.full(3, np.nan), lag_degc)
@@ -169,8 +169,8 @@ class Estimator:
         self._interrupt()
         if self.hypotheses is not None:
             self._follow(slot, self.hypotheses)
-        elif np.isnan(slot.mean[ACCEL]).any():
-            self.motion.interrupt(slot.length_s)
+        elif slot.gap_s or np.isnan(slot.mean[ACCEL]).any():
+            self.motion.interrupt(slot.length_s + slot.gap_s)
         else:
             self.motion.take(slot.turn.less(slot.mean[MODELLED]), slot.mean[ACCEL])
 
@@ -178,6 +178,7 @@ class Estimator:
         """Add a slot to the turn since the attitude was taken."""
         bias, _ = hypotheses.shown.prediction.bias(self.force)
         self.attitude.follow(slot.turn, bias + slot.mean[MODELLED])
+        self.attitude.lost |= slot.gap_s > 0.0
 
     def _come_to_rest(self, force: FloatArray, hypotheses: Hypotheses | None) -> None:
         """Take the attitude at a specific force, m/s², (3,)."""

@@ -172,8 +172,7 @@ class RestAndBias:
         if not gap_s:
             return self._timing.end_s
         lag = self._thermal.unseen_lag(gap_s, block.rows(row, row + 1))
-        long = gap_s > max(LONGEST_PAUSE_S, 3.0 * self._timing.interval_s)
-        self._estimator.bridge_gap(gap_s, degc, lag, long)
+        self._estimator.bridge_gap(degc, lag, gap_s > max(LONGEST_PAUSE_S, 3.0 * self._timing.interval_s))
         return behind_s
 
     def _hold(self, rest: IntArray, readings: FloatArray, start: int, stop: int) -> None:

@@ -42,6 +42,8 @@ SLOWEST_TURN, FASTEST_TURN = math.radians(0.01), math.radians(300.0)
 """rad/s: turns are as likely on a logarithmic scale between these."""
 LOG_RANGE = math.log(FASTEST_TURN / SLOWEST_TURN)
 """D of the table, a natural logarithm."""
+OBLIQUE = 0.3
+"""Share of a rate across the vertical from which on gravity is compared: no turntable leans so much (17°)."""
 EXCLUDED_SIGMAS = 4.0
 """An oblique turn by more than so many sigmas of the tilt is excluded where the unit has tilted by less than
 half as many, and the change is mostly about level axes."""
@@ -151,6 +153,8 @@ def gravity(rate: SteadyRate, drift: float) -> float:
         return 0.0
     across = np.eye(3) - np.outer(last, last) / g**2
     level = math.hypot(*(across @ rate.change))
+    if level < OBLIQUE * rate.size:
+        return 0.0
     seconds = sum(one.covered_s for one in rate.measurements[1:])
     phi = across @ _turned(rate.measurements, rate.bias)
     tilt = np.cross(last, first) / g**2

@@ -36,6 +36,8 @@ class Slot(NamedTuple):
     """From the end of the slot before, or of the gap before it, to its last sample."""
     covered_s: float
     """What its samples cover at the shortest interval so far: lost samples leave more noise."""
+    gap_s: float
+    """Length of the gap before it; 0 without one."""
     samples: FloatArray
     """Number of samples of each of the six axes, (6,)."""
     mean: FloatArray
@@ -96,24 +98,25 @@ class Timing:
             times = self._times(ended, k)
             yield Slot(*times, count[k], mean, variance[k], steps[k], ended.turns[k], at_rest)
 
-    def _times(self, ended: Slots, k: int) -> tuple[float, float, float]:
-        """Return end, length, and time covered by samples, s."""
+    def _times(self, ended: Slots, k: int) -> tuple[float, float, float, float]:
+        """Return end, length, time covered by samples, and the gap before the slot, s."""
         samples = int(ended.count[k, GYRO].max()) or int(ended.samples[k])
         begins = bool(ended.begins[k])
         if begins:
             self.origin_ns, self.end_s = int(ended.start_ns[k]), 0.0
             self.interval_s, self.shortest_s = 0.0, math.inf
         start, end = self.since_origin_s(int(ended.start_ns[k])), self.since_origin_s(int(ended.end_ns[k]))
-        if begins or self.gap_s(start):
+        gap = 0.0 if begins else self.gap_s(start)
+        if begins or gap:
             start -= (end - start) / (samples - 1) if samples > 1 else self.interval_s
         else:
             start = self.end_s
         length, self.end_s = end - start, end
         if length <= 0.0:
-            return end, length, 0.0
+            return end, length, 0.0, gap
         self.interval_s = length / samples
         self.shortest_s = min(self.shortest_s, self.interval_s)
-        return end, length, min(length, samples * self.shortest_s)
+        return end, length, min(length, samples * self.shortest_s), gap
 
     def since_origin_s(self, time_ns: int) -> float:
         """Return the seconds since the first sample of the segment."""
