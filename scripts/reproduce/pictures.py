@@ -209,7 +209,7 @@ def steps() -> list[Axes]:
     for run in verdict.channel.training.runs:
         minutes, rows = run.time_s / 60.0, slice(at, at + len(run))
         before, after = (fit.residual[rows] / DEG_PER_H for fit in (verdict.before, verdict.after))
-        residual.plot(minutes, before, ".", ms=4, label=run.name)
+        residual.plot(minutes, before, ".", ms=4, label=run.run.name)
         effect.plot(minutes, before, ".", ms=4)
         name = "" if at else verdict.claims[0].finding.name
         effect.plot(minutes, before - after, "k-", lw=1.2, label=name)

@@ -5,10 +5,11 @@ runs one after another.  A run is a recording from power-on; runs are independen
 
     y = X b + Z(theta) c + e,    e ~ N(0, s² V),    V = W + r F + q R                                (1)
 
-    X (n, p)  the base: powers of u = (T - middle) / half span, and constants of runs or poses
+    X (n, p)  the base: powers of u = (T - middle) / half span, T in °C, and constants of runs or poses
     Z (n, k)  columns of the effects; theta their time constants, widths and periods, which are not linear
-    W (n, n)  white noise: variance of a block's mean over that of a full block, diagonal
-    F, R      flicker, mean over tau of exp(-|ti - tj| / tau); random walk, min(ti, tj) / 2 h; 0 between runs
+    W (n, n)  white noise: variance of a block's mean over that of a full block, s², diagonal
+    F (n, n)  flicker: mean of exp(-|ti - tj| / tau) over six tau, 30 s to 10000 s; 0 between runs
+    R (n, n)  random walk: min(ti, tj) / 7200 s, t since power-on; 0 between runs
 
     2 loglik     = -n ln(RSS / n) - ln det V,    RSS = min over b, c of e' V^-1 e  (least squares)    (2)
     S(model)     = max over r, q of 2 loglik - (p + k + number of theta) ln n - 2 ln(choices)         (3)
@@ -19,20 +20,22 @@ S is the BIC with its sign turned.  `choices` is the number of effects that reco
 temperature, time and specific force may have, for such an effect; 1 for others.  The last terms of (3) and
 (5) are those of the extended BIC (Chen & Chen 2008, doi:10.1093/biomet/asn034).  That of (5) pays for a sum
 over the axes that show a family: by chance some always gain a little.  An axis alone has nothing to add up.
-A gain is twice the logarithm of a Bayes factor: while nothing is missing it ever exceeds g with a probability
-of exp(-g / 2) at most, however often it is tested (Ville 1939; Shafer et al. 2011, doi:10.1214/10-STS347).
+A gain is nearly twice the logarithm of a Bayes factor: as a guide, while nothing is missing it ever exceeds g
+with a probability of exp(-g / 2) at most, however often tested (Ville 1939; Shafer et al. 2011,
+doi:10.1214/10-STS347).  (4) is that of steps 1 to 4; in 5, and between bases, S alone counts, any r and q.
 
 **Search** (`search`), stepwise over all axes of a sensor, which share one physics, in at most five stages:
 
 1. *Try.*  Each axis tries every candidate beside what it has, with theta of a grid.  At first, if a pair of
    candidates gains more than any alone by 8 and by 15 %, a family counts by its gain beside one of the pair.
 2. *Choose.*  An axis *shows* a family that gains more than 0 (an event: 8), and less than its best one by no
-   more than the bar or 15 %.  The family is chosen whose gain, summed over the axes that show it, is largest
-   and exceeds the bar; of those within 10 or 15 % of it what carries over goes before an event, and the
-   others are its alternatives, not told apart.  The gains of a faulty axis do not count.
-3. *Add.*  Each of these axes refines theta and adds it.  It refuses what takes away less than 0.3 white
-   floors, less than its faults may be, or a fifth of what an effect before it does; and a second event in a
-   run, after which, as after an event that is refused, nothing else is added.  All effects are refined again.
+   more than the bar or 15 %, the larger.  The family is chosen whose gain, summed over the axes that show
+   it, is largest and exceeds the bar; of those within 10 or 15 % of it, the larger, any other goes before an
+   event, and the rest are alternatives, not told apart.  The gains of a faulty axis do not count.
+3. *Add.*  Each of these axes refines theta, adds it, and refines all its effects again.  It refuses (a) what
+   takes away less than 0.3 white floors, than its faults may be, or than a fifth of what an effect before it
+   does; if that is an event, nothing else is added; (b) a second event in a run: nothing else is added then,
+   and from half of what each before it takes away it is a `repeated_event`, which no effect explains.
 4. The axes that are left choose again, each without what it has refused, until no family exceeds the bar.
    Axes to which nothing was added are finished; the others begin another stage.
 5. *Drop.*  Each axis drops what gains 8 or less beside the rest, takes alternatives that are likelier beside
@@ -40,12 +43,14 @@ of exp(-g / 2) at most, however often it is tested (Ville 1939; Shafer et al. 20
 
 **Verdict** (`verdict`): of what was found, that is claimed which explains training and the test, if any.
 
-**Words.**  *Channel*: an axis, or another column.  *Kind*: a class of effects.  *Family*: those of one kind
-and driver.  *Candidate*: what may be added.  *Finding*: what the search added.  *Claim*: a finding that
-training and test bear out.  *White floor*: sd of a block's mean by white noise, the unit of sizes; *total
-floor*: with the rounding of coarse samples.  *Present model*: the one that the unit has already, if any; else
-a polynomial is *declared*.  Coefficients that are *shared* are one for all runs and carry over to others,
-*separate* ones are a run's own.
+**Words.**  *Channel*: an axis, or another column.  *Driver*: what an effect depends on, the temperature or
+another column.  *Pose*: a stretch in one attitude.  *Event*: has a time of its own in one run, as a jump.
+*Late*: behind its driver by a lag or delay.  *Free start*: the state at power-on is fitted, too.  *Kind*: a
+class of effects.  *Family*: those of one kind and driver.  *Candidate*: what may be added.  *Finding*: what
+the search added.  *Claim*: a finding that training and test bear out.  *White floor*: sd of a block's mean by
+white noise, the unit of sizes; *total floor*: with the rounding of coarse samples.  *Present model*: the one
+that the unit has already, if any; else a polynomial is *declared*.  Coefficients that are *shared* are one
+for all runs and carry over to others, *separate* ones are a run's own.
 
 **Read** runs, prepare, blocks (recordings to y); candidates (X, Z); likelihood (1, 2); search (3 to 5); fit,
 verdict; diagnose, which calls them all; then what is made of it: report, page, extended, planning, live.

@@ -28,8 +28,8 @@ PARTS = 15
 """Of a block, at most, whose differences show its white noise..."""
 LEAST_PARTS = 3
 """...and at least: two of their differences, less their mean, are not zero."""
-TURN_SHARE = 0.2
-"""A turn of the temperature counts when it goes back by this share of the span."""
+REVERSAL_SHARE = 0.2
+"""A reversal of the temperature counts when it goes back by this share of the span."""
 BESIDE = 4
 """Slots on either side of a turn of the unit that are compared."""
 TURNED, SIGMAS = 0.1, 8.0
@@ -57,11 +57,6 @@ class RunBlocks:
     weight: FloatArray
     slots_per_block: int
     pose: IntArray
-
-    @property
-    def name(self) -> str:
-        """Name of the run."""
-        return self.run.name
 
     @property
     def force(self) -> FloatArray | None:
@@ -202,14 +197,19 @@ class WhiteFloor(NamedTuple):
 
 
 def white_floor(channel: str, blocks: Sequence[RunBlocks]) -> WhiteFloor:
-    """Return the white floor of a channel from the scatter inside blocks, averaged over these blocks.
+    """Return the white floor of a channel from the scatter inside blocks, the rms over these blocks.
 
-    It is half the mean square difference of neighbouring parts of a block (an Allan variance), of 2 s in most
-    cases: an output filter makes shorter ones too small and rounding too large, flicker longer ones.  The
-    differences are less the mean of their block, so that no ramp gets in.  Where every block lacks readings,
-    its parts have fewer slots; where parts have none, neighbouring blocks are compared.  The clock's is that
-    of the delays at both ends of a block.
+    It is half the mean square difference of neighbouring parts of a block (an Allan variance), of a
+    fifteenth of it (2 s of 30 s): an output filter makes shorter ones too small and rounding too large,
+    flicker longer ones.  The differences are less the mean of their block, so that no ramp gets in.  Where
+    every block lacks readings, its parts have fewer slots; where parts have none, neighbouring blocks are
+    compared.  The clock's is that of the delays at both ends of a block.
     """
+    if len(widths := {one.slots_per_block for one in blocks}) > 1:  # logs of several rates, each by itself
+        alike = [[one for one in blocks if one.slots_per_block == width] for width in sorted(widths)]
+        floors = [(white_floor(channel, logs), sum(map(len, logs))) for logs in alike]
+        variance = sum(number * one.sd**2 for one, number in floors) / sum(map(len, blocks))
+        return WhiteFloor(float(np.sqrt(variance)), floors[0][0].source)
     slots, gaps = blocks[0].slots_per_block, np.concatenate([run.white for run in blocks]).mean()
     every = [np.where(one.run.at_rest, one.run.mean[channel], np.nan) for one in blocks]
     values = [rows[: len(rows) // slots * slots].reshape(-1, slots) for rows in every]
@@ -253,7 +253,9 @@ def survey(runs: Sequence[RunBlocks], temperatures: Iterable[str], degree: int) 
     return Survey(
         durations_s=[float(run.time_s[-1]) + run.block_s / 2 for run in runs],
         span_degc=high - low,
-        reversals=sum(_turns(run.temperature[temperature], TURN_SHARE * (high - low)) for run in runs),
+        reversals=sum(
+            _reversals(run.temperature[temperature], REVERSAL_SHARE * (high - low)) for run in runs
+        ),
         accel_range=max((float(np.ptp(force, axis=0).max()) for force in forces), default=0.0),
         block_s=runs[0].block_s,
         degree=degree,
@@ -264,7 +266,7 @@ def survey(runs: Sequence[RunBlocks], temperatures: Iterable[str], degree: int) 
     )
 
 
-def _turns(temperature: FloatArray, size: float) -> int:
-    """Count the turns after which the temperature goes back by more than `size`: by a backlash as wide."""
+def _reversals(temperature: FloatArray, size: float) -> int:
+    """Count the reversals by more than `size`, those that a backlash as wide lets through."""
     direction = np.sign(np.diff(play(temperature, 0.5 * size, np.nan)))
     return int(np.count_nonzero(np.diff(direction[direction != 0])))

@@ -7,6 +7,11 @@ A coefficient is *shared* when it is one for all runs, so that it carries over t
     either    tried as shared, and as separate in every run
     run       separate in every run but the first: an offset against the first
     event     separate in one run, tried in each: a jump
+
+`imumon.effects.base` documents what an effect provides, and `Survey` (what runs can show) and `Drive` (what
+drives the effects of one run).  Used are grid, driven, of_curve, fits_in and refined (what to try), columns
+and start_columns (of Z, and of the state at power-on), simulate and settled (in the test), nonlinear (theta),
+one_sign, free_start, scope and inputs (its drivers).
 """
 
 from __future__ import annotations
@@ -82,7 +87,7 @@ class Candidate:
     def neighbours(self, survey: Survey, level: int) -> list[Candidate]:
         """Return candidates with one parameter of one part changed, closer at each level."""
         may_start = self.parts[0].effect.free_start and level == 0 and len(self.parts) == 1
-        return [replace(self, free_start=not self.free_start)] * may_start + [
+        return ([replace(self, free_start=not self.free_start)] if may_start else []) + [
             self.with_part(at, Part(effect, part.separate_runs))
             for at, part in enumerate(self.parts)
             for effect in part.effect.refined(survey, level)

@@ -28,7 +28,6 @@ from imumon.lab.diagnosis.search import PROVEN_GAIN, STAGES, AxisSearch, Progres
 from imumon.lab.diagnosis.verdict import ChannelVerdict, decide
 from imumon.models.curves.polynomial import CUBIC
 from imumon.models.model import BiasModel
-from imumon.models.predictor import BiasPredictor
 
 HIGHEST_DEGREE = 8
 BLOCK_FRACTIONS, LEAST_SEARCH_BLOCKS = (1, 2, 3), 200
@@ -151,10 +150,8 @@ def _prepared(
     if model is not None:
         train, test = ([prepare.without_curves(one, model, names) for one in runs] for runs in (train, test))
         degree = prepare.degree_of(model, names)
-        if drivers is not None:
-            needed = dict.fromkeys([*drivers, *BiasPredictor(model, names).drivers])
-            drivers = [name for name in needed if name in drivers or name not in temperatures]
-    others = prepare.usable_drivers(train, test, [*temperatures, *names], drivers, remarks)
+    effects = [effect for name in names for effect in model.channels[name].effects] if model else []
+    others = prepare.usable_drivers(train, test, [*temperatures, *names], drivers, effects, remarks)
     columns, block_s = (names, temperatures, others), common_block_s([*train, *test])
     training = prepare.usable_blocks(train, *columns, block_s, remarks, training=True)
     tested = prepare.usable_blocks(test, *columns, block_s, remarks)
@@ -218,8 +215,8 @@ def search_sensor(
 
 def search_block_s(blocks: Sequence[RunBlocks]) -> float:
     """Return the length of the blocks to search in, s: three slots or more, which show the white floor."""
-    longest = max(map(len, blocks))
-    fractions = [number for number in BLOCK_FRACTIONS if blocks[0].slots_per_block >= LEAST_PARTS * number]
+    longest, slots = max(map(len, blocks)), min(one.slots_per_block for one in blocks)
+    fractions = [number for number in BLOCK_FRACTIONS if slots >= LEAST_PARTS * number]
     enough = (number for number in fractions if number * longest >= LEAST_SEARCH_BLOCKS)
     return blocks[0].block_s / next(enough, fractions[-1])
 
@@ -258,7 +255,7 @@ def likeliest(searched: Sequence[list[AxisSearch]], *, live: bool = False) -> li
     def order(every: list[AxisSearch]) -> float:
         axes = [axis for axis in every if not axis.channel.faulty] or every
         criterion = sum(axis.criterion(axis.model) for axis in axes)
-        if axes[0].channel.refits_model and not live:
+        if any(axis.channel.refits_model for axis in axes) and not live:
             criterion -= PROVEN_GAIN
         if axes[0].channel.offset_per != "pose" or not several:
             return criterion

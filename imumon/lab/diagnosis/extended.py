@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Any
 
@@ -67,11 +68,9 @@ def _channel(verdict: ChannelVerdict, model: BiasModel | None) -> ChannelModel:
         "curve": PolynomialCurve(center_degc=middle, half_width_degc=half, coefficients=[0.0]),
     }
     present = ChannelModel.model_validate(new) if model is None else model.channels[verdict.name]
-    extended = refitted(present, channel, fitted, residual)
-    if verdict.name.startswith("accel"):  # what it has at the middle is gravity
-        more = extended.curve.value(middle) - present.curve.value(middle)
-        extended = extended.model_copy(update={"curve": extended.curve.minus(float(more))})
-    return extended
+    if verdict.name.startswith("accel"):  # its constant is gravity: at the middle the present bias stays
+        fitted = replace(fitted, declared=np.append(0.0, fitted.declared[1:]))
+    return refitted(present, channel, fitted, residual)
 
 
 def refitted(present: ChannelModel, channel: Channel, fitted: Fit, residual_sd: float) -> ChannelModel:

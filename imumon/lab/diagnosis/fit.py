@@ -193,7 +193,7 @@ def _rms_of(residuals: Sequence[FloatArray], counts: Sequence[BoolArray]) -> flo
 
 def _continued_run(channel: Channel, run: RunBlocks) -> int | None:
     """Return the number of the training run that a run continues; None where it has its own power-on."""
-    names = [other.name for other in channel.training.runs]
+    names = [other.run.name for other in channel.training.runs]
     return names.index(run.run.begun_in) if run.run.begun_in in names else None
 
 

@@ -10,7 +10,7 @@ Rows of y, X and Z are blocks, n over all runs.  With V = L L' a tilde means beh
 state x is the random walk and a Gauss-Markov process for each tau, the bias their sum, in units of s::
 
     x(t + dt) = Phi x(t) + w,         Phi = diag(1, exp(-dt / tau_i))                                 (8)
-    cov w     = diag(q dt / 2 h, (r / 6) (1 - exp(-2 dt / tau_i)))
+    cov w     = diag(q dt / 7200 s, (r / 6) (1 - exp(-2 dt / tau_i)))
 
 Its innovations over their standard deviations are ỹ, and these are the diagonal of L.
 """
@@ -81,7 +81,7 @@ class Likelihood:
     ) -> FloatArray:
         """Return loglik of the base with each of the candidates, its maximum over a grid, (candidates,).
 
-        A candidate whose spectrum would have both signs explains nothing.
+        A candidate whose spectrum has both signs, by generalised least squares, explains nothing.
         """
         terms = list(dict.fromkeys(term for one in candidates for term in one))
         place = {term: at for at, term in enumerate(terms)}

@@ -77,7 +77,8 @@ def better_models(run: Run, model: BiasModel, channels: Sequence[str]) -> list[B
     temperatures = {name: prepare.temperature_of(name, model, [run]) for name in channels}
     used = list(dict.fromkeys(temperatures.values()))
     without_curves = prepare.without_curves(run, model, channels)
-    drivers = prepare.usable_drivers([run], [], used, None, [])
+    effects = [effect for name in channels for effect in model.channels[name].effects]
+    drivers = prepare.usable_drivers([run], [], used, None, effects, [])
     blocks = make_blocks(without_curves, channels, used, drivers, common_block_s([run]))
     if len(blocks) < LEAST_BLOCKS:
         return []
@@ -213,7 +214,10 @@ class LiveDiagnosis:
             now_s = self._run_so_far.take(second)
             if now_s >= self._next_search_s:
                 self._next_search_s = (now_s // SEARCH_EVERY_S + 1.0) * SEARCH_EVERY_S
-                self._search(now_s)
+                try:
+                    self._search(self._run(), now_s)
+                except ImumonError as error:  # a temperature, or what drives the model, is not there so far
+                    self._report(f"the model is not searched: {error.seen}")
 
     def _compare(self, challenger: Challenger, run: Run) -> None:
         """Compare the model that runs beside the present one with it, on what came since it was found."""
@@ -227,13 +231,8 @@ class LiveDiagnosis:
             won = f"a better model has won on what came later: {change} (likelihood ratio e^{ratio:.0f})"
             self._report(f"{won}; it is kept with the session when that ends")
 
-    def _search(self, elapsed_s: float) -> None:
+    def _search(self, run: Run, elapsed_s: float) -> None:
         """Search the run so far for what the model lacks, until a better one has won, and report that."""
-        try:
-            run = self._run()
-        except ImumonError as error:  # the device has not sent a temperature so far
-            self._report(f"the model is not searched: {error.seen}")
-            return
         if self._challenger is not None and self.offered is None:
             self._compare(self._challenger, run)
         if self.offered is not None:

@@ -120,7 +120,7 @@ def _figures(diagnosis: Diagnosis, verdict: ChannelVerdict) -> dict[str, str]:
     def draw(axes: Axes, over: Sequence[FloatArray], label: str) -> None:
         for at, run in enumerate(runs):
             colour = COLOURS[at % len(COLOURS)]
-            axes.plot(over[at], before[at], ".", ms=3, color=colour, label=for_plot(run.name))
+            axes.plot(over[at], before[at], ".", ms=3, color=colour, label=for_plot(run.run.name))
             if verdict.claims:
                 axes.plot(over[at], before[at] - after[at], "-", lw=1, color=colour)
         axes.set(xlabel=label, ylabel=f"left of {verdict.name}, {unit}")
@@ -161,11 +161,11 @@ def _draw_errors(axes: Axes, diagnosis: Diagnosis, verdict: ChannelVerdict) -> N
 
 class Compared(NamedTuple):
     """What each of two models leaves of a channel in a run, as block means at rest, and the temperature that
-    the curve of the first is over."""
+    its curve is over."""
 
     run: str
     channel: str
-    temperature: str
+    temperatures: list[str]
     residuals: list[RunBlocks]
 
     @property
@@ -184,7 +184,7 @@ def compare(runs: Sequence[Run], models: tuple[BiasModel, BiasModel]) -> list[Co
         names = [name for name in models[0].channels if name in models[1].channels and name in run.mean]
         residuals = [residual(run, model, names) for model in models] if names else []
         if residuals and len(residuals[0]) > 1:
-            degc = [temperature_of(name, models[0], [run]) for name in names]
+            degc = [[temperature_of(name, model, [run]) for model in models] for name in names]
             found += [Compared(run.name, *of, residuals) for of in zip(names, degc, strict=True)]
     if not found:
         raise bad_data(
@@ -206,8 +206,9 @@ def _drawn(one: Compared, names: tuple[str, str], over: str) -> str:
 
     def draw(axes: Axes) -> None:
         scale, unit = shown(unit_of(one.channel))
-        for blocks, name, colour in zip(one.residuals, names, (BEFORE, AFTER), strict=True):
-            x = blocks.time_s / HOUR_S if over == OVER_TIME else blocks.temperature[one.temperature]
+        each = zip(one.residuals, one.temperatures, names, (BEFORE, AFTER), strict=True)
+        for blocks, column, name, colour in each:
+            x = blocks.time_s / HOUR_S if over == OVER_TIME else blocks.temperature[column]
             values = blocks.mean[one.channel]
             axes.plot(x, (values - values.mean()) * scale, ".", ms=3, color=colour, label=name)
         axes.set(xlabel=over, ylabel=f"{one.channel}, {unit}")

@@ -235,12 +235,9 @@ def plan(report: Report, question: Question, most_s: float, progress: Progress =
     if not tried:
         return Plan(question, why_not="no profile is so short")
     found, profile = max(tried.values(), key=lambda one: one[0].ratio)
-    why_not = (
-        "no experiment that was tried decides it;"
-        f" the best, {profile.duration_s / 3600:.1f} h {profile.title}, gives {found.value:.0f} of the"
-        f" {found.needed:.0f} in BIC that are needed for {found.truth} against {found.rival}{late}"
-    )
-    return Plan(question, why_not=why_not)
+    needed = f"{found.needed:.0f} in BIC that are needed for {found.truth} against {found.rival}"
+    best = f"{profile.duration_s / 3600:.1f} h {profile.title}, gives {found.value:.0f} of the {needed}"
+    return Plan(question, why_not=f"no experiment that was tried decides it; the best, {best}{late}")
 
 
 def _impossible(question: Question, others: set[str]) -> str:

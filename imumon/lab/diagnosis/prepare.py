@@ -13,6 +13,7 @@ from scipy.ndimage import binary_opening
 from imumon.blocks import BoolArray, FloatArray
 from imumon.clock.channel import CLOCK
 from imumon.columns import TEMPERATURES
+from imumon.effects.base import ACCEL, Effect
 from imumon.effects.vibration import SECOND_NS
 from imumon.errors import bad_config, bad_data
 from imumon.filters.rounding import mean_error
@@ -71,13 +72,17 @@ def _share_there(run: Run, name: str) -> float:
 
 
 def usable_drivers(
-    train: Runs, test: Runs, beside: Sequence[str], wanted: Sequence[str] | None, remarks: list[str]
+    train: Runs,
+    test: Runs,
+    beside: Sequence[str],
+    wanted: Sequence[str] | None,
+    present: Sequence[Effect],
+    remarks: list[str],
 ) -> list[str]:
-    """Return the drivers that vary in training and are in every run, of those wanted (None: of all).
+    """Return the drivers that vary in training and are in every run, of those wanted (None: of all `beside`
+    the temperatures of curves), and those of effects of the present model, which may be constant.
 
-    `beside` are the temperatures that the curves are over.
-
-    Raises BAD_CONFIG when one that is wanted is not there.
+    Raises BAD_CONFIG when one that is wanted is not there, BAD_DATA when a run hardly has one of the model.
     """
     there = dict.fromkeys(name for run in train for name in run.mean)
     possible = [name for name in there if name not in CHANNELS and name not in beside]
@@ -86,14 +91,18 @@ def usable_drivers(
             f"--drivers: {', '.join(lacking)} is not in the training data",
             f"there are {', '.join(possible) or 'none'}; a map names others with other: {{NAME: ...}}",
         )
+    needed = [name for effect in present for name in effect.inputs if name != ACCEL]
     found = []
-    for name in possible if wanted is None else wanted:
-        values = np.concatenate([run.mean[name] for run in train if name in run.mean])
-        if not np.nanmax(values) > np.nanmin(values):
-            continue
+    for name in dict.fromkeys([*(possible if wanted is None else wanted), *needed]):
         runs = [run.name for run in (*train, *test) if _share_there(run, name) < 0.5 * run.slot_s / BLOCK_S]
+        hardly = f"{name} is hardly recorded in {', '.join(runs)}"
+        if runs and name in needed:
+            raise bad_data(f"{hardly}, and the model has an effect of it", "give no model, but --declared")
+        values = np.concatenate([run.mean[name] for run in train if name in run.mean])
+        if name not in needed and not np.nanmax(values) > np.nanmin(values):
+            continue
         if runs:
-            remarks.append(f"{name} is hardly recorded in {', '.join(runs)}: no effect of it is looked for")
+            remarks.append(f"{hardly}: no effect of it is looked for")
         else:
             found.append(name)
     return found
@@ -111,7 +120,8 @@ def train_and_test(
     """Return the runs of training and test without what stands still.
 
     A test that the training has, by its bytes, is left out.  One that continues another run, by the device's
-    clock, has its time and temperatures.  Of an only run every other stretch is held out as a test.
+    clock, has its time and temperatures; each run of the training is taken as from power-on.  Of an only run
+    every other stretch is held out as a test, where enough blocks are left.
     """
     train, test = ([without_standstill(run, channels, remarks) for run in runs] for runs in (train, test))
     found = list[Run]()
@@ -124,21 +134,19 @@ def train_and_test(
             what = "time since power-on, lag and loop go on as well"
             remarks.append(f"{run.name} goes on where {one.name} ended, by the device's clock: {what}")
         found.append(_continued(one, run) if one else run)
-    if found or len(train) > 1 or train[0].duration_s < 2 * LEAST_BLOCKS * common_block_s(train):
+    if found or len(train) > 1:
         return train, found
-    remarks.append(
-        f"no test data: every other {train[0].duration_s / STRETCHES / 60:.0f} min of the one run are"
-        " held out as a test.  That is weaker than another power-on: what is particular to this run, and"
-        " any noise that is slower, is in both"
-    )
-    return _divided(train[0], channels)
+    half, held_out = _divided(train[0], channels)
+    if len(make_blocks(half, channels, TEMPERATURES, block_s=common_block_s(train))) < LEAST_BLOCKS:
+        return train, found
+    what = f"every other {train[0].duration_s / STRETCHES / 60:.0f} min of the one run are held out as a test"
+    remarks.append(f"no test data: {what}, which is weaker than another power-on: slower noise is in both")
+    return [half], [held_out]
 
 
-def _divided(run: Run, channels: Sequence[str]) -> tuple[list[Run], list[Run]]:
-    """Return a run with every other stretch of the channels, and with the others: the test.
-
-    Both have the whole course of everything else, and of time.
-    """
+def _divided(run: Run, channels: Sequence[str]) -> tuple[Run, Run]:
+    """Return a run with every other stretch of the channels, and one with the others, the test; both have the
+    whole course of everything else, and of time."""
     n = len(run.time_s)
     tested = (np.arange(n) * STRETCHES // n) % 2 == 1
 
@@ -146,7 +154,7 @@ def _divided(run: Run, channels: Sequence[str]) -> tuple[list[Run], list[Run]]:
         return run.mean | {name: np.where(kept, run.mean[name], np.nan) for name in channels}
 
     other = replace(run, mean=only(tested), name=f"{run.name}, held out", begun_in=run.name, woven=True)
-    return [replace(run, mean=only(~tested))], [other]
+    return replace(run, mean=only(~tested)), other
 
 
 def _pause_s(before: Run, after: Run) -> float:
@@ -305,9 +313,8 @@ def check_range(model: BiasModel, temperatures: Mapping[str, str], runs: Sequenc
 
 def degree_of(model: BiasModel, channels: Sequence[str]) -> int:
     """Return the degree of the polynomial by which curves are fitted anew: their largest, or a cubic's."""
-    curves = [model.channels[name].curve for name in channels]
-    own = [len(one.coefficients) - 1 for one in curves if isinstance(one, PolynomialCurve)]
-    return max(own if len(own) == len(curves) else [CUBIC_DEGREE, *own])
+    curves = (model.channels[name].curve for name in channels)
+    return max(len(c.coefficients) - 1 if isinstance(c, PolynomialCurve) else CUBIC_DEGREE for c in curves)
 
 
 def without_curves(run: Run, model: BiasModel, channels: Sequence[str]) -> Run:

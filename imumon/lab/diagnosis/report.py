@@ -44,7 +44,9 @@ def report(diagnosis: Diagnosis, folder: Path | None = None) -> dict[str, Any]:
         "declared_model": diagnosis.declared if present is None else f"model of {present.created}",
         "block_s": diagnosis.train[0].block_s,
         **{
-            key: [{"name": one.name, "blocks": len(one), "duration_s": one.run.duration_s} for one in runs]
+            key: [
+                {"name": one.run.name, "blocks": len(one), "duration_s": one.run.duration_s} for one in runs
+            ]
             for key, runs in (("train", diagnosis.train), ("test", diagnosis.test))
         },
         "independent_test": bool(diagnosis.test) and not diagnosis.held_out,
@@ -69,8 +71,8 @@ def _channel(verdict: ChannelVerdict) -> dict[str, Any]:
     train_before, train_after = verdict.before.train_rms, verdict.after.train_rms
     explained = explained_share(train_before, train_after, channel.total_floor)
     apart = [(first, other) for first, *others in sets for other in others]
-    turns = [("what was assumed", verdict.before, float("nan"))]
-    turns += [(done, fit(channel, model), gain) for done, model, gain in verdict.search.history]
+    steps = [("what was assumed", verdict.before, float("nan"))]
+    steps += [(done, fit(channel, model), gain) for done, model, gain in verdict.search.history]
     return {
         "verdict": verdict.row.state,
         "unit": channel.unit,
@@ -97,7 +99,7 @@ def _channel(verdict: ChannelVerdict) -> dict[str, Any]:
         "indistinguishable": sets,
         "to_separate": [{"effects": [*pair], "by": separated_by(*pair)} for pair in apart],
         "questions": _questions(verdict),
-        "turns": [{"done": done, "gain_bic": gain, **_left(verdict, model)} for done, model, gain in turns],
+        "turns": [{"done": done, "gain_bic": gain, **_left(verdict, model)} for done, model, gain in steps],
         "refused": verdict.search.refused,
         "fitted_anew": verdict.refit,
         "left_out": verdict.left_out,
@@ -191,7 +193,7 @@ def _runs_left(verdict: ChannelVerdict) -> Iterator[dict[str, Any]]:
     for is_test, runs, residuals in ((False, channel.training.runs, training), (True, channel.test, test)):
         for run, first, last in zip(runs, *residuals, strict=True):
             yield {
-                "name": run.name,
+                "name": run.run.name,
                 "test": is_test,
                 "blocks": len(last),
                 "before": root_mean_square(first),

@@ -115,7 +115,7 @@ class Selection(NamedTuple):
 def select(tables: Mapping[str, GainTable], bar: float) -> Selection | None:
     """Return the family whose gain, summed over the channels that show it, is largest; None below the bar.
 
-    Of families whose gains are near, what carries over goes before an event.
+    Of families whose gains are near, any other goes before an event.
     """
     families = dict.fromkeys(family for table in tables.values() for family in table)
     showing = {f: [name for name in tables if _shows(tables[name], f, bar)] for f in families}
@@ -123,8 +123,8 @@ def select(tables: Mapping[str, GainTable], bar: float) -> Selection | None:
     near = [f for f in families if total[f] > bar and _near(total[f], max(total.values()))]
     if not near:
         return None
-    lasting = [f for f in near if tables[showing[f][0]][f].candidate.scope != "event"]
-    chosen = max(lasting or near, key=lambda f: total[f])
+    no_event = [f for f in near if tables[showing[f][0]][f].candidate.scope != "event"]
+    chosen = max(no_event or near, key=lambda f: total[f])
     channels = showing[chosen]
     # Of others all gains on these channels count, also where they do not show them.
     everywhere = [f for f in families if all(f in tables[name] for name in channels)]
@@ -235,7 +235,8 @@ class AxisSearch:
 
         Two effects at once hide one another: the one that replaces both best may be neither.  A pair counts
         that gains more than any effect alone by more than the shape of that may be off.  Its partner is what
-        does not carry over, else what gains less alone.
+        does not carry over, else what gains less alone.  A with 20 and B with 5 alone, 60 both: beside its
+        partner B, A has 55, for 5 are B's own.  C with 30 alone, 32 beside B, falls to 27: both are needed.
         """
         members = [self.refined(one.candidate, []) for one in best.values() if one.candidate.scope == "event"]
         single = [one for one in scored if len(one.candidate.parts) == 1]
@@ -323,7 +324,8 @@ class AxisSearch:
         An effect of the present model that these runs do not show, before anything is added, stays as it is.
         A finding gives way to an alternative where that is likelier beside what was found later.
         """
-        for finding in list(self.findings):
+        findings = list(self.findings)
+        for finding in findings:
             if len(self.findings) == 1 and not finding.of_present_model:
                 continue
             gain = self.criterion(self.model) - self.criterion(self._others(finding))
@@ -336,9 +338,9 @@ class AxisSearch:
                 self.channel = replace(self.channel, fixed_effects=fixed)
             else:
                 self.refuse(finding.name, gain, [self.channel.name], "dropped, needless beside the rest")
+        if len(findings) == 1 and not findings[0].of_present_model:
+            return  # nothing is beside it, and was not
         before = [finding.name for finding in self.findings]
-        if len(before) == 1 and not self.findings[0].of_present_model:
-            return
         self._refine_each(exchange=True)
         if changed := [finding.name for finding in self.findings if finding.name not in before]:
             done = f"{' and '.join(changed)} fits better beside the rest"
@@ -351,7 +353,10 @@ class AxisSearch:
             families += finding.alternatives if exchange else []
             tried = [one for one in self.candidates if one.family in families and one.shared]
             best = max(self.gains([finding.candidate, *tried], others), key=attrgetter("gain"))
-            if best.candidate.family != finding.name:
-                del finding.alternatives[best.candidate.family]
+            if (new := best.candidate.family) != finding.name:
+                del finding.alternatives[new]
                 finding.alternatives = {finding.name: finding.candidate, **finding.alternatives}
+                # Its gain is that of the same stage, where the others were not all there.
+                finding.gain_over_axes += finding.family_gains[new] - finding.gain
+                finding.gain = finding.family_gains[new]
             finding.candidate = self.refined(best.candidate, others).candidate

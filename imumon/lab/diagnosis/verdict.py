@@ -5,8 +5,9 @@ What is claimed of the findings of the search (`_claimable`):
 1. a jump counts only where more than 1.3 white floors are left without it, and no run has two;
 2. a finding is left out without which the test is estimated better (with the values of its own);
 3. (a) by training: the others are claimed if they explain training and the test, if any; else none is;
-4. (b) by the test: where 3 leaves 1.8 total floors of it, and the base as much of training, one effect that
-   takes away 8 white floors and 60 % of the excess of the test, if it leaves less than half of what 3 leaves.
+4. (b) by the test: if 3 claims nothing, or leaves 1.8 total floors of the test, and the base leaves as much
+   of training, single effects are tried.  Claimed is the one that leaves least of the test, if it takes away
+   8 white floors and 60 % of the excess, and leaves less than half of what 3 leaves.
 
 To *explain*, of rms A before and B after, is to leave less than 1.8 total floors, or to take away 60 % of the
 excess over the floor (the total floor in 3, the white floor in 4)::
@@ -87,7 +88,7 @@ class ChannelVerdict:
     """In the blocks that are scored, where the search may have been in shorter ones."""
     before: Fit
     after: Fit
-    """The declared model, or the present one as it is; and the extended one, which has the findings."""
+    """The baseline, which is the declared model or the present one as it is; and that with the findings."""
     test_before: TestScore
     test_after: TestScore
     findings: Sequence[Finding]
@@ -280,7 +281,7 @@ def _claimable(channel: Channel, search: AxisSearch, baseline: Fit, left_out: li
         test_before = score_test(channel, baseline, settled_as=after)
         return _Hypothesis(findings, after, test_before, score_test(channel, after))
 
-    nothing = hypothesis([one for one in search.findings if one.of_present_model])
+    base = hypothesis([one for one in search.findings if one.of_present_model])  # nothing that was found
     lasting = [one for one in search.findings if one.candidate.scope != "event"]  # 1
     without_jumps = fit(channel, [one.candidate for one in lasting]).train_rms
     small_jumps = search.repeated_event or without_jumps < CLEAN_RESIDUAL * channel.floor.sd
@@ -288,14 +289,14 @@ def _claimable(channel: Channel, search: AxisSearch, baseline: Fit, left_out: li
     trained = hypothesis(_not_refuted(channel, findings, left_out))  # 2
     if trained.new and (why := _refutation(channel, baseline, trained)):  # 3
         best = max(trained.new, key=lambda finding: finding.gain)
-        trained = nothing._replace(remark=f"the best of the known effects is {best.name}, but {why}")
+        trained = base._replace(remark=f"the best of the known effects is {best.name}, but {why}")
     elif search.repeated_event:
         trained = trained._replace(remark="there is more than one jump in a run")
     small = SMALL_RESIDUAL * channel.total_floor
     residual_rms = trained.test_after.smaller_rms if trained.new else np.inf
     lacking = not trained.new or (trained.after.carries_over and residual_rms >= small)
-    if lacking and nothing.after.train_rms >= small and (one := _proven_by_test(channel, search, nothing)):
-        by_test = hypothesis([*nothing.findings, one])  # 4
+    if lacking and base.after.train_rms >= small and (one := _proven_by_test(channel, search, base)):
+        by_test = hypothesis([*base.findings, one])  # 4
         # What training proves goes first unless it leaves twice as much of the test.
         if 2.0 * by_test.test_after.rms < residual_rms:
             return by_test
@@ -344,7 +345,7 @@ def _refutation(channel: Channel, baseline: Fit, found: _Hypothesis) -> str:
     return f"it explains only {share:.0%} of {what}: {floors}"
 
 
-def _proven_by_test(channel: Channel, search: AxisSearch, nothing: _Hypothesis) -> Finding | None:
+def _proven_by_test(channel: Channel, search: AxisSearch, base: _Hypothesis) -> Finding | None:
     """Return the effect that predicts the test best, if it explains it, where training proves nothing.
 
     Noise that wanders as fast as it does within minutes may go anywhere within the hour, so that no
@@ -355,7 +356,7 @@ def _proven_by_test(channel: Channel, search: AxisSearch, nothing: _Hypothesis) 
     """
     if not channel.test or any(one.run.woven for one in channel.test):
         return None
-    before, present = nothing.after, [finding.candidate for finding in nothing.findings]
+    present = [finding.candidate for finding in base.findings]
     plain = [one for one in search.candidates if one.shared and len(one.parts) == 1 and not one.free_start]
     hits: list[tuple[float, Finding]] = []
     for leader in (one for table in search.tables for one in table.values()):
@@ -367,7 +368,7 @@ def _proven_by_test(channel: Channel, search: AxisSearch, nothing: _Hypothesis) 
         closest = min(of_family, key=lambda one: channel.residual_rms([*present, one]))
         for candidate in (leader.candidate, closest):
             after = fit(channel, [*present, candidate])
-            without = score_test(channel, before, settled_as=after).rms
+            without = score_test(channel, base.after, settled_as=after).rms
             with_it, floor = score_test(channel, after).rms, channel.floor.sd
             large = without**2 - with_it**2 >= (FLOORS_BY_TEST * floor) ** 2
             if large and explained_share(without, with_it, floor) >= LEAST_EXPLAINED:

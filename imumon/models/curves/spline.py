@@ -53,7 +53,8 @@ class SplineCurve(StrictModel):
 
     def minus(self, constant: float) -> SplineCurve:
         """Return the curve lowered by a constant."""
-        return self.model_copy(update={"values": [value - constant for value in self.values]})
+        values = [value - constant for value in self.values]
+        return SplineCurve(knots_degc=self.knots_degc, values=values, slopes=self.slopes)  # no stale cubics
 
     @cached_property
     def _cubics(self) -> CubicHermiteSpline:

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from imumon.errors import ImumonError
-from imumon.lab.diagnosis.blocks import common_block_s
-from imumon.lab.diagnosis.diagnose import diagnose
+from imumon.lab.diagnosis.blocks import common_block_s, white_floor
+from imumon.lab.diagnosis.diagnose import diagnose, search_block_s
 from imumon.lab.diagnosis.prepare import usable_blocks, usable_channels
 from imumon.lab.diagnosis.runs import MOSTLY, SENSORS, Run
 from tests.lab.diagnosis.units import ramps, run, three
@@ -66,7 +66,7 @@ def test_runs_that_move_or_lack_a_temperature_are_named_and_the_others_used() ->
     bare = replace(train[0], name="bare", mean={"gyro_x": train[0].mean["gyro_x"]})
     remarks: list[str] = []
     found = usable_blocks([moving(train[0]), train[1], bare], *NAMES, block_s, remarks, training=True)
-    assert [run.name for run in found] == [train[1].name]
+    assert [one.run.name for one in found] == [train[1].name]
     assert remarks == [
         f"{train[0].name}: not used, the unit moves: at rest for 0% of its {SECONDS / 60:.0f} min",
         "bare: not used, it lacks temperature",
@@ -89,10 +89,10 @@ def test_a_jump_is_in_its_run_where_a_short_run_before_has_too_few_blocks_to_be_
     short.mean["gyro_x"][gaps], short.count["gyro_x"][gaps] = np.nan, 0.0
     train = [short, run(1, *ramps(3000, True), still), run(2, *ramps(3000, False), jump)]
     diagnosis = diagnose(train, [run(3, *ramps(3000, True, 1.0), still)])
-    assert [one.name for one in diagnosis.train] == ["run 1", "run 2"]
+    assert [one.run.name for one in diagnosis.train] == ["run 1", "run 2"]
     (claim,) = diagnosis.verdicts[0].claims
     assert claim.finding.name == "step"
-    assert [diagnosis.train[at].name for at in claim.parts[0].separate_runs] == ["run 2"]
+    assert [diagnosis.train[at].run.name for at in claim.parts[0].separate_runs] == ["run 2"]
 
 
 @pytest.mark.parametrize("every", [25, 3])
@@ -127,3 +127,39 @@ def test_a_stuck_thermometer_of_one_axis_takes_no_curve_from_the_others() -> Non
     x, y = diagnose(runs[:2], runs[2:]).verdicts
     assert x.unexplained
     assert y.row.state == "nothing missing"
+
+
+def slow(one: Run, slot_s: int) -> Run:
+    """Return the same run as a slower log, with every so many a sample."""
+    every = slice(slot_s // 2, None, slot_s)
+    mean, variance, count = (
+        {name: values[every] for name, values in part.items()} for part in (one.mean, one.variance, one.count)
+    )
+    time_s = (np.arange(len(one.time_s[every]), dtype=np.float64) + 0.5) * slot_s
+    return replace(
+        one, time_s=time_s, mean=mean, variance=variance, count=count, rest=one.rest[every], slot_s=slot_s
+    )
+
+
+def test_the_white_floor_of_logs_of_two_rates_depends_on_no_order() -> None:
+    """Blocks of the second log were as many slots as those of the first: five times as long."""
+    fast, other = three(still, SECONDS)[0]
+    logs = [fast, slow(other, 5)]
+    floors, alone = [], []
+    for runs in (logs, logs[::-1]):
+        blocks = usable_blocks(runs, *NAMES, common_block_s(logs), [], training=True)
+        floors.append(white_floor("gyro_x", blocks).sd)
+        alone = [white_floor("gyro_x", [one]).sd for one in blocks]
+        assert search_block_s(blocks) == search_block_s(blocks[::-1])
+    assert floors[0] == pytest.approx(floors[1], rel=1e-9)
+    assert min(alone) < floors[0] < max(alone)
+
+
+def test_a_run_is_not_halved_that_rests_too_little_for_two_halves() -> None:
+    """It was refused as too short."""
+    one = run(4, *ramps(2520, True), still)
+    rest = np.ones(2520)
+    rest[np.arange(2520) % 420 < 60] = 0.0
+    diagnosis = diagnose([replace(one, rest=rest)], [])
+    assert not diagnosis.test
+    assert sum(map(len, diagnosis.train)) > 60

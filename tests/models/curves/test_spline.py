@@ -67,3 +67,5 @@ def test_lowered_by_a_constant_the_slope_stays() -> None:
     curve = fit_spline(noisy(0.1), KNOTS)
     np.testing.assert_allclose(curve.minus(0.5).value(10.0), curve.value(10.0) - 0.5)
     assert float(curve.minus(0.5).slope(10.0)) == pytest.approx(float(curve.slope(10.0)))
+    # A curve that was in use before is lowered as well.
+    assert float(curve.minus(0.5).value(10.0)) == pytest.approx(float(curve.value(10.0)) - 0.5)
