@@ -21,7 +21,8 @@ from imumon.allan.analysis import analyse, variances
 from imumon.allan.live import StreamingAllan
 from imumon.allan.series import even_channels, octaves
 from imumon.blocks import SampleBlock
-from imumon.estimation.gyro_bias.stage import GyroBias
+from imumon.estimation.gyro_bias.stage import RestAndBias
+from imumon.estimation.rest.parameters import GyroBiasParameters
 from imumon.papers.dense_zupt import DenseSettings
 from imumon.papers.random_error import RandomErrorMethods
 from imumon.papers.shi_filters import LinearFilter, Model, SigmaPointFilter
@@ -54,10 +55,11 @@ def zupt() -> Result:
     constants = {"at_rest": np.ones(n), "temperature": np.full(n, 25.0)}
     record = sent(np.arange(n) / RATE_HZ, gyro=gyro, accel=accel, **constants)
     dense = partial(dense_filter, DenseSettings(1.0 / RATE_HZ), gyro, accel, np.zeros(3), every=10)
+    given = GyroBiasParameters(assume_at_rest=True)
     cost = microseconds(
         {
-            "stage, standard": (partial(over, GyroBias, record), n),
-            "stage, learned": (partial(over, partial(GyroBias, mode="learned"), record), n),
+            "stage, standard": (partial(over, partial(RestAndBias, given), record), n),
+            "stage, learned": (partial(over, partial(RestAndBias, given, mode="learned"), record), n),
             "VQF with its bias, for comparison": (lambda: VQF(1.0 / RATE_HZ).updateBatch(gyro, accel), n),
             "12 states, dense, ten samples to a step": (dense, n),
         }

@@ -16,7 +16,7 @@ from thermal_calibration_study import simulated_soak
 from vqf import VQF
 
 from imumon.blocks import FloatArray, SampleBlock
-from imumon.estimation.gyro_bias.stage import GyroBias, Mode, RestDetector
+from imumon.estimation.gyro_bias.stage import Mode, RestAndBias, RestDetector
 from imumon.estimation.rest.parameters import GyroBiasParameters
 from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.geodesy import DEG_PER_H
@@ -105,7 +105,9 @@ def imumon(mode: Mode, model: BiasModel | None, knows_place: bool) -> Method:
     """Return imumon's bias; with latitude and heading the earth rate is not in it, and is added here."""
 
     def method(run: Record) -> FloatArray:
-        stage = GyroBias(GyroBiasParameters(), model, mode, *(PLACE if knows_place else (None, None)))
+        stage = RestAndBias(
+            GyroBiasParameters(assume_at_rest=True), model, mode, *(PLACE if knows_place else (None, None))
+        )
         bias = matrix(SampleBlock(stage.process(run.samples)), "gyro_bias")
         return bias + run.earth if knows_place else bias
 

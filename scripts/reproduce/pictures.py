@@ -25,7 +25,8 @@ from thermometers import PER_HOUR
 
 from imumon.blocks import FloatArray
 from imumon.estimation.attitude.stage import AttitudeEstimate
-from imumon.estimation.gyro_bias.stage import GyroBias, RestAndBias, RestDetector
+from imumon.estimation.gyro_bias.stage import RestAndBias, RestDetector
+from imumon.estimation.rest.parameters import GyroBiasParameters
 from imumon.estimation.temperature_rate.stage import MultipleModelRate, TemperatureRate
 from imumon.geodesy import DEG_PER_H
 from imumon.lab.diagnosis.diagnose import diagnose
@@ -109,10 +110,10 @@ def bias_in_motion() -> list[Axes]:
     record = ramp_test("crs05-ramp", 0)
     block = record.block.with_columns({"at_rest": (record.seconds < 330.0).astype(np.int64)})
     (ax,) = axes("Error of the bias of y, with ±2σ; no rest is used after 330 s", 1)
-    part = slice(ZEROING, None, 50)
+    part, given = slice(ZEROING, None, 50), GyroBiasParameters(assume_at_rest=True)
     for name, stage in {
-        "held (standard)": GyroBias(latitude_deg=LATITUDE_DEG, heading_deg=0.0),
-        "thermal": GyroBias(None, crs05_model(), "thermal", LATITUDE_DEG, 0.0),
+        "held (standard)": RestAndBias(given, latitude_deg=LATITUDE_DEG, heading_deg=0.0),
+        "thermal": RestAndBias(given, crs05_model(), "thermal", LATITUDE_DEG, 0.0),
     }.items():
         added = stage.process(block)
         error = ((added["gyro_bias_y"] - record.bias[:, 1]) / DEG_PER_H)[part]

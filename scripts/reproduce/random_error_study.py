@@ -14,7 +14,8 @@ from scipy.signal import butter, lfilter
 from study import Options, Study, Table, rms
 
 from imumon.blocks import FloatArray, IntArray
-from imumon.estimation.gyro_bias.stage import GyroBias
+from imumon.estimation.gyro_bias.stage import RestAndBias
+from imumon.estimation.rest.parameters import GyroBiasParameters
 from imumon.filters.slots import SlotGatherer
 from imumon.papers.local_level import SLOT_S, ExponentialMean, RestMean, RestMeans, hold
 from imumon.papers.shi_filters import LinearFilter, Model, SigmaPointFilter
@@ -101,7 +102,9 @@ def slow(name: str, rest: FloatArray, record: Record) -> Output:
     time_s = np.arange(n) / RATE_HZ
     if name == "drift":
         gyro = np.repeat(np.radians(record.reading)[:, np.newaxis], 3, axis=1)
-        added = GyroBias().process(sent(time_s, at_rest=rest, gyro=gyro))
+        added = RestAndBias(GyroBiasParameters(assume_at_rest=True)).process(
+            sent(time_s, at_rest=rest, gyro=gyro)
+        )
         values, sd = (np.degrees(added[f"gyro_random_error{part}_x"]) for part in ("", "_sd"))
         return Output(values, values, sd)
     time_ns = np.rint(time_s * 1e9).astype(np.int64)

@@ -12,7 +12,8 @@ from samples import crs05_curves, crs05_model, crs05_slopes
 from study import Options, Study, Table, matrix
 
 from imumon.blocks import FloatArray, SampleBlock
-from imumon.estimation.gyro_bias.stage import GyroBias, Mode
+from imumon.estimation.gyro_bias.stage import Mode, RestAndBias
+from imumon.estimation.rest.parameters import GyroBiasParameters
 from imumon.geodesy import DEG_PER_H
 from imumon.papers.dense_zupt import DenseSettings
 from imumon.papers.fir import FirRate, Params
@@ -173,7 +174,11 @@ def comparison(records: Sequence[Record]) -> Table:
 def stage_error(record: Record, mode: Mode) -> FloatArray:
     """Return the error of the stage after the zeroing, deg/h, (n, 3)."""
     model = crs05_model() if mode == "thermal" else None
-    added = SampleBlock(GyroBias(None, model, mode, LATITUDE_DEG, 0.0).process(record.block))
+    added = SampleBlock(
+        RestAndBias(GyroBiasParameters(assume_at_rest=True), model, mode, LATITUDE_DEG, 0.0).process(
+            record.block
+        )
+    )
     return np.asarray((matrix(added, "gyro_bias") - record.bias)[ZEROING:] / DEG_PER_H)
 
 

@@ -217,9 +217,10 @@ class Estimator:
             return np.full(3, np.nan)
         innovation, variance = hypotheses.shown.prediction.innovation(now)
         innovation = innovation / np.sqrt(variance + self.added)
-        hypotheses.map(lambda bank: bank.wider(self.added))
+        if self.added.any():
+            hypotheses.map(lambda bank: bank.wider(self.added))
         accel_noise = float(self._noise()[ACCEL].max()) if self.quiet.present[ACCEL].all() else math.inf
-        parts = [self._measurement([slot]) for slot in slots]
+        parts = (self._measurement([slot]) for slot in slots)
         self.jumped |= hypotheses.decide(now, parts, accel_noise)
         self.added = np.zeros(3)
         if hypotheses.began_turning and hypotheses.changes:

@@ -27,7 +27,7 @@ The sigma of the bias shown contains that difference, times the root of the prob
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -113,7 +113,7 @@ class Hypotheses:
         """The filters of the more likely hypothesis."""
         return self.nominal if self.turning else self.present
 
-    def decide(self, now: Measurement, parts: list[Measurement], accel_noise: float) -> bool:
+    def decide(self, now: Measurement, parts: Iterable[Measurement], accel_noise: float) -> bool:
         """Take a measurement; return whether a changed bias has become the nominal one.
 
         `parts` are its slots one by one: in the first seconds of a rate they show a tilt.  `accel_noise` is
@@ -127,7 +127,7 @@ class Hypotheses:
         self._learn(now)
         evidence = self.recent[-self.alike :]
         if self.alike < LEAST_MEASUREMENTS:  # the rate may just have changed
-            evidence = self.recent if len(self.recent) >= LEAST_MEASUREMENTS else parts
+            evidence = self.recent if len(self.recent) >= LEAST_MEASUREMENTS else [*parts]
         self._weigh(now, evidence, accel_noise)
         return self._follow(now)
 

@@ -78,8 +78,6 @@ class RestAndBias:
 
     columns: Sequence[Column] = (*REST, *BIAS)
     """The columns that `process` adds."""
-    _rest_given = False
-    """Whether rest is given by a column, and not detected here."""
 
     def __init__(
         self,
@@ -127,13 +125,9 @@ class RestAndBias:
         slots = self._slots.process(np.where(usable, time_ns, NO_INT), segment, values)
         rest, innovation, every = self._estimate(block, slots, readings, temperature)
         self._expire(rest, time_ns, usable)
-        if self._rest_given:
+        if self._parameters.assume_at_rest:
             rest[:] = given
         bias, variance, turn = at_samples(slots.row, every, readings[:, ACCEL], rest == 0)
-        if self._rest_given:
-            reported = block.vector("turn_hypothesis")
-            if reported is not None:
-                turn = np.maximum(np.abs(turn), np.abs(np.nan_to_num(reported)))
         sd = np.sqrt(variance + turn**2)
         bias = bias + total
         ended = slots.row[slots.row < n]
@@ -178,7 +172,7 @@ class RestAndBias:
     def _hold(self, rest: IntArray, readings: FloatArray, start: int, stop: int) -> None:
         """Continue at_rest over the rows of the open slot; a sample outside the band of rest ends it."""
         rest[start:stop] = not self.unrest
-        if start < stop and rest[start] and not self._rest_given:
+        if start < stop and rest[start]:
             low, high = self._estimator.quiet.band
             outside = ((readings[start:stop] < low) | (readings[start:stop] > high)).any(1)
             rest[start:stop] = ~np.maximum.accumulate(outside)
@@ -202,16 +196,9 @@ class RestAndBias:
 
     def _given_rest(self, block: SampleBlock) -> FloatArray:
         """Return 1 at rest that is given, 0 in motion that is; NaN where it is to be detected, (n,)."""
-        if not self._rest_given:
-            return np.full(len(block), np.nan)
-        if "at_rest" in block:
-            return np.asarray(block["at_rest"] == 1, np.float64)
         if not self._parameters.assume_at_rest:
-            self._notices[
-                "no column at_rest: the bias is not estimated (a rest detector gives it; assume_at_rest does "
-                "without)"
-            ] = None
-        return np.full(len(block), float(self._parameters.assume_at_rest))
+            return np.full(len(block), np.nan)
+        return np.asarray(block.columns.get("at_rest", np.ones(len(block))) == 1, np.float64)
 
     def notices(self) -> list[str]:
         """Return, once each, what is missing, assumed, or out of range, and each jump of the bias."""
@@ -222,17 +209,6 @@ class RestAndBias:
             self._estimator.jumped, jump = False, "at rest the rate contradicted the bias, so it has jumped"
             texts.append(f"{jump}: the bias is estimated anew")
         return texts
-
-
-class GyroBias(RestAndBias):
-    """The bias alone, where a column ``at_rest`` is given.
-
-    What is given is believed: a rate that differs for a minute is another bias.  The squares of columns
-    ``turn_hypothesis_{x,y,z}`` are in the variance.
-    """
-
-    columns = BIAS
-    _rest_given = True
 
 
 class RestDetector(RestAndBias):

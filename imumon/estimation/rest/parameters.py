@@ -72,7 +72,8 @@ class GyroBiasParameters(StrictModel):
         one is given, both hold, the other being zero.  When neither is, how much the bias wanders is learned
         from the innovations.
     assume_at_rest : bool
-        Whether data without the column at_rest are taken as at rest throughout.
+        Whether motion is not detected: rest is that of the column at_rest of the samples, and without one the
+        unit rests throughout.  A rate that differs for a minute is then another bias.
     velocity_random_walk_m_per_s_per_sqrt_s, zeroing_s, thermal_form
         Not used any more: the first is measured at rest, and nothing is filtered twice.
     """

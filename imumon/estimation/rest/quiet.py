@@ -24,10 +24,14 @@ SHORT_RESTS = 2
 """Short rests after which rest takes a trial's length: a slow tilt is quiet for a second, again and again."""
 QUIET_TOO_SHORT, FAR_SAMPLE = "quiet for too short a time", "a single sample is far from the mean"
 LENGTHS = 2 ** np.arange(7)
+"""Slots of the windows that are compared."""
+WIDTH = LENGTHS[:, np.newaxis]
 CHI_SQUARE = 42.0
 """Three axes together: once in 2e8 for Gaussian noise of known variance."""
 QUIET = np.repeat([3.5e-4, 5e-3], 3)
 """Standard deviation of a mean of a second that is always quiet, rad/s (72 °/h) and m/s² (0.03°)."""
+QUIET_WINDOW = QUIET**2 / np.maximum(1.0, 4.0 / WIDTH)
+"""Variance of a window that is always quiet: a disturbance has had less time to act in a shorter one."""
 UNSEEN_STEP = np.repeat([np.radians(2000.0 / 2**15), 0.0], 3)
 """rad/s, and not used for m/s²: the step of gyros that measure to 2000 °/s with 16 bits."""
 NO_NOISE = 1e-20
@@ -60,6 +64,8 @@ class QuietDetector:
     """Variance of the samples of each slot."""
     readable: BoolArray = field(default_factory=lambda: np.zeros((TRIAL, AXES), np.bool_))
     """Whether an axis had readings."""
+    present: BoolArray = field(default_factory=lambda: np.zeros(AXES, np.bool_))
+    """Axes that have had readings lately, (6,)."""
     slots: int = 0
     """Number of slots since the beginning or the last restart."""
     quiet_slots: int = 0
@@ -83,11 +89,6 @@ class QuietDetector:
     """Whether a single sample of the present slot was outside `band`."""
     step: FloatArray = field(default_factory=partial(np.zeros, AXES))
     """Step of the sensor; 0 while it is not known."""
-
-    @property
-    def present(self) -> BoolArray:
-        """Axes that have had readings lately, (6,)."""
-        return np.asarray(self.readable.any(0))
 
     @property
     def is_rest(self) -> bool:
@@ -157,6 +158,7 @@ class QuietDetector:
         for latest, value in values:
             latest[:-1] = latest[1:]
             latest[-1] = value
+        self.present = np.asarray(self.readable.any(0))
         if (before != self.present).any():
             self.noise_slots = 0.0
             self.restart()
@@ -186,15 +188,12 @@ class QuietDetector:
 
     def _windows_differ(self, drift: FloatArray) -> bool:
         """Return whether means of windows differ by more than noise and drift, (6,) a slot."""
-        lengths = LENGTHS[self.quiet_slots >= 2 * LENGTHS]
-        width = lengths[:, np.newaxis]
-        sums = np.cumsum(self.mean[::-1], axis=0)  # of the latest 1, 2, 3 ... slots
-        change = 2.0 * sums[lengths - 1] - sums[2 * lengths - 1]
-        excess = np.maximum(np.abs(change) / width - drift * width, 0.0)
-        # A shorter window has a smaller floor: a disturbance has had less time to act.
-        least = QUIET**2 / np.maximum(1.0, 4.0 / width) + self.floor
-        square = excess**2 / (2.0 * np.maximum(self.noise / width, least))
-        return bool((square.reshape(-1, 2, 3).sum(2) > CHI_SQUARE).any())
+        sums = self.mean[::-1].cumsum(0)  # of the latest 1, 2, 3 ... slots
+        change = 2.0 * sums[LENGTHS - 1] - sums[2 * LENGTHS - 1]
+        excess = np.maximum(np.abs(change) / WIDTH - drift * WIDTH, 0.0)
+        square = excess**2 / (2.0 * np.maximum(self.noise / WIDTH, QUIET_WINDOW + self.floor))
+        differ = (square.reshape(-1, 2, 3).sum(2) > CHI_SQUARE).any(1)
+        return bool(differ[self.quiet_slots >= 2 * LENGTHS].any())
 
     def _scatters(self, slot: Slot) -> bool:
         """Return whether three samples or more scatter more than at rest (chi-square)."""
@@ -211,7 +210,8 @@ class QuietDetector:
             return
         gain = max(1.0 / MEMORY_SLOTS, 1.0 / (self.noise_slots + 1.0))
         self.noise_slots += 1.0
-        square = np.diff(self.mean[-3:], 2, axis=0)[0] ** 2 / 6.0
+        before, middle, last = self.mean[-3:]
+        square = ((last - middle) - (middle - before)) ** 2 / 6.0
         self.noise = self.noise + gain * (np.minimum(square, 9.0 * self.noise) - self.noise)
         within = np.minimum(slot.variance, 4.0 * self.sample_noise)
         within = np.where(slot.samples >= 3.0, within, self.sample_noise)

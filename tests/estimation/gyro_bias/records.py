@@ -10,6 +10,7 @@ import numpy as np
 from scipy.signal import butter, lfilter, lfiltic
 
 from imumon.blocks import ColumnArray, FloatArray, SampleBlock
+from imumon.estimation.rest.parameters import GyroBiasParameters
 from imumon.geodesy import EARTH_RATE
 from imumon.models.curves.polynomial import PolynomialCurve
 from imumon.models.model import BiasModel, ChannelModel
@@ -20,6 +21,8 @@ GRAVITY = 9.80665
 ARW = math.radians(0.28) / 60.0
 VRW = 1e-3
 LATITUDE_DEG = 40.93
+GIVEN = GyroBiasParameters(assume_at_rest=True)
+"""Rest is that of the column ``at_rest``."""
 
 
 @dataclass(frozen=True)

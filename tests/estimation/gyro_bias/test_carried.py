@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from imumon.blocks import FloatArray, SampleBlock
-from imumon.estimation.gyro_bias.stage import GyroBias, RestAndBias
+from imumon.estimation.gyro_bias.stage import RestAndBias
 from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.geodesy import EARTH_RATE, STANDARD_GRAVITY
 from imumon.models.curves.polynomial import PolynomialCurve
 from imumon.models.model import BiasModel, ChannelModel
 from imumon.simulation.unit.scenario import Chamber, Scenario, Step, load_scenario
 from imumon.simulation.unit.unit import SimulatedUnit
-from tests.estimation.gyro_bias.records import DPH, vector
+from tests.estimation.gyro_bias.records import DPH, GIVEN, vector
 
 BAR_DPH, LARGEST_DPH = 10.0, 60.0
 """Bar of `scripts/reproduce/bias_race`, and half of what the bias moves from rest to rest."""
@@ -80,7 +80,7 @@ def test_a_heading_that_a_scale_error_has_turned_is_in_the_sigma_of_the_rest_aft
             **columns,
         }
     )
-    found = GyroBias(None, None, "standard", 50.0, 0.0).process(block)
+    found = RestAndBias(GIVEN, None, "standard", 50.0, 0.0).process(block)
     bias, sd = vector(found)[-1], vector(found, "gyro_bias_sd")[-1]
     assert np.abs(bias[:2]).max() > 3.0 * DPH  # the known heading is off by 70 degrees
     assert (np.abs(bias) < 4.0 * sd).all()

@@ -8,13 +8,14 @@ from scipy.stats import chi2
 
 from imumon.blocks import FloatArray
 from imumon.estimation.gyro_bias.bank import Bank
-from imumon.estimation.gyro_bias.stage import GyroBias
+from imumon.estimation.gyro_bias.stage import RestAndBias
 from imumon.estimation.rest.parameters import GyroBiasParameters
 from imumon.estimation.rest.slots import Measurement
 from tests.bias_noise import INSTABILITY_PER_DECADE
 from tests.estimation.gyro_bias.records import (
     ARW,
     DPH,
+    GIVEN,
     Truth,
     markov,
     record,
@@ -26,13 +27,13 @@ RUNS = 24
 AT_S = (30.0, 60.0, 100.0, 150.0, 199.0)
 
 
-def runs(truth: Truth, parameters: GyroBiasParameters | None) -> tuple[FloatArray, FloatArray]:
+def runs(truth: Truth, parameters: GyroBiasParameters) -> tuple[FloatArray, FloatArray]:
     """Return normalised errors (runs, times, 3) and normalised innovations after a minute (values, 3)."""
     errors, innovations = [], []
     at = [round(t * truth.rate_hz) for t in AT_S]
     for seed in range(RUNS):
         block, bias = record(truth, 200.0, seed)
-        added = GyroBias(parameters).process(block)
+        added = RestAndBias(parameters).process(block)
         errors.append(((vector(added) - bias) / vector(added, "gyro_bias_sd"))[at])
         given = vector(added, "zupt_innovation")[round(60 * truth.rate_hz) :]
         innovations.append(given[np.isfinite(given[:, 0])])
@@ -41,6 +42,7 @@ def runs(truth: Truth, parameters: GyroBiasParameters | None) -> tuple[FloatArra
 
 def test_with_known_noise_errors_and_innovations_are_within_chi_square_bounds() -> None:
     known = GyroBiasParameters(
+        assume_at_rest=True,
         angle_random_walk_rad_per_sqrt_s=ARW,
         bias_instability_rad_per_s=2.0 * DPH * INSTABILITY_PER_DECADE,
     )
@@ -56,7 +58,7 @@ def test_with_known_noise_errors_and_innovations_are_within_chi_square_bounds() 
 def test_with_nothing_known_the_claim_is_careful_not_bold() -> None:
     """The axes wander differently: each has its own bounds."""
     flicker = np.array([1.0, 2.0, 5.0]) * DPH
-    errors, innovations = runs(Truth(rate_hz=10.0, flicker=flicker, low_pass_hz=None), None)
+    errors, innovations = runs(Truth(rate_hz=10.0, flicker=flicker, low_pass_hz=None), GIVEN)
     squares = np.mean(errors**2, axis=0)
     assert (squares.min(0) > [0.08, 0.19, 0.5]).all()
     most = np.array([1.22, 1.22, 1.9])
@@ -73,7 +75,7 @@ def test_the_sigma_is_true_of_a_gyro_that_mostly_flickers(arw_deg: float) -> Non
     normalised = []
     for seed in range(30, 34):
         block, bias = record(truth, 600.0, seed)
-        added = GyroBias().process(block)
+        added = RestAndBias(GIVEN).process(block)
         normalised.append(((vector(added) - bias) / vector(added, "gyro_bias_sd"))[600:])
     z = np.concatenate(normalised)
     assert 0.7 < np.sqrt(np.mean(z**2)) < 1.5
@@ -91,7 +93,7 @@ def test_without_a_model_the_claim_holds_while_it_moves_and_warms_up() -> None:
     squares, largest = [], 0.0
     for seed in range(3):
         block, bias = record(Truth(rate_hz=10.0, low_pass_hz=None), 1500.0, seed, thermal)
-        added = GyroBias(mode="learned").process(
+        added = RestAndBias(GIVEN, mode="learned").process(
             with_rest(block.with_columns({"temperature": temperature}), rest)
         )
         off = (vector(added) - bias) / vector(added, "gyro_bias_sd")
@@ -114,7 +116,7 @@ def test_the_sigma_is_true_for_five_decades_of_flicker() -> None:
             drift += markov(rng, n, 1.0 / rate_hz, tau, sd)
         block, _ = record(Truth(rate_hz=rate_hz), n / rate_hz, seed)
         gyro = drift + white * np.sqrt(rate_hz) * rng.normal(size=(n, 3))
-        added = GyroBias().process(
+        added = RestAndBias(GIVEN).process(
             block.with_columns({f"gyro_{axis}": gyro[:, j] for j, axis in enumerate("xyz")})
         )
         late = slice(600, None)
@@ -125,7 +127,7 @@ def test_the_sigma_is_true_for_five_decades_of_flicker() -> None:
 
 def test_declared_noise_holds_though_a_fan_ran_in_the_first_rest() -> None:
     walk, rate_hz = 2e-6, 10.0
-    declared = GyroBiasParameters(rate_random_walk_rad_per_s_per_sqrt_s=walk)
+    declared = GyroBiasParameters(rate_random_walk_rad_per_s_per_sqrt_s=walk, assume_at_rest=True)
     truth = Truth(rate_hz, flicker=0.0, walk=walk, low_pass_hz=None)
     block, _ = record(truth, 1600.0, 0)
     t = np.arange(len(block)) / rate_hz
@@ -133,7 +135,7 @@ def test_declared_noise_holds_though_a_fan_ran_in_the_first_rest() -> None:
     sd = []
     for added in (0.0, fan):
         samples = block.with_columns({f"gyro_{axis}": block[f"gyro_{axis}"] + added for axis in "xyz"})
-        sd.append(vector(GyroBias(declared).process(with_rest(samples, t < 1000.0)), "gyro_bias_sd")[-1])
+        sd.append(vector(RestAndBias(declared).process(with_rest(samples, t < 1000.0)), "gyro_bias_sd")[-1])
     assert (np.array(sd) > 0.9 * walk * np.sqrt(600.0)).all()
     assert sd[1] == pytest.approx(sd[0], rel=0.1)
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from imumon.blocks import FloatArray, SampleBlock
-from imumon.estimation.gyro_bias.stage import GyroBias
+from imumon.estimation.gyro_bias.stage import RestAndBias
 from imumon.estimation.temperature_rate.stage import TemperatureRate
-from tests.estimation.gyro_bias.records import DPH, Truth, record, slope_model, vector, with_rest
+from tests.estimation.gyro_bias.records import DPH, GIVEN, Truth, record, slope_model, vector, with_rest
 
 RATE_HZ, LAG_S, SLOPE = 20.0, 30.0, np.array([60.0, -90.0, 20.0]) * DPH
 BEFORE_S, AFTER_S = 400.0, 20.0
@@ -39,7 +39,7 @@ def test_the_sigma_knows_of_a_gap_from_the_first_row_behind_it(gap_s: float) -> 
     for seed in range(3):
         block, bias = warmed(gap_s, seed)
         block = block.with_columns(TemperatureRate().process(block))
-        added = GyroBias(mode="learned").process(block)
+        added = RestAndBias(GIVEN, mode="learned").process(block)
         first = round(BEFORE_S * RATE_HZ)
         rows = slice(first, first + round(3.0 * RATE_HZ))
         ratios.append((vector(added) - bias)[rows] / vector(added, "gyro_bias_sd")[rows])
@@ -50,21 +50,21 @@ def test_the_sigma_knows_of_a_gap_from_the_first_row_behind_it(gap_s: float) -> 
 
 def test_a_short_gap_costs_little() -> None:
     block, _ = warmed(2.0, 4)
-    sd = vector(GyroBias(mode="learned").process(block), "gyro_bias_sd")
+    sd = vector(RestAndBias(GIVEN, mode="learned").process(block), "gyro_bias_sd")
     first = round(BEFORE_S * RATE_HZ)
     assert (sd[first] < 2.0 * sd[first - 1] + 5.0 * DPH).all()
 
 
 def test_behind_a_gap_it_has_the_bias_again_within_seconds() -> None:
     block, bias = warmed(1100.0, 1)
-    added = GyroBias(mode="learned").process(block)
+    added = RestAndBias(GIVEN, mode="learned").process(block)
     assert np.abs(vector(added)[-1] - bias[-1]).max() < 30.0 * DPH
 
 
 def test_with_a_model_the_lag_that_nobody_saw_is_in_the_sigma() -> None:
     block, bias = warmed(600.0, 3, np.full(3, 60.0 * DPH))
     first = round(BEFORE_S * RATE_HZ)
-    added = GyroBias(mode="thermal", model=slope_model(60.0)).process(block)
+    added = RestAndBias(GIVEN, mode="thermal", model=slope_model(60.0)).process(block)
     before, behind = (vector(added, "gyro_bias_sd")[row] for row in (first - 1, first))
     assert (behind > before).all()
     assert (np.abs(vector(added)[first] - bias[first]) < 4.0 * behind).all()
@@ -77,7 +77,9 @@ def test_what_is_left_of_a_line_that_loses_most_packets_has_more_noise(kept: flo
         t, random = np.arange(len(bias)) / 100.0, np.random.default_rng(seed)
         seen = np.flatnonzero((t < 60.0) | (random.random(len(t)) < kept))
         columns = with_rest(block, np.ones(len(t), np.bool_)).columns
-        added = GyroBias(mode="learned").process(SampleBlock({name: x[seen] for name, x in columns.items()}))
+        added = RestAndBias(GIVEN, mode="learned").process(
+            SampleBlock({name: x[seen] for name, x in columns.items()})
+        )
         lossy = t[seen] > 62.0
         error = (vector(added) - bias[seen])[lossy]
         # The minute before tells it, and not a few samples: 120 °/h if all slots count alike.

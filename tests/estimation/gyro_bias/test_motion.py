@@ -5,10 +5,10 @@ from scipy.spatial.transform import Rotation
 
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.estimation.gyro_bias.motion import PART_S, PARTS, Motion
-from imumon.estimation.gyro_bias.stage import GyroBias
+from imumon.estimation.gyro_bias.stage import RestAndBias
 from imumon.filters.turns import Turn
 from imumon.geodesy import DEG_PER_H, STANDARD_GRAVITY
-from tests.estimation.gyro_bias.records import slope_model, vector
+from tests.estimation.gyro_bias.records import GIVEN, slope_model, vector
 
 BIAS = np.array([0.008, -0.005, 0.006])
 
@@ -38,7 +38,7 @@ def driven(seed: int, seconds: float, rate_hz: float = 25.0) -> SampleBlock:
 
 
 def estimated(block: SampleBlock) -> tuple[FloatArray, FloatArray]:
-    found = block.with_columns(GyroBias().process(block))
+    found = block.with_columns(RestAndBias(GIVEN).process(block))
     return vector(found, "gyro_bias"), vector(found, "gyro_bias_sd")
 
 
@@ -60,7 +60,7 @@ def test_what_the_model_explains_of_a_warm_up_is_in_the_bias_once() -> None:
     drift = slope_dph * DEG_PER_H * (temperature - 25.0)
     gyros = {f"gyro_{axis}": block[f"gyro_{axis}"] + drift for axis in "xyz"}
     warm = SampleBlock({**block.columns, **gyros, "temperature": temperature})
-    found = warm.with_columns(GyroBias(model=slope_model(slope_dph)).process(warm))
+    found = warm.with_columns(RestAndBias(GIVEN, model=slope_model(slope_dph)).process(warm))
     error = (vector(found, "gyro_bias") - BIAS - drift[:, np.newaxis])[62 * 25 :, :2]
     assert np.abs(error).max() < np.abs(BIAS[:2]).min() / 3.0
 
@@ -84,7 +84,8 @@ def test_without_accelerometers_a_turn_against_the_earth_is_in_the_sigma() -> No
     rest = (np.arange(n) < 60 * hz).astype(np.int64)
     block = SampleBlock({**times, **columns, "at_rest": rest})
     sd = vector(
-        block.with_columns(GyroBias(latitude_deg=45.0, heading_deg=0.0).process(block)), "gyro_bias_sd"
+        block.with_columns(RestAndBias(GIVEN, latitude_deg=45.0, heading_deg=0.0).process(block)),
+        "gyro_bias_sd",
     )
     assert (sd[80 * hz, :2] > 7.0 * DEG_PER_H).all()
 

@@ -10,13 +10,13 @@ import pytest
 
 from imumon.blocks import ColumnArray, FloatArray, SampleBlock, join
 from imumon.errors import ImumonError
-from imumon.estimation.gyro_bias.stage import GyroBias, RestAndBias
-from imumon.estimation.rest.parameters import GyroBiasParameters
+from imumon.estimation.gyro_bias.stage import RestAndBias
 from imumon.geodesy import body_to_ned
 from imumon.pipeline import Estimator
 from tests.estimation.gyro_bias.records import (
     ARW,
     DPH,
+    GIVEN,
     GRAVITY,
     Truth,
     local_earth,
@@ -30,12 +30,12 @@ SLOW = Truth(rate_hz=20.0)
 QUIET = Truth(rate_hz=20.0, arw=ARW / 10, flicker=0.0)
 
 
-def run(block: SampleBlock, stage: GyroBias | None = None) -> Mapping[str, ColumnArray]:
-    return (stage or GyroBias()).process(block)
+def run(block: SampleBlock, stage: RestAndBias | None = None) -> Mapping[str, ColumnArray]:
+    return (stage or RestAndBias(GIVEN)).process(block)
 
 
 def test_columns_units_and_the_corrected_rate() -> None:
-    stage: Estimator = GyroBias()
+    stage: Estimator = RestAndBias(GIVEN)
     block, bias = record(SLOW, 120.0, 1)
     added = stage.process(block)
     assert [column.name for column in stage.columns] == list(added)
@@ -56,9 +56,9 @@ def test_rows_before_the_first_gyro_do_not_matter() -> None:
             "at_rest": np.ones(50, np.int64),
         }
     )
-    stage = GyroBias()
+    stage = RestAndBias(GIVEN)
     added = stage.process(early)
-    assert all(np.isnan(values).all() for values in added.values())
+    assert np.isnan(vector(added)).all()
     np.testing.assert_array_equal(vector(stage.process(block)), vector(run(block)))
     assert time[0] == 0
 
@@ -88,22 +88,22 @@ def attitudes() -> dict[str, FloatArray]:
 def test_earth_rate_is_not_in_the_bias_at_any_attitude(name: str, heading_deg: float) -> None:
     matrix = body_to_ned(attitudes()[name], math.radians(heading_deg)).T
     block, bias = record(QUIET, 120.0, 5, attitude=matrix, earth=local_earth())
-    added = run(block, GyroBias(latitude_deg=40.93, heading_deg=heading_deg))
+    added = run(block, RestAndBias(GIVEN, latitude_deg=40.93, heading_deg=heading_deg))
     assert np.abs(vector(added)[-1] - bias[-1]).max() / DPH < 1.0
     blind = run(block)
     assert vector(blind)[-1] - bias[-1] == pytest.approx(matrix @ local_earth(), abs=1.0 * DPH)
 
 
 def test_without_heading_only_the_vertical_earth_rate_is_removed_and_it_is_reported() -> None:
-    stage = GyroBias(latitude_deg=40.93)
+    stage = RestAndBias(GIVEN, latitude_deg=40.93)
     block, bias = record(QUIET, 120.0, 6, earth=local_earth())
     off = vector(run(block, stage))[-1] - bias[-1]
     assert off / DPH == pytest.approx([11.36, 0.0, 0.0], abs=1.0)
     (said,) = stage.notices()
     assert "heading is not known" in said
     assert "11.4 °/h" in said
-    assert "latitude is not known" in GyroBias().notices()[0]
-    assert GyroBias(latitude_deg=1.0, heading_deg=2.0).notices() == []
+    assert "latitude is not known" in RestAndBias().notices()[0]
+    assert RestAndBias(latitude_deg=1.0, heading_deg=2.0).notices() == []
 
 
 def moved(
@@ -130,7 +130,7 @@ def moved(
 
 def test_a_turn_keeps_the_bias_and_turns_the_earth_rate() -> None:
     block, bias, rest = moved((90.0, 30.0, 60.0), 120.0)
-    added = run(block, GyroBias(latitude_deg=40.93, heading_deg=0.0))
+    added = run(block, RestAndBias(GIVEN, latitude_deg=40.93, heading_deg=0.0))
     off, sd = vector(added) - bias, vector(added, "gyro_bias_sd")
     moving = rest == 0.0
     # The last second at rest is taken back with the first slot in motion.
@@ -217,21 +217,22 @@ def test_a_restart_forgets_the_bias_but_not_the_noise() -> None:
 def test_a_bias_that_jumps_is_found_again_and_it_is_reported() -> None:
     block, _ = record(SLOW, 600.0, 14)
     jumped = np.where(np.arange(len(block)) > 3000, math.radians(2.0), 0.0)
-    stage = GyroBias()
+    stage = RestAndBias(GIVEN)
     added = run(block.with_columns({"gyro_z": block["gyro_z"] + jumped}), stage)
     assert added["gyro_bias_sd_z"][4000] > math.radians(1.0)
     assert added["gyro_bias_z"][-1] == pytest.approx(math.radians(2.0), abs=30 * DPH)
     assert any("jumped" in text for text in stage.notices())
 
 
-def test_without_a_rest_column_nothing_is_estimated_unless_stated() -> None:
+def test_without_a_rest_column_rest_is_detected_unless_it_is_assumed() -> None:
     block, _ = record(SLOW, 30.0, 15)
-    bare = SampleBlock({name: values for name, values in block.columns.items() if name != "at_rest"})
-    stage = GyroBias()
-    assert np.isnan(vector(run(bare, stage))).all()
-    assert any("at_rest" in text for text in stage.notices())
-    told = GyroBias(GyroBiasParameters(assume_at_rest=True))
-    np.testing.assert_array_equal(vector(run(bare, told)), vector(run(block)))
+    shaken = block.with_columns({"accel_x": block["accel_x"] + np.sin(np.arange(len(block)))})
+    bare = SampleBlock({name: values for name, values in shaken.columns.items() if name != "at_rest"})
+    assert not run(bare, RestAndBias())["at_rest"].any()
+    assumed = run(bare)
+    assert assumed["at_rest"].all()
+    assert np.isfinite(vector(assumed)[100:]).all()
+    np.testing.assert_array_equal(vector(assumed), vector(run(shaken)))
 
 
 def test_without_accelerometers_the_unit_is_taken_as_still() -> None:
@@ -267,17 +268,4 @@ def test_a_coarse_gyro_whose_readings_do_not_change_at_rest_keeps_its_bias_when_
 
 def test_the_thermal_mode_needs_a_model() -> None:
     with pytest.raises(ImumonError, match="needs a bias model"):
-        GyroBias(mode="thermal")
-
-
-def test_what_the_rest_detector_has_not_decided_is_in_the_sigma() -> None:
-    block, _ = record(SLOW, 60.0, 1)
-    without = run(block)
-    undecided = np.where(np.arange(len(block)) < len(block) // 2, 0.0, 0.02)
-    columns = {f"turn_hypothesis_{axis}": undecided * (axis == "z") for axis in "xyz"}
-    widened = run(block.with_columns(columns))
-    for axis in "xyz":
-        np.testing.assert_array_equal(widened[f"gyro_bias_{axis}"], without[f"gyro_bias_{axis}"])
-    expected = np.hypot(without["gyro_bias_sd_z"], undecided)
-    np.testing.assert_allclose(widened["gyro_bias_sd_z"], expected, rtol=1e-12)
-    np.testing.assert_array_equal(widened["gyro_bias_sd_x"], without["gyro_bias_sd_x"])
+        RestAndBias(mode="thermal")

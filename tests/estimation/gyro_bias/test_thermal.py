@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from imumon.blocks import FloatArray, SampleBlock
-from imumon.estimation.gyro_bias.stage import GyroBias, Mode
+from imumon.estimation.gyro_bias.stage import Mode, RestAndBias
 from tests.estimation.gyro_bias.records import (
     DPH,
+    GIVEN,
     Truth,
     record,
     slope_model,
@@ -35,7 +36,7 @@ def triangle(seconds: float) -> FloatArray:
     return np.asarray(np.interp(t, [0, 60, 264, 324, 528], [27.3, 27.3, 34.1, 34.1, 27.3]))
 
 
-def rms(block: SampleBlock, bias: FloatArray, stage: GyroBias, from_s: float = 60.0) -> FloatArray:
+def rms(block: SampleBlock, bias: FloatArray, stage: RestAndBias, from_s: float = 60.0) -> FloatArray:
     off = (vector(stage.process(block)) - bias)[round(from_s * 10) :] / DPH
     return np.asarray(np.sqrt(np.mean(off**2, axis=0)))
 
@@ -43,18 +44,18 @@ def rms(block: SampleBlock, bias: FloatArray, stage: GyroBias, from_s: float = 6
 def test_on_calibrated_data_and_thermal_it_is_one_filter() -> None:
     block, bias = warming(triangle(540.0))
     model = slope_model(SLOPE)
-    standard = vector(GyroBias(model=model).process(block))
-    thermal = vector(GyroBias(model=model, mode="thermal").process(block))
+    standard = vector(RestAndBias(GIVEN, model=model).process(block))
+    thermal = vector(RestAndBias(GIVEN, model=model, mode="thermal").process(block))
     np.testing.assert_allclose(thermal[100:], standard[100:], atol=3e-3 * DPH)
-    assert rms(block, bias, GyroBias(model=model, mode="thermal")).max() < 4.5
+    assert rms(block, bias, RestAndBias(GIVEN, model=model, mode="thermal")).max() < 4.5
     # Without the model the same filter follows a ramp of 120 deg/h per minute as best it can.
-    assert rms(block, bias, GyroBias()).min() > 6.0
+    assert rms(block, bias, RestAndBias(GIVEN)).min() > 6.0
 
 
 def test_zeroing_on_a_ramp_refers_to_its_end() -> None:
     t = np.arange(620) / 10
     block, bias = warming(25.0 + t / 30.0)
-    off = vector(GyroBias(model=slope_model(SLOPE), mode="thermal").process(block))[-1] - bias[-1]
+    off = vector(RestAndBias(GIVEN, model=slope_model(SLOPE), mode="thermal").process(block))[-1] - bias[-1]
     assert np.abs(off).max() / DPH < 12.0  # the mean over the minute lags by 60 deg/h
 
 
@@ -62,13 +63,13 @@ def test_while_it_moves_the_bias_follows_the_temperature() -> None:
     temperature = triangle(540.0)
     block, bias = warming(temperature)
     rest = np.arange(len(temperature)) < 700
-    stage = GyroBias(model=slope_model(SLOPE, residual_dph=2.0), mode="thermal")
+    stage = RestAndBias(GIVEN, model=slope_model(SLOPE, residual_dph=2.0), mode="thermal")
     added = stage.process(with_rest(block, rest))
     off, sd = vector(added) - bias, vector(added, "gyro_bias_sd")
     assert np.abs(off[2600]).max() / DPH < 15.0
     assert sd[2600].max() / DPH < 22.0
     assert sd[2600, 0] > 1.2 * sd[700, 0]
-    held = vector(GyroBias().process(with_rest(block, rest)))
+    held = vector(RestAndBias(GIVEN).process(with_rest(block, rest)))
     assert np.abs(held[2600] - bias[2600]).max() / DPH > 300.0
 
 
@@ -78,7 +79,7 @@ def test_short_rests_are_enough_with_a_model(mode: Mode) -> None:
     temperature = 45.0 - 20.0 * np.exp(-t / 300.0)
     block, bias = warming(temperature)
     rest = t % 120.0 < 10.0
-    added = GyroBias(model=slope_model(SLOPE), mode=mode).process(with_rest(block, rest))
+    added = RestAndBias(GIVEN, model=slope_model(SLOPE), mode=mode).process(with_rest(block, rest))
     after = t > 260.0
     off = (vector(added) - bias)[after] / DPH
     assert np.sqrt(np.mean(off**2, axis=0)).max() < 10.0
@@ -89,7 +90,7 @@ def test_outside_the_range_the_sigma_widens_and_it_is_reported() -> None:
     t = np.arange(3000) / 10
     temperature = np.interp(t, [0, 100, 200], [48.0, 48.0, 56.0])
     block, _ = warming(temperature)
-    stage = GyroBias(model=slope_model(SLOPE), mode="thermal")
+    stage = RestAndBias(GIVEN, model=slope_model(SLOPE), mode="thermal")
     added = stage.process(with_rest(block, t < 100.0))
     assert added["gyro_bias_sd_x"][-1] / DPH == pytest.approx(SLOPE * 6.0, rel=0.1)
     (said,) = [text for text in stage.notices() if "outside" in text]
@@ -101,8 +102,8 @@ def test_outside_the_range_the_sigma_widens_and_it_is_reported() -> None:
 def test_a_slope_is_learned(seed: int) -> None:
     t = np.arange(12000) / 10
     block, bias = warming(30.0 + 2.0 * np.sin(2 * np.pi * t / 600.0), 40.0, seed)
-    plain = rms(block, bias, GyroBias(), 300.0)
-    learned = rms(block, bias, GyroBias(mode="learned"), 300.0)
+    plain = rms(block, bias, RestAndBias(GIVEN), 300.0)
+    learned = rms(block, bias, RestAndBias(GIVEN, mode="learned"), 300.0)
     assert (learned < 0.8 * plain).all()
     assert learned.max() < 5.5
 
@@ -113,7 +114,7 @@ def test_on_a_unit_without_slope_learning_costs_next_to_nothing(flicker: float, 
     temperature = 30.0 + 10.0 * (1.0 - np.exp(-t / 400.0))
     truth = Truth(rate_hz=10.0, flicker=flicker * DPH)
     block, bias = record(truth, 900.0, seed, temperature=temperature)
-    ratio = rms(block, bias, GyroBias(mode="learned")) / rms(block, bias, GyroBias())
+    ratio = rms(block, bias, RestAndBias(GIVEN, mode="learned")) / rms(block, bias, RestAndBias(GIVEN))
     assert ratio.max() <= 1.1
 
 
@@ -123,13 +124,13 @@ def test_the_temperature_estimate_is_preferred_to_the_reading() -> None:
         {"temperature": np.round(block["temperature"]), "temperature_estimate": block["temperature"]}
     )
     model = slope_model(SLOPE)
-    expected = vector(GyroBias(None, model, "thermal").process(block))
-    np.testing.assert_array_equal(vector(GyroBias(None, model, "thermal").process(coarse)), expected)
+    expected = vector(RestAndBias(GIVEN, model, "thermal").process(block))
+    np.testing.assert_array_equal(vector(RestAndBias(GIVEN, model, "thermal").process(coarse)), expected)
 
 
 def test_a_model_without_temperature_leaves_the_bias_where_it_is() -> None:
     block, bias = record(SLOW, 120.0, 1)
-    stage = GyroBias(model=slope_model(SLOPE), mode="thermal")
+    stage = RestAndBias(GIVEN, model=slope_model(SLOPE), mode="thermal")
     assert np.abs(vector(stage.process(block))[-1] - bias[-1]).max() < 20 * DPH
     assert any("lacks its temperature" in text for text in stage.notices())
 
@@ -142,7 +143,7 @@ def test_a_quiet_gyro_is_followed_as_it_warms_up(arw_deg: float, slope_dph: floa
     degc = 25.0 + 10.0 * (1.0 - np.exp(-t / 600.0))
     thermal = np.outer(degc - 25.0, np.array([0.5, -1.0, 0.25]) * slope_dph * DPH)
     block, bias = record(truth, seconds, 1, thermal, temperature=degc)
-    added = GyroBias(mode="learned").process(with_rest(block, np.ones(len(t), np.bool_)))
+    added = RestAndBias(GIVEN, mode="learned").process(with_rest(block, np.ones(len(t), np.bool_)))
     known = t > 60.0
     error = (vector(added) - bias)[known]
     assert np.sqrt(np.mean(error**2, 0)).max() < error_dph * DPH

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from imumon.estimation.gyro_bias.stage import GyroBias
+from imumon.estimation.gyro_bias.stage import RestAndBias
 from imumon.estimation.gyro_bias.thermal import MOST_POINTS, BiasTrail
-from tests.estimation.gyro_bias.records import DPH, Truth, record, slope_model, vector
+from tests.estimation.gyro_bias.records import DPH, GIVEN, Truth, record, slope_model, vector
 
 
 def trail_of(n: int, cuts: list[int]) -> BiasTrail:
@@ -46,7 +46,7 @@ def test_the_chart_has_curve_trail_and_the_current_point() -> None:
     temperature = 25.0 + np.arange(1200) / 120.0
     thermal = np.column_stack([60.0 * temperature * DPH] * 3)
     block, _ = record(Truth(rate_hz=10.0), 120.0, 0, thermal, temperature=temperature)
-    stage = GyroBias(model=slope_model(60.0))
+    stage = RestAndBias(GIVEN, model=slope_model(60.0))
     assert stage.charts() == []
     bias = vector(stage.process(block))
     over, left = stage.charts()

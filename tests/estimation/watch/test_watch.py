@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from imumon.blocks import FloatArray, SampleBlock
-from imumon.estimation.gyro_bias.stage import GyroBias
+from imumon.estimation.gyro_bias.stage import RestAndBias
 from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.estimation.watch import stage as evidence
 from imumon.estimation.watch.stage import ModelWatch, Pattern
@@ -17,6 +17,7 @@ from imumon.models.model import BiasModel, ChannelModel
 from imumon.simulation.unit import SimulatedUnit, load_scenario
 from imumon.simulation.unit.biases import curve_value
 from imumon.simulation.unit.scenario import Scenario
+from tests.estimation.gyro_bias.records import GIVEN
 from tests.lanes import texts
 
 HOURS = 2.0
@@ -184,7 +185,7 @@ def followed(gyro_lag_s: float) -> SampleBlock:
     """Return what the stages before the watch say of a unit."""
     sent, _ = SimulatedUnit(scenario(gyro_lag_s), seed=1).run(int(SECONDS * RATE_HZ))
     sent = sent.with_columns({"at_rest": np.ones(len(sent), np.int64)})
-    for stage in (TemperatureRate(), GyroBias(model=true_model(), mode="thermal")):
+    for stage in (TemperatureRate(), RestAndBias(GIVEN, model=true_model(), mode="thermal")):
         sent = sent.with_columns(stage.process(sent))
     return sent
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from imumon.blocks import FloatArray, SampleBlock, join
-from imumon.estimation.gyro_bias.stage import GyroBias
+from imumon.estimation.gyro_bias.stage import RestAndBias
 from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.lab.diagnosis.diagnose import diagnose
 from imumon.lab.diagnosis.extended import extended_model
@@ -15,6 +15,7 @@ from imumon.models.model import BiasModel
 from imumon.pipeline import Estimator
 from imumon.simulation.unit import SimulatedUnit, load_scenario
 from imumon.simulation.unit.scenario import Scenario
+from tests.estimation.gyro_bias.records import GIVEN
 
 RATE_HZ, SECONDS = 5.0, 1700
 LAG_S = 90.0
@@ -75,7 +76,7 @@ def biases(models: dict[str, BiasModel], other: tuple[SampleBlock, SampleBlock])
     """What the pipeline says of the bias with each model."""
     sent = through(other[0], 2000, TemperatureRate())
     return {
-        name: bias_of(through(sent, 2000, GyroBias(model=model, mode="thermal")))
+        name: bias_of(through(sent, 2000, RestAndBias(GIVEN, model=model, mode="thermal")))
         for name, model in models.items()
     }
 
@@ -100,7 +101,9 @@ def test_the_division_into_blocks_does_not_matter(
     models: dict[str, BiasModel], biases: dict[str, FloatArray], other: tuple[SampleBlock, SampleBlock]
 ) -> None:
     short = other[0].rows(0, int(600 * RATE_HZ))
-    found = through(short, 37, TemperatureRate(), GyroBias(model=models["extended"], mode="thermal"))
+    found = through(
+        short, 37, TemperatureRate(), RestAndBias(GIVEN, model=models["extended"], mode="thermal")
+    )
     np.testing.assert_array_equal(bias_of(found), biases["extended"][: len(short)])
 
 
@@ -111,7 +114,7 @@ def test_an_unknown_start_widens_the_bias_until_it_is_forgotten(
     sent = other[0].rows(0, moving + 1)
     sd = {}
     for name, model in models.items():
-        stage = GyroBias(model=model, mode="thermal")
+        stage = RestAndBias(GIVEN, model=model, mode="thermal")
         rest = (np.arange(len(sent)) < 20 * RATE_HZ).astype(np.int64)
         found = stage.process(sent.with_columns({"at_rest": rest}))
         sd[name] = found["gyro_bias_sd_x"]
