@@ -11,12 +11,17 @@ import click
 from imumon.cli import common
 from imumon.cli.live_run import PortRun
 from imumon.errors import EXIT_NEGATIVE, EXIT_OK, ImumonError, Reason, bad_config, bad_data
-from imumon.estimation.alignment.report import Estimate, Guide, Status
+from imumon.estimation.alignment.report import Estimate, Status
 
 if TYPE_CHECKING:
     from imumon.estimation.alignment.stage import Alignment
     from imumon.pipeline import Pipeline
     from imumon.run.setup import Setup
+
+HOPELESS_S = 120.0
+"""Time at rest after which a bias that hides the north ends the alignment."""
+LONGEST_S = 300.0
+"""Longest time in one of several positions."""
 
 
 @click.command("align")
@@ -88,8 +93,8 @@ def command(
         common.print_json(as_data(status, positions) | {"left_out": ran.counters.left_out})
     else:
         if status.rest_s > 0.0:
-            common.print_table(["estimator", "heading [°]", "σ [°]"], status.estimator_rows())
-        common.show("\n".join(common.labelled(status.rows())))
+            common.print_table(["estimator", "heading [°]", "σ [°]"], estimator_rows(status))
+        common.show("\n".join(common.labelled(result_rows(status))))
     settled = status.settled_s is not None and status.positions >= positions
     return EXIT_OK if settled else EXIT_NEGATIVE
 
@@ -190,3 +195,61 @@ def as_data(status: Status, positions: int = 1) -> dict[str, object]:
         "positions": status.positions,
         "estimators": estimators,
     }
+
+
+def result_rows(status: Status) -> dict[str, str]:
+    """Return texts by label: the heading, whether it settled, and the conditions that limit it."""
+    wanted, settled = f"(σ ≤ {math.degrees(status.wanted_sd):g}°)", status.settled_s
+    texts = {
+        "heading": status.heading_text,
+        "settled": f"no {wanted}: {status.to_go_text}"
+        if settled is None
+        else f"yes, {settled:.1f} s after the first sample {wanted}",
+        "data": f"{min(status.rest_s, status.elapsed_s):.0f} of {status.elapsed_s:.0f} s counted",
+    }
+    if status.positions > 1:
+        texts["positions"] = f"{status.positions}, the last turned by {math.degrees(status.turned):.1f}°"
+    return texts
+
+
+def estimator_rows(status: Status) -> list[tuple[str, str, str]]:
+    """Return name, heading and sigma of each estimator in degrees; the one shown is marked."""
+    found = []
+    for name, one in status.estimates.items():
+        mark = " *" if name == "joint" and status.observable else ""
+        heading = f"{math.degrees(one.heading):.4f}" if math.isfinite(one.heading) else "-"
+        cells = (heading, f"{math.degrees(one.sd):.4f}") if one.known else ("-", "not known")
+        found.append((name.replace("_", " ") + mark, *cells))
+    return found
+
+
+class Guide:
+    """Gives the next instruction to the operator, from the status of the alignment.
+
+    A position is held until its white noise alone allows the wanted sigma.  With N positions the unit is
+    turned by a Nth of a turn each time; the gyros measure the actual turn.  With one there is no instruction.
+    """
+
+    def __init__(self, positions: int) -> None:
+        self.positions = positions
+        self.instruction = ""
+        self.done = False
+
+    def update(self, status: Status) -> list[str]:
+        """Return a new instruction, if there is one, (0 or 1)."""
+        before, at = self.instruction, status.positions
+        hopeless = status.rest_s >= HOPELESS_S and status.remaining_s is None
+        settled = status.settled_s is not None
+        too_long = status.position_s >= LONGEST_S
+        held = too_long or status.position_sd <= status.wanted_sd
+        # Before the first fit in a position the heading is that of the positions before.
+        settled_here = settled and math.isfinite(status.position_sd)
+        if self.positions == 1:
+            self.done = settled or hopeless
+        elif at >= self.positions and (settled_here or too_long or (held and hopeless)):
+            self.instruction, self.done = "done", True
+        elif at < self.positions and held:
+            self.instruction = f"turn the unit now by about {360.0 / self.positions:.0f}° about the vertical"
+        elif at and not status.moving:
+            self.instruction = f"position {at} of {self.positions}: do not touch the unit"
+        return [self.instruction] if self.instruction != before else []

@@ -18,6 +18,7 @@ from imumon.estimation.alignment.position import (
     AzimuthError,
     Motion,
     Position,
+    PositionFit,
     Slot,
     direction_of,
     upright,
@@ -57,7 +58,10 @@ class Aligner:
         self.motion = Motion()
         self.positions: list[Position] = []
         self.still_rate = math.nan
-        """Rate of the vertical gyro of a unit that does not creep, rad/s; NaN before the first fit."""
+        """Of the vertical gyro without a creep, rad/s, NaN before a fit: that nearest the earth rate, of the
+        fits with the same axis up, as a bias is taken to be smaller than a creep."""
+        self.creep_rate = 0.0
+        """By which the unit may creep about the vertical in the present position, rad/s."""
         self.errors = sensor_errors(0.0, parameters)
         """Of the sensors: declared, or by the noise of the gyros."""
         self.posterior: HeadingPosterior | None = None
@@ -67,7 +71,7 @@ class Aligner:
         self.rest_s, self.due_s = 0.0, FIRST_FIT_S
         """Time at rest in all positions, and that at which the next fit is due."""
         self.fitted_error = NO_ERROR
-        """Of the present position in the last heading."""
+        """Of the present position at the last fit; what exceeds it since is added to sigma."""
         self.settled_s: float | None = None
         """Time since the first sample at which the heading settled; None if it is not settled."""
 
@@ -136,10 +140,13 @@ class Aligner:
                 here.forget_half()
             return False
         here.azimuth_error, here.fit, here.creep_angle = here.azimuth_error_now, fit, 0.0
-        # The bias is that of the body axis that is up; what creeps is further from the earth rate.
         up, earth_up = here.attitude[2], EARTH_RATE * math.sin(self.latitude)
-        rates = [one.fit.vertical for one in self.positions if one.fit and one.attitude[2] @ up > SAME_UP]
-        self.still_rate = min(rates, key=lambda rate: abs(rate - earth_up))
+        same = [one.fit for one in self.positions if one.fit and one.attitude[2] @ up > SAME_UP]
+        still = min(same, key=lambda one: abs(one.vertical - earth_up))
+        self.still_rate = still.vertical
+        # Where the bias is larger than the creep, any of them may be the one at rest.
+        largest = max(_vertical_change(fit, one) for one in same)
+        self.creep_rate = max(_vertical_change(fit, still), min(abs(still.vertical - earth_up), largest))
         white = np.median([one.fit.white for one in self.positions if one.fit])
         self.errors = sensor_errors(math.sqrt(white), self.parameters)
         return True
@@ -167,7 +174,7 @@ class Aligner:
         recent = [north for rest_s, north, _ in self.history if rest_s >= since_s]
         change = max((abs(math.remainder(new.north - north, math.tau)) for north in recent), default=0.0)
         # A unit that creeps at a constant rate points elsewhere than in the middle of the record.
-        creep = 0.5 * (fit.vertical - self.still_rate) * here.position_s
+        creep = 0.5 * self.creep_rate * here.position_s
         self.posterior = new._replace(sd=min(math.hypot(max(new.sd, change), creep), ANY_ANGLE_SD))
         self.fitted_error = here.azimuth_error
         self.history.append((self.rest_s, new.north, self.posterior.sd))
@@ -234,6 +241,12 @@ class Aligner:
             for one in self.positions
             if self.posterior is not None
         ]
+
+
+def _vertical_change(fit: PositionFit, other: PositionFit) -> float:
+    """Return how far the vertical gyros of two fits differ beyond three standard deviations, rad/s."""
+    noise = math.sqrt(fit.vertical_variance + other.vertical_variance)
+    return max(abs(fit.vertical - other.vertical) - 3.0 * noise, 0.0)
 
 
 def _turned(before: FloatArray, after: FloatArray) -> float:

@@ -4,7 +4,8 @@
 2. The rest is averaged in cells, Hann windows that overlap by half: an angle that stays bounded falls out of
    their mean, as their sum is flat with smooth ends.  The scatter of the cells about a slow trend is their
    noise, and a cell far beyond that is a knock.
-3. One linear regression, complex (forward + i left), on the cells, of α on the steps from cell to cell::
+3. One linear regression, complex (forward + i left), on the cells, of α on the steps from cell to cell.  α,
+   rad, is the tilt about forward + i that about left; (1) to (3) are in docs/alignment.md::
 
        gyros                       y = c + b + Σ A_k ds_k/dt + noise,      s_k = 1 - exp(-t/τ_k)      (4)
        accelerometers, as angle    α = Σ A_k s_k + Σ B_j w_j + walk + noise,  w_j = 1 - exp(-t/T_j)   (5)
@@ -38,8 +39,8 @@ the used cells."""
 KNOCK = 10.0
 """Residual, in medians of the residuals, above which a cell is rejected.  Ablation: without it, a knock that
 tilts the unit by 0.005° leaves a heading error of 1.1° after 2 minutes, not 0.01°."""
-MIN_VARIANCE = 1e-24
-"""Lower bound of a variance, (rad/s)² or rad², for readings that do not change at all."""
+MIN_VARIANCE = 1e-18
+"""Lower bound of the variance of a cell, (rad/s)² or rad², for readings that do not change at all."""
 CREEP_CELLS, CREEP_ANGLE, CREEP_NOISE = 12, 3e-4, 4.0
 """A unit creeps about the vertical whose angle by means of 12 cells of the vertical gyro, less their mean,
 varies by more than 0.3 mrad and more than 4 times what the white noise turns in this time."""
@@ -86,6 +87,7 @@ def fit_position(record: Position, latitude: float, known: KnownWarmUp | None) -
     """
     valid, gyro, alpha, attitude = _horizontal(record, known)
     n, dt = len(valid), record.row_s
+    # A tilt turns the vertical earth rate by i α into the horizontal gyros.
     y = gyro[:, 0] + 1j * gyro[:, 1] - 1j * alpha * EARTH_RATE * math.sin(latitude)
     tilt, tilt_rate = _exponentials(n, dt, TILT_TAU_S)
     slow = np.hstack([_trend(n, TREND_ORDER), tilt_rate])
@@ -220,7 +222,8 @@ def _scatter(values: ColumnArray, used: BoolArray, order: int) -> tuple[float, B
         square = np.abs(values - basis @ np.linalg.lstsq(basis[used], values[used], rcond=None)[0]) ** 2
         used = used & (square <= KNOCK**2 * np.median(square[used]) + MIN_VARIANCE)
     freedom = (2.0 if np.iscomplexobj(values) else 1.0) * max(int(used.sum()) - basis.shape[1], 0.5)
-    return max(float(square[used].sum()), MIN_VARIANCE) / max(freedom - 2.0, 1.0), used, freedom
+    # The mean of a scaled inverse chi squared.
+    return max(float(square[used].sum()) / max(freedom - 2.0, 1.0), MIN_VARIANCE), used, freedom
 
 
 def _trend(n: int, order: int) -> FloatArray:

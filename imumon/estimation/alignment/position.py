@@ -28,7 +28,7 @@ MOTION_RATE, LIMIT_FACTOR = 1e-3, 5.0
 """A rate is motion that differs from the median at rest by more than 1 mrad/s (slower than any hand; less is
 sway, noise or creep), and by more than 5 times the largest deviation of the last 30 s."""
 SWAYING_RATE = 20e-3
-"""rad/s: at the start, a rate that varies by less for 10 s is taken for rest."""
+"""rad/s: at the start, a rate that varies by less for 10 s is rest; a larger deviation never is."""
 CALM_SLOTS, SWAYING_SLOTS, MEDIAN_SLOTS = 8, 40, 120
 """Slots: 2 s of calm are a rest, 10 s of sway at the start; the rate at rest is the median of 30 s, computed
 every 10 s."""
@@ -49,9 +49,9 @@ class PositionFit(NamedTuple):
     """Rate of one position given each of h hypotheses, in horizontal axes, complex: forward + i left.
 
     `log_weight` (h,) is that of prior and evidence; `rate` (h,) earth rate and bias, rad/s, with the variance
-    of each part; `vertical` is the vertical gyro, rad/s, and `white` the white noise of the quietest gyro,
-    (rad/s)²/Hz; `attitude` (3, 3) is from body axes.  `gyro_mean` and `hann_mean` have the directions of the
-    plain and the Hann-weighted mean of the gyros over `position_s`, s.
+    of each part; `vertical` is the vertical gyro, rad/s, and `white` the white noise, (rad/s)²/Hz, of the
+    quieter of both horizontal gyros together and the vertical one; `attitude` (3, 3) is from body axes.
+    `gyro_mean` and `hann_mean` have the directions of plain and Hann-weighted mean over `position_s`, s.
     """
 
     log_weight: FloatArray
@@ -220,7 +220,8 @@ class Motion:
         self.recent.extend(one.rate for one in rest)
         if self.moving or slot.begun_s % (SLOT_S * SWAYING_SLOTS) == 0.0:
             self.rest_rate = np.median(self.recent, axis=0)
-            self.limit = max(MOTION_RATE, LIMIT_FACTOR * float(np.abs(self.recent - self.rest_rate).max()))
+            largest = float(np.abs(self.recent - self.rest_rate).max())
+            self.limit = min(max(MOTION_RATE, LIMIT_FACTOR * largest), SWAYING_RATE)
         ended, self.moving, self.turn = self.turn, False, STILL
         return rest, ended
 

@@ -3,12 +3,13 @@
 Rates are in the reference frame (forward, left and up of the first position).  In position p, with the
 attitude C_p from body axes, the earth rate ω = Ω (cos L z, sin L), and the direction of north z::
 
-    w_p = ω + C_p (b + E C_pᵀ ω) + ω x (u x C_p β) + flicker + noise    u up                     (6)
+    w_p = ω + C_p (b + E C_pᵀ ω) + ω × (u × C_p β) + flicker + noise    u up                     (6)
     z'  = z + (Σ T_ij E_ij + N(0, v)) J z                               a turn; J turns by 90°   (7)
 
 b is the bias of the gyros, E their scale and misalignment, and β the bias of the accelerometers, g, which
 tilts the axes.  All three are constant in body axes.  T is the angle about the vertical by each element of E,
-and v the variance of a turn by all else.  Where z multiplies an error, it is that of the fit before.  In (6)
+and v the variance of a turn by all else; it is added to both parts of z, so that a large one, which is not
+linear, stays harmless.  Where z multiplies an error, it is that of the fit before.  In (6)
 E counts only if its size is declared.
 
 So w_p is linear in x = (z, b, E, β) and Gaussian.  E and β have one size, and are eliminated for each
@@ -101,8 +102,8 @@ def sensor_errors(arw: float, parameters: AlignmentParameters) -> SensorErrors:
 class HeadingPosterior(NamedTuple):
     """Direction of north, counter-clockwise in the reference frame, rad, and its standard deviation.
 
-    `rate_sd`, rad/s, is the standard deviation of a horizontal gyro in one position by b, E and β, and
-    `worse` the probability that gyros are `WORSE` than declared or, if nothing is declared, than the
+    `rate_sd`, rad/s, is the size of the prior of b, E and β in a horizontal gyro, by weight of the posterior,
+    and `worse` the probability that gyros are `WORSE` than declared or, if nothing is declared, than the
     regression.
     """
 
@@ -162,7 +163,7 @@ def _linear_model(
         back = np.eye(17)  # x before the turn, by x after it; E is x[5:14]
         back[:2, 5:14] = np.outer([north[1], -north[0]], error.by_scale - before.by_scale)
         matrix, vector = back.T @ matrix @ back, back.T @ vector
-        # The noise of the turn in information form; in both directions, as a large one is not linear.
+        # The noise of the turn, (7), in information form.
         gain = abs(error.variance - before.variance) * matrix[..., :2]
         gain = gain @ np.linalg.inv(np.eye(2) + gain[..., :2, :])
         matrix, vector = matrix - gain @ matrix[..., :2, :], vector - gain @ vector[..., :2, :]
@@ -171,8 +172,8 @@ def _linear_model(
         variances = np.column_stack([fit.variance, fit.variance, fit.vertical_variance * one])
         weight = 1.0 / (variances + errors.flicker**2)
         body = fit.attitude
-        by_scale = errors.scale_declared * np.kron(body, body.T @ earth)
-        design = np.hstack([horizontal * np.eye(3, 2), body, by_scale, tilted @ body])
+        by_scale_at_rest = errors.scale_declared * np.kron(body, body.T @ earth)
+        design = np.hstack([horizontal * np.eye(3, 2), body, by_scale_at_rest, tilted @ body])
         weighted = design.T * weight[:, None, :]
         matrix, vector = matrix + weighted @ design, vector + weighted @ observed[:, :, None]
         log_density = log_density - 0.5 * np.sum(weight * observed**2 - np.log(weight), axis=1)

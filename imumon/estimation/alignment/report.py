@@ -1,4 +1,4 @@
-"""What a user reads of an alignment: its state, texts of the result, instructions for several positions."""
+"""What a user reads of an alignment: its state, and texts of the result."""
 
 from __future__ import annotations
 
@@ -8,10 +8,8 @@ from typing import NamedTuple
 
 ANY_ANGLE_SD = math.pi / math.sqrt(3.0)
 """Standard deviation of an angle that is uniform on the circle, rad."""
-NOT_OBSERVABLE_S, HOPELESS_S = 30.0, 120.0
-"""Times at rest after which "not observable", and a bias that hides the north, are reported."""
-LONGEST_S = 300.0
-"""Longest time in one of several positions."""
+NOT_OBSERVABLE_S = 30.0
+"""Time at rest after which "not observable" is reported."""
 
 
 class Estimate(NamedTuple):
@@ -108,56 +106,3 @@ class Status(NamedTuple):
         if self.remaining_s is None:
             return f"{wanted} not in reach with the bias of these sensors"
         return f"about {self.remaining_s:.0f} s to {wanted}"
-
-    def rows(self) -> dict[str, str]:
-        """Return texts by label: the heading, whether it settled, and the conditions that limit it."""
-        wanted, settled = f"(σ ≤ {math.degrees(self.wanted_sd):g}°)", self.settled_s
-        texts = {
-            "heading": self.heading_text,
-            "settled": f"no {wanted}: {self.to_go_text}"
-            if settled is None
-            else f"yes, {settled:.1f} s after the first sample {wanted}",
-            "data": f"{min(self.rest_s, self.elapsed_s):.0f} of {self.elapsed_s:.0f} s counted",
-        }
-        if self.positions > 1:
-            texts["positions"] = f"{self.positions}, the last turned by {math.degrees(self.turned):.1f}°"
-        return texts
-
-    def estimator_rows(self) -> list[tuple[str, str, str]]:
-        """Return name, heading and sigma of each estimator in degrees; the one shown is marked."""
-        found = []
-        for name, one in self.estimates.items():
-            mark = " *" if name == "joint" and self.observable else ""
-            heading = f"{math.degrees(one.heading):.4f}" if math.isfinite(one.heading) else "-"
-            cells = (heading, f"{math.degrees(one.sd):.4f}") if one.known else ("-", "not known")
-            found.append((name.replace("_", " ") + mark, *cells))
-        return found
-
-
-class Guide:
-    """Gives the next instruction to the operator, from the status of the alignment.
-
-    A position is held until its white noise alone allows the wanted sigma.  With N positions the unit is
-    turned by a Nth of a turn each time; the gyros measure the actual turn.  With one there is no instruction.
-    """
-
-    def __init__(self, positions: int) -> None:
-        self.positions = positions
-        self.instruction = ""
-        self.done = False
-
-    def update(self, status: Status) -> list[str]:
-        """Return a new instruction, if there is one, (0 or 1)."""
-        before, at = self.instruction, status.positions
-        hopeless = status.rest_s >= HOPELESS_S and status.remaining_s is None
-        ended = status.settled_s is not None or hopeless
-        too_long = status.position_s >= LONGEST_S
-        if self.positions == 1:
-            self.done = ended
-        elif at >= self.positions and (ended or too_long):
-            self.instruction, self.done = "done", True
-        elif at < self.positions and (too_long or status.position_sd <= status.wanted_sd):
-            self.instruction = f"turn the unit now by about {360.0 / self.positions:.0f}° about the vertical"
-        elif at and not status.moving:
-            self.instruction = f"position {at} of {self.positions}: do not touch the unit"
-        return [self.instruction] if self.instruction != before else []

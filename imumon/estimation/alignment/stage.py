@@ -123,8 +123,8 @@ class Alignment:
         if SLOT_S * (missing + 1) > LONGEST_GAP_S:
             self._restart(f"samples are missing at {end_s:.1f} s for {SLOT_S * missing:.1f} s")
         mean, turn, at_rest = slots.mean[k].copy(), slots.turns[k], bool(slots.smallest[k, -1] > 0.0)
-        # The samples stand for the slots since those before them, but longer without samples is no rest.
-        for number in range(max(self._index + 1, index - CALM_SLOTS + 1), index + 1):
+        # A slow device: a sample stands for the slots before it, but alone it is no calm of 2 s.
+        for number in range(max(self._index + 1, index - CALM_SLOTS + 2), index + 1):
             self._recent.append(mean[3:9])
             self._aligner.step(Slot(SLOT_S * number, mean[:3], mean[3:6]), at_rest, turn)
             turn = STILL

@@ -114,3 +114,38 @@ def test_a_constant_creep_that_begins_after_half_a_turn_is_in_the_sigma(
         estimate = stage._aligner.estimates["joint"]
         ratios.append(error_deg(estimate.heading, heading) / math.degrees(estimate.sd))
     assert np.sqrt(np.mean(np.square(ratios))) < 1.8
+
+
+def test_a_creep_against_a_larger_bias_is_in_the_sigma() -> None:
+    t = np.arange(406 * 20 + 1) / 20.0
+    creep = math.radians(-5.0) / 3600.0 * np.clip(t - 106.0, 0.0, None)
+    turned = Rotation.from_rotvec(np.outer(math.pi * np.clip((t - 100.0) / 6.0, 0.0, 1.0) + creep, UP))
+    ratios = []
+    for seed in range(4):
+        block, heading = sent(turned, 20.0, seed=seed)
+        biased = block.with_columns({"gyro_z": block["gyro_z"] + math.radians(20.0) / 3600.0})
+        stage, _ = aligned(biased, {"accel_bias_sd_ug": 30.0})
+        assert stage.status.shown is not None
+        ratios.append(error_deg(stage.status.shown.heading, heading) / math.degrees(stage.status.shown.sd))
+    assert np.abs(ratios).max() < 4.0
+
+
+def test_a_short_first_position_of_a_noisy_gyro_does_not_widen_hours_of_rest() -> None:
+    t = np.arange(4 * 3600 * 2 + 1) / 2.0
+    bumped = Rotation.from_rotvec(np.outer(math.radians(0.5) * np.clip(t - 15.0, 0.0, 1.0), UP))
+    sds = []
+    for seed in range(4):
+        block, heading = sent(bumped, 2.0, seed=seed)
+        noise = (
+            math.radians(0.1)
+            / 60.0
+            * math.sqrt(2.0)
+            * np.random.default_rng(seed).normal(size=(3, len(block)))
+        )
+        noisy = {name: block[name] + noise[k] for k, name in enumerate(("gyro_x", "gyro_y", "gyro_z"))}
+        noisy["gyro_z"] += math.radians(1.0) / 3600.0
+        stage, _ = aligned(block.with_columns(noisy), {"gyro_bias_sd_deg_per_h": 0.3})
+        assert stage.status.shown is not None
+        sds.append(math.degrees(stage.status.shown.sd))
+        assert not abs(error_deg(stage.status.shown.heading, heading)) > 4.0 * sds[-1]
+    assert max(sds) < 1.8

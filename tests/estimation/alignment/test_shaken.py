@@ -46,6 +46,18 @@ def test_a_recording_may_begin_in_the_hand(until_s: float) -> None:
     assert abs(error_deg(status.shown.heading, 30.0)) < 4.0 * math.degrees(status.shown.sd)
 
 
+def test_a_pause_of_the_link_in_the_hand_is_no_rest() -> None:
+    t = _time(100.0)
+    block = _shaken(
+        100.0, np.outer(np.sin(0.6 * math.pi * t) * np.clip((20.0 - t) / 3.0, 0.0, 1.0), [0, 0, 0.3])
+    )
+    received = np.flatnonzero((t < 8.3) | (t > 10.8))
+    stage, _ = aligned(SampleBlock({name: values[received] for name, values in block.columns.items()}))
+    assert stage.status.rest_s > 75.0
+    assert stage.status.shown is not None
+    assert abs(error_deg(stage.status.shown.heading, 30.0)) < 4.0 * math.degrees(stage.status.shown.sd)
+
+
 @pytest.mark.parametrize("tau_s", [1.0, 10.0])
 def test_a_turn_that_dies_away_at_the_start_hides_no_north(tau_s: float) -> None:
     t = _time(300.0)
@@ -94,6 +106,15 @@ def test_a_detector_that_sees_no_rest_in_a_sway_stops_nothing() -> None:
     assert stage.status.shown is not None
     assert abs(error_deg(stage.status.shown.heading, 30.0)) < 3.0 * math.degrees(stage.status.shown.sd)
     assert math.degrees(stage.status.shown.sd) < 2.0
+
+
+def test_a_turn_by_hand_is_a_motion_after_a_sway_too() -> None:
+    t = _time(100.0)
+    sway = 7e-3 * np.sin(0.4 * math.pi * t) * (t < 30.0)
+    stage, _ = aligned(
+        _shaken(100.0, np.outer(sway + math.radians(1.5) * np.clip(t - 40.0, 0, 30), [0, 0, 1.0]))
+    )
+    assert stage.status.positions == 2
 
 
 def test_a_sway_faster_than_the_motion_limit_becomes_rest() -> None:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from imumon.blocks import SampleBlock
-from imumon.cli.align_command import as_data
+from imumon.cli.align_command import as_data, estimator_rows
 from imumon.estimation.alignment.parameters import AlignmentParameters
 from imumon.estimation.alignment.report import ANY_ANGLE_SD
 from imumon.estimation.alignment.stage import Alignment
@@ -67,7 +67,7 @@ def test_a_mems_gyro_never_shows_a_north(seed: int, bias: float) -> None:
 def test_a_mean_that_tells_nothing_is_any_angle_and_reported_as_such(declared: float) -> None:
     plan = scenario(40.0, arw=MEMS_ARW, rate_hz=50.0)
     stage, out = aligned(samples(plan), {"gyro_bias_sd_deg_per_h": declared})
-    shown = {name: cells for name, *cells in stage.status.estimator_rows()}
+    shown = {name: cells for name, *cells in estimator_rows(stage.status)}
     for name in ("gyro_mean", "hann_mean"):
         assert out[f"heading_{name}_sd"][-1] == ANY_ANGLE_SD
         assert shown[name.replace("_", " ")] == ["-", "not known"]
@@ -136,6 +136,14 @@ def test_results_do_not_depend_on_the_blocks(rate_hz: float) -> None:
     assert whole.keys() == pieces.keys()
     for name, values in whole.items():
         np.testing.assert_array_equal(values, pieces[name], err_msg=name)
+
+
+def test_readings_that_never_change_have_a_heading() -> None:
+    block = samples(scenario(60.0, rate_hz=20.0))
+    constant = {name: np.full(len(block), block[name].mean()) for name in INPUTS[2:]}
+    stage, _ = aligned(block.with_columns(constant))
+    assert stage.status.shown is not None
+    assert abs(error_deg(stage.status.shown.heading, 30.0)) < 4.0 * math.degrees(stage.status.shown.sd) < 1.0
 
 
 def test_rows_without_rates_gaps_and_restarts_are_survived() -> None:

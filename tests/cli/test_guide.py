@@ -1,8 +1,11 @@
 from __future__ import annotations
 
+import math
+
 from imumon.blocks import SampleBlock
+from imumon.cli.align_command import Guide
 from imumon.estimation.alignment.parameters import AlignmentParameters
-from imumon.estimation.alignment.report import Guide
+from imumon.estimation.alignment.report import Estimate, Status
 from imumon.estimation.alignment.stage import Alignment
 from tests.estimation.alignment.units import samples, scenario
 
@@ -56,3 +59,15 @@ def test_a_sigma_that_the_accelerometers_keep_up_is_not_waited_for() -> None:
     assert stage.status.observable
     assert stage.status.remaining_s is None
     assert guide.done
+
+
+def test_the_last_position_is_held_until_it_has_separated_the_bias() -> None:
+    guide, wanted = Guide(2), math.radians(0.2)
+    hidden = {"joint": Estimate(math.nan, 1.0)}
+    arrived = Status(wanted, 310.0, False, rest_s=302.0, estimates=hidden, positions=2, position_s=2.0)
+    settled = arrived._replace(estimates={"joint": Estimate(1.0, 1e-3)}, settled_s=50.0, remaining_s=0.0)
+    noisy = arrived._replace(rest_s=315.0, position_s=15.0, position_sd=2.0 * wanted)
+    for status in (arrived, settled, noisy):
+        guide.update(status)
+        assert not guide.done
+    assert guide.update(noisy._replace(position_s=80.0, position_sd=0.9 * wanted)) == ["done"]
