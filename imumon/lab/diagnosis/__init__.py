@@ -27,13 +27,13 @@ doi:10.1214/10-STS347).  (4) is that of steps 1 to 4; in 5, and between bases, S
 **Search** (`search`), stepwise over all axes of a sensor, which share one physics, in at most five stages:
 
 1. *Try.*  Each axis tries every candidate beside what it has, with theta of a grid.  At first, if a pair of
-   candidates gains more than any alone by 8 and by 15 %, a family counts by its gain beside one of the pair.
-2. *Choose.*  An axis *shows* a family that gains more than 0 (an event: 8), and less than its best one by no
-   more than the bar or 15 %, the larger.  The family is chosen whose gain, summed over the axes that show
-   it, is largest and exceeds the bar; of those within 10 or 15 % of it, the larger, any other goes before an
-   event, and the rest are alternatives, not told apart.  The gains of a faulty axis do not count.
+   candidates gains more than any alone by 8 and by 15 %, a family gains what its pair does less the partner.
+2. *Choose.*  An axis *shows* a family that gains more than 0 (an event: 8) and more than b - max(bar, 0.15 b),
+   b its best gain.  The family is chosen whose gain, summed over the axes that show it, is largest, if that
+   exceeds the bar; of those within max(10, 15 %), any other goes before an event, and the rest are
+   alternatives, not told apart.  The gains of a faulty axis (one value is too frequent) do not count.
 3. *Add.*  Each of these axes refines theta, adds it, and refines all its effects again.  It refuses (a) what
-   takes away less than 0.3 white floors, than its faults may be, or than a fifth of what an effect before it
+   takes away less than 0.3 white floors, than rounding may make, or than a fifth of what any effect before
    does; if that is an event, nothing else is added; (b) a second event in a run: nothing else is added then,
    and from half of what each before it takes away it is a `repeated_event`, which no effect explains.
 4. The axes that are left choose again, each without what it has refused, until no family exceeds the bar.
@@ -41,7 +41,8 @@ doi:10.1214/10-STS347).  (4) is that of steps 1 to 4; in 5, and between bases, S
 5. *Drop.*  Each axis drops what gains 8 or less beside the rest, takes alternatives that are likelier beside
    it, and refines.  The same is done before the first stage with the effects of the present model.
 
-**Verdict** (`verdict`): of what was found, that is claimed which explains training and the test, if any.
+**Verdict** (`verdict`): of what was found, that is claimed which explains training and the test, if any.  It
+is fitted by ordinary least squares; of a test, what carries over is predicted, the rest estimated in it.
 
 **Words.**  *Channel*: an axis, or another column.  *Driver*: what an effect depends on, the temperature or
 another column.  *Pose*: a stretch in one attitude.  *Event*: has a time of its own in one run, as a jump.

@@ -37,7 +37,8 @@ ALL_RUNS = -1
 
 class Term(NamedTuple):
     """One column of Z: the index of a column that `Training` has made, and the number of the run outside of
-    which it is zero, or `ALL_RUNS`.  Coefficients of terms of one `spectrum` (-1: none) have one sign."""
+    which it is zero, or `ALL_RUNS`.  Terms of one `spectrum` of time constants (-1: none) have one sign: with
+    both, by generalised least squares, the candidate explains nothing."""
 
     column: int
     run: int

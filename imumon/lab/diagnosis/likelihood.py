@@ -81,7 +81,7 @@ class Likelihood:
     ) -> FloatArray:
         """Return loglik of the base with each of the candidates, its maximum over a grid, (candidates,).
 
-        A candidate whose spectrum has both signs, by generalised least squares, explains nothing.
+        A candidate whose `spectrum` (`Term`) has both signs explains nothing.
         """
         terms = list(dict.fromkeys(term for one in candidates for term in one))
         place = {term: at for at, term in enumerate(terms)}

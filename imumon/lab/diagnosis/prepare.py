@@ -79,8 +79,8 @@ def usable_drivers(
     present: Sequence[Effect],
     remarks: list[str],
 ) -> list[str]:
-    """Return the drivers that vary in training and are in every run, of those wanted (None: of all `beside`
-    the temperatures of curves), and those of effects of the present model, which may be constant.
+    """Return the drivers that vary in training and are in every run, of those wanted (None: of all but
+    those in `beside`), and those of effects of the present model, which may be constant.
 
     Raises BAD_CONFIG when one that is wanted is not there, BAD_DATA when a run hardly has one of the model.
     """

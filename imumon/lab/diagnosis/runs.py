@@ -88,7 +88,7 @@ class Run:
     begun_in: str = ""
     """Name of the run that began at this power-on, where that is another: its jumps persist in this one."""
     woven: bool = False
-    """Whether it lies between parts of the training, whose ends any smooth course joins."""
+    """Whether it alternates with parts of the training, so that any smooth course interpolates it."""
     warnings: tuple[str, ...] = ()
     """Why its numbers may not be fit for an estimate; for example, the device corrected its rates itself."""
     slot_s: float = 1.0

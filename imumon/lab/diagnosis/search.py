@@ -23,7 +23,7 @@ PROVEN_GAIN = 8.0
 """Gain above which an effect is proven: e^-4 by chance."""
 NEAR_GAIN, NEAR_SHARE = 10.0, 0.15
 """Families are not separated whose gains differ by less, or by less than this share of the best: no column
-has exactly the shape of the physics, which decides when an effect is large."""
+has exactly the shape of the physics, and for a large effect this misfit exceeds the noise."""
 MOST_NAMES = 3
 """Families that are named in a set of those not separated."""
 STAGES = 5

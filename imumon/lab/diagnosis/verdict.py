@@ -5,9 +5,9 @@ What is claimed of the findings of the search (`_claimable`):
 1. a jump counts only where more than 1.3 white floors are left without it, and no run has two;
 2. a finding is left out without which the test is estimated better (with the values of its own);
 3. (a) by training: the others are claimed if they explain training and the test, if any; else none is;
-4. (b) by the test: if 3 claims nothing, or leaves 1.8 total floors of the test, and the base leaves as much
-   of training, single effects are tried.  Claimed is the one that leaves least of the test, if it takes away
-   8 white floors and 60 % of the excess, and leaves less than half of what 3 leaves.
+4. (b) by the test, only if the model without findings leaves 1.8 total floors of training, and 3 claims
+   nothing or leaves 1.8 of the test: of single effects, the one that leaves least of the test is claimed, if
+   it takes away 8 white floors and 60 % of the excess, and leaves less than half of what 3 leaves.
 
 To *explain*, of rms A before and B after, is to leave less than 1.8 total floors, or to take away 60 % of the
 excess over the floor (the total floor in 3, the white floor in 4)::
