@@ -28,7 +28,7 @@ doi:10.1214/10-STS347).  (4) is that of steps 1 to 4; in 5, and between bases, S
 
 1. *Try.*  Each axis tries every candidate beside what it has, with theta of a grid.  At first, if a pair of
    candidates gains more than any alone by 8 and by 15 %, a family gains what its pair does less the partner.
-2. *Choose.*  An axis *shows* a family that gains more than 0 (an event: 8) and more than b - max(bar, 0.15 b),
+2. *Choose.*  An axis *shows* a family that gains more than 0 (an event: 8) and over b - max(bar, 0.15 b),
    b its best gain.  The family is chosen whose gain, summed over the axes that show it, is largest, if that
    exceeds the bar; of those within max(10, 15 %), any other goes before an event, and the rest are
    alternatives, not told apart.  The gains of a faulty axis (one value is too frequent) do not count.
