@@ -231,6 +231,13 @@ def test_a_wrong_argument_of_open_is_named(wrong: dict[str, Any], named: str) ->
     assert caught.value.reason is Reason.BAD_CONFIG
 
 
+def test_an_argument_without_a_name_is_named_and_a_missing_one_is_a_type_error() -> None:
+    with pytest.raises(ImumonError, match=r"^path=3: "):
+        imumon.read(3)  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match="'port'"):
+        imumon.open()  # type: ignore[call-arg]
+
+
 def test_a_wrong_argument_of_a_setup_is_named() -> None:
     with pytest.raises(ImumonError, match=r"latitude_deg=480: .* less than or equal to 90") as caught:
         imumon.Setup(latitude_deg=480)
