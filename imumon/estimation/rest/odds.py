@@ -157,7 +157,7 @@ def gravity(rate: SteadyRate, drift: float) -> float:
         return 0.0
     seconds = sum(one.covered_s for one in rate.measurements[1:])
     phi = across @ _turned(rate.measurements, rate.bias)
-    tilt = _cross(last, first) / g**2
+    tilt = np.cross(last, first) / g**2
     variance = ((math.sqrt(2.0 * rate.force_variance) + drift * seconds) / g) ** 2
     turn_variance = variance + float(rate.variance.max()) * seconds**2
     expected, tilted = (math.hypot(*angle) / math.sqrt(variance) for angle in (phi, tilt))
@@ -183,19 +183,12 @@ def heading(measurements: Sequence[Measurement], bias: FloatArray) -> float:
     if not vectors[:, 2].any():  # a yaw has two components
         up = np.array([[0.0, 0.0, 1.0]])
     north = vectors - (vectors * up).sum(1, keepdims=True) * up
-    turned = np.arctan2(north @ _cross(up[-1], north[0]), north @ north[0])
-    if np.abs(turned).max() > 0.5 * math.pi:  # else nothing wraps, and `unwrap` is slow
-        turned = np.unwrap(turned)
+    turned = np.arctan2(north @ np.cross(up[-1], north[0]), north @ north[0])
+    turned = np.unwrap(turned)
     measured, noise2 = abs(float(turned[-1])), float((np.diff(turned, 2) ** 2).mean()) / 3.0
     variance = noise2 + HEADING_NOISE**2 + (HEADING_ERROR * angle) ** 2
     follows = (measured**2 - (measured - angle) ** 2) / (2.0 * variance)  # ln L(turn) / L(no turn)
     return -float(np.logaddexp(math.log(1.0 - STUCK_HEADING) + follows, math.log(STUCK_HEADING)))
-
-
-def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return the product of two vectors, (3,); of so few `numpy.cross` takes ten times as long."""
-    (ax, ay, az), (bx, by, bz) = a.tolist(), b.tolist()
-    return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
 
 
 def _turned(measurements: Sequence[Measurement], bias: FloatArray) -> FloatArray:
