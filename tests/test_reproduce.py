@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ast
+import inspect
 import os
 import re
 import runpy
@@ -11,6 +13,7 @@ import sys
 from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 from unittest.mock import patch
 
 import pytest
@@ -109,12 +112,18 @@ def test_pages_have_the_markers_of_their_studies(scripts: Path) -> None:
 
 @pytest.mark.parametrize("part", ["alignment", "attitude", "rest_and_bias", "temperature_rate"])
 @pytest.mark.usefixtures("scripts")
-def test_ablations_change_what_exists(part: str) -> None:
+def test_ablations_change_what_exists_and_is_read_in_a_run(part: str) -> None:
     import study
 
     module, _ = study.study_of(study.STUDIES["ablation"][part])
     for name, change in module.VARIANTS.items():
         assert all(hasattr(place, attribute) for place, attribute, _ in change), name
+        for place, attribute, _ in change:
+            if isinstance(place, ModuleType):  # what only other constants are made of has no effect later
+                nodes = ast.walk(ast.parse(inspect.getsource(place)))
+                functions = [node for node in nodes if isinstance(node, ast.FunctionDef | ast.Lambda)]
+                read = {n.id for one in functions for n in ast.walk(one) if isinstance(n, ast.Name)}
+                assert attribute in read, f"{name}: {attribute}"
 
 
 def test_commands_that_the_docs_name_exist() -> None:

@@ -32,7 +32,7 @@ VARIANTS: dict[str, Change] = {
     "one level of flicker, 10 s": [(bank, "FLICKER_CORNERS_S", (10.0,))],
     "no random walk": [(bank, "WALK_CORNER_S", 1e6)],
     "no sensitivity": [(bank, "SENSITIVITY_SD", 1e-9)],
-    "no flicker within a slot": [(bank, "FASTEST_S", 1.0)],
+    "no flicker within a slot": [(bank, "FASTER", 0.0)],
     "nominal bias follows at once": [(hypotheses, "LAG_S", 1.0)],
     "nominal bias never stays": [(hypotheses, "DOUBT", 1.0), (hypotheses, "UNLIKELY_TURN", 1.0)],
     "nominal bias stays from P(turn) of 0.1 on": [(hypotheses, "DOUBT", 0.1)],

@@ -62,8 +62,9 @@ def _noise(
 ) -> Change:
     """Return what replaces the models of the noise."""
     noise = NoiseModels(*np.array([*codes, *means]).T[:, :, np.newaxis])
-    rows = {"NOISE": noise, "CODE": slice(0, len(codes)), "MEAN": slice(len(codes), None)}
-    return [(module, name, each) for module in (filter_module, measurement) for name, each in rows.items()]
+    rows = {"NOISE": noise, "CODE": slice(0, len(codes))}
+    changes = [(module, name, each) for module in (filter_module, measurement) for name, each in rows.items()]
+    return [*changes, (measurement, "MEAN", slice(len(codes), None))]
 
 
 def _never(*_: Any) -> bool:
