@@ -51,7 +51,7 @@ def axes(title: str, rows: int, x: str = "s") -> list[Axes]:
 
 def temperature_rate() -> list[Axes]:
     """Draw rates of a unit that heats itself from 34 to 67 °C, read in steps of 0.05 °C at 10 Hz."""
-    step, rate_hz, difference_s, most = 0.05, 10, 180, 20.0
+    step, rate_hz, difference_s = 0.05, 10, 180
     t = np.arange(3 * 3600 * rate_hz) / rate_hz
     temperature = 67.3 - 33.0 * np.exp(-t / 2700.0) + 0.25 * np.sin(2.0 * np.pi * t / 3600.0)
     truth = np.gradient(temperature, t)
@@ -65,20 +65,17 @@ def temperature_rate() -> list[Axes]:
         method.process(time_ns, segment, reading)
         for method in (FirRate(Params(step, 300.0, 180.0, 1000)), MultipleModelRate())
     )
-    (ax,) = axes("A unit that heats itself, read in steps of 0.05 °C", 1, "min")
-    each = slice(None, None, 50)
-    low, high = (PER_HOUR * (fir.rate + sign * 2.0 * fir.rate_sd)[each] for sign in (-1.0, 1.0))
-    ax.fill_between(t[each] / 60.0, low, high, color="C1", alpha=0.3)
-    curves = {
-        "differences over 180 s": difference,
-        "published filter ± 2σ": fir.rate,
-        "imumon": bank.rate,
-        "truth": truth,
-    }
-    for name, rate in curves.items():
-        ax.plot(t[each] / 60.0, PER_HOUR * rate[each], linewidth=0.9, label=name)
-    ax.set(ylim=(-3.0, most), ylabel="°C/h")
-    return [ax]
+    above, below = axes("A unit that heats itself, read in steps of 0.05 °C", 2, "min")
+    shown = slice(5 * 60 * rate_hz, None, 50)  # after five minutes every method has begun
+    for name, rate, color in (("differences over 180 s", difference, "C0"), ("truth", truth, "k")):
+        above.plot(t[shown] / 60.0, PER_HOUR * rate[shown], color, linewidth=0.9, label=name)
+    above.set(ylabel="rate, °C/h")
+    for name, method, color in (("published filter", fir, "C1"), ("imumon", bank, "C2")):
+        error, sd = (PER_HOUR * each[shown] for each in (method.rate - truth, method.rate_sd))
+        below.plot(t[shown] / 60.0, error, color, linewidth=0.9, label=f"{name}, ±2σ")
+        below.fill_between(t[shown] / 60.0, error - 2.0 * sd, error + 2.0 * sd, color=color, alpha=0.25)
+    below.set(ylim=(-2.0, 2.0), ylabel="error of the rate, °C/h")
+    return [above, below]
 
 
 def turn_or_bias() -> list[Axes]:
