@@ -216,4 +216,4 @@ def tables(given: Options) -> Iterator[Table]:
     yield Table("", (), (), "\n".join([*lines, f"Learned over standard without thermal effect: {means}."]))
 
 
-STUDY = Study(tables, seeds=10, page="bias-race.md")
+STUDY = Study(tables, seeds=10, page="appendix/bias-race-results.md")

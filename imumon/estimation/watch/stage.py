@@ -171,7 +171,8 @@ class ModelWatch:
 
     They should be white, standard normal, and have nothing to do with temperature, its rate or the time.  A
     suspicion stays until the device restarts: a model that has failed does not get better when the
-    temperature comes to rest.  What is tested for, and how often in vain, is in docs/closing-the-loop.md.
+    temperature comes to rest.  What is tested for, and how often in vain, is in
+    docs/appendix/closing-the-loop-details.md.
 
     Parameters
     ----------
