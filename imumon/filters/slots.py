@@ -26,38 +26,25 @@ Number = TypeVar("Number", np.float64, np.int64)
 class Slots:
     """m slots of k columns that ended, in order."""
 
-    row: IntArray
-    """First row of the block behind the slot, (m,): from there on the results of the slot are known."""
-    segment: IntArray
-    """Segment of the slot's samples, (m,)."""
-    begins: BoolArray
-    """Whether this is the first slot of its segment, or of a time that ran back, (m,)."""
-    start_ns: IntArray
+    row: IntArray  # first row of the block behind the slot, (m,): there the results of the slot are known
+    segment: IntArray  # of its samples, (m,)
+    begins: BoolArray  # whether it is the first slot of its segment, or of a time that ran back, (m,)
+    start_ns: IntArray  # device time of the first and the last sample in it, (m,)
     end_ns: IntArray
-    """Device time of the first and the last sample in it, (m,)."""
-    samples: IntArray
-    """Rows in the slot, whether or not they have values, (m,)."""
-    count: IntArray
-    """Finite values, (m, k)."""
+    samples: IntArray  # rows in the slot, whether or not they have values, (m,)
+    count: IntArray  # finite values, (m, k); the next six are of these, NaN without any
     mean: FloatArray
-    variance: FloatArray
-    """Of the finite values, the variance about their mean, (m, k); NaN without any."""
+    variance: FloatArray  # about their mean
     smallest: FloatArray
     largest: FloatArray
     first: FloatArray
     last: FloatArray
-    """Of the finite values, (m, k); NaN without any."""
-    step_count: IntArray
-    """Pairs of finite values in successive rows of the segment, the later of which is in the slot, (m, k)."""
-    step_squares: FloatArray
-    """Sum of their squared differences, (m, k)."""
-    changes: IntArray
-    """How many of them differ at all, (m, k)."""
-    turns: Sequence[Turn]
-    """How the unit turned, (m,); empty if the gatherer has no rates of turn."""
+    step_count: IntArray  # pairs of values in successive rows, the later of which is in the slot, (m, k)
+    step_squares: FloatArray  # sum of their squared differences, (m, k)
+    changes: IntArray  # how many of them differ at all, (m, k)
+    turns: Sequence[Turn]  # how the unit turned, (m,); empty if the gatherer has no rates of turn
 
     def __len__(self) -> int:
-        """Return the number of slots."""
         return len(self.row)
 
     @property
@@ -82,50 +69,36 @@ COLUMN = np.dtype(
 of the row before."""
 
 
-class SlotGatherer:
-    """Gathers rows into slots; the same slots whatever the division into blocks.
+ENDLESS_NS = 2**62
+"""Length of slots that end with their segment, or where time runs back: their `Slots.row` are the breaks."""
 
-    Parameters
-    ----------
-    columns : int
-        Columns of the values.
-    length_ns : int
-        Length of a slot, at least 1.
-    turns : bool
-        Whether the first three columns are the rates of turn about the body axes, rad/s, to be integrated.
+
+class SlotGatherer:
+    """Gathers rows of values into slots of a length; the same slots whatever the division into blocks.
+
+    With `turns` the first three columns are the rates of turn about the body axes, rad/s, to be integrated.
     """
 
     def __init__(self, columns: int, length_ns: int, turns: bool = False) -> None:
-        if length_ns <= 0:
-            raise ValueError(f"slots of {length_ns} ns")
         self.length_ns = length_ns
-        self._columns = columns
         self._turns = turns
-        self._begin()
-
-    def _begin(self) -> None:
         self._slot: RecordArray = np.zeros(1, SLOT)
-        self._slot_columns: RecordArray = np.zeros(self._columns, COLUMN)
+        self._columns: RecordArray = np.zeros(columns, COLUMN)
         self._turn: RecordArray = np.zeros(1, TURN)
 
     def process(self, time_ns: IntArray, segment: IntArray, values: FloatArray) -> Slots:
         """Return the slots that end within these rows.
 
-        Parameters
-        ----------
-        time_ns, segment : array of int64, (n,)
-            Device time and its segment; a row whose time is `NO_INT` is left out.  A new segment, or a time
-            that runs back, begins anew.
-        values : array, (n, k)
-            Any unit; NaN where there is none.
+        Of device time and segment, (n,): a row whose time is `NO_INT` is left out; a new segment, or a time
+        that runs back, begins anew.  Values, (n, k), are in any unit, NaN where there is none.
         """
         n = len(time_ns)
-        slots, columns = np.empty(n, SLOT), np.empty((n, self._columns), COLUMN)
+        slots, columns = np.empty(n, SLOT), np.empty((n, len(self._columns)), COLUMN)
         turns = np.empty(n if self._turns else 0, TURN)
         values = np.ascontiguousarray(values, np.float64)
         m = _gather(
-            time_ns, segment, values, self.length_ns, self._turns, self._slot, self._slot_columns,
-            self._turn, slots, columns, turns,
+            time_ns, segment, values, self.length_ns, self._turns, self._slot, self._columns, self._turn,
+            slots, columns, turns,
         )  # fmt: skip
         found: dict[str, Any] = {"turns": [turn_of(one) for one in turns[:m]]}
         for name in (field.name for field in fields(Slots) if field.name not in found):
@@ -135,31 +108,9 @@ class SlotGatherer:
     def finish(self) -> Slots:
         """Return the slot that is open at the end of the rows, if there is one; then begin as new."""
         behind = self._slot["segment"] + 1
-        last = self.process(np.zeros(1, np.int64), behind, np.full((1, self._columns), np.nan))
-        self._begin()
+        last = self.process(np.zeros(1, np.int64), behind, np.full((1, len(self._columns)), np.nan))
+        self._slot["begun"] = False
         return last
-
-
-class Breaks:
-    """Finds the rows from which on nothing before holds: a segment begins, or time runs back."""
-
-    def __init__(self) -> None:
-        self._last: tuple[int, int] | None = None
-
-    def rows(self, time_ns: IntArray, segment: IntArray) -> list[int]:
-        """Return those rows of the next block, (n,).
-
-        Rows without a time are passed over, and the very first row is no break.
-        """
-        dated = np.flatnonzero(time_ns != NO_INT)
-        if not len(dated):
-            return []
-        times, labels = time_ns[dated], segment[dated]
-        last_ns, last_label = self._last if self._last is not None else (times[0], labels[0])
-        self._last = int(times[-1]), int(labels[-1])
-        begins = np.diff(labels, prepend=last_label) != 0
-        begins |= np.diff(times, prepend=last_ns) < 0
-        return [int(row) for row in dated[begins]]
 
 
 def held(

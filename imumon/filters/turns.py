@@ -49,14 +49,10 @@ class Turn:
     of scale and misalignment."""
     coning: FloatArray = field(default_factory=lambda: np.zeros(3))
     """What may be missing or too much between samples, rad, with one sign, (3,)."""
-    fast: float = 0.0
-    """The same of motion that is nearly too fast for the samples, rad, in any direction."""
-    missed: float = 0.0
-    """Variance by samples that are missing, rad²."""
-    seconds: float = 0.0
-    """Time of all samples, each since the one before; without pauses."""
-    path: float = 0.0
-    """Sum of the angles of the parts that it is made of, rad."""
+    fast: float = 0.0  # the same of motion that is nearly too fast for the samples, rad, in any direction
+    missed: float = 0.0  # variance by samples that are missing, rad²
+    seconds: float = 0.0  # time of all samples, each since the one before; without pauses
+    path: float = 0.0  # sum of the angles of the parts that it is made of, rad
 
     def less(self, bias: FloatArray) -> Turn:
         """Return the turn by rates without a constant bias, rad/s, (3,), to first order of its angle."""
@@ -139,13 +135,12 @@ def begin_segment(turn: Any) -> None:
 @inner
 def begin_turn(turn: Any) -> None:
     """Begin the turn of a slot at the last sample."""
-    for a in range(3):
-        turn.coning[a] = 0.0
-        for i in range(3):
-            turn.rotation[a, i] = 1.0 if a == i else 0.0
-            turn.by_bias[a, i] = 0.0
-            for j in range(3):
-                turn.by_scale[a, i, j] = 0.0
+    turn.rotation[:] = 0.0
+    turn.by_bias[:] = 0.0
+    turn.by_scale[:] = 0.0
+    turn.coning[:] = 0.0
+    for i in range(3):
+        turn.rotation[i, i] = 1.0
     turn.fast = turn.missed = turn.seconds = 0.0
 
 

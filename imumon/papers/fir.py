@@ -21,7 +21,7 @@ import numpy as np
 
 from imumon.blocks import FloatArray, IntArray
 from imumon.estimation.temperature_rate.stage import RateEstimate, TemperatureRate
-from imumon.filters.slots import Breaks
+from imumon.filters.slots import ENDLESS_NS, SlotGatherer
 
 ORDER = 3
 """Coefficients of the model α + βu + γe^(-u) (13)."""
@@ -124,7 +124,7 @@ class FirRate:
     def __init__(self, params: Params) -> None:
         self.params = params
         self.state: State | None = None
-        self._breaks = Breaks()
+        self._runs = SlotGatherer(0, ENDLESS_NS)
         self._origin_ns = 0
 
     def process(self, time_ns: IntArray, segment: IntArray, reading: FloatArray) -> RateEstimate:
@@ -138,7 +138,7 @@ class FirRate:
         out = np.full((4, n), np.nan)
         if not n:
             return RateEstimate(*out)
-        breaks = self._breaks.rows(time_ns, segment)
+        breaks = self._runs.process(time_ns, segment, np.empty((n, 0))).row.tolist()
         for begin, end in pairwise(sorted({0, *breaks, n})):
             if begin in breaks:
                 self.state = None

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from imumon.blocks import NO_INT, BoolArray, FloatArray, IntArray, SampleBlock
-from imumon.filters.slots import Breaks, SlotGatherer, Slots, held
+from imumon.filters.slots import ENDLESS_NS, SlotGatherer, Slots, held
 from imumon.models.model import BiasModel
 from imumon.models.predictor import BiasPredictor
 
@@ -20,12 +20,13 @@ class SlotStage:
     def __init__(self, inputs: int, slot_s: float, shape: Sequence[int]) -> None:
         self._gatherer = SlotGatherer(inputs, round(slot_s * 1e9))
         self._shown = np.full(tuple(shape), np.nan)
-        self._breaks = Breaks()
+        self._runs = SlotGatherer(0, ENDLESS_NS)
 
     def slots(self, block: SampleBlock, values: FloatArray) -> tuple[Slots, list[int]]:
         """Return the slots that end in a block, and the rows from which on nothing before holds."""
         times, segment = block["device_time_ns"], block["segment"]
-        return self._gatherer.process(times, segment, values), self._breaks.rows(times, segment)
+        ended = self._runs.process(times, segment, values[:, :0])
+        return self._gatherer.process(times, segment, values), ended.row.tolist()
 
     def spread(self, rows: IntArray, results: FloatArray, breaks: Sequence[int], n: int) -> FloatArray:
         """Return what is shown at n rows, (n, ...), of results that are known from `rows` on."""

@@ -69,6 +69,8 @@ FASTEST_S = 0.02
 """Down to here the flicker of single samples goes on."""
 FASTER = math.log(TAUS_S[0] / FASTEST_S) / math.log(TAUS_S[2] / TAUS_S[1])
 """Variance of the flicker of single samples that is faster than g1, over that of g1."""
+LEAST_WHITE = 1e-15
+"""Variance of the mean of a second, (rad/s)²: 0.0065 °/h, less than any gyro has.  Assumed."""
 MEMORY_S = 600.0
 """Time over which σ² is averaged."""
 PRIOR_COUNT, DECLARED_COUNT = 3.0, 0.5 * MEMORY_S
@@ -84,14 +86,11 @@ smaller prior, of a gyro that hardly scatters, the first mean would be a sensiti
 class States:
     """States of three axes, (3, ..., 8): those of all modes over σ², or of their mixture."""
 
-    process: FloatArray
-    """Q: of w per second, of each gi when it is in equilibrium, of s per °C, (3, ..., 8)."""
-    mean: FloatArray
-    covariance: FloatArray
-    """x, (3, ..., 8), and P, (3, ..., 8, 8)."""
+    process: FloatArray  # Q: of w per second, of each gi when it is in equilibrium, of s per °C, (3, ..., 8)
+    mean: FloatArray  # x, (3, ..., 8)
+    covariance: FloatArray  # P, (3, ..., 8, 8)
     time_s: float
-    degc: FloatArray
-    """°C, (3,)."""
+    degc: FloatArray  # of each gyro, (3,)
 
     def at(self, time_s: float, degc: FloatArray) -> Self:
         """Return F x and F P Fᵀ + Q at a later time and temperatures, °C, (3,); NaN is no change."""
@@ -125,22 +124,17 @@ TO_TERMS = np.vstack([measurement_row(np.zeros(3)), np.eye(STATES)[SENSITIVITY]]
 class LinearBias(NamedTuple):
     """A bias as a linear function of the specific force f, t (1, f); NaN where nothing is known."""
 
-    terms: FloatArray
-    """t: bias without specific force, rad/s, and sensitivity, rad/s per m/s², (3, 4)."""
-    covariance: FloatArray
-    """C of t, (3, 4, 4)."""
-    force: FloatArray
-    """Mean f of the slot, m/s², (3,)."""
-    turn: FloatArray
-    """Turn hypothesis, rad/s, (3,); its square is not in C."""
+    terms: FloatArray  # t: bias without specific force, rad/s, and sensitivity, rad/s per m/s², (3, 4)
+    covariance: FloatArray  # C of t, (3, 4, 4)
+    force: FloatArray  # mean f of the slot, m/s², (3,)
+    turn_hypothesis: FloatArray  # rad/s, (3,); its square is not in C
 
 
 @dataclass(frozen=True, eq=False)
 class Prediction(States):
     """The mixture of all modes, in absolute units."""
 
-    white: FloatArray
-    """Variance of the white noise of a second, (rad/s)², (3,)."""
+    white: FloatArray  # variance of the white noise of a second, (rad/s)², (3,)
 
     def bias(self, force: FloatArray, of_mean: bool = False) -> tuple[FloatArray, FloatArray]:
         """Return bias and variance at a specific force, (3,) each; `of_mean` without the fastest flicker."""
@@ -183,13 +177,10 @@ def at_samples(
 class Bank(States):
     """The filters at a time, (3 axes, F modes, ...), Q and P over σ²."""
 
-    log_weight: FloatArray
-    """Logarithm of prior times likelihood of each mode, but for a constant, (3, F)."""
-    shape: float
-    scale: FloatArray
-    """a, and β in (rad/s)², (3, F)."""
-    declared: bool
-    """Whether flicker and walk are declared, so that Q σ² stays where σ² changes, as by a fan."""
+    log_weight: FloatArray  # ln of prior times likelihood of each mode, but for a constant, (3, F)
+    shape: float  # a
+    scale: FloatArray  # β, (rad/s)², (3, F)
+    declared: bool  # whether flicker and walk are, so that Q σ² stays where σ² changes, as by a fan
 
     @classmethod
     def begin(
@@ -197,16 +188,18 @@ class Bank(States):
         noise: Sequence[FloatArray | None],
         slopes: Sequence[float],
         white: FloatArray,
-        count: float,
         first: Measurement,
     ) -> Bank:
         """Return filters after the first measurement, before which nothing is known of the bias.
 
-        `noise` are declared B, rad/s, and K, rad/s/√s, (3,) each, or None; `slopes` standard deviations of
-        the slope over σ, 1/°C; `white` is σ², the variance of the mean rate of a second, (rad/s)², (3,), with
-        `count` as its a.
+        `noise` are declared σ, rad/√s, B, rad/s, and K, rad/s/√s, (3,) each, or None; `slopes` standard
+        deviations of the slope over σ, 1/°C; `white` is the σ² that is measured, of the mean rate of a
+        second, (rad/s)², (3,).
         """
-        process, log_prior = _modes(noise, slopes, count / (count - 1.0) * white)
+        (sigma, b, k), count = noise, PRIOR_COUNT
+        if sigma is not None:
+            white, count = np.maximum(sigma**2, LEAST_WHITE), DECLARED_COUNT
+        process, log_prior = _modes(b, k, slopes, count / (count - 1.0) * white)
         variance = process.copy()
         variance[..., WALK] = 0.0
         variance[..., SLOPE] *= SLOPE_DEGC
@@ -214,8 +207,7 @@ class Bank(States):
         scale = np.tile(count * white[:, np.newaxis], process.shape[1])
         start_s, zero = first.end_s - first.covered_s, np.zeros_like(variance)
         covariance = variance[..., np.newaxis] * np.eye(STATES)
-        declared = all(one is not None for one in noise)
-        bank = cls(process, zero, covariance, start_s, first.degc, log_prior, count, scale, declared)
+        bank = cls(process, zero, covariance, start_s, first.degc, log_prior, count, scale, b is not None)
         return bank.after(first, jumped=True)
 
     def fits(self, now: Measurement, sigmas: float) -> bool:
@@ -298,13 +290,9 @@ class Bank(States):
 
 
 def _modes(
-    noise: Sequence[FloatArray | None], slopes: Sequence[float], white: FloatArray
+    b: FloatArray | None, k: FloatArray | None, slopes: Sequence[float], white: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return `States.process` over σ² of each noise level and slope, (3, F, 8), and ln of the prior, (3, F).
-
-    See `Bank.begin` for the arguments; `white` is E[σ²] here.
-    """
-    b, k = noise
+    """Return `States.process` over E[σ²], `white`, of each mode, (3, F, 8), and ln of the prior, (3, F)."""
     if b is None or k is None:
         corners = np.array(FLICKER_CORNERS_S)
         b = np.tile([*1.0 / (FLOOR_OF_FLICKER * np.sqrt(corners)), 0.0], (3, 1))

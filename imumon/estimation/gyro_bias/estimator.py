@@ -5,8 +5,7 @@
 While the unit moves, the variance of the bias grows with time, temperature, gaps and turns against the earth.
 
 Constants that assume a grade of sensors: `QUIET` (rest), `USUAL_CHANGE` and `SLOWEST_TURN` (odds),
-`SENSITIVITY_SD` (bank), `SCALE_SD` (place), `BIAS_WALK` (motion).  White noise and
-flicker are learned.
+`SENSITIVITY_SD` (bank), `SCALE_SD` (place), `BIAS_WALK` (motion).  White noise and flicker are learned.
 """
 
 from __future__ import annotations
@@ -19,34 +18,16 @@ from functools import partial
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.estimation.gyro_bias.bank import (
-    DECLARED_COUNT,
-    PRIOR_COUNT,
-    SENSITIVITY_SD,
-    SLOPE,
-    Bank,
-    LinearBias,
-)
+from imumon.estimation.gyro_bias.bank import LEAST_WHITE, SENSITIVITY_SD, SLOPE, Bank, LinearBias
 from imumon.estimation.gyro_bias.hypotheses import Hypotheses
 from imumon.estimation.gyro_bias.motion import Motion
 from imumon.estimation.gyro_bias.place import Attitude
 from imumon.estimation.gyro_bias.thermal import Thermal
 from imumon.estimation.rest.parameters import GyroBiasParameters, RestParameters
 from imumon.estimation.rest.quiet import QUIET_TOO_SHORT, SECOND_SLOTS, TRIAL, QuietDetector
-from imumon.estimation.rest.slots import (
-    ACCEL,
-    DEGC,
-    GYRO,
-    MODELLED,
-    POWER_ON_SD,
-    Measurement,
-    Slot,
-    measurement_of,
-)
+from imumon.estimation.rest.slots import ACCEL, DEGC, GYRO, HEADING, MODELLED, POWER_ON_SD, Measurement, Slot
 from imumon.geodesy import EARTH_RATE, STANDARD_GRAVITY
 
-LEAST_WHITE = 1e-15
-"""Variance of the mean of a second, (rad/s)²: 0.0065 °/h, less than any gyro has.  Assumed."""
 SECOND_S = 1.0 - 1e-6
 """Length of a measurement; slots of 0.25 s add up to it in spite of rounding."""
 UNDO_SLOTS = 2
@@ -58,28 +39,22 @@ class Estimator:
     """All that is carried from slot to slot."""
 
     parameters: GyroBiasParameters
-    slopes: tuple[float, ...]
-    """Standard deviations of the slope over temperature, over σ, 1/°C."""
+    slopes: tuple[float, ...]  # standard deviations of the slope over temperature, over σ, 1/°C
     limits: RestParameters
     thermal: Thermal
     attitude: Attitude
     quiet: QuietDetector = field(default_factory=QuietDetector)
-    jumped: bool = False
-    """Whether the bias has changed, other than by a restart of the device; cleared by who reports it."""
-    hypotheses: Hypotheses | None = None
-    """Of the bias, from the first rest on."""
-    latest: list[Slot] = field(default_factory=list)
-    """The latest 16 slots."""
-    pending: list[Slot] = field(default_factory=list)
-    """Quiet slots of a measurement that is not complete."""
+    jumped: bool = False  # whether the bias has, other than by a restart; cleared by who reports it
+    hypotheses: Hypotheses | None = None  # of the bias, from the first rest on
+    latest: list[Slot] = field(default_factory=list)  # the latest 16 slots
+    pending: list[Slot] = field(default_factory=list)  # quiet slots of a measurement that is not complete
     added: FloatArray = field(default_factory=partial(np.zeros, 3))
     """Variance that has not been taken into the filters yet, (rad/s)², (3,)."""
     force: FloatArray = field(default_factory=partial(np.zeros, 3))
     """The last specific force that was known, m/s², (3,); zero before the first."""
     degc: FloatArray = field(default_factory=partial(np.full, 3, np.nan))
     """The last temperatures that were known, °C, (3,)."""
-    motion: Motion = field(default_factory=Motion)
-    """Estimates the bias from motion before the first rest."""
+    motion: Motion = field(default_factory=Motion)  # estimates the bias before the first rest
 
     def restarted(self) -> Estimator:
         """Return what holds after a restart of the device: the noise is what it was, the bias is not."""
@@ -125,7 +100,7 @@ class Estimator:
         else:
             self.pending.append(slot)
             if self.hypotheses.moved or self.hypotheses.turning:  # quiet, but it may be a steady turn
-                self._follow(slot, self.hypotheses)
+                self._turn_attitude(slot, self.hypotheses)
             if self.quiet.is_rest and sum(one.length_s for one in self.pending) >= SECOND_S:
                 innovation = self._decide(self.hypotheses)
         return np.full(3, np.nan) if self.unrest else innovation
@@ -154,7 +129,14 @@ class Estimator:
         return np.maximum(self.quiet.noise * covered_s, LEAST_WHITE)
 
     def _measurement(self, slots: Sequence[Slot]) -> Measurement:
-        return measurement_of(slots, self.attitude.earth, self.force)
+        """Return the means of slots."""
+        covered, last = np.array([one.covered_s for one in slots]), slots[-1]
+        total = float(covered.sum())
+        mean = covered / total @ np.array([one.mean for one in slots])
+        rate = mean[GYRO] - mean[MODELLED] - self.attitude.earth
+        force = np.where(np.isfinite(mean[ACCEL]), mean[ACCEL], self.force)
+        degc = np.where(np.isfinite(mean[DEGC]), mean[DEGC], last.mean[DEGC])
+        return Measurement(last.end_s, total, rate, force, degc, mean[HEADING])
 
     def _interrupt(self) -> None:
         """End the rest: drop a measurement that is not complete."""
@@ -168,21 +150,21 @@ class Estimator:
         """Follow the turn of an unquiet slot; before the first rest estimate the bias from this turn."""
         self._interrupt()
         if self.hypotheses is not None:
-            self._follow(slot, self.hypotheses)
+            self._turn_attitude(slot, self.hypotheses)
         elif slot.gap_s or np.isnan(slot.mean[ACCEL]).any():
             self.motion.interrupt(slot.length_s + slot.gap_s)
         else:
             self.motion.take(slot.turn.less(slot.mean[MODELLED]), slot.mean[ACCEL])
 
-    def _follow(self, slot: Slot, hypotheses: Hypotheses) -> None:
+    def _turn_attitude(self, slot: Slot, hypotheses: Hypotheses) -> None:
         """Add a slot to the turn since the attitude was taken."""
         bias, _ = hypotheses.shown.prediction.bias(self.force)
-        self.attitude.follow(slot.turn, bias + slot.mean[MODELLED])
+        self.attitude.turn = self.attitude.turn.then(slot.turn.less(bias + slot.mean[MODELLED]))
         self.attitude.lost |= slot.gap_s > 0.0
 
-    def _come_to_rest(self, force: FloatArray, hypotheses: Hypotheses | None) -> None:
+    def _come_to_rest(self, force: FloatArray) -> None:
         """Take the attitude at a specific force, m/s², (3,)."""
-        prediction = None if hypotheses is None else hypotheses.shown.prediction
+        prediction = None if self.hypotheses is None else self.hypotheses.shown.prediction
         self.added = self.added + self.attitude.come_to_rest(force, prediction)
 
     def _begin(self) -> None:
@@ -192,16 +174,13 @@ class Estimator:
             return
         slots = self.latest[-self.quiet.quiet_slots :]
         self.attitude = self.attitude.anew()
-        self._come_to_rest(self.force, None)
+        self._come_to_rest(self.force)
         seconds = range(0, len(slots), SECOND_SLOTS)
         measurements = [self._measurement(slots[k : k + SECOND_SLOTS]) for k in seconds]
         if not np.isfinite([one.rate for one in measurements]).all():
             return
-        white, b, k = self.parameters.per_axis
-        count = PRIOR_COUNT if white is None else DECLARED_COUNT
-        sigma2 = self._noise()[GYRO] if white is None else np.maximum(white**2, LEAST_WHITE)
         first, given = measurements[0], slots[-1].rest_given is not None
-        bank = Bank.begin((b, k), self.slopes, sigma2, count, first)
+        bank = Bank.begin(self.parameters.per_axis, self.slopes, self._noise()[GYRO], first)
         for now in measurements[1:]:
             bank = bank.after(now)
         self.hypotheses = Hypotheses(bank, bank, bank, measurements, first, self.limits, given)
@@ -211,7 +190,7 @@ class Estimator:
         """Decide on a complete measurement; return its normalised innovations, (3,), NaN without a rate."""
         slots, self.pending = self.pending, []
         if hypotheses.moved:
-            self._come_to_rest(slots[0].mean[ACCEL], hypotheses)
+            self._come_to_rest(slots[0].mean[ACCEL])
         now = self._measurement(slots)
         if not np.isfinite(now.rate).all():
             return np.full(3, np.nan)
@@ -227,7 +206,7 @@ class Estimator:
             self.quiet.restart()
             self._interrupt()
         elif self.attitude.turn.seconds and not hypotheses.turning:
-            self._come_to_rest(slots[-1].mean[ACCEL], hypotheses)
+            self._come_to_rest(slots[-1].mean[ACCEL])
         return np.asarray(innovation)
 
     def output(self, now_s: float) -> LinearBias:

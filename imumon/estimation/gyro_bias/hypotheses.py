@@ -27,6 +27,7 @@ The sigma of the bias shown contains that difference, times the root of the prob
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -35,7 +36,7 @@ import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.estimation.gyro_bias.bank import Bank
-from imumon.estimation.rest.odds import LEAST_MEASUREMENTS, SteadyRate, heading, probability_of_turn
+from imumon.estimation.rest import odds
 from imumon.estimation.rest.parameters import RestParameters
 from imumon.estimation.rest.slots import Measurement
 
@@ -66,31 +67,20 @@ class Hypotheses:
 
     present: Bank
     nominal: Bank
-    newer: Bank
-    """The present filters as they were up to `LAG_S` ago: the next nominal ones."""
-    recent: list[Measurement]
-    """Of this rest, `RECENT` at most; none in motion."""
-    first: Measurement | None
-    """The first rest, while it may have been a turn; None once the unit has been in another pose."""
+    newer: Bank  # the present filters as they were up to `LAG_S` ago: the next nominal ones
+    recent: list[Measurement]  # of this rest, `RECENT` at most; none in motion
+    first: Measurement | None  # the first rest, while it may have been a turn: till another pose
     limits: RestParameters
-    rest_given: bool
-    """Whether rest is given: then any steady rate is bias after `UNDECIDED_GIVEN_S`."""
-    undo: Bank | None = None
-    """The present filters before the last second, which is taken back where motion follows at once."""
-    changes: int = 0
-    """How often the rate has changed since it fitted the nominal bias."""
-    alike: int = 0
-    """How many of the recent measurements are of the present rate."""
-    steady_s: float = 0.0
-    """How long the present rate has lasted, s."""
-    p_turn: float = 0.0
-    """Probability that the difference of both biases is a turn."""
+    rest_given: bool  # then any steady rate is bias after `UNDECIDED_GIVEN_S`
+    undo: Bank | None = None  # the present filters before the last second, for motion that follows at once
+    changes: int = 0  # how often the rate has changed since it fitted the nominal bias
+    alike: int = 0  # how many of the recent measurements are of the present rate
+    steady_s: float = 0.0  # how long the present rate has lasted
+    p_turn: float = 0.0  # probability that the difference of both biases is a turn
     ambiguities: FloatArray = field(default_factory=partial(np.zeros, (2, 3)))
     """What the less likely hypothesis adds to sigma, rad/s, by the last two measurements, (2, 3)."""
-    doubted: bool = False
-    """Whether the nominal bias stays, as the present rate may be a turn."""
-    began_turning: bool = False
-    """Whether the recording began in a turn, by the heading."""
+    doubted: bool = False  # whether the nominal bias stays, as the present rate may be a turn
+    began_turning: bool = False  # whether the recording did, by the heading
 
     @property
     def moved(self) -> bool:
@@ -126,8 +116,8 @@ class Hypotheses:
         self.recent = [*self.recent[1 - RECENT :], now]
         self._learn(now)
         evidence = self.recent[-self.alike :]
-        if self.alike < LEAST_MEASUREMENTS:  # the rate may just have changed
-            evidence = self.recent if len(self.recent) >= LEAST_MEASUREMENTS else [*parts]
+        if self.alike < odds.LEAST_MEASUREMENTS:  # the rate may just have changed
+            evidence = self.recent if len(self.recent) >= odds.LEAST_MEASUREMENTS else [*parts]
         self._weigh(now, evidence, accel_noise)
         return self._follow(now)
 
@@ -153,23 +143,21 @@ class Hypotheses:
         nominal = self.nominal.prediction.at(now.end_s, now.degc)
         bias, variance = nominal.bias(now.force, of_mean=True)
         present, own = self.present.prediction.bias(now.force, of_mean=True)
-        change = present - bias
+        change, limits = present - bias, self.limits
+        size = max(math.hypot(*change), 1e-12)
         if self.rest_given:
             self.p_turn = 0.5 if self.changes and self.steady_s <= UNDECIDED_GIVEN_S else 0.0
         else:
-            aged = self.changes > 0 and self.steady_s >= ONSET_S
-            rate = SteadyRate(
-                measurements=evidence,
-                bias=bias,
-                variance=variance,
-                change=change,
-                change_variance=variance + own,
-                changes=max(self.changes - 1, 0),
-                steady_s=self.steady_s,
-                first=self.first.rate if self.first and aged else None,
-                force_variance=accel_noise / evidence[0].covered_s,
-            )
-            self.p_turn = probability_of_turn(rate, self.limits)
+            accel_variance = accel_noise / evidence[0].covered_s
+            log_ratio = odds.gravity(evidence, bias, variance, change, accel_variance, limits.accel_drift)
+            log_ratio += odds.heading(evidence, bias)
+            explained = odds.changed_bias(size, max(self.changes - 1, 0), limits.largest_jump)
+            explained += odds.nominal_bias(size, float((change / size) ** 2 @ (variance + own)))
+            if self.first and self.changes and self.steady_s >= ONSET_S:
+                explained += odds.first_turn(self.first.rate, evidence[-1].rate)
+            too_long = self.steady_s > limits.undecided_s and size <= limits.largest_jump
+            p_turn = odds.probability_of_turn(log_ratio, explained)
+            self.p_turn = 0.0 if too_long and log_ratio >= -2.0 else p_turn
         if self.turning:
             square = (1.0 - self.p_turn) * change**2
         else:  # the variance of the mixture: that of the nominal bias, which may be vague by then, counts
@@ -177,7 +165,7 @@ class Hypotheses:
         self.ambiguities = np.stack([self.ambiguities[1], np.copysign(np.sqrt(square), change)])
         # A turn in the first rest is found by the heading, until another rate contradicts it.
         if self.first and not self.changes:
-            self.began_turning |= heading(self.recent, np.zeros(3)) < BEGAN_LOG_RATIO
+            self.began_turning |= odds.heading(self.recent, np.zeros(3)) < BEGAN_LOG_RATIO
         if self.began_turning:
             self.ambiguities[:] = now.rate
 

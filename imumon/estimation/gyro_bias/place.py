@@ -36,19 +36,13 @@ class Attitude:
     """Unit vectors, (3,); zero where not known."""
     earth: FloatArray = field(default_factory=partial(np.zeros, 3))
     """What is known of the earth rate, rad/s, (3,)."""
-    heading_variance: float = 0.0
-    """Variance of the heading, where the place is known, rad²."""
-    turn: Turn = STILL
-    lost: bool = False
-    """Whether readings were missing since the last rest."""
+    heading_variance: float = 0.0  # where the place is known, rad²
+    turn: Turn = STILL  # since the last rest, less the bias
+    lost: bool = False  # whether readings were missing since the last rest
 
     def anew(self) -> Attitude:
         """Return the attitude before the first rest."""
         return Attitude(self.latitude, self.heading)
-
-    def follow(self, turn: Turn, bias: FloatArray) -> None:
-        """Append a turn by rates with a bias, rad/s, (3,)."""
-        self.turn = self.turn.then(turn.less(bias))
 
     @property
     def uncertain_earth(self) -> FloatArray:

@@ -19,6 +19,7 @@ from imumon.estimation.gyro_bias.thermal import BiasTrail, Thermal
 from imumon.estimation.rest.parameters import GyroBiasParameters, RestParameters, retired
 from imumon.estimation.rest.slots import ACCEL, GATHERED, GYRO, SLOT_S, Timing, heading_of, readings_of
 from imumon.filters.slots import SlotGatherer, Slots
+from imumon.geodesy import DEG_PER_H, EARTH_RATE
 from imumon.models.model import BiasModel
 
 Mode = Literal["standard", "thermal", "learned"]
@@ -50,13 +51,11 @@ class RestAndBias:
 
     While a steady turn cannot be distinguished from a bias that has changed, ``turn_hypothesis_{x,y,z}`` is
     the difference of both, rad/s, times the square root of the probability of what is not shown; else the
-    largest error by rounding.  Its square is in the variance of the bias.  ``at_rest`` is 0 where a turn is
-    more likely.
+    largest error by rounding.  Its square is in the variance of the bias.
 
-    The columns ``gyro_bias_{x,y,z}`` hold the whole bias of the raw rate.  The earth rate is not in it where
-    latitude and heading are given; with the latitude alone its vertical part is not; else it is part of the
-    bias, and `notices` reports it.  No estimate (NaN) until the unit was at rest for some seconds, or
-    for a minute in motion, which leaves an upright axis unknown.
+    The columns ``gyro_bias_{x,y,z}`` hold the bias of the raw rate, with what is not known of the earth rate:
+    all of it, or without a heading its level part.  There is no estimate (NaN) until the unit was at rest for
+    some seconds, or for a minute in motion, which leaves an upright axis unknown.
 
     Raises BAD_CONFIG when the thermal mode has no model, or the model lacks a gyro.
 
@@ -97,16 +96,15 @@ class RestAndBias:
         self._thermal = Thermal(model)
         angles = latitude_deg, heading_deg
         latitude, heading = (None if angle is None else math.radians(angle) for angle in angles)
-        place = Attitude(latitude, heading)
-        self._estimator = Estimator(self._parameters, slopes, rest, self._thermal, place)
+        attitude = Attitude(latitude, heading)
+        self._estimator = Estimator(self._parameters, slopes, rest, self._thermal, attitude)
         self._timing = Timing()
         self._slots = SlotGatherer(GATHERED, round(SLOT_S * 1e9), turns=True)
         self._bias = self._estimator.output(0.0)
         self._trail = BiasTrail(model)
         self._last_ns = NO_INT
-        keys = retired(self._parameters) + retired(rest)
-        texts = [f"{key} is not used any more" for key in keys]
-        self._notices = dict.fromkeys(_notices_of_place(latitude_deg, heading_deg) + texts)
+        texts = [f"{key} is not used any more" for key in retired(self._parameters) + retired(rest)]
+        self._notices = dict.fromkeys(_notices_of_place(latitude, heading) + texts)
         self._reported: set[str] = set()
 
     def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
@@ -120,7 +118,9 @@ class RestAndBias:
         readings = readings_of(block, np.asarray(time_ns != NO_INT))
         usable = np.asarray(np.isfinite(readings).any(1))
         temperature, (total, curve, power_on_sd) = self._thermal.process(block)
-        given = self._given_rest(block)
+        given = np.full(n, np.nan)  # is to be detected
+        if self._parameters.assume_at_rest:
+            given = np.asarray(block.columns.get("at_rest", np.ones(n)) == 1, np.float64)
         values = np.column_stack([readings, total, temperature, power_on_sd, heading_of(block), given])
         slots = self._slots.process(np.where(usable, time_ns, NO_INT), segment, values)
         rest, innovation, every = self._estimate(block, slots, readings, temperature)
@@ -130,8 +130,7 @@ class RestAndBias:
         bias, variance, turn = at_samples(slots.row, every, readings[:, ACCEL], rest == 0)
         sd = np.sqrt(variance + turn**2)
         bias = bias + total
-        ended = slots.row[slots.row < n]
-        self._trail.add(temperature[ended], bias[ended])
+        self._trail.add(temperature[slots.row], bias[slots.row])
         vectors = bias, sd, readings[:, GYRO] - bias, innovation, bias - curve, sd
         columns = [rest, *turn.T, *(axis for vector in vectors for axis in vector.T)]
         added = dict(zip((column.name for column in (*REST, *BIAS)), columns, strict=True))
@@ -194,12 +193,6 @@ class RestAndBias:
         """Return the bias over temperature, beside the model's curve where there is a model."""
         return self._trail.charts()
 
-    def _given_rest(self, block: SampleBlock) -> FloatArray:
-        """Return 1 at rest that is given, 0 in motion that is; NaN where it is to be detected, (n,)."""
-        if not self._parameters.assume_at_rest:
-            return np.full(len(block), np.nan)
-        return np.asarray(block.columns.get("at_rest", np.ones(len(block))) == 1, np.float64)
-
     def notices(self) -> list[str]:
         """Return, once each, what is missing, assumed, or out of range, and each jump of the bias."""
         found = self._notices | self._thermal.notices
@@ -224,16 +217,11 @@ class RestDetector(RestAndBias):
         return [text for text in super().notices() if "any more" in text]
 
 
-def _notices_of_place(latitude_deg: float | None, heading_deg: float | None) -> list[str]:
-    if latitude_deg is None:
-        return [
-            "the latitude is not known: the earth rate, up to 15 °/h, is taken as part of the gyro bias"
-            + (", in spite of the heading" if heading_deg is not None else "")
-        ]
-    if heading_deg is None:
-        level = 15.041 * math.cos(math.radians(latitude_deg))
-        return [
-            f"the heading is not known: the horizontal earth rate, {level:.1f} °/h, is taken as part of the "
-            "gyro bias; its vertical part is not"
-        ]
+def _notices_of_place(latitude: float | None, heading: float | None) -> list[str]:
+    taken = "is taken as part of the gyro bias"
+    if latitude is None:
+        return [f"the latitude is not known: the earth rate, up to 15 °/h, {taken}"]
+    if heading is None:
+        level = EARTH_RATE / DEG_PER_H * math.cos(latitude)
+        return [f"the heading is not known: the horizontal earth rate, {level:.1f} °/h, {taken}"]
     return []

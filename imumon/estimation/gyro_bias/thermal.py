@@ -23,7 +23,7 @@ MOST_POINTS = 250
 """When more are kept, every second one is dropped, and from then on half as many are taken."""
 
 
-def trust_in(model: BiasModel) -> FloatArray:
+def _trust_in(model: BiasModel) -> FloatArray:
     """Return of the model's gyros, (4, 3), the sd of the curve's residual, rad/s, the rms slope of the curve,
     rad/s/°C, and the lower and the upper end of the calibrated range, °C."""
     rows = []
@@ -49,7 +49,7 @@ class Thermal:
         columns = ["temperature"] * 3 if self._predictor is None else self._predictor.temperature_columns
         self._sources = [_sources(name, axis) for name, axis in zip(columns, "xyz", strict=True)]
         self._reference = np.full(3, np.nan)
-        self._trust = None if model is None else trust_in(model)
+        self._trust = None if model is None else _trust_in(model)
         self.notices: dict[str, None] = {}
         """What was missing, or out of range, so far, in order."""
         self.restart()
@@ -92,11 +92,11 @@ class Thermal:
         return np.asarray(-UNTOLD_S * math.expm1(-gap_s / UNTOLD_S) * unseen)
 
     def process(self, block: SampleBlock) -> tuple[FloatArray, FloatArray]:
-        """Return the temperature of each gyro, °C, (n, 3), the estimated one where there is one, and by the
-        model, rad/s, (3, n, 3), what it has added to the bias since the first temperature, its curve, and the
-        sd of its unknown state at power-on.
+        """Return the temperature of each gyro, °C, (n, 3), estimated where possible, and three by the model,
+        rad/s, (3, n, 3): what is added to the bias since the first temperature, the curve, and the sd of its
+        unknown state at power-on.
 
-        Without a model all by it are zero; before the first temperature curve and sd are NaN.
+        The three are zero without a model; curve and sd are NaN before the first temperature.
         """
         # The reading is a stopgap where the estimate has not begun; mixed with it, it would jump.
         temperature = _first_of(block, self._sources)
@@ -112,11 +112,8 @@ class Thermal:
             self.notices["the bias model lacks its temperature: the bias is taken as constant"] = None
         if (np.isfinite(temperature) & ~predicted.inside).any():
             _, _, low, high = self._trust
-            text = (
-                "the temperature is outside the range of the bias model, "
-                f"{low.max():.1f} to {high.min():.1f} °C: the bias is extrapolated and its standard "
-                "deviation widened"
-            )
+            given = f"{low.max():.1f} to {high.min():.1f} °C"
+            text = f"the temperature is outside the bias model's range, {given}: the bias is extrapolated"
             self.notices[text] = None
         total = np.where(known, curve - self._reference, 0.0)
         return temperature, np.stack([total, curve, np.where(known, predicted.start_sd, np.nan)])

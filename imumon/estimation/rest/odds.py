@@ -27,12 +27,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.estimation.rest.parameters import RestParameters
 from imumon.estimation.rest.slots import Measurement
 from imumon.geodesy import DEG_PER_H, EARTH_RATE, STANDARD_GRAVITY
 
@@ -63,83 +61,55 @@ BEGAN_TURNING = 0.05
 """Prior that the first rest of a recording was a turn, where two steady means cannot both be the bias."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class SteadyRate:
-    """A steady rate, and what was measured while it lasted; rates in rad/s."""
-
-    measurements: Sequence[Measurement]
-    """Of this rate alone; its slots where the rate is younger than three seconds."""
-    bias: FloatArray
-    variance: FloatArray
-    """Nominal bias and its variance, (3,)."""
-    change: FloatArray
-    change_variance: FloatArray
-    """The rate less the nominal bias, and the variance of this, (3,)."""
-    changes: int
-    """n: how often the rate has changed before since it fitted the nominal bias.  The prior odds of a changed
-    bias are 1 to 1 + n."""
-    steady_s: float
-    """For how long the rate has lasted, s."""
-    first: FloatArray | None
-    """Mean of the first rest, if that may have been a turn, (3,)."""
-    force_variance: float
-    """Of the mean specific force of a measurement, (m/s²)²."""
-
-    @property
-    def size(self) -> float:
-        """Size of the change, |d|, rad/s; never zero."""
-        return max(math.hypot(*self.change), 1e-12)
-
-    @property
-    def rarity(self) -> float:
-        """c, by which turns of this rate are rarer than log-uniform ones."""
-        return 1.0 + (SLOWEST_TURN / self.size) ** 2
-
-
-def probability_of_turn(rate: SteadyRate, limits: RestParameters) -> float:
-    """Return P(turn) of a steady rate."""
-    log_ratio = gravity(rate, limits.accel_drift) + heading(rate.measurements, rate.bias)
-    time_excludes = rate.steady_s > limits.undecided_s and rate.size <= limits.largest_jump
-    if time_excludes and log_ratio >= -2.0:
-        return 0.0
-    odds = changed_bias(rate, limits.largest_jump) + nominal_bias(rate) + first_turn(rate)
+def probability_of_turn(log_ratio: float, odds: float) -> float:
+    """Return P(turn) by ln Λ of all other sensors, and the sum of the odds."""
     return 1.0 / (1.0 + odds * math.exp(max(min(log_ratio, MOST_LOG_RATIO), -MOST_LOG_RATIO)))
 
 
-def changed_bias(rate: SteadyRate, largest: float) -> float:
-    """Return the odds that the bias has changed; none changes by more than `largest`, rad/s."""
-    if rate.size > largest:
+def changed_bias(size: float, changes: int, largest: float) -> float:
+    """Return the odds that the bias has changed, by |d| and n; none changes by more than `largest`, rad/s."""
+    if size > largest:
         return 1e-9  # and not 0: gravity and heading may still exclude a turn
-    u = rate.size / USUAL_CHANGE
-    return 2.0 * LOG_RANGE * rate.rarity / (math.pi * (u + 1.0 / u) * (1.0 + rate.changes))
+    u = size / USUAL_CHANGE
+    return 2.0 * LOG_RANGE * _rarity(size) / (math.pi * (u + 1.0 / u) * (1.0 + changes))
 
 
-def nominal_bias(rate: SteadyRate) -> float:
-    """Return the odds that nothing has changed, high where the prediction of the nominal bias is vague."""
-    direction = rate.change / rate.size
-    sigma = math.sqrt(float(direction**2 @ rate.change_variance) + 1e-24)
-    density = 2.0 * math.exp(-0.5 * (rate.size / sigma) ** 2) / (math.sqrt(2.0 * math.pi) * sigma)
-    return density * rate.size * LOG_RANGE * rate.rarity
+def nominal_bias(size: float, variance: float) -> float:
+    """Return the odds that nothing has changed, by |d| and σ², rad/s; high where the prediction is vague."""
+    sigma = math.sqrt(variance + 1e-24)
+    density = 2.0 * math.exp(-0.5 * (size / sigma) ** 2) / (math.sqrt(2.0 * math.pi) * sigma)
+    return density * size * LOG_RANGE * _rarity(size)
 
 
-def first_turn(rate: SteadyRate) -> float:
-    """Return the odds that the first mean had a turn in it, and the present one has none.
+def _rarity(size: float) -> float:
+    """Return c, by which turns of this rate are rarer than log-uniform ones."""
+    return 1.0 + (SLOWEST_TURN / size) ** 2
+
+
+def first_turn(first: FloatArray, now: FloatArray) -> float:
+    """Return the odds that the first mean had a turn in it, and the present one has none; rad/s, (3,).
 
     Of the biases of a gyro nobody knows the scale s: with a density of 1/s, a mean of size m is the bias
     with a density of 1/m³.
     """
-    if rate.first is None:
-        return 0.0
-    now = rate.measurements[-1].rate
-    larger = (float(rate.first @ rate.first) + EARTH_RATE**2) / (float(now @ now) + EARTH_RATE**2)
+    larger = (float(first @ first) + EARTH_RATE**2) / (float(now @ now) + EARTH_RATE**2)
     return BEGAN_TURNING * math.sqrt(larger) ** 3
 
 
-def gravity(rate: SteadyRate, drift: float) -> float:
-    """Return ln Λ by how the unit has tilted; `drift` of accelerometers, m/s³.
+def gravity(
+    measurements: Sequence[Measurement],
+    bias: FloatArray,
+    variance: FloatArray,
+    change: FloatArray,
+    force_variance: float,
+    drift: float,
+) -> float:
+    """Return ln Λ by how the unit has tilted.
 
-    From the first measurement to the last, T seconds, the unit tilts by t, rad; its gyros less the bias turn
-    by phi, rad, both across the vertical.  Half of the turns are about the vertical, the others oblique::
+    The nominal bias, its variance, and the `change` d from it are in rad/s, (3,); `force_variance` is that of
+    a measurement, (m/s²)², and `drift` of accelerometers in m/s³.  From the first measurement to the last,
+    T seconds, the unit tilts by t, rad; its gyros less the bias turn by phi, rad, both across the vertical.
+    Half of the turns are about the vertical, the others oblique::
 
         no turn, or about the vertical:  t ~ N(0, v),           v = (noise and drift of the force)² / g², rad²
         oblique turn:                    t ~ N(phi, v + s² T²), s² = variance of the bias, (rad/s)²
@@ -147,21 +117,21 @@ def gravity(rate: SteadyRate, drift: float) -> float:
 
     Densities are taken without their norms, for with them a unit that stood was no rest in measured data.
     """
-    first, last = rate.measurements[0].force, rate.measurements[-1].force
+    first, last = measurements[0].force, measurements[-1].force
     g = math.hypot(*last)
-    if len(rate.measurements) < LEAST_MEASUREMENTS or not g > 0.5 * STANDARD_GRAVITY:
+    if len(measurements) < LEAST_MEASUREMENTS or not g > 0.5 * STANDARD_GRAVITY:
         return 0.0
     across = np.eye(3) - np.outer(last, last) / g**2
-    level = math.hypot(*(across @ rate.change))
-    if level < OBLIQUE * rate.size:
+    level, size = math.hypot(*(across @ change)), math.hypot(*change)
+    if level <= OBLIQUE * size:
         return 0.0
-    seconds = sum(one.covered_s for one in rate.measurements[1:])
-    phi = across @ _turned(rate.measurements, rate.bias)
+    seconds = sum(one.covered_s for one in measurements[1:])
+    phi = across @ _turned(measurements, bias)
     tilt = np.cross(last, first) / g**2
-    variance = ((math.sqrt(2.0 * rate.force_variance) + drift * seconds) / g) ** 2
-    turn_variance = variance + float(rate.variance.max()) * seconds**2
-    expected, tilted = (math.hypot(*angle) / math.sqrt(variance) for angle in (phi, tilt))
-    if expected > EXCLUDED_SIGMAS > 2.0 * tilted and level**2 > MOSTLY_LEVEL * rate.size**2:
+    still_variance = ((math.sqrt(2.0 * force_variance) + drift * seconds) / g) ** 2
+    turn_variance = still_variance + float(variance.max()) * seconds**2
+    expected, tilted = (math.hypot(*angle) / math.sqrt(still_variance) for angle in (phi, tilt))
+    if expected > EXCLUDED_SIGMAS > 2.0 * tilted and level**2 > MOSTLY_LEVEL * size**2:
         return MOST_LOG_RATIO
     log_oblique = -0.5 * float((tilt - phi) @ (tilt - phi)) / turn_variance
     return math.log(2.0) - float(np.logaddexp(log_oblique + 0.5 * tilted**2, 0.0))
@@ -183,8 +153,7 @@ def heading(measurements: Sequence[Measurement], bias: FloatArray) -> float:
     if not vectors[:, 2].any():  # a yaw has two components
         up = np.array([[0.0, 0.0, 1.0]])
     north = vectors - (vectors * up).sum(1, keepdims=True) * up
-    turned = np.arctan2(north @ np.cross(up[-1], north[0]), north @ north[0])
-    turned = np.unwrap(turned)
+    turned = np.unwrap(np.arctan2(north @ np.cross(up[-1], north[0]), north @ north[0]))
     measured, noise2 = abs(float(turned[-1])), float((np.diff(turned, 2) ** 2).mean()) / 3.0
     variance = noise2 + HEADING_NOISE**2 + (HEADING_ERROR * angle) ** 2
     follows = (measured**2 - (measured - angle) ** 2) / (2.0 * variance)  # ln L(turn) / L(no turn)

@@ -66,27 +66,18 @@ class QuietDetector:
     """Whether an axis had readings."""
     present: BoolArray = field(default_factory=lambda: np.zeros(AXES, np.bool_))
     """Axes that have had readings lately, (6,)."""
-    slots: int = 0
-    """Number of slots since the beginning or the last restart."""
-    quiet_slots: int = 0
-    """Quiet slots in a row; 0 in motion, or while the noise is not known."""
-    unquiet: int = 0
-    """Unquiet slots since the last rest of a trial's length."""
-    pause: int = 0
-    """Unquiet slots since the last quiet one."""
-    short_rests: int = 0
-    """Rests in a row that were shorter than a trial, with pauses of a second at most."""
+    slots: int = 0  # since the beginning or the last restart
+    quiet_slots: int = 0  # in a row; 0 in motion, or while the noise is not known
+    unquiet: int = 0  # slots since the last rest of a trial's length that were not quiet
+    pause: int = 0  # the same since the last quiet slot
+    short_rests: int = 0  # rests in a row that were shorter than a trial, with pauses of a second at most
     noise: FloatArray = field(default_factory=partial(np.zeros, AXES))
     sample_noise: FloatArray = field(default_factory=partial(np.zeros, AXES))
     """Variance at rest of the mean of a slot, and of its samples, (rad/s)² and (m/s²)²."""
-    noise_slots: float = 0.0
-    """Number of slots that the noise is averaged over; 0 while it is not known."""
-    noise_changed: bool = False
-    """Whether another noise has been found with this slot."""
-    moving: str = ""
-    """What is not quiet in the latest slot; empty if all is."""
-    disturbed: bool = False
-    """Whether a single sample of the present slot was outside `band`."""
+    noise_slots: float = 0.0  # slots that the noise is averaged over; 0 while it is not known
+    noise_changed: bool = False  # whether another noise has been found with this slot
+    moving: str = ""  # what is not quiet in the latest slot; empty if all is
+    disturbed: bool = False  # whether a single sample of the present slot was outside `band`
     step: FloatArray = field(default_factory=partial(np.zeros, AXES))
     """Step of the sensor; 0 while it is not known."""
 
@@ -235,10 +226,9 @@ class QuietDetector:
         samples = np.where(enough, self.within.mean(0), noise * count)
         # Where the noise at rest is known, what is far above it is suspicious, too.
         least = (np.minimum(QUIET**2, 9.0 * self.noise) if self.noise_slots else QUIET**2) + self.floor
-        for length in (4, 8):  # noise averages out
-            ratio = mean.reshape(-1, length, AXES).mean(1).var(0, ddof=1) / np.maximum(noise / length, least)
-            if (ratio.reshape(2, 3).mean(1) > LARGEST_COLOUR).any():
-                return
+        longer = [mean.reshape(-1, length, AXES).mean(1).var(0, ddof=1) for length in (4, 8)]
+        ratio = np.array(longer) / np.maximum([noise / 4.0, noise / 8.0], least)
+        coloured = ratio.reshape(2, 2, 3).mean(2) > LARGEST_COLOUR  # noise averages out
         slow = enough & (noise * count > SLOWER * samples) & (noise > least)
         second = np.diff(mean, 2, axis=0) ** 2 / np.maximum(noise, least)
         first, last = (half.reshape(-1, 2, 3).sum((0, 2)) for half in (second[:7], second[7:]))
@@ -247,7 +237,7 @@ class QuietDetector:
         loud = np.maximum(mean.var(0), noise).reshape(2, 3).mean(1) > ROAD**2
         road = loud & (count.reshape(2, 3).max(1) >= 3.0)
         white = (noise * count < 1.5 * samples) & (np.arange(AXES) < ACCEL.start)
-        if slow.any() or uneven.any() or (np.repeat(road, 3) & ~white).any():
+        if coloured.any() or slow.any() or uneven.any() or (np.repeat(road, 3) & ~white).any():
             return
         larger = noise > NOISE_CHANGE * self.noise + self.floor
         larger |= samples > NOISE_CHANGE * self.sample_noise + self.floor

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -30,51 +30,27 @@ COARSEST_STEPS = (0.035, 0.16)
 class Slot(NamedTuple):
     """A slot of samples; of what is missing the value is NaN."""
 
-    end_s: float
-    """Since the first sample of its segment."""
-    length_s: float
-    """From the end of the slot before, or of the gap before it, to its last sample."""
-    covered_s: float
-    """What its samples cover at the shortest interval so far: lost samples leave more noise."""
-    gap_s: float
-    """Length of the gap before it; 0 without one."""
-    samples: FloatArray
-    """Number of samples of each of the six axes, (6,)."""
-    mean: FloatArray
-    """Of all columns that are gathered, (19,)."""
-    variance: FloatArray
-    """Of the samples of the six axes, (rad/s)² and (m/s²)², (6,), about the mean (n - 1)."""
-    step: FloatArray
-    """Step of the sensor, (6,), rad/s and m/s², if most readings are equal and some differ by one; else ∞."""
+    end_s: float  # since the first sample of its segment
+    length_s: float  # from the end of the slot before, or of the gap before it, to its last sample
+    covered_s: float  # by its samples at the shortest interval so far: lost samples leave more noise
+    gap_s: float  # length of the gap before it; 0 without one
+    samples: FloatArray  # number of samples of each of the six axes, (6,)
+    mean: FloatArray  # of all columns that are gathered, (19,)
+    variance: FloatArray  # of the samples of the six axes about the mean (n - 1), (rad/s)², (m/s²)², (6,)
+    step: FloatArray  # of the sensor, (6,), if most readings are equal and some differ by one; else ∞
     turn: Turn
-    rest_given: bool | None
-    """Whether it was at rest throughout; None where that is to be detected."""
+    rest_given: bool | None  # whether it was at rest throughout; None where that is to be detected
 
 
 class Measurement(NamedTuple):
     """What the filters of the bias are updated with: means over about a quiet second; NaN where missing."""
 
     end_s: float
-    covered_s: float
-    """Time covered by its samples: the variance of the mean rate is that of one second over this time."""
-    rate: FloatArray
-    """Less the thermal model and the known earth rate, rad/s, (3,)."""
-    force: FloatArray
-    """Specific force, m/s², (3,); the last known one where it is missing, zero before the first."""
-    degc: FloatArray
-    """Temperature of each gyro, °C, (3,)."""
+    covered_s: float  # by its samples: the variance of the mean rate is that of one second over this time
+    rate: FloatArray  # less the thermal model and the known earth rate, rad/s, (3,)
+    force: FloatArray  # m/s², (3,); the last known one where it is missing, zero before the first
+    degc: FloatArray  # temperature of each gyro, °C, (3,)
     heading: FloatArray  # a vector that turns with it (`heading_of`), (3,)
-
-
-def measurement_of(slots: Sequence[Slot], earth: FloatArray, force: FloatArray) -> Measurement:
-    """Return means of slots, the rate less the earth rate, rad/s, (3,); `force` is the last known one."""
-    covered, last = np.array([one.covered_s for one in slots]), slots[-1]
-    total = float(covered.sum())
-    mean = covered / total @ np.array([one.mean for one in slots])
-    rate = mean[GYRO] - mean[MODELLED] - earth
-    force = np.where(np.isfinite(mean[ACCEL]), mean[ACCEL], force)
-    degc = np.where(np.isfinite(mean[DEGC]), mean[DEGC], last.mean[DEGC])
-    return Measurement(last.end_s, total, rate, force, degc, mean[HEADING])
 
 
 @dataclass(slots=True)

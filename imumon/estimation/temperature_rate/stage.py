@@ -109,6 +109,8 @@ class MultipleModelRate:
         self._output = Output()
         self._outliers, self._outlier_degc = 0, math.nan
         """Outliers in a row, and the last reading of the last of them, °C."""
+        self._refused = False
+        """Whether the gate has ignored the last slot that has a reading."""
         self._read_s = math.nan
         """End of the last slot that has a reading, s."""
 
@@ -124,6 +126,7 @@ class MultipleModelRate:
             self._filters = predict(thermometer, self._filters, slot.time_s)
         slot, shown = thermometer.unrepeated(slot), self._filters
         outcome = self._gate(slot)
+        self._refused = outcome == "ignore" if slot.count else self._refused
         if outcome == "restart":
             thermometer.begin()
             thermometer.leapt, slot = False, slot.alone()
@@ -151,7 +154,7 @@ class MultipleModelRate:
         slot = Slot(0.5 * (start_s + end_s), end_s, sample_s, thermometer.last, *values)
         if start_s - thermometer.used_s >= thermometer.neighbour_s:
             return slot.alone()
-        changes = slot.changes - (self._outliers > 0)  # back from an outlier is no change
+        changes = slot.changes - self._refused  # back from an outlier or a spike is no change
         return replace(slot, changes=max(changes, int(slot.before != slot.first)))
 
     def _gate(self, slot: Slot) -> Outcome:

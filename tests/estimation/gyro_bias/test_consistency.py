@@ -151,7 +151,7 @@ def test_the_first_means_are_as_certain_as_their_sigma(seconds: int) -> None:
             Measurement(k + 1.0, 1.0, bias + sigma * rng.standard_normal(3), zero, np.full(3, np.nan), zero)
             for k in range(seconds)
         ]
-        bank = Bank.begin((zero, zero), (0.0,), white, 3.0, means[0])
+        bank = Bank.begin([None, zero, zero], (0.0,), white, means[0])
         for now in means[1:]:
             bank = bank.after(now)
         mean, variance = bank.prediction.bias(zero)

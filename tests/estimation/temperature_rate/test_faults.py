@@ -52,6 +52,16 @@ def test_a_spike_before_it_sticks_makes_no_difference() -> None:
     assert np.abs(found - truth)[t > 600.0].max() < 1.0
 
 
+@pytest.mark.parametrize("last", [9, 5])
+def test_spikes_are_no_changes_back_wherever_they_are_in_a_second(last: int) -> None:
+    t = np.arange(0.0, 900.0, 0.1)
+    reading = 0.5 * np.round((25.0 + t / 720.0) / 0.5)
+    clean = process(TemperatureRate(), t, reading)["temperature_estimate_sd"][-1]
+    reading[[4000 + last, 4020 + last, 4040 + last]] = POWER_ON_DEGC
+    found = process(TemperatureRate(), t, reading)["temperature_estimate_sd"][-1]
+    assert found == pytest.approx(clean, rel=0.1)
+
+
 def test_where_it_never_comes_back_nothing_is_reported_after_ten_minutes_until_it_moves() -> None:
     t = np.arange(0.0, 2400.0, 0.1)
     reading = read(np.full(len(t), 25.0) + t / 360.0, 0.0625)
