@@ -23,8 +23,6 @@ WRITERS = {
     "vins": "output:write_vins",
 }
 """Modules and functions that write an output; they are loaded when it is wanted."""
-LARGE = 1e5
-"""From here on a number is written with a power of ten."""
 
 
 @click.command("allan")
@@ -50,11 +48,10 @@ def command(
     from imumon.allan import output
     from imumon.allan.analysis import analyse
     from imumon.allan.recording import read_channels
-    from imumon.estimation.gyro_bias.stage import RestDetector
 
     output.check_outputs(plot, noise_out, *odometry.values())
     with reading_bar([recording], quiet=as_json) as progress:
-        opened = read_channels(recording, lambda _: [RestDetector()], progress.count)
+        opened = read_channels(recording, progress.count)
         progress("deviations and terms of all channels")
         results = analyse(opened.series)
     warn([*opened.warnings, *output.remarks(results)])
@@ -98,7 +95,5 @@ def _with_sd(result: Result, term: str, factor: float) -> str:
     if estimate is None:
         return "-"
     value, sd = factor * estimate.value, factor * estimate.sd
-    power = math.floor(math.log10(value)) if value >= LARGE else 0
-    value, sd = value / 10.0**power, sd / 10.0**power
     digits = min(max(1 - math.floor(math.log10(sd)), 0), 9)
-    return f"{value:.{digits}f}({sd * 10**digits:.0f})" + (f"e{power}" if power else "")
+    return f"{value:.{digits}f}({sd * 10**digits:.0f})"

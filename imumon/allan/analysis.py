@@ -10,7 +10,6 @@ import math
 import os
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
 
@@ -32,8 +31,7 @@ class Deviations(NamedTuple):
     high: FloatArray
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Result:
+class Result(NamedTuple):
     """What is known of the noise of one channel."""
 
     series: EvenSeries
@@ -150,7 +148,7 @@ def _less_certain(fit: Fit, samples: FloatArray, steps: Digits | None, missing: 
     white noise.  That is corrected on average only: shorter averaging times do not cross gaps.
     """
     if steps is not None and steps.error > NO_SUM:
-        return replace(fit, terms=dict.fromkeys(NAMES), withheld=DIGITS)
+        return fit._replace(terms=dict.fromkeys(NAMES), withheld=DIGITS)
     error = math.hypot(0.0 if steps is None else steps.error, min(0.5 * missing, NO_SUM))
     terms = {
         name: None if term is None else Estimate(term.value, math.hypot(term.sd, 0.5 * error * term.value))
@@ -162,4 +160,4 @@ def _less_certain(fit: Fit, samples: FloatArray, steps: Digits | None, missing: 
         kurtosis = max(2.0 * (float(np.square(square).mean() / square.mean() ** 2) - 3.0), 0.0)
         tails = 0.5 * math.sqrt(kurtosis / len(samples)) * white.value
         terms[NAMES[0]] = Estimate(math.sqrt(1.0 - missing) * white.value, math.hypot(white.sd, tails))
-    return replace(fit, terms=terms)
+    return fit._replace(terms=terms)

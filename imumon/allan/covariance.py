@@ -14,7 +14,6 @@ that each noise has the variance given in `SHAPES` per unit of its coefficient.
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 from typing import Literal, NamedTuple
 
@@ -96,16 +95,15 @@ DIFFERENCES: dict[Kind, Difference] = {
 
 FLOOR_PER_INSTABILITY = math.sqrt(2.0 * math.log(2.0) / math.pi)
 """Flat part of the Allan deviation of flicker, over the bias instability B (IEEE Std 952, C.1.3)."""
-NOISES = ("white", "flicker", "walk", "quantization")
-"""The stochastic terms, by what they are of the rate (quantization: white noise of the angle)."""
-SHAPES: dict[str, Callable[[FloatArray], FloatArray]] = {
-    "white": lambda m: 1.0 / m,
-    "flicker": np.ones_like,
-    "walk": lambda m: m,
-    "quantization": lambda m: 1.0 / m**2,
-    "ramp": lambda m: m**2,
-}
-"""Allan variance at averaging factor m per unit of the coefficient; the ramp is not a noise but a trend."""
+SHAPES: tuple[Callable[[FloatArray], FloatArray], ...] = (
+    lambda m: 1.0 / m,
+    np.ones_like,
+    lambda m: m,
+    lambda m: 1.0 / m**2,
+    lambda m: m**2,
+)
+"""Allan variance at averaging factor m per unit of the coefficient, of what is of the rate white noise,
+flicker, random walk, quantization (white noise of the angle), and a ramp, which is no noise but a trend."""
 _FLICKER = 4.0 * math.log(2.0)
 AUTOCOVARIANCES: dict[int, tuple[Autocovariance, ...]] = {
     1: (
@@ -121,7 +119,7 @@ AUTOCOVARIANCES: dict[int, tuple[Autocovariance, ...]] = {
         lambda k: -k / 6.0,
     ),
 }
-"""G at lags k >= 0 of the signal integrated once and twice, for each of `NOISES`.
+"""G at lags k >= 0 of the signal integrated once and twice, for each noise of `SHAPES`.
 
 The second difference of the latter is minus the former; for flicker up to 1 / k² and a polynomial, which no
 difference here sees.
@@ -174,7 +172,7 @@ def shapes_at(m: FloatArray, time: float) -> FloatArray:
 
     `time`: correlation time of the Gauss-Markov process, samples.
     """
-    return np.column_stack([*(shape(m) for shape in SHAPES.values()), markov_shape(m, time)])
+    return np.column_stack([*(shape(m) for shape in SHAPES), markov_shape(m, time)])
 
 
 class Runs(NamedTuple):
@@ -182,13 +180,6 @@ class Runs(NamedTuple):
 
     lengths: FloatArray
     weights: FloatArray
-
-    @staticmethod
-    def of(starts: IntArray, stops: IntArray, least: int) -> "Runs":
-        """Return the runs of this length or more."""
-        lengths = stops - starts
-        found, counts = np.unique(lengths[lengths >= least], return_counts=True)
-        return Runs(found.astype(np.float64), counts.astype(np.float64))
 
 
 def _lags(knots: set[int], longer: int) -> tuple[FloatArray, FloatArray]:
@@ -225,8 +216,7 @@ def _correlations(
     return rows, weights * pairs / ((runs.weights @ first) * (runs.weights @ second))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Covariances:
+class Covariances(NamedTuple):
     """Shapes and covariances of the overlapping Allan variances at several averaging factors.
 
     The covariance of two mean squares with coefficients q of the noises, the fifth a Gauss-Markov process, is
@@ -270,7 +260,7 @@ def covariances_of(factors: IntArray, runs: Sequence[Runs], time: float) -> Cova
 
 
 def freedom(kind: Kind, m: int, runs: Runs, noise: FloatArray) -> float:
-    """Return the equivalent degrees of freedom of one overlapping variance for a mixture of `NOISES`, (4,).
+    """Return the equivalent degrees of freedom of one overlapping variance for a mixture of noises, (4,).
 
     The variance is distributed about as chi-square with 2 mean² / variance degrees of freedom; 0 where no run
     is long enough.

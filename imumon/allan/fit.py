@@ -35,7 +35,6 @@ correlation time T    (3 - 4 exp(-tau/T) + exp(-2tau/T)))  1.89 T
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
 from functools import partial
 from itertools import combinations
 from typing import NamedTuple
@@ -91,8 +90,7 @@ ALIKE = frozenset((FLICKER, WALK))
 AMBIGUOUS, DIGITS = "ambiguous", "digits"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Solution:
+class Solution(NamedTuple):
     """What was fitted and how likely it is."""
 
     coefficients: FloatArray
@@ -135,8 +133,7 @@ class Solution:
         return float(wanted @ self.residual) / float(np.linalg.norm(beyond))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Problem:
+class Problem(NamedTuple):
     """Variances from one averaging time to another, with the covariance of each set of coefficients."""
 
     variances: FloatArray
@@ -211,8 +208,7 @@ class Estimate(NamedTuple):
     sd: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Fit:
+class Fit(NamedTuple):
     """The terms of one channel."""
 
     terms: dict[str, Estimate | None]
@@ -291,7 +287,7 @@ def usable_range(whole: Problem, interval_s: float) -> Problem:
     for start in range(1, n - FEWEST + 1):
         if tried[-1].model_error == 0.0 or whole.covariances.m[start] * interval_s > LONGEST_START_S:
             break
-        part = _with_model_error(replace(whole, start=start))
+        part = _with_model_error(whole._replace(start=start))
         if _is_filtered(part):
             tried.append(part)
     best = min(tried, key=lambda part: part.model_error)
@@ -299,20 +295,20 @@ def usable_range(whole: Problem, interval_s: float) -> Problem:
         # What disturbs the longer averaging times, such as a sine, begins like a ramp.  The last that would
         # do is not taken: chi-square does not see a disturbance that has only just begun.
         for stop in range(n - 1, FEWEST_BEFORE, -1):
-            if replace(whole, stop=stop).fit(EVERY).is_good():
-                return replace(whole, stop=stop - 1)
-    return replace(best, start=min(best.start + BEYOND_FILTER, n - FEWEST)) if best.start else best
+            if whole._replace(stop=stop).fit(EVERY).is_good():
+                return whole._replace(stop=stop - 1)
+    return best._replace(start=min(best.start + BEYOND_FILTER, n - FEWEST)) if best.start else best
 
 
 def _with_model_error(problem: Problem) -> Problem:
     """Return a problem with the error, if any, that brings chi-square to its degrees of freedom."""
     if problem.fit(EVERY).is_good():
         return problem
-    problem = replace(problem, model_error=1.0)
+    problem = problem._replace(model_error=1.0)
     for _ in range(ROUNDS):
         solution = problem.fit(EVERY)
         change = math.sqrt(solution.chi_square / solution.degrees_of_freedom)
-        problem = replace(problem, model_error=min(problem.model_error * change, LARGEST_ERROR))
+        problem = problem._replace(model_error=min(problem.model_error * change, LARGEST_ERROR))
         if abs(change - 1.0) < CLOSE:
             break
     return problem
@@ -346,7 +342,7 @@ def with_correlated(plain: Problem, division: Division) -> Problem | None:
     left, right = likelihood(best / half), likelihood(best * half)
     bend, slope, _ = np.polyfit((-1.0, 0.0, 1.0), (left, tried[best], right), 2)
     peak = np.clip(-0.5 * slope / bend, -1.0, 1.0) if bend < 0.0 else np.sign(slope)
-    found = replace(plain, covariances=division.at(best * half ** float(peak)))
+    found = plain._replace(covariances=division.at(best * half ** float(peak)))
     solution = found.fit(WITH_MARKOV)
     is_likely = solution.log_likelihood >= needed and solution.is_good()
     return found if is_likely and solution.columns >= {WHITE, MARKOV} else None
@@ -362,7 +358,7 @@ def may_be_correlated(plain: Problem, division: Division, smallest: Solution) ->
 
 def _likelihood(plain: Problem, division: Division, columns: Iterable[int], time: float) -> float:
     """Return the log likelihood of these terms with a correlation time, samples."""
-    return replace(plain, covariances=division.at(time)).fit(columns).log_likelihood
+    return plain._replace(covariances=division.at(time)).fit(columns).log_likelihood
 
 
 def smallest_set(problem: Problem, every: Sequence[int]) -> Solution:

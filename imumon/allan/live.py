@@ -16,13 +16,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from imumon.allan.covariance import NOISES, TERMS_OF, TRUSTED_FREEDOM, Runs, freedom, intervals
-from imumon.allan.series import JITTER, nominal_interval_ns
+from imumon.allan.covariance import TERMS_OF, TRUSTED_FREEDOM, Runs, freedom, intervals
+from imumon.allan.series import JITTER, WALK, nominal_interval_ns
 from imumon.blocks import ColumnArray, FloatArray, IntArray, SampleBlock
 from imumon.charts import AXIS_COLORS, GREY, Axis, Chart, Curve
 from imumon.columns import Column
 from imumon.compiled import njit, record
 from imumon.estimation.rest.parameters import retired
+from imumon.recordings.reduced import ACCEL, GYRO
 from imumon.run.setup import AllanParameters, Setup
 
 DENSE = 4
@@ -32,12 +33,8 @@ RINGS, RING = 36, 64
 """Octaves, and running sums that are kept of each."""
 LEARN = 64
 """Samples from which the interval is learned; as many steps in a row that do not fit it begin anew."""
-TAB = "Allan"
 _TITLE = "Allan deviation of the {}, at rest; upright bars: 68 % intervals"
-_MEASURED = {"gyro": "angular rate", "accel": "specific force"}
-CHANNELS = tuple(f"{group}_{axis}" for group in _MEASURED for axis in AXIS_COLORS)
-_SLOPES = np.array([-1.0, 0.0, 1.0, -2.0])
-"""Exponent of the Allan variance over tau of each of `NOISES`."""
+MEASURED = {"gyro": "angular rate", "accel": "specific force"}
 
 
 class _Run:
@@ -102,7 +99,10 @@ def stream(time_ns: IntArray, segment: IntArray, values: FloatArray, run: _Run) 
 
 
 class LiveCurve(NamedTuple):
-    """Allan deviations so far, (n,) each, with intervals of `imumon.allan.covariance.CONFIDENCE`."""
+    """Allan deviations so far, (n,) each, with intervals of `imumon.allan.covariance.CONFIDENCE`.
+
+    They are those of a random walk of the rate, which no other noise has wider ones than.
+    """
 
     tau_s: FloatArray
     deviation: FloatArray
@@ -125,8 +125,8 @@ class StreamingAllan:
         self._begin()
 
     def _begin(self) -> None:
-        self._waiting: list[tuple[IntArray, IntArray, FloatArray]] = []
-        """Samples from which the interval is not learned yet."""
+        self._waiting = np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0)
+        """Times, segments and values from which the interval is not learned yet."""
         self._run = record(_Run, rings=(RINGS, RING), sums=RINGS, counts=RINGS)
         self._run.position = -1
 
@@ -147,13 +147,14 @@ class StreamingAllan:
 
     def _learn(self, time_ns: IntArray, segment: IntArray, values: FloatArray, start: int) -> int:
         """Gather samples until the interval is known, then add them; return the next row."""
-        lacking = LEARN - sum(len(part) for *_, part in self._waiting)
-        rows = (start + np.flatnonzero(np.isfinite(values[start:])))[:lacking]
-        self._waiting.append((time_ns[rows], segment[rows], values[rows]))
-        if len(rows) < lacking:
+        times, segments, first = self._waiting
+        rows = (start + np.flatnonzero(np.isfinite(values[start:])))[: LEARN - len(first)]
+        times, segments = np.append(times, time_ns[rows]), np.append(segments, segment[rows])
+        first = np.append(first, values[rows])
+        if len(first) < LEARN:
+            self._waiting = times, segments, first
             return len(values)
-        times, segments, first = (np.concatenate(part) for part in zip(*self._waiting, strict=True))
-        self._waiting.clear()
+        self._begin()
         self._run.interval_ns = nominal_interval_ns(times, segments)
         self._run.offset = float(first[0])
         if self._run.interval_ns:
@@ -171,19 +172,9 @@ class StreamingAllan:
         # Sixteen differences to an averaging time are those of an averaging factor of 16.
         used = np.minimum(m, STRIDES_PER_TAU)
         runs = [Runs(np.array([length]), np.ones(1)) for length in used * length / m]
-        noises = np.eye(len(NOISES))[identify(variance)]
-        edf = np.array([freedom("allan", int(m), *of) for m, *of in zip(used, runs, noises, strict=True)])
+        edf = np.array([freedom("allan", int(m), of, WALK) for m, of in zip(used, runs, strict=True)])
         tau_s = np.asarray(m * run.interval_ns * 1e-9, np.float64)
         return LiveCurve(tau_s, np.sqrt(variance), *intervals(variance, edf), edf)
-
-
-def identify(variance: FloatArray) -> IntArray:
-    """Return which of `NOISES` each octave is most like, (n,), by the slope of the curve around it."""
-    if len(variance) < 2:
-        return np.zeros(len(variance), np.int64)
-    logs = np.log2(np.maximum(variance, 1e-300))
-    slope = np.gradient(logs)
-    return np.asarray(np.abs(slope[:, np.newaxis] - _SLOPES).argmin(axis=1), np.int64)
 
 
 class AllanStage:
@@ -204,7 +195,7 @@ class AllanStage:
     def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
         """Take the samples of a block; needs ``device_time_ns`` and ``segment``."""
         rest = block.columns.get("at_rest")
-        for name in CHANNELS:
+        for name in (*GYRO, *ACCEL):
             if name in block:
                 values: FloatArray = np.asarray(block[name], np.float64)
                 if rest is not None:
@@ -224,7 +215,7 @@ class AllanStage:
     def charts(self) -> Sequence[Chart]:
         """Return one log-log chart per sensor; none while no averaging time can be trusted."""
         charts = []
-        for group, measured in _MEASURED.items():
+        for group, measured in MEASURED.items():
             level = TERMS_OF[group]["bias_instability"]
             channels = {axis: self._channels.get(f"{group}_{axis}") for axis in AXIS_COLORS}
             found = {axis: one.curve().trusted() for axis, one in channels.items() if one is not None}
@@ -234,7 +225,7 @@ class AllanStage:
                 curves = tuple(_curves(shown, level.factor))
                 notes = tuple(_note(axis, curve, group) for axis, curve in found.items())
                 key, title = f"allan_{group}", _TITLE.format(measured)
-                charts.append(Chart(key, TAB, title, x, y, curves, notes=notes))
+                charts.append(Chart(key, "Allan", title, x, y, curves, notes=notes))
         return charts
 
 

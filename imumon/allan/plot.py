@@ -6,19 +6,17 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 
 from imumon.allan.analysis import Result
 from imumon.allan.covariance import TERMS_OF
 from imumon.allan.fit import Fit
+from imumon.allan.live import MEASURED
 from imumon.allan.recording import group_of
 from imumon.blocks import FloatArray
 from imumon.files import write_png
 from imumon.harmless import for_plot
 
 COLORS = {"x": "#d03c3c", "y": "#2a9a4f", "z": "#3b78d8"}
-TITLES = {"gyro": "Angular rate", "accel": "Specific force"}
 STYLES = {
     "angle_random_walk": ":",
     "bias_instability": "-.",
@@ -28,8 +26,6 @@ STYLES = {
     "correlated_noise": (0, (3, 2, 3, 2, 1, 2)),
 }
 """Lines of the terms, in their order."""
-DARK = "0.25"
-"""Colour of the lines of a legend that hold for all axes."""
 
 
 def write_plot(path: Path, results: Mapping[str, Result], source: Path) -> None:
@@ -48,14 +44,18 @@ def write_plot(path: Path, results: Mapping[str, Result], source: Path) -> None:
 
 def _draw(axes: Any, group: str, results: Mapping[str, Result]) -> None:
     level = TERMS_OF[group]["bias_instability"]
-    factor, drawn = level.factor, set[str]()
+    factor = level.factor
     for name, result in results.items():
-        color, tau, allan, trusted = COLORS[name[-1]], result.tau_s, result.allan, result.trusted
-        axes.fill_between(tau, factor * allan.low, factor * allan.high, color=color, alpha=0.16, lw=0)
-        axes.plot(tau[:trusted], factor * allan.values[:trusted], color=color, lw=1.8, label=name[-1])
-        axes.plot(tau, factor * allan.values, color=color, lw=0.8)
+        trusted = slice(result.trusted)
+        line = factor * result.allan.values[trusted]
+        axes.plot(result.tau_s[trusted], line, color=COLORS[name[-1]], lw=1.8, label=name[-1])
+    for name, result in results.items():
+        color, tau, allan = COLORS[name[-1]], result.tau_s, result.allan
+        axes.plot(tau, factor * allan.values, color=color, lw=0.8, label="beyond the longest trusted τ")
+        band = {"color": color, "alpha": 0.16, "lw": 0, "label": "68 % interval"}
+        axes.fill_between(tau, factor * allan.low, factor * allan.high, **band)
         if result.fit is not None:
-            drawn |= {"", *_draw_fit(axes, result.fit, tau, factor, color)}
+            _draw_fit(axes, group, result.fit, tau, color)
     longest = max((result.longest_tau_s for result in results.values() if result.trusted), default=0.0)
     if longest:
         axes.axvline(longest, color="0.6", lw=0.8)
@@ -66,31 +66,24 @@ def _draw(axes: Any, group: str, results: Mapping[str, Result]) -> None:
     axes.set(
         xscale="log", yscale="log", xlabel="averaging time τ [s]", ylabel=f"Allan deviation [{level.shown}]"
     )
-    axes.set_title(TITLES[group], fontsize=10)
+    axes.set_title(MEASURED[group].capitalize(), fontsize=10)
     axes.grid(which="major", color="0.8", lw=0.6)
     axes.grid(which="minor", color="0.92", lw=0.4)
-    handles = [
-        *axes.get_legend_handles_labels()[0],
-        Line2D([], [], color=DARK, lw=0.8, label="beyond the longest trusted τ"),
-        Patch(color=DARK, alpha=0.16, lw=0, label="68 % interval"),
-    ]
-    for term, style in {"": "--", **STYLES}.items():
-        if term in drawn:
-            label = f"its part: {TERMS_OF[group][term].title}" if term else "fit: sum of the terms"
-            handles.append(Line2D([], [], color=DARK, lw=1.0, ls=style, label=label))
-    axes.legend(handles=handles, loc="lower left", fontsize=8, handlelength=3.2)
+    handles, labels = axes.get_legend_handles_labels()
+    named = dict(zip(labels, handles, strict=True))  # each style once
+    axes.legend(named.values(), named.keys(), loc="lower left", fontsize=8, handlelength=3.2)
 
 
-def _draw_fit(axes: Any, fit: Fit, tau_s: FloatArray, factor: float, color: str) -> list[str]:
-    """Draw the sum of the terms, and thinly each of those that the data show; return the terms drawn."""
+def _draw_fit(axes: Any, group: str, fit: Fit, tau_s: FloatArray, color: str) -> None:
+    """Draw the sum of the terms, and thinly each of those that the data show."""
+    factor = TERMS_OF[group]["bias_instability"].factor
     tau = np.geomspace(tau_s[fit.first], tau_s[fit.last], 100)
     parts = fit.shares(tau / tau_s[0]).T
     deviation = factor * np.sqrt(np.maximum(parts.sum(axis=0), 0.0))
-    axes.plot(tau, deviation, color=color, lw=1.0, ls="--")
-    several = np.count_nonzero(fit.coefficients) > 1
-    drawn = {term: part for term, part in zip(STYLES, parts, strict=True) if several and fit.terms[term]}
-    for term, part in drawn.items():
-        line = factor * np.sqrt(np.maximum(part, 0.0))
-        line[line < 0.5 * deviation.min()] = np.nan
-        axes.plot(tau, line, color=color, lw=0.9, ls=STYLES[term])
-    return [*drawn]
+    axes.plot(tau, deviation, color=color, lw=1.0, ls="--", label="fit: sum of the terms")
+    for (term, style), part in zip(STYLES.items(), parts, strict=True):
+        if fit.terms[term] and np.count_nonzero(fit.coefficients) > 1:
+            line = factor * np.sqrt(np.maximum(part, 0.0))
+            line[line < 0.5 * deviation.min()] = np.nan
+            title = f"its part: {TERMS_OF[group][term].title}"
+            axes.plot(tau, line, color=color, lw=0.9, ls=style, label=title)

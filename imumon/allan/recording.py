@@ -11,10 +11,11 @@ from imumon.allan.series import PARTS, EvenSeries, even_channels
 from imumon.blocks import SampleBlock, join
 from imumon.columns import TEMPERATURES
 from imumon.errors import bad_data
+from imumon.estimation.gyro_bias.stage import RestDetector
 from imumon.estimation.rest.slots import COARSEST_STEPS
 from imumon.filters.rounding import digits
 from imumon.recordings.reduced import ACCEL, GYRO
-from imumon.recordings.source import Count, Stages, no_count, no_stages, open_recording
+from imumon.recordings.source import Count, no_count, open_recording
 
 UNITS = {"gyro": "rad/s", "accel": "m/s^2"}
 CHANNELS = (*GYRO, *ACCEL)
@@ -42,13 +43,12 @@ class Channels(NamedTuple):
     warnings: list[str]
 
 
-def read_channels(path: Path, stages: Stages = no_stages, count: Count = no_count) -> Channels:
+def read_channels(path: Path, count: Count = no_count) -> Channels:
     """Read the gyro and accelerometer channels of a session, or of a table of samples.
 
-    Raises BAD_DATA when there is nothing to read, no such channel, too few samples or no even rate.  `stages`
-    has a rest detector, which detects motion where the table has no column ``at_rest``.
+    Raises BAD_DATA when there is nothing to read, no such channel, too few samples or no even rate.
     """
-    recording = open_recording(path, stages, count=count)
+    recording = open_recording(path, lambda _: [RestDetector()], count=count)
     for name in CHANNELS:
         unit, own = recording.columns[name].unit if name in recording.columns else "", UNITS[group_of(name)]
         if unit not in ("", own):
@@ -66,7 +66,23 @@ def read_channels(path: Path, stages: Stages = no_stages, count: Count = no_coun
     if not channels:
         raise bad_data(f"{path}: holds no two numbers in any of {', '.join(CHANNELS)}")
     series = even_channels(samples["device_time_ns"], samples["segment"], channels)
-    _check_rate(path, len(samples), {name: series.get(name) for name in channels})
+    if len(samples) < FEWEST_SAMPLES:
+        what = f"has {len(samples)} samples; an Allan deviation needs {FEWEST_SAMPLES} at the least"
+        advice = "record for ten times as long as the longest averaging time of interest"
+        raise bad_data(f"{path}: {what}", advice)
+    for name in channels:
+        used = series[name].used / series[name].samples if name in series else 0.0
+        if used < LEAST_USED:
+            raise bad_data(
+                f"{path}: {name}: only {used:.0%} of the samples come at an even rate",
+                "nothing is resampled: that would change the noise that is to be measured.  "
+                "Use the device's own time or counter; imumon import takes rate_hz for rows that are even",
+            )
+        if series[name].rate_hz > FASTEST_HZ:
+            raise bad_data(
+                f"{path}: by device_time_ns the rate is {series[name].rate_hz:.3g} Hz",
+                "the column must hold nanoseconds; imumon import takes times in other units",
+            )
     warnings = recording.warnings()
     if empty := [name for name in there if name not in channels]:
         warnings.append(f"{', '.join(empty)}: fewer than two numbers; left out")
@@ -90,32 +106,10 @@ def by_text(found: Iterable[tuple[str, str]]) -> dict[str, list[str]]:
     return channels
 
 
-def _check_rate(path: Path, rows: int, series: Mapping[str, EvenSeries | None]) -> None:
-    """Raise where a deviation would mean nothing."""
-    if rows < FEWEST_SAMPLES:
-        what = f"has {rows} samples; an Allan deviation needs {FEWEST_SAMPLES} at the least"
-        advice = "record for ten times as long as the longest averaging time of interest"
-        raise bad_data(f"{path}: {what}", advice)
-    for name, channel in series.items():
-        used = 0.0 if channel is None else channel.used / channel.samples
-        if channel is None or used < LEAST_USED:
-            raise bad_data(
-                f"{path}: {name}: only {used:.0%} of the samples come at an even rate",
-                "nothing is resampled: that would change the noise that is to be measured.  "
-                "Use the device's own time or counter; imumon import takes rate_hz for rows that are even",
-            )
-        if channel.rate_hz > FASTEST_HZ:
-            raise bad_data(
-                f"{path}: by device_time_ns the rate is {channel.rate_hz:.3g} Hz",
-                "the column must hold nanoseconds; imumon import takes times in other units",
-            )
-
-
 def _of_units(series: Mapping[str, EvenSeries]) -> Iterator[str]:
     """Yield what looks like readings in other units."""
-    rates = {name: np.median(np.abs(series[name].values)) for name in GYRO if name in series}
-    fast = [name for name, rate in rates.items() if rate > FASTEST_RAD_S]
-    if fast:
+    gyros = [name for name in GYRO if name in series]
+    if fast := [name for name in gyros if np.median(np.abs(series[name].values)) > FASTEST_RAD_S]:
         yield f"{', '.join(fast)}: turns faster than any gyro measures: it is not in rad/s"
     norm = float(np.linalg.norm([series[name].values.mean() for name in ACCEL if name in series]))
     if series.keys() >= {*ACCEL} and not NORMAL_G[0] < norm < NORMAL_G[1]:

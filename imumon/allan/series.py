@@ -9,8 +9,8 @@ unknown or great length.
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
 from functools import cache, partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -29,11 +29,11 @@ LONGEST_START_S = 1.0
 """The shortest averaging times are left out, up to this one, where a filter of the device has shaped them."""
 LEAST_TIME = 4.0
 """Samples: a shorter correlation cannot be distinguished from white noise behind a filter."""
-_WALK = np.array([0.0, 0.0, 1.0, 0.0])
+WALK = np.array([0.0, 0.0, 1.0, 0.0])
+"""The noise that has the fewest degrees of freedom: a random walk of the rate."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class EvenSeries:
+class EvenSeries(NamedTuple):
     """Samples on an even grid."""
 
     interval_s: float
@@ -93,9 +93,12 @@ class Division:
 
     def __init__(self, series: EvenSeries) -> None:
         self.factors = octaves(series)
-        self.runs = [Runs.of(*series.runs(m), 2 * m) for m in self.factors.tolist()]
-        each = zip(self.factors.tolist(), self.runs, strict=True)
-        few = [freedom("allan", *one, _WALK) < TRUSTED_FREEDOM for one in each]
+        self.runs, few = list[Runs](), list[bool]()
+        for m in self.factors.tolist():
+            starts, stops = series.runs(m)
+            lengths, counts = np.unique((stops - starts)[stops - starts >= 2 * m], return_counts=True)
+            self.runs.append(Runs(lengths.astype(np.float64), counts.astype(np.float64)))
+            few.append(freedom("allan", m, self.runs[-1], WALK) < TRUSTED_FREEDOM)
         self.trusted = [*few, True].index(True)
         """How many of the averaging times can be trusted, from the shortest on."""
         first = math.log2(max(LONGEST_START_S / series.interval_s, LEAST_TIME))
@@ -140,7 +143,7 @@ def even_channels(
             grids[key] = _grid(time_ns[present], segment[present])
         if (grid := grids[key]) is not None:
             kept, position, bare = grid
-            series[name] = replace(bare, values=_filled(values[present][kept], position, bare))
+            series[name] = bare._replace(values=_filled(values[present][kept], position, bare))
     return series
 
 

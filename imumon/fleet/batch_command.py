@@ -1,7 +1,5 @@
 """``imumon batch``: a command over many sessions."""
 
-from __future__ import annotations
-
 import os
 from collections import Counter
 from collections.abc import Mapping

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +14,6 @@ from imumon.cli.live_run import Ending, Lines, watch
 from imumon.errors import EXIT_NEGATIVE, EXIT_OK, ImumonError
 
 if TYPE_CHECKING:
-    from imumon.fleet.rack.rack import Rack
     from imumon.view.publisher import ViewPublisher
 
 LOG_LINES = 100
@@ -61,7 +59,7 @@ def command(
     """
     from imumon.fleet.rack.description import changes, load_rack
     from imumon.fleet.rack.rack import Rack
-    from imumon.fleet.rack.table import text_lines
+    from imumon.fleet.rack.table import in_short, text_lines
 
     mode = common.chosen_view(view, bind)
     changed = changes(file)
@@ -70,10 +68,31 @@ def command(
     ending, lines = Ending(seconds), Lines()
     publisher = _publisher(file, out, mode, window, bind)
     rack = Rack(out, lines.put, None if publisher is None else publisher.publish)
+    log: deque[str] = deque(maxlen=LOG_LINES)
+
+    def step() -> None:
+        rack.look()
+        if next(changed):
+            try:
+                rack.change(load_rack(file))
+            except ImumonError as error:  # a bad file changes nothing
+                lines.put("ERROR", f"{error.line}; the rack goes on as it is")
+        if publisher is not None:
+            publisher.announce(lines.put)
+
+    def status() -> str:
+        return in_short(rack.rows) + ("" if publisher is None else f"  view: {publisher.text}")
+
+    def screen(columns: int, rows: int) -> list[str]:
+        log.extend(f"{level} {text}" for _, level, text in lines.take())
+        shown = [f"rack {file.stem}: {in_short(rack.rows)}", "", *text_lines(rack.rows), ""]
+        newest = list(log)[::-1][: max(rows - len(shown), 0)][::-1]
+        return [line[:columns] for line in [*shown, *newest][:rows]]
+
     try:
         rack.change(plans)
         ending.begin()
-        _watch(rack, file, changed, ending, lines, publisher, in_terminal=mode == "terminal")
+        watch(ending, lines, step, status, screen if mode == "terminal" else None)
     finally:
         rack.stop()
         if publisher is not None:
@@ -114,41 +133,3 @@ def trouble(unit: dict[str, Any]) -> str:
     if unrecorded:
         found.append(f"NOT RECORDED: {unrecorded:,} bytes")
     return "; ".join(found)
-
-
-def _watch(
-    rack: Rack,
-    file: Path,
-    changed: Iterator[bool],
-    ending: Ending,
-    lines: Lines,
-    publisher: ViewPublisher | None,
-    *,
-    in_terminal: bool,
-) -> None:
-    """Keep a rack as in its file, until the end; the terminal shows its table or a line."""
-    from imumon.fleet.rack.description import load_rack
-    from imumon.fleet.rack.table import in_short, text_lines
-
-    log: deque[str] = deque(maxlen=LOG_LINES)
-
-    def step() -> None:
-        rack.look()
-        if next(changed):
-            try:
-                rack.change(load_rack(file))
-            except ImumonError as error:  # a bad file changes nothing
-                lines.put("ERROR", f"{error.line}; the rack goes on as it is")
-        if publisher is not None:
-            publisher.announce(lines.put)
-
-    def status() -> str:
-        return in_short(rack.rows) + ("" if publisher is None else f"  view: {publisher.text}")
-
-    def screen(columns: int, rows: int) -> list[str]:
-        log.extend(f"{level} {text}" for _, level, text in lines.take())
-        shown = [f"rack {file.stem}: {in_short(rack.rows)}", "", *text_lines(rack.rows), ""]
-        newest = list(log)[::-1][: max(rows - len(shown), 0)][::-1]
-        return [line[:columns] for line in [*shown, *newest][:rows]]
-
-    watch(ending, lines, step, status, screen if in_terminal else None)

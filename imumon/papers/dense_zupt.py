@@ -10,7 +10,7 @@ A step takes one sample, or the mean of several: with the noise given as densiti
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -32,6 +32,15 @@ SLOT_S = 0.25
 ZEROING_S = 60.0
 LEVELLING_S = 1.0
 """s at rest whose mean specific force is the vertical after a motion."""
+VELOCITY_RANDOM_WALK = 1e-3
+"""m/s/sqrt(s)."""
+ACCEL_BIAS_RANDOM_WALK, ACCEL_BIAS_SD = 1e-6 * STANDARD_GRAVITY, 1e-3 * STANDARD_GRAVITY
+"""m/s^2/sqrt(s), and m/s^2 at the start."""
+ANGLE_SD, VELOCITY_SD = 1e-4, 1e-3
+"""Of tilt and yaw (rad) and of the velocity (m/s) at the start."""
+MEASURED_SD = np.array([1e-3, 1e-3, 1e-3, 1e-4])
+"""Of a velocity measurement every `MEASURED_S`, m/s, and of one of the yaw, rad: velocity alone does not show
+the vertical bias."""
 
 
 @dataclass(frozen=True)
@@ -45,21 +54,10 @@ class DenseSettings:
     """Of the place, and of the body's x axis clockwise from north.  Without the heading the filter knows
     of the earth rate the vertical part only, without the latitude nothing: the rest is part of the bias."""
     angle_random_walk: float | FloatArray = math.radians(0.28) / 60
-    velocity_random_walk: float | FloatArray = 1e-3
-    """rad/sqrt(s) and m/s/sqrt(s), (3,)."""
+    """rad/sqrt(s), (3,)."""
     bias_random_walk: float = math.radians(0.1) / 3600
     bias_sd: float = math.radians(2.2) / 3600
     """K in rad/s/sqrt(s), and the standard deviation p0 of the bias at the start, rad/s."""
-    accel_bias_random_walk: float = 1e-6 * STANDARD_GRAVITY
-    accel_bias_sd: float = 1e-3 * STANDARD_GRAVITY
-    """m/s^2/sqrt(s) and m/s^2."""
-    angle_sd: float = 1e-4
-    velocity_sd: float = 1e-3
-    """Of tilt and yaw (rad) and of the velocity (m/s) at the start."""
-    zero_velocity_sd: float = 1e-3
-    """Of a velocity measurement every `MEASURED_S`, m/s."""
-    yaw_hold_sd: float = 1e-4
-    """Of a yaw measurement every `MEASURED_S`, rad: velocity alone does not show the vertical bias."""
 
     @cached_property
     def earth(self) -> FloatArray:
@@ -73,14 +71,14 @@ class DenseSettings:
     @cached_property
     def start(self) -> FloatArray:
         """Covariance at the start, (12, 12)."""
-        sds = [self.angle_sd, self.velocity_sd, self.bias_sd, self.accel_bias_sd]
-        return np.diag(np.repeat(np.square(sds), 3))
+        sds = np.square([ANGLE_SD, VELOCITY_SD, self.bias_sd, ACCEL_BIAS_SD])
+        return np.diag(np.repeat(sds, 3))
 
     @cached_property
     def noise(self) -> FloatArray:
         """Process noise of a step, (12, 12)."""
-        white = self.angle_random_walk, self.velocity_random_walk
-        walks = *white, self.bias_random_walk, self.accel_bias_random_walk
+        white = self.angle_random_walk, VELOCITY_RANDOM_WALK
+        walks = *white, self.bias_random_walk, ACCEL_BIAS_RANDOM_WALK
         return np.diag(np.concatenate([np.broadcast_to(walk, 3) for walk in walks]) ** 2 * self.interval_s)
 
     @cached_property
@@ -88,8 +86,7 @@ class DenseSettings:
         """H and R of a step: three velocities, and the yaw, which is held."""
         h = np.zeros((4, STATES))
         h[:3, VELOCITY], h[3, YAW] = np.eye(3), 1.0
-        variances = np.square([*[self.zero_velocity_sd] * 3, self.yaw_hold_sd])
-        return h, np.diag(variances) * (MEASURED_S / self.interval_s)
+        return h, np.diag(np.square(MEASURED_SD)) * (MEASURED_S / self.interval_s)
 
 
 @dataclass
@@ -108,8 +105,8 @@ class State:
     gravity: float
     bias: FloatArray
     covariance: FloatArray
-    velocity: FloatArray = field(default_factory=lambda: np.zeros(3))
-    accel_bias: FloatArray = field(default_factory=lambda: np.zeros(3))
+    velocity: FloatArray
+    accel_bias: FloatArray
 
     @property
     def bias_sd(self) -> FloatArray:
@@ -124,26 +121,14 @@ def begin(
     up = force if up is None else up
     attitude = body_to_ned(up / np.linalg.norm(up), math.radians(settings.heading_deg or 0.0))
     gravity = float(np.linalg.norm(force))
-    return State(attitude, attitude, gravity, np.array(bias, np.float64), settings.start)
+    known = np.array(bias, np.float64), settings.start
+    return State(attitude, attitude, gravity, *known, velocity=np.zeros(3), accel_bias=np.zeros(3))
 
 
 def cross(a: FloatArray) -> FloatArray:
     """Return [a x], (3, 3)."""
     x, y, z = a.tolist()
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-
-
-def transition(state: State, force: FloatArray, earth: FloatArray, dt: float) -> FloatArray:
-    """Return F = 1 + A dt of the error states, and half (A dt)² from bias to velocity, (12, 12).
-
-    phi' = -[earth x] phi - C b_g,  v' = -[C f x] phi - C b_a.
-    """
-    f = np.eye(STATES)
-    f[PHI, PHI] -= dt * cross(earth)
-    f[VELOCITY, PHI] = -dt * cross(force)
-    f[PHI, GYRO] = f[VELOCITY, ACCEL] = -dt * state.attitude
-    f[VELOCITY, GYRO] = 0.5 * f[VELOCITY, PHI] @ f[PHI, GYRO]
-    return f
 
 
 def step(
@@ -163,7 +148,13 @@ def step(
     force = state.attitude @ (accel - state.accel_bias)
     state.attitude = state.attitude @ half
     state.velocity = state.velocity + dt * (force + np.array([0.0, 0.0, state.gravity]))
-    f = transition(state, force, earth, dt)
+    # F = 1 + A dt, and half (A dt)² from bias to velocity:
+    # phi' = -[earth x] phi - C b_g,  v' = -[C f x] phi - C b_a.
+    f = np.eye(STATES)
+    f[PHI, PHI] -= dt * cross(earth)
+    f[VELOCITY, PHI] = -dt * cross(force)
+    f[PHI, GYRO] = f[VELOCITY, ACCEL] = -dt * state.attitude
+    f[VELOCITY, GYRO] = 0.5 * f[VELOCITY, PHI] @ f[PHI, GYRO]
     predicted = f @ state.covariance @ f.T + settings.noise
     h, r = settings.measured
     off = state.held @ state.attitude.T

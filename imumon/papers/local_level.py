@@ -9,7 +9,8 @@ R = white / Δt.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -30,8 +31,7 @@ TO_INSTABILITY = math.sqrt(math.pi / math.log(10.0))
 """Bias instability B (IEEE Std 952: the Allan floor is 0.664 B) of flicker with unit variance per decade."""
 
 
-@dataclass(frozen=True, slots=True)
-class RestMean:
+class RestMean(NamedTuple):
     """One second of one axis."""
 
     begins: bool
@@ -89,8 +89,8 @@ class ExponentialMean:
     """s at rest; infinity for the mean of everything."""
     longest_s: float = math.inf
     """After so many s at rest the mean is held."""
-    rest_s: float = field(default=0.0, init=False)
-    mean: float = field(default=math.nan, init=False)
+    rest_s: float = 0.0
+    mean: float = math.nan
 
     def step(self, new: RestMean) -> float:
         """Take in a second; return the mean, NaN before the first reading of a segment."""
@@ -109,8 +109,7 @@ def hold(seconds: float) -> ExponentialMean:
     return ExponentialMean(math.inf, seconds)
 
 
-@dataclass(frozen=True, slots=True)
-class LocalLevel:
+class LocalLevel(NamedTuple):
     """Noise of a local level: of samples Δt apart, R = white / Δt and q = δ¹² = walk Δt."""
 
     white: float

@@ -167,17 +167,18 @@ class RandomErrorMethods(SlotStage):
         rows, means = slots.row.tolist(), self._means.process(slots)
         steps_ns = np.diff(times, prepend=times[:1] if self._last_ns is None else self._last_ns)
         shown = np.empty((len(means), len(MEANS), len(AXES)))
+        ends = [*((row, k) for k, row in enumerate(rows)), *((row, len(rows)) for row in breaks)]
         for j, (name, axis) in enumerate(self._axes.items()):
             at = 0
-            for row, k in sorted([(row, k) for k, row in enumerate(rows)] + [(b, len(rows)) for b in breaks]):
-                self._filter(name, slice(at, row), readings[:, j], steps_ns, found)
+            for row, k in [*sorted(ends), (n, len(rows))]:
+                if row > at:  # nothing begins in between
+                    self._filter(name, slice(at, row), readings[at:row, j], steps_ns[at:row], found)
                 at = row
                 if k < len(rows):
                     axis.take(means[k][j], self.methods, self._given.learn_s)
                     shown[k, :, j] = axis.mean.step(means[k][j]), axis.hold.step(means[k][j])
-                else:
+                elif row < n:
                     axis.filters = {}
-            self._filter(name, slice(at, n), readings[:, j], steps_ns, found)
         values = self.spread(slots.row, shown, breaks, n)
         for i, (column, _) in enumerate(MEANS):
             for j, name in enumerate(AXES):
@@ -195,12 +196,10 @@ class RandomErrorMethods(SlotStage):
         found: Mapping[str, FloatArray],
     ) -> None:
         """Run the filters of an axis over rows within which nothing begins."""
-        if part.stop <= part.start:
-            return
         axis = self._axes[name]
         for method, one in axis.filters.items():
-            steps = np.asarray(steps_ns[part] * (1e-9 / axis.interval_s), np.float64)
-            series = one.process(readings[part], steps)
+            steps = np.asarray(steps_ns * (1e-9 / axis.interval_s), np.float64)
+            series = one.process(readings, steps)
             found[f"{method}_random_error_{name}"][part] = series.estimate
             found[f"{method}_random_error_sd_{name}"][part] = series.sd
             if method != LINEAR:

@@ -20,7 +20,6 @@ in the paper, and so there is none here.  The paper runs the loop at 200 Hz; her
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 import numpy as np
 
@@ -67,12 +66,8 @@ class Loop:
     """East, north, m/s, (2,)."""
 
 
-class Gains(NamedTuple):
-    """Of a step h in s: the decay of a velocity, exp(-k h), and k_b in rad/m."""
-
-    interval_s: float
-    decay: float
-    kb: float
+Gains = tuple[float, float, float]
+"""Of a step: h in s, the decay of a velocity, exp(-k h), and k_b in rad/m."""
 
 
 def gains(interval_s: float) -> Gains:
@@ -80,7 +75,7 @@ def gains(interval_s: float) -> Gains:
     decay = math.exp(-2.0 * DAMPING * CORNER * interval_s)
     angle = CORNER * interval_s * math.sqrt(1.0 - DAMPING * DAMPING)
     trace = 2.0 * math.exp(-DAMPING * CORNER * interval_s) * math.cos(angle)
-    return Gains(interval_s, decay, (1.0 + decay - trace) / (interval_s**2 * STANDARD_GRAVITY))
+    return interval_s, decay, (1.0 + decay - trace) / (interval_s**2 * STANDARD_GRAVITY)
 
 
 def coarse(rate: FloatArray, force: FloatArray) -> FloatArray:
@@ -97,22 +92,21 @@ def step(loop: Loop, gain: Gains, earth: FloatArray, rate: FloatArray, force: Fl
     `earth` (3,): Ω east, north, up, rad/s.
     `rate`, `force` (3,): rad/s and m/s², body axes.
     """
+    interval_s, decay, kb = gain
     frame = loop.attitude @ rate - earth
-    loop.velocity = gain.decay * loop.velocity + gain.interval_s * (loop.attitude @ force)[:2]
-    control = gain.kb * np.array([-loop.velocity[1], loop.velocity[0]])
+    loop.velocity = decay * loop.velocity + interval_s * (loop.attitude @ force)[:2]
+    control = kb * np.array([-loop.velocity[1], loop.velocity[0]])
     frame[:2] -= control
-    loop.attitude = rotation_by(gain.interval_s * frame) @ loop.attitude
+    loop.attitude = rotation_by(interval_s * frame) @ loop.attitude
     return control
 
 
-@dataclass
 class Integral:
     """α, the integral of the control rates; HᵀH and Hᵀz of a line a t + b through it, H of rows [t, 1]."""
 
-    seconds: float = 0.0
-    angle: FloatArray = field(default_factory=lambda: np.zeros(2))
-    normal: FloatArray = field(default_factory=lambda: np.zeros((2, 2)))
-    right: FloatArray = field(default_factory=lambda: np.zeros((2, 2)))
+    def __init__(self) -> None:
+        self.seconds, self.angle = 0.0, np.zeros(2)
+        self.normal, self.right = np.zeros((2, 2)), np.zeros((2, 2))
 
     def add(self, control: FloatArray, interval_s: float) -> None:
         """Take in a step."""
@@ -135,27 +129,24 @@ class Integral:
         return np.asarray(np.linalg.solve(self.normal, self.right)[0])
 
 
-@dataclass
 class State:
     """Where the alignment is: coarse (no loop yet), or fine."""
 
-    seconds: float = 0.0
-    rate: FloatArray = field(default_factory=lambda: np.zeros(3))
-    force: FloatArray = field(default_factory=lambda: np.zeros(3))
-    loop: Loop | None = None
-    control: FloatArray = field(default_factory=lambda: np.full(2, np.nan))
-    integral: Integral = field(default_factory=Integral)
+    def __init__(self) -> None:
+        self.seconds, self.sensed = 0.0, np.zeros(6)
+        """Time, and integral of rates and specific forces, while coarse."""
+        self.loop: Loop | None = None
+        self.control, self.integral = np.full(2, np.nan), Integral()
 
-    def take(self, earth: FloatArray, rate: FloatArray, force: FloatArray, interval_s: float) -> None:
-        """Take in a slot."""
+    def take(self, earth: FloatArray, sensed: FloatArray, interval_s: float) -> None:
+        """Take in the mean rates and specific forces of a slot, (6,)."""
         if self.loop is None:
             self.seconds += interval_s
-            self.rate = self.rate + interval_s * rate
-            self.force = self.force + interval_s * force
+            self.sensed = self.sensed + interval_s * sensed
             if self.seconds >= COARSE_S:
-                self.loop = Loop(coarse(self.rate, self.force))
+                self.loop = Loop(coarse(self.sensed[:3], self.sensed[3:]))
             return
-        self.control = step(self.loop, gains(interval_s), earth, rate, force)
+        self.control = step(self.loop, gains(interval_s), earth, sensed[:3], sensed[3:])
         self.integral.add(self.control, interval_s)
 
     def results(self, earth: FloatArray) -> FloatArray:
@@ -189,9 +180,7 @@ class SelfAlignment(SlotStage):
 
         Needs ``device_time_ns``, ``segment``, gyros and accelerometers; uses ``at_rest``.
         """
-        rests = np.ones(len(block))
-        if "at_rest" in block:
-            rests[block["at_rest"] == 0] = 0.0
+        rests = block.columns.get("at_rest", np.ones(len(block))) != 0
         slots, breaks = self.slots(block, np.column_stack([inertial(block), rests]))
         results = np.empty((len(slots), len(COLUMNS)))
         for k in range(len(slots)):
@@ -204,8 +193,8 @@ class SelfAlignment(SlotStage):
             if np.isfinite(mean).all() and slots.smallest[k, 6] == 1.0:
                 # Whole slots: their middles differ by a sample as the samples fall.
                 interval = SLOT_S * max(round(elapsed / SLOT_S), 1)
-                self._state.take(self._earth, mean[:3], mean[3:6], interval)
+                self._state.take(self._earth, mean[:6], interval)
             results[k] = self._state.results(self._earth)
         shown = self.spread(slots.row, results, breaks, len(block))
-        found = {column.name: values for column, values in zip(COLUMNS, shown.T, strict=True)}
-        return {column.name: found[column.name] for column in self.columns}
+        found = zip(COLUMNS, shown.T, strict=True)
+        return {column.name: values for column, values in found if column in self.columns}

@@ -19,7 +19,6 @@ The steps are compiled: they run at every sample, and in NumPy one takes 52 µs,
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -42,8 +41,7 @@ REGULAR = 1.5
 """A step of so many intervals or more is a gap: φ does not describe it."""
 
 
-@dataclass(frozen=True, slots=True)
-class Model:
+class Model(NamedTuple):
     """Where a filter begins: X = (x_k, x_k-1, φ, δ¹, δ²) of x_k = (1+φ) x_k-1 - φ x_k-2 + δ¹ a_k - δ² a_k-1.
 
     In model L the last three are known.
@@ -69,12 +67,13 @@ class Series(NamedTuple):
 
 
 class SampleFilter:
-    """A recursive filter of one axis: a compiled run over samples, and the state that it changes in place."""
+    """A recursive filter of one axis: a compiled run over samples, and the arrays that it changes in place.
 
-    _run: Callable[..., None]
+    `run`: fills a series, given readings, steps and what follows.
+    """
 
-    def __init__(self, settings: NamedTuple, state: NamedTuple) -> None:
-        self._settings, self._state = settings, state
+    def __init__(self, run: Callable[..., None], *carried: object) -> None:
+        self._run, self._carried = run, carried
 
     def process(self, reading: FloatArray, steps: FloatArray | None = None) -> Series:
         """Return the results at samples that follow those of the last call.
@@ -84,7 +83,7 @@ class SampleFilter:
         """
         steps = np.ones(len(reading)) if steps is None else steps
         series = Series(*np.empty((len(Series._fields), len(reading))))
-        type(self)._run(reading, steps, self._settings, self._state, series)
+        self._run(series, reading, steps, *self._carried)
         return series
 
 
@@ -97,22 +96,18 @@ class LinearSettings(NamedTuple):
     softening: float
 
 
-class LinearState(NamedTuple):
-    """What the filter carries from sample to sample, changed in place."""
-
-    mean: FloatArray
-    covariance: FloatArray
-    """Of (x_k, x_k-1), (2,)."""
-    innovation_variance: FloatArray
-    """V, the variance of the innovations as estimated so far, (1,); NaN before the first."""
-
-
 @njit
 def _run_linear(
-    reading: FloatArray, steps: FloatArray, settings: LinearSettings, state: LinearState, series: Series
+    series: Series,
+    reading: FloatArray,
+    steps: FloatArray,
+    settings: LinearSettings,
+    x: FloatArray,
+    p: FloatArray,
+    v: FloatArray,
 ) -> None:
-    """Filter samples; the state changes in place, the series is filled."""
-    x, p, phi, noise = state.mean, state.covariance, settings.phi, settings.noise_variance
+    """Filter samples; x and P of (x_k, x_k-1), and V, (1,), NaN before the first innovation, are carried."""
+    phi, noise = settings.phi, settings.noise_variance
     for k in range(reading.size):
         use = np.isfinite(reading[k])
         x[0], x[1] = (1.0 + phi) * x[0] - phi * x[1], x[0]
@@ -123,7 +118,11 @@ def _run_linear(
         process = settings.process_variance * steps[k]
         innovation = reading[k] - x[0]
         if use and settings.softening >= 0.0:
-            p *= _fading(innovation, p[0, 0], process, settings, state)
+            square = innovation * innovation
+            v[0] = square if np.isnan(v[0]) else (FORGETTING * v[0] + square) / (1.0 + FORGETTING)
+            wanted, had = v[0] - process - settings.softening * noise, p[0, 0]  # H F P Fᵀ Hᵀ
+            if had > 0.0 and wanted > had:
+                p *= wanted / had
         p[0, 0] += process
         series.predicted[k] = x[0]
         if use:
@@ -138,64 +137,33 @@ def _run_linear(
         series.phi[k], series.phi_sd[k] = phi, 0.0
 
 
-@njit
-def _fading(
-    innovation: float, had: float, process: float, settings: LinearSettings, state: LinearState
-) -> float:
-    """Return λ after an innovation, `had` being H F P Fᵀ Hᵀ."""
-    v = state.innovation_variance
-    square = innovation * innovation
-    v[0] = square if np.isnan(v[0]) else (FORGETTING * v[0] + square) / (1.0 + FORGETTING)
-    wanted = v[0] - process - settings.softening * settings.noise_variance
-    return wanted / had if had > 0.0 and wanted > had else 1.0
-
-
 class LinearFilter(SampleFilter):
     """Kalman filter on model L.
 
     `softening`: β of the strong-tracking filter; None for the plain Kalman filter.
     """
 
-    _run = _run_linear
-
     def __init__(self, model: Model, softening: float | None = None) -> None:
         _, _, phi, delta1, delta2 = model.mean
         beta = -1.0 if softening is None else softening
+        known = LinearSettings(phi, delta1**2 + delta2**2, model.noise_variance, beta)
         mean, variance = np.array(model.mean[:2], np.float64), np.array(model.variance[:2], np.float64)
-        super().__init__(
-            LinearSettings(phi, delta1**2 + delta2**2, model.noise_variance, beta),
-            LinearState(mean, np.diag(variance), np.full(1, np.nan)),
-        )
-
-
-class SigmaPointSettings(NamedTuple):
-    """R, the diagonal of μ (5,), and the limit of φ."""
-
-    noise_variance: float
-    risk: FloatArray
-    phi_limit: float
-
-
-class SigmaPointState(NamedTuple):
-    """What the filter carries from sample to sample, changed in place."""
-
-    mean: FloatArray
-    factor: FloatArray
-    """X and the lower triangular S of its covariance S Sᵀ, (5,)."""
-    shrunk: IntArray
-    """Steps with a smaller μ, (1,)."""
+        super().__init__(_run_linear, known, mean, np.diag(variance), np.full(1, np.nan))
 
 
 @njit
 def _run_sigma_points(
+    series: Series,
     reading: FloatArray,
     steps: FloatArray,
-    settings: SigmaPointSettings,
-    state: SigmaPointState,
-    series: Series,
+    noise_variance: float,
+    phi_limit: float,
+    risk: FloatArray,
+    mean: FloatArray,
+    factor: FloatArray,
+    shrunk: IntArray,
 ) -> None:
-    """Filter samples; the state changes in place, the series is filled."""
-    mean, factor = state.mean, state.factor
+    """Filter samples; X, S and the number of steps with a smaller μ, (1,), are carried."""
     deviations = np.empty((N, POINTS))
     for k in range(reading.size):
         use = np.isfinite(reading[k])
@@ -203,12 +171,12 @@ def _run_sigma_points(
             predict(mean, factor, deviations, steps[k])
         else:
             hold(mean, factor, deviations, steps[k])
-        if use and take_risk(factor, settings.risk):
-            state.shrunk[0] += 1
+        if use and take_risk(factor, risk):
+            shrunk[0] += 1
         series.predicted[k] = mean[X]
         if use:
-            measure(mean, factor, reading[k], settings.noise_variance)
-            mean[PHI] = min(max(mean[PHI], -settings.phi_limit), settings.phi_limit)
+            measure(mean, factor, reading[k], noise_variance)
+            mean[PHI] = min(max(mean[PHI], -phi_limit), phi_limit)
         series.estimate[k], series.sd[k] = mean[X], factor[X, X]
         series.phi[k] = mean[PHI]
         series.phi_sd[k] = math.sqrt((factor[PHI] ** 2).sum())
@@ -323,12 +291,13 @@ class SigmaPointFilter(SampleFilter):
 
     `risk`: diagonal of μ in 1/unit²; zero for φ, δ¹ and δ², which nothing measures.
     `phi_limit`: φ is held within ±phi_limit; infinity lets it go, as the paper does.
+    `mean`, `factor`: X and the lower triangular S of its covariance S Sᵀ, (5,); `shrunk`: steps with a
+        smaller μ, (1,).
     """
 
-    _run = _run_sigma_points
-
     def __init__(self, model: Model, risk: Sequence[float] = (0.0,) * N, phi_limit: float = math.inf) -> None:
-        self.settings = SigmaPointSettings(model.noise_variance, np.array(risk, np.float64), phi_limit)
-        factor = np.diag(np.sqrt(np.array(model.variance, np.float64)))
-        self.state = SigmaPointState(np.array(model.mean, np.float64), factor, np.zeros(1, np.int64))
-        super().__init__(self.settings, self.state)
+        self.risk, self.mean = np.array(risk, np.float64), np.array(model.mean, np.float64)
+        self.factor = np.diag(np.sqrt(np.array(model.variance, np.float64)))
+        self.shrunk = np.zeros(1, np.int64)
+        settings = model.noise_variance, phi_limit
+        super().__init__(_run_sigma_points, *settings, self.risk, self.mean, self.factor, self.shrunk)

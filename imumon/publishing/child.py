@@ -4,8 +4,6 @@ Run as ``python -m imumon.publishing.child`` by `imumon.publishing.publisher`.  
 outlet of its own; that for UDP is here.
 """
 
-from __future__ import annotations
-
 import json
 import socket
 import time

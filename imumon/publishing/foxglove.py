@@ -1,7 +1,5 @@
 """A server that Foxglove opens, by its own SDK: a topic of JSON for each stream, for states and the log."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Sequence
 
@@ -12,7 +10,7 @@ from foxglove.messages import LogLevel, Timestamp
 
 from imumon.columns import KNOWN, Column
 from imumon.errors import ImumonError, Reason
-from imumon.publishing.publisher import LOG, STATE, Message, Published, Value, messages, topic_of
+from imumon.publishing.publisher import LOG, STATE, Published, Value, messages, topic_of
 from imumon.publishing.target import Target
 from imumon.view.items import Samples, ViewSetup
 
@@ -56,7 +54,10 @@ class Foxglove:
         wanted = [item for item in items if not isinstance(item, Samples) or self._is_wanted(item)]
         for message in messages(wanted, self._states):
             if message.topic == LOG:
-                self._log.log(_log(message), log_time=message.time_ns)
+                level = LEVELS.get(str(message.values["level"]), LogLevel.Unknown)
+                when, text = Timestamp(*divmod(message.time_ns or 0, SECOND_NS)), str(message.values["text"])
+                line = FoxgloveLog(timestamp=when, level=level, message=text, name="imumon")
+                self._log.log(line, log_time=message.time_ns)
             else:
                 self._channels[message.topic].log(dict(message.values), log_time=message.time_ns)
         return 0
@@ -89,10 +90,3 @@ class Foxglove:
             properties[name] = {"type": "number", "description": ": ".join(filter(None, texts))}
         schema = {"type": "object", "title": f"imumon.{topic}", "properties": properties}
         return foxglove.Channel(f"/{topic}", schema=schema, context=self._context)
-
-
-def _log(message: Message) -> FoxgloveLog:
-    at = message.time_ns or 0
-    level = LEVELS.get(str(message.values["level"]), LogLevel.Unknown)
-    when = Timestamp(at // SECOND_NS, at % SECOND_NS)
-    return FoxgloveLog(timestamp=when, level=level, message=str(message.values["text"]), name="imumon")

@@ -4,10 +4,7 @@ Names and units of the values are those of `imumon.columns`; a value that is not
 message.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -60,8 +57,8 @@ def messages(items: Sequence[Published], states: dict[str, Value]) -> Iterator[M
 
 def _rows(item: Samples) -> Iterator[Message]:
     columns: dict[str, list[Value | None]] = {}
-    if item.sample is not None:
-        columns["sample"] = item.sample.tolist()
+    if item.times.sample is not None:
+        columns["sample"] = item.times.sample.tolist()
     for name, values in item.block.columns.items():
         known = np.isfinite(values) if values.dtype == np.float64 else values != NO_INT
         columns[name] = np.where(known, values.astype(object), np.array(None)).tolist()
@@ -71,8 +68,7 @@ def _rows(item: Samples) -> Iterator[Message]:
         yield Message(topic_of(item), next(times, None), there)
 
 
-@dataclass(frozen=True, slots=True)
-class Delivery:
+class Delivery(NamedTuple):
     """How it goes, and how many samples and events were sent, and how many were not.
 
     In reports of the publishing process the latter are those that the system did not take.
@@ -117,7 +113,7 @@ class Publisher(FedProcess):
         """How it goes now."""
         now, sent = self._now, self._sent + self._now.sent
         dropped = self._published - sent if self._closed else self.dropped + self._lost + now.dropped
-        return replace(now, sent=sent, dropped=dropped)
+        return now._replace(sent=sent, dropped=dropped)
 
     def _first(self) -> tuple[Target, ViewSetup]:
         if self.restarts:  # what waited for the process is not news any more

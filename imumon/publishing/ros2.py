@@ -1,7 +1,5 @@
 """Topics of ROS 2, by rclpy: the messages that ``export --to mcap`` writes, under the same names."""
 
-from __future__ import annotations
-
 import importlib
 import os
 from collections.abc import Sequence

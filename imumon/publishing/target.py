@@ -1,7 +1,5 @@
 """Where live samples are published: what kind of receiver, and at which address."""
 
-from __future__ import annotations
-
 import importlib.util
 import ipaddress
 import socket

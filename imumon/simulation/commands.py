@@ -1,7 +1,5 @@
 """``imumon demo``, ``virtual``, ``simulate``: devices and sessions without hardware."""
 
-from __future__ import annotations
-
 import signal
 import subprocess
 import sys
@@ -9,7 +7,6 @@ import tempfile
 from inspect import cleandoc
 from pathlib import Path
 from textwrap import fill
-from typing import TYPE_CHECKING
 
 import click
 
@@ -28,9 +25,6 @@ from imumon.cli.common import (
 from imumon.cli.progress import announce, bar
 from imumon.errors import bad_config
 from imumon.files import bundled
-
-if TYPE_CHECKING:
-    from imumon.simulation.unit import Scenario
 
 DEVICE = "ax1"
 """The one that is simulated when none is named."""
@@ -155,39 +149,31 @@ def simulate(
 
     docs/simulation.md describes them, and how to write one.
     """
-    from imumon.recordings.folder import name_unit
+    from imumon.protocols.device import device_text, parse_device
+    from imumon.recordings.folder import TRUTH_NAME, name_unit
+    from imumon.simulation.recording import record_session, write_table
     from imumon.simulation.unit import load_scenario
 
     given = {"duration_s": duration, "rate_hz": rate}
     plan = load_scenario(scenario).model_copy(update={k: v for k, v in given.items() if v is not None})
-    result = _simulated(plan, device, seed, out, quiet=as_json)
-    if "session" in result:
-        name_unit(out, serial)
-    rows = {"samples": f"{plan.samples:,} at {plan.rate_hz:g} Hz"} | {k: str(v) for k, v in result.items()}
-    print_result(as_json, {"scenario": scenario, "seed": seed, "samples": plan.samples, **result}, rows)
-
-
-def _simulated(plan: Scenario, device: str | None, seed: int, out: Path, *, quiet: bool) -> dict[str, Path]:
-    """Write a session or a table, in the axes of the device; return what was written."""
-    from imumon.protocols.device import device_text, parse_device
-    from imumon.recordings.folder import TRUTH_NAME
-    from imumon.simulation.recording import record_session, write_table
-
     text, source = device_text(device or DEVICE)
     described, as_table = parse_device(text, source), out.suffix in TABLES
     if out.suffix in OTHERS:
         what = f"{out}: simulate writes no such file: a table is NAME.parquet or NAME.csv, a session a folder"
         raise bad_config(what, "imumon export writes the other formats of a session")
-    if device is not None or not as_table:
+    if device is not None or not as_table:  # in the axes of the device
         plan = plan.played(plan.rate_hz, described.axes)
     expected_s = STARTING_S + plan.samples / SAMPLES_PER_S
-    announce("simulating", plan.samples, plan.samples / plan.rate_hz, expected_s, quiet=quiet)
-    with bar("simulating", plan.samples, quiet=quiet) as progress:
+    announce("simulating", plan.samples, plan.samples / plan.rate_hz, expected_s, quiet=as_json)
+    result = {"table": out} if as_table else {"session": out, "truth": out / TRUTH_NAME}
+    with bar("simulating", plan.samples, quiet=as_json) as progress:
         if as_table:
             write_table(plan, seed, out, progress.count)
-            return {"table": out}
-        record_session(plan, described, text, seed, out, progress.count)
-    return {"session": out, "truth": out / TRUTH_NAME}
+        else:
+            record_session(plan, described, text, seed, out, progress.count)
+            name_unit(out, serial)
+    rows = {"samples": f"{plan.samples:,} at {plan.rate_hz:g} Hz"} | {k: str(v) for k, v in result.items()}
+    print_result(as_json, {"scenario": scenario, "seed": seed, "samples": plan.samples, **result}, rows)
 
 
 SCENARIOS = fill(f"Scenarios: {', '.join(sorted(bundled('scenarios')))}.", 78, break_on_hyphens=False)

@@ -75,38 +75,31 @@ def record_session(
             rows, heads = np.column_stack(chamber_log(scenario, seed)), "time_s,wall_degc,case_degc"
             path = partial / CHAMBER_NAME
             np.savetxt(path, rows, fmt="%.3f", delimiter=",", header=heads, comments="")
-        closed = _record(session, scenario, device, seed, progress)
+        encoder, arrivals = device.encoder(), _Arrivals(device.serial.baudrates[0], seed)
+        unit = switch_on(device, scenario, seed)
+        names = [KNOWN["device_time_ns"], KNOWN["segment"], *TRUTH_COLUMNS]
+        with (
+            closing(WireWriter(session.wire_path, metadata.for_wire())) as writer,
+            TableWriter(partial / TRUTH_NAME, {column.name: column for column in names}) as table,
+        ):
+            writer.write(Event(EventKind.OPENED, START_NS, f"simulation, seed {seed}"))
+            for size in _sizes(scenario):
+                sent, truth = unit.run(size)
+                since_ns = np.rint(sent["packet_counter"] * (1e9 / scenario.rate_hz)).astype(np.int64)
+                for read in arrivals.reads(encoder.encode(sent), START_NS + since_ns):
+                    writer.write(read)
+                writer.flush()
+                table.write(truth)
+                progress(size)
+            writer.write(Event(EventKind.CLOSED, arrivals.last_ns, "the end of the scenario"))
+        made, n = writer.counters, scenario.samples
+        closed = metadata.closed(
+            START_NS + round(n / scenario.rate_hz * 1e9),
+            counters={"samples": n, "packets": n, "bytes_received": made.bytes},
+            events=made.events,
+        )
         session.save(closed)
     return Session(folder, closed)
-
-
-def _record(
-    session: Session, scenario: Scenario, device: DeviceFile, seed: int, progress: Progress
-) -> SessionMetadata:
-    """Write bytes and truth of a scenario; return the metadata of the session then."""
-    encoder, arrivals = device.encoder(), _Arrivals(device.serial.baudrates[0], seed)
-    unit = switch_on(device, scenario, seed)
-    names = [KNOWN["device_time_ns"], KNOWN["segment"], *TRUTH_COLUMNS]
-    with (
-        closing(WireWriter(session.wire_path, session.metadata.for_wire())) as writer,
-        TableWriter(session.path / TRUTH_NAME, {column.name: column for column in names}) as table,
-    ):
-        writer.write(Event(EventKind.OPENED, START_NS, f"simulation, seed {seed}"))
-        for size in _sizes(scenario):
-            sent, truth = unit.run(size)
-            time_ns = np.rint(sent["packet_counter"] * (1e9 / scenario.rate_hz)).astype(np.int64) + START_NS
-            for read in arrivals.reads(encoder.encode(sent), time_ns):
-                writer.write(read)
-            writer.flush()
-            table.write(truth)
-            progress(size)
-        writer.write(Event(EventKind.CLOSED, arrivals.last_ns, "the end of the scenario"))
-    made = writer.counters
-    return session.metadata.closed(
-        START_NS + round(scenario.samples / scenario.rate_hz * 1e9),
-        counters={"samples": scenario.samples, "packets": scenario.samples, "bytes_received": made.bytes},
-        events=made.events,
-    )
 
 
 def write_table(scenario: Scenario, seed: int, path: Path, progress: Progress) -> int:

@@ -1,7 +1,5 @@
 """The arrangement of the viewer: exactly the panels that have data, nothing empty."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple
@@ -12,7 +10,7 @@ from imumon.view.items import ViewSetup
 from imumon.view.lanes import LOG_TEXT
 from imumon.view.layout import FIRST, OTHER, SCENE, STRIPS, Strip, tab_of
 from imumon.view.panels import Panel, card_path
-from imumon.view.pictures import chart_view
+from imumon.view.pictures import CHARTS
 from imumon.view.window import Window, series_view, slow_window
 
 TAB, LANE, LANES_FRAME, LOG = 560.0, 40.0, 42.0, 150.0
@@ -48,7 +46,8 @@ class Contents(NamedTuple):
 
     def card(self, tab: str) -> Any:
         """Return the view of the numbers of a tab, of which the first has all; None where there are none."""
-        shown = any(panel.card and tab in (FIRST, tab_of(panel.place)) for panel in self.panels)
+        strips = [panel for panel in self.panels if isinstance(panel, Strip) and panel.card]
+        shown = strips if tab == FIRST else [panel for panel in strips if panel.place == tab]
         return rrb.TextDocumentView(origin=card_path(tab), name="Now") if shown else None
 
 
@@ -69,7 +68,7 @@ def blueprint(setup: ViewSetup, contents: Contents, timeline: str, *, live: bool
             shown = window if tab_of(panel.place) == FIRST else slow
             views.setdefault(panel.place, []).append(panel.view(setup, shown))
     for place, key, title in contents.charts:
-        views.setdefault(place, []).append(chart_view(key, title))
+        views.setdefault(place, []).append(rrb.Spatial2DView(origin=f"{CHARTS}/{key}", name=title))
     views[OTHER] = [_of_one_unit(*group, panels, setup, slow) for group, panels in others.items()]
     name = setup.first_tab if live else "Recording"
     first = _first_tab(name, views, window, contents)
@@ -96,12 +95,11 @@ def arranged(
 
 def _of_one_unit(stream: str, unit: str, panels: list[Strip], setup: ViewSetup, window: Window) -> Any:
     """Return the view of the columns of a stream in a unit that no panel draws."""
-    first, *others = panels
+    first, *others = (panel.drawn for panel in panels)
     if not others:
-        return first.view(setup, window)
-    title = unit or "no unit"
-    paths = [other.drawn for other in others]
-    return series_view(first.drawn, f"{stream}: {title}" if stream else title, window, paths, legend=True)
+        return panels[0].view(setup, window)
+    title = ": ".join(filter(None, (stream, unit or "no unit")))
+    return series_view(first, title, window, others, legend=True)
 
 
 def _tab(name: str, views: list[Any], contents: Contents) -> Any:
@@ -147,19 +145,17 @@ def _strips(views: list[Any], most: int) -> Any:
 
 def _first_tab(name: str, views: dict[str, list[Any]], window: Window, contents: Contents) -> Any:
     """Return the first tab; if it is `TAB` points high lanes have what they need, the log the rest."""
-    scene, states, log, status = views[SCENE], None, None, None
+    left = [*((1.9, view) for view in views[SCENE]), (2.9, contents.card(FIRST))]
     if contents.status:
-        status = rrb.TextDocumentView(origin="/status", name="Status")
-    if contents.lanes:
-        lanes, axis = list(contents.lanes), window.axis
-        states = rrb.StateTimelineView(
-            origin="/", contents=lanes, name="States", time_ranges=window.ranges, time_view=axis
-        )
-    if contents.log:
-        log = rrb.TextDocumentView(origin=LOG_TEXT, name="Log")
-    left = [*((1.9, view) for view in scene), (2.9, contents.card(FIRST)), (1.6, status)]
+        left.append((1.6, rrb.TextDocumentView(origin="/status", name="Status")))
+    right: list[tuple[float, Any]] = []
     height = LANE * len(contents.lanes) + LANES_FRAME
-    right = [(height, states), (max(LOG, TAB - height), log)]
+    if contents.lanes:
+        shown: dict[str, Any] = {"time_ranges": window.ranges, "time_view": window.axis}
+        states = rrb.StateTimelineView(origin="/", contents=list(contents.lanes), name="States", **shown)
+        right.append((height, states))
+    if contents.log:
+        right.append((max(LOG, TAB - height), rrb.TextDocumentView(origin=LOG_TEXT, name="Log")))
     is_short = window.seconds is not None and window.seconds <= SHORT_S
     middle = _strips(views[STRIPS], MOST_STRIPS if is_short else MOST_NARROW)
     return _row([(3.1, _column(left)), (5.2, middle), (2.7, _column(right))], name)

@@ -1,7 +1,5 @@
 """The present values as numbers, in field digits: one card for each tab."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
@@ -9,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from imumon.blocks import ColumnArray
+from imumon.blocks import ColumnArray, FloatArray
 
 DIGITS = {"°/s": 3, "m/s²": 3, "µT": 2, "a.u.": 4, "°": 2, "°C": 2, "°C/h": 1, "°/h": 1, "1/s": 1, "%": 0}
 """Decimals of a value without a sigma; others have five digits."""
@@ -33,29 +31,24 @@ class Cards:
     """Gathers the columns that the cards show; what was shown stays until there are more values."""
 
     def __init__(self) -> None:
-        self._sums: dict[str, tuple[float, int]] = {}
+        self._new: dict[str, list[FloatArray]] = {}
         self._shown: dict[str, float] = {}
 
     def add(self, readings: Iterable[Reading], columns: Mapping[str, ColumnArray]) -> None:
         """Take rows: of a column without a sigma the mean is shown, for single samples cannot be read."""
         for reading in readings:
-            self._add(reading.column, columns, mean=reading.sd is None and reading.unit != "°")
-            self._add(reading.sd or "", columns, mean=False)
+            averaged = reading.sd is None and reading.unit != "°"
+            for name in filter(None, (reading.column, reading.sd)):
+                values = np.asarray(columns.get(name, ()), np.float64)
+                finite = values[np.isfinite(values)]
+                if len(finite):
+                    self._new[name] = [*self._new.get(name, ()), finite] if averaged else [finite[-1:]]
 
     def take(self) -> dict[str, float]:
         """Return the present value of every column that has had one, and begin anew."""
-        self._shown |= {name: total / count for name, (total, count) in self._sums.items()}
-        self._sums.clear()
+        self._shown |= {name: float(np.concatenate(parts).mean()) for name, parts in self._new.items()}
+        self._new.clear()
         return dict(self._shown)
-
-    def _add(self, name: str, columns: Mapping[str, ColumnArray], *, mean: bool) -> None:
-        values = np.asarray(columns.get(name, ()), np.float64)
-        finite = values[np.isfinite(values)]
-        if len(finite) and mean:
-            total, count = self._sums.get(name, (0.0, 0))
-            self._sums[name] = total + float(finite.sum()), count + len(finite)
-        elif len(finite):
-            self._sums[name] = float(finite[-1]), 1
 
 
 def card(readings: Sequence[Reading], now: Mapping[str, float]) -> str:

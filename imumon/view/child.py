@@ -5,25 +5,22 @@ Viewers come and go as they like: the server keeps the latest `SERVER_MEMORY` of
 Run as ``python -m imumon.view.child`` by `imumon.view.publisher`.
 """
 
-from __future__ import annotations
-
 import gc
 import subprocess
 import time
 from collections.abc import Callable
+from functools import partial
 from multiprocessing.connection import Connection
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import rerun as rr
 
 from imumon.view.fed import batches, serve
 from imumon.view.items import ViewSetup
+from imumon.view.logger import StreamLogger
 from imumon.view.publisher import Report, Start
 from imumon.view.viewer import LIVE_APPLICATION, probe, proxy_url, start_viewer, viewer_port
 from imumon.view.web import serve_page, serve_stream
-
-if TYPE_CHECKING:
-    import rerun as rr
-
-    from imumon.view.logger import StreamLogger
 
 POLL_S = 0.25
 LINGER_S = 3.0
@@ -67,8 +64,6 @@ def run(
 ) -> None:
     """Take lists of items until the stream ends; what is made logs them as a `StreamLogger` does."""
     start: Start = stream.recv()
-    import rerun as rr
-
     rec = rr.RecordingStream(LIVE_APPLICATION, recording_id=start.setup.recording_id)
     viewers = Viewers(start, rec)
     logger = make_logger(rec, start.setup)
@@ -90,11 +85,6 @@ def run(
         time.sleep(LINGER_S)
 
 
-def _live_logger(rec: rr.RecordingStream, setup: ViewSetup) -> StreamLogger:
-    from imumon.view.logger import StreamLogger  # loaded once frames come
-
-    return StreamLogger(rec, setup, live=True)
-
-
 if __name__ == "__main__":
-    serve(lambda stream, out: run(stream, out, _live_logger), lambda error: Report(error.seen))
+    logged = partial(StreamLogger, live=True)
+    serve(lambda stream, out: run(stream, out, logged), lambda error: Report(error.seen))

@@ -1,7 +1,5 @@
 """Several sessions on one time axis: each quantity in a view of its own, each session in its own colour."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
@@ -12,7 +10,7 @@ import rerun.blueprint as rrb
 from imumon.blocks import SampleBlock
 from imumon.charts import BLUE, GREEN, ORANGE, RED, VIOLET, Color
 from imumon.view.blueprint import arranged
-from imumon.view.items import Samples, Timebase, ViewSetup
+from imumon.view.items import Samples, Timebase, Times, ViewSetup
 from imumon.view.layout import FIRST, Strip, tab_of
 from imumon.view.logger import RECORDED_STEP_NS
 from imumon.view.panels import PANELS
@@ -40,7 +38,7 @@ class _Quantity:
 
     def of(self, session: str, color: Color) -> Strip:
         """Return the panel that draws this line of a session."""
-        line = replace(self.panel.lines[self.number], name=session, color=color)
+        line = self.panel.lines[self.number]._replace(name=session, color=color)
         key = f"{rr.escape_entity_path_part(session)}/{self.panel.key}/{self.number}"
         return replace(self.panel, key=key, lines=(line,), beside=None)
 
@@ -71,17 +69,14 @@ class Comparison:
 
     def log(self, block: SampleBlock) -> None:
         """Log samples of the session, in order: of each half second the extremes, so that spikes stay."""
-        if not len(block):
-            return
         rows = self._rows(self._timebase.samples(block))
-        if (clock := rows.clock) is None:
+        if (clock := rows.clock) is None or not len(clock):
             return
         for quantity, panel in zip(self._quantities, self._panels, strict=True):
-            if not rows.columns.keys() >= set(panel.columns):
+            begins = panel not in quantity.drawn
+            if not rows.columns.keys() >= set(panel.columns) or (begins and not panel.has_values(rows)):
                 continue
-            if panel not in quantity.drawn:
-                if not panel.has_values(rows):
-                    continue
+            if begins:
                 quantity.drawn.append(panel)
                 panel.declare(self._rec)
             panel.log(self._rec, rows)
@@ -107,21 +102,22 @@ class Comparison:
         return found
 
     def _rows(self, samples: Samples) -> Rows:
-        columns = samples.block.columns
-        if self._align == "host":
-            return Rows(columns, None, None, samples.host_ns, RECORDED_STEP_NS)
-        device = samples.host_ns if samples.device_ns is None else samples.device_ns
-        if device is not None:
-            self._began_ns = int(device[0]) if self._began_ns is None else self._began_ns
-            device = device - self._began_ns
-        return Rows(columns, None, device, None, RECORDED_STEP_NS)
+        _, device_ns, host_ns = samples.times
+        times = Times(None, None, host_ns)
+        if self._align == "power-on":
+            since = host_ns if device_ns is None else device_ns
+            if since is not None:
+                self._began_ns = int(since[0]) if self._began_ns is None else self._began_ns
+                since = since - self._began_ns
+            times = Times(None, since, None)
+        return Rows(samples.block.columns, times, RECORDED_STEP_NS)
 
     def _view(self, quantity: _Quantity) -> Any:
         """Return the view of a line; its axis ends behind the data, where the names of the sessions stand."""
         panel, (first, *others) = quantity.panel, quantity.drawn
         until_ns = self._last_ns + NAMES_MARGIN * (self._last_ns - self._first_ns)
         times = np.array([self._first_ns, until_ns], np.int64)
-        rows = Rows({}, None, *((times, None) if self._align == "power-on" else (None, times)))
+        rows = Rows({}, Times(None, *((times, None) if self._align == "power-on" else (None, times))))
         lows, highs = zip(*quantity.ends.values(), strict=True)
         rows.send(self._rec, entity(first.drawn), np.array([[min(lows), max(highs)]] * 2))
         title = str(first.view(self._setup, Window()).name)

@@ -4,8 +4,6 @@ The measuring process puts items in and goes on (`FedProcess`); the process that
 hang, be killed or die, and is started again.
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 import os
@@ -138,24 +136,22 @@ class FedProcess:
 
     def _feed(self, process: subprocess.Popen[bytes], pipe: Connection) -> None:
         """Send items until the process is gone or everything is sent and the queue closed."""
-        sent = self._send(pipe, self._first())
         closing = False
-        while sent and not closing and process.poll() is None:
-            closing = self._queue.closed.is_set()
-            items = merge(self._queue.take(BATCH_S, wait_s=0.25))
-            self._handed(items)
-            sent = not items or self._send(pipe, items)
+        with contextlib.suppress(OSError):  # it is gone, maybe since it was killed for taking nothing
+            self._send(pipe, self._first())
+            while not closing and process.poll() is None:
+                closing = self._queue.closed.is_set()
+                items = merge(self._queue.take(BATCH_S, wait_s=0.25))
+                self._handed(items)
+                if items:
+                    self._send(pipe, items)
 
-    def _send(self, pipe: Connection, frame: object) -> bool:
-        """Send a frame; False when the process is gone, maybe since it was killed for taking nothing."""
+    def _send(self, pipe: Connection, frame: object) -> None:
         try:
             self._sending_s = time.monotonic()
             pipe.send_bytes(pickle.dumps(frame, PROTOCOL))
-        except OSError:
-            return False
         finally:
             self._sending_s = math.inf
-        return True
 
     def _listen(self, messages: Connection, process: subprocess.Popen[bytes]) -> None:
         """Take messages of the process until it ends; kill it when it does not take a frame."""

@@ -3,14 +3,13 @@
 A producer of items never waits: when a queue is full the oldest item goes, and is counted.
 """
 
-from __future__ import annotations
-
 import threading
 import time
 from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,8 +21,7 @@ ITEM_BYTES = 512
 """What an item costs in memory beside its arrays, roughly."""
 
 
-@dataclass(frozen=True, slots=True)
-class Instant:
+class Instant(NamedTuple):
     """A moment on the three timelines; None where a timeline does not know it."""
 
     sample: int | None
@@ -32,6 +30,21 @@ class Instant:
     """Device time, ns, continued across segments (see `Timebase`)."""
     host_ns: int | None
     """Unix time, ns."""
+
+
+class Times(NamedTuple):
+    """The times of rows on the three timelines, (n,) each; None where the rows have none.
+
+    Device time goes on across segments (see `Timebase`).
+    """
+
+    sample: IntArray | None
+    device_ns: IntArray | None
+    host_ns: IntArray | None
+
+    def kept(self, keep: BoolArray | IntArray) -> "Times":
+        """Return the times of the rows to keep."""
+        return Times(*(None if values is None else values[keep] for values in self))
 
 
 class ViewItem:
@@ -59,11 +72,8 @@ class ViewItem:
 class Samples(ViewItem):
     """Consecutive samples on the three timelines."""
 
-    sample: IntArray | None
-    """Running index, (n,); None in a side stream."""
-    device_ns: IntArray | None
-    host_ns: IntArray | None
-    """Device time continued across segments, and Unix time, ns, (n,); None when a row has none."""
+    times: Times
+    """The index is None in a side stream."""
     block: SampleBlock
     """The samples as decoded, and what the estimators added."""
     stream: str = ""
@@ -78,11 +88,6 @@ class Samples(ViewItem):
     def rows(self) -> int:
         """Samples in the item."""
         return len(self.block)
-
-    @property
-    def times(self) -> tuple[IntArray | None, IntArray | None, IntArray | None]:
-        """The times on the three timelines."""
-        return self.sample, self.device_ns, self.host_ns
 
     @property
     def kind(self) -> tuple[object, ...]:
@@ -132,10 +137,8 @@ class Status(Event):
 
     fields: Mapping[str, str]
 
-    @property
-    def lasting(self) -> str:
-        """There is one card."""
-        return "status"
+    lasting = "status"
+    """There is one card."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,15 +158,14 @@ class Drawing(Event):
         return f"chart {self.chart.key}"
 
 
-@dataclass(frozen=True, slots=True)
-class ViewSetup:
+class ViewSetup(NamedTuple):
     """What the view must know before the first sample."""
 
     title: str
     """Name of the recording as the viewer shows it."""
     recording_id: str
     """The same for live view and recording."""
-    units: Mapping[str, str] = field(default_factory=dict)
+    units: Mapping[str, str] = {}
     """Units that differ from `imumon.columns.KNOWN`, by column (magnetic field in arbitrary units, ...)."""
     z_down: bool = False
     """True for a device with FRD axes, whose reference frame has z down."""
@@ -171,7 +173,7 @@ class ViewSetup:
     """Seconds that the live strips show."""
     first_tab: str = "Live"
     """What the first tab is called while the data comes."""
-    properties: Mapping[str, str] = field(default_factory=dict)
+    properties: Mapping[str, str] = {}
     """What else describes the session: device, port, rate."""
 
 
@@ -185,7 +187,6 @@ class Timebase:
 
     def __init__(self) -> None:
         self._count = 0
-        self._segment = 0
         self._shift_ns: dict[int, int] = {}
         self._interval_ns = 0
         self._last = Instant(None, None, None)
@@ -196,15 +197,13 @@ class Timebase:
         self._count += len(block)
         host = _complete(block, "host_time_ns")
         device = _complete(block, "device_time_ns")
-        if device is not None and len(block):
-            device = self._continued(device, host, block)
         if len(block):
-            self._last = Instant(
-                self._count - 1,
-                self._last.device_ns if device is None else int(device[-1]),
-                self._last.host_ns if host is None else int(host[-1]),
-            )
-        return Samples(sample, device, host, block)
+            device_ns, host_ns = self._last.device_ns, self._last.host_ns
+            if device is not None:
+                device = self._continued(device, host, block)
+                device_ns = int(device[-1])
+            self._last = Instant(self._count - 1, device_ns, host_ns if host is None else int(host[-1]))
+        return Samples(Times(sample, device, host), block)
 
     def side(self, stream: str, block: SampleBlock) -> Samples:
         """Return a block of a side stream with its times, which are those of the main stream's segments."""
@@ -212,7 +211,7 @@ class Timebase:
         if device is not None and len(block):
             shifts = [self._shift_ns.get(label, 0) for label in block["segment"].tolist()]
             device = device + np.array(shifts, np.int64)
-        return Samples(None, device, host, block, stream)
+        return Samples(Times(None, device, host), block, stream)
 
     def at(self, time_ns: int | None = None) -> Instant:
         """Return the moment `time_ns` (Unix time on the clock of the data), or that of the latest sample."""
@@ -226,19 +225,18 @@ class Timebase:
 
     def _continued(self, device: IntArray, host: IntArray | None, block: SampleBlock) -> IntArray:
         n, shifted, last = len(block), np.empty_like(device), self._last
-        segment = block["segment"] if "segment" in block else np.zeros(n, np.int64)
+        segment = block.columns.get("segment", np.zeros(n, np.int64))
         for start, stop in pairwise([0, *(np.flatnonzero(np.diff(segment)) + 1).tolist(), n]):
-            label = int(segment[start])
-            if label != self._segment and last.device_ns is not None:
-                gap = self._interval_ns
-                if host is not None and last.host_ns is not None:
-                    gap = max(gap, int(host[start]) - last.host_ns)
-                self._shift_ns[label] = last.device_ns + gap - int(device[start])
-            shifted[start:stop] = device[start:stop] + self._shift_ns.get(label, 0)
+            label, gap = int(segment[start]), self._interval_ns
+            if host is not None and last.host_ns is not None:
+                gap = max(gap, int(host[start]) - last.host_ns)
+            begin = int(device[start]) if last.device_ns is None else last.device_ns + gap
+            shift = self._shift_ns.setdefault(label, begin - int(device[start]))
+            shifted[start:stop] = device[start:stop] + shift
             if stop - start > 1:
                 self._interval_ns = max(0, int(device[stop - 1] - device[stop - 2]))
             host_ns = last.host_ns if host is None else int(host[stop - 1])
-            last, self._segment = Instant(None, int(shifted[stop - 1]), host_ns), label
+            last = Instant(None, int(shifted[stop - 1]), host_ns)
         return shifted
 
 
@@ -268,11 +266,9 @@ def merge(items: Iterable[ViewItem]) -> list[ViewItem]:
 
 
 def _joined(items: Sequence[Samples]) -> Samples:
-    if len(items) == 1:
-        return items[0]
     parts = zip(*(item.times for item in items), strict=True)
-    sample, device_ns, host_ns = (None if part[0] is None else np.concatenate(part) for part in parts)
-    return Samples(sample, device_ns, host_ns, join([item.block for item in items]), items[0].stream)
+    times = Times(*(None if part[0] is None else np.concatenate(part) for part in parts))
+    return Samples(times, join([item.block for item in items]), items[0].stream)
 
 
 class DropOldestQueue:
@@ -298,7 +294,6 @@ class DropOldestQueue:
     def put(self, item: ViewItem) -> None:
         """Append an item; drop the oldest ones when that is too much."""
         with self._filled:
-            was_empty = not self._items
             self._items.append(item)
             self._bytes += item.nbytes
             if item.lasting is not None:
@@ -310,8 +305,7 @@ class DropOldestQueue:
                     self._is_incomplete = True
                 else:
                     self.dropped += oldest.rows
-            if was_empty:
-                self._filled.notify()
+            self._filled.notify()
 
     def take(self, apart_s: float, wait_s: float) -> list[ViewItem]:
         """Return all items, `apart_s` after the last ones or later; an empty list after `wait_s` without any.

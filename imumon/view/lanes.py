@@ -1,7 +1,5 @@
 """The lanes of states (their order, names and colours), and the newest log lines as a text."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from contextlib import suppress
 from datetime import datetime

@@ -5,10 +5,8 @@ estimator is one more entry.  Values go to ``/samples/<panel>`` in the unit of t
 ``/view/<panel>`` in the unit that a person reads (°/s, °, %).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import rerun as rr
@@ -50,33 +48,21 @@ def tab_of(place: str) -> str:
 
 
 DEG = float(np.rad2deg(1.0))
-FACTORS = {
-    "": 1.0,
-    "°": DEG,
-    "°/s": DEG,
-    "°/s²": DEG,
-    "°/h": 3600.0 * DEG,
-    "°C": 1.0,
-    "°C/h": 3600.0,
-    "µg": 1e6,
-}
-FACTORS |= {"1/s": 1.0, "%": 100.0}
-"""Units that are drawn, and how many of each are one unit of the columns."""
-READ_AS = {"rad": ("°", DEG), "rad/s": ("°/s", DEG), "rad/s^2": ("°/s²", DEG), "deg": ("°", 1.0)}
-READ_AS |= {"m/s^2": ("m/s²", 1.0), "uT": ("µT", 1.0), "degC": ("°C", 1.0), "arbitrary": ("a.u.", 1.0)}
-READ_AS |= {"1": ("", 1.0)}
-"""The unit that a person reads for one of a column, and how many of it one is; others as they are."""
+FACTORS = {"°": DEG, "°/s": DEG, "°/s²": DEG, "°/h": 3600.0 * DEG, "°C/h": 3600.0, "µg": 1e6, "%": 100.0}
+"""How many of a unit that is drawn are one unit of the columns, where that is not one."""
+IN_DEGREES = {"rad": "°", "rad/s": "°/s", "rad/s^2": "°/s²"}
+READ_AS = {**IN_DEGREES, "deg": "°", "m/s^2": "m/s²", "uT": "µT", "degC": "°C", "arbitrary": "a.u.", "1": ""}
+"""The unit that a person reads for one of a column; others as they are."""
 
 
 def read_as(setup: ViewSetup, column: str) -> tuple[str, float]:
     """Return the unit in which a person reads a column, empty without one, and how many of it are one."""
     known = KNOWN[column].unit if column in KNOWN else ""
     unit = setup.units.get(column, known)
-    return READ_AS.get(unit, (unit, 1.0))
+    return READ_AS.get(unit, unit), DEG if unit in IN_DEGREES else 1.0
 
 
-@dataclass(frozen=True, slots=True)
-class Line:
+class Line(NamedTuple):
     """One line of a panel: its column, its name in the legend, its colour, the column of its sigma."""
 
     column: str
@@ -95,7 +81,7 @@ class Strip:
     title: str
     lines: tuple[Line, ...]
     unit: str | None = None
-    """Draw the values in this unit of `FACTORS`; without, in that of the column."""
+    """Draw the values in this unit; without, in that of the column."""
     place: str = STRIPS
     """`SCENE`, `STRIPS`, or the name of a tab."""
     look: Literal["lines", "steps", "points"] = "lines"
@@ -190,7 +176,7 @@ class Strip:
 
     @property
     def _factor(self) -> float:
-        return FACTORS[self.unit or ""]
+        return FACTORS.get(self.unit or "", 1.0)
 
     def log(self, rec: rr.RecordingStream, rows: Rows) -> None:
         """Log the values in the unit that is drawn."""
@@ -249,8 +235,7 @@ class Bands(Strip):
         return f"{self.drawn}/{rr.escape_entity_path_part(line.name)}"
 
 
-@dataclass(frozen=True, slots=True)
-class Attitude:
+class Attitude(NamedTuple):
     """A panel that turns a solid body by a quaternion w, x, y, z, or by roll, pitch and yaw."""
 
     key: str
@@ -263,8 +248,6 @@ class Attitude:
     up: float | None = None
     """Which way the third axis points, 1 or -1; None: as the axes of the device do."""
     place: str = SCENE
-    card: str = ""
-    """None: its angles are in panels of their own."""
 
     def has_values(self, rows: Rows) -> bool:
         """Return whether each column has a value."""
@@ -304,13 +287,6 @@ class Attitude:
     def drawn(self) -> str:
         """Entity of the body."""
         return f"{self.root}/body"
-
-    def ends(self, _: Rows) -> None:
-        """Return nothing: a body has no axis."""
-
-    def readings(self, _: ViewSetup) -> tuple[()]:
-        """Return nothing: angles are in panels of their own."""
-        return ()
 
     def view(self, setup: ViewSetup, _: Window) -> Any:
         """Return the 3-D view, seen from above and ahead whichever way the reference frame has z."""

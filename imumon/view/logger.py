@@ -1,7 +1,5 @@
 """Turns view items into Rerun calls; the same code writes the live stream and the recording."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections import deque
@@ -106,12 +104,12 @@ class StreamLogger:
 
     def _log_samples(self, item: Samples) -> None:
         before_ns, stream = self._last_ns.get(item.stream), item.stream
-        rows = Rows(item.block.columns, *item.times, self._step_ns, before_ns, stream)
+        rows = Rows(item.block.columns, item.times, self._step_ns, before_ns, stream)
         if rows.clock is not None and len(rows.clock):
             self._last_ns[item.stream] = int(rows.clock[-1])
-        if item.device_ns is not None:
+        if item.times.device_ns is not None:
             self._timeline = "device_time"
-        elif item.host_ns is None and self._timeline == "host_time":
+        elif item.times.host_ns is None and self._timeline == "host_time":
             self._timeline = "sample"
         if not item.stream and item.rows:
             if self._began is None:
@@ -123,20 +121,19 @@ class StreamLogger:
 
     def _placed(self, event: Event) -> Event:
         """Return an event of before the first sample as it is on the timelines that begin with that."""
-        at, began = event.at, self._began
-        if began is None or began.sample is None or at.sample is not None:
+        if self._began is None or event.at.sample is not None:
             return event
-        device = None if began.device_ns is None else int(began.device_ns[0])
-        if device is not None and began.host_ns is not None and at.host_ns is not None:
-            device -= max(0, int(began.host_ns[0]) - at.host_ns)
-        return replace(event, at=Instant(int(began.sample[0]), device, at.host_ns))
+        sample, device, host = (None if part is None else int(part[0]) for part in self._began.times)
+        if device is not None and host is not None and event.at.host_ns is not None:
+            device -= max(0, host - event.at.host_ns)
+        return replace(event, at=Instant(sample, device, event.at.host_ns))
 
     def _log_events(self, events: Sequence[Event]) -> None:
         """Log events, those of a kind together: a chunk costs 2 kB, whatever is in it."""
         kinds: dict[tuple[object, ...], list[Any]] = {}
         for event in events:
-            at, what = event.at, ",".join(event.values) if isinstance(event, Numbers) else event.lasting
-            alike = type(event), what, at.sample is None, at.device_ns is None, at.host_ns is None
+            what = ",".join(event.values) if isinstance(event, Numbers) else event.lasting
+            alike = type(event), what, *(time is None for time in event.at)
             kinds.setdefault(alike, []).append(event)
             if event.lasting is not None:
                 self._lasting[event.lasting] = event

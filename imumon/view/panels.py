@@ -1,7 +1,5 @@
 """The panels of the live view, as `panels.yaml` lists them, and what logs rows, axes and cards to them."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -93,7 +91,8 @@ class ShownPanels:
             turns = panel.place == SCENE and any(other.place == SCENE for other in self.begun.values())
             begins = panel.key not in self.begun and not turns and panel.has_values(rows)
             if begins:
-                self.begun[panel.key], self.readings[panel.key] = panel, panel.readings(self._setup)
+                self.begun[panel.key] = panel
+                self.readings[panel.key] = panel.readings(self._setup) if isinstance(panel, Strip) else ()
             if panel.key in self.begun:
                 self.cards.add(self.readings[panel.key], rows.columns)
                 yield panel, begins
@@ -144,8 +143,7 @@ class PanelLog:
             if begins:
                 panel.declare(self._rec)
             panel.log(self._rec, rows)
-            ends = panel.ends(rows)
-            if ends is not None:
+            if isinstance(panel, Strip) and (ends := panel.ends(rows)) is not None:
                 last = np.array([len(rows.columns[panel.columns[0]]) - 1])
                 self._extents.set(panel.drawn, ends, rows.kept(last))
 

@@ -1,7 +1,5 @@
 """Draws charts as pictures: Rerun's own plots have time on their horizontal axis, and linear axes only."""
 
-from __future__ import annotations
-
 import io
 import math
 import threading
@@ -11,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import rerun as rr
-import rerun.blueprint as rrb
 
 from imumon.charts import Chart, Curve
 from imumon.harmless import for_plot
@@ -24,7 +21,7 @@ PICTURE_SHARE = 0.03
 SIZE, DOTS_PER_INCH = (7.0, 5.6), 150
 """Inches, of all charts at all times: the viewer warns of a picture whose size changes.  Sharp in half of a
 tab on a full HD screen, readable in a quarter."""
-ROOM, BOTTOM = {"left": 0.114, "right": 0.985}, 0.086
+ROOM = {"left": 0.114, "right": 0.985, "bottom": 0.086}
 """Fixed: to fit them to the labels takes as long as all else."""
 LETTERS = 40
 """So many of a headline fit at full size."""
@@ -35,11 +32,6 @@ FRAME = {"font.size": 10.0, "axes.edgecolor": "#808080", "legend.edgecolor": FAI
 FRAME |= dict.fromkeys(("figure.facecolor", "axes.facecolor", "savefig.facecolor"), PAPER)
 STYLE: Any = ["dark_background", FRAME]
 """As the viewer's dark theme; on the light one it stands as a dark picture."""
-
-
-def chart_view(key: str, title: str) -> Any:
-    """Return the view of one chart."""
-    return rrb.Spatial2DView(origin=f"{CHARTS}/{key}", name=title)
 
 
 class Painter:
@@ -125,40 +117,32 @@ def _draw(axes: Any, curve: Curve) -> None:
 
 def _frame(axes: Any, chart: Chart) -> None:
     """Set scales, grid, labels, legend and notes."""
-    from matplotlib.ticker import AutoMinorLocator
+    from matplotlib.ticker import AutoMinorLocator, LogFormatter
 
-    for axis, name in ((chart.x, "x"), (chart.y, "y")):
-        if axis.log and any((np.asarray(getattr(curve, name)) > 0).any() for curve in chart.curves):
-            _logarithmic(axes, name)
-    axes.set(xlabel=for_plot(chart.x.label), ylabel=for_plot(chart.y.label))
-    for axis, scale, name in ((axes.xaxis, chart.x, "x"), (axes.yaxis, chart.y, "y")):
+    for name, scale in (("x", chart.x), ("y", chart.y)):
+        axis = getattr(axes, f"{name}axis")
+        axis.set_label_text(for_plot(scale.label))
         if scale.names:
             axis.set_ticks(range(len(scale.names)), [for_plot(one) for one in scale.names])
             axes.set(**{f"{name}lim": (-0.5, len(scale.names) - 0.5)})
         elif not scale.log:
             axis.set_minor_locator(AutoMinorLocator())
+        elif any((np.asarray(getattr(curve, name)) > 0).any() for curve in chart.curves):
+            axes.set(**{f"{name}scale": "log"})
+            axis.set_major_formatter(lambda value, _: f"{value:g}")
+            # numbers between the decades where there are few
+            axis.set_minor_formatter(LogFormatter(minor_thresholds=(2.0, 1.0)))
     axes.grid(which="major", color=FAINT, lw=0.8)
     axes.grid(which="minor", color=FAINT, lw=0.3)
-    room = dict(ROOM)
+    right = ROOM["right"]
     if any(curve.listed for curve in chart.curves):  # beside the axes: there it covers no data
         legend = axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.4, fontsize=9)
         width = legend.get_window_extent(axes.figure.canvas.get_renderer()).width
-        room["right"] -= width / axes.figure.bbox.width
+        right -= width / axes.figure.bbox.width
     top = TOP - NOTE * len(chart.notes) - (HEADLINE if chart.headline else 0.0)
-    axes.figure.subplots_adjust(top=top, bottom=BOTTOM, **room)
+    axes.figure.subplots_adjust(top=top, **ROOM | {"right": right})
     if chart.notes:
         axes.set_title("\n".join(map(for_plot, chart.notes)), fontsize=10, loc="left", family="monospace")
     if chart.headline:
-        axes.figure.suptitle(
-            for_plot(chart.headline), fontsize=min(20.0, 20.0 * LETTERS / len(chart.headline))
-        )
-
-
-def _logarithmic(axes: Any, name: str) -> None:
-    """Make an axis logarithmic, its numbers written out; those between the decades where there are few."""
-    from matplotlib.ticker import LogFormatter
-
-    axes.set(**{f"{name}scale": "log"})
-    axis = getattr(axes, f"{name}axis")
-    axis.set_major_formatter(lambda value, _: f"{value:g}")
-    axis.set_minor_formatter(LogFormatter(minor_thresholds=(2.0, 1.0)))
+        size = min(20.0, 20.0 * LETTERS / len(chart.headline))
+        axes.figure.suptitle(for_plot(chart.headline), fontsize=size)

@@ -1,9 +1,6 @@
 """The live view as the measuring process sees it: publish and go on."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from imumon.view.fed import FedProcess
@@ -11,8 +8,7 @@ from imumon.view.items import ViewItem, ViewSetup
 from imumon.view.viewer import LOCALHOST, VIEWER_PORT, WEB_PORT, Mode
 
 
-@dataclass(frozen=True, slots=True)
-class Start:
+class Start(NamedTuple):
     """The first message to a view process: what to show and where; then come lists of items."""
 
     setup: ViewSetup
@@ -72,13 +68,13 @@ class ViewPublisher(FedProcess):
             log("INFO", f"live view: {self.url}")
 
     def _first(self) -> Start:
-        return replace(self._start, lasting=self._queue.lasting)
+        return self._start._replace(lasting=self._queue.lasting)
 
     def _received(self, report: Report) -> None:
         """Keep what a later view process needs: the same port, and no second window."""
         self._report = report
         if report.url:
-            self._start = replace(self._start, open_viewer=False, port=report.port)
+            self._start = self._start._replace(open_viewer=False, port=report.port)
 
     def _gone(self) -> None:
         if not self._queue.closed.is_set():

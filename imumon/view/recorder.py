@@ -1,7 +1,5 @@
 """view.rrd: the view as a recording, in segments that open as one."""
 
-from __future__ import annotations
-
 import ctypes
 import math
 import threading
@@ -11,7 +9,6 @@ from pathlib import Path
 
 import rerun as rr
 
-from imumon.errors import ImumonError, Reason
 from imumon.heap import trim_heap
 from imumon.view.items import DropOldestQueue, ViewSetup, merge
 from imumon.view.logger import StreamLogger
@@ -36,10 +33,8 @@ class ViewRecorder:
     in `dropped`.  All segments together open as one recording; the first carries the arrangement, every one
     its own footer, names, styles and latest states.  A segment that was cut short by a crash opens as well.
 
-    Raises EXISTS when there is a file already; NOT_FOUND when the folder is missing.
-
-    `path` is the first segment, the others stand beside it.  `on_error` is called with `error` once, from the
-    thread that writes.
+    `path` is the first segment, in the folder of a new session; the others stand beside it.  `on_error` is
+    called with `error` once, from the thread that writes.
     """
 
     def __init__(
@@ -48,10 +43,6 @@ class ViewRecorder:
         setup: ViewSetup,
         on_error: Callable[[str], None] = lambda _: None,
     ) -> None:
-        if path.exists():
-            raise ImumonError(Reason.EXISTS, f"{path} exists already", "name another folder")
-        if not path.parent.is_dir():
-            raise ImumonError(Reason.NOT_FOUND, f"there is no folder {path.parent}")
         self._path = path
         self._opened_s = -math.inf
         self._rec = rr.RecordingStream(APPLICATION, recording_id=setup.recording_id)

@@ -1,7 +1,5 @@
 """Rows of columns with their times, as Rerun takes them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -11,12 +9,12 @@ import numpy as np
 import rerun as rr
 
 from imumon.blocks import BoolArray, ColumnArray, FloatArray, IntArray
-from imumon.view.items import Instant, first_of_steps
+from imumon.view.items import Instant, Times, first_of_steps
 
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Rows of columns with their times; a timeline that the rows do not have is None.
+    """Rows of columns with their times.
 
     With `step_ns` they are for a recording, which is a picture (the wire has every byte): of each step
     of time only the extremes are drawn, so that spikes stay, and in one unit.  What began before them, at
@@ -24,9 +22,7 @@ class Rows:
     """
 
     columns: Mapping[str, ColumnArray]
-    sample: IntArray | None
-    device_ns: IntArray | None
-    host_ns: IntArray | None
+    times: Times
     step_ns: int = 0
     before_ns: int | None = None
     stream: str = ""
@@ -35,25 +31,23 @@ class Rows:
     @cached_property
     def indexes(self) -> list[rr.TimeColumn]:
         """The time columns of all rows, as Rerun wants them."""
-        columns = []
-        if self.sample is not None:
-            columns.append(rr.TimeColumn("sample", sequence=self.sample))
-        if self.device_ns is not None:
-            columns.append(rr.TimeColumn("device_time", duration=self.device_ns.view("timedelta64[ns]")))
-        if self.host_ns is not None:
-            columns.append(rr.TimeColumn("host_time", timestamp=self.host_ns.view("datetime64[ns]")))
+        columns, (sample, device_ns, host_ns) = [], self.times
+        if sample is not None:
+            columns.append(rr.TimeColumn("sample", sequence=sample))
+        if device_ns is not None:
+            columns.append(rr.TimeColumn("device_time", duration=device_ns.view("timedelta64[ns]")))
+        if host_ns is not None:
+            columns.append(rr.TimeColumn("host_time", timestamp=host_ns.view("datetime64[ns]")))
         return columns
 
     @property
     def clock(self) -> IntArray | None:
         """Device time, or host time where there is none, ns."""
-        return self.host_ns if self.device_ns is None else self.device_ns
+        return self.times.host_ns if self.times.device_ns is None else self.times.device_ns
 
-    def kept(self, keep: BoolArray | IntArray) -> Rows:
+    def kept(self, keep: BoolArray | IntArray) -> "Rows":
         """Return the times of the rows to keep, without their columns."""
-        times = (self.sample, self.device_ns, self.host_ns)
-        sample, device_ns, host_ns = (None if values is None else values[keep] for values in times)
-        return Rows({}, sample, device_ns, host_ns)
+        return Rows({}, self.times.kept(keep))
 
     def send(self, rec: rr.RecordingStream, entity: str, values: FloatArray) -> None:
         """Log values at the times of these rows, (n,) or (n, lines)."""
@@ -86,11 +80,8 @@ class Rows:
 
 def at_instants(*instants: Instant) -> Rows:
     """Return the times of moments that know the same timelines, a row each, without columns."""
-    times = [(at.sample, at.device_ns, at.host_ns) for at in instants]
-    sample, device_ns, host_ns = (
-        None if column[0] is None else np.array(column, np.int64) for column in zip(*times, strict=True)
-    )
-    return Rows({}, sample, device_ns, host_ns)
+    columns = zip(*instants, strict=True)
+    return Rows({}, Times(*(None if part[0] is None else np.array(part, np.int64) for part in columns)))
 
 
 def log_markdown(rec: rr.RecordingStream, entity: str, texts: Sequence[str], times: Rows) -> None:

@@ -1,7 +1,5 @@
 """The view in a terminal: present values, states and the log."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from itertools import zip_longest
@@ -12,13 +10,14 @@ import numpy as np
 from imumon.blocks import ColumnArray
 from imumon.harmless import for_log
 from imumon.view.cards import AXES, cell, rows_of
-from imumon.view.items import DropOldestQueue, Log, Numbers, Samples, State, ViewSetup, merge
+from imumon.view.items import DropOldestQueue, Log, Numbers, Samples, State, Times, ViewSetup, merge
 from imumon.view.lanes import dated, states_text
 from imumon.view.panels import ShownPanels
 from imumon.view.rows import Rows
 
 QUEUE_BYTES = 4 << 20
 LOG_LINES = 100
+NO_TIMES = Times(None, None, None)
 NAME, CELL = 18, 15
 """Columns of text that the parts of a row take."""
 
@@ -65,7 +64,7 @@ class TerminalView:
         return [_one_line(line)[:columns] for line in found[:rows]]
 
     def _gather(self, columns: Mapping[str, ColumnArray]) -> None:
-        for _ in self._panels.take(Rows(columns, None, None, None)):
+        for _ in self._panels.take(Rows(columns, NO_TIMES)):
             pass
 
 

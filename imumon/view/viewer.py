@@ -1,7 +1,5 @@
 """The Rerun viewer as a program: where it is, whether it can show, how it is started, whether it answers."""
 
-from __future__ import annotations
-
 import contextlib
 import http.client
 import os

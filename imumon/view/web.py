@@ -1,7 +1,5 @@
 """The web viewer on 127.0.0.1: Rerun's own page, kept from calling home, and the stream to it."""
 
-from __future__ import annotations
-
 import http.client
 import ipaddress
 import re
@@ -15,17 +13,16 @@ from functools import partial
 from html import escape
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from urllib.error import URLError
 from urllib.parse import quote, urlsplit
 from urllib.request import urlopen
 
+import rerun as rr
+
 from imumon.errors import ImumonError, Reason
 from imumon.view import viewer
 from imumon.view.items import ViewSetup
-
-if TYPE_CHECKING:
-    import rerun as rr
 
 ASSETS = {
     "/": "text/html; charset=utf-8",
@@ -99,8 +96,6 @@ def page(html: str, title: str) -> str:
 
 def serve_stream(rec: rr.RecordingStream) -> tuple[str, int]:
     """Let viewers read a stream, and return where."""
-    import rerun as rr
-
     address = viewer.hidden_address()
     rec.set_sinks(rr.GrpcServerSink(*address, server_memory_limit=viewer.SERVER_MEMORY, newest_first=True))
     return address
@@ -108,7 +103,7 @@ def serve_stream(rec: rr.RecordingStream) -> tuple[str, int]:
 
 def serve_page(
     rec: rr.RecordingStream, setup: ViewSetup, port: int = viewer.WEB_PORT, bind: str = viewer.LOCALHOST
-) -> WebServer:
+) -> "WebServer":
     """Let browsers read a stream, on this port or the next one free."""
     title = " - ".join(filter(None, (setup.properties.get("device", ""), setup.title, "imumon")))
     return WebServer(viewer.listen(port, bind), serve_stream(rec), title)
@@ -135,8 +130,8 @@ class WebServer:
     def __init__(self, door: socket.socket, stream: tuple[str, int], title: str = "imumon") -> None:
         bind, self.port = door.getsockname()
         self.stream = stream
-        self.host = socket.gethostname() if bind == "0.0.0.0" else bind  # as others reach it
-        self.url = f"http://{self.host}:{self.port}/"
+        host = socket.gethostname() if bind == "0.0.0.0" else bind  # as others reach it
+        self.url = f"http://{host}:{self.port}/"
         self.files = bundled_assets()
         self.files["/"] = page(self.files["/"].decode(), title).encode()
         self._server = _Server((bind, self.port), partial(_Handler, self), bind_and_activate=False)

@@ -4,11 +4,8 @@ Rerun's vertical axis follows the lines alone, so that a band is cut off, and it
 until the rounding fills the panel.  An invisible line beside the drawn ones spans what has to be visible now.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import rerun as rr
@@ -69,8 +66,7 @@ ENDLESS = rrb.TimeRangeBoundary.infinite()
 NOW = rrb.TimeRangeBoundary.cursor_relative()
 
 
-@dataclass(frozen=True, slots=True)
-class Window:
+class Window(NamedTuple):
     """What the series of a tab show of a timeline, all the same."""
 
     seconds: float | None = None

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from imumon.allan.covariance import NOISES, Runs, freedom
-from imumon.allan.live import RING, RINGS, STRIDES_PER_TAU, AllanStage, StreamingAllan, identify
-from imumon.allan.series import EvenSeries, even_channels
+from imumon.allan.covariance import Runs, freedom
+from imumon.allan.live import RING, RINGS, STRIDES_PER_TAU, AllanStage, StreamingAllan
+from imumon.allan.series import WALK, EvenSeries, even_channels
 from imumon.blocks import FloatArray, IntArray, SampleBlock
 from imumon.run.setup import AllanParameters
 from tests.allan.simulated import noise
@@ -86,7 +86,7 @@ def test_memory_does_not_grow() -> None:
     channel = streamed(gappy(20_000), [])
     sizes = [value.nbytes for value in vars(channel).values() if isinstance(value, np.ndarray)]
     assert sum(sizes) < RINGS * RING * 8 + 1000
-    assert channel.__dict__["_waiting"] == []
+    assert [len(part) for part in channel.__dict__["_waiting"]] == [0, 0, 0]
 
 
 def test_a_change_of_rate_begins_anew() -> None:
@@ -109,25 +109,30 @@ def test_a_channel_slower_than_the_packets_has_its_own_interval() -> None:
     assert channel.curve().deviation[0] == pytest.approx(5.0, rel=0.1)
 
 
-def test_the_noise_of_an_octave_is_known_by_its_slope() -> None:
-    m = np.asarray(2.0 ** np.arange(12), np.float64)
-    variance = np.asarray(1e6 / m**2 + 1e2 / m + 1.0 + 1e-4 * m)
-    assert [NOISES[row] for row in identify(variance)][:3] == ["quantization"] * 3
-    assert NOISES[identify(np.asarray(1.0 / m))[5]] == "white"
-    assert NOISES[identify(np.ones(12))[5]] == "flicker"
-    assert NOISES[identify(m)[5]] == "walk"
-
-
-def test_the_degrees_of_freedom_are_those_of_the_batch() -> None:
+def test_the_degrees_of_freedom_are_those_of_a_random_walk_of_the_batch() -> None:
     n = 20_000
     record = (np.arange(n) * INTERVAL_NS, np.zeros(n, np.int64), noise(4, n, 0.01, white=1.0))
     curve = streamed(record, []).curve()
     runs = Runs(np.array([float(n)]), np.ones(1))
     for row in (0, 3, 6, 9):
-        exact = freedom("allan", 2**row, runs, np.array([1.0, 0, 0, 0]))
+        exact = freedom("allan", 2**row, runs, WALK)
         assert curve.freedom[row] == pytest.approx(exact, rel=0.05)
     assert np.all(curve.low < curve.deviation)
     assert np.all(curve.deviation < curve.high)
+
+
+@pytest.mark.parametrize("terms", [{"white": 1.0}, {"white": 0.1, "walk": 0.05}])
+def test_no_interval_of_what_is_shown_is_too_narrow(terms: dict[str, float]) -> None:
+    n = 12_000
+    times = np.arange(n) * INTERVAL_NS, np.zeros(n, np.int64)
+    inside = []
+    for seed in range(60):
+        curve = streamed((*times, noise(seed, n, 0.01, **terms)), []).curve().trusted()
+        truth = np.sqrt(terms["white"] ** 2 / curve.tau_s + terms.get("walk", 0.0) ** 2 * curve.tau_s / 3.0)
+        inside.append((curve.low[-3:] <= truth[-3:]) & (truth[-3:] <= curve.high[-3:]))
+    assert len({len(one) for one in inside}) == 1
+    assert np.mean(inside) > 0.62
+    assert np.mean(np.array(inside)[:, -1]) > 0.62
 
 
 def block(n: int, **extra: IntArray) -> SampleBlock:

@@ -16,7 +16,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from imumon.allan.recording import read_channels
-from imumon.estimation.gyro_bias.stage import RestDetector
 from imumon.fleet.batch.dataset import BatchOptions
 from imumon.fleet.batch.tasks import Job, work
 from imumon.lab.calibration.calibration import calibrate
@@ -166,10 +165,10 @@ def read_by_each(session: Path) -> Iterator[tuple[str, Mapping[str, Any]]]:
     """Yield what each command that computes from samples has read of a session."""
     record, _ = read_session(session)
     yield "calibrate", {field.name: getattr(record.means, field.name) for field in fields(record.means)}
-    for run in read_runs(session, None, lambda _: [RestDetector()]):
+    for run in read_runs(session, None):
         yield "diagnose", {**run.mean, "rest": run.rest}
         yield "diagnose", {f"variance of {name}": values for name, values in run.variance.items()}
-    for name, series in read_channels(session, lambda _: [RestDetector()]).series.items():
+    for name, series in read_channels(session).series.items():
         yield "allan", {f"{name} {field}": getattr(series, field) for field in ("values", "there")}
     for row in work(Job(str(session), BatchOptions(command="replay"), str(session))):
         numbers = ("samples", "mean", "sd", "least", "greatest")

@@ -138,9 +138,3 @@ def test_the_factor_of_the_covariance_is_triangular_with_a_positive_diagonal() -
     np.testing.assert_allclose(s @ s.T, covariance * Params().sigma ** 2, rtol=1e-6)
     assert (np.diag(s) > 0).all()
     assert np.array_equal(s, np.triu(s))
-
-
-@pytest.mark.parametrize("wrong", [{"step": 0.0}, {"window_s": -1.0}, {"buffer_size": 6}])
-def test_parameters_that_cannot_be_are_refused(wrong: dict[str, float]) -> None:
-    with pytest.raises(ValueError, match="must be positive"):
-        Params(**wrong)  # type: ignore[arg-type]  # that is the point

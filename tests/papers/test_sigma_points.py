@@ -53,8 +53,8 @@ def test_five_states_equal_seven(mu: float, phi: float) -> None:
     expected = np.array([twin.step(value) for value in z])
     result = fast.process(z)
     np.testing.assert_allclose(result.estimate, expected, rtol=0, atol=3e-13)
-    np.testing.assert_allclose(fast.state.factor @ fast.state.factor.T, twin.covariance, rtol=0, atol=3e-13)
-    np.testing.assert_allclose(fast.state.mean, twin.mean, rtol=0, atol=3e-13)
+    np.testing.assert_allclose(fast.factor @ fast.factor.T, twin.covariance, rtol=0, atol=3e-13)
+    np.testing.assert_allclose(fast.mean, twin.mean, rtol=0, atol=3e-13)
 
 
 def test_a_weight_on_the_central_point_would_change_next_to_nothing() -> None:
@@ -123,9 +123,9 @@ def test_a_lasting_risk_breaks_the_filter_just_above_the_limit_and_not_below() -
     model = known(0.0, 0.1, 0.1, start=0.01)
     for factor, breaks in ((0.999, False), (1.001, True)):
         filtered = SigmaPointFilter(model)
-        filtered.settings.risk[0] = factor / (2 * (0.1 + 0.01))
+        filtered.risk[0] = factor / (2 * (0.1 + 0.01))
         filtered.process(z)
-        assert (filtered.state.shrunk[0] > 0) == breaks
+        assert (filtered.shrunk[0] > 0) == breaks
 
 
 @pytest.mark.parametrize("mu", [1.0, 10.0, 100.0])
@@ -134,9 +134,9 @@ def test_risk_on_what_is_not_measured_escapes_within_its_time(mu: float) -> None
     expected = 1 / (2 * mu * CHECK.variance[3])
     for steps, breaks in ((int(0.99 * expected) - 1, False), (int(1.01 * expected) + 1, True)):
         filtered = SigmaPointFilter(CHECK)
-        filtered.settings.risk[3] = mu
+        filtered.risk[3] = mu
         filtered.process(np.zeros(steps))
-        assert (filtered.state.shrunk[0] > 0) == breaks
+        assert (filtered.shrunk[0] > 0) == breaks
 
 
 def test_a_risk_too_large_for_a_step_is_shrunk_and_counted() -> None:
@@ -144,7 +144,7 @@ def test_a_risk_too_large_for_a_step_is_shrunk_and_counted() -> None:
     model = Model((0.0, 0.0, 0.0, 0.01, 0.0), (1e-3, 1e-3, 0.1, 0.0, 0.0), 0.1)
     filtered = SigmaPointFilter(model, on_x(0.9 / 0.2))
     result = filtered.process(z)
-    assert filtered.state.shrunk[0] > 0
+    assert filtered.shrunk[0] > 0
     assert np.isfinite(result.estimate).all()
     assert np.isfinite(result.sd).all()
 
@@ -167,8 +167,8 @@ def test_the_risk_step_equals_the_information_form(seed: int) -> None:
 def test_model_nl_does_not_learn_its_deltas() -> None:
     filtered = SigmaPointFilter(CHECK)
     filtered.process(check_signal())
-    assert filtered.state.mean[3:] == pytest.approx([0.05, 0.02], abs=1e-15)
-    np.testing.assert_allclose(np.diag(filtered.state.factor)[3:], 0.01, rtol=1e-12)
+    assert filtered.mean[3:] == pytest.approx([0.05, 0.02], abs=1e-15)
+    np.testing.assert_allclose(np.diag(filtered.factor)[3:], 0.01, rtol=1e-12)
 
 
 def motion(n: int, rng: np.random.Generator) -> FloatArray:

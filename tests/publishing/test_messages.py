@@ -4,7 +4,7 @@ import numpy as np
 
 from imumon.blocks import NO_INT, SampleBlock
 from imumon.publishing.publisher import Message, messages
-from imumon.view.items import Instant, Log, Samples, State
+from imumon.view.items import Instant, Log, Samples, State, Times
 
 NOW = Instant(None, None, 70)
 
@@ -18,7 +18,7 @@ def test_a_row_is_a_message_without_what_is_not_there() -> None:
             "gyro_bias_x": np.full(3, np.nan),
         }
     )
-    assert [*messages([Samples(np.arange(5, 5 + len(block)), None, None, block)], {})] == [
+    assert [*messages([Samples(Times(np.arange(5, 5 + len(block)), None, None), block)], {})] == [
         Message("imu", 10, {"sample": 5, "host_time_ns": 10, "arrival_time_ns": 11, "gyro_x": 0.1}),
         Message("imu", 12, {"sample": 6, "arrival_time_ns": 12}),
         Message("imu", None, {"sample": 7}),
@@ -26,7 +26,7 @@ def test_a_row_is_a_message_without_what_is_not_there() -> None:
 
 
 def test_a_side_stream_has_a_topic_of_its_own() -> None:
-    item = Samples(None, None, None, SampleBlock({"arrival_time_ns": np.array([3])}), "gnss")
+    item = Samples(Times(None, None, None), SampleBlock({"arrival_time_ns": np.array([3])}), "gnss")
     assert [*messages([item], {})] == [Message("gnss", 3, {"arrival_time_ns": 3})]
 
 

@@ -14,7 +14,7 @@ from imumon.blocks import SampleBlock
 from imumon.errors import ImumonError
 from imumon.publishing.ros2 import ALONE, Ros2
 from imumon.publishing.target import Target
-from imumon.view.items import Samples, State, Timebase, ViewSetup
+from imumon.view.items import Samples, State, Timebase, Times, ViewSetup
 from tests.view.streams import block
 
 UNITS = {"mag_x": "uT"}
@@ -105,7 +105,7 @@ def test_ros_stays_on_this_computer_unless_requested(ros: Ros) -> None:
     assert outlet.send([State(Timebase().at(1), "port", "open")]) == 0
     assert not ros.published
     untimed = SampleBlock({"gyro_x": np.zeros(1)})
-    assert outlet.send([Samples(np.zeros(1, np.int64), None, None, untimed)]) == 0
+    assert outlet.send([Samples(Times(np.zeros(1, np.int64), None, None), untimed)]) == 0
 
 
 def test_without_ros_it_reports_it(monkeypatch: pytest.MonkeyPatch) -> None:

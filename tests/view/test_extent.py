@@ -10,6 +10,7 @@ import rerun as rr
 from support.picture_faults import scalars, stored
 
 from imumon.blocks import FloatArray
+from imumon.view.items import Times
 from imumon.view.layout import Bands, Line, Strip
 from imumon.view.panels import PANELS
 from imumon.view.rows import Rows
@@ -21,7 +22,7 @@ STRIP = Strip("s", "S", (Line("b", "b", (1, 2, 3)),), "°C")
 
 def rows_of(values: FloatArray, sd: FloatArray, rate_hz: int = 100) -> Rows:
     times = np.arange(len(values), dtype=np.int64) * (1_000_000_000 // rate_hz)
-    return Rows({"b": values, "b_sd": sd}, None, times, None)
+    return Rows({"b": values, "b_sd": sd}, Times(None, times, None))
 
 
 def test_an_axis_reaches_over_the_bands_of_the_last_ten_seconds_alone() -> None:
@@ -43,7 +44,7 @@ def test_the_last_digit_of_a_card_does_not_fill_a_panel(value: float) -> None:
 def test_the_rounding_of_a_temperature_that_is_constant_does_not_fill_a_panel(key: str) -> None:
     (panel,) = (panel for panel in PANELS if panel.key == key and isinstance(panel, Strip))
     columns = {line.column: 25.0 + np.linspace(0.0, 1e-6, 50) for line in panel.lines}
-    ends = panel.ends(Rows(columns, None, np.arange(50, dtype=np.int64), None))
+    ends = panel.ends(Rows(columns, Times(None, np.arange(50, dtype=np.int64), None)))
     assert ends is not None
     assert ends[1] - ends[0] == pytest.approx(0.04)
 
@@ -59,7 +60,7 @@ def test_live_they_are_logged_once_a_second_and_a_recording_has_the_last(tmp_pat
     rec.set_sinks(rr.FileSink(tmp_path / "a.rrd"))
     extents = Extents(rec, live=live)
     for tenth in range(300):
-        row = Rows({}, None, np.array([tenth * 100_000_000]), None)
+        row = Rows({}, Times(None, np.array([tenth * 100_000_000]), None))
         extents.set("/view/b", (-1.0 - (tenth == 250), 1.0), row)
     extents.finish()
     rec.disconnect()

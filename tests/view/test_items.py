@@ -25,16 +25,16 @@ def restarted(gap_ms: int, n: int = 10) -> SampleBlock:
 
 def test_first_segment_keeps_the_devices_own_time() -> None:
     samples = Timebase().samples(block(0, 20))
-    assert samples.device_ns is not None
-    assert samples.host_ns is not None
-    np.testing.assert_array_equal(samples.device_ns, block(0, 20)["device_time_ns"])
-    np.testing.assert_array_equal(samples.host_ns, block(0, 20)["host_time_ns"])
+    assert samples.times.device_ns is not None
+    assert samples.times.host_ns is not None
+    np.testing.assert_array_equal(samples.times.device_ns, block(0, 20)["device_time_ns"])
+    np.testing.assert_array_equal(samples.times.host_ns, block(0, 20)["host_time_ns"])
 
 
 def test_new_segment_begins_as_much_later_as_the_host_clock_states() -> None:
     samples = Timebase().samples(restarted(gap_ms=250))
-    assert samples.device_ns is not None
-    steps = np.diff(samples.device_ns)
+    assert samples.times.device_ns is not None
+    steps = np.diff(samples.times.device_ns)
     assert steps[9] == 250 * MS
     assert (np.delete(steps, 9) == 10 * MS).all()
 
@@ -43,9 +43,9 @@ def test_new_segment_without_host_time_begins_one_interval_later() -> None:
     both = restarted(gap_ms=250)
     columns = {name: values for name, values in both.columns.items() if name != "host_time_ns"}
     samples = Timebase().samples(SampleBlock(columns))
-    assert samples.host_ns is None
-    assert samples.device_ns is not None
-    assert (np.diff(samples.device_ns) == 10 * MS).all()
+    assert samples.times.host_ns is None
+    assert samples.times.device_ns is not None
+    assert (np.diff(samples.times.device_ns) == 10 * MS).all()
 
 
 @settings(max_examples=40, deadline=None)
@@ -58,10 +58,10 @@ def test_times_do_not_depend_on_how_the_stream_is_cut(cuts: list[int], gap_ms: i
     parts = [timebase.samples(whole.rows(a, b)) for a, b in itertools.pairwise(edges)]
     (joined,) = merge(parts)
     assert isinstance(joined, Samples)
-    np.testing.assert_array_equal(joined.sample, expected.sample)
-    assert joined.device_ns is not None
-    assert expected.device_ns is not None
-    np.testing.assert_array_equal(joined.device_ns, expected.device_ns)
+    np.testing.assert_array_equal(joined.times.sample, expected.times.sample)
+    assert joined.times.device_ns is not None
+    assert expected.times.device_ns is not None
+    np.testing.assert_array_equal(joined.times.device_ns, expected.times.device_ns)
     np.testing.assert_array_equal(joined.block["gyro_x"], whole["gyro_x"])
 
 
@@ -69,8 +69,8 @@ def test_missing_host_time_leaves_the_host_timeline_out() -> None:
     part = block(0, 5)
     columns = {**part.columns, "host_time_ns": np.full(5, NO_INT, np.int64)}
     samples = Timebase().samples(SampleBlock(columns))
-    assert samples.host_ns is None
-    assert samples.device_ns is not None
+    assert samples.times.host_ns is None
+    assert samples.times.device_ns is not None
 
 
 def test_device_time_of_an_event_goes_on_while_the_device_is_silent() -> None:
@@ -93,8 +93,8 @@ def test_merge_joins_samples_also_about_a_gap_and_keeps_events_in_order() -> Non
     events: list[ViewItem] = [State(at, "port", "open"), Log(at, "a"), Log(at, "b")]
     merged = merge([parts[0], events[0], parts[1], events[1], parts[3], events[2]])
     assert isinstance(merged[0], Samples)
-    assert merged[0].sample is not None
-    assert merged[0].sample.tolist() == [*range(20), *range(30, 40)]
+    assert merged[0].times.sample is not None
+    assert merged[0].times.sample.tolist() == [*range(20), *range(30, 40)]
     assert merged[1:] == events
 
 
@@ -109,13 +109,13 @@ def _side(first: int, n: int, segment: int = 0) -> SampleBlock:
 def test_side_streams_are_on_the_timelines_of_the_main_one() -> None:
     timebase = Timebase()
     main = timebase.samples(restarted(gap_ms=250))
-    assert main.device_ns is not None
+    assert main.times.device_ns is not None
     before, after = timebase.side("gnss", _side(5, 2)), timebase.side("gnss", _side(5, 2, segment=1))
-    assert before.device_ns is not None
-    assert after.device_ns is not None
-    np.testing.assert_array_equal(before.device_ns, main.device_ns[5:7])
-    np.testing.assert_array_equal(after.device_ns, main.device_ns[15:17])
-    assert before.sample is None
+    assert before.times.device_ns is not None
+    assert after.times.device_ns is not None
+    np.testing.assert_array_equal(before.times.device_ns, main.times.device_ns[5:7])
+    np.testing.assert_array_equal(after.times.device_ns, main.times.device_ns[15:17])
+    assert before.times.sample is None
 
 
 def test_merge_joins_each_stream_apart() -> None:

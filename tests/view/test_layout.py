@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import rerun as rr
 
+from imumon.view.items import Times
 from imumon.view.layout import Bands, Line, Strip
 from imumon.view.rows import Rows
 
@@ -31,7 +32,7 @@ def test_a_band_named_as_a_session_is_an_entity_whose_name_is_escaped() -> None:
     panel = Bands("a/b", "title", (Line("x", "run of monday", (1, 2, 3)),), "°/h", "Tab")
     panel.declare(rec)
     times = np.arange(3) * 10**9
-    panel.log(rec, Rows({"x": np.ones(3)}, None, times, times))
+    panel.log(rec, Rows({"x": np.ones(3)}, Times(None, times, times)))
     named = [one for one in rec.entities if "monday" in one]
     assert named == [f"{panel.drawn}/" + rr.escape_entity_path_part("run of monday")] * 2
     assert "\\ " in named[0]

@@ -10,7 +10,7 @@ from rerun.chunk import RrdReader
 
 from imumon.blocks import ColumnArray, SampleBlock
 from imumon.charts import BLUE, GREEN, GREY, ORANGE, RED, VIOLET
-from imumon.view.items import Instant, Log, Numbers, State, Status, Timebase, ViewItem, ViewSetup
+from imumon.view.items import Instant, Log, Numbers, State, Status, Timebase, Times, ViewItem, ViewSetup
 from imumon.view.lanes import LOG_TEXT
 from imumon.view.layout import Line, Strip, read_as, xyzw
 from imumon.view.logger import StreamLogger, status_card
@@ -216,7 +216,7 @@ def test_limits_and_the_raw_rate_stand_in_the_view_of_a_strip(write: Callable[[W
     panel = Strip("a", "A", (Line("temperature", "t", RED),), limits=(-2.0, 2.0), beside="/view/gyro")
     n = 30
     values: dict[str, ColumnArray] = {"temperature": np.linspace(0.0, 1.0, n)}
-    rows = Rows(values, np.arange(n), None, None)
+    rows = Rows(values, Times(np.arange(n), None, None))
     path = write(lambda logger: panel.log(logger._rec, rows))
     (batch,) = record_batches(path, "/samples/a/limits")
     np.testing.assert_array_equal(batch.column("sample").to_numpy(), [0, n - 1])
@@ -229,8 +229,8 @@ def test_of_a_sparse_column_only_the_rows_with_a_value_are_logged(write: Callabl
     panel = Strip("a", "A", (Line("temperature", "t", RED),), look="points", limits=(-3.0, 3.0))
     values = np.full(30, np.nan)
     values[[4, 17]] = 1.5, -0.5
-    rows = Rows({"temperature": values}, np.arange(30), None, None)
-    empty = Rows({"temperature": np.full(5, np.nan)}, np.arange(30, 35), None, None)
+    rows = Rows({"temperature": values}, Times(np.arange(30), None, None))
+    empty = Rows({"temperature": np.full(5, np.nan)}, Times(np.arange(30, 35), None, None))
 
     def fill(logger: StreamLogger) -> None:
         panel.log(logger._rec, rows)

@@ -11,7 +11,7 @@ import rerun as rr
 from support.picture_faults import scalars, stored
 
 from imumon.blocks import ColumnArray, SampleBlock
-from imumon.view.items import Samples, ViewSetup
+from imumon.view.items import Samples, Times, ViewSetup
 from imumon.view.logger import StreamLogger
 
 SETUP = ViewSetup("test", "test", units={"supply": "V", "gnss_height": "m", "gnss_depth": "m"})
@@ -23,7 +23,7 @@ def views(path: Path, setup: ViewSetup, *streams: tuple[str, Mapping[str, Column
     rec = rr.RecordingStream("imumon", recording_id="test")
     rec.set_sinks(rr.FileSink(path))
     logger = StreamLogger(rec, setup, live=True)
-    logger.log(Samples(None, TIMES, None, SampleBlock(columns), stream) for stream, columns in streams)
+    logger.log(Samples(Times(None, TIMES, None), SampleBlock(columns), stream) for stream, columns in streams)
     logger.finish()
     rec.disconnect()
     arrangement: Any = logger.arrangement

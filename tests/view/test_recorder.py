@@ -13,7 +13,6 @@ import psutil
 import pytest
 from rerun.chunk import RrdReader
 
-from imumon.errors import ImumonError, Reason
 from imumon.view.items import ViewSetup
 from imumon.view.recorder import ViewRecorder
 from imumon.view.viewer import quiet_environment, viewer_binary
@@ -129,19 +128,6 @@ def test_killed_process_leaves_a_readable_file(tmp_path: Path) -> None:
         sample, *_ = scalars([path], "/samples/accel")
     assert sample[0] == 0
     assert sample[-1] >= 1900
-
-
-def test_existing_recording_is_not_overwritten(tmp_path: Path) -> None:
-    (tmp_path / "view.rrd").write_bytes(b"precious")
-    with pytest.raises(ImumonError) as caught:
-        ViewRecorder(tmp_path / "view.rrd", SETUP)
-    assert caught.value.reason is Reason.EXISTS
-    assert (tmp_path / "view.rrd").read_bytes() == b"precious"
-
-
-def test_missing_folder_is_named(tmp_path: Path) -> None:
-    with pytest.raises(ImumonError, match="nowhere"):
-        ViewRecorder(tmp_path / "nowhere" / "view.rrd", SETUP)
 
 
 def test_full_disk_is_reported_and_what_is_missing_counted(tmp_path: Path) -> None:

@@ -1,7 +1,5 @@
 """The results of a batch: Parquet files in a folder, which together have each session once."""
 
-from __future__ import annotations
-
 import fcntl
 import time
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """Where sessions of a batch are: in folders here, or at URLs that fsspec knows."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path

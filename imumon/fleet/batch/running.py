@@ -1,7 +1,5 @@
 """Tasks to the workers of Dask, their results back, in bounded numbers."""
 
-from __future__ import annotations
-
 import logging
 import signal
 from collections.abc import Callable, Iterable, Iterator, Sequence

@@ -6,14 +6,12 @@ do that, and leaves a note.  Dask starts the worker again and gives the session 
 note.
 """
 
-from __future__ import annotations
-
 import faulthandler
 import hashlib
 import json
 import sys
 import threading
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,14 +19,14 @@ from typing import Any
 
 import numpy as np
 
-from imumon.blocks import NO_INT, ColumnArray, SampleBlock
+from imumon.blocks import NO_INT, SampleBlock
 from imumon.errors import ImumonError, Reason, bad_config, bad_data
 from imumon.fleet.batch.dataset import BatchOptions, Row
 from imumon.fleet.batch.places import fetched
 from imumon.pipeline import Digest, Pipeline
 from imumon.recordings.exports import export_run
 from imumon.recordings.folder import is_session, open_session
-from imumon.recordings.source import Source, open_source, run_over
+from imumon.recordings.source import open_source, run_over
 from imumon.run.replay import compare_with_live, digested
 from imumon.run.setup import parse_setup, recorded_setup
 from imumon.run.stages import pipeline_of
@@ -131,39 +129,12 @@ def limited(note: Path, limit_s: float) -> Iterator[None]:
             note.unlink(missing_ok=True)
 
 
-@dataclass(slots=True)
-class Moments:
-    """Number, mean and scatter of values that come in parts, by Chan, Golub and LeVeque (1983), eq. 1.5."""
-
-    count: int = 0
-    mean: float = 0.0
-    squares: float = 0.0
-    least: float = np.inf
-    greatest: float = -np.inf
-
-    def add(self, values: ColumnArray) -> None:
-        """Add values; those that are not finite are none."""
-        known = values[np.isfinite(values)]
-        if not (n := len(known)):
-            return
-        mean, total = float(known.mean()), self.count + n
-        apart = mean - self.mean
-        self.squares += float(((known - mean) ** 2).sum()) + apart**2 * self.count * n / total
-        self.mean += apart * n / total
-        self.count = total
-        self.least, self.greatest = min(self.least, known.min()), max(self.greatest, known.max())
-
-    @property
-    def sd(self) -> float | None:
-        """Standard deviation; None of fewer than two."""
-        return float(np.sqrt(self.squares / (self.count - 1))) if self.count > 1 else None
-
-
-class _Channels:
-    """Moments of each channel of a recording, as the stages see it."""
+class Channels:
+    """Number, mean and scatter of each channel of a recording, as the stages see it."""
 
     def __init__(self) -> None:
-        self.moments: dict[str, Moments] = {}
+        self._parts: dict[str, list[tuple[float, ...]]] = {}
+        """By channel, of each block: number, mean, variance, least and greatest of the finite values."""
         self.duration_s = 0.0
         """Of the samples; gaps and what is between segments are left out."""
         self._last = np.zeros(0, np.int64), np.zeros(0, np.int64)
@@ -182,60 +153,57 @@ class _Channels:
             self.duration_s += float(steps[(steps > 0) & (steps < gap_s)].sum())
         self._last = time_ns[-1:], segment[-1:]
         for name, values in block.columns.items():
-            if values.dtype == np.float64:
-                self.moments.setdefault(name, Moments()).add(values)
+            if values.dtype == np.float64 and len(known := values[np.isfinite(values)]):
+                part = len(known), known.mean(), known.var(), known.min(), known.max()
+                self._parts.setdefault(name, []).append(part)
+
+    def rows(self) -> Iterator[Row]:
+        """Yield what is known of each channel; the standard deviation of fewer than two values is None."""
+        for name, parts in self._parts.items():
+            counts, means, variances, least, greatest = np.array(parts).T
+            count = counts.sum()
+            mean = counts @ means / count
+            squares = counts @ (variances + (means - mean) ** 2)
+            sd = float(np.sqrt(squares / (count - 1))) if count > 1 else None
+            yield {
+                "channel": name, "samples": int(count), "mean": float(mean), "sd": sd,
+                "least": least.min(), "greatest": greatest.max(), "duration_s": self.duration_s,
+            }  # fmt: skip
 
 
-def _decode(path: Path, job: Job) -> Iterator[Row]:
-    source, channels = open_source(path), _Channels()
-    pipeline = Pipeline(source.device, ranges=source.range)
-    pipeline.sink = channels.add
-    yield from _samples(source, job, pipeline, run_over(source.items, pipeline), channels)
-
-
-def _replay(path: Path, job: Job) -> Iterator[Row]:
-    session = open_session(path)
-    text = job.options.pipeline_yaml
-    setup = recorded_setup(session) if text is None else parse_setup(text, "--pipeline")
-    source, digest, channels = open_source(path), Digest(), _Channels()
-    pipeline = pipeline_of(source, setup)
+def _samples(path: Path, job: Job) -> Iterator[Row]:
+    """Decode or replay a recording, into a table where one is requested; yield its channels."""
+    source, channels, digest = open_source(path), Channels(), Digest()
+    session = open_session(path) if job.options.command == "replay" else None
+    if session is None:
+        pipeline = Pipeline(source.device, ranges=source.range)
+    else:
+        text = job.options.pipeline_yaml
+        setup = recorded_setup(session) if text is None else parse_setup(text, "--pipeline")
+        pipeline = pipeline_of(source, setup)
     pipeline.sink = channels.add
     blocks = digested(run_over(source.items, pipeline), pipeline, digest)
-    rows = [*_samples(source, job, pipeline, blocks, channels)]
-    identical = compare_with_live(session, setup, digest, pipeline).identical
-    yield from ({**row, "identical_to_live": identical} for row in rows)
-
-
-def _samples(
-    source: Source, job: Job, pipeline: Pipeline, blocks: Iterable[SampleBlock], channels: _Channels
-) -> Iterator[Row]:
-    """Go through the blocks of a recording, into a table where one is requested; yield its channels."""
-    file: Path | None = None
-    if job.options.tables:
-        file = job.file("tables", ".parquet")
+    file = job.file("tables", ".parquet") if job.options.tables else None
+    if file is not None:
         export_run(blocks, pipeline, source, file, None)
     else:
         for _ in blocks:
             pass
-    lost, warnings = pipeline.counters.lost, [*source.warnings(), *pipeline.warnings()]
+    of_all: dict[str, Any] = {"lost": pipeline.counters.lost, "file": None if file is None else str(file)}
+    of_all["warnings"] = [*source.warnings(), *pipeline.warnings()]
+    if session is not None:
+        of_all["identical_to_live"] = compare_with_live(session, setup, digest, pipeline).identical
     units = {column.name: column.unit for column in source.columns(pipeline)}
-    for name, found in channels.moments.items():
-        if found.count:
-            yield {
-                "channel": name, "unit": units.get(name), "samples": found.count, "mean": found.mean,
-                "sd": found.sd, "least": found.least, "greatest": found.greatest,
-                "duration_s": channels.duration_s, "lost": lost,
-                "file": None if file is None else str(file), "warnings": warnings,
-            }  # fmt: skip
+    for row in channels.rows():
+        yield {**row, "unit": units.get(row["channel"]), **of_all}
 
 
 def _allan(path: Path, _: Job) -> Iterator[Row]:
     from imumon.allan.analysis import analyse
     from imumon.allan.covariance import TERMS_OF
     from imumon.allan.recording import UNITS, group_of, read_channels
-    from imumon.estimation.gyro_bias.stage import RestDetector
 
-    opened = read_channels(path, lambda _: [RestDetector()])
+    opened = read_channels(path)
     for name, result in analyse(opened.series).items():
         terms = {} if result.fit is None else result.fit.terms
         known = {term: found for term in TERMS_OF[group_of(name)] if (found := terms.get(term)) is not None}
@@ -296,8 +264,8 @@ def _diagnose(path: Path, job: Job) -> Iterator[Row]:
 
 
 _COMMANDS: dict[str, Callable[[Path, Job], Iterator[Row]]] = {
-    "decode": _decode,
-    "replay": _replay,
+    "decode": _samples,
+    "replay": _samples,
     "allan": _allan,
     "calibrate": _calibrate,
     "diagnose": _diagnose,

@@ -1,9 +1,7 @@
 """The record of a session or of a unit, for the file: one page that needs no network."""
 
-from __future__ import annotations
-
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,7 +11,7 @@ from matplotlib.axes import Axes
 from imumon.blocks import FloatArray
 from imumon.columns import TEMPERATURES
 from imumon.files import write_text
-from imumon.fleet.catalog.tables import Drift, Outlier, day, drifts
+from imumon.fleet.catalog.tables import Outlier, day, drifts
 from imumon.fleet.catalog.units import Unit
 from imumon.harmless import for_plot
 from imumon.lab.diagnosis.page import COLOURS, HOUR_S, environment, shown, svg
@@ -29,6 +27,8 @@ TEMPLATE = "record.html.j2"
 """Holds all words and tables of the page."""
 POINTS = 400
 """Of a curve over time: more than a figure has pixels for is not visible."""
+MARKED, DAY_NS = 20, 86_400e9
+"""Of fewer points each is drawn; ns."""
 BIASES = tuple((f"gyro_bias_{axis}", f"gyro_bias_sd_{axis}") for axis in "xyz")
 PER_HOUR, HOURLY = shown("rad/s")
 
@@ -37,7 +37,16 @@ def write_unit(unit: Unit, unusual: Sequence[Outlier], path: Path) -> None:
     """Write the record of a unit; raises OSError when that fails."""
     model = unit.models[-1].model if unit.models else None
     drifted, own = drifts(unit), [outlier for outlier in unusual if outlier.unit == unit.name]
-    _write(path, model, unit=unit, unusual=own, drifted=drifted, draw_drift=lambda: svg(_drift(drifted)))
+    begun = min((int(one.time_ns[0]) for one in drifted), default=0)
+    curves = {
+        one.channel: Curve(
+            (one.time_ns - begun) / DAY_NS, PER_HOUR * (one.bias - one.bias[0]), PER_HOUR * one.sd
+        )
+        for one in drifted
+    }
+    labels = {"xlabel": f"days since {day(begun)}", "ylabel": f"bias less the first model's ± 2σ, {HOURLY}"}
+    drift = {"Bias by each model, less the first": _figure(curves, **labels)} if curves else {}
+    _write(path, model, unit=unit, unusual=own, drifted=drifted, drift=drift)
 
 
 def write_session(session: Session, path: Path) -> list[str]:
@@ -52,7 +61,7 @@ def write_session(session: Session, path: Path) -> list[str]:
     means = reduce(recording.blocks(), names, slot_s)
     warnings, counters = recording.warnings(), recording.pipeline.counters
     content: dict[str, Any] = {"session": session, "sha256": fingerprint(session.truth_path)}
-    content["course"] = {"slot_s": means.slot_s, "figures": _course(means), "rows": _biases(means)}
+    content |= {"slot_s": means.slot_s, "course": _course(means), "biases": _biases(means)}
     _write(path, setup.bias_model, **content, warnings=warnings, counters=counters)
     return warnings
 
@@ -62,22 +71,6 @@ def _write(path: Path, model: BiasModel | None, unit: Unit | None = None, **cont
     units = {"per_hour": PER_HOUR, "hourly": HOURLY, "day": day, "version": __version__}
     curves = {} if model is None else _curves(model)
     write_text(path, template.render(model=model, curves=curves, unit=unit, **units, **content))
-
-
-def _drift(drifted: Sequence[Drift]) -> Callable[[Axes], None]:
-    """Return what draws the bias of each model less that of the first."""
-
-    def draw(axes: Axes) -> None:
-        for one, colour in zip(drifted, COLOURS, strict=False):
-            when = one.time_ns.astype("datetime64[ns]").astype("datetime64[s]")
-            apart, sd = PER_HOUR * (one.bias - one.bias[0]), PER_HOUR * one.sd
-            look: dict[str, Any] = {"fmt": "o-", "ms": 3, "lw": 1, "capsize": 2, "color": colour}
-            axes.errorbar(when, apart, sd, label=one.channel, **look)
-        axes.set(ylabel=f"bias less the first model's, {HOURLY}")
-        axes.tick_params(axis="x", rotation=30)
-        axes.legend(fontsize=6)
-
-    return draw
 
 
 def _curves(model: BiasModel) -> dict[str, str]:
@@ -94,7 +87,7 @@ def _curves(model: BiasModel) -> dict[str, str]:
                 curves[name] = Curve(t, factor * channel.value(t), np.asarray(factor * channel.residual_sd))
         if curves:
             labels = {"xlabel": "temperature, °C", "ylabel": f"bias ± 2σ, {unit}"}
-            figures[f"{caption} over temperature"] = svg(_lines(curves, **labels))
+            figures[f"{caption} over temperature"] = _figure(curves, **labels)
     return figures
 
 
@@ -103,16 +96,16 @@ def _course(means: Reduced) -> dict[str, str]:
     hours = (means.start_ns - means.start_ns[:1]).astype(np.float64) * 1e-9 / HOUR_S
     figures: dict[str, str] = {}
     if readings := {name: Curve(hours, means.of(name)) for name in TEMPERATURES if means.has(name)}:
-        figures["Temperature"] = svg(_lines(readings, xlabel="time, h", ylabel="temperature, °C"))
+        figures["Temperature"] = _figure(readings, xlabel="time, h", ylabel="temperature, °C")
     biases = {
         bias: Curve(hours, PER_HOUR * means.of(bias), PER_HOUR * means.of(sd))
         for bias, sd in BIASES
-        if means.has(bias) and means.has(sd)
+        if means.has(sd)
     }
     if biases:
         widest = max(np.nanmedian(np.abs(one.y) + 2 * one.sd) for one in biases.values())
         labels: dict[str, Any] = {"xlabel": "time, h", "ylabel": HOURLY, "ylim": (-2 * widest, 2 * widest)}
-        figures["Gyro bias, with 2σ"] = svg(_lines(biases, **labels))
+        figures["Gyro bias, with 2σ"] = _figure(biases, **labels)
     return figures
 
 
@@ -120,11 +113,10 @@ def _biases(means: Reduced) -> list[tuple[str, float, float, float]]:
     """Return name, last value and sigma, and smallest sigma of each gyro bias, rad/s."""
     rows = []
     for bias, sd_name in BIASES:
-        if means.has(bias) and means.has(sd_name):
-            value, sd = means.of(bias), means.of(sd_name)
-            known = np.flatnonzero(np.isfinite(value) & np.isfinite(sd))
-            if len(known):
-                rows.append((bias, float(value[known[-1]]), float(sd[known[-1]]), float(np.nanmin(sd))))
+        if means.has(sd_name):
+            sd = means.of(sd_name)
+            last = np.flatnonzero(np.isfinite(sd))[-1]
+            rows.append((bias, float(means.of(bias)[last]), float(sd[last]), float(np.nanmin(sd))))
     return rows
 
 
@@ -136,15 +128,16 @@ class Curve(NamedTuple):
     sd: FloatArray = np.zeros(())
 
 
-def _lines(curves: Mapping[str, Curve], **axes_settings: Any) -> Callable[[Axes], None]:
-    """Return what draws curves by their names, each with a band of two standard deviations."""
+def _figure(curves: Mapping[str, Curve], **axes_settings: Any) -> str:
+    """Return the figure of curves by their names, each with a band of two standard deviations."""
 
     def draw(axes: Axes) -> None:
         for (name, (x, y, sd)), colour in zip(curves.items(), COLOURS, strict=False):
-            axes.plot(x, y, lw=1, color=colour, label=for_plot(name))
+            marker = "." if len(x) < MARKED else ""
+            axes.plot(x, y, lw=1, marker=marker, color=colour, label=for_plot(name))
             if sd.any():
                 axes.fill_between(x, y - 2 * sd, y + 2 * sd, color=colour, alpha=0.2, lw=0)
         axes.set(**axes_settings)
         axes.legend(fontsize=6)
 
-    return draw
+    return svg(draw)

@@ -1,7 +1,5 @@
 """The catalog as tables: with how models change over months, and which units differ from their kind."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple

@@ -1,7 +1,5 @@
 """Sessions and the units that they are of, each with its row of the catalog's tables."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """``rack.yaml``: which units stand in a rack, on which ports, and how each is recorded."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What the process of a unit reports to the rack: how the unit is, and items for the view of all units."""
 
-from __future__ import annotations
-
 import math
 import time
 from dataclasses import dataclass, field, replace
@@ -18,6 +16,7 @@ from imumon.view.items import (
     Instant,
     Samples,
     State,
+    Times,
     ViewItem,
     ViewSetup,
     first_of_steps,
@@ -134,10 +133,8 @@ class Overview(Event):
     markdown: str
     units: tuple[str, ...]
 
-    @property
-    def lasting(self) -> str:
-        """There is one page."""
-        return "overview"
+    lasting = "overview"
+    """There is one page."""
 
 
 def picture(item: ViewItem) -> Samples | Event | None:
@@ -150,7 +147,7 @@ def picture(item: ViewItem) -> Samples | Event | None:
         return None if hidden else replace(item, at=Instant(None, None, item.at.host_ns))
     assert isinstance(item, Samples)
     arrival = item.block.columns.get("arrival_time_ns")
-    times = arrival if item.host_ns is None else item.host_ns
+    times = arrival if item.times.host_ns is None else item.times.host_ns
     if times is None or not item.rows:
         return None
     keep = first_of_steps(times, PICTURE_STEP_NS)
@@ -159,4 +156,5 @@ def picture(item: ViewItem) -> Samples | Event | None:
         for name, values in item.block.columns.items()
         if values.dtype == np.float64 and np.isfinite(values).any()
     }
-    return Samples(None, None, times[keep], SampleBlock(columns), item.stream) if columns else None
+    shown = Times(None, None, times[keep])
+    return Samples(shown, SampleBlock(columns), item.stream) if columns else None

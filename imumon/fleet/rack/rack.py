@@ -1,7 +1,5 @@
 """The rack: keeps a process for each unit, receives its state, and begins it anew when it dies or hangs."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 import threading

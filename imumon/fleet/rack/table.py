@@ -1,7 +1,5 @@
 """The overview of a rack: a row for each unit, the same cells for a terminal, the viewer and the summary."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Sequence
 
@@ -44,8 +42,8 @@ def bias(vitals: Vitals) -> str:
     if not vitals.bias:
         return "–"
     sd = max(vitals.bias_sd) / DEG_PER_H
-    axes = [measured(value / DEG_PER_H, sd).split(" ± ")[0] for value in vitals.bias]
-    return f"{' '.join(axes)} ± {measured(0.0, sd).split(' ± ')[-1]}"
+    axes = [measured(value / DEG_PER_H, sd).partition(" ± ") for value in vitals.bias]
+    return f"{' '.join(value for value, *_ in axes)} ± {axes[0][2]}"
 
 
 def amount(count: int) -> str:

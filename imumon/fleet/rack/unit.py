@@ -5,8 +5,6 @@ what is loaded is there once.  Signals are for the rack, which ends its units in
 is gone, the unit closes its session and ends.
 """
 
-from __future__ import annotations
-
 import gc
 import os
 import signal

@@ -3,14 +3,11 @@
 Run as ``python -m imumon.fleet.rack.view``, as the view process that `imumon.view.publisher` feeds.
 """
 
-from __future__ import annotations
-
 import math
 import os
 import re
 import time
 from collections.abc import Iterable
-from dataclasses import replace
 from typing import Any
 
 import rerun as rr
@@ -86,7 +83,7 @@ class UnitsLogger:
         known = self._units.get(setup.title)
         if known is None or known[0] != setup:
             below: Any = Below(self._rec, f"/{setup.title}")
-            logger = StreamLogger(below, replace(setup, window_s=self._setup.window_s), live=True)
+            logger = StreamLogger(below, setup._replace(window_s=self._setup.window_s), live=True)
             logger.declare()
             self._units[setup.title] = setup, logger
 

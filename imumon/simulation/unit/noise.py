@@ -26,8 +26,6 @@ class White:
 
     def take(self, n: int) -> FloatArray:
         """Return the next n values of each column, (n, k)."""
-        if not self._sd.any():
-            return np.zeros((n, len(self._sd)))
         return self._random.standard_normal((n, len(self._sd))) * self._sd
 
 

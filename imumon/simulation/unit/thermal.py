@@ -6,10 +6,9 @@ import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.effects.base import Drive, Memory
-from imumon.effects.since_power_on import WarmUp
 from imumon.effects.thermal_lag import ThermalLag
 from imumon.simulation.unit.noise import White, generator
-from imumon.simulation.unit.parameters import SelfHeating, Thermometer
+from imumon.simulation.unit.parameters import NONE, SelfHeating, Thermometer
 from imumon.simulation.unit.scenario import Chamber, Scenario
 
 
@@ -58,15 +57,14 @@ class SensorTemperature:
 
     def __init__(self, chamber: Chamber, heating: SelfHeating | None) -> None:
         self._chamber, self._lag = chamber, Lags([chamber.lag_s])
-        self._rise, tau = ((0.0, 0.0, 0.0), 1.0) if heating is None else (heating.rise_degc, heating.tau_s)
-        self._heat = [WarmUp(time_constant_s=tau, coefficients=[-rise]) for rise in self._rise]
+        self._heating = heating or SelfHeating(rise_degc=NONE, tau_s=1.0)
 
     def process(self, time_s: FloatArray) -> FloatArray:
         """Return the temperatures (°C) at the next times (s), (n, 3)."""
         around = self._lag.process(time_s, chamber_temperature(self._chamber, time_s)[:, np.newaxis])
-        drive = Drive(time_s, around[:, 0])
-        heat = [rise + warm.simulate(drive) for rise, warm in zip(self._rise, self._heat, strict=True)]
-        return around + np.column_stack(heat)
+        rise = np.array(self._heating.rise_degc)
+        decay = np.exp(-time_s / self._heating.tau_s)[:, np.newaxis]
+        return np.asarray(around + (rise - rise * decay))
 
 
 class Thermometers:

@@ -86,23 +86,15 @@ class SimulatedUnit:
 
     def samples(self, n: int) -> SampleBlock:
         """Return the next n samples as an encoder takes them, counter and ticks counting from power-on."""
-        return self._take(n)[0]
+        return self.run(n)[0]
 
     def run(self, n: int) -> tuple[SampleBlock, SampleBlock]:
-        """Return the next n samples with device_time_ns and segment, and the truth of the same samples.
+        """Return the next n samples, and the truth of them, both with device_time_ns and segment.
 
-        The first block has what `samples` returns as well.  The truth has device_time_ns, segment and
-        `TRUTH_COLUMNS`: gyro_bias_{x,y,z} rad/s and accel_bias_{x,y,z} m/s² (everything but white noise),
-        rate_{x,y,z} rad/s (angular rate with the earth's), temperature and temperature_{x,y,z} °C, at_rest.
+        The truth has `TRUTH_COLUMNS`: gyro_bias_{x,y,z} rad/s and accel_bias_{x,y,z} m/s² (everything but
+        white noise), rate_{x,y,z} rad/s (angular rate with the earth's), temperature and temperature_{x,y,z}
+        °C, at_rest.
         """
-        sent, truth = self._take(n)
-        times = {
-            "device_time_ns": sent["device_ticks"] * self._tick_ns.numerator // self._tick_ns.denominator,
-            "segment": np.zeros(n, np.int64),
-        }
-        return SampleBlock({**times, **sent.columns}), SampleBlock({**times, **truth.columns})
-
-    def _take(self, n: int) -> tuple[SampleBlock, SampleBlock]:
         parts, computed = [self._left], len(self._left[0])
         while computed < n:
             parts.append(self._chunk(self._taken + computed))
@@ -112,8 +104,11 @@ class SimulatedUnit:
         self._left, self._taken = (sent.rows(n, computed), truth.rows(n, computed)), self._taken + n
         ticks_per_sample = float(1_000_000_000 / self._tick_ns) / self.scenario.rate_hz
         ticks = np.rint(index * ticks_per_sample).astype(np.int64)
-        counted = {"packet_counter": index, "device_ticks": ticks}
-        return SampleBlock({**counted, **sent.rows(0, n).columns}), truth.rows(0, n)
+        time_ns = ticks * self._tick_ns.numerator // self._tick_ns.denominator
+        times = {"device_time_ns": time_ns, "segment": np.zeros(n, np.int64)}
+        counted = {**times, "packet_counter": index, "device_ticks": ticks}
+        samples = SampleBlock({**counted, **sent.rows(0, n).columns})
+        return samples, SampleBlock({**times, **truth.rows(0, n).columns})
 
     def _chunk(self, first: int) -> tuple[SampleBlock, SampleBlock]:
         """Return what is sent of the next `CHUNK` samples, and the truth."""

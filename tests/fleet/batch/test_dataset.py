@@ -6,9 +6,10 @@ import duckdb
 import polars as pl
 import pytest
 
+from imumon.blocks import SampleBlock
 from imumon.errors import ImumonError, Reason
 from imumon.fleet.batch.dataset import RESULTS, ROWS, BatchOptions, Dataset
-from imumon.fleet.batch.tasks import Moments, failure
+from imumon.fleet.batch.tasks import Channels, failure
 
 ALLAN = BatchOptions(command="allan")
 
@@ -71,11 +72,13 @@ def test_moments_of_parts_are_those_of_the_whole() -> None:
 
     values = 1e6 + np.random.default_rng(0).standard_normal(1000)
     values[::7] = np.nan
-    found = Moments()
+    channels = Channels()
     for part in np.split(values, [1, 2, 400, 400]):
-        found.add(part)
+        times = np.zeros(len(part), np.int64)
+        channels.add(SampleBlock({"device_time_ns": times, "segment": times, "gyro_x": part}))
     known = values[np.isfinite(values)]
-    assert found.count == len(known)
-    assert found.mean == pytest.approx(known.mean(), rel=1e-14)
-    assert found.sd == pytest.approx(known.std(ddof=1), rel=1e-9)
-    assert (found.least, found.greatest) == (known.min(), known.max())
+    (found,) = channels.rows()
+    assert found["samples"] == len(known)
+    assert found["mean"] == pytest.approx(known.mean(), rel=1e-14)
+    assert found["sd"] == pytest.approx(known.std(ddof=1), rel=1e-9)
+    assert (found["least"], found["greatest"]) == (known.min(), known.max())

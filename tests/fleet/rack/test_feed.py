@@ -18,14 +18,14 @@ def test_the_picture_is_thin_and_by_the_clock_of_the_host() -> None:
     samples = Timebase().samples(block(0, 400))
     shown = picture(samples)
     assert isinstance(shown, Samples)
-    assert samples.host_ns is not None
-    assert shown.host_ns is not None
-    assert shown.sample is None
-    assert shown.device_ns is None
-    span_s = float(samples.host_ns[-1] - samples.host_ns[0]) * 1e-9
+    assert samples.times.host_ns is not None
+    assert shown.times.host_ns is not None
+    assert shown.times.sample is None
+    assert shown.times.device_ns is None
+    span_s = float(samples.times.host_ns[-1] - samples.times.host_ns[0]) * 1e-9
     assert shown.rows <= 50 * span_s + 2 < samples.rows
-    assert set(shown.host_ns) <= set(samples.host_ns)
-    place = int(np.flatnonzero(samples.host_ns == shown.host_ns[3])[0])
+    assert set(shown.times.host_ns) <= set(samples.times.host_ns)
+    place = int(np.flatnonzero(samples.times.host_ns == shown.times.host_ns[3])[0])
     assert shown.block["gyro_x"][3] == samples.block["gyro_x"][place]
     assert all(values.dtype == np.float64 for values in shown.block.columns.values())
 

@@ -145,7 +145,7 @@ def _sees_it_all(shown: list[ViewItem]) -> None:
     assert len({one.setup.title for one in items}) == len({repr(one.setup) for one in items})  # also anew
     samples = [one.item for one in items if one.setup.title == "good" and isinstance(one.item, Samples)]
     assert samples
-    assert all(one.host_ns is not None and one.device_ns is None for one in samples)
+    assert all(one.times.host_ns is not None and one.times.device_ns is None for one in samples)
     assert all("gyro_x" in one.block and "packet_counter" not in one.block for one in samples)
     lanes = {(one.setup.title, one.item.state) for one in items if isinstance(one.item, State)}
     assert {

@@ -34,7 +34,7 @@ def of_unit(name: str) -> list[ViewItem]:
     """Return what a unit tells the view, as its process does."""
     timebase = Timebase()
     first = timebase.samples(block(0, 200))
-    at = timebase.at(first.host_ns[-1].item() if first.host_ns is not None else None)
+    at = timebase.at(first.times.host_ns[-1].item() if first.times.host_ns is not None else None)
     numbers = Numbers(at, {"packet_rate": 100.0, "packets_lost": 0.0, "packets_damaged": 0.0})
     items: list[ViewItem] = [
         first,
