@@ -1,9 +1,7 @@
 """What no estimate may be made from: values no sensor has, saturated sensors, times that do not go on.
 
-Stages see such a value as missing and such a row not at all; tables keep both as they were sent.  So a fault
-is kept out at one place, whatever a stage would make of it, and its end is the end of what is left out.  An
-axis that stays the same for long while another does not is reported, and a specific force that cannot be in
-the unit that was declared.
+Stages receive such a value as missing and such a row not at all; tables keep both as they were sent.  An axis
+that stays the same for long while another does not is reported, and a specific force in an impossible unit.
 """
 
 from collections import Counter
@@ -25,11 +23,8 @@ RANGES: dict[str, tuple[float, float, str]] = {
     "pressure": (0.0, 1e10, "Pa"),
     "q_": (-2.0, 2.0, ""),
 }
-"""By the beginning of a column's name, what a sensor may read: three times the widest range that is sold.
-
-50,000 °/s, 100,000 g; 32-bit counts of a magnetometer without unit; 1 GPa; a quaternion that was not
-normalised.  Of a thermometer, where no semiconductor sensor works.
-"""
+"""By the beginning of a column's name, what a sensor may read: three times the widest range that is sold,
+32-bit counts of a magnetometer without unit, and of a thermometer, where no semiconductor works."""
 LONGEST_GAP_S = 1e6
 """Within a segment, eleven days: a clock that leaps so far did not count."""
 STUBBORN = 100
@@ -40,8 +35,7 @@ IMPOSSIBLE_AT_REST = {"gyro": (0.0, 2.0), "accel": (1.0, 30.0)}
 A sensor whose noise is below its step stands still at rest, rightly; beyond this it is saturated or dead.
 """
 REPEATS = 3
-"""A sensor may repeat a reading so often, and twice as often as it ever did at a reading that can be at rest:
-one that is read more often than it measures, or has coarse steps, repeats itself rightly."""
+"""A sensor may repeat a reading so often, and twice as often as it ever did at a reading possible at rest."""
 UNCHANGED_NS = 30_000_000_000
 """An axis that stays the same for so long beside one that does not is reported: no hand turns a unit about
 one axis for so long and keeps the others within a step."""
@@ -51,8 +45,7 @@ the axes beside it may rightly stay on one; more by so many times the root of th
 GRAVITIES = (0.3, 3.0)
 """Of the specific force, its median: what has less falls and what has more is thrown, neither for minutes."""
 MINUTE_NS, MINUTES = 60_000_000_000, 3
-"""So many in a row, the first of which may be cut short: rockets burn with three times gravity for a minute
-or two, parabolas last half a minute."""
+"""So many in a row: rockets burn with three times gravity for two minutes, parabolas last half a minute."""
 SLOWEST_HZ, FASTEST_HZ = 0.1, 40e3
 """Of samples: slower is no motion sensor, and the fastest that is sold has 32 kHz (ICM-42688)."""
 
@@ -274,25 +267,19 @@ class _Unchanged:
         changed = (readings != before) & ~(np.isnan(readings) & np.isnan(before))
         terms = np.column_stack([np.ones(len(changed)), changed])
         time_ns, segment = sent["device_time_ns"][there], sent["segment"][there]
+        names, unit = [f"{self._sensor}_{axis}" for axis in "xyz"], RANGES[f"{self._sensor}_"][2]
         for row, began_ns, latest_ns, (count, *changes) in self._windows.ended(time_ns, segment, terms):
             frequent = AT_AN_EDGE * count + BEYOND_CHANCE * count**0.5
-            if latest_ns - began_ns >= 0.95 * UNCHANGED_NS and max(changes) > frequent:
-                self._report(began_ns, changes, before[row])
-
-    def _report(self, began_ns: int, changes: list[float], values: FloatArray) -> None:
-        """Report the axes that did not change in a window, and what they read."""
-        names, unit = [f"{self._sensor}_{axis}" for axis in "xyz"], RANGES[f"{self._sensor}_"][2]
-        since = f"for {UNCHANGED_NS * 1e-9:g} s and more, since {began_ns * 1e-9:.3f} s of device time"
-        beside = f"{since}, while {names[int(np.argmax(changes))]} changes"
-        for name, value, changed in zip(names, values.tolist(), changes, strict=True):
-            what, why = (
-                f"reads {value:g} {unit} without any change",
-                "it is stuck, or its noise is below its steps",
-            )
-            if np.isnan(value):
-                what, why = "reads nothing", "it is dead"
-            if not changed:
-                self.found.setdefault(name, f"{name} {what} {beside}: {why}")
+            if latest_ns - began_ns < 0.95 * UNCHANGED_NS or max(changes) <= frequent:
+                continue
+            since = f"for {UNCHANGED_NS * 1e-9:g} s and more, since {began_ns * 1e-9:.3f} s of device time"
+            beside = f"{since}, while {names[int(np.argmax(changes))]} changes"
+            for name, value, changed in zip(names, before[row].tolist(), changes, strict=True):
+                text = f"reads {value:g} {unit} without any change {beside}: it is stuck, or too coarse"
+                if np.isnan(value):
+                    text = f"reads nothing {beside}: it is dead"
+                if not changed:
+                    self.found.setdefault(name, f"{name} {text}")
 
 
 class _Clock:

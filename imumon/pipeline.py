@@ -108,10 +108,7 @@ class Pipeline:
 
     @property
     def irreproducible(self) -> frozenset[str]:
-        """Columns of the stages from the first on that was switched off.
-
-        From which sample on they are missing depends on the division into blocks.
-        """
+        """Columns of the stages from the first on that was switched off: chunking decides at which sample."""
         failed = dropwhile(lambda stage: not stage.switched_off, self._stages)
         return frozenset(column.name for stage in failed for column in stage.columns)
 
@@ -165,10 +162,7 @@ class Pipeline:
         )
 
     def snapshot(self) -> bytes:
-        """Return decoder, clocks and stages as they are now; `restore` goes on from there, bit for bit.
-
-        The bytes belong to this version of imumon and of its packages.
-        """
+        """Return decoder, clocks and stages as bytes for `restore` of this version of imumon, bit for bit."""
         return pickle.dumps(self)
 
     @staticmethod

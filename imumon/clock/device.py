@@ -133,10 +133,7 @@ class DeviceClock:
 
     @property
     def dated_by(self) -> DatedBy:
-        """What dates the rows now: the device's clock, its counter or the rows at the nominal rate, arrivals.
-
-        Empty before the first row.
-        """
+        """What dates the rows now; empty before the first."""
         return DATED_BY[int(self._state.source)]
 
     @property
@@ -155,11 +152,7 @@ class DeviceClock:
         return int(self._state.resets)
 
     def new_connection(self) -> None:
-        """Say that the port was opened anew before the next sample.
-
-        A clock that goes on as the time away demands stays in its segment; the test for that is stricter than
-        between packets of one connection, as nothing can have queued up.
-        """
+        """Note that the port was opened anew before the next sample: nothing can have queued up."""
         self._state.reopened = 1
 
     def process(

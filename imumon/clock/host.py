@@ -27,9 +27,8 @@ BLOCK_NS = 30_000_000_000
 BLOCKS = 10
 """Blocks remembered, the current one among them: 4.5 to 5 min.
 
-Longer averages more, shorter follows a warming crystal sooner.  The p99 error in simulated 16 ms bursts with
-a memory of 2.5, 5 and 10 min is 0.09, 0.06 and 0.06 ms at a constant rate, 0.08, 0.18 and 0.74 ms when the
-rate rises by 1 ppm a minute, and 0.15, 0.55 and 2.2 ms at 3 ppm a minute.
+The p99 error in simulated 16 ms bursts with a memory of 2.5, 5 and 10 min is 0.09, 0.06 and 0.06 ms at a
+constant rate, and 0.08, 0.18 and 0.74 ms when the rate rises by 1 ppm a minute.
 """
 VERTICES = 64
 """Hull vertices kept per block; a block of random delays has a dozen."""

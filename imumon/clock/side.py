@@ -80,9 +80,7 @@ class SideClock:
 
 
 class HeldReadings:
-    """Adds to main rows the latest reading of the side streams, whatever the division into blocks.
-
-    The estimators of the inertial sensors need temperatures in every row, however seldom they come.
+    """Adds to main rows the latest temperature of the side streams, whatever the division into blocks.
 
     A reading holds from the first main row that was begun after it was complete; a row's own counts first.
     """

@@ -116,10 +116,6 @@ class CommandLink:
                 return error.refused
             return True
 
-    def close(self) -> None:
-        """Close the port."""
-        self.port.close()
-
 
 @dataclass(frozen=True, slots=True)
 class Stream:
@@ -151,10 +147,7 @@ class Stream:
 
 
 def measure(link: CommandLink, device: DeviceFile, rate_hz: float | None) -> Stream:
-    """Listen to a device and return what it sends.
-
-    Raises LOST when the port failed.
-    """
+    """Listen to a device and return what it sends; raises LOST when the port failed."""
     decoder, times = device.decoder(), dict[str, list[np.ndarray]]()
     seconds = max(min(max(PACKETS / rate_hz, LEAST_S), MOST_S), PERIODS / rate_hz) if rate_hz else LEAST_S
     link.discard(SETTLE_S)
@@ -192,7 +185,7 @@ def connect(url: str, device: DeviceFile, family: Family, baudrate: int | None) 
         with suppress(ImumonError):
             for request in family.resume if family.hello_quiets and link.streaming else ():
                 link.port.write(request.frame)  # it may have received the query and be quiet since
-        link.close()
+        link.port.close()
         raise
 
 

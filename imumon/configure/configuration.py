@@ -56,9 +56,9 @@ class Report:
 
 
 def planned(family: Family, wish: Wish, now: int) -> list[Request]:
-    """Return all that would be sent to a device of which only its baud rate `now` is known, in order.
+    """Return all that would be sent, in order; raises BAD_CONFIG when it depends on what a device sends now.
 
-    Raises BAD_CONFIG when that depends on what the device sends now.
+    `now`: the baud rate of the device.
     """
     if (wish.rate_hz is None) != (wish.outputs is None):
         raise bad_config(
@@ -80,10 +80,7 @@ def _in_order(names: Iterable[str], wish: Wish, now: int) -> list[str]:
 
 
 def check_load(family: Family, values: Mapping[str, bytes], line: PortSettings) -> list[str]:
-    """Return a warning when the line is nearly full; else none.
-
-    Raises BAD_CONFIG when the settings send more than the line carries, with the numbers.
-    """
+    """Return a warning when the line is nearly full; raises BAD_CONFIG when the settings send too much."""
     needed, there = family.bytes_per_s(values), line.capacity_bytes_per_s
     if there is None or needed <= NEARLY_FULL * there:
         return []

@@ -86,7 +86,7 @@ def command(
     try:
         Configuration(link, family, described, report, note).run(wish)
     finally:
-        link.close()
+        link.port.close()
         if as_json:
             print_json(report.as_dict())
         _show(report, family, str(link.port.settings))

@@ -1,13 +1,12 @@
 """What talking to a device takes, whatever the family: requests, answers among data, settings by name.
 
-A device has settings, each a few bytes under a name; a family knows which requests read, write and save them,
-which values make a rate and outputs, and how answers are distinguished from the data that come between them.
-Nothing here opens a port: `imumon.configure.configuration` sends.
+A family knows which requests read, write and save a setting, which values make a rate and outputs, and how
+answers are distinguished from data.  `imumon.configure.configuration` sends.
 """
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pkgutil import resolve_name
 from typing import NamedTuple
 
@@ -52,13 +51,13 @@ class Message(NamedTuple):
 
 
 class Refusal(NamedTuple):
-    """The device refuses, and why."""
+    """Why the device refuses."""
 
     why: str
 
 
-Reader = Callable[[Message], bytes | Refusal | None]
-"""Tells what a message answers to a request; None when it is not the answer."""
+Answer = bytes | Refusal | None
+"""What a message answers to a request; None when it is not the answer."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +68,7 @@ class Request:
     """In words."""
     frame: bytes
     """As it goes over the line."""
-    answer: Reader | None
+    answer: Callable[[Message], Answer] | None
     """Finds the answer; None when the device does not answer to it."""
     timeout_s: float = ANSWER_S
     """How long to wait for the answer."""
@@ -86,25 +85,22 @@ class Request:
 
 
 class CommandError(Exception):
-    """A request came to nothing.
-
-    `refused`: whether the device refused; else it did not answer.
-    """
+    """A request was `refused`, or else not answered."""
 
     def __init__(self, request: Request, why: str, refused: bool) -> None:
         super().__init__(f"{request.meaning}: {why}")
         self.why, self.refused = why, refused
 
 
+Requests = tuple[Request, ...]
 Ask = Callable[[Request], bytes]
 """Sends a request and returns the answer; raises CommandError."""
+Values = Mapping[str, bytes]
+"""Settings by their names."""
 
 
 def known(ask: Ask, question: Request) -> bytes | None:
-    """Return the answer, or None when the device refuses.
-
-    Raises CommandError when it does not answer.
-    """
+    """Return the answer, or None when the device refuses; raises CommandError when it does not answer."""
     try:
         return ask(question)
     except CommandError as error:
@@ -193,13 +189,13 @@ class Family(ABC):
     """How what may be an answer is distinguished from other bytes."""
     hello: Request
     """Changes no setting; every device of the family answers."""
-    quiet: tuple[Request, ...] = ()
+    quiet: Requests = ()
     """Stops the data while the settings change."""
-    save_all: tuple[Request, ...] = ()
+    save_all: Requests = ()
     """Writes all settings into flash; none where they are there already."""
-    resume: tuple[Request, ...] = ()
+    resume: Requests = ()
     """Lets the data come again."""
-    questions: tuple[Request, ...] = ()
+    questions: Requests = ()
     """What `learn` asks of a device of the newest kind."""
 
     def __init__(self, device: DeviceFile | None = None) -> None:
@@ -223,15 +219,15 @@ class Family(ABC):
         """Return the request that reads a setting."""
 
     @abstractmethod
-    def write(self, name: str, value: bytes) -> tuple[Request, ...]:
+    def write(self, name: str, value: bytes) -> Requests:
         """Return what sets a setting."""
 
-    def save(self, names: Sequence[str]) -> tuple[Request, ...]:
+    def save(self, names: Sequence[str]) -> Requests:
         """Return what writes these settings, or all where a device cannot choose, into flash."""
         del names
         return self.save_all
 
-    def wanted(self, present: Mapping[str, bytes], wish: Wish) -> dict[str, bytes]:
+    def wanted(self, present: Values, wish: Wish) -> dict[str, bytes]:
         """Return the settings that make the wish true.
 
         Raises BAD_CONFIG when the device has no such rate, or nothing is sent that could be kept.
@@ -242,13 +238,11 @@ class Family(ABC):
         rate_hz = wish.rate_hz or (self.rate_hz(present) if present else None)
         if present and rate_hz is None:
             raise nothing_to_keep("rate", "give --rate")
-        return self.of_wish(present, rate_hz, wish.outputs) | speed
+        return self.of_wish(present, replace(wish, rate_hz=rate_hz)) | speed
 
     @abstractmethod
-    def of_wish(
-        self, present: Mapping[str, bytes], rate_hz: float | None, outputs: tuple[str, ...] | None
-    ) -> dict[str, bytes]:
-        """Return the settings for a rate and outputs; None where neither wish nor device states them."""
+    def of_wish(self, present: Values, wish: Wish) -> dict[str, bytes]:
+        """Return the settings for a rate and outputs; no rate where neither wish nor device states one."""
 
     def settled(self, name: str, wanted: bytes, found: bytes) -> bool:
         """Return whether what reads back is what was wanted."""
@@ -256,16 +250,17 @@ class Family(ABC):
         return wanted == found
 
     @abstractmethod
-    def kinds(self, values: Mapping[str, bytes]) -> list[PacketKind]:
+    def kinds(self, values: Values) -> list[PacketKind]:
         """Return what these settings send, the inertial data first."""
 
-    def bytes_per_s(self, values: Mapping[str, bytes]) -> float:
+    def bytes_per_s(self, values: Values) -> float:
         """Return how many bytes these settings send."""
-        kinds = self.kinds(values)
-        around = sum(kind.around * kind.rate_hz for kind in kinds)
-        return around + sum(field.size * field.rate_hz for kind in kinds for field in kind.fields)
+        return sum(
+            kind.around * kind.rate_hz + sum(field.size * field.rate_hz for field in kind.fields)
+            for kind in self.kinds(values)
+        )
 
-    def rate_hz(self, values: Mapping[str, bytes]) -> float | None:
+    def rate_hz(self, values: Values) -> float | None:
         """Return the rate of the inertial data, or None when none come."""
         return next((kind.rate_hz for kind in self.kinds(values) if kind.rate_hz), None)
 

@@ -46,10 +46,7 @@ class Sending:
 
 
 class Firmware(ABC):
-    """Answers commands and states what is to be sent.
-
-    `settings` are those as delivered, by the names of their family, without the baud rate.
-    """
+    """Answers commands and states what is sent; `settings`: those as delivered, without the baud rate."""
 
     family: Family
     """Tells commands, which have the same form as answers, and what settings mean."""

@@ -40,7 +40,7 @@ STREAMS = {SENSOR: "sensor stream", FILTER: "filter stream"}
 OF_SET = {name: of for names in (FORMATS, STREAMS) for of, name in names.items()}
 ON, OFF = b"\x01", b"\x00"
 USUAL_BASE_HZ = 500
-BAUDRATES = (115_200, 230_400, 460_800, 921_600)
+BAUD_CODES = {rate: rate.to_bytes(4, "big") for rate in (115_200, 230_400, 460_800, 921_600)}
 
 SENSOR_FIELDS: Mapping[str, tuple[int, ...]] = {
     "inertial": (0x04, 0x05),
@@ -63,7 +63,7 @@ def request(
     asking = (command_set, command) in ASKING
     repeated = data[:strip] if asking else data[1 : 1 + strip]
 
-    def answer(message: Message) -> bytes | core.Refusal | None:
+    def answer(message: Message) -> core.Answer:
         there = fields_of(message.payload) if message.kind == command_set else []
         acks = [ack for code, ack in there if code == ACK and len(ack) == 2 and ack[0] == command]
         if not acks:
@@ -111,7 +111,7 @@ class Mip(Family):
     answer_frame = MIP.frame
     title = "MicroStrain"
     verified = "frames of other programs (0x08, 0x0A), and the virtual device; never a real unit"
-    baud_codes: Mapping[int, bytes] = {rate: rate.to_bytes(4, "big") for rate in BAUDRATES}
+    baud_codes = BAUD_CODES
     columns = core.USUAL_COLUMNS | {"status": "overrange"}
     assumed = (
         f"base rate {USUAL_BASE_HZ} Hz for sensors and filter; the device is queried for it first",
@@ -173,17 +173,17 @@ class Mip(Family):
         command_set, command, of = self.command(name)
         return request(command_set, command, READ + of, f"read {name}", len(of))
 
-    def write(self, name: str, value: bytes) -> tuple[Request, ...]:
+    def write(self, name: str, value: bytes) -> core.Requests:
         """Return the command with the function selector WRITE."""
         command_set, command, of = self.command(name)
         return (request(command_set, command, APPLY + of + value, f"{name}: {self.describe(name, value)}"),)
 
-    def save(self, names: Sequence[str]) -> tuple[Request, ...]:
+    def save(self, names: Sequence[str]) -> core.Requests:
         """Return the commands with the function selector SAVE: these settings only."""
-        commands = [(name, *self.command(name)) for name in names]
         return tuple(
             request(command_set, command, SAVE + of, f"save {name}", timeout_s=core.SAVE_S)
-            for name, command_set, command, of in commands
+            for name in names
+            for command_set, command, of in [self.command(name)]
         )
 
     def _fields(self, outputs: Sequence[str], of: int) -> list[int]:
@@ -194,11 +194,10 @@ class Mip(Family):
             found.append(0x03 if of == FILTER else 0x0A)
         return [TIME[self.clock][of == FILTER], *found] if found else []
 
-    def of_wish(
-        self, present: Mapping[str, bytes], rate_hz: float | None, outputs: tuple[str, ...] | None
-    ) -> dict[str, bytes]:
+    def of_wish(self, present: core.Values, wish: core.Wish) -> dict[str, bytes]:
         """Return formats and streams; see `Family.wanted`."""
-        if outputs and "attitude" in outputs and self.attitude == "filter" and FILTER not in self.base_hz:
+        outputs = wish.outputs
+        if "attitude" in (outputs or ()) and self.attitude == "filter" and FILTER not in self.base_hz:
             raise bad_config("this device has no filter to take an attitude from",
                 "use a device file with attitude: imu (imumon devices microstrain)")  # fmt: skip
         result: dict[str, bytes] = {}
@@ -207,7 +206,7 @@ class Mip(Family):
                 continue
             kept = [code for code, _ in formatted(present.get(name, b""))]
             codes = kept if outputs is None else self._fields(outputs, of)
-            by = core.divisor(self.base_hz[of], rate_hz) if codes else 1
+            by = core.divisor(self.base_hz[of], wish.rate_hz) if codes else 1
             result[name] = message_format([(code, by) for code in codes])
             if codes:
                 result[STREAMS[of]] = ON
@@ -215,7 +214,7 @@ class Mip(Family):
             raise core.nothing_to_keep("output", "give --outputs")
         return result
 
-    def kinds(self, values: Mapping[str, bytes]) -> list[PacketKind]:
+    def kinds(self, values: core.Values) -> list[PacketKind]:
         """Return packets of both data sets, as long as they do not exceed 255 bytes of fields."""
         found = list[PacketKind]()
         for of, name in FORMATS.items():
@@ -227,7 +226,7 @@ class Mip(Family):
             found += [PacketKind(of, 6, fields)] if fields else []
         return found
 
-    def rate_hz(self, values: Mapping[str, bytes]) -> float | None:
+    def rate_hz(self, values: core.Values) -> float | None:
         """Return the rate of the formats, also where their streams are off."""
         return super().rate_hz({name: values.get(name, b"") for name in FORMATS.values()})
 
@@ -246,6 +245,8 @@ class Mip(Family):
 
 
 DONE, UNKNOWN, INVALID = 0, 1, 3
+VIRTUAL = ("VIRTUAL", "0000-0001", "1", "", "")
+"""What the virtual device reports of itself."""
 
 
 class MipFirmware(Firmware):
@@ -272,46 +273,37 @@ class MipFirmware(Firmware):
 
     def answer(self, command: Message) -> bytes:
         """Carry a command out."""
+        return acknowledged(command, *self._carried_out(command))
+
+    def _carried_out(self, command: Message) -> tuple[int, bytes | None]:
+        """Carry a command out and return the code of its acknowledgement, and data."""
         there = fields_of(command.payload)
         code, data = there[0] if there else (0, b"")
         if command.kind == BASE:
-            return self._base(command, code)
-        if code == BASE_RATE and not self.family.modern:
-            return acknowledged(command, UNKNOWN)
-        if code in (BASE_RATE, IMU_BASE_RATE, FILTER_BASE_RATE):
-            return acknowledged(command, DONE, data[:1] + USUAL_BASE_HZ.to_bytes(2, "big"))
-        name, of = self._named(command, code, data[1:])
-        if not name:
-            return acknowledged(command, UNKNOWN)
-        if data[:1] == READ:
-            return acknowledged(command, DONE, of + self.volatile[name])
-        if data[:1] == SAVE:
-            self.save(name)
-            return acknowledged(command, DONE)
-        value = data[1 + len(of) :]
-        if data[:1] != APPLY or not self._possible(name, value):
-            return acknowledged(command, INVALID)
-        self.obey(name, value)
-        return acknowledged(command, DONE)
-
-    def _base(self, command: Message, code: int) -> bytes:
-        if code == DEVICE_INFO:
-            texts = ("VIRTUAL", "0000-0001", "1", "", "")
-            info = b"\x04\x01" + b"".join(text.rjust(16).encode() for text in texts)
-            return acknowledged(command, DONE, info)
-        if code not in (PING, IDLE, RESUME):
-            return acknowledged(command, UNKNOWN)
-        if code != PING:
-            self.streaming = code == RESUME
-        return acknowledged(command, DONE)
-
-    def _named(self, command: Message, code: int, data: bytes) -> tuple[str, bytes]:
-        """Return the setting that a command is about, and the selector that it carries; else nothing."""
+            if code in (IDLE, RESUME):
+                self.streaming = code == RESUME
+            info = b"\x04\x01" + b"".join(text.rjust(16).encode() for text in VIRTUAL)
+            known = code in (PING, IDLE, RESUME, DEVICE_INFO)
+            return DONE if known else UNKNOWN, info if code == DEVICE_INFO else None
+        if code in (BASE_RATE, IMU_BASE_RATE, FILTER_BASE_RATE) and (self.family.modern or code != BASE_RATE):
+            return DONE, data[:1] + USUAL_BASE_HZ.to_bytes(2, "big")
         for name in self.family.settings:
             command_set, number, of = self.family.command(name)
-            if (command.kind, code) == (command_set, number) and data.startswith(of):
-                return name, of
-        return "", b""
+            if (command.kind, code) == (command_set, number) and data[1:].startswith(of):
+                return self._settled(name, data[:1], of, data[1 + len(of) :])
+        return UNKNOWN, None
+
+    def _settled(self, name: str, function: bytes, of: bytes, value: bytes) -> tuple[int, bytes | None]:
+        """Apply, read or save a setting; `of` is the selector before its value."""
+        if function == READ:
+            return DONE, of + self.volatile[name]
+        if function == SAVE:
+            self.save(name)
+        elif function == APPLY and self._possible(name, value):
+            self.obey(name, value)
+        else:
+            return INVALID, None
+        return DONE, None
 
     def _possible(self, name: str, value: bytes) -> bool:
         if name == core.BAUD:

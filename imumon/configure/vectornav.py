@@ -5,8 +5,10 @@ base rate, groups, a word of fields for each group), 6 the ASCII output, 5 the b
 volatile memory and $VNWNV saves **all** registers.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from itertools import chain
 
 from imumon.configure import core
 from imumon.configure.core import Family, Message, PacketKind, Request, Sent
@@ -36,9 +38,8 @@ FIELDS: Mapping[str, tuple[str, ...]] = {
 FIELD_OF_PLACE = {place: name for name, place in vectornav.PLACES.items()}
 FAST_HZ, SLOW_HZ = 800, 400
 """Base rate of the binary outputs of a VN-100 (and 110), and of the others."""
-
-
 BAUDRATES = (9600, 19_200, 38_400, 57_600, 115_200, 128_000, 230_400, 460_800, 921_600)
+BAUD_CODES = {rate: str(rate).encode() for rate in BAUDRATES}
 
 
 def frame(text: str) -> bytes:
@@ -46,21 +47,27 @@ def frame(text: str) -> bytes:
     return sentence(f"${text}") + b"\r\n"
 
 
-def request(command: str, meaning: str, echo: str = "", timeout_s: float = 0.5) -> Request:
-    """Return a command; its answer begins with `echo`, or else with the letters of the command."""
-    kind = command[2:5]
+def request(
+    command: str,
+    meaning: str,
+    register: int | None = None,
+    timeout_s: float = 0.5,
+    read: Callable[[bytes], bytes] = bytes,
+) -> Request:
+    """Return a command; its answer has the same letters, and the register if there is one before its value.
 
-    def answer(message: Message) -> bytes | core.Refusal | None:
+    `read`: returns the value in the form that it is written in.
+    """
+
+    def answer(message: Message) -> core.Answer:
         text = message.payload.decode("ascii", "replace")
         first, _, rest = text.partition(",")
         number = int(first) if first.isdecimal() else -1
         if message.kind == "ERR":
             return core.Refusal(f"error {text}: {ERRORS.get(number, 'not a known code')}")
-        if message.kind != kind:
+        if message.kind != command[2:5] or register not in (None, number):
             return None
-        if not echo:
-            return message.payload
-        return rest.encode() if number == int(echo) else None
+        return message.payload if register is None else read(rest.encode())
 
     return Request(meaning, frame(command), answer, timeout_s)
 
@@ -124,6 +131,12 @@ class Output:
 NO_OUTPUT = Output(0, 0, 0, ())
 
 
+def _canonical(name: str, value: bytes) -> bytes:
+    """Return what is read as it would be written: newer firmware adds the number of the port."""
+    is_output = name in (OUTPUT, SECOND, THIRD)
+    return Output.read(value).value if is_output else value.split(b",")[0].lstrip(b"0") or b"0"
+
+
 class VectorNav(Family):
     """Commands of a VectorNav."""
 
@@ -133,18 +146,18 @@ class VectorNav(Family):
     answer_frame = line_frame({b"$VN": "ascii"}, vectornav.body_of)
     title = "VectorNav"
     verified = "lines of other programs and of the vendor's, and the virtual device; never a real unit"
-    baud_codes: Mapping[int, bytes] = {rate: str(rate).encode() for rate in BAUDRATES}
+    baud_codes = BAUD_CODES
     silent_hint = "the binary output may go to the other serial port of the device"
     assumed = (
         f"base rate {FAST_HZ} Hz (VN-100, 110); {SLOW_HZ} Hz for the others: the model is queried first",
         "binary output 1 goes to serial port 1, or where it goes now",
         "binary outputs 2 and 3 are off; where they are not, they are switched off",
     )
-    hello = request("VNRRG,01", "read the model", "1")
+    hello = request("VNRRG,01", "read the model", 1)
     quiet = (request("VNASY,0", "no data while settings change"),)
     resume = (request("VNASY,1", "data again"),)
     save_all = (request("VNWNV", "save all registers", timeout_s=core.SAVE_S),)
-    questions = (hello, request("VNRRG,04", "read the firmware", "4"))
+    questions = (hello, request("VNRRG,04", "read the firmware", 4))
 
     def message(self, packet: bytes) -> Message:
         """Return the letters of the command, and what follows them."""
@@ -161,41 +174,27 @@ class VectorNav(Family):
     def read(self, name: str) -> Request:
         """Return $VNRRG."""
         register = REGISTERS[name]
-        found = request(f"VNRRG,{register:02d}", f"read {name}", str(register))
-        reader = found.answer
-        assert reader is not None
+        return request(f"VNRRG,{register:02d}", f"read {name}", register, read=partial(_canonical, name))
 
-        def canonical(message: Message) -> bytes | core.Refusal | None:
-            value = reader(message)
-            if not isinstance(value, bytes):
-                return value
-            if name in (ASCII, core.BAUD):  # newer firmware adds the number of the port
-                return value.split(b",")[0].lstrip(b"0") or b"0"
-            return Output.read(value).value
-
-        return replace(found, answer=canonical)
-
-    def write(self, name: str, value: bytes) -> tuple[Request, ...]:
+    def write(self, name: str, value: bytes) -> core.Requests:
         """Return $VNWRG."""
         register = REGISTERS[name]
         command = f"VNWRG,{register:02d},{value.decode('ascii')}"
-        return (request(command, f"{name}: {self.describe(name, value)}", str(register)),)
+        return (request(command, f"{name}: {self.describe(name, value)}", register),)
 
-    def of_wish(
-        self, present: Mapping[str, bytes], rate_hz: float | None, outputs: tuple[str, ...] | None
-    ) -> dict[str, bytes]:
+    def of_wish(self, present: core.Values, wish: core.Wish) -> dict[str, bytes]:
         """Return the first binary output; the others and the ASCII output off.  See `Family.wanted`."""
         now = {name: Output.read(present[name]) for name in (OUTPUT, SECOND, THIRD) if name in present}
         old = now.get(OUTPUT, NO_OUTPUT)
-        by, port = core.divisor(self.base_hz, rate_hz), old.port or 1
-        if outputs is not None:
-            new = Output.of(port, by, ["Common.TimeStartup", *(x for name in outputs for x in FIELDS[name])])
+        by, port = core.divisor(self.base_hz, wish.rate_hz), old.port or 1
+        if wish.outputs is not None:
+            names = ["Common.TimeStartup", *chain(*(FIELDS[name] for name in wish.outputs))]
+            new = Output.of(port, by, names)
         elif old.on:
             new = Output(port, by, old.groups, old.words)
         else:
             raise core.nothing_to_keep("binary output", "give --outputs")
-        others = [name for name in (SECOND, THIRD) if now.get(name, NO_OUTPUT).on]
-        off = {name: replace(now[name], port=0).value for name in others}
+        off = {n: replace(one, port=0).value for n, one in now.items() if n != OUTPUT and one.on}
         return {ASCII: b"0", **off, OUTPUT: new.value}
 
     def settled(self, name: str, wanted: bytes, found: bytes) -> bool:
@@ -203,14 +202,13 @@ class VectorNav(Family):
         off = name in (OUTPUT, SECOND, THIRD) and not (Output.read(wanted).on or Output.read(found).on)
         return off or wanted == found
 
-    def kinds(self, values: Mapping[str, bytes]) -> list[PacketKind]:
+    def kinds(self, values: core.Values) -> list[PacketKind]:
         """Return the packets of the binary outputs."""
         outputs = [Output.read(values[name]) for name in (OUTPUT, SECOND, THIRD) if name in values]
-        sent = [(output, output.contents) for output in outputs if output.on]
         return [
             PacketKind(one.port, found.end + 2, [Sent(name, 0, self.base_hz / one.by) for name in one.names])
-            for one, found in sent
-            if found is not None
+            for one in outputs
+            if one.on and (found := one.contents) is not None
         ]
 
     def meaning(self, name: str, value: bytes) -> str:
@@ -250,7 +248,7 @@ class VectorNavFirmware(Firmware):
 
     def answer(self, command: Message) -> bytes:
         """Carry a command out."""
-        kind, text = str(command.kind), command.payload.decode()
+        kind, text = command.kind, command.payload.decode()
         if kind == "ASY" and text in ("0", "1"):
             self.streaming = text == "1"
             return frame(f"VNASY,{text}")
@@ -259,19 +257,15 @@ class VectorNavFirmware(Firmware):
             return frame("VNWNV")
         first, _, value = text.partition(",")
         register = int(first) if first.isdigit() else -1
-        if kind not in ("RRG", "WRG"):
-            return frame(f"VNERR,{INVALID_COMMAND:02d}")
-        if kind == "RRG" and register in IDENTITY:
-            return frame(f"VNRRG,{register:02d},{IDENTITY[register]}")
         name = NAMES.get(register)
-        if name is None:
-            return frame(f"VNERR,{INVALID_REGISTER:02d}")
-        if kind == "RRG":
-            return frame(f"VNRRG,{register:02d},{self.volatile[name].decode()}")
-        if not _possible(name, value.encode()):
-            return frame(f"VNERR,{INVALID_PARAMETER:02d}")
-        self.obey(name, value.encode())
-        return frame(f"VNWRG,{register:02d},{value}")
+        if kind == "RRG" and (name or register in IDENTITY):
+            value = self.volatile[name].decode() if name else IDENTITY[register]
+        elif kind == "WRG" and name and _possible(name, value.encode()):
+            self.obey(name, value.encode())
+        else:
+            known = INVALID_PARAMETER if name else INVALID_REGISTER
+            return frame(f"VNERR,{known if kind in ('RRG', 'WRG') else INVALID_COMMAND:02d}")
+        return frame(f"VN{kind},{register:02d},{value}")
 
     def kinds(self) -> list[PacketKind]:
         """Return the packets of the binary outputs that go to port 1."""

@@ -29,7 +29,7 @@ RATES = {1: 0.2, 2: 0.5, 3: 1.0, 4: 2.0, 5: 5.0, 6: 10.0, 7: 20.0, 8: 50.0, 9: 1
 FIRST_FRAME = 0x50
 NOT_ENCODED = ("time", "position")
 BAUDRATES = (4800, 9600, 19_200, 38_400, 57_600, 115_200, 230_400, 460_800, 921_600)
-"""By their codes, from 1 on."""
+BAUD_CODES = {rate: bytes([code, 0]) for code, rate in enumerate(BAUDRATES, 1)}
 BITS = ("time", "accel with temperature", "gyro", "angle", "mag", "ports", "pressure", "position", "speed",
         "quaternion", "satellites")  # fmt: skip
 """Frames by the bits of the content register, the first is 0x50."""
@@ -47,7 +47,7 @@ def frame(register: int, value: bytes) -> bytes:
     return b"\xff\xaa" + bytes([register]) + value
 
 
-def _registers(message: Message) -> bytes | core.Refusal | None:
+def _registers(message: Message) -> core.Answer:
     """Return the first of the four registers of an answer."""
     return message.payload[:2] if message.kind == REGISTER_ANSWER else None
 
@@ -62,7 +62,7 @@ class WitMotion(Family):
     answer_frame = Frame({b"\x55": "register"}, fixed_length(SIZE), Checksum("sum8"))
     title = "WitMotion"
     verified = "codes of the vendor's sample code, and the virtual device; never a real unit"
-    baud_codes: Mapping[int, bytes] = {rate: bytes([code, 0]) for code, rate in enumerate(BAUDRATES, 1)}
+    baud_codes = BAUD_CODES
     columns = {name: core.USUAL_COLUMNS[name] for name in FRAMES} | {"attitude": "roll"}
     settings = tuple(REGISTERS)
     hello = _read(RATE)
@@ -76,35 +76,33 @@ class WitMotion(Family):
         """Return a read; its answer has four registers, of which the first is meant."""
         return _read(name)
 
-    def write(self, name: str, value: bytes) -> tuple[Request, ...]:
+    def write(self, name: str, value: bytes) -> core.Requests:
         """Return the unlocking and the write, which nothing answers."""
         meaning = f"{name}: {self.describe(name, value)}"
         return OPENING, Request(meaning, frame(REGISTERS[name], value), None, PAUSE_S)
 
-    def of_wish(
-        self, present: Mapping[str, bytes], rate_hz: float | None, outputs: tuple[str, ...] | None
-    ) -> dict[str, bytes]:
+    def of_wish(self, present: core.Values, wish: core.Wish) -> dict[str, bytes]:
         """Return content and rate, as far as they change."""
         result: dict[str, bytes] = {}
-        if outputs is not None:
-            result[CONTENT] = reduce(or_, (FRAMES[name] for name in outputs), 0).to_bytes(2, "little")
+        if wish.outputs is not None:
+            result[CONTENT] = reduce(or_, (FRAMES[name] for name in wish.outputs), 0).to_bytes(2, "little")
         elif present and not any(present[CONTENT]):
             raise core.nothing_to_keep("output", "give --outputs")
-        if rate_hz is not None:
-            near = [code for code, rate in RATES.items() if abs(rate / rate_hz - 1) <= core.CLOSE_ENOUGH]
+        if wish.rate_hz is not None:
+            near = [code for code, rate in RATES.items() if abs(rate / wish.rate_hz - 1) <= core.CLOSE_ENOUGH]
             if not near:
-                raise core.no_rate(rate_hz, tuple(RATES.values()), "the device has a list of rates")
+                raise core.no_rate(wish.rate_hz, tuple(RATES.values()), "the device has a list of rates")
             result[RATE] = bytes([near[0], 0])
         return result
 
-    def kinds(self, values: Mapping[str, bytes]) -> list[PacketKind]:
+    def kinds(self, values: core.Values) -> list[PacketKind]:
         """Return a frame for each quantity of a sample."""
         content, rate = int.from_bytes(values[CONTENT], "little"), self.rate_hz(values) or 0.0
         frames = [TYPES.get(FIRST_FRAME + bit) for bit in range(16) if content >> bit & 1]
         names = [frame.name if frame and frame.name not in NOT_ENCODED else "" for frame in frames]
         return [PacketKind(0, 0, [Sent(name, SIZE, rate) for name in names])]
 
-    def rate_hz(self, values: Mapping[str, bytes]) -> float | None:
+    def rate_hz(self, values: core.Values) -> float | None:
         """Return the rate of all frames."""
         return RATES.get(values[RATE][0])
 

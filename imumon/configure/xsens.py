@@ -25,8 +25,8 @@ KINDS = {OUTPUT: SET_OUTPUT_CONFIGURATION, core.BAUD: SET_BAUDRATE}
 ENTRY = ">HH"
 """Identifier and rate of an output."""
 WITH_EVERY_PACKET = 0xFFFF
-BAUD_CODES = {0x02: 115_200, 0x0A: 921_600, 0x00: 460_800, 0x01: 230_400, 0x04: 57_600, 0x05: 38_400,
-              0x07: 19_200, 0x09: 9600, 0x0C: 2_000_000}  # fmt: skip
+BAUD_CODES = {115_200: b"\x02", 921_600: b"\x0a", 460_800: b"\x00", 230_400: b"\x01", 57_600: b"\x04",
+              38_400: b"\x05", 19_200: b"\x07", 9600: b"\x09", 2_000_000: b"\x0c"}  # fmt: skip
 OLD_921600 = b"\x80"
 """Another code for 921600 baud, of older units."""
 
@@ -55,7 +55,7 @@ def frame(kind: int, payload: bytes = b"") -> bytes:
 def request(kind: int, payload: bytes = b"", meaning: str = "", timeout_s: float = core.SAVE_S) -> Request:
     """Return a request; its answer has the next number, an Error message refuses."""
 
-    def answer(message: Message) -> bytes | core.Refusal | None:
+    def answer(message: Message) -> core.Answer:
         if message.kind == mtdata.ERROR:
             code = message.payload[0] if message.payload else 0
             return core.Refusal(f"error {code}: {mtdata.ERRORS.get(code, 'not a known code')}")
@@ -84,7 +84,7 @@ class Xsens(Family):
     stores_at_once = True
     hello_quiets = True
     reset_s = 5.0
-    baud_codes: Mapping[int, bytes] = {rate: bytes([code]) for code, rate in BAUD_CODES.items()}
+    baud_codes = BAUD_CODES
     hello = request(GO_TO_CONFIG, timeout_s=0.5)  # measuring, an MTi answers nothing else
     quiet = (request(GO_TO_CONFIG),)
     resume = (request(GO_TO_MEASUREMENT),)
@@ -106,16 +106,15 @@ class Xsens(Family):
         kind = KINDS[name]
         return request(kind, meaning=f"read {name} ({mtdata.NAMES[kind]} without data)")
 
-    def write(self, name: str, value: bytes) -> tuple[Request, ...]:
+    def write(self, name: str, value: bytes) -> core.Requests:
         """Return the request with data; a baud rate needs a reset."""
         kind = KINDS[name]
         write = request(kind, value, f"{mtdata.NAMES[kind]}: {self.describe(name, value)}")
         return (write,) if name == OUTPUT else (write, request(RESET))
 
-    def of_wish(
-        self, present: Mapping[str, bytes], rate_hz: float | None, outputs: tuple[str, ...] | None
-    ) -> dict[str, bytes]:
+    def of_wish(self, present: core.Values, wish: core.Wish) -> dict[str, bytes]:
         """Return the output configuration; see `Family.wanted`."""
+        rate_hz, outputs = wish.rate_hz, wish.outputs
         if rate_hz is None:
             raise core.nothing_to_keep("rate", "give --rate")
         if rate_hz not in RATES:
@@ -148,7 +147,7 @@ class Xsens(Family):
             for (code, a), (_, b) in zip(pairs, there, strict=True)
         )
 
-    def kinds(self, values: Mapping[str, bytes]) -> list[PacketKind]:
+    def kinds(self, values: core.Values) -> list[PacketKind]:
         """Return MTData2 messages."""
         pairs = entries(values[OUTPUT])
         fastest = max((rate for _, rate in pairs if rate != WITH_EVERY_PACKET), default=0)
@@ -195,22 +194,19 @@ class XsensFirmware(Firmware):
     def answer(self, command: Message) -> bytes:
         """Carry a command out; in the state of measurement only that which ends it."""
         kind, data = int(command.kind), command.payload
-        if kind == GO_TO_CONFIG:
-            self.streaming = False
-            return frame(kind + 1)
-        if self.streaming:
+        if self.streaming and kind != GO_TO_CONFIG:
             return b""
-        if kind == GO_TO_MEASUREMENT:
-            self.streaming = True
+        if kind in (GO_TO_CONFIG, GO_TO_MEASUREMENT):
+            self.streaming = kind == GO_TO_MEASUREMENT
             return frame(kind + 1)
         if kind == RESET:
             self.power_on()
             return frame(kind + 1)
         if kind in IDENTITY:
             return frame(kind + 1, IDENTITY[kind])
-        name = NAMED.get(kind)
-        if name is None:
+        if kind not in NAMED:
             return frame(mtdata.ERROR, bytes([INVALID_MESSAGE]))
+        name = NAMED[kind]
         if data:
             if name == core.BAUD and data not in self.family.baud_codes.values():
                 return frame(mtdata.ERROR, bytes([NO_SUCH_BAUDRATE]))

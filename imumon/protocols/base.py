@@ -100,10 +100,7 @@ class Encoder:
         self._kinds = kinds
 
     def encode(self, block: SampleBlock) -> list[bytes]:
-        """Return the bytes of each row; columns that the block lacks are sent as zero.
-
-        Counters and clocks wrap as in the device.  What is missing is sent as NaN, or as zero where the
-        number has no NaN.
+        """Return the bytes of each row; what is missing is sent as NaN, or else as zero.
 
         Raises BAD_DATA when a value does not fit the field that carries it.
         """
@@ -111,10 +108,7 @@ class Encoder:
 
 
 def chosen(names: Sequence[str], there: Mapping[str, T], what: str) -> list[T]:
-    """Return what is sent, by its names.
-
-    Raises BAD_CONFIG when there is nothing of a name, or nothing to send.
-    """
+    """Return what is sent, by its names; raises BAD_CONFIG where there is no such, or nothing to send."""
     for name in names:
         if name not in there:
             known = ", ".join(sorted(there))

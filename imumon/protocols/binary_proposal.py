@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from imumon.blocks import BoolArray, IntArray
+from imumon.blocks import BoolArray, FloatArray, IntArray
 from imumon.protocols.base import ByteArray
 from imumon.protocols.framing import CHECKSUM_NAMES, Checksum, integers, windows
 from imumon.protocols.text_proposal import file_head
@@ -32,8 +32,7 @@ COVERED_UNCHECKED = 0.8
 RIGHT = 0.3
 LEAST_RIGHT = 5
 """Share and number of packets whose checksum must fit: 0.3 of 120 bytes with 1 % of bytes damaged."""
-TRIED_PACKETS = 24
-TRIED_PATTERNS = 8
+TRIED_PACKETS, TRIED_PATTERNS = 24, 8
 FIRSTS = np.arange(9)
 """Places at which a checksum may begin: it often leaves out the sync pattern."""
 UNITS = {"us": 1e-6, "ms": 1e-3}
@@ -44,6 +43,8 @@ HIGH_BYTES = (0x00, 0xFF)
 """Such a byte behind a sync pattern is more often the high byte of a counter or of a small reading."""
 COUNTS = 0.8
 """Share of the packets that must count on from the one before."""
+OFF_RATE = 0.4
+"""Largest error of a clock's rate, relative: packets are lost, and the rate is that of a short time."""
 BYTES_PER_LINE = 8
 MOSTLY_TEXT = 0.95
 """Share of printable bytes from which a stream is text, whose lines may all be of one length."""
@@ -66,13 +67,12 @@ def propose(data: bytes, seconds: float, baudrate: int | None) -> Proposal | Non
     """
     held = np.frombuffer(data[:MOST_BYTES], np.uint8)
     seconds *= len(held) / max(len(data), 1)
-    best: Proposal | None = None
+    found = list[Proposal]()
     for anchors, length in _repeating(held):
-        found = _proposal(held, anchors, length, seconds, baudrate)
-        best = max((one for one in (best, found) if one is not None), default=None, key=lambda one: one[:2])
-        if found is not None and found.checked:
+        found += _proposed(held, anchors, length, seconds, baudrate)
+        if found and found[-1].checked:
             break
-    return best
+    return max(found, key=lambda one: one[:2], default=None)
 
 
 def _repeating(held: ByteArray) -> list[tuple[IntArray, int]]:
@@ -91,39 +91,38 @@ def _repeating(held: ByteArray) -> list[tuple[IntArray, int]]:
         if len(lengths) == 1:
             length = int(lengths[0])
             covered = float(count[length] * length) / len(held)
-            if covered > (best[length][0] if length in best else COVERED):
+            if covered > best.get(length, (COVERED,))[0]:
                 best[length] = covered, at
     tried = sorted(best, key=lambda length: -best[length][0])[:TRIED_PATTERNS]
     return [(best[length][1], length) for length in tried]
 
 
-def _proposal(
+def _proposed(
     held: ByteArray, anchors: IntArray, length: int, seconds: float, baudrate: int | None
-) -> Proposal | None:
-    """Return the device file for packets of a length that repeat a pattern at these places."""
+) -> Iterator[Proposal]:
+    """Yield the device file for packets of a length that repeat a pattern at these places, if any."""
     at = anchors[:-1][np.diff(anchors) == length]
     shift, check = _beginning(held, at, length)
-    if shift is None:
-        return None
-    at = _whole(held, at + shift, length)
-    packets = windows(held, at, length)
+    at, packets = _whole(held, at + shift, length)
     covered = packets.size / len(held)
-    if covered < (COVERED if check else COVERED_UNCHECKED):
-        return None
-    rate = len(at) / seconds if seconds > 0 else 0.0
-    rate_text = f"{max(rate / covered, 0.01):.3g}  # in {seconds:.2g} s"
-    text = [
-        "# Proposed from what came; the reasons stand beside the lines.  Look at it before you trust it.",
-        f"# {covered:.0%} of the bytes are in {len(at)} packets that begin alike, with another behind.",
-        *file_head("binary packets", "fixed", baudrate, rate_text),
-        "packet:", *(f"  {line}" for line in _layout(at, packets, check, rate)), "",
-    ]  # fmt: skip
-    return Proposal(check is not None, covered, "\n".join(text))
+    constant = _constant(packets)
+    begins_alike = check is not None or (constant[:2].all() and not constant.all())
+    if begins_alike and covered >= (COVERED if check else COVERED_UNCHECKED):
+        rate = len(at) / seconds if seconds > 0 else 0.0
+        rate_text = f"{max(rate / covered, 0.01):.3g}  # in {seconds:.2g} s"
+        text = [
+            "# Proposed from what came; the reasons stand beside the lines.  Look at it before you trust it.",
+            f"# {covered:.0%} of the bytes are in {len(at)} packets that begin alike, with another behind.",
+            *file_head("binary packets", "fixed", baudrate, rate_text),
+            "packet:", *(f"  {line}" for line in _layout(at, packets, check, rate)), "",
+        ]  # fmt: skip
+        yield Proposal(check is not None, covered, "\n".join(text))
 
 
-def _whole(held: ByteArray, at: IntArray, length: int) -> IntArray:
-    """Return the places from which on there are so many bytes."""
-    return at[(at >= 0) & (at + length <= len(held))]
+def _whole(held: ByteArray, at: IntArray, length: int) -> tuple[IntArray, ByteArray]:
+    """Return the places from which on there are so many bytes, and these, (n, length)."""
+    at = at[(at >= 0) & (at + length <= len(held))]
+    return at, windows(held, at, length)
 
 
 def _constant(packets: ByteArray) -> BoolArray:
@@ -131,9 +130,9 @@ def _constant(packets: ByteArray) -> BoolArray:
     return np.asarray(np.mean(packets == np.median(packets, axis=0), axis=0) >= CONSTANT)
 
 
-def _beginning(held: ByteArray, anchors: IntArray, length: int) -> tuple[int | None, Checksum | None]:
-    """Return where packets begin, from the pattern on, and their checksum; None where it is not known."""
-    constant = _constant(windows(held, _whole(held, anchors, length), length))
+def _beginning(held: ByteArray, anchors: IntArray, length: int) -> tuple[int, Checksum | None]:
+    """Return where packets begin, from the pattern on, and their checksum, where one fits."""
+    constant = _constant(_whole(held, anchors, length)[1])
     begins = np.flatnonzero(constant & ~np.roll(constant, 1))
     # The high byte of a sum may be constant as well: then the packet begins behind it.
     places = np.append(begins, (begins + 1) % length)
@@ -141,14 +140,13 @@ def _beginning(held: ByteArray, anchors: IntArray, length: int) -> tuple[int | N
     shifts = np.where(places > length // 2, places - length, places).tolist()
     fitting = list[tuple[float, int, int, Checksum]]()
     for shift in shifts:
-        packets = np.unique(windows(held, _whole(held, anchors + shift, length), length), axis=0)
+        packets = np.unique(_whole(held, anchors + shift, length)[1], axis=0)
         packets = packets[np.linspace(0, len(packets) - 1, min(len(packets), TRIED_PACKETS)).astype(int)]
         fitting += [(right, check.size, shift, check) for right, check in _fitting(packets)]
     if fitting:
         return max(fitting, key=lambda found: found[:2])[2:]
-    runs = {s: int(np.argmin(np.append(np.roll(constant, -s), False))) for s in shifts}
-    longest = max(runs, key=lambda s: runs[s], default=0)
-    return (None, None) if constant.all() or runs.get(longest, 0) < 2 else (longest, None)
+    # The longest run of constant bytes.
+    return max(shifts, key=lambda s: int(np.argmin(np.append(np.roll(constant, -s), False))), default=0), None
 
 
 def _fitting(packets: ByteArray) -> Iterator[tuple[float, Checksum]]:
@@ -162,7 +160,7 @@ def _fitting(packets: ByteArray) -> Iterator[tuple[float, Checksum]]:
             first, last = (begin[:, np.newaxis] + firsts).reshape(-1), begin + size - check.size
             values = check.values(held, first, last.repeat(len(firsts))).reshape(n, -1)
             for big in (False, True)[: check.size]:
-                stored = integers(held, begin + size - check.size, check.size, big)
+                stored = integers(held, last, check.size, big)
                 right = np.sum(values == stored[:, np.newaxis], axis=0)
                 k = int(np.argmax(right))
                 if right[k] >= max(LEAST_RIGHT, RIGHT * n) and len(np.unique(stored)) >= LEAST_RIGHT:
@@ -171,7 +169,7 @@ def _fitting(packets: ByteArray) -> Iterator[tuple[float, Checksum]]:
 
 def _layout(at: IntArray, packets: ByteArray, check: Checksum | None, rate: float) -> Iterator[str]:
     """Yield the description of the packets."""
-    length = packets.shape[1]
+    n, length = packets.shape
     constant, usual = _constant(packets), np.median(packets, axis=0).astype(int)
     sync = int(np.argmin(np.append(constant[:LONGEST_SYNC], False)))
     if check is not None and 2 <= check.first < sync:
@@ -182,15 +180,22 @@ def _layout(at: IntArray, packets: ByteArray, check: Checksum | None, rate: floa
     known = np.ones(length, np.bool_)
     known[sync:end] = False
     follows = np.diff(at) == length
-    before, after = packets[:-1][follows], packets[1:][follows]
-    enough = len(before) >= LEAST_PACKETS // 2
-    fields = [*_counter(before, after, known), *_clock(before, after, known, rate)] if enough else []
+    enough = np.sum(follows) >= LEAST_PACKETS // 2
+    fields = [*_rising(packets[:-1][follows], packets[1:][follows], known, rate)] if enough else []
     yield f"length: {length}"
     yield f"byte_order: {'big' if any(order == 'big' for _, _, order in fields) else 'little'}"
     if sync > 2 and (check is None or check.first < sync):
         yield "# The last may be data that did not change: turn the unit, and see whether packets get lost."
     yield f"sync: [{', '.join(f'0x{byte:02X}' for byte in usual[:sync])}]"
-    yield from _checksum_lines(packets, check, end)
+    if check is None:
+        yield "# No checksum that imumon knows fits at the end: where a packet begins is a guess, and at"
+        yield "# another baud rate the bytes may repeat as well."
+        yield "checksum: {type: none, first: 0, last: 0, at: 0}"
+    else:
+        order = f", byte_order: {'big' if check.big else 'little'}" if check.size > 1 else ""
+        right = np.count_nonzero(check(packets.reshape(-1), np.arange(n) * length, np.full(n, length)))
+        keys = f"type: {check.name}, first: {check.first}, last: {end - 1}, at: {end}, zeros: {check.zeros}"
+        yield f"checksum: {{{keys}{order}}}  # right in {right} of {n} packets"
     yield "fields:"
     for why, keys, _ in fields:
         yield f"  # {why}"
@@ -203,62 +208,49 @@ def _layout(at: IntArray, packets: ByteArray, check: Checksum | None, rate: floa
             yield f"  - {{at: {part[0]}, type: u8, columns: [{names}]}}"
 
 
-def _checksum_lines(packets: ByteArray, check: Checksum | None, end: int) -> Iterator[str]:
-    """Yield what the device file states of the checksum, which stands behind `end` bytes."""
-    if check is None:
-        yield "# No checksum that imumon knows fits at the end: where a packet begins is a guess, and at"
-        yield "# another baud rate the bytes may repeat as well."
-        yield "checksum: {type: none, first: 0, last: 0, at: 0}"
-        return
-    n, length = packets.shape
-    order = f", byte_order: {'big' if check.big else 'little'}" if check.size > 1 else ""
-    zeros = f", zeros: {check.zeros}" if check.zeros else ""
-    right = check(packets.reshape(-1), np.arange(n) * length, np.full(n, length))
-    keys = f"type: {check.name}, first: {check.first}, last: {end - 1}, at: {end}{order}{zeros}"
-    yield f"checksum: {{{keys}}}  # right in {np.count_nonzero(right)} of {n} packets"
-
-
-def _counter(before: ByteArray, after: ByteArray, known: BoolArray) -> Iterator[tuple[str, str, str]]:
-    """Yield the word, or else the byte, that rises by one a packet, and mark it as known."""
-    for size, order in ((2, "big"), (2, "little"), (1, "big")):
-        step, free = _steps(before, after, known, size, order)
-        numbers = _numbers(after, size, order)
-        # The low byte of a word carries, and a byte has all its bits: other counters stay unknown.
-        whole = np.any((step == 1) & (numbers & 0xFF == 0 if size == 2 else numbers > 0x7F), axis=0)
-        for k in np.flatnonzero(free & whole & (np.mean(step == 1, axis=0) >= COUNTS))[:1].tolist():
-            known[k : k + size] = True
-            yield "rises by one a packet", f"at: {k}, type: u{8 * size}, column: packet_counter", order
-            return
-
-
-def _clock(
+def _rising(
     before: ByteArray, after: ByteArray, known: BoolArray, rate: float
 ) -> Iterator[tuple[str, str, str]]:
-    """Yield the number of 32 bits that rises as time does, in a unit that fits the rate."""
-    best = (0.4, "", 0, "", 0.0)
-    for order in ("big", "little"):
-        step, free = _steps(before, after, known, 4, order)
-        middle = np.median(step, axis=0)
-        steady = free & (middle > 1) & (np.mean(np.abs(step - middle) <= 0.2 * middle, axis=0) >= COUNTS)
-        for k in np.flatnonzero(steady).tolist():
-            for unit, size in UNITS.items():
-                best = min(best, (abs(middle[k] * size * rate - 1.0), unit, k, order, float(middle[k])))
-    _, unit, k, order, middle_step = best
-    if unit:
+    """Yield the packet counter and the clock with reason, keys and byte order; mark their bytes as known.
+
+    The counter rises by one a packet; the clock has 32 bits, and rises as time does in a unit that fits the
+    rate.
+    """
+    counter = list[tuple[str, str, str]]()
+    for size, order in ((2, "big"), (2, "little"), (1, "big")):
+        step, is_whole = _steps(before, after, known, size, order)
+        for k in np.flatnonzero(is_whole & (step == 1.0))[: 1 - len(counter)].tolist():
+            known[k : k + size] = True
+            keys = f"at: {k}, type: u{8 * size}, column: packet_counter"
+            counter.append(("rises by one a packet", keys, order))
+    yield from counter
+    found = [
+        (abs(step[k] * unit_s * rate - 1.0), unit, int(k), order, float(step[k]))
+        for order in ("big", "little")
+        for step, _ in [_steps(before, after, known, 4, order)]
+        for k in np.flatnonzero(step > 1.0)
+        for unit, unit_s in UNITS.items()
+    ]
+    off, unit, k, order, step_of_clock = min(found, default=(1.0, "", 0, "", 0.0))
+    if off < OFF_RATE:
         known[k : k + 4] = True
-        why = f"rises by {middle_step:.6g} a packet: at {rate:.4g} packets a second that is {unit}"
+        why = f"rises by {step_of_clock:.6g} a packet: at {rate:.4g} packets a second that is {unit}"
         yield why, f"at: {k}, type: u32, column: device_ticks, unit: {unit}", order
-
-
-def _numbers(packets: ByteArray, size: int, order: str) -> IntArray:
-    """Return the unsigned numbers of `size` bytes that begin at each byte, (n, length - size + 1)."""
-    of_bytes = sliding_window_view(packets, size, axis=1).astype(np.int64)
-    return of_bytes @ 256 ** np.arange(size)[:: -1 if order == "big" else 1]
 
 
 def _steps(
     before: ByteArray, after: ByteArray, known: BoolArray, size: int, order: str
-) -> tuple[IntArray, BoolArray]:
-    """Return the differences of such numbers, modulo their size, and which have no byte that is known."""
-    step = (_numbers(after, size, order) - _numbers(before, size, order)) & (1 << 8 * size) - 1
-    return step, np.asarray(~sliding_window_view(known, size).any(axis=1))
+) -> tuple[FloatArray, BoolArray]:
+    """Return by how much the number of `size` bytes from each byte on rises a packet; whether it counts.
+
+    NaN where it does not rise evenly, or a byte is known.  In counting, the low byte of a word carries, and a
+    byte has all its bits: other counters stay unknown.
+    """
+    weights = 256 ** np.arange(size)[:: -1 if order == "big" else 1]
+    first, second = (sliding_window_view(x, size, axis=1).astype(np.int64) @ weights for x in (before, after))
+    step = second - first & (1 << 8 * size) - 1
+    middle = np.median(step, axis=0)
+    even = np.mean(np.abs(step - middle) <= 0.2 * middle, axis=0) >= COUNTS
+    free = ~sliding_window_view(known, size).any(axis=1)
+    is_whole = np.any((step == 1) & (second & 0xFF == 0 if size == 2 else second > 0x7F), axis=0)
+    return np.where(even & free, middle, np.nan), is_whole

@@ -70,8 +70,7 @@ class Decoder:
     def columns(self) -> tuple[Column, ...]:
         """Columns of the blocks that `take` returns now; a device may begin to send more."""
         self._search(final=False)
-        names = sorted(self._columns, key=lambda name: (_ORDER.get(name, len(_ORDER)), name))
-        return tuple(self._columns[name] for name in names)
+        return tuple(sorted(self._columns.values(), key=lambda c: (_ORDER.get(c.name, len(_ORDER)), c.name)))
 
     @property
     def possible_columns(self) -> tuple[Column, ...]:
@@ -102,7 +101,7 @@ class Decoder:
         """Return the packets decoded since the last call, with all columns that have come so far."""
         self._search(final=False)
         done, self._done = self._done, []
-        block = join([part.block for part in done]) if done else SampleBlock({})
+        block = join([part.block for part in done])
         groups = np.concatenate([np.zeros(0, np.int64), *(part.groups for part in done)])
         columns = {
             column.name: block[column.name] if column.name in block else missing(len(groups), column.dtype)
@@ -146,7 +145,6 @@ class Decoder:
         )
 
     def _by_type(self) -> dict[str, int]:
-        """Return the number of packets of each kind."""
         return dict(zip(self._names, self._by_kind.tolist(), strict=True))
 
     def _report(self, text: str) -> None:

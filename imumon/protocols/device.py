@@ -135,10 +135,7 @@ def device_text(name: str) -> tuple[str, str]:
 
 
 def parse_device(text: str, source: str) -> DeviceFile:
-    """Read the text of a device file.
-
-    Raises BAD_CONFIG, naming file and line, what was found and what was expected.
-    """
+    """Read the text of a device file; raises BAD_CONFIG as `load_device`."""
     header = parse_yaml(text, _Header, source)
     device = parse_yaml(text, resolve_name(PROTOCOLS[header.protocol]), source)
     assert isinstance(device, DeviceFile)

@@ -1,7 +1,4 @@
-"""Devices that send packets of fixed lengths, which their files describe alone: decoder and encoder.
-
-A packet has sync bytes, a length, a checksum and fields, all of it data of the device file.
-"""
+"""Devices that send packets of fixed lengths, which their files describe alone: decoder and encoder."""
 
 from collections.abc import Sequence
 from fractions import Fraction
@@ -51,10 +48,7 @@ class LengthField(StrictModel):
 
 
 class ChecksumField(StrictModel):
-    """Which checksum, over which bytes (first and last included), and where it stands.
-
-    `zeros` bytes, which are not sent, count as if they followed the last.
-    """
+    """A checksum of the bytes from `first` to `last` and of `zeros` bytes behind, which are not sent."""
 
     type: ChecksumName
     first: NonNegativeInt
@@ -129,10 +123,7 @@ class NumberField(StrictModel):
 
 
 class PacketField(NumberField):
-    """A number at a place of a packet.
-
-    A mask picks bits out of an unsigned field and shifts them down to bit 0.
-    """
+    """A number at a place of a packet; a mask picks bits of an unsigned one and shifts them down to bit 0."""
 
     at: NonNegativeInt
     byte_order: ByteOrder | None = None
@@ -160,10 +151,7 @@ class PacketField(NumberField):
 
 
 def timing_of(fields: Sequence[NumberField], rate_hz: float | None) -> Timing:
-    """Return how a device counts time: the width of its counter and of its clock, and the tick.
-
-    Of several counters or clocks the last counts.
-    """
+    """Return how a device counts time; of several counters or clocks the last counts."""
     by_name = {name: field for field in fields for name in field.names}
     counter, ticks = by_name.get("packet_counter"), by_name.get("device_ticks")
     tick_ns, tick_bits = None, 0

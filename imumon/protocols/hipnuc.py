@@ -14,7 +14,7 @@ from imumon.blocks import BoolArray, IntArray
 from imumon.geodesy import STANDARD_GRAVITY
 from imumon.protocols.base import ByteArray, Timing
 from imumon.protocols.framing import Checksum, Frame, counted_length, windows
-from imumon.protocols.messages import FamilyDecoder, Message, Part, counted, field, floats, gap, real
+from imumon.protocols.messages import FamilyDecoder, Message, Part, axes, counted, field, floats, gap, real
 from imumon.protocols.numbers import count, known, number, vector
 
 SYNC = b"\x5a\xa5"
@@ -59,7 +59,7 @@ BITS: dict[int, Part] = {
     6: gap(8),
     7: floats("pressure"),
     8: floats("temperature"),
-    9: floats(vector("inclination", "deg", "of the axis")),
+    9: axes("inclination", "deg", "of the axis"),
     10: _several("", "m", "displacement"),
     11: _several("_frequency", "Hz", "frequency"),
     12: floats(VELOCITY_ENU),
@@ -71,7 +71,7 @@ BITS: dict[int, Part] = {
     18: real("correction_age", "s", "of differential corrections"),
     19: counted("node", "number of the node", "u8") + gap(3),
     30: floats([number(f"gnss_{c.name}", c.unit, "of the receiver") for c in PLACE], kind="f64"),
-    31: floats(vector("gnss_velocity", "m/s", "of the receiver")),
+    31: axes("gnss_velocity", "m/s", "of the receiver"),
 }
 """Fields of 0x83.
 

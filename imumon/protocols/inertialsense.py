@@ -11,7 +11,7 @@ import numpy as np
 from imumon.blocks import ColumnArray
 from imumon.protocols.base import LONGEST_PACKET, Timing
 from imumon.protocols.framing import Checksum, Frame, counted_length
-from imumon.protocols.messages import FamilyDecoder, counted, field, floats, gap, real
+from imumon.protocols.messages import FamilyDecoder, axes, counted, field, floats, gap, real
 from imumon.protocols.numbers import Columns, Derived, known, number, vector
 
 SYNC = b"\xef\x49"
@@ -26,7 +26,7 @@ TIME, STATUS = floats("device_ticks", 1e9, "f64"), floats("status", kind="u32")
 DELTA_TIME = [number("delta_time", "s", "time over which the increments were summed")]
 THETA = vector("delta_theta", "rad", "rotation over the sample")
 DELTA_VELOCITY = vector("delta_velocity", "m/s", "velocity increment")
-BODY_VELOCITY = floats(vector("velocity_body", "m/s", "velocity in the body frame"))
+BODY_VELOCITY = axes("velocity_body", "m/s", "velocity in the body frame")
 OF_FILTER = (
     *counted("gps_week", "GPS week", "u32"),
     *real("gps_time_of_week", "s", "GPS", "f64"),

@@ -89,7 +89,6 @@ _BEFORE_EXTRA = Checksum("crc16-mcrf4xx", zeros=1)
 
 
 def _number(held: ByteArray, at: IntArray, header: int) -> IntArray:
-    """Return the number of each message."""
     size = 1 if header == HEADERS[FIRST] else 3
     return integers(held, at + header - size, size)
 

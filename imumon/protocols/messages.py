@@ -19,12 +19,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from imumon.blocks import IntArray, SampleBlock
-from imumon.columns import Column
+from imumon.columns import Column, ColumnType
 from imumon.protocols.base import COMMON, MAIN, NO_GROUP, Encoder, Groups, Timing, chosen
 from imumon.protocols.decoder import Decoder
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.framing import Found, Frame, windows
-from imumon.protocols.numbers import Derived, Number, Record, count, known, number, with_sources, write
+from imumon.protocols.numbers import Derived, Number, Record, known, number, vector, with_sources, write
 
 FAMILIES = {
     "ximu3": "imumon.protocols.ximu3:XimuDecoder",
@@ -55,9 +55,23 @@ def real(name: str, unit: str, description: str, kind: str = "f32", factor: floa
     return (Number(number(name, unit, description), kind, factor),)
 
 
+def axes(
+    name: str, unit: str, description: str, factor: float = 1.0, kind: str = "f32", letters: str = "xyz"
+) -> Part:
+    """Return numbers of a column of its own for each axis, not placed yet."""
+    return floats(vector(name, unit, description, letters), factor, kind)
+
+
 def counted(name: str, description: str, kind: str, unit: str = "1") -> Part:
     """Return an integer that is a column as it is, not placed yet."""
-    return (Number(count(name, description, unit), kind),)
+    return (Number(Column(name, unit, "int64", description), kind),)
+
+
+def gnss(prefix: str, unit: str, *names: str, kind: str = "f32", factor: float = 1.0) -> Part:
+    """Return numbers of a satellite receiver, not placed yet; integers without a factor are counts."""
+    dtype: ColumnType = "float64" if kind[0] == "f" or factor != 1.0 else "int64"
+    columns = [(f"{prefix}_{name}", f"receiver {prefix}: {name.replace('_', ' ')}") for name in names]
+    return floats([Column(name, unit, dtype, what) for name, what in columns], factor, kind)
 
 
 def gap(size: int) -> Part:
@@ -193,10 +207,7 @@ class TableDecoder(Decoder):
 
     @abstractmethod
     def encoder(self, names: Sequence[str]) -> Encoder:
-        """Return an encoder of messages or fields of the table, which are sent in this order.
-
-        Raises BAD_CONFIG when there is none of a name.
-        """
+        """Return an encoder of messages or fields in this order; raises BAD_CONFIG when one is not there."""
 
 
 class FamilyDecoder(TableDecoder):

@@ -6,7 +6,7 @@ The fields of one moment may come in several packets, of which often only the fi
 
 from collections.abc import Iterable, Mapping, Sequence
 from fractions import Fraction
-from functools import cache
+from functools import cache, partial
 from math import pi
 from typing import Literal
 
@@ -16,7 +16,18 @@ from imumon.blocks import NO_INT, ColumnArray
 from imumon.columns import Column
 from imumon.geodesy import STANDARD_GRAVITY as G
 from imumon.protocols.base import MAIN, NO_GROUP, Encoder, Timing, chosen
-from imumon.protocols.messages import ANY_SIZE, Message, Part, TableDevice, counted, field, floats, gap, real
+from imumon.protocols.messages import (
+    Message,
+    Part,
+    TableDevice,
+    axes,
+    counted,
+    field,
+    floats,
+    gap,
+    gnss,
+    real,
+)
 from imumon.protocols.numbers import FROM_MATRIX, MATRIX, Columns, Derived, known, number, vector
 from imumon.protocols.tagged import MIP, TaggedDecoder, tagged_encoder
 
@@ -125,21 +136,21 @@ def _filter_fields(attitude: Attitude) -> list[Row]:
         (0x05, "Euler", floats(angles("" if own else "filter_")), valid("attitude")),
         (0x04, "Matrix", *((floats(MATRIX), valid("attitude")) if own else ())),
         (0x01, "Position", floats("place", kind="f64"), valid("position")),
-        (0x02, "Velocity", floats(vector("velocity", "m/s", "velocity north, east, down")),
+        (0x02, "Velocity", axes("velocity", "m/s", "velocity north, east, down"),
          valid("velocity")),
         (0x11, "FilterGpsTime", GPS_TIME),
         (0x10, "FilterStatus", counted("filter_state", "state of the filter", "u16"),
          counted("filter_dynamics", "dynamics mode of the filter", "u16"),
          floats("status", kind="u16")),
         *_estimated(),
-        (0x12, "QuaternionSigma", floats(vector("q_sigma", "1", "uncertainty of the quaternion", "wxyz")),
+        (0x12, "QuaternionSigma", axes("q_sigma", "1", "uncertainty of the quaternion", letters="wxyz"),
          valid("q_sigma")),
         (0x14, "HeadingUpdate", real("filter_heading", "rad", "heading that aided the filter"),
          real("filter_heading_sigma", "rad", "uncertainty of that"),
          counted("heading_source", "what gave the heading, bits", "u16"),
          valid("filter_heading")),
         (0x15, "MagneticModel",
-         floats(vector("mag_model", "uT", "field of the world magnetic model north, east, down"), GAUSS),
+         axes("mag_model", "uT", "field of the world magnetic model north, east, down", GAUSS),
           real("inclination", "rad", "of the magnetic model"),
           real("declination", "rad", "of the magnetic model"), valid("mag_model")),
         (0x20, "StandardAtmosphere", real("geometric_altitude", "m", "standard atmosphere"),
@@ -147,20 +158,20 @@ def _filter_fields(attitude: Attitude) -> list[Row]:
           real("standard_temperature", "degC", "standard atmosphere"),
           real("standard_pressure", "Pa", "standard atmosphere", factor=MILLIBAR),
           real("standard_density", "kg/m^3", "standard atmosphere"), valid("standard_atmosphere")),
-        (0x40, "PositionEcef", floats(vector("ecef", "m", "position, earth-centred earth-fixed"),
+        (0x40, "PositionEcef", axes("ecef", "m", "position, earth-centred earth-fixed",
                                         kind="f64"), valid("ecef")),
         (0x42, "RelativePosition",
-         floats(vector("relative_position", "m", "from the reference place, north, east, down"),
+         axes("relative_position", "m", "from the reference place, north, east, down",
                   kind="f64"), valid("relative_position")),
         (0x32, "ClockCorrection", receiver("clock"), real("clock_bias", "m", "of the receiver"),
          real("clock_drift", "m/s", "of the receiver"), valid("clock")),
         (0x33, "ClockCorrectionSigma", receiver("clock_sigma"), real("clock_bias_sigma", "m", "uncertainty"),
           real("clock_drift_sigma", "m/s", "uncertainty"), valid("clock_sigma")),
         (0x34, "ReceiverAntennaOffset", receiver("antenna"),
-          floats(vector("receiver_antenna_offset", "m", "estimated offset of the antenna of a receiver")),
+          axes("receiver_antenna_offset", "m", "estimated offset of the antenna of a receiver"),
           valid("antenna")),
         (0x35, "ReceiverAntennaOffsetSigma", receiver("antenna_sigma"),
-          floats(vector("receiver_antenna_offset_sigma", "m", "uncertainty of that")),
+          axes("receiver_antenna_offset_sigma", "m", "uncertainty of that"),
           valid("antenna_sigma")),
         (0x43, "PositionAiding", receiver("position_aiding"), time_of_week("position_aiding"),
          counted("position_aiding_status", _AIDING, "u16"), gap(8)),
@@ -216,17 +227,17 @@ def _sensor_fields(attitude: Attitude) -> list[Row]:
         (0x0A, "ImuQuaternion", floats(quaternion)),
         (0x0C, "ImuEuler", floats(angles("" if own else "imu_"))),
         (0x09, "ImuMatrix", floats(MATRIX) if own else ()),
-        (0x07, "DeltaTheta", floats(vector("delta_theta", "rad", "rotation over the sample"))),
-        (0x08, "DeltaVelocity", floats(vector("delta_velocity", "m/s", "velocity increment"), G)),
-        (0x10, "NorthVector", floats(vector("north", "uT", "magnetic north in the body"), GAUSS)),
-        (0x11, "UpVector", floats(vector("up", "m/s^2", "vertical in the body"), G)),
+        (0x07, "DeltaTheta", axes("delta_theta", "rad", "rotation over the sample")),
+        (0x08, "DeltaVelocity", axes("delta_velocity", "m/s", "velocity increment", G)),
+        (0x10, "NorthVector", axes("north", "uT", "magnetic north in the body", GAUSS)),
+        (0x11, "UpVector", axes("up", "m/s^2", "vertical in the body", G)),
         (0x12, "SensorGpsTime", GPS_TIME),
         (0x18, "Overrange", counted("overrange", "sensors out of range, bits", "u16")),
         (0x40, "Odometer", real("odometer_speed", "m/s", "speed of the odometer"),
          real("odometer_accuracy", "m/s", "accuracy of that speed"), valid("odometer")),
-        (0x01, "RawAccel", floats(vector("raw_accel", "1", "accelerometer, raw counts"))),
-        (0x02, "RawGyro", floats(vector("raw_gyro", "1", "gyroscope, raw counts"))),
-        (0x03, "RawMag", floats(vector("raw_mag", "1", "magnetometer, raw counts"))),
+        (0x01, "RawAccel", axes("raw_accel", "1", "accelerometer, raw counts")),
+        (0x02, "RawGyro", axes("raw_gyro", "1", "gyroscope, raw counts")),
+        (0x03, "RawMag", axes("raw_mag", "1", "magnetometer, raw counts")),
         (0x16, "RawPressure", real("raw_pressure", "1", "pressure, raw counts")),
         (0x0B, "ImuUpdateMatrix"),
         (0x0D, "RawTemperature"),
@@ -249,10 +260,7 @@ _SENSOR_GROUPS = {
 
 
 def _gnss_fields(prefix: str) -> list[Row]:
-    def of(unit: str, *names: str, kind: str = "f32", factor: float = 1.0) -> Part:
-        columns = [number(f"{prefix}_{name}", unit, f"receiver {prefix}: {name}") for name in names]
-        return floats(columns, factor, kind)
-
+    of = partial(gnss, prefix)
     return [
         (0x03, "Position", of("deg", "latitude", "longitude", kind="f64"),
          of("m", "altitude", "altitude_msl", kind="f64"),
@@ -369,7 +377,7 @@ class MipDecoder(TaggedDecoder):
 
     def _field(self, key: int, size: int) -> Message | None:
         found = self.messages.get(key)
-        return found if found is not None and found.size in (size, ANY_SIZE) else None
+        return found if found is not None and (found.size == size or found.size < 0) else None
 
     def _type_name(self, kind: int) -> str:
         return SET_NAMES.get(kind, f"set 0x{kind:02X}")

@@ -89,7 +89,7 @@ class Number(NamedTuple):
         return self.at + NUMBER_TYPES[self.type].size
 
     def read(self, raw: ColumnArray) -> ColumnArray:
-        """Return the column of what the field of `record_type` has."""
+        """Return the column of what the field of a record has."""
         kind = NUMBER_TYPES[self.type]
         assert self.column is not None
         if kind.size == 3:
@@ -111,18 +111,6 @@ class Number(NamedTuple):
                 numbers += self.offset
             # A clock that is not a number becomes the least integer.
             return numbers if self.column.dtype == "float64" else np.rint(numbers).astype(np.int64)
-
-
-def record_type(numbers: Sequence[Number], size: int) -> np.dtype[np.void]:
-    """Return packets of a size as a structured type; those that NumPy lacks as bytes."""
-    formats: list[tuple[str, int] | str] = []
-    for item in numbers:
-        kind = NUMBER_TYPES[item.type]
-        letter = "f" if not kind.integer else "i" if kind.signed else "u"
-        order = ">" if item.big else "<"
-        formats.append(("u1", kind.size) if kind.size in (3, 6) else f"{order}{letter}{kind.size}")
-    names, offsets = [item.name for item in numbers], [item.at for item in numbers]
-    return np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": size})
 
 
 def _of_bytes(raw: ColumnArray, lowest_first: Sequence[int], signed: bool) -> IntArray:
@@ -219,7 +207,16 @@ class Record:
 
     @cached_property
     def _type(self) -> np.dtype[np.void]:
-        return record_type(self._numbers, max((item.end for item in self._numbers), default=1))
+        """The packet, up to its last number, as a structured type; numbers that NumPy lacks as bytes."""
+        formats: list[tuple[str, int] | str] = []
+        for item in self._numbers:
+            kind = NUMBER_TYPES[item.type]
+            letter = "f" if not kind.integer else "i" if kind.signed else "u"
+            plain = f"{'>' if item.big else '<'}{letter}{kind.size}"
+            formats.append(("u1", kind.size) if kind.size in (3, 6) else plain)
+        names, offsets = [item.name for item in self._numbers], [item.at for item in self._numbers]
+        size = max((item.end for item in self._numbers), default=1)
+        return np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": size})
 
     def read(self, found: Found) -> dict[str, ColumnArray]:
         """Return a value a packet for each column."""
@@ -309,10 +306,7 @@ def utc_time(prefix: str, result: Column, per_s: int = 1_000_000_000) -> Derived
 
 
 def _matrix_to_quaternion(columns: Columns) -> list[ColumnArray]:
-    """Convert the matrix reference to body, row by row, to the quaternion body to reference.
-
-    Shepperd (1978): of four formulas the one with the largest divisor.  The scalar part is not negative.
-    """
+    """Convert the matrix reference to body, row by row, to the quaternion body to reference (Shepperd)."""
     a, b, c, d, e, f, g, h, i = (np.asarray(columns[column.name], np.float64) for column in MATRIX)
     squares = np.stack([1 + a + e + i, 1 + a - e - i, 1 - a + e - i, 1 - a - e + i])
     products = [[squares[0], f - h, g - c, b - d], [f - h, squares[1], b + d, c + g],

@@ -12,8 +12,8 @@ import numpy as np
 from imumon.blocks import BoolArray, ColumnArray, IntArray
 from imumon.protocols.base import LONGEST_PACKET, ByteArray, Timing
 from imumon.protocols.framing import Checksum, Frame, counted_length
-from imumon.protocols.messages import FamilyDecoder, counted, field, floats, gap, real
-from imumon.protocols.numbers import Columns, Derived, count, known, number, vector
+from imumon.protocols.messages import FamilyDecoder, axes, counted, field, floats, gap, real
+from imumon.protocols.numbers import Columns, Derived, count, known, number
 
 SYNC, END = b"\xff\x5a", 0x33
 HEADER, AROUND = 6, 9
@@ -56,11 +56,11 @@ LOGS = {
     3: field("imu_data", TIME, STATUS, floats("accel"), floats("gyro"), floats("temperature"), gap(24),
              least=34),
     4: field("mag", TIME, counted("mag_status", "status of the magnetometer", "u16"),
-             floats(vector("mag", "a.u.", "field, 1 when calibrated")), gap(12), group="mag"),
+             axes("mag", "a.u.", "field, 1 when calibrated"), gap(12), group="mag"),
     6: field("ekf_euler", TIME, floats("angles"), ANGLE_SIGMA, FILTER, DECLINATION, group="filter", least=32),
     7: field("ekf_quat", TIME, floats("q"), ANGLE_SIGMA, FILTER, DECLINATION, group="filter", least=36),
-    8: field("ekf_nav", TIME, floats(vector("velocity", "m/s", "velocity north, east, down")),
-             floats(vector("velocity_sigma", "m/s", "uncertainty of the velocity north, east, down")),
+    8: field("ekf_nav", TIME, axes("velocity", "m/s", "velocity north, east, down"),
+             axes("velocity_sigma", "m/s", "uncertainty of the velocity north, east, down"),
              floats("place", kind="f64"), real("undulation", "m", "of the geoid"), floats(POSITION_SIGMA),
              FILTER, group="filter"),
     1: field("status", TIME, counted("general_status", "power, temperature, processor, bits", "u16"), gap(2),
@@ -71,14 +71,14 @@ LOGS = {
     2: field("utc_time", TIME, counted("clock_status", "clock and UTC, bits", "u16"), gap(11),
              counted("gps_time_of_week", "GPS time of week", "u32", "ms"), gap(12), group="clock", least=21),
     52: field("rate_body", TIME, gap(4),
-              floats(vector("gyro_compensated", "rad/s", "angular rate, bias and earth rate taken off")),
-              floats(vector("free_accel", "m/s^2", "acceleration without gravity and bias")),
+              axes("gyro_compensated", "rad/s", "angular rate, bias and earth rate taken off"),
+              axes("free_accel", "m/s^2", "acceleration without gravity and bias"),
               group="filter"),
-    53: field("rate_ned", TIME, gap(4), floats(vector("rate_ned", "rad/s",
-                            "angular rate, bias and earth rate taken off, north, east, down")),
-              floats(vector("free_accel_ned", "m/s^2", "acceleration without gravity, north, east, down")),
+    53: field("rate_ned", TIME, gap(4), axes("rate_ned", "rad/s",
+                            "angular rate, bias and earth rate taken off, north, east, down"),
+              axes("free_accel_ned", "m/s^2", "acceleration without gravity, north, east, down"),
               group="filter"),
-    54: field("velocity_body", TIME, gap(4), floats(vector("velocity_body", "m/s", "in the body")), gap(12),
+    54: field("velocity_body", TIME, gap(4), axes("velocity_body", "m/s", "in the body"), gap(12),
               group="filter", least=20),
 }  # fmt: skip
 """Logs of class 0 by their identifier, those with the inertial sensors first."""

@@ -19,8 +19,8 @@ from imumon.geodesy import STANDARD_GRAVITY
 from imumon.protocols.base import ByteArray, Encoder, Timing
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.framing import Checksum, Frame
-from imumon.protocols.messages import FamilyDecoder, Message, counted, field, floats, gap, real
-from imumon.protocols.numbers import known, vector
+from imumon.protocols.messages import FamilyDecoder, Message, axes, counted, field, floats, gap, real
+from imumon.protocols.numbers import known
 
 TICK_NS = 500_000
 """The counter counts samples of the internal 2000 Hz, not datagrams."""
@@ -60,12 +60,10 @@ def datagrams(output: Output, accel_range_g: AccelRange, rate_hz: float | None) 
     blocks = {
         "gyro": floats("gyro", rate, "i24"),
         "acc": floats("accel", force, "i24"),
-        "incl": floats(vector("inclinometer", "m/s^2", "specific force of the inclinometer"), tilt, "i24"),
+        "incl": axes("inclinometer", "m/s^2", "specific force of the inclinometer", tilt, "i24"),
         "gyro_temp": floats(known("temperature_x", "temperature_y", "temperature_z"), 2.0**-8, "i16"),
-        "acc_temp": floats(vector("accel_temperature", "degC", "of the accelerometer"), 2.0**-8, "i16"),
-        "incl_temp": floats(
-            vector("inclinometer_temperature", "degC", "of the inclinometer"), 2.0**-8, "i16"
-        ),
+        "acc_temp": axes("accel_temperature", "degC", "of the accelerometer", 2.0**-8, "i16"),
+        "incl_temp": axes("inclinometer_temperature", "degC", "of the inclinometer", 2.0**-8, "i16"),
         "pps": real("time_since_pps", "us", "since the edge of the pulse", "u24"),
     }
     with_status = {

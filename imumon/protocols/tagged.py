@@ -59,10 +59,6 @@ def xbus_message(kind: int, payload: bytes = b"") -> bytes:
     return bytes([0xFA, 0xFF, kind, *([0xFF, size >> 8, size & 0xFF] if size >= 0xFF else [size])]) + payload
 
 
-def _mip_message(kind: int, payload: bytes) -> bytes:
-    return bytes([0x75, 0x65, kind, len(payload)]) + payload
-
-
 @dataclass(frozen=True)
 class Form:
     """How packets and the fields in them are written."""
@@ -112,7 +108,7 @@ _SUM, _FLETCHER = Checksum("sum8-negated", first=1), Checksum("fletcher16-256")
 XBUS = Form(Frame({b"\xfa": "Xbus"}, xbus_lengths, _SUM), _SUM, xbus_message, LONGEST_XBUS_PAYLOAD, 3)
 XBUS_DATA = replace(XBUS, header=0)
 MIP_FRAME = Frame({b"\x75\x65": "MIP"}, counted_length(3, 1, 6, 261), _FLETCHER)
-MIP = Form(MIP_FRAME, _FLETCHER, _mip_message, 255, 2)
+MIP = Form(MIP_FRAME, _FLETCHER, lambda kind, data: bytes([*b"\x75\x65", kind, len(data)]) + data, 255, 2)
 
 
 class TaggedDecoder(TableDecoder):

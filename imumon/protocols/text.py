@@ -196,10 +196,7 @@ def sentence(body: str) -> bytes:
 
 
 def sentence_body(text: str, crc: Checksum | None = None) -> str | None:
-    """Return what a sentence has before its checksum, or None when that is wrong.
-
-    A checksum of four hexadecimal digits is a `crc`.
-    """
+    """Return what a sentence has before its checksum (four digits: `crc`), or None when that is wrong."""
     body, star, given = text.rpartition("*")
     if not star or not HEXADECIMAL.fullmatch(given):
         return None
@@ -262,10 +259,7 @@ def texts(held: ByteArray, at: IntArray, length: IntArray) -> list[str]:
 
 
 def line_lengths(after_end: bool, held: ByteArray, at: IntArray) -> IntArray:
-    """Return the lengths of lines; the `Lengths` of a frame when `after_end` is given.
-
-    `after_end`: the line begins behind a line end, which is counted to it instead of the one at its own end.
-    """
+    """Return the lengths of lines with their ends, or with the ends before them; see `Lengths`."""
     ends = np.flatnonzero(held == LINE_END)
     k = np.searchsorted(ends, at, "right" if after_end else "left")
     there = k < len(ends)

@@ -7,7 +7,7 @@ reasons stand beside each field, for somebody to confirm.
 import json
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import chain, product
 from typing import Any, NamedTuple
 
@@ -20,18 +20,22 @@ LEAST_LINES = 20
 """Lines of one kind from which columns are proposed."""
 SAME = 0.8
 """Share of the lines that must be of one kind: others are headers, comments, torn lines."""
-GRAVITIES = {
-    9.80665: ("m/s^2", "1"), 1.0: ("g", "1"), 1000.0: ("mg", "1"),
-    16384.0: ("g", "1/16384"), 8192.0: ("g", "1/8192"), 4096.0: ("g", "1/4096"),
-    2048.0: ("g", "1/2048"), 256.0: ("g", "1/256"),
-}  # fmt: skip
-"""What the norm of the specific force at rest is, in units and counts that are usual; with unit and scale."""
+GRAVITIES = {9.80665: "scale: 1, unit: m/s^2", 1.0: "scale: 1, unit: g", 1000.0: "scale: 1, unit: mg"} | {
+    float(counts): f"scale: 1/{counts}, unit: g" for counts in (16384, 8192, 4096, 2048, 256)
+}
+"""What the norm of the specific force at rest is, in units and counts that are usual."""
 NEAR = 0.06
 """Offset and scale errors of a sensor that nobody calibrated: a few percent of gravity."""
 STEADY = 0.05
 """Scatter of a norm, relative, up to which it is that of a constant vector."""
-FIELDS = {(20.0, 70.0): "uT", (0.2, 0.7): "gauss", (200.0, 700.0): "mgauss"}
-"""Norms of the magnetic field of the earth."""
+NORMS = [
+    *((g * (1 - NEAR), g * (1 + NEAR), "accel", keys, f"gravity is {g:g}") for g, keys in GRAVITIES.items()),
+    *(
+        (20.0 * size, 70.0 * size, "mag", f"unit: {unit}", "as the earth's field")
+        for unit, size in {"uT": 1.0, "gauss": 0.01, "mgauss": 10.0}.items()
+    ),
+]
+"""Least and largest norm of a constant vector, what it is then, scale and unit, and the reason."""
 UNITS = {"us": 1e-6, "ms": 1e-3, "s": 1.0, "ns": 1e-9}
 QUANTITIES = {
     "accel": re.compile(r"^(imu[._ ]?)?a(cc(el(eration)?)?)?[._ ]?([xyz012])$", re.I),
@@ -45,16 +49,12 @@ Guess = tuple[str, str]
 
 
 class _Described(NamedTuple):
-    """What lines may be."""
+    """What lines may be: keys of their description, place and name ("" without) of each column, and which."""
 
     keys: Mapping[str, Any]
-    """Keys of the description of a line."""
     places: Sequence[int | str]
-    """Place or key of each column."""
     names: Sequence[str]
-    """Name of each column, or ""."""
     lines: Sequence[str]
-    """Those that may be so."""
 
 
 def propose(data: bytes, seconds: float, baudrate: int | None) -> str | None:
@@ -104,25 +104,25 @@ def _read(found: _Described) -> FloatArray | None:
 
 
 def _named(lines: list[str]) -> Iterator[_Described]:
-    """Yield descriptions of lines that name their numbers, as JSON or pairs."""
-    yield from _of_shape({"form": "json"}, map(_leaves_of, lines), lines)
-    for separator in (",", ";", "\t", " "):
-        keys = (_keys_of(text, separator) for text in lines)
-        yield from _of_shape({"form": "pairs", "separator": separator}, keys, lines)
+    """Yield descriptions of lines that name their numbers, as JSON or pairs, by the names that most have."""
+    for separator in ("", ",", ";", "\t", " "):
+        keys = {"form": "pairs", "separator": separator} if separator else {"form": "json"}
+        shapes = Counter(tuple(_names_in(text, separator)) for text in lines)
+        del shapes[()]
+        for names, _ in shapes.most_common(1):
+            yield _Described(keys, names, names, lines)
 
 
-def _of_shape(keys: Mapping[str, Any], shapes: Iterable[list[str]], lines: list[str]) -> Iterator[_Described]:
-    """Yield the description by the names that most lines have."""
-    for names, _ in Counter(tuple(shape) for shape in shapes if shape).most_common(1):
-        yield _Described(keys, names, names, lines)
-
-
-def _leaves_of(text: str) -> list[str]:
-    """Return the paths to the numbers of a line of JSON."""
-    try:
-        return _leaves(json.loads(text))
-    except (ValueError, RecursionError):
-        return []
+def _names_in(text: str, separator: str) -> list[str]:
+    """Return the keys of a line of pairs of key and number, or the paths to the numbers of one of JSON."""
+    if not separator:
+        try:
+            return _leaves(json.loads(text))
+        except (ValueError, RecursionError):
+            return []
+    words = [re.split("[:=]", word, maxsplit=1) for word in text.split(separator)]
+    pairs = all(len(word) == 2 and NUMBER.fullmatch(word[1].strip()) for word in words)
+    return [word[0].strip() for word in words] if pairs else []
 
 
 def _leaves(tree: Any, path: str = "") -> list[str]:
@@ -130,13 +130,6 @@ def _leaves(tree: Any, path: str = "") -> list[str]:
         items = tree.items() if isinstance(tree, dict) else enumerate(tree)
         return [leaf for key, branch in items for leaf in _leaves(branch, f"{path}.{key}".lstrip("."))]
     return [path] if isinstance(tree, int | float) and not isinstance(tree, bool) else []
-
-
-def _keys_of(text: str, separator: str) -> list[str]:
-    """Return the keys of a line of pairs of key and number."""
-    words = [re.split("[:=]", word, maxsplit=1) for word in text.split(separator)]
-    pairs = all(len(word) == 2 and NUMBER.fullmatch(word[1].strip()) for word in words)
-    return [word[0].strip() for word in words] if pairs else []
 
 
 def _delimited(lines: list[str]) -> Iterator[_Described]:
@@ -167,15 +160,14 @@ def _beginnings(lines: list[str]) -> list[tuple[str, str]]:
 
 
 def _guesses(names: Sequence[str], x: FloatArray, rate: float) -> list[Guess]:
-    """Return what each column is taken for."""
     taken = {k: guess for k in range(len(names)) if (guess := _time(x[:, k], rate)) is not None}
     for k in range(len(names) - 2):
         three = range(k, k + 3)
         vector = None if taken.keys() & {*three} else _vector(x[:, three], [names[j] for j in three])
-        for j, axis in zip(three, "xyz", strict=True):
-            if vector is not None:
+        if vector is not None:
+            what, unit, why = vector
+            for j, axis in zip(three, "xyz", strict=True):
                 own = names[j][-1:].lower()
-                what, unit, why = vector
                 taken[j] = f"column: {what}_{own if own in tuple('xyz') else axis}, {unit}", why
     return [taken.get(k) or _single(x[:, k], k, names[k]) for k in range(len(names))]
 
@@ -200,25 +192,16 @@ def _vector(x: FloatArray, names: Sequence[str]) -> tuple[str, str, str] | None:
     mean, scatter = float(norm.mean()), float(norm.std())
     named = next((what for what, pattern in QUANTITIES.items() if all(map(pattern.match, names))), None)
     how = f"{'named so; ' if named else ''}norm {mean:.4g} with scatter {scatter:.2g}"
-    if mean > 0 and scatter < STEADY * mean:
-        gravity = next((g for g in GRAVITIES if abs(mean / g - 1) < NEAR), None)
-        if gravity is not None and named in (None, "accel"):
-            unit, scale = GRAVITIES[gravity]
-            return "accel", f"scale: {scale}, unit: {unit}", f"{how}: gravity is {gravity:g}"
-        field = next((unit for (low, high), unit in FIELDS.items() if low <= mean <= high), None)
-        if field is not None and named in (None, "mag"):
-            return "mag", f"unit: {field}", f"{how}: as the earth's field"
-    if named == "gyro" or (named is None and _about_zero(x)):
+    for low, high, what, keys, why in NORMS if scatter < STEADY * mean else ():
+        if low <= mean <= high and named in (None, what):
+            return what, keys, f"{how}: {why}"
+    # About zero for numbers with their scatter: noise and a small offset.
+    deviation, offset = x.std(axis=0), np.abs(x.mean(axis=0))
+    is_noise = np.all(deviation > 0) and np.all(offset < 30 * deviation.max()) and np.abs(x).max() < 300
+    if named == "gyro" or (named is None and is_noise):
         why = "named so" if named else "about zero on all three axes"
         return "gyro", "unit: deg/s", f"{why}; rad/s or deg/s is not known at rest: turn by 90 deg and look"
     return None
-
-
-def _about_zero(x: FloatArray) -> bool:
-    """Test whether three columns are about zero for numbers with their scatter: noise and a small offset."""
-    scatter = x.std(axis=0)
-    offset = np.abs(x.mean(axis=0))
-    return bool(np.all(scatter > 0) and np.all(offset < 30 * scatter.max()) and np.abs(x).max() < 300)
 
 
 def _single(x: FloatArray, k: int, name: str) -> Guess:

@@ -160,10 +160,7 @@ PLACES = {
 
 
 def words_of(names: Iterable[str]) -> dict[int, int]:
-    """Return for each group of fields, in order, the word with their bits.
-
-    Raises BAD_CONFIG when there is no such field.
-    """
+    """Return for each group of fields, in order, the word with their bits; raises as `chosen`."""
     words: dict[int, int] = {}
     for group, bit in sorted(chosen([*names], PLACES, "field")):
         words[group] = words.get(group, 0) | 1 << bit
@@ -223,7 +220,6 @@ class VectorNavDecoder(TableDecoder):
         yield from self._of_rows(found, start, len(found))
 
     def _of_rows(self, found: Found, start: int, stop: int) -> Iterable[tuple[Record, IntArray]]:
-        """Yield the layouts of some of the packets."""
         for layout, rows in super()._by_layout(found.only(np.arange(start, stop))):
             yield layout, rows + start
 
@@ -271,10 +267,7 @@ class VectorNavDecoder(TableDecoder):
         return found.replaced(records)
 
     def encoder(self, names: Sequence[str]) -> Encoder:
-        """Return an encoder of one binary output; see `TableDecoder.encoder`.
-
-        Fields are GROUP.FIELD, as ``Imu.UncompGyro``; they are sent in the order of their bits.
-        """
+        """Return an encoder of one binary output of fields GROUP.FIELD, sent in the order of their bits."""
         words, numbers = words_of(names), list[Number]()
         header = header_of(sum(1 << group - 1 for group in words), words.values())
         size = len(header)

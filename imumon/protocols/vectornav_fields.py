@@ -8,8 +8,8 @@ from math import pi
 
 from imumon.columns import KNOWN, Column
 from imumon.protocols.base import NO_GROUP
-from imumon.protocols.messages import Message, Part, counted, field, floats, gap, real
-from imumon.protocols.numbers import Number, known, number, vector
+from imumon.protocols.messages import Message, axes, counted, field, floats, gap, gnss, real
+from imumon.protocols.numbers import Number, known, vector
 
 DEGREE = pi / 180
 GAUSS = 100.0
@@ -33,11 +33,11 @@ TICKS = floats("device_ticks", kind="u64")
 RATE, FORCE, FIELD = floats(_filtered("gyro")), floats(_filtered("accel")), floats(_filtered("mag"), GAUSS)
 RAW_RATE, RAW_FORCE, RAW_FIELD = floats("gyro"), floats("accel"), floats("mag", GAUSS)
 DELTA_TIME = real("delta_time", "s", "time over which the increments were summed")
-DELTA_THETA = DELTA_TIME + floats(vector("delta_theta", "rad", "rotation over the sample"), DEGREE)
-DELTA_VELOCITY = floats(vector("delta_velocity", "m/s", "velocity increment"))
+DELTA_THETA = DELTA_TIME + axes("delta_theta", "rad", "rotation over the sample", DEGREE)
+DELTA_VELOCITY = axes("delta_velocity", "m/s", "velocity increment")
 TEMPERATURE, PRESSURE = floats("temperature"), floats("pressure", KILOPASCAL)
 POSITION = floats("place", kind="f64")
-VELOCITY_NED = floats(vector("velocity", "m/s", "velocity north, east, down"))
+VELOCITY_NED = axes("velocity", "m/s", "velocity north, east, down")
 SYNC_IN = counted("sync_in_count", "pulses at the input", "u32")
 PPS = counted("time_since_pps", "time since the receiver's last pulse", "u64", "ns")
 GPS_TIME = counted("gps_time", "time since 1980-01-06 on the GPS clock", "u64", "ns")
@@ -45,23 +45,6 @@ SYNC_TIME = counted("time_since_sync_in", "time since the last pulse at the inpu
 STATUS = floats("status", kind="u16")
 
 
-COMMON_ITEMS = (
-    field("TimeStartup", TICKS, group=NO_GROUP),
-    field("TimeGps", GPS_TIME, group=NO_GROUP),
-    field("TimeSyncIn", SYNC_TIME, group=NO_GROUP),
-    field("Ypr", YPR, group="attitude"),
-    field("Quaternion", QUATERNION, group="attitude"),
-    field("AngRate", RATE),
-    field("Position", POSITION, group="filter"),
-    field("Velocity", VELOCITY_NED, group="filter"),
-    field("Accel", FORCE),
-    field("Imu", RAW_FORCE + RAW_RATE),
-    field("MagPres", FIELD + TEMPERATURE + PRESSURE, group="mag"),
-    field("Deltas", DELTA_THETA + DELTA_VELOCITY),
-    field("Status", STATUS),
-    field("SyncInCnt", SYNC_IN),
-    field("TimeGpsPps", PPS, group=NO_GROUP),
-)
 TIME_ITEMS = (
     field("TimeStartup", TICKS, group=NO_GROUP),
     field("TimeGps", GPS_TIME, group=NO_GROUP),
@@ -94,14 +77,14 @@ ATTITUDE_ITEMS = (
     field("Ypr", YPR, group="attitude"),
     field("Quaternion", QUATERNION, group="attitude"),
     field("Dcm", gap(36)),
-    field("MagNed", floats(vector("mag_ned", "uT", "magnetic field, north, east, down"), GAUSS), group="mag"),
-    field("AccelNed", floats(vector("accel_ned", "m/s^2", "acceleration with gravity, north, east, down"))),
-    field("LinearAccelBody", floats(vector("free_accel", "m/s^2", "acceleration without gravity"))),
+    field("MagNed", axes("mag_ned", "uT", "magnetic field, north, east, down", GAUSS), group="mag"),
+    field("AccelNed", axes("accel_ned", "m/s^2", "acceleration with gravity, north, east, down")),
+    field("LinearAccelBody", axes("free_accel", "m/s^2", "acceleration without gravity")),
     field("LinearAccelNed", gap(12)),
-    field("YprU", floats(vector("ypr_sigma", "rad", "uncertainty of yaw, pitch, roll"),
+    field("YprU", axes("ypr_sigma", "rad", "uncertainty of yaw, pitch, roll",
                           DEGREE), group="attitude"),
     field("reserved", gap(12)), field("reserved", gap(28)), field("reserved", gap(24)),
-    field("Heave", floats(vector("heave", "m", "heave, its rate, and delayed"))),
+    field("Heave", axes("heave", "m", "heave, its rate, and delayed")),
     field("AttU", real("attitude_sigma", "rad", "uncertainty of the attitude", factor=DEGREE),
           group="attitude"),
 )  # fmt: skip
@@ -109,9 +92,7 @@ INS_ITEMS = (
     field("InsStatus", counted("ins_status", "status of the navigation filter", "u16"), group="filter"),
     field("Position", POSITION, group="filter"),
     field("PositionEcef", gap(24)),
-    field(
-        "VelocityBody", floats(vector("velocity_body", "m/s", "velocity in the body frame")), group="filter"
-    ),
+    field("VelocityBody", axes("velocity_body", "m/s", "velocity in the body frame"), group="filter"),
     field("Velocity", VELOCITY_NED, group="filter"),
     *(field(name, gap(12)) for name in ("VelocityEcef", "MagEcef", "AccelEcef", "LinearAccelEcef")),
     field("PositionU", real("position_sigma", "m", "uncertainty of the position"), group="filter"),
@@ -121,40 +102,41 @@ INS_ITEMS = (
 )
 
 
+OF_OTHERS = {item.name: item for item in (*TIME_ITEMS, *IMU_ITEMS, *ATTITUDE_ITEMS, *INS_ITEMS)}
+COMMON_ITEMS = (
+    *(OF_OTHERS[name] for name in ("TimeStartup", "TimeGps", "TimeSyncIn", "Ypr", "Quaternion", "AngRate",
+                                   "Position", "Velocity", "Accel")),
+    field("Imu", RAW_FORCE + RAW_RATE),
+    field("MagPres", FIELD + TEMPERATURE + PRESSURE, group="mag"),
+    field("Deltas", DELTA_THETA + DELTA_VELOCITY),
+    field("Status", STATUS),
+    *(OF_OTHERS[name] for name in ("SyncInCnt", "TimeGpsPps")),
+)  # fmt: skip
+
+
 def _receiver_items(prefix: str) -> tuple[Message | None, ...]:
-    """Return the fields of a receiver."""
-
-    def reals(unit: str, *names: str, kind: str = "f32") -> Part:
-        columns = [number(f"{prefix}_{name}", unit, f"receiver {prefix}: {name}") for name in names]
-        return floats(columns, kind=kind)
-
-    def whole(name: str, kind: str, unit: str = "1") -> Part:
-        return counted(f"{prefix}_{name}", f"receiver {prefix}: {name.replace('_', ' ')}", kind, unit)
-
-    of_receiver = partial(field, group=prefix)
+    of, item = partial(gnss, prefix), partial(field, group=prefix)
     return (
         field("TimeUtc", gap(8)),
-        of_receiver("Tow", whole("time_of_week", "u64", "ns")),
-        of_receiver("Week", whole("week", "u16")),
-        of_receiver("NumSats", whole("satellites", "u8")),
-        of_receiver("Fix", whole("fix", "u8")),
-        of_receiver("Position", reals("deg", "latitude", "longitude", kind="f64"),
-                    reals("m", "altitude", kind="f64")),
+        item("Tow", of("ns", "time_of_week", kind="u64")),
+        item("Week", of("1", "week", kind="u16")),
+        item("NumSats", of("1", "satellites", kind="u8")),
+        item("Fix", of("1", "fix", kind="u8")),
+        item("Position", of("deg", "latitude", "longitude", kind="f64"), of("m", "altitude", kind="f64")),
         field("PositionEcef", gap(24)),
-        of_receiver("Velocity", reals("m/s", "velocity_north", "velocity_east", "velocity_down")),
+        item("Velocity", of("m/s", "velocity_north", "velocity_east", "velocity_down")),
         field("VelocityEcef", gap(12)),
-        of_receiver("PositionU", reals("m", "position_sigma_north", "position_sigma_east",
-                                      "position_sigma_down")),
-        of_receiver("VelocityU", reals("m/s", "velocity_sigma")),
-        of_receiver("TimeU", reals("s", "time_sigma")),
+        item("PositionU", of("m", "position_sigma_north", "position_sigma_east", "position_sigma_down")),
+        item("VelocityU", of("m/s", "velocity_sigma")),
+        item("TimeU", of("s", "time_sigma")),
         field("TimeInfo", gap(2)),
-        of_receiver("Dop", reals("1", *(f"{name}dop" for name in "gptvhne"))),
+        item("Dop", of("1", *(f"{name}dop" for name in "gptvhne"))),
         field("SatInfo", gap(2)),
         None,
         field("RawMeas", gap(12)),
-        of_receiver("Status", whole("status", "u16")),
-        of_receiver("AltMsl", reals("m", "altitude_msl", kind="f64")),
-    )  # fmt: skip
+        item("Status", of("1", "status", kind="u16")),
+        item("AltMsl", of("m", "altitude_msl", kind="f64")),
+    )
 
 
 REPEATS = {"SatInfo": (8, 0), "RawMeas": (28, 10)}
@@ -187,8 +169,8 @@ SENTENCES: dict[str, tuple[Number, ...]] = {
     "GYR": RATE,
     "MAR": (*FIELD, *FORCE, *RATE),
     "YMR": (*YPR, *FIELD, *FORCE, *RATE),
-    "YBA": (*YPR, *floats(vector("free_accel", "m/s^2", "acceleration without gravity")), *RATE),
-    "YIA": (*YPR, *floats(vector("accel_ned", "m/s^2", "acceleration without gravity, north, east, down")),
+    "YBA": (*YPR, *axes("free_accel", "m/s^2", "acceleration without gravity"), *RATE),
+    "YIA": (*YPR, *axes("accel_ned", "m/s^2", "acceleration without gravity, north, east, down"),
             *RATE),
     "IMU": (*RAW_FIELD, *RAW_FORCE, *RAW_RATE, *TEMPERATURE, *PRESSURE),
     "DTV": (*DELTA_THETA, *DELTA_VELOCITY),

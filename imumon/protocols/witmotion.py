@@ -18,8 +18,8 @@ from imumon.columns import KNOWN
 from imumon.geodesy import STANDARD_GRAVITY
 from imumon.protocols.base import NO_GROUP, ByteArray, Packets, Timing
 from imumon.protocols.framing import INCOMPLETE, NO_PACKET, Checksum, Found, Frame, fixed_length, unchecked
-from imumon.protocols.messages import FamilyDecoder, Part, counted, field, floats, gap, real
-from imumon.protocols.numbers import Columns, Derived, Number, count, date, known, number, utc_time, vector
+from imumon.protocols.messages import FamilyDecoder, Part, axes, counted, field, floats, gap, real
+from imumon.protocols.numbers import Columns, Derived, Number, count, date, known, number, utc_time
 
 FORCE_FACTOR, RATE_FACTOR, ANGLE_FACTOR = (16 * STANDARD_GRAVITY / 32768, 2000 * pi / 180 / 32768, pi / 32768)
 HEADER, SIZE = 2, 11
@@ -65,7 +65,7 @@ TYPES = {
     0x51: field("accel", ACCEL, floats("temperature", 0.01, "i16")),
     0x52: field("gyro", GYRO, gap(2)),
     0x53: field("angle", ANGLES, gap(2), group="attitude"),
-    0x54: field("mag", floats(vector("mag", "a.u.", "magnetic field, raw counts"), kind="i16"), gap(2),
+    0x54: field("mag", axes("mag", "a.u.", "magnetic field, raw counts", kind="i16"), gap(2),
                 group="mag"),
     0x55: field("ports", floats(PORTS, kind="u16"), group="status"),
     0x56: field("pressure", floats("pressure", kind="u32"),

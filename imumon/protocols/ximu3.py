@@ -15,8 +15,8 @@ from imumon.blocks import BoolArray, IntArray
 from imumon.geodesy import STANDARD_GRAVITY
 from imumon.protocols.base import MAIN, ByteArray, Timing
 from imumon.protocols.framing import Found, Frame
-from imumon.protocols.messages import FamilyDecoder, Message, Part, field, floats, real
-from imumon.protocols.numbers import number, vector
+from imumon.protocols.messages import FamilyDecoder, Message, Part, axes, field, floats, real
+from imumon.protocols.numbers import number
 from imumon.protocols.text import NUMBER, line_frame, line_lengths, texts
 
 BINARY = 0x80
@@ -31,25 +31,24 @@ MATRIX = [number(f"matrix_{i}{j}", "1", "rotation matrix") for i in "xyz" for j 
 
 
 def _message(name: str, group: str, *parts: Part) -> Message:
-    """Return a message of the time and of floats."""
     return field(name, floats("device_ticks", kind="u64"), *parts, group=group)
 
 
 MESSAGES = {
     ord("I"): _message("inertial", MAIN, floats("gyro", DEGREE), floats("accel", STANDARD_GRAVITY)),
     ord("M"): _message("magnetometer", "mag",
-                       floats(vector("mag", "a.u.", "magnetic field, 1 when calibrated"))),
+                       axes("mag", "a.u.", "magnetic field, 1 when calibrated")),
     ord("T"): _message("temperature", "temperature", floats("temperature")),
     ord("Q"): _message("quaternion", "attitude", floats("q")),
     ord("A"): _message("euler", "attitude", floats("angles", DEGREE)),
     ord("R"): _message("matrix", "attitude", floats(MATRIX)),
     ord("L"): _message("linear", "attitude",
-                       floats(vector("free_accel", "m/s^2", "without gravity"), STANDARD_GRAVITY)),
+                       axes("free_accel", "m/s^2", "without gravity", STANDARD_GRAVITY)),
     ord("E"): _message("earth", "attitude",
-                       floats(vector("earth_accel", "m/s^2", "without gravity, in the reference frame"),
+                       axes("earth_accel", "m/s^2", "without gravity, in the reference frame",
                         STANDARD_GRAVITY)),
     ord("H"): _message("high_g", "high_g",
-                       floats(vector("accel_high_g", "m/s^2", "for high accelerations"), STANDARD_GRAVITY)),
+                       axes("accel_high_g", "m/s^2", "for high accelerations", STANDARD_GRAVITY)),
     ord("B"): _message("battery", "status", real("battery", "1", "charge, percent"),
                        real("battery_voltage", "V", "of the battery"),
                        real("charging", "1", "status of charging")),

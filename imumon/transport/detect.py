@@ -23,8 +23,7 @@ FRAMED = 0.8
 """Share of bytes in packets from which a stream frames; the packets cut at both ends are missing from 1."""
 FRAMED_IN_PART = 0.2
 TRIED_BYTES = 2048
-"""With so many bytes and not one valid packet the rate or the protocol is another: four of the longest
-packets that the known devices send (512 bytes)."""
+"""With so many bytes, four of the longest packets, and none valid, rate or protocol is another."""
 ENOUGH_TEXT = 100
 MOSTLY_TEXT = 0.95
 """Share of printable bytes from which a stream is text: at a wrong rate a third of all bytes is."""

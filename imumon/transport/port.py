@@ -144,10 +144,7 @@ class Port(AbstractContextManager["Port"]):
         self.close()
 
     def _take(self, fd: int) -> bytes:
-        """Read the ready descriptor.
-
-        Nothing there although select reported it means either hang-up or that another program was faster.
-        """
+        """Read the ready descriptor; nothing there means hang-up, or that another program was faster."""
         try:
             data = os.read(fd, READ_SIZE)
         except BlockingIOError:
@@ -238,7 +235,6 @@ def _set_exclusive(fd: int, on: bool) -> None:
 
 
 def _hung_up(fd: int) -> bool:
-    """Return whether the device behind a terminal descriptor is gone."""
     try:
         termios.tcgetattr(fd)
     except termios.error:

@@ -134,7 +134,7 @@ def latency_timer_ms(device: str) -> int | None:
 def holders(device: str) -> list[str]:
     """Return the other processes that have the device open, as ``command (pid 123)``.
 
-    Only Linux reports them, and only processes that this user may look into; others are not in the list.
+    Only Linux reports them, and only processes that this user may look into.
     """
     target = os.path.realpath(device)
     found: list[str] = []

@@ -113,8 +113,7 @@ Sink = Callable[[Item], None]
 class Clock:
     """Unix time that never goes back: the time of day at the start plus a clock that only goes forwards.
 
-    A step of the computer's clock (by a person or by NTP) during a recording does not reach the stamps; time
-    that the computer sleeps does, where the operating system counts it.
+    Steps of the computer's clock do not reach the stamps; its sleep does, where the system counts it.
     """
 
     def __init__(self) -> None:

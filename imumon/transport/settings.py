@@ -13,10 +13,7 @@ _ALLOWED: dict[str, tuple[object, ...]] = {
 
 @dataclass(frozen=True, slots=True)
 class PortSettings:
-    """Where the bytes come from and how the line is set.
-
-    Raises BAD_CONFIG when a value is not one of these.
-    """
+    """Where the bytes come from and how the line is set; raises BAD_CONFIG when a value cannot be."""
 
     url: str
     """A device (``/dev/ttyUSB0``) or any URL that pyserial knows (``socket://host:port``,

@@ -4,8 +4,6 @@ from collections import Counter
 from dataclasses import dataclass, field
 from typing import ClassVar
 
-import numpy as np
-
 from imumon.transport.settings import PortSettings
 
 BUCKET_NS = 100_000_000
@@ -46,20 +44,17 @@ class LinkStatistics:
 
         The first 0.1 s does not count: it holds what had queued up before the port was opened.  Nor does the
         one that is not over yet.
-        A read that comes late brings what was sent during the silence before it.  So the rate is the smallest
-        of those over the last 2 s, and from the beginning of each earlier silence (0.1 s without a byte).
+        A read that comes late brings what was sent during the silence before it, so a silence that ended
+        within the 2 s counts from its beginning.
         """
-        bucket = now_ns // BUCKET_NS
-        if self._first_bucket is None or bucket <= self._first_bucket:
+        bucket, first = now_ns // BUCKET_NS, self._first_bucket
+        if first is None or bucket <= first:
             return 0.0
         self._forget(bucket)
-        before = max(self._first_bucket, bucket - LONGEST_WINDOW) - 1
-        number, count = np.array([(before, 0), *self._buckets.items()], np.int64).T
-        begin = max(self._first_bucket, bucket - WINDOW_BUCKETS)
-        silences = number[:-1][np.diff(number) > 1] + 1
-        begins = np.append(silences[silences < begin], begin)
-        until = np.append(0, np.cumsum(count))[np.searchsorted(number, [*begins, bucket])]
-        return float(np.min((until[-1] - until[:-1]) / (bucket - begins))) / (BUCKET_NS * 1e-9)
+        before = (number for number in self._buckets if number < bucket - WINDOW_BUCKETS)
+        begin = max(max(before, default=first - 1) + 1, bucket - LONGEST_WINDOW)
+        sent = sum(count for number, count in self._buckets.items() if begin <= number < bucket)
+        return sent / (bucket - begin) / (BUCKET_NS * 1e-9)
 
     def load(self, now_ns: int) -> float | None:
         """Return the share of the line's capacity in use, or None when there is no line."""

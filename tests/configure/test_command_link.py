@@ -31,7 +31,7 @@ def test_a_device_that_a_glance_received_too_little_of_is_listened_to_for_longer
     device = load_device("witmotion")
     with VirtualDevice(device, tmp_path / "imu") as virtual:
         link = connect(virtual.port.path, device, family_of(device), None)
-        link.close()
+        link.port.close()
     assert cut(virtual.port.path, {}, (9600,), GLANCE_S)[0].verdict is Verdict.NOTHING
     assert listened[:2] == [GLANCE_S, HEAR_S]
     assert link.streaming

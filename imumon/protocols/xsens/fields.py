@@ -7,13 +7,13 @@ the reference frame.  Values are in the device's units times a factor.
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import chain
 from math import pi
 
 from imumon.columns import KNOWN, Column
 from imumon.protocols.base import MAIN, NO_GROUP
-from imumon.protocols.messages import Message, Part, counted, field, floats, gap, real
+from imumon.protocols.messages import Message, Part, counted, field, floats, gap, gnss, real
 from imumon.protocols.numbers import FROM_MATRIX, MATRIX, Number, count, date, known, number, utc_time, vector
 
 DEGREE = pi / 180
@@ -48,9 +48,8 @@ UTC_VALUES = tuple(map(Number, (*date("utc_"), UTC_VALID), UTC_KINDS))
 class Identifier:
     """A data identifier without its format bits.
 
-    Numbers without a type are real ones in the precision that the identifier states; without numbers, the
-    field is recognised and counted whatever its size.  `raw`: the last bit states if counts are signed.
-    `least`: bytes of the shortest field, whose last numbers are absent.
+    Numbers without a type have the precision that the identifier states; without numbers, the field is
+    recognised whatever its size.  `raw`: the last bit states if counts are signed.  `least`: as `Message`.
     """
 
     code: int
@@ -122,64 +121,39 @@ def _trigger(code: int, line: int) -> Identifier:
     )
 
 
-def _gnss(name: str, unit: str, description: str, kind: str, factor: float) -> Part:
-    return real(f"gnss_{name}", unit, f"GNSS receiver: {description}", kind, factor)
-
-
-def _gnss_count(name: str, description: str, kind: str) -> Part:
-    return counted(f"gnss_{name}", f"GNSS receiver: {description}", kind)
-
-
-_TIME_OF_WEEK = _gnss("time_of_week", "s", "GPS time of week", "u32", 1e-3)
+_gnss = partial(gnss, "gnss")
+_TIME_OF_WEEK = _gnss("s", "time_of_week", kind="u32", factor=1e-3)
 _DATE = tuple(map(Number, date("gnss_utc_")[1:], UTC_KINDS[1:]))
 _NANO = floats(date("gnss_utc_")[:1], kind="i32")
-_TIME_VALID = _gnss_count("time_valid", "validity bits of date and time", "u8")
-_TIME_ACCURACY = _gnss("time_accuracy", "s", "time accuracy", "u32", 1e-9)
-
-
-def _dilutions(names: str) -> Part:
-    return tuple(
-        chain(*(_gnss(f"{name}dop", "1", f"dilution of precision, {name}", "u16", 0.01) for name in names))
-    )
-
-
+_TIME_VALID = _gnss("1", "time_valid", kind="u8")
+_TIME_ACCURACY = _gnss("s", "time_accuracy", kind="u32", factor=1e-9)
+_DILUTIONS = _gnss("1", *(f"{name}dop" for name in "gptvhne"), kind="u16", factor=0.01)
 _PVT = (
-    _TIME_OF_WEEK,
-    _DATE,
-    _TIME_VALID,
-    _TIME_ACCURACY,
-    _NANO,
-    _gnss_count("fix_type", "kind of fix", "u8"),
-    _gnss_count("flags", "flags of the fix", "u8"),
-    _gnss_count("satellites", "satellites used", "u8"),
+    *(_TIME_OF_WEEK, _DATE, _TIME_VALID, _TIME_ACCURACY, _NANO),
+    _gnss("1", "fix_type", "flags", "satellites", kind="u8"),
     gap(1),
-    _gnss("longitude", "deg", "longitude", "i32", 1e-7),
-    _gnss("latitude", "deg", "latitude", "i32", 1e-7),
-    _gnss("altitude", "m", "height above the ellipsoid", "i32", 1e-3),
-    _gnss("altitude_msl", "m", "height above mean sea level", "i32", 1e-3),
-    _gnss("horizontal_accuracy", "m", "horizontal accuracy", "u32", 1e-3),
-    _gnss("vertical_accuracy", "m", "vertical accuracy", "u32", 1e-3),
-    *(_gnss(f"velocity_{x}", "m/s", f"velocity {x}", "i32", 1e-3) for x in ("north", "east", "down")),
-    _gnss("ground_speed", "m/s", "speed over ground", "i32", 1e-3),
-    _gnss("course", "rad", "course over ground", "i32", 1e-5 * DEGREE),
-    _gnss("speed_accuracy", "m/s", "speed accuracy", "u32", 1e-3),
-    _gnss("course_accuracy", "rad", "course accuracy", "u32", 1e-5 * DEGREE),
-    _gnss("vehicle_heading", "rad", "heading of the vehicle", "i32", 1e-5 * DEGREE),
-    _dilutions("gptvhne"),
+    _gnss("deg", "longitude", "latitude", kind="i32", factor=1e-7),
+    _gnss("m", "altitude", "altitude_msl", kind="i32", factor=1e-3),
+    _gnss("m", "horizontal_accuracy", "vertical_accuracy", kind="u32", factor=1e-3),
+    _gnss("m/s", "velocity_north", "velocity_east", "velocity_down", "ground_speed", kind="i32", factor=1e-3),
+    _gnss("rad", "course", kind="i32", factor=1e-5 * DEGREE),
+    _gnss("m/s", "speed_accuracy", kind="u32", factor=1e-3),
+    _gnss("rad", "course_accuracy", kind="u32", factor=1e-5 * DEGREE),
+    _gnss("rad", "vehicle_heading", kind="i32", factor=1e-5 * DEGREE),
+    _DILUTIONS,
 )
 _SOLUTION = (
     _TIME_OF_WEEK,
     gap(4),
-    _gnss_count("week", "GPS week", "i16"),
-    _gnss_count("fix_type", "kind of fix", "u8"),
-    _gnss_count("flags", "flags of the fix", "u8"),
-    *(_gnss(f"ecef_{x}", "m", f"position, earth-centred earth-fixed, {x}", "i32", 0.01) for x in "xyz"),
-    _gnss("position_accuracy", "m", "position accuracy", "u32", 0.01),
-    *(_gnss(f"ecef_velocity_{x}", "m/s", f"velocity, earth-fixed, {x}", "i32", 0.01) for x in "xyz"),
-    _gnss("speed_accuracy", "m/s", "speed accuracy", "u32", 0.01),
-    _dilutions("p"),
+    _gnss("1", "week", kind="i16"),
+    _gnss("1", "fix_type", "flags", kind="u8"),
+    _gnss("m", *(f"ecef_{axis}" for axis in "xyz"), kind="i32", factor=0.01),
+    _gnss("m", "position_accuracy", kind="u32", factor=0.01),
+    _gnss("m/s", *(f"ecef_velocity_{axis}" for axis in "xyz"), kind="i32", factor=0.01),
+    _gnss("m/s", "speed_accuracy", kind="u32", factor=0.01),
+    _gnss("1", "pdop", kind="u16", factor=0.01),
     gap(1),
-    _gnss_count("satellites", "satellites used", "u8"),
+    _gnss("1", "satellites", kind="u8"),
     gap(1),
 )
 
@@ -187,15 +161,12 @@ MOST_SATELLITES = 60
 """In a GnssSatInfo."""
 
 
-def _satellite(k: int) -> tuple[Part, ...]:
-    return (
-        _gnss_count(f"sat{k}_id", f"satellite {k}: system times 256 and number", "u16"),
-        _gnss_count(f"sat{k}_cno", f"satellite {k}: carrier to noise, dBHz", "u8"),
-        _gnss_count(f"sat{k}_flags", f"satellite {k}: quality (0-2), used (3), health (4-5)", "u8"),
-    )
+def _satellite(k: int) -> Part:
+    """System times 256 and number; carrier to noise in dBHz; quality (bits 0-2), used (3), health (4-5)."""
+    return _gnss("1", f"sat{k}_id", kind="u16") + _gnss("1", f"sat{k}_cno", f"sat{k}_flags", kind="u8")
 
 
-_SATELLITES = (_TIME_OF_WEEK, _gnss_count("satellites_seen", "satellites listed", "u8"), gap(3))
+_SATELLITES = (_TIME_OF_WEEK, _gnss("1", "satellites_seen", kind="u8"), gap(3))
 
 IDENTIFIERS: tuple[Identifier, ...] = (
     _plain(0x1020, "PacketCounter", floats("packet_counter", kind="u16")),
@@ -235,10 +206,9 @@ IDENTIFIERS: tuple[Identifier, ...] = (
     _plain(0xE080, "DeviceId", counted("device_id", "identity of the device", "u64")),
     _plain(0xE090, "LocationId", counted("location_id", "number given by the user", "u16")),
     _plain(0x7010, "GnssPvtData", *_PVT),
-    _plain(0x7020, "GnssSatInfo", *_SATELLITES, *(
-        value for k in range(MOST_SATELLITES) for value in _satellite(k + 1)), least=8),
+    _plain(0x7020, "GnssSatInfo", *_SATELLITES, *map(_satellite, range(1, 1 + MOST_SATELLITES)), least=8),
     _plain(0x7030, "GnssPvtPulse"),
-    _plain(0x8830, "GpsDop", _TIME_OF_WEEK, _dilutions("gptvhne")),
+    _plain(0x8830, "GpsDop", _TIME_OF_WEEK, _DILUTIONS),
     _plain(0x8840, "GpsSol", *_SOLUTION),
     _plain(0x8880, "GpsTimeUtc", _TIME_OF_WEEK, _TIME_ACCURACY, _NANO, _DATE, _TIME_VALID),
     _plain(0x88A0, "GpsSvInfo"),

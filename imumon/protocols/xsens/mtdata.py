@@ -7,6 +7,7 @@ messages SetOutputMode (16 bits) and SetOutputSettings (32 bits), and the fixed 
 import struct
 from collections.abc import Iterable, Sequence
 from fractions import Fraction
+from functools import partial
 from typing import Literal
 
 from pydantic import Field as Key
@@ -16,7 +17,7 @@ from imumon.columns import KNOWN
 from imumon.config import StrictModel
 from imumon.protocols.base import Encoder, Timing, chosen
 from imumon.protocols.device import DeviceFile
-from imumon.protocols.messages import Message, TableDevice, counted, field, floats
+from imumon.protocols.messages import Message, TableDevice, counted, field, floats, gnss
 from imumon.protocols.numbers import MATRIX, Number, known, number
 from imumon.protocols.tagged import XBUS, XBUS_DATA, TaggedDecoder, tagged_encoder
 from imumon.protocols.xsens import fields
@@ -202,20 +203,16 @@ class Profile(StrictModel):
         return self
 
 
-def _gps(kind: str, factor: float, unit: str, *names: str) -> tuple[Number, ...]:
-    columns = [number(f"gnss_{name}", unit, f"GNSS receiver: {name.replace('_', ' ')}") for name in names]
-    return floats(columns, factor, kind)
-
-
+_gnss = partial(gnss, "gnss")
 _RAW_GPS = (
     *floats("pressure", 2.0, "u16"),
     *counted("pressure_age", "age of the pressure, in packets", "u8"),
-    *_gps("u32", 1e-3, "s", "time_of_week"),
-    *_gps("i32", 1e-7, "deg", "latitude", "longitude"),
-    *_gps("i32", 1e-3, "m", "altitude"),
-    *_gps("i32", 0.01, "m/s", "velocity_north", "velocity_east", "velocity_down"),
-    *_gps("u32", 1e-3, "m", "horizontal_accuracy", "vertical_accuracy"),
-    *_gps("u32", 0.01, "m/s", "speed_accuracy"),
+    *_gnss("s", "time_of_week", kind="u32", factor=1e-3),
+    *_gnss("deg", "latitude", "longitude", kind="i32", factor=1e-7),
+    *_gnss("m", "altitude", kind="i32", factor=1e-3),
+    *_gnss("m/s", "velocity_north", "velocity_east", "velocity_down", kind="i32", factor=0.01),
+    *_gnss("m", "horizontal_accuracy", "vertical_accuracy", kind="u32", factor=1e-3),
+    *_gnss("m/s", "speed_accuracy", kind="u32", factor=0.01),
     *counted("gnss_age", "age of the GNSS data, in packets", "u8"),
 )
 
