@@ -41,8 +41,6 @@ Missing values
     device never sends has no column.  Within imumon a missing integer is `imumon.blocks.NO_INT`.
 """
 
-from __future__ import annotations
-
 from importlib import import_module
 from typing import TYPE_CHECKING
 

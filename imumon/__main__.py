@@ -1,7 +1,5 @@
 """``python -m imumon`` and the installed program: the command, which Ctrl-C may end from its first moment."""
 
-from __future__ import annotations
-
 import os
 import signal
 

@@ -1,7 +1,5 @@
 """Names, units and types of the columns that samples, tables and recordings have."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

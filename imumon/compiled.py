@@ -67,14 +67,9 @@ def record(fields: type[Fields], **shapes: int | tuple[int, ...]) -> Fields:
 
 
 def records(fields: type[Fields], count: int, **shapes: int | tuple[int, ...]) -> Sequence[Fields]:
-    """Return an array of so many such records.
-
-    Raises ValueError when a NumPy record has an attribute of its own with the name of a field.
-    """
-    kinds = get_type_hints(fields)
-    if taken := [name for name in kinds if hasattr(np.record, name)]:
-        raise ValueError(f"{fields.__name__}: NumPy has another meaning for {', '.join(taken)}")
-    layout = [(name, _TYPES[kind], shapes.get(name, ())) for name, kind in kinds.items()]
+    """Return an array of so many such records; no field may have the name of an attribute of `np.record`."""
+    hints = get_type_hints(fields)
+    layout = [(name, _TYPES[kind], shapes.get(name, ())) for name, kind in hints.items()]
     made: Any = np.zeros(count, np.dtype((np.record, layout)))
     return cast(Sequence[Fields], made)
 

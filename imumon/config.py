@@ -196,8 +196,7 @@ def _locate(root: yaml.Node, location: Location) -> tuple[int, str]:
             found = next(((k, v) for k, v in node.value if k.value == str(step)), None)
             if found is not None:
                 node, line = found[1], found[0].start_mark.line + 1
-                path += f".{step}" if path else str(step)
-            elif last and step not in _UNION_TAGS:
+            if found is not None or (last and step not in _UNION_TAGS):
                 path += f".{step}" if path else str(step)
         elif isinstance(node, yaml.SequenceNode) and isinstance(step, int) and step < len(node.value):
             node = node.value[step]

@@ -1,7 +1,5 @@
 """The one error class of imumon, its reasons, and the exit codes they lead to."""
 
-from __future__ import annotations
-
 from enum import Enum
 
 EXIT_OK = 0

@@ -1,7 +1,6 @@
 """Text files read whole, or refused with the reason; files written whole or not at all; values for JSON."""
 
 import errno
-import io
 import math
 import os
 from collections.abc import Iterator, Mapping
@@ -115,10 +114,8 @@ def write_text(path: Path, text: str) -> None:
 
 def write_png(path: Path, figure: Any, dpi: float) -> None:
     """Write a figure of matplotlib as a PNG, as a whole or not at all; raises OSError, as `replacing`."""
-    picture = io.BytesIO()
-    figure.savefig(picture, dpi=dpi, format="png")
     with replacing(path) as partial:
-        partial.write_bytes(picture.getvalue())
+        figure.savefig(partial, dpi=dpi, format="png")
 
 
 def check_output(path: Path, *, replace: bool = False, suffix: str = "") -> None:

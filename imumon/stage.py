@@ -1,7 +1,5 @@
 """What a stage is, and how it is run: its results are checked, and one that fails is switched off."""
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Callable, Mapping, Sequence

@@ -177,18 +177,15 @@ def _progress(status: Status, instruction: str = "") -> str:
 def as_data(status: Status, positions: int = 1) -> dict[str, object]:
     """Return what ``--json`` prints; headings in degrees clockwise from true north, 0 to 360."""
     unknown = Estimate(math.nan, math.nan)
-
-    def degrees(one: Estimate) -> tuple[float, float]:
-        return math.degrees(one.heading), math.degrees(one.sd)
-
+    known = {name: one if one.known else unknown for name, one in status.estimates.items()}
     estimators = {
-        name: dict(zip(("heading_deg", "sd_deg"), degrees(one if one.known else unknown), strict=True))
-        for name, one in status.estimates.items()
+        name: {"heading_deg": math.degrees(one.heading), "sd_deg": math.degrees(one.sd)}
+        for name, one in known.items()
     }
-    heading, sd = degrees(status.shown or unknown)
+    shown = status.shown or unknown
     return {
-        "heading_deg": heading,
-        "heading_sd_deg": sd,
+        "heading_deg": math.degrees(shown.heading),
+        "heading_sd_deg": math.degrees(shown.sd),
         "estimator": "joint" if status.shown else None,
         "settled_s": status.settled_s if status.positions >= positions else None,
         "observable": status.observable,
@@ -199,14 +196,12 @@ def as_data(status: Status, positions: int = 1) -> dict[str, object]:
 
 def result_rows(status: Status) -> dict[str, str]:
     """Return texts by label: the heading, whether it settled, and the conditions that limit it."""
-    wanted, settled = f"(σ ≤ {math.degrees(status.wanted_sd):g}°)", status.settled_s
-    texts = {
-        "heading": status.heading_text,
-        "settled": f"no {wanted}: {status.to_go_text}"
-        if settled is None
-        else f"yes, {settled:.1f} s after the first sample {wanted}",
-        "data": f"{min(status.rest_s, status.elapsed_s):.0f} of {status.elapsed_s:.0f} s counted",
-    }
+    wanted = f"(σ ≤ {math.degrees(status.wanted_sd):g}°)"
+    settled = f"no {wanted}: {status.to_go_text}"
+    if status.settled_s is not None:
+        settled = f"yes, {status.settled_s:.1f} s after the first sample {wanted}"
+    counted = f"{min(status.rest_s, status.elapsed_s):.0f} of {status.elapsed_s:.0f} s counted"
+    texts = {"heading": status.heading_text, "settled": settled, "data": counted}
     if status.positions > 1:
         texts["positions"] = f"{status.positions}, the last turned by {math.degrees(status.turned):.1f}°"
     return texts

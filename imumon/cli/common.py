@@ -343,28 +343,21 @@ def make_setup(given: Mapping[str, Any], session: Session | None = None) -> Setu
     """
     from imumon.run.setup import Setup, load_setup, recorded_setup
 
-    setup = Setup()
+    setup = Setup() if session is None else recorded_setup(session)
     if (path := given.get("pipeline")) is not None:
         setup = load_setup(path)
-    elif session is not None:
-        setup = recorded_setup(session)
-    model = random_error = published = None
+    keys = {"zupt": "zupt_mode", "latitude": "latitude_deg", "heading": "heading_deg"}
+    changes = {key: given.get(option) for option, key in keys.items()}
     if (path := given.get("model")) is not None:
         from imumon.models.model import load_model
 
-        model = load_model(path)
+        changes["model"] = load_model(path)
     if (method := given.get("random_error")) is not None:
-        random_error = setup.random_error.model_copy(update={"method": method})
+        changes["random_error"] = setup.random_error.model_copy(update={"method": method})
     if (names := given.get("published")) is not None:
-        published = [name for name in map(str.strip, names.split(",")) if name]
-        if wrong := [name for name in published if name not in PUBLISHED or published.count(name) > 1]:
+        chosen = [name for name in map(str.strip, names.split(",")) if name]
+        if wrong := [name for name in chosen if name not in PUBLISHED or chosen.count(name) > 1]:
             expected = f"{wrong[0]}: expected {', '.join(PUBLISHED)}, each once"
             raise click.BadParameter(expected, param_hint="--published")
-    return setup.with_options(
-        model=model,
-        zupt_mode=given.get("zupt"),
-        random_error=random_error,
-        published=published,
-        latitude_deg=given.get("latitude"),
-        heading_deg=given.get("heading"),
-    )
+        changes["published"] = chosen
+    return setup.with_options(**changes)

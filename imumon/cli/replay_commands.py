@@ -107,6 +107,7 @@ def replay(
     smoother = smoothed(open_source(session, rate_hz=rate), setup) if smooth else None
     pipeline, digest = pipeline_of(source, setup, [smoother] if smoother else []), Digest()
     publisher = narrator = None
+    comparison = Comparison(None, reason="it ran otherwise, by --smooth or --rate")
     if view != "none":
         units = {column.name: column.unit for column in source.imported} | pipeline.units
         publisher = _begun(view, view_setup(opened, units, window, replay=True), bind)
@@ -127,14 +128,14 @@ def replay(
     finally:
         if publisher is not None:
             publisher.close(CLOSE_S)
-    comparison = Comparison(None, "it ran otherwise, by --smooth or --rate")
     if not smooth and rate is None:
         comparison = compare_with_live(opened, setup, digest, pipeline)
-    foreign = setup.bias_model.of_another(opened.metadata.serial) if setup.bias_model else ""
-    common.warn(
-        advised(text, opened.path) for text in [foreign, *source.warnings(), *pipeline.warnings()] if text
-    )
-    if comparison.identical is False:
+    texts = [*source.warnings(), *pipeline.warnings()]
+    if setup.bias_model is not None:
+        texts.insert(0, setup.bias_model.of_another(opened.metadata.serial))
+    common.warn(advised(text, opened.path) for text in texts if text)
+    differs = comparison.identical is False
+    if differs:
         common.warn(["the samples differ from those of the live run: another version, or bytes missing"])
     common.warn(exported.warnings)
     data = {"session": source.path} | exported_as_data(source, pipeline, exported)
@@ -149,7 +150,7 @@ def replay(
         data["truth"] = true.as_data()
         rows |= true.rows()
     common.print_result(as_json, data, rows)
-    return EXIT_NEGATIVE if comparison.identical is False else EXIT_OK
+    return EXIT_NEGATIVE if differs else EXIT_OK
 
 
 def _truth(session: Path, setup: Setup) -> Truth:
@@ -229,6 +230,10 @@ def view(
     """
     import rerun as rr
 
+    from imumon.recordings.folder import open_session
+    from imumon.recordings.source import source_of
+    from imumon.run.setup import recorded_setup
+    from imumon.run.stages import pipeline_of
     from imumon.view.compare import Comparison
     from imumon.view.items import ViewSetup
     from imumon.view.viewer import APPLICATION, default_mode
@@ -237,7 +242,11 @@ def view(
         check_output(out, suffix=".rrd")
     names = [path.resolve().name for path in sessions]
     names = [name if names.count(name) == 1 else f"{name} {at + 1}" for at, name in enumerate(names)]
-    opened = [_opened(path) for path in sessions]  # what is wrong with one is reported before a viewer comes
+    opened = []
+    for path in sessions:  # what is wrong with one is reported before a viewer comes
+        session = open_session(path)
+        source = source_of(session)
+        opened.append((session, source, pipeline_of(source, recorded_setup(session))))
     setup = ViewSetup(" and ".join(names), f"view-{time.time_ns()}")
     mode = view or default_mode()
     rec = rr.RecordingStream(APPLICATION, recording_id=setup.recording_id)
@@ -248,11 +257,11 @@ def view(
         common.chosen_view(mode, bind)
         url = _shown(rec, setup, mode, bind)
     comparison = Comparison(rec, setup, align)
-    titles = []
+    found = dict[str, tuple[dict[str, object], dict[str, str]]]()
     try:
-        for one, path, name in zip(opened, sessions, names, strict=True):
-            with reading_bar([path], quiet=as_json) as progress:
-                titles.append(_log_session(*one, name, comparison, progress.count))
+        for one, name in zip(opened, names, strict=True):
+            with reading_bar([one[0].path], quiet=as_json) as progress:
+                found[name] = _log_session(*one, name, comparison, progress.count)
         if comparison.arrange() is None:
             hint = "an imported table has no times of a computer: --align power-on" if align == "host" else ""
             raise bad_data("the sessions have no samples with such times", hint)
@@ -265,27 +274,13 @@ def view(
     if url:
         common.note(f"view: {url}")
     if as_json:
-        common.print_json({"sessions": [data for data, _ in titles], "out": out, "url": url or None})
-    for name, (_, rows) in zip(names, titles, strict=True):
+        common.print_json({"sessions": [data for data, _ in found.values()], "out": out, "url": url or None})
+    for name, (_, rows) in found.items():
         common.note(name)
         common.print_rows(rows)
     if mode == "web" and out is None:
         serve(url)
     rec.disconnect()
-
-
-def _opened(path: Path) -> tuple[Session, Source, Pipeline]:
-    """Open a session, with the pipeline that it is to run through.
-
-    Raises ImumonError as `open_source` and `recorded_setup` do.
-    """
-    from imumon.recordings.folder import open_session
-    from imumon.recordings.source import open_source
-    from imumon.run.setup import recorded_setup
-    from imumon.run.stages import pipeline_of
-
-    session, source = open_session(path), open_source(path)
-    return session, source, pipeline_of(source, recorded_setup(session))
 
 
 def _log_session(
@@ -301,31 +296,23 @@ def _log_session(
     from imumon.run.account import Outages, describe_disk, describe_span, file_sizes, wall_clock
     from imumon.run.narration import describe_losses
 
-    metadata, path, outages, samples = recorded.metadata, recorded.path, Outages(), 0
+    metadata, path, outages = recorded.metadata, recorded.path, Outages()
     comparison.begin(name)
     for block in run_over(outages.watch(source.items), pipeline, count):
-        samples += len(block)
         comparison.log(block)
     common.warn([*source.warnings(), *pipeline.warnings()])
-    ended_ns = max(metadata.ended_ns or 0, outages.last_ns) or metadata.created_ns
-    span = describe_span(metadata.created_ns, ended_ns)
+    counters, began_ns = pipeline.counters, metadata.created_ns
+    ended_ns = max(metadata.ended_ns or 0, outages.last_ns) or began_ns
+    span = describe_span(began_ns, ended_ns)
     if metadata.table is not None:  # when a table was measured is not known
-        span = f"{metadata.duration_s:.1f} s, imported {wall_clock(metadata.created_ns, day=True)}"
-    data = {
-        "session": path,
-        "name": name,
-        "samples": samples,
-        "created_ns": metadata.created_ns,
-        "ended_ns": ended_ns,
-        "outages": outages.as_data(),
-        "files": file_sizes(path),
-        **pipeline.counters.as_dict(),
-    }
+        span = f"{metadata.duration_s:.1f} s, imported {wall_clock(began_ns, day=True)}"
+    data = {"session": path, "name": name, "created_ns": began_ns, "ended_ns": ended_ns}
+    data |= {"outages": outages.as_data(), "files": file_sizes(path), **counters.as_dict()}
     rows = {
         "recorded": span,
-        "samples": f"{samples:,}",
+        "samples": f"{counters.samples:,}",
         "outages": outages.describe(),
-        "losses": describe_losses(pipeline.counters),
+        "losses": describe_losses(counters),
         "on disk": describe_disk(path),
     }
     return data, rows

@@ -54,11 +54,9 @@ def _write_table(
 
     source = open_source(file, device, rate)
     source.refuse_output(out)
-    pipeline = Pipeline(source.device)
-    session = None if source.session is None else source.session.path
-    sender = None if source.device is None else source.device.name
-    named = {"file": source.path, "session": session, "device": sender}
-    doubts = Doubts(source.device is not None and source.device.protocol.startswith("fixed"))
+    pipeline, sender, session = Pipeline(source.device), source.device, source.session
+    named = {"file": source.path, "session": session and session.path, "device": sender and sender.name}
+    doubts = Doubts(sender is not None and sender.protocol.startswith("fixed"))
     try:
         with reading_bar([file], quiet=as_json) as progress:
             blocks = doubts.through(run_over(source.items, pipeline, progress.count))
@@ -90,8 +88,9 @@ def exported_as_data(source: Source, pipeline: Pipeline, exported: Exported) -> 
     """Return what ``--json`` prints of a run that was exported: the table, what came, what is missing."""
     from imumon.protocols.base import MAIN
 
-    table = {"out": exported.tables.get(MAIN), "rows": exported.rows, "tables": exported.tables}
-    return {**table, **pipeline.counters.as_dict(), **source.losses()}
+    tables = exported.tables
+    came = pipeline.counters.as_dict() | source.losses()
+    return {"out": tables.get(MAIN), "rows": exported.rows, "tables": tables, **came}
 
 
 @click.command("export")
@@ -148,26 +147,20 @@ def import_(
     from imumon.recordings.folder import name_unit
     from imumon.recordings.importing import import_table
 
-    chosen: dict[str, Any] = {}
-    more: dict[str, str] = {}
+    log: Any = None
     if map_path is None:
         import_log, *_ = offers("import_log")  # that of imumon comes first
-        found = import_log(table, sensor, out)
-        report, damage = found.rows, found.damage
-        if damage.places:
-            lost = f"{damage.size:,} bytes in {damage.places:,} damaged place(s) of the log were left out"
-            common.log("WARN", lost)
-        chosen = {"sensor": found.sensor, "other_sensors": found.others, "scaling": found.scaling}
-        chosen["damage"] = asdict(damage)
-        others = f" (--sensor: {', '.join(found.others)})" if found.others else ""
-        more = {"sensor": found.sensor + others, "scaling": found.scaling}
+        report, log = import_log(table, sensor, out)
     elif sensor is not None:
         raise bad_config("--sensor is for logs, --map for tables", "give one of them")
     else:
         report = import_table(table, map_path, out)
     name_unit(out, serial)
+    if log is not None and log.damage.places:
+        lost = f"{log.damage.size:,} bytes in {log.damage.places:,} damaged place(s) of the log"
+        common.log("WARN", f"{lost} were left out")
     if report.rows_dropped:
-        why = "as their time does not increase" if map_path is None else "as the map requires"
+        why = "as the map requires" if log is None else "as their time does not increase"
         common.log("WARN", f"{report.rows_dropped} of {report.rows_in} rows were dropped, {why}")
     common.warn(report.warnings)
     rate = f" at {report.rate_hz:.4g} Hz" if isfinite(report.rate_hz) else ""
@@ -178,7 +171,13 @@ def import_(
         "span": f"{report.span_s:.1f} s{rate}, {report.segments} segment(s)",
         "session": str(out),
     }
-    common.print_result(as_json, {"session": out, **asdict(report), **chosen}, rows | more)
+    data = {"session": out, **asdict(report)}
+    if log is not None:
+        data |= {"sensor": log.sensor, "other_sensors": log.others, "scaling": log.scaling}
+        data["damage"] = asdict(log.damage)
+        others = f" (--sensor: {', '.join(log.others)})" if log.others else ""
+        rows |= {"sensor": log.sensor + others, "scaling": log.scaling}
+    common.print_result(as_json, data, rows)
 
 
 @click.command("mark")
@@ -226,7 +225,6 @@ def recover(session: Path, device: str | None, as_json: bool) -> None:
         common.log("INFO", f"the original is {original}")
     common.warn(result.warnings)
     if as_json:
-        before = asdict(result.before)
-        before.pop("metadata")
-        found = {"session": result.session, "done": result.done, "originals": result.originals}
-        common.print_json({**found, "warnings": result.warnings, "before": before})
+        found = asdict(result)
+        del found["before"]["metadata"]
+        common.print_json(found)

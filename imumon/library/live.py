@@ -1,7 +1,5 @@
 """Samples of a port as they come, recorded or not."""
 
-from __future__ import annotations
-
 import asyncio
 import logging
 import time

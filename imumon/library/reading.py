@@ -1,7 +1,5 @@
 """Sessions, raw captures and tables, read whole or block by block."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path

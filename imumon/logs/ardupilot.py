@@ -7,8 +7,6 @@ mGauss and BARO the pressure Press in Pa.  Axes are
 forward-right-down.  Source: AP_Logger/LogStructure.h.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Iterator, Mapping
 from pathlib import Path

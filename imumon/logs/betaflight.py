@@ -6,8 +6,6 @@ column's name.  The scale is in the "H" lines of the log itself, which blackbox_
 taken from the head of the table, else from the log beside it.  Axes are forward-left-up.
 """
 
-from __future__ import annotations
-
 import io
 import math
 import re

@@ -1,34 +1,23 @@
 """A log becomes a session, through the table and the map that are made of it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import NamedTuple
 
 from imumon.errors import bad_config, bad_data
 from imumon.files import readable, write_text
 from imumon.logs import ardupilot, betaflight, px4, ros
-from imumon.logs.log import Damage, Log
+from imumon.logs.log import Log
 from imumon.recordings.importing import ImportReport, import_table
 
 Reader = Callable[[Path, str | None], Log]
 
 
-class LogReport(NamedTuple):
-    """What became of a log: its rows, the sensor that they are of, those not taken, scaling and damage."""
+def import_log(path: Path, sensor: str | None, out: Path) -> tuple[ImportReport, Log]:
+    """Make a session of one inertial sensor of a log; return what became of its rows, and the log.
 
-    rows: ImportReport
-    sensor: str
-    others: list[str]
-    scaling: str
-    damage: Damage
-
-
-def import_log(path: Path, sensor: str | None, out: Path) -> LogReport:
-    """Make a session of one inertial sensor of a log; rows whose time does not increase are counted only.
+    Rows whose time does not increase are counted only.
 
     Raises ImumonError as `reader_of`, the reader of the log, and `imumon.recordings.importing.import_table`.
     """
@@ -43,8 +32,7 @@ def import_log(path: Path, sensor: str | None, out: Path) -> LogReport:
         files = [one for one in path.iterdir() if one.is_file()] if path.is_dir() else [path]
         largest = max(files, key=lambda one: one.stat().st_size)  # whose fingerprint is kept, of a bag
         rows = import_table(table, table.with_suffix(".yaml"), out, largest, dropped)
-    rows = replace(rows, warnings=(*log.warnings, *rows.warnings))
-    return LogReport(rows, log.sensor, log.others, log.scaling, log.damage)
+    return replace(rows, warnings=(*log.warnings, *rows.warnings)), log
 
 
 def reader_of(path: Path) -> Reader:

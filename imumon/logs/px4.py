@@ -5,8 +5,6 @@ sensor_baro a pressure in Pa, before v1.14 in millibar.  timestamp_sample, in µ
 Axes are forward-right-down.
 """
 
-from __future__ import annotations
-
 import io
 import struct
 from contextlib import redirect_stdout

@@ -4,8 +4,6 @@
 The first topic of MagneticField, Temperature and FluidPressure goes with it.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path

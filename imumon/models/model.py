@@ -1,7 +1,5 @@
 """The model file: the bias of each channel over temperature, and where it comes from."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Final, Literal, Self
 

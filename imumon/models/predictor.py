@@ -45,9 +45,7 @@ class Carrier:
         known = np.isfinite(np.column_stack(list(driven.values()))).all(axis=1)
         cuts = np.flatnonzero(np.diff(segment)) + 1
         for a, b in pairwise([0, *cuts.tolist(), n]):
-            if b == a:
-                continue
-            if segment[a] != self._segment:
+            if a < b and segment[a] != self._segment:
                 self._segment, self._start_ns, self._memories = int(segment[a]), int(time_ns[a]), []
             first = a + int(np.argmax(known[a:b])) if known[a:b].any() else b
             bias[a:first] = np.nan
@@ -101,18 +99,16 @@ class BiasPredictor:
                 f"the bias model has no {', '.join(lacking)}; it has {', '.join(model.channels)}",
                 "calibrate with data that has these columns",
             )
-        models = [model.channels[name] for name in channels]
+        self._models = models = [model.channels[name] for name in channels]
         self.temperature_columns = tuple(channel.temperature_column for channel in models)
         """Column to take each channel's temperature from."""
-        self._models = models
         self._effects = [(at, effect, Carrier(effect)) for at, m in enumerate(models) for effect in m.effects]
         inputs = dict.fromkeys(name for _, effect, _ in self._effects for name in effect.inputs)
         self._vibration = Vibration() if VIBRATION in inputs else None
         self.drivers = tuple(name for name in inputs if name not in (ACCEL, VIBRATION))
         """Further columns that effects need."""
         self._others = [name for name in inputs if name != ACCEL]
-        self._forced = ACCEL in inputs
-        self._last = np.full(len(models) + len(self._others) + 3 * self._forced, np.nan)
+        self._last = np.full(len(models) + 3 + len(self._others), np.nan)
         self._segment = -1
 
     def process(
@@ -135,23 +131,22 @@ class BiasPredictor:
             raise ValueError(f"temperature of shape {temperature.shape} for {n} samples of {k} channels")
         if self._vibration is not None and accel is not None and VIBRATION not in others:
             others = {**others, VIBRATION: self._vibration.process(time_ns, segment, accel)}
-        columns = [temperature, *(others.get(name, np.full(n, np.nan)) for name in self._others)]
-        if self._forced:
-            columns.append(np.full((n, 3), np.nan) if accel is None else accel)
+        force, none = np.full((n, 3), np.nan) if accel is None else accel, np.full(n, np.nan)
+        columns = [temperature, force, *(others.get(name, none) for name in self._others)]
         held = self._held(segment, np.column_stack(columns))
         bias, slope, inside = np.empty((n, k)), np.empty((n, k)), np.empty((n, k), bool)
         for at, model in enumerate(self._models):
             bias[:, at], slope[:, at] = model.value_and_slope(held[:, at])
             inside[:, at] = model.inside(held[:, at])
-        drivers = dict(zip(self._others, held[:, k:].T, strict=False))
-        if self._forced and accel is not None:
-            drivers[ACCEL] = held[:, -3:]
+        drivers = dict(zip(self._others, held[:, k + 3 :].T, strict=True))
+        if accel is not None:
+            drivers[ACCEL] = held[:, k : k + 3]
         variance = np.zeros((n, k))
         for at, effect, carrier in self._effects:
             within = _within(effect, drivers)
-            low, high = self._models[at].temperature_range_degc
-            reach = self._models[at].reach_degc
-            within[TEMPERATURE] = np.clip(held[:, at], low - reach, high + reach)
+            model = self._models[at]
+            low, high = model.temperature_range_degc
+            within[TEMPERATURE] = np.clip(held[:, at], low - model.reach_degc, high + model.reach_degc)
             added, start_sd = carrier.process(time_ns, segment, within)
             bias[:, at] += added
             variance[:, at] += start_sd**2
@@ -160,10 +155,9 @@ class BiasPredictor:
     def of_block(self, block: SampleBlock) -> Prediction:
         """Return the expected bias at the samples of a block; columns that it lacks are missing."""
         none = np.full(len(block), np.nan)
-        temperature = [block.columns.get(name, none) for name in self.temperature_columns]
+        temperature = np.column_stack([block.columns.get(name, none) for name in self.temperature_columns])
         others = {name: block[name] for name in self.drivers if name in block}
-        stacked = np.column_stack(temperature).astype(np.float64)
-        return self.process(block["device_time_ns"], block["segment"], stacked, block.accel, others)
+        return self.process(block["device_time_ns"], block["segment"], temperature, block.accel, others)
 
     def _held(self, segment: IntArray, values: FloatArray) -> FloatArray:
         """Return the last value of each column in the segment, (n, m), and carry it on."""

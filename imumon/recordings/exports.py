@@ -2,8 +2,6 @@
 it, or files of other programs: NumPy, MATLAB, ROS 2.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack
@@ -11,7 +9,7 @@ from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import Any, BinaryIO
 from zipfile import BadZipFile
 
 import numpy as np
@@ -20,12 +18,10 @@ from imumon.blocks import SampleBlock
 from imumon.columns import KNOWN, BodyAxes, Column, ColumnType
 from imumon.errors import bad_config, bad_data
 from imumon.files import check_output, naming, target
+from imumon.pipeline import Pipeline
 from imumon.protocols.base import MAIN
+from imumon.recordings.source import Source
 from imumon.recordings.table import CLOCKS, TableWriter, read_table
-
-if TYPE_CHECKING:
-    from imumon.pipeline import Pipeline
-    from imumon.recordings.source import Source
 
 CONVERTED = (".npz", ".mat", ".mcap")
 LONGEST_NAME = 63

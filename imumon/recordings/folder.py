@@ -271,12 +271,10 @@ def open_session(path: Path) -> Session:
         hint = f"sessions are folders with a {METADATA_NAME}, usually in ./{DEFAULT_PARENT}"
         raise bad_data(f"{path}: there is no such file or folder", hint)
     if not (folder / METADATA_NAME).is_file():
-        there = f"the folder has no {METADATA_NAME}; it is empty"
-        if not folder.is_dir():
-            there = f"it is a file of {folder.stat().st_size} bytes"
-        elif names := sorted(entry.name for entry in folder.iterdir()):
-            more = ", ..." if len(names) > SHOWN_NAMES else ""
-            there = f"the folder has no {METADATA_NAME}; it has {', '.join(names[:SHOWN_NAMES])}{more}"
+        there = f"it is a file of {folder.stat().st_size} bytes"
+        if folder.is_dir():
+            names = sorted(entry.name for entry in folder.iterdir())
+            there = f"the folder has no {METADATA_NAME}; it has {', '.join(names[:SHOWN_NAMES]) or 'nothing'}"
         raise bad_data(f"{path} is not a session: {there}", _advice(folder) or _HINT)
     try:
         session = Session(folder, read_metadata(folder / METADATA_NAME))

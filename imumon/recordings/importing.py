@@ -1,7 +1,5 @@
 """A table from elsewhere becomes a session: every row goes in, or is counted, or nothing is made."""
 
-from __future__ import annotations
-
 import math
 import re
 import time
@@ -215,11 +213,12 @@ class TableImport:
             raise bad_data(what, "check rate_hz, or wraps_at and the unit of time, in the map") from None
         if not len(times):
             return times, times
-        may_go_back = self.map.time is not None and self.map.time.backwards == "segment"
+        time = self.map.time
         before_ns, before_line = self._last or (int(times[0]) - 1, 0)
         steps = np.diff(times, prepend=before_ns)
         back = steps < 0
-        if (wrong := (steps == 0) | (back & (not may_go_back))).any():
+        wrong = steps <= 0 if time is None or time.backwards == "error" else steps == 0
+        if wrong.any():
             at = int(np.argmax(wrong))
             line, line_before = int(part.line[at]), int(part.line[at - 1]) if at else before_line
             after_s, before_s = int(times[at]) * 1e-9, int(times[at] - steps[at]) * 1e-9
@@ -234,6 +233,8 @@ class TableImport:
         return times, segments
 
     def _times(self, part: Part) -> IntArray:
+        if not len(part.index):
+            return part.index
         if part.time_ns is None:
             # Each is rounded by itself so that no error adds up; a row that was dropped keeps its time.
             period_ns = 10**9 / Fraction(str(self.map.rate_hz))
@@ -241,9 +242,7 @@ class TableImport:
         wrap_ns = self.map.time.wrap_ns if self.map.time is not None else None
         if wrap_ns is None:
             return part.time_ns
-        times = []
-        for counted in part.time_ns.tolist():
-            self._wraps += counted < self._counted
-            self._counted = counted
-            times.append(counted + round(self._wraps * wrap_ns))
-        return np.array(times, np.int64)
+        wraps = self._wraps + np.cumsum(np.diff(part.time_ns, prepend=self._counted) < 0)
+        self._counted, self._wraps = int(part.time_ns[-1]), int(wraps[-1])
+        both = zip(part.time_ns.tolist(), wraps.tolist(), strict=True)
+        return np.array([counted + round(count * wrap_ns) for counted, count in both], np.int64)

@@ -1,8 +1,6 @@
 """Log lines on their way from one thread to another, and into the log of a session; light, as every command
 needs them."""
 
-from __future__ import annotations
-
 import json
 import time
 from collections.abc import Callable

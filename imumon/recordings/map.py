@@ -35,6 +35,11 @@ def _check_time_unit(text: str) -> str:
     return text
 
 
+def _check_own_unit(text: str) -> str:
+    parse_own_unit(text)
+    return text
+
+
 MOMENT = datetime(2026, 1, 31, 13, 14, 15, tzinfo=UTC)
 """Whose parts differ, so that a format which mixes them up is found."""
 
@@ -152,13 +157,7 @@ class Other(StrictModel):
     """A further column, whatever it is; it keeps its unit."""
 
     column: str
-    unit: UnitText
-
-    @field_validator("unit")
-    @classmethod
-    def _is_a_unit(cls, given: str) -> str:
-        parse_own_unit(given)
-        return given
+    unit: Annotated[UnitText, AfterValidator(_check_own_unit)]
 
 
 Name = Annotated[str, Field(pattern=NAME)]

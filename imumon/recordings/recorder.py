@@ -1,7 +1,5 @@
 """The recorder: gets what is read to the system within 0.2 s, and to the medium within 1 s."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Callable

@@ -4,8 +4,6 @@
 samples needs them: what no estimate may be made from is left out, as it is for all stages.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -133,25 +131,20 @@ class Source:
             return {}
         summary = self.items.summary
         began_ns = None if self.session is None else self.session.metadata.created_ns
-        where = [
-            {
-                **asdict(place),
-                "at_s": None if began_ns is None else place.begins_s(began_ns),
-                "seconds": place.seconds,
-                "altered": False,  # blocks that are not as they were written are left out
-            }
-            for place in summary.damage.where
-        ]
-        return {
-            "recording": {
-                "complete": summary.complete,
-                "checksum_ok": summary.checksum_ok,
-                "bytes_unrecorded": summary.bytes_unrecorded,
-                "tail_bytes": summary.tail_bytes,
-                "bytes_missing": bytes_missing(self.session, summary),
-                "damage": {**asdict(summary.damage), "events": 0, "bytes_altered": 0, "where": where},
-            }
+        where = []
+        for place in summary.damage.where:
+            at_s = None
+            if began_ns is not None and place.after_ns is not None:
+                at_s = round((place.after_ns - began_ns) * 1e-9, 6)
+            # Blocks that are not as they were written are left out.
+            where.append({**asdict(place), "at_s": at_s, "seconds": place.seconds, "altered": False})
+        whole = asdict(summary)
+        lacking = {
+            name: whole[name] for name in ("complete", "checksum_ok", "bytes_unrecorded", "tail_bytes")
         }
+        lacking["bytes_missing"] = bytes_missing(self.session, summary)
+        lacking["damage"] = {**whole["damage"], "events": 0, "bytes_altered": 0, "where": where}
+        return {"recording": lacking}
 
 
 def bytes_missing(session: Session | None, summary: WireSummary) -> int:
@@ -192,16 +185,16 @@ def open_source(path: Path, device_name: str | None = None, rate_hz: float | Non
     if not path.is_file() and not path.is_fifo():
         open_session(path)  # raises, naming what is there
     wire = WireReader(path) if path.is_file() and is_wire(path) else None
-    if device is None and wire is None:
-        hint = "add --device NAME; imumon devices lists them"
-        raise bad_config(f"{path} is not a session, so its device must be named", hint)
-    if device is None and wire is not None:
-        begun = begun_of(wire.metadata())
+    if device is None:
+        if wire is None:
+            hint = "add --device NAME; imumon devices lists them"
+            raise bad_config(f"{path} is not a session, so its device must be named", hint)
+        metadata = wire.metadata()
+        begun = begun_of(metadata)
         if begun is None or begun.device_yaml is None:
-            hint = f"add --device {wire.metadata().get('device', 'NAME')}, or the path of its file"
+            hint = f"add --device {metadata.get('device', 'NAME')}, or the path of its file"
             raise bad_config(f"{path} does not hold its device file", hint)
         device = parse_device(begun.device_yaml, f"{path} (device_yaml)")
-    assert device is not None
     return Source(path, wire or capture_items(path), device.at_rate(rate_hz), None)
 
 

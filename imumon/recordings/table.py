@@ -9,6 +9,7 @@ from __future__ import annotations
 import csv
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -216,13 +217,13 @@ def read_columns(path: Path) -> dict[str, Column]:
         schema = pq.read_schema(path)
     columns = {}
     for field in schema:
-        if not (pa.types.is_integer(field.type) or pa.types.is_floating(field.type)):
+        is_whole = pa.types.is_integer(field.type)
+        if not (is_whole or pa.types.is_floating(field.type)):
             raise bad_data(f"{path}: column {field.name!r} is {field.type}, not a number")
-        metadata = {key.decode(): value.decode() for key, value in (field.metadata or {}).items()}
+        stated = {key.decode(): value.decode() for key, value in (field.metadata or {}).items()}
+        stated = {key: value for key, value in stated.items() if key in ("unit", "description")}
         known = KNOWN.get(field.name) or Column(field.name, "")
-        dtype: ColumnType = "int64" if pa.types.is_integer(field.type) else "float64"
-        unit, description = metadata.get("unit", known.unit), metadata.get("description", known.description)
-        columns[field.name] = Column(field.name, unit, dtype, description)
+        columns[field.name] = replace(known, dtype="int64" if is_whole else "float64", **stated)
     return columns
 
 
@@ -250,12 +251,8 @@ def _csv_columns(path: Path) -> dict[str, Column]:
         raise bad_data(f"{path}: cannot be read: it is empty")
     units = units_path(path)
     units_of = load_yaml(units, _UnitsFile).columns if units.is_file() else {}
-    columns = {name: KNOWN.get(name) or Column(name, "") for name in names}
-    return columns | {
-        name: Column(name, own.unit, own.type, own.description)
-        for name, own in units_of.items()
-        if name in columns
-    }
+    own = {name: Column(name, of.unit, of.type, of.description) for name, of in units_of.items()}
+    return {name: own.get(name) or KNOWN.get(name) or Column(name, "") for name in names}
 
 
 def _check_suffix(path: Path, reason: Reason) -> None:

@@ -18,6 +18,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 from mcap import records as mcap
 from mcap.data_stream import RecordBuilder
@@ -59,8 +60,7 @@ CHECK_SIZE = _CHECK.size + 4
 CHECK_LENGTH = CHECK_SIZE - RECORD.size
 
 
-@dataclass(frozen=True, slots=True)
-class Check:
+class Check(NamedTuple):
     """A check record."""
 
     start: int
@@ -76,8 +76,7 @@ class Check:
 
     def pack(self) -> bytes:
         """Return the record."""
-        fields = self.start, self.size, self.sequence, self.crc, self.time_ns
-        body = _CHECK.pack(CHECK_OP, CHECK_LENGTH, MARKER, *fields)
+        body = _CHECK.pack(CHECK_OP, CHECK_LENGTH, MARKER, *self)
         return body + zlib.crc32(body).to_bytes(4, "little")
 
     @classmethod
@@ -139,8 +138,7 @@ class WireWriter:
             raise ImumonError(Reason.EXISTS, what, "nothing was overwritten") from error
         with suppress(OSError):  # a file system that knows no locks
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        self._descriptor, made, self._closed = descriptor, os.fstat(descriptor), False
-        self._place = made.st_dev, made.st_ino
+        self._descriptor, self._closed = descriptor, False
         self._pending = bytearray()
         """What the operating system has not taken yet: a write that fails half-way leaves the rest here."""
         self._crc = self._written = 0
@@ -171,10 +169,9 @@ class WireWriter:
     def has_vanished(self) -> bool:
         """Return whether the file is no longer under its name: what is written is lost, without an error."""
         try:
-            now = self._path.stat()
+            return not os.path.samestat(self._path.stat(), os.fstat(self._descriptor))
         except OSError:
             return True
-        return (now.st_dev, now.st_ino) != self._place
 
     def begun_again(self) -> WireWriter:
         """Return the writer of a new file, with its folder, after this one has vanished.

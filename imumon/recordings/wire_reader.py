@@ -6,8 +6,6 @@ a file that was cut short.  Files of versions that wrote no check records are re
 cannot be one.
 """
 
-from __future__ import annotations
-
 import json
 import mmap
 import struct
@@ -73,10 +71,6 @@ class Place:
     def seconds(self) -> float:
         """Time that it spans."""
         return max(0, self.before_ns - self.after_ns) * 1e-9 if self.after_ns and self.before_ns else 0.0
-
-    def begins_s(self, began_ns: int) -> float | None:
-        """Return when it begins, s after the start of a session; None where not known."""
-        return None if self.after_ns is None else round((self.after_ns - began_ns) * 1e-9, 6)
 
     def __str__(self) -> str:
         """Return it in a few words."""
@@ -171,10 +165,7 @@ class WireReader:
         Raises ImumonError as `batches`.
         """
         for item in self.batches():
-            if isinstance(item, Event):
-                yield item
-            else:
-                yield from item
+            yield from (item,) if isinstance(item, Event) else item
 
     def metadata(self) -> dict[str, str]:
         """Return the metadata that the recording program wrote, at the begin of the file; empty if damaged.
@@ -190,9 +181,8 @@ class WireReader:
         Raises BAD_DATA, when the file cannot be read, is no wire file, or has what a newer version wrote.
         """
         with readable(self.path), self.path.open("rb") as file:
-            size, number = self.path.stat().st_size, file.fileno()
-            # The system keeps in memory what is looked at.
-            self._begin(mmap.mmap(number, 0, access=mmap.ACCESS_READ) if size else b"")
+            is_empty = not self.path.stat().st_size  # the system keeps in memory what is looked at
+            self._begin(b"" if is_empty else mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
         data, head = self._data, self._data[:HEAD_SIZE]
         is_mcap = MAGIC.startswith(head[: len(MAGIC)])
         if not is_mcap and PROFILE in head:
@@ -340,7 +330,6 @@ class WireReader:
 
         Raises one of `BAD_RECORD` for a record that is not what it states.
         """
-        stream = ReadDataStream(BytesIO(body))
         if opcode == wire.MESSAGE_OP:
             if channel != wire.EVENT_CHANNEL:
                 return None
@@ -355,11 +344,11 @@ class WireReader:
                 self.summary.damage.add(place)
                 self.summary.recovered.add(place)
         elif opcode == Opcode.HEADER:
-            profile = Header.read(stream).profile
+            profile = Header.read(ReadDataStream(BytesIO(body))).profile
             if profile not in FORMATS:
                 raise self._error(f"is an MCAP file of profile {profile!r}, not {wire.FORMAT!r}")
         elif opcode == Opcode.METADATA:
-            metadata = Metadata.read(stream)
+            metadata = Metadata.read(ReadDataStream(BytesIO(body)))
             self.summary.metadata |= metadata.metadata if metadata.name == "imumon" else {}
         elif opcode == Opcode.CHUNK:
             raise self._error("another program has put it into chunks")

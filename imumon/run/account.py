@@ -1,7 +1,5 @@
 """The account of a session: outages, wall-clock times, sizes of files, and doubts about the device file."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from datetime import datetime
@@ -62,10 +60,11 @@ class Outages:
             self.last_ns = max(arrivals_ns, default=self.last_ns)
             return
         lasting = next((one for one in self.found if one.ended_ns is None), None)
-        if item.kind in BEGINS and lasting is None:
-            self.found.append(Outage(BEGINS[item.kind], self.last_ns or item.time_ns))
-        elif item.kind in BEGINS and lasting is not None:  # it was silent before it was lost
-            lasting.kind = BEGINS[item.kind]
+        if item.kind in BEGINS:
+            if lasting is None:
+                lasting = Outage("", self.last_ns or item.time_ns)
+                self.found.append(lasting)
+            lasting.kind = BEGINS[item.kind]  # it may have been silent before it was lost
         elif item.kind in ENDS and lasting is not None:
             lasting.ended_ns = item.time_ns
         self.last_ns = max(self.last_ns, item.time_ns)
@@ -120,17 +119,11 @@ def file_sizes(folder: Path) -> dict[str, int]:
 
 def describe_disk(folder: Path) -> str:
     """Return the size of every file of a session, and of all together."""
+    from rich.filesize import decimal
+
     sizes = file_sizes(folder)
-    named = ", ".join(f"{name} {_size(size)}" for name, size in sizes.items())
-    return f"{_size(sum(sizes.values()))}: {named}"
-
-
-def _size(count: float) -> str:
-    for unit in ("B", "kB", "MB"):
-        if count < 1000.0:
-            return f"{count:.3g} {unit}"
-        count /= 1000.0
-    return f"{count:.4g} GB"
+    named = ", ".join(f"{name} {decimal(size)}" for name, size in sizes.items())
+    return f"{decimal(sum(sizes.values()))}: {named}"
 
 
 class Doubts:

@@ -1,7 +1,5 @@
 """What this computer lacks for imumon, and the plug-ins: of which package each is, and whether it loads."""
 
-from __future__ import annotations
-
 import errno
 import os
 import platform

@@ -4,8 +4,6 @@ The reader thread reads, stamps and hands on.  The recorder gets every byte to d
 decodes and estimates.  The view is fed through bounded queues and may hang or die.
 """
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence

@@ -4,8 +4,6 @@ Whoever records looks into the file 12 times a second, puts what is new into the
 removes the file at the end: the recording is what counts.
 """
 
-from __future__ import annotations
-
 import json
 from contextlib import suppress
 from pathlib import Path

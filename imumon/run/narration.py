@@ -1,7 +1,5 @@
 """What is shown of a run: samples, rates, losses, state lanes, log lines and the status card."""
 
-from __future__ import annotations
-
 import math
 import shlex
 from collections import deque

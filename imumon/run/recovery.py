@@ -3,8 +3,6 @@
 A file that is replaced stays beside the new one.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator
 from contextlib import closing

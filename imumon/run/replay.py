@@ -1,10 +1,8 @@
 """Run a recording again, at its own pace or faster, and show it as it was shown live."""
 
-from __future__ import annotations
-
 import time
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
+from typing import NamedTuple
 
 from imumon.blocks import SampleBlock
 from imumon.pipeline import Digest, Pipeline
@@ -70,30 +68,25 @@ def digested(blocks: Iterable[SampleBlock], pipeline: Pipeline, digest: Digest) 
         yield block
 
 
-@dataclass(frozen=True, slots=True)
-class Comparison:
+class Comparison(NamedTuple):
     """The results of a replay beside those of the live run, column by column."""
 
     identical: bool | None
     """None where they cannot be compared."""
-    reason: str = ""
-    """Why they cannot be compared."""
     compared: int = 0
     """How many columns both have."""
-    differing: tuple[str, ...] = ()
-    only_live: tuple[str, ...] = ()
+    differing: Sequence[str] = ()
+    only_live: Sequence[str] = ()
     """Columns of stages that did not run in the replay, or were switched off in it."""
-    only_replay: tuple[str, ...] = ()
+    only_replay: Sequence[str] = ()
+    reason: str = ""
+    """Why they cannot be compared."""
 
     def as_dict(self) -> dict[str, object]:
         """Return it as ``--json`` has it."""
-        return {
-            "identical_to_live": self.identical,
-            "columns_compared": self.compared,
-            "columns_differing": self.differing,
-            "columns_only_live": self.only_live,
-            "columns_only_replay": self.only_replay,
-        }
+        columns = {f"columns_{name}": value for name, value in self._asdict().items()}
+        del columns["columns_identical"], columns["columns_reason"]
+        return {"identical_to_live": self.identical, **columns}
 
     def __str__(self) -> str:
         """Return the verdict."""
@@ -107,7 +100,7 @@ class Comparison:
         return f"bit for bit those of the live run{count}{rest}"
 
 
-def _listed(label: str, names: tuple[str, ...]) -> str:
+def _listed(label: str, names: Sequence[str]) -> str:
     """Return the first names behind a label; nothing without names."""
     more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
     return f"{label}: {', '.join(names[:SHOWN])}{more}" if names else ""
@@ -120,23 +113,22 @@ def compare_with_live(session: Session, setup: Setup, digest: Digest, pipeline: 
     """
     metadata = session.metadata
     if metadata.results_digest is None or setup.text() != metadata.pipeline_yaml:
-        return Comparison(None, "there is none of the same setup")
+        return Comparison(None, reason="there is none of the same setup")
     if not metadata.column_crc32:
         if metadata.results_digest == digest.hexdigest():
-            return Comparison(True, compared=len(digest.columns()))
-        return Comparison(None, "an earlier version kept one digest of all columns, and this is another")
+            return Comparison(True, len(digest.columns()))
+        return Comparison(None, reason="an earlier version kept one digest of all columns, this is another")
     live, again = metadata.column_crc32, digest.columns(pipeline.irreproducible)
     common = live.keys() & again.keys()
     # No stage makes a column of a side stream: one that lacks was lost.
     lost = {name for name in live.keys() ^ again.keys() if "/" in name}
     differing = sorted(lost | {name for name in common if live[name] != again[name]})
-    return Comparison(
-        identical=bool(common) and not differing,
-        compared=len(common),
-        differing=tuple(differing),
-        only_live=tuple(sorted(live.keys() - again.keys() - lost)),
-        only_replay=tuple(sorted(again.keys() - live.keys() - lost)),
+    only_live, only_replay = (
+        tuple(sorted(live.keys() - again - lost)),
+        tuple(sorted(again.keys() - live - lost)),
     )
+    is_same = bool(common) and not differing
+    return Comparison(is_same, len(common), tuple(differing), only_live, only_replay)
 
 
 def _paced(items: Iterable[Item | SampleBlock], speed: float) -> Iterator[Item | SampleBlock]:

@@ -1,7 +1,5 @@
 """Which estimators run behind the clock, and in which order; and a recording backward through the same."""
 
-from __future__ import annotations
-
 import math
 import shlex
 from collections.abc import Sequence

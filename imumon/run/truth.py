@@ -1,7 +1,5 @@
 """Errors of estimates against the truth that is kept beside a simulated session."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -19,7 +17,7 @@ from imumon.models.model import BiasModel
 from imumon.models.predictor import BiasPredictor
 from imumon.recordings.folder import TRUTH_NAME
 from imumon.recordings.source import open_recording
-from imumon.recordings.table import read_columns, read_table
+from imumon.recordings.table import read_table
 
 GYROS = ("gyro_bias_x", "gyro_bias_y", "gyro_bias_z")
 ESTIMATED = tuple(name.replace("temperature", "temperature_estimate") for name in TEMPERATURES)
@@ -82,13 +80,9 @@ class Truth:
             unit, factor = ("°/h", 1.0 / DEG_PER_H) if name in GYROS else ("°C", 1.0)
             count, squares, largest = sums.T
             rms = np.sqrt(squares / np.where(count > 0, count, np.nan))
-            found[name] = {
-                "unit": unit,
-                "samples": int(count[0]),
-                "rms": factor * float(rms[0]),
-                "rms_over_sigma": float(rms[1]),
-                "largest": factor * float(largest[0]),
-            }
+            errors = {"rms": factor * float(rms[0]), "rms_over_sigma": float(rms[1])}
+            errors["largest"] = factor * float(largest[0])
+            found[name] = {"unit": unit, "samples": int(count[0]), **errors}
         return found
 
     def rows(self) -> dict[str, str]:
@@ -117,11 +111,10 @@ def read_truth(session: Path, *, earth_removed: bool) -> Truth:
     """
     check_truth([session])
     path = session / TRUTH_NAME
-    if lacking := [name for name in NEEDED if name not in read_columns(path)]:
-        raise bad_data(f"{path}: has no {', '.join(lacking)}", "simulate the session anew")
     table, _ = read_table(path)
-    if not len(table):
-        raise bad_data(f"{path}: has no rows", "simulate the session anew")
+    lacking = [name for name in NEEDED if name not in table] or ["rows"] * (not len(table))
+    if lacking:
+        raise bad_data(f"{path}: has no {', '.join(lacking)}", "simulate the session anew")
     true, at_rest = {name: table[name] for name in (*GYROS, *TEMPERATURES)}, table["at_rest"].astype(np.int64)
     if not earth_removed:
         last = np.maximum.accumulate(np.where(at_rest == 1, np.arange(len(at_rest)), -1))

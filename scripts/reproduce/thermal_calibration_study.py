@@ -100,6 +100,13 @@ def split(count: int, random: np.random.Generator) -> list[BoolArray]:
     return [place < 0.65, (place >= 0.65) & (place < 0.85), place >= 0.85]
 
 
+def stopped(start: FloatArray, training: Scaled, validation: Scaled) -> FloatArray:
+    """Return the weights of the least validation error on the way from a start."""
+    way = [start]
+    train(start, training, accepted=lambda weights: way.append(weights.copy()))
+    return min(way[1:] or way, key=lambda weights: mean_square(weights, validation))
+
+
 def published(points: Points, neurons: int, seed: int) -> tuple[NetworkCurve, list[float], int]:
     """Train a network as published: with a split by sample, the start with the best validation is kept.
 
@@ -112,7 +119,7 @@ def published(points: Points, neurons: int, seed: int) -> tuple[NetworkCurve, li
         replace(scaled, u=scaled.u[part], y=scaled.y[part], w=scaled.w[part] / scaled.w[part].mean())
         for part in parts[:2]
     )
-    weights = [train(start, training, validation) for start in starts(neurons, RESTARTS, random)]
+    weights = [stopped(start, training, validation) for start in starts(neurons, RESTARTS, random)]
     error = np.sqrt([mean_square(one, validation) for one in weights])
     curve = scaled.curve(weights[np.argmin(error)])
     return curve, residuals(curve, points, parts), int(np.sum(error > BAD * error.min()))

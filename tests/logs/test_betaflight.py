@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 from imumon.errors import ImumonError, Reason
-from imumon.logs.importing import LogReport, import_log
+from imumon.logs.importing import import_log
+from imumon.logs.log import Log
 from imumon.recordings.folder import open_session
+from imumon.recordings.importing import ImportReport
 from imumon.recordings.table import read_table
 from tests.cli.command import answer, imumon
 
@@ -37,55 +39,55 @@ def table(path: Path, rate: str = "", force: str = "", head: str = "", rows: int
     return path
 
 
-def imported(path: Path, out: Path, sensor: str | None = None) -> tuple[LogReport, dict[str, float]]:
-    report = import_log(path, sensor, out)
+def imported(path: Path, out: Path, sensor: str | None = None) -> tuple[ImportReport, Log, dict[str, float]]:
+    report, log = import_log(path, sensor, out)
     block, _ = read_table(open_session(out).samples_path)
-    return report, {name: float(np.nanmean(values)) for name, values in block.columns.items()}
+    return report, log, {name: float(np.nanmean(values)) for name, values in block.columns.items()}
 
 
 def test_raw_numbers_with_the_log_beside(tmp_path: Path) -> None:
     other = HEAD.replace("0x3f800000", "0x40000000").replace("2048", "4096")
     (tmp_path / "LOG7.BFL").write_bytes(other.encode() + b"I\x00\xffH " + HEAD.encode() + b"I\x01\x80")
-    report, means = imported(table(tmp_path / "LOG7.02.csv"), tmp_path / "s")
-    assert report.scaling == "gyro raw x 1 °/s, accelerometer raw / 2048 g, by log 2 of LOG7.BFL"
-    assert (report.sensor, report.others) == ("gyroADC", ["gyroUnfilt"])
+    report, log, means = imported(table(tmp_path / "LOG7.02.csv"), tmp_path / "s")
+    assert log.scaling == "gyro raw x 1 °/s, accelerometer raw / 2048 g, by log 2 of LOG7.BFL"
+    assert (log.sensor, log.others) == ("gyroADC", ["gyroUnfilt"])
     assert means["gyro_x"] == pytest.approx(np.radians(20.0))
     assert means["gyro_y"] == pytest.approx(-np.radians(10.0))
     assert means["accel_z"] == pytest.approx(9.80665)
-    assert report.rows.rows_out == ROWS
-    assert report.rows.rate_hz == pytest.approx(2000.0)
+    assert report.rows_out == ROWS
+    assert report.rate_hz == pytest.approx(2000.0)
     session = open_session(tmp_path / "s").metadata
     assert session.axes == "FLU"
     assert session.table is not None
-    assert report.scaling in session.table.map_yaml
-    report, means = imported(table(tmp_path / "LOG7.01.csv"), tmp_path / "first", "gyroUnfilt")
-    assert report.scaling == "gyro raw x 2 °/s, accelerometer raw / 4096 g, by log 1 of LOG7.BFL"
+    assert log.scaling in session.table.map_yaml
+    report, log, means = imported(table(tmp_path / "LOG7.01.csv"), tmp_path / "first", "gyroUnfilt")
+    assert log.scaling == "gyro raw x 2 °/s, accelerometer raw / 4096 g, by log 1 of LOG7.BFL"
     assert means["gyro_x"] == pytest.approx(np.radians(42.0))
 
 
 def test_units_in_the_names_and_lines_at_the_head(tmp_path: Path) -> None:
     path = table(tmp_path / "a.csv", "deg/s", "g", HEAD)
-    report, means = imported(path, tmp_path / "s")
-    assert report.scaling == "gyro in deg/s, accelerometer in g, by the head of a.csv"
+    _, log, means = imported(path, tmp_path / "s")
+    assert log.scaling == "gyro in deg/s, accelerometer in g, by the head of a.csv"
     assert means["gyro_x"] == pytest.approx(np.radians(20.0))
     assert means["accel_z"] == pytest.approx(9.80665)
-    _, means = imported(table(tmp_path / "b.csv", "rad/s", "m/s/s", HEAD), tmp_path / "t")
+    *_, means = imported(table(tmp_path / "b.csv", "rad/s", "m/s/s", HEAD), tmp_path / "t")
     assert means["gyro_x"] == pytest.approx(20.0)
     assert means["accel_z"] == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize("unit", ["", "deg/s"])
 def test_rates_of_high_resolution_are_tenths_also_where_a_unit_is_named(tmp_path: Path, unit: str) -> None:
-    report, means = imported(table(tmp_path / "a.csv", unit, head=HEAD + FINE), tmp_path / "s")
-    assert "/10, as blackbox_high_resolution is on" in report.scaling
+    _, log, means = imported(table(tmp_path / "a.csv", unit, head=HEAD + FINE), tmp_path / "s")
+    assert "/10, as blackbox_high_resolution is on" in log.scaling
     assert means["gyro_x"] == pytest.approx(np.radians(2.0))
     assert means["accel_z"] == pytest.approx(9.80665), "the firmware scales the rates alone"
 
 
 def test_without_acc_1g_there_is_no_accelerometer(tmp_path: Path) -> None:
     head = HEAD.replace("H acc_1G:2048\n", "")
-    report, means = imported(table(tmp_path / "a.csv", head=head), tmp_path / "s")
-    assert "accelerometer left out, as the log has no acc_1G" in report.scaling
+    _, log, means = imported(table(tmp_path / "a.csv", head=head), tmp_path / "s")
+    assert "accelerometer left out, as the log has no acc_1G" in log.scaling
     assert "accel_z" not in means
 
 
@@ -135,9 +137,9 @@ def test_a_row_that_is_cut_is_left_out_and_counted(tmp_path: Path) -> None:
     whole = path.read_text().rstrip("\n")
     row = whole.rsplit("\n", 1)[1]
     path.write_text(f"{whole}\n{row[: row.index('-10')]}")
-    report = import_log(path, None, tmp_path / "s")
-    assert report.rows.rows_out == ROWS
-    assert (report.damage.places, report.damage.size) == (1, row.index("-10"))
+    report, log = import_log(path, None, tmp_path / "s")
+    assert report.rows_out == ROWS
+    assert (log.damage.places, log.damage.size) == (1, row.index("-10"))
 
 
 def test_the_command_states_the_scaling(tmp_path: Path) -> None:

@@ -49,9 +49,9 @@ def test_ardupilot(tmp_path: Path) -> None:
             rows.append(("BARO", [1_001_000 + 10_000 * k, 0, 12.0, 101_325.0]))
     rows.append(imu(1_000_000, 0, 9.0))
     dataflash(tmp_path / "flight.BIN", rows)
-    report = import_log(tmp_path / "flight.BIN", None, tmp_path / "session")
-    assert (report.sensor, report.others) == ("IMU.0", ["IMU.1"])
-    assert (report.rows.rows_in, report.rows.rows_out, report.rows.rows_dropped) == (51, 50, 1)
+    report, log = import_log(tmp_path / "flight.BIN", None, tmp_path / "session")
+    assert (log.sensor, log.others) == ("IMU.0", ["IMU.1"])
+    assert (report.rows_in, report.rows_out, report.rows_dropped) == (51, 50, 1)
     found = samples(tmp_path / "session")
     np.testing.assert_allclose(found["gyro_x"], 0.01 * np.arange(50), rtol=1e-6)
     np.testing.assert_array_equal(found["device_time_ns"], (1_000_000 + 10_000 * np.arange(50)) * 1000)
@@ -62,8 +62,8 @@ def test_ardupilot(tmp_path: Path) -> None:
     np.testing.assert_allclose(found["pressure"][::10], 101_325.0)
     assert found["of"].axes == "FRD"
     assert found["of"].table.file == "flight.BIN"
-    second = import_log(tmp_path / "flight.BIN", "IMU.1", tmp_path / "second")
-    assert second.rows.rows_out == 50
+    second, _ = import_log(tmp_path / "flight.BIN", "IMU.1", tmp_path / "second")
+    assert second.rows_out == 50
     np.testing.assert_allclose(samples(tmp_path / "second")["gyro_x"], 7.0)
 
 
@@ -71,9 +71,9 @@ def test_ardupilot(tmp_path: Path) -> None:
 def test_a_wrong_time_takes_no_other_row_along(tmp_path: Path, wrong_us: dict[int, int]) -> None:
     rows = [imu(wrong_us.get(k, 1000 * k), 0, 0.1) for k in range(1, 40)]
     dataflash(tmp_path / "a.bin", rows)
-    report = import_log(tmp_path / "a.bin", None, tmp_path / "session")
+    report, _ = import_log(tmp_path / "a.bin", None, tmp_path / "session")
     dropped = len(wrong_us)
-    assert (report.rows.rows_out, report.rows.rows_dropped) == (39 - dropped, dropped)
+    assert (report.rows_out, report.rows_dropped) == (39 - dropped, dropped)
 
 
 def test_pymavlink_reads_the_same(tmp_path: Path) -> None:
@@ -108,12 +108,12 @@ def test_behind_a_damaged_place_the_log_goes_on(tmp_path: Path, capfd: pytest.Ca
             data[hole] = junk
             path.write_bytes(data)
             out = path.with_suffix(f"{path.suffix}-{name}")
-            report = import_log(path, None, out)
+            report, log = import_log(path, None, out)
             size = len(data) / 400
-            assert 399 - 500 / size - 4 <= report.rows.rows_out <= 399 - 500 / size + 1
-            assert report.damage.places >= 1
-            assert 450 <= report.damage.size <= 500 + 3 * size
-            assert report.rows.span_s == pytest.approx(0.398)
+            assert 399 - 500 / size - 4 <= report.rows_out <= 399 - 500 / size + 1
+            assert log.damage.places >= 1
+            assert 450 <= log.damage.size <= 500 + 3 * size
+            assert report.span_s == pytest.approx(0.398)
     assert capfd.readouterr() == ("", "")
 
 
@@ -132,8 +132,8 @@ def test_px4_joins_gyro_and_accelerometer_of_a_number(tmp_path: Path) -> None:
         "sensor_baro.0": (BARO, [(500, 501, 1, 99_000.0)]),
     }  # fmt: skip
     ulog(tmp_path / "log.ulg", topics)
-    report = import_log(tmp_path / "log.ulg", None, tmp_path / "session")
-    assert (report.sensor, report.others) == ("sensor_gyro.0", ["sensor_gyro.1"])
+    _, log = import_log(tmp_path / "log.ulg", None, tmp_path / "session")
+    assert (log.sensor, log.others) == ("sensor_gyro.0", ["sensor_gyro.1"])
     found = samples(tmp_path / "session")
     np.testing.assert_array_equal(found["device_time_ns"], 10_000 * np.arange(1, 100))
     np.testing.assert_allclose(found["gyro_z"], 0.001 * np.arange(1, 100), rtol=1e-6)
@@ -168,8 +168,8 @@ def test_the_sensors_of_an_older_ardupilot_have_messages_of_their_own(tmp_path: 
     ]
     kinds = {name: (129 + k, "QffffffIIf", columns) for k, name in enumerate(("IMU", "IMU2"))}
     dataflash(tmp_path / "old.BIN", rows, kinds)
-    report = import_log(tmp_path / "old.BIN", None, tmp_path / "first")
-    assert (report.sensor, report.others) == ("IMU.0", ["IMU.1"])
+    _, log = import_log(tmp_path / "old.BIN", None, tmp_path / "first")
+    assert (log.sensor, log.others) == ("IMU.0", ["IMU.1"])
     import_log(tmp_path / "old.BIN", "IMU.1", tmp_path / "second")
     np.testing.assert_allclose(samples(tmp_path / "first")["gyro_x"], 0.1, rtol=1e-6)
     np.testing.assert_allclose(samples(tmp_path / "second")["gyro_x"], 0.2, rtol=1e-6)
@@ -188,15 +188,15 @@ def test_a_message_that_was_cut_is_damage(tmp_path: Path, left: int) -> None:
     data = (tmp_path / "a.bin").read_bytes()
     last = data.rfind(ardupilot.MARK)
     (tmp_path / "a.bin").write_bytes(data[: last + left])
-    report = import_log(tmp_path / "a.bin", None, tmp_path / "session")
-    assert (report.rows.rows_out, report.damage.places, report.damage.size) == (19, 1, left)
+    report, log = import_log(tmp_path / "a.bin", None, tmp_path / "session")
+    assert (report.rows_out, log.damage.places, log.damage.size) == (19, 1, left)
 
 
 def test_an_infinite_value_is_missing_and_the_log_is_taken(tmp_path: Path) -> None:
     rows = [imu(1000 * k, 0, np.inf if k == 5 else 0.1) for k in range(1, 21)]
     dataflash(tmp_path / "a.bin", rows)
-    report = import_log(tmp_path / "a.bin", None, tmp_path / "session")
-    assert report.rows.rows_out == 20
+    report, _ = import_log(tmp_path / "a.bin", None, tmp_path / "session")
+    assert report.rows_out == 20
     found = samples(tmp_path / "session")
     assert np.flatnonzero(np.isnan(found["gyro_x"])).tolist() == [4]
     np.testing.assert_allclose(found["accel_z"], -9.8, rtol=1e-6)
@@ -233,9 +233,9 @@ def test_a_ros_bag(tmp_path: Path, folder: bool) -> None:
     stamps = 1_700_000_000_000_000_000 + 5_000_000 * np.arange(40)
     bag(tmp_path / "drive", stamps, np.linspace(0.0, 1.0, 40))
     path = tmp_path / "drive" if folder else next((tmp_path / "drive").glob("*.mcap"))
-    report = import_log(path, None, tmp_path / "session")
-    assert report.sensor == "/b/imu"
-    assert not report.rows.warnings
+    report, log = import_log(path, None, tmp_path / "session")
+    assert log.sensor == "/b/imu"
+    assert not report.warnings
     found = samples(tmp_path / "session")
     np.testing.assert_array_equal(found["device_time_ns"], stamps)
     np.testing.assert_allclose(found["gyro_x"], np.linspace(0.0, 1.0, 40))
@@ -250,10 +250,10 @@ def test_a_ros_bag(tmp_path: Path, folder: bool) -> None:
 def test_a_bag_without_times_in_its_headers_is_dated_by_the_recorder_with_a_warning(tmp_path: Path) -> None:
     stamps = 1_700_000_000_000_000_000 + 5_000_000 * np.arange(40)
     bag(tmp_path / "drive", stamps, np.linspace(0.0, 1.0, 40), dated=False)
-    report = import_log(tmp_path / "drive", None, tmp_path / "session")
+    report, _ = import_log(tmp_path / "drive", None, tmp_path / "session")
     np.testing.assert_array_equal(samples(tmp_path / "session")["device_time_ns"], stamps + 5)
-    assert len(report.rows.warnings) == 1
-    assert "/b/imu: 40 of 40 headers have no time" in report.rows.warnings[0]
+    assert len(report.warnings) == 1
+    assert "/b/imu: 40 of 40 headers have no time" in report.warnings[0]
 
 
 @pytest.mark.parametrize(
@@ -288,10 +288,10 @@ def test_a_damaged_log_is_read_or_refused(
         data[flip % len(data)] = value
         path.write_bytes(data[: len(data) - cut % len(data)])
         try:
-            report = import_log(path, None, path.with_suffix(".session"))
+            report, _ = import_log(path, None, path.with_suffix(".session"))
         except ImumonError:
             continue
-        assert 0 < report.rows.rows_out <= 39
+        assert 0 < report.rows_out <= 39
 
 
 @given(

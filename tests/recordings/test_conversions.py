@@ -130,7 +130,7 @@ def test_ros_has_forward_left_up_axes_and_covariances_of_the_estimators(table: P
 
 def test_import_prefers_what_the_unit_sent_to_rates_without_their_bias(table: Path, tmp_path: Path) -> None:
     write_ros2({"imu": table}, tmp_path / "run.mcap", "FRD")
-    made = import_log(tmp_path / "run.mcap", None, tmp_path / "session")
+    _, made = import_log(tmp_path / "run.mcap", None, tmp_path / "session")
     assert (made.sensor, made.others) == ("/imu/data_raw", ["/imu/data"])
 
 

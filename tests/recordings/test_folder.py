@@ -79,7 +79,7 @@ def test_a_path_that_is_no_session_is_refused_with_what_is_there(tmp_path: Path)
     (tmp_path / "raw.bin").write_bytes(b"12345")
     for name, seen in {
         "none": "no such file or folder",
-        "empty": "it is empty",
+        "empty": "it has nothing",
         "other": "it has log.csv",
         "raw.bin": "a file of 5 bytes",
     }.items():

@@ -59,4 +59,4 @@ def test_every_file_is_counted(tmp_path: Path) -> None:
     (tmp_path / "wire.mcap").write_bytes(b"x" * 1500)
     (tmp_path / "session.yaml").write_bytes(b"x" * 20)
     assert file_sizes(tmp_path) == {"session.yaml": 20, "wire.mcap": 1500}
-    assert describe_disk(tmp_path) == "1.52 kB: session.yaml 20 B, wire.mcap 1.5 kB"
+    assert describe_disk(tmp_path) == "1.5 kB: session.yaml 20 bytes, wire.mcap 1.5 kB"

@@ -220,13 +220,14 @@ def _allan(path: Path, _: Job) -> Iterator[Row]:
 
 
 def _calibrate(path: Path, job: Job) -> Iterator[Row]:
-    from imumon.lab.calibration.calibration import calibrate, check_place, read_sessions
+    from imumon.lab.calibration.calibration import calibrate, check_place
+    from imumon.lab.calibration.cells import read_session
 
     options = job.options
     serial = open_session(path).metadata.serial
     check_place(options.latitude_deg, options.heading_deg)  # before minutes of reading
-    records, warnings = read_sessions([path])
-    found = calibrate(records, options.latitude_deg, options.heading_deg, serial)
+    record, warnings = read_session(path)
+    found = calibrate([record], options.latitude_deg, options.heading_deg, serial)
     file = job.file("models", ".yaml")
     found.model.write(file)
     for name, finding in found.findings.items():

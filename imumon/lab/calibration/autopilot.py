@@ -45,10 +45,11 @@ def parameters(
     `ids`: PX4's device identifiers of gyro and accelerometer.
     """
     check_ids(autopilot, ids)
-    kinds = [kind for kind in KINDS if all(f"{kind}_{axis}" in model.channels for axis in "xyz")]
-    if "gyro" not in kinds:
+    names = {kind: [f"{kind}_{axis}" for axis in "xyz"] for kind in KINDS}
+    names = {kind: of for kind, of in names.items() if set(of) <= model.channels.keys()}
+    if "gyro" not in names:
         raise bad_config("the model has not all three gyros", "calibrate all of them")
-    ranges = [model.channels[f"{kind}_{axis}"].temperature_range_degc for kind in kinds for axis in "xyz"]
+    ranges = [model.channels[name].temperature_range_degc for of in names.values() for name in of]
     low, high = max(one[0] for one in ranges), min(one[1] for one in ranges)
     if high - low < LEAST_SPAN_DEGC:
         raise bad_data(
@@ -57,19 +58,17 @@ def parameters(
         )
     notes = _notes(model, autopilot, low, high)
     reference = ARDUPILOT_REFERENCE_DEGC if autopilot == "ardupilot" else 0.5 * (low + high)
-    cubics: dict[str, list[list[float]]] = {}
-    for kind in kinds:
-        found = [_cubic(model, f"{kind}_{axis}", np.linspace(low, high, POINTS), reference) for axis in "xyz"]
-        cubics[kind] = [coefficients for coefficients, _ in found]
-        notes += [note for _, note in found if note]
+    degc = np.linspace(low, high, POINTS)
+    cubics = {
+        kind: [_cubic(model, name, degc, reference, notes) for name in of] for kind, of in names.items()
+    }
     if ids is not None and autopilot == "px4":
         return _px4(cubics, imu, ids, {"TMIN": low, "TMAX": high, "TREF": reference}), notes
-    head = f"INS_TCAL{imu + 1}"
     rows = {"ENABLE": 1.0, "TMIN": low, "TMAX": high}
     for kind, axes in cubics.items():
         for axis, cubic in zip("XYZ", axes, strict=True):
             rows |= {f"{KINDS[kind][0]}{k}_{axis}": cubic[k] * ARDUPILOT_SCALE for k in (1, 2, 3)}
-    return "".join(f"{head}_{name},{value:.9g}\n" for name, value in rows.items()), notes
+    return "".join(f"INS_TCAL{imu + 1}_{name},{value:.9g}\n" for name, value in rows.items()), notes
 
 
 def _px4(cubics: dict[str, list[list[float]]], imu: int, ids: tuple[int, int], degc: dict[str, float]) -> str:
@@ -97,8 +96,8 @@ def check_ids(autopilot: Autopilot | None, ids: tuple[int, int] | None) -> None:
         )
 
 
-def _cubic(model: BiasModel, name: str, degc: FloatArray, reference: float) -> tuple[list[float], str]:
-    """Return the cubic of a channel in the axes of the board, from the constant up, and what it misses."""
+def _cubic(model: BiasModel, name: str, degc: FloatArray, reference: float, notes: list[str]) -> list[float]:
+    """Return the cubic of a channel in the axes of the board, from the constant up; note what it misses."""
     channel = model.channels[name]
     if channel.effects:
         names = ", ".join(dict.fromkeys(effect.name for effect in channel.effects))
@@ -110,11 +109,12 @@ def _cubic(model: BiasModel, name: str, degc: FloatArray, reference: float) -> t
     coefficients = np.polynomial.polynomial.polyfit(degc - reference, value, 3)
     missed = np.polynomial.polynomial.polyval(degc - reference, coefficients) - value
     error = float(np.sqrt(np.mean(missed**2)))
-    note = (
-        f"{name}: the cubic misses the curve by {error:.3g} {channel.unit} rms, more than the curve errs"
-        f" ({channel.residual_sd:.3g}): calibrate over the temperatures of its work only"
-    )
-    return coefficients.tolist(), note if error > channel.residual_sd else ""
+    if error > channel.residual_sd:
+        notes.append(
+            f"{name}: the cubic misses the curve by {error:.3g} {channel.unit} rms, more than the curve errs"
+            f" ({channel.residual_sd:.3g}): calibrate over the temperatures of its work only"
+        )
+    return list(coefficients)
 
 
 def _notes(model: BiasModel, autopilot: Autopilot, low: float, high: float) -> list[str]:

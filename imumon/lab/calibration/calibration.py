@@ -3,7 +3,6 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
@@ -22,13 +21,11 @@ from imumon.lab.calibration.cells import (
     channel_of,
     group,
     levels,
-    read_session,
 )
 from imumon.lab.calibration.selection import Choice, choose, slow_variance, turn_on_offsets
 from imumon.models.curves.points import Points
 from imumon.models.model import UNITS, BiasModel, ChannelModel, TrainedOn
 from imumon.recordings.reduced import ACCEL, GYRO
-from imumon.recordings.source import Count, no_count
 from imumon.version import __version__
 
 Name = TypeVar("Name", bound=str)
@@ -82,15 +79,6 @@ class Calibration:
     def rest_s(self) -> float:
         """Time at rest, s."""
         return float(self.cells.seconds.sum())
-
-
-def read_sessions(paths: Sequence[Path], count: Count = no_count) -> tuple[list[Record], list[str]]:
-    """Return the records of sessions, and remarks on them.
-
-    Raises BAD_DATA when one cannot be read.
-    """
-    found = [read_session(path, count) for path in paths]
-    return [record for record, _ in found], [text for _, texts in found for text in texts]
 
 
 def calibrate(
@@ -156,25 +144,24 @@ def _all_channels(
     centers = levels(cells)
     for name in (*GYRO, *ACCEL):
         progress(f"trying curves for {name}")
-        channel = channel_of(records, cells, name, centers)
+        channel, is_accel = channel_of(records, cells, name, centers), name in ACCEL
         if channel is None:
             continue
         knots = knots_of(channel, centers)
-        points = channel.points()
-        points = channel.points(slow_variance(points, channel.white, knots))
+        points = channel.points(slow_variance(channel.points(), channel.white, knots))
         offset = turn_on_offsets(channel, points, knots)
         apart = np.isnan(offset[channel.run])
         if apart.any():
             runs = ", ".join(str(run + 1) for run in np.flatnonzero(np.isnan(offset)))
-            what = "left out" if name in ACCEL else "taken as they are, without a turn-on offset"
+            what = "left out" if is_accel else "taken as they are, without a turn-on offset"
             warnings.append(f"{name}: runs {runs} have no temperature in common with the others: {what}")
-        keep = ~apart if name in ACCEL else np.ones(len(points), np.bool_)
+        keep = ~(apart & is_accel)
         shifted = points.shifted(np.nan_to_num(offset)[channel.run]).only(keep)
         channel = channel.only(keep)
         choice = choose(channel, shifted, knots)
-        own = not (cells.turned and name in ACCEL)
         missed = UNTOLD_S * cells.rate * choice.curve.slope(cells.temperature)
         lag_rms = float(np.sqrt(np.average(missed**2, weights=cells.seconds)))
+        own = not (cells.turned and is_accel)
         findings[name] = Finding(choice, shifted, channel.white, offset, lag_rms, own)
         channels[name] = _channel_model(name, channel, choice, shifted)
     return findings, channels, warnings
@@ -231,10 +218,10 @@ def _remarks(records: Sequence[Record], cells: Cells, findings: dict[str, Findin
     units = sorted({record.serial for record in records if record.serial is not None})
     far = {
         name: f"{spread / DEG_PER_H:.3g}"
-        for name in GYRO
-        if name in findings
-        and (spread := findings[name].repeatability) is not None
-        and spread > findings[name].choice.residual_sd
+        for name, finding in findings.items()
+        if name in GYRO
+        and (spread := finding.repeatability) is not None
+        and spread > finding.choice.residual_sd
     }
     remarks = {
         f"the sessions are of different devices: {', '.join(devices)}": len(devices) > 1,
@@ -255,10 +242,10 @@ def _remarks(records: Sequence[Record], cells: Cells, findings: dict[str, Findin
 def _one_way(cells: Cells) -> bool:
     """Return whether no run both rises and falls by a fifth of the span."""
     enough = 0.2 * float(np.ptp(cells.temperature))
-    every = [run.temperature for run in cells.runs]
-    rises = [np.ptp(t - np.minimum.accumulate(t)) > enough for t in every]
-    falls = [np.ptp(np.maximum.accumulate(t) - t) > enough for t in every]
-    return not any(np.logical_and(rises, falls))
+    return not any(
+        np.max(t - np.minimum.accumulate(t)) > enough < np.max(np.maximum.accumulate(t) - t)
+        for t in (run.temperature for run in cells.runs)
+    )
 
 
 def _common(names: Sequence[Name | None]) -> Name | None:

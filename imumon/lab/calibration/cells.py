@@ -13,8 +13,6 @@ from imumon.estimation.gyro_bias.stage import RestDetector
 from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.geodesy import earth_rate_in_body
 from imumon.models.curves.points import Points
-from imumon.pipeline import Estimator
-from imumon.protocols.device import DeviceFile
 from imumon.recordings.reduced import ACCEL, AXES, GYRO, Reduced, reduce
 from imumon.recordings.source import Count, no_count, open_recording
 
@@ -75,17 +73,16 @@ def read_session(path: Path, count: Count = no_count) -> tuple[Record, list[str]
 
     Raises BAD_DATA when there is no session, or it cannot be read.
     """
-    recording = open_recording(path, _stages, count=count)
+    recording = open_recording(
+        path,
+        lambda device: [TemperatureRate(parameters=device.temperature if device else None), RestDetector()],
+        count=count,
+    )
     known = recording.name, recording.sha256(), recording.device, recording.axes, recording.serial
     record = record_of(recording.blocks(), *known)
     if not len(record.means):
         raise bad_data(f"{path}: there is no sample in this session")
     return record, [f"{path}: {text}" for text in recording.warnings()]
-
-
-def _stages(device: DeviceFile | None) -> Sequence[Estimator]:
-    temperature = None if device is None else device.temperature
-    return [TemperatureRate(parameters=temperature), RestDetector()]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -159,27 +156,23 @@ class Cells:
         return any(float(np.dot(run.up, self.runs[0].up)) < TURNED for run in self.runs)
 
 
-def main_temperature(record: Record) -> FloatArray:
-    """Return the mean of the temperatures that the channels use, (n,) °C."""
+def _main_temperature(record: Record) -> FloatArray:
+    """Return the mean of the temperatures that the channels use, °C, (n,); NaN where no gyro is at rest."""
     columns = {name for channel in GYRO if (name := record.temperature_column(channel)) is not None}
-    parts = [record.means.of(name) for name in sorted(columns)]
-    return np.mean(parts, axis=0) if parts else np.full(len(record.means), np.nan)
+    mean = np.mean([record.means.of(name) for name in sorted(columns)], axis=0) if columns else np.nan
+    return np.where(record.rest & np.isfinite(sum(map(record.means.of, GYRO))), mean, np.nan)
 
 
 def group(records: Sequence[Record], latitude_deg: float | None, heading_deg: float | None) -> Cells:
     """Group the blocks at rest; runs shorter than `SHORTEST_RUN_S` are left out."""
-    temperatures = [main_temperature(record) for record in records]
-    chosen = [
-        np.flatnonzero(record.rest & np.isfinite(sum(map(record.means.of, GYRO)) + temperature))
-        for record, temperature in zip(records, temperatures, strict=True)
-    ]
-    known = np.concatenate([t[rows] for t, rows in zip(temperatures, chosen, strict=True)])
+    temperatures = [_main_temperature(record) for record in records]
+    known = np.concatenate([t[np.isfinite(t)] for t in temperatures])
     width = float(np.ptp(known)) / CELLS_PER_SPAN if len(known) else 0.0
     runs: list[Run] = []
     cells = 0
-    for number, record in enumerate(records):
-        for index, rows in enumerate(_runs(record, chosen[number])):
-            seconds, t = _seconds(record, rows), temperatures[number][rows]
+    for number, (record, temperature) in enumerate(zip(records, temperatures, strict=True)):
+        for index, rows in enumerate(_runs(record, np.flatnonzero(np.isfinite(temperature)))):
+            seconds, t = _seconds(record, rows), temperature[rows]
             if seconds.sum() < SHORTEST_RUN_S:
                 continue
             start_s = np.asarray(record.means.start_ns[rows] * 1e-9, np.float64)
@@ -206,30 +199,28 @@ def channel_of(
         return None
     parts = []
     for number, run in enumerate(cells.runs):
-        record, rows = records[run.record], run.rows
-        value = record.means.of(name)[rows]
+        means, rows = records[run.record].means, run.rows
+        value = means.of(name)[rows]
         if run.earth_rate is not None and name in GYRO:
             value = value - run.earth_rate["xyz".index(name[-1])]
-        white, temperature = record.means.mean_variance(name)[rows], record.means.of(column)[rows]
-        parts.append((value, white, temperature, run.seconds, run.cell, np.full(len(rows), number)))
-    value, white, temperature, seconds, cell, run_of = (
-        np.concatenate(part) for part in zip(*parts, strict=True)
-    )
-    good = np.isfinite(value) & np.isfinite(white) & np.isfinite(temperature)
-    if not good.any() or np.ptp(value[good]) == 0.0:
+        sent = value, means.mean_variance(name)[rows], means.of(column)[rows]
+        parts.append(np.column_stack([*sent, run.seconds, run.cell, np.full(len(rows), number)]))
+    blocks = np.concatenate(parts)
+    value, white, temperature, seconds, cells_of, run_of = blocks[np.isfinite(blocks).all(axis=1)].T
+    if not len(value) or np.ptp(value) == 0.0:
         return None
-    _, first, cell = np.unique(cell[good], return_index=True, return_inverse=True)
-    whole = _sum(cell, seconds[good])
-    share = seconds[good] / whole[cell]
-    mean_temperature = _sum(cell, share * temperature[good])
+    _, first, cell = np.unique(cells_of, return_index=True, return_inverse=True)
+    whole = _sum(cell, seconds)
+    share = seconds / whole[cell]
+    mean_temperature = _sum(cell, share * temperature)
     return Channel(
         name=name,
         temperature_column=column,
         temperature=mean_temperature,
-        value=_sum(cell, share * value[good]),
-        white=_sum(cell, share**2 * white[good]),
+        value=_sum(cell, share * value),
+        white=_sum(cell, share**2 * white),
         seconds=whole,
-        run=run_of[good][first],
+        run=run_of[first].astype(np.int64),
         level=nearest(mean_temperature, level_centers),
     )
 
@@ -239,16 +230,15 @@ def levels(cells: Cells) -> FloatArray:
     if not cells.runs:
         return np.empty(0)
     cell = np.concatenate([run.cell for run in cells.runs])
-    seconds = np.bincount(cell, cells.seconds)
-    temperature = np.bincount(cell, cells.seconds * cells.temperature) / seconds
-    low, high = float(temperature.min()), float(temperature.max())
-    width = (high - low) / BANDS
-    dwelt = seconds > 0.7 * CELL_S
-    order = np.argsort(temperature[dwelt])
-    t, s = temperature[dwelt][order], seconds[dwelt][order]
+    seconds = _sum(cell, cells.seconds)
+    temperature = _sum(cell, cells.seconds * cells.temperature) / seconds
+    low, width = float(temperature.min()), float(np.ptp(temperature)) / BANDS
+    order = np.argsort(temperature)
+    dwelt = order[seconds[order] > 0.7 * CELL_S]
+    t, s = temperature[dwelt], seconds[dwelt]
     if len(t):
-        cluster = np.concatenate([[0], np.cumsum(np.diff(t) > 0.25 * width)])
-        center = np.bincount(cluster, s * t) / np.bincount(cluster, s)
+        cluster = np.cumsum(np.diff(t, prepend=t[0]) > 0.25 * width, dtype=np.int64)
+        center = _sum(cluster, s * t) / _sum(cluster, s)
         tight = max(np.ptp(t[cluster == c]) for c in range(len(center))) < width
         if len(center) >= 4 and tight and s.sum() > 0.6 * seconds.sum():
             return center
@@ -292,12 +282,13 @@ def _seconds(record: Record, rows: IntArray) -> FloatArray:
 
 def _cells(time_s: FloatArray, seconds: FloatArray, temperature: FloatArray, width: float) -> IntArray:
     """Number cells of blocks in order: not longer than `CELL_S`, not wider than `width` °C."""
-    begins, first = np.zeros(len(time_s), np.int64), 0
+    number, first = np.zeros(len(time_s), np.int64), 0
     for i in range(1, len(time_s)):
         over = time_s[i] + seconds[i] - time_s[first] > CELL_S + 1e-6
         if over or abs(temperature[i] - temperature[first]) > width:
-            begins[i], first = 1, i
-    return np.cumsum(begins)
+            first = i
+        number[i] = number[i - 1] + (first == i)
+    return number
 
 
 def _up(record: Record, rows: IntArray) -> FloatArray:

@@ -30,7 +30,7 @@ from scipy.spatial.transform import Rotation
 
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.errors import bad_data
-from imumon.filters.slots import SlotGatherer, Slots
+from imumon.filters.slots import SlotGatherer
 from imumon.filters.turns import PAUSE_S
 from imumon.models.magnetometer import MagnetometerModel
 
@@ -106,38 +106,31 @@ def fit_magnetometer(blocks: Iterable[SampleBlock], unit: str, source: str) -> M
 
     `unit` is that of the readings, `source` their name in messages.
     """
-    found = [
-        np.column_stack([mag, np.full_like(mag, np.nan) if block.accel is None else block.accel])
-        for block in blocks
-        if (mag := block.mag) is not None
-    ]
-    both = np.concatenate([np.empty((0, 6)), *found])
-    both = both[np.isfinite(both[:, :3]).all(1)]
-    if not len(both):
+    found = [np.empty((0, 6))]
+    for block in blocks:
+        if (mag := block.mag) is not None:
+            accel = np.full_like(mag, np.nan) if block.accel is None else block.accel
+            found.append(np.hstack([mag, accel])[np.isfinite(mag).all(1)])
+    mag, accel = np.hsplit(np.concatenate(found), 2)
+    if not len(mag):
         raise bad_data(f"{source}: there is no magnetometer", "needs mag_x, mag_y, mag_z")
-    mag, accel = both[:, :3], both[:, 3:]
     centre, matrix = _closed_form(mag) if len(mag) >= LEAST_POINTS else (mag.mean(0), np.eye(3))
-    which = _spread((mag - centre) @ matrix)
-    readings = mag[which]
-    directions = _unit((readings - centre) @ matrix)
+    directions = _unit((mag - centre) @ matrix)
+    which = _spread(directions)
+    readings, directions, up = mag[which], directions[which], accel[which]
     coverage, seen = covered(directions)
     what = f"{coverage:.0%} of the directions were measured, {LEAST_COVERAGE:.0%} are needed"
-    up = accel[which]
     if len(which) >= LEAST_POINTS and coverage >= LEAST_COVERAGE:
-        model = _fitted(readings, unit, coverage)
-        left, known = (model.residual_sd / model.field, model.fit_sd / model.field) if model else (1.0, 1.0)
-        if model is not None and known <= WORST_SD and left <= MOST_LEFT:
-            strength = np.linalg.norm(readings, axis=1)
-            return MagnetometerFit(model, readings, model.corrected(readings), float(strength.std()))
+        model, what = _fitted(readings, unit, coverage), "the readings lie on no ellipsoid"
+        if model is not None:
+            left, known = model.residual_sd / model.field, model.fit_sd / model.field
+            if known <= WORST_SD and left <= MOST_LEFT:
+                strength = np.linalg.norm(readings, axis=1)
+                return MagnetometerFit(model, readings, model.corrected(readings), float(strength.std()))
+            what = f"{what}: {left:.1%} of the field is left, and hard and soft iron are known to {known:.1%}"
         # The directions of the field are not known then: those of gravity show what is missing.
         directions = up = _unit(accel[np.isfinite(accel).all(1)])
         share, seen = covered(up)
-        what = "the readings lie on no ellipsoid"
-        if model is not None:
-            what = (
-                f"the readings leave {left:.1%} of the field beside an ellipsoid, and hard and soft iron are"
-            )
-            what += f" known to {known:.1%}"
         what += f"; gravity was in {share:.0%} of the directions"
     advice = "away from iron and cables, draw figure-eights while turning the unit over"
     raise bad_data(f"{source}: {what}", f"{advice}; next: {_next(seen, directions, up)}")
@@ -153,10 +146,10 @@ def _unit(vectors: FloatArray) -> FloatArray:
     return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
 
 
-def _spread(vectors: FloatArray) -> list[int]:
+def _spread(directions: FloatArray) -> list[int]:
     """Return the rows whose direction differs by `STEP_RAD` from the last that was taken."""
     rows, last, least = list[int](), np.zeros(3), float(np.cos(STEP_RAD))
-    for k, direction in enumerate(_unit(vectors)):
+    for k, direction in enumerate(directions):
         if direction @ last < least:
             rows.append(k)
             last = direction
@@ -246,7 +239,7 @@ def slower_than_white(residual: FloatArray) -> float:
 
     The largest over lengths of means from 1 to a sixteenth of all: of those there are enough.
     """
-    n, most, length = len(residual), 1.0, 1
+    n, length, most = len(residual), 1, 1.0
     variance = float(residual @ residual) / n
     while n // length >= 16 and variance > 0.0:
         means = residual[: n - n % length].reshape(-1, length).mean(1)
@@ -298,12 +291,12 @@ def axes_of(blocks: Iterable[SampleBlock], model: MagnetometerModel) -> Axes | N
 
     Slots count whose turn is known from the end of the one before.
     """
-    gatherer, slots = SlotGatherer(6, SLOT_NS, turns=True), list[Slots]()
-    for block in blocks:
-        gyro, mag = block.gyro, block.mag
-        if gyro is not None and mag is not None and "device_time_ns" in block:
-            values = np.column_stack([gyro, mag])
-            slots.append(gatherer.process(block["device_time_ns"], block["segment"], values))
+    gatherer = SlotGatherer(6, SLOT_NS, turns=True)
+    slots = [
+        gatherer.process(block["device_time_ns"], block["segment"], np.hstack([gyro, mag]))
+        for block in blocks
+        if (gyro := block.gyro) is not None and (mag := block.mag) is not None and "device_time_ns" in block
+    ]
     turns = [turn for each in slots for turn in each.turns]
     if len(turns) <= LEAST_SLOTS:
         return None

@@ -32,12 +32,14 @@ def write_calibration_plot(path: Path, result: Calibration, title: str) -> None:
     columns, rows = min(COLUMNS, len(names)), -(-len(names) // COLUMNS)
     figure = Figure(figsize=(4.8 * columns, 6.4 * rows), layout="constrained")
     grid = figure.subplots(2 * rows, columns, squeeze=False, height_ratios=(2, 1) * rows)
-    for number, name in enumerate(names):
+    for number in range(rows * columns):
         row, column = divmod(number, columns)
-        _draw(grid[2 * row, column], grid[2 * row + 1, column], name, result)
-    for row, column in (divmod(number, columns) for number in range(len(names), rows * columns)):
-        grid[2 * row, column].remove()
-        grid[2 * row + 1, column].remove()
+        above, below = grid[2 * row : 2 * row + 2, column]
+        if number < len(names):
+            _draw(above, below, names[number], result)
+        else:
+            above.remove()
+            below.remove()
     figure.suptitle(f"{for_plot(title)}: bias over temperature", fontsize=11)
     write_png(path, figure, 110)
 

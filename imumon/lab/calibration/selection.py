@@ -112,15 +112,14 @@ def turn_on_offsets(channel: Channel, points: Points, knots: FloatArray) -> Floa
     if len(together) < 2:
         return offset
     used = np.isin(channel.run, together)
-    basis, penalty = penalised_basis(points.only(used), knots)
-    which = (channel.run[used][:, np.newaxis] == together[1:]).astype(np.float64)
-    root = np.sqrt(points.weight[used])[:, np.newaxis]
-    design = np.hstack([basis, which]) * root
+    points = points.only(used)
+    basis, penalty = penalised_basis(points, knots)
+    root, m = np.sqrt(points.weight), len(penalty)
+    design = np.hstack([basis, channel.run[used][:, np.newaxis] == together[1:]]) * root[:, np.newaxis]
     normal = design.T @ design
-    m = basis.shape[1]
     normal[:m, :m] += _STIFFNESS * penalty
-    solved = np.linalg.solve(normal, design.T @ (points.value[used] * root[:, 0]))
-    own = np.concatenate([[0.0], solved[m:]])
+    solved = np.linalg.solve(normal, design.T @ (points.value * root))
+    own = np.append(0.0, solved[m:])
     offset[together] = own - own.mean()
     return offset
 

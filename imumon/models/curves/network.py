@@ -5,6 +5,7 @@ Fontanella, Accardo, Schiano Lo Moriello, Angrisani, De Simone, Sensors 2018, 18
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated, Literal, Self
 
@@ -64,8 +65,7 @@ class NetworkCurve(StrictModel):
 
     def value(self, temperature: npt.ArrayLike) -> FloatArray:
         """Return b at temperatures in °C, in the unit of the channel."""
-        _, second = self._layers(temperature)
-        output = _times(second, np.array(self.output_weights)) + self.output_bias
+        output = _times(self._layers(temperature)[1], np.array(self.output_weights)) + self.output_bias
         return np.asarray(self.offset + self.scale * output)
 
     def slope(self, temperature: npt.ArrayLike) -> FloatArray:
@@ -81,8 +81,8 @@ class NetworkCurve(StrictModel):
 
     def _layers(self, temperature: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
         u = (np.asarray(temperature, np.float64) - self.center_degc) / self.half_width_degc
-        first, second = np.array(self.first_weights), np.array(self.second_weights)
-        return _hidden(u, first, np.array(self.first_biases), second, np.array(self.second_biases))
+        layers = (self.first_weights, self.first_biases, self.second_weights, self.second_biases)
+        return _hidden(u, *map(np.array, layers))
 
 
 def _hidden(
@@ -146,10 +146,10 @@ def weights_of(neurons: int) -> int:
 
 def starts(neurons: int, count: int, random: np.random.Generator) -> FloatArray:
     """Return first weights whose neurons bend at different places of the range, (count, p)."""
-    n = neurons
-    slope = random.uniform(0.8, 2.0, (count, n)) * n**0.5 * random.choice([-1.0, 1.0], (count, n))
-    bend = -slope * random.uniform(-1.0, 1.0, (count, n))
-    others = random.normal(0.0, 0.8, (count, n * n + 2 * n + 1))
+    each = (count, neurons)
+    slope = random.uniform(0.8, 2.0, each) * neurons**0.5 * random.choice([-1.0, 1.0], each)
+    bend = -slope * random.uniform(-1.0, 1.0, each)
+    others = random.normal(0.0, 0.8, (count, weights_of(neurons) - 2 * neurons))
     return np.concatenate([slope, bend, others], axis=1)
 
 
@@ -184,46 +184,38 @@ def mean_square(weights: FloatArray, data: Scaled) -> float:
 def train(
     start: FloatArray,
     data: Scaled,
-    validation: Scaled | None = None,
     decay: float = DECAY,
     evaluations: int = 100,
+    accepted: Callable[[FloatArray], object] = lambda _: None,
 ) -> FloatArray:
     """Return the weights, (p,), that Levenberg-Marquardt (MINPACK's) comes to from a start.
 
-    It minimises mean(w (y - output)²) + decay Σ weights².  With validation data, the weights returned are
-    those of the least validation error on the way.
+    It minimises mean(w (y - output)²) + decay Σ weights².  `accepted` takes the weights after each step.
     """
     from scipy.optimize import leastsq  # takes 0.3 s, and a model is read without it
 
-    root = np.sqrt(data.w / len(data.u))
-    shrink = np.sqrt(decay)
-    shrinking = shrink * np.eye(len(start))
-    best, least = start, np.inf
+    root, shrink, same = np.sqrt(data.w / len(data.u)), np.sqrt(decay), np.ones(len(start))
 
     def residual(weights: FloatArray) -> FloatArray:
         return np.concatenate([root * (response(weights, data.u) - data.y), shrink * weights])
 
     def derivative(weights: FloatArray) -> FloatArray:  # is called after each step that was accepted
-        nonlocal best, least
-        if validation is not None and (error := mean_square(weights, validation)) < least:
-            best, least = weights.copy(), error
-        return np.concatenate([root[:, np.newaxis] * sensitivity(weights, data.u), shrinking])
+        accepted(weights)
+        return np.vstack([root[:, np.newaxis] * sensitivity(weights, data.u), np.diag(shrink * same)])
 
-    same = np.ones(len(start))
     found = leastsq(
         residual, start, Dfun=derivative, full_output=True, maxfev=evaluations, factor=FIRST_STEP, diag=same
     )
-    return np.asarray(found[0] if validation is None else best)
+    return np.asarray(found[0])
 
 
 def fit_network(points: Points, neurons: int, restarts: int = RESTARTS) -> NetworkCurve:
     """Fit a 1-n-n-1 network: several starts go some way, the best two to the end."""
     data = Scaled.of(points.merged(float(np.ptp(points.temperature)) / MERGED))
     begun = starts(neurons, restarts, np.random.default_rng(0))
-    tried = sorted((train(start, data, evaluations=FIRST) for start in begun), key=lambda w: _cost(w, data))
-    trained = [train(weights, data, evaluations=LAST) for weights in tried[:2]]
-    return data.curve(min(trained, key=lambda weights: _cost(weights, data)))
 
+    def cost(weights: FloatArray) -> float:
+        return mean_square(weights, data) + DECAY * float(weights @ weights)
 
-def _cost(weights: FloatArray, data: Scaled) -> float:
-    return mean_square(weights, data) + DECAY * float(weights @ weights)
+    tried = sorted((train(start, data, evaluations=FIRST) for start in begun), key=cost)
+    return data.curve(min((train(weights, data, evaluations=LAST) for weights in tried[:2]), key=cost))

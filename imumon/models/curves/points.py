@@ -52,5 +52,4 @@ def folds(level: IntArray, most: int) -> list[BoolArray]:
     not do in use.  With fewer than three levels there is nothing to leave out.
     """
     inner = np.unique(level)[1:-1]
-    n = min(most, len(inner))
-    return [np.isin(level, inner[start::n]) for start in range(n)]
+    return [np.isin(level, inner[start::most]) for start in range(min(most, len(inner)))]

@@ -35,11 +35,11 @@ class SplineCurve(StrictModel):
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         n = len(self.knots_degc)
-        if len(self.values) != n or len(self.slopes) != n:
+        if not n == len(self.values) == len(self.slopes):
             raise ValueError(
                 f"{n} knots need {n} values, {n} slopes; {len(self.values)}, {len(self.slopes)} given"
             )
-        if any(b <= a for a, b in zip(self.knots_degc, self.knots_degc[1:], strict=False)):
+        if np.any(np.diff(self.knots_degc) <= 0.0):
             raise ValueError("knots_degc do not increase")
         return self
 
@@ -106,8 +106,6 @@ def _best_strength(basis: FloatArray, target: FloatArray, penalty: FloatArray, l
     for out in folds(level, len(level)):
         own = basis[out]
         without = normal - own.T @ own + _STRENGTHS[:, np.newaxis, np.newaxis] * penalty
-        fitted = np.linalg.solve(
-            without, np.broadcast_to(moment - own.T @ target[out], without.shape[:2])[..., None]
-        )
-        errors += np.sum((own @ fitted[..., 0].T - target[out][:, np.newaxis]) ** 2, axis=0)
+        fitted = np.linalg.solve(without, (moment - own.T @ target[out])[:, np.newaxis])
+        errors += np.sum((own @ fitted - target[out][:, np.newaxis]) ** 2, axis=(1, 2))
     return float(_STRENGTHS[np.argmin(errors)] if errors.any() else _STRENGTHS[-1])
