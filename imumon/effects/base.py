@@ -99,8 +99,6 @@ class Survey:
     """Temperature is scaled to u = (T - middle) / half span."""
     others: Mapping[str, Scale] = field(default_factory=dict)
     """Further drivers that were recorded and that vary."""
-    choices: int = 1
-    """Number of effects that these can have."""
 
     @property
     def scale(self) -> Scale:

@@ -35,8 +35,8 @@ SLACK_DEGC = 0.15
 """Way of the thermometer that its noise and its steps make up."""
 
 Shape = Literal["play", "smooth"]
-FILTERS_S = (5.0, 15.0, 45.0)
-"""Of the rate of another driver."""
+FILTERS_S = (5.0, 45.0)
+"""The fastest and the slowest of the rate of another driver that are tried."""
 
 
 class Follower(ScaledEffect):
@@ -249,6 +249,11 @@ class TemperatureRate(DrivenEffect):
     suspected_by = ("temperature rate",)
     smoothing_s: Positive = 15.0
 
+    @property
+    def nonlinear(self) -> tuple[str, ...]:  # type: ignore[override]  # it depends on the driver
+        """The filter, where another driver has its own; that of the temperature is for its steps."""
+        return () if self.of_temperature else ("smoothing_s",)
+
     @classmethod
     def grid(cls, survey: Survey) -> list[Self]:
         """Return the one there is; none at constant temperature."""
@@ -256,8 +261,8 @@ class TemperatureRate(DrivenEffect):
 
     @classmethod
     def driven(cls, survey: Survey, driver: str) -> list[Self]:  # noqa: ARG003 - whatever varies has a rate
-        """Return one behind a fast, a usual and a slow filter."""
-        return [cls(driver=driver, smoothing_s=seconds) for seconds in FILTERS_S]
+        """Return one behind each of some filters."""
+        return [cls(driver=driver, smoothing_s=seconds) for seconds in logarithmic(*FILTERS_S, RATIO**2)]
 
     def advance(self, memory: Memory, drive: Drive) -> FloatArray:
         """Return the filtered rate: how far a lag is behind, over its time constant."""

@@ -48,8 +48,8 @@ def _family(name: str) -> Change:
     return _untried(lambda one: one.parts[0].effect.name == name)
 
 
-def _noise(flicker: Sequence[float], walk: Sequence[float]) -> Change:
-    return [(likelihood, "NOISE_GRID", [(r, q) for r in flicker for q in walk])]
+def _without_noise(number: int) -> Change:
+    return [(likelihood, "NOISE_GRID", [noise for noise in likelihood.NOISE_GRID if not noise[number]])]
 
 
 def _each_alone(active: Sequence[search.AxisSearch], bar: float) -> None:  # noqa: ARG001 - as what it replaces
@@ -68,8 +68,8 @@ MECHANISMS: Mapping[str, Change] = {
     "least share of the largest effect": [(search, "SECOND_SHARE", 0.0)],
     "shorter blocks for short runs": [(engine, "BLOCK_FRACTIONS", (1,))],
     "refinement of parameters": [(search, "REFINEMENTS", 0)],
-    "flicker in the noise": _noise((0.0,), likelihood.WALK_RATIOS),
-    "walk in the noise": _noise(likelihood.FLICKER_RATIOS, (0.0,)),
+    "flicker in the noise": _without_noise(0),
+    "walk in the noise": _without_noise(1),
     "refuted by the test": [(verdict, "_not_refuted", lambda _channel, findings, _left_out: list(findings))],
     "proven by the test": [(verdict, "_proven_by_test", lambda *_given: None)],
     "eight floors of what the test proves": [(verdict, "FLOORS_BY_TEST", 0.0)],

@@ -84,7 +84,7 @@ def _part(run: Run, start: int, stop: int) -> Run:
 
 def _row(share: float, verdict: ChannelVerdict, found: dict[str, Any]) -> list[str]:
     """Return the row of a channel; rms in °/s."""
-    names = [" or ".join(claim.finding.indistinguishable) or claim.finding.name for claim in verdict.claims]
+    names = [" or ".join(claim.finding.names) for claim in verdict.claims]
     text = "; ".join(names) or "nothing named"
     text += ", proven by the test" if verdict.by_test else ""
     if verdict.unexplained:

@@ -44,15 +44,18 @@ doi:10.1214/10-STS347).  (4) is that of steps 1 to 4; in 5, and between bases, S
 **Verdict** (`verdict`): of what was found, that is claimed which explains training and the test, if any.  It
 is fitted by ordinary least squares; of a test, what carries over is predicted, the rest estimated in it.
 
-**Words.**  *Channel*: an axis, or another column.  *Driver*: what an effect depends on, the temperature or
+**Words.**  *Slot*: a second of samples, or the period of a slower log; a *block* has the mean of its slots at
+rest.  *Channel*: an axis, or another column.  *Driver*: what an effect depends on, the temperature or
 another column.  *Pose*: a stretch in one attitude.  *Event*: has a time of its own in one run, as a jump.
 *Late*: behind its driver by a lag or delay.  *Free start*: the state at power-on is fitted, too.  *Kind*: a
 class of effects.  *Family*: those of one kind and driver.  *Candidate*: what may be added.  *Finding*: what
 the search added.  *Claim*: a finding that training and test bear out.  *White floor*: sd of a block's mean by
 white noise, the unit of sizes; *total floor*: with the rounding of coarse samples.  *Present model*: the one
 that the unit has already, if any; else a polynomial is *declared*.  Coefficients that are *shared* are one
-for all runs and carry over to others, *separate* ones are a run's own.
+for all runs and carry over to others, *separate* ones are a run's own.  An effect by which the rms of the
+residual falls from A to B *takes away* sqrt(A² - B²).
 
-**Read** runs, prepare, blocks (recordings to y); candidates (X, Z); likelihood (1, 2); search (3 to 5); fit,
-verdict; diagnose, which calls them all; then what is made of it: report, page, extended, planning, live.
+**Read** runs, prepare, blocks (recordings to y); candidates (X, Z); likelihood (2, by 6 to 8); search (3 to
+5); fit (with sigmas, 9); verdict (with 10); diagnose, which calls them all; then what is made of it: report,
+page, extended, planning, live.
 """

@@ -10,10 +10,8 @@ import numpy as np
 
 from imumon.blocks import BoolArray, FloatArray, IntArray
 from imumon.clock.channel import CLOCK, block_noise
-from imumon.effects.base import Drive, DrivenEffect, Scale, Survey
-from imumon.effects.library import EFFECTS
+from imumon.effects.base import Drive, Scale, Survey
 from imumon.effects.operators import play
-from imumon.effects.product import Product
 from imumon.lab.diagnosis.runs import Run
 from imumon.recordings.reduced import ACCEL
 
@@ -243,7 +241,6 @@ def survey(runs: Sequence[RunBlocks], temperatures: Iterable[str], degree: int) 
     of_all = {name: np.concatenate([run.temperature[name] for run in runs]) for name in temperatures}
     temperature = max(of_all, key=lambda name: float(np.ptp(of_all[name])))
     low, high = float(of_all[temperature].min()), float(of_all[temperature].max())
-    effects_of_driver = sum(issubclass(kind, (DrivenEffect, Product)) for kind in EFFECTS.values())
     forces = [force for run in runs if (force := run.force) is not None]
     others = {}
     for name in runs[0].drives[temperature].others:
@@ -262,7 +259,6 @@ def survey(runs: Sequence[RunBlocks], temperatures: Iterable[str], degree: int) 
         middle_degc=0.5 * (low + high),
         half_span_degc=max(0.5 * (high - low), 1e-3),
         others=others,
-        choices=max(1, len(others)) * effects_of_driver,
     )
 
 

@@ -8,10 +8,8 @@ A coefficient is *shared* when it is one for all runs, so that it carries over t
     run       separate in every run but the first: an offset against the first
     event     separate in one run, tried in each: a jump
 
-`imumon.effects.base` documents what an effect provides, and `Survey` (what runs can show) and `Drive` (what
-drives the effects of one run).  Used are grid, driven, of_curve, fits_in and refined (what to try), columns
-and start_columns (of Z, and of the state at power-on), simulate and settled (in the test), nonlinear (theta),
-one_sign, free_start, scope and inputs (its drivers).
+`imumon.effects.base` has what an effect provides, with `Survey` (what runs can show) and `Drive` (what drives
+the effects of one run).
 """
 
 from __future__ import annotations
@@ -24,8 +22,9 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from imumon.blocks import FloatArray, IntArray
-from imumon.effects.base import Effect, Scale, Survey
+from imumon.effects.base import DrivenEffect, Effect, Scale, Survey
 from imumon.effects.library import EFFECTS
+from imumon.effects.product import Product
 from imumon.effects.temperature_curve import TemperatureCurve
 from imumon.lab.diagnosis.blocks import RunBlocks, WhiteFloor
 from imumon.lab.diagnosis.runs import unit_of
@@ -101,7 +100,9 @@ class Candidate:
 
 def candidates(survey: Survey, kinds: Iterable[str]) -> list[Candidate]:
     """Return all candidates of these kinds that such runs can show, over their grids of theta."""
-    every_run, price = tuple(range(survey.runs)), 2.0 * float(np.log(survey.choices))
+    of_a_driver = sum(issubclass(kind, (DrivenEffect, Product)) for kind in EFFECTS.values())
+    price = 2.0 * float(np.log(max(1, len(survey.others)) * of_a_driver))
+    every_run = tuple(range(survey.runs))
     found: list[Candidate] = []
     for kind in (EFFECTS[name] for name in kinds):
         grid = kind.grid(survey)
@@ -177,9 +178,9 @@ class Finding:
         return self.candidate.family
 
     @property
-    def indistinguishable(self) -> list[str]:
-        """It and its alternatives by name; empty when there is no alternative."""
-        return [self.name, *self.alternatives] if self.alternatives else []
+    def names(self) -> list[str]:
+        """Its name, and those of the alternatives that are not told apart from it."""
+        return [self.name, *self.alternatives]
 
 
 @dataclass(slots=True)

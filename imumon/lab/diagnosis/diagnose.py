@@ -145,16 +145,14 @@ def _prepared(
     train, test = prepare.train_and_test(train, test, names, remarks)
     if model is not None:
         names = prepare.channels_with_model(names, model)
+        degree = prepare.degree_of(model, names)
     temperature_names = {name: prepare.temperature_of(name, model, train) for name in names}
     temperatures = [*dict.fromkeys(temperature_names.values())]
-    if model is not None:
-        train, test = ([prepare.without_curves(one, model, names) for one in runs] for runs in (train, test))
-        degree = prepare.degree_of(model, names)
     effects = [effect for name in names for effect in model.channels[name].effects] if model else []
     others = prepare.usable_drivers(train, test, [*temperatures, *names], drivers, effects, remarks)
     columns, block_s = (names, temperatures, others), common_block_s([*train, *test])
-    training = prepare.usable_blocks(train, *columns, block_s, remarks, training=True)
-    tested = prepare.usable_blocks(test, *columns, block_s, remarks)
+    training = prepare.usable_blocks(train, *columns, block_s, remarks, model, training=True)
+    tested = prepare.usable_blocks(test, *columns, block_s, remarks, model)
     span = survey(training, temperatures, degree)
     if not span.thermal:
         moves = f"moves by {span.span_degc:.1f} °C only ({LEAST_SPAN_DEGC:.0f} °C are needed)"

@@ -127,9 +127,8 @@ def model_with_drivers(
     """Return a calibrated model with what is proven of recorded drivers (None: of all that vary), the
     verdicts on the channels that have one, and remarks.
 
-    The search is that of `diagnose.diagnose`, the latest recording is its test.  A channel in
-    which a driver is found gets all that was found in it, for the rest was fitted beside the driver; the
-    others stay as they are.
+    The search is that of `diagnose`, the latest recording is its test.  A channel in which a driver is found
+    gets all that was found in it, for that was fitted beside the driver; the others stay as they are.
 
     Raises BAD_DATA when the data is too short for it; BAD_CONFIG for a driver that is not there.
     """

@@ -9,9 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
 from imumon.blocks import BoolArray, FloatArray, IntArray
 from imumon.effects.base import Effect
@@ -50,19 +52,25 @@ class FittedPart:
         same = self.effect.scope == "either" and spread <= CARRY_SPREAD * float(np.linalg.norm(mean))
         return not self.separate_runs or same
 
+    def known_in(self, run: int | None) -> bool:
+        """Whether a training run has separate coefficients: an offset against the first run is 0 in that."""
+        return run in self.separate_runs or (run is not None and self.effect.scope == "run")
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fit:
     """An extended model fitted by ordinary least squares."""
 
     declared: FloatArray
-    """Coefficients of the powers of u, (degree + 1,); the constant is the one to predict another run with:
-    the mean of those of the training, and `mean_of_separate`."""
+    """Coefficients of the powers of u, (degree + 1,); the constant is the one to predict another run with."""
+    of_constant: FloatArray
+    """What each coefficient, (p + k,), counts in that: it is the mean of all constants, of which further ones
+    are differences from the first, and..."""
+    mean_of_separate: float
+    """...the mean over training of what does not carry over, such as jumps."""
     parts: list[FittedPart]
     residual: FloatArray
     """y less the model, (n,)."""
-    mean_of_separate: float = 0.0
-    """Mean over training of what does not carry over, such as jumps."""
 
     @property
     def train_rms(self) -> float:
@@ -77,12 +85,11 @@ class Fit:
 
 def fit(channel: Channel, model: Sequence[Candidate]) -> Fit:
     """Fit the declared model and candidates to training by ordinary least squares."""
-    design = channel.design(model)
+    design, n_base, n_powers = channel.design(model), channel.base.shape[1], channel.degree + 1
     coefficients = least_squares(design, channel.y)
-    declared = _of_powers(channel, coefficients)
-    fixed, no_start = channel.fixed_effects, np.empty((0, 0))
-    parts = [FittedPart(one, (), np.array([one.coefficients]), no_start) for one in fixed]
-    mean_of_separate = 0.0
+    of_constant, no_start = np.zeros(len(coefficients)), np.empty((0, 0))
+    of_constant[0], of_constant[n_powers:n_base] = 1.0, 1.0 / (n_base - n_powers + 1)
+    parts = [FittedPart(one, (), np.array([one.coefficients]), no_start) for one in channel.fixed_effects]
     for candidate, where, starts in _layout(channel, model):
         runs = len(channel.training.runs) if candidate.free_start else 0
         start_of_parts = coefficients[starts].reshape(len(candidate.parts), runs, -1 if runs else 0)
@@ -91,18 +98,10 @@ def fit(channel: Channel, model: Sequence[Candidate]) -> Fit:
             effect = part.effect.with_coefficients(rows.mean(axis=0))
             parts.append(FittedPart(effect, part.separate_runs, rows, start))
         if not parts[-1].carries_over:
-            mean_of_separate += float((design[:, where] @ coefficients[where]).mean())
-    declared[0] += mean_of_separate
-    return Fit(declared, parts, channel.y - design @ coefficients, mean_of_separate)
-
-
-def _of_powers(channel: Channel, coefficients: FloatArray) -> FloatArray:
-    """Return what belongs to the powers of u of a row for each coefficient, with the mean of all constants:
-    further ones are differences from the first."""
-    n_base, n_powers = channel.base.shape[1], channel.degree + 1
-    declared = coefficients[:n_powers].copy()
-    declared[0] += coefficients[n_powers:n_base].sum(axis=0) / (n_base - n_powers + 1)
-    return declared
+            of_constant[where] = design[:, where].mean(axis=0)
+    declared = np.append(of_constant @ coefficients, coefficients[1:n_powers])
+    mean_of_separate = float(of_constant[n_base:] @ coefficients[n_base:])
+    return Fit(declared, of_constant, mean_of_separate, parts, channel.y - design @ coefficients)
 
 
 def _layout(channel: Channel, model: Sequence[Candidate]) -> Iterator[tuple[Candidate, slice, slice]]:
@@ -122,15 +121,13 @@ def _by_part(candidate: Candidate, values: FloatArray) -> list[FloatArray]:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class TestScore:
+class Score:
     """How a model does on runs that it was not fitted to, in the unit of the channel; NaN without a test.
 
     *Predicted*: by what carries over; nothing of the test is used but a constant where the declared model has
     one for each run or pose.  *Estimated*: with what does not carry over fitted to the test itself.  Of each
     run there are both residuals, and which blocks count, (n,).
     """
-
-    __test__ = False
 
     rms: float
     """Predicted."""
@@ -151,15 +148,15 @@ class TestScore:
         return float(np.fmin(self.rms, self.estimated_rms))
 
 
-def score_test(channel: Channel, model: Fit, settled_as: Fit | None = None) -> TestScore:
+def score_test(channel: Channel, model: Fit, settled_as: Fit | None = None) -> Score:
     """Return how a fitted model does on the test runs, within the trained temperatures.
 
     Blocks count after the state at power-on is forgotten, of the model `settled_as` where one is given: the
     same for the models that are compared.
     """
     trained, predicted, estimated, counts, inside = channel.temperature, [], [], [], 0
-    with_separate = {number for part in model.parts for number in part.separate_runs}
-    continues = any(_continued_run(channel, run) in with_separate for run in channel.test)
+    both = product(model.parts, (_continued_run(channel, run) for run in channel.test))
+    continues = any(part.known_in(number) for part, number in both)
     for run in channel.test:
         t = run.temperature[channel.training.temperature_name]
         counting = (t >= trained.min()) & (t <= trained.max())
@@ -176,7 +173,7 @@ def score_test(channel: Channel, model: Fit, settled_as: Fit | None = None) -> T
     coverage = inside / sum(map(len, counts)) if channel.test else np.nan
     scored_share = sum(int(part.sum()) for part in counts) / max(inside, 1) if channel.test else np.nan
     rms, estimated_rms = _rms_of(predicted, counts), _rms_of(estimated, counts)
-    return TestScore(rms, estimated_rms, coverage, scored_share, predicted, estimated, counts, continues)
+    return Score(rms, estimated_rms, coverage, scored_share, predicted, estimated, counts, continues)
 
 
 def root_mean_square(values: FloatArray) -> float:
@@ -186,8 +183,7 @@ def root_mean_square(values: FloatArray) -> float:
 
 def _rms_of(residuals: Sequence[FloatArray], counts: Sequence[BoolArray]) -> float:
     """Return the rms over the blocks that count; NaN when they are too few."""
-    parts = [residual[counting] for residual, counting in zip(residuals, counts, strict=True)]
-    values = np.concatenate([np.empty(0), *parts])
+    values = np.concatenate([np.empty(0), *(one[of] for one, of in zip(residuals, counts, strict=True))])
     return root_mean_square(values) if len(values) >= LEAST_TEST_BLOCKS else float("nan")
 
 
@@ -208,7 +204,6 @@ def _without_offsets(
 
 
 def _predicted_bias(channel: Channel, run: RunBlocks, model: Fit) -> FloatArray:
-    """Return the bias that a fitted model predicts of a run, (n,)."""
     temperature = run.temperature[channel.training.temperature_name]
     bias = channel.powers(temperature, len(model.declared)) @ model.declared
     drive, continued = run.drives[channel.training.temperature_name], _continued_run(channel, run)
@@ -230,7 +225,7 @@ def _estimated_bias(
     the training run has that this one continues is predicted, and is not fitted.
     """
     continued = _continued_run(channel, run)
-    parts = [part for part in model.parts if not part.carries_over and continued not in part.separate_runs]
+    parts = [part for part in model.parts if not (part.carries_over or part.known_in(continued))]
     if not parts or int(counting.sum()) < LEAST_TEST_BLOCKS:
         return np.zeros(len(run))
     drive, effects = run.drives[channel.training.temperature_name], [part.effect for part in parts]
@@ -275,22 +270,29 @@ def sigmas(
         error of ln theta = s M w,                       M the last rows of pinv(L^-1 [A D])            (9)
         error of (b, c)   = s (pinv(A) L - pinv(A) D M) w
     """
-    design = channel.design(model)
+    design, runs = channel.design(model), channel.training.runs
     slopes = _slopes(channel, model, least_squares(design, channel.y))
-    l_inverse, _ = likelihood.whitened(np.eye(len(design)), likelihood.maximum(channel.y, design)[1])
-    columns, y = l_inverse @ np.column_stack([design, slopes]), l_inverse @ channel.y
+    noise = likelihood.maximum(channel.y, design)[1]
+    whitened, _ = likelihood.whitened(np.column_stack([design, slopes, channel.y]), noise)
+    columns, y = whitened[:, :-1], whitened[:, -1]
     inverse = np.linalg.pinv(columns, rcond=1e-10)
     freedom = max(len(y) - columns.shape[1], 1)
     s = float(np.sqrt(np.sum((y - columns @ (inverse @ y)) ** 2) / freedom))
     of_log_theta = inverse[design.shape[1] :]
-    least = np.linalg.pinv(design, rcond=1e-10)
-    linear = s * (np.linalg.solve(l_inverse.T, least.T).T - (least @ slopes) @ of_log_theta)
+    least = np.asarray(np.linalg.pinv(design, rcond=1e-10), np.float64)
+    # L is made of the L of each run, side by side here: pinv(A) L = X follows from X L^-1 = pinv(A).
+    l_inverse, _ = likelihood.whitened(
+        np.vstack([np.eye(len(run), max(map(len, runs))) for run in runs]), noise
+    )
+    of_runs = zip(channel.training.split(l_inverse), channel.training.split(least.T), strict=True)
+    solved = [solve_triangular(one[:, : len(one)], rows, trans="T", lower=True) for one, rows in of_runs]
+    linear = s * (np.concatenate(solved).T - (least @ slopes) @ of_log_theta)
     sd_of_log, sd = s * np.linalg.norm(of_log_theta, axis=1), np.linalg.norm(linear, axis=1)
     relative, found = iter(sd_of_log.tolist()), []
     for one, where, _ in _layout(channel, model):
         thetas = [{name: next(relative) * at for name, at in _theta(part).items()} for part in one.parts]
         found.append([*map(PartSigma, _by_part(one, sd[where]), thetas)])
-    declared = _of_powers(channel, linear)
+    declared = np.vstack([fit(channel, model).of_constant @ linear, linear[1 : channel.degree + 1]])
     return declared @ declared.T, found
 
 

@@ -34,9 +34,7 @@ TAUS_S = np.array([30.0, 100.0, 300.0, 1000.0, 3000.0, 10000.0])
 """s, half a decade apart: from one block to longer than most runs."""
 WALK_S = 7200.0
 """s: q is the variance of the walk after this time."""
-FLICKER_RATIOS = (0.0, 0.3, 1.0, 3.0, 10.0, 100.0, 1000.0)
-WALK_RATIOS = (0.0, 1.0, 10.0, 100.0, 1000.0)
-NOISE_GRID = [(r, q) for r in FLICKER_RATIOS for q in WALK_RATIOS]
+NOISE_GRID = [(r, q) for r in (0.0, 0.3, 1.0, 3.0, 10.0, 100.0, 1e3) for q in (0.0, 1.0, 10.0, 100.0, 1e3)]
 """Half a decade to a decade apart; each likelihood is the largest over these."""
 COLLINEAR = 1e-5
 """A column of which less is left beside the base (its norm, over that before) is not used."""
@@ -109,11 +107,8 @@ class Likelihood:
 
     def whitened(self, columns: FloatArray, noise: Noise) -> tuple[FloatArray, FloatArray]:
         """Return L^-1 columns, (n, k), and the diagonal of L, (n,), for V of (1)."""
-        flicker, walk = noise
-        processes = np.array([TAUS_S, np.full(len(TAUS_S), np.sqrt(flicker / len(TAUS_S)))])
         both = zip(self._training.runs, self._training.split(columns), strict=True)
-        noise_of_each = processes, float(np.sqrt(walk / WALK_S))
-        found = [whiten(rows, run.time_s, run.white, *noise_of_each) for run, rows in both]
+        found = [whiten(rows, run.time_s, run.white, noise) for run, rows in both]
         return np.concatenate([rows for rows, _ in found]), np.concatenate([sd for _, sd in found])
 
     def _loglik(self, rss: npt.ArrayLike, noise: Noise) -> FloatArray:
@@ -178,20 +173,18 @@ def _explained(
 
 
 def whiten(
-    columns: FloatArray, time_s: FloatArray, white: FloatArray, processes: FloatArray, walk: float
+    columns: FloatArray, time_s: FloatArray, white: FloatArray, noise: Noise
 ) -> tuple[FloatArray, FloatArray]:
     """Return L^-1 columns, (n, k), and the diagonal of L, (n,), for means over the n blocks of one run.
 
-    The noise is that of (8): `time_s` and `white` (n,) are the time of each mean since power-on and the
-    variance of its white noise, `processes` (2, m) the correlation times, s, and standard deviations of
-    Gauss-Markov processes, which begin stationary.  The random walk begins at zero and has the coefficient
-    `walk`, in the unit of the bias per sqrt(s).
+    `time_s` (n,) is the time of each since power-on, `white` (n,) the diagonal of W.  The processes of (8)
+    begin stationary, the random walk at zero.
     """
-    taus_s, markov_sd = processes
-    dt = np.diff(time_s, prepend=0.0)[:, np.newaxis]
-    phi = np.column_stack([np.ones(len(dt)), np.exp(-dt / taus_s)])
-    process = np.column_stack([walk**2 * dt, markov_sd**2 * -np.expm1(-2.0 * dt / taus_s)])
-    process[0, 1:] = markov_sd**2
+    flicker, walk = noise
+    dt, of_each = np.diff(time_s, prepend=0.0)[:, np.newaxis], flicker / len(TAUS_S)
+    phi = np.column_stack([np.ones(len(dt)), np.exp(-dt / TAUS_S)])
+    process = np.column_stack([walk * dt / WALK_S, of_each * -np.expm1(-2.0 * dt / TAUS_S)])
+    process[0, 1:] = of_each
     whitened, sd = _innovations(phi, process, np.asarray(white), np.ascontiguousarray(columns))
     return np.asarray(whitened), np.asarray(sd)
 

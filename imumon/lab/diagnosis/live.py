@@ -100,14 +100,12 @@ def better_models(run: Run, model: BiasModel, channels: Sequence[str]) -> list[B
 
 
 def _better(found: AxisSearch, gain: float, model: BiasModel) -> Better:
-    """Return the present model of a channel with what it lacks, fitted."""
     channel, lacking = found.channel, next(one for one in found.findings if not one.of_present_model)
     present, before = model.channels[channel.name], fit(channel.with_model_fixed(), [])
     fitted = fit(channel, found.model)
     # What is left holds the white noise of the means as well: the model's own error is no larger.
     better = refitted(present, channel, fitted, min(present.residual_sd, fitted.train_rms))
-    names = lacking.indistinguishable or [lacking.name]
-    return Better(channel.name, names, gain, before.train_rms, fitted.train_rms, better)
+    return Better(channel.name, lacking.names, gain, before.train_rms, fitted.train_rms, better)
 
 
 class Challenger:
@@ -157,7 +155,6 @@ class LiveDiagnosis:
         temperatures = [name.replace("_estimate", "") for name in needed.temperature_columns]
         self._needed = [*self._gyros, *temperatures, "temperature", *needed.drivers]
         self._names: list[str] = []
-        self._gatherer = gatherer_of(self._names, 1.0)
         self._waiting: list[SampleBlock] = []
         self._pending: list[str] = []
         self._reported: set[str] = set()

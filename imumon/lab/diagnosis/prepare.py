@@ -29,8 +29,8 @@ STRETCHES = 12
 temperatures, of single blocks both have the same flicker."""
 LONGEST_PAUSE_S = 60.0
 """A recording that begins later than this after another, by the device's clock, begins at power-on."""
-LEAST_THERE = 0.1
-"""Share of its time in which a channel that is used has samples."""
+LEAST_THERE = 0.6
+"""Share of its slots in which a channel that is used has samples: blocks are of slots with all channels."""
 MANY_GAPS = 0.2
 """Share of a run left out that is reported."""
 CUBIC_DEGREE = 3
@@ -40,7 +40,7 @@ RESOLUTION = 1e-12
 
 
 def usable_channels(train: Runs, test: Runs, sensors: Sequence[str], remarks: list[str]) -> list[str]:
-    """Return the channels that vary and that every training run has at a tenth of its time or more.
+    """Return the channels that vary and that every training run has in most of its slots.
 
     The clock of the device beside others only where all runs have it.
 
@@ -67,8 +67,8 @@ def usable_channels(train: Runs, test: Runs, sensors: Sequence[str], remarks: li
 
 
 def _share_there(run: Run, name: str) -> float:
-    """Return the share of its time in which a run has a column."""
-    return float(np.isfinite(run.mean[name]).mean()) if name in run.mean else 0.0
+    """Return the share of its slots with samples in which a run has a column."""
+    return float(np.isfinite(run.mean[name][run.there]).mean()) if name in run.mean else 0.0
 
 
 def usable_drivers(
@@ -225,8 +225,7 @@ def faults(runs: Sequence[Run], channel: str, floor: float) -> dict[str, float]:
         if one.atom_share > 0.0:
             share = f"{one.atom_share:.1%} of the samples are {one.atom + 0.0:.4g} {unit}"
             frequent[f"frequent value, as of a dead-band, saturation or dropouts: {share}"] = np.inf
-    worst = [max(kind.items(), key=lambda item: item[1]) for kind in (quantized, frequent) if kind]
-    return dict(worst)
+    return dict(max(kind.items(), key=lambda item: item[1]) for kind in (quantized, frequent) if kind)
 
 
 def usable_blocks(
@@ -236,9 +235,13 @@ def usable_blocks(
     drivers: Sequence[str],
     block_s: float,
     remarks: list[str],
+    model: BiasModel | None = None,
     training: bool = False,
 ) -> list[RunBlocks]:
-    """Return the runs at rest as blocks; raises BAD_DATA, and why, where they are too few for training."""
+    """Return the runs at rest as blocks, less the curves of a model.
+
+    Raises BAD_DATA, and why, where they are too few for training.
+    """
     found, earlier = [], len(remarks)
     for run in runs:
         if lacking := [name for name in (*channels, *temperatures) if name not in run.mean]:
@@ -246,7 +249,8 @@ def usable_blocks(
         elif run.rest_share < MOSTLY:
             why = f"the unit moves: at rest for {run.rest_share:.0%} of its {run.duration_s / 60:.0f} min"
         else:
-            blocks = make_blocks(run, channels, temperatures, drivers, block_s)
+            left = run if model is None else without_curves(run, model, channels)
+            blocks = make_blocks(left, channels, temperatures, drivers, block_s)
             few = f"too few means of {block_s:.0f} s at rest: {len(blocks)}"
             why = few if len(blocks) * block_s < SHORTEST_RUN_S else ""
         if why:
@@ -292,8 +296,9 @@ def temperature_of(channel: str, model: BiasModel | None, runs: Sequence[Run]) -
     for name in (wanted, *TEMPERATURES):
         if name != channel and all(np.isfinite(run.mean.get(name, np.nan)).sum() > 1 for run in runs):
             return name
+    each = [f"{run.name} has {', '.join(t for t in TEMPERATURES if t in run.mean) or 'none'}" for run in runs]
     raise bad_data(
-        "there is no temperature that every run has, and a bias model is over one",
+        f"there is no temperature that every run has, and a bias model is over one: {'; '.join(each)}",
         "record with the temperature switched on, or name its column in the map",
     )
 
@@ -328,7 +333,6 @@ def without_curves(run: Run, model: BiasModel, channels: Sequence[str]) -> Run:
 
 def without_model(run: Run, model: BiasModel, channels: Sequence[str]) -> Run:
     """Return a run with what a model expects taken from its channels, effects integrated from power-on."""
-    channels = [name for name in channels if name in run.mean]
     temperatures = [temperature_of(name, model, [run]) for name in channels]
     force = [run.mean[f"accel_{axis}"] for axis in "xyz" if f"accel_{axis}" in run.mean]
     expected = BiasPredictor(model, channels).process(

@@ -67,7 +67,7 @@ def write_report(diagnosis: Diagnosis, path: Path) -> None:
 
 def _channel(verdict: ChannelVerdict) -> dict[str, Any]:
     channel, before, after = verdict.channel, verdict.test_before, verdict.test_after
-    sets = [names for claim in verdict.claims if (names := claim.finding.indistinguishable)]
+    sets = [claim.finding.names for claim in verdict.claims if claim.finding.alternatives]
     train_before, train_after = verdict.before.train_rms, verdict.after.train_rms
     explained = explained_share(train_before, train_after, channel.total_floor)
     apart = [(first, other) for first, *others in sets for other in others]
@@ -92,7 +92,7 @@ def _channel(verdict: ChannelVerdict) -> dict[str, Any]:
         },
         "effects": [_effect(verdict, claim) for claim in verdict.claims],
         "ranking": [
-            {"name": one.candidate.family, "gain": one.gain, **_left(verdict, fit(channel, [one.candidate]))}
+            {"name": one.candidate.family, "gain": one.gain, **_left(verdict, _alone(verdict, one.candidate))}
             for one in _leaders(verdict, 0)[:MOST_RANKED]
         ],
         "runs": list(_runs_left(verdict)),
@@ -134,8 +134,8 @@ def _slow_noise(verdict: ChannelVerdict) -> dict[str, float]:
 
 
 def _effect(verdict: ChannelVerdict, claim: Claim) -> dict[str, Any]:
-    finding, before = claim.finding, verdict.before.train_rms
-    alone = _left(verdict, fit(verdict.channel, [finding.candidate]))
+    finding, before = claim.finding, _alone(verdict).train_rms
+    alone = _left(verdict, _alone(verdict, finding.candidate))
     after = alone["train_rms"]
     sigma = [
         {**one.nonlinear, "coefficients": rows if len(rows := one.coefficients.tolist()) > 1 else rows[0]}
@@ -177,8 +177,12 @@ def _leaders(verdict: ChannelVerdict, stage: int) -> list[Scored]:
     return sorted(verdict.search.tables[stage].values(), key=lambda one: -one.gain)
 
 
+def _alone(verdict: ChannelVerdict, *candidates: Candidate) -> Fit:
+    """Return the fit of these candidates alone, beside what is fitted anew of a present model."""
+    return fit(verdict.channel, [*verdict.search.present, *candidates])
+
+
 def _left(verdict: ChannelVerdict, fitted: Fit) -> dict[str, float]:
-    """Return what a model leaves of training and of the test."""
     return {"train_rms": fitted.train_rms, "test_rms": score_test(verdict.channel, fitted).rms}
 
 
@@ -271,11 +275,11 @@ def _steps(diagnosis: Diagnosis, folder: Path) -> Iterator[NextStep]:
         beside = "what else may drive it (supply, load, pressure, another thermometer)"
         why = "What is left jumps or comes in bursts, as no noise does, or it is slow noise of the unit."
         yield NextStep(f"Record {names} beside {beside}, {ISOTHERMAL}", why)
-    sets = (one.finding.indistinguishable for verdict in verdicts for one in verdict.claims)
-    if effects := next(filter(None, sets), []):
-        why = f"{effects[0]} and {effects[1]} fit these recordings alike, and predict others differently."
+    sets = [one.finding for verdict in verdicts for one in verdict.claims if one.finding.alternatives]
+    for first, second, *_ in (finding.names for finding in sets):
+        why = f"{first} and {second} fit these recordings alike, and predict others differently."
         command = f"imumon plan {folder} --out {folder / 'next'}"
-        yield NextStep(f"Record {separated_by(*effects[:2])}.", why, command)
+        yield NextStep(f"Record {separated_by(first, second)}.", why, command)
     if useful := [one for one in with_model(diagnosis) if one.claims and one.predicts]:
         least = min(one.test_after.rms / one.test_before.rms for one in useful)
         what = f"Use the model with what is named of {', '.join(one.name for one in useful)}."

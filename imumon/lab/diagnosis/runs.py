@@ -107,10 +107,14 @@ class Run:
         return np.asarray(self.rest == 1.0)
 
     @property
+    def there(self) -> BoolArray:
+        """Slots with samples, (n,)."""
+        return np.asarray(np.any([*self.count.values()], axis=0))
+
+    @property
     def rest_share(self) -> float:
         """Share of the slots with samples in which the unit was at rest."""
-        there = np.any([*self.count.values()], axis=0)
-        return float(self.at_rest[there].mean()) if there.any() else 0.0
+        return float(self.at_rest[self.there].mean()) if self.there.any() else 0.0
 
 
 def read_runs(

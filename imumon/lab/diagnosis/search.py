@@ -145,7 +145,6 @@ def _shows(table: GainTable, family: str, bar: float) -> bool:
 
 
 def _near(gain: float, best: float) -> bool:
-    """Return whether a gain is too near to the best to be separated from it."""
     return best - gain < max(NEAR_GAIN, NEAR_SHARE * best)
 
 
@@ -174,6 +173,11 @@ class AxisSearch:
     def model(self) -> list[Candidate]:
         """The candidates of the findings, which are what the model has beside its base."""
         return [finding.candidate for finding in self.findings]
+
+    @property
+    def present(self) -> list[Candidate]:
+        """The effects of the present model that are fitted anew."""
+        return [finding.candidate for finding in self.findings if finding.of_present_model]
 
     def maximum(self, model: Sequence[Candidate]) -> tuple[float, Noise]:
         """Return loglik (2) of a model at its maximum, and the noise there."""
@@ -315,7 +319,6 @@ class AxisSearch:
         return max(least)
 
     def _others(self, finding: Finding) -> list[Candidate]:
-        """Return the model without a finding."""
         return [other.candidate for other in self.findings if other is not finding]
 
     def eliminate(self) -> None:

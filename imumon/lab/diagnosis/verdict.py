@@ -27,7 +27,7 @@ import numpy as np
 from imumon.blocks import FloatArray
 from imumon.effects.library import separated_by
 from imumon.lab.diagnosis.candidates import Channel, Finding
-from imumon.lab.diagnosis.fit import Fit, FittedPart, PartSigma, TestScore, fit, score_test, sigmas
+from imumon.lab.diagnosis.fit import Fit, FittedPart, PartSigma, Score, fit, score_test, sigmas
 from imumon.lab.diagnosis.search import MOST_NAMES, AxisSearch
 
 SMALL_RESIDUAL = 1.8
@@ -37,8 +37,7 @@ CLEAN_RESIDUAL = 1.3
 samples total floors."""
 LEAST_EXPLAINED = 0.6
 """Explained share (10) from which on effects are named, in training and in the test.  With it nothing is
-named in any of 99 channels with wanders, walks, telegraph noise, bursts and a hidden supply; on a chamber
-record true effects have 0.67 to 0.99."""
+named in 99 channels of causes that are no effect; on a chamber record true effects have 0.67 to 0.99."""
 
 
 class Row(NamedTuple):
@@ -89,8 +88,8 @@ class ChannelVerdict:
     before: Fit
     after: Fit
     """The baseline, which is the declared model or the present one as it is; and that with the findings."""
-    test_before: TestScore
-    test_after: TestScore
+    test_before: Score
+    test_after: Score
     findings: Sequence[Finding]
     """What is in the extended model."""
     claims: list[Claim]
@@ -129,10 +128,7 @@ class ChannelVerdict:
 
     @property
     def by_test(self) -> bool:
-        """The effect was chosen by the test, as in (b).
-
-        Training proves none, or what it proves leaves more than twice as much of the test.
-        """
+        """The effect was chosen by the test, as in (b)."""
         return any(claim.finding.by_test for claim in self.claims)
 
     @property
@@ -165,7 +161,7 @@ class ChannelVerdict:
     @property
     def in_short(self) -> str:
         """The verdict in a few words."""
-        each = [" or ".join(one.finding.indistinguishable) or one.finding.name for one in self.claims]
+        each = [" or ".join(one.finding.names) for one in self.claims]
         names = [f"({name})" if " or " in name and len(each) > 1 else name for name in dict.fromkeys(each)]
         text = self.row.sentence.format(names=" and ".join(names))
         if self.row.predicate == "claimed":
@@ -227,8 +223,8 @@ class _Hypothesis(NamedTuple):
 
     findings: list[Finding]
     after: Fit
-    test_before: TestScore
-    test_after: TestScore
+    test_before: Score
+    test_after: Score
     remark: str = ""
 
     @property
@@ -356,7 +352,7 @@ def _proven_by_test(channel: Channel, search: AxisSearch, base: _Hypothesis) -> 
     """
     if not channel.test or any(one.run.woven for one in channel.test):
         return None
-    present = [finding.candidate for finding in base.findings]
+    present = search.present
     plain = [one for one in search.candidates if one.shared and len(one.parts) == 1 and not one.free_start]
     hits: list[tuple[float, Finding]] = []
     for leader in (one for table in search.tables for one in table.values()):

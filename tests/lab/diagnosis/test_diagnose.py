@@ -248,7 +248,7 @@ def test_of_a_single_run_every_other_stretch_is_the_test_and_that_is_reported() 
     verdict = diagnosis.verdicts[0]
     assert verdict.test_before is not None
     assert verdict.test_after is not None
-    assert "thermal_lag" in {*verdict.claims[0].finding.indistinguishable, verdict.claims[0].finding.name}
+    assert "thermal_lag" in verdict.claims[0].finding.names
     assert verdict.test_after.rms < 0.5 * verdict.test_before.rms
 
 
@@ -283,7 +283,7 @@ def test_any_log_will_do(rate: float, hours: float, gap_s: float, tmp_path: Path
         found += read_runs(tmp_path / f"{seed}.parquet", None, lambda _: [RestDetector()])
     diagnosis = diagnose(found[:2], found[2:], sensors=("gyro",))
     finding = diagnosis.verdicts[0].claims[0].finding
-    assert "thermal_lag" in {finding.name, *finding.indistinguishable}
+    assert "thermal_lag" in finding.names
     score = diagnosis.verdicts[0].test_after
     assert score is not None
     assert score.rms < 1.3 * diagnosis.verdicts[0].channel.floor.sd

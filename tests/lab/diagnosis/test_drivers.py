@@ -17,6 +17,7 @@ from imumon.models.predictor import BiasPredictor
 from imumon.recordings.table import iterate_table
 from imumon.simulation.recording import write_table
 from imumon.simulation.unit.scenario import Scenario
+from tests.lab.diagnosis.units import DPH, lagged, three
 
 MAP = """
 time: {column: device_time_ns, unit: ns}
@@ -104,3 +105,21 @@ def test_a_scenario_without_what_drives_its_unit_is_refused() -> None:
                 "chamber": {"start_degc": 25},
             }
         )
+
+
+@pytest.mark.parametrize("filter_s", [7.0, 11.0])
+def test_the_rate_of_a_driver_is_named_whatever_its_filter(filter_s: float) -> None:
+    """Between the three filters that were tried, a lag with the rate beside it was named."""
+    train, test = three(lambda time, _: np.zeros_like(time), 6000)
+    for seed, one in enumerate((*train, *test)):
+        random = np.random.default_rng(seed)
+        switched = random.standard_normal(31)[np.cumsum(random.random(len(one.time_s)) < 1 / 300) % 31]
+        pressure = lagged(switched, 80.0)
+        late = lagged(pressure, filter_s)
+        one.mean |= {"pressure": pressure, "gyro_x": one.mean["gyro_x"] + 500.0 * DPH * (pressure - late)}
+    (verdict,) = diagnose(train, test).verdicts
+    (claim,) = verdict.claims
+    assert claim.finding.name == "rate(pressure)"
+    (found,) = claim.sigmas
+    error = claim.parts[0].effect.model_dump()["smoothing_s"] - filter_s
+    assert abs(error) < 4.0 * found.nonlinear["smoothing_s"] < 2.0

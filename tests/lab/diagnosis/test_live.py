@@ -138,9 +138,8 @@ def test_a_session_without_any_temperature_is_not_searched_and_the_log_has_that_
     told = session(40.0 * DPH * np.sin(np.arange(SECONDS) / 30.0), temperature=np.full(SECONDS, np.nan))
     stage = LiveDiagnosis(model())
     assert said(told, stage) == ""
-    assert stage.notices() == [
-        "the model is not searched: there is no temperature that every run has, and a bias model is over one"
-    ]
+    none = "there is no temperature that every run has, and a bias model is over one: this session has none"
+    assert stage.notices() == [f"the model is not searched: {none}"]
 
 
 def test_after_a_gap_of_many_hours_a_run_begins_anew() -> None:

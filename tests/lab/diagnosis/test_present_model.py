@@ -11,6 +11,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from imumon.effects.base import Effect
 from imumon.effects.since_power_on import Drift, WarmUp
 from imumon.effects.temperature_curve import TemperatureCurve
 from imumon.errors import ImumonError, Reason
@@ -19,6 +20,7 @@ from imumon.lab.diagnosis.diagnose import diagnose, likeliest
 from imumon.lab.diagnosis.extended import extended_model
 from imumon.lab.diagnosis.live import LiveDiagnosis, better_models
 from imumon.lab.diagnosis.page import compare, write_comparison
+from imumon.lab.diagnosis.report import report
 from imumon.lab.diagnosis.runs import Run
 from imumon.lab.diagnosis.search import PROVEN_GAIN, AxisSearch
 from imumon.models.curves.polynomial import PolynomialCurve
@@ -38,7 +40,7 @@ def nothing(time: np.ndarray, _: np.ndarray) -> np.ndarray:
     return np.zeros_like(time)
 
 
-def with_effect(effect: TemperatureCurve) -> BiasModel:
+def with_effect(effect: Effect) -> BiasModel:
     """Return the curve that units have, with an effect beside it."""
     model = cubic_model()
     channel = model.channels["gyro_x"].model_copy(update={"effects": [effect]})
@@ -163,3 +165,33 @@ def test_a_model_fitted_anew_on_any_axis_has_its_price() -> None:
     anew = [axis(False, 0.0), axis(True, 0.9 * PROVEN_GAIN)]
     fixed = [axis(False, 0.0), axis(False, 0.0)]
     assert likeliest(cast(Any, [anew, fixed])) is fixed
+
+
+def test_a_test_without_the_temperature_of_the_present_model_is_not_used_and_that_is_reported() -> None:
+    """Nothing was diagnosed."""
+    train, test = three(nothing, SECONDS)
+    bare = replace(test[0], name="bare", mean={"gyro_x": test[0].mean["gyro_x"]})
+    diagnosis = diagnose(train, [bare, *test], model=cubic_model())
+    assert [one.run.name for one in diagnosis.test] == [test[0].name]
+    assert "bare: not used, it lacks temperature" in diagnosis.caveats
+    with pytest.raises(ImumonError, match="over one: run 1 has temperature; bare has none"):
+        diagnose([train[0], bare], [])
+
+
+def test_what_an_effect_explains_alone_is_beside_the_effects_of_the_present_model() -> None:
+    """Without these nearly nothing was explained."""
+
+    def lacking(time: np.ndarray, degc: np.ndarray) -> np.ndarray:
+        bent = 20.0 * ((degc - 25.0) / 15.0) ** 2  # so that the curve has to be fitted anew
+        return np.asarray(bent + 100.0 * np.exp(-time / 300.0) + 10.0 * np.sin(2.0 * np.pi * time / 700.0))
+
+    warm_up = WarmUp(time_constant_s=300.0, coefficients=[50.0 * DPH])
+    train, test = three(lacking, SECONDS)
+    diagnosis = diagnose(train, test, model=with_effect(warm_up))
+    (verdict,) = diagnosis.verdicts
+    assert "warm_up" in verdict.refit
+    content = report(diagnosis)["channels"]["gyro_x"]
+    (effect,) = content["effects"]
+    assert effect["name"] == "periodic"
+    assert effect["evidence"]["explained_share_alone"] > 0.9
+    assert content["ranking"][0]["train_rms"] < 0.5 * verdict.before.train_rms

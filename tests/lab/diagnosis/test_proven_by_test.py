@@ -58,9 +58,9 @@ def test_effects_of_several_names_that_explain_the_test_are_not_told_apart() -> 
     best = chosen_by_test([hit(2.0, "drift"), hit(1.0, "warm_up"), hit(1.5, "warm_up")])
     assert best is not None
     assert best.name == "warm_up"
-    assert best.indistinguishable == ["warm_up", "drift"]
+    assert best.names == ["warm_up", "drift"]
     assert list(best.alternatives) == ["drift"]
     best = chosen_by_test([hit(1.0, "warm_up"), hit(1.5, "warm_up")])
     assert best is not None
-    assert best.indistinguishable == []
+    assert best.names == ["warm_up"]
     assert chosen_by_test([]) is None

@@ -163,3 +163,27 @@ def test_a_run_is_not_halved_that_rests_too_little_for_two_halves() -> None:
     diagnosis = diagnose([replace(one, rest=rest)], [])
     assert not diagnosis.test
     assert sum(map(len, diagnosis.train)) > 60
+
+
+@pytest.mark.parametrize("every", [2, 5])
+def test_a_slow_sensor_beside_gyros_is_left_out_and_reported(every: int) -> None:
+    """The log was too short: a block has samples of every channel."""
+    train, test = three(still, SECONDS)
+    for one in (*train, *test):
+        field = np.full(SECONDS, np.nan)
+        field[::every] = 20.0 + np.random.default_rng(1).standard_normal(len(field[::every]))
+        one.mean["mag_x"], one.count["mag_x"] = field, np.isfinite(field).astype(float)
+        one.variance["mag_x"] = np.full(SECONDS, np.nan)
+    diagnosis = diagnose(train, test, sensors=("gyro", "mag"))
+    assert [verdict.name for verdict in diagnosis.verdicts] == ["gyro_x"]
+    assert any("mag_x is left out: run 1, run 2 hardly has it" in text for text in diagnosis.caveats)
+
+
+def test_a_channel_is_used_that_is_there_whenever_a_log_with_long_gaps_is() -> None:
+    train, test = three(still, 3 * SECONDS)
+    for one in (*train, *test):
+        lost = np.arange(len(one.time_s)) // 600 % 3 > 0
+        for name in one.mean:
+            one.mean[name] = np.where(lost, np.nan, one.mean[name])
+            one.count[name] = np.where(lost, 0.0, one.count[name])
+    assert usable_channels(train, test, SENSORS, []) == ["gyro_x"]
