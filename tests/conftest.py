@@ -117,8 +117,8 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> _ByGroup:
 
 def pytest_collection_finish() -> None:
     """Spare the garbage collector what the collection made, which stays until the end."""
+    _collect_and_freeze()  # before the collector does so by itself, and then once more here
     gc.enable()
-    _collect_and_freeze()
 
 
 def _collect_and_freeze() -> None:
@@ -128,9 +128,8 @@ def _collect_and_freeze() -> None:
 
 
 def pytest_unconfigure() -> None:
-    """Let the collector have everything again: else duckdb lists all that it finds alive at the end."""
+    """Let the collector, which pytest calls next, have everything again: else duckdb lists what is alive."""
     gc.unfreeze()
-    gc.collect()
 
 
 _FD = Path("/proc/self/fd")

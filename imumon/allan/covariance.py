@@ -241,22 +241,28 @@ class Covariances(NamedTuple):
         )
 
 
-def covariances_of(factors: IntArray, runs: Sequence[Runs], time: float) -> Covariances:
+def covariances_of(factors: IntArray, runs: Sequence[Runs], times: Sequence[float]) -> list[Covariances]:
     """Return shapes and covariances at averaging factors, (n,), with the runs at each.
 
-    Of two factors the runs of the longer one count; `time` is that of the Gauss-Markov process, samples.
+    Of two factors the runs of the longer one count; `times` are those of the Gauss-Markov process, samples.
     """
-    m = factors.astype(np.float64)
-    by_time = (markov_shape(m, time * STEP) - markov_shape(m, time / STEP)) / (2.0 * math.log(STEP))
-    noises = (*AUTOCOVARIANCES[1], markov(time))
-    n, p = len(factors), len(noises)
-    quadratic, linear = np.empty((n, n, p, p)), np.empty((n, n, p))
+    m, noises = factors.astype(np.float64), (*AUTOCOVARIANCES[1], *map(markov, times))
+    n, fixed = len(factors), len(AUTOCOVARIANCES[1])
+    quadratic = np.empty((len(times), n, n, fixed + 1, fixed + 1))
+    linear = np.empty((len(times), n, n, fixed + 1))
     for j in range(n):
         for i in range(j + 1):
-            rows, pairs = _correlations("allan", int(factors[i]), int(factors[j]), runs[j], noises)
-            quadratic[i, j] = quadratic[j, i] = 2.0 * (rows * pairs) @ rows.T
-            linear[i, j] = linear[j, i] = 2.0 * rows @ pairs
-    return Covariances(m, time, np.column_stack([shapes_at(m, time), by_time]), quadratic, linear)
+            every, pairs = _correlations("allan", int(factors[i]), int(factors[j]), runs[j], noises)
+            for k in range(len(times)):
+                rows = every[[*range(fixed), fixed + k]]
+                quadratic[k, i, j] = quadratic[k, j, i] = 2.0 * (rows * pairs) @ rows.T
+                linear[k, i, j] = linear[k, j, i] = 2.0 * rows @ pairs
+    found = []
+    for k, time in enumerate(times):
+        by_time = (markov_shape(m, time * STEP) - markov_shape(m, time / STEP)) / (2.0 * math.log(STEP))
+        shapes = np.column_stack([shapes_at(m, time), by_time])
+        found.append(Covariances(m, time, shapes, quadratic[k], linear[k]))
+    return found
 
 
 def freedom(kind: Kind, m: int, runs: Runs, noise: FloatArray) -> float:

@@ -9,7 +9,7 @@ unknown or great length.
 
 import math
 from collections.abc import Mapping
-from functools import cache, partial
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -105,10 +105,9 @@ class Division:
         last = max(math.log2(self.factors[: self.trusted].max(initial=1)), first)
         self.times = [float(time) for time in 2.0 ** np.arange(first, last + 1e-9)]
         """Correlation times that are tried, samples, in octaves: beyond a filter, to the longest of these."""
-        self.at = cache(partial(covariances_of, self.factors, self.runs))
+        known = dict(zip(self.times, covariances_of(self.factors, self.runs, self.times), strict=True))
+        self.at = cache(lambda time: known.get(time) or covariances_of(self.factors, self.runs, [time])[0])
         """Return the covariances for a correlation time, samples."""
-        for time in self.times:
-            self.at(time)  # now, and not once in each thread
 
 
 def nominal_interval_ns(time_ns: IntArray, segment: IntArray) -> float:

@@ -15,9 +15,9 @@ from tests.cli.command import IMUMON, imumon
 from tests.waiting import LIMIT_S
 
 
-@pytest.fixture
-def session(tmp_path: Path) -> Path:
-    folder = tmp_path / "session"
+@pytest.fixture(scope="module")
+def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("replayed") / "session"
     assert imumon("simulate", "bench", "--out", folder, "--duration", 3).returncode == 0
     return folder
 

@@ -54,6 +54,32 @@ def played(name: str, rate_hz: float) -> Played:
     return Played(SimulatedUnit(load_scenario("bench").played(rate_hz, device_of(name).axes)))
 
 
+@cache
+def as_delivered(name: str, rate_hz: float, first: int, n: int) -> bytes:
+    """Return what a device as delivered sends of samples of its unit, encoded once for all ports."""
+    return b"".join(device_of(name).encoder().encode(played(name, rate_hz).rows(first, first + n)))
+
+
+class Sent:
+    """What a device sends from a sample of its unit on, encoded once for all ports."""
+
+    def __init__(self, sending: Sending, unit: Played, first: int) -> None:
+        self.rate_hz = sending.rate_hz
+        self._sending, self._unit, self._first = sending, unit, first
+        self._made: list[bytes] = []
+
+    def of_rows(self, start: int, n: int) -> bytes:
+        """Return the packets of samples by their number since power-on."""
+        start -= self._first
+        for row in range(self._first + len(self._made), self._first + start + n):
+            self._made.append(self._sending.encode(self._unit.rows(row, row + 1)))
+        return b"".join(self._made[start : start + n])
+
+
+SENT: dict[tuple[object, ...], Sent] = {}
+"""By device, its rate, its settings, its kinds of packets, and the sample from which on it has them."""
+
+
 class LoopedPort:
     """What `CommandLink` asks of a port, with the firmware of a virtual device behind it."""
 
@@ -71,7 +97,7 @@ class LoopedPort:
         self._name, self._rate_hz = name, rate_hz
         self._answers = b""
         self._samples = 0.0
-        self._sending: Sending | None = None
+        self._sending: Sent | None = None
         self._sent_by = dict(self.firmware.volatile)
         self._sent: Counter[float] = Counter()
 
@@ -113,15 +139,24 @@ class LoopedPort:
         if self.spoilt.dead or not firmware.streaming or self.settings.baudrate != firmware.baudrate:
             return b""
         if firmware.volatile != self._sent_by:
-            self._sent_by, self._sending = dict(firmware.volatile), firmware.sending()
-        sending = self._sending
-        rate = self._rate_hz if sending is None else sending.rate_hz
+            self._sent_by = dict(firmware.volatile)
+            self._sending = self._sent_with(firmware.sending())
+        rate = self._rate_hz if self._sending is None else self._sending.rate_hz
         self._samples += seconds * rate
         n, self._samples = int(self._samples), self._samples % 1.0
         first = self._sent[rate]
         self._sent[rate] += n
-        block = played(self._name, rate).rows(first, first + n)
-        return b"".join(self.device.encoder().encode(block)) if sending is None else sending.encode(block)
+        if self._sending is None:
+            return as_delivered(self._name, rate, first, n)
+        return self._sending.of_rows(first, n)
+
+    def _sent_with(self, sending: Sending | None) -> Sent | None:
+        if sending is None:
+            return None
+        first = self._sent[sending.rate_hz]
+        kinds = repr(self.firmware.kinds())  # which a test may change
+        key = (self._name, self._rate_hz, frozenset(self._sent_by.items()), kinds, first)
+        return SENT.setdefault(key, Sent(sending, played(self._name, sending.rate_hz), first))
 
 
 @dataclass

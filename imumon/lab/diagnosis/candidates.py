@@ -218,10 +218,11 @@ class Training:
     def matrix(self, terms: Sequence[Term]) -> FloatArray:
         """Return the columns of terms over all n training blocks, (n, k)."""
         run_of_block = self.run_of_block
-        out = np.empty((len(run_of_block), len(terms)))
-        for at, (column, run, _) in enumerate(terms):
-            out[:, at] = self._columns[column] * ((run == ALL_RUNS) | (run_of_block == run))
-        return out
+        rows = [
+            self._columns[column] if run == ALL_RUNS else self._columns[column] * (run_of_block == run)
+            for column, run, _ in terms
+        ]
+        return np.ascontiguousarray(np.reshape(rows, (len(terms), len(run_of_block))).T)
 
     def design(self, model: Sequence[Candidate]) -> FloatArray:
         """Return Z of (1) for some candidates, (n, k): of each its coefficients, then its free start."""

@@ -50,6 +50,8 @@ class Likelihood:
         self.price = float(np.log(self.n))
         """What a parameter costs in BIC."""
         self._training = training
+        self._laws = {noise: [law(run.time_s, noise) for run in training.runs] for noise in NOISE_GRID}
+        """Phi and cov w of (8) for each noise, by run."""
         self._diagonal = {noise: self.whitened(np.empty((self.n, 0)), noise)[1] for noise in NOISE_GRID}
         """Diagonal of L for each noise, (n,)."""
         self._whitened_terms: dict[Noise, dict[Term, FloatArray]] = {noise: {} for noise in NOISE_GRID}
@@ -89,7 +91,8 @@ class Likelihood:
         for noise in grid:
             whitened = self._whitened_terms[noise]
             new = [term for term in terms if term not in whitened]
-            whitened.update(zip(new, self.whitened(self._training.matrix(new), noise)[0].T, strict=True))
+            made, _ = self.whitened(self._training.matrix(new), noise)
+            whitened.update(zip(new, made.T.copy(), strict=True))
             rows = np.array([whitened[term] for term in terms])
             residual, basis = self.residual(y, base, noise)
             explained = _explained(residual, basis, rows, groups, len(candidates))
@@ -107,8 +110,8 @@ class Likelihood:
 
     def whitened(self, columns: FloatArray, noise: Noise) -> tuple[FloatArray, FloatArray]:
         """Return L^-1 columns, (n, k), and the diagonal of L, (n,), for V of (1)."""
-        both = zip(self._training.runs, self._training.split(columns), strict=True)
-        found = [whiten(rows, run.time_s, run.white, noise) for run, rows in both]
+        each = zip(self._laws[noise], self._training.runs, self._training.split(columns), strict=True)
+        found = [whiten(*noise_law, run.white, rows) for noise_law, run, rows in each]
         return np.concatenate([rows for rows, _ in found]), np.concatenate([sd for _, sd in found])
 
     def _loglik(self, rss: npt.ArrayLike, noise: Noise) -> FloatArray:
@@ -153,15 +156,16 @@ def _explained(
     before = np.einsum("ij,ij->i", rows, rows)
     beside_base = before - np.einsum("ij,ij->i", within, within)
     usable = beside_base > COLLINEAR**2 * before
-    scale = np.where(usable, 1.0 / np.sqrt(np.where(usable, beside_base, 1.0)), 0.0)
-    g_of_terms = scale * (rows @ residual)
+    scale = np.where(usable, 1.0 / np.sqrt(np.where(usable, beside_base, 1.0)), 0.0)[:, np.newaxis]
+    g_of_terms = scale[:, 0] * (rows @ residual)
+    rows, within = rows * scale, within * scale
     explained = np.zeros(count)
     for numbers, terms, one_sign in groups:
         g = g_of_terms[terms]
         if terms.shape[1] == 1:
             explained[numbers] = g[:, 0] ** 2
             continue
-        z, zq = (of_terms[terms] * scale[terms][:, :, np.newaxis] for of_terms in (rows, within))
+        z, zq = rows[terms], within[terms]
         # A term that the base explains has a zero row: one on the diagonal makes its coefficient zero.
         diagonal = RIDGE + (~usable[terms])
         gram = z @ z.transpose(0, 2, 1) - zq @ zq.transpose(0, 2, 1)
@@ -172,31 +176,34 @@ def _explained(
     return explained
 
 
-def whiten(
-    columns: FloatArray, time_s: FloatArray, white: FloatArray, noise: Noise
-) -> tuple[FloatArray, FloatArray]:
-    """Return L^-1 columns, (n, k), and the diagonal of L, (n,), for means over the n blocks of one run.
+Law = tuple[FloatArray, FloatArray]
+"""Diagonals of Phi and cov w of (8), from block to block, (n, states) each."""
 
-    `time_s` (n,) is the time of each since power-on, `white` (n,) the diagonal of W.  The processes of (8)
-    begin stationary, the random walk at zero.
+
+def law(time_s: FloatArray, noise: Noise) -> Law:
+    """Return the law of the noise for means over the n blocks of one run, `time_s` (n,) after power-on.
+
+    The processes of (8) begin stationary, the random walk at zero.
     """
     flicker, walk = noise
     dt, of_each = np.diff(time_s, prepend=0.0)[:, np.newaxis], flicker / len(TAUS_S)
     phi = np.column_stack([np.ones(len(dt)), np.exp(-dt / TAUS_S)])
     process = np.column_stack([walk * dt / WALK_S, of_each * -np.expm1(-2.0 * dt / TAUS_S)])
     process[0, 1:] = of_each
-    whitened, sd = _innovations(phi, process, np.asarray(white), np.ascontiguousarray(columns))
-    return np.asarray(whitened), np.asarray(sd)
+    return phi, process
 
 
 @partial(njit, fastmath=True)
-def _innovations(
+def whiten(
     phi: FloatArray, process: FloatArray, white: FloatArray, columns: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Predict by (8), and correct by the innovation, all columns at once: compiled, for there are thousands.
+    """Return L^-1 columns, (n, k), and the diagonal of L, (n,), for means over the n blocks of one run.
 
-    H = (1, ..., 1): the one measurement is the sum of the states.  `phi` and `process` (n, states) are the
-    diagonals of Phi and cov w.  Columns come innermost: they lie side by side in memory.
+    `phi`, `process`: their `law`; `white` (n,): variances of their white noise.  Predict by (8), and correct
+    by the innovation, all columns at once: compiled, for there are thousands.
+
+    H = (1, ..., 1): the one measurement is the sum of the states.  Columns come innermost: they lie side by
+    side in memory.
     """
     n, m = columns.shape
     states = phi.shape[1]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from imumon.allan.covariance import FLOOR_PER_INSTABILITY
-from imumon.lab.diagnosis.likelihood import TAUS_S, whiten
+from imumon.lab.diagnosis.likelihood import TAUS_S, law, whiten
 from tests.bias_noise import INSTABILITY_PER_DECADE
 
 
@@ -19,7 +19,7 @@ def test_it_whitens_as_the_covariance_states(noise: tuple[float, float]) -> None
     later = np.minimum.outer(time_s, time_s)
     v = np.diag(white) + flicker * np.exp(-apart / TAUS_S).mean(axis=-1) + walk * later / 7200.0
     factor, columns = np.linalg.cholesky(v), rng.normal(size=(60, 3))
-    whitened, sd = whiten(columns, time_s, white, noise)
+    whitened, sd = whiten(*law(time_s, noise), white, columns)
     np.testing.assert_allclose(whitened, np.linalg.solve(factor, columns), rtol=1e-7, atol=1e-9)
     np.testing.assert_allclose(sd, np.diag(factor), rtol=1e-9)
 
