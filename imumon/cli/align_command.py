@@ -11,7 +11,7 @@ import click
 from imumon.cli import common
 from imumon.cli.live_run import PortRun
 from imumon.errors import EXIT_NEGATIVE, EXIT_OK, ImumonError, Reason, bad_config, bad_data
-from imumon.estimation.alignment.report import Estimate, Status
+from imumon.estimation.alignment.report import ANY_ANGLE_SD, Estimate, Status
 
 if TYPE_CHECKING:
     from imumon.estimation.alignment.stage import Alignment
@@ -176,17 +176,14 @@ def _progress(status: Status, instruction: str = "") -> str:
 
 def as_data(status: Status, positions: int = 1) -> dict[str, object]:
     """Return what ``--json`` prints; headings in degrees clockwise from true north, 0 to 360."""
-    unknown = Estimate(math.nan, math.nan)
-    known = {name: one if one.known else unknown for name, one in status.estimates.items()}
-    estimators = {
-        name: {"heading_deg": math.degrees(one.heading), "sd_deg": math.degrees(one.sd)}
-        for name, one in known.items()
-    }
-    shown = status.shown or unknown
+    estimators = {}
+    for name, one in status.estimates.items():
+        heading, sd = one if one.sd < ANY_ANGLE_SD else Estimate()
+        estimators[name] = {"heading_deg": math.degrees(heading), "sd_deg": math.degrees(sd)}
     return {
-        "heading_deg": math.degrees(shown.heading),
-        "heading_sd_deg": math.degrees(shown.sd),
-        "estimator": "joint" if status.shown else None,
+        "heading_deg": math.degrees(status.shown.heading),
+        "heading_sd_deg": math.degrees(status.shown.sd),
+        "estimator": "joint" if status.estimates else None,
         "settled_s": status.settled_s if status.positions >= positions else None,
         "observable": status.observable,
         "positions": status.positions,
@@ -212,9 +209,10 @@ def estimator_rows(status: Status) -> list[tuple[str, str, str]]:
     found = []
     for name, one in status.estimates.items():
         mark = " *" if name == "joint" and status.observable else ""
-        heading = f"{math.degrees(one.heading):.4f}" if math.isfinite(one.heading) else "-"
-        cells = (heading, f"{math.degrees(one.sd):.4f}") if one.known else ("-", "not known")
-        found.append((name.replace("_", " ") + mark, *cells))
+        known = one.sd < ANY_ANGLE_SD
+        heading = f"{math.degrees(one.heading):.4f}" if known and math.isfinite(one.heading) else "-"
+        sd = f"{math.degrees(one.sd):.4f}" if known else "not known"
+        found.append((name.replace("_", " ") + mark, heading, sd))
     return found
 
 
@@ -233,7 +231,7 @@ class Guide:
     def update(self, status: Status) -> list[str]:
         """Return a new instruction, if there is one, (0 or 1)."""
         before, at = self.instruction, status.positions
-        hopeless = status.rest_s >= HOPELESS_S and status.remaining_s is None
+        hopeless = status.rest_s >= HOPELESS_S and math.isinf(status.remaining_s)
         settled = status.settled_s is not None
         too_long = status.position_s >= LONGEST_S
         held = too_long or status.position_sd <= status.wanted_sd

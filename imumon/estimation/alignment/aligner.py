@@ -57,9 +57,6 @@ class Aligner:
         self.wanted_sd = math.radians(parameters.settled_deg)
         self.motion = Motion()
         self.positions: list[Position] = []
-        self.still_rate = math.nan
-        """Of the vertical gyro without a creep, rad/s, NaN before a fit: that nearest the earth rate, of the
-        fits with the same axis up, as a bias is taken to be smaller than a creep."""
         self.creep_rate = 0.0
         """By which the unit may creep about the vertical in the present position, rad/s."""
         self.errors = sensor_errors(0.0, parameters)
@@ -82,7 +79,7 @@ class Aligner:
             return
         angle = angle_of(turn.rotation)
         if not self.positions:
-            force = np.mean([one.force for one in rest], axis=0)
+            force = np.mean([each.force for each in rest], axis=0)
             attitude = upright(forward(force / np.linalg.norm(force)), force)
             self.positions.append(Position(rest[0].begun_s, attitude))
         elif angle > SAME_ATTITUDE or turn.path > SHORT_PATH:
@@ -90,11 +87,8 @@ class Aligner:
         else:
             here = self.positions[-1]
             here.azimuth_error = here.azimuth_error.then(AzimuthError(angle**2))
-        here = self.positions[-1]
-        for one in rest:
-            here.add(one)
-            if not math.isnan(self.still_rate):
-                here.creep_angle += SLOT_S * (float(here.attitude[2] @ one.rate) - self.still_rate)
+        for each in rest:
+            self.positions[-1].add(each)
         self.rest_s += SLOT_S * len(rest)
         if self.rest_s >= self.due_s:
             self._update_heading()
@@ -108,10 +102,11 @@ class Aligner:
         attitude = upright(by_gyros[0], force)
         error = AzimuthError.of(turn, before.attitude[2])
         variance = error.variance_from(NO_ERROR, self.errors.scale)
-        # Gravity shows how wrong the horizontal axes are; the vertical one may be as wrong.
+        # By gravity both horizontal axes are off by `lean`, rad, and the vertical one may be as much: by the
+        # mean of their squares, less what the accelerometers' bias explains, before and behind the turn.
         lean = (by_gyros @ attitude[2])[:2]
         by_lean = 0.5 * float(lean @ lean) - 2.0 * self.errors.accel_bias**2
-        error = error.then(AzimuthError(max(by_lean - variance, 0.0)))
+        error = before.azimuth_error_now.then(error).then(AzimuthError(max(by_lean - variance, 0.0)))
         new = angle_of(turn.rotation) > NEW_POSITION
         angle, sd = _turned(before.attitude, attitude), math.sqrt(max(variance, by_lean))
         begun_s, what = self.motion.begun_s, "a new position, " if new else ""
@@ -121,8 +116,10 @@ class Aligner:
         )
         before.fit = before.fit and before.fit.averaged()
         before.sums = np.empty((0, 7))
-        error = before.azimuth_error_now.then(error)
-        self.positions.append(Position(rest[0].begun_s, attitude, error, before.ordinal + new))
+        # A gyro that was not vertical before has another bias.
+        still_rate = before.still_rate if attitude[2] @ before.attitude[2] > SAME_UP else math.nan
+        ordinal = before.ordinal + new
+        self.positions.append(Position(rest[0].begun_s, attitude, error, ordinal, still_rate))
         self.due_s = self.rest_s + FIRST_FIT_S
 
     @property
@@ -131,50 +128,54 @@ class Aligner:
         here = self.positions[-1].attitude if self.positions else np.eye(3)
         return np.asarray(here @ self.motion.turn.rotation)
 
+    @property
+    def _fitted(self) -> list[tuple[Position, PositionFit]]:
+        return [(position, position.fit) for position in self.positions if position.fit]
+
     def _fit_position(self) -> bool:
         """Fit the present position; return whether its record allows it."""
         here = self.positions[-1]
         fit = fit_position(here, self.latitude, self.parameters.known_warm_up)
         if fit is None:
-            if here.position_s > FORGET_S:
+            if here.rest_s > FORGET_S:
                 here.forget_half()
             return False
         here.azimuth_error, here.fit, here.creep_angle = here.azimuth_error_now, fit, 0.0
+        # A bias is taken to be smaller than a creep.
         up, earth_up = here.attitude[2], EARTH_RATE * math.sin(self.latitude)
-        same = [one.fit for one in self.positions if one.fit and one.attitude[2] @ up > SAME_UP]
-        still = min(same, key=lambda one: abs(one.vertical - earth_up))
-        self.still_rate = still.vertical
+        same = [fit for position, fit in self._fitted if position.attitude[2] @ up > SAME_UP]
+        still = min(same, key=lambda other: abs(other.vertical - earth_up))
+        here.still_rate = still.vertical
         # Where the bias is larger than the creep, any of them may be the one at rest.
-        largest = max(_vertical_change(fit, one) for one in same)
+        largest = max(_vertical_change(fit, other) for other in same)
         self.creep_rate = max(_vertical_change(fit, still), min(abs(still.vertical - earth_up), largest))
-        white = np.median([one.fit.white for one in self.positions if one.fit])
+        white = np.median([fit.white for _, fit in self._fitted])
         self.errors = sensor_errors(math.sqrt(white), self.parameters)
         return True
 
     def _update_heading(self) -> None:
         """Fit the present position, and update the heading and whether it has settled."""
         here = self.positions[-1]
-        self.due_s = self.rest_s + min(max(here.position_s / 3.0, 1.0), LONGEST_REFIT_S)
+        self.due_s = self.rest_s + min(max(here.rest_s / 3.0, 1.0), LONGEST_REFIT_S)
         if self._fit_position():
             self._update_posterior(here)
         # Settled when sigma falls to the wanted one, and no longer when it exceeds 1.25 times that.
         wanted = self.wanted_sd * (1.0 if self.settled_s is None else 1.25)
-        joint = self.estimates.get("joint", Estimate(math.nan, math.nan))
-        settled = joint.sd <= wanted and math.isfinite(joint.heading)
+        heading, sd = self.estimates.get("joint", Estimate())
+        settled = sd <= wanted and math.isfinite(heading)
         self.settled_s = (self.settled_s or here.ended_s) if settled else None
 
     def _update_posterior(self, here: Position) -> None:
         """Update the posterior by the fits of all positions, of which the present one is new."""
-        fitted = [(one.fit, one.azimuth_error) for one in self.positions if one.fit]
-        fit, _ = fitted[-1]
-        about = self.posterior.north if self.posterior else cmath.phase(fit.gyro_mean)
+        fitted = [(fit, position.azimuth_error) for position, fit in self._fitted]
+        about = self.posterior.north if self.posterior else cmath.phase(fitted[-1][0].gyro_mean)
         new = heading_posterior(fitted, about, self.latitude, self.errors)
         # What no hypothesis explains shows as a heading that changes from fit to fit.
-        since_s = self.rest_s - RECENT_SHARE * here.position_s
+        since_s = self.rest_s - RECENT_SHARE * here.rest_s
         recent = [north for rest_s, north, _ in self.history if rest_s >= since_s]
         change = max((abs(math.remainder(new.north - north, math.tau)) for north in recent), default=0.0)
         # A unit that creeps at a constant rate points elsewhere than in the middle of the record.
-        creep = 0.5 * self.creep_rate * here.position_s
+        creep = 0.5 * self.creep_rate * here.rest_s
         self.posterior = new._replace(sd=min(math.hypot(max(new.sd, change), creep), ANY_ANGLE_SD))
         self.fitted_error = here.azimuth_error
         self.history.append((self.rest_s, new.north, self.posterior.sd))
@@ -196,21 +197,21 @@ class Aligner:
         here = self.positions[-1]
         turning = AzimuthError.of(self.motion.turn, here.attitude[2])
         joint = self._heading_at(self.attitude, here.azimuth_error_now.then(turning))
-        found, fit = {"joint": joint}, [one.fit for one in self.positions if one.fit][-1]
+        found, (_, fit) = {"joint": joint}, self._fitted[-1]
         for name, mean, factor in (("gyro_mean", fit.gyro_mean, 1.0), ("hann_mean", fit.hann_mean, 1.5)):
             heading = joint.heading + cmath.phase(mean) - self.posterior.north
-            rate_sd = math.sqrt(factor * fit.white / fit.position_s + self.posterior.rate_sd**2)
-            sd = min(rate_sd / self.earth_horizontal, ANY_ANGLE_SD)
-            found[name] = Estimate(heading % math.tau, sd)
+            rate_sd = math.sqrt(factor * fit.white / fit.rest_s + self.posterior.rate_sd**2)
+            found[name] = Estimate(heading % math.tau, min(rate_sd / self.earth_horizontal, ANY_ANGLE_SD))
         return found
 
-    def _remaining_s(self, sd: float) -> float | None:
-        """Return the time until the wanted sigma, if all of sigma that is no bias is noise; None if never."""
-        assert self.posterior is not None
+    def _remaining_s(self, joint: Estimate) -> float:
+        """Return the time until the wanted sigma, if all of sigma that is no bias is noise."""
+        if self.posterior is None or math.isnan(joint.heading):
+            return math.inf
         alone = self.positions[-1].ordinal == 1  # several positions separate the bias from the earth rate
         by_bias = alone * (self.posterior.rate_sd / self.earth_horizontal) ** 2
-        now, wanted = sd**2 - by_bias, self.wanted_sd**2 - by_bias
-        return max(self.rest_s * (now / wanted - 1.0), 0.0) if wanted > 0.0 else None
+        now, wanted = joint.sd**2 - by_bias, self.wanted_sd**2 - by_bias
+        return max(self.rest_s * (now / wanted - 1.0), 0.0) if wanted > 0.0 else math.inf
 
     def status(self, elapsed_s: float) -> Status:
         """Return the state so long after the first sample."""
@@ -218,14 +219,14 @@ class Aligner:
         if not self.positions:
             return status
         here = self.positions[-1]
-        before = [one.attitude for one in self.positions if status.moving or one.ordinal < here.ordinal]
+        before = [each.attitude for each in self.positions if status.moving or each.ordinal < here.ordinal]
         by_noise = here.fit.variance.min() if here.fit else math.inf
         return status._replace(
             settled_s=self.settled_s,
-            remaining_s=self._remaining_s(status.shown.sd) if status.shown and status.observable else None,
+            remaining_s=self._remaining_s(status.shown),
             rest_s=self.rest_s,
             positions=here.ordinal,
-            position_s=here.position_s,
+            position_s=here.rest_s,
             position_sd=math.sqrt(by_noise) / self.earth_horizontal,
             turned=_turned(before[-1], self.attitude) if before else 0.0,
         )
@@ -234,13 +235,10 @@ class Aligner:
         """Fit the rest since the last fit; return the heading in each position of a segment."""
         if self.positions:
             self._update_heading()
-        return [
-            PositionHeading(
-                run, one.begun_s, one.ended_s, *self._heading_at(one.attitude, one.azimuth_error_now)
-            )
-            for one in self.positions
-            if self.posterior is not None
-        ]
+        if self.posterior is None:
+            return []
+        at = [(each, self._heading_at(each.attitude, each.azimuth_error_now)) for each in self.positions]
+        return [PositionHeading(run, each.begun_s, each.ended_s, *heading) for each, heading in at]
 
 
 def _vertical_change(fit: PositionFit, other: PositionFit) -> float:

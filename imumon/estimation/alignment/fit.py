@@ -91,28 +91,28 @@ def fit_position(record: Position, latitude: float, known: KnownWarmUp | None) -
     y = gyro[:, 0] + 1j * gyro[:, 1] - 1j * alpha * EARTH_RATE * math.sin(latitude)
     tilt, tilt_rate = _exponentials(n, dt, TILT_TAU_S)
     slow = np.hstack([_trend(n, TREND_ORDER), tilt_rate])
-    steady, line = _without_sway(np.column_stack([y, alpha]), valid, slow)
-    cells = _divide(steady[:, 0], valid)
+    without_line, line = _without_sway(np.column_stack([y, alpha]), valid, slow)
+    cells = _divide(without_line[:, 0], valid)
     if cells is None or creeps(gyro[:, 2], valid, dt):
         return None
     windows, used, variance = cells
-    y_cells, alpha_cells = (windows @ steady).T
-    y_mean, count, one = y_cells[used].mean(), len(used), np.ones((n, 1))
+    count, cell_s = len(used), dt * n / (len(used) + 1.0)
+    y_cells, alpha_cells = (windows @ without_line).T
+    y_mean, one = y_cells[used].mean(), np.ones((n, 1))
     warm_sd, warm_tau_s = ANY_WARM_UP if known is None else known.remaining
     warm, _ = _exponentials(n, dt, np.array(warm_tau_s))
     correlation = np.eye(count) + OVERLAP * (np.eye(count, k=1) + np.eye(count, k=-1))
-    # (4); the amplitudes of the line are uncertain.
-    swing = windows[used] @ line
+    # (4) in the cells; x is c + b, A and B.  The amplitudes of the line are uncertain.
+    line_cells = windows[used] @ line
     design = windows[used] @ np.hstack([one, tilt_rate, 0.0 * warm])
-    covariance = variance * correlation[np.ix_(used, used)] + swing @ swing.T
+    covariance = variance * correlation[np.ix_(used, used)] + line_cells @ line_cells.T
     information = _information(design, y_cells[used] - y_mean, covariance)
     # (5) in steps from cell to cell: in none is the constant part of α, nor a cell with a knock.
     alpha_variance, alpha_used, _ = _scatter(alpha_cells, used, TREND_ORDER)
-    step = np.diff(np.eye(count), axis=0)[alpha_used[1:] & alpha_used[:-1]]
-    design = step @ windows @ np.hstack([0.0 * one, tilt, warm])
-    walk = WALK**2 * dt * n / (count + 1.0) * np.eye(len(step))
-    covariance = alpha_variance * step @ correlation @ step.T + walk
-    information += _information(design, step @ alpha_cells, covariance)
+    steps = np.diff(np.eye(count), axis=0)[alpha_used[1:] & alpha_used[:-1]]
+    design = steps @ windows @ np.hstack([0.0 * one, tilt, warm])
+    covariance = alpha_variance * steps @ correlation @ steps.T + WALK**2 * cell_s * np.eye(len(steps))
+    information += _information(design, steps @ alpha_cells, covariance)
     log_weight, rate, rate_variance = _given_each_hypothesis(information, warm_sd, len(warm_tau_s))
     up_cells = windows @ gyro[:, 2]
     up_variance, up_used, _ = _scatter(up_cells, used, 1)
@@ -126,7 +126,7 @@ def fit_position(record: Position, latitude: float, known: KnownWarmUp | None) -
         attitude=attitude,
         gyro_mean=complex(y[valid].mean()),
         hann_mean=complex(np.hanning(valid.sum()) @ y[valid]),
-        position_s=record.position_s,
+        rest_s=record.rest_s,
     )
 
 
@@ -263,15 +263,14 @@ def _without_sway(data: ColumnArray, valid: BoolArray, slow: FloatArray) -> tupl
     change along the record, and the frequency by a fraction of a period in the record.  The second result
     are these functions times the amplitude, (n, 4), rad/s: its uncertainty; zero where there is no line.
     """
-    left = (data[:, 0] - slow @ _amplitudes(slow, data[:, 0], valid)) * valid
-    n = len(left)
-    phase = np.pi * _strongest_periods(left) * np.linspace(-1.0, 1.0, n)
-    wave = np.column_stack([np.cos(phase), np.sin(phase)])
-    line = np.hstack([wave, wave * np.linspace(-1.0, 1.0, n)[:, None]])
+    sway = (data[:, 0] - slow @ _amplitudes(slow, data[:, 0], valid)) * valid
+    time = np.linspace(-1.0, 1.0, len(sway))[:, None]
+    phase = np.pi * _strongest_periods(sway) * time
+    line = np.hstack([np.cos(phase), np.sin(phase), time * np.cos(phase), time * np.sin(phase)])
     columns = np.hstack([slow, line])
     amplitudes = _amplitudes(columns, data, valid)
     remains = (data - columns @ amplitudes)[valid, 0]
-    if np.vdot(remains, remains).real > LEFT_SHARE * np.vdot(left, left).real:
+    if np.vdot(remains, remains).real > LEFT_SHARE * np.vdot(sway, sway).real:
         return data, np.zeros_like(line)
     swing = line @ amplitudes[-4:]
     return data - swing, line * math.sqrt(2.0 * np.mean(np.abs(swing[:, 0]) ** 2))

@@ -51,7 +51,7 @@ class PositionFit(NamedTuple):
     `log_weight` (h,) is that of prior and evidence; `rate` (h,) earth rate and bias, rad/s, with the variance
     of each part; `vertical` is the vertical gyro, rad/s, and `white` the white noise, (rad/s)²/Hz, of the
     quieter of both horizontal gyros together and the vertical one; `attitude` (3, 3) is from body axes.
-    `gyro_mean` and `hann_mean` have the directions of plain and Hann-weighted mean over `position_s`, s.
+    `gyro_mean` and `hann_mean` have the directions of plain and Hann-weighted mean over `rest_s`, s.
     """
 
     log_weight: FloatArray
@@ -63,7 +63,7 @@ class PositionFit(NamedTuple):
     attitude: FloatArray
     gyro_mean: complex
     hann_mean: complex
-    position_s: float
+    rest_s: float
 
     def averaged(self) -> PositionFit:
         """Return the fit with one hypothesis that has the mean and the variance of all."""
@@ -120,9 +120,11 @@ class Position:
     attitude: FloatArray
     azimuth_error: AzimuthError = NO_ERROR
     ordinal: int = 1
+    still_rate: float = math.nan
+    """Of the vertical gyro without a creep, rad/s; NaN before a fit with the same axis up."""
     fit: PositionFit | None = None
     creep_angle: float = 0.0
-    """About the vertical by its gyro, less its rate at rest, since the last fit or the beginning, rad."""
+    """By the vertical gyro less `still_rate`, since the last fit or the beginning, rad."""
     ended_s: float = math.nan
     row_s: float = SLOT_S
     sums: FloatArray = field(default_factory=lambda: np.zeros((CAPACITY, 7)))
@@ -136,6 +138,8 @@ class Position:
             self.row_s *= 2.0
         row = int((slot.begun_s - self.begun_s) / self.row_s)
         self.sums[row] += np.concatenate([[1.0], slot.rate, slot.force])
+        if not math.isnan(self.still_rate):
+            self.creep_angle += SLOT_S * (float(self.attitude[2] @ slot.rate) - self.still_rate)
 
     def forget_half(self) -> None:
         """Drop the first half of the rows."""
@@ -149,7 +153,7 @@ class Position:
         return int((self.ended_s - self.begun_s) / self.row_s)
 
     @property
-    def position_s(self) -> float:
+    def rest_s(self) -> float:
         """Time at rest in this position, s."""
         return SLOT_S * float(self.sums[:, 0].sum())
 

@@ -55,8 +55,10 @@ WORSE = np.exp(np.concatenate([log_factor * AXES for log_factor in (2.0, 4.0, 6.
 P_WORSE, P_WORSE_THAN_DECLARED = 0.003, 0.001
 """Prior probabilities of any of these factors (assumed): over the regression, as rare as a normal value
 beyond three sigmas, and over a declared bias.  Ablation: without them, errors are up to 40 sigma."""
-DIRECTIONS = np.linspace(0.0, 2.0 * np.pi, 32, endpoint=False)
-"""Starting points of the search for peaks on the circle, rad."""
+DIRECTIONS = np.linspace(0.0, 2.0 * np.pi, 720, endpoint=False)
+"""Where the search for peaks on the circle begins, rad: every half degree, as a turn about a level axis near
+east leaves two peaks close together."""
+WAVES = np.stack([f(k * DIRECTIONS) for k in (1.0, 2.0) for f in (np.cos, np.sin)])
 QUARTIC = 0.152
 """An exponential of -δ⁴/24 has the integral of a Gaussian of the sharpness √0.152."""
 
@@ -84,8 +86,8 @@ def sensor_errors(arw: float, parameters: AlignmentParameters) -> SensorErrors:
     alike, share, p_worse = bias * np.exp(LOG_SIZES), np.exp(-0.5 * (LOG_SIZES / LOG_SIZE_SD) ** 2), P_WORSE
     if parameters.gyro_bias_sd_deg_per_h is not None:
         declared = max(parameters.gyro_bias_sd_deg_per_h * DEG_PER_H, 1e-11)  # zero has no logarithm
-        bias, p_worse = max(bias, declared), P_WORSE_THAN_DECLARED
         alike, share = np.array([declared]), np.ones(1)
+        bias, p_worse = max(bias, declared), P_WORSE_THAN_DECLARED
     poorer = min(max(ratio, 1.0) ** ERROR_POWER, MOST_ERROR)
     ppm, micro_g = parameters.gyro_scale_sd_ppm, parameters.accel_bias_sd_ug
     worse = np.full(len(WORSE), p_worse / len(WORSE))
@@ -121,28 +123,30 @@ def heading_posterior(
     `about` is the direction of north, rad, that multiplies E and β.
     """
     matrix, vector, log_density = _linear_model(positions, about, latitude, errors)
-    same = np.maximum(np.repeat([errors.scale, errors.accel_bias], [9, 3]), LEAST_SD)
-    matrix, vector, log_factor = eliminate(matrix, vector, same)
+    of_e_and_beta = np.maximum(np.repeat([errors.scale, errors.accel_bias], [9, 3]), LEAST_SD)
+    matrix, vector, log_factor = eliminate(matrix, vector, of_e_and_beta)
     log_density = (log_density + log_factor)[:, None]
     matrix, vector, log_factor = eliminate(matrix[:, None], vector[:, None], errors.sizes)
     log_weight = (log_density + log_factor + errors.log_prior).ravel()
-    part, angle, height, sharpness = peaks(matrix.reshape(-1, 2, 2), vector.reshape(-1, 2))
-    # Each peak is a von Mises distribution with this concentration; moments of their mixture.
-    log_mass = log_weight[part] + height + np.log(i0e(sharpness))
+    index, angle, height, sharpness = peaks(matrix.reshape(-1, 2, 2), vector.reshape(-1, 2))
+    # Each peak is a von Mises distribution with this concentration; mean direction of their mixture.
+    log_mass = log_weight[index] + height + np.log(i0e(sharpness))
     mass = np.exp(log_mass - log_mass.max())
     mass /= mass.sum()
-    length = i1e(sharpness) / i0e(sharpness)
-    north = float(np.angle(np.sum(mass * length * np.exp(1j * angle))))
+    resultant = i1e(sharpness) / i0e(sharpness)
+    north = float(np.angle(np.sum(mass * resultant * np.exp(1j * angle))))
+    # Variance of the mixture: within a peak -2 ln R, as of a wrapped normal distribution with the same mean
+    # resultant length R (Mardia and Jupp 2000, eq 2.3.11), and that of the peaks about the mean.
+    within = np.minimum(-2.0 * np.log(np.maximum(resultant, 1e-9)), ANY_ANGLE_SD**2)
     off = np.remainder(angle - north + np.pi, 2.0 * np.pi) - np.pi
-    spread = np.minimum(-2.0 * np.log(np.maximum(length, 1e-9)), ANY_ANGLE_SD**2)
-    size = part % len(errors.sizes)
+    size = index % len(errors.sizes)
     by_bias = mass @ np.mean(errors.sizes**2, axis=1)[size]
     by_others = EARTH_RATE * math.hypot(
         errors.scale * errors.scale_declared, errors.accel_bias * math.sin(latitude)
     )
     return HeadingPosterior(
         north=north,
-        sd=min(math.sqrt(np.sum(mass * (spread + off**2))), ANY_ANGLE_SD),
+        sd=min(math.sqrt(mass @ (within + off**2)), ANY_ANGLE_SD),
         rate_sd=math.hypot(math.sqrt(by_bias), by_others),
         worse=float(mass @ (size >= len(errors.sizes) - len(WORSE))),
     )
@@ -190,12 +194,13 @@ def peaks(matrix: FloatArray, vector: FloatArray) -> tuple[IntArray, FloatArray,
     xx, yy, xy = matrix[:, 0, 0], matrix[:, 1, 1], matrix[:, 0, 1]
     # At the angle a this is a constant and Re(p e^-ia + q e^-2ia): a first and a second harmonic.
     p, q = vector[:, 0] + 1j * vector[:, 1], 0.25 * (yy - xx) - 0.5j * xy
-    values = (np.outer(p, np.exp(-1j * DIRECTIONS)) + np.outer(q, np.exp(-2j * DIRECTIONS))).real
-    found = (values >= np.roll(values, 1, axis=1)) & (values > np.roll(values, -1, axis=1))
+    values = np.column_stack([p.real, p.imag, q.real, q.imag]) @ WAVES
+    rises = values >= np.roll(values, 1, axis=1)
+    found = rises & ~np.roll(rises, -1, axis=1)
     found[np.arange(len(values)), np.argmax(values, axis=1)] = True
     index, start = np.nonzero(found)
     angle = DIRECTIONS[start]
-    for _ in range(6):  # Newton's steps converge quadratically
+    for _ in range(4):  # Newton's steps converge quadratically
         first, second = p[index] * np.exp(-1j * angle), q[index] * np.exp(-2j * angle)
         slope, curvature = first.imag + 2.0 * second.imag, np.abs(first.real + 4.0 * second.real)
         angle = angle + np.clip(slope / np.maximum(curvature, 1e-30), -0.2, 0.2)

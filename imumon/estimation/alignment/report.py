@@ -13,15 +13,10 @@ NOT_OBSERVABLE_S = 30.0
 
 
 class Estimate(NamedTuple):
-    """A heading, rad clockwise from north, NaN if not observable, and its standard deviation."""
+    """A heading, rad clockwise from north, and its standard deviation; NaN if unknown or not observable."""
 
-    heading: float
-    sd: float
-
-    @property
-    def known(self) -> bool:
-        """Whether the angle is better known than one that is uniform on the circle."""
-        return self.sd < ANY_ANGLE_SD
+    heading: float = math.nan
+    sd: float = math.nan
 
 
 class PositionHeading(NamedTuple):
@@ -44,10 +39,10 @@ class Status(NamedTuple):
 
     `estimates` are the joint fit, which is the heading shown, and plain and Hann-weighted mean of the gyros;
     empty before the first fit.  `settled_s` is the time from the first sample until the heading settled, None
-    if it is not settled, and `remaining_s` the predicted time until then, None if unknown or never.
+    if it is not settled, and `remaining_s` the predicted time until then, infinite if unknown or never.
 
     `positions` counts the positions, the present one included; `position_s` is the time at rest in it, and
-    `position_sd` that of the heading by its white noise alone.  `turned` is the change of heading since
+    `position_sd` the sigma of the heading by its white noise alone.  `turned` is the change of heading since
     the previous position, also during a turn, while `moving`.
     """
 
@@ -57,21 +52,21 @@ class Status(NamedTuple):
     rest_s: float = 0.0
     estimates: Mapping[str, Estimate] = {}
     settled_s: float | None = None
-    remaining_s: float | None = None
+    remaining_s: float = math.inf
     positions: int = 0
     position_s: float = 0.0
     position_sd: float = math.inf
     turned: float = 0.0
 
     @property
-    def shown(self) -> Estimate | None:
-        """The heading shown, that of the joint fit; None before the first fit."""
-        return self.estimates.get("joint")
+    def shown(self) -> Estimate:
+        """The heading shown, that of the joint fit."""
+        return self.estimates.get("joint", Estimate())
 
     @property
     def observable(self) -> bool:
         """Whether there is a heading that is known well enough to be shown."""
-        return self.shown is not None and math.isfinite(self.shown.heading)
+        return math.isfinite(self.shown.heading)
 
     @property
     def phase(self) -> str:
@@ -82,16 +77,14 @@ class Status(NamedTuple):
             return "disturbed"
         if self.observable:
             return "aligning" if self.settled_s is None else "settled"
-        return "coarse" if self.shown is None or self.rest_s <= NOT_OBSERVABLE_S else "not observable"
+        return "not observable" if self.estimates and self.rest_s > NOT_OBSERVABLE_S else "coarse"
 
     @property
     def heading_text(self) -> str:
         """The heading with its sigma, or the reason why there is none."""
-        if self.shown is None:
-            return "no heading yet"
-        if not self.observable:
-            return "heading not observable with this gyro"
-        return f"{math.degrees(self.shown.heading):.3f}° ± {math.degrees(self.shown.sd):.3f}°"
+        if self.observable:
+            return f"{math.degrees(self.shown.heading):.3f}° ± {math.degrees(self.shown.sd):.3f}°"
+        return "heading not observable with this gyro" if self.estimates else "no heading yet"
 
     @property
     def to_go_text(self) -> str:
@@ -103,6 +96,6 @@ class Status(NamedTuple):
             return f"coarse, {self.rest_s:.0f} s of rest"
         if phase in ("waiting", "settled"):
             return phase
-        if self.remaining_s is None:
+        if math.isinf(self.remaining_s):
             return f"{wanted} not in reach with the bias of these sensors"
         return f"about {self.remaining_s:.0f} s to {wanted}"

@@ -1,6 +1,6 @@
 """Standard deviation of VQF's vertical about each level axis, and of the heading.
 
-The equations are in docs/attitude.md and docs/appendix/attitude-details.md, under the same letters.
+The equations (T1) to (H5) are in docs/appendix/attitude-details.md, under the same letters.
 
 VQF turns the specific force into axes that only the gyros carry, low-passes it there with the time constant
 τ = 3 s, and takes what is left for up, u.  True up stands still in these axes.  So an error of the tilt shows
@@ -73,13 +73,13 @@ class Slot(NamedTuple):
 
 
 def tilt_squared(wrong_turns: FloatArray, up: FloatArray) -> FloatArray:
-    """Return tilt²_ij = |q_ij|² - (u q_ij)², rad², of each column."""
+    """Return tilt²_ij = |q_ij|² - (u q_ij)², rad², of each column (T4)."""
     return np.asarray((wrong_turns * wrong_turns).sum(0) - (up @ wrong_turns) ** 2)
 
 
 class Accelerometers:
-    """Size of the accelerometers' error: a² = a0² + 2 mean e², e the mean of |low-passed force| - g of each
-    face of the body that was up; a declared a is taken as it is."""
+    """Size of the accelerometers' error (T7): e is the mean of |low-passed force| - g of each face of the
+    body that was up; a declared a is taken as it is."""
 
     def __init__(self, declared: float | None) -> None:
         self.declared = declared
@@ -95,7 +95,7 @@ class Accelerometers:
 
     @property
     def variance(self) -> float:
-        """a², (m/s²)²; the 2 in it is a margin, as e shows one of three components."""
+        """a² = a0² + 2 mean e², (m/s²)²; the 2 is a margin, as e shows one of three components."""
         if self.declared is not None:
             return self.declared**2
         squares = (self.excess / np.maximum(self.slots, 1.0)) ** 2
@@ -109,7 +109,7 @@ class Gyros:
 
     declared: float | None
     change: float = 0.0
-    """Sum of d = |u(t) - u(t - 6 s)|², the change of u, over all lags, rad²."""
+    """Sum of d = |u(t) - u(t - 6 s)|² (T1) over all lags, rad²."""
     turned: float = 0.0
     """Sum of tilt²_ij, rad²."""
     followed: float = 0.0
@@ -135,7 +135,7 @@ class Gyros:
 
     @property
     def variance(self) -> float:
-        """s² = (w0 s0² + Σ d) / (w0 + Σ tilt²_ij); no more than is declared: accelerations change u, too."""
+        """s² = (w0 s0² + Σ d) / (w0 + Σ tilt²_ij) (T5), at most as declared: accelerations change u, too."""
         prior = (SCALE_SD if self.declared is None else self.declared) ** 2
         learned = (SCALE_TURN * prior + self.change) / (SCALE_TURN + self.turned)
         return learned if self.declared is None else min(learned, prior)
@@ -158,7 +158,7 @@ class TiltSigma:
         self.lag: deque[tuple[FloatArray, FloatArray]] = deque(maxlen=round(LAG_S / SLOT_S) + 1)
         """u and q_ij of the slots of the last lag, and those before it."""
         self.mean = 0.0
-        """m, the mean of d/4 over 18 s, rad²: d is of two axes, and u is off at both moments."""
+        """m (T2), the mean of d/4 over 18 s, rad²: d is of two axes, and u is off at both moments."""
         self.late = np.zeros((3, 9))
         """q_ij that are forgotten within τ, rad."""
         self.rested = False
@@ -167,8 +167,8 @@ class TiltSigma:
     def step(self, slot: Slot) -> float:
         """Take a slot; return the variance at its end, max(m, d/2, l) + a²/g², rad².
 
-        d/2, as u was right where a motion begins: all its change is error.  NaN for 6 s where the attitude
-        begins in motion: there is no earlier vertical to compare with.
+        d/2, as u was right where a motion begins: all its change is error.  NaN in the first 6 s of an
+        attitude that begins in motion: there is no earlier vertical to compare with.
         """
         self.lag.append((slot.up, slot.wrong_turns))
         change = float(((slot.up - self.lag[0][0]) ** 2).sum())
@@ -184,23 +184,22 @@ class TiltSigma:
         return changed + self.accelerometers.variance / STANDARD_GRAVITY**2
 
     def not_followed(self, up: FloatArray) -> float:
-        """Return l, rad², by turns of the last τ, which u has not followed yet."""
+        """Return l (T6), rad², by turns of the last τ, which u has not followed yet."""
         return 0.5 * self.gyros.error_variance(tilt_squared(self.late, up))
 
 
 class HeadingSigma:
     """Estimate of the heading's standard deviation since the attitude began.
 
-    The change of a relative heading has the variance s² Σ h_ij², with h_ij = u q_ij summed over all slots,
-    Σ h_ii² until the gyros are confirmed, the bias of each motion, which the next rest measures anew,
-    Σ (bias sigma · seconds)², and missed samples.  The `magnetometer` is None where it is not calibrated;
-    `earth_rate` is its vertical part that is left in the corrected rate, rad/s.
+    The change of a relative heading has the variance v (H1), and Σ h_ii² more until the gyros are confirmed;
+    each rest measures the bias anew.  The `magnetometer` is None where it is not calibrated; `earth_rate` is
+    its vertical part that is left in the corrected rate, rad/s.
     """
 
     def __init__(self, gyros: Gyros, magnetometer: MagnetometerModel | None, earth_rate: float) -> None:
         self.gyros, self.magnetometer, self.earth_rate = gyros, magnetometer, earth_rate
         self.about_up = np.zeros(9)
-        """h_ij, rad."""
+        """h_ij = u q_ij, summed over all slots, rad."""
         self.earlier = 0.0
         """Variance by the bias in the motions before, and by missing samples, rad²."""
         self.moving_s = 0.0
@@ -234,13 +233,10 @@ class HeadingSigma:
         return self._magnetic(slot, tilt_variance, relative) if slot.end["north"] else relative
 
     def _magnetic(self, slot: Slot, tilt_variance: float, relative: float) -> float:
-        """Return (e_cal² + e_iron² + B_v² θ²) / B_h² + v, NaN where the magnetometer is not calibrated.
+        """Return (e_cal² + e_iron² + B_v² θ²) / B_h² + v (H2), NaN where the magnetometer is not calibrated.
 
-        θ² is the variance of the tilt and v that of the relative heading.  e_cal is the error of the
-        calibration, and e_iron the iron that came after it: e_iron² = (k_iron B_cal)² + 2 · largest
-        (along² + across²) of the last half minute.  The 2 is a margin for the component that a pose does not
-        show; along = strength - B_cal; across² = (B_h p)² - B_h² v - (e_cal² + (k_iron B_cal)² + B_v² θ²), if
-        positive.
+        θ² is the variance of the tilt, and `relative` is v.  e_cal is the error of the calibration, and
+        e_iron the iron that came after it (H5), with a margin of 2 for what a pose does not show.
         """
         if not math.isnan(self.delta):  # at first the field shows where north is: that is no change
             self.field_correction += math.remainder(slot.end["delta"] - self.delta, 2.0 * math.pi)
@@ -250,8 +246,9 @@ class HeadingSigma:
         if magnetometer is None or not horizontal2 > 0.0:
             return math.nan
         prior = magnetometer.error_sd**2 + (IRON * magnetometer.field) ** 2 + vertical**2 * tilt_variance
-        across2 = horizontal2 * (self.field_correction**2 - relative) - prior
+        along2 = (strength - magnetometer.field) ** 2  # (H3)
+        across2 = horizontal2 * (self.field_correction**2 - relative) - prior  # (H4)
         self.iron *= math.exp(-SLOT_S / IRON_MEMORY_S)
         if slot.end["follows"] and math.isfinite(across2):
-            self.iron = max(self.iron, (strength - magnetometer.field) ** 2 + max(across2, 0.0))
+            self.iron = max(self.iron, along2 + max(across2, 0.0))
         return (prior + 2.0 * self.iron) / horizontal2 + relative

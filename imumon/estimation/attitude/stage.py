@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Literal
 
 import numpy as np
 
-from imumon.blocks import NO_INT, BoolArray, ColumnArray, FloatArray, SampleBlock, missing
+from imumon.blocks import NO_INT, ColumnArray, FloatArray, SampleBlock, missing
 from imumon.columns import Column
 from imumon.estimation.attitude.fusion import Fusion, Rows, heading, matrices
 from imumon.estimation.attitude.parameters import AttitudeParameters
@@ -66,7 +66,6 @@ class AttitudeEstimate:
         self._magnetometer = magnetometer
         self._heading = math.radians(heading_deg or 0.0)
         self._slots = SlotGatherer(10, int(SLOT_S * 1e9), turns=True)
-        """Of rate, sigma of the gyro bias and magnetic field, three each, and whether the unit is at rest."""
         self._accelerometers, self._gyros = Accelerometers(given.accel_bias_m_per_s2), Gyros(given.gyro_scale)
         # Where the latitude is known its vertical part is not in the bias, and turns the heading.  Elsewhere
         # it is in the bias, whose standard deviation has what is no bias after a turn.
@@ -78,6 +77,7 @@ class AttitudeEstimate:
         self._shown = np.array([math.nan, math.nan, 0.0, 0.0, 0.0, 0.0])
         """Of the latest slot: variances of tilt and heading, rad², `Gyros.turn_variance`, and the path."""
         self._last_time: tuple[int, int] | None = None
+        """Time, ns, and segment of the last sample."""
         self._attitudes = 0
         """How often one had to begin anew."""
         self._device_has_attitude = False
@@ -99,7 +99,7 @@ class AttitudeEstimate:
             return {}
         self._device_has_attitude |= "q_w" in block or "roll" in block
         found = {column.name: missing(len(block), column.dtype) for column in COLUMNS}
-        usable = np.flatnonzero((block["device_time_ns"] != NO_INT) & _finite(gyro))
+        usable = np.flatnonzero((block["device_time_ns"] != NO_INT) & np.isfinite(gyro).all(axis=1))
         if len(usable):
             block = SampleBlock({name: values[usable] for name, values in block.columns.items()})
             for values, each in zip(found.values(), self._estimate(block), strict=True):
@@ -109,8 +109,10 @@ class AttitudeEstimate:
     def _estimate(self, block: SampleBlock) -> list[ColumnArray]:
         """Return the columns of samples with a time and a rate."""
         time_ns, rate = block["device_time_ns"], np.asarray(block.gyro)
-        corrected, bias_sd = (_vector(block, name) for name in ("gyro_corrected", "gyro_bias_sd"))
-        known = _finite(corrected)
+        corrected, bias_sd, field = (
+            _vector(block, name) for name in ("gyro_corrected", "gyro_bias_sd", "mag")
+        )
+        known = np.asarray(np.isfinite(corrected).all(axis=1))
         rest = known & (block["at_rest"] == 1 if "at_rest" in block else False)
         rate = np.where(known[:, np.newaxis], corrected, rate) * ~rest[:, np.newaxis]
         last_ns, last_segment = self._last_time or (time_ns[0], block["segment"][0])
@@ -120,7 +122,6 @@ class AttitudeEstimate:
         begins |= (interval_ns > GAP_NS) | (interval_ns < 0)
         attitude = self._attitudes + np.cumsum(begins)
         self._attitudes = int(attitude[-1])
-        field = _vector(block, "mag")
         if not self._parameters.use_magnetometer:
             field[:] = math.nan
         if self._magnetometer is not None:
@@ -191,37 +192,40 @@ class AttitudeEstimate:
             (not self._fusion.north, LaneState("relative heading")),
             (self._fusion.disturbed, LaneState("disturbed: magnetic field", Level.BAD)),
             (self._magnetometer is None, LaneState("magnetic north, magnetometer not calibrated")),
+            (True, LaneState("magnetic north")),
         )
-        return {"attitude": next((state for holds, state in table if holds), LaneState("magnetic north"))}
+        return {"attitude": next(state for holds, state in table if holds)}
 
     def notices(self) -> list[str]:
         """Return once what an attitude lacks and its reinitializations, where the device sends none."""
-        texts = [f"attitude: {name} is not used any more" for name in retired(self._parameters)]
-        if not self._device_has_attitude:
-            texts += [text for text, true in self._conditions().items() if true]
+        texts = [f"{name} is not used any more" for name in retired(self._parameters)]
+        texts += [] if self._device_has_attitude else self._conditions()
         texts = [text for text in texts if text not in self._reported]
         self._reported.update(texts)
-        return texts
+        return [f"attitude: {text}" for text in texts]
 
-    def _conditions(self) -> dict[str, bool]:
-        north, begun = self._fusion.north, self._fusion.begun
-        restarts = self._fusion.restarts
+    def _conditions(self) -> Iterator[str]:
+        north, restarts = self._fusion.north, self._fusion.restarts
         reference = f"counts from {math.degrees(self._heading):.0f}°"
-        return {
-            "attitude: in turns the accelerometers show another vertical than the gyros carry, so the "
-            "heading is as uncertain as these turns: are axes, signs and units right? Accelerations that "
-            "last for many seconds, as in a car, show the same": self._gyros.contradicted,
-            f"attitude: without a magnetometer the heading is relative; it {reference} at the beginning": (
-                begun and not north
-            ),
-            "attitude: the magnetometer is not calibrated, so it is not known how far the heading is off; "
-            "record a figure-eight, then: imumon magnetometer SESSION --out MODEL.yaml": (
-                north and self._magnetometer is None
-            ),
-            f"attitude: reinitialized, {restarts} times so far, after a restart or a gap of more than "
-            f"{GAP_NS * 1e-9:g} s, in which the unit may have turned"
-            + ("" if north else f": the relative heading {reference} again"): restarts > 0,
-        }
+        if self._gyros.contradicted:
+            yield (
+                "in turns the accelerometers show another vertical than the gyros carry, so the heading is "
+                "as uncertain as these turns: are axes, signs and units right? Accelerations that last for "
+                "many seconds, as in a car, show the same"
+            )
+        if self._fusion.begun and not north:
+            yield f"without a magnetometer the heading is relative; it {reference} at the beginning"
+        if north and self._magnetometer is None:
+            yield (
+                "the magnetometer is not calibrated, so it is not known how far the heading is off; record a "
+                "figure-eight, then: imumon magnetometer SESSION --out MODEL.yaml"
+            )
+        if restarts:
+            again = "" if north else f": the relative heading {reference} again"
+            yield (
+                f"reinitialized, {restarts} times so far, after a restart or a gap of more than "
+                f"{GAP_NS * 1e-9:g} s, in which the unit may have turned{again}"
+            )
 
 
 def tilt_into_heading(up: FloatArray, tilt_variance: FloatArray) -> FloatArray:
@@ -242,11 +246,6 @@ def _vector(block: SampleBlock, name: str) -> FloatArray:
     return np.full((len(block), 3), math.nan) if vectors is None else vectors
 
 
-def _finite(vectors: FloatArray) -> BoolArray:
-    """Return which vectors, (n, 3), have all components, (n,)."""
-    return np.asarray(np.isfinite(vectors[:, 0] + vectors[:, 1] + vectors[:, 2]))
-
-
 def _complete(vectors: FloatArray) -> FloatArray:
     """Return vectors, (n, 3), zero where a component is missing: for VQF there is no reading then."""
-    return np.where(_finite(vectors)[:, np.newaxis], vectors, 0.0)
+    return np.where(np.isfinite(vectors).all(axis=1, keepdims=True), vectors, 0.0)

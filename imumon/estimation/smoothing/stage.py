@@ -66,11 +66,7 @@ class Record(NamedTuple):
     stop: IntArray  # row of the recording after the last of each slot
     run: IntArray  # number of the segment, counted from restart to restart
     middle_ns: IntArray  # device time
-    columns: dict[str, FloatArray]  # means of sensors; last values of temperatures, rest and estimates
-
-    def vector(self, name: str) -> FloatArray:
-        """Return the three axes of a column, (n, 3)."""
-        return np.column_stack([self.columns[f"{name}_{axis}"] for axis in "xyz"])
+    columns: SampleBlock  # means of sensors; last values of temperatures, rest and estimates
 
 
 class Recorder:
@@ -99,8 +95,8 @@ class Recorder:
         """Return the record of all rows."""
         self._keep(self._slots.finish())
         stop, begins, middle_ns, values = (np.concatenate(part) for part in zip(*self._parts, strict=True))
-        columns = np.ascontiguousarray(values.T)
-        return Record(stop, np.cumsum(begins), middle_ns, dict(zip(NAMES, columns, strict=True)))
+        columns = dict(zip(NAMES, np.ascontiguousarray(values.T), strict=True))
+        return Record(stop, np.cumsum(begins), middle_ns, SampleBlock(columns))
 
 
 def backward(record: Record, temperature: Estimator, bias: Estimator) -> dict[str, FloatArray]:
@@ -112,7 +108,9 @@ def backward(record: Record, temperature: Estimator, bias: Estimator) -> dict[st
     ends = np.flatnonzero(np.diff(record.run, append=-1))
     last_ns = record.middle_ns[ends][np.searchsorted(record.run[ends], record.run)]
     # The modelled bias: zero without a model, NaN while it is not known.
-    model = record.vector("gyro_bias") - record.vector("gyro_random_error")
+    model = np.column_stack(
+        [record.columns[f"gyro_bias_{axis}"] - record.columns[f"gyro_random_error_{axis}"] for axis in "xyz"]
+    )
     modelled = (np.nan_to_num(model) != 0.0).any(0)
     model = np.where(np.isfinite(model) | modelled, model, 0.0)
     present = [name for name in TEMPERATURES if np.isfinite(record.columns[name]).any()]

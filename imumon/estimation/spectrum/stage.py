@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from imumon.blocks import ColumnArray, FloatArray, IntArray, SampleBlock
+from imumon.blocks import ColumnArray, FloatArray, SampleBlock, join
 from imumon.charts import AXIS_COLORS, Axis, Chart, Curve
 from imumon.columns import Column
 
@@ -33,6 +33,7 @@ _GROUPS = {
     "accel": ("Specific force, last 30 s at most", "m/s²", 1.0),
 }
 CHANNELS = tuple(f"{group}_{axis}" for group in _GROUPS for axis in AXIS_COLORS)
+KEPT = ("device_time_ns", "segment", *CHANNELS)
 
 
 class LiveSpectrum:
@@ -42,24 +43,19 @@ class LiveSpectrum:
     """None: a spectrum is not a quantity of each sample."""
 
     def __init__(self) -> None:
-        self._blocks: deque[tuple[IntArray, FloatArray]] = deque(maxlen=MOST_SAMPLES)
-        """Device time, (n,), and `CHANNELS`, (n, 6), NaN where there is no value."""
-        self._segment: int | None = None
+        self._blocks: deque[SampleBlock] = deque(maxlen=MOST_SAMPLES)
+        """Of one segment: `KEPT` where they are sent."""
 
     def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
         """Take the samples of a block; needs ``device_time_ns`` and ``segment``."""
         if not len(block) or not any(name in block for name in CHANNELS):
             return {}
-        segment = int(block["segment"][-1])
-        rows = np.flatnonzero(block["segment"] == segment)
-        if segment != self._segment or len(rows) < len(block):
+        segment = block["segment"]
+        latest = SampleBlock({n: block[n][segment == segment[-1]] for n in KEPT if n in block})
+        if len(latest) < len(block) or (self._blocks and self._blocks[-1]["segment"][-1] != segment[-1]):
             self._blocks.clear()
-            self._segment = segment
-        missing = np.full(len(block), np.nan)
-        values = np.column_stack([block.columns.get(name, missing)[rows] for name in CHANNELS])
-        time_ns = block["device_time_ns"][rows]
-        self._blocks.append((time_ns, values))
-        while self._blocks[0][0][-1] < time_ns[-1] - SPAN_S * 1e9:
+        self._blocks.append(latest)
+        while self._blocks[0]["device_time_ns"][-1] < latest["device_time_ns"][-1] - SPAN_S * 1e9:
             self._blocks.popleft()
         return {}
 
@@ -71,29 +67,30 @@ class LiveSpectrum:
         """Return one chart per sensor; none while there are too few samples."""
         if not self._blocks:
             return []
-        time_ns, values = (np.concatenate(part)[-MOST_SAMPLES:] for part in zip(*self._blocks, strict=True))
+        kept = join([*self._blocks])
+        time_ns = kept["device_time_ns"][-MOST_SAMPLES:]
         interval_ns = float(np.median(np.diff(time_ns))) if len(time_ns) >= FEWEST else 0.0
         if interval_ns <= 0.0:
             return []
         start = int(np.flatnonzero(np.diff(time_ns, prepend=-np.inf) > GAP * interval_ns)[-1])
-        time_ns, channels = time_ns[start:], dict(zip(CHANNELS, values[start:].T, strict=True))
-        if len(time_ns) < FEWEST:
+        kept = kept.rows(len(kept) - len(time_ns) + start, len(kept))
+        if len(kept) < FEWEST:
             return []
-        found = [_chart(group, time_ns, channels, interval_ns) for group in _GROUPS]
+        found = [_chart(group, kept, interval_ns) for group in _GROUPS]
         return [chart for chart in found if chart.curves]
 
 
-def _chart(group: str, time_ns: IntArray, channels: Mapping[str, FloatArray], interval_ns: float) -> Chart:
+def _chart(group: str, block: SampleBlock, interval_ns: float) -> Chart:
     """Return the spectra of a sensor on an even grid, in which a lost packet is a straight line."""
     title, unit, factor = _GROUPS[group]
     curves, notes = [], []
+    time_ns = block["device_time_ns"]
     even = np.arange(time_ns[0], time_ns[-1], interval_ns)
     for axis, color in AXIS_COLORS.items():
-        values = channels[f"{group}_{axis}"]
-        known = np.isfinite(values)
+        known = np.isfinite(block.columns.get(f"{group}_{axis}", np.full(len(block), np.nan)))
         if known.mean() < 0.5:
             continue
-        filled = np.interp(even, time_ns[known], values[known])
+        filled = np.interp(even, time_ns[known], block[f"{group}_{axis}"][known])
         spectrum = welch(filled, interval_ns * 1e-9, 2 * (len(even) // PARTS))
         density = factor * np.sqrt(spectrum.density[1:])
         if not density.any():

@@ -30,7 +30,6 @@ from imumon.config import StrictModel
 from imumon.effects.library import suspected_by
 from imumon.lane import LaneState, Level
 
-SUSPECT = Column("model_suspect", "1", "int64", "1 once the bias filter is caught at being wrong, else 0")
 EXPLAINING_SHARE = 0.7
 """A pattern explains the innovations with at least this share of the strongest evidence.  Assumed."""
 SLOT_S, BLOCK = 1.0, 10
@@ -105,13 +104,13 @@ class State:
 
     def __init__(self, segment: int = NO_INT, first_ns: int = 0) -> None:
         self.low = np.full((3, len(HIGH_PASS_S)), np.nan)  # low-passes of temperature and rate, °C and °C/s
-        self.scale = np.zeros((3, len(HIGH_PASS_S)))  # their largest high-passed values
+        self.scale = np.tile(LEAST_CHANGE, (3, 1))  # their largest high-passed values
         self.past = np.zeros((3, len(KEPT)))  # means of earlier innovations
         self.gain, self.cusum, self.peaks = np.zeros((3, 3, len(PATTERNS)))
         """Of each test: the sum of log e over the block, the CUSUM, and its largest value since the start."""
         self.segment, self.first_ns, self.last_s, self.slots = segment, first_ns, 0.0, 0
         """Segment and time of the first slot, ns; time of the last one since then, s; how many there were."""
-        self.suspect_segment = NO_INT  # in which the filter was caught at being wrong
+        self.suspect = False  # whether the filter was caught at being wrong
 
 
 def limit(false_alarm_hours: float) -> float:
@@ -125,14 +124,8 @@ def step(
 ) -> float:
     """Take a slot; at the end of a block return the highest of the tests, else 0.
 
-    Parameters
-    ----------
-    now_s : float
-        Time since the first slot, s.
-    innovation : array (3,)
-        Over its standard deviation.
-    temperature, rate : array (3,)
-        degC and degC/s of each gyro; NaN where unknown.
+    `now_s` is the time since the first slot, s, and the `innovation`, (3,), over its standard deviation.
+    Temperature and rate, (3,), are those of each gyro, °C and °C/s, NaN where unknown.
     """
     dt, state.last_s = now_s - state.last_s, now_s
     state.slots += 1
@@ -161,9 +154,9 @@ def _high_pass(state: State, dt: float, value: FloatArray) -> FloatArray:
     state.low = np.where(np.isnan(state.low), np.where(np.isinf(HIGH_PASS_S), 0.0, value), state.low)
     state.low += -np.expm1(-dt / HIGH_PASS_S) * np.nan_to_num(value - state.low)
     change = value - state.low
-    largest = np.fmax(np.fmax(np.abs(change), math.exp(-dt / SCALE_S) * state.scale), LEAST_CHANGE)
-    state.scale = np.where(np.isnan(change), state.scale, largest)
-    return np.asarray(np.nan_to_num(change / np.maximum(state.scale, LEAST_CHANGE)))
+    least = np.maximum(math.exp(-dt / SCALE_S) * state.scale, LEAST_CHANGE)
+    state.scale = np.where(np.isnan(change), state.scale, np.maximum(np.abs(change), least))
+    return np.asarray(np.nan_to_num(change / state.scale))
 
 
 class ModelWatch:
@@ -180,15 +173,18 @@ class ModelWatch:
         Whether the filter uses a bias model; it decides what is advised.
     """
 
-    columns: Sequence[Column] = (SUSPECT,)
+    columns: Sequence[Column] = (
+        Column("model_suspect", "1", "int64", "1 once the bias filter is caught at being wrong, else 0"),
+    )
 
     def __init__(self, parameters: WatchParameters | None = None, modelled: bool = False) -> None:
         given = parameters or WatchParameters()
         self._alarm_at = limit(given.false_alarm_hours)
         self._modelled = modelled
         self._state = State()
-        self._texts: dict[str, bool] = {}
-        """Lines for the log, and whether `notices` has returned them."""
+        self._texts: list[str] = []
+        """Lines for the log, of which `notices` has returned so many."""
+        self._returned = 0
 
     def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
         """Return ``model_suspect`` of a block, int64.
@@ -198,9 +194,9 @@ class ModelWatch:
         """
         segment, innovations = block["segment"], block.vector("zupt_innovation")
         if innovations is None:
-            return {SUSPECT.name: np.zeros(len(block), np.int64)}
+            return {"model_suspect": np.zeros(len(block), np.int64)}
         state, time_ns = self._state, block["device_time_ns"]
-        suspect = (segment == state.suspect_segment).astype(np.int64)
+        suspect = np.where(segment == state.segment, int(state.suspect), 0)
         slots = np.flatnonzero(np.isfinite(innovations).all(1))
         temperature, rate = (_of_axes(block, f"temperature_{name}", slots) for name in ("estimate", "rate"))
         for k, row in enumerate(slots.tolist()):
@@ -209,15 +205,16 @@ class ModelWatch:
                 state = self._state = State(int(segment[row]), int(time_ns[row]))
                 now_s, suspect[row:] = 0.0, 0
             highest = step(state, now_s, innovations[row], temperature[k], rate[k])
-            if highest >= self._alarm_at and state.suspect_segment == NO_INT:
-                state.suspect_segment = state.segment
+            if highest >= self._alarm_at and not state.suspect:
+                state.suspect = True
                 suspect[row:] = segment[row:] == state.segment
-                self._texts.setdefault(interpret(state.peaks, self._modelled)[1], False)
-        return {SUSPECT.name: suspect}
+                text = interpret(state.peaks, self._modelled)[1]
+                self._texts += [text] * (text not in self._texts)
+        return {"model_suspect": suspect}
 
     def lanes(self) -> Mapping[str, LaneState]:
         """Return the lane ``model``: MODEL OK, MODEL SUSPECT with the reason, waiting, or no model."""
-        if self._state.suspect_segment != NO_INT:
+        if self._state.suspect:
             reason = interpret(self._state.peaks, self._modelled)[0]
             return {"model": LaneState(f"MODEL SUSPECT: {reason}", Level.BAD)}
         if self._state.slots < LEARNING + BLOCK:
@@ -228,8 +225,7 @@ class ModelWatch:
 
     def notices(self) -> list[str]:
         """Return, once each, what is suspected and which command reports more; for the log."""
-        texts = [text for text, returned in self._texts.items() if not returned]
-        self._texts.update(dict.fromkeys(texts, True))
+        texts, self._returned = self._texts[self._returned :], len(self._texts)
         return texts
 
 

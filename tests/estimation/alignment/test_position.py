@@ -21,7 +21,7 @@ def test_merged_rows_keep_time_and_mean() -> None:
     assert valid.all()
     np.testing.assert_allclose(means, slots[:-2].reshape(-1, 4, 6).mean(axis=1), atol=1e-12)
     assert (record.begun_s, record.ended_s) == (25.0, 25.0 + SLOT_S * len(slots))
-    assert record.position_s == SLOT_S * len(slots)
+    assert record.rest_s == SLOT_S * len(slots)
     record.forget_half()
     assert record.begun_s == 25.0 + 1024.0
     np.testing.assert_allclose(record.rows()[1], means[1024:])
@@ -41,7 +41,7 @@ def test_a_device_with_a_sample_a_slot_at_most_leaves_no_row_empty(rate_hz: floa
     stage, _ = aligned(samples(scenario(120.0, rate_hz=rate_hz)))
     record = stage._aligner.positions[-1]
     assert record.rows()[0].all()
-    assert record.position_s == pytest.approx(120.0, abs=3.0)
+    assert record.rest_s == pytest.approx(120.0, abs=3.0)
 
 
 def test_an_hour_of_rest_is_as_good_as_it_should_be() -> None:
@@ -49,6 +49,5 @@ def test_an_hour_of_rest_is_as_good_as_it_should_be() -> None:
     stage, _ = aligned(block, {"accel_bias_sd_ug": 10.0, "gyro_bias_sd_deg_per_h": 0.0})
     shown = stage.status.shown
     assert stage.status.rest_s > 3598.0
-    assert shown is not None
     assert math.degrees(shown.sd) < 0.01
     assert abs(error_deg(shown.heading, 30.0)) < 3.0 * math.degrees(shown.sd)

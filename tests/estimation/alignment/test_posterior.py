@@ -40,3 +40,16 @@ def test_two_peaks_that_merge_are_one_direction_and_not_any(apart_deg: float) ->
     approximate = np.sum(np.exp(height - exact.max()) * 2.0 * np.pi * i0e(sharpness))
     assert 0.4 < approximate / mass < 2.5
     assert np.abs(angle - 0.5 * np.pi).max() < half + 0.02
+
+
+@pytest.mark.parametrize("apart_deg", [2.0, 5.0, 12.0, 20.0])
+@pytest.mark.parametrize("axis_deg", [0.0, 3.0, 7.0])
+def test_of_two_peaks_close_together_both_are_found(apart_deg: float, axis_deg: float) -> None:
+    # Mirrored in the axis of a gyro that may have any bias.
+    half, axis = np.radians(0.5 * apart_deg), np.radians(axis_deg)
+    along = np.array([np.cos(axis), np.sin(axis)])
+    matrix, vector = 1e6 * np.outer(along, along), 1e6 * np.cos(half) * along
+    _, angle, height, _ = peaks(matrix[None], vector[None])
+    off = np.angle(np.exp(1j * (angle - axis)))
+    np.testing.assert_allclose(np.sort(off), [-half, half], atol=1e-6)
+    assert height[0] == pytest.approx(height[1])

@@ -41,7 +41,7 @@ def test_a_recording_may_begin_in_the_hand(until_s: float) -> None:
     status = stage.status
     assert status.rest_s == pytest.approx(150.0 - until_s, abs=2.0)
     assert status.positions == 1
-    assert status.shown is not None
+    assert status.estimates
     assert math.degrees(status.shown.sd) < 0.1
     assert abs(error_deg(status.shown.heading, 30.0)) < 4.0 * math.degrees(status.shown.sd)
 
@@ -54,7 +54,7 @@ def test_a_pause_of_the_link_in_the_hand_is_no_rest() -> None:
     received = np.flatnonzero((t < 8.3) | (t > 10.8))
     stage, _ = aligned(SampleBlock({name: values[received] for name, values in block.columns.items()}))
     assert stage.status.rest_s > 75.0
-    assert stage.status.shown is not None
+    assert stage.status.estimates
     assert abs(error_deg(stage.status.shown.heading, 30.0)) < 4.0 * math.degrees(stage.status.shown.sd)
 
 
@@ -62,7 +62,7 @@ def test_a_pause_of_the_link_in_the_hand_is_no_rest() -> None:
 def test_a_turn_that_dies_away_at_the_start_hides_no_north(tau_s: float) -> None:
     t = _time(300.0)
     stage, _ = aligned(_shaken(300.0, np.outer(np.exp(-t / tau_s), [0.0, 2e-3, 5e-2])))
-    assert stage.status.shown is not None
+    assert stage.status.estimates
     assert math.degrees(stage.status.shown.sd) < 0.15
     assert abs(error_deg(stage.status.shown.heading, 30.0)) < 4.0 * math.degrees(stage.status.shown.sd)
 
@@ -89,7 +89,7 @@ def test_one_lorry_or_door_leaves_the_heading_as_good_as_it_was(what: object, am
     before = out["heading_sd"][round(95.0 * RATE_HZ)]
     assert not any("anew" in text for text in stage.notices())
     assert status.positions == 1
-    assert status.shown is not None
+    assert status.estimates
     assert status.shown.sd < 1.5 * before
     assert abs(error_deg(status.shown.heading, 30.0)) < 4.0 * math.degrees(status.shown.sd)
 
@@ -103,7 +103,7 @@ def test_a_detector_that_sees_no_rest_in_a_sway_stops_nothing() -> None:
     assert not any("anew" in text for text in stage.notices())
     assert stage.status.positions == 1
     assert stage.status.rest_s > 200.0
-    assert stage.status.shown is not None
+    assert stage.status.estimates
     assert abs(error_deg(stage.status.shown.heading, 30.0)) < 3.0 * math.degrees(stage.status.shown.sd)
     assert math.degrees(stage.status.shown.sd) < 2.0
 
@@ -123,6 +123,6 @@ def test_a_sway_faster_than_the_motion_limit_becomes_rest() -> None:
     stage, _ = aligned(_shaken(240.0, np.outer(sway, [1.0, 1.0, 0.0])))
     status = stage.status
     assert status.rest_s > 200.0
-    assert status.shown is not None
+    assert status.estimates
     assert math.degrees(status.shown.sd) < 0.3
     assert abs(error_deg(status.shown.heading, 30.0)) < 4.0 * math.degrees(status.shown.sd)

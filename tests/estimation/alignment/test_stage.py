@@ -36,7 +36,7 @@ def test_the_heading_is_found_in_any_attitude_and_axes(
     stage, out = aligned(samples(plan), {"accel_bias_sd_ug": 300.0}, axes=axes)
     status = stage.status
     assert status.phase == "settled"
-    assert status.shown is not None
+    assert status.estimates
     assert abs(error_deg(status.shown.heading, attitude[2])) < 0.03
     assert out["heading_sd"][-1] < math.radians(0.03)
     # Forward-left-up axes have the x axis of the unit, and y and z the other way: pitch is nose down.
@@ -48,7 +48,7 @@ def test_the_heading_is_found_in_any_attitude_and_axes(
 def test_a_vertical_x_axis_is_replaced_by_minus_z() -> None:
     # Pitched up by 90 degrees, z (FRD) points forwards, where x pointed before: -z is heading + 180.
     stage, _ = aligned(samples(scenario(100.0, attitude=(0.0, 90.0, 40.0))))
-    assert stage.status.shown is not None
+    assert stage.status.estimates
     assert abs(error_deg(stage.status.shown.heading, 220.0)) < 0.05
 
 
@@ -83,14 +83,14 @@ def test_a_declared_bias_counts_and_is_contradicted_when_it_is_too_small() -> No
     assert any("contradict the declared bias" in text for text in stage.notices())
     expected = 0.1 / (15.041 * math.cos(math.radians(36.0)))
     # Or the unit has turned all along.
-    assert stage.status.shown is not None
+    assert stage.status.estimates
     assert stage.status.shown.sd > expected
     stage, _ = aligned(
         samples(scenario(100.0, gyro_turn_on={"offset_deg_per_h": [3.0, -3.0, 3.0]})), declared
     )
     assert not stage.status.observable
     stage, _ = aligned(samples(scenario(100.0)), {"gyro_bias_sd_deg_per_h": 0.1})
-    assert stage.status.shown is not None
+    assert stage.status.estimates
     assert stage.status.shown.sd == pytest.approx(expected, rel=0.1)
 
 
@@ -100,9 +100,9 @@ def test_a_bias_of_nothing_but_the_east_gyro_is_in_the_sigma_and_reported() -> N
     )
     stage, _ = aligned(block)
     status = stage.status
-    error = 14.0 if status.shown is None or math.isnan(status.shown.heading) else 0.0
-    error = error or error_deg(status.shown.heading, 0.0)  # type: ignore[union-attr]  # shown, or 14
-    assert status.shown is not None
+    error = 14.0 if math.isnan(status.shown.heading) else 0.0
+    error = error or error_deg(status.shown.heading, 0.0)
+    assert status.estimates
     # Undisturbed the sigma is a fifth of a degree.
     assert abs(error) < 3.0 * math.degrees(status.shown.sd)
     assert math.degrees(status.shown.sd) > 5.0
@@ -121,8 +121,8 @@ def test_a_knock_costs_its_seconds_and_no_more(tilt_deg: float) -> None:
     assert stage.notices() == []
     assert stage.status.positions == 1
     assert stage.status.rest_s > 119.0
-    assert stage.status.shown is not None
-    assert quiet.status.shown is not None
+    assert stage.status.estimates
+    assert quiet.status.estimates
     assert stage.status.shown.sd < 1.3 * quiet.status.shown.sd
     assert abs(error_deg(stage.status.shown.heading, 30.0)) < 0.03
 
@@ -142,7 +142,7 @@ def test_readings_that_never_change_have_a_heading() -> None:
     block = samples(scenario(60.0, rate_hz=20.0))
     constant = {name: np.full(len(block), block[name].mean()) for name in INPUTS[2:]}
     stage, _ = aligned(block.with_columns(constant))
-    assert stage.status.shown is not None
+    assert stage.status.estimates
     assert abs(error_deg(stage.status.shown.heading, 30.0)) < 4.0 * math.degrees(stage.status.shown.sd) < 1.0
 
 
@@ -154,7 +154,7 @@ def test_rows_without_rates_gaps_and_restarts_are_survived() -> None:
     keep[7000:7300] = False
     broken = SampleBlock({name: values[keep] for name, values in columns.items()})
     stage, _ = aligned(broken)
-    assert stage.status.shown is not None
+    assert stage.status.estimates
     assert abs(error_deg(stage.status.shown.heading, 30.0)) < 0.05
     again = SampleBlock({**broken.columns, "segment": broken["segment"] + 1})
     out = stage.process(again.rows(0, 100))
@@ -181,7 +181,7 @@ def test_a_link_with_pauses_leaves_few_cells_and_an_honest_sigma(seed: int) -> N
 @pytest.mark.parametrize("rate_hz", [1.0, 5.0, 1000.0])
 def test_any_rate_will_do(rate_hz: float) -> None:
     stage, _ = aligned(samples(scenario(90.0, rate_hz=rate_hz)))
-    assert stage.status.shown is not None
+    assert stage.status.estimates
     assert abs(error_deg(stage.status.shown.heading, 30.0)) < 0.08
 
 
@@ -221,7 +221,6 @@ def test_charts_and_lanes_say_where_it_stands() -> None:
     assert texts(stage) == {"alignment": "settled", "heading by": "joint fit"}
     (progress,) = stage.charts()
     shown = stage.status.shown
-    assert shown is not None
     assert progress.headline == f"{math.degrees(shown.heading):.3f}° ± {math.degrees(shown.sd):.3f}°; settled"
     sigma, wanted = progress.curves
     assert sigma.y[-1] == pytest.approx(math.degrees(shown.sd), rel=0.05)
@@ -243,7 +242,7 @@ def test_a_known_warm_up_tells_a_tilt_from_a_drift() -> None:
     sinking = {"kind": "rotation", "at_s": 5.0, "duration_s": 500.0, "pitch_deg_per_s": 2e-5}
     block = samples(scenario(200.0, warm_up=(83.7, 150.0), motion=[sinking]))
     stage, _ = aligned(block, {"known_warm_up": known})
-    assert stage.status.shown is not None
+    assert stage.status.estimates
     assert abs(error_deg(stage.status.shown.heading, 30.0)) < 3.0 * math.degrees(stage.status.shown.sd)
     assert abs(error_deg(stage.status.estimates["gyro_mean"].heading, 30.0)) > 0.1
 
@@ -252,14 +251,14 @@ def test_a_known_warm_up_keeps_its_time_constant() -> None:
     # What remains of a warm-up has its time constant, which a settling tripod may have as well.
     known = {"amplitude_ug": [83.7, 83.7, 0.0], "time_constant_s": 20.0, "amplitude_sd_ug": 20.0}
     stage, _ = aligned(samples(scenario(150.0, warm_up=(113.7, 20.0))), {"known_warm_up": known})
-    assert stage.status.shown is not None
+    assert stage.status.estimates
     assert abs(error_deg(stage.status.shown.heading, 30.0)) < 0.03
 
 
 def test_a_tripod_that_begins_to_sink_is_in_the_sigma() -> None:
     sinking = {"kind": "rotation", "at_s": 100.0, "duration_s": 500.0, "pitch_deg_per_s": 2e-5}
     stage, _ = aligned(samples(scenario(300.0, warm_up=(1e-3, 100.0), motion=[sinking])))
-    assert stage.status.shown is not None
+    assert stage.status.estimates
     assert abs(error_deg(stage.status.shown.heading, 30.0)) < 3.0 * math.degrees(stage.status.shown.sd)
 
 
@@ -275,7 +274,7 @@ def test_a_turn_is_measured_and_separates_the_bias() -> None:
     stage, out = aligned(samples(plan))
     assert stage.status.positions == 2
     assert math.degrees(abs(stage.status.turned)) == pytest.approx(180.0, abs=0.05)
-    assert stage.status.shown is not None
+    assert stage.status.estimates
     assert abs(error_deg(stage.status.shown.heading, 210.0)) < 0.1
     assert math.degrees(stage.status.shown.sd) < 0.2
     # One position alone does not know the bias, and says so.
@@ -287,7 +286,7 @@ def test_any_turn_will_do_and_the_heading_goes_on_while_it_turns(angle: float) -
     turn = {"kind": "turn", "at_s": 60.0, "duration_s": 10.0, "heading_deg": angle}
     plan = scenario(130.0, motion=[turn], gyro_turn_on={"offset_deg_per_h": [0.3, 0.3, 0.1]})
     stage, out = aligned(samples(plan))
-    assert stage.status.shown is not None
+    assert stage.status.estimates
     assert abs(error_deg(stage.status.shown.heading, 30.0 + angle)) < 4.0 * math.degrees(
         stage.status.shown.sd
     )
@@ -301,7 +300,7 @@ def test_someone_who_leans_on_the_table_and_turns_it_is_followed() -> None:
     lean = {"kind": "turn", "at_s": 80.0, "duration_s": 1.0, "roll_deg": 0.02, "heading_deg": 0.3}
     stage, _ = aligned(samples(scenario(140.0, motion=[lean])))
     assert stage.status.phase == "settled"
-    assert stage.status.shown is not None
+    assert stage.status.estimates
     assert abs(error_deg(stage.status.shown.heading, 30.3)) < 0.05
     assert any("left out; turned by 0.30°" in text for text in stage.notices())
 
