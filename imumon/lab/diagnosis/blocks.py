@@ -241,6 +241,7 @@ def survey(runs: Sequence[RunBlocks], temperatures: Iterable[str], degree: int) 
     of_all = {name: np.concatenate([run.temperature[name] for run in runs]) for name in temperatures}
     temperature = max(of_all, key=lambda name: float(np.ptp(of_all[name])))
     low, high = float(of_all[temperature].min()), float(of_all[temperature].max())
+    backlash = REVERSAL_SHARE * (high - low)
     forces = [force for run in runs if (force := run.force) is not None]
     others = {}
     for name in runs[0].drives[temperature].others:
@@ -250,9 +251,7 @@ def survey(runs: Sequence[RunBlocks], temperatures: Iterable[str], degree: int) 
     return Survey(
         durations_s=[float(run.time_s[-1]) + run.block_s / 2 for run in runs],
         span_degc=high - low,
-        reversals=sum(
-            _reversals(run.temperature[temperature], REVERSAL_SHARE * (high - low)) for run in runs
-        ),
+        reversals=sum(_reversals(run.temperature[temperature], backlash) for run in runs),
         accel_range=max((float(np.ptp(force, axis=0).max()) for force in forces), default=0.0),
         block_s=runs[0].block_s,
         degree=degree,

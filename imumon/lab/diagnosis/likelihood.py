@@ -176,15 +176,9 @@ def _explained(
     return explained
 
 
-Law = tuple[FloatArray, FloatArray]
-"""Diagonals of Phi and cov w of (8), from block to block, (n, states) each."""
-
-
-def law(time_s: FloatArray, noise: Noise) -> Law:
-    """Return the law of the noise for means over the n blocks of one run, `time_s` (n,) after power-on.
-
-    The processes of (8) begin stationary, the random walk at zero.
-    """
+def law(time_s: FloatArray, noise: Noise) -> tuple[FloatArray, FloatArray]:
+    """Return the diagonals of Phi and cov w of (8), (n, states), for blocks of one run, `time_s` (n,) after
+    power-on.  Its processes begin stationary, the random walk at zero."""
     flicker, walk = noise
     dt, of_each = np.diff(time_s, prepend=0.0)[:, np.newaxis], flicker / len(TAUS_S)
     phi = np.column_stack([np.ones(len(dt)), np.exp(-dt / TAUS_S)])
@@ -199,11 +193,9 @@ def whiten(
 ) -> tuple[FloatArray, FloatArray]:
     """Return L^-1 columns, (n, k), and the diagonal of L, (n,), for means over the n blocks of one run.
 
-    `phi`, `process`: their `law`; `white` (n,): variances of their white noise.  Predict by (8), and correct
-    by the innovation, all columns at once: compiled, for there are thousands.
-
-    H = (1, ..., 1): the one measurement is the sum of the states.  Columns come innermost: they lie side by
-    side in memory.
+    `phi`, `process`: their `law`; `white` (n,): variances of their white noise.  Predict by (8), correct by
+    the innovation; H = (1, ..., 1), as the measurement is the sum of the states.  Compiled, with all columns
+    at once, for there are thousands; columns come innermost, as they lie side by side in memory.
     """
     n, m = columns.shape
     states = phi.shape[1]
