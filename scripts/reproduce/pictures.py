@@ -58,20 +58,17 @@ def temperature_rate() -> list[Axes]:
     noise = 0.002 * np.random.default_rng(1).standard_normal(len(t))
     reading = step * np.round((temperature + noise) / step)
     time_ns, segment = np.rint(t * 1e9).astype(np.int64), np.zeros(len(t), np.int64)
-    width = difference_s * rate_hz
-    difference = np.full(len(t), np.nan)
+    width, difference = difference_s * rate_hz, np.full(len(t), np.nan)
     difference[width:] = (reading[width:] - reading[:-width]) / difference_s
-    fir, bank = (
-        method.process(time_ns, segment, reading)
-        for method in (FirRate(Params(step, 300.0, 180.0, 1000)), MultipleModelRate())
-    )
+    fir, bank = FirRate(Params(step, 300.0, 180.0, 1000)), MultipleModelRate()
     above, below = axes("A unit that heats itself, read in steps of 0.05 °C", 2, "min")
     shown = slice(5 * 60 * rate_hz, None, 50)  # after five minutes every method has begun
     for name, rate, color in (("differences over 180 s", difference, "C0"), ("truth", truth, "k")):
         above.plot(t[shown] / 60.0, PER_HOUR * rate[shown], color, linewidth=0.9, label=name)
     above.set(ylabel="rate, °C/h")
     for name, method, color in (("published filter", fir, "C1"), ("imumon", bank, "C2")):
-        error, sd = (PER_HOUR * each[shown] for each in (method.rate - truth, method.rate_sd))
+        _, rate, _, rate_sd = method.process(time_ns, segment, reading)
+        error, sd = (PER_HOUR * each[shown] for each in (rate - truth, rate_sd))
         below.plot(t[shown] / 60.0, error, color, linewidth=0.9, label=f"{name}, ±2σ")
         below.fill_between(t[shown] / 60.0, error - 2.0 * sd, error + 2.0 * sd, color=color, alpha=0.25)
     below.set(ylim=(-2.0, 2.0), ylabel="error of the rate, °C/h")
