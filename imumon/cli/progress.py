@@ -22,6 +22,15 @@ def announce(what: str, samples: int, span_s: float, expected_s: float, *, quiet
         log("INFO", f"{what} {samples:,} samples of {span_s:,.0f} s: about {rounded_time(expected_s)}")
 
 
+def size_of(paths: Sequence[Path]) -> tuple[int, float]:
+    """Return number of samples and length, s, of sessions by their metadata; 0 for those that lack it."""
+    from imumon.recordings.folder import is_session, open_session
+
+    known = [open_session(path).metadata for path in paths if is_session(path)]
+    spans = [one.duration_s for one in known]
+    return sum(one.counters.get("samples", 0) for one in known), sum(s for s in spans if s == s)
+
+
 def rounded_time(seconds: float) -> str:
     """Return a time as it is estimated: 20 s, 3 min, 2 h."""
     unit, name = (3600.0, "h") if seconds >= 5400.0 else (60.0, "min") if seconds >= 90.0 else (1.0, "s")

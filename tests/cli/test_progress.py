@@ -89,13 +89,16 @@ def test_without_a_terminal_long_work_states_from_time_to_time_how_far_it_has_co
         assert "progress" not in [thread.name for thread in threading.enumerate()]
 
 
-def test_long_work_is_announced_with_its_time_and_short_work_is_not(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_long_work_is_announced_with_its_time_and_short_work_is_not(
+    monkeypatch: pytest.MonkeyPatch, session: Path
+) -> None:
     lines: list[str] = []
     monkeypatch.setattr(progress, "log", lambda _, text: lines.append(text))
     for expected_s in (4.0, 21.0, 200.0, 7000.0):
         progress.announce("reading", 13500, 6750.0, expected_s, quiet=False)
         progress.announce("reading", 13500, 6750.0, expected_s, quiet=True)
     assert lines == [f"reading 13,500 samples of 6,750 s: about {text}" for text in ("20 s", "3 min", "2 h")]
+    assert progress.size_of([session])[0] == 2000
 
 
 def test_simulate_announces_only_what_takes_long(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
