@@ -13,7 +13,7 @@ linear, stays harmless.  Where z multiplies an error, it is that of the fit befo
 E counts only if its size is declared.
 
 So w_p is linear in x = (z, b, E, β) and Gaussian.  E and β have one size, and are eliminated for each
-hypothesis about tilts and warm-up.  Then b ~ N(0, s²) is, for each hypothesis and size s.  What is left,
+hypothesis about tilts and warm-up.  Then b ~ N(0, s²) is, too, for each hypothesis and size s.  What is left,
 η'z - ½ z'Λz, is the log density on the circle: a von Mises distribution where Λ is isotropic, and a
 generalised one (Gatto and Jammalamadaka 2007) where one gyro is worse than the others.
 

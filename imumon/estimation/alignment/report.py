@@ -84,7 +84,8 @@ class Status(NamedTuple):
         """The heading with its sigma, or the reason why there is none."""
         if self.observable:
             return f"{math.degrees(self.shown.heading):.3f}° ± {math.degrees(self.shown.sd):.3f}°"
-        return "heading not observable with this gyro" if self.estimates else "no heading yet"
+        known = self.estimates and self.rest_s > NOT_OBSERVABLE_S
+        return "heading not observable with this gyro" if known else "no heading yet"
 
     @property
     def to_go_text(self) -> str:

@@ -10,17 +10,19 @@ the mean fits the nominal bias     the present bias is the nominal one, and lear
 else                               the present bias is any other
 =================================  =====================================================
 
-The difference of both is a turn with a probability P(turn), by `imumon.estimation.rest.odds`.  So this is
-tested sequentially, each second:
+The difference of both is a turn with a probability P(turn), by `imumon.estimation.rest.odds`.  It is shown
+as rest, with the present bias, up to 1/2, and as a turn, with the nominal bias, above.  What becomes of the
+nominal bias is decided beside that, each second:
 
-=================================  =====================================================
-P(turn) up to 1/2                  rest: the present bias is shown
-P(turn) above 1/2                  a turn: the nominal bias is shown
-above 1/4 (1/10 if the rate has    doubt: the nominal bias stays, through motion as well
-changed), until it is below 1/20
-else                               the nominal bias lags the present one by 16 to 32 s:
-                                   it has not learned how a slow turn began
-=================================  =====================================================
+==================================  ====================================================
+P(turn) above 1/4 (1/10 if the      doubt: it stays, through motion as well
+rate has changed), until below 1/20
+the rate has changed, up to 16 s    it stays
+ago
+the rate has changed, before that   it is the present bias from then on
+else                                it lags the present one by 16 to 32 s: it has not
+                                    learned how a slow turn began
+==================================  ====================================================
 
 The sigma of the bias shown contains that difference, times the root of the probability of the other bias.
 """

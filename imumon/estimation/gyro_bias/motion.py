@@ -1,9 +1,9 @@
 """Bias of a unit that has never been at rest: gravity turns, by the gyros, with a bias that is not known.
 
 Once a minute twelve means of the specific force f, m/s², in axes that the gyros carry along (C rotates into
-them), are fitted (Gauss and Newton) by gravity g, m/s², and the bias, rad/s::
+them), are fitted (Gauss and Newton) by the specific force at rest g, upwards, m/s², and the bias, rad/s::
 
-    ∫ C f dt = (g + [g x] ∫ C bias dt + N(0, s²)) dt
+    mean of C f = g - [g x] ∫ C bias dt + N(0, s²)
 
 Accelerations are the noise, and the fit shows their variance s², (m/s²)²; errors of scale, and biases of the
 accelerometers, are far smaller.  The rate about the vertical is not estimated: only sways make that rate

@@ -7,10 +7,11 @@ sensor::
     P(turn) = 1 / (1 + Λ_gravity Λ_heading (o_changed + o_nominal + o_first))
 
     o_changed = 2 D c / (π (|d|/50 + 50/|d|) (1 + n))       the bias has changed: half-Cauchy of 50 °/h, and
-                                                            prior odds of 1 : 1 + n after n changes, as a hand
-                                                            changes its rate more often than a bias does
+                                                            prior odds of 1 : 1 + n after n changes before
+                                                            it: a hand changes its rate more often than a bias
     o_nominal = 2 N(|d|; 0, σ²) |d| D c                     nothing has changed: the nominal bias is vague
     o_first   = 0.05 (size of the first rate / of this)³    the first rest was a turn, and this is the bias
+                                                            (with the earth rate in both; after a change only)
 
     Λ_gravity = 2 / (1 + r)                                 a turn about a tilted axis tilts the unit by its
                                                             angle; r is the ratio of such a turn over no turn

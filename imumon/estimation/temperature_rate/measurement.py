@@ -43,7 +43,7 @@ WIDE = 1.5
 SIGMA_ERROR = 0.1
 """Relative standard deviation of the σ of a code model: half the distance of two models.  Ablation."""
 RENEWAL = 0.1
-"""Part of the log likelihood of a code that stays, per renewal of the slow error.  Ablation."""
+"""A code that stays counts this part of its log likelihood, times the part of e that is new.  Ablation."""
 
 
 def evaluate(thermometer: Thermometer, slot: Slot, filters: Filters) -> tuple[Correction, Correction]:

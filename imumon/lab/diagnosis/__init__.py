@@ -24,7 +24,7 @@ A gain is nearly twice the logarithm of a Bayes factor: as a guide, while nothin
 with a probability of exp(-g / 2) at most, however often tested (Ville 1939; Shafer et al. 2011,
 doi:10.1214/10-STS347).  (4) is that of steps 1 to 4; in 5, and between bases, S alone counts, any r and q.
 
-**Search** (`search`), stepwise over all axes of a sensor, which share one physics, in at most five stages:
+**Search** (`search`), stepwise over all axes of a sensor, which share one physics.  1 to 4 are a stage:
 
 1. *Try.*  Each axis tries every candidate beside what it has, with theta of a grid.  At first, if a pair of
    candidates gains more than any alone by 8 and by 15 %, a family gains what its pair does less the partner.
@@ -34,26 +34,26 @@ doi:10.1214/10-STS347).  (4) is that of steps 1 to 4; in 5, and between bases, S
    alternatives, not told apart.  The gains of a faulty axis (one value is too frequent) do not count.
 3. *Add.*  Each of these axes refines theta, adds it, and refines all its effects again.  It refuses (a) what
    takes away less than 0.3 white floors, than rounding may make, or than a fifth of what any effect before
-   does; if that is an event, nothing else is added; (b) a second event in a run: nothing else is added then,
-   and from half of what each before it takes away it is a `repeated_event`, which no effect explains.
+   does; if that is an event, nothing else is added; (b) a second event of a family in a run: nothing else is
+   added, and from half of what each before takes away it is a `repeated_event`, which no effect explains.
 4. The axes that are left choose again, each without what it has refused, until no family exceeds the bar.
-   Axes to which nothing was added are finished; the others begin another stage.
-5. *Drop.*  Each axis drops what gains 8 or less beside the rest, takes alternatives that are likelier beside
-   it, and refines.  The same is done before the first stage with the effects of the present model.
+   Axes to which nothing was added are finished; the others begin another stage, of at most five.
+5. *Drop.*  After the last stage each axis drops what gains 8 or less beside the rest, takes alternatives that
+   are likelier beside it, and refines; before the first one with the effects of the present model.
 
 **Verdict** (`verdict`): of what was found, that is claimed which explains training and the test, if any.  It
 is fitted by ordinary least squares; of a test, what carries over is predicted, the rest estimated in it.
 
-**Words.**  *Slot*: a second of samples, or the period of a slower log; a *block* has the mean of its slots at
-rest.  *Channel*: an axis, or another column.  *Driver*: what an effect depends on, the temperature or
-another column.  *Pose*: a stretch in one attitude.  *Event*: has a time of its own in one run, as a jump.
-*Late*: behind its driver by a lag or delay.  *Free start*: the state at power-on is fitted, too.  *Kind*: a
-class of effects.  *Family*: those of one kind and driver.  *Candidate*: what may be added.  *Finding*: what
-the search added.  *Claim*: a finding that training and test bear out.  *White floor*: sd of a block's mean by
-white noise, the unit of sizes; *total floor*: with the rounding of coarse samples.  *Present model*: the one
-that the unit has already, if any; else a polynomial is *declared*.  Coefficients that are *shared* are one
-for all runs and carry over to others, *separate* ones are a run's own.  An effect by which the rms of the
-residual falls from A to B *takes away* sqrt(A² - B²).
+**Words.** *Slot*: a second of samples, or the period of a slower log; a *block* has the mean of its slots at
+rest. *Channel*: an axis, or another column. *Driver*: what an effect depends on, the temperature or another
+column. *Pose*: a stretch in one attitude. *Event*: has a time of its own in one run, as a jump. *Late*:
+behind its driver by a lag or delay. *Free start*: the state at power-on is fitted, too. *Kind*: a class of
+effects. *Family*: those of one kind and driver. *Candidate*: what may be added. *Finding*: what the search
+added, or kept of the present model. *Claim*: a new effect that training and test bear out, or the test alone.
+*White floor*: sd of a block's mean by white noise, the unit of sizes; *total floor*: with the rounding of
+coarse samples. *Present model*: the one that the unit has already, if any; else a polynomial is *declared*.
+Coefficients that are *shared* are one for all runs and carry over to others, *separate* ones are a run's own.
+An effect by which the rms of the residual falls from A to B *takes away* sqrt(A² - B²).
 
 **Read** runs, prepare, blocks (recordings to y); candidates (X, Z); likelihood (2, by 6 to 8); search (3 to
 5); fit (with sigmas, 9); verdict (with 10); diagnose, which calls them all; then what is made of it: report,

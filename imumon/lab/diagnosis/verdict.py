@@ -242,7 +242,8 @@ def decide(search: AxisSearch, channel: Channel) -> ChannelVerdict:
     predicts = (not after.parts or after.carries_over) and not test_after.rms > test_before.rms
     if not predicts and not (test_after.continues_training and test_after.rms < test_before.rms):
         # Then only the declared model predicts, which is what the model file has.
-        test_after = replace(test_after, rms=test_before.rms)
+        left = test_before.predicted_residual
+        test_after = replace(test_after, rms=test_before.rms, predicted_residual=left)
     residual_rms = max(after.train_rms, test_after.smaller_rms) if claimed.new else after.train_rms
     model = [one.candidate for one in claimed.findings]
     covariance, part_sigmas = sigmas(search.channel, search.likelihood, model)

@@ -63,6 +63,13 @@ def test_a_mems_gyro_never_shows_a_north(seed: int, bias: float) -> None:
     assert any("heading not observable with this gyro" in text for text in stage.notices())
 
 
+def test_a_heading_that_is_not_observable_yet_is_no_verdict_on_the_gyro() -> None:
+    stage, _ = aligned(samples(scenario(20.0, arw=MEMS_ARW, rate_hz=50.0)))
+    assert stage.status.estimates
+    assert stage.status.phase == "coarse"
+    assert stage.status.heading_text == "no heading yet"
+
+
 @pytest.mark.parametrize("declared", [100.0, 1000.0])
 def test_a_mean_that_tells_nothing_is_any_angle_and_reported_as_such(declared: float) -> None:
     plan = scenario(40.0, arw=MEMS_ARW, rate_hz=50.0)

@@ -544,3 +544,15 @@ def test_rates_that_the_device_has_corrected_are_reported(field: str, warned: bo
     train[0] = replace(train[0], warnings=runs[0].warnings)
     caveats = diagnose(train, test).caveats
     assert sum("UncompGyro" in said for said in caveats) == warned
+
+
+def test_what_each_run_is_left_with_is_that_of_the_model_which_predicts() -> None:
+    """Without a model that carries over, it is the declared one: the report had both."""
+    runs = [run(seed, *ramps(SHORT_S, up=bool(seed % 2)), nothing) for seed in (1, 2)]
+    jumps = run(3, *ramps(SHORT_S, up=True), lambda time, _: np.where(time > 1300.0, 40.0, 0.0))
+    diagnosis = diagnose([runs[0], jumps], [runs[1]])
+    assert names(diagnosis) == ["step"]
+    assert not diagnosis.verdicts[0].predicts
+    found = report(diagnosis)["channels"]["gyro_x"]
+    (test,) = (row for row in found["runs"] if row["test"])
+    assert test["after"] == pytest.approx(found["after"]["test_rms"])
