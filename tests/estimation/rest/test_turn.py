@@ -301,3 +301,13 @@ def test_patience_is_with_a_steady_rate_and_not_with_one_that_changes() -> None:
     gyro[after, 2] += np.radians(0.3 + 0.1 * ((t[after] // 30.0) % 4))
     at_rest = detect(block(t, gyro, accel), RestParameters(undecided_s=60.0))
     assert at_rest[t > 70.0].mean() < 0.05
+
+
+def test_a_yaw_that_the_device_integrates_with_its_bias_is_a_turn_that_sigma_contains() -> None:
+    t, gyro, accel = noise(200.0, 25.0)
+    gyro[:, 2] += 0.5 * DEG
+    yaw = np.cumsum(gyro[:, 2]) / 25.0
+    samples = block(t, gyro, accel).with_columns({"yaw": (yaw + np.pi) % (2 * np.pi) - np.pi})
+    _, rest, hypothesis = found(samples)
+    assert not rest[t > 60.0].any()
+    assert np.abs(hypothesis[t > 60.0]).min() > 0.4 * DEG
