@@ -4,8 +4,9 @@
 2. The rest is averaged in cells, Hann windows that overlap by half: an angle that stays bounded falls out of
    their mean, as their sum is flat with smooth ends.  The scatter of the cells about a slow trend is their
    noise, and a cell far beyond that is a knock.
-3. One linear regression, complex (forward + i left), on the cells, of α on the steps from cell to cell.  α,
-   rad, is the tilt about forward + i that about left; (1) to (3) are in docs/alignment.md::
+3. One linear regression, complex (forward + i left), of cell means of y, the horizontal rate less what the
+   tilt makes of the vertical one, and of the steps of α from cell to cell.  α, rad, is the tilt about forward
+   + i that about left; t begins with the record; (1) to (3) are in docs/alignment.md::
 
        gyros                       y = c + b + Σ A_k ds_k/dt + noise,      s_k = 1 - exp(-t/τ_k)      (4)
        accelerometers, as angle    α = Σ A_k s_k + Σ B_j w_j + walk + noise,  w_j = 1 - exp(-t/T_j)   (5)

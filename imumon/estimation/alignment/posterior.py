@@ -41,7 +41,7 @@ from imumon.geodesy import DEG_PER_H, EARTH_RATE
 
 GYRO_BIAS, BIAS_POWER, LEAST_ARW = 2.0 * DEG_PER_H, 1.86, 0.02
 """Regression of the bias of a gyro, rad/s, on the ratio of its noise to 0.1 °/√h, of which 0.02 counts at
-least; at most the earth rate."""
+least (0.002 °/√h); at most the earth rate."""
 GYRO_SCALE, ACCEL_BIAS, ERROR_POWER, MOST_ERROR = 3e-4, 7.5e-4, 1.4, 100.0
 """Scale factor and misalignment of a gyro, and bias of an accelerometer, g, of gyros with 0.1 °/√h at most;
 of others they grow with this power of the ratio, up to 100 times."""
