@@ -96,14 +96,13 @@ DIFFERENCES: dict[Kind, Difference] = {
 FLOOR_PER_INSTABILITY = math.sqrt(2.0 * math.log(2.0) / math.pi)
 """Flat part of the Allan deviation of flicker, over the bias instability B (IEEE Std 952, C.1.3)."""
 SHAPES: tuple[Callable[[FloatArray], FloatArray], ...] = (
-    lambda m: 1.0 / m,
-    np.ones_like,
-    lambda m: m,
-    lambda m: 1.0 / m**2,
-    lambda m: m**2,
+    lambda m: 1.0 / m,  # white noise of the rate
+    np.ones_like,  # flicker
+    lambda m: m,  # random walk
+    lambda m: 1.0 / m**2,  # quantization: white noise of the angle
+    lambda m: m**2,  # ramp, which is no noise but a trend
 )
-"""Allan variance at averaging factor m per unit of the coefficient, of what is of the rate white noise,
-flicker, random walk, quantization (white noise of the angle), and a ramp, which is no noise but a trend."""
+"""Allan variance at averaging factor m per unit of the coefficient of each noise."""
 _FLICKER = 4.0 * math.log(2.0)
 AUTOCOVARIANCES: dict[int, tuple[Autocovariance, ...]] = {
     1: (

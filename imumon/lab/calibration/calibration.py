@@ -242,10 +242,12 @@ def _remarks(records: Sequence[Record], cells: Cells, findings: dict[str, Findin
 def _one_way(cells: Cells) -> bool:
     """Return whether no run both rises and falls by a fifth of the span."""
     enough = 0.2 * float(np.ptp(cells.temperature))
-    return not any(
-        np.max(t - np.minimum.accumulate(t)) > enough < np.max(np.maximum.accumulate(t) - t)
-        for t in (run.temperature for run in cells.runs)
-    )
+    for run in cells.runs:
+        t = run.temperature
+        rise, fall = np.max(t - np.minimum.accumulate(t)), np.max(np.maximum.accumulate(t) - t)
+        if min(rise, fall) > enough:
+            return False
+    return True
 
 
 def _common(names: Sequence[Name | None]) -> Name | None:
