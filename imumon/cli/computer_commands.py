@@ -179,14 +179,16 @@ def detect(
     if folder is not None and folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
         raise ImumonError(Reason.EXISTS, f"{folder} is there already", "give the name of a new folder")
     received = dict[int | None, bytearray]()
+    arriving = bytearray()
 
     def begin(settings: PortSettings) -> None:
+        nonlocal arriving
         rate = settings.baudrate if settings.has_line else None
-        received[rate] = bytearray()
+        arriving = received[rate] = bytearray()
         common.note(f"listening to {settings.url if rate is None else f'{rate} baud'}")
 
     def keep(data: bytes) -> None:
-        received[next(reversed(received))].extend(data)
+        arriving.extend(data)
 
     devices = {name: load_device(name) for name in names or device_names()}
     own_rates = [rate for device in devices.values() for rate in device.serial.baudrates[:1]]
@@ -220,6 +222,10 @@ def detect(
     if proposal and proposed:
         write_text(proposed, proposal)
         common.note(f"look at {proposed}, then: imumon monitor {port} --device {proposed}")
+    if wrong and proposal:
+        raise ImumonError(
+            wrong.reason, wrong.seen, "complete the proposed device file, and try it: --device FILE"
+        )
     if wrong:
         raise wrong
 

@@ -141,7 +141,7 @@ def detect(
             settings = PortSettings(url, baudrate=rate)
             before_rate(settings)
             try:
-                evidence += listen(settings, candidates, seconds, received)
+                evidence += listen(settings, candidates, seconds, received, others=len(rates) > 1)
             except ImumonError as error:
                 if error.reason is not Reason.BAD_CONFIG or rate == rates[-1]:
                     raise
@@ -163,15 +163,22 @@ def listen(
     settings: PortSettings,
     candidates: Mapping[str, Callable[[], Candidate]],
     seconds: float,
-    received: Callable[[bytes], None] = lambda _: None,
+    received: Callable[[bytes], None],
+    others: bool,
 ) -> list[Evidence]:
-    """Feed what arrives within `seconds` to every candidate; return the evidence in their order."""
+    """Feed what arrives within `seconds` to every candidate; return the evidence in their order.
+
+    Bytes without a packet end it early only where there are other rates to try: else all that comes may
+    serve a proposal.
+    """
     decoders = {name: factory() for name, factory in candidates.items()}
     samples = dict.fromkeys(decoders, 0)
     data, elapsed = bytearray(), 0.0
     with open_port(settings) as port:
         start = time.monotonic()
-        while elapsed < seconds and not _decided(decoders.values(), data):
+        while elapsed < seconds and not (
+            _has_plenty(decoders.values()) or (others and _is_foreign(decoders.values(), data))
+        ):
             read = port.read(min(POLL_S, seconds - elapsed))
             received(read)
             data += read
@@ -244,13 +251,17 @@ def _likely_cause(evidence: Sequence[Evidence]) -> str:
     )
 
 
-def _decided(decoders: Iterable[Candidate], data: bytearray) -> bool:
-    """Return whether listening on would prove nothing more, for a candidate or against all."""
-    counts = [decoder.counters() for decoder in decoders]
-    if len(data) >= TRIED_BYTES and not any(count.packets for count in counts):
-        return _share(data, TEXT) <= MOSTLY_TEXT
+def _has_plenty(decoders: Iterable[Candidate]) -> bool:
+    """Return whether a candidate frames so many packets that listening on would prove nothing more."""
+    counts = (decoder.counters() for decoder in decoders)
     return any(
         count.packets >= PLENTY_OF_PACKETS
         and count.bytes_in_packets >= FRAMED * (count.bytes_received - count.bytes_pending)
         for count in counts
     )
+
+
+def _is_foreign(decoders: Iterable[Candidate], data: bytearray) -> bool:
+    """Return whether so many bytes without a packet, and no text, come from another rate or protocol."""
+    packets = any(decoder.counters().packets for decoder in decoders)
+    return len(data) >= TRIED_BYTES and not packets and _share(data, TEXT) <= MOSTLY_TEXT

@@ -81,16 +81,18 @@ def test_the_help_states_in_plain_words_when_no_device_was_found() -> None:
 
 
 def test_what_came_is_saved_by_rate_to_report_a_device(tmp_path: Path) -> None:
-    report, rates = tmp_path / "report", ["--baud", 57600, "--baud", 115200]
+    report, rates = tmp_path / "report", ["--baud", 115200, "--baud", 57600]
     with VirtualDevice(load_device("ax1"), tmp_path / "ahrs") as ahrs:
         options = ["--device", "openimu", *rates, "--seconds", 1, "--save", report]
         done = imumon("detect", ahrs.port.path, *options)
         again = imumon("detect", ahrs.port.path, *options)
         port = ahrs.port.path
     assert done.returncode == 3, done.stderr
-    assert "57600.bin" in (found := json.loads((report / "evidence.json").read_text()))["files"]
+    found = json.loads((report / "evidence.json").read_text())
+    assert "57600.bin" in found["files"]
     assert sorted(path.name for path in report.iterdir()) == ["115200.bin", "57600.bin", "evidence.json"]
-    assert {row["baudrate"] for row in found["evidence"]} == {57600, 115200}
+    sizes = {row["baudrate"]: row["bytes_received"] for row in found["evidence"]}
+    assert sizes == {rate: (report / f"{rate}.bin").stat().st_size for rate in (57600, 115200)}
     assert port not in (report / "evidence.json").read_text()
     result = answer("decode", report / "115200.bin", "--device", "ax1", "--out", tmp_path / "t.csv")
     assert result["samples"] > 10
