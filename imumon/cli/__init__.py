@@ -141,8 +141,8 @@ def _listed(ctx: click.Context) -> dict[str, dict[str, str]]:
 @click.group(
     cls=_LazyGroup,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
-    epilog="Exit codes: 0 done; 1 done, but the result is negative; 2 wrong option or file; 3 error of the"
-    " port; 4 error in the data.",
+    epilog="Exit codes: 0 done; 1 done, but the result is negative; 2 wrong option or setting; 3 error"
+    " of the port; 4 data that are missing or cannot be read.",
 )
 @click.version_option(package_name="imumon")
 @click.option("--without-plugins", is_flag=True, help="Load nothing that other packages add.")

@@ -258,8 +258,10 @@ def _propose(received: dict[int | None, bytearray], evidence: list[Evidence]) ->
 
 
 def _show(evidence: list[Evidence]) -> None:
+    """Write the candidates with valid packets, and how many others there are; without any, the best one."""
     from rich.table import Column
 
+    shown = [item for item in evidence if item.packets] or evidence[:1]
     names = ("device", "baud", "bytes/s", "packets", "samples", "framed", "damaged", "verdict")
     rows = (
         (
@@ -272,6 +274,8 @@ def _show(evidence: list[Evidence]) -> None:
             str(item.checksum_errors),
             item.verdict.value,
         )
-        for item in evidence
+        for item in shown
     )
     common.print_table([Column(name, no_wrap=name != names[-1]) for name in names], rows)
+    if len(evidence) > len(shown):
+        common.show(f"{len(evidence) - len(shown)} others: no valid packets")
