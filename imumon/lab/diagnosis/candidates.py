@@ -1,7 +1,6 @@
 """A channel with its declared model, X b of (1), and what may be added: candidates, and their columns of Z.
 
-A coefficient is *shared* when it is one for all runs, so that it carries over to any other run, and
-*separate* when each of some runs has one of its own.  `Effect.scope` states which an effect may have::
+Coefficients are *shared* by all runs, or *separate* in each of some; `Effect.scope` states which may be::
 
     shared    shared
     either    tried as shared, and as separate in every run

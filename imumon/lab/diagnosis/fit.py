@@ -63,11 +63,11 @@ class Fit:
 
     declared: FloatArray
     """Coefficients of the powers of u, (degree + 1,); the constant is the one to predict another run with."""
-    of_constant: FloatArray
-    """What each coefficient, (p + k,), counts in that: it is the mean of all constants, of which further ones
-    are differences from the first, and..."""
+    constant_weights: FloatArray
+    """Weight of each coefficient of [X Z], (p + k,), in that constant: it is the mean of the constants of
+    runs or poses, of which further ones are differences from the first, plus `mean_of_separate`."""
     mean_of_separate: float
-    """...the mean over training of what does not carry over, such as jumps."""
+    """Mean over training of what does not carry over, such as jumps."""
     parts: list[FittedPart]
     residual: FloatArray
     """y less the model, (n,)."""
@@ -87,8 +87,8 @@ def fit(channel: Channel, model: Sequence[Candidate]) -> Fit:
     """Fit the declared model and candidates to training by ordinary least squares."""
     design, n_base, n_powers = channel.design(model), channel.base.shape[1], channel.degree + 1
     coefficients = least_squares(design, channel.y)
-    of_constant, no_start = np.zeros(len(coefficients)), np.empty((0, 0))
-    of_constant[0], of_constant[n_powers:n_base] = 1.0, 1.0 / (n_base - n_powers + 1)
+    constant_weights, no_start = np.zeros(len(coefficients)), np.empty((0, 0))
+    constant_weights[0], constant_weights[n_powers:n_base] = 1.0, 1.0 / (n_base - n_powers + 1)
     parts = [FittedPart(one, (), np.array([one.coefficients]), no_start) for one in channel.fixed_effects]
     for candidate, where, starts in _layout(channel, model):
         runs = len(channel.training.runs) if candidate.free_start else 0
@@ -98,10 +98,10 @@ def fit(channel: Channel, model: Sequence[Candidate]) -> Fit:
             effect = part.effect.with_coefficients(rows.mean(axis=0))
             parts.append(FittedPart(effect, part.separate_runs, rows, start))
         if not parts[-1].carries_over:
-            of_constant[where] = design[:, where].mean(axis=0)
-    declared = np.append(of_constant @ coefficients, coefficients[1:n_powers])
-    mean_of_separate = float(of_constant[n_base:] @ coefficients[n_base:])
-    return Fit(declared, of_constant, mean_of_separate, parts, channel.y - design @ coefficients)
+            constant_weights[where] = design[:, where].mean(axis=0)
+    declared = np.append(constant_weights @ coefficients, coefficients[1:n_powers])
+    mean_of_separate = float(constant_weights[n_base:] @ coefficients[n_base:])
+    return Fit(declared, constant_weights, mean_of_separate, parts, channel.y - design @ coefficients)
 
 
 def _layout(channel: Channel, model: Sequence[Candidate]) -> Iterator[tuple[Candidate, slice, slice]]:
@@ -278,21 +278,19 @@ def sigmas(
     inverse = np.linalg.pinv(columns, rcond=1e-10)
     freedom = max(len(y) - columns.shape[1], 1)
     s = float(np.sqrt(np.sum((y - columns @ (inverse @ y)) ** 2) / freedom))
-    of_log_theta = inverse[design.shape[1] :]
-    least = np.asarray(np.linalg.pinv(design, rcond=1e-10), np.float64)
-    # L is made of the L of each run, side by side here: pinv(A) L = X follows from X L^-1 = pinv(A).
-    l_inverse, _ = likelihood.whitened(
-        np.vstack([np.eye(len(run), max(map(len, runs))) for run in runs]), noise
-    )
-    of_runs = zip(channel.training.split(l_inverse), channel.training.split(least.T), strict=True)
+    m, pinv_a = inverse[design.shape[1] :], np.asarray(np.linalg.pinv(design, rcond=1e-10), np.float64)
+    # L has that of each run on its diagonal: Y = pinv(A) L solves Y L^-1 = pinv(A), run by run.
+    identities = np.vstack([np.eye(len(run), max(map(len, runs))) for run in runs])
+    l_inverse, _ = likelihood.whitened(identities, noise)
+    of_runs = zip(channel.training.split(l_inverse), channel.training.split(pinv_a.T), strict=True)
     solved = [solve_triangular(one[:, : len(one)], rows, trans="T", lower=True) for one, rows in of_runs]
-    linear = s * (np.concatenate(solved).T - (least @ slopes) @ of_log_theta)
-    sd_of_log, sd = s * np.linalg.norm(of_log_theta, axis=1), np.linalg.norm(linear, axis=1)
+    linear = s * (np.concatenate(solved).T - (pinv_a @ slopes) @ m)
+    sd_of_log, sd = s * np.linalg.norm(m, axis=1), np.linalg.norm(linear, axis=1)
     relative, found = iter(sd_of_log.tolist()), []
     for one, where, _ in _layout(channel, model):
         thetas = [{name: next(relative) * at for name, at in _theta(part).items()} for part in one.parts]
         found.append([*map(PartSigma, _by_part(one, sd[where]), thetas)])
-    declared = np.vstack([fit(channel, model).of_constant @ linear, linear[1 : channel.degree + 1]])
+    declared = np.vstack([fit(channel, model).constant_weights @ linear, linear[1 : channel.degree + 1]])
     return declared @ declared.T, found
 
 

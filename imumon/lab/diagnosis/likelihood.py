@@ -128,20 +128,19 @@ def noise_no_larger(than: Noise) -> list[Noise]:
 
 _Group = tuple[IntArray, IntArray, BoolArray]
 """The m candidates of k terms: which they are (m,), the indices of their terms (m, k), and whether the
-coefficients of a term and of the next have one sign (m, k - 1)."""
+coefficients of two terms, those of one spectrum in one run, have one sign (m, k, k)."""
 
 
 def _by_size(candidates: Sequence[Sequence[int]], spectra: IntArray) -> list[_Group]:
-    """Return the candidates by their number of terms; one without terms is in no group.
-
-    `spectra` has the spectrum (-1: none) and the run of each term, (terms, 2).
-    """
+    """Return the candidates by their number of terms (none: in no group); `spectra` has the spectrum, or -1,
+    and the run of each term, (terms, 2)."""
     found = []
     for size in sorted({len(terms) for terms in candidates} - {0}):
         numbers = [at for at, terms in enumerate(candidates) if len(terms) == size]
         terms = np.array([candidates[at] for at in numbers])
-        this, following = spectra[terms[:, :-1]], spectra[terms[:, 1:]]
-        found.append((np.array(numbers), terms, (this == following).all(-1) & (this[..., 0] >= 0)))
+        of_terms = spectra[terms]
+        one_sign = (of_terms[:, :, np.newaxis] == of_terms[:, np.newaxis]).all(-1) & (of_terms[..., :1] >= 0)
+        found.append((np.array(numbers), terms, one_sign))
     return found
 
 
@@ -152,27 +151,27 @@ def _explained(
 
     Columns are normalised: their norm beside the base is 1, so that the diagonal of G is.
     """
-    within = rows @ basis
-    before = np.einsum("ij,ij->i", rows, rows)
-    beside_base = before - np.einsum("ij,ij->i", within, within)
-    usable = beside_base > COLLINEAR**2 * before
-    scale = np.where(usable, 1.0 / np.sqrt(np.where(usable, beside_base, 1.0)), 0.0)[:, np.newaxis]
+    rows_q = rows @ basis  # Z̃' Q
+    norm2 = np.einsum("ij,ij->i", rows, rows)
+    diagonal_of_g = norm2 - np.einsum("ij,ij->i", rows_q, rows_q)
+    usable = diagonal_of_g > COLLINEAR**2 * norm2
+    scale = np.where(usable, 1.0 / np.sqrt(np.where(usable, diagonal_of_g, 1.0)), 0.0)[:, np.newaxis]
     g_of_terms = scale[:, 0] * (rows @ residual)
-    rows, within = rows * scale, within * scale
+    rows, rows_q = rows * scale, rows_q * scale
     explained = np.zeros(count)
     for numbers, terms, one_sign in groups:
         g = g_of_terms[terms]
         if terms.shape[1] == 1:
             explained[numbers] = g[:, 0] ** 2
             continue
-        z, zq = rows[terms], within[terms]
+        z, zq = rows[terms], rows_q[terms]
         # A term that the base explains has a zero row: one on the diagonal makes its coefficient zero.
         diagonal = RIDGE + (~usable[terms])
         gram = z @ z.transpose(0, 2, 1) - zq @ zq.transpose(0, 2, 1)
         gram += diagonal[:, :, np.newaxis] * np.eye(terms.shape[1])
         c = np.linalg.solve(gram, g[:, :, np.newaxis])[:, :, 0]
-        both_signs = one_sign & (c[:, :-1] * c[:, 1:] < 0)
-        explained[numbers] = np.where(both_signs.any(axis=1), 0.0, np.einsum("ij,ij->i", c, g))
+        both_signs = one_sign & (c[:, :, np.newaxis] * c[:, np.newaxis] < 0)
+        explained[numbers] = np.where(both_signs.any(axis=(1, 2)), 0.0, np.einsum("ij,ij->i", c, g))
     return explained
 
 

@@ -94,12 +94,12 @@ def _add_families(active: Sequence[AxisSearch], bar: float) -> None:
                 del tables[name][selection.family]
     for name in axes.keys() - added:
         axes[name].finished = True
+    why = f"the sum over the axes that show it is below the bar of {bar:.1f}"
     for name, table in tables.items():
-        family = max(table, key=lambda one: table[one].gain, default="")
-        if family and table[family].gain > 0.0:
-            showing = [one for one in tables if _shows(tables[one], family, bar)]
-            why = f"the sum over the axes that show it is below the bar of {bar:.1f}"
-            axes[name].refuse(family, table[family].gain, showing, why)
+        best = max(table.values(), key=attrgetter("gain"), default=None)
+        if best is not None and best.gain > 0.0:
+            showing = [one for one in tables if _shows(tables[one], best.candidate.family, bar)]
+            axes[name].refuse(best.candidate.family, best.gain, showing, why)
 
 
 class Selection(NamedTuple):

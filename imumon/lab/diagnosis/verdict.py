@@ -1,18 +1,27 @@
-"""The verdict on a channel: one table of named predicates (`VERDICTS`), evaluated top down, and its words.
+"""The verdict on a channel: what is claimed of the findings, and the first row of `VERDICTS` that holds.
 
-What is claimed of the findings of the search (`_claimable`):
+w is the white floor, f the total floor.  Of a residual rms A, the *baseline's* (the declared model, or the
+present one as it is), a model that leaves B *explains* enough if B < 1.8 f, or if it has 0.6 of the excess::
 
-1. a jump counts only where more than 1.3 white floors are left without it, and no run has two;
-2. a finding is left out without which the test is estimated better (with the values of its own);
-3. (a) by training: the others are claimed if they explain training and the test, if any; else none is;
-4. (b) by the test, only if the model without findings leaves 1.8 total floors of training, and 3 claims
-   nothing or leaves 1.8 of the test: of single effects, the one that leaves least of the test is claimed, if
-   it takes away 8 white floors and 60 % of the excess, and leaves less than half of what 3 leaves.
+    explained share = 1 - (B² - f²) / (A² - f²)                                                      (10)
 
-To *explain*, of rms A before and B after, is to leave less than 1.8 total floors, or to take away 60 % of the
-excess over the floor (the total floor in 3, the white floor in 4)::
+What is claimed (`_claimable`):
 
-    explained share = 1 - (B² - floor²) / (A² - floor²)                                              (10)
+1. *Events.*  A jump counts only where 1.3 w or more are left of training without it, and no run has two.
+2. *Refuted.*  New findings without which the test is estimated better are left out, the worst one first.
+3. (a) *By training.*  The others are claimed if they explain training and the test, if any; else none is.
+4. (b) *By the test.*  Where 1.8 f are left of training without findings, and 3 claims nothing or leaves 1.8 f
+   of the test: of single effects, that is claimed which leaves least of the test, if it takes away 8 w, has
+   0.6 of the excess over w (in place of f), and leaves less than half of what 3 leaves.
+
+The rows, in their order; what is left is by the model with the claims, if any::
+
+    faulty            one value of the samples is far too frequent (saturation, dead band, dropouts)
+    named             3 or 4 claims an effect; more may be unexplained, of training as below or of the test
+    unexplained       1.8 f or more are left of training, or a run has two jumps
+    too few digits    rounding may make w or more, and no test shows that 1.3 f or more are left
+    nothing missing   less than 1.3 w is left of the test
+    not proven        none of these: what is left is small, or only the test has it
 """
 
 from __future__ import annotations
@@ -56,7 +65,6 @@ VERDICTS = (
     Row("clean", "nothing missing", "nothing is missing"),
     Row("", "not proven", "nothing is proven"),
 )
-"""The first row counts whose predicate holds."""
 BESIDE_CLAIMS = {
     "not_told_apart": ", not told apart",
     "by_test": ", proven by the test alone, so the error there is no longer unseen",
@@ -301,16 +309,13 @@ def _claimable(channel: Channel, search: AxisSearch, baseline: Fit, left_out: li
 
 
 def _not_refuted(channel: Channel, findings: list[Finding], left_out: list[Any]) -> list[Finding]:
-    """Return the findings without those that the test refutes, being worse with them: the worst one first.
-
-    What does not carry over is estimated in the test with both, and predicts nothing that could be refuted.
-    """
+    """Return what passes step 2; what does not carry over predicts nothing that could be refuted."""
     passed = list(findings)
     while passed and channel.test:
         everything = fit(channel, [one.candidate for one in passed])
         predicting = {part.effect.label for part in everything.parts if part.carries_over}
         with_it, trials = score_test(channel, everything).estimated_rms, []
-        for finding in (one for one in passed if one.name in predicting):
+        for finding in (one for one in passed if one.name in predicting and not one.of_present_model):
             others = fit(channel, [one.candidate for one in passed if one is not finding])
             without = score_test(channel, others, settled_as=everything).estimated_rms
             trials += [(without, finding)] if without < with_it else []
@@ -348,8 +353,7 @@ def _proven_by_test(channel: Channel, search: AxisSearch, base: _Hypothesis) -> 
     Noise that wanders as fast as it does within minutes may go anywhere within the hour, so that no
     likelihood separates a loop gone through once from a wander.  But no wander goes the same way again.
     Only effects count that make the training likelier, by more than their coefficients cost: the best of each
-    family by the likelihood, and by least squares.  The test chooses here, so effects of other names that
-    explain it as well are not told apart.
+    family by the likelihood, and by least squares.
     """
     if not channel.test or any(one.run.woven for one in channel.test):
         return None

@@ -58,3 +58,18 @@ def test_a_spectrum_with_both_signs_explains_nothing() -> None:
         found, alone = likelihood.scan(values, curve, [*terms, []], [white]).tolist()
         gain = found - alone
         assert gain > 50.0 if explains else abs(gain) < 1e-6
+
+
+def test_signs_are_compared_across_a_step_that_the_base_explains() -> None:
+    """Only neighbours were compared, and the coefficient of such a step is zero."""
+    creep = StressRelaxation(time_constant_s=20.0, ratio=6.0, steps=3)
+    effect = creep.with_coefficients([-30.0, 0.0, 30.0])
+    told = run(6, *ramps(SECONDS, up=True), lambda time, t: effect.simulate(Drive(time, t)))
+    blocks = make_blocks(told, ["gyro_x"], ["temperature"])
+    training = Training([blocks], "temperature")
+    terms = training.terms(Candidate((Part(creep),)))[0]
+    curve = (blocks.temperature["temperature"] - 25.0)[:, np.newaxis] ** np.arange(4)
+    base = np.column_stack([curve, training.matrix(terms[1:2])])
+    likelihood, values = Likelihood(training), blocks.mean["gyro_x"] / DPH
+    found, alone = likelihood.scan(values, base, [terms, []], [(0.0, 0.0)]).tolist()
+    assert abs(found - alone) < 1e-6

@@ -28,7 +28,7 @@ from imumon.models.curves.spline import SplineCurve
 from imumon.models.model import BiasModel, ChannelModel
 from tests.lab.diagnosis.test_live import model as cubic_model
 from tests.lab.diagnosis.test_live import said, session
-from tests.lab.diagnosis.units import DPH, ramps, run, three
+from tests.lab.diagnosis.units import DPH, Bias, ramps, run, three
 
 SECONDS = 2400
 OF_SUPPLY = TemperatureCurve(
@@ -195,3 +195,23 @@ def test_what_an_effect_explains_alone_is_beside_the_effects_of_the_present_mode
     assert effect["name"] == "periodic"
     assert effect["evidence"]["explained_share_alone"] > 0.9
     assert content["ranking"][0]["train_rms"] < 0.5 * verdict.before.train_rms
+
+
+def test_a_test_that_an_effect_of_the_present_model_worsens_does_not_take_it_out(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The curve was fitted anew without it, and left twice as much of the training as the present model."""
+    monkeypatch.setattr("imumon.lab.diagnosis.diagnose.effects_for", lambda _: [])
+
+    def warming(dph: float) -> Bias:
+        return lambda time, degc: 20.0 * ((degc - 25.0) / 15.0) ** 2 + dph * np.exp(-time / 300.0)
+
+    present = with_effect(WarmUp(time_constant_s=300.0, coefficients=[50.0 * DPH]))
+    for in_test, refit in ((100.0, ["curve", "warm_up"]), (20.0, list[str]())):
+        train, test = three(warming(100.0), SECONDS)[0], three(warming(in_test), SECONDS)[1]
+        diagnosis = diagnose(train, test, model=present)
+        (verdict,) = diagnosis.verdicts
+        (effect,) = extended_model(diagnosis).channels["gyro_x"].effects
+        assert effect.name == "warm_up"
+        assert (verdict.refit, verdict.left_out) == (refit, [])
+        assert verdict.test_after.rms <= verdict.test_before.rms
