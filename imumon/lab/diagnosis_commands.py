@@ -311,9 +311,10 @@ def plan(report: Path, out: Path, hours: float, as_json: bool) -> None:
     Experiments are tried on simulated units that have what was fitted, each effect in question in turn, with
     the noise that was found.
     """
+    from imumon.config import load_yaml
     from imumon.lab.diagnosis import planning
 
-    content = planning.load_report(report)
+    content = load_yaml(report / "report.json" if report.is_dir() else report, planning.Report)
     questions = planning.open_questions(content)
     if questions and not as_json:
         at_most = rounded_time(QUESTION_S * len(questions))

@@ -16,7 +16,7 @@ import yaml
 from pydantic import Field
 
 from imumon.blocks import SampleBlock
-from imumon.config import StrictModel, load_yaml
+from imumon.config import StrictModel
 from imumon.effects.base import ACCEL, LEAST_SPAN_DEGC
 from imumon.effects.library import EFFECTS, AnyEffect, effects_for
 from imumon.files import write_text
@@ -25,7 +25,7 @@ from imumon.lab.diagnosis.blocks import BLOCK_S, make_blocks, survey
 from imumon.lab.diagnosis.diagnose import Prepared, likeliest, search_block_s, search_sensor
 from imumon.lab.diagnosis.likelihood import TAUS_S
 from imumon.lab.diagnosis.report import NOTHING
-from imumon.lab.diagnosis.runs import Run, collect
+from imumon.lab.diagnosis.runs import collect
 from imumon.lab.diagnosis.search import NEAR_GAIN, NEAR_SHARE, PROVEN_GAIN, AxisSearch, Progress
 from imumon.models.model import UNITS
 from imumon.simulation.unit import Scenario, SimulatedUnit
@@ -181,11 +181,6 @@ class Plan(NamedTuple):
     why_not: str = ""
 
 
-def load_report(path: Path) -> Report:
-    """Read a report.json, or that of a folder; raises BAD_CONFIG with file and line when it is none."""
-    return load_yaml(path / "report.json" if path.is_dir() else path, Report)
-
-
 def open_questions(report: Report) -> list[Question]:
     """Return the questions of a report, each once for the channels of a sensor that share it."""
     # A unit is simulated, which has gyros and accelerometers.
@@ -261,7 +256,10 @@ def evidence(
             continue  # that nothing is there shows in that an effect would show
         planned, searches = scenario(report, question.channel, profile, truth), list[AxisSearch]()
         for seed in seeds:  # as `diagnose` does, for as many effects as the unit has
-            blocks = make_blocks(simulated_run(planned, seed), [question.channel], ["temperature"])
+            sent, true = SimulatedUnit(planned, seed).run(planned.samples)
+            samples = SampleBlock({**sent.columns, "at_rest": true["at_rest"]})
+            run = collect([samples], planned.title)[0]
+            blocks = make_blocks(run, [question.channel], ["temperature"])
             degree = len(truth.declared) - 1 if survey([blocks], ["temperature"], 0).thermal else 0
             shorter = blocks.in_blocks_of(search_block_s([blocks]))
             data = Prepared([shorter], {question.channel: "temperature"}, degree)
@@ -335,12 +333,6 @@ def _noise(report: Report, name: str) -> dict[str, Any]:
     flicker = [{"sd_ug": each / MICRO_G, "tau_s": tau} for tau in TAUS_S.tolist()]
     slowest = {"sd_ug": walk * float(np.sqrt(0.5 * LONG_S)) / MICRO_G, "tau_s": LONG_S}
     return {"vrw_m_per_s_per_sqrt_s": density, "flicker": [*flicker, slowest]}
-
-
-def simulated_run(plan: Scenario, seed: int) -> Run:
-    """Return what a diagnosis reads of a simulated session."""
-    sent, truth = SimulatedUnit(plan, seed).run(plan.samples)
-    return collect([SampleBlock({**sent.columns, "at_rest": truth["at_rest"]})], plan.title)[0]
 
 
 def write_plan(report: Report, number: int, made: Plan, folder: Path) -> list[Path]:

@@ -162,6 +162,13 @@ class ChannelVerdict:
         return self.test_after.rms < CLEAN_RESIDUAL * self.channel.floor.sd
 
     @property
+    def shifted(self) -> bool:
+        """Less than 1.8 total floors are left of training, and of the test but for a constant of each run."""
+        small, score = SMALL_RESIDUAL * self.channel.total_floor, self.test_after
+        runs = [r[c] for r, c in zip(score.predicted_residual, score.counts, strict=True) if c.any()]
+        return score.rms >= small > max(self.after.train_rms, *(float(run.std()) for run in runs))
+
+    @property
     def row(self) -> Row:
         """The verdict: the first row of the table whose predicate holds."""
         return next(row for row in VERDICTS if not row.predicate or getattr(self, row.predicate))

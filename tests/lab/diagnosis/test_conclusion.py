@@ -130,6 +130,16 @@ def test_what_is_unexplained_is_recorded_beside_what_may_drive_it_and_jumps_have
         assert "jumps or comes in bursts" in step.why
 
 
+def test_a_test_that_is_off_by_a_constant_alone_needs_an_offset() -> None:
+    levels = ((1, True, 0.0), (2, False, 0.0), (4, True, 4.0))
+    runs = [run(seed, *ramps(5000, up, 1.5), lambda *at, a=a: lag(*at) + a) for seed, up, a in levels]
+    found = diagnose(runs[:2], runs[2:])
+    (verdict,) = found.verdicts
+    assert [one.finding.name for one in verdict.claims] == ["thermal_lag"]
+    assert verdict.unexplained
+    assert "offset" in next_step(found, None).what
+
+
 def test_without_a_test_the_next_step_is_one(lagging: Diagnosis, tmp_path: Path) -> None:
     assert "--test NEW" in next_step(replace(lagging, test=[]), tmp_path).command
 
