@@ -124,7 +124,7 @@ def scenes(data: Path) -> dict[str, Scene]:
     """Return all scenes by name; captures are in the folder `data`, and left out where it is absent."""
     late = load_scenario("crs05-ramp-lag").unit.model_copy(update={"gyro_lag_s": (90.0,) * 3})
     found = {
-        "demo": Scene("The demo: a virtual AHRS after 40 s", "ax1", simulated("bench", "ax1", 40.0)),
+        "demo": Scene("The demo: a virtual AHRS, after 105 s", "ax1", simulated("bench", "ax1", 105.0)),
         "recorded": Scene(
             "A warm-up in motion with a bias model, opened afterwards: rerun view.rrd",
             "ax1",

@@ -40,6 +40,14 @@ SHOWN = {
     "foreign": ("foreign", "Attitude"),
 }
 """The pictures that the docs have: of which scene, which tab."""
+CROPS = {
+    "gyro-bias": {"bias-curve": (1170, 280, 1920, 880)},
+    "alignment": {"alignment-sigma": (1350, 480, 1920, 950)},
+    "allan": {"allan-gyro": (0, 190, 960, 960)},
+}
+"""Parts of them that stand alone: name, and left, upper, right, lower pixel."""
+HEADER = 37
+"""Height of the viewer's menu bar, which warns of the machine that takes the pictures."""
 COLORS = 128
 """Of a picture in the docs, which is then a quarter as large."""
 DATA = Path(os.environ.get("IMUMON_DATA", ROOT / ".." / "shared" / "data"))
@@ -134,9 +142,10 @@ def picture_name(scene: str, tab: str) -> str:
 
 
 def keep_small(picture: Path, name: str) -> None:
-    """Put a picture into the docs, with few colours."""
-    small = Image.open(picture).convert("RGB").quantize(COLORS)
-    small.save(PICTURES / f"{name}.png", optimize=True)
+    """Put a picture into the docs without the menu bar, and its crops, with few colours."""
+    whole = Image.open(picture).convert("RGB")
+    for each, box in {name: (0, HEADER, *whole.size), **CROPS.get(name, {})}.items():
+        whole.crop(box).quantize(COLORS).save(PICTURES / f"{each}.png", optimize=True)
 
 
 def main() -> int:
