@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from imumon.run.setup import Setup
 
 HOPELESS_S = 120.0
-"""Time at rest after which a bias that hides the north ends the alignment."""
+"""Time at rest after which a bias that hides the north, or what looks like one, ends the alignment."""
 LONGEST_S = 300.0
 """Longest time in one of several positions."""
 

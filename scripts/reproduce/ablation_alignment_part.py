@@ -36,7 +36,7 @@ def _tilts(neighbours: int) -> FloatArray:
     k = np.arange(len(fit.TILT_TAU_S))
     first = np.arange(len(k) - neighbours + 1)[:, None]
     chosen = (k >= first) & (k < first + neighbours)
-    return np.concatenate([np.where(chosen, sd, fit.NOTHING) for sd in fit.TILT_SD])
+    return np.concatenate([sd * chosen for sd in fit.TILT_SD])
 
 
 VARIANTS: Mapping[str, Change] = {
@@ -46,7 +46,7 @@ VARIANTS: Mapping[str, Change] = {
     "sway": [(fit, "LEFT_SHARE", -1.0)],
     "sway with fewer than 5 periods": [(fit, "MIN_PERIODS", 5.0)],
     "the record of a creep is halved": [(fit, "CREEP_ANGLE", math.inf)],
-    "warm-up": [(fit, "ANY_WARM_UP", (fit.NOTHING, ANY_WARM_UP[1]))],
+    "warm-up": [(fit, "ANY_WARM_UP", (0.0, ANY_WARM_UP[1]))],
     "settling": [(fit, "P_TILTS", 1e-9)],
     "settling: one exponential": [(fit, "TILTS", _tilts(1))],
     "settling: all exponentials": [(fit, "TILTS", _tilts(8))],

@@ -92,7 +92,7 @@ def test_gyros_that_cannot_see_the_earth_rate_give_no_north(tmp_path: Path) -> N
     assert result["observable"] is False
     assert all(estimate["heading_deg"] is None for estimate in result["estimators"].values())
     done = imumon("align", path, "--latitude", 36)
-    assert "heading not observable with this gyro" in done.stdout
+    assert "heading not observable" in done.stdout
 
 
 def test_data_that_are_too_short_say_what_is_missing(tmp_path: Path) -> None:

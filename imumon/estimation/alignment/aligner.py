@@ -1,4 +1,16 @@
-"""The alignment of one device, slot by slot: its positions, and the fits."""
+"""The alignment of one device, slot by slot: its positions, their fits, and the heading with its sigma.
+
+`stage` calls `Aligner.step` with each slot.  Of the slots that `Motion` returns as rest
+
+- the first ones begin the first position;
+- those after a motion that has not turned the unit go on in the present position; sigma has its small angle;
+- those after a turn begin a position, whose attitude is by the turn about the vertical, and else by gravity;
+- all others go on in the present position.
+
+When its time at rest has grown by a third, `fit` and then `posterior` give north anew.  Sigma is that of the
+posterior or, if larger, the distance to earlier headings in this position, or what the unit may have crept at
+a constant rate; what it has turned and crept since the fit is added.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +25,6 @@ from imumon.blocks import FloatArray
 from imumon.estimation.alignment.fit import fit_position
 from imumon.estimation.alignment.parameters import AlignmentParameters
 from imumon.estimation.alignment.position import (
-    NO_ERROR,
     SLOT_S,
     AzimuthError,
     Motion,
@@ -67,7 +78,7 @@ class Aligner:
         """Time at rest, s, north and sigma of each fit."""
         self.rest_s, self.due_s = 0.0, FIRST_FIT_S
         """Time at rest in all positions, and that at which the next fit is due."""
-        self.fitted_error = NO_ERROR
+        self.fitted_error = AzimuthError()
         """Of the present position at the last fit; what exceeds it since is added to sigma."""
         self.settled_s: float | None = None
         """Time since the first sample at which the heading settled; None if it is not settled."""
@@ -101,9 +112,9 @@ class Aligner:
         force = np.mean([slot.force for slot in rest[len(rest) // 2 :]], axis=0)
         attitude = upright(by_gyros[0], force)
         error = AzimuthError.of(turn, before.attitude[2])
-        variance = error.variance_from(NO_ERROR, self.errors.scale)
-        # By gravity both horizontal axes are off by `lean`, rad, and the vertical one may be as much: by the
-        # mean of their squares, less what the accelerometers' bias explains, before and behind the turn.
+        variance = error.variance_from(AzimuthError(), self.errors.scale)
+        # By gravity the gyros are off by `lean`, rad, about both level axes, and may be as much about the
+        # vertical: the mean of the squares, less what the accelerometers' bias explains before and behind.
         lean = (by_gyros @ attitude[2])[:2]
         by_lean = 0.5 * float(lean @ lean) - 2.0 * self.errors.accel_bias**2
         error = before.azimuth_error_now.then(error).then(AzimuthError(max(by_lean - variance, 0.0)))
@@ -129,8 +140,8 @@ class Aligner:
         return np.asarray(here @ self.motion.turn.rotation)
 
     @property
-    def _fitted(self) -> list[tuple[Position, PositionFit]]:
-        return [(position, position.fit) for position in self.positions if position.fit]
+    def _fits(self) -> list[PositionFit]:
+        return [position.fit for position in self.positions if position.fit]
 
     def _fit_position(self) -> bool:
         """Fit the present position; return whether its record allows it."""
@@ -140,17 +151,17 @@ class Aligner:
             if here.rest_s > FORGET_S:
                 here.forget_half()
             return False
-        here.azimuth_error, here.fit, here.creep_angle = here.azimuth_error_now, fit, 0.0
-        # A bias is taken to be smaller than a creep.
-        up, earth_up = here.attitude[2], EARTH_RATE * math.sin(self.latitude)
-        same = [fit for position, fit in self._fitted if position.attitude[2] @ up > SAME_UP]
+        here.azimuth_error, here.fit, here.creep_angle = fit.azimuth_error, fit, 0.0
+        white = np.median([each.white for each in self._fits])
+        self.errors = sensor_errors(math.sqrt(white), self.parameters)
+        # Positions in which the same axis is up have one bias.  It is taken to be smaller than a creep.
+        earth_up = EARTH_RATE * math.sin(self.latitude)
+        same = [other for other in self._fits if other.attitude[2] @ fit.attitude[2] > SAME_UP]
         still = min(same, key=lambda other: abs(other.vertical - earth_up))
         here.still_rate = still.vertical
         # Where the bias is larger than the creep, any of them may be the one at rest.
         largest = max(_vertical_change(fit, other) for other in same)
         self.creep_rate = max(_vertical_change(fit, still), min(abs(still.vertical - earth_up), largest))
-        white = np.median([fit.white for _, fit in self._fitted])
-        self.errors = sensor_errors(math.sqrt(white), self.parameters)
         return True
 
     def _update_heading(self) -> None:
@@ -167,9 +178,8 @@ class Aligner:
 
     def _update_posterior(self, here: Position) -> None:
         """Update the posterior by the fits of all positions, of which the present one is new."""
-        fitted = [(fit, position.azimuth_error) for position, fit in self._fitted]
-        about = self.posterior.north if self.posterior else cmath.phase(fitted[-1][0].gyro_mean)
-        new = heading_posterior(fitted, about, self.latitude, self.errors)
+        about = self.posterior.north if self.posterior else cmath.phase(self._fits[-1].gyro_mean)
+        new = heading_posterior(self._fits, about, self.latitude, self.errors)
         # What no hypothesis explains shows as a heading that changes from fit to fit.
         since_s = self.rest_s - RECENT_SHARE * here.rest_s
         recent = [north for rest_s, north, _ in self.history if rest_s >= since_s]
@@ -197,7 +207,7 @@ class Aligner:
         here = self.positions[-1]
         turning = AzimuthError.of(self.motion.turn, here.attitude[2])
         joint = self._heading_at(self.attitude, here.azimuth_error_now.then(turning))
-        found, (_, fit) = {"joint": joint}, self._fitted[-1]
+        found, fit = {"joint": joint}, self._fits[-1]
         for name, mean, factor in (("gyro_mean", fit.gyro_mean, 1.0), ("hann_mean", fit.hann_mean, 1.5)):
             heading = joint.heading + cmath.phase(mean) - self.posterior.north
             rate_sd = math.sqrt(factor * fit.white / fit.rest_s + self.posterior.rate_sd**2)

@@ -1,20 +1,19 @@
 """Rate of one position in horizontal axes, given each hypothesis about slow tilts and accelerometer drift.
 
-1. The strongest spectral line of the sway is fitted beside a slow trend, and subtracted.
-2. The rest is averaged in cells, Hann windows that overlap by half: an angle that stays bounded falls out of
-   their mean, as their sum is flat with smooth ends.  The scatter of the cells about a slow trend is their
-   noise, and a cell far beyond that is a knock.
-3. One linear regression, complex (forward + i left), of cell means of y, the horizontal rate less what the
-   tilt makes of the vertical one, and of the steps of α from cell to cell.  α, rad, is the tilt about forward
-   + i that about left; t begins with the record; (1) to (3) are in docs/alignment.md::
+A horizontal vector is complex: forward + i left.  y, rad/s, is the horizontal rate by the gyros, less what
+the tilt makes of the vertical one, and α, rad, the angle by the accelerometers: tilt about forward + i that
+about left.  t begins with the record; (1) to (3) are in docs/alignment.md::
 
-       gyros                       y = c + b + Σ A_k ds_k/dt + noise,      s_k = 1 - exp(-t/τ_k)      (4)
-       accelerometers, as angle    α = Σ A_k s_k + Σ B_j w_j + walk + noise,  w_j = 1 - exp(-t/T_j)   (5)
+    gyros            y = c + b + Σ A_k ds_k/dt + noise,              s_k = 1 - exp(-t/τ_k)      (4)
+    accelerometers   α = Σ A_k s_k + Σ B_j w_j + walk + noise,       w_j = 1 - exp(-t/T_j)      (5)
 
-The unknowns are the constant rate c + b, of earth rate and bias, and the amplitudes A of the tilt and B of
-the accelerometers' warm-up, with two real parts each.  A hypothesis is a prior of the amplitudes: the unit
-stands, or tilts by three neighbours of the τ_k; the accelerometers have warmed up, or warm up.  Mean,
-variance and evidence are closed forms; c + b has a flat prior.
+Both are linear in x = (c + b, A, B): the constant rate of earth and bias, and the amplitudes of the unit's
+tilt and of the accelerometers' warm-up.  c + b has a flat prior.  A hypothesis is a prior of the amplitudes:
+the unit stands, or tilts; the accelerometers have warmed up, or warm up.
+
+`fit_position` first subtracts a sway, the strongest spectral line.  The regression is of the means in cells,
+Hann windows that overlap by half: an angle that stays bounded falls out of them, as their sum is flat with
+smooth ends.  Their scatter about a slow trend is the noise, and a cell far beyond that is a knock.
 """
 
 from __future__ import annotations
@@ -38,8 +37,7 @@ TREND_ORDER = 5
 """Coefficients of the polynomial trend that is removed before the scatter is computed; at most a quarter of
 the used cells."""
 KNOCK = 10.0
-"""Residual, in medians of the residuals, above which a cell is rejected.  Ablation: without it, a knock that
-tilts the unit by 0.005° leaves a heading error of 1.1° after 2 minutes, not 0.01°."""
+"""Residual, in medians of the residuals, above which a cell is rejected (ablation)."""
 MIN_VARIANCE = 1e-18
 """Lower bound of the variance of a cell, (rad/s)² or rad², for readings that do not change at all."""
 CREEP_CELLS, CREEP_ANGLE, CREEP_NOISE = 12, 3e-4, 4.0
@@ -50,35 +48,14 @@ MIN_PERIODS, LEFT_SHARE = 1.5, 0.3
 tilt), and leaves this share of the variance at most: noise and knocks have power at all frequencies."""
 TILT_TAU_S = np.geomspace(5.0, 640.0, 8)
 """Time constants of a unit that tilts, as a tripod that settles, in octaves."""
-NOTHING = 1e-9
-"""rad or g: standard deviation of an amplitude that is none."""
 TILT_SD, P_TILTS = (1e-5, 1e-4, 1e-3), 0.3
 """Standard deviation of the amplitudes of a unit that tilts, rad, and the prior probability that it does.
 With 0.03 a slow tilt passes for a bias, 9 sigma off."""
-NEIGHBOURS = [np.abs(np.arange(len(TILT_TAU_S)) - middle) <= 1 for middle in range(1, len(TILT_TAU_S) - 1)]
-TILTS = np.concatenate([np.where(NEIGHBOURS, sd, NOTHING) for sd in TILT_SD])
-"""Standard deviation of each amplitude, rad, (18, 8): three neighbouring exponentials of one size."""
+TILTS = np.vstack([sd * sum(np.eye(6, 8, k) for k in range(3)) for sd in TILT_SD])
+"""Standard deviation of each amplitude, rad, (18, 8): three neighbouring exponentials of one size.  With all
+eight at once a tripod that settles by 200 µrad in 60 s is 2.7° off after 20 s, not 0.4° (rms of four)."""
 WALK = 1e-7
 """Random walk of a warmed-up accelerometer, g/√s."""
-
-
-def eliminate(
-    matrix: FloatArray, vector: FloatArray, sd: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Integrate a Gaussian over its last m unknowns, which have the prior N(0, sd²), `sd` (..., m).
-
-    Its log density is η'x - ½ x'Λx, with the `matrix` Λ (..., n, n), and the `vector` η (..., n, k) of k sets
-    of unknowns with the same Λ, such as the real parts of complex ones.  Returns Λ and η of the other
-    unknowns, and the log density of what does not depend on them, (...).
-    """
-    kept, sets = matrix.shape[-1] - sd.shape[-1], vector.shape[-1]
-    precision = matrix[..., kept:, kept:] + np.eye(sd.shape[-1]) / sd[..., None, :] ** 2
-    covariance, last = np.linalg.inv(precision), vector[..., kept:, :]
-    gain = matrix[..., :kept, kept:] @ covariance
-    log_density = 0.5 * np.sum(last * (covariance @ last), axis=(-2, -1))
-    log_density -= sets * (0.5 * np.linalg.slogdet(precision)[1] + np.log(sd).sum(axis=-1))
-    remaining = matrix[..., :kept, :kept] - gain @ matrix[..., kept:, :kept]
-    return remaining, vector[..., :kept, :] - gain @ last, log_density
 
 
 def fit_position(record: Position, latitude: float, known: KnownWarmUp | None) -> PositionFit | None:
@@ -87,34 +64,29 @@ def fit_position(record: Position, latitude: float, known: KnownWarmUp | None) -
     The latitude is in rad; a known warm-up of the accelerometers is subtracted.
     """
     valid, gyro, alpha, attitude = _horizontal(record, known)
-    n, dt = len(valid), record.row_s
-    # A tilt turns the vertical earth rate by i α into the horizontal gyros.
     y = gyro[:, 0] + 1j * gyro[:, 1] - 1j * alpha * EARTH_RATE * math.sin(latitude)
-    tilt, tilt_rate = _exponentials(n, dt, TILT_TAU_S)
-    slow = np.hstack([_trend(n, TREND_ORDER), tilt_rate])
+    n, row_s = len(valid), record.row_s
+    warm_sd, warm_tau_s = ANY_WARM_UP if known is None else known.remaining
+    y_design, alpha_design = _designs(n, row_s, np.array(warm_tau_s))
+    slow = np.hstack([_trend(n, TREND_ORDER), y_design[:, 1 : 1 + len(TILT_TAU_S)]])
     without_line, line = _without_sway(np.column_stack([y, alpha]), valid, slow)
     cells = _divide(without_line[:, 0], valid)
-    if cells is None or creeps(gyro[:, 2], valid, dt):
+    if cells is None or _creeps(gyro[:, 2], valid, row_s):
         return None
     windows, used, variance = cells
-    count, cell_s = len(used), dt * n / (len(used) + 1.0)
-    y_cells, alpha_cells = (windows @ without_line).T
-    y_mean, one = y_cells[used].mean(), np.ones((n, 1))
-    warm_sd, warm_tau_s = ANY_WARM_UP if known is None else known.remaining
-    warm, _ = _exponentials(n, dt, np.array(warm_tau_s))
+    count, cell_s = len(used), row_s * n / (len(used) + 1.0)
     correlation = np.eye(count) + OVERLAP * (np.eye(count, k=1) + np.eye(count, k=-1))
-    # (4) in the cells; x is c + b, A and B.  The amplitudes of the line are uncertain.
-    line_cells = windows[used] @ line
-    design = windows[used] @ np.hstack([one, tilt_rate, 0.0 * warm])
-    covariance = variance * correlation[np.ix_(used, used)] + line_cells @ line_cells.T
-    information = _information(design, y_cells[used] - y_mean, covariance)
-    # (5) in steps from cell to cell: in none is the constant part of α, nor a cell with a knock.
+    y_cells, alpha_cells = (windows @ without_line).T
+    # Λ and η of x by (4) in the cells, where the amplitudes of the line are uncertain,
+    y_mean, line_cells = y_cells[used].mean(), windows[used] @ line
+    noise = variance * correlation[np.ix_(used, used)] + line_cells @ line_cells.T
+    information = _information(windows[used] @ y_design, y_cells[used] - y_mean, noise)
+    # and by (5) in steps from cell to cell: in none is the constant part of α, nor a cell with a knock.
     alpha_variance, alpha_used, _ = _scatter(alpha_cells, used, TREND_ORDER)
     steps = np.diff(np.eye(count), axis=0)[alpha_used[1:] & alpha_used[:-1]]
-    design = steps @ windows @ np.hstack([0.0 * one, tilt, warm])
-    covariance = alpha_variance * steps @ correlation @ steps.T + WALK**2 * cell_s * np.eye(len(steps))
-    information += _information(design, steps @ alpha_cells, covariance)
-    log_weight, rate, rate_variance = _given_each_hypothesis(information, warm_sd, len(warm_tau_s))
+    noise = alpha_variance * steps @ correlation @ steps.T + WALK**2 * cell_s * np.eye(len(steps))
+    information += _information(steps @ windows @ alpha_design, steps @ alpha_cells, noise)
+    log_weight, rate, rate_variance = _constant_rate(information, *_hypotheses(warm_sd, len(warm_tau_s)))
     up_cells = windows @ gyro[:, 2]
     up_variance, up_used, _ = _scatter(up_cells, used, 1)
     return PositionFit(
@@ -123,8 +95,9 @@ def fit_position(record: Position, latitude: float, known: KnownWarmUp | None) -
         variance=rate_variance,
         vertical=float(up_cells[up_used].mean()),
         vertical_variance=(1.0 + 2.0 * OVERLAP) * up_variance / float(up_used.sum()),
-        white=min(variance, up_variance) * dt / float(np.sum(windows[0] ** 2)),
+        white=min(variance, up_variance) * row_s / float(np.sum(windows[0] ** 2)),
         attitude=attitude,
+        azimuth_error=record.azimuth_error_now,
         gyro_mean=complex(y[valid].mean()),
         hann_mean=complex(np.hanning(valid.sum()) @ y[valid]),
         rest_s=record.rest_s,
@@ -134,10 +107,9 @@ def fit_position(record: Position, latitude: float, known: KnownWarmUp | None) -
 def _horizontal(
     record: Position, known: KnownWarmUp | None
 ) -> tuple[BoolArray, FloatArray, ColumnArray, FloatArray]:
-    """Return the rows of a position in horizontal axes, and these axes.
+    """Return which rows have samples, (n,), the gyros in horizontal axes, (n, 3), α, (n,), and these axes.
 
-    These are which rows have samples, (n,), the gyros, rad/s, (n, 3), α, rad, (n,), and the attitude from
-    body axes by the mean specific force, (3, 3).
+    They are the attitude from body axes by the mean specific force, (3, 3).
     """
     valid, means = record.rows()
     force = means[:, 3:] / STANDARD_GRAVITY
@@ -149,101 +121,7 @@ def _horizontal(
     return valid, means[:, :3] @ attitude.T, np.where(valid, force[:, 1] - 1j * force[:, 0], 0.0), attitude
 
 
-def _exponentials(n: int, row_s: float, tau_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return mean and rate of change, 1/s, of 1 - exp(-t/τ) in each row, (n, len(tau_s)) each."""
-    ends = -np.expm1(-row_s * np.arange(n + 1.0)[:, None] / tau_s)
-    return 0.5 * (ends[1:] + ends[:-1]), np.diff(ends, axis=0) / row_s
-
-
-def _information(design: FloatArray, data: ColumnArray, covariance: FloatArray) -> FloatArray:
-    """Return Λ and η, (k, k + 2), of complex data (m,) = design (m, k) x + noise in each part."""
-    weighted = np.linalg.solve(covariance, design).T
-    return np.asarray(weighted @ np.column_stack([design, data.real, data.imag]))
-
-
-def _given_each_hypothesis(
-    information: FloatArray, warm_sd: float, warm_ups: int
-) -> tuple[FloatArray, ColumnArray, FloatArray]:
-    """Return log weight, mean rate, rad/s, and variance of each part of 38 hypotheses, by Λ and η.
-
-    The unit stands, or tilts, with accelerometers that have warmed up, and that warm up; the prior
-    probability of the latter is one half.
-    """
-    prior = np.r_[1.0 - P_TILTS, np.full(len(TILTS), P_TILTS / len(TILTS))]
-    tilt = np.vstack([np.full((1, len(TILT_TAU_S)), NOTHING), TILTS])
-    warm = np.repeat([NOTHING, warm_sd], len(prior))[:, None] * np.ones(warm_ups)
-    sd = np.hstack([np.tile(tilt, (2, 1)), warm])
-    precision, of_rate, evidence = eliminate(information[:, :-2], information[:, -2:], sd)
-    variance = 1.0 / precision[:, 0, 0]
-    mean = of_rate[:, 0, :] * variance[:, None]
-    evidence += 0.5 * np.sum(mean**2, axis=1) / variance + np.log(variance) + np.log(np.tile(prior, 2))
-    return evidence, mean @ np.array([1.0, 1j]), variance
-
-
-def _cells(valid: BoolArray, count: int) -> tuple[FloatArray, BoolArray] | None:
-    """Return Hann windows that overlap by half, (count, n), and which have all rows; None if too few have.
-
-    Each sums to one.
-    """
-    n = len(valid)
-    row = (np.arange(n) + 0.5) * ((count + 1) / n)
-    from_middle = np.minimum(np.abs(row - np.arange(1, count + 1)[:, None]), 1.0)
-    windows = 1.0 + np.cos(np.pi * from_middle)
-    used = windows @ ~valid == 0.0
-    if n < 2 * (count + 1) or used.sum() < MIN_CELLS:
-        return None
-    return windows / windows.sum(axis=1, keepdims=True), used
-
-
-def _divide(y: ColumnArray, valid: BoolArray) -> tuple[FloatArray, BoolArray, float] | None:
-    """Return the division into cells with the smallest variance of the mean; None if the record is too short.
-
-    It has the weights of the rows in each cell, (J, n), which cells have all rows and no knock, (J,), and the
-    variance of each part of a cell.  Longer cells suppress more sway, but estimate the noise from fewer
-    degrees of freedom ν: they must be better by the standard deviation √(2/ν) of that estimate.
-    """
-    best, smallest = None, math.inf
-    for cells in (_cells(valid, count) for count in CELLS):
-        if cells is not None:
-            windows, used = cells
-            variance, used, freedom = _scatter(windows @ y, used, TREND_ORDER)
-            of_mean = variance / float(used.sum())
-            if of_mean * (1.0 + math.sqrt(2.0 / freedom)) < smallest:
-                best, smallest = (windows, used, variance), of_mean
-    return best
-
-
-def _scatter(values: ColumnArray, used: BoolArray, order: int) -> tuple[float, BoolArray, float]:
-    """Return the variance of cells about a trend, those used without knocks, and the degrees of freedom.
-
-    `values` (cells,) are real, or complex with the same variance in both parts.
-    """
-    basis, square = _trend(len(values), max(1, min(order, int(used.sum()) // 4))), np.zeros(len(values))
-    for _ in range(3):  # a knock hides smaller ones
-        square = np.abs(values - basis @ np.linalg.lstsq(basis[used], values[used], rcond=None)[0]) ** 2
-        used = used & (square <= KNOCK**2 * np.median(square[used]) + MIN_VARIANCE)
-    freedom = (2.0 if np.iscomplexobj(values) else 1.0) * max(int(used.sum()) - basis.shape[1], 0.5)
-    # The mean of a scaled inverse chi squared.
-    return max(float(square[used].sum()) / max(freedom - 2.0, 1.0), MIN_VARIANCE), used, freedom
-
-
-def _trend(n: int, order: int) -> FloatArray:
-    """Return the first Chebyshev polynomials over n points, (n, order)."""
-    return np.asarray(np.polynomial.chebyshev.chebvander((np.arange(n) + 0.5) / n * 2.0 - 1.0, order - 1))
-
-
-def _amplitudes(columns: FloatArray, data: ColumnArray, valid: BoolArray) -> ColumnArray:
-    """Return the least-squares solution over the valid rows.
-
-    The slow columns are almost dependent.  The weak prior keeps them from following a sway all the same.
-    """
-    columns = columns[valid]
-    normal = columns.T @ columns
-    normal.flat[:: len(normal) + 1] *= 1.0 + 1e-9
-    return np.asarray(np.linalg.solve(normal, columns.T @ data[valid]))
-
-
-def creeps(vertical: FloatArray, valid: BoolArray, row_s: float) -> bool:
+def _creeps(vertical: FloatArray, valid: BoolArray, row_s: float) -> bool:
     """Return whether the vertical gyro, rad/s, (n,), shows a slow turn at a rate that changes."""
     cells = _cells(valid, CREEP_CELLS)
     if cells is None:
@@ -285,3 +163,127 @@ def _strongest_periods(y: ColumnArray) -> float:
     axes = np.column_stack([y.real, y.imag]) * np.hanning(n + 2)[1:-1, None]
     power = np.sum(np.abs(np.fft.rfft(axes, bins, axis=0)) ** 2, axis=1)[least : bins // 2]
     return (least + int(np.argmax(power))) * (n - 1) / bins
+
+
+def _amplitudes(columns: FloatArray, data: ColumnArray, valid: BoolArray) -> ColumnArray:
+    """Return the least-squares solution over the valid rows.
+
+    The slow columns are almost dependent.  The weak prior keeps them from following a sway all the same.
+    """
+    columns = columns[valid]
+    normal = columns.T @ columns
+    normal.flat[:: len(normal) + 1] *= 1.0 + 1e-9
+    return np.asarray(np.linalg.solve(normal, columns.T @ data[valid]))
+
+
+def _divide(y: ColumnArray, valid: BoolArray) -> tuple[FloatArray, BoolArray, float] | None:
+    """Return the division into cells with the smallest variance of the mean; None if the record is too short.
+
+    It has the weights of the rows in each cell, (J, n), which cells have all rows and no knock, (J,), and the
+    variance of each part of a cell.  Longer cells suppress more sway, but estimate the noise from fewer
+    degrees of freedom ν: they must be better by the standard deviation √(2/ν) of that estimate.
+    """
+    best, smallest = None, math.inf
+    for windows, whole in filter(None, (_cells(valid, count) for count in CELLS)):
+        variance, used, freedom = _scatter(windows @ y, whole, TREND_ORDER)
+        of_mean = variance / float(used.sum())
+        if of_mean * (1.0 + math.sqrt(2.0 / freedom)) < smallest:
+            best, smallest = (windows, used, variance), of_mean
+    return best
+
+
+def _cells(valid: BoolArray, count: int) -> tuple[FloatArray, BoolArray] | None:
+    """Return Hann windows that overlap by half, (count, n), and which have all rows; None if too few have.
+
+    Each sums to one.
+    """
+    n = len(valid)
+    row = (np.arange(n) + 0.5) * ((count + 1) / n)
+    from_middle = np.minimum(np.abs(row - np.arange(1, count + 1)[:, None]), 1.0)
+    windows = 1.0 + np.cos(np.pi * from_middle)
+    used = windows @ ~valid == 0.0
+    if n < 2 * (count + 1) or used.sum() < MIN_CELLS:
+        return None
+    return windows / windows.sum(axis=1, keepdims=True), used
+
+
+def _scatter(values: ColumnArray, used: BoolArray, order: int) -> tuple[float, BoolArray, float]:
+    """Return the variance of cells about a trend, those used without knocks, and the degrees of freedom.
+
+    `values` (cells,) are real, or complex with the same variance in both parts.
+    """
+    basis, square = _trend(len(values), max(1, min(order, int(used.sum()) // 4))), np.zeros(len(values))
+    for _ in range(3):  # a knock hides smaller ones
+        square = np.abs(values - basis @ np.linalg.lstsq(basis[used], values[used], rcond=None)[0]) ** 2
+        used = used & (square <= KNOCK**2 * np.median(square[used]) + MIN_VARIANCE)
+    freedom = (2.0 if np.iscomplexobj(values) else 1.0) * max(int(used.sum()) - basis.shape[1], 0.5)
+    # The mean of a scaled inverse chi squared.
+    return max(float(square[used].sum()) / max(freedom - 2.0, 1.0), MIN_VARIANCE), used, freedom
+
+
+def _trend(n: int, order: int) -> FloatArray:
+    """Return the first Chebyshev polynomials over n points, (n, order)."""
+    return np.asarray(np.polynomial.chebyshev.chebvander((np.arange(n) + 0.5) / n * 2.0 - 1.0, order - 1))
+
+
+def _designs(n: int, row_s: float, warm_tau_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the design matrices of (4) and (5): y = D x, α = D x in each row, (n, k)."""
+    (tilt, tilt_rate), (warm, _) = (_exponentials(n, row_s, tau_s) for tau_s in (TILT_TAU_S, warm_tau_s))
+    one = np.ones((n, 1))
+    return np.hstack([one, tilt_rate, 0.0 * warm]), np.hstack([0.0 * one, tilt, warm])
+
+
+def _exponentials(n: int, row_s: float, tau_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return mean and rate of change, 1/s, of 1 - exp(-t/τ) in each row, (n, len(tau_s)) each."""
+    ends = -np.expm1(-row_s * np.arange(n + 1.0)[:, None] / tau_s)
+    return 0.5 * (ends[1:] + ends[:-1]), np.diff(ends, axis=0) / row_s
+
+
+def _information(design: FloatArray, data: ColumnArray, covariance: FloatArray) -> FloatArray:
+    """Return Λ and η, (k, k + 2), of complex data (m,) = design (m, k) x + noise in each part."""
+    weighted = np.linalg.solve(covariance, design).T
+    return np.asarray(weighted @ np.column_stack([design, data.real, data.imag]))
+
+
+def _hypotheses(warm_sd: float, warm_ups: int) -> tuple[FloatArray, FloatArray]:
+    """Return the standard deviations of A and B in each hypothesis, (38, k), and its probability, (38,).
+
+    The unit stands, or tilts, with accelerometers that have warmed up, and that warm up, half of each.
+    """
+    prior = np.r_[1.0 - P_TILTS, np.full(len(TILTS), P_TILTS / len(TILTS))]
+    tilt = np.vstack([np.zeros(len(TILT_TAU_S)), TILTS])
+    warm = np.outer(np.repeat([0.0, warm_sd], len(tilt)), np.ones(warm_ups))
+    return np.hstack([np.tile(tilt, (2, 1)), warm]), np.tile(prior, 2)
+
+
+def _constant_rate(
+    information: FloatArray, sd: FloatArray, prior: FloatArray
+) -> tuple[FloatArray, ColumnArray, FloatArray]:
+    """Return log weight, mean of c + b, rad/s, and variance of each of its parts, by Λ and η of x."""
+    precision, of_rate, log_weight = eliminate(information[:, :-2], information[:, -2:], sd)
+    variance = 1.0 / precision[:, 0, 0]
+    mean = of_rate[:, 0, :] * variance[:, None]
+    log_weight += 0.5 * np.sum(mean**2, axis=1) / variance + np.log(variance) + np.log(prior)
+    return log_weight, mean @ np.array([1.0, 1j]), variance
+
+
+def eliminate(
+    matrix: FloatArray, vector: FloatArray, sd: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Integrate a Gaussian over its last m unknowns, which have the prior N(0, sd²), `sd` (..., m).
+
+    Its log density is η'x - ½ x'Λx, with the `matrix` Λ (..., n, n), and the `vector` η (..., n, k) of k sets
+    of unknowns with the same Λ, such as the real parts of complex ones.  Returns Λ and η of the other
+    unknowns, and the log density of what does not depend on them, (...).
+    """
+    kept = matrix.shape[-1] - sd.shape[-1]
+    last = vector[..., kept:, :]
+    # With S = diag(sd) the covariance (Λ + S⁻²)⁻¹ is S (1 + S Λ S)⁻¹ S.
+    scale = sd[..., :, None] * sd[..., None, :]
+    ratio = np.eye(sd.shape[-1]) + scale * matrix[..., kept:, kept:]
+    covariance = scale * np.linalg.inv(ratio)
+    gain = matrix[..., :kept, kept:] @ covariance
+    log_density = 0.5 * np.sum(last * (covariance @ last), axis=(-2, -1))
+    log_density -= 0.5 * vector.shape[-1] * np.linalg.slogdet(ratio)[1]
+    remaining = matrix[..., :kept, :kept] - gain @ matrix[..., kept:, :kept]
+    return remaining, vector[..., :kept, :] - gain @ last, log_density

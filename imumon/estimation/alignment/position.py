@@ -1,6 +1,7 @@
 """Which slots are rest and which are turns, and the record of a rest in one attitude.
 
-A turn is integrated from the gyros, sample by sample (`imumon.filters.turns`), less their rate at rest.  The
+`aligner` has one `Motion` and a list of `Position`; `fit` makes a `PositionFit` of the rows of one.  A turn
+is integrated from the gyros, sample by sample (`imumon.filters.turns`), less their rate at rest.  The
 reference frame is forward, left and up of the first position.
 """
 
@@ -45,35 +46,6 @@ class Slot(NamedTuple):
     force: FloatArray
 
 
-class PositionFit(NamedTuple):
-    """Rate of one position given each of h hypotheses, in horizontal axes, complex: forward + i left.
-
-    `log_weight` (h,) is that of prior and evidence; `rate` (h,) earth rate and bias, rad/s, with the variance
-    of each part; `vertical` is the vertical gyro, rad/s, and `white` the white noise, (rad/s)²/Hz, of the
-    quieter of both horizontal gyros together and the vertical one; `attitude` (3, 3) is from body axes.
-    `gyro_mean` and `hann_mean` have the directions of plain and Hann-weighted mean over `rest_s`, s.
-    """
-
-    log_weight: FloatArray
-    rate: ColumnArray
-    variance: FloatArray
-    vertical: float
-    vertical_variance: float
-    white: float
-    attitude: FloatArray
-    gyro_mean: complex
-    hann_mean: complex
-    rest_s: float
-
-    def averaged(self) -> PositionFit:
-        """Return the fit with one hypothesis that has the mean and the variance of all."""
-        weight = np.exp(self.log_weight - self.log_weight.max())
-        weight /= weight.sum()
-        mean = weight @ self.rate
-        variance = weight @ (self.variance + 0.5 * np.abs(self.rate - mean) ** 2)
-        return self._replace(log_weight=np.zeros(1), rate=np.array([mean]), variance=np.array([variance]))
-
-
 class AzimuthError(NamedTuple):
     """What may be wrong with the angle about the vertical by which the gyros have turned a unit.
 
@@ -101,7 +73,34 @@ class AzimuthError(NamedTuple):
         return abs(self.variance - other.variance) + by_scale
 
 
-NO_ERROR = AzimuthError()
+class PositionFit(NamedTuple):
+    """Rate of one position given each of h hypotheses, in horizontal axes, complex: forward + i left.
+
+    `log_weight` (h,) is that of prior and evidence; `rate` (h,) earth rate and bias, rad/s, with the variance
+    of each part; `vertical` is the vertical gyro, rad/s, and `white` the white noise, (rad/s)²/Hz, of the
+    quieter of both horizontal gyros together and the vertical one; `attitude` (3, 3) is from body axes.
+    `gyro_mean` and `hann_mean` have the directions of plain and Hann-weighted mean over `rest_s`, s.
+    """
+
+    log_weight: FloatArray
+    rate: ColumnArray
+    variance: FloatArray
+    vertical: float
+    vertical_variance: float
+    white: float
+    attitude: FloatArray
+    azimuth_error: AzimuthError
+    gyro_mean: complex
+    hann_mean: complex
+    rest_s: float
+
+    def averaged(self) -> PositionFit:
+        """Return the fit with one hypothesis that has the mean and the variance of all."""
+        weight = np.exp(self.log_weight - self.log_weight.max())
+        weight /= weight.sum()
+        mean = weight @ self.rate
+        variance = weight @ (self.variance + 0.5 * np.abs(self.rate - mean) ** 2)
+        return self._replace(log_weight=np.zeros(1), rate=np.array([mean]), variance=np.array([variance]))
 
 
 @dataclass
@@ -118,7 +117,7 @@ class Position:
 
     begun_s: float
     attitude: FloatArray
-    azimuth_error: AzimuthError = NO_ERROR
+    azimuth_error: AzimuthError = field(default_factory=AzimuthError)
     ordinal: int = 1
     still_rate: float = math.nan
     """Of the vertical gyro without a creep, rad/s; NaN before a fit with the same axis up."""
@@ -187,7 +186,11 @@ def direction_of(attitude: FloatArray) -> float:
 
 
 class Motion:
-    """The motion detector: which slots are rest, and how the unit has turned in between."""
+    """The motion detector: which slots are rest, and how the unit has turned in between.
+
+    A slot is calm if its rate is within `limit` of `rest_rate`.  Without a motion, a calm slot is rest, and
+    another begins a motion; a motion ends with 2 s of calm.  The first rest has its own conditions.
+    """
 
     def __init__(self) -> None:
         self.rest_rate = np.full(3, np.nan)

@@ -1,7 +1,8 @@
 """The heading from all positions: a mixture over hypotheses and sizes of the gyros' bias.
 
-Rates are in the reference frame (forward, left and up of the first position).  In position p, with the
-attitude C_p from body axes, the earth rate ω = Ω (cos L z, sin L), and the direction of north z::
+`aligner` calls `heading_posterior` with the fits of all positions.  Rates are in the reference frame
+(forward, left and up of the first position).  There the earth rate ω is Ω (cos L z, sin L), with the
+direction of north z, a level unit vector.  A fit has the rates w_p of a position with the attitude C_p::
 
     w_p = ω + C_p (b + E C_pᵀ ω) + ω × (u × C_p β) + flicker + noise    u up                     (6)
     z'  = z + (Σ T_ij E_ij + N(0, v)) J z                               a turn; J turns by 90°   (7)
@@ -12,10 +13,12 @@ and v the variance of a turn by all else; it is added to both parts of z, so tha
 linear, stays harmless.  Where z multiplies an error, it is that of the fit before.  In (6)
 E counts only if its size is declared.
 
-So w_p is linear in x = (z, b, E, β) and Gaussian.  E and β have one size, and are eliminated for each
-hypothesis about tilts and warm-up.  Then b ~ N(0, s²) is, too, for each hypothesis and size s.  What is left,
-η'z - ½ z'Λz, is the log density on the circle: a von Mises distribution where Λ is isotropic, and a
-generalised one (Gatto and Jammalamadaka 2007) where one gyro is worse than the others.
+So w_p is linear in x = (z, b, E, β), by `_design`, and Gaussian.  The log density of x is η'x - ½ x'Λx: each
+position adds to Λ and η, and each turn changes them (`_behind_turn`).  E and β have one size, and are
+eliminated for each hypothesis about tilts and warm-up.  Then b ~ N(0, s²) is, too, for each hypothesis and
+size s.  What is left, η'z - ½ z'Λz, is the log density on the circle: a von Mises distribution where Λ is
+isotropic, and a generalised one (Gatto and Jammalamadaka 2007) where one gyro is worse than the others.
+`peaks` finds its maxima, and the heading is the mean of all by weight.
 
 The sizes of the errors are declared, or by a regression on the gyros' noise over the data sheets of
 docs/appendix/alignment-details.md.  Declare those of a better unit: for gyros with 0.001 °/√h, 0.0014 °/h,
@@ -45,8 +48,6 @@ least (0.002 °/√h); at most the earth rate."""
 GYRO_SCALE, ACCEL_BIAS, ERROR_POWER, MOST_ERROR = 3e-4, 7.5e-4, 1.4, 100.0
 """Scale factor and misalignment of a gyro, and bias of an accelerometer, g, of gyros with 0.1 °/√h at most;
 of others they grow with this power of the ratio, up to 100 times."""
-LEAST_SD = 1e-9
-"""Of E and β: a declared error of zero has no logarithm."""
 LOG_SIZES, LOG_SIZE_SD = np.linspace(-4.0, 4.0, 9), 1.5
 """Logarithms of the sizes of a bias over that of the regression, and their standard deviation."""
 AXES = np.array(list(product([0.0, 1.0], repeat=3)))[1:]
@@ -85,7 +86,7 @@ def sensor_errors(arw: float, parameters: AlignmentParameters) -> SensorErrors:
     bias = min(GYRO_BIAS * max(ratio, LEAST_ARW) ** BIAS_POWER, EARTH_RATE)
     alike, share, p_worse = bias * np.exp(LOG_SIZES), np.exp(-0.5 * (LOG_SIZES / LOG_SIZE_SD) ** 2), P_WORSE
     if parameters.gyro_bias_sd_deg_per_h is not None:
-        declared = max(parameters.gyro_bias_sd_deg_per_h * DEG_PER_H, 1e-11)  # zero has no logarithm
+        declared = parameters.gyro_bias_sd_deg_per_h * DEG_PER_H
         alike, share = np.array([declared]), np.ones(1)
         bias, p_worse = max(bias, declared), P_WORSE_THAN_DECLARED
     poorer = min(max(ratio, 1.0) ** ERROR_POWER, MOST_ERROR)
@@ -116,14 +117,14 @@ class HeadingPosterior(NamedTuple):
 
 
 def heading_posterior(
-    positions: Sequence[tuple[PositionFit, AzimuthError]], about: float, latitude: float, errors: SensorErrors
+    fits: Sequence[PositionFit], about: float, latitude: float, errors: SensorErrors
 ) -> HeadingPosterior:
     """Return the heading at a latitude, rad, by the last position and the averaged fits of those before.
 
     `about` is the direction of north, rad, that multiplies E and β.
     """
-    matrix, vector, log_density = _linear_model(positions, about, latitude, errors)
-    of_e_and_beta = np.maximum(np.repeat([errors.scale, errors.accel_bias], [9, 3]), LEAST_SD)
+    matrix, vector, log_density = _linear_model(fits, about, latitude, errors)
+    of_e_and_beta = np.repeat([errors.scale, errors.accel_bias], [9, 3])
     matrix, vector, log_factor = eliminate(matrix, vector, of_e_and_beta)
     log_density = (log_density + log_factor)[:, None]
     matrix, vector, log_factor = eliminate(matrix[:, None], vector[:, None], errors.sizes)
@@ -140,48 +141,59 @@ def heading_posterior(
     within = np.minimum(-2.0 * np.log(np.maximum(resultant, 1e-9)), ANY_ANGLE_SD**2)
     off = np.remainder(angle - north + np.pi, 2.0 * np.pi) - np.pi
     size = index % len(errors.sizes)
-    by_bias = mass @ np.mean(errors.sizes**2, axis=1)[size]
-    by_others = EARTH_RATE * math.hypot(
-        errors.scale * errors.scale_declared, errors.accel_bias * math.sin(latitude)
-    )
+    by_bias = math.sqrt(mass @ np.mean(errors.sizes**2, axis=1)[size])
+    by_scale, by_lean = errors.scale * errors.scale_declared, errors.accel_bias * math.sin(latitude)
     return HeadingPosterior(
         north=north,
-        sd=min(math.sqrt(mass @ (within + off**2)), ANY_ANGLE_SD),
-        rate_sd=math.hypot(math.sqrt(by_bias), by_others),
+        sd=math.sqrt(mass @ (within + off**2)),
+        rate_sd=math.hypot(by_bias, EARTH_RATE * math.hypot(by_scale, by_lean)),
         worse=float(mass @ (size >= len(errors.sizes) - len(WORSE))),
     )
 
 
 def _linear_model(
-    positions: Sequence[tuple[PositionFit, AzimuthError]], about: float, latitude: float, errors: SensorErrors
+    fits: Sequence[PositionFit], about: float, latitude: float, errors: SensorErrors
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return Λ and η of x given each hypothesis, (h, 17, 17) and (h, 17, 1), and its log weight."""
-    north, up = np.array([math.cos(about), math.sin(about)]), np.array([0.0, 0.0, 1.0])
-    horizontal, vertical = EARTH_RATE * math.cos(latitude), EARTH_RATE * math.sin(latitude)
-    earth = np.array([*(horizontal * north), vertical])
-    tilted = np.outer(up, earth) - vertical * np.eye(3)  # times the horizontal part of β: ω x (u x β)
+    north, vertical = np.array([math.cos(about), math.sin(about)]), EARTH_RATE * math.sin(latitude)
     matrix, vector = np.zeros((1, 17, 17)), np.zeros((1, 17, 1))
-    log_density = positions[-1][0].log_weight
-    before = positions[0][1]
-    for fit, error in positions:
-        back = np.eye(17)  # x before the turn, by x after it; E is x[5:14]
-        back[:2, 5:14] = np.outer([north[1], -north[0]], error.by_scale - before.by_scale)
-        matrix, vector = back.T @ matrix @ back, back.T @ vector
-        # The noise of the turn, (7), in information form.
-        gain = abs(error.variance - before.variance) * matrix[..., :2]
-        gain = gain @ np.linalg.inv(np.eye(2) + gain[..., :2, :])
-        matrix, vector = matrix - gain @ matrix[..., :2, :], vector - gain @ vector[..., :2, :]
-        before, one = error, np.ones(len(fit.rate))
+    log_density, before = fits[-1].log_weight, fits[0].azimuth_error
+    for fit in fits:
+        matrix, vector = _behind_turn(matrix, vector, before, fit.azimuth_error, north)
+        before, one = fit.azimuth_error, np.ones(len(fit.rate))
+        # Less the vertical earth rate, which is known.
         observed = np.column_stack([fit.rate.real, fit.rate.imag, (fit.vertical - vertical) * one])
         variances = np.column_stack([fit.variance, fit.variance, fit.vertical_variance * one])
         weight = 1.0 / (variances + errors.flicker**2)
-        body = fit.attitude
-        by_scale_at_rest = errors.scale_declared * np.kron(body, body.T @ earth)
-        design = np.hstack([horizontal * np.eye(3, 2), body, by_scale_at_rest, tilted @ body])
+        design = _design(fit.attitude, north, latitude, errors.scale_declared)
         weighted = design.T * weight[:, None, :]
         matrix, vector = matrix + weighted @ design, vector + weighted @ observed[:, :, None]
         log_density = log_density - 0.5 * np.sum(weight * observed**2 - np.log(weight), axis=1)
     return matrix, vector, log_density
+
+
+def _design(attitude: FloatArray, north: FloatArray, latitude: float, with_scale: bool) -> FloatArray:
+    """Return the design matrix of (6), (3, 17): w_p less the vertical earth rate is that times x.
+
+    `attitude` is C_p, and `north` (2,) the z that multiplies E and β.
+    """
+    horizontal, vertical = EARTH_RATE * math.cos(latitude), EARTH_RATE * math.sin(latitude)
+    earth = np.array([*(horizontal * north), vertical])
+    by_scale = with_scale * np.kron(attitude, attitude.T @ earth)
+    by_lean = np.outer([0.0, 0.0, 1.0], earth) - vertical * np.eye(3)  # ω × (u × v) = u (ω v) - v (ω u)
+    return np.hstack([horizontal * np.eye(3, 2), attitude, by_scale, by_lean @ attitude])
+
+
+def _behind_turn(
+    matrix: FloatArray, vector: FloatArray, before: AzimuthError, behind: AzimuthError, north: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return Λ and η of x behind the turn (7) from those before it, in information form."""
+    back = np.eye(17)  # x before the turn, by x after it; E is x[5:14]
+    back[:2, 5:14] = np.outer([north[1], -north[0]], behind.by_scale - before.by_scale)
+    matrix, vector = back.T @ matrix @ back, back.T @ vector
+    gain = (behind.variance - before.variance) * matrix[..., :2]
+    gain = gain @ np.linalg.inv(np.eye(2) + gain[..., :2, :])
+    return matrix - gain @ matrix[..., :2, :], vector - gain @ vector[..., :2, :]
 
 
 def peaks(matrix: FloatArray, vector: FloatArray) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:

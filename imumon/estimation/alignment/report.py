@@ -84,8 +84,7 @@ class Status(NamedTuple):
         """The heading with its sigma, or the reason why there is none."""
         if self.observable:
             return f"{math.degrees(self.shown.heading):.3f}° ± {math.degrees(self.shown.sd):.3f}°"
-        known = self.estimates and self.rest_s > NOT_OBSERVABLE_S
-        return "heading not observable with this gyro" if known else "no heading yet"
+        return "heading not observable" if self.phase == "not observable" else "no heading yet"
 
     @property
     def to_go_text(self) -> str:
@@ -98,5 +97,5 @@ class Status(NamedTuple):
         if phase in ("waiting", "settled"):
             return phase
         if math.isinf(self.remaining_s):
-            return f"{wanted} not in reach with the bias of these sensors"
+            return f"{wanted} not in reach: bias of the sensors, or slow motion of the unit"
         return f"about {self.remaining_s:.0f} s to {wanted}"

@@ -170,8 +170,7 @@ class Alignment:
     def lanes(self) -> Mapping[str, LaneState]:
         """Return the state of the alignment, and the source of the heading shown."""
         phase, by = self.status.phase, "joint fit" if self.status.observable else "none yet"
-        text = phase.replace("observable", "observable with this gyro")
-        return {"alignment": LaneState(text, LEVELS.get(phase, Level.PLAIN)), "heading by": LaneState(by)}
+        return {"alignment": LaneState(phase, LEVELS.get(phase, Level.PLAIN)), "heading by": LaneState(by)}
 
     def charts(self) -> Sequence[Chart]:
         """Return sigma against time."""
@@ -187,11 +186,10 @@ class Alignment:
 
     def notices(self) -> list[str]:
         """Return, once each, motions and restarts, and conditions that limit the heading."""
-        texts = self._events.copy()
+        texts = self._events + [text for text in self._conditions() if text not in self._reported]
         self._events.clear()
-        new = [text for text in self._conditions() if text not in self._reported]
-        self._reported.update(new)
-        return texts + new
+        self._reported.update(texts)
+        return texts
 
     def _conditions(self) -> Iterator[str]:
         status, posterior = self.status, self._aligner.posterior
@@ -199,8 +197,8 @@ class Alignment:
         horizontal = self._aligner.earth_horizontal / DEG_PER_H
         if status.phase == "not observable":
             yield (
-                "heading not observable with this gyro: its bias is not small beside the earth's horizontal "
-                f"rate of {horizontal:.1f} °/h; a turn by half a circle, and a rest, separate them"
+                "heading not observable: the gyros' bias is not small beside the earth's horizontal rate of "
+                f"{horizontal:.1f} °/h, or the unit sways, tilts or creeps; half a turn separates the bias"
             )
         if not declared and status.positions == 1 and status.phase in ("aligning", "settled"):
             yield (

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.special import i0e
 
+from imumon.estimation.alignment.fit import eliminate
 from imumon.estimation.alignment.posterior import peaks
 
 AROUND = np.linspace(0.0, 2.0 * np.pi, 1441)
@@ -53,3 +54,20 @@ def test_of_two_peaks_close_together_both_are_found(apart_deg: float, axis_deg: 
     off = np.angle(np.exp(1j * (angle - axis)))
     np.testing.assert_allclose(np.sort(off), [-half, half], atol=1e-6)
     assert height[0] == pytest.approx(height[1])
+
+
+def test_an_unknown_with_a_prior_is_integrated_and_one_that_is_zero_is_left_out() -> None:
+    rng = np.random.default_rng(1)
+    design, sd = rng.normal(size=(9, 4)), np.array([[0.5, 2.0], [0.0, 2.0], [0.0, 0.0]])
+    matrix, vector = design.T @ design, design.T @ rng.normal(size=(9, 1))
+    given, vectors, log_density = eliminate(matrix, vector, sd)
+    # What is left of the covariance of all unknowns, and of their mean.
+    covariance = np.linalg.inv(matrix + np.diag([0.0, 0.0, *sd[0] ** -2.0]))
+    np.testing.assert_allclose(np.linalg.inv(given[0]), covariance[:2, :2])
+    np.testing.assert_allclose(np.linalg.solve(given[0], vectors[0]), (covariance @ vector)[:2])
+    np.testing.assert_allclose(given[2], matrix[:2, :2])
+    assert log_density[2] == 0.0
+    first = [0, 1, 3]
+    alone = eliminate(matrix[np.ix_(first, first)], vector[first], np.array([2.0]))
+    for found, expected in zip((given[1], vectors[1], log_density[1]), alone, strict=True):
+        np.testing.assert_allclose(found, expected)

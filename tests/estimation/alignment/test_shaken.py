@@ -10,6 +10,7 @@ import pytest
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.geodesy import STANDARD_GRAVITY
 from tests.estimation.alignment.units import aligned, error_deg, samples, scenario
+from tests.lanes import texts
 
 ARW, RATE_HZ, DISTURBED_S = 1e-3, 50.0, 120.0
 
@@ -126,3 +127,14 @@ def test_a_sway_faster_than_the_motion_limit_becomes_rest() -> None:
     assert status.estimates
     assert math.degrees(status.shown.sd) < 0.3
     assert abs(error_deg(status.shown.heading, 30.0)) < 4.0 * math.degrees(status.shown.sd)
+
+
+def test_a_heading_that_a_sway_hides_is_not_blamed_on_the_gyros_alone() -> None:
+    # Less than two periods in the record.
+    sway = 2e-3 * np.sin(2.0 * math.pi * 0.01 * _time(140.0))
+    stage, _ = aligned(_shaken(140.0, np.outer(sway, [1.0, 0.5, 0.0])))
+    assert texts(stage)["alignment"] == "not observable"
+    assert stage.status.heading_text == "heading not observable"
+    assert stage.status.to_go_text.endswith("or slow motion of the unit")
+    (notice,) = stage.notices()
+    assert "or the unit sways" in notice
