@@ -137,7 +137,10 @@ def _of_motion(samples: SampleBlock, series: Mapping[str, EvenSeries], *, declar
     """Yield the share of motion: by the column ``at_rest`` of a table, else by the rest detector."""
     time_ns = samples["device_time_ns"]
     known = time_ns >= time_ns[0] + LEAST_FOR_MOTION_S * 1e9
-    if "at_rest" not in samples or not (known.any() or declared):
+    if "at_rest" not in samples:
+        return
+    if not (known.any() or declared):
+        yield f"whether the unit moved is unknown: the recording is shorter than {LEAST_FOR_MOTION_S:.0f} s"
         return
     at_rest = samples["at_rest"] == 1
     first = np.argmax(at_rest | known)  # until the first rest nothing is known, unless it comes late
