@@ -111,14 +111,32 @@ def test_thermal_calibration() -> None:
     chosen = next(row for table in tables(page) for row in table if "its choice" in row[0])
     said = numbers_in("thermal-calibration.md", r"found to ([\d.]+) / ([\d.]+) / ([\d.]+) °/h/°C")
     assert said == [float(cell) for cell in chosen[1:4]]
-    cycle = [table for table in tables(page) if "chosen" in table[0]]
-    before, after = (sorted(row[k] for table in cycle for row in table if row[0] == "z") for k in (1, 6))
-    said = numbers_in(
-        "thermal-calibration.md",
-        r"([\d.]+)-([\d.]+) °/s with a constant, ([\d.]+)-([\d.]+) with the chosen",
+    cycle = [table for table in tables(page) if "chosen" in table[0]][1]
+    measured = "appendix/closing-the-loop-measured.md"
+    parts = [row for table in tables(measured) for row in table if row[0] == "60%"]
+    shown = tables("thermal-calibration.md")[-1][1:]
+    assert [row[0] for row in shown] == ["x", "y", "z"]
+    for row, before, after in zip(shown, cycle[1:], parts, strict=True):
+        assert (row[0], row[0]) == (before[0], after[1])
+        sources = ([before[1]], [before[6]], [after[6]])
+        assert all(is_rounded(number, source) for number, source in zip(row[1:], sources, strict=True))
+    pattern = r"x falls from ([\d.]+) to ([\d.]+) °/s, still (\d+) floors"
+    floors = float(parts[0][6]) / float(parts[0][2])
+    assert numbers_in("closing-the-loop.md", pattern) == [*map(float, shown[0][2:]), round(floors)]
+
+
+def test_random_error() -> None:
+    others = tables("appendix/random-error-details.md")
+    drift = {row[0]: [row[1], row[3]] for row in next(each for each in others if "rms error / sd" in each[0])}
+    names = ("drift", "exponential 200 s", "hold 60 s", "SR-UKF, δ¹ 3.9e-05", "SR-RSUKF 0.5, δ¹ 3.9e-05")
+    shown = [row[1:] for row in tables("random-error.md")[2][1:]]
+    assert shown == [drift[name] for name in (*names, "STF, δ¹ 3.9e-05")]
+    angle = {row[0]: row[1:] for row in next(each for each in others if each[0][-1] == "of which drift")}
+    pattern = (
+        r"angle by ([\d.]+)° rms if nothing .* by ([\d.]+)° if the default is. White noise adds ([\d.]+)°"
     )
-    for number, value in zip(said, [before[0], before[-1], after[0], after[-1]], strict=True):
-        assert is_rounded(f"{number:.2f}", [value])
+    sources = [angle["nothing"][1], angle["drift"][1], angle["the truth"][0]]
+    assert numbers_in("random-error.md", pattern) == [round(float(one), 2) for one in sources]
 
 
 def test_bias_at_corners_of_a_profile() -> None:

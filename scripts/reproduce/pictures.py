@@ -8,6 +8,7 @@ from pathlib import Path
 
 import bias_race_study as race
 import numpy as np
+import random_error_study as wander
 import sketches
 from attitude_scenes import SCENES
 from attitude_scenes import simulate as turned_unit
@@ -124,10 +125,8 @@ def smoothed_bias() -> list[Axes]:
     (ax,) = axes("Turned by hand, at rest for 10 s every two minutes: error of the bias of y", 1)
     t = record.stop / SMOOTHED_HZ
     part = slice(None, None, 8)
-    for name, bias in {
-        "live": record.columns["gyro_bias_y"],
-        "smoothed": columns["gyro_bias_smoothed_y"],
-    }.items():
+    biases = {"live": record.columns["gyro_bias_y"], "smoothed": columns["gyro_bias_smoothed_y"]}
+    for name, bias in biases.items():
         ax.plot(t[part], ((bias - columns["true"][:, 1]) / DEG_PER_H)[part], linewidth=1.0, label=name)
     ax.set(ylabel="°/h", xlim=(60.0, 420.0), ylim=(-100.0, 250.0))
     return [ax]
@@ -186,7 +185,7 @@ def attitude_sigma() -> list[Axes]:
 
 
 def steps() -> list[Axes]:
-    """Draw the worked case of docs/closing-the-loop.md: training, the effect beside it, and the test.
+    """Draw the worked case of docs/closing-the-loop.md: training, the lag beside it, and the test.
 
     The gyros of its three sessions are 30 s behind their thermometers; the third is the test.
     """
@@ -194,33 +193,48 @@ def steps() -> list[Axes]:
     first, second, third = (
         collect([play(plan, seed, (RestDetector(),)).samples], f"S{seed}")[0] for seed in (1, 2, 3)
     )
-    found = diagnose([first, second], [third], "polynomial 5", sensors=("gyro",))
-    verdict = next(one for one in found.verdicts if one.name == "gyro_x")
+    found = diagnose([first, second], [third], "polynomial 5 + offset", sensors=("gyro",))
+    verdict = next(one for one in found.verdicts if one.name == "gyro_y")
     figure = Figure(figsize=(11.0, 3.3), dpi=80)
-    residual, effect, test = figure.subplots(1, 3, sharey=True)
+    loop, effect, test = figure.subplots(1, 3, sharey=True)
+    residuals = [fit.residual / DEG_PER_H for fit in (verdict.before, verdict.after)]
     at = 0
     for run in verdict.channel.training.runs:
         minutes, rows = run.time_s / 60.0, slice(at, at + len(run))
-        before, after = (fit.residual[rows] / DEG_PER_H for fit in (verdict.before, verdict.after))
-        residual.plot(minutes, before, ".", ms=4, label=run.run.name)
+        before, after = (residual[rows] for residual in residuals)
+        degc = verdict.channel.temperature[rows]
+        loop.plot(degc, before, ".-", ms=4, lw=0.4, label=run.run.name)
         effect.plot(minutes, before, ".", ms=4)
-        name = "" if at else verdict.claims[0].finding.name
-        effect.plot(minutes, before - after, "k-", lw=1.2, label=name)
+        effect.plot(minutes, before - after, "k-", lw=1.2, label="" if at else "fitted lag")
         at += len(run)
     (last,) = verdict.channel.test
-    scores = {"curve alone": (verdict.test_before, "C3."), "with the effect": (verdict.test_after, "C2.")}
+    scores = {"curve alone": (verdict.test_before, "C3."), "curve and lag": (verdict.test_after, "C2.")}
     for label, (score, style) in scores.items():
-        name = f"{label}: {score.rms / DEG_PER_H:.3g} °/h"
+        name = f"{label}: {score.rms / DEG_PER_H:.2g} °/h rms"
         test.plot(last.time_s / 60.0, score.predicted_residual[0] / DEG_PER_H, style, ms=4, label=name)
     floor = verdict.channel.floor.sd / DEG_PER_H
-    titles = ("1 what the curve leaves", "2 the effect that follows it", "3 what is left of unused data")
-    for one, title in zip((residual, effect, test), titles, strict=True):
-        one.axhspan(-floor, floor, color="0.85", zorder=0, label="white noise" if one is test else "")
-        one.set_title(title, fontsize=10)
-        one.set_xlabel("minutes since power-on")
+    titles = ("1 minus the best curve", "2 the same over time", "3 unused recording S3")
+    for one, title in zip((loop, effect, test), titles, strict=True):
+        one.axhspan(-floor, floor, color="0.85", zorder=0, label="white noise, ±1σ")
+        one.set(title=title, xlabel="minutes since power-on")
         one.grid(alpha=0.3)
-    residual.set_ylabel("gyro_x, °/h")
-    return [residual, effect, test]
+    loop.set(xlabel="temperature, °C", ylabel="error of gyro_y, °/h")
+    return [loop, effect, test]
+
+
+def random_error() -> list[Axes]:
+    """Draw an hour at rest: the drift of the bias, the default estimate, and the first minute held."""
+    record = wander.simulate(wander.HOUR, wander.HOUR_SEEDS[0])
+    (ax,) = axes("One hour at rest at constant temperature", 1, "min")
+    rest, shown = np.ones(len(record.drift)), slice(60 * wander.RATE_HZ, None, 5 * wander.RATE_HZ)
+    minutes = np.arange(len(rest))[shown] / (60.0 * wander.RATE_HZ)
+    ax.plot(minutes, wander.HOUR * record.drift[shown], "k--", lw=0.9, label="true bias")
+    for name, label in {"drift": "default, ±2σ", "hold 60 s": "mean of the first minute, held"}.items():
+        values, _, sd = (wander.HOUR * one[shown] for one in wander.slow(name, rest, record))
+        ax.plot(minutes, values, linewidth=0.9, label=label)
+        ax.fill_between(minutes, values - 2.0 * sd, values + 2.0 * sd, alpha=0.2)
+    ax.set_ylabel("°/h")
+    return [ax]
 
 
 def chamber_cycle() -> list[Axes]:
@@ -248,6 +262,7 @@ PICTURES: dict[str, Callable[[], list[Axes]]] = {
     "bias-race": bias_race,
     "smoothed-bias": smoothed_bias,
     "temperature-rate": temperature_rate,
+    "random-error": random_error,
     "closing-the-loop/steps": steps,
     "closing-the-loop/chamber-cycle": chamber_cycle,
     "glossary/allan": sketches.allan_curve,

@@ -15,7 +15,7 @@ LAG_S, DEAD_S, HALF_LOOP = 180.0, 180.0, 3.0
 WARM_UP_S, WARM_UP = 400.0, 40.0
 STEP_AT, STEP_SIZE = 0.35, 30.0
 """Share of the time at which the bias steps, and by how much, °/h."""
-ARW, INSTABILITY, WALK = 0.28, 2.0, 2.0
+ARW, INSTABILITY, WALK = 0.28, 2.33, 2.0
 """Terms of the Allan curve that is drawn: N in °/√h, B in °/h, K in °/h/√h."""
 
 
@@ -73,14 +73,9 @@ def allan_curve() -> list[Axes]:
     white, flat, walk = ARW / np.sqrt(hours), 0.664 * INSTABILITY + 0.0 * hours, WALK * np.sqrt(hours / 3.0)
     figure = Figure(figsize=(8.0, 4.6), dpi=100)
     panel = figure.subplots()
-    panel.loglog(
-        tau_s, np.sqrt(white**2 + flat**2 + walk**2), color="C0", linewidth=2.5, label="Allan deviation"
-    )
-    for values, color, name in (
-        (white, "C1", "white noise"),
-        (flat, "C2", "flicker"),
-        (walk, "C3", "random walk"),
-    ):
+    panel.loglog(tau_s, np.sqrt(white**2 + flat**2 + walk**2), color="C0", lw=2.5, label="Allan deviation")
+    parts = {"white noise": (white, "C1"), "flicker": (flat, "C2"), "random walk": (walk, "C3")}
+    for name, (values, color) in parts.items():
         panel.loglog(tau_s, values, color=color, linewidth=1.0, linestyle="--", label=name)
     panel.plot([3600.0], [ARW], "o", color="C1")
     marks = (

@@ -37,7 +37,6 @@ SHOWN = {
     "spectrum": ("fast", "Spectrum"),
     "allan": ("isothermal", "Allan"),
     "alignment": ("alignment", "Alignment"),
-    "foreign": ("foreign", "Attitude"),
 }
 """The pictures that the docs have: of which scene, which tab."""
 CROPS = {

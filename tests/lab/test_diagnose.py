@@ -142,11 +142,11 @@ def test_the_worked_case_of_the_page_is_what_the_command_prints(tmp_path: Path) 
     for seed, session in enumerate(sessions, 1):
         done = imumon("simulate", "crs05-ramp-lag", "--rate", "10", "--seed", str(seed), "--out", session)
         assert done.returncode == 0, done.stderr
-    assumed = ("--declared", "polynomial 5", "--channels", "gyro")
+    assumed = ("--declared", "polynomial 5 + offset", "--channels", "gyro")
     out = tmp_path / "found"
     done = imumon("diagnose", "--train", *sessions[:2], "--test", sessions[2], *assumed, "--out", out)
     assert done.returncode == 0, done.stderr
     printed = " ".join(done.stderr.split())
-    assert [line[:6] for line in shown] == ["gyro_x", "gyro_x", "gyro_y", "gyro_z"]
+    assert [line[:6] for line in shown] == ["gyro_y", "gyro_x", "gyro_y", "gyro_z"]
     for line in shown:
         assert " ".join(line.removesuffix(", ...").split()) in printed

@@ -45,7 +45,7 @@ def write_calibration_plot(path: Path, result: Calibration, title: str) -> None:
 
 
 def _draw(above: Axes, below: Axes, name: str, result: Calibration) -> None:
-    """Draw a channel; an accelerometer less its middle, as its constant is gravity's."""
+    """Draw a channel; an accelerometer minus its middle, as its constant is gravity's."""
     finding, model = result.findings[name], result.model.channels[name]
     unit, factor = SHOWN[model.unit]
     points, curve = finding.points, finding.choice.curve
@@ -55,16 +55,16 @@ def _draw(above: Axes, below: Axes, name: str, result: Calibration) -> None:
     drawn = factor * (curve.value(at) - middle)
     above.plot(at, drawn, color="#d03c3c", lw=1.2, label=finding.choice.name)
     above.set_title(name, loc="right")
-    above.set(ylabel=f"less its middle [{unit}]" if name in ACCEL else f"[{unit}]")
+    above.set(ylabel=f"minus its middle [{unit}]" if name in ACCEL else f"[{unit}]")
     noise, sd = factor * np.sqrt(finding.white), factor * model.residual_sd
     below.errorbar(
         points.temperature, factor * (points.value - curve.value(points.temperature)), noise,
         fmt=".", ms=3, color="#3b78d8", ecolor="#b9cdf0", elinewidth=0.7,
         label="at rest, 1σ of the noise of its samples",
     )  # fmt: skip
-    label = f"bias about the curve, 1σ {sd:.2g} {unit}"
+    label = f"residual, ±1σ: {sd:.2g} {unit}"
     below.axhspan(-sd, sd, color="#d03c3c", alpha=0.35, lw=0, label=label, zorder=3)
-    below.set(xlabel="temperature [°C]", ylabel=f"less the curve [{unit}]")
+    below.set(xlabel="temperature [°C]", ylabel=f"minus the curve [{unit}]")
     for axes in (above, below):
         axes.grid(color="0.9", lw=0.5)
         axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), fontsize=8, frameon=False, borderpad=0.1)
