@@ -97,13 +97,19 @@ def test_worst_seeds_of_the_bias_race() -> None:
 
 
 def test_summary_of_the_bias_race() -> None:
-    summary = tables("bias-race.md")[0]
-    others = tables("appendix/bias-race-results.md")
-    warm_up, ramp, _ = ({row[0]: row[1] for row in table} for table in others if table[0][1] == "rms")
-    names = ("mean of each rest", "VQF, tuned", "imumon learned", "imumon thermal")
-    assert [row[1:] for row in summary[1:]] == [[warm_up[name], ramp[name]] for name in names]
-    pattern = r"([\d.]+) °/h rms with `thermal`, ([\d.]+) with `learned`, and ([\d.]+) if the mean"
-    assert numbers_in("tczupt.md", pattern) == [float(warm_up[names[k]]) for k in (3, 2, 0)]
+    summary, _, place = tables("bias-race.md")
+    found = [table for table in tables("appendix/bias-race-results.md") if table[0][1] == "rms"]
+    cases = [{row[0]: row[1:3] for row in table} for table in found]
+    names = ("mean of each rest", "VQF, tuned", "imumon standard", "imumon learned", "imumon thermal")
+    for name, row in zip(names, summary[1:], strict=True):
+        assert row[2:] == ["{} ({})".format(*case[name]) if name in case else "" for case in cases]
+    order = {"warm-up": 0, "ramp": 1, "no thermal effect": 2}
+    for row in place[1:]:
+        mode, case = row[0].replace("`", "").split(", ")
+        of = cases[order[case]]
+        assert row[1:] == [of[f"imumon {mode}"][0], of[f"imumon {mode}, place unknown"][0]]
+    modes = {row[0].strip("`"): row[3] for row in tables("tczupt.md")[0][1:]}
+    assert modes == {name: f"{cases[0][f'imumon {name}'][0]} °/h" for name in modes}
 
 
 def test_thermal_calibration() -> None:

@@ -25,8 +25,6 @@ from imumon.models.model import BiasModel
 from imumon.simulation.unit.scenario import Chamber, Scenario, Step, load_scenario
 
 LEAST_MEAN_S = 3.0
-
-
 Method = Callable[[Record], FloatArray]
 
 
@@ -93,8 +91,6 @@ DEFAULTS = {
     "imufusion Bias, its defaults": fusion(threshold=3.0, period=3.0),
     "VQF, its defaults": vqf(),
 }
-
-
 WARM_UP, RAMP, ATHERMAL = "warm-up", "ramp", "warm-up-athermal"
 _SCENARIO = load_scenario(WARM_UP)
 PLACE = _SCENARIO.latitude_deg, _SCENARIO.attitude.heading_deg

@@ -72,7 +72,7 @@ def temperature_rate() -> list[Axes]:
         error, sd = (PER_HOUR * each[shown] for each in (rate - truth, rate_sd))
         below.plot(t[shown] / 60.0, error, color, linewidth=0.9, label=f"{name}, ±2σ")
         below.fill_between(t[shown] / 60.0, error - 2.0 * sd, error + 2.0 * sd, color=color, alpha=0.25)
-    below.set(ylim=(-2.0, 2.0), ylabel="error of the rate, °C/h")
+    below.set(ylim=(-4.0, 4.0), ylabel="error of the rate, °C/h")
     return [above, below]
 
 
@@ -94,9 +94,9 @@ def turn_or_bias() -> list[Axes]:
     above.fill_between(t, -0.2, 1.0, where=samples["at_rest"] == 1, alpha=0.2, color="C2", label="at rest")
     above.set(ylim=(-0.2, 1.0), ylabel="°/s")
     below.fill_between(t, found - 2.0 * sd, found + 2.0 * sd, alpha=0.3, label="bias ± 2σ")
-    below.plot(t, found, linewidth=0.9, label="bias")
+    below.plot(t, found, linewidth=2.5, label="bias")
     below.plot(t, bias, "k--", linewidth=0.9, label="truth")
-    below.set(ylim=(0.2, 0.5), ylabel="bias of z, °/s")
+    below.set(ylim=(-0.2, 1.0), ylabel="bias of z, °/s")
     return [above, below]
 
 
@@ -104,8 +104,12 @@ def bias_in_motion() -> list[Axes]:
     """Draw the bias of y less the truth on a ramp of temperature without rest from 330 s on."""
     record = ramp_test("crs05-ramp", 0)
     block = record.block.with_columns({"at_rest": (record.seconds < 330.0).astype(np.int64)})
-    (ax,) = axes("Error of the bias of y, with ±2σ; no rest is used after 330 s", 1)
+    above, ax = axes("A ramp of temperature; no rest is used after 330 s (grey: rest)", 2)
     part, given = slice(ZEROING, None, 50), GyroBiasParameters(assume_at_rest=True)
+    above.plot(record.seconds[part], record.block["temperature"][part], "k", linewidth=0.9)
+    above.set_ylabel("temperature, °C")
+    for one in above, ax:
+        one.axvspan(0.0, 330.0, color="0.85", zorder=0)
     for name, stage in {
         "held (standard)": RestAndBias(given, latitude_deg=LATITUDE_DEG, heading_deg=0.0),
         "thermal": RestAndBias(given, crs05_model(), "thermal", LATITUDE_DEG, 0.0),
@@ -115,13 +119,14 @@ def bias_in_motion() -> list[Axes]:
         sd = (added["gyro_bias_sd_y"] / DEG_PER_H)[part]
         ax.plot(record.seconds[part], error, linewidth=1.0, label=name)
         ax.fill_between(record.seconds[part], error - 2.0 * sd, error + 2.0 * sd, alpha=0.2)
-    ax.set_ylabel("°/h")
-    return [ax]
+    ax.set_ylabel("error of the bias of y, ±2σ, °/h")
+    return [above, ax]
 
 
 def smoothed_bias() -> list[Axes]:
     """Draw the error of the bias of a unit that is handled, with rests of 10 s, live and smoothed."""
     record, _, columns = smoothed("warm-up", 900, 100)
+<<<<<<< HEAD
     (ax,) = axes("Turned by hand, at rest for 10 s every two minutes: error of the bias of y", 1)
     t = record.stop / SMOOTHED_HZ
     part = slice(None, None, 8)
@@ -130,12 +135,25 @@ def smoothed_bias() -> list[Axes]:
         ax.plot(t[part], ((bias - columns["true"][:, 1]) / DEG_PER_H)[part], linewidth=1.0, label=name)
     ax.set(ylabel="°/h", xlim=(60.0, 420.0), ylim=(-100.0, 250.0))
     return [ax]
+=======
+    above, below = drawn = axes("Turned by hand, at rest for 10 s every two minutes (grey): bias of y", 2)
+    t, part = record.stop / SMOOTHED_HZ, slice(None, None, 8)
+    for label, name, of in ("live", "gyro_bias", record.columns), ("smoothed", "gyro_bias_smoothed", columns):
+        error = (of[f"{name}_y"] - columns["true"][:, 1]) / DEG_PER_H
+        above.plot(t[part], error[part], linewidth=1.0, label=label)
+        below.plot(t[part], (of[f"{name}_sd_y"] / DEG_PER_H)[part], linewidth=1.0, label=label)
+    above.set(ylabel="error, °/h", xlim=(0.0, 480.0), ylim=(-100.0, 250.0))
+    below.set(ylabel="σ, °/h", xlim=(0.0, 480.0), ylim=(0.0, 250.0))
+    for ax in drawn:
+        ax.fill_between(t, *ax.get_ylim(), where=record.columns["at_rest"] == 1, color="0.85", zorder=0)
+    return drawn
+>>>>>>> pages
 
 
 def bias_race() -> list[Axes]:
     """Draw the error of the bias of y in the race, by four methods, on the first half of a warm-up."""
     run = play(race.scenario_of(race.WARM_UP), 0, (TemperatureRate(), RestDetector()), 90_000)
-    (ax,) = axes("Carried about, at rest for 10 s every two minutes (grey): error of the bias of y", 1)
+    (ax,) = axes("Carried about, at rest for 10 s every two minutes (grey)", 1)
     t, truth = run.time_s - run.time_s[0], (run.bias + run.earth)[:, 1]
     tuned = {"restThGyr": 0.3, "restMinT": 1.5, "biasForgettingTime": 100.0, "biasSigmaRest": 0.01}
     for name, method in {
@@ -146,7 +164,7 @@ def bias_race() -> list[Axes]:
     }.items():
         ax.plot(t[::20], ((method(run)[:, 1] - truth) / DEG_PER_H)[::20], linewidth=1.0, label=name)
     ax.fill_between(t, -60.0, 180.0, where=run.rest, color="0.85", zorder=0)
-    ax.set(ylabel="°/h", xlim=(0.0, 900.0), ylim=(-60.0, 180.0))
+    ax.set(ylabel="error of the bias of y, °/h", xlim=(0.0, 900.0), ylim=(-60.0, 180.0))
     return [ax]
 
 

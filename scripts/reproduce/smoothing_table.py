@@ -32,8 +32,6 @@ CASES = (
 RATE_HZ = 100
 HEADINGS = 4
 """Sessions of the alignment for one of the others: they are short."""
-
-
 HEADS = ("error over sigma, rms", "largest", "residual r")
 
 
