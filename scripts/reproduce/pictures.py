@@ -126,16 +126,6 @@ def bias_in_motion() -> list[Axes]:
 def smoothed_bias() -> list[Axes]:
     """Draw the error of the bias of a unit that is handled, with rests of 10 s, live and smoothed."""
     record, _, columns = smoothed("warm-up", 900, 100)
-<<<<<<< HEAD
-    (ax,) = axes("Turned by hand, at rest for 10 s every two minutes: error of the bias of y", 1)
-    t = record.stop / SMOOTHED_HZ
-    part = slice(None, None, 8)
-    biases = {"live": record.columns["gyro_bias_y"], "smoothed": columns["gyro_bias_smoothed_y"]}
-    for name, bias in biases.items():
-        ax.plot(t[part], ((bias - columns["true"][:, 1]) / DEG_PER_H)[part], linewidth=1.0, label=name)
-    ax.set(ylabel="°/h", xlim=(60.0, 420.0), ylim=(-100.0, 250.0))
-    return [ax]
-=======
     above, below = drawn = axes("Turned by hand, at rest for 10 s every two minutes (grey): bias of y", 2)
     t, part = record.stop / SMOOTHED_HZ, slice(None, None, 8)
     for label, name, of in ("live", "gyro_bias", record.columns), ("smoothed", "gyro_bias_smoothed", columns):
@@ -147,7 +137,6 @@ def smoothed_bias() -> list[Axes]:
     for ax in drawn:
         ax.fill_between(t, *ax.get_ylim(), where=record.columns["at_rest"] == 1, color="0.85", zorder=0)
     return drawn
->>>>>>> pages
 
 
 def bias_race() -> list[Axes]:
