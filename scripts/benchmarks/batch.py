@@ -1,7 +1,5 @@
 """A batch: what a second worker is worth, and what a task costs beside its work."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """From bytes to columns: the 58-byte packet by chunk size, and every device, whole and damaged."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 

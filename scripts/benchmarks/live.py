@@ -1,7 +1,5 @@
 """A live run at 1 kHz: processor time of the whole program, and how old what the viewer shows is."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

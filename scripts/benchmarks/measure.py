@@ -1,7 +1,5 @@
 """Times of functions that take turns, so that whatever slows the machine slows them all."""
 
-from __future__ import annotations
-
 import math
 import os
 import platform

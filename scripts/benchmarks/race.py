@@ -1,7 +1,5 @@
 """The same bytes through imumon and through other packages, up to their values, which must agree."""
 
-from __future__ import annotations
-
 import math
 import socket
 import tempfile

@@ -1,7 +1,5 @@
 """Command line of scripts/benchmark: sections by name, as Markdown tables."""
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Sequence
 from importlib import import_module

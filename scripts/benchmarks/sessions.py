@@ -1,7 +1,5 @@
 """Whole commands: how long they take to start, and a replay with all estimators, stage by stage."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from collections import defaultdict

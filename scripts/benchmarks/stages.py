@@ -3,8 +3,6 @@
 What the other stages cost is in the section `replay`, a row each.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from functools import partial

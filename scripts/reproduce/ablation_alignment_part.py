@@ -1,7 +1,5 @@
 """Ablations of the alignment: some sites of `alignment_site`."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Ablations of the attitude's sigma: simulated scenes, with and without a magnetometer, and recordings."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import cache

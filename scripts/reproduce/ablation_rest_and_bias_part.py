@@ -1,7 +1,5 @@
 """What the mechanisms of rest and gyro bias are worth: units in hands, steady turns, and measured hands."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 

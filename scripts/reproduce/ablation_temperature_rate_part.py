@@ -1,7 +1,5 @@
 """Ablations of the temperature rate: kinds of thermometers, and a measured record at four step sizes."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any

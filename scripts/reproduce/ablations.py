@@ -1,7 +1,5 @@
 """What each mechanism and constant of an estimator is worth: one row for each, switched off or changed."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass

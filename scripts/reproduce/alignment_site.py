@@ -1,7 +1,5 @@
 """The alignment on a real site beside plain and Hann-weighted mean of the gyros: errors and sigmas."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 

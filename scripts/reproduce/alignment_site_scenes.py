@@ -1,7 +1,5 @@
 """A navigation-grade unit on a real site, where the ground sways, people walk, and a tripod settles."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field

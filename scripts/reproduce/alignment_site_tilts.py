@@ -5,8 +5,6 @@ body's level axes, rad, (n, 2).  A turn takes seconds and its own numbers (degre
 angle about the vertical, rad, clockwise from above, (n,).
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Noise terms fitted to simulated records of 20 minutes at 50 Hz: errors in standard deviations."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 
 import numpy as np

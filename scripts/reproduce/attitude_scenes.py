@@ -1,7 +1,5 @@
 """Units that are turned, swung, shaken and carried, with what they send and the true attitude."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Error over sigma of the estimated attitude, over scenes, rates and seeds, beside others."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from itertools import product

@@ -3,8 +3,6 @@
 Also the case that no sigma contains: an acceleration straight ahead that lasts longer than 6 s.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from unittest.mock import patch
 

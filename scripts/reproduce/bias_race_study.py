@@ -3,8 +3,6 @@
 Each competitor takes a run and returns its bias estimate at every sample, rad/s, (n, 3).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import product
 

@@ -4,8 +4,6 @@ Laidig, Caruso, Cereatti, Seel, "BROAD: a benchmark for robust inertial orientat
 2021, doi 10.3390/data6070072.  A file a trial, with arrays gyr, rad/s, acc, m/s², opt_quat and movement.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache

@@ -1,7 +1,5 @@
 """What each mechanism of the diagnosis is worth: simulated cases and the measured chamber without it."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace

@@ -5,8 +5,6 @@ covers it; a third run from another power-on goes sample by sample through the s
 BETTER.
 """
 
-from __future__ import annotations
-
 import re
 import time
 from collections.abc import Iterator, Mapping, Sequence

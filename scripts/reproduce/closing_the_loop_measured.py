@@ -1,7 +1,5 @@
 """The measured chamber cycle: trained on the first part in time, tested on the rest, before and after."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path

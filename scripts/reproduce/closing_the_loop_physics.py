@@ -6,8 +6,6 @@ Of recorded columns a supply acts through tanh, a load through two lags, a field
 thermometer sits where the heat comes later.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 

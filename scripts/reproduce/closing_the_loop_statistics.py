@@ -1,7 +1,5 @@
 """Statistics of `imumon diagnose` on simulated cases: what is named, how often, and what is left."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections import Counter

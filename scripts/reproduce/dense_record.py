@@ -1,7 +1,5 @@
 """ZUPT and TCZUPT as printed over a record at rest, of which all is known beforehand."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

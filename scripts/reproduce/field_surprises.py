@@ -4,8 +4,6 @@ A unit at rest: its gyros' temperature lags that of the thermometer, their bias 
 1/f noise is three Gauss-Markov processes.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace

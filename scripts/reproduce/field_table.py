@@ -1,7 +1,5 @@
 """Every estimator outside the scenarios it was built on, in one table: errors, peers, errors over sigma."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Units that are carried, handled and driven: what they send, the truth, and the bias that is estimated."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The pictures of the docs that are drawn, not taken of the live view."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What the methods of Shi Gang et al. do to noise, drift and rotation, whatever "compensated" means."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial

@@ -1,7 +1,5 @@
 """Scenes for the rest detector: what a unit does, what sensors of grades read, and what is taken for rest."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

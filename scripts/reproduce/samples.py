@@ -1,7 +1,5 @@
 """What a simulated or measured unit sends, as the stages take it, and the noise that its biases have."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Sketches of the terms: six ways in which a bias follows the temperature, and the axes of a case."""
 
-from __future__ import annotations
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure

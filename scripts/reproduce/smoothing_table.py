@@ -1,7 +1,5 @@
 """Gyro bias and heading of simulated sessions, forward and smoothed: errors, over sigma, residual r."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

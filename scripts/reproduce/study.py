@@ -3,8 +3,6 @@
 A study is a module with `STUDY`.  It defines which scenes, methods and errors make a table; all else is here.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import sys

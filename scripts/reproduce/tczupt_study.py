@@ -1,7 +1,5 @@
 """ZUPT and TCZUPT as published, at equal terms, and beside the stage of imumon: errors of the bias, deg/h."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product

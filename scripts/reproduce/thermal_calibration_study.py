@@ -1,7 +1,5 @@
 """The published training on a simulated soak, slopes, and a measured chamber cycle before and after."""
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace

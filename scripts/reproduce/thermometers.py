@@ -1,7 +1,5 @@
 """Thermometers as they are sold, temperatures to put them to, and what the stage makes of them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

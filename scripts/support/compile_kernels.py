@@ -3,8 +3,6 @@
 What is done goes to standard error.  Nothing is deleted: numba renews each kernel (imumon/compiled.py).
 """
 
-from __future__ import annotations
-
 import io
 import platform
 import sys

@@ -1,7 +1,5 @@
 """Make the pictures of docs/rack.md and docs/catalog.md: python -m support.fleet_pictures [rack] [record]"""
 
-from __future__ import annotations
-
 import os
 import signal
 import sys

@@ -1,7 +1,5 @@
 """What is wrong with a picture of the view: an empty panel, a cut-off band."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any

@@ -3,8 +3,6 @@
 python scripts/support/rooms.py [--write]   (--write: into the page)
 """
 
-from __future__ import annotations
-
 import ast
 import sys
 from collections import Counter

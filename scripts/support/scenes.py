@@ -1,7 +1,5 @@
 """What the pictures of the docs show: runs of a kind each, as view items, the same every time."""
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Make the pictures of the docs, and check them: every tab of every scene, on a viewer without a screen."""
 
-from __future__ import annotations
-
 import argparse
 import os
 import sys

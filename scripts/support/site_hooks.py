@@ -1,7 +1,5 @@
 """Hooks of MkDocs: pages made from the code, and links to files that are not part of the site."""
 
-from __future__ import annotations
-
 import re
 import sys
 from pathlib import Path

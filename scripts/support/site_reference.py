@@ -3,8 +3,6 @@
 As a program it writes the table of names at the end of docs/library.md anew.
 """
 
-from __future__ import annotations
-
 import inspect
 import re
 import textwrap

@@ -1,7 +1,5 @@
 """Command line of scripts/soak: sections of attacks, as tables of docs/appendix/reliability-results.md."""
 
-from __future__ import annotations
-
 import argparse
 import platform
 import warnings

@@ -4,8 +4,6 @@ A page has blocks of commands (```sh) and, behind some, what they print (```text
 for lines that are left out.  Pictures of a page that a command draws have the name of the picture's file.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import shutil
