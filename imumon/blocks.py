@@ -81,11 +81,14 @@ class SampleBlock:
     def vector(self, name: str, axes: str = "xyz") -> FloatArray | None:
         """Return ``name_x, name_y, ...`` stacked to (n, len(axes)), or None when one is missing."""
         names = [f"{name}_{axis}" for axis in axes]
-        if any(column not in self.columns for column in names):
-            return None
-        stacked = np.empty((len(self), len(names)))
-        for j, column in enumerate(names):
-            stacked[:, j] = self.columns[column]
+        return self.stacked(names) if all(column in self.columns for column in names) else None
+
+    def stacked(self, names: Sequence[str]) -> FloatArray:
+        """Return columns side by side, (n, len(names)); NaN where there is no such column."""
+        stacked = np.full((len(self), len(names)), np.nan)
+        for j, name in enumerate(names):
+            if name in self.columns:
+                stacked[:, j] = self.columns[name]
         return stacked
 
     def with_columns(self, extra: Mapping[str, ColumnArray]) -> SampleBlock:

@@ -28,7 +28,7 @@ TERMS = 60
 """Of the series that are summed: with noise of 0.02 steps, the least that is tried, the last is 1e-14."""
 RATIOS = np.geomspace(0.02, 1.6, 45)
 """Noise in steps that is tried, 10 % apart; above the last, rounding leaves all but 1e-22."""
-PHASES = np.arange(-0.5, 0.5, 0.05)
+PHASES = np.linspace(-0.5, 0.5, 21)
 """Means of a piece between two steps that are tried."""
 LEAST_PROBABILITY = 1e-12
 """Of a step however far: a single outlier decides nothing."""

@@ -63,3 +63,11 @@ def test_the_mean_of_rounded_samples_errs_by_no_more_than_is_reported_and_by_tha
     errors = np.abs([np.round(x + ratio * normal).mean() - x for x in at])
     assert errors.max() == pytest.approx(0.1 * mean_error(10.0, ratio), abs=0.02)
     assert mean_error(1.0, 0.0) == 0.5
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_mirrored_readings_have_the_same_noise(seed: int) -> None:
+    """Where the mean lies halfway, which of the two steps is the middle one depends on the sign."""
+    rng = np.random.default_rng(seed)
+    readings = np.round(rng.uniform(-0.5, 0.5) + 0.2 * rng.normal(size=20_480))
+    assert digits(readings) == digits(-readings)

@@ -199,11 +199,12 @@ class Bank(States):
         (sigma, b, k), count = noise, PRIOR_COUNT
         if sigma is not None:
             white, count = np.maximum(sigma**2, LEAST_WHITE), DECLARED_COUNT
-        process, log_prior = _modes(b, k, slopes, count / (count - 1.0) * white)
+        expected = count / (count - 1.0) * white  # E[σ²]
+        process, log_prior = _modes(b, k, slopes, expected)
         variance = process.copy()
         variance[..., WALK] = 0.0
         variance[..., SLOPE] *= SLOPE_DEGC
-        variance[..., SENSITIVITY] = (SENSITIVITY_SD**2 / white)[:, np.newaxis, np.newaxis]
+        variance[..., SENSITIVITY] = (SENSITIVITY_SD**2 / expected)[:, np.newaxis, np.newaxis]
         scale = np.tile(count * white[:, np.newaxis], process.shape[1])
         start_s, zero = first.end_s - first.covered_s, np.zeros_like(variance)
         covariance = variance[..., np.newaxis] * np.eye(STATES)

@@ -24,7 +24,7 @@ from imumon.estimation.gyro_bias.motion import Motion
 from imumon.estimation.gyro_bias.place import Attitude
 from imumon.estimation.gyro_bias.thermal import Thermal
 from imumon.estimation.rest.parameters import GyroBiasParameters, RestParameters
-from imumon.estimation.rest.quiet import QUIET_TOO_SHORT, SECOND_SLOTS, TRIAL, QuietDetector
+from imumon.estimation.rest.quiet import QUIET_TOO_SHORT, SECOND_SLOTS, QuietDetector
 from imumon.estimation.rest.slots import ACCEL, DEGC, GYRO, HEADING, MODELLED, POWER_ON_SD, Measurement, Slot
 from imumon.geodesy import EARTH_RATE, STANDARD_GRAVITY
 
@@ -46,12 +46,7 @@ class Estimator:
     quiet: QuietDetector = field(default_factory=QuietDetector)
     jumped: bool = False  # whether the bias has, other than by a restart; cleared by who reports it
     hypotheses: Hypotheses | None = None  # of the bias, from the first rest on
-    latest: list[Slot] = field(default_factory=list)  # the latest 16 slots
     pending: list[Slot] = field(default_factory=list)  # quiet slots of a measurement that is not complete
-    added: FloatArray = field(default_factory=partial(np.zeros, 3))
-    """Variance that has not been taken into the filters yet, (rad/s)², (3,)."""
-    force: FloatArray = field(default_factory=partial(np.zeros, 3))
-    """The last specific force that was known, m/s², (3,); zero before the first."""
     degc: FloatArray = field(default_factory=partial(np.full, 3, np.nan))
     """The last temperatures that were known, °C, (3,)."""
     motion: Motion = field(default_factory=Motion)  # estimates the bias before the first rest
@@ -62,6 +57,11 @@ class Estimator:
         self.thermal.restart()
         given = self.parameters, self.slopes, self.limits, self.thermal
         return Estimator(*given, self.attitude.anew(), self.quiet, self.jumped)
+
+    @property
+    def force(self) -> FloatArray:
+        """The last specific force that was known, m/s², (3,); zero before the first."""
+        return self.quiet.mean[-1, ACCEL]
 
     @property
     def unrest(self) -> str:
@@ -81,11 +81,9 @@ class Estimator:
         """Take a slot; return the normalised innovations of the measurement it completes at rest, (3,), or
         NaN."""
         innovation = np.full(3, np.nan)
-        force, degc = slot.mean[ACCEL], slot.mean[DEGC]
-        self.force = np.where(np.isfinite(force), force, self.force)
+        degc = slot.mean[DEGC]
         self.degc = np.where(np.isfinite(degc), degc, self.degc)
-        self.added = self.added + self.thermal.variance(degc, slot.mean[POWER_ON_SD], np.zeros(3))
-        self.latest = [*self.latest[1 - TRIAL :], slot]
+        self._widen(self.thermal.variance(degc, slot.mean[POWER_ON_SD], np.zeros(3)))
         self.quiet.update(slot, self.limits.drift)
         if not self.quiet.present[GYRO].all():
             return innovation
@@ -114,18 +112,23 @@ class Estimator:
         self.motion.interrupt(0.0)
         self.attitude.lost |= long or self.quiet.quiet_slots == 0
         self.degc = np.where(np.isfinite(degc), degc, self.degc)
-        self.added = self.added + self.thermal.variance(degc, np.full(3, np.nan), lag_degc)
+        self._widen(self.thermal.variance(degc, np.full(3, np.nan), lag_degc))
         if self.hypotheses is not None:
             prediction = self.hypotheses.shown.prediction
             slope2 = prediction.mean[:, SLOPE] ** 2 + prediction.covariance[:, SLOPE, SLOPE]
-            self.added = self.added + slope2 * lag_degc**2
+            self._widen(slope2 * lag_degc**2)
         if long:
             self.quiet.restart()
             self._interrupt()
 
+    def _widen(self, variance: FloatArray) -> None:
+        """Let the bias have changed by an unknown amount of this variance, (rad/s)², (3,)."""
+        if self.hypotheses is not None and variance.any():
+            self.hypotheses.map(lambda bank: bank.wider(variance))
+
     def _noise(self) -> FloatArray:
         """Return the variance of the mean of a second, (rad/s)² and (m/s²)², (6,)."""
-        covered_s = sum(one.covered_s for one in self.latest) / len(self.latest)
+        covered_s = sum(one.covered_s for one in self.quiet.latest) / len(self.quiet.latest)
         return np.maximum(self.quiet.noise * covered_s, LEAST_WHITE)
 
     def _measurement(self, slots: Sequence[Slot]) -> Measurement:
@@ -136,7 +139,10 @@ class Estimator:
         rate = mean[GYRO] - mean[MODELLED] - self.attitude.earth
         force = np.where(np.isfinite(mean[ACCEL]), mean[ACCEL], self.force)
         degc = np.where(np.isfinite(mean[DEGC]), mean[DEGC], last.mean[DEGC])
-        return Measurement(last.end_s, total, rate, force, degc, mean[HEADING])
+        headings = np.array([one.mean[HEADING] for one in slots if np.isfinite(one.mean[HEADING]).all()])
+        heading = headings.mean(0) if len(headings) else mean[HEADING]  # a magnetometer may be slow
+        length_s = sum(one.length_s for one in slots)
+        return Measurement(last.end_s, length_s, total, rate, force, degc, heading)
 
     def _interrupt(self) -> None:
         """End the rest: drop a measurement that is not complete."""
@@ -165,14 +171,14 @@ class Estimator:
     def _come_to_rest(self, force: FloatArray) -> None:
         """Take the attitude at a specific force, m/s², (3,)."""
         prediction = None if self.hypotheses is None else self.hypotheses.shown.prediction
-        self.added = self.added + self.attitude.come_to_rest(force, prediction)
+        self._widen(self.attitude.come_to_rest(force, prediction))
 
     def _begin(self) -> None:
         """Begin the filters with the first quiet second, or the slots of the trial that found the noise."""
-        self.motion.interrupt(self.latest[-1].length_s)
+        self.motion.interrupt(self.quiet.latest[-1].length_s)
         if not self.quiet.noise_slots or self.quiet.quiet_slots < SECOND_SLOTS:
             return
-        slots = self.latest[-self.quiet.quiet_slots :]
+        slots = self.quiet.latest[-self.quiet.quiet_slots :]
         self.attitude = self.attitude.anew()
         self._come_to_rest(self.force)
         seconds = range(0, len(slots), SECOND_SLOTS)
@@ -184,7 +190,6 @@ class Estimator:
         for now in measurements[1:]:
             bank = bank.after(now)
         self.hypotheses = Hypotheses(bank, bank, bank, measurements, first, self.limits, given)
-        self.added = np.zeros(3)
 
     def _decide(self, hypotheses: Hypotheses) -> FloatArray:
         """Decide on a complete measurement; return its normalised innovations, (3,), NaN without a rate."""
@@ -195,26 +200,21 @@ class Estimator:
         if not np.isfinite(now.rate).all():
             return np.full(3, np.nan)
         innovation, variance = hypotheses.shown.prediction.innovation(now)
-        innovation = innovation / np.sqrt(variance + self.added)
-        if self.added.any():
-            hypotheses.map(lambda bank: bank.wider(self.added))
         accel_noise = float(self._noise()[ACCEL].max()) if self.quiet.present[ACCEL].all() else math.inf
         parts = (self._measurement([slot]) for slot in slots)
         self.jumped |= hypotheses.decide(now, parts, accel_noise)
-        self.added = np.zeros(3)
         if hypotheses.began_turning and hypotheses.changes:
             self.quiet.restart()
             self._interrupt()
         elif self.attitude.turn.seconds and not hypotheses.turning:
             self._come_to_rest(slots[-1].mean[ACCEL])
-        return np.asarray(innovation)
+        return np.asarray(innovation / np.sqrt(variance))
 
     def output(self, now_s: float) -> LinearBias:
         """Return the bias from a time on.
 
-        Its variance has these parts: the states of all modes, flicker of single samples, what `added` holds
-        of temperature, gaps and turns, the unknown part of the earth rate, and the turn hypothesis, which
-        contains the largest error by rounding.
+        Its variance has these parts: the states of all modes, flicker of single samples, the unknown part of
+        the earth rate, and the turn hypothesis, which contains the largest error by rounding.
         """
         if self.hypotheses is None:
             terms, covariance = np.zeros((3, 4)), np.zeros((3, 4, 4))
@@ -224,5 +224,5 @@ class Estimator:
             return LinearBias(terms, covariance, np.zeros(3), np.zeros(3))
         turn, rounding = self.hypotheses.ambiguity, self.quiet.rounding_error[GYRO]
         prediction = self.hypotheses.shown.prediction.at(now_s, self.degc)
-        added, turn = self.added + self.attitude.uncertain_earth, np.copysign(np.hypot(turn, rounding), turn)
-        return prediction.output(added, self.force, turn)
+        turn = np.copysign(np.hypot(turn, rounding), turn)
+        return prediction.output(self.attitude.uncertain_earth, self.force, turn)

@@ -1,30 +1,27 @@
 """The mean rate of a quiet second: the bias as before, a changed bias, or a turn?
 
-Two sets of filters stand for two hypotheses: the *nominal* bias was known before the present rate began, and
-the *present* one has learned that rate.  A mean is compared with the present bias as it was up to 16 s ago
-(`newer`), so that a ramp is not followed.  The first row that holds:
+There are three copies of the filters.  The *present* one has learned everything up to now, the *test copy*
+until up to 16 s ago, and the *nominal* one before the present rate began.  Of each mean the first row holds:
 
-=================================  =====================================================
-the mean fits the present bias     the present bias learns
-the mean fits the nominal bias     the present bias is the nominal one, and learns
-else                               the present bias is any other
-=================================  =====================================================
+=================  =================================  ================================================
+the mean fits      that is                            what follows
+=================  =================================  ================================================
+the test copy      the rate is as before              the present bias learns; it may creep
+the nominal bias   the turn, or the change, is over   the present bias is the nominal one, and learns
+neither            the rate has changed               the present bias may be any, and learns the mean
+=================  =================================  ================================================
 
-The difference of both is a turn with a probability P(turn), by `imumon.estimation.rest.odds`.  It is shown
-as rest, with the present bias, up to 1/2, and as a turn, with the nominal bias, above.  What becomes of the
-nominal bias is decided beside that, each second:
+The present less the nominal bias is a turn with a probability P(turn), by `imumon.estimation.rest.odds`.  Up
+to 1/2 it is rest, and the present bias is reported; above it is a turn, and the nominal one is.  The sigma of
+that contains the difference, times the root of the probability of the other.  The first row of these decides
+what becomes of the nominal bias:
 
-==================================  ====================================================
-P(turn) above 1/4 (1/10 if the      doubt: it stays, through motion as well
-rate has changed), until below 1/20
-the rate has changed, up to 16 s    it stays
-ago
-the rate has changed, before that   it is the present bias from then on
-else                                it lags the present one by 16 to 32 s: it has not
-                                    learned how a slow turn began
-==================================  ====================================================
-
-The sigma of the bias shown contains that difference, times the root of the probability of the other bias.
+==================================================================  ===================================
+P(turn) above 1/4 (1/10 if the rate has changed), until below 1/20  it stays, through motion as well
+the rate has changed up to 16 s ago                                 it stays
+the rate has changed before that                                    it is the present bias from then on
+else                                                                it is 16 to 32 s behind the present
+==================================================================  ===================================
 """
 
 from __future__ import annotations
@@ -69,15 +66,15 @@ class Hypotheses:
 
     present: Bank
     nominal: Bank
-    newer: Bank  # the present filters as they were up to `LAG_S` ago: the next nominal ones
+    test_copy: Bank  # the present filters as they were up to `LAG_S` ago, and the next nominal ones
     recent: list[Measurement]  # of this rest, `RECENT` at most; none in motion
     first: Measurement | None  # the first rest, while it may have been a turn: till another pose
     limits: RestParameters
     rest_given: bool  # then any steady rate is bias after `UNDECIDED_GIVEN_S`
     undo: Bank | None = None  # the present filters before the last second, for motion that follows at once
-    changes: int = 0  # how often the rate has changed since it fitted the nominal bias
     alike: int = 0  # how many of the recent measurements are of the present rate
-    steady_s: float = 0.0  # how long the present rate has lasted
+    changes: int = 0  # how often the rate has changed since it fitted the nominal bias
+    steady_s: float = 0.0  # how long the present rate has lasted; compared in whole seconds, to be no tie
     p_turn: float = 0.0  # probability that the difference of both biases is a turn
     ambiguities: FloatArray = field(default_factory=partial(np.zeros, (2, 3)))
     """What the less likely hypothesis adds to sigma, rad/s, by the last two measurements, (2, 3)."""
@@ -108,13 +105,14 @@ class Hypotheses:
     def decide(self, now: Measurement, parts: Iterable[Measurement], accel_noise: float) -> bool:
         """Take a measurement; return whether a changed bias has become the nominal one.
 
-        `parts` are its slots one by one: in the first seconds of a rate they show a tilt.  `accel_noise` is
+        `parts` are its slots one by one: in the first seconds of a rest they show a tilt.  `accel_noise` is
         the variance of the mean force of a second, (m/s²)².
         """
-        if self.moved and self.first and np.linalg.norm(now.force - self.first.force) > NEW_POSE:
-            self.first = None  # it was in a hand, and not on a turntable
-        if self.moved and not self.doubted:
-            self.nominal = self.newer = self.present
+        if self.moved:
+            if self.first and np.linalg.norm(now.force - self.first.force) > NEW_POSE:
+                self.first = None  # it was in a hand, and not on a turntable
+            if not self.doubted:
+                self.nominal = self.test_copy = self.present
         self.recent = [*self.recent[1 - RECENT :], now]
         self._learn(now)
         evidence = self.recent[-self.alike :]
@@ -126,17 +124,16 @@ class Hypotheses:
     def _learn(self, now: Measurement) -> None:
         """Update the present bias."""
         self.undo = None
-        if self.newer.fits(now, FIT_SIGMAS):
+        if self.test_copy.fits(now, FIT_SIGMAS):
             self.undo, self.present = self.present, self.present.after(now)
-            self.steady_s += now.covered_s
-            self.alike = min(self.alike + 1, len(self.recent))
+            self.steady_s, self.alike = self.steady_s + now.length_s, self.alike + 1
             return
         if self.nominal.fits(now, FIT_SIGMAS):
             self.present, self.changes = self.nominal.after(now), 0
         else:
             any_bias = self.nominal.with_noise_of(self.present)
             self.present, self.changes = any_bias.after(now, jumped=True), self.changes + 1
-        self.newer, self.steady_s, self.alike = self.present, now.covered_s, 1
+        self.test_copy, self.steady_s, self.alike = self.present, now.length_s, 1
 
     def _weigh(self, now: Measurement, evidence: Sequence[Measurement], accel_noise: float) -> None:
         """Weigh a turn against the bias, by the latest measurements."""
@@ -155,8 +152,8 @@ class Hypotheses:
             log_ratio += odds.heading(evidence, bias)
             explained = odds.changed_bias(size, max(self.changes - 1, 0), limits.largest_jump)
             explained += odds.nominal_bias(size, float((change / size) ** 2 @ (variance + own)))
-            if self.first and self.changes and self.steady_s >= ONSET_S:
-                explained += odds.first_turn(self.first.rate, evidence[-1].rate)
+            if self.first and self.changes and round(self.steady_s) > ONSET_S:
+                explained += odds.first_turn(self.first.rate, now.rate)
             too_long = self.steady_s > limits.undecided_s and size <= limits.largest_jump
             p_turn = odds.probability_of_turn(log_ratio, explained)
             self.p_turn = 0.0 if too_long and log_ratio >= -2.0 else p_turn
@@ -177,14 +174,14 @@ class Hypotheses:
         self.doubted = self.p_turn > (UNLIKELY_TURN if self.doubted else begins)
         if self.doubted:
             self.nominal = self.nominal.with_noise_of(self.present)
-        elif self.changes and self.steady_s > LAG_S:
-            self.nominal = self.newer = self.present
+        elif self.changes and round(self.steady_s) > LAG_S:
+            self.nominal = self.test_copy = self.present
             self.changes, self.first = 0, None
             return True
-        if now.end_s - self.newer.time_s >= LAG_S:
+        if now.end_s - self.test_copy.time_s >= LAG_S:
             if not (self.doubted or self.changes):
-                self.nominal = self.newer
-            self.newer = self.present
+                self.nominal = self.test_copy
+            self.test_copy = self.present
         return False
 
     def move(self, undo: bool) -> None:
@@ -195,7 +192,7 @@ class Hypotheses:
         if undo and self.undo is not None:
             self.present = self.undo
         self.undo = None
-        if self.changes == 1 and self.steady_s < ONSET_S:
+        if self.changes == 1 and round(self.steady_s) <= ONSET_S:
             self.present, self.changes, self.doubted = self.nominal, 0, False
         if not self.doubted:
             self.p_turn, self.ambiguities = 0.0, np.zeros((2, 3))
@@ -203,5 +200,6 @@ class Hypotheses:
 
     def map(self, function: Callable[[Bank], Bank]) -> None:
         """Apply a function to all filters."""
-        self.present, self.nominal, self.newer = map(function, (self.present, self.nominal, self.newer))
+        filters = self.present, self.nominal, self.test_copy
+        self.present, self.nominal, self.test_copy = map(function, filters)
         self.undo = None if self.undo is None else function(self.undo)

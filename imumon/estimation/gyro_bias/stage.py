@@ -49,13 +49,13 @@ class RestAndBias:
     Neither noise nor bias of the sensors needs to be known.  Rest is decided at the end of each slot of a
     quarter of a second; a single sample far from the mean ends it at that sample.
 
-    While a steady turn cannot be distinguished from a bias that has changed, ``turn_hypothesis_{x,y,z}`` is
-    the difference of both, rad/s, times the square root of the probability of what is not shown; else the
-    largest error by rounding.  Its square is in the variance of the bias.
+    ``turn_hypothesis_{x,y,z}`` is the difference between a steady turn and a changed bias, rad/s, times the
+    root of the probability of what is not shown; and the largest error by rounding.  Its square is in the
+    variance of the bias.
 
-    The columns ``gyro_bias_{x,y,z}`` hold the bias of the raw rate, with what is not known of the earth rate:
-    all of it, or without a heading its level part.  There is no estimate (NaN) until the unit was at rest for
-    some seconds, or for a minute in motion, which leaves an upright axis unknown.
+    ``gyro_bias_{x,y,z}`` is the bias of the raw rate, with what is not known of the earth rate: all of it, or
+    without a heading its level part.  It is NaN until the unit was at rest for some seconds, or for a minute
+    in motion, which leaves an upright axis unknown.
 
     Raises BAD_CONFIG when the thermal mode has no model, or the model lacks a gyro.
 
@@ -103,8 +103,8 @@ class RestAndBias:
         self._bias = self._estimator.output(0.0)
         self._trail = BiasTrail(model)
         self._last_ns = NO_INT
-        texts = [f"{key} is not used any more" for key in retired(self._parameters) + retired(rest)]
-        self._notices = dict.fromkeys(_notices_of_place(latitude, heading) + texts)
+        unused = [f"{key} is not used any more" for key in retired(self._parameters) + retired(rest)]
+        self._thermal.notices.update(dict.fromkeys(_notices_of_place(latitude, heading) + unused))
         self._reported: set[str] = set()
 
     def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
@@ -195,8 +195,7 @@ class RestAndBias:
 
     def notices(self) -> list[str]:
         """Return, once each, what is missing, assumed, or out of range, and each jump of the bias."""
-        found = self._notices | self._thermal.notices
-        texts = [text for text in found if text not in self._reported]
+        texts = [text for text in self._thermal.notices if text not in self._reported]
         self._reported.update(texts)
         if self._estimator.jumped:
             self._estimator.jumped, jump = False, "at rest the rate contradicted the bias, so it has jumped"

@@ -121,9 +121,7 @@ class Thermal:
 
 def _first_of(block: SampleBlock, sources: list[list[str]]) -> FloatArray:
     """Return the first column of each list that a block has, (n, lists); NaN without one."""
-    none = np.full(len(block), np.nan)
-    found = [next((block[name] for name in names if name in block), none) for names in sources]
-    return np.column_stack(found).astype(np.float64)
+    return block.stacked([next((name for name in names if name in block), "") for names in sources])
 
 
 def _sources(column: str, axis: str) -> list[str]:

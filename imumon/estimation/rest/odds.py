@@ -126,7 +126,7 @@ def gravity(
     level, size = math.hypot(*(across @ change)), math.hypot(*change)
     if level <= OBLIQUE * size:
         return 0.0
-    seconds = sum(one.covered_s for one in measurements[1:])
+    seconds = measurements[-1].end_s - measurements[0].end_s
     phi = across @ _turned(measurements, bias)
     tilt = np.cross(last, first) / g**2
     still_variance = ((math.sqrt(2.0 * force_variance) + drift * seconds) / g) ** 2
@@ -163,6 +163,5 @@ def heading(measurements: Sequence[Measurement], bias: FloatArray) -> float:
 
 def _turned(measurements: Sequence[Measurement], bias: FloatArray) -> FloatArray:
     """Return the angle turned since the first measurement, rad, (3,), for a bias, rad/s, (3,)."""
-    later = measurements[1:]
-    seconds, rate = np.array([[one.covered_s] for one in later]), np.array([one.rate for one in later])
-    return np.asarray((seconds * (rate - bias)).sum(0))
+    seconds = np.diff([one.end_s for one in measurements])
+    return np.asarray(seconds @ (np.array([one.rate for one in measurements[1:]]) - bias))

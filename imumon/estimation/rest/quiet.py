@@ -36,23 +36,23 @@ UNSEEN_STEP = np.repeat([np.radians(2000.0 / 2**15), 0.0], 3)
 """rad/s, and not used for m/s²: the step of gyros that measure to 2000 °/s with 16 bits."""
 NO_NOISE = 1e-20
 """Variance of the samples, (rad/s)² and (m/s²)², below which they do not change: rounding in a mean."""
-ROAD = np.array([2.5e-3, 0.021])
-"""rad/s and m/s², rms of slot means: no sensor is noisier (0.1 °/s/√Hz and 1.5 mg/√Hz), a road is."""
 VARIANCE_SIGMAS, VARIANCE_FACTOR = 6.0, 2.0
 """Motion: a variance of a slot's samples above so many chi-square sigmas, times a factor."""
+SPIKE_SIGMAS = 8.0
+"""A single sample so far from the mean at rest ends the rest."""
 MEMORY_SLOTS = 1200.0
 """Slots over which the noise is averaged at rest: five minutes."""
 LARGEST_COLOUR = 5.0
 """In a trial: largest variance of means of 4 and 8 slots over that of white noise."""
 HALVES, HALVES_OFFSET = 5.0, 20.0
 """In a trial: largest noise of one half over the other, and what is added to it: else a knock was noise."""
-NOISE_CHANGE = 2.5
-"""Factor of the variance from which on a trial has found another noise."""
 SLOWER = 16.0
 """In a trial: largest variance of slot means over the variance that their samples explain: a hand is slow
 within a slot and fast between slots."""
-SPIKE_SIGMAS = 8.0
-"""A single sample so far from the mean at rest ends the rest."""
+ROAD = np.array([2.5e-3, 0.021])
+"""In a trial: largest rms of slot means, rad/s and m/s².  No sensor is noisier (0.1 °/s/√Hz, 1.5 mg/√Hz)."""
+NOISE_CHANGE = 2.5
+"""Factor of the variance from which on a trial has found another noise."""
 
 
 @dataclass(slots=True, eq=False)
@@ -60,12 +60,10 @@ class QuietDetector:
     """The last slots, the latest one last, and the noise at rest; rad/s and m/s², arrays (..., 6)."""
 
     mean: FloatArray = field(default_factory=partial(np.zeros, (2 * LENGTHS[-1], AXES)))
-    within: FloatArray = field(default_factory=partial(np.full, (TRIAL, AXES), np.nan))
-    """Variance of the samples of each slot."""
-    readable: BoolArray = field(default_factory=lambda: np.zeros((TRIAL, AXES), np.bool_))
-    """Whether an axis had readings."""
-    present: BoolArray = field(default_factory=lambda: np.zeros(AXES, np.bool_))
-    """Axes that have had readings lately, (6,)."""
+    """Of 128 slots; an axis without reading keeps its last mean, 0 before the first."""
+    latest: list[Slot] = field(default_factory=list)  # 16 slots
+    present: BoolArray = field(default_factory=partial(np.zeros, AXES, np.bool_))
+    """Axes that have readings in these, (6,)."""
     slots: int = 0  # since the beginning or the last restart
     quiet_slots: int = 0  # in a row; 0 in motion, or while the noise is not known
     unquiet: int = 0  # slots since the last rest of a trial's length that were not quiet
@@ -142,14 +140,11 @@ class QuietDetector:
             self._try_noise(slot.samples)
 
     def _append(self, slot: Slot) -> None:
-        """Append a slot; an axis without reading keeps its last mean, and 0 if it is absent."""
-        before, readable = self.present, np.isfinite(slot.mean[:AXES])
-        mean = np.where(readable, slot.mean[:AXES], np.where(before, self.mean[-1], 0.0))
-        values = (self.mean, mean), (self.within, slot.variance), (self.readable, readable)
-        for latest, value in values:
-            latest[:-1] = latest[1:]
-            latest[-1] = value
-        self.present = np.asarray(self.readable.any(0))
+        """Append a slot; axes that appear or vanish end the rest, and the noise is learned anew."""
+        before, self.latest = self.present, [*self.latest[1 - TRIAL :], slot]
+        readable = np.isfinite([one.mean[:AXES] for one in self.latest])
+        self.present = np.asarray(readable.any(0))
+        self.mean = np.vstack([self.mean[1:], np.where(readable[-1], slot.mean[:AXES], self.mean[-1])])
         if (before != self.present).any():
             self.noise_slots = 0.0
             self.restart()
@@ -220,11 +215,15 @@ class QuietDetector:
         return np.asarray(np.maximum(square.mean(0) / 6.0, 1e-24))
 
     def _try_noise(self, count: FloatArray) -> None:
-        """Take the noise of the last slots if it is that of rest, and larger than before or the first."""
+        """Take the noise of the last slots if it is that of rest, and larger than before or the first.
+
+        `count` is the number of samples in a slot, (6,).
+        """
         mean, noise = self.mean[-TRIAL:], self._white_variance()
-        enough = np.isfinite(self.within).all(0) & (count >= 3.0)
-        samples = np.where(enough, self.within.mean(0), noise * count)
-        # Where the noise at rest is known, what is far above it is suspicious, too.
+        within = np.array([one.variance for one in self.latest])
+        enough = np.isfinite(within).all(0) & (count >= 3.0)
+        samples = np.where(enough, within.mean(0), noise * count)
+        # Below `least` a variance is that of rest; where the noise is known, up to 9 times that at the most.
         least = (np.minimum(QUIET**2, 9.0 * self.noise) if self.noise_slots else QUIET**2) + self.floor
         longer = [mean.reshape(-1, length, AXES).mean(1).var(0, ddof=1) for length in (4, 8)]
         ratio = np.array(longer) / np.maximum([noise / 4.0, noise / 8.0], least)

@@ -46,6 +46,7 @@ class Measurement(NamedTuple):
     """What the filters of the bias are updated with: means over about a quiet second; NaN where missing."""
 
     end_s: float
+    length_s: float
     covered_s: float  # by its samples: the variance of the mean rate is that of one second over this time
     rate: FloatArray  # less the thermal model and the known earth rate, rad/s, (3,)
     force: FloatArray  # m/s², (3,); the last known one where it is missing, zero before the first
@@ -91,7 +92,8 @@ class Timing:
         if length <= 0.0:
             return end, length, 0.0, gap
         self.interval_s = length / samples
-        self.shortest_s = min(self.shortest_s, self.interval_s)
+        if not (begins or gap):  # these may be what a buffer held, all at once
+            self.shortest_s = min(self.shortest_s, self.interval_s)
         return end, length, min(length, samples * self.shortest_s), gap
 
     def since_origin_s(self, time_ns: int) -> float:
@@ -114,8 +116,7 @@ def _steps(ended: Slots) -> FloatArray:
 
 def readings_of(block: SampleBlock, dated: BoolArray) -> FloatArray:
     """Return rates and specific forces, rad/s and m/s², (n, 6); NaN where there is none or no time."""
-    none = np.full(len(block), np.nan)
-    readings = np.column_stack([block.columns.get(name, none) for name in SENSORS]).astype(np.float64)
+    readings = block.stacked(SENSORS)
     readings[~dated] = np.nan
     return readings
 

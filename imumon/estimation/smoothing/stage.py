@@ -79,12 +79,9 @@ class Recorder:
 
     def add(self, block: SampleBlock) -> None:
         """Take the next rows."""
-        n = len(block)
-        missing = np.full(n, np.nan)
-        values = np.column_stack([block.columns.get(name, missing) for name in NAMES])
-        time_ns = block.columns.get("device_time_ns", np.full(n, NO_INT))
-        self._keep(self._slots.process(time_ns, block["segment"], values))
-        self._rows += n
+        time_ns = block.columns.get("device_time_ns", np.full(len(block), NO_INT))
+        self._keep(self._slots.process(time_ns, block["segment"], block.stacked(NAMES)))
+        self._rows += len(block)
 
     def _keep(self, slots: Slots) -> None:
         """Keep copies: what the gatherer returns holds the memory of all its results."""

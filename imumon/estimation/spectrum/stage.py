@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
 
 import numpy as np
 
@@ -28,6 +27,16 @@ FEWEST = 256
 """Samples that are needed: with fewer a segment has too few bins for a floor beside a line."""
 GAP = 20.0
 """A gap of more intervals is not bridged: the spectrum is that of what came after it."""
+MOST_PEAKS = 3
+FALSE_ALARM = 0.01
+"""Chance that white noise shows a peak anywhere in a spectrum."""
+FLOOR_BINS = 15
+"""The floor under a line is the median over so many bins on one side, beyond the bin itself."""
+HALF_LINE = 2
+"""A line of a Hann window has its power in its bin and so many on either side."""
+OVERLAP_COST = 19.0 / 18.0
+"""Variance of half-overlapping Hann segments over that of as many independent ones, for many: Welch, section
+on overlapped segments, 1 + 2 ρ² with ρ² = (1/6)²."""
 _GROUPS = {
     "gyro": ("Angular rate, last 30 s at most", "°/s", float(np.degrees(1.0))),
     "accel": ("Specific force, last 30 s at most", "m/s²", 1.0),
@@ -68,13 +77,12 @@ class LiveSpectrum:
         if not self._blocks:
             return []
         kept = join([*self._blocks])
-        time_ns = kept["device_time_ns"][-MOST_SAMPLES:]
-        interval_ns = float(np.median(np.diff(time_ns))) if len(time_ns) >= FEWEST else 0.0
-        if interval_ns <= 0.0:
-            return []
-        start = int(np.flatnonzero(np.diff(time_ns, prepend=-np.inf) > GAP * interval_ns)[-1])
-        kept = kept.rows(len(kept) - len(time_ns) + start, len(kept))
-        if len(kept) < FEWEST:
+        kept = kept.rows(max(len(kept) - MOST_SAMPLES, 0), len(kept))
+        intervals_ns = np.diff(kept["device_time_ns"])
+        interval_ns = float(np.median(intervals_ns)) if len(kept) >= FEWEST else 0.0
+        behind_gaps = np.flatnonzero(intervals_ns > GAP * interval_ns) + 1
+        kept = kept.rows(int(behind_gaps.max(initial=0)), len(kept))
+        if interval_ns <= 0.0 or len(kept) < FEWEST:
             return []
         found = [_chart(group, kept, interval_ns) for group in _GROUPS]
         return [chart for chart in found if chart.curves]
@@ -86,68 +94,42 @@ def _chart(group: str, block: SampleBlock, interval_ns: float) -> Chart:
     curves, notes = [], []
     time_ns = block["device_time_ns"]
     even = np.arange(time_ns[0], time_ns[-1], interval_ns)
-    for axis, color in AXIS_COLORS.items():
-        known = np.isfinite(block.columns.get(f"{group}_{axis}", np.full(len(block), np.nan)))
+    readings = block.stacked([f"{group}_{axis}" for axis in AXIS_COLORS])
+    for (axis, color), values in zip(AXIS_COLORS.items(), readings.T, strict=True):
+        known = np.isfinite(values)
         if known.mean() < 0.5:
             continue
-        filled = np.interp(even, time_ns[known], block[f"{group}_{axis}"][known])
-        spectrum = welch(filled, interval_ns * 1e-9, 2 * (len(even) // PARTS))
-        density = factor * np.sqrt(spectrum.density[1:])
-        if not density.any():
+        filled = np.interp(even, time_ns[known], values[known])
+        frequency, density, segments = welch(filled, interval_ns * 1e-9, 2 * (len(even) // PARTS))
+        if not density[1:].any():
             continue
-        curves.append(Curve(axis, spectrum.frequency_hz[1:], density, color, width=1.2))
+        curves.append(Curve(axis, frequency[1:], factor * np.sqrt(density[1:]), color, width=1.2))
         lines = [
-            f"{line.frequency_hz:.4g} Hz: {factor * line.rms:.3g} {unit} rms" for line in peaks(spectrum)
+            f"{at:.4g} Hz: {factor * rms:.3g} {unit} rms" for at, rms in peaks(frequency, density, segments)
         ]
         notes.append(f"{axis}  " + ("   ".join(lines) or "no line above the noise"))
     x, y = Axis("frequency [Hz]", log=True), Axis(f"amplitude spectral density [{unit}/√Hz]", log=True)
     return Chart(f"spectrum_{group}", TAB, title, x, y, tuple(curves), notes=tuple(notes))
 
 
-MOST_PEAKS = 3
-FALSE_ALARM = 0.01
-"""Chance that white noise shows a peak anywhere in a spectrum."""
-FLOOR_BINS = 15
-"""The floor under a line is the median over so many bins on one side, beyond the bin itself."""
-HALF_LINE = 2
-"""A line of a Hann window has its power in its bin and so many on either side."""
-OVERLAP_COST = 19.0 / 18.0
-"""Variance of half-overlapping Hann segments over that of as many independent ones, for many: Welch, section
-on overlapped segments, 1 + 2 ρ² with ρ² = (1/6)²."""
+def welch(values: FloatArray, interval_s: float, length: int) -> tuple[FloatArray, FloatArray, int]:
+    """Return frequencies, Hz, the one-sided power spectral density, unit² per Hz, and the number of segments.
 
-
-class Spectrum(NamedTuple):
-    """A one-sided power spectral density, unit² per Hz, at frequencies, (n,) each, of so many segments."""
-
-    frequency_hz: FloatArray
-    density: FloatArray
-    segments: int
-
-
-class Peak(NamedTuple):
-    """A line: where it is, and the rms of what oscillates there."""
-
-    frequency_hz: float
-    rms: float
-
-
-def welch(values: FloatArray, interval_s: float, length: int) -> Spectrum:
-    """Return the spectrum of evenly spaced values, (n,), in half-overlapping segments of an even length."""
+    The values, (n,), are evenly spaced; the segments have an even length, and overlap by half.
+    """
     window = np.hanning(length + 1)[:-1]
     parts = np.lib.stride_tricks.sliding_window_view(values, length)[:: length // 2]
     parts = (parts - parts.mean(axis=1, keepdims=True)) * window
     power = np.abs(np.fft.rfft(parts, axis=1)) ** 2
     density = 2.0 * interval_s * power.mean(axis=0) / float(window @ window)
     density[[0, -1]] /= 2.0
-    frequency = np.arange(len(density)) / (length * interval_s)
-    return Spectrum(frequency, np.asarray(density), len(parts))
+    return np.arange(len(density)) / (length * interval_s), np.asarray(density), len(parts)
 
 
-def peaks(spectrum: Spectrum) -> list[Peak]:
-    """Return the strongest lines above what noise of this floor reaches, the strongest first."""
+def peaks(frequency: FloatArray, density: FloatArray, segments: int) -> list[tuple[float, float]]:
+    """Return frequency, Hz, and rms of the lines that no noise of this floor makes, the strongest first."""
     from scipy.special import gammaincinv  # 0.1 s, which no command spends before the first spectrum
 
-    frequency, density, segments = spectrum
     shape = segments / OVERLAP_COST  # of the gamma distribution of a mean of so many exponential variables
     # The first bins are left out: subtracting the mean of a segment has lowered them.
     padded = np.pad(density[HALF_LINE:], (HALF_LINE + FLOOR_BINS, FLOOR_BINS), "edge")
@@ -163,5 +145,5 @@ def peaks(spectrum: Spectrum) -> list[Peak]:
         line = slice(at - HALF_LINE, at + HALF_LINE + 1)
         power = np.maximum(density[line] - floor[line], 0.0)
         middle = float(power @ frequency[line] / power.sum())
-        found.append(Peak(middle, math.sqrt(power.sum() * frequency[1])))
-    return sorted(found, key=lambda peak: -peak.rms)[:MOST_PEAKS]
+        found.append((middle, math.sqrt(power.sum() * frequency[1])))
+    return sorted(found, key=lambda line: -line[1])[:MOST_PEAKS]

@@ -231,10 +231,8 @@ class ModelWatch:
 
 def _of_axes(block: SampleBlock, name: str, rows: IntArray) -> FloatArray:
     """Return a column at some rows, of each axis where it has its own, else of the unit, (rows, 3)."""
-    nowhere = np.full(len(block), np.nan)
-    unit = block.columns.get(name, nowhere)
-    of_axes = [block.columns.get(f"{name}_{axis}", nowhere)[rows] for axis in "xyz"]
-    return np.column_stack([np.where(np.isfinite(of), of, unit[rows]) for of in of_axes])
+    *of_axes, unit = block.stacked([f"{name}_x", f"{name}_y", f"{name}_z", name])[rows].T
+    return np.column_stack([np.where(np.isfinite(of), of, unit) for of in of_axes])
 
 
 def interpret(peaks: FloatArray, modelled: bool) -> tuple[str, str]:

@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import chi2
 
 from imumon.blocks import FloatArray
-from imumon.estimation.gyro_bias.bank import Bank
+from imumon.estimation.gyro_bias.bank import SENSITIVITY, SENSITIVITY_SD, Bank
 from imumon.estimation.gyro_bias.stage import RestAndBias
 from imumon.estimation.rest.parameters import GyroBiasParameters
 from imumon.estimation.rest.slots import Measurement
@@ -148,7 +148,9 @@ def test_the_first_means_are_as_certain_as_their_sigma(seconds: int) -> None:
     for _ in range(700):
         bias, white = rng.normal(0.0, 0.02, 3), sigma**2 * rng.chisquare(6.0, 3) / 6.0
         means = [
-            Measurement(k + 1.0, 1.0, bias + sigma * rng.standard_normal(3), zero, np.full(3, np.nan), zero)
+            Measurement(
+                k + 1.0, 1.0, 1.0, bias + sigma * rng.standard_normal(3), zero, np.full(3, np.nan), zero
+            )
             for k in range(seconds)
         ]
         bank = Bank.begin([None, zero, zero], (0.0,), white, means[0])
@@ -157,3 +159,12 @@ def test_the_first_means_are_as_certain_as_their_sigma(seconds: int) -> None:
         mean, variance = bank.prediction.bias(zero)
         z.append((mean - bias) / np.sqrt(variance))
     assert 0.93 < np.sqrt(np.mean(np.square(z))) < 1.03
+
+
+def test_the_prior_of_the_sensitivity_is_that_of_the_data_sheets_whatever_the_noise() -> None:
+    zero = np.zeros(3)
+    first = Measurement(1.0, 1.0, 1.0, zero, zero, np.full(3, np.nan), zero)
+    for white in (1e-12, 1e-6):
+        bank = Bank.begin((None, None, None), (0.0,), np.full(3, white), first)
+        sd = np.sqrt(np.einsum("aii->ai", bank.prediction.covariance)[:, SENSITIVITY])
+        assert sd == pytest.approx(np.full((3, 3), SENSITIVITY_SD))

@@ -171,10 +171,14 @@ def test_a_jump_about_the_vertical_stays_undecided_and_reports_it() -> None:
     assert np.abs(hypothesis[t > 45.0]).min() > 0.2 * DEG
 
 
+@pytest.mark.parametrize("every", [1, 12, 50])
 @pytest.mark.parametrize("turns", [True, False])
-def test_a_magnetometer_decides(turns: bool) -> None:
+def test_a_magnetometer_decides_however_slow_it_is(turns: bool, every: int) -> None:
     samples, rate = turn(0.8, 3.0, 1.0)
-    t, rest, hypothesis = found(with_field(samples, rate if turns else np.zeros_like(rate)))
+    samples = with_field(samples, rate if turns else np.zeros_like(rate))
+    for axis in "xyz":
+        samples[f"mag_{axis}"][np.arange(len(samples)) % every > 0] = np.nan
+    t, rest, hypothesis = found(samples)
     during = (t > BEGIN_S + 60.0) & (t < BEGIN_S + 180.0)
     assert np.all(rest[during] == (0 if turns else 1))
     widened = np.abs(hypothesis[during]).max() / (0.8 * DEG)
@@ -311,3 +315,26 @@ def test_a_yaw_that_the_device_integrates_with_its_bias_is_a_turn_that_sigma_con
     _, rest, hypothesis = found(samples)
     assert not rest[t > 60.0].any()
     assert np.abs(hypothesis[t > 60.0]).min() > 0.4 * DEG
+
+
+def test_samples_that_are_lost_do_not_make_an_undecided_rate_last_longer() -> None:
+    t, gyro, accel = noise(200.0)
+    gyro[t > 40.0, 2] += 0.8 * DEG
+    kept = (t < 20.0) | (np.random.default_rng(1).random(len(t)) < 0.4)
+    t, rest, _ = found(block(t[kept], gyro[kept], accel[kept]), RestParameters(undecided_s=60.0))
+    assert not rest[(t > 41.0) & (t < 95.0)].any()
+    assert rest[t > 110.0].all()
+
+
+@pytest.mark.parametrize("stall_s", [0.0, 20.0])
+def test_samples_that_come_in_a_burst_do_not_shorten_the_time_of_later_ones(stall_s: float) -> None:
+    """A buffer that is emptied at once, at the start or after a stall, with times of arrival."""
+    t, gyro, accel = noise(200.0)
+    gyro[t > 40.0, 1] += 0.05 * DEG
+    late = (t >= stall_s) & (t < stall_s + 0.7)
+    t[late] = stall_s + 0.7 - 1e-4 * np.arange(late.sum(), 0, -1)
+    t, rest, _ = found(block(t, gyro, accel))
+    result = RestAndBias().process(block(t, gyro, accel))
+    assert rest[t > 45.0].all()
+    assert np.abs(result["turn_hypothesis_y"][t > 70.0]).max() < 1e-3 * DEG
+    assert result["gyro_bias_sd_y"][-1] < 8.0 / 3600.0 * DEG
