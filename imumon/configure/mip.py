@@ -255,8 +255,7 @@ class MipFirmware(Firmware):
     family: Mip
     base_hz = USUAL_BASE_HZ
 
-    def __init__(self, device: DeviceFile, rate_hz: float) -> None:
-        assert isinstance(device, MipDevice)
+    def __init__(self, device: MipDevice, rate_hz: float) -> None:
         self.family, self._device = Mip(device), device
         by = nearest(USUAL_BASE_HZ, rate_hz)
         codes = {

@@ -14,7 +14,6 @@ from imumon.configure import core
 from imumon.configure.core import Family, Message, PacketKind, Request, Sent
 from imumon.configure.firmware import Firmware, nearest
 from imumon.protocols import vectornav
-from imumon.protocols.device import DeviceFile
 from imumon.protocols.messages import TableDevice
 from imumon.protocols.text import line_frame, sentence
 from imumon.protocols.vectornav_fields import GROUP_NAMES
@@ -237,8 +236,7 @@ class VectorNavFirmware(Firmware):
     family = VectorNav()
     base_hz = FAST_HZ
 
-    def __init__(self, device: DeviceFile, rate_hz: float) -> None:
-        assert isinstance(device, TableDevice)
+    def __init__(self, device: TableDevice, rate_hz: float) -> None:
         off = Output(0, 1, 0, ()).value
         settings = dict.fromkeys(REGISTERS, off) | {
             OUTPUT: Output.of(1, nearest(FAST_HZ, rate_hz), device.sends).value,

@@ -12,7 +12,6 @@ from operator import or_
 from imumon.configure import core
 from imumon.configure.core import Family, Message, PacketKind, Request, Sent
 from imumon.configure.firmware import Firmware
-from imumon.protocols.device import DeviceFile
 from imumon.protocols.framing import Checksum, Frame, fixed_length, unchecked
 from imumon.protocols.messages import TableDevice
 from imumon.protocols.witmotion import SIZE, TYPES
@@ -124,8 +123,7 @@ class WitMotionFirmware(Firmware):
     family = WitMotion()
     base_hz = max(RATES.values())
 
-    def __init__(self, device: DeviceFile, rate_hz: float) -> None:
-        assert isinstance(device, TableDevice)
+    def __init__(self, device: TableDevice, rate_hz: float) -> None:
         bits = {message.name: 1 << kind - FIRST_FRAME for kind, message in TYPES.items()}
         content = sum(bits[name] for name in device.sends)
         rate = min(RATES, key=lambda code: abs(RATES[code] - rate_hz))

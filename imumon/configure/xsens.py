@@ -13,7 +13,6 @@ from imumon.configure import core
 from imumon.configure.core import Family, Message, PacketKind, Request, Sent
 from imumon.configure.firmware import Firmware
 from imumon.errors import bad_config
-from imumon.protocols.device import DeviceFile
 from imumon.protocols.tagged import XBUS, xbus_message
 from imumon.protocols.xsens import mtdata
 from imumon.protocols.xsens.fields import message_of
@@ -185,8 +184,7 @@ class XsensFirmware(Firmware):
     family = Xsens()
     base_hz = FASTEST_HZ
 
-    def __init__(self, device: DeviceFile, rate_hz: float) -> None:
-        assert isinstance(device, mtdata.MTData2Device)
+    def __init__(self, device: mtdata.MTData2Device, rate_hz: float) -> None:
         keys = [key for key, _ in mtdata.find_fields(device.sends, device.precision)]
         output = [(key, WITH_EVERY_PACKET if key >> 8 in TIMELESS else round(rate_hz)) for key in keys]
         super().__init__(device, {OUTPUT: packed(output)})

@@ -20,12 +20,17 @@ from scipy.ndimage import median_filter
 from imumon.blocks import NO_INT, BoolArray, FloatArray, IntArray
 from imumon.config import dump_yaml
 from imumon.errors import bad_config, bad_data
+from imumon.recordings.map import GROUPS
 
 TIME = "time_ns"
 AXES = "xyz"
 GAUSS_TO_TESLA = 1e-4
 NEIGHBOURS = 5
 """A damaged time is detected by the median of so many: two in a row may be wrong."""
+UNITS = {
+    "gyro": "rad/s", "accel": "m/s^2", "mag": "T", "temperature": "degC", "pressure": "Pa", "attitude": "1",
+}  # fmt: skip
+"""Of each group of the map, whose columns are those of the table."""
 EXACT_US = 2**53
 """A float64 holds whole numbers up to this, 285 years; a later time is damage."""
 
@@ -91,9 +96,9 @@ class Log:
         columns = {name: np.where(np.isfinite(values), values, np.nan) for name, values in columns.items()}
         pq.write_table(pa.table({TIME: time[kept], **columns}), path)
         groups = {
-            name: {"columns": names, "unit": unit}
-            for name, (names, unit) in UNITS.items()
-            if all(one in columns and np.isfinite(columns[one]).any() for one in names)
+            name: {"columns": GROUPS[name][0], "unit": unit}
+            for name, unit in UNITS.items()
+            if all(one in columns and np.isfinite(columns[one]).any() for one in GROUPS[name][0])
         }
         text = dump_yaml({"time": {"column": TIME, "unit": "ns"}, **groups, "axes": self.axes})
         return f"# scaling: {self.scaling}\n{text}", int((~kept).sum())
@@ -147,17 +152,6 @@ def named(values: Mapping[str, Any], names: Sequence[str], targets: Sequence[str
 def triple(name: str) -> list[str]:
     """Return the columns of a vector."""
     return [f"{name}_{axis}" for axis in AXES]
-
-
-UNITS: dict[str, tuple[list[str], str]] = {
-    "gyro": (triple("gyro"), "rad/s"),
-    "accel": (triple("accel"), "m/s^2"),
-    "mag": (triple("mag"), "T"),
-    "temperature": (["temperature"], "degC"),
-    "pressure": (["pressure"], "Pa"),
-    "attitude": ([f"q_{part}" for part in "wxyz"], "1"),
-}
-"""Of each group of the map: its columns, and their unit."""
 
 
 def nanoseconds(time_us: Any) -> IntArray:

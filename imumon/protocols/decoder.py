@@ -127,7 +127,7 @@ class Decoder:
         """Return, once each, why numbers are unfit for an estimate, as when the device has corrected them."""
         corrected = "gyro_compensated_x" in self._columns and "gyro_x" not in self._columns
         if corrected and self._by_kind.sum() >= GENERATION:
-            self._warn(ONLY_CORRECTED)
+            self._report(ONLY_CORRECTED, is_warning=True)
         new, self._warnings = self._warnings, []
         return new
 
@@ -147,17 +147,11 @@ class Decoder:
     def _by_type(self) -> dict[str, int]:
         return dict(zip(self._names, self._by_kind.tolist(), strict=True))
 
-    def _report(self, text: str) -> None:
-        """Give a notice unless it was given before."""
-        if text not in self._reported and len(self._reported) < MOST_NOTICES:
+    def _report(self, text: str, is_warning: bool = False) -> None:
+        """Give a notice, or a warning, unless it was given before."""
+        if text not in self._reported and (is_warning or len(self._reported) < MOST_NOTICES):
             self._reported.add(text)
-            self._notices.append(text)
-
-    def _warn(self, text: str) -> None:
-        """Give a warning unless it was given before."""
-        if text not in self._reported:
-            self._reported.add(text)
-            self._warnings.append(text)
+            (self._warnings if is_warning else self._notices).append(text)
 
     def _search(self, final: bool) -> None:
         """Find the packets in what has come, and keep what may still become one."""

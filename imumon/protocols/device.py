@@ -18,6 +18,16 @@ from imumon.protocols.ranges import Ranges
 from imumon.protocols.thermometer import TemperatureRateParameters
 from imumon.transport.settings import PortSettings
 
+FAMILIES = {
+    "ximu3": "imumon.protocols.ximu3:XimuDecoder",
+    "mavlink": "imumon.protocols.mavlink:MavlinkDecoder",
+    "witmotion": "imumon.protocols.witmotion:WitMotionDecoder",
+    "sbg": "imumon.protocols.sbg:SbgDecoder",
+    "inertialsense": "imumon.protocols.inertialsense:InertialSenseDecoder",
+    "hipnuc": "imumon.protocols.hipnuc:HipnucDecoder",
+    "vectornav": "imumon.protocols.vectornav:VectorNavDecoder",
+}
+"""Decoder of each protocol that is a table of messages; imported when a device of it is decoded."""
 PROTOCOLS = {
     "fixed": "imumon.protocols.fixed:FixedDevice",
     "fixed-several": "imumon.protocols.fixed:SeveralDevice",
@@ -26,10 +36,7 @@ PROTOCOLS = {
     "xsens-mtdata": "imumon.protocols.xsens.mtdata:MTDataDevice",
     "stim300": "imumon.protocols.stim300:StimDevice",
     "mip": "imumon.protocols.mip:MipDevice",
-} | dict.fromkeys(
-    ("vectornav", "witmotion", "sbg", "ximu3", "hipnuc", "inertialsense", "mavlink"),
-    "imumon.protocols.messages:TableDevice",
-)
+} | dict.fromkeys(FAMILIES, "imumon.protocols.messages:TableDevice")
 """Class that reads the device files of each protocol; imported when a device of it is loaded."""
 FOLDER = "path of a folder of device files"
 """What a plug-in offers in the group `imumon.plugins.DEVICES`, in words."""

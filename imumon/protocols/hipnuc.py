@@ -6,85 +6,69 @@ Facts from the vendor's drivers.  0x83 lists the fields that follow by the bits 
 
 from collections.abc import Sequence
 from fractions import Fraction
-from math import pi
 
 import numpy as np
 
 from imumon.blocks import BoolArray, IntArray
-from imumon.geodesy import STANDARD_GRAVITY
 from imumon.protocols.base import ByteArray, Timing
 from imumon.protocols.framing import Checksum, Frame, counted_length, windows
-from imumon.protocols.messages import FamilyDecoder, Message, Part, axes, counted, field, floats, gap, real
-from imumon.protocols.numbers import count, known, number, vector
+from imumon.protocols.messages import FamilyDecoder, Message, field, part, table
 
 SYNC = b"\x5a\xa5"
 HEADER, LONGEST = 6, 512 + 6
-DEGREE = pi / 180
-SHORT_FORCE = 0.0048828
-SHORT_MAG = 0.030517
 OF_BITS = 0x83
 
-TAG, STATUS = gap(1), floats("status", kind="u16")
-INS_STATUS = counted("ins_status", "status of the filter", "u8")
-PLACE = known("longitude", "latitude", "altitude")
-VELOCITY_ENU = vector("velocity_enu", "m/s", "velocity east, north, up")
-FREE_ENU = vector("free_accel_enu", "m/s^2", "acceleration without gravity, east, north, up")
-
-PACKETS = {
-    0x91: field("imu91", TAG, STATUS, floats("temperature", kind="i8"), floats("pressure"),
-                floats("device_ticks", 1000.0, "u32"), floats("accel", STANDARD_GRAVITY),
-                floats("gyro", DEGREE), floats("mag"), floats("angles", DEGREE), floats("q")),
-    0x81: field("ins81", TAG, STATUS, INS_STATUS, counted("gps_week", "GPS week", "u16"),
-                counted("gps_time_of_week", "GPS time of week", "u32", "ms"), gap(2),
-                floats("gyro", 1e-3, "i16"), floats("accel", SHORT_FORCE, "i16"),
-                floats("mag", SHORT_MAG, "i16"), gap(4), floats("temperature", kind="i8"), gap(7),
-                floats(known("roll", "pitch"), DEGREE / 100, "i16"), floats("yaw", DEGREE / 100, "u16"),
-                floats("q", 1e-4, "i16"), floats(PLACE[:2], 1e-7, "i32"), floats(PLACE[2:], 1e-3, "i32"),
-                gap(10), floats(VELOCITY_ENU, 0.01, "i16"), floats(FREE_ENU, SHORT_FORCE, "i16"), gap(14)),
-}  # fmt: skip
+_INS = "1 | status u16 | ins_status u8 1 status of the filter"
+PACKETS = table(f"""
+0x91 imu91: 1 | status u16 | temperature i8 | pressure f32 | device_ticks u32*1000 | accel f32*g
+  | gyro f32*deg | mag f32 | angles f32*deg | q f32
+0x81 ins81: {_INS} | gps_week u16 1 GPS week | gps_time_of_week u32 ms GPS time of week | 2 | gyro i16*0.001
+  | accel i16*0.0048828 | mag i16*0.030517 | 4 | temperature i8 | 7 | roll i16*deg/100 | pitch i16*deg/100
+  | yaw u16*deg/100 | q i16*0.0001 | longitude i32*1e-7 | latitude i32*1e-7 | altitude i32*0.001 | 10
+  | velocity_enu_xyz i16*0.01 m/s velocity east, north, up
+  | free_accel_enu_xyz i16*0.0048828 m/s^2 acceleration without gravity, east, north, up | 14
+""")
 """Packets with one layout, by their tag."""
 
 
-def _several(name: str, unit: str, what: str) -> Part:
-    return floats([number(f"{axis}{name}", unit, f"{axis}: {what}") for axis in ("heave", "surge", "sway")])
-
-
-BITS: dict[int, Part] = {
-    0: floats("accel"),
-    1: floats("gyro", DEGREE),
-    2: floats("mag"),
-    3: floats("angles", DEGREE),
-    4: floats("q"),
-    5: floats("device_ticks", kind="u64"),
-    6: gap(8),
-    7: floats("pressure"),
-    8: floats("temperature"),
-    9: axes("inclination", "deg", "of the axis"),
-    10: _several("", "m", "displacement"),
-    11: _several("_frequency", "Hz", "frequency"),
-    12: floats(VELOCITY_ENU),
-    13: floats(FREE_ENU),
-    14: floats(PLACE, kind="f64"),
-    15: floats([count(f"quality_{k}", "quality of the solution") for k in range(4)], kind="u8"),
-    16: real("odometer_speed", "m/s", "of the odometer"),
-    17: real("undulation", "m", "of the geoid"),
-    18: real("correction_age", "s", "of differential corrections"),
-    19: counted("node", "number of the node", "u8") + gap(3),
-    30: floats([number(f"gnss_{c.name}", c.unit, "of the receiver") for c in PLACE], kind="f64"),
-    31: axes("gnss_velocity", "m/s", "of the receiver"),
-}
+_SHIP = ("heave", "surge", "sway")
+_PLACE = {"longitude": "deg", "latitude": "deg", "altitude": "m"}
+BITS = table(f"""
+0 accel: accel f32
+1 gyro: gyro f32*deg
+2 mag: mag f32
+3 angles: angles f32*deg
+4 q: q f32
+5 time: device_ticks u64
+6 pulse: 8
+7 pressure: pressure f32
+8 temperature: temperature f32
+9 inclination: inclination_xyz f32 deg of the axis
+10 displacement: {" | ".join(f"{name} f32 m {name}: displacement" for name in _SHIP)}
+11 frequency: {" | ".join(f"{name}_frequency f32 Hz {name}: frequency" for name in _SHIP)}
+12 velocity: velocity_enu_xyz f32 m/s velocity east, north, up
+13 free: free_accel_enu_xyz f32 m/s^2 acceleration without gravity, east, north, up
+14 place: longitude f64 | latitude f64 | altitude f64
+15 quality: {" | ".join(f"quality_{k} u8 1 quality of the solution" for k in range(4))}
+16 odometer: odometer_speed f32 m/s of the odometer
+17 undulation: undulation f32 m of the geoid
+18 correction: correction_age f32 s of differential corrections
+19 node: node u8 1 number of the node | 3
+30 receiver: {" | ".join(f"gnss_{name} f64 {unit} of the receiver" for name, unit in _PLACE.items())}
+31 moving: gnss_velocity_xyz f32 m/s of the receiver
+""")
 """Fields of 0x83.
 
 The unit of the rate, deg/s, is by analogy with 0x91: the vendor prints both under one name.
 """
-HEAD = (TAG, STATUS, INS_STATUS, gap(4))
+HEAD = part(f"{_INS} | 4")
 
 
 def of_bits(bits: int) -> Message:
     """Return the message 0x83 with the fields of these bits; it ends at the first bit that nobody knows."""
     there = [BITS.get(bit) for bit in range(32) if bits >> bit & 1]
     end = there.index(None) if None in there else len(there)
-    return field(f"imu83:{bits:#x}", *HEAD, *filter(None, there[:end]))
+    return field(f"imu83:{bits:#x}", HEAD, *(one.numbers for one in there[:end] if one is not None))
 
 
 _XMODEM = Checksum("crc16-xmodem")

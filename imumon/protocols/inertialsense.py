@@ -11,61 +11,53 @@ import numpy as np
 from imumon.blocks import ColumnArray
 from imumon.protocols.base import LONGEST_PACKET, Timing
 from imumon.protocols.framing import Checksum, Frame, counted_length
-from imumon.protocols.messages import FamilyDecoder, axes, counted, field, floats, gap, real
-from imumon.protocols.numbers import Columns, Derived, known, number, vector
+from imumon.protocols.messages import FamilyDecoder, table
+from imumon.protocols.numbers import Columns, Derived, known
 
 SYNC = b"\xef\x49"
 HEADER, AROUND = 6, 8
 FLETCHER = Checksum("fletcher16-256")
 DATA, SET_DATA, WITH_OFFSET = 4, 5, 0x20
-KILOPASCAL = 1000.0
 USUAL_S = 0.004
 """Time over which a virtual device sums increments where it is not stated, s."""
 
-TIME, STATUS = floats("device_ticks", 1e9, "f64"), floats("status", kind="u32")
-DELTA_TIME = [number("delta_time", "s", "time over which the increments were summed")]
-THETA = vector("delta_theta", "rad", "rotation over the sample")
-DELTA_VELOCITY = vector("delta_velocity", "m/s", "velocity increment")
-BODY_VELOCITY = axes("velocity_body", "m/s", "velocity in the body frame")
-OF_FILTER = (
-    *counted("gps_week", "GPS week", "u32"),
-    *real("gps_time_of_week", "s", "GPS", "f64"),
-    *counted("ins_status", "status of the filter, bits", "u32"),
-    *counted("hardware_status", "status of the hardware, bits", "u32"),
+INCREMENTS = (
+    *("delta_time", "delta_theta_x", "delta_theta_y", "delta_theta_z"),
+    *("delta_velocity_x", "delta_velocity_y", "delta_velocity_z"),
 )
+RATES = known("gyro", "accel")
 
 
 def _mean_rates(columns: Columns) -> list[ColumnArray]:
     with np.errstate(all="ignore"):  # an interval of zero gives no rate
-        means = [columns[c.name] / columns["delta_time"] for c in (*THETA, *DELTA_VELOCITY)]
+        means = [columns[name] / columns["delta_time"] for name in INCREMENTS[1:]]
     return [np.where(np.isfinite(mean), mean, np.nan) for mean in means]
 
 
 def _with_increments(columns: Columns) -> list[ColumnArray]:
     interval = columns.get("delta_time", np.full(len(columns["gyro_x"]), USUAL_S))
-    return [interval, *(columns[column.name] * interval for column in known("gyro", "accel"))]
+    return [interval, *(columns[column.name] * interval for column in RATES)]
 
 
-MEANS = Derived(tuple(c.name for c in (*DELTA_TIME, *THETA, *DELTA_VELOCITY)), known("gyro", "accel"),
-                _mean_rates, _with_increments)  # fmt: skip
+MEANS = Derived(INCREMENTS, RATES, _mean_rates, _with_increments)
 
-SAMPLE = (TIME, STATUS, floats("gyro"), floats("accel"))
-PRESSURE = floats("pressure", KILOPASCAL)
-DATA_SETS = {
-    58: field("imu", *SAMPLE),
-    97: field("imu_raw", *SAMPLE),
-    3: field("pimu", TIME, floats(DELTA_TIME), STATUS, floats(THETA), floats(DELTA_VELOCITY)),
-    11: field("sys_sensors", TIME, floats("temperature"), floats("gyro"), floats("accel"), floats("mag"),
-              PRESSURE, gap(28), group="sensors"),
-    10: field("sys_params", counted("time_of_week_ms", "GPS time of week", "u32", "ms"), gap(8),
-              floats("temperature"), gap(48), group="temperature"),
-    52: field("mag", TIME, floats("mag"), group="mag"),
-    53: field("baro", TIME, PRESSURE, real("altitude_msl", "m", "from the pressure"),
-              real("baro_temperature", "degC", "of the barometer"), gap(4), group="pressure"),
-    4: field("ins_1", OF_FILTER, floats("angles"), BODY_VELOCITY, floats("place", kind="f64"), gap(12),
-             group="filter"),
-    5: field("ins_2", OF_FILTER, floats("q"), BODY_VELOCITY, floats("place", kind="f64"), group="filter"),
-}  # fmt: skip
+_TIME = "device_ticks f64*1e9"
+_FILTER = """gps_week u32 1 GPS week | gps_time_of_week f64 s GPS
+  | ins_status u32 1 status of the filter, bits | hardware_status u32 1 status of the hardware, bits"""
+_MOVES = "velocity_body_xyz f32 m/s velocity in the body frame | place f64"
+DATA_SETS = table(f"""
+58 imu: {_TIME} | status u32 | gyro f32 | accel f32
+97 imu_raw: {_TIME} | status u32 | gyro f32 | accel f32
+3 pimu: {_TIME} | delta_time f32 s time over which the increments were summed | status u32
+  | delta_theta_xyz f32 rad rotation over the sample | delta_velocity_xyz f32 m/s velocity increment
+11 sys_sensors [sensors]: {_TIME} | temperature f32 | gyro f32 | accel f32 | mag f32 | pressure f32*kPa | 28
+10 sys_params [temperature]: time_of_week_ms u32 ms GPS time of week | 8 | temperature f32 | 48
+52 mag [mag]: {_TIME} | mag f32
+53 baro [pressure]: {_TIME} | pressure f32*kPa | altitude_msl f32 m from the pressure
+  | baro_temperature f32 degC of the barometer | 4
+4 ins_1 [filter]: {_FILTER} | angles f32 | {_MOVES} | 12
+5 ins_2 [filter]: {_FILTER} | q f32 | {_MOVES}
+""")
 """Data sets by their identifier."""
 
 

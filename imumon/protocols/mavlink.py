@@ -13,7 +13,6 @@ from functools import partial
 import numpy as np
 
 from imumon.blocks import BoolArray, ColumnArray, IntArray
-from imumon.geodesy import STANDARD_GRAVITY
 from imumon.protocols.base import ByteArray, Timing
 from imumon.protocols.framing import (
     CRCS,
@@ -26,23 +25,19 @@ from imumon.protocols.framing import (
     integers,
     windows,
 )
-from imumon.protocols.messages import FamilyDecoder, Message, Part, counted, field, floats, gap, real
-from imumon.protocols.numbers import Columns, Derived, count, known, vector
+from imumon.protocols.messages import FamilyDecoder, table
+from imumon.protocols.numbers import Columns, Derived, known
 
 FIRST, SECOND = b"\xfe", b"\xfd"
 HEADERS = {FIRST: 6, SECOND: 10}
 SIGNATURE = 13
 SIGNED = 1
-GAUSS, HECTOPASCAL = 100.0, 100.0
 LONGEST = 64
 """Bytes of the longest payload in the table, with its extensions."""
 
-HUNDREDTHS = count("_hundredths", "temperature, 0 when there is none")
-FILTER_RATE = vector("gyro_compensated", "rad/s", "angular rate less the filter's bias")
-
 
 def _to_celsius(columns: Columns) -> list[ColumnArray]:
-    raw = columns[HUNDREDTHS.name]
+    raw = columns["_hundredths"]
     return [np.where(raw == 0, np.nan, raw / 100)]
 
 
@@ -51,31 +46,22 @@ def _of_celsius(columns: Columns) -> list[ColumnArray]:
     return [np.where(np.isnan(columns["temperature"]), 0, np.where(raw == 0, 1, raw)).astype(np.int64)]
 
 
-CELSIUS = Derived((HUNDREDTHS.name,), known("temperature"), _to_celsius, _of_celsius)
+CELSIUS = Derived(("_hundredths",), known("temperature"), _to_celsius, _of_celsius)
 
 
-def _imu(name: str, ticks: Part, unread: Part) -> Message:
-    vectors = floats("accel", STANDARD_GRAVITY / 1000, "i16") + floats("gyro", 1e-3, "i16")
-    field_of_earth, celsius = floats("mag", GAUSS / 1000, "i16"), floats([HUNDREDTHS], kind="i16")
-    return field(name, ticks, vectors, field_of_earth, unread, celsius, least=1)
-
-
-MILLISECONDS, MICROSECONDS = floats("device_ticks", 1000.0, "u32"), floats("device_ticks", kind="u64")
-MESSAGES = {
-    105: field("highres_imu", MICROSECONDS, floats("accel"), floats("gyro"), floats("mag", GAUSS),
-               floats("pressure", HECTOPASCAL), gap(4), real("pressure_altitude", "m", "from the pressure"),
-               floats("temperature"), counted("updated", "which values are new, bits", "u16"), gap(1),
-               least=1),
-    26: _imu("scaled_imu", MILLISECONDS, gap(0)),
-    27: _imu("raw_imu", MICROSECONDS, gap(1)),
-    29: field("scaled_pressure", MILLISECONDS, floats("pressure", HECTOPASCAL), gap(8), group="pressure",
-              least=1),
-    30: field("attitude", MILLISECONDS, floats("angles"), floats(FILTER_RATE), group="attitude", least=1),
-    31: field("attitude_quaternion", MILLISECONDS, floats("q"), floats(FILTER_RATE), group="attitude",
-              least=1),
-    0: field("heartbeat", counted("vehicle_mode", "mode of the vehicle", "u32"), gap(5), group="vehicle",
-             least=1),
-}  # fmt: skip
+_VECTORS = "accel i16*g/1000 | gyro i16*0.001 | mag i16*gauss/1000"
+_CELSIUS = "_hundredths i16 1 temperature, 0 when there is none"
+_FILTER = "gyro_compensated_xyz f32 rad/s angular rate less the filter's bias"
+MESSAGES = table(f"""
+105 highres_imu >=1: device_ticks u64 | accel f32 | gyro f32 | mag f32*gauss | pressure f32*hPa | 4
+  | pressure_altitude f32 m from the pressure | temperature f32 | updated u16 1 which values are new, bits | 1
+26 scaled_imu >=1: device_ticks u32*1000 | {_VECTORS} | {_CELSIUS}
+27 raw_imu >=1: device_ticks u64 | {_VECTORS} | 1 | {_CELSIUS}
+29 scaled_pressure [pressure] >=1: device_ticks u32*1000 | pressure f32*hPa | 8
+30 attitude [attitude] >=1: device_ticks u32*1000 | angles f32 | {_FILTER}
+31 attitude_quaternion [attitude] >=1: device_ticks u32*1000 | q f32 | {_FILTER}
+0 heartbeat [vehicle] >=1: vehicle_mode u32 1 mode of the vehicle | 5
+""")
 """Messages by their number; the second and third sensors (116, 129) are only counted."""
 EXTRA = {0: 50, 2: 137, 26: 170, 27: 144, 29: 115, 30: 39, 31: 246, 105: 93, 107: 108, 111: 34, 116: 76,
          129: 46}  # fmt: skip
@@ -152,7 +138,8 @@ class MavlinkDecoder(FamilyDecoder):
         vehicle, key = packet[5:7], int.from_bytes(packet[7:10], "little")
         self._vehicle = self._vehicle or vehicle
         if key in (26, 27):
-            self._warn("rates of SCALED_IMU and RAW_IMU have steps of 206 deg/h: HIGHRES_IMU is finer")
+            coarse = "rates of SCALED_IMU and RAW_IMU have steps of 206 deg/h: HIGHRES_IMU is finer"
+            self._report(coarse, is_warning=True)
         if vehicle != self._vehicle:
             number, component = self._vehicle
             self._report(f"only vehicle {number}, component {component} is read of several")

@@ -8,11 +8,13 @@ Packets are alike when their *signature* is the same: kind, length, and the byte
 carry.  The first packet of each signature is looked at in Python; all that are like it are read at once.
 """
 
+import re
 from abc import abstractmethod
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from itertools import chain
+from math import pi
 from pkgutil import resolve_name
 from typing import Any, NamedTuple
 
@@ -20,22 +22,13 @@ import numpy as np
 
 from imumon.blocks import IntArray, SampleBlock
 from imumon.columns import Column, ColumnType
+from imumon.geodesy import STANDARD_GRAVITY
 from imumon.protocols.base import COMMON, MAIN, NO_GROUP, Encoder, Groups, Timing, chosen
 from imumon.protocols.decoder import Decoder
-from imumon.protocols.device import DeviceFile
+from imumon.protocols.device import FAMILIES, DeviceFile
 from imumon.protocols.framing import Found, Frame, windows
-from imumon.protocols.numbers import Derived, Number, Record, known, number, vector, with_sources, write
+from imumon.protocols.numbers import Derived, Number, Record, known, with_sources, write
 
-FAMILIES = {
-    "ximu3": "imumon.protocols.ximu3:XimuDecoder",
-    "mavlink": "imumon.protocols.mavlink:MavlinkDecoder",
-    "witmotion": "imumon.protocols.witmotion:WitMotionDecoder",
-    "sbg": "imumon.protocols.sbg:SbgDecoder",
-    "inertialsense": "imumon.protocols.inertialsense:InertialSenseDecoder",
-    "hipnuc": "imumon.protocols.hipnuc:HipnucDecoder",
-    "vectornav": "imumon.protocols.vectornav:VectorNavDecoder",
-}
-"""Decoder of each protocol that is a table of messages; imported when a device of it is decoded."""
 MOST_LAYOUTS = 4096
 """Signatures that are remembered: so many come of random bytes alone."""
 ANY_SIZE = -1
@@ -43,40 +36,82 @@ ANY_SIZE = -1
 Part = tuple[Number, ...]
 """Numbers that stand one behind the other."""
 
-
-def floats(columns: str | Iterable[Column], factor: float = 1.0, kind: str = "f32") -> Part:
-    """Return numbers of one type, not placed yet; a canonical quantity goes by its name."""
-    there = known(columns) if isinstance(columns, str) else columns
-    return tuple(Number(column, kind, factor) for column in there)
-
-
-def real(name: str, unit: str, description: str, kind: str = "f32", factor: float = 1.0) -> Part:
-    """Return a number of a column of its own, not placed yet."""
-    return (Number(number(name, unit, description), kind, factor),)
+FACTORS = {
+    "pi": pi, "deg": pi / 180, "g": STANDARD_GRAVITY, "gauss": 100.0, "kPa": 1000.0, "hPa": 100.0,
+}  # fmt: skip
+"""What numbers are times to be in the units of imumon, by the names that tables have for it."""
+AXES = {"xyz": "xyz", "wxyz": "wxyz", "3x3": [f"{i}{j}" for i in "123" for j in "123"]}
+"""Ends of the columns of a vector, a quaternion, a matrix."""
+_ROW = re.compile(r"(\S+) (\S+)(?: \[(\w*)\])?(?: >=(\d+))?(?::\s+(.*))?", re.DOTALL)
 
 
-def axes(
-    name: str, unit: str, description: str, factor: float = 1.0, kind: str = "f32", letters: str = "xyz"
-) -> Part:
-    """Return numbers of a column of its own for each axis, not placed yet."""
-    return floats(vector(name, unit, description, letters), factor, kind)
+def part(text: str) -> Part:
+    """Read numbers that stand one behind the other, with bars between them; they are not placed yet.
+
+    - ``gyro i16*deg/16``: a canonical column, or several that come together; type of the numbers, and what
+      they are times, and plus
+    - ``ned_xyz f32 m/s velocity north, east, down``: columns of its own, with their unit and meaning;
+      integers stay integers where the factor is a whole number (*1.0 is none)
+    - ``gnss:latitude,longitude f64 deg``: columns of a receiver
+    - ``12``: so many bytes that are passed over
+    """
+    found = list[Number]()
+    for item in filter(None, map(str.strip, text.split("|"))):
+        name, *more = item.split(maxsplit=3)
+        if not more:
+            found += (Number(None, "u8"),) * int(name)
+            continue
+        kind, *scale = re.split("([*/+])", more[0])
+        factor, offset = 1.0, 0.0
+        for sign, term in zip(scale[::2], scale[1::2], strict=True):
+            size = FACTORS.get(term) or float(term)
+            if sign == "+":
+                offset = size
+            else:
+                factor = factor * size if sign == "*" else factor / size
+        is_whole = kind[0] in "ui" and "/" not in scale and all(map(str.isdecimal, scale[1::2]))
+        columns = _columns(name, more[1:], "int64" if is_whole else "float64")
+        found += (Number(column, kind, factor, offset) for column in columns)
+    return tuple(found)
 
 
-def counted(name: str, description: str, kind: str, unit: str = "1") -> Part:
-    """Return an integer that is a column as it is, not placed yet."""
-    return (Number(Column(name, unit, "int64", description), kind),)
+def _columns(name: str, more: Sequence[str], dtype: ColumnType) -> Iterable[Column]:
+    """Return the columns of an item of a table; `more`: unit and meaning, where it has them."""
+    prefix, _, ends = name.rpartition(":")
+    if prefix:
+        for end in ends.split(","):
+            yield Column(f"{prefix}_{end}", more[0], dtype, f"receiver {prefix}: {end.replace('_', ' ')}")
+    elif not more:
+        yield from known(name)
+    else:
+        unit, what = more
+        stem, _, axes = name.rpartition("_")
+        for axis in AXES.get(axes, ()):
+            yield Column(f"{stem}_{axis}", unit, dtype, f"{what}, {axis}")
+        if axes not in AXES:
+            yield Column(name, unit, dtype, what)
 
 
-def gnss(prefix: str, unit: str, *names: str, kind: str = "f32", factor: float = 1.0) -> Part:
-    """Return numbers of a satellite receiver, not placed yet; integers without a factor are counts."""
-    dtype: ColumnType = "float64" if kind[0] == "f" or factor != 1.0 else "int64"
-    columns = [(f"{prefix}_{name}", f"receiver {prefix}: {name.replace('_', ' ')}") for name in names]
-    return floats([Column(name, unit, dtype, what) for name, what in columns], factor, kind)
+def rows(text: str) -> Iterator[tuple[str, str, str | None, int, Part]]:
+    """Yield what the rows of a table state: ``KEY NAME [GROUP] >=LEAST: NUMBERS``; see `Message` and `part`.
+
+    A line that is indented goes on with the one before; a row without numbers is of a message of any size.
+    """
+    for row in re.split(r"\n(?=\S)", text.strip()):
+        found = _ROW.fullmatch(row)
+        assert found is not None, row
+        key, name, group, least, numbers = found.groups()
+        yield key, name, group, int(least or 0), part(numbers or "")
 
 
-def gap(size: int) -> Part:
-    """Return so many bytes that are passed over, not placed yet."""
-    return (Number(None, "u8"),) * size
+def table(text: str, usual: str = MAIN) -> dict[int, "Message"]:
+    """Return the messages of a table by their keys, numbers or letters; `usual`: group of most of them."""
+    return {
+        int(key, 0) if key[0].isdecimal() else ord(key): field(
+            name, numbers, group=usual if group is None else group, least=least
+        )
+        for key, name, group, least, numbers in rows(text)
+    }
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -133,10 +168,9 @@ def _all_columns(
 
 
 class Alike(NamedTuple):
-    """Packets of one signature: their rows, the number of their kind, and the first of them."""
+    """Packets of one signature: their rows, and the first of them."""
 
     rows: IntArray
-    kind: int
     packet: bytes
     key: tuple[int, int, bytes]
     """The signature: kind, length, and the bytes that identify what is in the packet."""
@@ -192,7 +226,7 @@ class TableDecoder(Decoder):
             if places:
                 heads = windows(found.held, found.at[left[same]], max(places) + 1)[:, places]
                 same[same] = np.all(heads == np.frombuffer(key, np.uint8), axis=1)
-            yield Alike(left[same], kind, packet, (kind, size, key))
+            yield Alike(left[same], packet, (kind, size, key))
             left = left[~same]
 
     def _by_layout(self, found: Found) -> Iterable[tuple[Record, IntArray]]:
@@ -208,6 +242,13 @@ class TableDecoder(Decoder):
     @abstractmethod
     def encoder(self, names: Sequence[str]) -> Encoder:
         """Return an encoder of messages or fields in this order; raises BAD_CONFIG when one is not there."""
+
+    def _encode(self, wrap: Callable[[bytes], bytes], message: Message, block: SampleBlock) -> list[bytes]:
+        """Return packets of a message; `wrap` makes one of a payload."""
+        numbers = message.placed(0, message.size, self.big)
+        columns = with_sources(block.columns, self.derived, [item.name for item in numbers])
+        payloads = write(message.name, numbers, bytes(message.size), columns, len(block))
+        return [wrap(payload.tobytes()) for payload in payloads]
 
 
 class FamilyDecoder(TableDecoder):
@@ -249,13 +290,7 @@ class FamilyDecoder(TableDecoder):
     def encoder(self, names: Sequence[str]) -> Encoder:
         """Return an encoder of messages; see `TableDecoder.encoder`."""
         sent = chosen(names, self.named(names), "message")
-        return Encoder(*(partial(self._encode, *one) for one in sent))
-
-    def _encode(self, key: int, message: Message, block: SampleBlock) -> list[bytes]:
-        numbers = message.placed(0, message.size, self.big)
-        columns = with_sources(block.columns, self.derived, [item.name for item in numbers])
-        payloads = write(message.name, numbers, bytes(message.size), columns, len(block))
-        return [self.wrap(key, payload.tobytes()) for payload in payloads]
+        return Encoder(*(partial(self._encode, partial(self.wrap, key), message) for key, message in sent))
 
 
 class TableDevice(DeviceFile):

@@ -4,38 +4,18 @@ Facts from the data communications protocols of the devices and the public defin
 The fields of one moment may come in several packets, of which often only the first carries the time.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from fractions import Fraction
-from functools import cache, partial
-from math import pi
+from functools import cache
 from typing import Literal
 
 import numpy as np
 
 from imumon.blocks import NO_INT, ColumnArray
-from imumon.columns import Column
-from imumon.geodesy import STANDARD_GRAVITY as G
-from imumon.protocols.base import MAIN, NO_GROUP, Encoder, Timing, chosen
-from imumon.protocols.messages import (
-    Message,
-    Part,
-    TableDevice,
-    axes,
-    counted,
-    field,
-    floats,
-    gap,
-    gnss,
-    real,
-)
-from imumon.protocols.numbers import FROM_MATRIX, MATRIX, Columns, Derived, known, number, vector
+from imumon.protocols.base import NO_GROUP, Encoder, Timing, chosen
+from imumon.protocols.messages import Message, TableDevice, table
+from imumon.protocols.numbers import FROM_MATRIX, Columns, Derived, known
 from imumon.protocols.tagged import MIP, TaggedDecoder, tagged_encoder
-
-GAUSS = 100.0
-"""Gauss in µT."""
-MILLIBAR = 100.0
-"""Millibar in Pa."""
-DEGREE = pi / 180
 
 SENSOR, FILTER, SYSTEM = 0x80, 0x82, 0xA0
 GNSS = {0x81: "gnss", 0x91: "gnss1", 0x92: "gnss2", 0x93: "gnss3", 0x94: "gnss4", 0x95: "gnss5"}
@@ -43,235 +23,164 @@ GNSS = {0x81: "gnss", 0x91: "gnss1", 0x92: "gnss2", 0x93: "gnss3", 0x94: "gnss4"
 
 Attitude = Literal["filter", "imu"]
 Clock = Literal["reference", "gps"]
-Row = tuple[int, str, *tuple[Part, ...]]
-"""Code, name, and the numbers one behind the other; without numbers a field is recognised and passed over."""
+
+_GPS_TIME = """gps_time_of_week f64 s GPS time of week | gps_week u16 1 GPS week
+  | gps_time_valid u16 1 validity of gps time"""
+_VALID = "attitude_valid u16 1 validity of attitude"
+_ESTIMATED = """
+06 0B GyroBias gyro_bias.xyz f32 rad/s estimated gyroscope bias
+07 0C AccelBias accel_bias.xyz f32 m/s^2 estimated accelerometer bias
+00 08 Position position.xyz f32 m position north, east, down
+00 09 Velocity velocity.xyz f32 m/s velocity north, east, down
+00 0A Euler euler.xyz f32 rad roll, pitch, yaw
+0D 00 LinearAcceleration free_accel.xyz f32 m/s^2 acceleration without gravity
+0E 00 CompensatedRate gyro_compensated.xyz f32 rad/s angular rate less the estimated bias
+13 00 GravityVector gravity.xyz f32 m/s^2 gravity in the body
+16 18 GyroScale gyro_scale_error.xyz f32 1 estimated scale error of the gyroscope
+17 19 AccelScale accel_scale_error.xyz f32 1 estimated scale error of the accelerometer
+1A 1B MagBias mag_bias.xyz f32*gauss uT estimated magnetometer bias
+1C 00 CompensatedAcceleration accel_compensated.xyz f32 m/s^2 specific force less the bias
+25 28 HardIron mag_hard_iron.xyz f32*gauss uT estimated hard iron
+2C 00 MagResidual mag_residual.xyz f32*gauss uT residual of the magnetometer
+30 31 AntennaOffset antenna_offset.xyz f32 m estimated offset of the antenna
+00 36 PositionEcef ecef.xyz f32 m earth-fixed position
+41 37 VelocityEcef ecef_velocity.xyz f32 m/s velocity, earth-centred earth-fixed
+26 29 SoftIron mag_soft_iron.3x3 f32 1 estimated soft iron
+2A 00 MagCovariance mag_covariance.3x3 f32 1 covariance of the magnetometer, as it is sent
+0F 00 GravityMagnitude gravity_magnitude f32 m/s^2 gravity of WGS-84
+21 00 PressureAltitude pressure_altitude f32 m altitude of the pressure
+22 00 DensityAltitude density_altitude f32 m altitude of the density
+47 48 OdometerScale odometer_scale_error f32 1 estimated scale error of the odometer
+"""
+"""Code, code of the uncertainty (0: none), name, column with its axes, type, unit and meaning."""
 
 
-def valid(name: str) -> Part:
-    """Return the flags that state whether a field is valid."""
-    return counted(f"{name}_valid", f"validity of {name.replace('_', ' ')}", "u16")
-
-
-def time_of_week(prefix: str) -> Part:
-    """Return the GPS time of week in a field about the aiding."""
-    return real(f"{prefix}_time_of_week", "s", "GPS time of week")
-
-
-def receiver(prefix: str) -> Part:
-    """Return the number of a receiver."""
-    return counted(f"{prefix}_receiver", "number of the receiver", "u8")
-
-
-def angles(prefix: str) -> tuple[Column, ...]:
-    """Return roll, pitch and yaw, the canonical ones without a prefix."""
-    names = known("angles")
-    described = [number(prefix + angle.name, "rad", f"{angle.name} of another filter") for angle in names]
-    return tuple(described) if prefix else names
-
-
-GPS_TIME = (
-    *real("gps_time_of_week", "s", "GPS time of week", "f64"),
-    *counted("gps_week", "GPS week", "u16"),
-    *valid("gps_time"),
-)
-
-_XYZ, _MATRIX, _SINGLE = ("_x", "_y", "_z"), tuple(f"_{i}{j}" for i in "123" for j in "123"), ("",)
-_ESTIMATED = (
-    (0x06, 0x0B, "GyroBias", "gyro_bias", _XYZ, "rad/s", "estimated gyroscope bias"),
-    (0x07, 0x0C, "AccelBias", "accel_bias", _XYZ, "m/s^2", "estimated accelerometer bias"),
-    (0, 0x08, "Position", "position", _XYZ, "m", "position north, east, down"),
-    (0, 0x09, "Velocity", "velocity", _XYZ, "m/s", "velocity north, east, down"),
-    (0, 0x0A, "Euler", "euler", _XYZ, "rad", "roll, pitch, yaw"),
-    (0x0D, 0, "LinearAcceleration", "free_accel", _XYZ, "m/s^2", "acceleration without gravity"),
-    (0x0E, 0, "CompensatedRate", "gyro_compensated", _XYZ, "rad/s", "angular rate less the estimated bias"),
-    (0x13, 0, "GravityVector", "gravity", _XYZ, "m/s^2", "gravity in the body"),
-    (0x16, 0x18, "GyroScale", "gyro_scale_error", _XYZ, "1", "estimated scale error of the gyroscope"),
-    (0x17, 0x19, "AccelScale", "accel_scale_error", _XYZ, "1", "estimated scale error of the accelerometer"),
-    (0x1A, 0x1B, "MagBias", "mag_bias", _XYZ, "uT", "estimated magnetometer bias"),
-    (0x1C, 0, "CompensatedAcceleration", "accel_compensated", _XYZ, "m/s^2", "specific force less the bias"),
-    (0x25, 0x28, "HardIron", "mag_hard_iron", _XYZ, "uT", "estimated hard iron"),
-    (0x2C, 0, "MagResidual", "mag_residual", _XYZ, "uT", "residual of the magnetometer"),
-    (0x30, 0x31, "AntennaOffset", "antenna_offset", _XYZ, "m", "estimated offset of the antenna"),
-    (0, 0x36, "PositionEcef", "ecef", _XYZ, "m", "earth-fixed position"),
-    (0x41, 0x37, "VelocityEcef", "ecef_velocity", _XYZ, "m/s", "velocity, earth-centred earth-fixed"),
-    (0x26, 0x29, "SoftIron", "mag_soft_iron", _MATRIX, "1", "estimated soft iron"),
-    (0x2A, 0, "MagCovariance", "mag_covariance", _MATRIX, "1",
-     "covariance of the magnetometer, as it is sent"),
-    (0x0F, 0, "GravityMagnitude", "gravity_magnitude", _SINGLE, "m/s^2", "gravity of WGS-84"),
-    (0x21, 0, "PressureAltitude", "pressure_altitude", _SINGLE, "m", "altitude of the pressure"),
-    (0x22, 0, "DensityAltitude", "density_altitude", _SINGLE, "m", "altitude of the density"),
-    (0x47, 0x48, "OdometerScale", "odometer_scale_error", _SINGLE, "1",
-     "estimated scale error of the odometer"),
-)  # fmt: skip
-"""Code, code of the uncertainty (0: none), name, column with its suffixes, unit and meaning."""
-
-
-def _estimated() -> list[Row]:
-    """Return fields of numbers of one unit, their uncertainties, and the validity of each."""
-    rows: list[Row] = []
-    for code, sigma, name, column, suffixes, unit, what in _ESTIMATED:
+def _estimated() -> Iterator[str]:
+    """Yield the rows of numbers of one unit, their uncertainties, and the validity of each."""
+    for row in _ESTIMATED.strip().splitlines():
+        code, sigma, name, column, kind, unit, what = row.split(maxsplit=6)
+        stem, _, axes = column.partition(".")
         for at, more, end, of in ((code, "", "", ""), (sigma, "Sigma", "_sigma", "uncertainty of: ")):
-            columns = [
-                number(column + end + suffix, unit, f"{of}{what}{suffix.replace('_', ', ')}")
-                for suffix in suffixes
-            ]
-            values = floats(columns, GAUSS if unit == "uT" else 1.0)
-            rows += [(at, name + more, values, valid(column + end))] if at else []
-    return rows
+            if at != "00":
+                own = f"{stem}{end}"
+                values = f"{own}_{axes}".rstrip("_")
+                valid = f"{own}_valid u16 1 validity of {own.replace('_', ' ')}"
+                yield f"0x{at} {name}{more}: {values} {kind} {unit} {of}{what} | {valid}\n"
 
 
-_NOT_READ = {
-    0x23: "MagScale", 0x24: "MagScaleSigma", 0x27: "CompensatedMag", 0x2B: "GravityCovariance",
-    0x2D: "MagFilteredResidual",
-}  # fmt: skip
-"""Named by the vendor, who does not document their content."""
-_AIDING = "status of the aiding, bits"
+_FILTER = """
+0x03 Quaternion: {q} | {valid}
+0x05 Euler: {angles} | {valid}
+0x04 Matrix: {matrix}
+0x01 Position: place f64 | position_valid u16 1 validity of position
+0x02 Velocity: velocity_xyz f32 m/s velocity north, east, down | velocity_valid u16 1 validity of velocity
+0x11 FilterGpsTime []: {gps_time}
+0x10 FilterStatus: filter_state u16 1 state of the filter
+  | filter_dynamics u16 1 dynamics mode of the filter | status u16
+{estimated}0x12 QuaternionSigma: q_sigma_wxyz f32 1 uncertainty of the quaternion
+  | q_sigma_valid u16 1 validity of q sigma
+0x14 HeadingUpdate: filter_heading f32 rad heading that aided the filter
+  | filter_heading_sigma f32 rad uncertainty of that | heading_source u16 1 what gave the heading, bits
+  | filter_heading_valid u16 1 validity of filter heading
+0x15 MagneticModel: mag_model_xyz f32*gauss uT field of the world magnetic model north, east, down
+  | inclination f32 rad of the magnetic model | declination f32 rad of the magnetic model
+  | mag_model_valid u16 1 validity of mag model
+0x20 StandardAtmosphere: geometric_altitude f32 m standard atmosphere
+  | geopotential_altitude f32 m standard atmosphere | standard_temperature f32 degC standard atmosphere
+  | standard_pressure f32*hPa Pa standard atmosphere | standard_density f32 kg/m^3 standard atmosphere
+  | standard_atmosphere_valid u16 1 validity of standard atmosphere
+0x40 PositionEcef: ecef_xyz f64 m position, earth-centred earth-fixed | ecef_valid u16 1 validity of ecef
+0x42 RelativePosition: relative_position_xyz f64 m from the reference place, north, east, down
+  | relative_position_valid u16 1 validity of relative position
+0x32 ClockCorrection: clock_receiver u8 1 number of the receiver | clock_bias f32 m of the receiver
+  | clock_drift f32 m/s of the receiver | clock_valid u16 1 validity of clock
+0x33 ClockCorrectionSigma: clock_sigma_receiver u8 1 number of the receiver
+  | clock_bias_sigma f32 m uncertainty | clock_drift_sigma f32 m/s uncertainty
+  | clock_sigma_valid u16 1 validity of clock sigma
+0x34 ReceiverAntennaOffset: antenna_receiver u8 1 number of the receiver
+  | receiver_antenna_offset_xyz f32 m estimated offset of the antenna of a receiver
+  | antenna_valid u16 1 validity of antenna
+0x35 ReceiverAntennaOffsetSigma: antenna_sigma_receiver u8 1 number of the receiver
+  | receiver_antenna_offset_sigma_xyz f32 m uncertainty of that
+  | antenna_sigma_valid u16 1 validity of antenna sigma
+0x43 PositionAiding: position_aiding_receiver u8 1 number of the receiver
+  | position_aiding_time_of_week f32 s GPS time of week
+  | position_aiding_status u16 1 status of the aiding, bits | 8
+0x44 AttitudeAiding: attitude_aiding_time_of_week f32 s GPS time of week
+  | attitude_aiding_status u16 1 status of the aiding, bits | 8
+0x45 HeadingAiding: heading_aiding_time_of_week f32 s GPS time of week
+  | heading_aiding_type u8 1 what aids | 8
+0x46 AidingSummary: aiding_time_of_week f32 s GPS time of week | aiding_source u8 1 number of the source
+  | aiding_type u8 1 kind of measurement | aiding_indicator u8 1 what became of it, bits
+0x49 DualAntenna: antennas_time_of_week f32 s GPS time of week
+  | antennas_heading f32 rad heading of two antennas | antennas_heading_sigma f32 rad uncertainty of that
+  | antennas_fix u8 1 kind of fix | antennas_status u16 1 data of both receivers, bits
+  | antennas_valid u16 1 validity of antennas
+0x23 MagScale
+0x24 MagScaleSigma
+0x27 CompensatedMag
+0x2B GravityCovariance
+0x2D MagFilteredResidual
+"""
+"""The last five are named by the vendor, who does not document their content."""
+_SENSORS = """
+0x05 ScaledGyro: gyro f32
+0x04 ScaledAccel: accel f32*g
+0x06 ScaledMag [mag]: mag f32*gauss
+0x14 Temperature [temperature]: temperature_min f32 degC lowest sensor temperature
+  | temperature_max f32 degC highest sensor temperature | temperature f32 degC mean sensor temperature
+0x17 ScaledPressure [pressure]: pressure f32*hPa
+0x0A ImuQuaternion [attitude]: {q}
+0x0C ImuEuler [attitude]: {angles}
+0x09 ImuMatrix [attitude]: {matrix}
+0x07 DeltaTheta: delta_theta_xyz f32 rad rotation over the sample
+0x08 DeltaVelocity: delta_velocity_xyz f32*g m/s velocity increment
+0x10 NorthVector [mag]: north_xyz f32*gauss uT magnetic north in the body
+0x11 UpVector [attitude]: up_xyz f32*g m/s^2 vertical in the body
+0x12 SensorGpsTime []: {gps_time}
+0x18 Overrange [status]: overrange u16 1 sensors out of range, bits
+0x40 Odometer [odometer]: odometer_speed f32 m/s speed of the odometer
+  | odometer_accuracy f32 m/s accuracy of that speed | odometer_valid u16 1 validity of odometer
+0x01 RawAccel: raw_accel_xyz f32 1 accelerometer, raw counts
+0x02 RawGyro: raw_gyro_xyz f32 1 gyroscope, raw counts
+0x03 RawMag [mag]: raw_mag_xyz f32 1 magnetometer, raw counts
+0x16 RawPressure [pressure]: raw_pressure f32 1 pressure, raw counts
+0x0B ImuUpdateMatrix [attitude]
+0x0D RawTemperature [temperature]
+0x0E InternalTimestamp []: internal_timestamp u32 1 internal clock of old devices
+0x0F PpsTimestamp []: pps_seconds u32 s time since the last pulse, s | pps_microseconds u32 us and us
+"""
+_RECEIVER = """
+0x03 Position: GNSS:latitude,longitude f64 deg | GNSS:altitude,altitude_msl f64 m
+  | GNSS:horizontal_accuracy,vertical_accuracy f32 m | GNSS_position_valid u16 1 validity of GNSS position
+0x05 Velocity: GNSS:velocity_north,velocity_east,velocity_down,speed,ground_speed f32 m/s
+  | GNSS:course f32*deg rad | GNSS:speed_accuracy f32 m/s | GNSS:course_accuracy f32*deg rad
+  | GNSS_velocity_valid u16 1 validity of GNSS velocity
+0x07 Dop: GNSS:gdop,pdop,hdop,vdop,tdop,ndop,edop f32 1 | GNSS_dop_valid u16 1 validity of GNSS dop
+"""
+_SHARED = """
+0xD5 ReferenceTime: {time}
+0xD3 GpsTime: {gps_time}
+0xD7 ExternalTime: external_time u64 ns external clock | external_time_valid u16 1 validity of external time
+0xD0 EventSource: event_source u8 1 trigger of the packet; 0: none
+0xD1 Ticks: base_ticks u32 1 base periods since power-up
+0xD2 DeltaTicks: delta_base_ticks u32 1 base periods since the last packet
+0xD4 DeltaTime: delta_time f64 s external time since the last packet
+0xD6 ReferenceTimeDelta: delta_reference_time u64 ns since the last packet
+0xD8 ExternalTimeDelta: delta_external_time u64 ns since the last packet
+  | delta_external_time_valid u16 1 validity of delta external time
+"""
+"""Fields that every data set may carry."""
 
 
-def _filter_fields(attitude: Attitude) -> list[Row]:
-    own = attitude == "filter"
-    quaternion = known("q") if own else vector("filter_q", "1", "attitude of the filter", "wxyz")
-    return [
-        (0x03, "Quaternion", floats(quaternion), valid("attitude")),
-        (0x05, "Euler", floats(angles("" if own else "filter_")), valid("attitude")),
-        (0x04, "Matrix", *((floats(MATRIX), valid("attitude")) if own else ())),
-        (0x01, "Position", floats("place", kind="f64"), valid("position")),
-        (0x02, "Velocity", axes("velocity", "m/s", "velocity north, east, down"),
-         valid("velocity")),
-        (0x11, "FilterGpsTime", GPS_TIME),
-        (0x10, "FilterStatus", counted("filter_state", "state of the filter", "u16"),
-         counted("filter_dynamics", "dynamics mode of the filter", "u16"),
-         floats("status", kind="u16")),
-        *_estimated(),
-        (0x12, "QuaternionSigma", axes("q_sigma", "1", "uncertainty of the quaternion", letters="wxyz"),
-         valid("q_sigma")),
-        (0x14, "HeadingUpdate", real("filter_heading", "rad", "heading that aided the filter"),
-         real("filter_heading_sigma", "rad", "uncertainty of that"),
-         counted("heading_source", "what gave the heading, bits", "u16"),
-         valid("filter_heading")),
-        (0x15, "MagneticModel",
-         axes("mag_model", "uT", "field of the world magnetic model north, east, down", GAUSS),
-          real("inclination", "rad", "of the magnetic model"),
-          real("declination", "rad", "of the magnetic model"), valid("mag_model")),
-        (0x20, "StandardAtmosphere", real("geometric_altitude", "m", "standard atmosphere"),
-          real("geopotential_altitude", "m", "standard atmosphere"),
-          real("standard_temperature", "degC", "standard atmosphere"),
-          real("standard_pressure", "Pa", "standard atmosphere", factor=MILLIBAR),
-          real("standard_density", "kg/m^3", "standard atmosphere"), valid("standard_atmosphere")),
-        (0x40, "PositionEcef", axes("ecef", "m", "position, earth-centred earth-fixed",
-                                        kind="f64"), valid("ecef")),
-        (0x42, "RelativePosition",
-         axes("relative_position", "m", "from the reference place, north, east, down",
-                  kind="f64"), valid("relative_position")),
-        (0x32, "ClockCorrection", receiver("clock"), real("clock_bias", "m", "of the receiver"),
-         real("clock_drift", "m/s", "of the receiver"), valid("clock")),
-        (0x33, "ClockCorrectionSigma", receiver("clock_sigma"), real("clock_bias_sigma", "m", "uncertainty"),
-          real("clock_drift_sigma", "m/s", "uncertainty"), valid("clock_sigma")),
-        (0x34, "ReceiverAntennaOffset", receiver("antenna"),
-          axes("receiver_antenna_offset", "m", "estimated offset of the antenna of a receiver"),
-          valid("antenna")),
-        (0x35, "ReceiverAntennaOffsetSigma", receiver("antenna_sigma"),
-          axes("receiver_antenna_offset_sigma", "m", "uncertainty of that"),
-          valid("antenna_sigma")),
-        (0x43, "PositionAiding", receiver("position_aiding"), time_of_week("position_aiding"),
-         counted("position_aiding_status", _AIDING, "u16"), gap(8)),
-        (0x44, "AttitudeAiding", time_of_week("attitude_aiding"),
-         counted("attitude_aiding_status", _AIDING, "u16"), gap(8)),
-        (0x45, "HeadingAiding", time_of_week("heading_aiding"),
-         counted("heading_aiding_type", "what aids", "u8"),
-         gap(8)),
-        (0x46, "AidingSummary", time_of_week("aiding"),
-         counted("aiding_source", "number of the source", "u8"),
-         counted("aiding_type", "kind of measurement", "u8"),
-         counted("aiding_indicator", "what became of it, bits", "u8")),
-        (0x49, "DualAntenna", time_of_week("antennas"),
-         real("antennas_heading", "rad", "heading of two antennas"),
-         real("antennas_heading_sigma", "rad", "uncertainty of that"),
-         counted("antennas_fix", "kind of fix", "u8"),
-         counted("antennas_status", "data of both receivers, bits", "u16"),
-         valid("antennas")),
-        *_NOT_READ.items(),
-    ]  # fmt: skip
-
-
-def _shared(clock: Clock) -> list[Row]:
-    """Return the fields that every data set may carry."""
-    ticks, own = floats("device_ticks", kind="u64"), counted("reference_time", "device clock", "u64", "ns")
-    since = "since the last packet"
-    return [
-        (0xD5, "ReferenceTime", ticks if clock == "reference" else own),
-        (0xD3, "GpsTime", GPS_TIME),
-        (0xD7, "ExternalTime", counted("external_time", "external clock", "u64", "ns"),
-         valid("external_time")),
-        (0xD0, "EventSource", counted("event_source", "trigger of the packet; 0: none", "u8")),
-        (0xD1, "Ticks", counted("base_ticks", "base periods since power-up", "u32")),
-        (0xD2, "DeltaTicks", counted("delta_base_ticks", f"base periods {since}", "u32")),
-        (0xD4, "DeltaTime", real("delta_time", "s", f"external time {since}", "f64")),
-        (0xD6, "ReferenceTimeDelta", counted("delta_reference_time", since, "u64", "ns")),
-        (0xD8, "ExternalTimeDelta", counted("delta_external_time", since, "u64", "ns"),
-         valid("delta_external_time")),
-    ]  # fmt: skip
-
-
-def _sensor_fields(attitude: Attitude) -> list[Row]:
-    own = attitude == "imu"
-    quaternion = known("q") if own else vector("imu_q", "1", "attitude of the complementary filter", "wxyz")
-    return [
-        (0x05, "ScaledGyro", floats("gyro")),
-        (0x04, "ScaledAccel", floats("accel", G)),
-        (0x06, "ScaledMag", floats("mag", GAUSS)),
-        (0x14, "Temperature", real("temperature_min", "degC", "lowest sensor temperature"),
-         real("temperature_max", "degC", "highest sensor temperature"),
-         real("temperature", "degC", "mean sensor temperature")),
-        (0x17, "ScaledPressure", floats("pressure", MILLIBAR)),
-        (0x0A, "ImuQuaternion", floats(quaternion)),
-        (0x0C, "ImuEuler", floats(angles("" if own else "imu_"))),
-        (0x09, "ImuMatrix", floats(MATRIX) if own else ()),
-        (0x07, "DeltaTheta", axes("delta_theta", "rad", "rotation over the sample")),
-        (0x08, "DeltaVelocity", axes("delta_velocity", "m/s", "velocity increment", G)),
-        (0x10, "NorthVector", axes("north", "uT", "magnetic north in the body", GAUSS)),
-        (0x11, "UpVector", axes("up", "m/s^2", "vertical in the body", G)),
-        (0x12, "SensorGpsTime", GPS_TIME),
-        (0x18, "Overrange", counted("overrange", "sensors out of range, bits", "u16")),
-        (0x40, "Odometer", real("odometer_speed", "m/s", "speed of the odometer"),
-         real("odometer_accuracy", "m/s", "accuracy of that speed"), valid("odometer")),
-        (0x01, "RawAccel", axes("raw_accel", "1", "accelerometer, raw counts")),
-        (0x02, "RawGyro", axes("raw_gyro", "1", "gyroscope, raw counts")),
-        (0x03, "RawMag", axes("raw_mag", "1", "magnetometer, raw counts")),
-        (0x16, "RawPressure", real("raw_pressure", "1", "pressure, raw counts")),
-        (0x0B, "ImuUpdateMatrix"),
-        (0x0D, "RawTemperature"),
-        (0x0E, "InternalTimestamp", counted("internal_timestamp", "internal clock of old devices", "u32")),
-        (0x0F, "PpsTimestamp", counted("pps_seconds", "time since the last pulse, s", "u32", "s"),
-         counted("pps_microseconds", "and us", "u32", "us")),
-    ]  # fmt: skip
-
-
-_SENSOR_GROUPS = {
-    **dict.fromkeys((0x03, 0x06, 0x10), "mag"),
-    **dict.fromkeys((0x0D, 0x14), "temperature"),
-    **dict.fromkeys((0x16, 0x17), "pressure"),
-    **dict.fromkeys((0x09, 0x0A, 0x0B, 0x0C, 0x11), "attitude"),
-    **dict.fromkeys((0x0E, 0x0F, 0x12), NO_GROUP),
-    0x18: "status",
-    0x40: "odometer",
-}
-"""What of the sensor set is not inertial."""
-
-
-def _gnss_fields(prefix: str) -> list[Row]:
-    of = partial(gnss, prefix)
-    return [
-        (0x03, "Position", of("deg", "latitude", "longitude", kind="f64"),
-         of("m", "altitude", "altitude_msl", kind="f64"),
-         of("m", "horizontal_accuracy", "vertical_accuracy"),
-         valid(f"{prefix}_position")),
-        (0x05, "Velocity", of("m/s", "velocity_north", "velocity_east", "velocity_down", "speed",
-                                "ground_speed"), of("rad", "course", factor=DEGREE),
-         of("m/s", "speed_accuracy"), of("rad", "course_accuracy", factor=DEGREE),
-         valid(f"{prefix}_velocity")),
-        (0x07, "Dop", of("1", *(f"{x}dop" for x in "gphvtne")), valid(f"{prefix}_dop")),
-    ]  # fmt: skip
+def _attitude(is_canonical: bool, prefix: str, whose: str, more: str) -> dict[str, str]:
+    """Return the numbers of an attitude: in the canonical columns, else in others, and those of no matrix."""
+    if is_canonical:
+        matrix = f"_matrix_3x3 f32 1 reference to body | {more}"
+        return {"q": "q f32", "angles": "angles f32", "matrix": matrix}
+    angles = (f"{prefix}_{name} f32 rad {name} of another filter" for name in ("roll", "pitch", "yaw"))
+    q = f"{prefix}_q_wxyz f32 1 attitude of the {whose}"
+    return {"q": q, "angles": " | ".join(angles), "matrix": ""}
 
 
 @cache
@@ -281,17 +190,17 @@ def mip_fields(attitude: Attitude = "filter", clock: Clock = "reference") -> dic
     `attitude`: which set, the filter's or the sensors', has the canonical names of the attitude.
     `clock`: whether ``device_ticks`` is the reference time.
     """
-    sets: dict[int, tuple[list[Row], Mapping[int, str], str]] = {
-        SENSOR: (_sensor_fields(attitude), _SENSOR_GROUPS, MAIN),
-        FILTER: (_filter_fields(attitude), {0x11: NO_GROUP}, "filter"),
-        **{code: (_gnss_fields(prefix), {}, prefix) for code, prefix in GNSS.items()},
+    time = "device_ticks u64" if clock == "reference" else "reference_time u64 ns device clock"
+    shared = table(_SHARED.format(time=time, gps_time=_GPS_TIME), NO_GROUP)
+    of_imu = _attitude(attitude == "imu", "imu", "complementary filter", "")
+    of_filter = _attitude(attitude == "filter", "filter", "filter", _VALID)
+    given = {"valid": _VALID, "gps_time": _GPS_TIME, "estimated": "".join(_estimated())}
+    sets = {
+        SENSOR: table(_SENSORS.format(gps_time=_GPS_TIME, **of_imu)),
+        FILTER: table(_FILTER.format(**given, **of_filter), "filter"),
+        **{code: table(_RECEIVER.replace("GNSS", prefix), prefix) for code, prefix in GNSS.items()},
     }
-    found = dict[int, Message]()
-    for of_set, (rows, groups, usual) in sets.items():
-        shared = {code: field(name, *parts, group=NO_GROUP) for code, name, *parts in _shared(clock)}
-        own = {code: field(name, *parts, group=groups.get(code, usual)) for code, name, *parts in rows}
-        found |= {of_set << 8 | code: item for code, item in (shared | own).items()}
-    return found
+    return {of << 8 | code: item for of, own in sets.items() for code, item in (shared | own).items()}
 
 
 WEEK_NS = 7 * 86_400 * 10**9

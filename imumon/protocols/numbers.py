@@ -237,21 +237,6 @@ class Record:
 DATE_PARTS = ("of_second", "year", "month", "day", "hour", "minute", "second")
 
 
-def number(name: str, unit: str, description: str) -> Column:
-    """Make a float64 column."""
-    return Column(name, unit, "float64", description)
-
-
-def count(name: str, description: str, unit: str = "1") -> Column:
-    """Make an int64 column."""
-    return Column(name, unit, "int64", description)
-
-
-def vector(name: str, unit: str, description: str, axes: str = "xyz") -> tuple[Column, ...]:
-    """Make a float64 column for each axis."""
-    return tuple(number(f"{name}_{axis}", unit, f"{description}, {axis}") for axis in axes)
-
-
 _VECTORS = {base: tuple(f"{base}_{axis}" for axis in "xyz") for base in ("accel", "gyro", "mag")} | {
     "q": ("q_w", "q_x", "q_y", "q_z"),
     "angles": ("roll", "pitch", "yaw"),
@@ -265,15 +250,9 @@ def known(*names: str) -> tuple[Column, ...]:
     return tuple(KNOWN[column] for name in names for column in _VECTORS.get(name, (name,)))
 
 
-def date(prefix: str) -> tuple[Column, ...]:
-    """Columns, not shown, of a calendar date; `utc_time` makes a time of them."""
-    return tuple(count(f"_{prefix}{part}", part) for part in DATE_PARTS)
-
-
 QUATERNION = known("q")
-MATRIX = tuple(
-    number(f"_matrix_{i}{j}", "1", "rotation matrix, reference to body") for i in "123" for j in "123"
-)
+MATRIX = tuple(f"_matrix_{i}{j}" for i in "123" for j in "123")
+"""Columns of a rotation matrix, reference to body."""
 
 
 def _time_to_parts(name: str, per_s: int, columns: Columns) -> list[ColumnArray]:
@@ -296,7 +275,7 @@ def _parts_to_time(prefix: str, per_s: int, columns: Columns) -> list[ColumnArra
 
 
 def utc_time(prefix: str, result: Column, per_s: int = 1_000_000_000) -> Derived:
-    """Derive a time, so many counts a second, from the columns of `date`."""
+    """Derive a time, so many counts a second, from the hidden columns of a calendar date."""
     return Derived(
         tuple(f"_{prefix}{part}" for part in DATE_PARTS),
         (result,),
@@ -307,7 +286,7 @@ def utc_time(prefix: str, result: Column, per_s: int = 1_000_000_000) -> Derived
 
 def _matrix_to_quaternion(columns: Columns) -> list[ColumnArray]:
     """Convert the matrix reference to body, row by row, to the quaternion body to reference (Shepperd)."""
-    a, b, c, d, e, f, g, h, i = (np.asarray(columns[column.name], np.float64) for column in MATRIX)
+    a, b, c, d, e, f, g, h, i = (np.asarray(columns[name], np.float64) for name in MATRIX)
     squares = np.stack([1 + a + e + i, 1 + a - e - i, 1 - a + e - i, 1 - a - e + i])
     products = [[squares[0], f - h, g - c, b - d], [f - h, squares[1], b + d, c + g],
                 [g - c, b + d, squares[2], f + h], [b - d, c + g, f + h, squares[3]]]  # fmt: skip
@@ -331,6 +310,4 @@ def _quaternion_to_matrix(columns: Columns) -> list[ColumnArray]:
     return list(rows)
 
 
-FROM_MATRIX = Derived(
-    tuple(column.name for column in MATRIX), QUATERNION, _matrix_to_quaternion, _quaternion_to_matrix
-)
+FROM_MATRIX = Derived(MATRIX, QUATERNION, _matrix_to_quaternion, _quaternion_to_matrix)

@@ -12,8 +12,8 @@ import numpy as np
 from imumon.blocks import BoolArray, ColumnArray, IntArray
 from imumon.protocols.base import LONGEST_PACKET, ByteArray, Timing
 from imumon.protocols.framing import Checksum, Frame, counted_length
-from imumon.protocols.messages import FamilyDecoder, axes, counted, field, floats, gap, real
-from imumon.protocols.numbers import Columns, Derived, count, known, number
+from imumon.protocols.messages import FamilyDecoder, table
+from imumon.protocols.numbers import Columns, Derived, known
 
 SYNC, END = b"\xff\x5a", 0x33
 HEADER, AROUND = 6, 9
@@ -23,15 +23,12 @@ HIGH_RATE = 1 << 10
 """Bit of the status of IMU_SHORT: the rates have the scale of fast sensors."""
 FAST, FINE = 12_304_174.0, 67_108_864.0
 
-TIME = floats("device_ticks", kind="u32")
-STATUS = floats("status", kind="u16")
-RAW_RATE = tuple(count(f"_rate_{axis}", "rate as it is sent") for axis in "xyz")
-FILTER = counted("filter_status", "mode of the filter and what it uses, bits", "u32")
+RAW_RATE = [f"_rate_{axis}" for axis in "xyz"]
 
 
 def _to_rates(columns: Columns) -> list[ColumnArray]:
     scale = np.where(columns["status"] & HIGH_RATE, FAST, FINE)
-    return [columns[column.name] / scale for column in RAW_RATE]
+    return [columns[name] / scale for name in RAW_RATE]
 
 
 def _of_rates(columns: Columns) -> list[ColumnArray]:
@@ -40,47 +37,38 @@ def _of_rates(columns: Columns) -> list[ColumnArray]:
     return [np.rint(np.nan_to_num(columns[f"gyro_{axis}"]) * scale).astype(np.int64) for axis in "xyz"]
 
 
-RATES = Derived(tuple(column.name for column in RAW_RATE), known("gyro"), _to_rates, _of_rates)
+RATES = Derived((*RAW_RATE,), known("gyro"), _to_rates, _of_rates)
 
-ANGLE_SIGMA = floats(
-    [number(f"{name}_sigma", "rad", f"uncertainty of {name}") for name in ("roll", "pitch", "yaw")]
-)
-DECLINATION = (real("declination", "rad", "of the magnetic field")
-               + real("inclination", "rad", "of the magnetic field"))  # fmt: skip
-POSITION_SIGMA = [number(f"{name}_sigma", "m", f"uncertainty of the {name}")
-                  for name in ("latitude", "longitude", "altitude")]  # fmt: skip
-
-LOGS = {
-    44: field("imu_short", TIME, STATUS, floats("accel", 2.0**-20, "i32"), floats(RAW_RATE, kind="i32"),
-              floats("temperature", 1 / 256, "i16")),
-    3: field("imu_data", TIME, STATUS, floats("accel"), floats("gyro"), floats("temperature"), gap(24),
-             least=34),
-    4: field("mag", TIME, counted("mag_status", "status of the magnetometer", "u16"),
-             axes("mag", "a.u.", "field, 1 when calibrated"), gap(12), group="mag"),
-    6: field("ekf_euler", TIME, floats("angles"), ANGLE_SIGMA, FILTER, DECLINATION, group="filter", least=32),
-    7: field("ekf_quat", TIME, floats("q"), ANGLE_SIGMA, FILTER, DECLINATION, group="filter", least=36),
-    8: field("ekf_nav", TIME, axes("velocity", "m/s", "velocity north, east, down"),
-             axes("velocity_sigma", "m/s", "uncertainty of the velocity north, east, down"),
-             floats("place", kind="f64"), real("undulation", "m", "of the geoid"), floats(POSITION_SIGMA),
-             FILTER, group="filter"),
-    1: field("status", TIME, counted("general_status", "power, temperature, processor, bits", "u16"), gap(2),
-             counted("com_status", "ports, bits", "u32"),
-             counted("aiding_status", "what aids the filter, bits", "u32"), gap(6),
-             counted("up_time", "since power-up", "u32", "s"),
-             counted("processor_load", "in use, percent", "u8"), group="status", least=22),
-    2: field("utc_time", TIME, counted("clock_status", "clock and UTC, bits", "u16"), gap(11),
-             counted("gps_time_of_week", "GPS time of week", "u32", "ms"), gap(12), group="clock", least=21),
-    52: field("rate_body", TIME, gap(4),
-              axes("gyro_compensated", "rad/s", "angular rate, bias and earth rate taken off"),
-              axes("free_accel", "m/s^2", "acceleration without gravity and bias"),
-              group="filter"),
-    53: field("rate_ned", TIME, gap(4), axes("rate_ned", "rad/s",
-                            "angular rate, bias and earth rate taken off, north, east, down"),
-              axes("free_accel_ned", "m/s^2", "acceleration without gravity, north, east, down"),
-              group="filter"),
-    54: field("velocity_body", TIME, gap(4), axes("velocity_body", "m/s", "in the body"), gap(12),
-              group="filter", least=20),
-}  # fmt: skip
+_SIGMAS = " | ".join(f"{name}_sigma f32 rad uncertainty of {name}" for name in ("roll", "pitch", "yaw"))
+_FILTER = "filter_status u32 1 mode of the filter and what it uses, bits"
+_ACCURACY = f"""{_SIGMAS} | {_FILTER}
+  | declination f32 rad of the magnetic field | inclination f32 rad of the magnetic field"""
+LOGS = table(f"""
+44 imu_short: device_ticks u32 | status u16 | accel i32/1048576 | _rate_xyz i32 1 rate as it is sent
+  | temperature i16/256
+3 imu_data >=34: device_ticks u32 | status u16 | accel f32 | gyro f32 | temperature f32 | 24
+4 mag [mag]: device_ticks u32 | mag_status u16 1 status of the magnetometer
+  | mag_xyz f32 a.u. field, 1 when calibrated | 12
+6 ekf_euler [filter] >=32: device_ticks u32 | angles f32 | {_ACCURACY}
+7 ekf_quat [filter] >=36: device_ticks u32 | q f32 | {_ACCURACY}
+8 ekf_nav [filter]: device_ticks u32 | velocity_xyz f32 m/s velocity north, east, down
+  | velocity_sigma_xyz f32 m/s uncertainty of the velocity north, east, down | place f64
+  | undulation f32 m of the geoid | latitude_sigma f32 m uncertainty of the latitude
+  | longitude_sigma f32 m uncertainty of the longitude | altitude_sigma f32 m uncertainty of the altitude
+  | {_FILTER}
+1 status [status] >=22: device_ticks u32 | general_status u16 1 power, temperature, processor, bits | 2
+  | com_status u32 1 ports, bits | aiding_status u32 1 what aids the filter, bits | 6
+  | up_time u32 s since power-up | processor_load u8 1 in use, percent
+2 utc_time [clock] >=21: device_ticks u32 | clock_status u16 1 clock and UTC, bits | 11
+  | gps_time_of_week u32 ms GPS time of week | 12
+52 rate_body [filter]: device_ticks u32 | 4
+  | gyro_compensated_xyz f32 rad/s angular rate, bias and earth rate taken off
+  | free_accel_xyz f32 m/s^2 acceleration without gravity and bias
+53 rate_ned [filter]: device_ticks u32 | 4
+  | rate_ned_xyz f32 rad/s angular rate, bias and earth rate taken off, north, east, down
+  | free_accel_ned_xyz f32 m/s^2 acceleration without gravity, north, east, down
+54 velocity_body [filter] >=20: device_ticks u32 | 4 | velocity_body_xyz f32 m/s in the body | 12
+""")
 """Logs of class 0 by their identifier, those with the inertial sensors first."""
 
 _CRC = Checksum("crc16-kermit", first=2)

@@ -19,27 +19,21 @@ from imumon.geodesy import STANDARD_GRAVITY
 from imumon.protocols.base import ByteArray, Encoder, Timing
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.framing import Checksum, Frame
-from imumon.protocols.messages import FamilyDecoder, Message, axes, counted, field, floats, gap, real
-from imumon.protocols.numbers import known
+from imumon.protocols.messages import FamilyDecoder, Message, field, part
 
 TICK_NS = 500_000
 """The counter counts samples of the internal 2000 Hz, not datagrams."""
 CRC_SIZE = 4
 LINE_END = b"\r\n"
 PLAIN = {
-    0x90: ("gyro", 2),
-    0x91: ("gyro acc", 0),
-    0x92: ("gyro incl", 0),
-    0x93: ("gyro acc incl", 2),
-    0x94: ("gyro gyro_temp", 3),
-    0xA5: ("gyro acc gyro_temp acc_temp", 2),
-    0xA6: ("gyro incl gyro_temp incl_temp", 2),
-    0xA7: ("gyro acc incl gyro_temp acc_temp incl_temp", 1),
-}
-"""Blocks of each datagram, and the zeros that count before its CRC."""
+    0x90: "gyro", 0x91: "gyro acc", 0x92: "gyro incl", 0x93: "gyro acc incl", 0x94: "gyro gyro_temp",
+    0xA5: "gyro acc gyro_temp acc_temp", 0xA6: "gyro incl gyro_temp incl_temp",
+    0xA7: "gyro acc incl gyro_temp acc_temp incl_temp",
+}  # fmt: skip
+"""Blocks of each datagram."""
 DATAGRAMS = {
-    key: (names, zeros)
-    for k, (plain, (blocks, zeros)) in enumerate(PLAIN.items())
+    key: names
+    for k, (plain, blocks) in enumerate(PLAIN.items())
     for key, names in ((plain, blocks), (0xF0 + k, f"{blocks} pps"))
 }
 """The same with those from F0 on, which have a block for the pulse (PPS)."""
@@ -58,30 +52,30 @@ def datagrams(output: Output, accel_range_g: AccelRange, rate_hz: float | None) 
     force = STANDARD_GRAVITY * 2.0**-bits if is_rate else 2.0 ** -(bits + 3) * per_sample
     tilt = STANDARD_GRAVITY * 2.0**-22 if is_rate else 2.0**-25 * per_sample
     blocks = {
-        "gyro": floats("gyro", rate, "i24"),
-        "acc": floats("accel", force, "i24"),
-        "incl": axes("inclinometer", "m/s^2", "specific force of the inclinometer", tilt, "i24"),
-        "gyro_temp": floats(known("temperature_x", "temperature_y", "temperature_z"), 2.0**-8, "i16"),
-        "acc_temp": axes("accel_temperature", "degC", "of the accelerometer", 2.0**-8, "i16"),
-        "incl_temp": axes("inclinometer_temperature", "degC", "of the inclinometer", 2.0**-8, "i16"),
-        "pps": real("time_since_pps", "us", "since the edge of the pulse", "u24"),
+        "gyro": f"gyro i24*{rate!r}",
+        "acc": f"accel i24*{force!r}",
+        "incl": f"inclinometer_xyz i24*{tilt!r} m/s^2 specific force of the inclinometer",
+        "gyro_temp": "temperature_x i16/256 | temperature_y i16/256 | temperature_z i16/256",
+        "acc_temp": "accel_temperature_xyz i16/256 degC of the accelerometer",
+        "incl_temp": "inclinometer_temperature_xyz i16/256 degC of the inclinometer",
+        "pps": "time_since_pps u24*1.0 us since the edge of the pulse",
     }
     with_status = {
-        name: block + counted(f"{name}_status", f"status of {name}, bits; 0 is good", "u8")
+        name: f"{block} | {name}_status u8 1 status of {name}, bits; 0 is good"
         for name, block in blocks.items()
     }
-    end = floats("device_ticks", kind="u8") + real("latency", "us", "measurement to transmission", "u16")
+    end = "device_ticks u8 | latency u16*1.0 us measurement to transmission"
     return {
-        key: field(f"{key:02X}", gap(1), *(with_status[name] for name in names.split()), end)
-        for key, (names, _) in DATAGRAMS.items()
+        key: field(f"{key:02X}", part(" | ".join(["1", *map(with_status.__getitem__, names.split()), end])))
+        for key, names in DATAGRAMS.items()
     }
 
 
 CHECKS = [Checksum("crc32-mpeg2", big=True, zeros=zeros) for zeros in range(4)]
-ZEROS, SIZES = np.zeros((2, 256), np.int64)
-"""Zeros before the CRC, and bytes, of each datagram by its identifier."""
-for _key, _message in datagrams("rate", 10, None).items():
-    ZEROS[_key], SIZES[_key] = DATAGRAMS[_key][1], _message.size + CRC_SIZE
+"""By the zeros that fill a datagram up to a multiple of four bytes."""
+SIZES = np.zeros(256, np.int64)
+SIZES[[*DATAGRAMS]] = [message.size + CRC_SIZE for message in datagrams("rate", 10, None).values()]
+"""Bytes of each datagram by its identifier."""
 
 
 def _length(held: ByteArray, at: IntArray) -> IntArray:
@@ -91,7 +85,7 @@ def _length(held: ByteArray, at: IntArray) -> IntArray:
 def _right(held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
     right = np.zeros(len(at), np.bool_)
     for zeros, check in enumerate(CHECKS):
-        mine = ZEROS[held[at]] == zeros
+        mine = -length % len(CHECKS) == zeros
         right[mine] = check(held, at[mine], length[mine])
     return right
 
@@ -114,7 +108,7 @@ class StimDecoder(FamilyDecoder):
 
     def wrap(self, key: int, payload: bytes) -> bytes:
         """Make a datagram."""
-        return CHECKS[int(ZEROS[key])].sealed(bytes([key]) + payload[1:]) + self._end
+        return CHECKS[-len(payload) % len(CHECKS)].sealed(bytes([key]) + payload[1:]) + self._end
 
     def _key(self, packet: bytes) -> int:
         self._report(self._assumed)

@@ -11,18 +11,20 @@ already taken off.  `Uncomp...` and `Imu` are calibrated in the factory and no m
 
 from array import array
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from fractions import Fraction
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
-from imumon.blocks import IntArray, SampleBlock
+from imumon.blocks import IntArray
 from imumon.columns import KNOWN
 from imumon.protocols import vectornav_fields as tables
 from imumon.protocols.base import LONGEST_PACKET, MAIN, ByteArray, Encoder, Timing, chosen
 from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, Checksum, Found, Frame, counted_length, windows
-from imumon.protocols.messages import Alike, Message, TableDecoder
-from imumon.protocols.numbers import Number, Record, write
+from imumon.protocols.messages import Alike, Message, TableDecoder, field
+from imumon.protocols.numbers import Number, Record
 from imumon.protocols.text import line_frame, sentence_body, texts
 
 MOST_HEADER = 64
@@ -47,8 +49,6 @@ def read_contents(packet: bytes) -> Contents | int:
         return _contents(packet) if packet[0] == 0xFA else IMPOSSIBLE
     except IndexError:
         return INCOMPLETE
-    except KeyError:  # a group that nobody knows
-        return IMPOSSIBLE
 
 
 def _contents(packet: bytes) -> Contents | int:
@@ -59,7 +59,9 @@ def _contents(packet: bytes) -> Contents | int:
         at = 3
     items: list[Message] = []
     for group in groups:
-        left, more = tables.GROUPS[group], True
+        if group not in tables.GROUP_NAMES:
+            return IMPOSSIBLE
+        first, more = 0, True
         while more:
             if at > MOST_HEADER:
                 return IMPOSSIBLE
@@ -67,10 +69,11 @@ def _contents(packet: bytes) -> Contents | int:
             at += 2
             more = group != tables.COMMON and word >= 0x8000
             word &= 0xFFFF if group == tables.COMMON else 0x7FFF
-            if word >> len(left):
+            places = [(group, first + k) for k in range(16) if word >> k & 1]
+            if not tables.BY_PLACE.keys() >= {*places}:
                 return IMPOSSIBLE
-            items += [item for k, item in enumerate(left[:16]) if word >> k & 1 and item is not None]
-            left = left[16:]
+            items += map(tables.BY_PLACE.__getitem__, places)
+            first += 16
     fields, end = list[tuple[Message, int]](), at
     for item in items:
         fields.append((item, end))
@@ -235,7 +238,7 @@ class VectorNavDecoder(TableDecoder):
 
     def _numbers_of(self, alike: Alike) -> list[Number]:
         """Return the numbers of packets; those of a sentence are in its order."""
-        if alike.kind == SENTENCE:
+        if alike.key[0] == SENTENCE:
             values = tables.SENTENCES.get(alike.packet[1:8].decode().strip(), ())
             return [v._replace(type="f64", at=8 + 8 * k, group=MAIN) for k, v in enumerate(values)]
         return [n for item, at, size in self._contents(alike.packet) for n in item.placed(at, size, False)]
@@ -243,9 +246,10 @@ class VectorNavDecoder(TableDecoder):
     def _layout(self, alike: Alike) -> Record | None:
         layout = Record(_renamed(self._numbers_of(alike), self._factory))
         if "gyro_x" in layout.of_column and "gyro" not in self._factory:
-            self._warn(
+            self._report(
                 "the angular rate is that of the device's filter, which has taken its own estimate of "
-                "the gyro bias off: what imumon finds is the rest of it; send UncompGyro, Imu or $VNIMU"
+                "the gyro bias off: what imumon finds is the rest of it; send UncompGyro, Imu or $VNIMU",
+                is_warning=True,
             )
         return layout if layout.columns else None
 
@@ -268,17 +272,9 @@ class VectorNavDecoder(TableDecoder):
 
     def encoder(self, names: Sequence[str]) -> Encoder:
         """Return an encoder of one binary output of fields GROUP.FIELD, sent in the order of their bits."""
-        words, numbers = words_of(names), list[Number]()
+        words = words_of(names)
         header = header_of(sum(1 << group - 1 for group in words), words.values())
-        size = len(header)
-        for place in sorted({PLACES[name] for name in names}):
-            item = tables.BY_PLACE[place]
-            numbers += item.placed(size, item.size, False)
-            size += item.size
-        renamed, blank = _renamed(numbers, _factory(numbers)), header.ljust(size, b"\0")
-
-        def encode(block: SampleBlock) -> list[bytes]:
-            packets = write("binary output", renamed, blank, block.columns, len(block))
-            return [packet.tobytes() for packet in XMODEM.sealed_rows(packets)]
-
-        return Encoder(encode)
+        places = sorted({PLACES[name] for name in names})
+        sent = field("binary output", *(tables.BY_PLACE[place].numbers for place in places))
+        renamed = replace(sent, numbers=tuple(_renamed(sent.numbers, _factory(sent.numbers))))
+        return Encoder(partial(self._encode, lambda payload: XMODEM.sealed(header + payload), renamed))

@@ -9,19 +9,16 @@ Many units send a rate of exactly zero while they take themselves to be at rest.
 """
 
 from fractions import Fraction
-from math import pi
 
 import numpy as np
 
 from imumon.blocks import ColumnArray, IntArray
-from imumon.columns import KNOWN
-from imumon.geodesy import STANDARD_GRAVITY
-from imumon.protocols.base import NO_GROUP, ByteArray, Packets, Timing
+from imumon.columns import KNOWN, Column
+from imumon.protocols.base import ByteArray, Packets, Timing
 from imumon.protocols.framing import INCOMPLETE, NO_PACKET, Checksum, Found, Frame, fixed_length, unchecked
-from imumon.protocols.messages import FamilyDecoder, Part, axes, counted, field, floats, gap, real
-from imumon.protocols.numbers import Columns, Derived, Number, count, date, known, number, utc_time
+from imumon.protocols.messages import FamilyDecoder, field, part, table
+from imumon.protocols.numbers import Columns, Derived, known, utc_time
 
-FORCE_FACTOR, RATE_FACTOR, ANGLE_FACTOR = (16 * STANDARD_GRAVITY / 32768, 2000 * pi / 180 / 32768, pi / 32768)
 HEADER, SIZE = 2, 11
 SHORT, LONG = 20, 28
 COMBINED = 0x61
@@ -29,14 +26,10 @@ ZEROS = 10
 """Frames in a row with three rates of zero, after which it is reported: with noise that needs much luck."""
 
 
-def _date(prefix: str, per_ms: int) -> Part:
-    """Return the parts of a date, sources of a time; so many counts a millisecond."""
-    of_second, year, *parts = date(prefix)
-    return (Number(year, "u8", offset=2000), *floats(parts, kind="u8"), *floats([of_second], per_ms, "u16"))
-
-
-CLOCK = count("device_clock", "calendar of the device as Unix time; not that of the sample", "ns")
-DILUTIONS = [number(f"gnss_{c}dop", "1", "dilution") for c in "phv"]
+_DATE = """_{0}year u8+2000 1 year | _{0}month u8 1 month | _{0}day u8 1 day | _{0}hour u8 1 hour
+  | _{0}minute u8 1 minute | _{0}second u8 1 second | _{0}of_second u16*{1} 1 ms"""
+"""Parts of a date, by its name, and how many counts of the time that is made of them a millisecond has."""
+CLOCK = Column("device_clock", "ns", "int64", "calendar of the device as Unix time; not that of the sample")
 
 
 def _degrees_of(columns: Columns) -> list[ColumnArray]:
@@ -50,39 +43,33 @@ def _digits_of(columns: Columns) -> list[ColumnArray]:
     return [np.rint(np.trunc(v) * 1e7 + (v - np.trunc(v)) * 6e6).astype(np.int64) for v in values]
 
 
-PORTS = [count(f"port_d{k}", f"port D{k}") for k in range(4)]
-PLACE = [count("_longitude", "longitude"), count("_latitude", "latitude")]
 DERIVED = (
     utc_time("clock_", CLOCK),
     utc_time("sample_", KNOWN["device_ticks"], per_s=1000),  # 0x61 has the time of the sample itself
     Derived(("_longitude", "_latitude"), known("longitude", "latitude"), _degrees_of, _digits_of),
 )
 
-ACCEL, GYRO = floats("accel", FORCE_FACTOR, "i16"), floats("gyro", RATE_FACTOR, "i16")
-ANGLES = floats("angles", ANGLE_FACTOR, "i16")
-TYPES = {
-    0x50: field("time", _date("clock_", 1_000_000), group=NO_GROUP),
-    0x51: field("accel", ACCEL, floats("temperature", 0.01, "i16")),
-    0x52: field("gyro", GYRO, gap(2)),
-    0x53: field("angle", ANGLES, gap(2), group="attitude"),
-    0x54: field("mag", axes("mag", "a.u.", "magnetic field, raw counts", kind="i16"), gap(2),
-                group="mag"),
-    0x55: field("ports", floats(PORTS, kind="u16"), group="status"),
-    0x56: field("pressure", floats("pressure", kind="u32"),
-                real("pressure_altitude", "m", "from the pressure", "i32", 0.01), group="pressure"),
-    0x57: field("position", floats(PLACE, kind="i32"), group="gnss"),
-    0x58: field("speed", real("gnss_altitude", "m", "of the receiver", "i16", 0.1),
-                real("gnss_course", "rad", "of the receiver", "i16", pi / 1800),
-                real("gnss_speed", "m/s", "over ground", "u32", 1 / 3600), group="gnss"),
-    0x59: field("quaternion", floats("q", 1 / 32768, "i16"), group="attitude"),
-    0x5A: field("satellites", counted("gnss_satellites", "in use", "u16"), floats(DILUTIONS, 0.01, "u16"),
-                group="gnss"),
-}  # fmt: skip
+_ACCEL, _GYRO, _ANGLES = "accel i16*16*g/32768", "gyro i16*2000*pi/180/32768", "angles i16*pi/32768"
+_DOPS = " | ".join(f"gnss_{letter}dop u16*0.01 1 dilution" for letter in "phv")
+TYPES = table(f"""
+0x50 time []: {_DATE.format("clock_", 1_000_000)}
+0x51 accel: {_ACCEL} | temperature i16*0.01
+0x52 gyro: {_GYRO} | 2
+0x53 angle [attitude]: {_ANGLES} | 2
+0x54 mag [mag]: mag_xyz i16*1.0 a.u. magnetic field, raw counts | 2
+0x55 ports [status]: {" | ".join(f"port_d{k} u16 1 port D{k}" for k in range(4))}
+0x56 pressure [pressure]: pressure u32 | pressure_altitude i32*0.01 m from the pressure
+0x57 position [gnss]: _longitude i32 1 longitude | _latitude i32 1 latitude
+0x58 speed [gnss]: gnss_altitude i16*0.1 m of the receiver | gnss_course i16*pi/1800 rad of the receiver
+  | gnss_speed u32/3600 m/s over ground
+0x59 quaternion [attitude]: q i16/32768
+0x5A satellites [gnss]: gnss_satellites u16 1 in use | {_DOPS}
+""")
 """What each type carries; the fourth number of 0x52 and 0x54 depends on the model and is left out."""
-IN_ONE = (ACCEL, GYRO, tuple(angle._replace(group="attitude") for angle in ANGLES))
+IN_ONE = (*part(f"{_ACCEL} | {_GYRO}"), *(angle._replace(group="attitude") for angle in part(_ANGLES)))
 COMBINED_FORMS = {
-    COMBINED << 8 | SHORT: field("combined", *IN_ONE),
-    COMBINED << 8 | LONG: field("timed", *IN_ONE, _date("sample_", 1)),
+    COMBINED << 8 | SHORT: field("combined", IN_ONE),
+    COMBINED << 8 | LONG: field("timed", IN_ONE, part(_DATE.format("sample_", 1))),
 }
 """The frame of several quantities, by its length."""
 
@@ -135,8 +122,9 @@ class WitMotionDecoder(FamilyDecoder):
         still = np.append(self._still, ~np.any(rates[~np.isnan(rates[:, 0])], axis=1))
         self._still = still[1 - ZEROS :]
         if np.convolve(still, np.ones(ZEROS), "valid").max(initial=0) == ZEROS:
-            self._warn(
+            self._report(
                 "the device sends rates of exactly zero: at rest it takes off what it holds for bias, "
-                "so bias and noise found from them mean nothing"
+                "so bias and noise found from them mean nothing",
+                is_warning=True,
             )
         return packets

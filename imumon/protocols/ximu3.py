@@ -7,16 +7,13 @@ its numbers) and a time that a device can have run.  Temperature comes in messag
 
 from fractions import Fraction
 from functools import partial
-from math import pi
 
 import numpy as np
 
 from imumon.blocks import BoolArray, IntArray
-from imumon.geodesy import STANDARD_GRAVITY
-from imumon.protocols.base import MAIN, ByteArray, Timing
+from imumon.protocols.base import ByteArray, Timing
 from imumon.protocols.framing import Found, Frame
-from imumon.protocols.messages import FamilyDecoder, Message, Part, axes, field, floats, real
-from imumon.protocols.numbers import number
+from imumon.protocols.messages import FamilyDecoder, table
 from imumon.protocols.text import NUMBER, line_frame, line_lengths, texts
 
 BINARY = 0x80
@@ -25,37 +22,24 @@ END, ESCAPE, ESCAPED_END, ESCAPED_ESCAPE = 0x0A, 0xDB, 0xDC, 0xDD
 TIME_SIZE = 8
 YEARS_US = 1 << 58
 """Microseconds of 9000 years: a message that claims more began in the middle of another."""
-DEGREE = pi / 180
 
-MATRIX = [number(f"matrix_{i}{j}", "1", "rotation matrix") for i in "xyz" for j in "xyz"]
-
-
-def _message(name: str, group: str, *parts: Part) -> Message:
-    return field(name, floats("device_ticks", kind="u64"), *parts, group=group)
-
-
-MESSAGES = {
-    ord("I"): _message("inertial", MAIN, floats("gyro", DEGREE), floats("accel", STANDARD_GRAVITY)),
-    ord("M"): _message("magnetometer", "mag",
-                       axes("mag", "a.u.", "magnetic field, 1 when calibrated")),
-    ord("T"): _message("temperature", "temperature", floats("temperature")),
-    ord("Q"): _message("quaternion", "attitude", floats("q")),
-    ord("A"): _message("euler", "attitude", floats("angles", DEGREE)),
-    ord("R"): _message("matrix", "attitude", floats(MATRIX)),
-    ord("L"): _message("linear", "attitude",
-                       axes("free_accel", "m/s^2", "without gravity", STANDARD_GRAVITY)),
-    ord("E"): _message("earth", "attitude",
-                       axes("earth_accel", "m/s^2", "without gravity, in the reference frame",
-                        STANDARD_GRAVITY)),
-    ord("H"): _message("high_g", "high_g",
-                       axes("accel_high_g", "m/s^2", "for high accelerations", STANDARD_GRAVITY)),
-    ord("B"): _message("battery", "status", real("battery", "1", "charge, percent"),
-                       real("battery_voltage", "V", "of the battery"),
-                       real("charging", "1", "status of charging")),
-    ord("W"): _message("rssi", "status", real("rssi_percent", "1", "strength of the radio signal"),
-                       real("rssi_power", "1", "the same, dBm")),
-    ord("Y"): _message("sync", "sync", real("sync_edge", "1", "edge at the input")),
-}  # fmt: skip
+_MATRIX = " | ".join(f"matrix_{i}{j} f32 1 rotation matrix" for i in "xyz" for j in "xyz")
+MESSAGES = table(f"""
+I inertial: device_ticks u64 | gyro f32*deg | accel f32*g
+M magnetometer [mag]: device_ticks u64 | mag_xyz f32 a.u. magnetic field, 1 when calibrated
+T temperature [temperature]: device_ticks u64 | temperature f32
+Q quaternion [attitude]: device_ticks u64 | q f32
+A euler [attitude]: device_ticks u64 | angles f32*deg
+R matrix [attitude]: device_ticks u64 | {_MATRIX}
+L linear [attitude]: device_ticks u64 | free_accel_xyz f32*g m/s^2 without gravity
+E earth [attitude]: device_ticks u64 | earth_accel_xyz f32*g m/s^2 without gravity, in the reference frame
+H high_g [high_g]: device_ticks u64 | accel_high_g_xyz f32*g m/s^2 for high accelerations
+B battery [status]: device_ticks u64 | battery f32 1 charge, percent | battery_voltage f32 V of the battery
+  | charging f32 1 status of charging
+W rssi [status]: device_ticks u64 | rssi_percent f32 1 strength of the radio signal
+  | rssi_power f32 1 the same, dBm
+Y sync [sync]: device_ticks u64 | sync_edge f32 1 edge at the input
+""")
 """Messages with numbers by their letter."""
 SIZES = np.zeros(256, np.int64)
 SIZES[[key | BINARY for key in MESSAGES]] = [message.size for message in MESSAGES.values()]

@@ -200,9 +200,8 @@ def read_table(path: Path) -> tuple[SampleBlock, dict[str, Column]]:
     Raises BAD_DATA when the table cannot be read or has a column that is neither float nor integer.
     """
     columns = read_columns(path)
-    blocks = list(iterate_table(path))
-    empty = {name: np.empty(0, np.dtype(column.dtype)) for name, column in columns.items()}
-    return join(blocks) if blocks else SampleBlock(empty), columns
+    empty = SampleBlock({name: missing(0, column.dtype) for name, column in columns.items()})
+    return join([empty, *iterate_table(path)]), columns
 
 
 def read_columns(path: Path) -> dict[str, Column]:

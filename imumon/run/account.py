@@ -56,7 +56,7 @@ class Outages:
     def item(self, item: Item | Reads) -> None:
         """Take what came from the port."""
         if not isinstance(item, Event):
-            arrivals_ns = [item.arrival_ns] if isinstance(item, Bytes) else item.arrivals_ns[-1:].tolist()
+            arrivals_ns = [item.time_ns] if isinstance(item, Bytes) else item.arrivals_ns[-1:].tolist()
             self.last_ns = max(arrivals_ns, default=self.last_ns)
             return
         lasting = next((one for one in self.found if one.ended_ns is None), None)

@@ -58,12 +58,7 @@ class Bytes:
     """Bytes as they were read at once, and the Unix time (ns) right after the read."""
 
     data: bytes
-    arrival_ns: int
-
-    @property
-    def time_ns(self) -> int:
-        """The time of the read, as an event has one."""
-        return self.arrival_ns
+    time_ns: int
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,7 +77,7 @@ class Reads:
         """Return reads as one."""
         data = np.frombuffer(b"".join([read.data for read in reads]), np.uint8)
         ends = np.cumsum([len(read.data) for read in reads], dtype=np.int64)
-        return cls(data, ends, np.array([read.arrival_ns for read in reads], np.int64))
+        return cls(data, ends, np.array([read.time_ns for read in reads], np.int64))
 
     @property
     def lengths(self) -> IntArray:

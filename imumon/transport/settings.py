@@ -4,12 +4,6 @@ from dataclasses import dataclass
 
 from imumon.errors import bad_config
 
-_ALLOWED: dict[str, tuple[object, ...]] = {
-    "bytesize": (5, 6, 7, 8),
-    "parity": ("N", "E", "O", "M", "S"),
-    "stopbits": (1, 1.5, 2),
-}
-
 
 @dataclass(frozen=True, slots=True)
 class PortSettings:
@@ -22,8 +16,8 @@ class PortSettings:
     """Bits per second on the line; a ``socket://`` has no line, so it does not matter there."""
     bytesize: int = 8
     parity: str = "N"
-    stopbits: float = 1
-    """Data bits 5 to 8; parity N, E, O, M or S; stop bits 1, 1.5 or 2."""
+    stopbits: int = 1
+    """Data bits, 7 or 8; parity N, E or O; stop bits, 1 or 2."""
 
     def __post_init__(self) -> None:
         if not self.url:
@@ -32,10 +26,6 @@ class PortSettings:
             raise bad_config(f"the name of the port is not plain text: {self.url!a}", "link to it")
         if self.baudrate <= 0:
             raise bad_config(f"baud rate must be positive, got {self.baudrate}")
-        for name, allowed in _ALLOWED.items():
-            if (given := getattr(self, name)) not in allowed:
-                expected = ", ".join(map(str, allowed))
-                raise bad_config(f"{name} must be one of {expected}, got {given}")
 
     @property
     def scheme(self) -> str:
@@ -54,7 +44,7 @@ class PortSettings:
         return self.scheme not in ("socket", "loop")
 
     @property
-    def bits_per_byte(self) -> float:
+    def bits_per_byte(self) -> int:
         """Bits on the line for one byte: start, data, parity and stop bits."""
         return 1 + self.bytesize + (self.parity != "N") + self.stopbits
 
@@ -66,4 +56,4 @@ class PortSettings:
     def __str__(self) -> str:
         if not self.has_line:
             return self.url
-        return f"{self.url} at {self.baudrate} {self.bytesize}{self.parity}{self.stopbits:g}"
+        return f"{self.url} at {self.baudrate} {self.bytesize}{self.parity}{self.stopbits}"

@@ -11,6 +11,7 @@ import serial
 from imumon.configure.core import BAUD
 from imumon.configure.vectornav import OUTPUT, VectorNav, VectorNavFirmware, frame
 from imumon.protocols.device import load_device
+from imumon.protocols.messages import TableDevice
 from imumon.simulation.virtual_device import VirtualDevice
 from imumon.simulation.virtual_port import VirtualPort
 from tests.waiting import LIMIT_S
@@ -18,7 +19,9 @@ from tests.waiting import LIMIT_S
 
 @pytest.fixture
 def device() -> VectorNavFirmware:
-    return VectorNavFirmware(load_device("vectornav"), 50.0)
+    described = load_device("vectornav")
+    assert isinstance(described, TableDevice)
+    return VectorNavFirmware(described, 50.0)
 
 
 def test_what_is_written_is_lost_at_power_off_unless_it_is_saved(device: VectorNavFirmware) -> None:

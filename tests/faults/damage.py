@@ -45,7 +45,7 @@ def record(path: Path, items: list[Item], *, closed: bool) -> None:
     writer = WireWriter(path, {"device": "made"})
     flushed_ns = START_NS
     for item in items:
-        time_ns = item.arrival_ns if isinstance(item, Bytes) else item.time_ns
+        time_ns = item.time_ns
         if time_ns - flushed_ns >= FLUSH_NS:
             writer.flush()
             flushed_ns = time_ns

@@ -109,7 +109,7 @@ def accelerated(folder: Path, rate_hz: float, hours: float) -> Row:
     def recorded() -> Iterator[Item]:
         noted = 0.0
         for item in _items(rate_hz, hours):
-            at_h = ((item.arrival_ns if isinstance(item, Bytes) else item.time_ns) - START_NS) / 3.6e12
+            at_h = (item.time_ns - START_NS) / 3.6e12
             if at_h - noted >= hours / 100.0:
                 noted = at_h
                 times.append(at_h)

@@ -26,7 +26,7 @@ def test_a_file_that_is_cut_anywhere_is_read_up_to_there(tmp_path: Path) -> None
 def test_other_readers_of_mcap_pass_the_check_records_over(tmp_path: Path) -> None:
     items = made_items(2.0, 100.0, 40, 0)
     record(tmp_path / "w.mcap", items, closed=True)
-    reads = [(item.arrival_ns, item.data) for item in items if isinstance(item, Bytes)]
+    reads = [(item.time_ns, item.data) for item in items if isinstance(item, Bytes)]
     with (tmp_path / "w.mcap").open("rb") as file:
         assert file.read().count(MARKER) >= 20
         file.seek(0)
@@ -54,7 +54,7 @@ def test_a_place_states_where_it_is_how_long_and_how_many_reads(tmp_path: Path) 
     size = len(lost) * (MESSAGE.size + CDR.size + 40) + CHECK_SIZE
     first = content.index(lost[0].data) - MESSAGE.size - CDR.size  # type: ignore[union-attr]
     assert (place.offset, place.bytes, place.messages) == (first, size, len(lost)) == (first, size, 10)
-    assert place.after_ns == items[items.index(lost[0]) - 1].arrival_ns  # type: ignore[union-attr]
+    assert place.after_ns == items[items.index(lost[0]) - 1].time_ns
     assert place.seconds == pytest.approx(0.1)
 
 

@@ -120,7 +120,7 @@ def test_the_file_is_mcap_for_other_readers(tmp_path: Path) -> None:
         file.seek(0)
         [metadata] = make_reader(file).iter_metadata()
     assert [topic for topic, _ in messages] == ["/event", "/wire", "/wire", "/event", "/wire"]
-    assert messages[1] == ("/wire", ITEMS[1].arrival_ns)  # type: ignore[union-attr]  # it is Bytes
+    assert messages[1] == ("/wire", ITEMS[1].time_ns)
     assert (metadata.name, metadata.metadata) == ("imumon", {"device": "test"})
 
 
@@ -170,7 +170,7 @@ def test_a_file_of_version_1_is_read_up_to_what_is_damaged(tmp_path: Path) -> No
         )
         for number, item in enumerate(ITEMS):
             if isinstance(item, Bytes):
-                channel, at, data = bare, item.arrival_ns, item.data
+                channel, at, data = bare, item.time_ns, item.data
             else:
                 channel, at = events, item.time_ns
                 data = json.dumps({"kind": item.kind.value, "detail": item.detail}).encode()

@@ -285,17 +285,16 @@ def test_closing_twice_does_no_harm() -> None:
     ("bytesize", "parity", "stopbits", "bits"), [(8, "N", 1, 10), (8, "E", 1, 11), (7, "O", 2, 11)]
 )
 def test_bits_per_byte_counts_start_parity_and_stop(
-    bytesize: int, parity: str, stopbits: float, bits: float
+    bytesize: int, parity: str, stopbits: int, bits: int
 ) -> None:
     settings = PortSettings("/dev/ttyUSB0", 110_000, bytesize, parity, stopbits)
     assert settings.bits_per_byte == bits
     assert settings.capacity_bytes_per_s == 110_000 / bits
 
 
-@pytest.mark.parametrize(("baudrate", "bytesize", "parity"), [(0, 8, "N"), (9600, 9, "N"), (9600, 8, "X")])
-def test_impossible_settings_are_refused(baudrate: int, bytesize: int, parity: str) -> None:
+def test_an_impossible_baud_rate_is_refused() -> None:
     with pytest.raises(ImumonError) as caught:
-        PortSettings("/dev/ttyUSB0", baudrate, bytesize, parity)
+        PortSettings("/dev/ttyUSB0", 0)
     assert caught.value.reason is Reason.BAD_CONFIG
 
 

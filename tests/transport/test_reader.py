@@ -11,7 +11,7 @@ from imumon.errors import ImumonError, Reason
 from imumon.simulation.virtual_port import VirtualPort
 from imumon.transport import port as port_module
 from imumon.transport import reader as reader_module
-from imumon.transport.reader import Bytes, Event, EventKind, Item, Reader
+from imumon.transport.reader import Event, EventKind, Item, Reader
 from imumon.transport.settings import PortSettings
 from tests.transport.helpers import Collector, tcp_server
 from tests.waiting import LIMIT_S, wait_until
@@ -33,7 +33,7 @@ def test_bytes_and_events_come_in_order_with_stamps_that_never_go_back() -> None
             device.write(PACKET)
             assert sink.got(PACKET * n)  # handed on as it comes, not at the end
     after = time.time_ns()
-    stamps = [item.arrival_ns if isinstance(item, Bytes) else item.time_ns for item in sink.items]
+    stamps = [item.time_ns for item in sink.items]
     assert sink.kinds == [EventKind.OPENED, EventKind.CLOSED]
     assert isinstance(sink.items[0], Event)
     assert stamps == sorted(stamps)

@@ -5,18 +5,13 @@ vendor.  The last four bits of an identifier are its format: bits 0-1 the precis
 the reference frame.  Values are in the device's units times a factor.
 """
 
-from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import lru_cache, partial
-from itertools import chain
-from math import pi
+from functools import lru_cache
 
 from imumon.columns import KNOWN, Column
-from imumon.protocols.base import MAIN, NO_GROUP
-from imumon.protocols.messages import Message, Part, counted, field, floats, gap, gnss, real
-from imumon.protocols.numbers import FROM_MATRIX, MATRIX, Number, count, date, known, number, utc_time, vector
-
-DEGREE = pi / 180
+from imumon.protocols.base import MAIN
+from imumon.protocols.messages import Message, Part, field, rows
+from imumon.protocols.numbers import FROM_MATRIX, utc_time
 
 PRECISIONS = {
     "float32": ("f32", 1.0),
@@ -30,200 +25,141 @@ FRAMES = {"ENU": 0x0, "NED": 0x4, "NWU": 0x8}
 """Reference frames of orientation, velocity and free acceleration, by their bits in the identifier."""
 
 
-MAG = vector("mag", "a.u.", "magnetic field, 1 at the place of calibration (the device has no unit)")
-VELOCITY = vector("velocity", "m/s", "velocity in the reference frame")
-UTC_VALID = count("utc_valid", "validity bits of the UTC time")
-RAW = (
-    *vector("raw_accel", "1", "accelerometer, raw counts"),
-    *vector("raw_gyro", "1", "gyroscope, raw counts"),
-    *vector("raw_mag", "1", "magnetometer, raw counts"),
-)
-RAW_TEMPERATURE = number("raw_temperature", "1", "temperature, raw counts")
-
-UTC_KINDS = ("u32", "u16", "u8", "u8", "u8", "u8", "u8", "u8")
-UTC_VALUES = tuple(map(Number, (*date("utc_"), UTC_VALID), UTC_KINDS))
+_DATE = """_{0}year u16 1 year | _{0}month u8 1 month | _{0}day u8 1 day | _{0}hour u8 1 hour
+  | _{0}minute u8 1 minute | _{0}second u8 1 second"""
+UTC = f"_utc_of_second u32 1 ns | {_DATE.format('utc_')} | utc_valid u8 1 validity bits of the UTC time"
 
 
 @dataclass(frozen=True, slots=True)
 class Identifier:
-    """A data identifier without its format bits.
-
-    Numbers without a type have the precision that the identifier states; without numbers, the field is
-    recognised whatever its size.  `raw`: the last bit states if counts are signed.  `least`: as `Message`.
-    """
+    """A data identifier without its format bits; without numbers, it is recognised whatever its size."""
 
     code: int
     name: str
-    numbers: tuple[Number, ...] = ()
-    framed: bool = False
-    raw: bool = False
-    least: int = 0
+    group: str
+    least: int
+    """Both as `Message` has them."""
+    numbers: Part
+    """Those of type "real" or "framed" have the precision that the format states, "count" its sign."""
+
+    @property
+    def framed(self) -> bool:
+        """Whether the format states a reference frame."""
+        return any(number.type == "framed" for number in self.numbers)
 
     @property
     def is_real(self) -> bool:
         """Whether the format states a precision."""
-        return bool(self.numbers) and not self.numbers[0].type and not self.raw
+        return any(number.type in ("real", "framed") for number in self.numbers)
+
+    @property
+    def raw(self) -> bool:
+        """Whether the numbers are raw counts, of which the last bit of the format states the sign."""
+        return self.code >> 8 == RAW_GROUP and bool(self.numbers)
 
     def message(self, form: int = 0) -> Message | None:
         """Return the field in a format, the last four bits of the identifier; None when it has no such."""
-        group = _HIGH_RATE.get(self.code) or _GROUPS.get(self.code >> 8, "status")
-        kind, factor, good = "", 1.0, form == 0
+        factor, kinds, good = 1.0, {"count": ("u16", "i16")[form & 1]}, form == 0
         if self.is_real:
             kind, factor = [*PRECISIONS.values()][form & 0x3]
+            kinds = {"real": kind, "framed": kind}
             good = form & 0xC in (FRAMES.values() if self.framed else (0,))
         elif self.raw or not self.numbers:
-            kind, good = ("u16", "i16")[form & 1], form < 2
-        typed = [n._replace(type=n.type or kind, factor=n.factor * factor) for n in self.numbers]
-        return field(self.name, tuple(typed), group=group, least=self.least) if good else None
+            good = form < 2
+        typed = (n._replace(type=kinds.get(n.type, n.type), factor=n.factor * factor) for n in self.numbers)
+        return field(self.name, (*typed,), group=self.group, least=self.least) if good else None
 
 
-_GROUPS = {
-    0x10: NO_GROUP,
-    **dict.fromkeys((0x40, 0x80, 0xA0), MAIN),
-    0xC0: "mag",
-    0x08: "temperature",
-    0x20: "attitude",
-    0x30: "pressure",
-    **dict.fromkeys((0x50, 0xD0), "navigation"),
-    **dict.fromkeys((0x70, 0x88), "gnss"),
-    0xB0: "analog",
-    **dict.fromkeys((0xEE, 0x48), "trigger"),
-}
-_HIGH_RATE = {0x4040: "imu_hr", 0x8040: "imu_hr", 0x4030: "attitude", 0xA050: "mag"}
-"""What the vendor's grouping does not state: the high-rate outputs have a rate of their own."""
-
-
-def _real(
-    code: int, name: str, columns: str | Iterable[Column], factor: float = 1.0, framed: bool = False
-) -> Identifier:
-    return Identifier(code, name, floats(columns, factor, kind=""), framed)
-
-
-def _plain(code: int, name: str, *parts: Part, least: int = 0) -> Identifier:
-    return Identifier(code, name, tuple(chain(*parts)), least=least)
-
-
-def _raw(code: int, name: str, *columns: Column) -> Identifier:
-    # A temperature is signed in either format.
-    kinds = ["i16" if "temperature" in column.name else "" for column in columns]
-    return Identifier(code, name, tuple(map(Number, columns, kinds)), raw=True)
-
-
-def _trigger(code: int, line: int) -> Identifier:
-    what, names = f"trigger {line}", f"trigger{line}"
-    return _plain(
-        code + 0x10 * line,
-        f"TriggerIn{line}",
-        counted(f"{names}_line", f"{what}: line", "u8"),
-        counted(f"{names}_polarity", f"{what}: polarity", "u8"),
-        counted(f"{names}_ticks", f"{what}: time in device ticks", "u32"),
-        counted(f"{names}_frame", f"{what}: frame number", "u16"),
-    )
-
-
-_gnss = partial(gnss, "gnss")
-_TIME_OF_WEEK = _gnss("s", "time_of_week", kind="u32", factor=1e-3)
-_DATE = tuple(map(Number, date("gnss_utc_")[1:], UTC_KINDS[1:]))
-_NANO = floats(date("gnss_utc_")[:1], kind="i32")
-_TIME_VALID = _gnss("1", "time_valid", kind="u8")
-_TIME_ACCURACY = _gnss("s", "time_accuracy", kind="u32", factor=1e-9)
-_DILUTIONS = _gnss("1", *(f"{name}dop" for name in "gptvhne"), kind="u16", factor=0.01)
-_PVT = (
-    *(_TIME_OF_WEEK, _DATE, _TIME_VALID, _TIME_ACCURACY, _NANO),
-    _gnss("1", "fix_type", "flags", "satellites", kind="u8"),
-    gap(1),
-    _gnss("deg", "longitude", "latitude", kind="i32", factor=1e-7),
-    _gnss("m", "altitude", "altitude_msl", kind="i32", factor=1e-3),
-    _gnss("m", "horizontal_accuracy", "vertical_accuracy", kind="u32", factor=1e-3),
-    _gnss("m/s", "velocity_north", "velocity_east", "velocity_down", "ground_speed", kind="i32", factor=1e-3),
-    _gnss("rad", "course", kind="i32", factor=1e-5 * DEGREE),
-    _gnss("m/s", "speed_accuracy", kind="u32", factor=1e-3),
-    _gnss("rad", "course_accuracy", kind="u32", factor=1e-5 * DEGREE),
-    _gnss("rad", "vehicle_heading", kind="i32", factor=1e-5 * DEGREE),
-    _DILUTIONS,
-)
-_SOLUTION = (
-    _TIME_OF_WEEK,
-    gap(4),
-    _gnss("1", "week", kind="i16"),
-    _gnss("1", "fix_type", "flags", kind="u8"),
-    _gnss("m", *(f"ecef_{axis}" for axis in "xyz"), kind="i32", factor=0.01),
-    _gnss("m", "position_accuracy", kind="u32", factor=0.01),
-    _gnss("m/s", *(f"ecef_velocity_{axis}" for axis in "xyz"), kind="i32", factor=0.01),
-    _gnss("m/s", "speed_accuracy", kind="u32", factor=0.01),
-    _gnss("1", "pdop", kind="u16", factor=0.01),
-    gap(1),
-    _gnss("1", "satellites", kind="u8"),
-    gap(1),
-)
-
+RAW_GROUP = 0xA0
+_GNSS_DATE, _NANO = _DATE.format("gnss_utc_"), "_gnss_utc_of_second i32 1 ns"
+_WEEK = "gnss:time_of_week u32*1e-3 s"
+_DOPS = "gnss:gdop,pdop,tdop,vdop,hdop,ndop,edop u16*0.01 1"
 MOST_SATELLITES = 60
 """In a GnssSatInfo."""
-
-
-def _satellite(k: int) -> Part:
-    """System times 256 and number; carrier to noise in dBHz; quality (bits 0-2), used (3), health (4-5)."""
-    return _gnss("1", f"sat{k}_id", kind="u16") + _gnss("1", f"sat{k}_cno", f"sat{k}_flags", kind="u8")
-
-
-_SATELLITES = (_TIME_OF_WEEK, _gnss("1", "satellites_seen", kind="u8"), gap(3))
-
-IDENTIFIERS: tuple[Identifier, ...] = (
-    _plain(0x1020, "PacketCounter", floats("packet_counter", kind="u16")),
-    _plain(0x1060, "SampleTimeFine", floats("device_ticks", kind="u32")),
-    _plain(0x1070, "SampleTimeCoarse", counted("sample_time_coarse", "device clock, s", "u32", "s")),
-    _plain(0x10A0, "SampleTime64", counted("sample_time_64", "device clock", "u64", "ns")),
-    _plain(0x1090, "PacketCounter8", counted("packet_counter_8", "packet counter of 8 bits", "u8")),
-    _plain(0x1010, "UtcTime", UTC_VALUES),
-    _plain(0x1030, "Itow", real("time_of_week", "s", "GPS time of week", "u32", 1e-3)),
-    _plain(0x1040, "GnssAge", counted("gnss_age", "age of the GNSS data, in packets", "u8")),
-    _plain(0x1050, "PressureAge", counted("pressure_age", "age of the pressure, in packets", "u8")),
-    _plain(0x1080, "FrameRange", counted("frame_first", "first frame of the packet", "u16"),
-           counted("frame_last", "last frame of the packet", "u16")),
-    _real(0x8020, "RateOfTurn", "gyro"),
-    _real(0x4020, "Acceleration", "accel"),
-    _real(0xC020, "MagneticField", MAG),
-    _real(0x0810, "Temperature", "temperature"),
-    _real(0x2010, "Quaternion", "q", framed=True),
-    _real(0x2020, "RotationMatrix", MATRIX, framed=True),
-    _real(0x2030, "EulerAngles", "angles", DEGREE, framed=True),
-    _plain(0x3010, "BaroPressure", floats("pressure", kind="u32")),
-    _real(0x5040, "LatLon", known("latitude", "longitude")),
-    _real(0x5020, "AltitudeEllipsoid", "altitude"),
-    _real(0x5010, "AltitudeMsl", [number("altitude_msl", "m", "height above mean sea level")]),
-    _real(0x5030, "PositionEcef", vector("ecef", "m", "position, earth-centred earth-fixed")),
-    _real(0xD010, "VelocityXYZ", VELOCITY, framed=True),
-    _real(0x4010, "DeltaV", vector("delta_velocity", "m/s", "velocity increment over the sample")),
-    _real(0x8030, "DeltaQ", vector("delta_q", "1", "rotation over the sample, quaternion", "wxyz")),
-    _real(0x4030, "FreeAcceleration", vector("free_accel", "m/s^2", "without gravity"), framed=True),
-    _real(0x4040, "AccelerationHR", vector("accel_hr", "m/s^2", "specific force, high rate")),
-    _real(0x8040, "RateOfTurnHR", vector("gyro_hr", "rad/s", "angular rate, high rate")),
-    _real(0xC030, "MagneticFieldCorrected", vector("mag_corrected", "a.u.", "magnetic field, corrected")),
-    _plain(0xE010, "StatusByte", floats("status", kind="u8")),
-    _plain(0xE020, "StatusWord", floats("status", kind="u32")),
-    _plain(0xE040, "Rssi", real("rssi", "1", "strength of the radio signal", "i8")),
-    _plain(0xE080, "DeviceId", counted("device_id", "identity of the device", "u32")),
-    _plain(0xE080, "DeviceId", counted("device_id", "identity of the device", "u64")),
-    _plain(0xE090, "LocationId", counted("location_id", "number given by the user", "u16")),
-    _plain(0x7010, "GnssPvtData", *_PVT),
-    _plain(0x7020, "GnssSatInfo", *_SATELLITES, *map(_satellite, range(1, 1 + MOST_SATELLITES)), least=8),
-    _plain(0x7030, "GnssPvtPulse"),
-    _plain(0x8830, "GpsDop", _TIME_OF_WEEK, _DILUTIONS),
-    _plain(0x8840, "GpsSol", *_SOLUTION),
-    _plain(0x8880, "GpsTimeUtc", _TIME_OF_WEEK, _TIME_ACCURACY, _NANO, _DATE, _TIME_VALID),
-    _plain(0x88A0, "GpsSvInfo"),
-    _raw(0xA010, "RawAccGyrMagTemp", *RAW, RAW_TEMPERATURE),
-    _raw(0xA020, "RawGyroTemp", *vector("raw_gyro_temperature", "1", "gyroscope temperature, raw counts")),
-    _raw(0xA030, "RawAcc", *RAW[:3]),
-    _raw(0xA040, "RawGyr", *RAW[3:6]),
-    _raw(0xA050, "RawMag", *RAW[6:]),
-    _plain(0xA060, "RawDeltaQ"),
-    _plain(0xA070, "RawDeltaV"),
-    _plain(0xA080, "RawBlob"),
-    _plain(0xB010, "AnalogIn1", real("analog_1", "1", "analog input 1, raw counts", "u16")),
-    _plain(0xB020, "AnalogIn2", real("analog_2", "1", "analog input 2, raw counts", "u16")),
-    *(_trigger(code, line) for code in (0xEE00, 0x4800) for line in (1, 2, 3)),
-)  # fmt: skip
+_SATELLITES = " | ".join(
+    f"gnss:sat{k}_id u16 1 | gnss:sat{k}_cno,sat{k}_flags u8 1" for k in range(1, 1 + MOST_SATELLITES)
+)
+"""System times 256 and number; carrier to noise in dBHz; quality (bits 0-2), used (3), health (4-5)."""
+_TRIGGERS = "".join(
+    f"{code + 0x10 * k:04X} TriggerIn{k} [trigger]: trigger{k}_line u8 1 trigger {k}: line"
+    f" | trigger{k}_polarity u8 1 trigger {k}: polarity"
+    f" | trigger{k}_ticks u32 1 trigger {k}: time in device ticks"
+    f" | trigger{k}_frame u16 1 trigger {k}: frame number\n"
+    for code in (0xEE00, 0x4800)
+    for k in (1, 2, 3)
+)
+_TABLE = f"""
+1020 PacketCounter []: packet_counter u16
+1060 SampleTimeFine []: device_ticks u32
+1070 SampleTimeCoarse []: sample_time_coarse u32 s device clock, s
+10A0 SampleTime64 []: sample_time_64 u64 ns device clock
+1090 PacketCounter8 []: packet_counter_8 u8 1 packet counter of 8 bits
+1010 UtcTime []: {UTC}
+1030 Itow []: time_of_week u32*1e-3 s GPS time of week
+1040 GnssAge []: gnss_age u8 1 age of the GNSS data, in packets
+1050 PressureAge []: pressure_age u8 1 age of the pressure, in packets
+1080 FrameRange []: frame_first u16 1 first frame of the packet | frame_last u16 1 last frame of the packet
+8020 RateOfTurn: gyro real
+4020 Acceleration: accel real
+C020 MagneticField [mag]:
+  mag_xyz real a.u. magnetic field, 1 at the place of calibration (the device has no unit)
+0810 Temperature [temperature]: temperature real
+2010 Quaternion [attitude]: q framed
+2020 RotationMatrix [attitude]: _matrix_3x3 framed 1 rotation matrix, reference to body
+2030 EulerAngles [attitude]: angles framed*deg
+3010 BaroPressure [pressure]: pressure u32
+5040 LatLon [navigation]: latitude real | longitude real
+5020 AltitudeEllipsoid [navigation]: altitude real
+5010 AltitudeMsl [navigation]: altitude_msl real m height above mean sea level
+5030 PositionEcef [navigation]: ecef_xyz real m position, earth-centred earth-fixed
+D010 VelocityXYZ [navigation]: velocity_xyz framed m/s velocity in the reference frame
+4010 DeltaV: delta_velocity_xyz real m/s velocity increment over the sample
+8030 DeltaQ: delta_q_wxyz real 1 rotation over the sample, quaternion
+4030 FreeAcceleration [attitude]: free_accel_xyz framed m/s^2 without gravity
+4040 AccelerationHR [imu_hr]: accel_hr_xyz real m/s^2 specific force, high rate
+8040 RateOfTurnHR [imu_hr]: gyro_hr_xyz real rad/s angular rate, high rate
+C030 MagneticFieldCorrected [mag]: mag_corrected_xyz real a.u. magnetic field, corrected
+E010 StatusByte [status]: status u8
+E020 StatusWord [status]: status u32
+E040 Rssi [status]: rssi i8*1.0 1 strength of the radio signal
+E080 DeviceId [status]: device_id u32 1 identity of the device
+E080 DeviceId [status]: device_id u64 1 identity of the device
+E090 LocationId [status]: location_id u16 1 number given by the user
+7010 GnssPvtData [gnss]: {_WEEK} | {_GNSS_DATE} | gnss:time_valid u8 1
+  | gnss:time_accuracy u32*1e-9 s | {_NANO} | gnss:fix_type,flags,satellites u8 1 | 1
+  | gnss:longitude,latitude i32*1e-7 deg | gnss:altitude,altitude_msl i32*1e-3 m
+  | gnss:horizontal_accuracy,vertical_accuracy u32*1e-3 m
+  | gnss:velocity_north,velocity_east,velocity_down,ground_speed i32*1e-3 m/s
+  | gnss:course i32*1e-5*deg rad | gnss:speed_accuracy u32*1e-3 m/s | gnss:course_accuracy u32*1e-5*deg rad
+  | gnss:vehicle_heading i32*1e-5*deg rad | {_DOPS}
+7020 GnssSatInfo [gnss] >=8: {_WEEK} | gnss:satellites_seen u8 1 | 3 | {_SATELLITES}
+7030 GnssPvtPulse [gnss]
+8830 GpsDop [gnss]: {_WEEK} | {_DOPS}
+8840 GpsSol [gnss]: {_WEEK} | 4 | gnss:week i16 1 | gnss:fix_type,flags u8 1
+  | gnss:ecef_x,ecef_y,ecef_z i32*0.01 m | gnss:position_accuracy u32*0.01 m
+  | gnss:ecef_velocity_x,ecef_velocity_y,ecef_velocity_z i32*0.01 m/s | gnss:speed_accuracy u32*0.01 m/s
+  | gnss:pdop u16*0.01 1 | 1 | gnss:satellites u8 1 | 1
+8880 GpsTimeUtc [gnss]: {_WEEK} | gnss:time_accuracy u32*1e-9 s | {_NANO} | {_GNSS_DATE}
+  | gnss:time_valid u8 1
+88A0 GpsSvInfo [gnss]
+A010 RawAccGyrMagTemp: raw_accel_xyz count 1 accelerometer, raw counts
+  | raw_gyro_xyz count 1 gyroscope, raw counts | raw_mag_xyz count 1 magnetometer, raw counts
+  | raw_temperature i16*1.0 1 temperature, raw counts
+A020 RawGyroTemp: raw_gyro_temperature_xyz i16*1.0 1 gyroscope temperature, raw counts
+A030 RawAcc: raw_accel_xyz count 1 accelerometer, raw counts
+A040 RawGyr: raw_gyro_xyz count 1 gyroscope, raw counts
+A050 RawMag [mag]: raw_mag_xyz count 1 magnetometer, raw counts
+A060 RawDeltaQ
+A070 RawDeltaV
+A080 RawBlob
+B010 AnalogIn1 [analog]: analog_1 u16*1.0 1 analog input 1, raw counts
+B020 AnalogIn2 [analog]: analog_2 u16*1.0 1 analog input 2, raw counts
+{_TRIGGERS}"""
+"""A temperature among raw counts is signed in either format."""
+IDENTIFIERS = tuple(
+    Identifier(int(key, 16), name, MAIN if group is None else group, least, numbers)
+    for key, name, group, least, numbers in rows(_TABLE)
+)
 """Every data identifier, in the order of the columns."""
 
 
@@ -240,8 +176,10 @@ def message_of(code: int, size: int | None = None) -> Message | None:
 
 
 DERIVED = (
-    utc_time("utc_", count("utc_time_ns", "Unix time (UTC) as the device reports it", "ns")),
-    utc_time("gnss_utc_", count("gnss_utc_time_ns", "Unix time (UTC) of the GNSS receiver's data", "ns")),
+    utc_time("utc_", Column("utc_time_ns", "ns", "int64", "Unix time (UTC) as the device reports it")),
+    utc_time(
+        "gnss_utc_", Column("gnss_utc_time_ns", "ns", "int64", "Unix time (UTC) of the GNSS receiver's data")
+    ),
     FROM_MATRIX,
 )
 """Columns of MTData2 and MTData that are computed from what is sent."""

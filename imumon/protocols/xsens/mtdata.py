@@ -7,7 +7,6 @@ messages SetOutputMode (16 bits) and SetOutputSettings (32 bits), and the fixed 
 import struct
 from collections.abc import Iterable, Sequence
 from fractions import Fraction
-from functools import partial
 from typing import Literal
 
 from pydantic import Field as Key
@@ -17,11 +16,18 @@ from imumon.columns import KNOWN
 from imumon.config import StrictModel
 from imumon.protocols.base import Encoder, Timing, chosen
 from imumon.protocols.device import DeviceFile
-from imumon.protocols.messages import Message, TableDevice, counted, field, floats, gnss
-from imumon.protocols.numbers import MATRIX, Number, known, number
+from imumon.protocols.messages import Message, TableDevice, field, part
+from imumon.protocols.numbers import Number
 from imumon.protocols.tagged import XBUS, XBUS_DATA, TaggedDecoder, tagged_encoder
-from imumon.protocols.xsens import fields
-from imumon.protocols.xsens.fields import DEGREE, DERIVED, FRAMES, IDENTIFIERS, PRECISIONS, message_of
+from imumon.protocols.xsens.fields import (
+    DERIVED,
+    DEVICE_TICKS_OF_UTC,
+    FRAMES,
+    IDENTIFIERS,
+    PRECISIONS,
+    UTC,
+    message_of,
+)
 
 MTDATA, MTDATA2 = 0x32, 0x36
 DEVICE_ID, CONFIGURATION, FIRMWARE, PRODUCT_CODE = 0x01, 0x0D, 0x13, 0x1D
@@ -91,7 +97,6 @@ def identifier_name(code: int) -> str:
 
 
 Precision = Literal["float32", "fp12.20", "fp16.32", "float64"]
-Frame = Literal["ENU", "NED", "NWU"]
 
 TICK_NS = Fraction(100_000)
 """SampleTimeFine counts in 10 kHz."""
@@ -116,7 +121,7 @@ class MTData2Decoder(TaggedDecoder):
 
     def encoder(self, names: Sequence[str]) -> Encoder:
         """Return an encoder of data identifiers; see `TableDecoder.encoder`."""
-        return mtdata2_encoder(names, self._precision)
+        return tagged_encoder(XBUS, MTDATA2, find_fields(names, self._precision), DERIVED)
 
     def _field(self, key: int, size: int) -> Message | None:
         found = message_of(key, size)
@@ -134,30 +139,19 @@ class MTData2Decoder(TaggedDecoder):
         return identifier_name(key)
 
 
-def find_fields(
-    names: Sequence[str], precision: Precision = "float32", frame: Frame = "ENU"
-) -> list[tuple[int, Message]]:
-    """Return codes and fields of these data identifiers in a precision; raises as `mtdata2_encoder`."""
+def find_fields(names: Sequence[str], precision: Precision = "float32") -> list[tuple[int, Message]]:
+    """Return codes and fields of these data identifiers in a precision, in the order given.
+
+    Raises BAD_CONFIG when a name is not that of a data identifier that carries values.
+    """
     found = []
     there = {item.name: item for item in reversed(IDENTIFIERS) if item.numbers}
     for item in chosen(names, there, "data identifier"):
-        form = FRAMES[frame] if item.framed else 0
-        form |= [*PRECISIONS].index(precision) if item.is_real else 0
+        form = [*PRECISIONS].index(precision) if item.is_real else 0
         message = item.message(form)
         assert message is not None
         found.append((item.code | form, message))
     return found
-
-
-def mtdata2_encoder(names: Sequence[str], precision: Precision = "float32", frame: Frame = "ENU") -> Encoder:
-    """Return an encoder of MTData2 messages.
-
-    Raises BAD_CONFIG when a name is not that of a data identifier that carries values.
-
-    `names`: data identifiers as in `fields.IDENTIFIERS`, in the order in which they are sent.
-    `frame`: for the bits in the identifiers; values are sent as they are.
-    """
-    return tagged_encoder(XBUS, MTDATA2, find_fields(names, precision, frame), DERIVED)
 
 
 class MTData2Device(TableDevice):
@@ -203,46 +197,45 @@ class Profile(StrictModel):
         return self
 
 
-_gnss = partial(gnss, "gnss")
-_RAW_GPS = (
-    *floats("pressure", 2.0, "u16"),
-    *counted("pressure_age", "age of the pressure, in packets", "u8"),
-    *_gnss("s", "time_of_week", kind="u32", factor=1e-3),
-    *_gnss("deg", "latitude", "longitude", kind="i32", factor=1e-7),
-    *_gnss("m", "altitude", kind="i32", factor=1e-3),
-    *_gnss("m/s", "velocity_north", "velocity_east", "velocity_down", kind="i32", factor=0.01),
-    *_gnss("m", "horizontal_accuracy", "vertical_accuracy", kind="u32", factor=1e-3),
-    *_gnss("m/s", "speed_accuracy", kind="u32", factor=0.01),
-    *counted("gnss_age", "age of the GNSS data, in packets", "u8"),
-)
+_RAW_GPS = """
+pressure u16*2 | pressure_age u8 1 age of the pressure, in packets | gnss:time_of_week u32*1e-3 s
+  | gnss:latitude,longitude i32*1e-7 deg | gnss:altitude i32*1e-3 m
+  | gnss:velocity_north,velocity_east,velocity_down i32*0.01 m/s
+  | gnss:horizontal_accuracy,vertical_accuracy u32*1e-3 m | gnss:speed_accuracy u32*0.01 m/s
+  | gnss_age u8 1 age of the GNSS data, in packets
+"""
+_CALIBRATED = {"accel": "Acceleration", "gyro": "RateOfTurn", "mag": "MagneticField"}
+_ORIENTATION = {"quaternion": "Quaternion", "euler": "EulerAngles", "matrix": "RotationMatrix"}
+_NUMBERS = {item.name: item.numbers for item in IDENTIFIERS}
 
-_CALIBRATED = {"accel": known("accel"), "gyro": known("gyro"), "mag": fields.MAG}
-_ORIENTATION = {"quaternion": (known("q"), 1.0), "euler": (known("angles"), DEGREE), "matrix": (MATRIX, 1.0)}
+
+def _typed(kind: str, factor: float, *names: str) -> tuple[Number, ...]:
+    """Return the numbers of identifiers in a type, whose unit is so many times theirs."""
+    numbers = [number for name in names for number in _NUMBERS[name]]
+    return tuple(number._replace(type=kind, factor=number.factor * factor) for number in numbers)
 
 
 def mtdata_field(profile: Profile) -> Message:
     """Return what the payload of MTData is with this profile, in the fixed order of its parts."""
     settings = profile.output_settings
-    kind, factor = PRECISIONS[settings.number_format]
-    orientation, to_radian = _ORIENTATION[settings.orientation]
-    calibrated = [c for part, columns in _CALIBRATED.items() if part in settings.calibrated for c in columns]
-    analog = [number(f"analog_{line}", "1", f"analog input {line}, raw counts") for line in (1, 2)]
-    parts: dict[str, tuple[Number, ...]] = {
-        "raw_inertial": floats([*fields.RAW, fields.RAW_TEMPERATURE], kind="u16"),
-        "raw_gps": _RAW_GPS,
-        "temperature": floats("temperature", factor, kind),
-        "calibrated": floats(calibrated, factor, kind),
-        "orientation": floats(orientation, factor * to_radian, kind),
-        "auxiliary": floats([analog[line - 1] for line in sorted({*settings.analog})], kind="u16"),
-        "position": floats("place", factor, kind),
-        "velocity": floats(fields.VELOCITY, factor, kind),
-        "status": floats("status", kind="u8" if settings.status == "compact" else "u32"),
+    real = PRECISIONS[settings.number_format]
+    calibrated = [name for sensor, name in _CALIBRATED.items() if sensor in settings.calibrated]
+    parts = {
+        "raw_inertial": _typed("u16", 1.0, "RawAccGyrMagTemp"),
+        "raw_gps": part(_RAW_GPS),
+        "temperature": _typed(*real, "Temperature"),
+        "calibrated": _typed(*real, *calibrated),
+        "orientation": _typed(*real, _ORIENTATION[settings.orientation]),
+        "auxiliary": _typed("u16", 1.0, *(f"AnalogIn{line}" for line in sorted({*settings.analog}))),
+        "position": _typed(*real, "LatLon", "AltitudeEllipsoid"),
+        "velocity": _typed(*real, "VelocityXYZ"),
+        "status": part("status u8" if settings.status == "compact" else "status u32"),
     }
-    sent = [content for part, content in parts.items() if part in profile.output_mode]
+    sent = [content for name, content in parts.items() if name in profile.output_mode]
     if "sample_counter" in settings.timestamp:
-        sent.append(floats("packet_counter", kind="u16"))
+        sent.append(part("packet_counter u16"))
     if "utc" in settings.timestamp:
-        sent.append(fields.UTC_VALUES)
+        sent.append(part(UTC))
     return field("MTData", *sent)
 
 
@@ -253,7 +246,7 @@ class MTDataDecoder(TaggedDecoder):
     """
 
     form, data, type_names = XBUS_DATA, (MTDATA,), NAMES
-    derived = (fields.DEVICE_TICKS_OF_UTC, *DERIVED)
+    derived = (DEVICE_TICKS_OF_UTC, *DERIVED)
 
     def __init__(self, profile: Profile, rate_hz: float | None = None) -> None:
         self._data = mtdata_field(profile)

@@ -1,7 +1,9 @@
 from __future__ import annotations
 
+import math
 import struct
 from datetime import UTC, datetime
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -11,24 +13,25 @@ from hypothesis import strategies as st
 
 from imumon.blocks import NO_INT, SampleBlock
 from imumon.errors import ImumonError, Reason
-from imumon.protocols.base import ByteArray
+from imumon.protocols.base import ByteArray, Encoder
 from imumon.protocols.device import load_device
-from imumon.protocols.tagged import XBUS
-from imumon.protocols.xsens.fields import DEGREE, IDENTIFIERS, PRECISIONS, Identifier, message_of
+from imumon.protocols.tagged import XBUS, tagged_encoder
+from imumon.protocols.xsens.fields import DERIVED, FRAMES, IDENTIFIERS, PRECISIONS, Identifier, message_of
 from imumon.protocols.xsens.mtdata import (
     MTDATA,
     MTDATA2,
-    Frame,
     MTData2Decoder,
     MTData2Device,
     Precision,
-    mtdata2_encoder,
+    find_fields,
 )
 from tests.data_folder import measured
 from tests.protocols.streams import check_books, chunkings, damage, feed_in_chunks, xbus_message
 from tests.protocols.tagged_twin import LIST, assert_same, decode_plainly
 from tests.protocols.wire import xbus
 from tests.protocols.xsens.golden import read_golden
+
+DEGREE = math.pi / 180
 
 ROLES = {MTDATA2: LIST}
 TYPICAL = [
@@ -40,7 +43,14 @@ TYPICAL = [
     "MagneticField",
     "StatusWord",
 ]
+Frame = Literal["ENU", "NED", "NWU"]
 PRECISION_NAMES: list[Precision] = ["float32", "fp12.20", "fp16.32", "float64"]
+
+
+def mtdata2_encoder(names: list[str], precision: Precision = "float32", frame: Frame = "ENU") -> Encoder:
+    """Encode data identifiers of one kind of frame."""
+    fields = [(code | FRAMES[frame], message) for code, message in find_fields(names, precision)]
+    return tagged_encoder(XBUS, MTDATA2, fields, DERIVED)
 
 
 def samples(n: int, seed: int = 0) -> SampleBlock:
@@ -62,7 +72,11 @@ def stream(n: int, seed: int = 0, names: list[str] | None = None) -> bytes:
 GOLDEN: dict[str, dict[str, tuple[str, float]]] = {
     "PacketCounter": {"": ("packet_counter", 1)},
     "SampleTimeFine": {"": ("device_ticks", 1)},
-    "EulerAngles": {"X": ("roll", DEGREE), "Y": ("pitch", DEGREE), "Z": ("yaw", DEGREE)},
+    "EulerAngles": {
+        "X": ("roll", DEGREE),
+        "Y": ("pitch", DEGREE),
+        "Z": ("yaw", DEGREE),
+    },
     "Acceleration": {axis: (f"accel_{axis.lower()}", 1) for axis in "XYZ"},
     "DeltaV": {axis: (f"delta_velocity_{axis.lower()}", 1) for axis in "XYZ"},
     "RateOfTurn": {axis: (f"gyro_{axis.lower()}", 1) for axis in "XYZ"},
