@@ -62,7 +62,7 @@ class QuietDetector:
     mean: FloatArray = field(default_factory=partial(np.zeros, (2 * LENGTHS[-1], AXES)))
     """Of 128 slots; an axis without reading keeps its last mean, 0 before the first."""
     latest: list[Slot] = field(default_factory=list)  # 16 slots
-    present: BoolArray = field(default_factory=partial(np.zeros, AXES, np.bool_))
+    present: BoolArray = field(default_factory=lambda: np.zeros(AXES, np.bool_))
     """Axes that have readings in these, (6,)."""
     slots: int = 0  # since the beginning or the last restart
     quiet_slots: int = 0  # in a row; 0 in motion, or while the noise is not known
