@@ -110,7 +110,8 @@ class Estimator:
         may have changed by `lag_degc` (sd).
         """
         self.motion.interrupt(0.0)
-        self.attitude.lost |= long or self.quiet.quiet_slots == 0
+        unseen = long and not self.parameters.assume_at_rest  # where rest is given it goes on
+        self.attitude.lost |= unseen or self.quiet.quiet_slots == 0
         self.degc = np.where(np.isfinite(degc), degc, self.degc)
         self._widen(self.thermal.variance(degc, np.full(3, np.nan), lag_degc))
         if self.hypotheses is not None:

@@ -46,7 +46,8 @@ class Attitude:
 
     @property
     def uncertain_earth(self) -> FloatArray:
-        """Variance of the earth rate that is known, or taken for bias, (rad/s)², (3,)."""
+        """Variance of the error of the earth rate that is subtracted, or of the change of what is taken for
+        bias, (rad/s)², (3,)."""
         return self._level_variance(self.heading_variance) + self._turned_earth()
 
     def _level_variance(self, heading_variance: float) -> FloatArray:
@@ -58,9 +59,14 @@ class Attitude:
         """Return the variance of what the turn does to the earth rate that is taken for bias, (rad/s)², (3,).
 
         The rate's direction is not known; with the latitude alone the whole is counted, not the level part.
+        Where readings were missing it may have turned anyhow.
         """
-        known = self.latitude is not None and self.heading is not None and self.up.any()
-        if known or not self.turn.seconds:
+        rested = self.up.any()
+        if rested and self.latitude is not None and self.heading is not None:
+            return np.zeros(3)
+        if rested and self.lost:
+            return np.full(3, 2.0 / 3.0 * EARTH_RATE**2)
+        if not self.turn.seconds:
             return np.zeros(3)
         change = self.turn.rotation.T - np.eye(3)
         return np.asarray(EARTH_RATE**2 / 3.0 * (change**2).sum(1))
@@ -102,8 +108,8 @@ class Attitude:
         By the bias, whose sensitivity meets a gravity that turns in body axes, by scale and misalignment, and
         for want of more samples; `up` (3,) is that before the turn.
         """
-        _, bias = prediction.bias(STANDARD_GRAVITY * up)
+        _, variance = prediction.bias(STANDARD_GRAVITY * up)
         sensitivity = np.einsum("aii->a", prediction.covariance[:, SENSITIVITY, SENSITIVITY]) / 3.0
-        by_bias = float((up @ self.turn.by_bias) ** 2 @ (bias + STANDARD_GRAVITY**2 * sensitivity))
+        by_bias = float((up @ self.turn.by_bias) ** 2 @ (variance + STANDARD_GRAVITY**2 * sensitivity))
         by_scale = SCALE_SD**2 * float(np.sum(self.turn.scale_about(up) ** 2))
         return by_bias + by_scale + self.turn.sampling_variance(up)

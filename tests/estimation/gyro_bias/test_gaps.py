@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from imumon.blocks import FloatArray, SampleBlock
+from imumon.blocks import FloatArray, SampleBlock, join
 from imumon.estimation.gyro_bias.stage import RestAndBias
 from imumon.estimation.temperature_rate.stage import TemperatureRate
-from tests.estimation.gyro_bias.records import DPH, GIVEN, Truth, record, slope_model, vector, with_rest
+from imumon.geodesy import EARTH_RATE
+from tests.estimation.gyro_bias.records import ARW, DPH, GIVEN, Truth, record, slope_model, vector, with_rest
 
 RATE_HZ, LAG_S, SLOPE = 20.0, 30.0, np.array([60.0, -90.0, 20.0]) * DPH
 BEFORE_S, AFTER_S = 400.0, 20.0
@@ -85,3 +86,19 @@ def test_what_is_left_of_a_line_that_loses_most_packets_has_more_noise(kept: flo
         # The minute before tells it, and not a few samples: 120 °/h if all slots count alike.
         assert np.sqrt(np.mean(error**2, 0)).max() < 15.0 * DPH
         assert np.abs(error / vector(added, "gyro_bias_sd")[lossy]).max() < 4.0
+
+
+def test_a_unit_that_was_turned_in_a_gap_has_another_earth_rate_in_its_bias() -> None:
+    truth = Truth(RATE_HZ, arw=ARW / 50.0, flicker=0.02 * DPH)
+    earth = EARTH_RATE * np.array([0.75, 0.0, -0.66])
+    poses, degc = (np.diag([-1.0, -1.0, 1.0]), np.eye(3)), np.full(6000, 25.0)
+    (before, first), (behind, then) = (
+        record(truth, 300.0, 1, attitude=pose, earth=earth, temperature=degc) for pose in poses
+    )
+    late = {name: behind[name] for name in behind.columns}
+    late["device_time_ns"] = late["device_time_ns"] + np.int64(360e9)
+    block = join([before, SampleBlock(late)])
+    bias = np.concatenate([first + poses[0] @ earth, then + poses[1] @ earth])
+    added = RestAndBias(mode="standard").process(block)
+    z = (vector(added) - bias)[6000:] / vector(added, "gyro_bias_sd")[6000:]
+    assert np.abs(z).max() < 5.0
