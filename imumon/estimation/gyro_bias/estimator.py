@@ -167,7 +167,7 @@ class Estimator:
         """Add a slot to the turn since the attitude was taken."""
         bias, _ = hypotheses.shown.prediction.bias(self.force)
         self.attitude.turn = self.attitude.turn.then(slot.turn.less(bias + slot.mean[MODELLED]))
-        self.attitude.lost |= slot.gap_s > 0.0
+        self.attitude.lost |= slot.gap_s > 0.0 and not slot.rest_given
 
     def _come_to_rest(self, force: FloatArray) -> None:
         """Take the attitude at a specific force, m/s², (3,)."""
