@@ -62,7 +62,7 @@ SLOPE_LEFT_PER_SIGMA = 0.25
 """The same, 1/°C, of the slope that a model's curve leaves."""
 SLOPE_DEGC = 30.0
 """Difference of temperature over which a slope changes by as much as itself."""
-SENSITIVITY_SD = math.radians(0.05) / STANDARD_GRAVITY
+SENSITIVITY_SD = math.radians(0.06) / STANDARD_GRAVITY
 """Standard deviation of an entry of the matrix of sensitivity, rad/s per m/s², of an uncompensated gyro; with
 a second, smaller level a gyro between both was off by 9 sigma."""
 FASTEST_S = 0.02
