@@ -16,13 +16,13 @@ runs one after another.  A run is a recording from power-on; runs are independen
     gain(effect) = S(model with effect) - S(model),    with it r + q is no larger than without        (4)
     bar          = 8 for an axis alone;  8 + 2 ln(families (2^m - 1)) for a family on any of m axes   (5)
 
-S is the BIC with its sign turned.  `choices` is the number of effects that recorded drivers other than
-temperature, time and specific force may have, for such an effect; 1 for others.  The last terms of (3) and
-(5) are those of the extended BIC (Chen & Chen 2008, doi:10.1093/biomet/asn034).  That of (5) pays for a sum
-over the axes that show a family: by chance some always gain a little.  An axis alone has nothing to add up.
-A gain is nearly twice the logarithm of a Bayes factor: as a guide, while nothing is missing it ever exceeds g
-with a probability of exp(-g / 2) at most, however often tested (Ville 1939; Shafer et al. 2011,
-doi:10.1214/10-STS347).  (4) is that of steps 1 to 4; in 5, and between bases, S alone counts, any r and q.
+S is the BIC with its sign turned.  `choices`, of an effect of a driver other than temperature, time and
+specific force, is the number of such drivers times that of the kinds that have a driver; else 1.  The last
+terms of (3) and (5) are those of the extended BIC (Chen & Chen 2008, doi:10.1093/biomet/asn034).  That of (5)
+pays for a sum over the axes that show a family: by chance some always gain a little.  A gain is nearly twice
+the logarithm of a Bayes factor: as a guide, while nothing is missing it ever exceeds g with a probability of
+exp(-g / 2) at most, however often tested (Ville 1939; Shafer et al. 2011, doi:10.1214/10-STS347).  (4) is
+that of steps 1 to 4; in 5, and between bases, S alone counts, any r and q.
 
 **Search** (`search`), stepwise over all axes of a sensor, which share one physics.  1 to 4 are a stage:
 
@@ -38,8 +38,9 @@ doi:10.1214/10-STS347).  (4) is that of steps 1 to 4; in 5, and between bases, S
    added, and from half of what each before takes away it is a `repeated_event`, which no effect explains.
 4. The axes that are left choose again, each without what it has refused, until no family exceeds the bar.
    Axes to which nothing was added are finished; the others begin another stage, of at most five.
-5. *Drop.*  After the last stage each axis drops what gains 8 or less beside the rest, takes alternatives that
-   are likelier beside it, and refines; before the first one with the effects of the present model.
+5. *Drop.*  After the last stage each axis drops what gains 8 or less beside the rest (an only one that needed
+   no partner, as the sum over axes proves it, stays), takes alternatives that are likelier beside it, and
+   refines; before the first one with the effects of the present model.
 
 **Verdict** (`verdict`): of what was found, that is claimed which explains training and the test, if any.  It
 is fitted by ordinary least squares; of a test, what carries over is predicted, the rest estimated in it.

@@ -23,16 +23,15 @@ MOST_BLOCKS = 1200
 LEAST_SLOTS = 6
 """Slots in a block: the differences between them show the white floor."""
 PARTS = 15
-"""Of a block, at most, whose differences show its white noise..."""
+"""Of a block, whose differences show its white noise, where it has so many slots; 29 at most..."""
 LEAST_PARTS = 3
-"""...and at least: two of their differences, less their mean, are not zero."""
+"""...and in any case: two of their differences, less their mean, are not zero."""
 REVERSAL_SHARE = 0.2
 """A reversal of the temperature counts when it goes back by this share of the span."""
 BESIDE = 4
 """Slots on either side of a turn of the unit that are compared."""
 TURNED, SIGMAS = 0.1, 8.0
-"""m/s², a tilt of 0.6°: accelerometers repeat better than that from one power-on to the next; and so many
-times the median change."""
+"""m/s², 0.6° of tilt: from power-on to power-on accelerometers repeat better; and times the median change."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -197,11 +196,11 @@ class WhiteFloor(NamedTuple):
 def white_floor(channel: str, blocks: Sequence[RunBlocks]) -> WhiteFloor:
     """Return the white floor of a channel from the scatter inside blocks, the rms over these blocks.
 
-    It is half the mean square difference of neighbouring parts of a block (an Allan variance), of a
-    fifteenth of it (2 s of 30 s): an output filter makes shorter ones too small and rounding too large,
-    flicker longer ones.  The differences are less the mean of their block, so that no ramp gets in.  Where
-    every block lacks readings, its parts have fewer slots; where parts have none, neighbouring blocks are
-    compared.  The clock's is that of the delays at both ends of a block.
+    It is half the mean square difference of neighbouring parts of a block (an Allan variance), of a fifteenth
+    of it or less (2 s of 30 s): an output filter makes shorter ones too small and rounding too large, flicker
+    longer ones.  The differences are less the mean of their block, so that no ramp gets in.  Where every
+    block lacks readings, its parts have fewer slots; where parts have none, or the same ones, neighbouring
+    blocks are compared.  The clock's is that of the delays at both ends of a block.
     """
     if len(widths := {one.slots_per_block for one in blocks}) > 1:  # logs of several rates, each by itself
         alike = [[one for one in blocks if one.slots_per_block == width] for width in sorted(widths)]
@@ -216,11 +215,11 @@ def white_floor(channel: str, blocks: Sequence[RunBlocks]) -> WhiteFloor:
     parts, count = _means(np.concatenate(values)[:, : number * step].reshape(-1, number, step))
     whole = (count == step).all(axis=1)
     used = whole if whole.any() else (count > 0).all(axis=1)
-    if channel == CLOCK or not used.any():  # no step leads from one run to the next
+    differences = np.diff(parts[used], axis=1)
+    if channel == CLOCK or not differences.any():  # no step leads from one run to the next
         rates = [part for each in values for part in (_means(each)[0], [np.nan])]
         sd = block_noise(np.concatenate(rates)) * float(np.sqrt(gaps))
         return WhiteFloor(sd, "delays at the ends of blocks" if channel == CLOCK else "neighbouring blocks")
-    differences = np.diff(parts[used], axis=1)
     spread = differences - differences.mean(axis=1, keepdims=True)
     slots_of_part = step if whole.any() else 1.0 / float(np.mean(1.0 / count[used]))
     # The mean of k differences is (last - first) / k, which holds 2 / k² of the variance.

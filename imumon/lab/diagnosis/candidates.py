@@ -7,8 +7,7 @@ Coefficients are *shared* by all runs, or *separate* in each of some; `Effect.sc
     run       separate in every run but the first: an offset against the first
     event     separate in one run, tried in each: a jump
 
-`imumon.effects.base` has what an effect provides, with `Survey` (what runs can show) and `Drive` (what drives
-the effects of one run).
+`imumon.effects.base` has what an effect provides, `Survey`, what runs can show, and `Drive`, what drives it.
 """
 
 from __future__ import annotations
@@ -55,8 +54,7 @@ class Part:
 class Candidate:
     """What may be added at once: one part, or more.
 
-    With `free_start` the state at power-on of each run is fitted as well.  `choice_price` is 2 ln(choices) of
-    (3).
+    With `free_start` the state at each power-on is fitted, too.  `choice_price` is 2 ln(choices) of (3).
     """
 
     parts: tuple[Part, ...]
@@ -157,7 +155,7 @@ class Finding:
 
     `gain` is that over the model before it, `gain_over_axes` the same summed over the axes that show it, and
     `family_gains` has the gain of each family at that stage.  `removed_rms` is what it took away from the
-    training then, in the unit of the channel.  `by_test`: the test alone proves it.
+    training then, in the channel's unit; `partner` is that of `Scored`.  `by_test`: only the test proves it.
     """
 
     candidate: Candidate
@@ -168,6 +166,7 @@ class Finding:
     alternatives: dict[str, Candidate] = field(default_factory=dict)
     """The best candidate of each other family that these data do not separate from it."""
     removed_rms: float = 0.0
+    partner: str = ""
     by_test: bool = False
     of_present_model: bool = False
 

@@ -108,9 +108,9 @@ def diagnose(
     """Find what the declared model leaves over in the training runs, name it, and prove it on the test runs.
 
     `sensors` are those to be diagnosed: gyro, accel, mag, or any recorded column; what is diagnosed drives
-    nothing.  With a present `model`, the search begins with that, as it is and fitted anew, and `declared`
-    does not count.  `drivers` are what may drive an effect beside temperature, time and specific force; None:
-    all that was recorded and varies.
+    nothing.  With a present `model`, the search begins with that, as it is and fitted anew; of `declared`
+    only `+ offset` counts.  `drivers` are what may drive an effect beside temperature, time and specific
+    force; None: all that was recorded and varies.
 
     Raises BAD_DATA when the data cannot show anything, and why; BAD_CONFIG for a wrong declared model,
     or a present one that holds at no temperature of the training.
@@ -243,10 +243,10 @@ def _channels(
 def likeliest(searched: Sequence[list[AxisSearch]], *, live: bool = False) -> list[AxisSearch]:
     """Return the search over the base that is likeliest with what was found beside it: S summed over axes.
 
-    A present model is fitted anew only where that is proven; live, where it is likelier, for nothing is
-    written.  Constants in each pose are for the earth rate, and are preferred by `PROVEN_GAIN`: what they
-    explain as well is no effect.  Larger ones are refused.  Live their number has no price: one session has
-    hardly more poses than a sensitivity to g has coefficients.
+    A present model is fitted anew only where that is proven; live, where it is likelier: what is kept has to
+    win on later data first.  Constants in each pose are for the earth rate, and are preferred by
+    `PROVEN_GAIN`: what they explain as well is no effect.  Larger ones are refused.  Live their number has no
+    price: one session has hardly more poses than a sensitivity to g has coefficients.
     """
     several = len({axes[0].channel.offset_per for axes in searched}) > 1
 

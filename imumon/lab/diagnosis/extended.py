@@ -82,16 +82,16 @@ def refitted(present: ChannelModel, channel: Channel, fitted: Fit, residual_sd: 
     low, high = middle - half, middle + half
     more = Polynomial(fitted.declared, domain=[low, high])
     lasting = [part.effect.with_start(part.start) for part in fitted.parts if part.carries_over]
-    shapes = [(one, one.polynomial()) for one in lasting]
+    of_present = [one for one in present.effects if one.polynomial() is not None]
+    shapes = [(one, one.polynomial()) for one in (*of_present, *lasting)]
     own = [shape for _, shape in shapes if shape is not None and shape.degree() <= HIGHEST_ORDER]
     others = [one for one, shape in shapes if shape is None or shape.degree() > HIGHEST_ORDER]
-    present_shapes = [part for effect in present.effects if (part := effect.polynomial()) is not None]
     update: dict[str, Any] = {"residual_sd": residual_sd, "held_out_rms": {}, "effects": others}
-    if more.degree() > 0 or own:
+    if more.degree() > 0 or any(one.polynomial() is not None for one in lasting):
         margin, (lowest, highest) = (WIDENED - 1.0) * half, present.temperature_range_degc
         update["temperature_range_degc"] = [max(low - margin, lowest), min(high + margin, highest)]
     total = more
-    for shape in (*present_shapes, *own):
+    for shape in own:
         total = total + shape.convert(domain=more.domain, window=more.window)
     if isinstance(curve, PolynomialCurve):
         ends = curve.center_degc - curve.half_width_degc, curve.center_degc + curve.half_width_degc

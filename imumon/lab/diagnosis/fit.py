@@ -16,7 +16,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from imumon.blocks import BoolArray, FloatArray, IntArray
-from imumon.effects.base import Effect
+from imumon.effects.base import Effect, Survey
 from imumon.lab.diagnosis.blocks import RunBlocks
 from imumon.lab.diagnosis.candidates import Candidate, Channel, Part, least_squares
 from imumon.lab.diagnosis.likelihood import Likelihood
@@ -27,8 +27,9 @@ LEAST_TEST_BLOCKS = 10
 """Of fewer there is no rms of the test."""
 LEAST_OFFSET_BLOCKS = 4
 """With one constant: the mean of fewer takes too much of their own noise away."""
-CHANGE = 0.01
-"""Share by which a parameter is changed for the slope of the model in it."""
+CHANGE, OF_GRID = 0.01, 0.25
+"""Share by which a parameter is changed for the slope of the model in it, and distances of its grid, at most:
+a percent of a period is a cycle in a hundred."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -259,7 +260,7 @@ class PartSigma(NamedTuple):
 
 
 def sigmas(
-    channel: Channel, likelihood: Likelihood, model: Sequence[Candidate]
+    channel: Channel, span: Survey, likelihood: Likelihood, model: Sequence[Candidate]
 ) -> tuple[FloatArray, list[list[PartSigma]]]:
     """Return the covariance of the declared coefficients, (degree + 1, degree + 1), and the standard
     deviations of each candidate's parts, with the noise that the model is likeliest with.
@@ -271,7 +272,7 @@ def sigmas(
         error of (b, c)   = s (pinv(A) L - pinv(A) D M) w
     """
     design, runs = channel.design(model), channel.training.runs
-    slopes = _slopes(channel, model, least_squares(design, channel.y))
+    slopes = _slopes(channel, span, model)
     noise = likelihood.maximum(channel.y, design)[1]
     whitened, _ = likelihood.whitened(np.column_stack([design, slopes, channel.y]), noise)
     columns, y = whitened[:, :-1], whitened[:, -1]
@@ -300,17 +301,18 @@ def _theta(part: Part) -> dict[str, float]:
     return {name: value for name, value in found.items() if value > 0.0}
 
 
-def _slopes(channel: Channel, model: Sequence[Candidate], coefficients: FloatArray) -> FloatArray:
+def _slopes(channel: Channel, span: Survey, model: Sequence[Candidate]) -> FloatArray:
     """Return D of (9), how the model changes with the logarithm of each nonlinear parameter, (n, thetas)."""
+    coefficients = least_squares(channel.design(model), channel.y)
     slopes = [np.empty((len(channel.y), 0))]
     for one, where, starts in _layout(channel, model):
         of_candidate = coefficients[where.start : starts.stop]
         for at, part in enumerate(one.parts):
             for name, value in _theta(part).items():
-                ends = []
-                for factor in (1.0 - CHANGE, 1.0 + CHANGE):
-                    effect = part.effect.model_copy(update={name: value * factor})
-                    changed = one.with_part(at, Part(effect, part.separate_runs))
-                    ends.append(channel.training.design([changed]) @ of_candidate)
-                slopes.append(np.diff(np.column_stack(ends)) / (2.0 * CHANGE))
+                change = min(CHANGE, abs(part.effect.moved(name, OF_GRID, span) / value - 1.0))
+                values = value * (1.0 - change), value * (1.0 + change)
+                moved = (part.effect.model_copy(update={name: changed}) for changed in values)
+                both = (one.with_part(at, Part(effect, part.separate_runs)) for effect in moved)
+                ends = [channel.training.design([each]) @ of_candidate for each in both]
+                slopes.append(np.diff(np.column_stack(ends)) / (2.0 * change))
     return np.column_stack(slopes)

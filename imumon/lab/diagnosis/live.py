@@ -70,9 +70,9 @@ class Better(NamedTuple):
 def better_models(run: Run, model: BiasModel, channels: Sequence[str]) -> list[Better]:
     """Return a better model of each channel that lacks an effect.
 
-    The search of the diagnosis, which begins with the present model, as it is and fitted anew.  One effect is
-    named at a time, where the gain over the present model, of all channels that lack it, pays for the choice
-    of effect, channels and curve (extended BIC).
+    The search of the diagnosis, which begins with the present model, as it is and fitted anew.  At most one
+    effect of each channel is named, where the gain over the present model, of all channels that lack one,
+    pays for the choice of effect, channels and curve (extended BIC).
     """
     temperatures = {name: prepare.temperature_of(name, model, [run]) for name in channels}
     used = list(dict.fromkeys(temperatures.values()))
@@ -178,7 +178,7 @@ class LiveDiagnosis:
 
     def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
         """Take samples; needs ``device_time_ns``, ``segment``, gyros and temperature, takes ``at_rest``."""
-        if len(block) and all(name in block for name in self._gyros):
+        if len(block) and self._gyros and all(name in block for name in self._gyros):
             self._waiting.append(block)
             since = int(self._waiting[0]["device_time_ns"][0])
             if not 0 <= int(block["device_time_ns"][-1]) - since < HELD_NS:
@@ -285,8 +285,7 @@ class LiveDiagnosis:
 def _charts(run: Run, present: BiasModel, better: BiasModel, one: Better) -> list[Chart]:
     """Return what is left of a channel over time and temperature, and what the better model would take away.
 
-    Block means at rest, °/h, less their mean, which is the turn-on bias.  The line through them is the
-    difference of the two models.
+    Block means at rest, °/h, less their mean, the turn-on bias.  The line is the difference of the models.
     """
     name, axis, what = one.channel, one.channel[-1], one.names[0]
     before, after = (prepare.residual(run, model, [name]) for model in (present, better))

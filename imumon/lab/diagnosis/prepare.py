@@ -13,7 +13,7 @@ from scipy.ndimage import binary_opening
 from imumon.blocks import BoolArray, FloatArray
 from imumon.clock.channel import CLOCK
 from imumon.columns import TEMPERATURES
-from imumon.effects.base import ACCEL, Effect
+from imumon.effects.base import ACCEL, TEMPERATURE, Effect
 from imumon.effects.vibration import SECOND_NS
 from imumon.errors import bad_config, bad_data
 from imumon.filters.rounding import mean_error
@@ -85,10 +85,13 @@ def usable_drivers(
     Raises BAD_CONFIG when one that is wanted is not there, BAD_DATA when a run hardly has one of the model.
     """
     there = dict.fromkeys(name for run in train for name in run.mean)
-    possible = [name for name in there if name not in CHANNELS and name not in beside]
+    possible = [name for name in there if name not in (*CHANNELS, *beside, TEMPERATURE)]
+    if TEMPERATURE in there and TEMPERATURE not in beside:
+        why = "in a model that name means each channel's own thermometer; a map may give another"
+        remarks.append(f"no effect of the column {TEMPERATURE} is looked for: {why}")
     if lacking := [name for name in wanted or () if name not in possible]:
         raise bad_config(
-            f"--drivers: {', '.join(lacking)} is not in the training data",
+            f"--drivers: {', '.join(lacking)} is no driver in the training data",
             f"there are {', '.join(possible) or 'none'}; a map names others with other: {{NAME: ...}}",
         )
     needed = [name for effect in present for name in effect.inputs if name != ACCEL]
@@ -285,8 +288,7 @@ def channels_with_model(channels: Sequence[str], model: BiasModel) -> list[str]:
 
 
 def temperature_of(channel: str, model: BiasModel | None, runs: Sequence[Run]) -> str:
-    """Return the temperature that the curve of a channel is over: that of the model, or of its axis, or
-    another that every run has.
+    """Return the temperature that a channel's curve is over: the model's, its axis', or one of every run.
 
     Raises BAD_DATA without any.
     """

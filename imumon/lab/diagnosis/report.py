@@ -273,7 +273,9 @@ def _steps(diagnosis: Diagnosis, folder: Path) -> Iterator[NextStep]:
         yield NextStep("Record another session from power-on and test on that.", why, command)
     if names := which(lambda one: one.shifted):
         why = "What is left of the test is a constant, as of another turn-on bias; training has no such rest."
-        yield NextStep(f'Add " + offset" to --declared for {names}, and diagnose again.', why)
+        what = 'Give --declared "polynomial N + offset" in place of --model'
+        what = what if diagnosis.model else 'Add " + offset" to --declared'
+        yield NextStep(f"{what} for {names}, and diagnose again.", why)
     if names := which(lambda one: one.unexplained and not one.shifted):
         beside = "what else may drive it (supply, load, pressure, another thermometer)"
         why = "What is left jumps or comes in bursts, as no noise does, or it is slow noise of the unit."

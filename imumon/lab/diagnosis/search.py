@@ -1,8 +1,7 @@
 """Search for the effects that each axis of a sensor lacks: forward over all axes at once, then backward.
 
 The package docstring has the search in five steps, and the equations (3) to (5).  `search` runs the stages;
-`AxisSearch.tabulate` is step 1, `select` step 2, `AxisSearch.add` step 3, `_add_families` step 4 with these,
-`AxisSearch.eliminate` step 5.
+`AxisSearch.tabulate` is step 1, `select` 2, `AxisSearch.add` 3, `_add_families` 4, `AxisSearch.eliminate` 5.
 """
 
 from __future__ import annotations
@@ -196,8 +195,7 @@ class AxisSearch:
     def gains(self, tried: Sequence[Candidate], model: Sequence[Candidate]) -> list[Scored]:
         """Return candidates with their gains (4) over a model.
 
-        A state at power-on that is free must not be the effect: with it a candidate gains no more than it
-        does beside that state alone.
+        A free state at power-on must not be the effect: a candidate gains no more with it than beside it.
         """
         if not tried:
             return []
@@ -268,8 +266,7 @@ class AxisSearch:
     def add(self, selection: Selection) -> bool:
         """Add the best of a family with theta refined; return False where it is refused.
 
-        Beside jumps that are too small, and with a second one in a run, nothing else is proven: the channel
-        is finished.
+        Beside too small jumps, or a second one in a run, nothing else is proven: the channel is finished.
         """
         table, family, model = self.tables[-1], selection.family, self.model
         best = self.refined(table[family].candidate, model)
@@ -290,8 +287,8 @@ class AxisSearch:
         others = [other for other in selection.alternatives if other not in there]
         alternatives = {other: table[other].candidate for other in others[: MOST_NAMES - 1]}
         gains = {**{other: one.gain for other, one in table.items()}, family: best.gain}
-        finding = Finding(best.candidate, best.gain, selection.gain, gains, alternatives, removed)
-        self.findings.append(finding)
+        found = best.candidate, best.gain, selection.gain, gains, alternatives, removed, table[family].partner
+        self.findings.append(Finding(*found))
         if len(self.findings) > 1:
             self._refine_each(exchange=False)
         self.history.append((family, self.model, best.gain))
@@ -322,14 +319,14 @@ class AxisSearch:
         return [other.candidate for other in self.findings if other is not finding]
 
     def eliminate(self) -> None:
-        """Drop what others make needless, and refine what is left, each beside the others.
+        """Drop what others, or a refused partner, make needless; refine what is left, each beside the others.
 
         An effect of the present model that these runs do not show, before anything is added, stays as it is.
         A finding gives way to an alternative where that is likelier beside what was found later.
         """
         findings = list(self.findings)
         for finding in findings:
-            if len(self.findings) == 1 and not finding.of_present_model:
+            if len(self.findings) == 1 and not (finding.of_present_model or finding.partner):
                 continue
             gain = self.criterion(self.model) - self.criterion(self._others(finding))
             if gain > PROVEN_GAIN:

@@ -10,9 +10,9 @@ What is claimed (`_claimable`):
 1. *Events.*  A jump counts only where 1.3 w or more are left of training without it, and no run has two.
 2. *Refuted.*  New findings without which the test is estimated better are left out, the worst one first.
 3. (a) *By training.*  The others are claimed if they explain training and the test, if any; else none is.
-4. (b) *By the test.*  Where 1.8 f are left of training without findings, and 3 claims nothing or leaves 1.8 f
-   of the test: of single effects, that is claimed which leaves least of the test, if it takes away 8 w, has
-   0.6 of the excess over w (in place of f), and leaves less than half of what 3 leaves.
+4. (b) *By the test.*  Where 1.8 f are left of training without findings, and 3 claims nothing, or carries
+   over (predicts the test) and leaves 1.8 f of it: of single effects, that is claimed which leaves least of
+   it, if it takes away 8 w, has 0.6 of the excess over w, not f, and leaves less than half of what 3 leaves.
 
 The rows, in their order; what is left is by the model with the claims, if any::
 
@@ -42,8 +42,7 @@ from imumon.lab.diagnosis.search import MOST_NAMES, AxisSearch
 SMALL_RESIDUAL = 1.8
 """Total floors below which a residual is explained: slow noise of 1.5 of them leaves that."""
 CLEAN_RESIDUAL = 1.3
-"""White floors below which what is missing from a residual is too small to matter, 0.83 of them; of coarse
-samples total floors."""
+"""White (of coarse samples total) floors below which what is missing, 0.83 of them, is too small to count."""
 LEAST_EXPLAINED = 0.6
 """Explained share (10) from which on effects are named, in training and in the test.  With it nothing is
 named in 99 channels of causes that are no effect; on a chamber record true effects have 0.67 to 0.99."""
@@ -261,7 +260,7 @@ def decide(search: AxisSearch, channel: Channel) -> ChannelVerdict:
         test_after = replace(test_after, rms=test_before.rms, predicted_residual=left)
     residual_rms = max(after.train_rms, test_after.smaller_rms) if claimed.new else after.train_rms
     model = [one.candidate for one in claimed.findings]
-    covariance, part_sigmas = sigmas(search.channel, search.likelihood, model)
+    covariance, part_sigmas = sigmas(search.channel, search.survey, search.likelihood, model)
     parts = iter(after.parts[len(channel.fixed_effects) :])
     of_findings = [list(islice(parts, len(one.parts))) for one in model]
     claims = map(Claim, claimed.findings, of_findings, part_sigmas)

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from imumon.effects.since_power_on import Drift, WarmUp
 from imumon.lab.diagnosis.candidates import Candidate, GainTable, Part, Scored
+from imumon.lab.diagnosis.diagnose import diagnose
 from imumon.lab.diagnosis.search import Selection, gain_bar, select
+from tests.lab.diagnosis.units import three
 
 BAR = gain_bar(2, 3)
 
@@ -51,3 +55,16 @@ def test_an_axis_agrees_with_the_others_unless_it_proves_another_by_itself() -> 
 def test_what_is_not_told_apart_is_named_the_likelier_first() -> None:
     (one,) = lacks(axes((40.0, 40.0, 40.0), (43.0, 41.0, 35.0)), BAR)
     assert [one.family, *one.alternatives] == ["drift", "warm_up"]
+
+
+def test_half_of_a_pair_is_dropped_whose_other_half_was_refused() -> None:
+    """It stayed as a single finding, with what it gains beside the other alone."""
+    walk = 0.1 * np.cumsum(np.random.default_rng(3).standard_normal(2400))
+    train, test = three(lambda _, degc: walk + 0.0 * degc)
+    (verdict,) = diagnose(train, test).verdicts
+    axis, drift = verdict.search, Candidate((Part(Drift()),))
+    for partner in ("", "warm_up"):
+        axis.findings, axis.tables = [], [{"drift": Scored(drift, 55.0, 60.0, partner)}]
+        assert axis.add(Selection("drift", [], ["gyro_x"], 55.0))
+        axis.eliminate()
+        assert [one.name for one in axis.findings] == ([] if partner else ["drift"])

@@ -17,6 +17,7 @@ from imumon.lab.diagnosis.page import write_page
 from imumon.lab.diagnosis.report import conclusion, next_step, report
 from imumon.lab.diagnosis.search import PROVEN_GAIN
 from imumon.lab.diagnosis.verdict import BESIDE_CLAIMS, VERDICTS, ChannelVerdict
+from tests.lab.diagnosis.test_live import model
 from tests.lab.diagnosis.units import DPH, Bias, lagged, ramps, run, telegraph, three
 
 TAU_S = 220.0
@@ -137,7 +138,9 @@ def test_a_test_that_is_off_by_a_constant_alone_needs_an_offset() -> None:
     (verdict,) = found.verdicts
     assert [one.finding.name for one in verdict.claims] == ["thermal_lag"]
     assert verdict.unexplained
-    assert "offset" in next_step(found, None).what
+    assert next_step(found, None).what.startswith('Add " + offset" to --declared')
+    beside = next_step(replace(found, model=model()), None)  # the command refuses both
+    assert beside.what.startswith('Give --declared "polynomial N + offset" in place of --model')
 
 
 def test_without_a_test_the_next_step_is_one(lagging: Diagnosis, tmp_path: Path) -> None:

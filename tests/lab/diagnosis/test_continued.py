@@ -8,14 +8,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from imumon.effects.since_power_on import Drift
-from imumon.lab.diagnosis.blocks import make_blocks, white_floor
+from imumon.effects.base import Effect
+from imumon.effects.since_power_on import Drift, Periodic, Step
+from imumon.lab.diagnosis.blocks import make_blocks, survey, white_floor
 from imumon.lab.diagnosis.candidates import Candidate, Channel, Part, Training
 from imumon.lab.diagnosis.diagnose import diagnose
 from imumon.lab.diagnosis.fit import sigmas
 from imumon.lab.diagnosis.likelihood import Likelihood
 from imumon.lab.diagnosis.runs import Run
-from tests.lab.diagnosis.units import DPH, ramps, run
+from tests.lab.diagnosis.units import DPH, Bias, ramps, run
 
 
 def nothing(time: np.ndarray, _: np.ndarray) -> np.ndarray:
@@ -81,9 +82,38 @@ def test_the_sigmas_of_many_runs_take_no_matrix_of_all_blocks_by_all() -> None:
     blocks = [make_blocks(one, ["gyro_x"], ["temperature"]) for one in runs]
     training = Training(blocks, "temperature")
     channel = Channel("gyro_x", white_floor("gyro_x", blocks), 3, "all", training, [])
-    likelihood = Likelihood(training)
+    likelihood, span = Likelihood(training), survey(blocks, ["temperature"], 3)
     tracemalloc.start()
-    sigmas(channel, likelihood, [Candidate((Part(Drift()),))])
+    sigmas(channel, span, likelihood, [Candidate((Part(Drift()),))])
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert peak < 0.5 * 8 * likelihood.n**2
+
+
+def sigma_beside(bias: Bias, effect: Effect, parameter: str) -> tuple[float, float, int]:
+    """Return the sigma of a parameter in one run of 20,000 s, the white floor, and the number of blocks."""
+    one = run(1, *ramps(20_000, True), bias)
+    blocks = [make_blocks(one, ["gyro_x"], ["temperature"])]
+    training, floor = Training(blocks, "temperature"), white_floor("gyro_x", blocks)
+    channel, span = Channel("gyro_x", floor, 3, "all", training, []), survey(blocks, ["temperature"], 3)
+    part = Part(effect, (0,) if effect.scope == "event" else ())
+    _, ((found,),) = sigmas(channel, span, Likelihood(training), [Candidate((part,))])
+    return found.nonlinear[parameter], floor.sd, len(blocks[0])
+
+
+def test_the_sigma_of_a_period_of_many_cycles_is_that_of_white_noise() -> None:
+    """The period was changed for the slope by a percent, two cycles at the end of these: sigma was five
+    times too large."""
+    swing = Periodic(period_s=100.0)
+    found, floor, blocks = sigma_beside(lambda t, _: 8.0 * np.sin(2.0 * np.pi * t / 100.0), swing, "period_s")
+    amplitude = 8.0 * DPH * np.sinc(0.3)
+    of_frequency = np.sqrt(24.0 / blocks) * floor / (amplitude * 20_000.0)  # rad/s
+    assert found == pytest.approx(100.0**2 / (2.0 * np.pi) * of_frequency, rel=0.15)
+
+
+def test_the_sigma_of_the_time_of_a_late_jump_is_that_of_the_block_it_is_in() -> None:
+    """Its time was changed by a percent, over many blocks: sigma was several times too large."""
+    middle_s = 18_015.0  # of a block
+    step = Step(time_s=middle_s)
+    found, floor, _ = sigma_beside(lambda t, _: np.where(t >= middle_s, 60.0, 0.0), step, "time_s")
+    assert found == pytest.approx(30.0 * floor / (60.0 * DPH), rel=0.15)

@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from imumon.blocks import FloatArray
+from imumon.effects.base import Scale
+from imumon.effects.temperature_curve import TemperatureCurve
 from imumon.effects.vibration import SECOND_NS
 from imumon.lab.diagnosis.diagnose import diagnose
-from imumon.lab.diagnosis.extended import extended_model
+from imumon.lab.diagnosis.extended import extended_model, refitted
 from imumon.lab.diagnosis.runs import Run
+from imumon.models.curves.spline import SplineCurve
+from imumon.models.model import ChannelModel
+from tests.lab.diagnosis.test_live import model
 from tests.lab.diagnosis.units import DPH, ramps, run, three
 
 SECONDS = 3000
@@ -63,3 +70,27 @@ def test_the_constant_of_a_curve_is_the_mean_over_runs_and_its_sigma_that_of_the
     assert (
         abs(verdict.after.declared[0] - 30.0 * DPH) < 4.0 * np.sqrt(verdict.declared_covariance[0, 0]) + DPH
     )
+
+
+@pytest.mark.parametrize("spline", [True, False])
+def test_a_present_polynomial_of_too_high_a_degree_for_a_curve_stays_an_effect(spline: bool) -> None:
+    """The model with it could not be written, though this package had made it."""
+    high = TemperatureCurve(middle=26.0, half_span=14.0, first_power=9, powers=6, coefficients=[1e-5] * 6)
+    present = model().channels["gyro_x"].model_copy(update={"effects": [high]})
+    if spline:
+        knots, values = [10.0, 20.0, 42.0], [1e-5, 2e-5, 1e-5]
+        curve = SplineCurve(knots_degc=knots, values=values, slopes=[0.0] * 3)
+        present = present.model_copy(update={"curve": curve})
+    channel: Any = SimpleNamespace(scale=Scale(26.0, 14.0))
+    fitted: Any = SimpleNamespace(declared=np.array([0.0, 1e-6]), parts=[])
+    found = refitted(present, channel, fitted, 1e-6)
+    assert high in found.effects
+    assert ChannelModel.model_validate(found.model_dump()) == found
+    shapes = [shape for effect in found.effects if (shape := effect.polynomial()) is not None]
+    for u in (-0.5, 0.9):
+        bias = float(found.curve.value(26.0 + 14.0 * u)) + sum(
+            float(shape(26.0 + 14.0 * u)) for shape in shapes
+        )
+        expected = float(present.curve.value(26.0 + 14.0 * u)) + 1e-6 * u
+        expected += sum(1e-5 * u**power for power in range(9, 15))
+        assert bias == pytest.approx(expected, rel=1e-9)

@@ -196,3 +196,12 @@ def test_a_better_model_is_compared_also_where_the_thermometer_has_a_reading_in_
     ratio, before, after = compared
     assert ratio > 0.0
     assert after < 0.5 * before
+
+
+def test_a_model_without_gyros_is_not_searched() -> None:
+    """After 20 min the stage failed."""
+    accel = model().channels["gyro_x"].model_copy(update={"unit": "m/s^2"})
+    without = model().model_copy(update={"channels": {"accel_x": accel}})
+    stage = LiveDiagnosis(without)
+    assert said(session(accel_x=np.zeros(SECONDS)), stage) == ""
+    assert stage.notices() == []

@@ -10,7 +10,7 @@ import pytest
 from imumon.errors import ImumonError
 from imumon.lab.diagnosis.blocks import common_block_s, white_floor
 from imumon.lab.diagnosis.diagnose import diagnose, search_block_s
-from imumon.lab.diagnosis.prepare import usable_blocks, usable_channels
+from imumon.lab.diagnosis.prepare import usable_blocks, usable_channels, usable_drivers
 from imumon.lab.diagnosis.runs import MOSTLY, SENSORS, Run
 from tests.lab.diagnosis.units import ramps, run, three
 
@@ -187,3 +187,30 @@ def test_a_channel_is_used_that_is_there_whenever_a_log_with_long_gaps_is() -> N
             one.mean[name] = np.where(lost, np.nan, one.mean[name])
             one.count[name] = np.where(lost, 0.0, one.count[name])
     assert usable_channels(train, test, SENSORS, []) == ["gyro_x"]
+
+
+def test_a_thermometer_with_the_name_of_any_channels_own_drives_nothing_and_that_is_reported() -> None:
+    """The thermometer of the axis was tried in its place, with the scale of this one."""
+    train, test = three(still, SECONDS)
+    for one in (*train, *test):
+        one.mean |= {"temperature_x": one.mean["temperature"], "temperature": one.mean["temperature"][::-1]}
+    beside, remarks = ["temperature_x", "gyro_x"], list[str]()
+    assert usable_drivers(train, test, beside, None, [], remarks) == []
+    assert [text.partition(":")[0] for text in remarks] == [
+        "no effect of the column temperature is looked for"
+    ]
+    with pytest.raises(ImumonError, match="--drivers: temperature"):
+        usable_drivers(train, test, beside, ["temperature"], [], [])
+
+
+@pytest.mark.parametrize("every_s", [30, 60])
+def test_a_channel_that_changes_between_blocks_only_is_diagnosed(every_s: int) -> None:
+    """A white floor of 0 was divided by."""
+    train, test = three(still, SECONDS)
+    for seed, one in enumerate((*train, *test)):
+        readings = 1e5 + np.random.default_rng(seed).standard_normal(SECONDS // every_s)
+        one.mean["pressure"], one.variance["pressure"] = readings.repeat(every_s), np.zeros(SECONDS)
+        one.count["pressure"] = one.count["gyro_x"]
+    (verdict,) = diagnose(train, test, sensors=("pressure",)).verdicts
+    assert 0.3 < verdict.channel.floor.sd < 1.0  # 1 is the noise of a reading
+    assert not verdict.claims
