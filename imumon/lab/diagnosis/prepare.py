@@ -86,12 +86,12 @@ def usable_drivers(
     """
     there = dict.fromkeys(name for run in train for name in run.mean)
     possible = [name for name in there if name not in (*CHANNELS, *beside, TEMPERATURE)]
-    if TEMPERATURE in there and TEMPERATURE not in beside:
+    if wanted is None and TEMPERATURE in there and TEMPERATURE not in beside:
         why = "in a model that name means each channel's own thermometer; a map may give another"
         remarks.append(f"no effect of the column {TEMPERATURE} is looked for: {why}")
     if lacking := [name for name in wanted or () if name not in possible]:
         raise bad_config(
-            f"--drivers: {', '.join(lacking)} is no driver in the training data",
+            f"--drivers: {', '.join(lacking)} is not in the training data, or drives nothing",
             f"there are {', '.join(possible) or 'none'}; a map names others with other: {{NAME: ...}}",
         )
     needed = [name for effect in present for name in effect.inputs if name != ACCEL]
