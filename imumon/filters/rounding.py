@@ -25,7 +25,7 @@ KEPT, BLOCK = 320, 64
 FARTHEST = 6
 """Steps from the middle of a piece that are counted apart: for noise of 1.6 steps, four sigmas."""
 TERMS = 60
-"""Of the series that are summed: with noise of 0.02 steps, the least that is tried, the last is 1e-14."""
+"""Of the series that are summed: with noise of 0.02 steps, the least that is tried, the last is < 1e-14."""
 RATIOS = np.geomspace(0.02, 1.6, 45)
 """Noise in steps that is tried, 10 % apart; above the last, rounding leaves all but 1e-22."""
 PHASES = np.linspace(-0.5, 0.5, 21)
@@ -37,7 +37,7 @@ LEAST_PROBABILITY = 1e-12
 def mean_error(step: float, ratio: float) -> float:
     """Return by how much the mean of rounded samples errs at the most, for noise of `ratio` steps.
 
-    It is of all terms of that series: without noise the error is half a step.
+    By all `TERMS` of the series; without noise it is half a step, which they overshoot (Gibbs).
     """
     k = np.arange(1, TERMS + 1)
     sizes = np.exp(-2.0 * (np.pi * k * ratio) ** 2) / (np.pi * k)
@@ -49,7 +49,7 @@ def grid_step(distinct: FloatArray, samples: int) -> float:
     """Return the step of the grid that distinct values lie on, in the main; 0 when there is none."""
     if len(distinct) < 2 or len(distinct) > FEW * samples:
         return 0.0
-    gaps = np.diff(distinct)
+    gaps = np.diff(distinct)  # the smallest are single steps; nine of ten must be whole ones
     # Rounded in a decimal text or by a factor, equal steps differ in their last digits.
     step = float(np.median(gaps[gaps <= 1.5 * np.quantile(gaps, 0.25)]))
     whole = np.abs(gaps / step - np.round(gaps / step)) < ON_GRID
@@ -58,7 +58,7 @@ def grid_step(distinct: FloatArray, samples: int) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Digits:
-    """Steps of a channel, and its noise before rounding in steps; both in the unit of the channel."""
+    """Step of a channel, in its unit, and its noise before rounding, in steps."""
 
     step: float
     ratio: float
@@ -79,8 +79,9 @@ class Digits:
 
 
 def digits(values: FloatArray) -> Digits | None:
-    """Return the digits of samples in order, (n,); None where they are far finer than the noise.
+    """Return the digits of samples in order, (n,).
 
+    None where none show: no grid, noise of more than 1.6 steps, a constant, or fewer than `BLOCK` samples.
     The noise is the likeliest by how often each step is read, each short piece with a mean of its own:
     between two steps readings toggle, in the middle of one they stand still, and both are the same noise.
     """
@@ -101,13 +102,8 @@ def digits(values: FloatArray) -> Digits | None:
     middle = np.sort(parts, axis=1)[:, BLOCK // 2, np.newaxis]  # one of the readings
     steps = np.clip(np.rint((parts - middle) / step), -FARTHEST, FARTHEST)
     counts = np.array([(steps == place).sum(axis=1) for place in range(-FARTHEST, FARTHEST + 1)])
-    likely = np.log(_step_probabilities()) @ counts
-    best = likely.max(axis=1).sum(axis=1)
-    return Digits(step, float(RATIOS[int(np.argmax(best))]))
-
-
-def _step_probabilities() -> FloatArray:
-    """Return the probability of each step from the middle, (ratios, phases, steps)."""
     edges = np.concatenate([[-np.inf], np.arange(-FARTHEST, FARTHEST) + 0.5, [np.inf]])
     below = ndtr((edges - PHASES[:, np.newaxis]) / RATIOS[:, np.newaxis, np.newaxis])
-    return np.asarray(np.maximum(np.diff(below), LEAST_PROBABILITY))
+    likely = np.log(np.maximum(np.diff(below), LEAST_PROBABILITY)) @ counts  # (ratios, phases, pieces)
+    best = likely.max(axis=1).sum(axis=1)
+    return Digits(step, float(RATIOS[int(np.argmax(best))]))

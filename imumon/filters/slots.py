@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -18,8 +18,6 @@ import numpy.typing as npt
 from imumon.blocks import NO_INT, BoolArray, FloatArray, IntArray
 from imumon.compiled import inner, njit
 from imumon.filters.turns import TURN, Turn, add_rate, begin_segment, begin_turn, turn_of
-
-Number = TypeVar("Number", np.float64, np.int64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,22 +51,17 @@ class Slots:
         return np.asarray(self.start_ns + (self.end_ns - self.start_ns) // 2)
 
 
-RecordArray = npt.NDArray[np.void]
 SLOT = np.dtype(
     [(name, np.int64) for name in ("row", "segment", "start_ns", "end_ns", "samples", "origin_ns", "stop_ns")]
     + [(name, np.bool_) for name in ("begins", "begun")]
 )
-"""A slot as compiled code has it: fields of `Slots`; then the first time of its segment, the time at which it
-ends, and whether there is a slot at all."""
+"""A slot of compiled code: as `Slots`; first time of its segment, time at which it ends, whether it began."""
 COLUMN = np.dtype(
     [(name, np.int64) for name in ("count", "step_count", "changes")]
     + [(name, np.float64) for name in ("mean", "variance", "smallest", "largest", "first", "last")]
     + [(name, np.float64) for name in ("step_squares", "total", "squares", "previous")]
 )
-"""A column of it: fields of `Slots`, sums of the differences from `first` and of their squares, and the value
-of the row before."""
-
-
+"""Its column: as `Slots`; sums of differences from `first` and of their squares, value of the row before."""
 ENDLESS_NS = 2**62
 """Length of slots that end with their segment, or where time runs back: their `Slots.row` are the breaks."""
 
@@ -82,15 +75,15 @@ class SlotGatherer:
     def __init__(self, columns: int, length_ns: int, turns: bool = False) -> None:
         self.length_ns = length_ns
         self._turns = turns
-        self._slot: RecordArray = np.zeros(1, SLOT)
-        self._columns: RecordArray = np.zeros(columns, COLUMN)
-        self._turn: RecordArray = np.zeros(1, TURN)
+        self._slot = np.zeros(1, SLOT)
+        self._columns = np.zeros(columns, COLUMN)
+        self._turn = np.zeros(1, TURN)
 
     def process(self, time_ns: IntArray, segment: IntArray, values: FloatArray) -> Slots:
         """Return the slots that end within these rows.
 
-        Of device time and segment, (n,): a row whose time is `NO_INT` is left out; a new segment, or a time
-        that runs back, begins anew.  Values, (n, k), are in any unit, NaN where there is none.
+        Device time and segment are (n,); a row whose time is `NO_INT` is left out, and a new segment, or a
+        time that runs back, begins anew.  Values, (n, k), are in any unit, NaN where there is none.
         """
         n = len(time_ns)
         slots, columns = np.empty(n, SLOT), np.empty((n, len(self._columns)), COLUMN)
@@ -107,15 +100,13 @@ class SlotGatherer:
 
     def finish(self) -> Slots:
         """Return the slot that is open at the end of the rows, if there is one; then begin as new."""
-        behind = self._slot["segment"] + 1
+        behind = self._slot["segment"] + 1  # a row of another segment ends it
         last = self.process(np.zeros(1, np.int64), behind, np.full((1, len(self._columns)), np.nan))
         self._slot["begun"] = False
         return last
 
 
-def held(
-    row: IntArray, values: npt.NDArray[Number], before: npt.NDArray[Number], n: int
-) -> npt.NDArray[Number]:
+def held(row: IntArray, values: npt.NDArray[Any], before: npt.NDArray[Any], n: int) -> npt.NDArray[Any]:
     """Return for each of n rows the value of the latest slot, (n, ...).
 
     `values` (m, ...) hold from the rows (m,) on (`Slots.row`), `before` (...) held before the first of them.
@@ -128,7 +119,6 @@ def held(
 
 @inner
 def _begin_slot(slot: Any, columns: Any, time_ns: int, length_ns: int) -> None:
-    """Begin a slot with the row at this time, on the grid of its segment."""
     slot.start_ns = time_ns
     slot.stop_ns = slot.origin_ns + ((time_ns - slot.origin_ns) // length_ns + 1) * length_ns
     slot.samples = 0
@@ -142,7 +132,6 @@ def _begin_slot(slot: Any, columns: Any, time_ns: int, length_ns: int) -> None:
 
 @inner
 def _end_slot(slot: Any, columns: Any, row: int, ended_columns: Any) -> None:
-    """Complete the slot, and write its columns."""
     slot.row = row
     for j in range(len(columns)):
         column = columns[j]

@@ -55,7 +55,7 @@ class Turn:
     path: float = 0.0  # sum of the angles of the parts that it is made of, rad
 
     def less(self, bias: FloatArray) -> Turn:
-        """Return the turn by rates without a constant bias, rad/s, (3,), to first order of its angle."""
+        """Return the turn of a slot less what a bias, rad/s, (3,), adds, to first order of its angle."""
         angle = self.by_bias @ bias
         rotation = rotation_by(-angle) @ self.rotation
         by_scale = self.by_scale - self.by_bias[:, :, np.newaxis] * bias
@@ -115,7 +115,8 @@ TURN = np.dtype(
     + [("present", np.int64), ("time_ns", np.int64)]
 )
 """A turn as compiled code has it: fields of `Turn`; `rate` in rad/s, `alpha` in rad and `time_ns` of the last
-sample, the alpha `before` it, the usual `interval` in s, and how many samples are `present` since a pause."""
+sample, the alpha `before` it, the last `interval` in s, which grows `LATE` times at most, and how many
+samples are `present` since a pause."""
 FIELDS = "rotation", "by_bias", "by_scale", "coning", "fast", "missed", "seconds"
 
 

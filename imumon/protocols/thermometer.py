@@ -31,8 +31,3 @@ class TemperatureRateParameters(StrictModel):
     buffer_size: int = Field(default=1000, ge=7, le=1_000_000)
     lowest_degc: float | None = Field(default=None, exclude=True)
     highest_degc: float | None = Field(default=None, exclude=True)
-
-    @property
-    def retired(self) -> list[str]:
-        """Keys that were given and are not used any more."""
-        return sorted(self.model_fields_set & {"lowest_degc", "highest_degc"})

@@ -17,7 +17,6 @@ from imumon.estimation.temperature_rate.filter import (
     JERK_PSDS,
     MEAN_MODELS,
     Correction,
-    NoiseModel,
     NoiseModels,
 )
 from imumon.estimation.temperature_rate.measurement import evaluate
@@ -50,13 +49,13 @@ _, SLOW, _, WALK = range(4)
 SLOW_CODES = tuple(model for model in CODE_MODELS if model[SLOW])
 
 
-def _white(sds: Iterable[float]) -> tuple[NoiseModel, ...]:
+def _white(sds: Iterable[float]) -> tuple[tuple[float, ...], ...]:
     """Return code models of white noise with these standard deviations, steps."""
     return tuple((sd**2, 0.0, 1e9, 0.0) for sd in sds)
 
 
 def _noise(
-    codes: tuple[NoiseModel, ...] = CODE_MODELS, means: tuple[NoiseModel, ...] = MEAN_MODELS
+    codes: tuple[tuple[float, ...], ...] = CODE_MODELS, means: tuple[tuple[float, ...], ...] = MEAN_MODELS
 ) -> Change:
     """Return what replaces the models of the noise."""
     noise = NoiseModels(*np.array([*codes, *means]).T[:, :, np.newaxis])

@@ -106,7 +106,7 @@ class States:
         modes = (1,) * (self.mean.ndim - 2)
         f, grows = f.reshape(3, *modes, STATES, STATES), grows.reshape(3, *modes, STATES)
         covariance = f @ self.covariance @ f.swapaxes(-1, -2)
-        np.einsum("...ii->...i", covariance)[...] += self.process * grows
+        np.einsum("...ii->...i", covariance)[...] += self.process * grows  # its diagonal
         known = np.where(np.isfinite(degc), degc, self.degc)
         mean = (f @ self.mean[..., np.newaxis])[..., 0]
         return replace(self, mean=mean, covariance=covariance, time_s=time_s, degc=known)
@@ -178,7 +178,7 @@ class Bank(States):
     """The filters at a time, (3 axes, F modes, ...), Q and P over σ²."""
 
     log_weight: FloatArray  # ln of prior times likelihood of each mode, but for a constant, (3, F)
-    shape: float  # a
+    shape: float  # a, of all axes, which are measured at once
     scale: FloatArray  # β, (rad/s)², (3, F)
     declared: bool  # whether flicker and walk are, so that Q σ² stays where σ² changes, as by a fan
 
@@ -244,7 +244,6 @@ class Bank(States):
         return bank._with_noise(weight, fade * (a + 0.5), scale)
 
     def _with_noise(self, log_weight: FloatArray, shape: float, scale: FloatArray) -> Bank:
-        """Replace the weights of the modes and the posterior of σ²."""
         bank = replace(self, log_weight=log_weight, shape=shape, scale=scale)
         if not self.declared:
             return bank

@@ -5,7 +5,8 @@
 While the unit moves, the variance of the bias grows with time, temperature, gaps and turns against the earth.
 
 Constants that assume a grade of sensors: `QUIET` (rest), `USUAL_CHANGE` and `SLOWEST_TURN` (odds),
-`SENSITIVITY_SD` (bank), `SCALE_SD` (place), `BIAS_WALK` (motion).  White noise and flicker are learned.
+`SENSITIVITY_SD` and `TURN_ON` (bank), `SCALE_SD` (place), `BIAS_WALK` (motion); and the parameters
+`gyro_drift` and `largest_jump`.  White noise and flicker are learned.
 """
 
 from __future__ import annotations
@@ -91,15 +92,15 @@ class Estimator:
             self._coast(slot)
         elif self.hypotheses is None:
             self._begin()
-        elif self.quiet.noise_changed:
-            white = self._noise()[GYRO]  # as of a fan that starts
-            self.hypotheses.map(lambda bank: bank.with_white(white))
-            self.pending = []
         else:
-            self.pending.append(slot)
             if self.hypotheses.moved or self.hypotheses.turning:  # quiet, but it may be a steady turn
                 self._turn_attitude(slot, self.hypotheses)
-            if self.quiet.is_rest and sum(one.length_s for one in self.pending) >= SECOND_S:
+            self.pending.append(slot)
+            if self.quiet.noise_changed:
+                white = self._noise()[GYRO]  # as of a fan that starts
+                self.hypotheses.map(lambda bank: bank.with_white(white))
+                self.pending = []
+            elif self.quiet.is_rest and sum(one.length_s for one in self.pending) >= SECOND_S:
                 innovation = self._decide(self.hypotheses)
         return np.full(3, np.nan) if self.unrest else innovation
 
@@ -133,7 +134,6 @@ class Estimator:
         return np.maximum(self.quiet.noise * covered_s, LEAST_WHITE)
 
     def _measurement(self, slots: Sequence[Slot]) -> Measurement:
-        """Return the means of slots."""
         covered, last = np.array([one.covered_s for one in slots]), slots[-1]
         total = float(covered.sum())
         mean = covered / total @ np.array([one.mean for one in slots])
@@ -170,12 +170,14 @@ class Estimator:
         self.attitude.lost |= slot.gap_s > 0.0 and not slot.rest_given
 
     def _come_to_rest(self, force: FloatArray) -> None:
-        """Take the attitude at a specific force, m/s², (3,)."""
         prediction = None if self.hypotheses is None else self.hypotheses.shown.prediction
         self._widen(self.attitude.come_to_rest(force, prediction))
 
     def _begin(self) -> None:
-        """Begin the filters with the first quiet second, or the slots of the trial that found the noise."""
+        """Begin the filters with the first quiet second, or the slots of the trial that found the noise.
+
+        A second is enough, whatever was before it: waiting for a trial after short rests gains nothing.
+        """
         self.motion.interrupt(self.quiet.latest[-1].length_s)
         if not self.quiet.noise_slots or self.quiet.quiet_slots < SECOND_SLOTS:
             return
@@ -204,7 +206,7 @@ class Estimator:
         accel_noise = float(self._noise()[ACCEL].max()) if self.quiet.present[ACCEL].all() else math.inf
         parts = (self._measurement([slot]) for slot in slots)
         self.jumped |= hypotheses.decide(now, parts, accel_noise)
-        if hypotheses.began_turning and hypotheses.changes:
+        if hypotheses.began_turning and hypotheses.changes:  # another rate contradicts the first: begin anew
             self.quiet.restart()
             self._interrupt()
         elif self.attitude.turn.seconds and not hypotheses.turning:

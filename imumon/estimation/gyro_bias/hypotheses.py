@@ -51,9 +51,9 @@ LAG_S = 16.0
 ONSET_S = 4.0
 """A change that motion follows sooner was its onset; an older one may end a turn in the first rest."""
 NEW_POSE = 0.3
-"""m/s²: a specific force that differs by more from the first one is that of another pose."""
+"""m/s²: a specific force that differs by more from the first one is that of another pose.  Assumed."""
 BEGAN_LOG_RATIO = -8.0
-"""ln Λ by the heading up to which the recording began in a turn."""
+"""ln Λ by the heading up to which the recording began in a turn.  Assumed."""
 UNDECIDED_GIVEN_S = 60.0
 """Where rest is given, a rate that contradicts the bias widens sigma for so long; then it is bias."""
 RECENT = 16
@@ -122,7 +122,6 @@ class Hypotheses:
         return self._follow(now)
 
     def _learn(self, now: Measurement) -> None:
-        """Update the present bias."""
         self.undo = None
         if self.test_copy.fits(now, FIT_SIGMAS):
             self.undo, self.present = self.present, self.present.after(now)
@@ -136,7 +135,6 @@ class Hypotheses:
         self.test_copy, self.steady_s, self.alike = self.present, now.length_s, 1
 
     def _weigh(self, now: Measurement, evidence: Sequence[Measurement], accel_noise: float) -> None:
-        """Weigh a turn against the bias, by the latest measurements."""
         # A rate that lasts is no flicker of a second, so that is not in the variance; with it, a slow turn
         # of a gyro of 1.8 °/√h was a bias, and that off by 35 sigma.
         nominal = self.nominal.prediction.at(now.end_s, now.degc)
@@ -155,8 +153,9 @@ class Hypotheses:
             if self.first and self.changes and round(self.steady_s) > ONSET_S:
                 explained += odds.first_turn(self.first.rate, now.rate)
             too_long = self.steady_s > limits.undecided_s and size <= limits.largest_jump
-            p_turn = odds.probability_of_turn(log_ratio, explained)
-            self.p_turn = 0.0 if too_long and log_ratio >= -2.0 else p_turn
+            ratio = math.exp(max(min(log_ratio, odds.MOST_LOG_RATIO), -odds.MOST_LOG_RATIO))
+            is_bias = too_long and log_ratio >= odds.LEAST_LOG_RATIO
+            self.p_turn = 0.0 if is_bias else 1.0 / (1.0 + explained * ratio)
         if self.turning:
             square = (1.0 - self.p_turn) * change**2
         else:  # the variance of the mixture: that of the nominal bias, which may be vague by then, counts

@@ -3,10 +3,10 @@
 Once a minute twelve means of the specific force f, m/s², in axes that the gyros carry along (C rotates into
 them), are fitted (Gauss and Newton) by the specific force at rest g, upwards, m/s², and the bias, rad/s::
 
-    mean of C f = g - [g x] ∫ C bias dt + N(0, s²)
+    ∫ C f dt = ∫ (g - [g x] ∫ C bias dt) dt + N(0, s²),    over a part of 5 s
 
-Accelerations are the noise, and the fit shows their variance s², (m/s²)²; errors of scale, and biases of the
-accelerometers, are far smaller.  The rate about the vertical is not estimated: only sways make that rate
+Changes of speed are the noise, and the fit shows their variance s², (m/s)²; errors of scale, and biases of
+the accelerometers, are far smaller.  The rate about the vertical is not estimated: only sways make that rate
 observable.  So an upright axis has no bias.
 """
 
@@ -28,6 +28,8 @@ PART_S, PARTS = 5.0, 12
 WINDOW_S = PARTS * PART_S
 ALIKE = 6.0
 """Factor of the variance: accelerations of successive parts are alike, where the speed changes slowly."""
+LEAST_VARIANCE = 1e-4
+"""Of the change of speed in a part, (m/s)²: 0.2 mg in 5 s.  Assumed."""
 BIAS_WALK = 30.0 * DEG_PER_H
 """Random walk of the bias, rad/s/sqrt(s): 230 °/h a minute, as 100 °/h/°C at 2 °C/min makes it."""
 
@@ -46,22 +48,20 @@ class Motion:
         seconds += sum(turn.seconds for turn, _ in self.parts)
         self.covariance, self.parts = self.covariance + BIAS_WALK**2 * seconds * np.eye(3), []
 
-    def take(self, turn: Turn, force: FloatArray) -> bool:
-        """Take a slot in motion and its mean specific force, m/s²; return whether a window has ended."""
+    def take(self, turn: Turn, force: FloatArray) -> None:
+        """Take a slot in motion and its mean specific force, m/s²."""
         full_s = PART_S - 0.5 * SLOT_S
         if not self.parts or self.parts[-1][0].seconds >= full_s:
             self.parts.append((STILL, np.zeros(3)))
         whole, velocity = self.parts[-1]
         self.parts[-1] = whole.then(turn), velocity + whole.rotation @ (turn.by_bias @ force)
-        if len(self.parts) < PARTS or self.parts[-1][0].seconds < full_s:
-            return False
-        self._fit()
-        self.parts = []
-        return True
+        if len(self.parts) == PARTS and self.parts[-1][0].seconds >= full_s:
+            self._fit()
+            self.parts = []
 
     def _fit(self) -> None:
-        """Update the bias with a complete window."""
         seconds = sum(turn.seconds for turn, _ in self.parts)
+        # Up in body axes, on the average over the window.
         velocity = sum((turn.rotation.T @ v for turn, v in self.parts), np.zeros(3))
         vertical = velocity / np.linalg.norm(velocity)
         prior, mean, variance = np.zeros((6, 6)), self.mean, 1.0
@@ -74,8 +74,9 @@ class Motion:
             found = covariance @ right
             left = measured - design @ found
             free = len(left) - float(np.trace(covariance @ normal))
-            variance, mean = ALIKE * max(float(left @ left) / free, 1e-4), found[3:]
+            variance, mean = ALIKE * max(float(left @ left) / free, LEAST_VARIANCE), found[3:]
         self.mean, self.covariance = mean - (vertical @ mean) * vertical, covariance[3:, 3:]
+        # About the vertical nothing is learned: the variance stays that of a turn-on bias.
         lacking = TURN_ON**2 - float(vertical @ self.covariance @ vertical)
         self.covariance = self.covariance + max(lacking, 0.0) * np.outer(vertical, vertical)
 

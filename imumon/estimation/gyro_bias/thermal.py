@@ -23,17 +23,6 @@ MOST_POINTS = 250
 """When more are kept, every second one is dropped, and from then on half as many are taken."""
 
 
-def _trust_in(model: BiasModel) -> FloatArray:
-    """Return of the model's gyros, (4, 3), the sd of the curve's residual, rad/s, the rms slope of the curve,
-    rad/s/°C, and the lower and the upper end of the calibrated range, °C."""
-    rows = []
-    for channel in (model.channels[name] for name in GYROS):
-        low, high = channel.temperature_range_degc
-        slope = channel.slope(np.linspace(low, high, 101))
-        rows.append([channel.residual_sd, np.sqrt(np.mean(slope**2)), low, high])
-    return np.array(rows).T
-
-
 class Thermal:
     """The model's increments since the first temperature, and their variance; zero without a model.
 
@@ -49,7 +38,14 @@ class Thermal:
         columns = ["temperature"] * 3 if self._predictor is None else self._predictor.temperature_columns
         self._sources = [_sources(name, axis) for name, axis in zip(columns, "xyz", strict=True)]
         self._reference = np.full(3, np.nan)
-        self._trust = None if model is None else _trust_in(model)
+        channels = [] if model is None else [model.channels[name] for name in GYROS]
+        self._low, self._high = np.reshape([one.temperature_range_degc for one in channels], (-1, 2)).T
+        """Calibrated range of each gyro, °C, (3,); empty without a model, as are the next two."""
+        self._residual = np.array([one.residual_sd for one in channels])
+        ranges = zip(channels, self._low, self._high, strict=True)
+        slopes = [one.slope(np.linspace(low, high, 101)) for one, low, high in ranges]
+        self._steepness = np.array([np.sqrt(np.mean(slope**2)) for slope in slopes])
+        """Standard deviation of a curve's residual, rad/s, and its rms slope, rad/s/°C."""
         self.notices: dict[str, None] = {}
         """What was missing, or out of range, so far, in order."""
         self.restart()
@@ -67,20 +63,19 @@ class Thermal:
 
         In a gap the lag of the gyros behind the thermometer may have changed by `lag_degc` (sd), (3,).
         """
-        if self._trust is None:
+        if self._predictor is None:
             return np.zeros(3)
-        residual, steepness, low, high = self._trust
         before2, faded = self._beyond_degc**2, self._faded
         self._mark_degc = np.where(np.isfinite(self._mark_degc), self._mark_degc, degc)
         moved = np.abs(degc - self._mark_degc)
         far = moved >= MOVED_DEGC
         self._mark_degc = np.where(far, degc, self._mark_degc)
-        walk = np.where(far, 2.0 * residual**2 * moved / CORRELATION_DEGC, 0.0)
-        self._beyond_degc = np.fmax(self._beyond_degc, np.fmax(low - degc, degc - high))
+        walk = np.where(far, 2.0 * self._residual**2 * moved / CORRELATION_DEGC, 0.0)
+        self._beyond_degc = np.fmax(self._beyond_degc, np.fmax(self._low - degc, degc - self._high))
         self._power_on_sd = np.where(np.isfinite(self._power_on_sd), self._power_on_sd, sd)
         self._faded = np.fmax(self._faded, (sd - self._power_on_sd) ** 2)
         degc2 = self._beyond_degc**2 - before2 + lag_degc**2
-        return np.asarray(walk + steepness**2 * degc2 + self._faded - faded)
+        return np.asarray(walk + self._steepness**2 * degc2 + self._faded - faded)
 
     def unseen_lag(self, gap_s: float, behind: SampleBlock) -> FloatArray:
         """Return by how much the lag of each gyro's temperature may have changed in a gap (sd), °C, (3,).
@@ -100,7 +95,7 @@ class Thermal:
         """
         # The reading is a stopgap where the estimate has not begun; mixed with it, it would jump.
         temperature = _first_of(block, self._sources)
-        if self._predictor is None or self._trust is None:
+        if self._predictor is None:
             return temperature, np.zeros((3, len(block), 3))
         others = {name: block[name] for name in self._predictor.drivers if name in block}
         times, segment = block["device_time_ns"], block["segment"]
@@ -111,8 +106,7 @@ class Thermal:
         if len(block) and not known.any():
             self.notices["the bias model lacks its temperature: the bias is taken as constant"] = None
         if (np.isfinite(temperature) & ~predicted.inside).any():
-            _, _, low, high = self._trust
-            given = f"{low.max():.1f} to {high.min():.1f} °C"
+            given = f"{self._low.max():.1f} to {self._high.min():.1f} °C"
             text = f"the temperature is outside the bias model's range, {given}: the bias is extrapolated"
             self.notices[text] = None
         total = np.where(known, curve - self._reference, 0.0)
@@ -163,15 +157,13 @@ class BiasTrail:
             left[:, j] -= channel.value(degc[:, j]) / DEG_PER_H
         dots = "dots: estimates since the start; large: now"
         note, over = f"line: model; {dots}" if lines else dots, [*lines, *_trails(degc, bias)]
-        charts = [_chart("gyro_bias", "Gyro bias", "Gyro bias over temperature", over, note)]
+        axes = Axis("temperature [°C]"), Axis("[°/h]")
+        title = "Gyro bias over temperature"
+        charts = [Chart("gyro_bias", "Gyro bias", title, *axes, tuple(over), notes=(note,))]
         if lines:
-            title = "Gyro bias less the calibrated curve"
-            charts.append(_chart("gyro_bias_left", "Residual", title, _trails(degc, left), dots))
+            title, over = "Gyro bias less the calibrated curve", _trails(degc, left)
+            charts.append(Chart("gyro_bias_left", "Residual", title, *axes, tuple(over), notes=(dots,)))
         return charts
-
-
-def _chart(name: str, tab: str, title: str, curves: list[Curve], note: str) -> Chart:
-    return Chart(name, tab, title, Axis("temperature [°C]"), Axis("[°/h]"), tuple(curves), notes=(note,))
 
 
 def _trails(degc: FloatArray, bias: FloatArray) -> list[Curve]:

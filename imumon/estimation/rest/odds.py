@@ -56,15 +56,12 @@ STUCK_HEADING = 0.05
 """Prior probability that a magnetometer or a yaw does not turn with the unit: stuck, or iron turns along.
 Without it a turn of 0.5 °/s was rest beside a stuck one, with a bias off by 153 sigma."""
 MOST_LOG_RATIO = 50.0  # bound of |ln Λ|
+LEAST_LOG_RATIO = -2.0
+"""ln Λ from which on a rate that lasts for `undecided_s` is no turn.  Assumed."""
 LEAST_MEASUREMENTS = 3
 """Least number of measurements by which gravity is compared."""
 BEGAN_TURNING = 0.05
 """Prior that the first rest of a recording was a turn, where two steady means cannot both be the bias."""
-
-
-def probability_of_turn(log_ratio: float, odds: float) -> float:
-    """Return P(turn) by ln Λ of all other sensors, and the sum of the odds."""
-    return 1.0 / (1.0 + odds * math.exp(max(min(log_ratio, MOST_LOG_RATIO), -MOST_LOG_RATIO)))
 
 
 def changed_bias(size: float, changes: int, largest: float) -> float:

@@ -16,7 +16,7 @@ _NotNegative = Annotated[float, Field(ge=0.0, le=10.0)]
 _PerAxis = _Positive | Annotated[list[_Positive], Field(min_length=3, max_length=3)]
 _PerAxisFromZero = _NotNegative | Annotated[list[_NotNegative], Field(min_length=3, max_length=3)]
 Retired = Annotated[None, BeforeValidator(lambda _: None), Field(exclude=True)]
-"""A key of earlier versions: any value is read and dropped, and a session does not write it again."""
+"""A key of earlier versions, learned or constant now: any value is read and dropped, none is written."""
 
 
 def retired(given: StrictModel) -> list[str]:
@@ -40,9 +40,6 @@ class RestParameters(StrictModel):
         and bias from then on, if it differs by no more than largest_jump and nothing decides before.
     largest_jump : float
         Largest change of a gyro's bias within one run of the unit, rad/s.
-    begins_turning, gyro_g_sensitivity, gyro_walk
-        Not used any more: a recording that begins in a turn is found by a magnetometer or a yaw alone, and
-        the others are learned.
     """
 
     gyro_drift: float = Field(default=1e-4, ge=0.0, le=1.0)
@@ -74,8 +71,6 @@ class GyroBiasParameters(StrictModel):
     assume_at_rest : bool
         Whether motion is not detected: rest is that of the column at_rest of the samples, and without one the
         unit rests throughout.  A rate that differs for a minute is then another bias.
-    velocity_random_walk_m_per_s_per_sqrt_s, zeroing_s, thermal_form
-        Not used any more: the first is measured at rest, and nothing is filtered twice.
     """
 
     angle_random_walk_rad_per_sqrt_s: _PerAxis | None = None
@@ -89,11 +84,8 @@ class GyroBiasParameters(StrictModel):
     @property
     def per_axis(self) -> list[FloatArray | None]:
         """White noise, B and K as declared, in the units of the keys, (3,) each or None; B and K together."""
-        white, b, k = (
-            self.angle_random_walk_rad_per_sqrt_s,
-            self.bias_instability_rad_per_s,
-            self.rate_random_walk_rad_per_s_per_sqrt_s,
-        )
+        b, k = self.bias_instability_rad_per_s, self.rate_random_walk_rad_per_s_per_sqrt_s
         if b is not None or k is not None:
             b, k = b or 0.0, k or 0.0
-        return [None if value is None else np.full(3, value, np.float64) for value in (white, b, k)]
+        declared = self.angle_random_walk_rad_per_sqrt_s, b, k
+        return [None if value is None else np.full(3, value, np.float64) for value in declared]

@@ -100,8 +100,9 @@ class QuietDetector:
     def rounding_error(self) -> FloatArray:
         """Largest error of a mean by rounding to steps of the sensor, (6,).
 
-        Noise of variance v, in steps squared, makes it exp(-2 π² v) half steps (Widrow).  Readings that are
-        all equal show no step: they may have any, up to `UNSEEN_STEP`.
+        With noise of variance v, in steps squared, it is at most exp(-2 π² v) half steps; the amplitude is
+        1/π of a step (Widrow), half a step without noise.  Readings that are all equal show no step: they may
+        have any, up to `UNSEEN_STEP`.
         """
         step = np.where((self.step == 0.0) & (self.sample_noise < NO_NOISE), UNSEEN_STEP, self.step)
         noise = np.maximum(self.sample_noise / (step**2 + 1e-24) - 1.0 / 12.0, 0.0)
@@ -156,7 +157,7 @@ class QuietDetector:
     def _interrupt(self) -> None:
         """End the present rest, if there is one, at an unquiet slot."""
         self.pause += 1
-        short = 1 < self.quiet_slots <= TRIAL
+        short = 1 < self.quiet_slots <= TRIAL  # it counts the unquiet slot, too
         self.short_rests = 0 if self.pause > SECOND_SLOTS else self.short_rests + short
         self.quiet_slots, self.unquiet = 0, self.unquiet + 1
 
@@ -183,7 +184,7 @@ class QuietDetector:
 
     def _scatters(self, slot: Slot) -> bool:
         """Return whether three samples or more scatter more than at rest (chi-square)."""
-        # Wilson and Hilferty.
+        # Wilson and Hilferty, with half the degrees of freedom: samples may be filtered.
         k = 2.0 / (9.0 * np.maximum(0.5 * (slot.samples - 1.0), 1.0))
         factor = VARIANCE_FACTOR * (1.0 - k + VARIANCE_SIGMAS * np.sqrt(k)) ** 3
         limit = np.maximum(factor * self.sample_noise, 1e-12) + 12.0 * self.floor
@@ -223,11 +224,12 @@ class QuietDetector:
         within = np.array([one.variance for one in self.latest])
         enough = np.isfinite(within).all(0) & (count >= 3.0)
         samples = np.where(enough, within.mean(0), noise * count)
-        # Below `least` a variance is that of rest; where the noise is known, up to 9 times that at the most.
+        # A variance below `least` is always that of rest: QUIET², or 9 times the known noise if that is less,
+        # and that of rounding.
         least = (np.minimum(QUIET**2, 9.0 * self.noise) if self.noise_slots else QUIET**2) + self.floor
         longer = [mean.reshape(-1, length, AXES).mean(1).var(0, ddof=1) for length in (4, 8)]
         ratio = np.array(longer) / np.maximum([noise / 4.0, noise / 8.0], least)
-        coloured = ratio.reshape(2, 2, 3).mean(2) > LARGEST_COLOUR  # noise averages out
+        coloured = ratio.reshape(2, 2, 3).mean(2) > LARGEST_COLOUR  # white noise averages out
         slow = enough & (noise * count > SLOWER * samples) & (noise > least)
         second = np.diff(mean, 2, axis=0) ** 2 / np.maximum(noise, least)
         first, last = (half.reshape(-1, 2, 3).sum((0, 2)) for half in (second[:7], second[7:]))

@@ -68,7 +68,11 @@ class Timing:
         count = ended.count[:, :AXES].astype(np.float64)
         several = np.where(count > 1.0, count, np.nan)
         variance = ended.variance[:, :AXES] * several / (several - 1.0)
-        steps = _steps(ended)
+        # A step is the rms change of readings that rarely change.
+        changes, pairs = ended.changes[:, :AXES], ended.step_count[:, :AXES]
+        rare = (changes > 0) & (2 * changes <= pairs)
+        steps = np.where(rare, np.sqrt(ended.step_squares[:, :AXES] / np.maximum(changes, 1)), np.inf)
+        steps = np.where(steps <= np.repeat(COARSEST_STEPS, 3), steps, np.inf)
         for k, mean in enumerate(ended.mean):
             given = float(ended.smallest[k, REST_GIVEN])
             at_rest = None if math.isnan(given) else given == 1.0
@@ -104,14 +108,6 @@ class Timing:
         """Return the length of the gap before a sample; 0 if it follows."""
         pause = start_s - self.end_s
         return pause if pause > max(PAUSE_S, PAUSE_INTERVALS * self.interval_s) and self.interval_s else 0.0
-
-
-def _steps(ended: Slots) -> FloatArray:
-    """Return the steps, rad/s and m/s², (m, 6): rms change of readings that rarely change; else infinite."""
-    changes, pairs = ended.changes[:, :AXES], ended.step_count[:, :AXES]
-    rare = (changes > 0) & (2 * changes <= pairs)
-    step = np.where(rare, np.sqrt(ended.step_squares[:, :AXES] / np.maximum(changes, 1)), np.inf)
-    return np.where(step <= np.repeat(COARSEST_STEPS, 3), step, np.inf)
 
 
 def readings_of(block: SampleBlock, dated: BoolArray) -> FloatArray:

@@ -36,8 +36,9 @@ LEAST_PROBABILITY = 1e-14
 JERK_PSDS = 10.0 ** (-23.0 + 2.5 * np.arange(9.0))
 """Power spectral densities q of white jerk, °C²/s⁵, (m,).  The rate gains √(q t³/3) in a time t: with the
 least, 0.17 °C/h in a day; with the largest, 1 °C/min in a second."""
-CHANGE_PER_S = 2e-3
-"""Probability per second that the jerk PSD changes to a neighbour's."""
+CHANGE_PER_S, MOST_CHANGE = 2e-3, 0.4
+"""Probability per second that the jerk PSD changes to a neighbour's, half of it to each (ablation),
+and the most between two slots (assumed)."""
 
 
 class NoiseModels(NamedTuple):
@@ -54,18 +55,16 @@ class NoiseModels(NamedTuple):
     walk: FloatArray  # variance of the random walk that is part of 1/f noise, per s; of mean models, per slot
 
 
-NoiseModel = tuple[float, float, float, float]
-"""One of them."""
 WHITE_SDS = (0.02, 0.035, 0.05, 0.065, 0.08, 0.1, 0.125, 0.16, 0.2, 0.25, 0.32, 0.4, 0.5)
 """Steps; a quarter apart where the ripple of a mean depends on it most."""
-CODE_MODELS: tuple[NoiseModel, ...] = (
+CODE_MODELS: tuple[tuple[float, ...], ...] = (
     *((sd**2, 0.0, 1e9, 0.0) for sd in WHITE_SDS),
     (0.014, 0.06, 5.0, 0.0),  # these four: white noise of 0.1 step, 0.1² + V/(3 τ)
     (0.034, 0.36, 5.0, 0.0),
     (0.013, 0.36, 40.0, 0.0),
     (0.028, 0.16, 3.0, 0.0016),
 )
-MEAN_MODELS: tuple[NoiseModel, ...] = (
+MEAN_MODELS: tuple[tuple[float, ...], ...] = (
     (1.0, 0.0, 1e9, 0.0),
     *((1.0 - slow, slow, tau_s, 0.0) for slow in (0.3, 1.0) for tau_s in (5.0, 40.0)),
     *((1.0 - slow, slow, 3.0, walk) for slow, walk in ((0.3, 0.01), (1.0, 0.01), (1.0, 0.05))),
@@ -131,7 +130,7 @@ def slow_error(thermometer: Thermometer) -> tuple[FloatArray, FloatArray]:
 
 @cache
 def generator(modes: int) -> FloatArray:
-    """Return G of M = I + c G, (m, m): each mode changes to its neighbours with the probability c."""
+    """Return G of M = I + c G, (m, m): each mode changes to each neighbour with the probability c/2."""
     differences = np.diff(np.eye(modes), axis=0)
     return np.asarray(-0.5 * differences.T @ differences)
 
@@ -144,7 +143,7 @@ def mix(filters: Filters, dt: float) -> tuple[FloatArray, FloatArray, FloatArray
     differences from one of the modes, so that a large mean costs no digits.
     """
     x, mu = filters.x, filters.mu
-    transition = np.eye(mu.shape[1]) + min(dt * CHANGE_PER_S, 0.4) * generator(mu.shape[1])
+    transition = np.eye(mu.shape[1]) + min(dt * CHANGE_PER_S, MOST_CHANGE) * generator(mu.shape[1])
     predicted = mu @ transition
     off = x - x[..., :1]
     mixed = (mu * off) @ transition / predicted

@@ -42,6 +42,8 @@ WIDE = 1.5
 """A prediction is wide whose sigma exceeds so many steps.  Ablation."""
 SIGMA_ERROR = 0.1
 """Relative standard deviation of the σ of a code model: half the distance of two models.  Ablation."""
+MOST_RIPPLE = 0.4
+"""Largest β by which a mean is corrected: the iteration converges while 2 β < 1."""
 RENEWAL = 0.1
 """A code that stays counts this part of its log likelihood, times the part of e that is new.  Ablation."""
 
@@ -91,7 +93,8 @@ def _many_codes(filters: Filters, slot: Slot, step: float, n: float, s: FloatArr
     offset = (slot.mean - slot.smallest) / step
     x = np.full_like(ripple, offset)
     for _ in range(4):
-        x = offset + np.minimum(ripple, 0.4) / math.pi * np.sin(2.0 * math.pi * x)
+        x = offset + np.minimum(ripple, MOST_RIPPLE) / math.pi * np.sin(2.0 * math.pi * x)
+    # With a wrong β half of the ripple is left: of its mean square, (β d/π)²/2, a quarter.
     r = np.maximum(s**2, slot.variance) / n + (ripple * step / math.pi) ** 2 / 8.0
     scatter = _scatter(x, s / step, slot.variance / step**2, n)
     return _gaussian(filters, CODE, slot.smallest + step * x, r, math.log(step / n) + scatter)
@@ -130,7 +133,7 @@ def _one_code(
     """Confine y to the code (8).
 
     All n readings are in it, so the most extreme noise of n was: of the median s Φ⁻¹(2^(-1/n)), by which the
-    edges move in, and of the variance s²/(1 + 2 ln n), by which they are soft.
+    edges move in, and of a variance of about s²/(1 + 2 ln n) (extremes of normals), by which they are soft.
 
     `renewed` is the part of the slow error that is new: to that part, a code that stays is new evidence.
     Returns what enters the states, and all that the code shows.

@@ -16,6 +16,7 @@ import numpy as np
 
 from imumon.blocks import ColumnArray, FloatArray, IntArray, SampleBlock
 from imumon.columns import TEMPERATURES, Column
+from imumon.estimation.rest.parameters import retired
 from imumon.estimation.temperature_rate.filter import Filters, correct, estimate, predict, start
 from imumon.estimation.temperature_rate.measurement import evaluate
 from imumon.estimation.temperature_rate.thermometer import FASTEST_RATE, SLOT_S, SPIKE, Slot, Thermometer
@@ -73,7 +74,7 @@ class Output(NamedTuple):
     rate: float = math.nan  # the rate that is reported, °C/s: it follows with `LAG_S`
     temperature_sd: float = math.nan
     rate_sd: float = math.nan
-    late_s: float = math.inf  # age beyond which this does not hold, as rows are missing; any slot renews it
+    late_s: float = math.inf  # age beyond which this does not hold, as rows are missing
     reading_sd: float = math.nan  # standard deviation of a single reading, °C
 
 
@@ -109,8 +110,8 @@ class MultipleModelRate:
         self._output = Output()
         self._outliers, self._outlier_degc = 0, math.nan
         """Outliers in a row, and the last reading of the last of them, °C."""
-        self._refused = False
-        """Whether the gate has ignored the last slot that has a reading."""
+        self._refused_degc = math.nan
+        """Last reading of the last slot that has one, if the gate has ignored it, °C; else NaN."""
         self._read_s = math.nan
         """End of the last slot that has a reading, s."""
 
@@ -126,18 +127,21 @@ class MultipleModelRate:
             self._filters = predict(thermometer, self._filters, slot.time_s)
         slot, shown = thermometer.unrepeated(slot), self._filters
         outcome = self._gate(slot)
-        self._refused = outcome == "ignore" if slot.count else self._refused
+        if slot.count:
+            self._refused_degc = slot.last if outcome == "ignore" else math.nan
         if outcome == "restart":
             thermometer.begin()
-            thermometer.leapt, slot = False, slot.alone()
+            slot = slot.alone()
+            thermometer.leapt = False  # a leap that does not last was a glitch, and no repeat
         if outcome in ("restart", "leap"):
             thermometer.means = ()
             thermometer.learn(slot)
+            thermometer.leapt |= outcome == "leap"  # also before any change that it could be compared with
             self._output = Output()
             shown = self._filters = start(thermometer, slot)
         elif self._filters is not None and outcome == "use":
             thermometer.learn(slot)
-            enters, shows = evaluate(thermometer, slot, self._filters)
+            enters, shows = evaluate(thermometer, slot, self._filters)  # one object but for a single code
             predicted, self._filters = self._filters, correct(self._filters, enters)
             shown = self._filters if shows is enters else correct(predicted, shows)
         if shown is not None:
@@ -146,7 +150,6 @@ class MultipleModelRate:
         return self._output
 
     def _slot(self, start_s: float, end_s: float, values: Sequence[Any]) -> Slot:
-        """Return a slot with these `STATISTICS`."""
         count, thermometer = int(values[0]), self.thermometer
         since_s = start_s if math.isnan(self._read_s) else self._read_s
         self._read_s = end_s if count else since_s
@@ -154,8 +157,8 @@ class MultipleModelRate:
         slot = Slot(0.5 * (start_s + end_s), end_s, sample_s, thermometer.last, *values)
         if start_s - thermometer.used_s >= thermometer.neighbour_s:
             return slot.alone()
-        changes = slot.changes - self._refused  # back from an outlier or a spike is no change
-        return replace(slot, changes=max(changes, int(slot.before != slot.first)))
+        back = math.isfinite(self._refused_degc) and slot.first != self._refused_degc  # that is no change
+        return replace(slot, changes=max(slot.changes - back, int(slot.before != slot.first)))
 
     def _gate(self, slot: Slot) -> Outcome:
         """Return the outcome of a slot: that of the first row that holds."""
@@ -232,12 +235,12 @@ def extrapolate(time_s: FloatArray, segment: IntArray, reading: FloatArray, show
     known = (segment == shown.segment) & (age >= 0.0) & (age <= shown.late_s)
     # A slot is known when the next begins; readings farther apart leave the temperature to the rate.
     waited = np.maximum(age - 2.0 * SLOT_S, 0.0)
-    unknown = 0.0 * reading
+    zero = 0.0 * reading  # NaN where there is no reading
     return RateEstimate(
         np.where(known, shown.temperature + age * shown.slope, reading),
-        np.where(known, shown.rate, unknown + np.nan_to_num(shown.rate)),
-        np.where(known, np.hypot(shown.temperature_sd, waited * shown.rate_sd), unknown + shown.reading_sd),
-        np.where(known, shown.rate_sd, unknown + FASTEST_RATE),
+        np.where(known, shown.rate, zero + np.nan_to_num(shown.rate)),
+        np.where(known, np.hypot(shown.temperature_sd, waited * shown.rate_sd), zero + shown.reading_sd),
+        np.where(known, shown.rate_sd, zero + FASTEST_RATE),
     )
 
 
@@ -260,7 +263,8 @@ class TemperatureRate:
         self._new_method = new_method or partial(MultipleModelRate, given.step_degc)
         self._methods: dict[str, RateMethod | None] = {}
         """Of each channel; None until its first reading."""
-        self._notices = {f"temperature: {name} is not used any more": False for name in given.retired}
+        unused = sorted(retired(given))
+        self._notices = {f"temperature: {name} is not used any more": False for name in unused}
         """Lines for the log, and whether `notices` has returned them."""
 
     @property

@@ -121,8 +121,8 @@ class Thermometer:
 
     def is_dead(self, slot: Slot) -> bool:
         """Return whether noise of more than a step has stopped for a minute and ten slots."""
-        # Variance of one reading, the lesser of two estimates: a ramp scatters, too, but not from reading to
-        # reading, nor in second differences of means.  A repeated reading is the mean of its slot.
+        # White variance of a reading, the lesser of two estimates: a ramp scatters, too, but not from reading
+        # to reading, nor in second differences of means.  A repeated reading is the mean of its slot.
         noise = self.rho if self.repeat_s else min(self.independence * self.scatter, slot.count * self.rho)
         silent_s = slot.time_s - self.changed_s
         return not slot.changes and noise > self.step**2 and silent_s > max(60.0, 10.0 * self.spacing_s)
@@ -140,7 +140,8 @@ class Thermometer:
 
     def begin(self) -> None:
         """Begin anew; what is known of the sensor stays."""
-        self.means, self.used_s, self.last, self.last_change, self.changed_s = (), -math.inf, *[math.nan] * 3
+        self.means, self.used_s = (), -math.inf
+        self.last = self.last_change = self.changed_s = math.nan
 
     def unrepeated(self, slot: Slot) -> Slot:
         """Return what of a slot was not measured before, with a `count` of zero if nothing.

@@ -215,3 +215,16 @@ def test_north_is_kept_through_steady_turns_though_the_gyros_feel_gravity(seed: 
     error = (vector(added) - bias)[-1]
     assert np.abs(error).max() < 1.5 * DPH
     assert np.abs(error / vector(added, "gyro_bias_sd")[-1]).max() < 3.0
+
+
+def test_north_turns_also_in_the_slot_in_which_the_noise_of_a_turn_is_found() -> None:
+    turn_s, rate, random = 5.0, math.radians(150.0), np.random.default_rng(0)
+    t = np.arange(round(205.0 * RATE_HZ)) / RATE_HZ
+    yaw = rate * np.clip(t - 80.0, 0.0, turn_s)
+    turning = (t >= 80.0) & (t < 80.0 + turn_s)
+    north, _, down = local_earth()
+    gyro = np.column_stack([north * np.cos(yaw), -north * np.sin(yaw), down + rate * turning])
+    gyro += np.where(turning, 5e-4, 2e-5)[:, np.newaxis] * random.standard_normal((len(t), 3))
+    accel = 1e-3 * random.standard_normal((len(t), 3)) + [0.0, 0.0, -GRAVITY]
+    added = RestAndBias(latitude_deg=LATITUDE_DEG, heading_deg=0.0).process(scene(t, gyro, accel))
+    assert np.abs(vector(added)[-1]).max() < 3.0 * DPH

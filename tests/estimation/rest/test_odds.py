@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from imumon.estimation.rest.odds import changed_bias, nominal_bias, probability_of_turn
+from imumon.estimation.rest.odds import changed_bias, nominal_bias
 from imumon.estimation.rest.parameters import RestParameters
 from imumon.geodesy import DEG_PER_H
 
@@ -17,7 +17,7 @@ LARGEST = RestParameters().largest_jump
 def by_gyros(dph: float, changes: int = 0) -> float:
     """Return P(turn) of a rate that differs from a well-known bias, deg/h, by the gyros alone."""
     size = dph * DEG_PER_H
-    return probability_of_turn(0.0, changed_bias(size, changes, LARGEST) + nominal_bias(size, DEG_PER_H**2))
+    return 1.0 / (1.0 + changed_bias(size, changes, LARGEST) + nominal_bias(size, DEG_PER_H**2))
 
 
 @pytest.mark.parametrize(("dph", "odds", "p", "added"), [(1800.0, 0.18, 0.85, 707), (180.0, 1.76, 0.36, 108)])

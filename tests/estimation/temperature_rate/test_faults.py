@@ -62,6 +62,17 @@ def test_spikes_are_no_changes_back_wherever_they_are_in_a_second(last: int) -> 
     assert found == pytest.approx(clean, rel=0.1)
 
 
+@pytest.mark.parametrize("last", [9, 5])
+@pytest.mark.parametrize("change", [1010, 1012, 1015])
+def test_the_first_change_right_after_a_spike_is_learned(last: int, change: int) -> None:
+    t = np.arange(0.0, 400.0, 0.1)
+    reading = np.where(np.arange(len(t)) < change, 20.0, 20.5)
+    clean = process(TemperatureRate(), t, reading)["temperature_estimate_sd"][-1]
+    reading[1000 + last] = POWER_ON_DEGC
+    found = process(TemperatureRate(), t, reading)["temperature_estimate_sd"][-1]
+    assert found == pytest.approx(clean, rel=0.2)
+
+
 def test_where_it_never_comes_back_nothing_is_reported_after_ten_minutes_until_it_moves() -> None:
     t = np.arange(0.0, 2400.0, 0.1)
     reading = read(np.full(len(t), 25.0) + t / 360.0, 0.0625)

@@ -61,6 +61,19 @@ def test_a_ramp_is_never_farther_off_than_the_age_of_the_reading_allows(
     assert np.abs((result.rate - RAMP) / result.rate_sd)[later].max() < 6.0
 
 
+@pytest.mark.parametrize(("ramp", "interval_s"), [(5.0, 30.0), (5.0, 60.0), (10.0, 20.0)])
+def test_a_first_change_that_leaps_after_a_silence_is_of_a_repeated_reading(
+    ramp: float, interval_s: float
+) -> None:
+    t = np.arange(int(480.0 * RATE_HZ)) / RATE_HZ
+    temperature = 25.02 + ramp / 60.0 * np.maximum(t - 305.0, 0.0)
+    reading = repeated(temperature, interval_s, 0.0, 0)
+    time_ns, segment = clock(len(t), RATE_HZ)
+    result = MultipleModelRate(STEP).process(time_ns, segment, reading)
+    later = t > t[np.flatnonzero(np.diff(reading))[0]] + 2.0
+    assert np.abs((result.temperature - temperature) / result.temperature_sd)[later].max() < 7.0
+
+
 def test_a_ramp_from_refresh_to_refresh_is_no_noise_that_a_soak_would_have_stopped() -> None:
     t = np.arange(int(3000.0 * RATE_HZ)) / RATE_HZ
     temperature = 25.02 + RAMP * np.clip(t - 300.0, 0.0, 1200.0)
