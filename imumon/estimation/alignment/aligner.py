@@ -8,8 +8,8 @@
 - all others go on in the present position.
 
 When its time at rest has grown by a third, `fit` and then `posterior` give north anew.  Sigma is that of the
-posterior or, if larger, the distance to earlier headings in this position, or what the unit may have crept at
-a constant rate; what it has turned and crept since the fit is added.
+posterior or, if larger, the distance to earlier headings in this position.  What the unit may have crept at a
+constant rate is added, and what it has turned and crept since the fit.
 """
 
 from __future__ import annotations
@@ -68,12 +68,9 @@ class Aligner:
         self.wanted_sd = math.radians(parameters.settled_deg)
         self.motion = Motion()
         self.positions: list[Position] = []
-        self.creep_rate = 0.0
-        """By which the unit may creep about the vertical in the present position, rad/s."""
+        self.creep_rate = 0.0  # by which the unit may creep about the vertical in this position, rad/s
         self.errors = sensor_errors(0.0, parameters)
-        """Of the sensors: declared, or by the noise of the gyros."""
-        self.posterior: HeadingPosterior | None = None
-        """Of the last fit; None before it."""
+        self.posterior: HeadingPosterior | None = None  # of the last fit
         self.history: deque[tuple[float, float, float]] = deque(maxlen=MOST_FITS)
         """Time at rest, s, north and sigma of each fit."""
         self.rest_s, self.due_s = 0.0, FIRST_FIT_S
@@ -81,7 +78,6 @@ class Aligner:
         self.fitted_error = AzimuthError()
         """Of the present position at the last fit; what exceeds it since is added to sigma."""
         self.settled_s: float | None = None
-        """Time since the first sample at which the heading settled; None if it is not settled."""
 
     def step(self, slot: Slot, at_rest: bool, turn: Turn) -> None:
         """Process a slot with its turn and the rest detector's flag."""
@@ -114,19 +110,19 @@ class Aligner:
         error = AzimuthError.of(turn, before.attitude[2])
         variance = error.variance_from(AzimuthError(), self.errors.scale)
         # By gravity the gyros are off by `lean`, rad, about both level axes, and may be as much about the
-        # vertical: the mean of the squares, less what the accelerometers' bias explains before and behind.
+        # vertical: the mean square of both, less that of the accelerometers' bias in both positions.
         lean = (by_gyros @ attitude[2])[:2]
         by_lean = 0.5 * float(lean @ lean) - 2.0 * self.errors.accel_bias**2
         error = before.azimuth_error_now.then(error).then(AzimuthError(max(by_lean - variance, 0.0)))
         new = angle_of(turn.rotation) > NEW_POSITION
-        angle, sd = _turned(before.attitude, attitude), math.sqrt(max(variance, by_lean))
+        angle, sd = np.degrees([_turned(before.attitude, attitude), math.sqrt(max(variance, by_lean))])
         begun_s, what = self.motion.begun_s, "a new position, " if new else ""
         self.events.append(
             f"alignment: the unit turned at {begun_s:.1f} s for {rest[0].begun_s - begun_s:.1f} s: left out; "
-            f"{what}turned by {math.degrees(angle):.2f}° ± {math.degrees(sd):.2f}° about the vertical"
+            f"{what}turned by {angle:.2f}° ± {sd:.2f}° about the vertical"
         )
         before.fit = before.fit and before.fit.averaged()
-        before.sums = np.empty((0, 7))
+        before.sums = np.empty((0, 7))  # its rows are not needed any more
         # A gyro that was not vertical before has another bias.
         still_rate = before.still_rate if attitude[2] @ before.attitude[2] > SAME_UP else math.nan
         ordinal = before.ordinal + new
@@ -151,15 +147,16 @@ class Aligner:
             if here.rest_s > FORGET_S:
                 here.forget_half()
             return False
-        here.azimuth_error, here.fit, here.creep_angle = fit.azimuth_error, fit, 0.0
+        here.fit, here.fitted_angle = fit, here.creep_angle
         white = np.median([each.white for each in self._fits])
         self.errors = sensor_errors(math.sqrt(white), self.parameters)
-        # Positions in which the same axis is up have one bias.  It is taken to be smaller than a creep.
+        # Positions in which the same axis is up have one bias, and the nearest to the earth rate is at rest.
         earth_up = EARTH_RATE * math.sin(self.latitude)
         same = [other for other in self._fits if other.attitude[2] @ fit.attitude[2] > SAME_UP]
         still = min(same, key=lambda other: abs(other.vertical - earth_up))
         here.still_rate = still.vertical
-        # Where the bias is larger than the creep, any of them may be the one at rest.
+        # If another was, the true rate at rest lies between the earth rate and that one's: the unit may creep
+        # by up to their difference, but not by more than the largest difference between positions.
         largest = max(_vertical_change(fit, other) for other in same)
         self.creep_rate = max(_vertical_change(fit, still), min(abs(still.vertical - earth_up), largest))
         return True
@@ -187,7 +184,7 @@ class Aligner:
         # A unit that creeps at a constant rate points elsewhere than in the middle of the record.
         creep = 0.5 * self.creep_rate * here.rest_s
         self.posterior = new._replace(sd=min(math.hypot(max(new.sd, change), creep), ANY_ANGLE_SD))
-        self.fitted_error = here.azimuth_error
+        self.fitted_error = self._fits[-1].azimuth_error
         self.history.append((self.rest_s, new.north, self.posterior.sd))
 
     def _heading_at(self, attitude: FloatArray, error: AzimuthError) -> Estimate:
@@ -208,6 +205,7 @@ class Aligner:
         turning = AzimuthError.of(self.motion.turn, here.attitude[2])
         joint = self._heading_at(self.attitude, here.azimuth_error_now.then(turning))
         found, fit = {"joint": joint}, self._fits[-1]
+        # A Hann-weighted mean has 1.5 times the variance.
         for name, mean, factor in (("gyro_mean", fit.gyro_mean, 1.0), ("hann_mean", fit.hann_mean, 1.5)):
             heading = joint.heading + cmath.phase(mean) - self.posterior.north
             rate_sd = math.sqrt(factor * fit.white / fit.rest_s + self.posterior.rate_sd**2)
@@ -218,8 +216,8 @@ class Aligner:
         """Return the time until the wanted sigma, if all of sigma that is no bias is noise."""
         if self.posterior is None or math.isnan(joint.heading):
             return math.inf
-        alone = self.positions[-1].ordinal == 1  # several positions separate the bias from the earth rate
-        by_bias = alone * (self.posterior.rate_sd / self.earth_horizontal) ** 2
+        by_bias = (self.posterior.rate_sd / self.earth_horizontal) ** 2
+        by_bias *= self.positions[-1].ordinal == 1  # several positions separate it from the earth rate
         now, wanted = joint.sd**2 - by_bias, self.wanted_sd**2 - by_bias
         return max(self.rest_s * (now / wanted - 1.0), 0.0) if wanted > 0.0 else math.inf
 
@@ -247,8 +245,10 @@ class Aligner:
             self._update_heading()
         if self.posterior is None:
             return []
-        at = [(each, self._heading_at(each.attitude, each.azimuth_error_now)) for each in self.positions]
-        return [PositionHeading(run, each.begun_s, each.ended_s, *heading) for each, heading in at]
+        return [
+            PositionHeading(run, at.begun_s, at.ended_s, *self._heading_at(at.attitude, at.azimuth_error_now))
+            for at in self.positions
+        ]
 
 
 def _vertical_change(fit: PositionFit, other: PositionFit) -> float:

@@ -2,7 +2,7 @@
 
 A horizontal vector is complex: forward + i left.  y, rad/s, is the horizontal rate by the gyros, less what
 the tilt makes of the vertical one, and α, rad, the angle by the accelerometers: tilt about forward + i that
-about left.  t begins with the record; (1) to (3) are in docs/alignment.md::
+about left.  t begins with the record.  Equations have the numbers of docs/appendix/alignment-details.md::
 
     gyros            y = c + b + Σ A_k ds_k/dt + noise,              s_k = 1 - exp(-t/τ_k)      (4)
     accelerometers   α = Σ A_k s_k + Σ B_j w_j + walk + noise,       w_j = 1 - exp(-t/T_j)      (5)
@@ -24,7 +24,7 @@ import numpy as np
 
 from imumon.blocks import BoolArray, ColumnArray, FloatArray
 from imumon.estimation.alignment.parameters import ANY_WARM_UP, KnownWarmUp
-from imumon.estimation.alignment.position import Position, PositionFit, upright
+from imumon.estimation.alignment.position import AzimuthError, Position, PositionFit, upright
 from imumon.geodesy import EARTH_RATE, STANDARD_GRAVITY
 
 CELLS = (96, 24, 6)
@@ -37,7 +37,7 @@ TREND_ORDER = 5
 """Coefficients of the polynomial trend that is removed before the scatter is computed; at most a quarter of
 the used cells."""
 KNOCK = 10.0
-"""Residual, in medians of the residuals, above which a cell is rejected (ablation)."""
+"""Residual, in medians of the residuals, above which a cell is rejected; row "knocks" of the ablation."""
 MIN_VARIANCE = 1e-18
 """Lower bound of the variance of a cell, (rad/s)² or rad², for readings that do not change at all."""
 CREEP_CELLS, CREEP_ANGLE, CREEP_NOISE = 12, 3e-4, 4.0
@@ -47,7 +47,7 @@ MIN_PERIODS, LEFT_SHARE = 1.5, 0.3
 """A line of the sway has so many periods in the record at least (a slower sway is left to the trend and the
 tilt), and leaves this share of the variance at most: noise and knocks have power at all frequencies."""
 TILT_TAU_S = np.geomspace(5.0, 640.0, 8)
-"""Time constants of a unit that tilts, as a tripod that settles, in octaves."""
+"""Time constants of a unit that tilts, as a tripod that settles, in octaves; assumed."""
 TILT_SD, P_TILTS = (1e-5, 1e-4, 1e-3), 0.3
 """Standard deviation of the amplitudes of a unit that tilts, rad, and the prior probability that it does.
 With 0.03 a slow tilt passes for a bias, 9 sigma off."""
@@ -55,7 +55,7 @@ TILTS = np.vstack([sd * sum(np.eye(6, 8, k) for k in range(3)) for sd in TILT_SD
 """Standard deviation of each amplitude, rad, (18, 8): three neighbouring exponentials of one size.  With all
 eight at once a tripod that settles by 200 µrad in 60 s is 2.7° off after 20 s, not 0.4° (rms of four)."""
 WALK = 1e-7
-"""Random walk of a warmed-up accelerometer, g/√s."""
+"""Random walk of a warmed-up accelerometer, g/√s; assumed."""
 
 
 def fit_position(record: Position, latitude: float, known: KnownWarmUp | None) -> PositionFit | None:
@@ -86,18 +86,23 @@ def fit_position(record: Position, latitude: float, known: KnownWarmUp | None) -
     steps = np.diff(np.eye(count), axis=0)[alpha_used[1:] & alpha_used[:-1]]
     noise = alpha_variance * steps @ correlation @ steps.T + WALK**2 * cell_s * np.eye(len(steps))
     information += _information(steps @ windows @ alpha_design, steps @ alpha_cells, noise)
-    log_weight, rate, rate_variance = _constant_rate(information, *_hypotheses(warm_sd, len(warm_tau_s)))
+    # Amplitudes are integrated over their prior: mean of c + b and variance of each of its parts are left.
+    sd, prior = _hypotheses(warm_sd, len(warm_tau_s))
+    precision, of_rate, log_weight = eliminate(information[:, :-2], information[:, -2:], sd)
+    rate_variance = 1.0 / precision[:, 0, 0]
+    rate = of_rate[:, 0, :] * rate_variance[:, None]
+    log_weight += 0.5 * np.sum(rate**2, axis=1) / rate_variance + np.log(rate_variance) + np.log(prior)
     up_cells = windows @ gyro[:, 2]
     up_variance, up_used, _ = _scatter(up_cells, used, 1)
     return PositionFit(
         log_weight=log_weight,
-        rate=rate + y_mean,
+        rate=rate @ np.array([1.0, 1j]) + y_mean,
         variance=rate_variance,
         vertical=float(up_cells[up_used].mean()),
         vertical_variance=(1.0 + 2.0 * OVERLAP) * up_variance / float(up_used.sum()),
         white=min(variance, up_variance) * row_s / float(np.sum(windows[0] ** 2)),
         attitude=attitude,
-        azimuth_error=record.azimuth_error_now,
+        azimuth_error=record.azimuth_error.then(AzimuthError(record.creep_angle**2)),
         gyro_mean=complex(y[valid].mean()),
         hann_mean=complex(np.hanning(valid.sum()) @ y[valid]),
         rest_s=record.rest_s,
@@ -107,10 +112,7 @@ def fit_position(record: Position, latitude: float, known: KnownWarmUp | None) -
 def _horizontal(
     record: Position, known: KnownWarmUp | None
 ) -> tuple[BoolArray, FloatArray, ColumnArray, FloatArray]:
-    """Return which rows have samples, (n,), the gyros in horizontal axes, (n, 3), α, (n,), and these axes.
-
-    They are the attitude from body axes by the mean specific force, (3, 3).
-    """
+    """Return which rows have samples, (n,), the gyros in horizontal axes, (n, 3), α, and the attitude."""
     valid, means = record.rows()
     force = means[:, 3:] / STANDARD_GRAVITY
     attitude = upright(record.attitude[0], force[valid].mean(axis=0))
@@ -166,12 +168,10 @@ def _strongest_periods(y: ColumnArray) -> float:
 
 
 def _amplitudes(columns: FloatArray, data: ColumnArray, valid: BoolArray) -> ColumnArray:
-    """Return the least-squares solution over the valid rows.
-
-    The slow columns are almost dependent.  The weak prior keeps them from following a sway all the same.
-    """
+    """Return the least-squares solution over the valid rows."""
     columns = columns[valid]
     normal = columns.T @ columns
+    # The slow columns are almost dependent: a weak prior keeps them from following a sway.
     normal.flat[:: len(normal) + 1] *= 1.0 + 1e-9
     return np.asarray(np.linalg.solve(normal, columns.T @ data[valid]))
 
@@ -193,10 +193,7 @@ def _divide(y: ColumnArray, valid: BoolArray) -> tuple[FloatArray, BoolArray, fl
 
 
 def _cells(valid: BoolArray, count: int) -> tuple[FloatArray, BoolArray] | None:
-    """Return Hann windows that overlap by half, (count, n), and which have all rows; None if too few have.
-
-    Each sums to one.
-    """
+    """Return Hann windows of sum one, (count, n), and which have all rows; None if too few have."""
     n = len(valid)
     row = (np.arange(n) + 0.5) * ((count + 1) / n)
     from_middle = np.minimum(np.abs(row - np.arange(1, count + 1)[:, None]), 1.0)
@@ -208,10 +205,7 @@ def _cells(valid: BoolArray, count: int) -> tuple[FloatArray, BoolArray] | None:
 
 
 def _scatter(values: ColumnArray, used: BoolArray, order: int) -> tuple[float, BoolArray, float]:
-    """Return the variance of cells about a trend, those used without knocks, and the degrees of freedom.
-
-    `values` (cells,) are real, or complex with the same variance in both parts.
-    """
+    """Return the variance of cells (of each part) about a trend, those without knocks, and its freedom."""
     basis, square = _trend(len(values), max(1, min(order, int(used.sum()) // 4))), np.zeros(len(values))
     for _ in range(3):  # a knock hides smaller ones
         square = np.abs(values - basis @ np.linalg.lstsq(basis[used], values[used], rcond=None)[0]) ** 2
@@ -228,15 +222,10 @@ def _trend(n: int, order: int) -> FloatArray:
 
 def _designs(n: int, row_s: float, warm_tau_s: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the design matrices of (4) and (5): y = D x, α = D x in each row, (n, k)."""
-    (tilt, tilt_rate), (warm, _) = (_exponentials(n, row_s, tau_s) for tau_s in (TILT_TAU_S, warm_tau_s))
-    one = np.ones((n, 1))
-    return np.hstack([one, tilt_rate, 0.0 * warm]), np.hstack([0.0 * one, tilt, warm])
-
-
-def _exponentials(n: int, row_s: float, tau_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return mean and rate of change, 1/s, of 1 - exp(-t/τ) in each row, (n, len(tau_s)) each."""
-    ends = -np.expm1(-row_s * np.arange(n + 1.0)[:, None] / tau_s)
-    return 0.5 * (ends[1:] + ends[:-1]), np.diff(ends, axis=0) / row_s
+    ends = -np.expm1(-row_s * np.arange(n + 1.0)[:, None] / np.concatenate([TILT_TAU_S, warm_tau_s]))
+    rate = np.diff(ends, axis=0) / row_s
+    rate[:, len(TILT_TAU_S) :] = 0.0  # a warm-up does not turn the unit
+    return np.insert(rate, 0, 1.0, axis=1), np.insert(0.5 * (ends[1:] + ends[:-1]), 0, 0.0, axis=1)
 
 
 def _information(design: FloatArray, data: ColumnArray, covariance: FloatArray) -> FloatArray:
@@ -254,17 +243,6 @@ def _hypotheses(warm_sd: float, warm_ups: int) -> tuple[FloatArray, FloatArray]:
     tilt = np.vstack([np.zeros(len(TILT_TAU_S)), TILTS])
     warm = np.outer(np.repeat([0.0, warm_sd], len(tilt)), np.ones(warm_ups))
     return np.hstack([np.tile(tilt, (2, 1)), warm]), np.tile(prior, 2)
-
-
-def _constant_rate(
-    information: FloatArray, sd: FloatArray, prior: FloatArray
-) -> tuple[FloatArray, ColumnArray, FloatArray]:
-    """Return log weight, mean of c + b, rad/s, and variance of each of its parts, by Λ and η of x."""
-    precision, of_rate, log_weight = eliminate(information[:, :-2], information[:, -2:], sd)
-    variance = 1.0 / precision[:, 0, 0]
-    mean = of_rate[:, 0, :] * variance[:, None]
-    log_weight += 0.5 * np.sum(mean**2, axis=1) / variance + np.log(variance) + np.log(prior)
-    return log_weight, mean @ np.array([1.0, 1j]), variance
 
 
 def eliminate(

@@ -67,8 +67,8 @@ class AlignmentParameters(StrictModel):
         A heading with a larger sigma is not shown.  That of a MEMS gyro whose bias happens to be small is 7
         to 12 degrees.
     gyro_bias_sd_deg_per_h : float, optional
-        Standard deviation of a gyro's bias, from run to run.  Default: a regression on the noise, wide by a
-        factor of 4.5 (one sigma), and the data weigh its size by how well the rate fits the earth's.
+        Standard deviation of a gyro's bias, from run to run.  Default: a regression on the noise, with a
+        factor of 4.5 either way (one sigma), of which the data weigh what fits the earth rate.
     gyro_flicker_deg_per_h : float, optional
         Standard deviation by which the bias changes from position to position: the bias instability.
         Default: 0.
@@ -80,8 +80,6 @@ class AlignmentParameters(StrictModel):
         a regression on the noise of the gyros, 750 at least.
     known_warm_up : KnownWarmUp, optional
         Counted from the first sample of the device.
-    coarse_s, corner_hz, damping
-        Not used any more: the published loop has the values of its paper.
     """
 
     settled_deg: float = Field(default=0.05, gt=0.0, le=90.0)

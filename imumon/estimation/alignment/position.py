@@ -36,25 +36,18 @@ every 10 s."""
 
 
 class Slot(NamedTuple):
-    """Mean rate, rad/s, (3,), and specific force, m/s², (3,), over a slot, in body axes.
+    """Means over a slot, in body axes."""
 
-    It begins `begun_s` s after the first sample of the segment, a multiple of `SLOT_S`.
-    """
-
-    begun_s: float
-    rate: FloatArray
-    force: FloatArray
+    begun_s: float  # since the first sample of the segment, s: a multiple of `SLOT_S`
+    rate: FloatArray  # rad/s, (3,)
+    force: FloatArray  # specific force, m/s², (3,)
 
 
 class AzimuthError(NamedTuple):
-    """What may be wrong with the angle about the vertical by which the gyros have turned a unit.
+    """What may be wrong with the angle about the vertical by which the gyros have turned a unit."""
 
-    `by_scale` (3, 3), rad, is that angle by each element of E, scale and misalignment, which is the same in
-    all turns; the `variance`, rad², is by all else.
-    """
-
-    variance: float = 0.0
-    by_scale: FloatArray = np.zeros((3, 3))
+    variance: float = 0.0  # by all but E, rad²
+    by_scale: FloatArray = np.zeros((3, 3))  # the angle by each element of E, the same in all turns, rad
 
     @classmethod
     def of(cls, turn: Turn, up: FloatArray) -> AzimuthError:
@@ -74,24 +67,18 @@ class AzimuthError(NamedTuple):
 
 
 class PositionFit(NamedTuple):
-    """Rate of one position given each of h hypotheses, in horizontal axes, complex: forward + i left.
+    """Rate of one position given each of h hypotheses, in horizontal axes, complex: forward + i left."""
 
-    `log_weight` (h,) is that of prior and evidence; `rate` (h,) earth rate and bias, rad/s, with the variance
-    of each part; `vertical` is the vertical gyro, rad/s, and `white` the white noise, (rad/s)²/Hz, of the
-    quieter of both horizontal gyros together and the vertical one; `attitude` (3, 3) is from body axes.
-    `gyro_mean` and `hann_mean` have the directions of plain and Hann-weighted mean over `rest_s`, s.
-    """
-
-    log_weight: FloatArray
-    rate: ColumnArray
-    variance: FloatArray
-    vertical: float
+    log_weight: FloatArray  # of prior and evidence, (h,)
+    rate: ColumnArray  # earth rate and bias, rad/s, (h,)
+    variance: FloatArray  # of each part of it, (h,)
+    vertical: float  # gyro, rad/s
     vertical_variance: float
-    white: float
-    attitude: FloatArray
+    white: float  # noise of the quieter of both horizontal gyros together and the vertical one, (rad/s)²/Hz
+    attitude: FloatArray  # from body axes, (3, 3)
     azimuth_error: AzimuthError
-    gyro_mean: complex
-    hann_mean: complex
+    gyro_mean: complex  # has the direction of the plain mean
+    hann_mean: complex  # and of the Hann-weighted one
     rest_s: float
 
     def averaged(self) -> PositionFit:
@@ -111,19 +98,18 @@ class Position:
     row without slots is a gap in the data.
 
     `attitude` (3, 3) is from body axes to the reference frame, and `azimuth_error` what may be wrong with the
-    turns since the first position.  `ordinal` counts from 1 the attitudes that differ enough to separate a
-    bias from the earth rate.  Times are since the first sample of the segment.
+    turns from the first position to this one.  `ordinal` counts from 1 the attitudes that differ enough to
+    separate a bias from the earth rate.  Times are since the first sample of the segment.
     """
 
     begun_s: float
     attitude: FloatArray
     azimuth_error: AzimuthError = field(default_factory=AzimuthError)
     ordinal: int = 1
-    still_rate: float = math.nan
-    """Of the vertical gyro without a creep, rad/s; NaN before a fit with the same axis up."""
+    still_rate: float = math.nan  # of the vertical gyro, rad/s; NaN before a fit with the same axis up
     fit: PositionFit | None = None
-    creep_angle: float = 0.0
-    """By the vertical gyro less `still_rate`, since the last fit or the beginning, rad."""
+    creep_angle: float = 0.0  # by the vertical gyro less `still_rate`, since the beginning, rad
+    fitted_angle: float = 0.0  # that until the last fit
     ended_s: float = math.nan
     row_s: float = SLOT_S
     sums: FloatArray = field(default_factory=lambda: np.zeros((CAPACITY, 7)))
@@ -142,14 +128,9 @@ class Position:
 
     def forget_half(self) -> None:
         """Drop the first half of the rows."""
-        half = self.complete_rows // 2
+        half = len(self.rows()[0]) // 2
         self.sums = np.concatenate([self.sums[half:], np.zeros((half, 7))])
         self.begun_s += half * self.row_s
-
-    @property
-    def complete_rows(self) -> int:
-        """Number of rows which have ended."""
-        return int((self.ended_s - self.begun_s) / self.row_s)
 
     @property
     def rest_s(self) -> float:
@@ -158,12 +139,13 @@ class Position:
 
     @property
     def azimuth_error_now(self) -> AzimuthError:
-        """`azimuth_error`, and what the unit has crept since the last fit."""
-        return self.azimuth_error.then(AzimuthError(self.creep_angle**2))
+        """`azimuth_error`, and what the unit may have crept until the last fit and since then."""
+        since_fit = self.creep_angle - self.fitted_angle
+        return self.azimuth_error.then(AzimuthError(self.fitted_angle**2 + since_fit**2))
 
     def rows(self) -> tuple[BoolArray, FloatArray]:
         """Return which complete rows have samples, (n,), and the mean rates and forces, (n, 6)."""
-        sums = self.sums[: self.complete_rows]
+        sums = self.sums[: int((self.ended_s - self.begun_s) / self.row_s)]
         count = sums[:, 0]
         return count > 0.0, sums[:, 1:] / np.maximum(count, 1.0)[:, None]
 
@@ -193,25 +175,20 @@ class Motion:
     """
 
     def __init__(self) -> None:
-        self.rest_rate = np.full(3, np.nan)
-        """Median rate at rest, rad/s; NaN before the first rest."""
-        self.limit = MOTION_RATE
-        """Distance from it that is still rest, rad/s."""
-        self.recent: deque[FloatArray] = deque(maxlen=MEDIAN_SLOTS)
-        """Rates of slots at rest."""
-        self.pending: deque[Slot] = deque(maxlen=SWAYING_SLOTS)
-        """The latest slots that are not known to be rest."""
+        self.rest_rate = np.full(3, np.nan)  # median rate at rest, rad/s; NaN before the first rest
+        self.limit = MOTION_RATE  # distance from it that is still rest, rad/s
+        self.recent: deque[FloatArray] = deque(maxlen=MEDIAN_SLOTS)  # rates of slots at rest
+        self.pending: deque[Slot] = deque(maxlen=SWAYING_SLOTS)  # slots that are not known to be rest
         self.moving, self.begun_s = False, 0.0
         """Whether the unit moves, or came to rest less than 2 s ago; when the last motion began, s since the
         first sample."""
-        self.turn = STILL
-        """Since the motion began."""
+        self.turn = STILL  # since the motion began
 
     def step(self, slot: Slot, at_rest: bool, turn: Turn) -> tuple[list[Slot], Turn]:
         """Return the slots that are known to be rest with this one, and the turn before them.
 
-        `turn` is that within the slot.  There are none before the first rest and in motion; a rest that
-        begins has those before it.
+        `turn` is that within the slot.  There are none in motion and before the first rest, for which alone
+        `at_rest` counts; a rest that begins has those before it.
         """
         self.pending.append(slot)
         if np.isnan(self.rest_rate[0]) and not (at_rest and self._is_first_rest()):
@@ -228,6 +205,7 @@ class Motion:
         if self.moving or slot.begun_s % (SLOT_S * SWAYING_SLOTS) == 0.0:
             self.rest_rate = np.median(self.recent, axis=0)
             largest = float(np.abs(self.recent - self.rest_rate).max())
+            # A deviation up to the limit may raise it; the cap bounds that.
             self.limit = min(max(MOTION_RATE, LIMIT_FACTOR * largest), SWAYING_RATE)
         ended, self.moving, self.turn = self.turn, False, STILL
         return rest, ended

@@ -1,8 +1,8 @@
 """The heading from all positions: a mixture over hypotheses and sizes of the gyros' bias.
 
-`aligner` calls `heading_posterior` with the fits of all positions.  Rates are in the reference frame
-(forward, left and up of the first position).  There the earth rate ω is Ω (cos L z, sin L), with the
-direction of north z, a level unit vector.  A fit has the rates w_p of a position with the attitude C_p::
+Rates are in the reference frame (forward, left and up of the first position).  There the earth rate ω is
+Ω (cos L z, sin L), with the direction of north z, a level unit vector.  A fit has the rates w_p of a position
+with the attitude C_p::
 
     w_p = ω + C_p (b + E C_pᵀ ω) + ω × (u × C_p β) + flicker + noise    u up                     (6)
     z'  = z + (Σ T_ij E_ij + N(0, v)) J z                               a turn; J turns by 90°   (7)
@@ -49,8 +49,9 @@ GYRO_SCALE, ACCEL_BIAS, ERROR_POWER, MOST_ERROR = 3e-4, 7.5e-4, 1.4, 100.0
 """Scale factor and misalignment of a gyro, and bias of an accelerometer, g, of gyros with 0.1 °/√h at most;
 of others they grow with this power of the ratio, up to 100 times."""
 LOG_SIZES, LOG_SIZE_SD = np.linspace(-4.0, 4.0, 9), 1.5
-"""Logarithms of the sizes of a bias over that of the regression, and their standard deviation."""
+"""Logarithms of the sizes of a bias over that of the regression, and their standard deviation; assumed."""
 AXES = np.array(list(product([0.0, 1.0], repeat=3)))[1:]
+"""Which gyros are worse, (7, 3)."""
 WORSE = np.exp(np.concatenate([log_factor * AXES for log_factor in (2.0, 4.0, 6.0, 8.0, 10.0)]))
 """Factors by which one, two or all gyros are worse than that, (35, 3): up to 31 °/h for the best of them."""
 P_WORSE, P_WORSE_THAN_DECLARED = 0.003, 0.001
@@ -65,26 +66,22 @@ QUARTIC = 0.152
 
 
 class SensorErrors(NamedTuple):
-    """Standard deviations of the errors of gyros and accelerometers.
+    """Standard deviations of the errors of gyros and accelerometers."""
 
-    `sizes` (s, 3) of the gyros' biases, rad/s, have the log probabilities `log_prior` (s,); `flicker` is what
-    changes from position to position, rad/s; `scale` is that of each element of E, which changes the earth
-    rate at rest if `scale_declared`, and `accel_bias` that of β, g.
-    """
-
-    sizes: FloatArray
-    log_prior: FloatArray
-    flicker: float
-    scale: float
-    scale_declared: bool
-    accel_bias: float
+    sizes: FloatArray  # of the gyros' biases, rad/s, (s, 3)
+    log_prior: FloatArray  # log probabilities of these, (s,)
+    flicker: float  # change of the bias from position to position, rad/s
+    scale: float  # of each element of E
+    scale_declared: bool  # whether E changes the earth rate at rest
+    accel_bias: float  # of β, g
 
 
 def sensor_errors(arw: float, parameters: AlignmentParameters) -> SensorErrors:
     """Return the declared errors, and the regression on an angular random walk, rad/√s, for the others."""
     ratio = arw / (math.radians(0.1) / 60.0)
     bias = min(GYRO_BIAS * max(ratio, LEAST_ARW) ** BIAS_POWER, EARTH_RATE)
-    alike, share, p_worse = bias * np.exp(LOG_SIZES), np.exp(-0.5 * (LOG_SIZES / LOG_SIZE_SD) ** 2), P_WORSE
+    alike, p_worse = bias * np.exp(LOG_SIZES), P_WORSE
+    share = np.exp(-0.5 * (LOG_SIZES / LOG_SIZE_SD) ** 2)
     if parameters.gyro_bias_sd_deg_per_h is not None:
         declared = parameters.gyro_bias_sd_deg_per_h * DEG_PER_H
         alike, share = np.array([declared]), np.ones(1)
@@ -103,17 +100,12 @@ def sensor_errors(arw: float, parameters: AlignmentParameters) -> SensorErrors:
 
 
 class HeadingPosterior(NamedTuple):
-    """Direction of north, counter-clockwise in the reference frame, rad, and its standard deviation.
-
-    `rate_sd`, rad/s, is the size of the prior of b, E and β in a horizontal gyro, by weight of the posterior,
-    and `worse` the probability that gyros are `WORSE` than declared or, if nothing is declared, than the
-    regression.
-    """
+    """Direction of north, counter-clockwise in the reference frame, rad, and its standard deviation."""
 
     north: float
     sd: float
-    rate_sd: float
-    worse: float
+    rate_sd: float  # prior of b, E and β in a horizontal gyro, by weight of the posterior, rad/s
+    worse: float  # probability that gyros are `WORSE` than declared, or than the regression
 
 
 def heading_posterior(
@@ -157,6 +149,7 @@ def _linear_model(
     """Return Λ and η of x given each hypothesis, (h, 17, 17) and (h, 17, 1), and its log weight."""
     north, vertical = np.array([math.cos(about), math.sin(about)]), EARTH_RATE * math.sin(latitude)
     matrix, vector = np.zeros((1, 17, 17)), np.zeros((1, 17, 1))
+    # Fits before the last have one hypothesis, and so no weight.
     log_density, before = fits[-1].log_weight, fits[0].azimuth_error
     for fit in fits:
         matrix, vector = _behind_turn(matrix, vector, before, fit.azimuth_error, north)
@@ -173,10 +166,7 @@ def _linear_model(
 
 
 def _design(attitude: FloatArray, north: FloatArray, latitude: float, with_scale: bool) -> FloatArray:
-    """Return the design matrix of (6), (3, 17): w_p less the vertical earth rate is that times x.
-
-    `attitude` is C_p, and `north` (2,) the z that multiplies E and β.
-    """
+    """Return the design matrix of (6), (3, 17), by C_p and the z that multiplies E and β, (2,)."""
     horizontal, vertical = EARTH_RATE * math.cos(latitude), EARTH_RATE * math.sin(latitude)
     earth = np.array([*(horizontal * north), vertical])
     by_scale = with_scale * np.kron(attitude, attitude.T @ earth)

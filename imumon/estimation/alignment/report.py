@@ -20,43 +20,29 @@ class Estimate(NamedTuple):
 
 
 class PositionHeading(NamedTuple):
-    """Heading in one position by all positions, rad; NaN where it is not observable.
+    """Heading in one position by all positions, rad; NaN where it is not observable."""
 
-    `run` counts the device's segments from 1; the times are since the first sample of it.
-    """
-
-    run: int
-    begun_s: float
+    run: int  # of the device's segments, from 1
+    begun_s: float  # since its first sample
     ended_s: float
     heading: float
     sd: float
 
 
 class Status(NamedTuple):
-    """State of an alignment at the end of a block, rad and s.
-
-    `wanted_sd` is the sigma wanted, `elapsed_s` the time since the first sample, and `rest_s` that at rest.
-
-    `estimates` are the joint fit, which is the heading shown, and plain and Hann-weighted mean of the gyros;
-    empty before the first fit.  `settled_s` is the time from the first sample until the heading settled, None
-    if it is not settled, and `remaining_s` the predicted time until then, infinite if unknown or never.
-
-    `positions` counts the positions, the present one included; `position_s` is the time at rest in it, and
-    `position_sd` the sigma of the heading by its white noise alone.  `turned` is the change of heading since
-    the previous position, also during a turn, while `moving`.
-    """
+    """State of an alignment at the end of a block, rad and s."""
 
     wanted_sd: float
-    elapsed_s: float
+    elapsed_s: float  # since the first sample
     moving: bool
     rest_s: float = 0.0
-    estimates: Mapping[str, Estimate] = {}
-    settled_s: float | None = None
-    remaining_s: float = math.inf
-    positions: int = 0
-    position_s: float = 0.0
-    position_sd: float = math.inf
-    turned: float = 0.0
+    estimates: Mapping[str, Estimate] = {}  # joint fit and means of the gyros; empty before the first fit
+    settled_s: float | None = None  # since the first sample; None if it is not settled
+    remaining_s: float = math.inf  # predicted; infinite if unknown or never
+    positions: int = 0  # the present one included
+    position_s: float = 0.0  # at rest in it
+    position_sd: float = math.inf  # of its heading by white noise alone
+    turned: float = 0.0  # since the previous position, also while `moving`
 
     @property
     def shown(self) -> Estimate:

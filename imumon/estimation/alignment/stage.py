@@ -46,8 +46,7 @@ class Alignment:
         axes: Literal["FRD", "FLU"] | None = None,
         sent: Collection[str] = (),
     ) -> None:
-        self._parameters = parameters or AlignmentParameters()
-        self._latitude_deg = latitude_deg
+        self._parameters, self._latitude_deg = parameters or AlignmentParameters(), latitude_deg
         self._events = [f"alignment: {name} is not used any more" for name in retired(self._parameters)]
         """Messages that were not reported yet."""
         self._aligner = Aligner(self._parameters, latitude_deg, self._events)
@@ -59,8 +58,7 @@ class Alignment:
         self._prefix = "aligned_" if {"roll", "pitch"} & set(sent) else ""
         self._origin_ns = self._segment = self._run = 0
         """The first time of the segment, its number in the data, and by the count of segments."""
-        self._index = -1
-        """Number of the last slot with samples in the segment."""
+        self._index = -1  # of the last slot with samples in the segment
         self._recent: deque[FloatArray] = deque(maxlen=CALM_SLOTS)
         """Specific force, m/s², and magnetic field of the last 2 s, (6,); the mean force is up at rest."""
         self._reported: set[str] = set()
@@ -80,11 +78,10 @@ class Alignment:
             "roll_drift": "change of roll since the first rest",
             "pitch_drift": "change of pitch since the first rest",
             "heading_magnetic": "heading of the body x axis from magnetic north",
-            "heading_gyro_mean": "heading by the gyro mean",
-            "heading_gyro_mean_sd": "its standard deviation",
-            "heading_hann_mean": "heading by the hann mean",
-            "heading_hann_mean_sd": "its standard deviation",
         }
+        for mean in ("gyro", "hann"):
+            texts[f"heading_{mean}_mean"] = f"heading by the {mean} mean"
+            texts[f"heading_{mean}_mean_sd"] = "its standard deviation"
         return [Column(name, "rad", description=text) for name, text in texts.items()]
 
     def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
@@ -123,8 +120,9 @@ class Alignment:
         if SLOT_S * (missing + 1) > LONGEST_GAP_S:
             self._restart(f"samples are missing at {end_s:.1f} s for {SLOT_S * missing:.1f} s")
         mean, turn, at_rest = slots.mean[k].copy(), slots.turns[k], bool(slots.smallest[k, -1] > 0.0)
-        # A slow device: a sample stands for the slots before it, but alone it is no calm of 2 s.
-        for number in range(max(self._index + 1, index - CALM_SLOTS + 2), index + 1):
+        # A sample of a slow device stands for the slots before it, but alone it is no calm of 2 s.
+        first = self._index + 1 if missing <= CALM_SLOTS - 2 else index
+        for number in range(first, index + 1):
             self._recent.append(mean[3:9])
             self._aligner.step(Slot(SLOT_S * number, mean[:3], mean[3:6]), at_rest, turn)
             turn = STILL

@@ -81,8 +81,7 @@ class Fusion:
 
     def __init__(self, begins_at: float) -> None:
         self._begins_at = begins_at
-        self.restarts = 0
-        """How often an attitude has ended, for another to begin."""
+        self.restarts = 0  # how often an attitude has ended, for another to begin
         self._begin()
 
     def _begin(self) -> None:
@@ -92,12 +91,9 @@ class Fusion:
         self._vqf: VQF | None = None
         self._interval_s = 0.0
         self._bias_known = False
-        self._delta = math.nan
-        """Of a relative heading."""
-        self.north = False
-        """Whether the heading refers to the magnetometer."""
-        self.disturbed = False
-        """Whether VQF takes the magnetic field for disturbed."""
+        self._delta = math.nan  # of a relative heading
+        self.north = False  # whether the heading refers to the magnetometer
+        self.disturbed = False  # whether VQF takes the field for disturbed
 
     @property
     def begun(self) -> bool:
@@ -134,6 +130,7 @@ class Fusion:
         self._fields += bool(field.any())
         if len(self._first_ns) > RATE_SAMPLES and accel.any():
             self._interval_s = max(float(np.median(np.diff(self._first_ns))), 1.0) * 1e-9
+            # The interval of the magnetometer, which may be slower.
             field_s = self._interval_s * len(self._first_ns) / (self._fields or len(self._first_ns))
             self._vqf = VQF(self._interval_s, magTs=field_s, tauAcc=TAU_ACC_S, tauMag=TAU_MAG_S)
 

@@ -29,7 +29,7 @@ from imumon.models.magnetometer import MagnetometerModel
 SLOT_S = 0.5
 """Length of a slot, s: short beside τ."""
 LAG_S = 2.0 * TAU_ACC_S
-"""Lag of d, s, after which VQF's low-pass has forgotten; m is the mean over three.  Ablation."""
+"""Lag of d, s, after which VQF's low-pass has forgotten; m is the mean over three lags.  Ablation."""
 ACCEL_SD = 0.075
 """a0 of accelerometers that are not declared, m/s²: 7.6 mg, between 5 and 10 mg of a calibrated unit.  A
 prior that a single pose cannot correct: it does not separate 5 mg from 40."""
@@ -39,7 +39,7 @@ SCALE_TURN = 2.0
 """w0, rad²: s0 counts like so much turn.  Ablation."""
 CONFIRMING_TURN = 0.1
 """rad² of tilt by turns about the gyros' own axes that confirm them.  Each turn counts half: a quick tilt of
-18° that is held for 3 s and taken back is enough, or one of 26° alone.  With 0.05 a robot arm whose gyros x
+19° that is held for 3 s and taken back is enough, or one of 26° alone.  With 0.05 a robot arm whose gyros x
 and y are exchanged is off by up to 10 sigma.  Ablation."""
 LARGEST_CHANGE = 0.05
 """Share of that tilt by which u may change.  Ablation."""
@@ -51,25 +51,16 @@ shows it again.  Ablation."""
 
 
 class Slot(NamedTuple):
-    """Half a second of motion or rest.
+    """Half a second of motion or rest."""
 
-    end : `fusion.ROW` of the first sample behind it
-    rest : whether the unit was at rest for the whole slot, with a known bias
-    up, up_body : (3,) u at its end, in gyro-carried and in body axes
-    wrong_turns : (3, 9) the q_ij, rad, in gyro-carried axes, in column 3 i + j; zero at rest
-    missed : variance of the angle by samples that are missing, rad²
-    bias_sd : standard deviation of the gyro bias about the vertical, rad/s; NaN while it is not known
-    field : (3,) latest magnetic field in body axes, in the unit of the calibration; NaN before the first
-    """
-
-    end: Any
-    rest: bool
-    up: FloatArray
-    up_body: FloatArray
-    wrong_turns: FloatArray
-    missed: float
-    bias_sd: float
-    field: FloatArray
+    end: Any  # `fusion.ROW` of the first sample behind it
+    rest: bool  # whether the unit was at rest for the whole slot, with a known bias
+    up: FloatArray  # u at its end, in gyro-carried axes, (3,)
+    up_body: FloatArray  # and in body axes
+    wrong_turns: FloatArray  # q_ij, rad, in gyro-carried axes, in column 3 i + j, (3, 9); zero at rest
+    missed: float  # variance of the angle by samples that are missing, rad²
+    bias_sd: float  # standard deviation of the gyro bias about the vertical, rad/s; NaN while it is not known
+    field: FloatArray  # latest, in body axes, in the unit of the calibration, (3,); NaN before the first
 
 
 def tilt_squared(wrong_turns: FloatArray, up: FloatArray) -> FloatArray:
@@ -79,10 +70,11 @@ def tilt_squared(wrong_turns: FloatArray, up: FloatArray) -> FloatArray:
 
 class Accelerometers:
     """Size of the accelerometers' error (T7): e is the mean of |low-passed force| - g of each face of the
-    body that was up; a declared a is taken as it is."""
+    body that was up, in motion too, where accelerations widen it; a declared a is taken as it is."""
 
     def __init__(self, declared: float | None) -> None:
-        self.declared = declared
+        # The margin is 2, as e shows one of three components.
+        self.prior, self.margin = (ACCEL_SD**2, 2.0) if declared is None else (declared**2, 0.0)
         self.slots, self.excess = np.zeros((2, 6))
         """Of each face: slots in which it was up, and the sum of |low-passed force| - g over them, m/s²."""
 
@@ -95,12 +87,9 @@ class Accelerometers:
 
     @property
     def variance(self) -> float:
-        """a² = a0² + 2 mean e², (m/s²)²; the 2 is a margin, as e shows one of three components."""
-        if self.declared is not None:
-            return self.declared**2
+        """a² = a0² + 2 mean e², (m/s²)²."""
         squares = (self.excess / np.maximum(self.slots, 1.0)) ** 2
-        faces = int(np.count_nonzero(self.slots))
-        return ACCEL_SD**2 + 2.0 * float(squares.sum()) / max(faces, 1)
+        return self.prior + self.margin * float(squares.sum()) / max(int(np.count_nonzero(self.slots)), 1)
 
 
 @dataclass(slots=True)
@@ -108,10 +97,8 @@ class Gyros:
     """Size of the gyros' scale errors, and whether u has followed their turns: else axes may be mixed up."""
 
     declared: float | None
-    change: float = 0.0
-    """Sum of d = |u(t) - u(t - 6 s)|² (T1) over all lags, rad²."""
-    turned: float = 0.0
-    """Sum of tilt²_ij, rad²."""
+    change: float = 0.0  # sum of d = |u(t) - u(t - 6 s)|² (T1) over all lags, rad²
+    turned: float = 0.0  # sum of tilt²_ij, rad²
     followed: float = 0.0
     """Half the sum of tilt²_ii that u has had the time to follow, rad²: of turns in 3 of the 6 s of a lag."""
 
@@ -140,11 +127,6 @@ class Gyros:
         learned = (SCALE_TURN * prior + self.change) / (SCALE_TURN + self.turned)
         return learned if self.declared is None else min(learned, prior)
 
-    @property
-    def turn_variance(self) -> float:
-        """Variance of a turn over its square: s², and 1 more until the gyros are confirmed."""
-        return self.variance + (not self.confirmed)
-
     def error_variance(self, squares: FloatArray) -> float:
         """Return s² times the sum of squares of q_ij, rad², (9,), and until confirmed all of q_ii."""
         return self.variance * float(squares.sum()) + (not self.confirmed) * float(squares[::4].sum())
@@ -159,10 +141,8 @@ class TiltSigma:
         """u and q_ij of the slots of the last lag, and those before it."""
         self.mean = 0.0
         """m (T2), the mean of d/4 over 18 s, rad²: d is of two axes, and u is off at both moments."""
-        self.late = np.zeros((3, 9))
-        """q_ij that are forgotten within τ, rad."""
-        self.rested = False
-        """Whether the unit has been at rest since the attitude began."""
+        self.late = np.zeros((3, 9))  # q_ij that are forgotten within τ, rad
+        self.rested = False  # since the attitude began
 
     def step(self, slot: Slot) -> float:
         """Take a slot; return the variance at its end, max(m, d/2, l) + a²/g², rad².
@@ -191,45 +171,42 @@ class TiltSigma:
 class HeadingSigma:
     """Estimate of the heading's standard deviation since the attitude began.
 
-    The change of a relative heading has the variance v (H1), and Σ h_ii² more until the gyros are confirmed;
-    each rest measures the bias anew.  The `magnetometer` is None where it is not calibrated; `earth_rate` is
-    its vertical part that is left in the corrected rate, rad/s.
+    The change of a relative heading since the bias is known has the variance v = s² Σ h_ij² + variance by
+    missing samples + Σ (∫ bias_sd dt)² over motions (H1), as each rest measures the bias anew; and Σ h_ii²
+    more until the gyros are confirmed.  The `magnetometer` is None where it is not calibrated; `earth_rate`
+    is its vertical part that is left in the corrected rate, rad/s.
     """
 
     def __init__(self, gyros: Gyros, magnetometer: MagnetometerModel | None, earth_rate: float) -> None:
         self.gyros, self.magnetometer, self.earth_rate = gyros, magnetometer, earth_rate
-        self.about_up = np.zeros(9)
-        """h_ij = u q_ij, summed over all slots, rad."""
-        self.earlier = 0.0
-        """Variance by the bias in the motions before, and by missing samples, rad²."""
-        self.moving_s = 0.0
-        """Duration of this motion, s."""
+        self.about_up = np.zeros(9)  # h_ij = u q_ij, summed over all slots, rad
+        self.earlier = 0.0  # variance by the bias in the motions before, and by missing samples, rad²
+        self.drift = 0.0  # standard deviation by the bias in this motion, rad
         self.field_correction = 0.0
         """p, the angle by which the field has turned the heading against the gyros, forgotten with τ, rad."""
-        self.delta = math.nan
-        """That of the last slot, rad."""
-        self.iron = 0.0
-        """Largest along² + across² lately, in the square of the field's unit."""
+        self.delta = math.nan  # of the last slot, rad
+        self.iron = 0.0  # largest along² + across² lately, in the square of the field's unit
 
     def step(self, slot: Slot, tilt_variance: float) -> float:
         """Take a slot; return the variance of the heading, or of its change where it is relative, rad²."""
-        if math.isnan(slot.bias_sd):
-            self.about_up, self.earlier, self.moving_s = np.zeros(9), 0.0, 0.0
-        bias_sd = math.hypot(slot.bias_sd, self.earth_rate)
-        if slot.rest:
-            self.earlier += (bias_sd * self.moving_s) ** 2
-            self.moving_s = 0.0
+        known = not math.isnan(slot.bias_sd)
+        if not known:
+            self.about_up, self.earlier, self.drift = np.zeros(9), 0.0, 0.0
+        elif slot.rest:
+            self.earlier += self.drift**2
+            self.drift = 0.0
         else:
-            self.moving_s += SLOT_S
+            self.drift += SLOT_S * math.hypot(slot.bias_sd, self.earth_rate)
             self.about_up += slot.up @ slot.wrong_turns
             self.earlier += slot.missed
         if slot.end["north"] and slot.end["follows"]:  # the field corrects what is older than τ
             keep = math.exp(-SLOT_S / TAU_MAG_S)
             self.about_up *= keep
-            self.moving_s *= keep
+            self.drift *= keep
             self.earlier *= keep**2
             self.field_correction *= keep
-        relative = self.gyros.error_variance(self.about_up**2) + self.earlier + (bias_sd * self.moving_s) ** 2
+        relative = self.gyros.error_variance(self.about_up**2) + self.earlier + self.drift**2
+        relative = relative if known else math.nan
         return self._magnetic(slot, tilt_variance, relative) if slot.end["north"] else relative
 
     def _magnetic(self, slot: Slot, tilt_variance: float, relative: float) -> float:

@@ -21,6 +21,8 @@ from imumon.models.magnetometer import MagnetometerModel
 
 GAP_NS = 250_000_000
 """A longer pause hides turns: in it a hand turns by a radian."""
+ONE_TURN = np.eye(1, 9)[0]
+"""Squares of q_ij of a turn by a radian about the axis of one gyro."""
 NAMES = {
     "roll": "estimated roll",
     "pitch": "estimated pitch",
@@ -72,14 +74,11 @@ class AttitudeEstimate:
         self._earth_rate = EARTH_RATE * abs(math.sin(math.radians(latitude_deg or 0.0)))
         self._fusion, self._field = Fusion(self._heading), np.full(3, math.nan)
         self._begin()
-        self._path = np.zeros(3)
-        """Sum of the angles of all samples, rad."""
+        self._path = np.zeros(3)  # sum of the angles of all samples, rad
         self._shown = np.array([math.nan, math.nan, 0.0, 0.0, 0.0, 0.0])
-        """Of the latest slot: variances of tilt and heading, rad², `Gyros.turn_variance`, and the path."""
-        self._last_time: tuple[int, int] | None = None
-        """Time, ns, and segment of the last sample."""
-        self._attitudes = 0
-        """How often one had to begin anew."""
+        """Of the latest slot: variances of tilt and heading, rad², and of a turn by a radian; path."""
+        self._last_time: tuple[int, int] | None = None  # ns, and segment of the last sample
+        self._attitudes = 0  # how often one had to begin anew
         self._device_has_attitude = False
         self._reported: set[str] = set()
 
@@ -159,7 +158,7 @@ class AttitudeEstimate:
             field=self._field,
         )
         tilt = self._tilt_sigma.step(slot)
-        return tilt, self._heading_sigma.step(slot, tilt), self._gyros.turn_variance
+        return tilt, self._heading_sigma.step(slot, tilt), self._gyros.error_variance(ONE_TURN)
 
     def _output(
         self, rows: Rows, angle: FloatArray, path: FloatArray, shown: FloatArray
@@ -169,8 +168,8 @@ class AttitudeEstimate:
         w, x, y, z = rows["quat6d"].T
         q = np.column_stack([c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w])
         up = matrices(q)[:, 2]
-        # What was turned wrong since the latest slot, and half an interval: a rate may be the mean of the
-        # interval before or that of the moment.
+        # What was turned wrong since the latest slot, and an angle uniform within half an interval: a rate
+        # may be the mean of the interval before or that of the moment.
         since = ((path - shown[:, 3:]) ** 2).sum(1) * shown[:, 2] + (angle**2).sum(1) / 12.0
         tilt = shown[:, 0] + since
         variances = np.array([tilt, shown[:, 1] + since + tilt_into_heading(up, tilt)])
@@ -209,9 +208,8 @@ class AttitudeEstimate:
         reference = f"counts from {math.degrees(self._heading):.0f}°"
         if self._gyros.contradicted:
             yield (
-                "in turns the accelerometers show another vertical than the gyros carry, so the heading is "
-                "as uncertain as these turns: are axes, signs and units right? Accelerations that last for "
-                "many seconds, as in a car, show the same"
+                "gyros and accelerometers disagree about turns, so the heading is as uncertain as these: are "
+                "axes, signs and units right? Accelerations for many seconds, as in a car, look the same"
             )
         if self._fusion.begun and not north:
             yield f"without a magnetometer the heading is relative; it {reference} at the beginning"

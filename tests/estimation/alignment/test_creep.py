@@ -116,6 +116,21 @@ def test_a_constant_creep_that_begins_after_half_a_turn_is_in_the_sigma(
     assert np.sqrt(np.mean(np.square(ratios))) < 1.8
 
 
+@pytest.mark.parametrize(("mrad_per_s", "seconds"), [(0.05, 900.0), (0.02, 1800.0)])
+def test_a_constant_creep_that_has_ended_is_in_the_sigma_as_a_whole(
+    mrad_per_s: float, seconds: float
+) -> None:
+    t = np.arange(round((606.0 + seconds) * 4.0) + 1) / 4.0
+    creep = 1e-3 * mrad_per_s * np.clip(t - 106.0, 0.0, seconds)
+    angle = math.pi * np.clip((t - 100.0) / 6.0, 0.0, 1.0) + creep
+    block, heading = sent(Rotation.from_rotvec(np.outer(angle, UP)), 4.0)
+    bias = math.radians(2.0) / 3600.0
+    biased = block.with_columns({"gyro_x": block["gyro_x"] + bias, "gyro_y": block["gyro_y"] - bias})
+    stage, _ = aligned(biased, {"accel_bias_sd_ug": 30.0})
+    shown = stage.status.shown
+    assert abs(error_deg(shown.heading, heading)) < 3.0 * math.degrees(shown.sd)
+
+
 def test_a_creep_against_a_larger_bias_is_in_the_sigma() -> None:
     t = np.arange(406 * 20 + 1) / 20.0
     creep = math.radians(-5.0) / 3600.0 * np.clip(t - 106.0, 0.0, None)

@@ -394,6 +394,22 @@ def test_an_attitude_that_begins_in_motion_has_no_tilt_sigma_for_six_seconds() -
     assert np.abs(tilt / sd[:, np.newaxis])[7 * 50 :].max() < 4.0
 
 
+@pytest.mark.parametrize("rest_from_s", [40.0, 40.25])
+def test_a_new_bias_at_a_rest_corrects_no_heading_of_the_motion_before(rest_from_s: float) -> None:
+    t = np.arange(1, 3001) / 50.0
+    still, _ = spun(40.0)
+    block = still.with_columns({"at_rest": ((t < 20.0) | (t >= rest_from_s)).astype(np.int64)})
+    bias_sd = np.where(t < rest_from_s, 1e-3, 1e-5)
+    zero = {f"gyro{of}_{axis}": np.zeros(len(t)) for of in ("", "_corrected") for axis in "xyz"}
+    force = {f"accel_{axis}": np.full(len(t), STANDARD_GRAVITY * (axis == "z")) for axis in "xyz"}
+    block = block.with_columns({**zero, **force, **{f"gyro_bias_sd_{axis}": bias_sd for axis in "xyz"}})
+    sd = AttitudeEstimate(axes="FLU").process(block)["attitude_estimate_heading_sd"]
+    known = sd[np.isfinite(sd)]
+    assert known[0] == 0.0
+    assert np.diff(known).min() > -1e-12
+    assert known[-1] == pytest.approx(0.02, rel=0.03)  # 1 mrad/s for 20 s
+
+
 def test_samples_that_are_missing_in_a_turn_as_where_the_gyros_are_saturated_widen_the_sigma() -> None:
     block, _ = spun(20.0)
     lost = (np.arange(len(block)) >= 1030) & (np.arange(len(block)) < 1040)  # 0.2 s in which it speeds up
