@@ -140,7 +140,7 @@ def _of_motion(samples: SampleBlock, series: Mapping[str, EvenSeries], *, declar
     if "at_rest" not in samples:
         return
     if not (known.any() or declared):
-        yield f"whether the unit moved is unknown: the recording is shorter than {LEAST_FOR_MOTION_S:.0f} s"
+        yield f"whether the unit was at rest is unknown: that takes {LEAST_FOR_MOTION_S:.0f} s"
         return
     at_rest = samples["at_rest"] == 1
     first = np.argmax(at_rest | known)  # until the first rest nothing is known, unless it comes late

@@ -105,7 +105,9 @@ def test_a_csv_with_quoted_names_is_read(tmp_path: Path) -> None:
 
 def test_a_few_seconds_are_not_called_motion(tmp_path: Path) -> None:
     opened = read_channels(write(tmp_path, {name: part[:100] for name, part in columns().items()}))
-    assert "moved" not in " ".join(opened.warnings)
+    warnings = " ".join(opened.warnings)
+    assert "moved" not in warnings
+    assert "at rest is unknown" in warnings
 
 
 def test_nothing_is_overwritten_but_a_picture(tmp_path: Path) -> None:
