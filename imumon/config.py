@@ -6,10 +6,10 @@ Each document is held to the limits below, whatever it is: a device, a pipeline,
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, TypeVar, get_args
+from typing import Annotated, Any, TypeVar, get_args
 
 import yaml
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from imumon.errors import ImumonError, bad_config
 from imumon.files import read_text
@@ -85,6 +85,16 @@ class StrictModel(BaseModel):
     """Base of everything that is read from YAML: unknown keys refused, immutable, no silent conversions."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+
+Retired = Annotated[None, BeforeValidator(lambda _: None), Field(exclude=True)]
+"""A key of earlier versions, learned or constant now: any value is read and dropped, none is written."""
+
+
+def retired(given: StrictModel) -> list[str]:
+    """Return the keys that were given and are not used any more."""
+    fields = type(given).model_fields
+    return [name for name in fields if fields[name].exclude and name in given.model_fields_set]
 
 
 Model = TypeVar("Model", bound=BaseModel)

@@ -22,7 +22,7 @@ from imumon.blocks import ColumnArray, FloatArray, IntArray, SampleBlock
 from imumon.charts import AXIS_COLORS, GREY, Axis, Chart, Curve
 from imumon.columns import Column
 from imumon.compiled import njit, record
-from imumon.estimation.rest.parameters import retired
+from imumon.config import retired
 from imumon.recordings.reduced import ACCEL, GYRO
 from imumon.run.setup import AllanParameters, Setup
 

@@ -1,6 +1,6 @@
 """Tables of messages: what packets with an identifier, or the fields in a packet, carry at fixed places.
 
-A family is a table of `Message`, frames, and a `FamilyDecoder` that knows where the identifier stands.  Older
+A family is a table of `Message`, frames, and a `FamilyDecoder` that finds the identifier.  Older
 devices send shorter messages and newer ones longer: what is behind the last number that is known is passed
 over, and numbers behind the end are absent.
 

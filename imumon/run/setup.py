@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self, get_args
 
 from pydantic import Field, ValidationError, field_validator, model_validator
 
-from imumon.config import StrictModel, dump_yaml, parse_yaml, wrong_arguments
+from imumon.config import Retired, StrictModel, dump_yaml, parse_yaml, retired, wrong_arguments
 from imumon.errors import bad_config
 from imumon.estimation.alignment.parameters import AlignmentParameters, known_warm_up
 from imumon.estimation.attitude.parameters import AttitudeParameters
-from imumon.estimation.rest.parameters import GyroBiasParameters, RestParameters, Retired, retired
+from imumon.estimation.rest.parameters import GyroBiasParameters, RestParameters
 from imumon.estimation.watch.stage import WatchParameters
 from imumon.files import as_path, read_text
 from imumon.models.magnetometer import MagnetometerModel

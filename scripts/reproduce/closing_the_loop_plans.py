@@ -8,12 +8,9 @@ from dataclasses import dataclass
 from closing_the_loop_cases import Setting, make_case
 from study import Cells, Options, Study, Table, spread
 
-from imumon.blocks import SampleBlock
 from imumon.lab.diagnosis.diagnose import diagnose
-from imumon.lab.diagnosis.planning import MARGIN, Plan, Report, open_questions, plan, scenario
+from imumon.lab.diagnosis.planning import MARGIN, Plan, Report, open_questions, plan, scenario, simulated_run
 from imumon.lab.diagnosis.report import NOTHING, report
-from imumon.lab.diagnosis.runs import Run, collect
-from imumon.simulation.unit import Scenario, SimulatedUnit
 
 KINDS = (
     "thermal_lag",
@@ -65,12 +62,6 @@ def planned(job: tuple[str, float, int]) -> list[Kept]:
     return found
 
 
-def _simulated(content: Scenario, seed: int) -> Run:
-    """Return what a diagnosis reads of a simulated session."""
-    sent, truth = SimulatedUnit(content, seed).run(content.samples)
-    return collect([SampleBlock({**sent.columns, "at_rest": truth["at_rest"]})], content.title)[0]
-
-
 def _reached(known: Report, made: Plan, seed: int) -> float:
     """Return the evidence of a whole diagnosis, with one recording for training and one for the test."""
     assert made.profile is not None
@@ -78,7 +69,7 @@ def _reached(known: Report, made: Plan, seed: int) -> float:
     truth, rival = made.expected.truth, made.expected.rival
     answer = next(one for one in made.question.answers if one.name == truth)
     content = scenario(known, made.question.channel, made.profile, answer)
-    train, test = (_simulated(content, FRESH + 2 * seed + at) for at in (0, 1))
+    train, test = (simulated_run(content, FRESH + 2 * seed + at) for at in (0, 1))
     degree = len(answer.declared) - 1
     diagnosis = diagnose([train], [test], f"polynomial {degree}", sensors=(made.question.channel[:-2],))
     verdict = next(one for one in diagnosis.verdicts if one.name == made.question.channel)

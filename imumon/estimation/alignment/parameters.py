@@ -9,9 +9,8 @@ import numpy as np
 from pydantic import BeforeValidator, Field
 
 from imumon.blocks import FloatArray
-from imumon.config import StrictModel
+from imumon.config import Retired, StrictModel
 from imumon.effects.since_power_on import WarmUp
-from imumon.estimation.rest.parameters import Retired
 from imumon.geodesy import MICRO_G
 from imumon.models.model import BiasModel
 

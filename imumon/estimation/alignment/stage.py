@@ -12,11 +12,11 @@ import numpy as np
 from imumon.blocks import ColumnArray, FloatArray, SampleBlock
 from imumon.charts import GREEN, GREY, Axis, Chart, Curve
 from imumon.columns import Column
+from imumon.config import retired
 from imumon.estimation.alignment.aligner import Aligner
 from imumon.estimation.alignment.parameters import AlignmentParameters
 from imumon.estimation.alignment.position import CALM_SLOTS, SLOT_S, Slot
 from imumon.estimation.alignment.report import Estimate, PositionHeading
-from imumon.estimation.rest.parameters import retired
 from imumon.filters.slots import SlotGatherer, Slots, held
 from imumon.filters.turns import STILL
 from imumon.geodesy import DEG_PER_H, heading_of
@@ -184,10 +184,11 @@ class Alignment:
 
     def notices(self) -> list[str]:
         """Return, once each, motions and restarts, and conditions that limit the heading."""
-        texts = self._events + [text for text in self._conditions() if text not in self._reported]
+        texts = self._events.copy()
         self._events.clear()
-        self._reported.update(texts)
-        return texts
+        new = [text for text in self._conditions() if text not in self._reported]
+        self._reported.update(new)
+        return texts + new
 
     def _conditions(self) -> Iterator[str]:
         status, posterior = self.status, self._aligner.posterior

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from imumon.config import StrictModel
-from imumon.estimation.rest.parameters import Retired
+from imumon.config import Retired, StrictModel
 
 
 class AttitudeParameters(StrictModel):

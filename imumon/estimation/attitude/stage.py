@@ -10,10 +10,10 @@ import numpy as np
 
 from imumon.blocks import NO_INT, ColumnArray, FloatArray, SampleBlock, missing
 from imumon.columns import Column
+from imumon.config import retired
 from imumon.estimation.attitude.fusion import Fusion, Rows, heading, matrices
 from imumon.estimation.attitude.parameters import AttitudeParameters
 from imumon.estimation.attitude.sigma import SLOT_S, Accelerometers, Gyros, HeadingSigma, Slot, TiltSigma
-from imumon.estimation.rest.parameters import retired
 from imumon.filters.slots import SlotGatherer, Slots, held
 from imumon.geodesy import EARTH_RATE, LEAST_HORIZONTAL
 from imumon.lane import LaneState, Level

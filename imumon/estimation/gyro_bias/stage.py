@@ -11,12 +11,13 @@ import numpy as np
 from imumon.blocks import NO_INT, BoolArray, ColumnArray, FloatArray, IntArray, SampleBlock
 from imumon.charts import Chart
 from imumon.columns import Column, vector_columns
+from imumon.config import retired
 from imumon.errors import bad_config
 from imumon.estimation.gyro_bias.bank import SLOPE_LEFT_PER_SIGMA, SLOPE_PER_SIGMA, LinearBias, at_samples
 from imumon.estimation.gyro_bias.estimator import Estimator
 from imumon.estimation.gyro_bias.place import Attitude
 from imumon.estimation.gyro_bias.thermal import BiasTrail, Thermal
-from imumon.estimation.rest.parameters import GyroBiasParameters, RestParameters, retired
+from imumon.estimation.rest.parameters import GyroBiasParameters, RestParameters
 from imumon.estimation.rest.slots import ACCEL, GATHERED, GYRO, SLOT_S, Timing, heading_of, readings_of
 from imumon.filters.slots import SlotGatherer, Slots
 from imumon.geodesy import DEG_PER_H, EARTH_RATE
@@ -104,7 +105,7 @@ class RestAndBias:
         self._trail = BiasTrail(model)
         self._last_ns = NO_INT
         unused = [f"{key} is not used any more" for key in retired(self._parameters) + retired(rest)]
-        self._thermal.notices.update(dict.fromkeys(_notices_of_place(latitude, heading) + unused))
+        self._notices = _notices_of_place(latitude, heading) + unused
         self._reported: set[str] = set()
 
     def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
@@ -195,7 +196,8 @@ class RestAndBias:
 
     def notices(self) -> list[str]:
         """Return, once each, what is missing, assumed, or out of range, and each jump of the bias."""
-        texts = [text for text in self._thermal.notices if text not in self._reported]
+        found = [*self._notices, *self._thermal.notices]
+        texts = [text for text in found if text not in self._reported]
         self._reported.update(texts)
         if self._estimator.jumped:
             self._estimator.jumped, jump = False, "at rest the rate contradicted the bias, so it has jumped"

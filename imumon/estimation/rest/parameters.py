@@ -6,23 +6,15 @@ from functools import cached_property
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BeforeValidator, Field
+from pydantic import Field
 
 from imumon.blocks import FloatArray
-from imumon.config import StrictModel
+from imumon.config import Retired, StrictModel
 
 _Positive = Annotated[float, Field(gt=0.0, le=10.0)]
 _NotNegative = Annotated[float, Field(ge=0.0, le=10.0)]
 _PerAxis = _Positive | Annotated[list[_Positive], Field(min_length=3, max_length=3)]
 _PerAxisFromZero = _NotNegative | Annotated[list[_NotNegative], Field(min_length=3, max_length=3)]
-Retired = Annotated[None, BeforeValidator(lambda _: None), Field(exclude=True)]
-"""A key of earlier versions, learned or constant now: any value is read and dropped, none is written."""
-
-
-def retired(given: StrictModel) -> list[str]:
-    """Return the keys that were given and are not used any more."""
-    fields = type(given).model_fields
-    return [name for name in fields if fields[name].exclude and name in given.model_fields_set]
 
 
 class RestParameters(StrictModel):

@@ -16,7 +16,7 @@ import numpy as np
 
 from imumon.blocks import ColumnArray, FloatArray, IntArray, SampleBlock
 from imumon.columns import TEMPERATURES, Column
-from imumon.estimation.rest.parameters import retired
+from imumon.config import retired
 from imumon.estimation.temperature_rate.filter import Filters, correct, estimate, predict, start
 from imumon.estimation.temperature_rate.measurement import evaluate
 from imumon.estimation.temperature_rate.thermometer import FASTEST_RATE, SLOT_S, SPIKE, Slot, Thermometer

@@ -176,12 +176,10 @@ def _length(data: Prepared, remarks: list[str]) -> Length | None:
     forces = [force for run in data.train if (force := run.force) is not None]
     if len(channels_of(["accel"], data.temperature_names)) < 3 or len(forces) < len(data.train):
         return None
-    channel = _channels(data, ["accel_x"], "pose", data.train)[0]
-    found = Length.from_poses(np.concatenate(forces), channel.base[:, 1 : data.degree + 1])
-    if found is None:
-        return None
-    poses, length = found
-    remarks.append(length.described(poses))
+    warmth = _channels(data, ["accel_x"], "pose", data.train)[0].base[:, 1 : data.degree + 1]
+    poses, length = Length.from_poses(np.concatenate(forces), warmth) or (0, None)
+    if length is not None:
+        remarks.append(length.described(poses))
     return length
 
 

@@ -25,7 +25,7 @@ from imumon.lab.diagnosis.blocks import BLOCK_S, make_blocks, survey
 from imumon.lab.diagnosis.diagnose import Prepared, likeliest, search_block_s, search_sensor
 from imumon.lab.diagnosis.likelihood import TAUS_S
 from imumon.lab.diagnosis.report import NOTHING
-from imumon.lab.diagnosis.runs import collect
+from imumon.lab.diagnosis.runs import Run, collect
 from imumon.lab.diagnosis.search import NEAR_GAIN, NEAR_SHARE, PROVEN_GAIN, AxisSearch, Progress
 from imumon.models.model import UNITS
 from imumon.simulation.unit import Scenario, SimulatedUnit
@@ -246,6 +246,12 @@ def _impossible(question: Question, others: set[str]) -> str:
     return ""
 
 
+def simulated_run(plan: Scenario, seed: int) -> Run:
+    """Return what a diagnosis reads of a simulated session."""
+    sent, truth = SimulatedUnit(plan, seed).run(plan.samples)
+    return collect([SampleBlock({**sent.columns, "at_rest": truth["at_rest"]})], plan.title)[0]
+
+
 def evidence(
     report: Report, question: Question, profile: Profile, seeds: Sequence[int], kinds: Sequence[str]
 ) -> Evidence:
@@ -256,10 +262,7 @@ def evidence(
             continue  # that nothing is there shows in that an effect would show
         planned, searches = scenario(report, question.channel, profile, truth), list[AxisSearch]()
         for seed in seeds:  # as `diagnose` does, for as many effects as the unit has
-            sent, true = SimulatedUnit(planned, seed).run(planned.samples)
-            samples = SampleBlock({**sent.columns, "at_rest": true["at_rest"]})
-            run = collect([samples], planned.title)[0]
-            blocks = make_blocks(run, [question.channel], ["temperature"])
+            blocks = make_blocks(simulated_run(planned, seed), [question.channel], ["temperature"])
             degree = len(truth.declared) - 1 if survey([blocks], ["temperature"], 0).thermal else 0
             shorter = blocks.in_blocks_of(search_block_s([blocks]))
             data = Prepared([shorter], {question.channel: "temperature"}, degree)
