@@ -3,10 +3,6 @@
 `imumon.estimation.rest.quiet` detects whether anything moves, without a bias.  Of each quiet second
 `hypotheses` decides whether its mean rate is the bias, a changed bias or a turn, and `bank` filters the bias.
 While the unit moves, the variance of the bias grows with time, temperature, gaps and turns against the earth.
-
-Constants that assume a grade of sensors: `QUIET` (rest), `USUAL_CHANGE` and `SLOWEST_TURN` (odds),
-`SENSITIVITY_SD` and `TURN_ON` (bank), `SCALE_SD` (place), `BIAS_WALK` (motion); and the parameters
-`gyro_drift` and `largest_jump`.  White noise and flicker are learned.
 """
 
 from __future__ import annotations
@@ -24,6 +20,7 @@ from imumon.estimation.gyro_bias.hypotheses import Hypotheses
 from imumon.estimation.gyro_bias.motion import Motion
 from imumon.estimation.gyro_bias.place import Attitude
 from imumon.estimation.gyro_bias.thermal import Thermal
+from imumon.estimation.rest import odds
 from imumon.estimation.rest.parameters import GyroBiasParameters, RestParameters
 from imumon.estimation.rest.quiet import QUIET_TOO_SHORT, SECOND_SLOTS, QuietDetector
 from imumon.estimation.rest.slots import ACCEL, DEGC, GYRO, HEADING, MODELLED, POWER_ON_SD, Measurement, Slot
@@ -133,6 +130,10 @@ class Estimator:
         covered_s = sum(one.covered_s for one in self.quiet.latest) / len(self.quiet.latest)
         return np.maximum(self.quiet.noise * covered_s, LEAST_WHITE)
 
+    def _accel_noise(self) -> float:
+        """Return the variance of the mean force of a second, (m/s²)²; infinite without accelerometers."""
+        return float(self._noise()[ACCEL].max()) if self.quiet.present[ACCEL].all() else math.inf
+
     def _measurement(self, slots: Sequence[Slot]) -> Measurement:
         covered, last = np.array([one.covered_s for one in slots]), slots[-1]
         total = float(covered.sum())
@@ -193,6 +194,9 @@ class Estimator:
         for now in measurements[1:]:
             bank = bank.after(now)
         self.hypotheses = Hypotheses(bank, bank, bank, measurements, first, self.limits, given)
+        if not given:
+            parts = [self._measurement([slot]) for slot in slots]
+            self.hypotheses.hidden = odds.hidden_turn(parts, self._accel_noise() / parts[0].covered_s)
 
     def _decide(self, hypotheses: Hypotheses) -> FloatArray:
         """Decide on a complete measurement; return its normalised innovations, (3,), NaN without a rate."""
@@ -203,9 +207,8 @@ class Estimator:
         if not np.isfinite(now.rate).all():
             return np.full(3, np.nan)
         innovation, variance = hypotheses.shown.prediction.innovation(now)
-        accel_noise = float(self._noise()[ACCEL].max()) if self.quiet.present[ACCEL].all() else math.inf
         parts = (self._measurement([slot]) for slot in slots)
-        self.jumped |= hypotheses.decide(now, parts, accel_noise)
+        self.jumped |= hypotheses.decide(now, parts, self._accel_noise())
         if hypotheses.began_turning and hypotheses.changes:  # another rate contradicts the first: begin anew
             self.quiet.restart()
             self._interrupt()
@@ -217,7 +220,8 @@ class Estimator:
         """Return the bias from a time on.
 
         Its variance has these parts: the states of all modes, flicker of single samples, the unknown part of
-        the earth rate, and the turn hypothesis, which contains the largest error by rounding.
+        the earth rate, a turn that may hide in the first rest, and the square of the turn hypothesis, which
+        contains the largest error by rounding.
         """
         if self.hypotheses is None:
             terms, covariance = np.zeros((3, 4)), np.zeros((3, 4, 4))
@@ -228,4 +232,5 @@ class Estimator:
         turn, rounding = self.hypotheses.ambiguity, self.quiet.rounding_error[GYRO]
         prediction = self.hypotheses.shown.prediction.at(now_s, self.degc)
         turn = np.copysign(np.hypot(turn, rounding), turn)
-        return prediction.output(self.attitude.uncertain_earth, self.force, turn)
+        added = self.attitude.uncertain_earth + self.hypotheses.hidden
+        return prediction.output(added, self.force, turn)

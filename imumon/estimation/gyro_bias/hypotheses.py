@@ -80,6 +80,8 @@ class Hypotheses:
     """What the less likely hypothesis adds to sigma, rad/s, by the last two measurements, (2, 3)."""
     doubted: bool = False  # whether the nominal bias stays, as the present rate may be a turn
     began_turning: bool = False  # whether the recording did, by the heading
+    hidden: FloatArray = field(default_factory=partial(np.zeros, 3))
+    """Variance of a turn that may hide in the first rest, (rad/s)², (3,); in motion the filters have it."""
 
     @property
     def moved(self) -> bool:
@@ -119,6 +121,8 @@ class Hypotheses:
         if self.alike < odds.LEAST_MEASUREMENTS:  # the rate may just have changed
             evidence = self.recent if len(self.recent) >= odds.LEAST_MEASUREMENTS else [*parts]
         self._weigh(now, evidence, accel_noise)
+        began = self.first is self.recent[0] and not self.rest_given
+        self.hidden = odds.hidden_turn(self.recent, accel_noise / now.covered_s) if began else np.zeros(3)
         return self._follow(now)
 
     def _learn(self, now: Measurement) -> None:
@@ -195,6 +199,9 @@ class Hypotheses:
             self.present, self.changes, self.doubted = self.nominal, 0, False
         if not self.doubted:
             self.p_turn, self.ambiguities = 0.0, np.zeros((2, 3))
+        hidden, self.hidden = self.hidden, np.zeros(3)
+        if hidden.any():
+            self.map(lambda bank: bank.wider(hidden))
         self.recent, self.alike = [], 0
 
     def map(self, function: Callable[[Bank], Bank]) -> None:

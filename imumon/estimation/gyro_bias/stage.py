@@ -18,7 +18,7 @@ from imumon.estimation.gyro_bias.estimator import Estimator
 from imumon.estimation.gyro_bias.place import Attitude
 from imumon.estimation.gyro_bias.thermal import BiasTrail, Thermal
 from imumon.estimation.rest.parameters import GyroBiasParameters, RestParameters
-from imumon.estimation.rest.slots import ACCEL, GATHERED, GYRO, SLOT_S, Timing, heading_of, readings_of
+from imumon.estimation.rest.slots import ACCEL, GATHERED, GYRO, SENSORS, SLOT_S, Timing, heading_of
 from imumon.filters.slots import SlotGatherer, Slots
 from imumon.geodesy import DEG_PER_H, EARTH_RATE
 from imumon.models.model import BiasModel
@@ -116,7 +116,8 @@ class RestAndBias:
         in °C.
         """
         n, time_ns, segment = len(block), block["device_time_ns"], block["segment"]
-        readings = readings_of(block, np.asarray(time_ns != NO_INT))
+        readings = block.stacked(SENSORS)
+        readings[time_ns == NO_INT] = np.nan
         usable = np.asarray(np.isfinite(readings).any(1))
         temperature, (total, curve, power_on_sd) = self._thermal.process(block)
         given = np.full(n, np.nan)  # is to be detected

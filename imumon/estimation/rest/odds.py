@@ -36,9 +36,9 @@ from imumon.estimation.rest.slots import Measurement
 from imumon.geodesy import DEG_PER_H, EARTH_RATE, STANDARD_GRAVITY
 
 USUAL_CHANGE = 50.0 * DEG_PER_H
-"""Scale of the half-Cauchy density of changes of a bias, rad/s."""
+"""Scale of the half-Cauchy density of changes of a bias, rad/s: of MEMS gyros.  Assumed."""
 SLOWEST_TURN, FASTEST_TURN = math.radians(0.01), math.radians(300.0)
-"""rad/s: turns are as likely on a logarithmic scale between these."""
+"""rad/s: turns are as likely on a logarithmic scale between these.  Assumed."""
 LOG_RANGE = math.log(FASTEST_TURN / SLOWEST_TURN)
 """D of the table, a natural logarithm."""
 OBLIQUE = 0.3
@@ -47,7 +47,7 @@ EXCLUDED_SIGMAS = 4.0
 """An oblique turn by more than so many sigmas of the tilt is excluded where the unit has tilted by less than
 half as many, and the change is mostly about level axes."""
 MOSTLY_LEVEL = 0.6
-"""Share of the square of such a change that is about level axes: flicker moves all three."""
+"""Share of the square of such a change that is about level axes: flicker moves all three.  Assumed."""
 HEADING_ERROR = 0.15
 """Error of a change of heading over that change: hard and soft iron.  Assumed."""
 HEADING_NOISE = 0.01
@@ -61,7 +61,11 @@ LEAST_LOG_RATIO = -2.0
 LEAST_MEASUREMENTS = 3
 """Least number of measurements by which gravity is compared."""
 BEGAN_TURNING = 0.05
-"""Prior that the first rest of a recording was a turn, where two steady means cannot both be the bias."""
+"""Prior that the first rest of a recording was a turn, where two steady means cannot both be the bias.
+Assumed."""
+UNSEEN_TURN, UNSEEN_S = math.radians(0.1), 2.0
+"""Standard deviation of a turn in the first moment of the first rest, rad/s, and the time, s, after which it
+is e times smaller: steps of up to 0.09 °/s are always quiet, and no hand is steady for long.  Assumed."""
 
 
 def changed_bias(size: float, changes: int, largest: float) -> float:
@@ -92,6 +96,25 @@ def first_turn(first: FloatArray, now: FloatArray) -> float:
     """
     larger = (float(first @ first) + EARTH_RATE**2) / (float(now @ now) + EARTH_RATE**2)
     return BEGAN_TURNING * math.sqrt(larger) ** 3
+
+
+def hidden_turn(measurements: Sequence[Measurement], force_variance: float) -> FloatArray:
+    """Return the variance of a turn that may hide in the first rest, (rad/s)², (3,).
+
+    T seconds from the first measurement to the last one, nothing has contradicted it.  About the vertical it
+    shows in no other sensor; across it gravity shows the tilt t, rad, with a variance v, rad²::
+
+        about the vertical:  u² = (UNSEEN_TURN exp(-T / UNSEEN_S))²
+        across it:           min(u², v / T²) + (t / T)²,    v = 2 force_variance / g², g in m/s²
+    """
+    first, last = measurements[0], measurements[-1]
+    seconds, g = last.end_s - first.end_s, math.hypot(*last.force)
+    unseen = (UNSEEN_TURN * math.exp(-seconds / UNSEEN_S)) ** 2
+    if not (seconds > 0.0 and g > 0.5 * STANDARD_GRAVITY):
+        return np.full(3, unseen)
+    shown = min(unseen, 2.0 * force_variance / (g * seconds) ** 2)
+    tilt = np.cross(last.force, first.force) / g**2
+    return np.asarray(shown + (unseen - shown) * (last.force / g) ** 2 + (tilt / seconds) ** 2)
 
 
 def gravity(

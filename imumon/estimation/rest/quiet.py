@@ -1,9 +1,13 @@
 """Is the signal quiet?  Means of neighbouring windows against the noise that the unit has at rest.
 
 A slot of a quarter of a second has a mean and a variance of each axis.  Of a unit at rest the means are white
-noise of variance v about a constant.  While v is known, windows of 1, 2, 4 ... 64 slots and those before them
-may differ by no more than v and a permitted drift explain; while it is not, a trial of 16 slots finds it.  No
-bias is needed: whether a steady mean is the bias or a turn is not decided here.
+noise of variance v, (rad/s)² or (m/s²)², about a constant.  While v is known, the means of the last L slots,
+L = 1, 2, 4 ... 64, and of the L slots before them may differ by D, summed over the three axes of a sensor::
+
+    sum max(|D| - drift L dt, 0)² / (2 max(v / L, q²)) <= 42,    dt = 1/4 s
+
+q², `QUIET_VARIANCE`, is always quiet.  While v is not known, a *trial* of 16 slots finds it.  No bias is
+needed: whether a steady mean is the bias or a turn is decided by `odds`.
 """
 
 from __future__ import annotations
@@ -21,38 +25,42 @@ TRIAL = 16
 SECOND_SLOTS = 4
 """Slots of a second: so many are quiet before rest is detected."""
 SHORT_RESTS = 2
-"""Short rests after which rest takes a trial's length: a slow tilt is quiet for a second, again and again."""
+"""Short rests after which rest takes a trial's length: a slow tilt is quiet for a second, again and again.
+Ablation."""
 QUIET_TOO_SHORT, FAR_SAMPLE = "quiet for too short a time", "a single sample is far from the mean"
 LENGTHS = 2 ** np.arange(7)
 """Slots of the windows that are compared."""
 WIDTH = LENGTHS[:, np.newaxis]
 CHI_SQUARE = 42.0
 """Three axes together: once in 2e8 for Gaussian noise of known variance."""
-QUIET = np.repeat([3.5e-4, 5e-3], 3)
-"""Standard deviation of a mean of a second that is always quiet, rad/s (72 °/h) and m/s² (0.03°)."""
-QUIET_WINDOW = QUIET**2 / np.maximum(1.0, 4.0 / WIDTH)
-"""Variance of a window that is always quiet: a disturbance has had less time to act in a shorter one."""
+QUIET_SD = np.repeat([3.5e-4, 5e-3], 3)
+"""Standard deviation of a mean of a second that is always quiet, (6,), rad/s (72 °/h) and m/s² (0.03°): MEMS
+biases step by as much.  Assumed."""
+QUIET_VARIANCE = QUIET_SD**2 / np.maximum(1.0, 4.0 / WIDTH)
+"""q², (7, 6): variance of a window that is always quiet, less in one of 1 or 2 slots: a disturbance has had
+less time to act."""
 UNSEEN_STEP = np.repeat([np.radians(2000.0 / 2**15), 0.0], 3)
 """rad/s, and not used for m/s²: the step of gyros that measure to 2000 °/s with 16 bits."""
 NO_NOISE = 1e-20
 """Variance of the samples, (rad/s)² and (m/s²)², below which they do not change: rounding in a mean."""
 VARIANCE_SIGMAS, VARIANCE_FACTOR = 6.0, 2.0
-"""Motion: a variance of a slot's samples above so many chi-square sigmas, times a factor."""
+"""Motion: a variance of a slot's samples above so many chi-square sigmas, times a factor.  Assumed."""
 SPIKE_SIGMAS = 8.0
-"""A single sample so far from the mean at rest ends the rest."""
+"""A single sample so far from the mean at rest ends the rest.  Assumed."""
 MEMORY_SLOTS = 1200.0
 """Slots over which the noise is averaged at rest: five minutes."""
 LARGEST_COLOUR = 5.0
-"""In a trial: largest variance of means of 4 and 8 slots over that of white noise."""
+"""In a trial: largest variance of means of 4 and 8 slots over that of white noise.  Assumed."""
 HALVES, HALVES_OFFSET = 5.0, 20.0
-"""In a trial: largest noise of one half over the other, and what is added to it: else a knock was noise."""
+"""In a trial: largest noise of one half over the other, and what is added to it: else a knock was noise.
+Assumed."""
 SLOWER = 16.0
 """In a trial: largest variance of slot means over the variance that their samples explain: a hand is slow
 within a slot and fast between slots."""
 ROAD = np.array([2.5e-3, 0.021])
 """In a trial: largest rms of slot means, rad/s and m/s².  No sensor is noisier (0.1 °/s/√Hz, 1.5 mg/√Hz)."""
 NOISE_CHANGE = 2.5
-"""Factor of the variance from which on a trial has found another noise."""
+"""Factor of the variance from which on a trial has found another noise.  Assumed."""
 
 
 @dataclass(slots=True, eq=False)
@@ -112,7 +120,7 @@ class QuietDetector:
     def band(self) -> tuple[FloatArray, FloatArray]:
         """Lowest and highest reading of a unit at rest, (6,) each; infinite of absent axes."""
         width = np.where(self.present, SPIKE_SIGMAS * np.sqrt(self.sample_noise + self.noise), np.inf)
-        width = width + 4.0 * QUIET + 1.5 * self.step
+        width = width + 4.0 * QUIET_SD + 1.5 * self.step
         centre = self.mean[-SECOND_SLOTS:].mean(0)
         return centre - width, centre + width
 
@@ -178,7 +186,7 @@ class QuietDetector:
         sums = self.mean[::-1].cumsum(0)  # of the latest 1, 2, 3 ... slots
         change = 2.0 * sums[LENGTHS - 1] - sums[2 * LENGTHS - 1]
         excess = np.maximum(np.abs(change) / WIDTH - drift * WIDTH, 0.0)
-        square = excess**2 / (2.0 * np.maximum(self.noise / WIDTH, QUIET_WINDOW + self.floor))
+        square = excess**2 / (2.0 * np.maximum(self.noise / WIDTH, QUIET_VARIANCE + self.floor))
         differ = (square.reshape(-1, 2, 3).sum(2) > CHI_SQUARE).any(1)
         return bool(differ[self.quiet_slots >= 2 * LENGTHS].any())
 
@@ -226,7 +234,7 @@ class QuietDetector:
         samples = np.where(enough, within.mean(0), noise * count)
         # A variance below `least` is always that of rest: QUIET², or 9 times the known noise if that is less,
         # and that of rounding.
-        least = (np.minimum(QUIET**2, 9.0 * self.noise) if self.noise_slots else QUIET**2) + self.floor
+        least = (np.minimum(QUIET_SD**2, 9.0 * self.noise) if self.noise_slots else QUIET_SD**2) + self.floor
         longer = [mean.reshape(-1, length, AXES).mean(1).var(0, ddof=1) for length in (4, 8)]
         ratio = np.array(longer) / np.maximum([noise / 4.0, noise / 8.0], least)
         coloured = ratio.reshape(2, 2, 3).mean(2) > LARGEST_COLOUR  # white noise averages out

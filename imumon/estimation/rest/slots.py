@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from imumon.blocks import BoolArray, FloatArray, SampleBlock
+from imumon.blocks import FloatArray, SampleBlock
 from imumon.filters.slots import Slots
 from imumon.filters.turns import PAUSE_INTERVALS, PAUSE_S, Turn
 
@@ -28,7 +28,7 @@ COARSEST_STEPS = (0.035, 0.16)
 
 
 class Slot(NamedTuple):
-    """A slot of samples; of what is missing the value is NaN."""
+    """A slot of samples; of what is missing the value is NaN.  Rates are in rad/s, forces in m/s²."""
 
     end_s: float  # since the first sample of its segment
     length_s: float  # from the end of the slot before, or of the gap before it, to its last sample
@@ -108,13 +108,6 @@ class Timing:
         """Return the length of the gap before a sample; 0 if it follows."""
         pause = start_s - self.end_s
         return pause if pause > max(PAUSE_S, PAUSE_INTERVALS * self.interval_s) and self.interval_s else 0.0
-
-
-def readings_of(block: SampleBlock, dated: BoolArray) -> FloatArray:
-    """Return rates and specific forces, rad/s and m/s², (n, 6); NaN where there is none or no time."""
-    readings = block.stacked(SENSORS)
-    readings[~dated] = np.nan
-    return readings
 
 
 def heading_of(block: SampleBlock) -> FloatArray:

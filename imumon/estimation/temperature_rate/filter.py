@@ -14,7 +14,7 @@ Bar-Shalom, Li and Kirubarajan, Estimation with Applications to Tracking and Nav
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -128,13 +128,6 @@ def slow_error(thermometer: Thermometer) -> tuple[FloatArray, FloatArray]:
     return NOISE.slow * unit, NOISE.walk * unit_per_s
 
 
-@cache
-def generator(modes: int) -> FloatArray:
-    """Return G of M = I + c G, (m, m): each mode changes to each neighbour with the probability c/2."""
-    differences = np.diff(np.eye(modes), axis=0)
-    return np.asarray(-0.5 * differences.T @ differences)
-
-
 def mix(filters: Filters, dt: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the mixed initial conditions x and P of each jerk PSD, and the predicted mode probabilities c̄.
 
@@ -143,7 +136,8 @@ def mix(filters: Filters, dt: float) -> tuple[FloatArray, FloatArray, FloatArray
     differences from one of the modes, so that a large mean costs no digits.
     """
     x, mu = filters.x, filters.mu
-    transition = np.eye(mu.shape[1]) + min(dt * CHANGE_PER_S, MOST_CHANGE) * generator(mu.shape[1])
+    differences = np.diff(np.eye(mu.shape[1]), axis=0)  # to each neighbour with half the probability
+    transition = np.eye(mu.shape[1]) - 0.5 * min(dt * CHANGE_PER_S, MOST_CHANGE) * differences.T @ differences
     predicted = mu @ transition
     off = x - x[..., :1]
     mixed = (mu * off) @ transition / predicted
