@@ -282,8 +282,8 @@ class Effect(StrictModel):
 class DrivenEffect(Effect):
     """An effect of the temperature, or of whatever else was recorded."""
 
-    operator: ClassVar[str]
-    """What it does with its driver, in a word; it is in the name of an effect of another driver."""
+    operator: ClassVar[str] = ""
+    """What it does with its driver, in a word for the name of an effect of another driver; else its name."""
 
     driver: Annotated[str, Field(min_length=1)] = TEMPERATURE
     """The temperature that the channel's curve is over, or another recorded column.  Parameters that are
@@ -292,7 +292,7 @@ class DrivenEffect(Effect):
     @property
     def label(self) -> str:
         """That of its kind, or for instance ``lag(supply_voltage)``."""
-        return self.name if self.of_temperature else f"{self.operator}({self.driver})"
+        return self.name if self.of_temperature else f"{self.operator or self.name}({self.driver})"
 
     @property
     def of_temperature(self) -> bool:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from imumon.blocks import FloatArray
-from imumon.effects.base import Drive, Effect, Memory, Survey
+from imumon.effects.base import Drive, DrivenEffect, Effect, Memory, Survey
 from imumon.effects.kinds import guarded, is_effect
 from imumon.effects.since_power_on import Drift
 from imumon.errors import ImumonError, Reason
@@ -57,6 +57,23 @@ def test_an_effect_without_fault_gives_its_own_numbers() -> None:
     effect = guarded(plugin(creep(hours)))
     drive = Drive(np.array([0.0, 3600.0]), np.full(2, 25.0))
     assert effect().with_coefficients([2.0]).simulate(drive).tolist() == [0.0, 2.0]
+
+
+def test_an_effect_of_a_driver_needs_no_operator() -> None:
+    class Creep(DrivenEffect):
+        kind: Literal["creep"] = "creep"
+        free_start = True
+
+        @classmethod
+        def grid(cls, survey: Survey) -> list[Self]:  # noqa: ARG003 - as an effect has it
+            return [cls()]
+
+        def advance(self, memory: Memory, drive: Drive) -> FloatArray:  # noqa: ARG002 - as an effect has it
+            return drive.of(self.driver)[:, np.newaxis]
+
+    effect = guarded(plugin(Creep))
+    assert issubclass(effect, DrivenEffect)
+    assert [effect().label, effect(driver="supply").label] == ["creep", "creep(supply)"]
 
 
 @pytest.mark.parametrize(

@@ -72,7 +72,7 @@ class RunBlocks:
     def average(self, columns: FloatArray) -> FloatArray:
         """Return block means (n, k) of columns (slots, k), or (n,) of values (slots,)."""
         means, share = _block_means(columns.reshape(len(self.weight), -1), self.weight, self.slots_per_block)
-        return means[share >= 0.5].reshape(-1, *columns.shape[1:])
+        return means[share >= 0.5].reshape(np.count_nonzero(share >= 0.5), *columns.shape[1:])
 
 
 def make_blocks(
@@ -89,8 +89,8 @@ def make_blocks(
     drives = _drives(run, temperatures, drivers)
     accel = next((drive.accel for drive in drives.values()), None)
     slots = max(1, round(block_s / run.slot_s))
-    pose = np.zeros(len(valid), np.int64) if accel is None else poses(accel, valid)
-    valid = in_one_pose(valid, pose, slots)
+    pose, resting = (np.zeros(len(valid), np.int64), valid) if accel is None else poses(accel, valid)
+    valid = in_one_pose(resting, pose, slots)
     count = run.count[channels[0]]
     some = count > 0
     whole = some & np.append(some[1:], False) & np.append(False, some[:-1])  # no gap cuts it
@@ -130,12 +130,13 @@ def _drives(run: Run, temperatures: Sequence[str], drivers: Sequence[str]) -> di
     return {name: Drive(run.time_s, bridged[name], accel, others) for name in there}
 
 
-def poses(force: FloatArray, resting: BoolArray) -> IntArray:
-    """Return the number of the pose in each slot, (n,): one more after each turn of the unit.
+def poses(force: FloatArray, resting: BoolArray) -> tuple[IntArray, BoolArray]:
+    """Return the number of the pose in each slot, (n,), one more after each turn of the unit; and the slots
+    that are `resting` without those in which it turns all the same, as where rest is declared.
 
     `force` is the specific force in m/s², (n, 3); slots that are not `resting` have the pose before them.
     """
-    at = np.flatnonzero(resting)
+    at, still = np.flatnonzero(resting), resting.copy()
     turns = np.zeros(len(force), np.int64)
     if len(at) > 2 * BESIDE:
         total = np.cumsum(np.vstack([np.zeros(3), force[at]]), axis=0)
@@ -145,7 +146,9 @@ def poses(force: FloatArray, resting: BoolArray) -> IntArray:
         edges = np.flatnonzero(np.diff(np.concatenate([[False], turned, [False]])))
         for start, stop in edges.reshape(-1, 2).tolist():
             turns[at[start + int(np.argmax(change[start:stop])) + BESIDE]] = 1
-    return np.cumsum(turns)
+            beside = at[start : stop + 2 * BESIDE - 1]
+            still[beside] &= beside[-1] - beside[0] >= len(beside)  # no gap: rest is declared
+    return np.cumsum(turns), still
 
 
 def in_one_pose(valid: BoolArray, pose: IntArray, slots: int) -> BoolArray:
@@ -208,7 +211,7 @@ def white_floor(channel: str, blocks: Sequence[RunBlocks]) -> WhiteFloor:
         variance = sum(number * one.sd**2 for one, number in floors) / sum(map(len, blocks))
         return WhiteFloor(float(np.sqrt(variance)), floors[0][0].source)
     slots, gaps = blocks[0].slots_per_block, np.concatenate([run.white for run in blocks]).mean()
-    every = [np.where(one.run.at_rest, one.run.mean[channel], np.nan) for one in blocks]
+    every = [np.where(one.weight > 0.0, one.run.mean[channel], np.nan) for one in blocks]
     values = [rows[: len(rows) // slots * slots].reshape(-1, slots) for rows in every]
     step = max(1, slots // PARTS)
     number = slots // step

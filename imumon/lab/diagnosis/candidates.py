@@ -357,7 +357,8 @@ class Channel:
 
 
 def least_squares(columns: FloatArray, values: FloatArray) -> FloatArray:
-    """Return the coefficients of ordinary least squares, the smallest where columns are collinear."""
+    """Return the coefficients of ordinary least squares, the smallest where columns are collinear, of values
+    (n,), or (n, m): of the identity, those of each value, the pseudo-inverse."""
     norm = np.linalg.norm(columns, axis=0)
     norm = np.where(norm > 0, norm, 1.0)
-    return np.asarray(np.linalg.lstsq(columns / norm, values, rcond=1e-10)[0] / norm)
+    return np.asarray((np.linalg.lstsq(columns / norm, values, rcond=1e-10)[0].T / norm).T)

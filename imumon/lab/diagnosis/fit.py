@@ -276,10 +276,10 @@ def sigmas(
     noise = likelihood.maximum(channel.y, design)[1]
     whitened, _ = likelihood.whitened(np.column_stack([design, slopes, channel.y]), noise)
     columns, y = whitened[:, :-1], whitened[:, -1]
-    inverse = np.linalg.pinv(columns, rcond=1e-10)
+    inverse, pinv_a = (least_squares(each, np.eye(len(y))) for each in (columns, design))
     freedom = max(len(y) - columns.shape[1], 1)
     s = float(np.sqrt(np.sum((y - columns @ (inverse @ y)) ** 2) / freedom))
-    m, pinv_a = inverse[design.shape[1] :], np.asarray(np.linalg.pinv(design, rcond=1e-10), np.float64)
+    m = inverse[design.shape[1] :]
     # L has that of each run on its diagonal: Y = pinv(A) L solves Y L^-1 = pinv(A), run by run.
     identities = np.vstack([np.eye(len(run), max(map(len, runs))) for run in runs])
     l_inverse, _ = likelihood.whitened(identities, noise)

@@ -4,7 +4,7 @@ Rows of y, X and Z are blocks, n over all runs.  With V = L L' a tilde means beh
 
     v         = ỹ - Q Q' ỹ                  Q (n, p) an orthonormal basis of X̃                       (6)
     RSS(X)    = v' v
-    RSS(X, Z) = v' v - g' G^-1 g            g = Z̃' v,   G = Z̃' Z̃ - (Z̃' Q) (Q' Z̃)                      (7)
+    RSS(X, Z) = v' v - g' G^-1 g            g = B' v,   G = B' B,   B = Z̃ - Q Q' Z̃                    (7)
 
 (7) is the theorem of Frisch, Waugh and Lovell.  L^-1 is a Kalman filter for each run, in linear time: its
 state x is the random walk and a Gauss-Markov process for each tau, the bias their sum, in units of s::
@@ -38,6 +38,8 @@ NOISE_GRID = [(r, q) for r in (0.0, 0.3, 1.0, 3.0, 10.0, 100.0, 1e3) for q in (0
 """Half a decade to a decade apart; each likelihood is the largest over these."""
 COLLINEAR = 1e-5
 """A column of which less is left beside the base (its norm, over that before) is not used."""
+AT_ONCE = 256
+"""Candidates that are whitened at once: all would take gigabytes where there are days of them."""
 RIDGE = 1e-9
 """On the diagonal of the normalised G, so that collinear columns can be solved for."""
 
@@ -54,8 +56,6 @@ class Likelihood:
         """Phi and cov w of (8) for each noise, by run."""
         self._diagonal = {noise: self.whitened(np.empty((self.n, 0)), noise)[1] for noise in NOISE_GRID}
         """Diagonal of L for each noise, (n,)."""
-        self._whitened_terms: dict[Noise, dict[Term, FloatArray]] = {noise: {} for noise in NOISE_GRID}
-        """Rows of Z̃', which are whitened once for each noise."""
 
     def maximum(self, y: FloatArray, base: FloatArray) -> tuple[float, Noise]:
         """Return loglik of y (n,) beside a base (n, p) at its maximum over the grid, and the noise there."""
@@ -83,18 +83,17 @@ class Likelihood:
 
         A candidate whose `spectrum` (`Term`) has both signs explains nothing.
         """
+        if len(candidates) > AT_ONCE:
+            parts = [candidates[at : at + AT_ONCE] for at in range(0, len(candidates), AT_ONCE)]
+            return np.concatenate([self.scan(y, base, part, grid) for part in parts])
         terms = list(dict.fromkeys(term for one in candidates for term in one))
         place = {term: at for at, term in enumerate(terms)}
         indices = [[place[term] for term in one] for one in candidates]
         groups = _by_size(indices, np.array([(term.spectrum, term.run) for term in terms]))
-        best = np.full(len(candidates), -np.inf)
+        columns, best = self._training.matrix(terms), np.full(len(candidates), -np.inf)
         for noise in grid:
-            whitened = self._whitened_terms[noise]
-            new = [term for term in terms if term not in whitened]
-            made, _ = self.whitened(self._training.matrix(new), noise)
-            whitened.update(zip(new, made.T.copy(), strict=True))
-            rows = np.array([whitened[term] for term in terms])
             residual, basis = self.residual(y, base, noise)
+            rows = self.whitened(columns, noise)[0].T.copy()
             explained = _explained(residual, basis, rows, groups, len(candidates))
             best = np.maximum(best, self._loglik(residual @ residual - explained, noise))
         return best
@@ -151,24 +150,17 @@ def _explained(
 
     Columns are normalised: their norm beside the base is 1, so that the diagonal of G is.
     """
-    rows_q = rows @ basis  # Z̃' Q
-    norm2 = np.einsum("ij,ij->i", rows, rows)
-    diagonal_of_g = norm2 - np.einsum("ij,ij->i", rows_q, rows_q)
-    usable = diagonal_of_g > COLLINEAR**2 * norm2
-    scale = np.where(usable, 1.0 / np.sqrt(np.where(usable, diagonal_of_g, 1.0)), 0.0)[:, np.newaxis]
-    g_of_terms = scale[:, 0] * (rows @ residual)
-    rows, rows_q = rows * scale, rows_q * scale
+    beside = rows - (rows @ basis) @ basis.T
+    norm = np.linalg.norm(beside, axis=1)
+    usable = norm > COLLINEAR * np.linalg.norm(rows, axis=1)
+    beside /= np.where(usable, norm, np.inf)[:, np.newaxis]
+    g_of_terms = beside @ residual
     explained = np.zeros(count)
     for numbers, terms, one_sign in groups:
-        g = g_of_terms[terms]
-        if terms.shape[1] == 1:
-            explained[numbers] = g[:, 0] ** 2
-            continue
-        z, zq = rows[terms], rows_q[terms]
+        g, z = g_of_terms[terms], beside[terms]
         # A term that the base explains has a zero row: one on the diagonal makes its coefficient zero.
         diagonal = RIDGE + (~usable[terms])
-        gram = z @ z.transpose(0, 2, 1) - zq @ zq.transpose(0, 2, 1)
-        gram += diagonal[:, :, np.newaxis] * np.eye(terms.shape[1])
+        gram = z @ z.transpose(0, 2, 1) + diagonal[:, :, np.newaxis] * np.eye(terms.shape[1])
         c = np.linalg.solve(gram, g[:, :, np.newaxis])[:, :, 0]
         both_signs = one_sign & (c[:, :, np.newaxis] * c[:, np.newaxis] < 0)
         explained[numbers] = np.where(both_signs.any(axis=(1, 2)), 0.0, np.einsum("ij,ij->i", c, g))

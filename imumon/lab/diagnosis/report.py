@@ -13,7 +13,7 @@ import numpy as np
 from imumon.effects.base import ACCEL
 from imumon.effects.library import separated_by
 from imumon.files import plain, write_text
-from imumon.lab.diagnosis.candidates import Candidate, Scored
+from imumon.lab.diagnosis.candidates import Candidate
 from imumon.lab.diagnosis.diagnose import Diagnosis
 from imumon.lab.diagnosis.extended import with_model
 from imumon.lab.diagnosis.fit import Fit, FittedPart, fit, root_mean_square, score_test
@@ -71,6 +71,7 @@ def _channel(verdict: ChannelVerdict) -> dict[str, Any]:
     train_before, train_after = verdict.before.train_rms, verdict.after.train_rms
     explained = explained_share(train_before, train_after, channel.total_floor)
     apart = [(first, other) for first, *others in sets for other in others]
+    ranked = sorted(verdict.search.tables[0].values(), key=lambda one: -one.gain)[:MOST_RANKED]
     steps = [("what was assumed", verdict.before, float("nan"))]
     steps += [(done, fit(channel, model), gain) for done, model, gain in verdict.search.history]
     return {
@@ -93,7 +94,7 @@ def _channel(verdict: ChannelVerdict) -> dict[str, Any]:
         "effects": [_effect(verdict, claim) for claim in verdict.claims],
         "ranking": [
             {"name": one.candidate.family, "gain": one.gain, **_left(verdict, _alone(verdict, one.candidate))}
-            for one in _leaders(verdict, 0)[:MOST_RANKED]
+            for one in ranked
         ],
         "runs": list(_runs_left(verdict)),
         "indistinguishable": sets,
@@ -172,11 +173,6 @@ def _parameters(parts: Sequence[FittedPart]) -> dict[str, Any]:
     return each[0] if len(each) == 1 else {key: [found.get(key) for found in each] for key in each[0]}
 
 
-def _leaders(verdict: ChannelVerdict, stage: int) -> list[Scored]:
-    """Return the best of each family at a stage of the search, the best of all first."""
-    return sorted(verdict.search.tables[stage].values(), key=lambda one: -one.gain)
-
-
 def _alone(verdict: ChannelVerdict, *candidates: Candidate) -> Fit:
     """Return the fit of these candidates alone, beside what is fitted anew of a present model."""
     return fit(verdict.channel, [*verdict.search.present, *candidates])
@@ -226,7 +222,8 @@ def _questions(verdict: ChannelVerdict) -> list[list[dict[str, Any]]]:
             possible = (finding.candidate, *finding.alternatives.values())
             opened.append([answer(beside, one) for one in possible])
     if verdict.unexplained:
-        tried = [one.candidate for one in _leaders(verdict, -1) if one.linear_gain > 0.0]
+        ranked = sorted(verdict.search.tables[-1].values(), key=lambda one: -one.gain)
+        tried = [one.candidate for one in ranked if one.linear_gain > 0.0]
         # A chamber, or poses, can make these show themselves in another run.
         lasting = [one for one in tried if one.scope in ("shared", "either") and one not in claimed]
         further = [one for one in lasting if {*one.parts[0].effect.inputs} <= {ACCEL}][:MOST_ANSWERS]

@@ -175,7 +175,13 @@ class ChannelVerdict:
     @property
     def in_short(self) -> str:
         """The verdict in a few words."""
-        each = [" or ".join(one.finding.names) for one in self.claims]
+        found = [one.finding for one in self.claims]
+        again = {
+            one.name: f"another {one.name}" for one in found
+        }  # not told apart from one, and claimed itself
+        each = [
+            " or ".join([one.name, *(again.get(name, name) for name in one.alternatives)]) for one in found
+        ]
         names = [f"({name})" if " or " in name and len(each) > 1 else name for name in dict.fromkeys(each)]
         text = self.row.sentence.format(names=" and ".join(names))
         if self.row.predicate == "claimed":

@@ -12,11 +12,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from imumon.lab.diagnosis.candidates import Finding
 from imumon.lab.diagnosis.diagnose import Diagnosis, diagnose
 from imumon.lab.diagnosis.page import write_page
 from imumon.lab.diagnosis.report import conclusion, next_step, report
 from imumon.lab.diagnosis.search import PROVEN_GAIN
-from imumon.lab.diagnosis.verdict import BESIDE_CLAIMS, VERDICTS, ChannelVerdict
+from imumon.lab.diagnosis.verdict import BESIDE_CLAIMS, VERDICTS, ChannelVerdict, Claim
 from tests.lab.diagnosis.test_live import model
 from tests.lab.diagnosis.units import DPH, Bias, lagged, ramps, run, telegraph, three
 
@@ -103,6 +104,31 @@ def test_where_nothing_is_named_ranking_runs_and_one_next_step_are_there(
     assert unexplained.verdicts[0].in_short.startswith("unexplained")
 
 
+@pytest.mark.parametrize(
+    ("claims", "text"),
+    [
+        ((("thermal_lag", "dead_time"),), "thermal_lag or dead_time, not told apart"),
+        (
+            (("thermal_lag", "dead_time"), ("warm_up",)),
+            "(thermal_lag or dead_time) and warm_up, not told apart",
+        ),
+        (
+            (("thermal_lag", "dead_time"), ("dead_time",)),
+            "(thermal_lag or another dead_time) and dead_time, not told apart",
+        ),
+        ((("step",), ("step",)), "step"),
+    ],
+)
+def test_an_alternative_that_is_claimed_itself_is_another_one(
+    lagging: Diagnosis, claims: tuple[tuple[str, ...], ...], text: str
+) -> None:
+    every = {one.family: one for one in lagging.verdicts[0].search.candidates}
+    named = [
+        Finding(every[one], alternatives={name: every[name] for name in others}) for one, *others in claims
+    ]
+    assert replace(lagging.verdicts[0], claims=[Claim(one, [], []) for one in named]).in_short == text
+
+
 def walking(seed: int) -> Bias:
     """Return a random walk of 40 °/h in an hour."""
 
@@ -115,6 +141,18 @@ def walking(seed: int) -> Bias:
 
 def heavy_tails(diagnosis: Diagnosis) -> float:
     return float(report(diagnosis)["channels"]["gyro_x"]["slow_noise"]["heavy_tails"])
+
+
+@pytest.mark.parametrize("unit", [1e3, 1e-6])
+def test_sigmas_do_not_depend_on_the_unit(lagging: Diagnosis, unit: float) -> None:
+    """Slopes in the unit of y were cut off beside the columns: 5e-18 s were the sigma of the lag."""
+    train, test = three(lag)
+    for one in (*train, *test):
+        one.mean["gyro_x"] *= unit
+        one.variance["gyro_x"] *= unit**2
+    (claim,), (other,) = (one.verdicts[0].claims for one in (lagging, diagnose(train, test)))
+    assert other.sigmas[0].nonlinear == pytest.approx(claim.sigmas[0].nonlinear, rel=1e-6)
+    np.testing.assert_allclose(other.sigmas[0].coefficients, unit * claim.sigmas[0].coefficients, rtol=1e-6)
 
 
 def test_what_is_unexplained_is_recorded_beside_what_may_drive_it_and_jumps_have_heavy_tails(

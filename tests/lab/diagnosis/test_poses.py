@@ -10,9 +10,10 @@ from scipy.spatial.transform import Rotation
 
 from imumon.blocks import FloatArray
 from imumon.geodesy import EARTH_RATE, MICRO_G, STANDARD_GRAVITY
-from imumon.lab.diagnosis.blocks import in_one_pose, poses
+from imumon.lab.diagnosis.blocks import in_one_pose, make_blocks, poses, white_floor
 from imumon.lab.diagnosis.diagnose import Diagnosis, diagnose
 from imumon.lab.diagnosis.runs import Run
+from imumon.recordings.reduced import ACCEL
 from tests.lab.diagnosis.units import DPH, SAMPLES, WHITE_DPH, cubic, lagged, ramps
 
 SECONDS = 3600
@@ -132,14 +133,37 @@ def test_a_turn_begins_a_pose_and_a_block_is_of_one() -> None:
     force[47:, 0] += 0.3
     resting = np.ones(100, bool)
     resting[40:45] = False
-    pose = poses(force, resting)
+    pose, still = poses(force, resting)
+    assert np.array_equal(still, resting)
     assert pose[:46].max() == 0
     assert pose[47:].min() == pose.max() == 1
     kept = in_one_pose(resting, pose, 20)
     assert not kept[40:47].any()
     assert kept[:40].all()
     assert kept[47:].all()
-    assert poses(force[:47], resting[:47]).max() == 0
+    assert poses(force[:47], resting[:47])[0].max() == 0
+
+
+@pytest.mark.parametrize("turn_s", [1, 4, 10])
+def test_a_turn_that_is_declared_as_rest_is_none(turn_s: int) -> None:
+    """Means and floors had the turns in them: a floor of 1000 white ones, and nothing was missing."""
+    random = np.random.default_rng(turn_s)
+    runs = [posed(seed, True, 1.5, "accel", nothing, mag=False, seconds=1800) for seed in (1, 2)]
+    for one in runs:
+        force = np.column_stack([one.mean[name] for name in ACCEL])
+        for at in np.flatnonzero(np.abs(np.diff(force, axis=0)).max(axis=1) > 1.0) + 1:
+            first = at + int(random.integers(-15, 15))
+            before, after = force[at - 20].copy(), force[at + 20].copy()
+            force[at - 15 : at + 30] = np.where(np.arange(-15, 30)[:, np.newaxis] < first - at, before, after)
+            share = (np.arange(turn_s)[:, np.newaxis] + 0.5) / turn_s
+            force[first : first + turn_s] = before + share * (after - before)
+            one.mean["gyro_x"][first : first + turn_s] += np.pi / 2 / turn_s
+        one.mean |= dict(zip(ACCEL, force.T, strict=True))
+        blocks = make_blocks(one, [*ACCEL, "gyro_x"], ["temperature"])
+        assert white_floor("accel_x", [blocks]).sd < 1.2 * WHITE_UG * MICRO_G
+        assert white_floor("gyro_x", [blocks]).sd < 1.2 * WHITE_DPH * DPH
+        assert np.ptp(blocks.mean["gyro_x"]) < 100.0 * DPH
+        assert len(set(blocks.pose)) == 6
 
 
 @pytest.mark.parametrize("turn_on_dph", [60.0, 200.0])
