@@ -22,6 +22,8 @@ HOPELESS_S = 120.0
 """Time at rest after which a bias that hides the north, or what looks like one, ends the alignment."""
 LONGEST_S = 300.0
 """Longest time in one of several positions."""
+DONE = "done"
+"""The last instruction."""
 
 
 @click.command("align")
@@ -42,7 +44,7 @@ LONGEST_S = 300.0
     help="Number of positions.  With 2 or more the unit is turned in between, and the bias of the gyros does"
     " not matter.",
 )
-@click.option("--seconds", type=common.SECONDS, help="Give up after this time; for a port only.")
+@click.option("--seconds", type=common.SECONDS, help="Give up after this time, not before; for a port only.")
 @common.session_option
 @common.pipeline_option
 @common.model_option
@@ -80,7 +82,7 @@ def command(
         if device is None:
             hint = f"add --device NAME (imumon devices lists them) or a file; try imumon detect {source}"
             raise bad_config(f"{source} is a port, so its device must be named", hint)
-        ran = _live(PortRun(source, device, baud, setup, out, seconds), positions)
+        ran = _live(PortRun(source, device, baud, setup, out, seconds), positions, seconds is not None)
         columns = {column.name for column in ran.columns}
     status = _stage_of(ran).status
     if status.phase == "waiting":
@@ -149,16 +151,17 @@ def _recorded(
     return pipeline, {column.name for column in source.columns(pipeline)}
 
 
-def _live(live: PortRun, positions: int) -> Pipeline:
+def _live(live: PortRun, positions: int, patient: bool) -> Pipeline:
     """Record and align a port until the heading has settled, or will not, or the time is over."""
-    stage, guide = _stage_of(live.run.pipeline), Guide(positions)
+    stage, text = _stage_of(live.run.pipeline), ""
     try:
         live.begin(())
         with common.console(error=True).status("alignment") as line:
-            while not guide.done and live.ending.wait() and live.run.processing:
+            while text != DONE and live.ending.wait() and live.run.processing:
                 live.lines.write()
-                line.update(_progress(stage.status, guide.instruction))
-                for text in guide.update(stage.status):
+                line.update(_progress(stage.status, text))
+                before, text = text, instruction(stage.status, positions, text, patient)
+                if text != before:
                     common.note(text)
     finally:
         summary = live.run.stop()
@@ -216,33 +219,23 @@ def estimator_rows(status: Status) -> list[tuple[str, str, str]]:
     return found
 
 
-class Guide:
-    """Gives the next instruction to the operator, from the status of the alignment.
+def instruction(status: Status, positions: int, before: str, patient: bool) -> str:
+    """Return what the operator should do now, or `DONE`; `before` is the instruction until now.
 
     A position is held until its white noise alone allows the wanted sigma.  With N positions the unit is
-    turned by a Nth of a turn each time; the gyros measure the actual turn.  With one there is no instruction.
+    turned by a Nth of a turn each time; the gyros measure the actual turn.  With one there is nothing to do.
+    `patient`: a sigma that seems out of reach is waited for, as a slow sway looks like a bias at first.
     """
-
-    def __init__(self, positions: int) -> None:
-        self.positions = positions
-        self.instruction = ""
-        self.done = False
-
-    def update(self, status: Status) -> list[str]:
-        """Return a new instruction, if there is one, (0 or 1)."""
-        before, at = self.instruction, status.positions
-        hopeless = status.rest_s >= HOPELESS_S and math.isinf(status.remaining_s)
-        settled = status.settled_s is not None
-        too_long = status.position_s >= LONGEST_S
-        held = too_long or status.position_sd <= status.wanted_sd
-        # Before the first fit in a position the heading is that of the positions before.
-        settled_here = settled and math.isfinite(status.position_sd)
-        if self.positions == 1:
-            self.done = settled or hopeless
-        elif at >= self.positions and (settled_here or too_long or (held and hopeless)):
-            self.instruction, self.done = "done", True
-        elif at < self.positions and held:
-            self.instruction = f"turn the unit now by about {360.0 / self.positions:.0f}° about the vertical"
-        elif at and not status.moving:
-            self.instruction = f"position {at} of {self.positions}: do not touch the unit"
-        return [self.instruction] if self.instruction != before else []
+    hopeless = status.rest_s >= HOPELESS_S and math.isinf(status.remaining_s) and not patient
+    settled, at = status.settled_s is not None, status.positions
+    if positions == 1:
+        return DONE if settled or hopeless else ""
+    too_long = status.position_s >= LONGEST_S
+    held = too_long or status.position_sd <= status.wanted_sd
+    # Before the first fit in a position the heading is that of the positions before.
+    settled_here = settled and math.isfinite(status.position_sd)
+    if at >= positions and (settled_here or too_long or (held and hopeless)):
+        return DONE
+    if at < positions and held:
+        return f"turn the unit now by about {360.0 / positions:.0f}° about the vertical"
+    return f"position {at} of {positions}: do not touch the unit" if at and not status.moving else before

@@ -9,7 +9,7 @@ from pydantic import Field, ValidationError, field_validator, model_validator
 
 from imumon.config import Retired, StrictModel, dump_yaml, parse_yaml, retired, wrong_arguments
 from imumon.errors import bad_config
-from imumon.estimation.alignment.parameters import AlignmentParameters, known_warm_up
+from imumon.estimation.alignment.parameters import AlignmentParameters
 from imumon.estimation.attitude.parameters import AttitudeParameters
 from imumon.estimation.rest.parameters import GyroBiasParameters, RestParameters
 from imumon.estimation.watch.stage import WatchParameters
@@ -212,12 +212,6 @@ class Setup(StrictModel):
         method = self.random_error.method
         more: list[PublishedMethod] = [] if method in ("drift", *self.published) else ["sr_rsukf"]
         return [*self.published, *more]
-
-    @property
-    def alignment_with_warm_up(self) -> AlignmentParameters:
-        """Parameters of the alignment, with the warm-up of the accelerometers that the model knows."""
-        known = self.alignment.known_warm_up or known_warm_up(self.bias_model)
-        return self.alignment.model_copy(update={"known_warm_up": known})
 
     @property
     def random_error_with_noise(self) -> RandomErrorParameters:

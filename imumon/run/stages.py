@@ -70,7 +70,7 @@ def estimators(device: DeviceFile | None, setup: Setup | None = None) -> list[Es
         from imumon.estimation.alignment.stage import Alignment  # scipy.signal and .spatial take 0.7 s
 
         sent = () if device is None else [column.name for column in device.decoder().possible_columns]
-        stages.append(Alignment(setup.alignment_with_warm_up, setup.latitude_deg, axes, sent))
+        stages.append(Alignment(setup.alignment, setup.latitude_deg, axes, sent))
     for more in offers("stages"):
         stages += more(setup, temperature, stages)
     return [*stages, *map(made_by, plugins(STAGES, STAGE, is_callable))]

@@ -3,9 +3,8 @@
 `stage` calls `Aligner.step` with each slot.  Of the slots that `Motion` returns as rest
 
 - the first ones begin the first position;
-- those after a motion that has not turned the unit go on in the present position; sigma has its small angle;
 - those after a turn begin a position, whose attitude is by the turn about the vertical, and else by gravity;
-- all others go on in the present position.
+- all others go on in the present position; sigma has the small angle of a motion before them.
 
 When its time at rest has grown by a third, `fit` and then `posterior` give north anew.  Sigma is that of the
 posterior or, if larger, the distance to earlier headings in this position.  What the unit may have crept at a
@@ -16,7 +15,6 @@ from __future__ import annotations
 
 import cmath
 import math
-from collections import deque
 from collections.abc import Sequence
 
 import numpy as np
@@ -53,8 +51,6 @@ FORGET_S = 60.0
 RECENT_SHARE = 0.5
 """Sigma is at least the distance to the headings fitted in the last half of the time at rest in a position;
 ablation: without it, six of 41 sites were over 7 sigma off once, not two."""
-MOST_FITS = 400
-"""Headings that are kept, for the chart and for sigma."""
 
 
 class Aligner:
@@ -71,7 +67,7 @@ class Aligner:
         self.creep_rate = 0.0  # by which the unit may creep about the vertical in this position, rad/s
         self.errors = sensor_errors(0.0, parameters)
         self.posterior: HeadingPosterior | None = None  # of the last fit
-        self.history: deque[tuple[float, float, float]] = deque(maxlen=MOST_FITS)
+        self.history: list[tuple[float, float, float]] = []
         """Time at rest, s, north and sigma of each fit."""
         self.rest_s, self.due_s = 0.0, FIRST_FIT_S
         """Time at rest in all positions, and that at which the next fit is due."""
@@ -113,27 +109,23 @@ class Aligner:
         # vertical: the mean square of both, less that of the accelerometers' bias in both positions.
         lean = (by_gyros @ attitude[2])[:2]
         by_lean = 0.5 * float(lean @ lean) - 2.0 * self.errors.accel_bias**2
-        error = before.azimuth_error_now.then(error).then(AzimuthError(max(by_lean - variance, 0.0)))
-        new = angle_of(turn.rotation) > NEW_POSITION
+        error = before.azimuth_error.then(error).then(AzimuthError(max(by_lean - variance, 0.0)))
         angle, sd = np.degrees([_turned(before.attitude, attitude), math.sqrt(max(variance, by_lean))])
-        begun_s, what = self.motion.begun_s, "a new position, " if new else ""
-        self.events.append(
-            f"alignment: the unit turned at {begun_s:.1f} s for {rest[0].begun_s - begun_s:.1f} s: left out; "
-            f"{what}turned by {angle:.2f}° ± {sd:.2f}° about the vertical"
-        )
+        begun_s, seconds = self.motion.begun_s, rest[0].begun_s - self.motion.begun_s
+        turned = f"by {angle:.2f}° ± {sd:.2f}° about the vertical"
+        self.events.append(f"alignment: the unit turned at {begun_s:.1f} s for {seconds:.1f} s {turned}")
         before.fit = before.fit and before.fit.averaged()
         before.sums = np.empty((0, 7))  # its rows are not needed any more
         # A gyro that was not vertical before has another bias.
         still_rate = before.still_rate if attitude[2] @ before.attitude[2] > SAME_UP else math.nan
-        ordinal = before.ordinal + new
+        ordinal = before.ordinal + (angle_of(turn.rotation) > NEW_POSITION)
         self.positions.append(Position(rest[0].begun_s, attitude, error, ordinal, still_rate))
         self.due_s = self.rest_s + FIRST_FIT_S
 
     @property
     def attitude(self) -> FloatArray:
-        """Body axes to the reference frame, now, (3, 3); the identity before the first rest."""
-        here = self.positions[-1].attitude if self.positions else np.eye(3)
-        return np.asarray(here @ self.motion.turn.rotation)
+        """Body axes to the reference frame, now, (3, 3); there is none before the first rest."""
+        return np.asarray(self.positions[-1].attitude @ self.motion.turn.rotation)
 
     @property
     def _fits(self) -> list[PositionFit]:
@@ -147,7 +139,7 @@ class Aligner:
             if here.rest_s > FORGET_S:
                 here.forget_half()
             return False
-        here.fit, here.fitted_angle = fit, here.creep_angle
+        here.fit = fit
         white = np.median([each.white for each in self._fits])
         self.errors = sensor_errors(math.sqrt(white), self.parameters)
         # Positions in which the same axis is up have one bias, and the nearest to the earth rate is at rest.
@@ -166,26 +158,22 @@ class Aligner:
         here = self.positions[-1]
         self.due_s = self.rest_s + min(max(here.rest_s / 3.0, 1.0), LONGEST_REFIT_S)
         if self._fit_position():
-            self._update_posterior(here)
+            about = self.posterior.north if self.posterior else cmath.phase(self._fits[-1].gyro_mean)
+            new = heading_posterior(self._fits, about, self.latitude, self.errors)
+            # What no hypothesis explains shows as a heading that changes from fit to fit.
+            since_s = self.rest_s - RECENT_SHARE * here.rest_s
+            recent = [north for rest_s, north, _ in self.history if rest_s >= since_s]
+            change = max((abs(math.remainder(new.north - north, math.tau)) for north in recent), default=0.0)
+            # A unit that creeps at a constant rate points elsewhere than in the middle of the record.
+            creep = 0.5 * self.creep_rate * here.rest_s
+            self.posterior = new._replace(sd=min(math.hypot(max(new.sd, change), creep), ANY_ANGLE_SD))
+            self.fitted_error = here.azimuth_error
+            self.history.append((self.rest_s, new.north, self.posterior.sd))
         # Settled when sigma falls to the wanted one, and no longer when it exceeds 1.25 times that.
         wanted = self.wanted_sd * (1.0 if self.settled_s is None else 1.25)
         heading, sd = self.estimates.get("joint", Estimate())
         settled = sd <= wanted and math.isfinite(heading)
         self.settled_s = (self.settled_s or here.ended_s) if settled else None
-
-    def _update_posterior(self, here: Position) -> None:
-        """Update the posterior by the fits of all positions, of which the present one is new."""
-        about = self.posterior.north if self.posterior else cmath.phase(self._fits[-1].gyro_mean)
-        new = heading_posterior(self._fits, about, self.latitude, self.errors)
-        # What no hypothesis explains shows as a heading that changes from fit to fit.
-        since_s = self.rest_s - RECENT_SHARE * here.rest_s
-        recent = [north for rest_s, north, _ in self.history if rest_s >= since_s]
-        change = max((abs(math.remainder(new.north - north, math.tau)) for north in recent), default=0.0)
-        # A unit that creeps at a constant rate points elsewhere than in the middle of the record.
-        creep = 0.5 * self.creep_rate * here.rest_s
-        self.posterior = new._replace(sd=min(math.hypot(max(new.sd, change), creep), ANY_ANGLE_SD))
-        self.fitted_error = self._fits[-1].azimuth_error
-        self.history.append((self.rest_s, new.north, self.posterior.sd))
 
     def _heading_at(self, attitude: FloatArray, error: AzimuthError) -> Estimate:
         """Return the heading in an attitude with this azimuth error; NaN above `observable_deg`."""
@@ -203,7 +191,7 @@ class Aligner:
             return {}
         here = self.positions[-1]
         turning = AzimuthError.of(self.motion.turn, here.attitude[2])
-        joint = self._heading_at(self.attitude, here.azimuth_error_now.then(turning))
+        joint = self._heading_at(self.attitude, here.azimuth_error.then(turning))
         found, fit = {"joint": joint}, self._fits[-1]
         # A Hann-weighted mean has 1.5 times the variance.
         for name, mean, factor in (("gyro_mean", fit.gyro_mean, 1.0), ("hann_mean", fit.hann_mean, 1.5)):
@@ -246,7 +234,7 @@ class Aligner:
         if self.posterior is None:
             return []
         return [
-            PositionHeading(run, at.begun_s, at.ended_s, *self._heading_at(at.attitude, at.azimuth_error_now))
+            PositionHeading(run, at.begun_s, at.ended_s, *self._heading_at(at.attitude, at.azimuth_error))
             for at in self.positions
         ]
 

@@ -24,7 +24,7 @@ import numpy as np
 
 from imumon.blocks import BoolArray, ColumnArray, FloatArray
 from imumon.estimation.alignment.parameters import ANY_WARM_UP, KnownWarmUp
-from imumon.estimation.alignment.position import AzimuthError, Position, PositionFit, upright
+from imumon.estimation.alignment.position import Position, PositionFit, upright
 from imumon.geodesy import EARTH_RATE, STANDARD_GRAVITY
 
 CELLS = (96, 24, 6)
@@ -63,7 +63,15 @@ def fit_position(record: Position, latitude: float, known: KnownWarmUp | None) -
 
     The latitude is in rad; a known warm-up of the accelerometers is subtracted.
     """
-    valid, gyro, alpha, attitude = _horizontal(record, known)
+    # y and α in horizontal axes, of which the mean force is the vertical,
+    valid, means = record.rows()
+    force = means[:, 3:] / STANDARD_GRAVITY
+    attitude = upright(record.attitude[0], force[valid].mean(axis=0))
+    if known is not None:
+        time_s = record.begun_s + record.row_s * (np.arange(len(valid)) + 0.5)
+        force -= known.bias_g(np.asarray(time_s, np.float64))
+    gyro, force = means[:, :3] @ attitude.T, force @ attitude.T
+    alpha = np.where(valid, force[:, 1] - 1j * force[:, 0], 0.0)
     y = gyro[:, 0] + 1j * gyro[:, 1] - 1j * alpha * EARTH_RATE * math.sin(latitude)
     n, row_s = len(valid), record.row_s
     warm_sd, warm_tau_s = ANY_WARM_UP if known is None else known.remaining
@@ -73,6 +81,7 @@ def fit_position(record: Position, latitude: float, known: KnownWarmUp | None) -
     cells = _divide(without_line[:, 0], valid)
     if cells is None or _creeps(gyro[:, 2], valid, row_s):
         return None
+    # and both in cells, without the sway.
     windows, used, variance = cells
     count, cell_s = len(used), row_s * n / (len(used) + 1.0)
     correlation = np.eye(count) + OVERLAP * (np.eye(count, k=1) + np.eye(count, k=-1))
@@ -102,25 +111,11 @@ def fit_position(record: Position, latitude: float, known: KnownWarmUp | None) -
         vertical_variance=(1.0 + 2.0 * OVERLAP) * up_variance / float(up_used.sum()),
         white=min(variance, up_variance) * row_s / float(np.sum(windows[0] ** 2)),
         attitude=attitude,
-        azimuth_error=record.azimuth_error.then(AzimuthError(record.creep_angle**2)),
+        azimuth_error=record.azimuth_error,
         gyro_mean=complex(y[valid].mean()),
         hann_mean=complex(np.hanning(valid.sum()) @ y[valid]),
         rest_s=record.rest_s,
     )
-
-
-def _horizontal(
-    record: Position, known: KnownWarmUp | None
-) -> tuple[BoolArray, FloatArray, ColumnArray, FloatArray]:
-    """Return which rows have samples, (n,), the gyros in horizontal axes, (n, 3), α, and the attitude."""
-    valid, means = record.rows()
-    force = means[:, 3:] / STANDARD_GRAVITY
-    attitude = upright(record.attitude[0], force[valid].mean(axis=0))
-    if known is not None:
-        time_s = record.begun_s + record.row_s * (np.arange(len(valid)) + 0.5)
-        force -= known.bias_g(np.asarray(time_s, np.float64))
-    force = force @ attitude.T
-    return valid, means[:, :3] @ attitude.T, np.where(valid, force[:, 1] - 1j * force[:, 0], 0.0), attitude
 
 
 def _creeps(vertical: FloatArray, valid: BoolArray, row_s: float) -> bool:

@@ -1,4 +1,4 @@
-"""Parameters of the alignment in a pipeline file, and the warm-up of a bias model."""
+"""Parameters of the alignment in a pipeline file."""
 
 from __future__ import annotations
 
@@ -10,9 +10,6 @@ from pydantic import BeforeValidator, Field
 
 from imumon.blocks import FloatArray
 from imumon.config import Retired, StrictModel
-from imumon.effects.since_power_on import WarmUp
-from imumon.geodesy import MICRO_G
-from imumon.models.model import BiasModel
 
 ANY_WARM_UP = 1e-4, (100.0, 300.0, 1000.0)
 """Warm-up of accelerometers: standard deviation of its amplitudes, g, and their time constants, s."""
@@ -63,8 +60,7 @@ class AlignmentParameters(StrictModel):
     settled_deg : float
         The heading is settled when its sigma is at most this.
     observable_deg : float
-        A heading with a larger sigma is not shown.  That of a MEMS gyro whose bias happens to be small is 7
-        to 12 degrees.
+        A heading with a larger sigma is not shown: a MEMS gyro with a small bias by luck has 7 to 12 degrees.
     gyro_bias_sd_deg_per_h : float, optional
         Standard deviation of a gyro's bias, from run to run.  Default: a regression on the noise, with a
         factor of 4.5 either way (one sigma), of which the data weigh what fits the earth rate.
@@ -91,24 +87,3 @@ class AlignmentParameters(StrictModel):
     coarse_s: Retired = None
     corner_hz: Retired = None
     damping: Retired = None
-
-
-def known_warm_up(model: BiasModel | None) -> KnownWarmUp | None:
-    """Return the warm-up of a model's accelerometers, or None when it has none.
-
-    The effect adds c exp(-t / T) to a bias, which is a warm-up by -c.  Its standard deviation is the
-    channel's residual, unless an accelerometer has other effects: it may drift by these.
-    """
-    accels = [model.channels.get(f"accel_{axis}") for axis in "xyz"] if model else []
-    effects = [accel.effects if accel else [] for accel in accels]
-    found = [next((effect for effect in of if isinstance(effect, WarmUp)), None) for of in effects]
-    warm_ups = [one for one in found if one]
-    if not warm_ups:
-        return None
-    residual = max(accel.residual_sd for accel, one in zip(accels, found, strict=True) if accel and one)
-    alone = len(warm_ups) == sum(map(len, effects))
-    return KnownWarmUp(
-        amplitude_ug=[-one.coefficients[0] / MICRO_G if one else 0.0 for one in found],
-        time_constant_s=[(one or warm_ups[0]).time_constant_s for one in found],
-        amplitude_sd_ug=residual / MICRO_G or None if alone else None,
-    )

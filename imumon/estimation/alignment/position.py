@@ -48,6 +48,7 @@ class AzimuthError(NamedTuple):
 
     variance: float = 0.0  # by all but E, rad²
     by_scale: FloatArray = np.zeros((3, 3))  # the angle by each element of E, the same in all turns, rad
+    crept: float = 0.0  # by the vertical gyro less its rate at rest, which may be all wrong, rad
 
     @classmethod
     def of(cls, turn: Turn, up: FloatArray) -> AzimuthError:
@@ -58,12 +59,13 @@ class AzimuthError(NamedTuple):
 
     def then(self, other: AzimuthError) -> AzimuthError:
         """Return that of both turns, one after the other."""
-        return AzimuthError(self.variance + other.variance, self.by_scale + other.by_scale)
+        by_scale, crept = self.by_scale + other.by_scale, self.crept + other.crept
+        return AzimuthError(self.variance + other.variance, by_scale, crept)
 
-    def variance_from(self, other: AzimuthError, scale_sd: float) -> float:
+    def variance_from(self, other: AzimuthError, scale_sd: float = 0.0) -> float:
         """Return the variance of the angle between both, rad²; `scale_sd` of each element of E."""
         by_scale = scale_sd**2 * float(np.sum(np.square(self.by_scale - other.by_scale)))
-        return abs(self.variance - other.variance) + by_scale
+        return abs(self.variance - other.variance) + (self.crept - other.crept) ** 2 + by_scale
 
 
 class PositionFit(NamedTuple):
@@ -98,7 +100,7 @@ class Position:
     row without slots is a gap in the data.
 
     `attitude` (3, 3) is from body axes to the reference frame, and `azimuth_error` what may be wrong with the
-    turns from the first position to this one.  `ordinal` counts from 1 the attitudes that differ enough to
+    turns from the first position to now.  `ordinal` counts from 1 the attitudes that differ enough to
     separate a bias from the earth rate.  Times are since the first sample of the segment.
     """
 
@@ -108,8 +110,6 @@ class Position:
     ordinal: int = 1
     still_rate: float = math.nan  # of the vertical gyro, rad/s; NaN before a fit with the same axis up
     fit: PositionFit | None = None
-    creep_angle: float = 0.0  # by the vertical gyro less `still_rate`, since the beginning, rad
-    fitted_angle: float = 0.0  # that until the last fit
     ended_s: float = math.nan
     row_s: float = SLOT_S
     sums: FloatArray = field(default_factory=lambda: np.zeros((CAPACITY, 7)))
@@ -124,7 +124,8 @@ class Position:
         row = int((slot.begun_s - self.begun_s) / self.row_s)
         self.sums[row] += np.concatenate([[1.0], slot.rate, slot.force])
         if not math.isnan(self.still_rate):
-            self.creep_angle += SLOT_S * (float(self.attitude[2] @ slot.rate) - self.still_rate)
+            crept = SLOT_S * (float(self.attitude[2] @ slot.rate) - self.still_rate)
+            self.azimuth_error = self.azimuth_error.then(AzimuthError(crept=crept))
 
     def forget_half(self) -> None:
         """Drop the first half of the rows."""
@@ -136,12 +137,6 @@ class Position:
     def rest_s(self) -> float:
         """Time at rest in this position, s."""
         return SLOT_S * float(self.sums[:, 0].sum())
-
-    @property
-    def azimuth_error_now(self) -> AzimuthError:
-        """`azimuth_error`, and what the unit may have crept until the last fit and since then."""
-        since_fit = self.creep_angle - self.fitted_angle
-        return self.azimuth_error.then(AzimuthError(self.fitted_angle**2 + since_fit**2))
 
     def rows(self) -> tuple[BoolArray, FloatArray]:
         """Return which complete rows have samples, (n,), and the mean rates and forces, (n, 6)."""

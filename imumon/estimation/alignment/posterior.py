@@ -9,9 +9,9 @@ with the attitude C_p::
 
 b is the bias of the gyros, E their scale and misalignment, and β the bias of the accelerometers, g, which
 tilts the axes.  All three are constant in body axes.  T is the angle about the vertical by each element of E,
-and v the variance of a turn by all else; it is added to both parts of z, so that a large one, which is not
-linear, stays harmless.  Where z multiplies an error, it is that of the fit before.  In (6)
-E counts only if its size is declared.
+and v the variance of a turn by all else, and of a creep; it is added to both parts of z, so that a large one,
+which is not linear, stays harmless.  Where z multiplies an error, it is that of the fit before.  In (6) E
+counts only if its size is declared.
 
 So w_p is linear in x = (z, b, E, β), by `_design`, and Gaussian.  The log density of x is η'x - ½ x'Λx: each
 position adds to Λ and η, and each turn changes them (`_behind_turn`).  E and β have one size, and are
@@ -181,7 +181,7 @@ def _behind_turn(
     back = np.eye(17)  # x before the turn, by x after it; E is x[5:14]
     back[:2, 5:14] = np.outer([north[1], -north[0]], behind.by_scale - before.by_scale)
     matrix, vector = back.T @ matrix @ back, back.T @ vector
-    gain = (behind.variance - before.variance) * matrix[..., :2]
+    gain = behind.variance_from(before) * matrix[..., :2]
     gain = gain @ np.linalg.inv(np.eye(2) + gain[..., :2, :])
     return matrix - gain @ matrix[..., :2, :], vector - gain @ vector[..., :2, :]
 

@@ -50,8 +50,7 @@ class Alignment:
         self._events = [f"alignment: {name} is not used any more" for name in retired(self._parameters)]
         """Messages that were not reported yet."""
         self._aligner = Aligner(self._parameters, latitude_deg, self._events)
-        self._earlier: list[PositionHeading] = []
-        """Headings in the positions before the last restart."""
+        self._earlier: list[PositionHeading] = []  # before the last restart
         self._slots = SlotGatherer(10, round(SLOT_S * 1e9), turns=True)
         self._down = {None: 0.0, "FRD": 1.0, "FLU": -1.0}[axes]
         """Sign of the body z axis: 1 down, -1 up, 0 not known yet."""
@@ -62,8 +61,7 @@ class Alignment:
         self._recent: deque[FloatArray] = deque(maxlen=CALM_SLOTS)
         """Specific force, m/s², and magnetic field of the last 2 s, (6,); the mean force is up at rest."""
         self._reported: set[str] = set()
-        self._row: list[float] = []
-        """Values of `columns` after the last slot; empty before the first sample."""
+        self._row: list[float] = []  # values of `columns` after the last slot; empty before the first sample
         self.status = self._aligner.status(0.0)
         """State after the last block; may be read by another thread."""
 
@@ -178,8 +176,7 @@ class Alignment:
         wanted = Curve("wanted", rest_s[[0, -1]], np.full(2, self._parameters.settled_deg), GREY)
         curves = (Curve("σ", rest_s, np.degrees(sd), GREEN, width=2.0), wanted)
         axes = Axis("observed time [s]", log=True), Axis("σ [°]", log=True)
-        headline = f"{self.status.heading_text}; {self.status.to_go_text}"
-        title = "Sigma of the heading shown"
+        title, headline = "Sigma of the heading", f"{self.status.heading_text}; {self.status.to_go_text}"
         return [Chart("alignment_progress", "Alignment", title, *axes, curves, headline=headline)]
 
     def notices(self) -> list[str]:

@@ -205,8 +205,8 @@ class HeadingSigma:
             self.drift *= keep
             self.earlier *= keep**2
             self.field_correction *= keep
-        relative = self.gyros.error_variance(self.about_up**2) + self.earlier + self.drift**2
-        relative = relative if known else math.nan
+        turned = self.gyros.error_variance(self.about_up**2)
+        relative = turned + self.earlier + self.drift**2 if known else math.nan
         return self._magnetic(slot, tilt_variance, relative) if slot.end["north"] else relative
 
     def _magnetic(self, slot: Slot, tilt_variance: float, relative: float) -> float:

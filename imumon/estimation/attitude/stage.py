@@ -23,7 +23,7 @@ GAP_NS = 250_000_000
 """A longer pause hides turns: in it a hand turns by a radian."""
 ONE_TURN = np.eye(1, 9)[0]
 """Squares of q_ij of a turn by a radian about the axis of one gyro."""
-NAMES = {
+TEXT = {part: f"attitude, body to east-north-up, {part}" for part in "wxyz"} | {
     "roll": "estimated roll",
     "pitch": "estimated pitch",
     "tilt_sd": "standard deviation of roll and pitch",
@@ -31,11 +31,7 @@ NAMES = {
     "heading_sd": "its standard deviation; of its change since then where it is relative",
 }
 COLUMNS = (
-    *(
-        Column(f"attitude_estimate_{part}", "1", description=f"attitude, body to east-north-up, {part}")
-        for part in "wxyz"
-    ),
-    *(Column(f"attitude_estimate_{name}", "rad", description=text) for name, text in NAMES.items()),
+    *(Column(f"attitude_estimate_{of}", "1" if of in "wxyz" else "rad", description=TEXT[of]) for of in TEXT),
     Column("attitude_estimate_north", "1", "int64", "1: heading from magnetic north, 0: relative heading"),
 )
 
@@ -73,7 +69,6 @@ class AttitudeEstimate:
         # it is in the bias, whose standard deviation has what is no bias after a turn.
         self._earth_rate = EARTH_RATE * abs(math.sin(math.radians(latitude_deg or 0.0)))
         self._fusion, self._field = Fusion(self._heading), np.full(3, math.nan)
-        self._begin()
         self._path = np.zeros(3)  # sum of the angles of all samples, rad
         self._shown = np.array([math.nan, math.nan, 0.0, 0.0, 0.0, 0.0])
         """Of the latest slot: variances of tilt and heading, rad², and of a turn by a radian; path."""
@@ -81,11 +76,6 @@ class AttitudeEstimate:
         self._attitudes = 0  # how often one had to begin anew
         self._device_has_attitude = False
         self._reported: set[str] = set()
-
-    def _begin(self) -> None:
-        """Begin the sigma of an attitude; what is known of the sensors stays."""
-        self._tilt_sigma = TiltSigma(self._accelerometers, self._gyros)
-        self._heading_sigma = HeadingSigma(self._gyros, self._magnetometer, self._earth_rate)
 
     def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
         """Return the new columns of a block; NaN where there is no attitude, none without gyros or gravity.
@@ -140,8 +130,9 @@ class AttitudeEstimate:
 
         `end` is the first row behind the slot; they are NaN where an attitude begins with it.
         """
-        if slots.begins[k]:
-            self._begin()
+        if slots.begins[k]:  # what is known of the sensors stays
+            self._tilt_sigma = TiltSigma(self._accelerometers, self._gyros)
+            self._heading_sigma = HeadingSigma(self._gyros, self._magnetometer, self._earth_rate)
         turn, bias_sd, field = slots.turns[k], slots.last[k, 3:6], slots.last[k, 6:9]
         self._field = np.where(np.isfinite(field), field, self._field)
         if not end["low_force"] > 0.0:

@@ -131,6 +131,17 @@ def test_a_constant_creep_that_has_ended_is_in_the_sigma_as_a_whole(
     assert abs(error_deg(shown.heading, heading)) < 3.0 * math.degrees(shown.sd)
 
 
+def test_a_creep_before_the_last_fit_and_since_then_adds_up_as_an_angle() -> None:
+    # Of three positions the second creeps by 24 mrad, and faster by 8 mrad, which forbids a fit.
+    t = np.arange(420 * 4 + 1) / 4.0
+    creep = 1e-4 * np.clip(t - 66.0, 0.0, 240.0) + 2e-4 * np.clip(t - 306.0, 0.0, 40.0)
+    turns = math.pi * np.clip((t - 60.0) / 6.0, 0.0, 1.0) + 1.7 * np.clip((t - 346.0) / 6.0, 0.0, 1.0)
+    block, _ = sent(Rotation.from_rotvec(np.outer(turns + creep, UP)), 4.0)
+    stage, _ = aligned(block, {"accel_bias_sd_ug": 30.0})
+    first, _, last = stage.finish()
+    assert math.sqrt(first.sd**2 - last.sd**2) > 0.030
+
+
 def test_a_creep_against_a_larger_bias_is_in_the_sigma() -> None:
     t = np.arange(406 * 20 + 1) / 20.0
     creep = math.radians(-5.0) / 3600.0 * np.clip(t - 106.0, 0.0, None)

@@ -309,7 +309,7 @@ def test_someone_who_leans_on_the_table_and_turns_it_is_followed() -> None:
     assert stage.status.phase == "settled"
     assert stage.status.estimates
     assert abs(error_deg(stage.status.shown.heading, 30.3)) < 0.05
-    assert any("left out; turned by 0.30°" in text for text in stage.notices())
+    assert any("by 0.30° ±" in text for text in stage.notices())
 
 
 def test_what_the_rest_detector_sees_counts() -> None:
