@@ -176,12 +176,10 @@ class ChannelVerdict:
     def in_short(self) -> str:
         """The verdict in a few words."""
         found = [one.finding for one in self.claims]
-        again = {
-            one.name: f"another {one.name}" for one in found
-        }  # not told apart from one, and claimed itself
-        each = [
-            " or ".join([one.name, *(again.get(name, name) for name in one.alternatives)]) for one in found
-        ]
+        # A name that is not told apart from another claim, and is claimed itself, is another one of it.
+        again = {one.name: f"another {one.name}" for one in found}
+        others = [[again.get(name, name) for name in one.alternatives] for one in found]
+        each = [" or ".join([one.name, *more]) for one, more in zip(found, others, strict=True)]
         names = [f"({name})" if " or " in name and len(each) > 1 else name for name in dict.fromkeys(each)]
         text = self.row.sentence.format(names=" and ".join(names))
         if self.row.predicate == "claimed":
