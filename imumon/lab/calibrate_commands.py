@@ -26,17 +26,13 @@ from imumon.cli.common import (
 from imumon.cli.progress import announce, reading_bar, size_of
 from imumon.files import check_output, write_text
 from imumon.lab.calibration import SHOWN
-from imumon.lab.diagnosis_commands import chosen_drivers, read
 
 if TYPE_CHECKING:
     from imumon.lab.calibration.calibration import Calibration, Finding
-    from imumon.lab.calibration.magnetometer import Axes, MagnetometerFit
-    from imumon.lab.diagnosis.verdict import ChannelVerdict
 
 STARTING_S, SAMPLES_PER_S, SPAN_PER_S = 2.0, 55_000.0, 670.0
 """For the estimate of the time.  Measured on one core: 19 s of computing for 21,600 samples of 3 h, 103 s for
 600,000 samples of 16.7 h."""
-NO_DRIVER = {"drivers": "none of those recorded is proven"}
 
 
 @click.command("calibrate")
@@ -45,12 +41,6 @@ NO_DRIVER = {"drivers": "none of those recorded is proven"}
 @click.option("--plot", type=PATH, help="Draw curves, points and residuals into this PNG.")
 @latitude_option
 @heading_option
-@click.option(
-    "--drivers",
-    default="none",
-    help="Other recorded quantities that may change the bias, such as supply_voltage: none (the default), all"
-    " (each that varies), or NAME,...  One is kept if the last SESSION confirms it.",
-)
 @click.option("--serial", help="Serial number of the unit, for the model file.")
 @truth_option
 @click.option(
@@ -70,7 +60,6 @@ def calibrate(
     plot: Path | None,
     latitude: float | None,
     heading: float | None,
-    drivers: str,
     serial: str | None,
     truth: bool,
     autopilot: Literal["ardupilot", "px4"] | None,
@@ -99,9 +88,6 @@ def calibrate(
     check_ids(autopilot, device_ids)
     if truth:
         check_truth(sessions)
-    chosen = chosen_drivers(drivers)
-    driven: list[ChannelVerdict] | None = None
-    caveats: list[str] = []
     warnings: list[str] = []
     samples, span_s = size_of(sessions)
     expected_s = STARTING_S + samples / SAMPLES_PER_S + span_s / SPAN_PER_S
@@ -116,11 +102,6 @@ def calibrate(
         result = find_bias(records, latitude, heading, serial, progress)
         result.warnings[:0] = warnings
         model = result.model
-        if chosen != []:
-            from imumon.lab.diagnosis.extended import model_with_drivers
-
-            runs = [read(path, None, at_rest=False, count=progress.count) for path in sessions]
-            model, driven, caveats = model_with_drivers(model, runs, chosen, progress)
     written: dict[str, Path] = {}
     if autopilot is not None and export is not None:
         text, notes = parameters(model, autopilot, imu, device_ids)
@@ -133,21 +114,14 @@ def calibrate(
 
         write_calibration_plot(plot, result, ", ".join(path.name for path in sessions))
     errors = {str(path): errors_of_model(path, model) for path in sessions} if truth else {}
-    warn([*result.warnings, *caveats])
+    warn(result.warnings)
     if as_json:
         report: dict[str, Any] = _report(result, out)
-        if driven is not None:
-            claims = {verdict.name: verdict.claims for verdict in driven}
-            report["effects"] = {
-                name: [claim.finding.name for claim in claims.get(name, [])] for name in model.channels
-            }
         if truth:
             report["truth"] = {path: one.as_data() for path, one in errors.items()}
         print_json(report | written)
     else:
         _show(result)
-    if driven is not None:
-        print_rows({verdict.name: verdict.summary for verdict in driven} or NO_DRIVER)
     written |= {} if plot is None else {"picture": plot}
     print_rows(_summary(result, out) | {name: str(path) for name, path in written.items()})
     for name, one in errors.items():
@@ -260,7 +234,7 @@ def magnetometer(session: Path, out: Path, model: Path | None, plot: Path | None
     with with_warnings(warnings):
         fit = fit_magnetometer(recording.blocks(), units.get("mag_x", "uT"), str(session))
         axes = axes_of(open_recording(session).blocks(), fit.model)  # read again: it may not fit in memory
-        texts = [*fit.doubts, *doubts(axes, str(session))]
+        texts = doubts(fit.model, axes, str(session))
     named = {"session": recording.name, "sha256": recording.sha256()}
     found = fit.model.model_copy(update=named)
     if known is None:
@@ -278,28 +252,24 @@ def magnetometer(session: Path, out: Path, model: Path | None, plot: Path | None
         write_magnetometer_plot(plot, fit, recording.name)
     warned = [*warnings(), *(f"{session}: {text}" for text in texts)]
     warn(warned)
+    off = [degrees(axes.angle), degrees(axes.sd)] if axes is not None and axes.is_significant else None
     if as_json:
-        result = {"out": out, "residual_before": fit.residual_before, "points": len(fit.field)}
-        turned = axes is not None and axes.is_significant
-        result["axes_off_deg"] = degrees(axes.angle) if axes is not None and turned else None
-        result["axes_off_sd_deg"] = degrees(axes.sd) if axes is not None and turned else None
-        print_json({**result, **found.model_dump(), "warnings": warned})
-    print_rows(_magnetometer_rows(fit, axes, out))
-
-
-def _magnetometer_rows(fit: MagnetometerFit, axes: Axes | None, out: Path) -> dict[str, str]:
-    model = fit.model
-    hard = zip(model.hard_iron, model.hard_iron_sd, strict=True)
-    worst = max(value for row in model.soft_iron_sd for value in row)
-    return {
-        "directions": f"{model.coverage:.0%}, {len(fit.field):,} readings",
-        "hard iron": ", ".join(f"{value:.2f} ± {sd:.2g}" for value, sd in hard) + f" {model.unit}",
-        "soft iron": "; ".join(" ".join(f"{value:.4f}" for value in row) for row in model.soft_iron)
-        + f", ± {worst:.1g}",
-        "strength": f"{model.field:.2f} {model.unit}, scatter {fit.residual_before:.2g} as sent, "
-        f"{model.residual_sd:.2g} corrected",
-        "axes": "not checked, for want of gyros or turns"
-        if axes is None or not axes.is_significant
-        else f"the gyros', turned against them by {degrees(axes.angle):.1f} ± {degrees(axes.sd):.1g}°",
+        angle, sd = off or (None, None)
+        result = {"out": out, "residual_before": fit.residual_before, "points": len(fit.readings)}
+        result |= {"axes_off_deg": angle, "axes_off_sd_deg": sd}
+        print_json(result | found.model_dump() | {"warnings": warned})
+    worst = max(value for row in found.soft_iron_sd for value in row)
+    soft = "; ".join(" ".join(f"{value:.4f}" for value in row) for row in found.soft_iron)
+    hard = zip(found.hard_iron, found.hard_iron_sd, strict=True)
+    scatter = f"scatter {fit.residual_before:.2g} as sent, {found.residual_sd:.2g} corrected"
+    rows = {
+        "directions": f"{found.coverage:.0%}, {len(fit.readings):,} readings",
+        "hard iron": ", ".join(f"{value:.2f} ± {sd:.2g}" for value, sd in hard) + f" {found.unit}",
+        "soft iron": f"{soft}, ± {worst:.1g}",
+        "strength": f"{found.field:.2f} {found.unit}, {scatter}",
+        "axes": "not checked, for want of gyros or turns",
         "written": str(out),
     }
+    if off is not None:
+        rows["axes"] = f"the gyros', turned against them by {off[0]:.1f} ± {off[1]:.1g}°"
+    print_rows(rows)

@@ -135,7 +135,7 @@ def diagnose(
         split = len(train)
         training = [run for group in runs[:split] for run in group]
         testing = [run for group in runs[split:] for run in group]
-        beside = chosen_drivers(drivers)
+        beside = {"all": None, "none": []}.get(drivers, drivers.split(","))
         diagnosis = find_effects(training, testing, assumed, progress, sensors, model, beside)
         diagnosis.options = _given(click.get_current_context())
         written = {"report": "report.html", "numbers": "report.json"}
@@ -148,7 +148,6 @@ def diagnose(
 
 
 def _show(diagnosis: Diagnosis, out: Path, written: Mapping[str, str], *, as_json: bool) -> None:
-    """Print the verdicts, what was written, and the next step."""
     from imumon.lab.diagnosis.report import conclusion, next_step, report
 
     warn(diagnosis.caveats)
@@ -186,11 +185,6 @@ def model_of(path: Path) -> BiasModel:
     if model is None:
         raise bad_config(f"{path} ran without a bias model", "give a model file")
     return model
-
-
-def chosen_drivers(text: str) -> list[str] | None:
-    """Return the drivers that ``--drivers`` names; None for all."""
-    return {"all": None, "none": []}.get(text, text.split(","))
 
 
 def read(

@@ -9,6 +9,7 @@ forward-right-down.  Source: AP_Logger/LogStructure.h.
 
 import struct
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -26,20 +27,13 @@ HEAD = MARK + bytes([FORMAT])
 """A log begins with a message that describes the format of another."""
 DESCRIPTION = struct.Struct("<BB4s16s64s")
 TYPES = {
-    "a": ("64s", 0.0), "b": ("b", 1.0), "B": ("B", 1.0), "h": ("h", 1.0), "H": ("H", 1.0), "i": ("i", 1.0),
-    "I": ("I", 1.0), "f": ("f", 1.0), "d": ("d", 1.0), "n": ("4s", 0.0), "N": ("16s", 0.0), "Z": ("64s", 0.0),
-    "c": ("h", 0.01), "C": ("H", 0.01), "e": ("i", 0.01), "E": ("I", 0.01), "L": ("i", 1e-7), "M": ("B", 1.0),
-    "q": ("q", 1.0), "Q": ("Q", 1.0), "g": ("e", 1.0),
+    "a": "V64", "b": "i1", "B": "u1", "h": "<i2", "H": "<u2", "i": "<i4", "I": "<u4", "f": "<f4", "d": "<f8",
+    "n": "V4", "N": "V16", "Z": "V64", "c": "<i2", "C": "<u2", "e": "<i4", "E": "<u4", "L": "<i4", "M": "u1",
+    "q": "<i8", "Q": "<u8", "g": "<f2",
 }  # fmt: skip
-"""Of each type its code for `struct`, and what a number is times; 0 where it is none."""
-KEPT = {
-    "IMU": ("TimeUS", "GyrX", "GyrY", "GyrZ", "AccX", "AccY", "AccZ", "T"),
-    "MAG": ("TimeUS", "MagX", "MagY", "MagZ"),
-    "BARO": ("TimeUS", "Press"),
-}
-NUMBER = "I"
-OWN = {"IMU2": ("IMU", 1), "IMU3": ("IMU", 2)}
-"""Messages that are of one sensor, in logs whose messages have no number of it."""
+"""NumPy's of each type."""
+SENSORS = {"IMU": ("IMU", 0), "IMU2": ("IMU", 1), "IMU3": ("IMU", 2), "MAG": ("MAG", 0), "BARO": ("BARO", 0)}
+"""Of the messages that are kept the kind, and the number of the sensor where none (field I) is in them."""
 BLOCK = 256
 """The last page of a log that was written in pages is filled up (AP_Logger_Block)."""
 BESIDE = (
@@ -59,7 +53,7 @@ def read(path: Path, sensor: str | None = None) -> Log:
     imu = found[name]
     gyro = named(imu, ["GyrX", "GyrY", "GyrZ", "AccX", "AccY", "AccZ"], [*triple("gyro"), *triple("accel")])
     # A sensor without a thermometer reads 0 all the time.
-    if np.any(imu["T"] != 0.0):
+    if np.any(imu.get("T", 0.0)):
         gyro |= named(imu, ["T"], ["temperature"])
     return Log(
         name, others, Series(_time(imu), gyro), log.beside(found, BESIDE, _time), "FRD", SCALING, damage
@@ -72,44 +66,25 @@ class _Format(NamedTuple):
     length: int
     """Of a message, with its head."""
     name: str
-    layout: struct.Struct = DESCRIPTION
-    """Of its fields, where some are kept."""
-    kept: tuple[tuple[int, float] | None, ...] = ()
-    """Of each value that is kept its place among the fields, and its factor; None where it is absent."""
-    number: int | None = None
-    """Where the number of the sensor stands."""
-    sensor: int = 0
-    """Its number where none stands."""
-
-    def row(self, data: bytes, at: int) -> tuple[str, list[float]]:
-        """Return name and number of the sensor of the message that begins there, and what is kept of it."""
-        values = self.layout.unpack_from(data, at + len(HEAD))
-        sensor = self.sensor if self.number is None else values[self.number]
-        kept = [np.nan if one is None else values[one[0]] * one[1] for one in self.kept]
-        return f"{self.name}.{sensor}", kept
+    fields: Any = None
+    """NumPy's type of its content, where that is kept."""
 
 
 def _described(description: bytes) -> tuple[int, _Format]:
     """Return the number that a message FMT describes, and how it is read.
 
-    Raises ValueError when it describes nothing that can be.
+    Raises ValueError or KeyError when it describes nothing that can be.
     """
     number, length, *texts = DESCRIPTION.unpack(description)
     name, types, columns = (text.split(b"\0")[0].decode("ascii") for text in texts)
     if length < len(HEAD) or number == FORMAT:
         raise ValueError(f"{name}: {length} bytes")
-    name, sensor = OWN.get(name, (name, 0))
-    if name not in KEPT:
+    if name not in SENSORS:
         return number, _Format(length, name)
-    names = columns.split(",")
-    if not set(types) <= set(TYPES) or len(names) != len(types):
-        raise ValueError(f"{name}: {types}")
-    layout = struct.Struct("<" + "".join(TYPES[one][0] for one in types))
-    if length != len(HEAD) + layout.size:
+    fields = np.dtype({"names": columns.split(","), "formats": [TYPES[one] for one in types]})
+    if length != len(HEAD) + fields.itemsize:
         raise ValueError(f"{name}: {length} bytes")
-    at = {one: (k, TYPES[types[k]][1]) for k, one in enumerate(names)}
-    kept = tuple(at.get(one) for one in KEPT[name])
-    return number, _Format(length, name, layout, kept, at[NUMBER][0] if NUMBER in at else None, sensor)
+    return number, _Format(length, name, fields)
 
 
 def _messages(path: Path) -> tuple[dict[str, dict[str, Any]], Damage]:
@@ -117,29 +92,30 @@ def _messages(path: Path) -> tuple[dict[str, dict[str, Any]], Damage]:
     with readable(path):
         data = path.read_bytes()
     formats = {FORMAT: _Format(len(HEAD) + DESCRIPTION.size, "FMT")}
-    rows, damage, good = dict[str, list[list[float]]](), Damage(), 0
+    contents, damage, good = dict[_Format, bytearray](), Damage(), 0
     for at, known in _walk(data, formats):
-        end = at + known.length
         damage = damage.and_at(good, at)
-        good = end
+        good = at + known.length
+        content = data[at + len(HEAD) : good]
         if data[at + len(MARK)] == FORMAT:
-            try:
-                number, made = _described(data[at + len(HEAD) : end])
-            except ValueError:
-                continue  # of itself, or damaged: then its messages are of no known format
-            formats[number] = made
-        elif known.kept:
-            name, row = known.row(data, at)
-            rows.setdefault(name, []).append(row)
+            with suppress(ValueError, KeyError):  # damaged, or of itself: its messages are of no known format
+                formats.update([_described(content)])
+        elif known.fields is not None:
+            contents.setdefault(known, bytearray()).extend(content)
     tail = data[good : good + len(HEAD)]
     # The beginning of another message, which was cut.
     is_begun = MARK.startswith(tail[:2]) and (len(tail) < len(HEAD) or tail[2] in formats)
     if len(data) - good >= BLOCK or is_begun:
         damage = damage.and_at(good, len(data))
-    return {
-        name: dict(zip(KEPT[name.partition(".")[0]], np.array(found, np.float64).T, strict=True))
-        for name, found in rows.items()
-    }, damage
+    found = {}
+    for known, joined in contents.items():
+        table, (name, alone) = np.frombuffer(joined, known.fields), SENSORS[known.name]
+        columns = {"TimeUS": np.full(len(table), np.nan), "I": np.full(len(table), alone)}
+        columns |= {field: table[field] for field in known.fields.names}
+        for number in np.unique(columns["I"]).tolist():
+            own = columns["I"] == number
+            found[f"{name}.{number}"] = {field: values[own] for field, values in columns.items()}
+    return found, damage
 
 
 def _walk(data: bytes, formats: Mapping[int, _Format]) -> Iterator[tuple[int, _Format]]:

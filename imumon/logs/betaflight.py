@@ -1,9 +1,9 @@
 """Blackbox logs of Betaflight and its relatives, as the CSV that blackbox_decode makes.
 
 time is in µs; gyroADC is the rate behind the filters of the firmware and gyroUnfilt before them, accSmooth
-the specific force.  Their numbers are raw unless blackbox_decode was given a unit, which then stands in the
-column's name.  The scale is in the "H" lines of the log itself, which blackbox_decode does not copy: they are
-taken from the head of the table, else from the log beside it.  Axes are forward-left-up.
+the specific force, in raw numbers.  The scale is in the "H" lines of the log itself, which blackbox_decode
+does not copy: they are taken from the head of the table, else from the log beside it.  Axes are
+forward-left-up.
 """
 
 import io
@@ -25,7 +25,7 @@ from imumon.logs.log import AXES, Damage, Log, Series, named, nanoseconds, pick,
 
 BEGIN = b"H Product:Blackbox"
 TABLE = re.compile(rb"\s*loopIteration\s*,\s*time \(")
-COLUMN = re.compile(r"(.*?)(?: \(([^)]*)\))?")
+TIME = "time (us)"
 LINE = re.compile(rb"H ([^:\n]+):([^\r\n]*)\r?\n")
 NUMBERED = re.compile(r"(?P<log>.+)\.(?P<number>\d+)")
 LOGS = (".bbl", ".bfl", ".txt", ".cfl")
@@ -34,20 +34,13 @@ FIRMWARES = ("Cleanflight", "Betaflight", "INAV", "EmuFlight")
 """Whose gyro_scale is in °/s; that of Baseflight is not, and of others it is not known."""
 HIGH_RESOLUTION = 10.0
 """With blackbox_high_resolution the firmware writes rates times this (its blackbox.c), which blackbox_decode
-leaves as they are, also where it names a unit."""
-MICROSECONDS = {"us": 1.0, "ms": 1e3, "s": 1e6}
-RATES = {"deg/s": math.radians(1.0), "rad/s": 1.0}
-FORCES = {"g": STANDARD_GRAVITY, "m/s/s": 1.0, "m/s2": 1.0}
+leaves as they are."""
 HINT = (
     "leave the log beside the table (LOG.bbl beside LOG.01.csv, as blackbox_decode does), put its lines that"
     " begin with H at the head of the table, or give --map MAP.yaml with the units"
 )
 Lines = Mapping[str, str]
 """The H lines of a log: its settings by name."""
-
-
-Columns = dict[str, tuple[str, str]]
-"""The columns of a table by name: its title, and the unit in it; "raw" where it names none."""
 
 
 def read(path: Path, sensor: str | None = None) -> Log:
@@ -64,34 +57,32 @@ def read(path: Path, sensor: str | None = None) -> Log:
         what = f"{path}: is a blackbox log as it was recorded"
         raise bad_config(what, f"blackbox_decode {path}")
     titles = [title.strip() for title in data[begin:end].decode(errors="replace").split(",")]
-    columns = _columns(titles)
-    if "time" not in columns:
-        raise bad_data(f"{path}: has no time in {', '.join(MICROSECONDS)}")
-    name, others = pick(path, [one for one in GYROS if f"{one}[0]" in columns], sensor)
+    gyros = [one for one in GYROS if set(_parts(one)) <= set(titles)]
+    if TIME not in titles or not gyros:
+        what = f"{path}: has no {TIME}, or no {_parts(GYROS[0])[0]} of raw numbers"
+        raise bad_config(what, "decode the log without options for units, or give --map MAP.yaml")
+    name, others = pick(path, gyros, sensor)
     lines, source = (settings, f"the head of {path.name}") if settings else _beside(path)
-    values, damage = _read_table(path, data[end:], titles, columns)
-    rate, remark = _rate_scale(path, lines, columns[f"{name}[0]"][1])
+    force = _parts("accSmooth") if set(_parts("accSmooth")) <= set(titles) else []
+    values, damage = _read_table(path, data[end:], titles, [TIME, *_parts(name), *force])
+    rate, remark = _rate_scale(path, lines)
     gyro = named(values, _parts(name), triple("gyro"), rate)
-    if "accSmooth[0]" in columns:
-        force, of_force = _force_scale(lines, columns["accSmooth[0]"][1])
-        remark += f", accelerometer {of_force}"
-        if force is not None:
-            gyro |= named(values, _parts("accSmooth"), triple("accel"), force)
-    time = nanoseconds(np.nan_to_num(values["time"] * MICROSECONDS[columns["time"][1]], nan=-1.0))
+    one_g = lines.get("acc_1G", "")
+    if force and one_g.isascii() and one_g.isdigit() and int(one_g):
+        gyro |= named(values, force, triple("accel"), STANDARD_GRAVITY / int(one_g))
+        remark += f", accelerometer raw / {one_g} g"
+    elif force:
+        remark += ", accelerometer left out, as the log has no acc_1G"
+    time = nanoseconds(np.nan_to_num(values[TIME], nan=-1.0))
     return Log(name, others, Series(time, gyro), [], "FLU", f"gyro {remark}, by {source}", damage)
 
 
-def _rate_scale(path: Path, lines: Lines, unit: str) -> tuple[float, str]:
-    """Return rad/s for a unit of the gyro's column, and what that is in words."""
+def _rate_scale(path: Path, lines: Lines) -> tuple[float, str]:
+    """Return rad/s for a raw number of the gyro, and what that is in words."""
     firmware = lines.get("Firmware type", "none")
     if firmware not in FIRMWARES:
         seen = f"{path}: the firmware is {firmware!r}, of which the unit of gyro_scale is not known"
         raise bad_config(seen, f"known are: {', '.join(FIRMWARES)}; else give --map")
-    finer, tenth = 1.0, ""
-    if lines.get("blackbox_high_resolution", "0") != "0":
-        finer, tenth = HIGH_RESOLUTION, "/10, as blackbox_high_resolution is on"
-    if unit != "raw":
-        return RATES[unit] / finer, f"in {unit}{tenth}"
     text = lines.get("gyro_scale", lines.get("gyro.scale", ""))
     try:
         (scale,) = struct.unpack(">f", bytes.fromhex(text.removeprefix("0x").zfill(8)))
@@ -99,56 +90,26 @@ def _rate_scale(path: Path, lines: Lines, unit: str) -> tuple[float, str]:
         scale = math.nan
     if not 0.0 < scale < math.inf:
         raise bad_config(f"{path}: its gyro_scale is {text!r}, no number", HINT)
-    return math.radians(scale) / finer, f"raw x {scale:.6g} °/s{tenth}"
-
-
-def _force_scale(lines: Lines, unit: str) -> tuple[float | None, str]:
-    """Return m/s² for a unit of accSmooth's column, and what that is in words; None where it is not known."""
-    if unit != "raw":
-        return FORCES[unit], f"in {unit}"
-    text = lines.get("acc_1G", "")
-    if not (text.isascii() and text.isdigit() and int(text)):
-        return None, "left out, as the log has no acc_1G"
-    return STANDARD_GRAVITY / int(text), f"raw / {text} g"
+    if lines.get("blackbox_high_resolution", "0") != "0":
+        remark = f"raw x {scale:.6g} °/s/10, as blackbox_high_resolution is on"
+        return math.radians(scale) / HIGH_RESOLUTION, remark
+    return math.radians(scale), f"raw x {scale:.6g} °/s"
 
 
 def _read_table(
-    path: Path, data: bytes, titles: list[str], columns: Columns
+    path: Path, data: bytes, titles: list[str], wanted: list[str]
 ) -> tuple[dict[str, FloatArray], Damage]:
-    """Return columns as float64 by name, and the rows that are cut."""
+    """Return columns as float64 by title, and the rows that are cut."""
     rows = [row.rstrip(b"\r") for row in data.split(b"\n")]
     cut = [row for row in rows if row.strip() and row.count(b",") != len(titles) - 1]
     whole = b"\n".join(row for row in rows if row.count(b",") == len(titles) - 1)
-    wanted = [title for title, _ in columns.values()]
+    numbers = csv.ConvertOptions(include_columns=wanted, column_types=dict.fromkeys(wanted, pa.float64()))
     try:
-        table = csv.read_csv(
-            io.BytesIO(whole),
-            csv.ReadOptions(column_names=titles),
-            convert_options=csv.ConvertOptions(
-                include_columns=wanted, column_types=dict.fromkeys(wanted, pa.float64())
-            ),
-        )
+        table = csv.read_csv(io.BytesIO(whole), csv.ReadOptions(column_names=titles), convert_options=numbers)
     except (pa.ArrowException, UnicodeDecodeError) as error:
         raise bad_data(f"{path}: cannot be read as a table: {error}") from error
-    values = {name: table[title].to_numpy() for name, (title, _) in columns.items()}
+    values = {title: table[title].to_numpy() for title in wanted}
     return values, Damage(len(cut), sum(map(len, cut)))
-
-
-def _columns(titles: list[str]) -> Columns:
-    """Return the columns that may be taken, by name: all of a vector are there, in units that are known."""
-    found = Columns()
-    for title in titles:
-        parts = COLUMN.fullmatch(title)
-        assert parts is not None
-        found[parts[1]] = (title, parts[2] or "raw")
-    known: dict[str, Mapping[str, float]] = {"time": MICROSECONDS, "accSmooth": {"raw": 1.0, **FORCES}}
-    known |= {name: {"raw": 1.0, **RATES} for name in GYROS}
-    taken = Columns()
-    for name, units in known.items():
-        parts_of = [name] if name == "time" else _parts(name)
-        if all(part in found and found[part][1] in units for part in parts_of):
-            taken |= {part: found[part] for part in parts_of}
-    return taken
 
 
 def _parts(name: str) -> list[str]:

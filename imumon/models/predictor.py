@@ -61,9 +61,8 @@ class Carrier:
         if not self._memories:
             self._memories = [Memory(), *(self._effect.starts(drive) or ())]
         bias, *ends = [self._effect.added(memory, drive) for memory in self._memories]
-        if not ends:
-            return bias, np.zeros(len(bias))
-        return bias, 0.5 * self._effect.start_share * np.abs(ends[1] - ends[0])
+        apart = np.abs(ends[1] - ends[0]) if ends else np.zeros(len(bias))
+        return bias, 0.5 * self._effect.start_share * apart
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -192,7 +192,7 @@ class DenseZupt(SlotStage):
         model: BiasModel | None = None,
         assume_rest: bool = False,
     ) -> None:
-        super().__init__(10, SLOT_S, [6])
+        super().__init__(10, SLOT_S, 6)
         self._method = method
         self._settings = replace(settings or DenseSettings(SLOT_S), interval_s=SLOT_S)
         self._predictor, self._axes = gyro_predictor(model)
@@ -268,10 +268,9 @@ class DenseZupt(SlotStage):
         predicted = self._predictor.of_block(block)
         if self._method == "dense_zupt":
             curve[:, self._axes] = predicted.bias
-            return curve, warming
-        none = np.full(len(block), np.nan)
-        thermometers = [name.replace("_estimate", "") for name in self._predictor.temperature_columns]
-        rates = [name.replace("temperature", "temperature_rate") for name in thermometers]
-        rate = np.column_stack([block.columns.get(name, none) for name in rates])
-        warming[:, self._axes] = predicted.slope * rate
+        else:
+            none, names = np.full(len(block), np.nan), self._predictor.temperature_columns
+            rates = [one.replace("_estimate", "").replace("temperature", "temperature_rate") for one in names]
+            rate = np.column_stack([block.columns.get(name, none) for name in rates])
+            warming[:, self._axes] = predicted.slope * rate
         return curve, warming

@@ -128,8 +128,6 @@ class FirRate:
         """
         n = len(reading)
         out = np.full((4, n), np.nan)
-        if not n:
-            return RateEstimate(*out)
         breaks = self._runs.process(time_ns, segment, np.empty((n, 0))).row.tolist()
         for begin, end in pairwise(sorted({0, *breaks, n})):
             if begin in breaks:
@@ -165,10 +163,7 @@ class FirRate:
         """Return how many samples pass until something happens."""
         params, last = self.params, state.last_reading
         before = np.concatenate([[state.temperature], temperature[:-1]])
-        with np.errstate(invalid="ignore"):
-            happens = np.abs(reading - last) > params.step / 2
-            happens |= np.isfinite(reading) & (np.abs(before - last) > params.step)
-            happens |= np.isfinite(reading) & (reading != last)
+        happens = np.isfinite(reading) & ((reading != last) | (np.abs(before - last) > params.step))
         happens |= seconds > expires_s(state, params)
         return int(np.argmax(happens)) if happens.any() else len(happens)
 

@@ -53,7 +53,6 @@ class RestMeans:
         self._middle_ns = 0
         self._begins = True
         self._interval_s = 0.0
-        self._alone = True
 
     def process(self, slots: Slots) -> list[list[RestMean]]:
         """Return for each slot the mean of each column."""
@@ -64,13 +63,9 @@ class RestMeans:
             elapsed = SLOT_S if self._begins else (middle_ns - self._middle_ns) * 1e-9
             samples = int(slots.samples[k])
             inside = (int(slots.end_ns[k]) - int(slots.start_ns[k])) * 1e-9
-            # A sample alone is the whole of a slow stream, or what a gap left of a fast one.
             if samples > 1:
                 self._interval_s = inside / (samples - 1)
-            elif self._alone or not self._interval_s:
-                self._interval_s = elapsed
-            self._alone = samples == 1
-            interval = self._interval_s
+            interval = self._interval_s or elapsed  # of a stream with a sample in each slot
             row = []
             for count, mean in zip(slots.count[k], slots.mean[k], strict=True):
                 covered = float(count) * interval

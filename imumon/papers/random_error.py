@@ -43,6 +43,13 @@ SOFTENING = 1.0
 """β of STF."""
 OTHER_RATE = 1.5
 """The filters start anew when the sampling interval has changed by this factor."""
+QUANTITIES = (
+    ("random_error", "rad/s", "random error"),
+    ("random_error_sd", "rad/s", "standard deviation of the random error"),
+    ("phi", "1", "φ"),
+    ("phi_sd", "1", "standard deviation of φ"),
+)
+"""Columns of each method; those of φ where it is estimated."""
 MEANS = (
     ("gyro_rest_mean", "exponential mean at rest"),
     ("gyro_rest_hold", "mean of the first seconds at rest, held"),
@@ -123,7 +130,7 @@ class RandomErrorMethods(SlotStage):
         given: RandomErrorParameters | None = None,
         model: BiasModel | None = None,
     ) -> None:
-        super().__init__(len(AXES), SLOT_S, (len(MEANS), len(AXES)))
+        super().__init__(len(AXES), SLOT_S, len(MEANS) * len(AXES))
         self.methods, self._given = methods, given or RandomErrorParameters()
         self._predictor, self._modelled = gyro_predictor(model)
         self._means = RestMeans()
@@ -139,19 +146,16 @@ class RandomErrorMethods(SlotStage):
     @property
     def columns(self) -> Sequence[Column]:
         """The columns that `process` adds."""
-        found = []
-        for method in self.methods:
-            title = TITLES[method]
-            texts = [
-                ("random_error", "rad/s", f"random error by {title}"),
-                ("random_error_sd", "rad/s", "its standard deviation"),
-            ]
-            if method != LINEAR:
-                texts += [("phi", "1", f"φ of {title}"), ("phi_sd", "1", "its standard deviation")]
-            for name, unit, text in texts:
-                found += [Column(f"{method}_{name}_{a}", unit, description=f"{text}, {a}") for a in AXES]
-        return found + [
-            Column(f"{name}_{a}", "rad/s", description=f"{text}, {a}") for name, text in MEANS for a in AXES
+        named = [
+            (f"{method}_{name}", unit, f"{text} by {TITLES[method]}")
+            for method in self.methods
+            for name, unit, text in QUANTITIES[: 2 if method == LINEAR else 4]
+        ]
+        named += [(name, "rad/s", text) for name, text in MEANS]
+        return [
+            Column(f"{name}_{a}", unit, description=f"{text}, {a}")
+            for name, unit, text in named
+            for a in AXES
         ]
 
     def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
@@ -166,7 +170,7 @@ class RandomErrorMethods(SlotStage):
         slots, breaks = self.slots(block, readings)
         rows, means = slots.row.tolist(), self._means.process(slots)
         steps_ns = np.diff(times, prepend=times[:1] if self._last_ns is None else self._last_ns)
-        shown = np.empty((len(means), len(MEANS), len(AXES)))
+        shown = np.empty((len(means), len(MEANS) * len(AXES)))
         ends = [*((row, k) for k, row in enumerate(rows)), *((row, len(rows)) for row in breaks)]
         for j, (name, axis) in enumerate(self._axes.items()):
             at = 0
@@ -176,13 +180,12 @@ class RandomErrorMethods(SlotStage):
                 at = row
                 if k < len(rows):
                     axis.take(means[k][j], self.methods, self._given.learn_s)
-                    shown[k, :, j] = axis.mean.step(means[k][j]), axis.hold.step(means[k][j])
+                    shown[k, j :: len(AXES)] = axis.mean.step(means[k][j]), axis.hold.step(means[k][j])
                 elif row < n:
                     axis.filters = {}
         values = self.spread(slots.row, shown, breaks, n)
-        for i, (column, _) in enumerate(MEANS):
-            for j, name in enumerate(AXES):
-                found[f"{column}_{name}"] = values[:, i, j]
+        names = [f"{column}_{name}" for column, _ in MEANS for name in AXES]
+        found |= dict(zip(names, values.T, strict=True))
         if n:
             self._last_ns = int(times[-1])
         return found

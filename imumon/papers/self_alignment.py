@@ -19,7 +19,6 @@ in the paper, and so there is none here.  The paper runs the loop at 200 Hz; her
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -56,16 +55,6 @@ def earth_rate(latitude: float) -> FloatArray:
     return EARTH_RATE * np.array([0.0, math.cos(latitude), math.sin(latitude)])
 
 
-@dataclass
-class Loop:
-    """State of the loop."""
-
-    attitude: FloatArray
-    """C, body to east-north-up, (3, 3)."""
-    velocity: FloatArray = field(default_factory=lambda: np.zeros(2))
-    """East, north, m/s, (2,)."""
-
-
 Gains = tuple[float, float, float]
 """Of a step: h in s, the decay of a velocity, exp(-k h), and k_b in rad/m."""
 
@@ -86,77 +75,47 @@ def coarse(rate: FloatArray, force: FloatArray) -> FloatArray:
     return np.vstack([np.cross(north, up), north, up])
 
 
-def step(loop: Loop, gain: Gains, earth: FloatArray, rate: FloatArray, force: FloatArray) -> FloatArray:
-    """Go on by one step (4 to 7); return the control rates ω_Ec, ω_Nc in rad/s, (2,).
+class Loop:
+    """The loop, and the means of its control rates ω_Ec, ω_Nc, rad/s, (2,).
 
+    `attitude`: C at the start, body to east-north-up, (3, 3).
     `earth` (3,): Ω east, north, up, rad/s.
-    `rate`, `force` (3,): rad/s and m/s², body axes.
     """
-    interval_s, decay, kb = gain
-    frame = loop.attitude @ rate - earth
-    loop.velocity = decay * loop.velocity + interval_s * (loop.attitude @ force)[:2]
-    control = kb * np.array([-loop.velocity[1], loop.velocity[0]])
-    frame[:2] -= control
-    loop.attitude = rotation_by(interval_s * frame) @ loop.attitude
-    return control
 
+    def __init__(self, attitude: FloatArray, earth: FloatArray) -> None:
+        self.attitude, self._earth = attitude, earth
+        self.velocity, self.control = np.zeros(2), np.full(2, np.nan)
+        """East, north, m/s and rad/s."""
+        self._seconds, self._angle = 0.0, np.zeros(2)
+        self._normal, self._right = np.zeros((2, 2)), np.zeros((2, 2))
+        """Time and α, the integral of the control rates; HᵀH and Hᵀα of a line a t + b, H of rows [t, 1]."""
 
-class Integral:
-    """α, the integral of the control rates; HᵀH and Hᵀz of a line a t + b through it, H of rows [t, 1]."""
-
-    def __init__(self) -> None:
-        self.seconds, self.angle = 0.0, np.zeros(2)
-        self.normal, self.right = np.zeros((2, 2)), np.zeros((2, 2))
-
-    def add(self, control: FloatArray, interval_s: float) -> None:
-        """Take in a step."""
-        self.seconds += interval_s
-        self.angle = self.angle + interval_s * control
-        row = np.array([self.seconds, 1.0])
-        self.normal = self.normal + np.outer(row, row)
-        self.right = self.right + np.outer(row, self.angle)
-
-    @property
-    def average(self) -> FloatArray:
-        """Total average (28): mean ω_Ec, ω_Nc, rad/s, (2,)."""
-        return self.angle / self.seconds
+    def step(self, gain: Gains, rate: FloatArray, force: FloatArray) -> None:
+        """Go on by one step (4 to 7); `rate`, `force` (3,): rad/s and m/s², body axes."""
+        interval_s, decay, kb = gain
+        frame = self.attitude @ rate - self._earth
+        self.velocity = decay * self.velocity + interval_s * (self.attitude @ force)[:2]
+        self.control = kb * np.array([-self.velocity[1], self.velocity[0]])
+        frame[:2] -= self.control
+        self.attitude = rotation_by(interval_s * frame) @ self.attitude
+        self._seconds += interval_s
+        self._angle = self._angle + interval_s * self.control
+        row = np.array([self._seconds, 1.0])
+        self._normal = self._normal + np.outer(row, row)
+        self._right = self._right + np.outer(row, self._angle)
 
     @property
-    def slope(self) -> FloatArray:
-        """Curve fit (30, 31): a of both channels, rad/s, (2,); NaN before there are two points."""
-        if self.normal[1, 1] < 2.0:
-            return np.full(2, np.nan)
-        return np.asarray(np.linalg.solve(self.normal, self.right)[0])
+    def means(self) -> FloatArray:
+        """The rates of now, their total average (28), and a of the curve fit (30, 31), (3, 2)."""
+        slope = np.full(2, np.nan)
+        if self._normal[1, 1] >= 2.0:
+            slope = np.linalg.solve(self._normal, self._right)[0]
+        return np.array([self.control, self._angle / self._seconds, slope])
 
-
-class State:
-    """Where the alignment is: coarse (no loop yet), or fine."""
-
-    def __init__(self) -> None:
-        self.seconds, self.sensed = 0.0, np.zeros(6)
-        """Time, and integral of rates and specific forces, while coarse."""
-        self.loop: Loop | None = None
-        self.control, self.integral = np.full(2, np.nan), Integral()
-
-    def take(self, earth: FloatArray, sensed: FloatArray, interval_s: float) -> None:
-        """Take in the mean rates and specific forces of a slot, (6,)."""
-        if self.loop is None:
-            self.seconds += interval_s
-            self.sensed = self.sensed + interval_s * sensed
-            if self.seconds >= COARSE_S:
-                self.loop = Loop(coarse(self.sensed[:3], self.sensed[3:]))
-            return
-        self.control = step(self.loop, gains(interval_s), earth, sensed[:3], sensed[3:])
-        self.integral.add(self.control, interval_s)
-
-    def results(self, earth: FloatArray) -> FloatArray:
-        """Return the values of `COLUMNS`, NaN where there is none."""
-        if self.loop is None or not self.integral.seconds:
-            return np.full(len(COLUMNS), np.nan)
-        c = self.loop.attitude
-        frame = heading_of(c[2], c[1])
-        means = np.array([self.control, self.integral.average, self.integral.slope])
-        off = np.arctan2(means[:, 0], earth[1] + means[:, 1])
+    def results(self) -> FloatArray:
+        """Return the values of `COLUMNS`, after a step."""
+        frame, means = heading_of(self.attitude[2], self.attitude[1]), self.means
+        off = np.arctan2(means[:, 0], self._earth[1] + means[:, 1])
         heading = (frame - off) % (2.0 * math.pi)  # (18)
         return np.array([heading[0], *self.control, *heading[1:]])
 
@@ -169,11 +128,16 @@ class SelfAlignment(SlotStage):
     """
 
     def __init__(self, latitude: float, methods: Sequence[str] = METHODS) -> None:
-        super().__init__(7, SLOT_S, [len(COLUMNS)])
+        super().__init__(7, SLOT_S, len(COLUMNS))
         self._earth = earth_rate(latitude)
         self.columns = [column for column in COLUMNS if column.name.startswith(tuple(methods))]
-        self._state = State()
+        self._begin()
         self._middle_ns = 0
+
+    def _begin(self) -> None:
+        self._loop: Loop | None = None
+        self._seconds, self._sensed = 0.0, np.zeros(6)
+        """Time, and integral of rates and specific forces, until there is a loop."""
 
     def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
         """Return the new columns of a block, NaN where there is no heading.
@@ -182,19 +146,29 @@ class SelfAlignment(SlotStage):
         """
         rests = block.columns.get("at_rest", np.ones(len(block))) != 0
         slots, breaks = self.slots(block, np.column_stack([inertial(block), rests]))
-        results = np.empty((len(slots), len(COLUMNS)))
+        results = np.full((len(slots), len(COLUMNS)), np.nan)
         for k in range(len(slots)):
             elapsed = (int(slots.middle_ns[k]) - self._middle_ns) * 1e-9
             self._middle_ns = int(slots.middle_ns[k])
             if slots.begins[k] or slots.smallest[k, 6] == 0.0 or elapsed > LONGEST_GAP_S:
-                self._state = State()
+                self._begin()
                 elapsed = SLOT_S
             mean = slots.mean[k]
             if np.isfinite(mean).all() and slots.smallest[k, 6] == 1.0:
                 # Whole slots: their middles differ by a sample as the samples fall.
-                interval = SLOT_S * max(round(elapsed / SLOT_S), 1)
-                self._state.take(self._earth, mean[:6], interval)
-            results[k] = self._state.results(self._earth)
+                self._take(mean[:6], SLOT_S * max(round(elapsed / SLOT_S), 1))
+            if self._loop is not None and np.isfinite(self._loop.control[0]):
+                results[k] = self._loop.results()
         shown = self.spread(slots.row, results, breaks, len(block))
         found = zip(COLUMNS, shown.T, strict=True)
         return {column.name: values for column, values in found if column in self.columns}
+
+    def _take(self, sensed: FloatArray, interval_s: float) -> None:
+        """Take in the mean rates and specific forces of a slot, (6,): coarse at first, then the loop."""
+        if self._loop is not None:
+            self._loop.step(gains(interval_s), sensed[:3], sensed[3:])
+            return
+        self._seconds += interval_s
+        self._sensed = self._sensed + interval_s * sensed
+        if self._seconds >= COARSE_S:
+            self._loop = Loop(coarse(self._sensed[:3], self._sensed[3:]), self._earth)

@@ -14,12 +14,12 @@ class SlotStage:
     """A stage whose results of a slot hold until the next slot, and are void from a restart of the device on.
 
     `inputs`: columns that are gathered into slots.
-    `shape`: of the results of a slot.
+    `results`: their number in a slot.
     """
 
-    def __init__(self, inputs: int, slot_s: float, shape: Sequence[int]) -> None:
+    def __init__(self, inputs: int, slot_s: float, results: int) -> None:
         self._gatherer = SlotGatherer(inputs, round(slot_s * 1e9))
-        self._shown = np.full(tuple(shape), np.nan)
+        self._shown = np.full(results, np.nan)
         self._runs = SlotGatherer(0, ENDLESS_NS)
 
     def slots(self, block: SampleBlock, values: FloatArray) -> tuple[Slots, list[int]]:
@@ -29,9 +29,9 @@ class SlotStage:
         return self._gatherer.process(times, segment, values), ended.row.tolist()
 
     def spread(self, rows: IntArray, results: FloatArray, breaks: Sequence[int], n: int) -> FloatArray:
-        """Return what is shown at n rows, (n, ...), of results that are known from `rows` on."""
+        """Return what is shown at n rows, (n, k), of results that are known from `rows` on."""
         at = np.concatenate([rows, np.array(breaks, np.int64)])
-        values = np.concatenate([results, np.full((len(breaks), *results.shape[1:]), np.nan)])
+        values = np.concatenate([results, np.full((len(breaks), results.shape[1]), np.nan)])
         order = np.argsort(at, kind="stable")
         shown = held(at[order], values[order], self._shown, n)
         if n:

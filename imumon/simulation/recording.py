@@ -102,8 +102,8 @@ def record_session(
     return Session(folder, closed)
 
 
-def write_table(scenario: Scenario, seed: int, path: Path, progress: Progress) -> int:
-    """Write a scenario to one table, the truth in columns that begin with true_; return the number of rows.
+def write_table(scenario: Scenario, seed: int, path: Path, progress: Progress) -> None:
+    """Write a scenario to one table, the truth in columns that begin with true_.
 
     Raises BAD_CONFIG for a suffix that is neither .parquet nor .csv, or when the folder does not exist;
     OSError when the disk is full or fails; a file that was there before is untouched.
@@ -119,7 +119,6 @@ def write_table(scenario: Scenario, seed: int, path: Path, progress: Progress) -
             writer.announce([known[name] for name in rows.columns])
             writer.write(rows)
             progress(size)
-    return scenario.samples
 
 
 def _sizes(scenario: Scenario) -> Iterator[int]:

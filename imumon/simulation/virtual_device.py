@@ -92,7 +92,6 @@ class VirtualDevice(AbstractContextManager["VirtualDevice"]):
         self.port.close()
 
     def __exit__(self, *_: object) -> None:
-        """Close the device."""
         self.close()
 
     def _begin(self, rate_hz: float, seed: int) -> None:

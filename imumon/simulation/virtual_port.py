@@ -162,7 +162,6 @@ class VirtualPort(AbstractContextManager["VirtualPort"]):
         self.unplug()
 
     def __exit__(self, *_: object) -> None:
-        """Close the port."""
         self.close()
 
     def _close_master(self) -> None:

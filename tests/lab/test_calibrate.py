@@ -15,8 +15,6 @@ from imumon.recordings.table import TableWriter, read_table
 from tests.cli.command import MAP, imumon
 from tests.data_folder import measured
 from tests.lab.calibration.records import DEG_H, few_steps, samples, soak, true_bias
-from tests.lab.diagnosis.test_drivers import MAP as DRIVEN_MAP
-from tests.lab.diagnosis.test_drivers import recorded
 
 
 def imported(folder: Path, temperature: FloatArray) -> Path:
@@ -80,7 +78,6 @@ def test_a_session_becomes_a_model(session: Path, tmp_path: Path, monkeypatch: p
     for j, axis in enumerate("xyz"):
         error = model.channels[f"gyro_{axis}"].value(t) - true_bias(t)[:, j]
         assert np.sqrt(np.mean(error**2)) < 8 * DEG_H
-    assert "the correction stands still" in done.stderr
     written = Path(report["parameters"])
     assert written == out.with_suffix(".param")
     assert "INS_TCAL2_GYR1_X," in written.read_text()
@@ -104,27 +101,6 @@ def test_the_table_for_people_marks_what_is_chosen(tmp_path: Path, monkeypatch: 
     assert all(row.count("*") == 1 and "°/h" in row for row in rows)
     assert "WARN" in done.stderr
     assert "earth rate" in done.stderr
-
-
-def test_a_recorded_driver_is_in_the_model(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    few_steps(monkeypatch)
-    (tmp_path / "map.yaml").write_text(DRIVEN_MAP, encoding="utf-8")
-    sessions = [tmp_path / name for name in "abc"]
-    for seed, session in enumerate(sessions, 1):
-        table = recorded(tmp_path, seed)
-        done = imumon("import", table, "--map", tmp_path / "map.yaml", "--out", session)
-        assert done.returncode == 0, done.stderr
-    out = tmp_path / "model.yaml"
-    done = imumon("calibrate", *sessions, "--out", out, "--drivers", "supply_voltage", "--json")
-    assert done.returncode == 0, done.stderr
-    effects = json.loads(done.stdout)["effects"]
-    assert effects.pop("gyro_x") == ["curve(supply_voltage)"]
-    assert not any(effects.values())
-    model = load_model(out)
-    (effect,) = model.channels["gyro_x"].effects
-    assert effect.inputs == ("supply_voltage",)
-    assert np.rad2deg(model.channels["gyro_x"].residual_sd) * 3600 < 5.0  # of 20 °/h that the supply makes
-    assert len(model.trained_on) == 3
 
 
 @pytest.mark.parametrize(

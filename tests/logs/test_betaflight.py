@@ -24,15 +24,15 @@ FINE = "H blackbox_high_resolution:1\n"
 ROWS = 200
 
 
-def table(path: Path, rate: str = "", force: str = "", head: str = "", rows: int = ROWS) -> Path:
+def table(path: Path, rate: str = "", head: str = "", rows: int = ROWS) -> Path:
     """Write what blackbox_decode does of a quad that rolls at 20 °/s and stands on its feet."""
-    of_rate, of_force = (f" ({unit})" if unit else "" for unit in (rate, force))
-    gyros = [f"gyroADC[{k}]{of_rate}" for k in range(3)] + [f"gyroUnfilt[{k}]" for k in range(3)]
-    forces = [f"accSmooth[{k}]{of_force}" for k in range(3)]
+    of_rate = f" ({rate})" if rate else ""
+    gyros = [f"{name}[{k}]{of_rate}" for name in ("gyroADC", "gyroUnfilt") for k in range(3)]
+    forces = [f"accSmooth[{k}]" for k in range(3)]
     flags = ["flightModeFlags (flags)", "failsafePhase (flags)"]
     lines = [", ".join(["loopIteration", "time (us)", "axisP[0]", *gyros, *forces, *flags])]
     for k in range(rows):
-        numbers = [k, 1_000_000 + 500 * k, 3, 20, -10, 0, 21, -11, 1, 1, 2, "1.00" if of_force else 2048]
+        numbers: list[int | str] = [k, 1_000_000 + 500 * k, 3, 20, -10, 0, 21, -11, 1, 1, 2, 2048]
         numbers += ["ANGLE_MODE|ARM", "IDLE"]
         lines.append(", ".join(f"{number:>3}" for number in numbers))
     path.write_text(head + "\n".join(lines) + "\n")
@@ -65,20 +65,14 @@ def test_raw_numbers_with_the_log_beside(tmp_path: Path) -> None:
     assert means["gyro_x"] == pytest.approx(np.radians(42.0))
 
 
-def test_units_in_the_names_and_lines_at_the_head(tmp_path: Path) -> None:
-    path = table(tmp_path / "a.csv", "deg/s", "g", HEAD)
-    _, log, means = imported(path, tmp_path / "s")
-    assert log.scaling == "gyro in deg/s, accelerometer in g, by the head of a.csv"
-    assert means["gyro_x"] == pytest.approx(np.radians(20.0))
-    assert means["accel_z"] == pytest.approx(9.80665)
-    *_, means = imported(table(tmp_path / "b.csv", "rad/s", "m/s/s", HEAD), tmp_path / "t")
-    assert means["gyro_x"] == pytest.approx(20.0)
-    assert means["accel_z"] == pytest.approx(1.0)
+def test_units_in_the_names_are_refused_with_what_to_do(tmp_path: Path) -> None:
+    with pytest.raises(ImumonError, match=r"no gyroADC\[0\] of raw numbers") as error:
+        import_log(table(tmp_path / "a.csv", "deg/s", head=HEAD), None, tmp_path / "s")
+    assert "without options for units" in error.value.hint
 
 
-@pytest.mark.parametrize("unit", ["", "deg/s"])
-def test_rates_of_high_resolution_are_tenths_also_where_a_unit_is_named(tmp_path: Path, unit: str) -> None:
-    _, log, means = imported(table(tmp_path / "a.csv", unit, head=HEAD + FINE), tmp_path / "s")
+def test_rates_of_high_resolution_are_tenths(tmp_path: Path) -> None:
+    _, log, means = imported(table(tmp_path / "a.csv", head=HEAD + FINE), tmp_path / "s")
     assert "/10, as blackbox_high_resolution is on" in log.scaling
     assert means["gyro_x"] == pytest.approx(np.radians(2.0))
     assert means["accel_z"] == pytest.approx(9.80665), "the firmware scales the rates alone"

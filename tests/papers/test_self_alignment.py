@@ -15,13 +15,11 @@ from imumon.papers import self_alignment
 from imumon.papers.self_alignment import (
     CORNER,
     DAMPING,
-    Integral,
     Loop,
     SelfAlignment,
     coarse,
     earth_rate,
     gains,
-    step,
 )
 
 LATITUDE = math.radians(36.0)
@@ -30,40 +28,37 @@ LEVEL = EARTH_RATE * math.cos(LATITUDE)
 
 
 def warming(seconds: float, rate_hz: float, tau: float = 300.0) -> FloatArray:
-    """Return the control rates of a unit along east, north and up whose accelerometers warm up by 30 µg."""
-    loop, h = Loop(np.eye(3)), 1.0 / rate_hz
+    """Return the means, (n, 3, 2), of a unit along east, north and up that warms up by 30 µg."""
+    loop, h = Loop(np.eye(3), EARTH), 1.0 / rate_hz
     gain = gains(h)
     found = []
     for k in range(1, round(seconds * rate_hz) + 1):
         error = 30 * MICRO_G * (1.0 - math.exp(-k * h / tau))
         force = np.array([error, error, STANDARD_GRAVITY])
-        found.append(step(loop, gain, EARTH, EARTH, force))
+        loop.step(gain, EARTH, force)
+        found.append(loop.means)
     return np.array(found)
 
 
 @pytest.mark.parametrize("rate_hz", [8.0, 100.0])
 def test_the_warm_up_makes_the_published_heading_errors(rate_hz: float) -> None:
     """Equation 22: 1.53 and 1.39 mrad at 30 and 60 s for 30 µg, 300 s, 2 Hz, 36°."""
-    control = warming(60.0, rate_hz)
+    control = warming(60.0, rate_hz)[:, 0, 0]
     for second, expected in ((30, 1.53), (60, 1.39)):
-        assert 1e3 * abs(control[round(second * rate_hz) - 1, 0]) / LEVEL == pytest.approx(expected, rel=0.01)
+        assert 1e3 * abs(control[round(second * rate_hz) - 1]) / LEVEL == pytest.approx(expected, rel=0.01)
 
 
 def test_total_average_and_curve_fit_keep_what_the_paper_states_they_keep() -> None:
     """Equation 28: the mean of A e^(-t/T)/(...) over the time, and for the line its least-squares slope."""
     rate_hz, tau = 8.0, 300.0
-    control = warming(120.0, rate_hz, tau)
-    integral = Integral()
-    for one in control:
-        integral.add(one, 1.0 / rate_hz)
+    means = warming(120.0, rate_hz, tau)
+    control, average, slope = means[:, 0], means[-1, 1], means[-1, 2]
     t = np.arange(1, len(control) + 1) / rate_hz
     amplitude = 30e-6 / tau
-    assert abs(integral.average[0]) == pytest.approx(amplitude * np.mean(np.exp(-t / tau)), rel=0.01)
+    assert abs(average[0]) == pytest.approx(amplitude * np.mean(np.exp(-t / tau)), rel=0.01)
     angle = amplitude * tau * (1.0 - np.exp(-t / tau))
-    assert abs(integral.slope[0]) == pytest.approx(np.polyfit(t, angle, 1)[0], rel=0.01)
-    assert integral.slope == pytest.approx(
-        np.polyfit(t, np.cumsum(control, axis=0) / rate_hz, 1)[0], rel=1e-7
-    )
+    assert abs(slope[0]) == pytest.approx(np.polyfit(t, angle, 1)[0], rel=0.01)
+    assert slope == pytest.approx(np.polyfit(t, np.cumsum(control, axis=0) / rate_hz, 1)[0], rel=1e-7)
 
 
 @pytest.mark.parametrize("rate_hz", [1.0, 10.0, 200.0, 2000.0])

@@ -63,11 +63,7 @@ def fit_position(record: Position, latitude: float, known: KnownWarmUp | None) -
 
     The latitude is in rad; a known warm-up of the accelerometers is subtracted.
     """
-<<<<<<< HEAD
-    # y and α in horizontal axes, of which the mean force is the vertical,
-=======
     # y and α in horizontal axes, of which the mean force is the vertical.
->>>>>>> ali
     valid, means = record.rows()
     force = means[:, 3:] / STANDARD_GRAVITY
     attitude = upright(record.attitude[0], force[valid].mean(axis=0))

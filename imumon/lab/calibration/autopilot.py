@@ -35,10 +35,9 @@ TO_BOARD = {"FRD": (1.0, 1.0, 1.0), "FLU": (1.0, -1.0, -1.0), None: (1.0, 1.0, 1
 def parameters(
     model: BiasModel, autopilot: Autopilot, imu: int, ids: tuple[int, int] | None = None
 ) -> tuple[str, list[str]]:
-    """Return a model as the parameters of an autopilot, and warnings about them.
+    """Return a model of `calibrate` as the parameters of an autopilot, and warnings about them.
 
-    Raises BAD_DATA when the span is too small, or a channel has more than a curve; BAD_CONFIG when
-    identifiers or gyros are missing.
+    Raises BAD_DATA when the span is too small; BAD_CONFIG when identifiers are missing.
 
     `autopilot`: "ardupilot" or "px4".
     `imu`: number of the inertial sensor, from 0, as the logs count.
@@ -47,8 +46,6 @@ def parameters(
     check_ids(autopilot, ids)
     names = {kind: [f"{kind}_{axis}" for axis in "xyz"] for kind in KINDS}
     names = {kind: of for kind, of in names.items() if set(of) <= model.channels.keys()}
-    if "gyro" not in names:
-        raise bad_config("the model has not all three gyros", "calibrate all of them")
     ranges = [model.channels[name].temperature_range_degc for of in names.values() for name in of]
     low, high = max(one[0] for one in ranges), min(one[1] for one in ranges)
     if high - low < LEAST_SPAN_DEGC:
@@ -56,7 +53,14 @@ def parameters(
             f"the channels are known from {low:.1f} to {high:.1f} °C only",
             f"an autopilot's calibration needs {LEAST_SPAN_DEGC:g} °C at least: calibrate over more",
         )
-    notes = _notes(model, autopilot, low, high)
+    notes: list[str] = []
+    if model.axes is None:
+        notes.append(
+            "the model does not state its axes: they are taken for those of the board, forward-right-down;"
+            " if they are not, the correction has the wrong sign"
+        )
+    if autopilot == "px4" and model.earth_rate == "included":
+        notes.append("the gyros' constant holds the earth rate of the test, up to 15 °/h")
     reference = ARDUPILOT_REFERENCE_DEGC if autopilot == "ardupilot" else 0.5 * (low + high)
     degc = np.linspace(low, high, POINTS)
     cubics = {
@@ -99,12 +103,6 @@ def check_ids(autopilot: Autopilot | None, ids: tuple[int, int] | None) -> None:
 def _cubic(model: BiasModel, name: str, degc: FloatArray, reference: float, notes: list[str]) -> list[float]:
     """Return the cubic of a channel in the axes of the board, from the constant up; note what it misses."""
     channel = model.channels[name]
-    if channel.effects:
-        names = ", ".join(dict.fromkeys(effect.name for effect in channel.effects))
-        raise bad_data(
-            f"{name} has more than a curve over temperature ({names}), which no autopilot knows",
-            "export a model of imumon calibrate without effects, and see what it errs by in diagnose",
-        )
     value = TO_BOARD[model.axes]["xyz".index(name[-1])] * channel.value(degc)
     coefficients = np.polynomial.polynomial.polyfit(degc - reference, value, 3)
     missed = np.polynomial.polynomial.polyval(degc - reference, coefficients) - value
@@ -115,17 +113,3 @@ def _cubic(model: BiasModel, name: str, degc: FloatArray, reference: float, note
             f" ({channel.residual_sd:.3g}): calibrate over the temperatures of its work only"
         )
     return list(coefficients)
-
-
-def _notes(model: BiasModel, autopilot: Autopilot, low: float, high: float) -> list[str]:
-    notes = {
-        f"outside {low:.1f} to {high:.1f} °C the correction stands still: do not trust offsets that the"
-        " autopilot finds at power-on there": True,
-        "the model does not state its axes: they are taken for those of the board, forward-right-down;"
-        " if they are not, the correction has the wrong sign": model.axes is None,
-        "the gyros' constant holds the earth rate of the test, up to 15 °/h": (
-            autopilot == "px4" and model.earth_rate == "included"
-        ),
-        "the model is from one run: that it holds in another is not shown": len(model.trained_on) < 2,
-    }
-    return [text for text, applies in notes.items() if applies]

@@ -1,9 +1,9 @@
 """From recordings to a bias model."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from typing import TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -28,7 +28,6 @@ from imumon.models.model import UNITS, BiasModel, ChannelModel, TrainedOn
 from imumon.recordings.reduced import ACCEL, GYRO
 from imumon.version import __version__
 
-Name = TypeVar("Name", bound=str)
 Progress = Callable[[str], None]
 """Takes what is being done now."""
 MANY_LEVELS = 6
@@ -156,7 +155,7 @@ def _all_channels(
             what = "left out" if is_accel else "taken as they are, without a turn-on offset"
             warnings.append(f"{name}: runs {runs} have no temperature in common with the others: {what}")
         keep = ~(apart & is_accel)
-        shifted = points.shifted(np.nan_to_num(offset)[channel.run]).only(keep)
+        shifted = replace(points, value=points.value - np.nan_to_num(offset)[channel.run]).only(keep)
         channel = channel.only(keep)
         choice = choose(channel, shifted, knots)
         missed = UNTOLD_S * cells.rate * choice.curve.slope(cells.temperature)
@@ -250,7 +249,7 @@ def _one_way(cells: Cells) -> bool:
     return True
 
 
-def _common(names: Sequence[Name | None]) -> Name | None:
+def _common(names: Sequence[str | None]) -> Any:
     known = {name for name in names if name is not None}
     return known.pop() if len(known) == 1 else None
 
@@ -289,26 +288,28 @@ def check_coverage(records: Sequence[Record], cells: Cells) -> None:
     rest_s = float(cells.seconds.sum())
     if rest_s < LEAST_REST_S:
         recorded_s = sum(float(record.means.span_s.sum()) for record in records)
-        recorded = f"{recorded_s:.0f} s with several samples in {BLOCK_S:g} s"
-        advice = "let the unit stand still on a firm base for longer"
-        if not recorded_s:
-            advice = f"record faster than every {LEAST_COVERED * BLOCK_S:g} s, or mend the unit of its time"
-        raise bad_data(f"{rest_s:.0f} s at rest, of {recorded}; a model needs {LEAST_REST_S:.0f}", advice)
+        raise bad_data(
+            f"{rest_s:.0f} s at rest, of {recorded_s:.0f} s with several samples in {BLOCK_S:g} s; a model"
+            f" needs {LEAST_REST_S:.0f}",
+            f"let the unit stand still on a firm base for longer, with a sample every"
+            f" {LEAST_COVERED * BLOCK_S:g} s at least",
+        )
     known = np.sort(cells.temperature)
     low, high = float(known[0]), float(known[-1])
     span = high - low
     if span < LEAST_SPAN_DEGC:
-        spanned = f"{span:.2f} °C ({low:.2f} to {high:.2f})"
         raise bad_data(
-            f"the temperature at rest spans {spanned}; a model needs {LEAST_SPAN_DEGC:g}",
+            f"the temperature at rest spans {span:.2f} °C ({low:.2f} to {high:.2f}); a model needs"
+            f" {LEAST_SPAN_DEGC:g}",
             "record while the unit warms up or cools down over the range in which it will be used",
         )
     at = int(np.argmax(np.diff(known)))
     below, above = float(known[at]), float(known[at + 1])
     if above - below > WIDEST_HOLE * span:
-        share = f"{(above - below) / span:.0%} of the span; a curve bridges {WIDEST_HOLE:.0%}"
         raise bad_data(
-            f"nothing at rest from {below:.2f} to {above:.2f} °C, {share}", "record levels in between"
+            f"nothing at rest from {below:.2f} to {above:.2f} °C, {(above - below) / span:.0%} of the span; a"
+            f" curve bridges {WIDEST_HOLE:.0%}",
+            "record levels in between",
         )
     wrong = UNTOLD_S * cells.rate_rms
     if wrong > MOST_LAG * span:

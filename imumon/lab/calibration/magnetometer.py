@@ -1,7 +1,6 @@
 """Hard and soft iron from readings in many directions, and whether a magnetometer has the gyros' axes.
 
-A closed form begins (least squares of a quadric whose trace is fixed, in units in which the readings are of
-size one); least squares then fit the strength of the field::
+From a sphere least squares fit the strength of the field::
 
     r_k = |A (m_k - b)| - F,    A symmetric, det A = 1
 
@@ -21,14 +20,13 @@ magnetometer is late.
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from imumon.blocks import FloatArray, SampleBlock
+from imumon.blocks import BoolArray, FloatArray, SampleBlock
 from imumon.errors import bad_data
 from imumon.filters.slots import SlotGatherer
 from imumon.filters.turns import PAUSE_S
@@ -77,25 +75,14 @@ SIGMAS = 4.0
 """An angle is reported as a mounting error from so many of its standard deviations on."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class MagnetometerFit:
+class MagnetometerFit(NamedTuple):
     """A calibration, and what it was made of."""
 
     model: MagnetometerModel
     readings: FloatArray
-    field: FloatArray
-    """As sent, and corrected, (n, 3); the readings that counted."""
+    """As sent, (n, 3); those that counted."""
     residual_before: float
-    """Scatter of the strength as sent, in the same unit."""
-
-    @property
-    def doubts(self) -> list[str]:
-        """Warnings beside it."""
-        strength, (low, high) = self.model.field, EARTH_UT
-        if self.model.unit != "uT" or 0.5 * low < strength < 2.0 * high:
-            return []
-        what = f"the field is {strength:.3g} uT strong, that of the earth {low:g} to {high:g}"
-        return [f"{what}: is the unit right? 1 gauss is 100 uT"]
+    """Scatter of the strength as sent, in the unit of the readings."""
 
 
 def fit_magnetometer(blocks: Iterable[SampleBlock], unit: str, source: str) -> MagnetometerFit:
@@ -114,67 +101,46 @@ def fit_magnetometer(blocks: Iterable[SampleBlock], unit: str, source: str) -> M
     mag, accel = np.hsplit(np.concatenate(found), 2)
     if not len(mag):
         raise bad_data(f"{source}: there is no magnetometer", "needs mag_x, mag_y, mag_z")
-    centre, matrix = _closed_form(mag) if len(mag) >= LEAST_POINTS else (mag.mean(0), np.eye(3))
-    directions = _unit((mag - centre) @ matrix)
-    which = _spread(directions)
-    readings, directions, up = mag[which], directions[which], accel[which]
-    coverage, seen = covered(directions)
-    what = f"{coverage:.0%} of the directions were measured, {LEAST_COVERAGE:.0%} are needed"
-    if len(which) >= LEAST_POINTS and coverage >= LEAST_COVERAGE:
-        model, what = _fitted(readings, unit, coverage), "the readings lie on no ellipsoid"
-        if model is not None:
-            left, known = model.residual_sd / model.field, model.fit_sd / model.field
-            if known <= WORST_SD and left <= MOST_LEFT:
-                strength = np.linalg.norm(readings, axis=1)
-                return MagnetometerFit(model, readings, model.corrected(readings), float(strength.std()))
-            what = f"{what}: {left:.1%} of the field is left, and hard and soft iron are known to {known:.1%}"
-        # The directions of the field are not known then: those of gravity show what is missing.
-        directions = up = _unit(accel[np.isfinite(accel).all(1)])
-        share, seen = covered(up)
-        what += f"; gravity was in {share:.0%} of the directions"
+    middle = 0.5 * (mag.max(0) + mag.min(0))
+    field, model = mag - middle, None
+    for _ in range(2):  # first by the directions of the readings, then by those of the field
+        which = _spread(field)
+        readings, what = mag[which], f"{len(which)} readings in other directions, {LEAST_POINTS} are needed"
+        model = _fitted(readings, middle, unit) if len(which) >= LEAST_POINTS else None
+        if model is None:
+            break
+        field = model.corrected(mag)
+    if model is not None:
+        left, known = model.residual_sd / model.field, model.fit_sd / model.field
+        if known <= WORST_SD and left <= MOST_LEFT and model.coverage >= LEAST_COVERAGE:
+            return MagnetometerFit(model, readings, float(np.linalg.norm(readings, axis=1).std()))
+        what = (
+            f"{model.coverage:.0%} of the directions were measured, {LEAST_COVERAGE:.0%} are needed;"
+            f" {left:.1%} of the field is left, and hard and soft iron are known to {known:.1%}"
+        )
     advice = "away from iron and cables, draw figure-eights while turning the unit over"
-    raise bad_data(f"{source}: {what}", f"{advice}; next: {_next(seen, directions, up)}")
+    # The directions of the field are hardly known then: those of gravity show what is missing.
+    seen = covered(accel[np.isfinite(accel).all(1)])
+    what += f"; gravity was in {seen.mean():.0%} of the directions"
+    missing = ~seen @ MIDDLES
+    axis = int(np.argmax(np.abs(missing)))
+    side = f"{'-' if missing[axis] < 0.0 else '+'}{'xyz'[axis]}"
+    raise bad_data(f"{source}: {what}", f"{advice}; next: turn the {side} axis up, and around there")
 
 
-def covered(directions: FloatArray) -> tuple[float, FloatArray]:
-    """Return the share of all directions that unit vectors, (n, 3), were in, and which cells, (CELLS,)."""
-    counts = np.bincount(np.argmax(directions @ MIDDLES.T, axis=1), minlength=CELLS)
-    return float(np.mean(counts > 0)), np.asarray(counts > 0, np.float64)
+def covered(directions: FloatArray) -> BoolArray:
+    """Return the cells that vectors of any length, (n, 3), were in, (CELLS,)."""
+    return np.bincount(np.argmax(directions @ MIDDLES.T, axis=1), minlength=CELLS) > 0
 
 
-def _unit(vectors: FloatArray) -> FloatArray:
-    return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
-
-
-def _spread(directions: FloatArray) -> list[int]:
+def _spread(field: FloatArray) -> list[int]:
     """Return the rows whose direction differs by `STEP_RAD` from the last that was taken."""
     rows, last, least = list[int](), np.zeros(3), float(np.cos(STEP_RAD))
-    for k, direction in enumerate(directions):
+    for k, direction in enumerate(field / np.linalg.norm(field, axis=1, keepdims=True)):
         if direction @ last < least:
             rows.append(k)
             last = direction
     return rows
-
-
-def _closed_form(readings: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return centre and matrix of the quadric of least squares; of a sphere where that is no ellipsoid."""
-    middle = 0.5 * (readings.max(0) + readings.min(0))
-    size = float(np.linalg.norm(readings - middle, axis=1).mean())
-    x, y, z = ((readings - middle) / size).T
-    # u'Qu + 2 q'u = 1 with the trace of Q as the right side: any ellipsoid has one.
-    design = np.column_stack(
-        [x * x + y * y - 2 * z * z, x * x + z * z - 2 * y * y, 2 * x * y, 2 * x * z, 2 * y * z,
-         2 * x, 2 * y, 2 * z, np.ones_like(x)]
-    )  # fmt: skip
-    a, b, c, d, e, *linear, constant = np.linalg.lstsq(design, x * x + y * y + z * z, rcond=None)[0]
-    quadric = np.array([[a + b - 1, c, d], [c, a - 2 * b - 1, e], [d, e, b - 2 * a - 1]])
-    centre = -np.linalg.solve(quadric, np.array(linear))
-    level = centre @ quadric @ centre - constant
-    values, vectors = np.linalg.eigh(quadric / level)
-    if not (values > 0.0).all():
-        return middle, np.eye(3) / size
-    matrix = vectors @ np.diag(np.sqrt(values)) @ vectors.T
-    return middle + size * centre, matrix / size
 
 
 def _left(parameters: FloatArray, readings: FloatArray) -> FloatArray:
@@ -188,10 +154,13 @@ def _symmetric(triangle: FloatArray) -> FloatArray:
     return matrix + np.triu(matrix, 1).T
 
 
-def _fitted(readings: FloatArray, unit: str, coverage: float) -> MagnetometerModel | None:
-    """Return the model, in the unit of the readings, with standard deviations; None where there is none."""
-    centre, matrix = _closed_form(readings)
-    start = np.concatenate([centre, matrix[TRIANGLE]])
+def _fitted(readings: FloatArray, middle: FloatArray, unit: str) -> MagnetometerModel | None:
+    """Return the model, in the unit of the readings, with standard deviations; None where there is none.
+
+    `middle`, (3,): of the sphere from which the fit begins.
+    """
+    size = float(np.linalg.norm(readings - middle, axis=1).mean())
+    start = np.concatenate([middle, np.eye(3)[TRIANGLE] / size])
     solved = least_squares(_left, start, args=(readings,), x_scale="jac", method="lm")
     parameters, jacobian, residual = (np.asarray(part) for part in (solved.x, solved.jac, solved.fun))
     matrix = _symmetric(parameters[3:])
@@ -215,7 +184,7 @@ def _fitted(readings: FloatArray, unit: str, coverage: float) -> MagnetometerMod
         soft_iron_sd=np.sqrt(soft_variance).tolist(),
         field=field,
         residual_sd=field * float(np.sqrt(variance)),
-        coverage=coverage,
+        coverage=float(covered((readings - parameters[:3]) @ matrix).mean()),
     )
 
 
@@ -246,18 +215,6 @@ def slower_than_white(residual: FloatArray) -> float:
         most = max(most, length * float(means @ means) / len(means) / variance)
         length *= 2
     return most
-
-
-def _next(seen: FloatArray, directions: FloatArray, accel: FloatArray) -> str:
-    """Return which side of the unit should point along the field, where most is missing."""
-    missing = (1.0 - seen) @ MIDDLES
-    axis = int(np.argmax(np.abs(missing)))
-    side = f"turn the {'-' if missing[axis] < 0.0 else '+'}{'xyz'[axis]} axis"
-    vertical = (directions * accel).sum(1)
-    if not np.isfinite(vertical).any():
-        return f"{side} along the magnetic field"
-    # The specific force points up, and the field of the northern hemisphere down.
-    return f"{side} {'down' if np.nanmean(vertical) < 0.0 else 'up'}, and around there"
 
 
 class Axes(NamedTuple):
@@ -352,16 +309,20 @@ def fitted_axes(
     return Axes(found, float(np.hypot(sd, GYRO_SCALE)), follows)
 
 
-def doubts(axes: Axes | None, source: str) -> list[str]:
-    """Return warnings about the axes.
+def doubts(model: MagnetometerModel, axes: Axes | None, source: str) -> list[str]:
+    """Return warnings about a calibration.
 
     Raises BAD_DATA where the magnetometer has other axes than the gyros.
     """
+    found, (low, high) = list[str](), EARTH_UT
+    if model.unit == "uT" and not 0.5 * low < model.field < 2.0 * high:
+        what = f"the field is {model.field:.3g} uT strong, that of the earth {low:g} to {high:g}"
+        found.append(f"{what}: is the unit right? 1 gauss is 100 uT")
     if axes is not None and not axes.follows:
         what = "the field did not go as the gyros turned, in any axes"
-        return [f"{what}, which are not checked: are unit and axes of the gyros right?"]
+        return [*found, f"{what}, which are not checked: are unit and axes of the gyros right?"]
     if axes is None or not axes.is_significant:
-        return []
+        return found
     if axes.way:
         what = f"the magnetometer has not the gyros' axes: their x, y, z are its {named(WAYS[axes.way])}"
         raise bad_data(
@@ -370,11 +331,11 @@ def doubts(axes: Axes | None, source: str) -> list[str]:
             "(in a device file by a negative scale); turns do not show which of the two it is: north of the "
             "magnetic equator the field must point down",
         )
-    if axes.angle < SIGMAS * axes.sd:
-        return []
-    turned = f"{np.degrees(axes.angle):.1f} ± {np.degrees(axes.sd):.1g}° against the gyros"
-    what = f"the magnetometer is turned by {turned}, which the model file does not hold"
-    return [f"{what}: headings are off by up to as much, and more where the field is steep"]
+    if axes.angle >= SIGMAS * axes.sd:
+        turned = f"{np.degrees(axes.angle):.1f} ± {np.degrees(axes.sd):.1g}° against the gyros"
+        what = f"the magnetometer is turned by {turned}, which the model file does not hold"
+        found.append(f"{what}: headings are off by up to as much, and more where the field is steep")
+    return found
 
 
 def named(way: FloatArray) -> str:

@@ -28,18 +28,13 @@ def write_calibration_plot(path: Path, result: Calibration, title: str) -> None:
 
     Raises OSError when the file cannot be written; one that was there before is untouched.
     """
-    names = list(result.findings)
-    columns, rows = min(COLUMNS, len(names)), -(-len(names) // COLUMNS)
+    columns, rows = min(COLUMNS, len(result.findings)), -(-len(result.findings) // COLUMNS)
     figure = Figure(figsize=(4.8 * columns, 6.4 * rows), layout="constrained")
-    grid = figure.subplots(2 * rows, columns, squeeze=False, height_ratios=(2, 1) * rows)
-    for number in range(rows * columns):
+    grid = figure.add_gridspec(2 * rows, columns, height_ratios=(2, 1) * rows)
+    for number, name in enumerate(result.findings):
         row, column = divmod(number, columns)
-        above, below = grid[2 * row : 2 * row + 2, column]
-        if number < len(names):
-            _draw(above, below, names[number], result)
-        else:
-            above.remove()
-            below.remove()
+        above, below = (figure.add_subplot(grid[2 * row + at, column]) for at in range(2))
+        _draw(above, below, name, result)
     figure.suptitle(f"{for_plot(title)}: bias over temperature", fontsize=11)
     write_png(path, figure, 110)
 
@@ -76,8 +71,9 @@ def write_magnetometer_plot(path: Path, fit: MagnetometerFit, title: str) -> Non
     Raises OSError when the file cannot be written; one that was there before is untouched.
     """
     model, turn = fit.model, np.linspace(0.0, 2.0 * np.pi, 200)
-    every = 1 + len(fit.field) // MOST_POINTS
-    readings, field = fit.readings[::every], fit.field[::every]
+    every = 1 + len(fit.readings) // MOST_POINTS
+    readings = fit.readings[::every]
+    field = model.corrected(readings)
     figure = Figure(figsize=(13.0, 4.8), layout="constrained")
     for number, (i, j) in enumerate(PLANES):
         axes = figure.add_subplot(1, 3, number + 1)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Any
@@ -13,11 +12,8 @@ from numpy.polynomial import Chebyshev, Polynomial
 from imumon.effects.temperature_curve import TemperatureCurve
 from imumon.lab.diagnosis.blocks import RunBlocks
 from imumon.lab.diagnosis.candidates import Channel
-from imumon.lab.diagnosis.diagnose import Diagnosis, diagnose
+from imumon.lab.diagnosis.diagnose import Diagnosis
 from imumon.lab.diagnosis.fit import Fit
-from imumon.lab.diagnosis.prepare import latest
-from imumon.lab.diagnosis.runs import Run
-from imumon.lab.diagnosis.search import Progress
 from imumon.lab.diagnosis.verdict import ChannelVerdict
 from imumon.models.curves.polynomial import HIGHEST_ORDER, PolynomialCurve
 from imumon.models.model import UNITS, BiasModel, ChannelModel, TrainedOn
@@ -119,23 +115,3 @@ def trained_on(blocks: RunBlocks) -> TrainedOn:
         blocks=len(blocks),
         temperature_range_degc=[float(temperature.min()), float(temperature.max())],
     )
-
-
-def model_with_drivers(
-    model: BiasModel, recordings: Sequence[Sequence[Run]], drivers: Sequence[str] | None, progress: Progress
-) -> tuple[BiasModel, list[ChannelVerdict], list[str]]:
-    """Return a calibrated model with what is proven of recorded drivers (None: of all that vary), the
-    verdicts on the channels that have one, and remarks.
-
-    The search is that of `diagnose`, the latest recording is its test.  A channel in which a driver is found
-    gets all that was found in it, for that was fitted beside the driver; the others stay as they are.
-
-    Raises BAD_DATA when the data is too short for it; BAD_CONFIG for a driver that is not there.
-    """
-    declared = "polynomial 3 + offset"  # the degree is that of the model, the offset as in the calibration
-    diagnosis = diagnose(*latest(recordings), declared, progress, model=model, drivers=drivers)
-    useful = [one for one in diagnosis.verdicts if one.predicts]
-    found = [one for one in useful if any(claim.finding.candidate.choice_price > 0.0 for claim in one.claims)]
-    extended = extended_model(diagnosis).channels
-    channels = {**model.channels, **{verdict.name: extended[verdict.name] for verdict in found}}
-    return model.model_copy(update={"channels": channels}), found, diagnosis.caveats

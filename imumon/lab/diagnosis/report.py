@@ -263,7 +263,9 @@ def _steps(diagnosis: Diagnosis, folder: Path) -> Iterator[NextStep]:
     unproven = {one.name for one in verdicts if one.channel.test and one.row.state == "not proven"}
     if names := which(lambda one: one.faulty or one.hidden or (one.channel.coarse and one.name in unproven)):
         what = f"Record {names} again with a range and digits that its noise and bias fit in."
-        yield NextStep(what, "Its values hide what matters: one comes far too often, or their steps are coarse.")
+        yield NextStep(
+            what, "Its values hide what matters: one comes far too often, or their steps are coarse."
+        )
     if not chosen or any(one.by_test for one in verdicts):
         why = "The test has chosen the effect." if chosen else "Without a test nothing is proven."
         command = f"imumon diagnose {diagnosis.options} --test NEW --out {folder}"

@@ -21,16 +21,11 @@ class Points:
     """Temperature level that the mean belongs to, numbered upwards, (n,); what is left out together."""
 
     def __len__(self) -> int:
-        """Return the number of means."""
         return len(self.temperature)
 
     def only(self, chosen: BoolArray) -> "Points":
         """Return the means that are chosen."""
         return Points(self.temperature[chosen], self.value[chosen], self.weight[chosen], self.level[chosen])
-
-    def shifted(self, offset: FloatArray) -> "Points":
-        """Return the means with an offset taken from each."""
-        return Points(self.temperature, self.value - offset, self.weight, self.level)
 
     def merged(self, width: float) -> "Points":
         """Return weighted means of those of the same level that are in the same `width` of °C.

@@ -131,16 +131,10 @@ class Vibration(_Shaking, _Lasting):
 class Handling(_Timed):
     """Rounds of rest and motion: each begins with a rest, then the unit is swung and carried about.
 
-    Parameters
-    ----------
-    at_s, rounds, every_s, rest_s : float
-        First round, number of rounds, length of a round, and of the rest at its beginning.
-    swing_deg, swing_period_s : three numbers, float
-        Amplitudes of roll, pitch, heading, and about how long one swing lasts.
-    travel_m : three numbers
-        Amplitudes of the way north, east, down.
-    heading_deg : float
-        Change of heading from one rest to the next.
+    `at_s`, `rounds`, `every_s`, `rest_s`: first round, their number, length of a round and of its rest.
+    `swing_deg`, `swing_period_s`: amplitudes of roll, pitch, heading, and about how long one swing lasts.
+    `travel_m`: amplitudes of the way north, east, down.
+    `heading_deg`: change of heading from one rest to the next.
     """
 
     kind: Literal["handling"]
@@ -200,38 +194,27 @@ def is_static(events: Sequence[Event], first_s: float, last_s: float) -> bool:
     return all(event.at_s > last_s or event.at_s + event._length_s < first_s for event in events)
 
 
-Triple = tuple[FloatArray, FloatArray, FloatArray]
-"""A function of time and its first two derivatives."""
-
-
 def _within(since_s: FloatArray, length_s: float) -> BoolArray:
     return (since_s >= 0.0) & (since_s < length_s)
 
 
-def _minimum_jerk(since_s: FloatArray, length_s: float) -> Triple:
-    """Return the way from 0 to 1 in this time, with speed and acceleration 0 at both ends."""
+def _minimum_jerk(since_s: FloatArray, length_s: float) -> FloatArray:
+    """Return the way from 0 to 1 in this time, its speed and acceleration, 0 at both ends, (3, n)."""
     s = np.clip(since_s / length_s, 0.0, 1.0)
-    return (
-        s**3 * (10 - 15 * s + 6 * s**2),
-        30 * s**2 * (1 - s) ** 2 / length_s,
-        60 * s * (1 - s) * (1 - 2 * s) / length_s**2,
-    )
+    way, speed = s**3 * (10 - 15 * s + 6 * s**2), 30 * s**2 * (1 - s) ** 2 / length_s
+    return np.array([way, speed, 60 * s * (1 - s) * (1 - 2 * s) / length_s**2])
 
 
-def _window(since_s: FloatArray, length_s: float) -> Triple:
-    """Return 0 outside 0..length_s, 1 inside, with smooth edges."""
+def _window(since_s: FloatArray, length_s: float) -> FloatArray:
+    """Return 0 outside 0..length_s, 1 inside, with smooth edges, and its two derivatives, (3, n)."""
     edge = min(EDGE_S, length_s / 2)
-    up, down = _minimum_jerk(since_s, edge), _minimum_jerk(since_s - (length_s - edge), edge)
-    return up[0] - down[0], up[1] - down[1], up[2] - down[2]
+    return _minimum_jerk(since_s, edge) - _minimum_jerk(since_s - (length_s - edge), edge)
 
 
-def _swing(since_s: FloatArray, period_s: float, phase: FloatArray, envelope: Triple) -> Triple:
-    """Return an oscillation inside an envelope."""
+def _swing(since_s: FloatArray, period_s: float, phase: FloatArray, envelope: FloatArray) -> FloatArray:
+    """Return an oscillation inside an envelope, and its two derivatives, (3, n)."""
     omega = 2 * np.pi / period_s
     sine, cosine = np.sin(omega * since_s + phase), np.cos(omega * since_s + phase)
     e, e1, e2 = envelope
-    return (
-        e * sine,
-        e1 * sine + e * omega * cosine,
-        e2 * sine + 2 * e1 * omega * cosine - e * omega**2 * sine,
-    )
+    bend = e2 * sine + 2 * e1 * omega * cosine - e * omega**2 * sine
+    return np.array([e * sine, e1 * sine + e * omega * cosine, bend])

@@ -56,19 +56,19 @@ def found(block: SampleBlock) -> tuple[MagnetometerModel, Axes | None]:
 )
 def test_axes_as_declared_are_found_as_such(rate_hz: float, speed: float, late: int, held: int) -> None:
     for seed in (1, 2):
-        _, axes = found(turns(seed, np.eye(3), rate_hz, speed, late, held))
+        model, axes = found(turns(seed, np.eye(3), rate_hz, speed, late, held))
         assert axes is not None
         assert axes.is_significant
         assert axes.angle < 3.0 * axes.sd
         assert axes.sd < np.radians(1.5)
-        assert doubts(axes, "test") == []
+        assert doubts(model, axes, "test") == []
 
 
 @pytest.mark.parametrize("way", [MPU_9250, LEFT_HANDED, WAYS[7], -WAYS[15]])
 def test_other_axes_are_refused_and_named(way: FloatArray) -> None:
-    _, axes = found(turns(3, way))
+    model, axes = found(turns(3, way))
     with pytest.raises(ImumonError, match="has not the gyros' axes: their x, y, z are its") as caught:
-        doubts(axes, "a recording")
+        doubts(model, axes, "a recording")
     if way is MPU_9250:
         assert "+y, +x, -z or -y, -x, +z" in str(caught.value)
     if way is LEFT_HANDED:
@@ -77,26 +77,27 @@ def test_other_axes_are_refused_and_named(way: FloatArray) -> None:
 
 def test_a_magnetometer_that_is_mounted_askew_is_reported_with_its_angle() -> None:
     askew = Rotation.from_rotvec(np.radians([3.0, -4.0, 0.0])).as_matrix()
-    _, axes = found(turns(4, askew))
+    model, axes = found(turns(4, askew))
     assert axes is not None
     np.testing.assert_allclose(axes.angle, np.radians(5.0), atol=0.01)
-    assert "° against the gyros" in doubts(axes, "test")[0]
+    assert "° against the gyros" in doubts(model, axes, "test")[0]
 
 
 def test_gyros_that_do_not_turn_as_the_field_are_reported() -> None:
     block = turns(5, np.eye(3))
     slow = {name: values / 57.3 for name, values in block.columns.items() if name.startswith("gyro")}
-    _, axes = found(block.with_columns(slow))
+    model, axes = found(block.with_columns(slow))
     assert axes is not None
     assert not axes.follows
-    assert "unit and axes of the gyros" in doubts(axes, "test")[0]
+    assert "unit and axes of the gyros" in doubts(model, axes, "test")[0]
 
 
 def test_without_gyros_nothing_is_reported() -> None:
     block = turns(6, np.eye(3))
     alone = SampleBlock({name: v for name, v in block.columns.items() if not name.startswith("gyro")})
-    assert found(alone)[1] is None
-    assert doubts(None, "test") == []
+    model, axes = found(alone)
+    assert axes is None
+    assert doubts(model, axes, "test") == []
 
 
 def test_a_current_that_is_switched_on_meanwhile_is_in_the_sigma() -> None:
@@ -114,7 +115,8 @@ def test_a_current_that_is_switched_on_meanwhile_is_in_the_sigma() -> None:
 def test_a_field_in_another_unit_is_reported() -> None:
     block = turns(8, np.eye(3))
     fit = fit_magnetometer([block], "uT", "test")
-    assert fit.doubts == []
+    assert doubts(fit.model, None, "test") == []
     gauss = {f"mag_{a}": block[f"mag_{a}"] / 100.0 for a in "xyz"}
-    assert "is the unit right" in fit_magnetometer([block.with_columns(gauss)], "uT", "test").doubts[0]
-    assert fit_magnetometer([block.with_columns(gauss)], "1", "test").doubts == []
+    weak, other = (fit_magnetometer([block.with_columns(gauss)], unit, "test").model for unit in ("uT", "1"))
+    assert "is the unit right" in doubts(weak, None, "test")[0]
+    assert doubts(other, None, "test") == []
