@@ -66,9 +66,9 @@ def command(
     imumon monitor /dev/ttyUSB0 --device xsens
     imumon monitor /dev/ttyUSB0 --device xsens --view none --seconds 3600
 
-    PORT is a serial port (`imumon ports` lists them) or a URL of pyserial: socket://host:port,
-    rfc2217://host:port.  DEVICE is a name that `imumon devices` lists; `imumon detect` finds it.  Every byte
-    received is kept.  When the device is unplugged or silent, imumon waits for it and opens it again.
+    PORT is a serial port (`imumon ports` lists them) or socket://host:port.  DEVICE is a name that
+    `imumon devices` lists; `imumon detect` finds it.  Every byte received is kept.  When the device is
+    unplugged or silent, imumon waits for it and opens it again.
     """
     from imumon.run.narration import view_setup
     from imumon.run.stages import compared, keep_learned

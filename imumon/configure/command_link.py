@@ -11,9 +11,8 @@ from imumon.configure.core import CommandError, Family, Refusal, Request
 from imumon.errors import ImumonError, Reason
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.numbers import is_missing
-from imumon.transport.detect import GLANCE_S, Evidence, Verdict, detect
+from imumon.transport.detect import Evidence, Verdict, detect, failure
 from imumon.transport.port import Port, open_port
-from imumon.transport.ports import wrong_baud_error
 from imumon.transport.settings import PortSettings
 
 TRIES = 3
@@ -172,7 +171,8 @@ def connect(url: str, device: DeviceFile, family: Family, baudrate: int | None) 
     Raises ImumonError what opening a port raises; WRONG_BAUD when something else is there; SILENT when
     nothing answers.
     """
-    evidence = _received(url, device) if baudrate is None else []
+    candidates = {device.name: device.decoder}
+    evidence = detect(url, candidates, device.serial.baudrates, HEAR_S) if baudrate is None else []
     rates = [baudrate] if baudrate is not None else _rates_received(url, device, evidence)
     link = CommandLink(open_port(device.port_settings(url, rates[0])), family, streaming=False)
     try:
@@ -189,16 +189,6 @@ def connect(url: str, device: DeviceFile, family: Family, baudrate: int | None) 
         raise
 
 
-def _received(url: str, device: DeviceFile) -> list[Evidence]:
-    """Listen at the rates of a device at a glance, and for longer where bytes came that are no packet yet."""
-    evidence: list[Evidence] = []
-    for seconds in (GLANCE_S, HEAR_S):
-        evidence = detect(url, {device.name: device.decoder}, device.serial.baudrates, seconds)
-        if evidence[0].verdict is not Verdict.NOTHING:
-            break
-    return evidence
-
-
 def _rates_received(url: str, device: DeviceFile, evidence: list[Evidence]) -> list[int]:
     """Return the rate at which packets of the device came; when nothing came, all of its rates."""
     best = evidence[0]
@@ -206,11 +196,11 @@ def _rates_received(url: str, device: DeviceFile, evidence: list[Evidence]) -> l
         return [best.baudrate or device.serial.baudrates[0]]
     if not any(item.bytes_received for item in evidence):
         return list(device.serial.baudrates) if PortSettings(url).has_line else [device.serial.baudrates[0]]
-    settings = PortSettings(url, baudrate=best.baudrate or device.serial.baudrates[0])
-    seen = wrong_baud_error(settings, best.bytes_per_s, best.share_framed, best.odd_share).seen
+    wrong = failure(url, evidence)
+    assert wrong is not None
     raise ImumonError(
         Reason.WRONG_BAUD,
-        f"{seen}: this is no {device.name} device, or it talks at none of its usual rates",
+        f"{wrong.seen}: this is no {device.name} device, or it talks at none of its usual rates",
         f"nothing was sent.  imumon detect {url} reports what it is; --at sets the rate",
     )
 

@@ -14,10 +14,6 @@ from imumon.transport.settings import PortSettings
 
 WAKE_S = 2.0
 """How long a device is queried at a new baud rate; the slowest to change that is known waits 0.25 s."""
-LISTENINGS = 3
-"""How often a stream may be listened to before it is wrong: a host that stalls measures any rate once."""
-NEARLY_FULL = 0.8
-"""Share of the line from which packets may have to wait."""
 
 
 @dataclass
@@ -79,19 +75,14 @@ def _in_order(names: Iterable[str], wish: Wish, now: int) -> list[str]:
     return sorted(names, key=lambda name: name != BAUD) if faster else list(names)
 
 
-def check_load(family: Family, values: Mapping[str, bytes], line: PortSettings) -> list[str]:
-    """Return a warning when the line is nearly full; raises BAD_CONFIG when the settings send too much."""
+def check_load(family: Family, values: Mapping[str, bytes], line: PortSettings) -> None:
+    """Raise BAD_CONFIG when the settings send more than the line carries."""
     needed, there = family.bytes_per_s(values), line.capacity_bytes_per_s
-    if there is None or needed <= NEARLY_FULL * there:
-        return []
-    seen = f"{needed:.0f} bytes/s are {needed / there:.0%} of the {there:.0f} bytes/s of {line.baudrate} baud"
-    if needed <= there:
-        return [seen]
-    enough = min(
-        (r for r in family.baud_codes if r / line.bits_per_byte * NEARLY_FULL >= needed), default=None
-    )
-    hint = "ask for fewer outputs or a lower rate"
-    raise bad_config(seen, f"{hint}, or --baud {enough}" if enough else hint)
+    if there is not None and needed > there:
+        raise bad_config(
+            f"{needed:.0f} bytes/s are {needed / there:.0%} of what {line.baudrate} baud carry ({there:.0f})",
+            "ask for fewer outputs or a lower rate, or set a higher --baud",
+        )
 
 
 class Configuration:
@@ -154,7 +145,7 @@ class Configuration:
         line = self._link.port.settings
         if wanted:
             faster = replace(line, baudrate=wish.baudrate or line.baudrate)
-            report.warnings += check_load(family, after, faster)
+            check_load(family, after, faster)
         changes = {
             name: wanted[name]
             for name in _in_order(wanted, wish, line.baudrate)
@@ -187,13 +178,9 @@ class Configuration:
             return
         rate = self._family.rate_hz({**self._present, **changes})
         wanted = [self._family.columns[name] for name in wish.outputs or ()]
-        for _ in range(LISTENINGS):
-            self._report.stream = stream = measure(self._link, self._device, rate)
-            problem = stream.problem(wanted, rate)
-            if not problem:
-                break
+        self._report.stream = stream = measure(self._link, self._device, rate)
         self._report.warnings += stream.warnings
-        if problem:
+        if problem := stream.problem(wanted, rate):
             raise ImumonError(
                 Reason.REFUSED,
                 f"the device takes the settings and reads them back, but {problem}",

@@ -22,7 +22,9 @@ class Sending:
     """
 
     def __init__(self, base_hz: float, kinds: list[PacketKind], make: EncoderOf) -> None:
-        every = [{field.name: round(base_hz / field.rate_hz) for field in kind.fields} for kind in kinds]
+        every = [
+            {field.name: max(round(base_hz / field.rate_hz), 1) for field in kind.fields} for kind in kinds
+        ]
         shared = gcd(*(by for fields in every for by in fields.values())) or 1
         self.rate_hz = base_hz / shared
         """Samples per second that the unit must take."""

@@ -221,7 +221,7 @@ class Mip(Family):
             fields = []
             for code, by in formatted(values.get(name, b"") if values.get(STREAMS[of]) != OFF else b""):
                 item = self.fields.get(of << 8 | code)
-                named, size = (item.name if item.columns else "", max(item.size, 0)) if item else ("", 0)
+                named, size = (item.name, item.size) if item else ("", 0)
                 fields += [Sent(named, 2 + size, self.base_hz[of] / by)] if by else []
             found += [PacketKind(of, 6, fields)] if fields else []
         return found
@@ -258,11 +258,7 @@ class MipFirmware(Firmware):
     def __init__(self, device: MipDevice, rate_hz: float) -> None:
         self.family, self._device = Mip(device), device
         by = nearest(USUAL_BASE_HZ, rate_hz)
-        codes = {
-            item.name: key & 0xFF
-            for key, item in self.family.fields.items()
-            if key >> 8 == SENSOR and item.columns
-        }
+        codes = {item.name: key & 0xFF for key, item in self.family.fields.items() if key >> 8 == SENSOR}
         settings = {
             SENSOR_FORMAT: message_format([(codes[name], by) for name in device.sends]),
             FILTER_FORMAT_NAME: message_format([]),
@@ -298,20 +294,11 @@ class MipFirmware(Firmware):
             return DONE, of + self.volatile[name]
         if function == SAVE:
             self.save(name)
-        elif function == APPLY and self._possible(name, value):
+        elif function == APPLY:
             self.obey(name, value)
         else:
             return INVALID, None
         return DONE, None
-
-    def _possible(self, name: str, value: bytes) -> bool:
-        if name == core.BAUD:
-            return value in Mip.baud_codes.values()
-        if name in STREAMS.values():
-            return len(value) == 1
-        items = formatted(value)
-        there = [field.name for kind in self.family.kinds({name: value}) for field in kind.fields]
-        return len(value) == 1 + 3 * len(items) and len(there) == len(items) and "" not in there
 
     def encoder(self, key: int, names: Sequence[str]) -> Encoder:
         """Return the encoder of fields of a data set."""

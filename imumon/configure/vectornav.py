@@ -225,8 +225,8 @@ class VectorNav(Family):
         return f"{rate} on serial port {output.port}, {fields}"
 
 
-INVALID_COMMAND, INVALID_PARAMETER, INVALID_REGISTER = 4, 7, 8
-IDENTITY = {1: "VN-100-VIRTUAL", 3: "0100000001", 4: "2.1.0.0"}
+INVALID_COMMAND, INVALID_REGISTER = 4, 8
+IDENTITY = {1: "VN-100-VIRTUAL", 4: "2.1.0.0"}
 NAMES = {number: name for name, number in REGISTERS.items()}
 
 
@@ -258,26 +258,8 @@ class VectorNavFirmware(Firmware):
         name = NAMES.get(register)
         if kind == "RRG" and (name or register in IDENTITY):
             value = self.volatile[name].decode() if name else IDENTITY[register]
-        elif kind == "WRG" and name and _possible(name, value.encode()):
+        elif kind == "WRG" and name:
             self.obey(name, value.encode())
         else:
-            known = INVALID_PARAMETER if name else INVALID_REGISTER
-            return frame(f"VNERR,{known if kind in ('RRG', 'WRG') else INVALID_COMMAND:02d}")
+            return frame(f"VNERR,{INVALID_REGISTER if kind in ('RRG', 'WRG') else INVALID_COMMAND:02d}")
         return frame(f"VN{kind},{register:02d},{value}")
-
-    def kinds(self) -> list[PacketKind]:
-        """Return the packets of the binary outputs that go to port 1."""
-        return [kind for kind in super().kinds() if kind.key & 1]
-
-
-def _possible(name: str, value: bytes) -> bool:
-    """Return whether the device takes a value."""
-    if name == core.BAUD:
-        return value in VectorNav.baud_codes.values()
-    if name == ASCII:
-        return value.isdigit()
-    register = Output.read(value)
-    if not register.on:
-        return register.value == value
-    fits = len(register.words) == register.groups.bit_count() and register.contents is not None
-    return fits and "" not in register.names

@@ -26,12 +26,8 @@ PAUSE_S = 0.1
 OPENING = Request("unlock", UNLOCK, None, PAUSE_S)
 RATES = {1: 0.2, 2: 0.5, 3: 1.0, 4: 2.0, 5: 5.0, 6: 10.0, 7: 20.0, 8: 50.0, 9: 100.0, 11: 200.0}
 FIRST_FRAME = 0x50
-NOT_ENCODED = ("time", "position")
 BAUDRATES = (4800, 9600, 19_200, 38_400, 57_600, 115_200, 230_400, 460_800, 921_600)
 BAUD_CODES = {rate: bytes([code, 0]) for code, rate in enumerate(BAUDRATES, 1)}
-BITS = ("time", "accel with temperature", "gyro", "angle", "mag", "ports", "pressure", "position", "speed",
-        "quaternion", "satellites")  # fmt: skip
-"""Frames by the bits of the content register, the first is 0x50."""
 FRAMES: Mapping[str, int] = {
     "inertial": 0x02 | 0x04,
     "magnetometer": 0x10,
@@ -53,6 +49,12 @@ def _registers(message: Message) -> core.Answer:
 
 def _read(name: str) -> Request:
     return Request(f"read {name}", frame(READ_ADDRESS, bytes([REGISTERS[name], 0])), _registers)
+
+
+def _frames(content: bytes) -> list[str]:
+    """Return the frames that the content register lists, the first is 0x50."""
+    bits = int.from_bytes(content, "little")
+    return [frame.name for kind, frame in TYPES.items() if bits >> kind - FIRST_FRAME & 1]
 
 
 class WitMotion(Family):
@@ -96,10 +98,9 @@ class WitMotion(Family):
 
     def kinds(self, values: core.Values) -> list[PacketKind]:
         """Return a frame for each quantity of a sample."""
-        content, rate = int.from_bytes(values[CONTENT], "little"), self.rate_hz(values) or 0.0
-        frames = [TYPES.get(FIRST_FRAME + bit) for bit in range(16) if content >> bit & 1]
-        names = [frame.name if frame and frame.name not in NOT_ENCODED else "" for frame in frames]
-        return [PacketKind(0, 0, [Sent(name, SIZE, rate) for name in names])]
+        rate = self.rate_hz(values) or 0.0
+        fields = [Sent(name, SIZE, rate) for name in _frames(values[CONTENT])]
+        return [PacketKind(0, 0, fields)] if rate else []
 
     def rate_hz(self, values: core.Values) -> float | None:
         """Return the rate of all frames."""
@@ -110,7 +111,7 @@ class WitMotion(Family):
         code = int.from_bytes(value, "little")
         if name == RATE:
             return f"{RATES[code]:g} Hz" if code in RATES else f"code {code}"
-        return ", ".join(frame for bit, frame in enumerate(BITS) if code >> bit & 1) or "nothing"
+        return ", ".join(_frames(value)) or "nothing"
 
 
 WRITE = Frame({b"\xff\xaa": "write"}, fixed_length(5), unchecked)
@@ -138,19 +139,15 @@ class WitMotionFirmware(Firmware):
     def answer(self, command: Message) -> bytes:
         """Carry a command out; only a read is answered."""
         register, data = int(command.kind), command.payload
-        possible = {
-            RSW: data != b"\0\0",
-            RRATE: data[0] in RATES,
-            BAUD_REGISTER: data in self.family.baud_codes.values(),
-        }
+        there = {number: name for name, number in REGISTERS.items()}
         if register == READ_ADDRESS:
-            there = {number: self.volatile[name] for name, number in REGISTERS.items()}
-            four = b"".join(there.get(data[0] + k, b"\0\0") for k in range(4))
+            names = (there.get(data[0] + k) for k in range(4))
+            four = b"".join(self.volatile[name] if name else b"\0\0" for name in names)
             return Checksum("sum8").sealed(bytes([0x55, REGISTER_ANSWER]) + four)
         if register == UNLOCK[2]:
             self._locked = data != UNLOCK[3:]
         elif not self._locked and register == SAVE:
             self.save()
-        elif not self._locked and possible.get(register):
-            self.obey(next(name for name, number in REGISTERS.items() if number == register), data)
+        elif not self._locked and register in there:
+            self.obey(there[register], data)
         return b""

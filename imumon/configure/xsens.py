@@ -153,7 +153,7 @@ class Xsens(Family):
         fields = []
         for code, rate in pairs if fastest else ():
             item = message_of(code)
-            named, size = (item.name if item.columns else "", max(item.size, 0)) if item else ("", 0)
+            named, size = (item.name, item.size) if item else ("", 0)
             fields += [Sent(named, 3 + size, min(rate, fastest))] if rate else []
         return [PacketKind(mtdata.MTDATA2, 5, fields)] if fields else []
 
@@ -173,7 +173,7 @@ class Xsens(Family):
 
 IDENTITY = {REQ_PRODUCT_CODE: b"MTi-VIRTUAL", REQ_FIRMWARE: bytes([1, 2, 3])}
 NAMED = {kind: name for name, kind in KINDS.items()}
-INVALID_PARAMETER, INVALID_MESSAGE, NO_SUCH_BAUDRATE = 33, 4, 32
+INVALID_MESSAGE = 4
 TIMELESS = {0x10, 0xE0}
 """Groups of identifiers that go with every packet: times and status."""
 
@@ -206,10 +206,6 @@ class XsensFirmware(Firmware):
             return frame(mtdata.ERROR, bytes([INVALID_MESSAGE]))
         name = NAMED[kind]
         if data:
-            if name == core.BAUD and data not in self.family.baud_codes.values():
-                return frame(mtdata.ERROR, bytes([NO_SUCH_BAUDRATE]))
-            if name == OUTPUT and (len(data) % 4 or not all(_sendable(*entry) for entry in entries(data))):
-                return frame(mtdata.ERROR, bytes([INVALID_PARAMETER]))
             self.obey(name, data)
             self.save(name)
         return frame(kind + 1, b"" if data and name == core.BAUD else self.volatile[name])
@@ -217,8 +213,3 @@ class XsensFirmware(Firmware):
     def obey(self, name: str, value: bytes) -> None:
         """Set a setting; a baud rate counts after a reset."""
         self.volatile[name] = value
-
-
-def _sendable(code: int, rate: int) -> bool:
-    item = message_of(code)
-    return item is not None and bool(item.columns) and rate in (WITH_EVERY_PACKET, *range(FASTEST_HZ + 1))

@@ -191,7 +191,7 @@ def open(
     Parameters
     ----------
     port : str
-        Anything that pyserial opens: a device, ``socket://host:port``, ``rfc2217://host:port``.
+        A device, or ``socket://host:port``.
     device : str or path
         Name of a known device, or path of a device file.
     baudrate : int, optional

@@ -45,9 +45,6 @@ COUNTS = 0.8
 """Share of the packets that must count on from the one before."""
 OFF_RATE = 0.4
 """Largest error of a clock's rate, relative: packets are lost, and the rate is that of a short time."""
-BYTES_PER_LINE = 8
-MOSTLY_TEXT = 0.95
-"""Share of printable bytes from which a stream is text, whose lines may all be of one length."""
 
 
 class Proposal(NamedTuple):
@@ -77,9 +74,6 @@ def propose(data: bytes, seconds: float, baudrate: int | None) -> Proposal | Non
 
 def _repeating(held: ByteArray) -> list[tuple[IntArray, int]]:
     """Return places of patterns of one or two bytes, and the usual distance between them, the best first."""
-    is_text = (held >= 0x20) & (held < 0x7F) | np.isin(held, (0x09, 0x0A, 0x0D))
-    if len(held) < LEAST_PACKETS * SHORTEST or np.mean(is_text) > MOSTLY_TEXT:
-        return []
     pairs = held[:-1].astype(np.int64) << 8 | held[1:]
     often = np.argsort(np.bincount(pairs, minlength=1 << 16), kind="stable")[:-65:-1]
     places = [np.flatnonzero(pairs == pair) for pair in often]
@@ -154,17 +148,16 @@ def _fitting(packets: ByteArray) -> Iterator[tuple[float, Checksum]]:
     n, size = packets.shape
     held, begin = packets.reshape(-1), np.arange(n) * size
     for name in CHECKSUM_NAMES[1:]:
-        for zeros in range(4 if name.startswith("crc32") else 1):
-            check = Checksum(name, zeros=zeros)
-            firsts = FIRSTS[: size - check.size - 1]
-            first, last = (begin[:, np.newaxis] + firsts).reshape(-1), begin + size - check.size
-            values = check.values(held, first, last.repeat(len(firsts))).reshape(n, -1)
-            for big in (False, True)[: check.size]:
-                stored = integers(held, last, check.size, big)
-                right = np.sum(values == stored[:, np.newaxis], axis=0)
-                k = int(np.argmax(right))
-                if right[k] >= max(LEAST_RIGHT, RIGHT * n) and len(np.unique(stored)) >= LEAST_RIGHT:
-                    yield float(right[k]) / n, Checksum(name, int(firsts[k]), big, zeros)
+        check = Checksum(name)
+        firsts = FIRSTS[: size - check.size - 1]
+        first, last = (begin[:, np.newaxis] + firsts).reshape(-1), begin + size - check.size
+        values = check.values(held, first, last.repeat(len(firsts))).reshape(n, -1)
+        for big in (False, True)[: check.size]:
+            stored = integers(held, last, check.size, big)
+            right = np.sum(values == stored[:, np.newaxis], axis=0)
+            k = int(np.argmax(right))
+            if right[k] >= max(LEAST_RIGHT, RIGHT * n) and len(np.unique(stored)) >= LEAST_RIGHT:
+                yield float(right[k]) / n, Checksum(name, int(firsts[k]), big)
 
 
 def _layout(at: IntArray, packets: ByteArray, check: Checksum | None, rate: float) -> Iterator[str]:
@@ -184,8 +177,6 @@ def _layout(at: IntArray, packets: ByteArray, check: Checksum | None, rate: floa
     fields = [*_rising(packets[:-1][follows], packets[1:][follows], known, rate)] if enough else []
     yield f"length: {length}"
     yield f"byte_order: {'big' if any(order == 'big' for _, _, order in fields) else 'little'}"
-    if sync > 2 and (check is None or check.first < sync):
-        yield "# The last may be data that did not change: turn the unit, and see whether packets get lost."
     yield f"sync: [{', '.join(f'0x{byte:02X}' for byte in usual[:sync])}]"
     if check is None:
         yield "# No checksum that imumon knows fits at the end: where a packet begins is a guess, and at"
@@ -194,18 +185,15 @@ def _layout(at: IntArray, packets: ByteArray, check: Checksum | None, rate: floa
     else:
         order = f", byte_order: {'big' if check.big else 'little'}" if check.size > 1 else ""
         right = np.count_nonzero(check(packets.reshape(-1), np.arange(n) * length, np.full(n, length)))
-        keys = f"type: {check.name}, first: {check.first}, last: {end - 1}, at: {end}, zeros: {check.zeros}"
+        keys = f"type: {check.name}, first: {check.first}, last: {end - 1}, at: {end}"
         yield f"checksum: {{{keys}{order}}}  # right in {right} of {n} packets"
     yield "fields:"
     for why, keys, _ in fields:
         yield f"  # {why}"
         yield f"  - {{{keys}}}"
-    unknown = np.flatnonzero(~known)
-    for run in np.split(unknown, np.flatnonzero(np.diff(unknown) > 1) + 1):
-        yield "  # unknown: give type, column or columns, scale and unit"
-        for part in np.split(run, range(BYTES_PER_LINE, len(run), BYTES_PER_LINE)):
-            names = ", ".join(f"byte_{k}" for k in part)
-            yield f"  - {{at: {part[0]}, type: u8, columns: [{names}]}}"
+    yield "  # unknown: give type, column or columns, scale and unit"
+    for k in np.flatnonzero(~known).tolist():
+        yield f"  - {{at: {k}, type: u8, column: byte_{k}}}"
 
 
 def _rising(

@@ -31,8 +31,6 @@ from imumon.protocols.numbers import Derived, Number, Record, known, with_source
 
 MOST_LAYOUTS = 4096
 """Signatures that are remembered: so many come of random bytes alone."""
-ANY_SIZE = -1
-"""Size of a field that is recognised and skipped whatever its length."""
 Part = tuple[Number, ...]
 """Numbers that stand one behind the other."""
 
@@ -42,7 +40,7 @@ FACTORS = {
 """What numbers are times to be in the units of imumon, by the names that tables have for it."""
 AXES = {"xyz": "xyz", "wxyz": "wxyz", "3x3": [f"{i}{j}" for i in "123" for j in "123"]}
 """Ends of the columns of a vector, a quaternion, a matrix."""
-_ROW = re.compile(r"(\S+) (\S+)(?: \[(\w*)\])?(?: >=(\d+))?(?::\s+(.*))?", re.DOTALL)
+_ROW = re.compile(r"(\S+) (\S+)(?: \[(\w*)\])?(?: >=(\d+))?:\s+(.*)", re.DOTALL)
 
 
 def part(text: str) -> Part:
@@ -95,13 +93,13 @@ def _columns(name: str, more: Sequence[str], dtype: ColumnType) -> Iterable[Colu
 def rows(text: str) -> Iterator[tuple[str, str, str | None, int, Part]]:
     """Yield what the rows of a table state: ``KEY NAME [GROUP] >=LEAST: NUMBERS``; see `Message` and `part`.
 
-    A line that is indented goes on with the one before; a row without numbers is of a message of any size.
+    A line that is indented goes on with the one before.
     """
     for row in re.split(r"\n(?=\S)", text.strip()):
         found = _ROW.fullmatch(row)
         assert found is not None, row
         key, name, group, least, numbers = found.groups()
-        yield key, name, group, int(least or 0), part(numbers or "")
+        yield key, name, group, int(least or 0), part(numbers)
 
 
 def table(text: str, usual: str = MAIN) -> dict[int, "Message"]:
@@ -121,7 +119,7 @@ class Message:
     name: str
     """What the device file and the counters call it."""
     size: int
-    """Bytes of the payload of today's devices; `ANY_SIZE` when it is recognised and skipped."""
+    """Bytes of the payload of today's devices."""
     numbers: Part
     """Its numbers, with their places in the payload."""
     group: str = MAIN
@@ -148,12 +146,12 @@ class Message:
 
 
 def field(name: str, *parts: Part, group: str = MAIN, least: int = 0) -> Message:
-    """Return a message of parts that stand one behind the other; of any size when there are none."""
+    """Return a message of parts that stand one behind the other."""
     at, placed = 0, list[Number]()
     for item in chain(*parts):
         placed.append(item._replace(at=at))
         at = placed[-1].end
-    return Message(name, at if placed else ANY_SIZE, tuple(placed), group, least)
+    return Message(name, at, tuple(placed), group, least)
 
 
 @lru_cache

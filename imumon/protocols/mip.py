@@ -116,13 +116,7 @@ _FILTER = """
   | antennas_heading f32 rad heading of two antennas | antennas_heading_sigma f32 rad uncertainty of that
   | antennas_fix u8 1 kind of fix | antennas_status u16 1 data of both receivers, bits
   | antennas_valid u16 1 validity of antennas
-0x23 MagScale
-0x24 MagScaleSigma
-0x27 CompensatedMag
-0x2B GravityCovariance
-0x2D MagFilteredResidual
 """
-"""The last five are named by the vendor, who does not document their content."""
 _SENSORS = """
 0x05 ScaledGyro: gyro f32
 0x04 ScaledAccel: accel f32*g
@@ -145,8 +139,6 @@ _SENSORS = """
 0x02 RawGyro: raw_gyro_xyz f32 1 gyroscope, raw counts
 0x03 RawMag [mag]: raw_mag_xyz f32 1 magnetometer, raw counts
 0x16 RawPressure [pressure]: raw_pressure f32 1 pressure, raw counts
-0x0B ImuUpdateMatrix [attitude]
-0x0D RawTemperature [temperature]
 0x0E InternalTimestamp []: internal_timestamp u32 1 internal clock of old devices
 0x0F PpsTimestamp []: pps_seconds u32 s time since the last pulse, s | pps_microseconds u32 us and us
 """
@@ -174,13 +166,13 @@ _SHARED = """
 
 
 def _attitude(is_canonical: bool, prefix: str, whose: str, more: str) -> dict[str, str]:
-    """Return the numbers of an attitude: in the canonical columns, else in others, and those of no matrix."""
+    """Return the numbers of an attitude: in the canonical columns, else in others, and no matrix."""
     if is_canonical:
         matrix = f"_matrix_3x3 f32 1 reference to body | {more}"
         return {"q": "q f32", "angles": "angles f32", "matrix": matrix}
     angles = (f"{prefix}_{name} f32 rad {name} of another filter" for name in ("roll", "pitch", "yaw"))
     q = f"{prefix}_q_wxyz f32 1 attitude of the {whose}"
-    return {"q": q, "angles": " | ".join(angles), "matrix": ""}
+    return {"q": q, "angles": " | ".join(angles), "matrix": "38" if more else "36"}
 
 
 @cache
@@ -276,17 +268,13 @@ class MipDecoder(TaggedDecoder):
 
     def encoder(self, names: Sequence[str], descriptor_set: int = SENSOR) -> Encoder:
         """Return an encoder of fields of one descriptor set; see `TableDecoder.encoder`."""
-        of_set = {
-            item.name: (key, item)
-            for key, item in self.messages.items()
-            if key >> 8 == descriptor_set and item.columns
-        }
+        of_set = {item.name: (key, item) for key, item in self.messages.items() if key >> 8 == descriptor_set}
         fields = chosen(names, of_set, f"field of descriptor set 0x{descriptor_set:02X}")
         return tagged_encoder(MIP, descriptor_set, fields, self.derived)
 
     def _field(self, key: int, size: int) -> Message | None:
         found = self.messages.get(key)
-        return found if found is not None and (found.size == size or found.size < 0) else None
+        return found if found is not None and found.size == size else None
 
     def _type_name(self, kind: int) -> str:
         return SET_NAMES.get(kind, f"set 0x{kind:02X}")

@@ -12,7 +12,7 @@ from math import pi
 from typing import Literal
 
 import numpy as np
-from pydantic import PositiveFloat, model_validator
+from pydantic import PositiveFloat
 
 from imumon.blocks import BoolArray, IntArray
 from imumon.geodesy import STANDARD_GRAVITY
@@ -124,13 +124,6 @@ class StimDevice(DeviceFile):
     rate_hz: PositiveFloat
     sends: str = "A5"
     line_end: bool = False
-
-    @model_validator(mode="after")
-    def _is_there(self) -> "StimDevice":
-        there = [f"{key:02X}" for key in sorted(DATAGRAMS)]
-        if self.sends not in there:
-            raise ValueError(f"sends: expected one of {', '.join(there)}")
-        return self
 
     def decoder(self) -> StimDecoder:
         """Make a decoder for this device."""

@@ -191,12 +191,10 @@ def tagged_encoder(
 ) -> Encoder:
     """Return an encoder of one Xbus or MIP packet per row.
 
-    Raises BAD_CONFIG when a field has no values to encode or the packet becomes too long.
+    Raises BAD_CONFIG when the packet becomes too long.
 
     `kind` is the packet type, `fields` have their keys.  A field of which a row has no value is left out.
     """
-    if empty := [field.name for _, field in fields if field.size < 0]:
-        raise bad_config(f"{', '.join(empty)}: carries nothing that can be encoded")
     longest = sum(form.header + field.size for _, field in fields)
     if longest > form.longest:
         raise bad_config(f"a packet with these fields has {longest} bytes, too many")

@@ -20,7 +20,7 @@ from pydantic import Field, NonNegativeInt, PositiveInt, model_validator
 
 from imumon.blocks import BoolArray, IntArray, SampleBlock
 from imumon.config import StrictModel
-from imumon.protocols.base import COMMON, MAIN, NO_GROUP, ByteArray, Encoder, Groups, Timing
+from imumon.protocols.base import COMMON, MAIN, NO_GROUP, ByteArray, Encoder, Groups, Timing, chosen
 from imumon.protocols.decoder import Decoder
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.fixed import NumberField, NumberName, timing_of
@@ -300,5 +300,5 @@ class TextDevice(DeviceFile):
 
     def encoder(self) -> Encoder:
         """Make an encoder for the lines that are sent: all when `sends` is empty."""
-        sent = [line for line in self.lines if not self.sends or line.name in self.sends]
-        return Encoder(*(line.encode for line in sent))
+        there = {line.name: line for line in self.lines}
+        return Encoder(*(line.encode for line in chosen(self.sends or [*there], there, "line")))

@@ -49,11 +49,10 @@ Guess = tuple[str, str]
 
 
 class _Described(NamedTuple):
-    """What lines may be: keys of their description, place and name ("" without) of each column, and which."""
+    """What lines may be: keys of their description, place or name of each column, and which lines."""
 
     keys: Mapping[str, Any]
     places: Sequence[int | str]
-    names: Sequence[str]
     lines: Sequence[str]
 
 
@@ -78,7 +77,7 @@ def propose(data: bytes, seconds: float, baudrate: int | None) -> str | None:
         "lines:", "  - name: line",
         *(f"    {key}: {json.dumps(value)}" for key, value in found.keys.items()), "    fields:",
     ]  # fmt: skip
-    for place, (keys, why) in zip(found.places, _guesses(found.names, numbers, rate), strict=True):
+    for place, (keys, why) in zip(found.places, _guesses(found.places, numbers, rate), strict=True):
         text.append(f"      # {why}")
         text.append(f"      - {{{'at' if isinstance(place, int) else 'key'}: {json.dumps(place)}, {keys}}}")
     return "\n".join(text) + "\n"
@@ -110,7 +109,7 @@ def _named(lines: list[str]) -> Iterator[_Described]:
         shapes = Counter(tuple(_names_in(text, separator)) for text in lines)
         del shapes[()]
         for names, _ in shapes.most_common(1):
-            yield _Described(keys, names, names, lines)
+            yield _Described(keys, names, lines)
 
 
 def _names_in(text: str, separator: str) -> list[str]:
@@ -143,10 +142,8 @@ def _delimited(lines: list[str]) -> Iterator[_Described]:
         numeric = [k for k in range(size) if sum(row[k] for row in numbers) >= SAME * len(rows)]
         if not numeric or (size == 1 and separator != " "):
             continue
-        headers = (h.lstrip("#% ").split(apart) for h in lines if not any(c.isdigit() for c in h))
-        names = next((h for h in headers if len(h) == size), [""] * size)
         keys = {"prefix": prefix, "separator": separator, "values": size, "checksum": checksum or "none"}
-        yield _Described(keys, numeric, [names[k].strip() for k in numeric], begun)
+        yield _Described(keys, numeric, begun)
 
 
 def _beginnings(lines: list[str]) -> list[tuple[str, str]]:
@@ -159,7 +156,8 @@ def _beginnings(lines: list[str]) -> list[tuple[str, str]]:
     return [*((begin, "xor8" if starred and begin[0] == "$" else "") for begin in usual), ("", "")]
 
 
-def _guesses(names: Sequence[str], x: FloatArray, rate: float) -> list[Guess]:
+def _guesses(places: Sequence[int | str], x: FloatArray, rate: float) -> list[Guess]:
+    names = [place if isinstance(place, str) else "" for place in places]
     taken = {k: guess for k in range(len(names)) if (guess := _time(x[:, k], rate)) is not None}
     for k in range(len(names) - 2):
         three = range(k, k + 3)

@@ -29,8 +29,6 @@ MOSTLY_TEXT = 0.95
 """Share of printable bytes from which a stream is text: at a wrong rate a third of all bytes is."""
 SILENT_RATES = 3
 """After so many rates without a byte it is silent: a wrong rate garbles bytes, it does not stop them."""
-GLANCE_S = 0.5
-"""Time for which all rates are listened to first: five packets of a device that sends 10 a second."""
 POLL_S = 0.05
 TEXT, ODD = b"\t\r\n" + bytes(range(0x20, 0x7F)), b"\x00\xff"
 
@@ -126,8 +124,7 @@ def detect(
     `url`: the port; where it has no line, it is listened to once.
     `candidates`: makes a fresh decoder per name.
     `baudrates`: rates in bit/s, in the order to try them.
-    `seconds_each`: time to listen at each rate when a glance at all has found nothing; less when there is
-        enough evidence.
+    `seconds_each`: time to listen at each rate; less when there is enough evidence.
     `before_rate`: given what is tried next.
     `received`: given the bytes as they come.
     """
@@ -135,23 +132,18 @@ def detect(
         factory().feed(b"\0", 0)  # compiled kernels are loaded before bytes pile up
     rates = baudrates if PortSettings(url).has_line else baudrates[:1]
     evidence: list[Evidence] = []
-    for seconds in [GLANCE_S, seconds_each] if seconds_each > GLANCE_S and len(rates) > 1 else [seconds_each]:
-        evidence = []
-        for rate in rates:
-            settings = PortSettings(url, baudrate=rate)
-            before_rate(settings)
-            try:
-                evidence += listen(settings, candidates, seconds, received, others=len(rates) > 1)
-            except ImumonError as error:
-                if error.reason is not Reason.BAD_CONFIG or rate == rates[-1]:
-                    raise
-            is_silent = not any(item.bytes_received for item in evidence)
-            tried = {item.baudrate for item in evidence}
-            if any(item.tells_the_rate for item in evidence) or (is_silent and len(tried) >= SILENT_RATES):
-                break
-        if any(item.verdict is Verdict.FRAMES for item in evidence):
+    for rate in rates:
+        settings = PortSettings(url, baudrate=rate)
+        before_rate(settings)
+        try:
+            evidence += listen(settings, candidates, seconds_each, received, others=len(rates) > 1)
+        except ImumonError as error:
+            if error.reason is not Reason.BAD_CONFIG or rate == rates[-1]:
+                raise
+        is_silent = not any(item.bytes_received for item in evidence)
+        tried = {item.baudrate for item in evidence}
+        if any(item.tells_the_rate for item in evidence) or (is_silent and len(tried) >= SILENT_RATES):
             break
-        rates = [item.baudrate for item in evidence if item.tells_the_rate and item.baudrate][:1] or rates
     order = [*Verdict]
     return sorted(
         evidence,

@@ -4,15 +4,12 @@ import fcntl
 import os
 import select
 import socket
-import struct
-import sys
 import termios
-import time
 from contextlib import AbstractContextManager
 from dataclasses import replace
+from urllib.parse import urlsplit
 
 import serial
-from serial.urlhandler import protocol_socket
 
 from imumon.transport.ports import (
     OPEN_ERRORS,
@@ -27,58 +24,31 @@ from imumon.transport.settings import PortSettings
 
 READ_SIZE = 1 << 16
 """Bytes taken at once: as many as a Linux tty can hold back after a stall."""
-SLICE_S = 0.05
-"""Longest wait inside a handler whose descriptor is not read directly."""
-WRITE_TIMEOUT_S = 1.0
-_SERIAL_STRUCT_BYTES = 128  # struct serial_struct of <linux/serial.h>, with room to grow
-_FLAGS_OFFSET = 16  # its int flags
-_ASYNC_LOW_LATENCY = 1 << 13
-
-
-class _SocketHandler(protocol_socket.Serial):
-    """pyserial's ``socket://``, which discards what the server sends at once and may leave it open."""
-
-    _socket: socket.socket | None = None
-
-    def reset_input_buffer(self) -> None:
-        """Keep everything: on a new connection nothing is stale."""
-
-    def close(self) -> None:
-        """Close the connection, also when the peer has closed it first."""
-        self.is_open = False
-        if self._socket is not None:
-            self._socket.close()
-
-
-Handle = serial.Serial | _SocketHandler
+CONNECT_TIMEOUT_S, WRITE_TIMEOUT_S = 5.0, 1.0
 
 
 class Port(AbstractContextManager["Port"]):
     """An open port; made by `open_port`.
 
-    `handle` is an open pyserial port, owned from now on; `settings` are those it was opened with.
+    `handle` is open, and owned from now on; `settings` are those it was opened with.
     """
 
-    def __init__(self, handle: Handle, settings: PortSettings) -> None:
+    def __init__(self, handle: serial.Serial | socket.socket, settings: PortSettings) -> None:
         self.settings = settings
         self._handle = handle
-        self._socket: socket.socket | None = getattr(handle, "_socket", None)
-        self._native = isinstance(handle, serial.Serial)
-        # A subclass (spy://, alt://) wants to see what is read, so only the plain handlers are passed by.
-        self._direct = type(handle) in (serial.Serial, _SocketHandler)
-        self._fd: int | None = handle.fileno() if self._direct or self._native else None
+        self._fd: int = handle.fileno()
         self.vanished_reads = 0
         """How often bytes were announced and then gone, because another program took them."""
         self.low_latency = "no serial adapter here"
         """What became of the low-latency mode, and how to get it."""
         self.shared_with: tuple[str, ...] = ()
         """Other programs that had the port open already; what they read is missing here."""
-        if self._native and self._fd is not None:
+        if isinstance(handle, serial.Serial):
             _set_exclusive(self._fd, True)
-            self.low_latency = _set_low_latency(self._fd, str(handle.port))
-            self.shared_with = tuple(holders(str(handle.port)))
-        if self._socket is not None:
-            _keep_alive(self._socket)
+            self.low_latency = _set_low_latency(handle)
+            self.shared_with = tuple(holders(settings.url))
+        else:
+            _keep_alive(handle)
 
     def read(self, timeout_s: float) -> bytes:
         """Return the bytes that are there, waiting for the first at most `timeout_s`; empty when none came.
@@ -86,10 +56,8 @@ class Port(AbstractContextManager["Port"]):
         Raises LOST when the port failed, hung up, or the peer closed the connection.
         """
         try:
-            if self._fd is None or not self._direct:
-                return self._wait_in_handler(timeout_s)
             ready = select.select([self._fd], [], [], max(timeout_s, 0.0))[0]
-            return self._take(self._fd) if ready else b""
+            return self._take() if ready else b""
         except PORT_ERRORS as error:
             raise lost_error(self.settings, error) from error
 
@@ -99,7 +67,8 @@ class Port(AbstractContextManager["Port"]):
         Raises LOST when the port failed or takes no bytes for 1 s.
         """
         try:
-            self._handle.write(data)
+            send = self._handle.write if isinstance(self._handle, serial.Serial) else self._handle.sendall
+            send(data)
         except PORT_ERRORS as error:
             raise lost_error(self.settings, error) from error
 
@@ -109,7 +78,8 @@ class Port(AbstractContextManager["Port"]):
         Raises BAD_CONFIG when the adapter has no such rate; LOST when the port failed.
         """
         try:
-            self._handle.baudrate = baudrate
+            if isinstance(self._handle, serial.Serial):
+                self._handle.baudrate = baudrate
         except ValueError as error:
             raise open_error(replace(self.settings, baudrate=baudrate), error) from error
         except PORT_ERRORS as error:
@@ -121,10 +91,10 @@ class Port(AbstractContextManager["Port"]):
 
         An adapter that came back under the same name can leave the old descriptor silent without an error.
         """
-        if not self._native or self._fd is None:
+        if not isinstance(self._handle, serial.Serial):
             return ""
         try:
-            now = os.stat(str(self._handle.port))  # noqa: PTH116  (the same call as fstat below)
+            now = os.stat(self.settings.url)  # noqa: PTH116  (the same call as fstat below)
         except OSError:
             return "its device node vanished"
         then = os.fstat(self._fd)
@@ -133,41 +103,27 @@ class Port(AbstractContextManager["Port"]):
 
     def close(self) -> None:
         """Close everything the port holds; closing twice does no harm."""
-        if self._native and self._fd is not None:
+        if isinstance(self._handle, serial.Serial) and self._handle.is_open:
             _set_exclusive(self._fd, False)
-        self._fd = None
-        _close(self._handle)
-        if self._socket is not None:
-            self._socket.close()  # the rfc2217 handler forgets it when the peer has closed first
+        self._handle.close()
 
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _take(self, fd: int) -> bytes:
+    def _take(self) -> bytes:
         """Read the ready descriptor; nothing there means hang-up, or that another program was faster."""
         try:
-            data = os.read(fd, READ_SIZE)
+            data = os.read(self._fd, READ_SIZE)
         except BlockingIOError:
             data = b""
         else:
-            if not data and self._socket is not None:
+            if not data and isinstance(self._handle, socket.socket):
                 raise lost_error(self.settings, "the peer closed the connection")
         if not data:
-            if _hung_up(fd):
+            if _hung_up(self._fd):
                 raise lost_error(self.settings, "the device hung up (unplugged, or its driver let go)")
             self.vanished_reads += 1
         return data
-
-    def _wait_in_handler(self, timeout_s: float) -> bytes:
-        """Wait in slices of the handler's own timeout, `SLICE_S`."""
-        end = time.monotonic() + timeout_s
-        while True:
-            data = bytes(self._handle.read(1))
-            if data:
-                waiting = self._handle.in_waiting
-                return data + bytes(self._handle.read(waiting)) if waiting else data
-            if time.monotonic() >= end:
-                return b""
 
 
 def open_port(settings: PortSettings) -> Port:
@@ -177,42 +133,29 @@ def open_port(settings: PortSettings) -> Port:
     what was found and what to do.
     """
     try:
-        handle = _make_handle(settings)
+        return Port(_opened(settings), settings)
     except OPEN_ERRORS as error:
         raise open_error(settings, error) from error
-    try:
-        handle.open()
-        return Port(handle, settings)
-    except OPEN_ERRORS as error:
-        _close(handle)
-        raise open_error(settings, error) from error
 
 
-def _make_handle(settings: PortSettings) -> Handle:
-    """Return a handler of pyserial that is set up and not open yet."""
-    handle: Handle
-    if settings.scheme == "socket":
-        handle = _SocketHandler()
-        handle.port = settings.url
-    else:
-        handle = serial.serial_for_url(settings.url, do_not_open=True)
-    handle.baudrate = settings.baudrate
-    handle.bytesize = settings.bytesize
-    handle.parity = settings.parity
-    handle.stopbits = settings.stopbits
-    handle.timeout = SLICE_S
-    handle.exclusive = True
-    if settings.scheme != "rfc2217":  # which refuses to have one
-        handle.write_timeout = WRITE_TIMEOUT_S
-    return handle
-
-
-def _close(handle: Handle) -> None:
-    """Close a handler, and the file of ``spy://...?file=``, which pyserial leaves open."""
-    handle.close()
-    output = getattr(getattr(handle, "formatter", None), "output", None)
-    if output not in (None, sys.stderr):
-        output.close()
+def _opened(settings: PortSettings) -> serial.Serial | socket.socket:
+    """Return the open device, or the connection."""
+    if not settings.has_line:
+        url = urlsplit(settings.url)
+        if url.scheme != "socket" or not url.hostname or not url.port:
+            raise ValueError("neither a device nor socket://host:port")
+        connection = socket.create_connection((url.hostname, url.port), CONNECT_TIMEOUT_S)
+        connection.settimeout(WRITE_TIMEOUT_S)
+        return connection
+    return serial.Serial(
+        settings.url,
+        settings.baudrate,
+        settings.bytesize,
+        settings.parity,
+        settings.stopbits,
+        write_timeout=WRITE_TIMEOUT_S,
+        exclusive=True,
+    )
 
 
 def _keep_alive(connection: socket.socket) -> None:
@@ -242,9 +185,13 @@ def _hung_up(fd: int) -> bool:
     return False
 
 
-def _set_low_latency(fd: int, device: str) -> str:
+def _set_low_latency(handle: serial.Serial) -> str:
     """Ask the driver not to hold bytes back; return what became of it and how to get more."""
-    accepted = sys.platform == "linux" and _request_low_latency(fd)
+    accepted, device = True, str(handle.port)
+    try:
+        handle.set_low_latency_mode(True)
+    except (ValueError, NotImplementedError):  # the driver has no such call, or this user may not make it
+        accepted = False
     return latency_text(accepted, latency_timer_ms(device), str(latency_timer_path(device)))
 
 
@@ -259,17 +206,3 @@ def latency_text(accepted: bool, timer_ms: int | None, timer_path: str) -> str:
     if timer_ms is not None:
         return f"on, latency timer {timer_ms} ms"
     return "on" if accepted else "not offered by this driver"
-
-
-def _request_low_latency(fd: int) -> bool:
-    """Set the flag and read it back, since some drivers take the call and ignore the flag."""
-    buffer = bytearray(_SERIAL_STRUCT_BYTES)
-    try:
-        fcntl.ioctl(fd, termios.TIOCGSERIAL, buffer)
-        (flags,) = struct.unpack_from("i", buffer, _FLAGS_OFFSET)
-        struct.pack_into("i", buffer, _FLAGS_OFFSET, flags | _ASYNC_LOW_LATENCY)
-        fcntl.ioctl(fd, termios.TIOCSSERIAL, buffer)
-        fcntl.ioctl(fd, termios.TIOCGSERIAL, buffer)
-    except OSError:  # the driver has no such call, or this user may not make it
-        return False
-    return bool(struct.unpack_from("i", buffer, _FLAGS_OFFSET)[0] & _ASYNC_LOW_LATENCY)

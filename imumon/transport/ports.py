@@ -26,8 +26,6 @@ PORT_ERRORS: tuple[type[Exception], ...] = (OSError, termios.error)
 """What pyserial and the system raise when a port fails (`SerialException` is an `OSError`)."""
 OPEN_ERRORS: tuple[type[Exception], ...] = (*PORT_ERRORS, ValueError)
 """The same while opening, where pyserial also refuses values."""
-UDEV_RULES = "/etc/udev/rules.d/70-imumon.rules"
-NETWORK_SCHEMES = ("socket", "rfc2217")
 
 _REASON_BY_ERRNO: dict[int, Reason] = {
     errno.EACCES: Reason.PERMISSION,
@@ -166,13 +164,12 @@ def open_error(settings: PortSettings, error: Exception) -> ImumonError:
     """Explain why a port could not be opened: NOT_FOUND, PERMISSION, BUSY, LOST or BAD_CONFIG."""
     number = _errno(error)
     if isinstance(error, ValueError):
-        hint = "Check baud rate and URL; besides devices: socket://, rfc2217://, spy://, loop://, hwgrep://."
-        return bad_config(f"{settings}: {error}", hint)
+        return bad_config(f"{settings}: {error}", "Check baud rate and name of the port.")
     seen = f"{settings} cannot be opened: {_errno_text(number, error)}"
-    if settings.scheme in NETWORK_SCHEMES:
+    if not settings.has_line:
         hint = "Check host and port, and that the server runs; a serial server often takes one client only."
         return ImumonError(Reason.NOT_FOUND, seen, hint)
-    device = settings.device
+    device = settings.url
     reason = _REASON_BY_ERRNO.get(number or 0, Reason.NOT_FOUND)
     if reason is Reason.PERMISSION:
         more, hint = _permission(device)
@@ -190,7 +187,7 @@ def lost_error(settings: PortSettings, cause: Exception | str) -> ImumonError:
     """Explain that an open port failed: LOST with the error or the observation that shows it."""
     what = cause if isinstance(cause, str) else _errno_text(_errno(cause), cause)
     hint = "Check cable and power; `dmesg` shows what the USB bus detected."
-    if settings.scheme in NETWORK_SCHEMES:
+    if not settings.has_line:
         hint = "Check the network, and that the server still runs."
     return ImumonError(Reason.LOST, f"{settings} was lost: {what}", hint)
 
@@ -262,7 +259,7 @@ def _busy(device: str) -> tuple[str, str]:
 
 
 def _permission(device: str) -> tuple[str, str]:
-    """Name owner, group and mode of the node, and the way in that really leads there."""
+    """Name owner, group and mode of the node, and the usual way in, where it leads there."""
     try:
         node = Path(device).stat()
     except OSError as error:
@@ -272,16 +269,8 @@ def _permission(device: str) -> tuple[str, str]:
         group = grp.getgrgid(node.st_gid).gr_name
         owner, user = (pwd.getpwuid(uid).pw_name for uid in (node.st_uid, os.geteuid()))
     seen = f"{device} is {stat.filemode(node.st_mode)} {owner}:{group}"
-    both = stat.S_IRGRP | stat.S_IWGRP
-    if node.st_mode & both != both or node.st_gid == 0:
-        rule = f'SUBSYSTEM=="tty", KERNEL=="{Path(os.path.realpath(device)).name}", TAG+="uaccess"'
-        return seen, (
-            "No group may open it. A udev rule (which must sort before 73-seat) gives it to the user at the"
-            f" screen:\necho '{rule}' | sudo tee {UDEV_RULES}\n"
-            "sudo udevadm control --reload && sudo udevadm trigger"
-        )
-    if node.st_gid in os.getgroups():
-        return seen, f"This session is in group {group}, so a container or security policy refuses."
+    if not node.st_mode & stat.S_IWGRP or node.st_gid in (0, *os.getgroups()):
+        return seen, "No group gives access: see the udev rules, the container or the security policy."
     return (
         seen,
         f"sudo usermod -aG {group} {user}    (then, or if you are in it already, log out and in again)",

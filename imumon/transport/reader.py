@@ -18,10 +18,8 @@ from imumon.transport.settings import PortSettings
 ByteArray = npt.NDArray[np.uint8]
 
 SILENT_AFTER_S = 1.0
-FIRST_DELAY_S = 0.1
-LONGEST_DELAY_S = 0.5
-"""Reopening is tried after 0.1 s, then after twice the time, up to 0.5 s, for ever: a device that is back is
-read within 1 s.  A try takes a millisecond."""
+REOPEN_S = 0.2
+"""How often reopening is tried, for ever: a try takes a millisecond."""
 CHECK_SILENT_S = 1.0
 """How often a silent port is checked for having been replaced."""
 STOP_S = 0.2
@@ -220,15 +218,14 @@ class Reader:
 
     def _reopen(self) -> Port | None:
         """Try to open until it works; return None when the reader is stopped meanwhile."""
-        delay_s, reported = FIRST_DELAY_S, ""
-        while not self._stopping.wait(delay_s):
+        reported = ""
+        while not self._stopping.wait(REOPEN_S):
             try:
                 return open_port(self.settings)
             except ImumonError as error:
                 if error.seen != reported:
                     reported = error.seen
                     self.report(EventKind.UNAVAILABLE, error.line)
-            delay_s = min(2 * delay_s, LONGEST_DELAY_S)
         return None
 
     def _report_opened(self, port: Port, lost_ns: int | None) -> None:

@@ -10,8 +10,7 @@ class PortSettings:
     """Where the bytes come from and how the line is set; raises BAD_CONFIG when a value cannot be."""
 
     url: str
-    """A device (``/dev/ttyUSB0``) or any URL that pyserial knows (``socket://host:port``,
-    ``rfc2217://host:port``, ``spy:///dev/ttyUSB0``, ``loop://``, ``hwgrep://regexp``)."""
+    """A device (``/dev/ttyUSB0``) or ``socket://host:port``."""
     baudrate: int = 115200
     """Bits per second on the line; a ``socket://`` has no line, so it does not matter there."""
     bytesize: int = 8
@@ -28,20 +27,9 @@ class PortSettings:
             raise bad_config(f"baud rate must be positive, got {self.baudrate}")
 
     @property
-    def scheme(self) -> str:
-        """Part of the URL before ``://`` in lower case; empty for a device."""
-        head, separator, _ = self.url.partition("://")
-        return head.lower() if separator else ""
-
-    @property
-    def device(self) -> str:
-        """The device that a URL such as ``spy:///dev/ttyUSB0?all`` names, or the URL itself."""
-        return self.url.partition("://")[2].partition("?")[0] if self.scheme == "spy" else self.url
-
-    @property
     def has_line(self) -> bool:
-        """Whether there is a line with a baud rate behind this URL."""
-        return self.scheme not in ("socket", "loop")
+        """Whether there is a line with a baud rate, as there is none behind a ``socket://``."""
+        return "://" not in self.url
 
     @property
     def bits_per_byte(self) -> int:

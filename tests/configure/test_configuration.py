@@ -7,13 +7,10 @@ from dataclasses import replace
 
 import pytest
 
-from imumon.configure import command_link, configuration
-from imumon.configure.command_link import CommandLink, Stream
 from imumon.configure.configuration import planned
 from imumon.configure.core import BAUD, PacketKind, Wish
 from imumon.configure.mip import Mip, MipFirmware
 from imumon.errors import ImumonError, Reason
-from imumon.protocols.device import DeviceFile
 from tests.configure.faults import Faults
 from tests.configure.looped import Looped, failed, looped
 
@@ -188,8 +185,8 @@ def test_more_than_the_line_carries_is_refused_before_anything_is_written(
 ) -> None:
     one = looped(monkeypatch, "witmotion")
     error = failed(one, Wish(200.0, ("inertial", "attitude")))
-    assert "6600 bytes/s are 688% of the 960 bytes/s of 9600 baud" in error.seen
-    assert "--baud 115200" in error.hint
+    assert "6600 bytes/s are 688% of what 9600 baud carry (960)" in error.seen
+    assert "--baud" in error.hint
     assert one.as_found
     assert one.report.plan == []
     succeeded(looped(monkeypatch, "witmotion"), Wish(200.0, ("inertial", "attitude")), 115_200)
@@ -239,18 +236,6 @@ def test_a_device_that_hardly_sends_is_put_back(monkeypatch: pytest.MonkeyPatch)
     slow_down(monkeypatch, one, 20)
     assert "s, not at 20 Hz" in failed(one, WISH).seen
     assert one.as_found
-
-
-def test_a_host_that_stalls_once_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    one, rates = looped(monkeypatch, "witmotion"), [30.0, 20.0]
-    real = command_link.measure
-
-    def stalled(link: CommandLink, device: DeviceFile, rate_hz: float | None) -> Stream:
-        return replace(real(link, device, rate_hz), rate_hz=rates.pop(0))
-
-    monkeypatch.setattr(configuration, "measure", stalled)
-    succeeded(one)
-    assert rates == []
 
 
 def test_a_baud_rate_that_could_not_be_put_back_is_not_changed(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -42,7 +42,7 @@ class Talker(TaggedDecoder):
         super().__init__()
 
     def _field(self, key: int, size: int) -> Message | None:
-        there = (item for known, item in self._there if known == key and item.size in (size, -1))
+        there = (item for known, item in self._there if known == key and item.size == size)
         return next(there, None)
 
     def encoder(self, names: Sequence[str]) -> Encoder:

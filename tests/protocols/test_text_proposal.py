@@ -87,14 +87,6 @@ def test_sentences_with_checksum() -> None:
     assert "xor8" in device_for(data)[1]
 
 
-def test_a_header_names_the_columns() -> None:
-    rows = [",".join(f"{x:.4f}" for x in row) for row in np.column_stack([GYRO * 1000, ACCEL])]
-    data = lines(["gx,gy,gz,ax,ay,az", *rows])
-    device, _ = device_for(data)
-    block = feed_in_chunks(device.decoder(), data, [50])
-    np.testing.assert_allclose(np.rad2deg(block["gyro_x"]), GYRO[: len(block), 0] * 1000, atol=0.01)
-
-
 @pytest.mark.parametrize("data", [b"", b"hello\n" * 50, bytes(range(256)) * 20, b"1,2,3\n" * 10])
 def test_nothing_is_proposed_without_enough_lines_of_numbers(data: bytes) -> None:
     assert propose(data, 1.0, None) is None

@@ -7,14 +7,12 @@ import select
 import socket
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 import pytest
-import serial
-import serial.rfc2217
 
 from imumon.errors import ImumonError, Reason
 from imumon.simulation.virtual_port import VirtualPort
@@ -72,10 +70,8 @@ def test_reading_an_idle_port_ends_at_the_timeout() -> None:
         assert port.read(0.02) == b""
 
 
-@pytest.mark.parametrize("scheme", ["", "spy://"])
-def test_an_unplugged_device_is_lost(scheme: str, tmp_path: Path) -> None:
-    log = f"?file={tmp_path / 'log'}" if scheme else ""
-    with VirtualPort() as device, open_port(PortSettings(f"{scheme}{device.path}{log}")) as port:
+def test_an_unplugged_device_is_lost() -> None:
+    with VirtualPort() as device, open_port(PortSettings(device.path)) as port:
         device.unplug()
         with pytest.raises(ImumonError) as caught:
             read_exactly(port, 1)
@@ -155,7 +151,7 @@ def test_permission_denied_names_errno_owner_and_mode() -> None:
     assert caught.value.reason is Reason.PERMISSION
     assert "errno 13, EACCES" in caught.value.seen
     assert "c---------" in caught.value.seen
-    assert 'TAG+="uaccess"' in caught.value.hint
+    assert "udev" in caught.value.hint
 
 
 def test_a_missing_device_names_errno_and_the_ports_that_exist() -> None:
@@ -173,7 +169,9 @@ def test_a_file_that_is_no_serial_port_is_refused(tmp_path: Path) -> None:
     assert caught.value.reason is Reason.NOT_FOUND
 
 
-@pytest.mark.parametrize("url", ["nonsense://x", "socket://localhost:99999", "socket://localhost"])
+@pytest.mark.parametrize(
+    "url", ["nonsense://x", "rfc2217://x:1", "socket://localhost:99999", "socket://localhost"]
+)
 def test_a_url_that_makes_no_sense_is_refused(url: str) -> None:
     with pytest.raises(ImumonError) as caught:
         open_port(PortSettings(url))
@@ -203,64 +201,6 @@ def test_a_socket_carries_bytes_both_ways_and_is_lost_when_the_peer_closes() -> 
             read_exactly(port, 1)
     assert caught.value.reason is Reason.LOST
     assert received == [b"hello"]
-
-
-@pytest.mark.filterwarnings("ignore:set(Daemon|Name).. is deprecated:DeprecationWarning")
-def test_rfc2217_sets_the_rate_and_carries_bytes_both_ways() -> None:
-    with VirtualPort(baudrate=230400) as device, tcp_server(rfc2217_server(device.path)) as number:
-        settings = PortSettings(f"rfc2217://127.0.0.1:{number}", baudrate=230400)
-        with open_port(settings) as port:
-            assert device.host_baudrate() == 230400
-            device.write(MESSAGE)
-            assert read_exactly(port, 256) == MESSAGE
-            port.write(b"hi\xff")
-            assert device.read(LIMIT_S) == b"hi\xff"
-            assert port.read(0.06) == b""
-
-
-class LineWithoutModem(serial.Serial):
-    """A pseudo-terminal has no modem lines, which the server reads and sets."""
-
-    cts = dsr = ri = cd = rts = dtr = property(lambda _: True, lambda _, __: None)
-
-
-def rfc2217_server(device: str) -> Callable[[socket.socket], None]:
-    """Return what serves a serial port to one client, as a terminal server does."""
-
-    def serve(client: socket.socket) -> None:
-        class Connection:
-            write = client.sendall
-
-        with LineWithoutModem(device, timeout=0) as line:
-            manager: Any = serial.rfc2217.PortManager
-            manager = manager(line, Connection())
-            while True:
-                ready = select.select([client.fileno(), line.fileno()], [], [], 5.0)[0]
-                if client.fileno() in ready:
-                    data = client.recv(1024)
-                    if not data:
-                        return
-                    line.write(b"".join(manager.filter(data)))
-                if line.fileno() in ready:
-                    client.sendall(b"".join(manager.escape(line.read(4096))))
-
-    return serve
-
-
-def test_spy_shows_what_is_read(tmp_path: Path) -> None:
-    log = tmp_path / "log.txt"
-    with VirtualPort() as device:
-        with open_port(PortSettings(f"spy://{device.path}?file={log}")) as port:
-            device.write(b"IMU-data")
-            assert read_exactly(port, 8) == b"IMU-data"
-        assert "RX" in log.read_text()
-
-
-def test_loop_returns_what_was_written() -> None:
-    with open_port(PortSettings("loop://")) as port:
-        port.write(MESSAGE)
-        assert read_exactly(port, 256) == MESSAGE
-        assert port.read(0.06) == b""
 
 
 def test_a_replaced_or_vanished_node_is_noticed(tmp_path: Path) -> None:
@@ -296,8 +236,3 @@ def test_an_impossible_baud_rate_is_refused() -> None:
     with pytest.raises(ImumonError) as caught:
         PortSettings("/dev/ttyUSB0", 0)
     assert caught.value.reason is Reason.BAD_CONFIG
-
-
-def test_a_port_that_cannot_be_opened_leaves_no_file_of_spy_open(tmp_path: Path) -> None:
-    with pytest.raises(ImumonError, match="ENOENT"):
-        open_port(PortSettings(f"spy:///dev/ttyUSB77?file={tmp_path / 'log.txt'}"))

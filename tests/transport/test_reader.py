@@ -6,6 +6,7 @@ import time
 from pathlib import Path
 
 import pytest
+import serial
 
 from imumon.errors import ImumonError, Reason
 from imumon.simulation.virtual_port import VirtualPort
@@ -141,8 +142,8 @@ def test_a_device_that_reboots_several_times_is_followed(tmp_path: Path) -> None
 def test_low_latency_is_requested_at_every_opening(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[str] = []
 
-    def ask(_fd: int, device: str) -> str:
-        asked.append(device)
+    def ask(handle: serial.Serial) -> str:
+        asked.append(str(handle.port))
         return f"opening {len(asked)}"
 
     monkeypatch.setattr("imumon.transport.port._set_low_latency", ask)

@@ -32,7 +32,7 @@ UTC = f"_utc_of_second u32 1 ns | {_DATE.format('utc_')} | utc_valid u8 1 validi
 
 @dataclass(frozen=True, slots=True)
 class Identifier:
-    """A data identifier without its format bits; without numbers, it is recognised whatever its size."""
+    """A data identifier without its format bits."""
 
     code: int
     name: str
@@ -55,7 +55,7 @@ class Identifier:
     @property
     def raw(self) -> bool:
         """Whether the numbers are raw counts, of which the last bit of the format states the sign."""
-        return self.code >> 8 == RAW_GROUP and bool(self.numbers)
+        return self.code >> 8 == RAW_GROUP
 
     def message(self, form: int = 0) -> Message | None:
         """Return the field in a format, the last four bits of the identifier; None when it has no such."""
@@ -64,7 +64,7 @@ class Identifier:
             kind, factor = [*PRECISIONS.values()][form & 0x3]
             kinds = {"real": kind, "framed": kind}
             good = form & 0xC in (FRAMES.values() if self.framed else (0,))
-        elif self.raw or not self.numbers:
+        elif self.raw:
             good = form < 2
         typed = (n._replace(type=kinds.get(n.type, n.type), factor=n.factor * factor) for n in self.numbers)
         return field(self.name, (*typed,), group=self.group, least=self.least) if good else None
@@ -133,7 +133,6 @@ E090 LocationId [status]: location_id u16 1 number given by the user
   | gnss:course i32*1e-5*deg rad | gnss:speed_accuracy u32*1e-3 m/s | gnss:course_accuracy u32*1e-5*deg rad
   | gnss:vehicle_heading i32*1e-5*deg rad | {_DOPS}
 7020 GnssSatInfo [gnss] >=8: {_WEEK} | gnss:satellites_seen u8 1 | 3 | {_SATELLITES}
-7030 GnssPvtPulse [gnss]
 8830 GpsDop [gnss]: {_WEEK} | {_DOPS}
 8840 GpsSol [gnss]: {_WEEK} | 4 | gnss:week i16 1 | gnss:fix_type,flags u8 1
   | gnss:ecef_x,ecef_y,ecef_z i32*0.01 m | gnss:position_accuracy u32*0.01 m
@@ -141,7 +140,6 @@ E090 LocationId [status]: location_id u16 1 number given by the user
   | gnss:pdop u16*0.01 1 | 1 | gnss:satellites u8 1 | 1
 8880 GpsTimeUtc [gnss]: {_WEEK} | gnss:time_accuracy u32*1e-9 s | {_NANO} | {_GNSS_DATE}
   | gnss:time_valid u8 1
-88A0 GpsSvInfo [gnss]
 A010 RawAccGyrMagTemp: raw_accel_xyz count 1 accelerometer, raw counts
   | raw_gyro_xyz count 1 gyroscope, raw counts | raw_mag_xyz count 1 magnetometer, raw counts
   | raw_temperature i16*1.0 1 temperature, raw counts
@@ -149,9 +147,6 @@ A020 RawGyroTemp: raw_gyro_temperature_xyz i16*1.0 1 gyroscope temperature, raw 
 A030 RawAcc: raw_accel_xyz count 1 accelerometer, raw counts
 A040 RawGyr: raw_gyro_xyz count 1 gyroscope, raw counts
 A050 RawMag [mag]: raw_mag_xyz count 1 magnetometer, raw counts
-A060 RawDeltaQ
-A070 RawDeltaV
-A080 RawBlob
 B010 AnalogIn1 [analog]: analog_1 u16*1.0 1 analog input 1, raw counts
 B020 AnalogIn2 [analog]: analog_2 u16*1.0 1 analog input 2, raw counts
 {_TRIGGERS}"""
@@ -168,9 +163,7 @@ def message_of(code: int, size: int | None = None) -> Message | None:
     """Return what an identifier with its format bits stands for, of so many bytes if given; None: nothing."""
     for item in (item for item in IDENTIFIERS if item.code == code & 0xFFF0):
         found = item.message(code & 0xF)
-        if found is not None and (
-            size in (None, found.size) or found.size < 0 or 0 < found.least <= (size or 0) <= found.size
-        ):
+        if found is not None and (size in (None, found.size) or 0 < found.least <= (size or 0) <= found.size):
             return found
     return None
 

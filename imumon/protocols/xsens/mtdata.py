@@ -10,7 +10,6 @@ from fractions import Fraction
 from typing import Literal
 
 from pydantic import Field as Key
-from pydantic import model_validator
 
 from imumon.columns import KNOWN
 from imumon.config import StrictModel
@@ -32,7 +31,6 @@ from imumon.protocols.xsens.fields import (
 MTDATA, MTDATA2 = 0x32, 0x36
 DEVICE_ID, CONFIGURATION, FIRMWARE, PRODUCT_CODE = 0x01, 0x0D, 0x13, 0x1D
 ERROR, WARNING, OUTPUT_CONFIGURATION = 0x42, 0x43, 0xC1
-OUTPUT_MODE, OUTPUT_SETTINGS = 0xD1, 0xD3
 
 _REQUESTS = {
     0x00: "ReqDeviceID", 0x0C: "ReqConfiguration", 0x10: "GoToMeasurement", 0x12: "ReqFirmwareRevision",
@@ -42,8 +40,7 @@ _REQUESTS = {
 _ANSWERS = {
     DEVICE_ID: "DeviceID", CONFIGURATION: "Configuration", FIRMWARE: "FirmwareRevision",
     PRODUCT_CODE: "ProductCode", MTDATA: "MTData", MTDATA2: "MTData2", ERROR: "Error", WARNING: "Warning",
-    OUTPUT_CONFIGURATION: "OutputConfiguration", OUTPUT_MODE: "OutputMode",
-    OUTPUT_SETTINGS: "OutputSettings",
+    OUTPUT_CONFIGURATION: "OutputConfiguration", 0xD1: "OutputMode", 0xD3: "OutputSettings",
 }  # fmt: skip
 NAMES = {kind + 1: f"{name}Ack" for kind, name in _REQUESTS.items()} | _REQUESTS | _ANSWERS
 """Names of what is read, sent, or comes unasked: a request has an even number, its answer the next."""
@@ -81,9 +78,6 @@ def describe(kind: int, payload: bytes) -> Iterable[str]:
         for at in range(98, len(payload) - 19, 20):
             size, mode, settings = struct.unpack_from(">HHI", payload, at + 4)
             yield f"the device sends {size} bytes: output mode {mode:04X}, output settings {settings:08X}"
-    elif kind in (OUTPUT_MODE, OUTPUT_SETTINGS) and payload:
-        what = "mode" if kind == OUTPUT_MODE else "settings"
-        yield f"the device has the output {what} {payload.hex().upper()}"
 
 
 def identifier_name(code: int) -> str:
@@ -142,10 +136,10 @@ class MTData2Decoder(TaggedDecoder):
 def find_fields(names: Sequence[str], precision: Precision = "float32") -> list[tuple[int, Message]]:
     """Return codes and fields of these data identifiers in a precision, in the order given.
 
-    Raises BAD_CONFIG when a name is not that of a data identifier that carries values.
+    Raises BAD_CONFIG when a name is not that of a data identifier.
     """
     found = []
-    there = {item.name: item for item in reversed(IDENTIFIERS) if item.numbers}
+    there = {item.name: item for item in reversed(IDENTIFIERS)}
     for item in chosen(names, there, "data identifier"):
         form = [*PRECISIONS].index(precision) if item.is_real else 0
         message = item.message(form)
@@ -177,7 +171,7 @@ class OutputSettings(StrictModel):
     timestamp: Literal["none", "sample_counter", "utc", "sample_counter_and_utc"] = "sample_counter"
     orientation: Literal["quaternion", "euler", "matrix"] = "quaternion"
     calibrated: list[Literal["accel", "gyro", "mag"]] = Key(default=["accel", "gyro", "mag"], min_length=1)
-    number_format: Literal["float32", "fp12.20", "fp16.32", "float64"] = "float32"
+    number_format: Precision = "float32"
     analog: list[Literal[1, 2]] = Key(default=[1, 2], min_length=1)
     status: Literal["compact", "detailed"] = "compact"
     frame: Literal["NWU", "NED"] = "NWU"
@@ -188,13 +182,6 @@ class Profile(StrictModel):
 
     output_mode: list[Part] = Key(min_length=1)
     output_settings: OutputSettings = OutputSettings()
-
-    @model_validator(mode="after")
-    def _raw_goes_alone(self) -> "Profile":
-        others = set(self.output_mode) - {"raw_inertial", "raw_gps"}
-        if "raw_inertial" in self.output_mode and others:
-            raise ValueError(f"output_mode: raw_inertial cannot be combined with {', '.join(sorted(others))}")
-        return self
 
 
 _RAW_GPS = """

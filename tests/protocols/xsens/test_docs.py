@@ -50,7 +50,7 @@ def identifier_table() -> Iterator[str]:
         kinds = [
             text for text, on in (("real", item.is_real), ("frame", item.framed), ("counts", item.raw)) if on
         ]
-        row = f"| {code} | {item.name} | {', '.join(kinds)} | {shorten(columns_of(item)) or 'counted only'} |"
+        row = f"| {code} | {item.name} | {', '.join(kinds)} | {shorten(columns_of(item))} |"
         yield row
 
 

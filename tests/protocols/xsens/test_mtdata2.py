@@ -292,11 +292,7 @@ def test_messages_between_data_are_counted_and_never_taken_for_data() -> None:
 
 
 def test_a_payload_of_more_than_254_bytes_has_an_extended_length() -> None:
-    names = [
-        item.name
-        for item in IDENTIFIERS
-        if item.numbers and not item.raw and item.code not in (0x10A0, 0xE080, 0x7020)
-    ]
+    names = [item.name for item in IDENTIFIERS if not item.raw and item.code not in (0x10A0, 0xE080, 0x7020)]
     names = [name for name in dict.fromkeys(names) if not name.startswith("Trigger")]
     (packet,) = mtdata2_encoder(names, "float64").encode(SampleBlock({"packet_counter": np.array([3])}))
     assert packet[3] == 255
@@ -412,9 +408,7 @@ def test_round_trip_is_exact_to_the_resolution(precision: Precision, values: lis
     np.testing.assert_allclose(back, accel, rtol=0, atol=RESOLUTION[precision])
 
 
-@pytest.mark.parametrize(
-    "item", [item for item in IDENTIFIERS if item.numbers], ids=lambda item: f"{item.code:04X}"
-)
+@pytest.mark.parametrize("item", IDENTIFIERS, ids=lambda item: f"{item.code:04X}")
 @pytest.mark.parametrize("precision", PRECISION_NAMES)
 def test_every_identifier_makes_the_round_trip(item: Identifier, precision: Precision) -> None:
     rng = np.random.default_rng(item.code)
