@@ -14,8 +14,6 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 from imumon.errors import ImumonError, bad_config
 from imumon.files import read_text
 
-MOST_CHARACTERS = 4 << 20
-"""A model of a network with a thousand hidden units has a tenth of that."""
 DEEPEST = 50
 """Lists and mappings within each other; what imumon writes has ten at most."""
 LARGEST_NUMBER = 2.0**63
@@ -219,13 +217,10 @@ _UNION_TAGS = {"str", "int", "float", "bool", "function-after", "function-before
 
 
 def _refuse_deep(text: str, source: str) -> None:
-    """Refuse what is too long, nested too deeply or has aliases, before the parser builds it.
+    """Refuse what is nested too deeply or has aliases, before the parser builds it.
 
     libyaml would crash, and aliases can stand for more than fits in the memory.
     """
-    if len(text) > MOST_CHARACTERS:
-        what = f"{source}: has {len(text):,} characters, at most {MOST_CHARACTERS:,} may be"
-        raise bad_config(what)
     depth, loader = 0, _Loader(text)
     while loader.check_event():
         event = loader.get_event()

@@ -11,8 +11,8 @@ from typing import Any
 from imumon.errors import ImumonError, Reason, bad_config, bad_data
 
 UNREADABLE = "give the path of a file that is there, and that you may read"
-LARGEST_TEXT = 16 << 20
-"""Bytes: four for each character of the longest document."""
+LARGEST_TEXT = 4 << 20
+"""Bytes; a model of a network with a thousand hidden units has a tenth of that."""
 TRUTH = ("session.yaml", "wire.mcap", "samples.parquet")
 """Where one of these is, the folder is a session."""
 SESSION_FILES = (*TRUTH, "view.rrd", "log.jsonl", "truth.parquet", "scenario.yaml", "chamber.csv")
@@ -44,10 +44,8 @@ def read_text(path: Path, reason: Reason = Reason.BAD_CONFIG, hint: str = "") ->
         return content.decode("utf-8").replace("\r\n", "\n").replace("\r", "\n")
     except OSError as error:
         raise ImumonError(reason, f"{path}: cannot be read: {error.strerror}", hint or UNREADABLE) from error
-    except UnicodeDecodeError as error:
-        raise ImumonError(reason, f"{path}: is not UTF-8 text (byte {error.start})", hint) from error
-    except ValueError as error:
-        raise ImumonError(reason, f"{str(path)!r} is no path: it has a NUL character", hint) from error
+    except ValueError as error:  # no UTF-8, or a path that has a NUL character
+        raise ImumonError(reason, f"{path}: cannot be read as text: {error}", hint) from error
 
 
 @contextmanager
@@ -70,10 +68,14 @@ def naming(path: Path) -> Iterator[None]:
 
 
 @contextmanager
-def new_folders(path: Path) -> Iterator[None]:
-    """Let a folder be made, if need be with its parents; those that are new and empty at the end go again."""
+def results_folder(path: Path) -> Iterator[None]:
+    """Make a folder, if need be with its parents; those that are new and empty at the end go again.
+
+    Raises OSError when that fails.
+    """
     made = [folder for folder in (path, *path.parents) if not folder.exists()]
     try:
+        path.mkdir(parents=True, exist_ok=True)
         yield
     finally:
         for folder in made:

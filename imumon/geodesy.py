@@ -64,11 +64,6 @@ def quaternions(angles: FloatArray) -> FloatArray:
     return np.stack([w, x, y, z])
 
 
-def earth_rate_in_body(up: FloatArray, heading: float, latitude: float) -> FloatArray:
-    """Return the earth rate in body axes, rad/s, (3,); heading and latitude in rad."""
-    return earth_rate_along(up, north_in_body(up, heading), latitude)
-
-
 def earth_rate_along(up: FloatArray, northward: FloatArray, latitude: float) -> FloatArray:
     """Return the earth rate in the axes of the given directions, rad/s, (3,).
 

@@ -1,9 +1,8 @@
 """Keeps the memory of programs that run for days: what is free goes back to the system."""
 
 import ctypes
-import sys
 
-_LIBRARY = ctypes.CDLL(None) if sys.platform == "linux" else None
+_LIBRARY = ctypes.CDLL(None)
 _TRIM = getattr(_LIBRARY, "malloc_trim", None)
 """Of the GNU C library, malloc_trim(3); others do without."""
 _OPTION = getattr(_LIBRARY, "mallopt", None)

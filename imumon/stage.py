@@ -146,27 +146,18 @@ class GuardedStage:
         Raises BAD_CONFIG for one that was not declared, is there already or does not come, or is otherwise
         than declared.
         """
-        declared = {column.name: np.dtype(column.dtype) for column in self.columns}
+        declared = {column.name: column.dtype for column in self.columns}
         if there := ", ".join(name for name in new if name in block):
             raise bad_config(f"it adds {there}, which is there already", "give it another name")
-        if more := ", ".join(name for name in new if name not in declared):
-            what = f"it adds {more}, which its columns do not declare"
-            raise bad_config(what, "tables and view need its unit")
-        if new and (absent := ", ".join(sorted(declared.keys() - new.keys()))):
-            what = f"it declares {absent}, which did not come"
-            raise bad_config(what, "return every column, NaN where there is nothing")
+        if new and new.keys() != declared.keys():
+            what = f"it returned {', '.join(new)} and declares {', '.join(declared)}"
+            raise bad_config(what, "return every column that is declared, NaN where there is nothing")
         for name, values in new.items():
-            dtype, n = declared[name], len(block)
-            if not isinstance(values, np.ndarray) or values.ndim != 1:
-                is_array = isinstance(values, np.ndarray)
-                what = f"an array of shape {values.shape}" if is_array else _named(values)
-                raise bad_config(f"{name} is {what}", "return an array of one dimension")
-            if len(values) != n:
-                raise bad_config(f"{name} has {len(values)} values for {n} samples", "return one for each")
-            if values.dtype != dtype:
-                raise bad_config(
-                    f"{name} is {values.dtype} and declared as {dtype}", "return what is declared"
-                )
+            is_array = isinstance(values, np.ndarray)
+            found = f"{values.dtype} of shape {values.shape}" if is_array else _named(values)
+            expected = f"{declared[name]} of shape {(len(block),)}"
+            if found != expected:
+                raise bad_config(f"{name} is {found}, expected {expected}", "return a value for each sample")
         return new
 
 
@@ -190,10 +181,8 @@ def check_stage(stage: Estimator) -> None:
             raise bad_config(f"{named} has type {column.dtype!r}", f"use {' or '.join(get_args(ColumnType))}")
         if is_own(stage):
             continue
-        if not isinstance(column.unit, str) or not column.unit.strip():
-            raise bad_config(f"{named} has unit {column.unit!r}", 'give its unit; "1" where it has none')
         try:
-            parse_own_unit(column.unit)
+            parse_own_unit(str(column.unit))
         except ValueError as error:
             hint = 'write it like rad/s, or "1" where there is no unit'
             raise bad_config(f"{named}: {error}", hint) from error

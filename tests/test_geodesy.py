@@ -29,7 +29,8 @@ def test_the_attitude_is_that_of_the_euler_angles(angles: tuple[float, float, fl
 def test_the_earth_rate_turns_into_the_body(angles: tuple[float, float, float], latitude_deg: float) -> None:
     matrix, latitude = _matrix(angles), math.radians(latitude_deg)
     expected = matrix.T @ np.array([math.cos(latitude), 0.0, -math.sin(latitude)]) * geodesy.EARTH_RATE
-    found = geodesy.earth_rate_in_body(-matrix[2], math.radians(angles[2]), latitude)
+    up = -matrix[2]
+    found = geodesy.earth_rate_along(up, geodesy.north_in_body(up, math.radians(angles[2])), latitude)
     np.testing.assert_allclose(found, expected, atol=1e-18)
 
 

@@ -174,10 +174,10 @@ def test_the_digest_sees_a_single_bit_and_a_late_column() -> None:
 @pytest.mark.parametrize(
     ("columns", "returned", "said"),
     [
-        (["twice"], {"twice": 2}, "twice has 2 values for 3 samples"),
+        (["twice"], {"twice": 2}, "twice is float64 of shape (2,), expected float64 of shape (3,)"),
         (["gyro_x"], {"gyro_x": 3}, "it adds gyro_x, which is there already"),
-        (["mine"], {"other": 3}, "it adds other, which its columns do not declare"),
-        (["mine", "absent"], {"mine": 3}, "it declares absent, which did not come"),
+        (["mine"], {"other": 3}, "it returned other and declares mine"),
+        (["mine", "absent"], {"mine": 3}, "it returned mine and declares mine, absent"),
     ],
 )
 def test_a_stage_that_does_not_return_what_it_declares_is_switched_off(
@@ -198,11 +198,15 @@ def test_a_stage_that_does_not_return_what_it_declares_is_switched_off(
     ("dtype", "returned", "said"),
     [
         ("float64", {"mine": [1.0, 2.0, 3.0]}, "mine is a list"),
-        ("float64", {"mine": np.zeros((3, 1))}, "mine is an array of shape (3, 1)"),
+        (
+            "float64",
+            {"mine": np.zeros((3, 1))},
+            "mine is float64 of shape (3, 1), expected float64 of shape (3,)",
+        ),
         ("float64", {"mine": 1.0}, "mine is a float"),
-        ("int64", {"mine": np.full(3, 1.5)}, "mine is float64 and declared as int64"),
-        ("float64", {"mine": np.zeros(3, np.float32)}, "mine is float32 and declared as float64"),
-        ("float64", {"mine": np.zeros(3, np.int64)}, "mine is int64 and declared as float64"),
+        ("int64", {"mine": np.full(3, 1.5)}, "mine is float64 of shape (3,), expected int64"),
+        ("float64", {"mine": np.zeros(3, np.float32)}, "mine is float32 of shape (3,), expected float64"),
+        ("float64", {"mine": np.zeros(3, np.int64)}, "mine is int64 of shape (3,), expected float64"),
         ("float64", None, "it returned None"),
     ],
 )
@@ -294,9 +298,9 @@ USUAL = "usual here: V, A, rpm, degC; or 1"
         (Column("My column", "1"), f"{RETURNED}: My column is no name of a column"),
         (
             Column("mine", "furlongs/s^"),
-            f"{RETURNED}: mine: unit 'furlongs/s^' is not known; usual here: V, A, rpm, degC; or 1",
+            f"{RETURNED}: mine: unit 'furlongs/s^' is not known; {USUAL}",
         ),
-        (Column("mine", ""), f"{RETURNED}: mine has unit ''"),
+        (Column("mine", ""), f"{RETURNED}: mine: unit '' is not known; {USUAL}"),
         ("mine", f"{RETURNED}: 'mine' is no column"),
     ],
 )

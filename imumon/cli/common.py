@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Literal, TextIO, TypeVar
 import click
 
 from imumon.errors import ImumonError, bad_config
-from imumon.files import new_folders, plain
+from imumon.files import plain
 from imumon.harmless import for_log, for_terminal
 from imumon.run import PUBLISHED
 
@@ -31,14 +31,12 @@ if TYPE_CHECKING:
 Options = TypeVar("Options", bound=Callable[..., Any])
 INTERRUPTED = threading.Event()
 """Set by Ctrl-C where that does nothing else: libraries make other errors of KeyboardInterrupt, or none."""
-ABSURD = 1e5
-"""A limit from here on protects the program, and is of no interest in a help text."""
 
 
 def described_range(kind: click.IntRange | click.FloatRange) -> str:
     """Return the limits of a number, of which there is a lower one, as people write them."""
     low, high = kind.min, kind.max
-    if high is None or high >= ABSURD:
+    if high is None:
         return f"above {low:g}" if kind.min_open else f"{low:g} or more"
     return f"above {low:g}, up to {high:g}" if kind.min_open else f"{low:g} to {high:g}"
 
@@ -58,8 +56,6 @@ class Number(click.FloatRange):
         if math.isnan(number):
             unit = " of seconds, without a unit" if self.name == "seconds" else ""
             self.fail(f"{value} is not a number{unit}", param, ctx)
-        if self.max is not None and self.max >= ABSURD and number > self.max:
-            self.fail(f"{value} is not in the range up to {self.max:g}", param, ctx)
         return float(super().convert(value, param, ctx))
 
     _describe_range = described_range
@@ -292,18 +288,6 @@ def print_rows(rows: Mapping[str, str]) -> None:
     """Write labelled lines on standard error."""
     for line in labelled(rows, columns_of(sys.stderr)):
         note(line)
-
-
-@contextmanager
-def results_folder(out: Path) -> Iterator[None]:
-    """Make a folder for results, and take it back where none came; raises BAD_CONFIG where it cannot."""
-    with new_folders(out):
-        try:
-            out.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            what = f"the folder {out} cannot be made: {error.strerror}"
-            raise bad_config(what, "give another folder") from error
-        yield
 
 
 _SETUP_OPTIONS = (

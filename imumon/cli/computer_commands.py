@@ -12,7 +12,7 @@ import click
 
 from imumon.cli import common
 from imumon.errors import EXIT_NEGATIVE, EXIT_OK, ImumonError, Reason
-from imumon.files import check_output, plain, write_text
+from imumon.files import check_output, plain, results_folder, write_text
 from imumon.version import __version__
 
 if TYPE_CHECKING:
@@ -223,9 +223,7 @@ def detect(
         write_text(proposed, proposal)
         common.note(f"look at {proposed}, then: imumon monitor {port} --device {proposed}")
     if wrong and proposal:
-        raise ImumonError(
-            wrong.reason, wrong.seen, "complete the proposed device file, and try it: --device FILE"
-        )
+        raise ImumonError(wrong.reason, wrong.seen, "complete the proposed device file: --device FILE")
     if wrong:
         raise wrong
 
@@ -233,7 +231,7 @@ def detect(
 def _save(folder: Path, received: Mapping[int | None, bytearray], data: Mapping[str, object]) -> None:
     """Write the bytes of each rate, and what was found in them, without the name of computer or port."""
     names = {rate: "port.bin" if rate is None else f"{rate}.bin" for rate in received}
-    with common.results_folder(folder):
+    with results_folder(folder):
         for rate, name in names.items():
             (folder / name).write_bytes(received[rate])
         facts = {"imumon": __version__, "files": [*names.values()], **data}

@@ -8,9 +8,11 @@ import os
 import select
 import signal
 import sys
+import termios
 import threading
 import time
-from collections.abc import Iterator
+import tty
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -21,8 +23,6 @@ from imumon.heap import prepare_heap
 from imumon.recordings import lines
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
     from imumon.run.live import LiveSummary
     from imumon.run.setup import Setup
     from imumon.view.items import ViewItem
@@ -45,8 +45,7 @@ class Ending:
         if INTERRUPTED.is_set():  # and a library has made nothing of it
             self._signal.set()
         # Whoever starts this command may hold signals back until it can heed them.
-        if hasattr(signal, "pthread_sigmask"):  # not on Windows
-            signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT, signal.SIGTERM})
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT, signal.SIGTERM})
 
     def begin(self) -> None:
         """Let the time begin."""
@@ -134,7 +133,7 @@ class PortRun:
 def ending_signals() -> list[signal.Signals]:
     """Return what ends a recording in order: Ctrl-C, kill, a terminal that was closed (not under nohup)."""
     numbers = [signal.SIGINT, signal.SIGTERM]
-    if sys.platform != "win32" and signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
+    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
         numbers.append(signal.SIGHUP)
     return numbers
 
@@ -189,52 +188,35 @@ def watch(
                 shown.show(screen(columns, rows), columns, rows)
 
 
-class Keys:
-    """Reads keys as they are pressed, without waiting; none where standard input is no terminal."""
+@contextmanager
+def single_keys() -> Iterator[Callable[[], str] | None]:
+    """Let keys come without Enter and unseen; yield what returns those since the last time.
 
-    def __init__(self, descriptor: int | None) -> None:
-        self._descriptor = descriptor
+    It is None without a terminal, and in the background.  Ctrl-C stays a signal; in the end the terminal is
+    as it was.
+    """
+    terminal = sys.stdin.fileno() if sys.stdin is not None and sys.stdin.isatty() else -1
+    in_front = False
+    with suppress(OSError):  # there is no terminal, or it is that of another session
+        in_front = os.tcgetpgrp(terminal) == os.getpgrp()
+    if not in_front:
+        yield None
+        return
 
-    @property
-    def possible(self) -> bool:
-        """Whether keys can come now; the system stops who reads a terminal from the background."""
-        with suppress(OSError):
-            return self._descriptor is not None and os.tcgetpgrp(self._descriptor) == os.getpgrp()
-        return True  # a terminal that controls no job
-
-    def pressed(self) -> str:
-        """Return the keys since the last time."""
-        with suppress(OSError):
-            if self._descriptor is None or not self.possible:
-                return ""
-            if not select.select([self._descriptor], [], [], 0)[0]:
-                return ""
-            if pressed := os.read(self._descriptor, 100):
-                return pressed.decode(errors="replace")
-        self._descriptor = None  # the terminal was closed
+    def pressed() -> str:
+        with suppress(OSError):  # in the background by now, or the terminal was closed
+            if select.select([terminal], [], [], 0)[0]:
+                return os.read(terminal, 100).decode(errors="replace")
         return ""
 
-
-@contextmanager
-def single_keys() -> Iterator[Keys]:
-    """Let keys come without Enter and unseen, and give the terminal back as it was; Ctrl-C stays a signal.
-
-    None come to a command in the background.
-    """
-    keys = Keys(sys.stdin.fileno() if sys.stdin is not None and sys.stdin.isatty() else None)
-    if not keys.possible or sys.platform == "win32":
-        yield Keys(None)
-        return
-    import termios
-    import tty
-
-    before = termios.tcgetattr(sys.stdin)
-    tty.setcbreak(sys.stdin, termios.TCSANOW)
+    # Else the system stops a command that is sent to the background and uses its terminal.
+    usual = {number: signal.signal(number, signal.SIG_IGN) for number in (signal.SIGTTIN, signal.SIGTTOU)}
+    before = termios.tcgetattr(terminal)
+    tty.setcbreak(terminal, termios.TCSANOW)
     try:
-        yield keys
+        yield pressed
     finally:
-        # The system would stop a command in the background that sets the terminal.
-        held = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTTOU})
-        with suppress(OSError, termios.error):  # the terminal was closed
-            termios.tcsetattr(sys.stdin, termios.TCSANOW, before)
-        signal.pthread_sigmask(signal.SIG_SETMASK, held)
+        with suppress(termios.error):  # the terminal was closed
+            termios.tcsetattr(terminal, termios.TCSANOW, before)
+        for number, handler in usual.items():
+            signal.signal(number, handler)

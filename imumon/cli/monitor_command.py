@@ -71,7 +71,7 @@ def command(
     unplugged or silent, imumon waits for it and opens it again.
     """
     from imumon.run.narration import view_setup
-    from imumon.run.stages import compared, keep_learned
+    from imumon.run.stages import keep_learned
 
     mode = common.chosen_view(view, bind)
     outputs = [(one, one.parse(options.pop(one.name))) for one in offers("live_output")]
@@ -101,7 +101,7 @@ def command(
     data = {**summary.as_dict(), "view_dropped": views.dropped, **also, "learned_model": learned}
     rows = _rows(summary, run.progress, views)
     if learned is not None:
-        rows["learned"] = f"{learned}; before and after: {compared(run.session, learned)}"
+        rows["learned"] = str(learned)
     common.print_result(as_json, data, rows)
     live.raise_problem(summary)
     return EXIT_NEGATIVE if summary.wire.bytes_unrecorded else EXIT_OK
@@ -123,6 +123,7 @@ class _Views:
             self._live = ViewPublisher(mode, setup, bind=bind).start()
         self._recorder = ViewRecorder(run.session.view_path, setup, on_error=run.report_view_error)
         self.outputs = outputs
+        self._elsewhere = [*([self._live] if self._live else []), *outputs]
         ours = [one for one in (self._recorder, self._live, self.terminal) if one is not None]
         self.publish = [one.publish for one in ours]
         self.publish += [publish for output in outputs for publish in output.publish]
@@ -142,12 +143,12 @@ class _Views:
 
     def announce(self, log: Callable[[str, str], None]) -> None:
         """Log where each is, as soon as it is known and when it changes."""
-        for output in (*([self._live] if self._live else []), *self.outputs):
+        for output in self._elsewhere:
             output.announce(log)
 
     def close(self) -> None:
         self._recorder.end()
-        for output in (*self.outputs, *([self._live] if self._live else [])):
+        for output in reversed(self._elsewhere):
             output.close()
         self._recorder.close()
 
@@ -165,7 +166,7 @@ def _watch(live: PortRun, views: _Views) -> None:
 
     def step() -> None:
         nonlocal switches
-        for key in keys.pressed():
+        for key in pressed() if pressed is not None else "":
             if key == "m":
                 run.mark(EventKind.MARK, "key m")
             elif key == "s":
@@ -181,8 +182,8 @@ def _watch(live: PortRun, views: _Views) -> None:
         assert view is not None
         return view.lines(columns, rows, f"{status()}  {KEYS}")
 
-    with single_keys() as keys:
-        if view is None and keys.possible and common.is_terminal():
+    with single_keys() as pressed:
+        if view is None and pressed is not None and common.is_terminal():
             lines.put("INFO", f"keys: {KEYS}")
         watch(live.ending, lines, step, status, None if view is None else screen)
 

@@ -1,17 +1,16 @@
-"""How far long work has come, never beside ``--json``: a bar on a terminal, else a line from time to time."""
+"""How far long work has come, never beside ``--json``: a bar on a terminal, else a line once a minute."""
 
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from pathlib import Path
 
 from imumon.cli.common import console, log
 from imumon.harmless import for_log
 
-FIRST_LINE_S, LINE_S = 30.0, 60.0
-"""Until the first line without a terminal, and between two."""
+LINE_S = 60.0
+"""Between two lines without a terminal."""
 WORTH_LOGGING_S = 5.0
 """Work that takes longer is announced with an estimate of its time."""
 
@@ -37,33 +36,14 @@ def rounded_time(seconds: float) -> str:
     return f"{float(f'{seconds / unit:.1g}'):g} {name}"
 
 
-@contextmanager
-def _progress_lines(state: Callable[[], str]) -> Iterator[None]:
-    """Log from time to time what is being done, as `state` returns it; another thread calls that."""
-    began, ended = time.monotonic(), threading.Event()
-
-    def lines() -> None:
-        wait_s = FIRST_LINE_S
-        while not ended.wait(wait_s):
-            wait_s = LINE_S
-            log("INFO", f"{state()}, {time.monotonic() - began:.0f} s so far")
-
-    thread = threading.Thread(target=lines, name="progress", daemon=True)
-    thread.start()
-    try:
-        yield
-    finally:
-        ended.set()
-        thread.join()
-
-
 class ReadingProgress:
     """How far work on a total has come; called with what is being done now, it shows that."""
 
     def __init__(self, what: str, total: int | None) -> None:
         self.what, self.total, self.done = for_log(what), total, 0
-        self.show: Callable[[], object] = lambda: None
+        self.show: Callable[[], object] = self._log
         """Draws the present state."""
+        self._next_s = time.monotonic() + LINE_S
 
     def count(self, more: int) -> None:
         """Add what was done since the last time."""
@@ -75,8 +55,10 @@ class ReadingProgress:
         self.what, self.total = for_log(text), None
         self.show()
 
-    def __str__(self) -> str:
-        return f"{self.what}: {self.done / self.total:.0%}" if self.total else self.what
+    def _log(self) -> None:
+        if time.monotonic() >= self._next_s:
+            self._next_s = time.monotonic() + LINE_S
+            log("INFO", f"{self.what}: {self.done / self.total:.0%}" if self.total else self.what)
 
 
 @contextmanager
@@ -84,15 +66,14 @@ def bar(what: str, total: int | None, *, quiet: bool) -> Iterator[ReadingProgres
     """Show how much of a total was done: a bar on a terminal, else lines; nothing when quiet."""
     now = ReadingProgress(what, total)
     if quiet or not sys.stderr.isatty():
-        with nullcontext() if quiet else _progress_lines(now.__str__):
-            yield now
+        if quiet:
+            now.show = lambda: None
+        yield now
         return
     from rich import progress as rich
 
-    label, left = rich.TextColumn("{task.description}", markup=False), rich.TextColumn("left:")
-    times = (rich.TimeElapsedColumn(), left, rich.TimeRemainingColumn())
-    columns = (label, rich.BarColumn(), rich.TaskProgressColumn(), *times)
-    with rich.Progress(*columns, console=console(error=True), transient=True) as drawn:
+    label, usual = rich.TextColumn("{task.description}", markup=False), rich.Progress.get_default_columns()
+    with rich.Progress(label, *usual[1:], console=console(error=True), transient=True) as drawn:
         task = drawn.add_task(now.what, total=total)
         now.show = lambda: drawn.update(task, description=now.what, completed=now.done)
         yield now

@@ -94,7 +94,7 @@ def replay(
     from imumon.recordings.exports import Exported, export_run
     from imumon.recordings.folder import open_session
     from imumon.recordings.source import open_source
-    from imumon.run.narration import Narrator, advised, describe_losses, describe_streams, view_setup
+    from imumon.run.narration import Narrator, describe_losses, describe_streams, view_setup
     from imumon.run.replay import Comparison, compare_with_live, digested, replay
     from imumon.run.stages import pipeline_of, smoothed
 
@@ -112,7 +112,7 @@ def replay(
         units = {column.name: column.unit for column in source.imported} | pipeline.units
         publisher = _begun(view, view_setup(opened, units, window, replay=True), bind)
         card = {"session": str(session), "replay": "as fast as it goes" if pace is None else f"{pace:g} x"}
-        narrator = Narrator(pipeline, None, [publisher.publish], lambda *_: None, card, session)
+        narrator = Narrator(pipeline, None, [publisher.publish], lambda *_: None, card)
     try:
         with reading_bar([session], quiet=as_json) as progress:
             again = replay(source.items, pipeline, narrator, pace, progress.count)
@@ -133,7 +133,7 @@ def replay(
     texts = [*source.warnings(), *pipeline.warnings()]
     if setup.bias_model is not None:
         texts.insert(0, setup.bias_model.of_another(opened.metadata.serial))
-    common.warn(advised(text, opened.path) for text in texts if text)
+    common.warn(filter(None, texts))
     differs = comparison.identical is False
     if differs:
         common.warn(["the samples differ from those of the live run: another version, or bytes missing"])

@@ -11,7 +11,7 @@ import click
 
 from imumon.cli import common
 from imumon.cli.progress import reading_bar
-from imumon.errors import ImumonError, Reason, bad_config
+from imumon.errors import bad_config
 from imumon.files import check_output
 from imumon.wing import offers
 
@@ -47,27 +47,19 @@ def _write_table(
 ) -> None:
     """Decode a capture or a session into a table, and report what came."""
     from imumon.pipeline import Pipeline
-    from imumon.recordings.exports import Exported, export_run
-    from imumon.recordings.source import no_samples, open_source, run_over
+    from imumon.recordings.exports import export_run
+    from imumon.recordings.source import open_source, run_over
     from imumon.run.account import Doubts
-    from imumon.run.narration import describe_losses, describe_skipped, describe_streams
+    from imumon.run.narration import describe_losses, describe_streams
 
     source = open_source(file, device, rate)
     source.refuse_output(out)
     pipeline, sender, session = Pipeline(source.device), source.device, source.session
     named = {"file": source.path, "session": session and session.path, "device": sender and sender.name}
     doubts = Doubts(sender is not None and sender.protocol.startswith("fixed"))
-    try:
-        with reading_bar([file], quiet=as_json) as progress:
-            blocks = doubts.through(run_over(source.items, pipeline, progress.count))
-            exported = export_run(blocks, pipeline, source, out, common.split_columns(columns))
-    except ImumonError as error:
-        unread = not pipeline.counters.bytes_received and file.is_file() and file.stat().st_size
-        if error.reason is not Reason.BAD_DATA or pipeline.counters.samples or unread:
-            raise
-        if as_json:
-            common.print_json(named | exported_as_data(source, pipeline, Exported(0, {})))
-        raise no_samples(source, pipeline) from error
+    with reading_bar([file], quiet=as_json) as progress:
+        blocks = doubts.through(run_over(source.items, pipeline, progress.count))
+        exported = export_run(blocks, pipeline, source, out, common.split_columns(columns))
     counters = pipeline.counters
     doubtful = doubts.found(counters)
     common.warn([*source.warnings(), *pipeline.warnings(), *exported.warnings, *doubtful])
@@ -76,7 +68,7 @@ def _write_table(
     rows = {
         "packets": ", ".join(f"{count:,} {name}" for name, count in counters.packets_by_type.items()),
         "bytes": f"{counters.bytes_received:,} received, {counters.bytes_in_packets:,} in packets, "
-        f"{describe_skipped(counters)}, {counters.bytes_pending:,} pending",
+        f"{counters.bytes_skipped:,} skipped, {counters.bytes_pending:,} pending",
         "losses": describe_losses(counters),
     }
     rows = (rows if counters.bytes_received else {}) | describe_streams(counters, exported.tables)

@@ -12,7 +12,7 @@ import click
 
 from imumon.cli import common
 from imumon.errors import bad_data
-from imumon.files import check_output
+from imumon.files import check_output, results_folder
 
 if TYPE_CHECKING:
     from imumon.fleet.catalog.tables import Outlier
@@ -51,7 +51,7 @@ def catalog(folder: Path, results: Path | None, out: Path | None, rrd: str | Non
         common.log(
             "WARN", "--rrd is retired, and nothing is written: imumon report UNIT draws the drift of a unit"
         )
-    with nullcontext() if out is None else common.results_folder(out):
+    with nullcontext() if out is None else results_folder(out):
         units, unusual, left_out = read(folder, results)
         rows = tables(units, unusual)
         written = [] if out is None else write_tables(rows, out)

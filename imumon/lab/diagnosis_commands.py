@@ -16,13 +16,12 @@ from imumon.cli.common import (
     log,
     print_json,
     print_rows,
-    results_folder,
     warn,
     with_warnings,
 )
 from imumon.cli.progress import reading_bar, rounded_time
 from imumon.errors import EXIT_NEGATIVE, EXIT_OK, ImumonError, bad_config, bad_data
-from imumon.files import check_output
+from imumon.files import check_output, results_folder
 
 if TYPE_CHECKING:
     from imumon.lab.diagnosis.diagnose import Diagnosis

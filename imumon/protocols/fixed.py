@@ -11,7 +11,6 @@ from pydantic import AfterValidator, Field, NonNegativeInt, PositiveInt, StringC
 from imumon.blocks import IntArray, SampleBlock
 from imumon.columns import KNOWN, NAME, Column
 from imumon.config import LARGEST_NUMBER, StrictModel
-from imumon.errors import ImumonError
 from imumon.protocols.base import COMMON, LONGEST_PACKET, MAIN, NO_GROUP, ByteArray, Encoder, Groups, Timing
 from imumon.protocols.decoder import Decoder
 from imumon.protocols.device import DeviceFile
@@ -96,10 +95,7 @@ class NumberField(StrictModel):
         if not 0 < abs(_fraction(self.scale)) < LARGEST_NUMBER:
             raise ValueError(f"scale {self.scale} is not a reasonable number")
         for name in self.names:
-            try:
-                self.scaled(name)
-            except ImumonError as error:
-                raise ValueError(f"{name}: {error.seen}; {error.hint}") from error
+            self.scaled(name)
         return self
 
     def scaled(self, name: str) -> tuple[Column, float, float]:

@@ -20,7 +20,7 @@ from imumon.errors import bad_config, bad_data
 from imumon.files import check_output, naming, target
 from imumon.pipeline import Pipeline
 from imumon.protocols.base import MAIN
-from imumon.recordings.source import Source
+from imumon.recordings.source import Source, no_samples
 from imumon.recordings.table import CLOCKS, TableWriter, read_table
 
 CONVERTED = (".npz", ".mat", ".mcap")
@@ -111,7 +111,7 @@ def _tables(
             seen = f"no column {', '.join(absent)} in these samples"
             raise bad_config(seen, f"there are: {', '.join(there)}")
         if not written:
-            raise bad_data("there are no samples, so there is no table to write")
+            raise no_samples(source, pipeline)
     order = sorted(written, key=lambda stream: stream != MAIN)
     return Exported(main.rows, {stream: written[stream].path for stream in order})
 

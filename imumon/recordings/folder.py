@@ -22,7 +22,7 @@ from pydantic import Field, NonNegativeInt
 from imumon.columns import BodyAxes
 from imumon.config import StrictModel, dump_yaml, parse_yaml
 from imumon.errors import ImumonError, Reason, bad_config, bad_data
-from imumon.files import naming, new_folders, read_text, readable, write_text
+from imumon.files import naming, read_text, readable, results_folder, write_text
 from imumon.transport.statistics import StreamCounters
 from imumon.version import __version__
 
@@ -32,8 +32,6 @@ SAMPLES_NAME = "samples.parquet"
 VIEW_NAME = "view.rrd"
 TRUTH_NAME = "truth.parquet"
 DEFAULT_PARENT = Path("sessions")
-SHOWN_NAMES = 5
-"""Files of a folder that an error names."""
 
 FORMAT: Final = "imumon-session/1"
 SourceKind = Literal["live", "simulation", "import"]
@@ -226,9 +224,9 @@ def whole_session(path: Path) -> Iterator[Path]:
     if not path.name or (path.is_dir() and any(path.iterdir())):
         raise ImumonError(Reason.EXISTS, f"{path} is there already", "give the name of a new folder")
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    with naming(path), new_folders(path.parent):
+    with naming(path), results_folder(path.parent):
         try:
-            partial.mkdir(parents=True)
+            partial.mkdir()
             yield partial
             partial.rename(path)
         finally:
@@ -263,18 +261,14 @@ def is_session(path: Path) -> bool:
 def open_session(path: Path) -> Session:
     """Open a session for reading; `path` names the folder, its session.yaml or its wire.mcap.
 
-    Raises BAD_DATA when there is no session, naming what there is, or when its metadata or its data is
-    missing.
+    Raises BAD_DATA when there is no session, or when its metadata or its data is missing.
     """
     folder = _folder(path)
     if not folder.exists():
         hint = f"sessions are folders with a {METADATA_NAME}, usually in ./{DEFAULT_PARENT}"
         raise bad_data(f"{path}: there is no such file or folder", hint)
     if not (folder / METADATA_NAME).is_file():
-        there = f"it is a file of {folder.stat().st_size} bytes"
-        if folder.is_dir():
-            names = sorted(entry.name for entry in folder.iterdir())
-            there = f"the folder has no {METADATA_NAME}; it has {', '.join(names[:SHOWN_NAMES]) or 'nothing'}"
+        there = f"the folder has no {METADATA_NAME}" if folder.is_dir() else "it is a file"
         raise bad_data(f"{path} is not a session: {there}", _advice(folder) or _HINT)
     try:
         session = Session(folder, read_metadata(folder / METADATA_NAME))
@@ -343,6 +337,4 @@ def _advice(folder: Path) -> str:
     """Return what can be done with the data of a session without readable metadata; empty without data."""
     if lost_metadata(folder) is not None:
         return f"{WIRE_NAME} is there: imumon recover {folder} makes {METADATA_NAME} anew from it"
-    if not (folder / METADATA_NAME).is_file() and (folder / SAMPLES_NAME).is_file():
-        return f"its samples are there, and can be read as a table: {folder / SAMPLES_NAME}"
     return ""

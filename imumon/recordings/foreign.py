@@ -1,7 +1,6 @@
 """Tables from elsewhere, text or Parquet, read as a stream: each row is taken whole or is named as bad."""
 
 import csv
-import json
 import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -69,8 +68,8 @@ class Part:
 
 def read_foreign(
     path: Path, columns: Sequence[str], time: TimeColumn | None, text_format: TextFormat
-) -> tuple[list[str], str, Iterator[Part]]:
-    """Return the names of all columns of a table, where they are, and its rows as a stream of parts.
+) -> tuple[list[str], Iterator[Part]]:
+    """Return the names of all columns of a table, and its rows as a stream of parts.
 
     Whether it is Parquet or text is decided by the content, not by the name.
 
@@ -81,7 +80,7 @@ def read_foreign(
     if not head:
         raise bad_data(f"{path}: is empty")
     wanted = list(dict.fromkeys([*columns, *([time.column] if time is not None else [])]))
-    decimal, place = ".", str(path)
+    decimal = "."
     if head.startswith(b"PAR1"):
         with table_errors(path):
             names = list(pq.read_schema(path).names)
@@ -91,25 +90,14 @@ def read_foreign(
         lines = _lines(path, _encoding(path, head), text_format)
         names = [*(text_format.columns or ())]
         if text_format.header:
-            number, first = next(lines, (0, ""))
+            _, first = next(lines, (0, ""))
             if not first:
                 raise bad_data(f"{path}: has no line of column names")
-            place = f"{path}:{number}"
             names = [name.strip() for name in _split(first, text_format.delimiter)]
         rows = _text_rows(lines, names, text_format)
     if twice := [name for name in wanted if names.count(name) > 1]:
         raise bad_data(f"{path}: column {', '.join(map(repr, twice))} is there more than once")
-    return names, place, _parts(path, rows, columns, time, decimal)
-
-
-def layout_hint(names: Sequence[str]) -> str:
-    """Return what to add to a map of whose columns none is among these names."""
-    if delimiter := next((one for one in ";\t|" if one in names[0]), ""):
-        quoted = json.dumps(delimiter)
-        return f'csv: {{delimiter: {quoted}}}; with decimal commas csv: {{delimiter: {quoted}, decimal: ","}}'
-    if names[0].startswith("#"):
-        return 'csv: {comment: "#"}'
-    return "csv: {header: false, columns: [NAME, ...]} for a table without names"
+    return names, _parts(path, rows, columns, time, decimal)
 
 
 def _parts(
@@ -226,7 +214,7 @@ def time_parser(unit: str, date_format: str | None = None) -> ParseTime:
                 raise ValueError
             else:
                 time_ns = int((Decimal(text) * scale).to_integral_value())
-        except (ValueError, InvalidOperation) as error:
+        except (ValueError, InvalidOperation, re.error) as error:  # strptime: a directive is there twice
             raise ValueError(f"time {text.strip()!r} is not {expected}") from error
         except ArithmeticError:
             time_ns = 2**63

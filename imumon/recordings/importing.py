@@ -1,7 +1,6 @@
 """A table from elsewhere becomes a session: every row goes in, or is counted, or nothing is made."""
 
 import math
-import re
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -18,24 +17,26 @@ from imumon.errors import bad_config, bad_data
 from imumon.files import read_text
 from imumon.intake import SpecificForce, rate_doubts
 from imumon.recordings import folder
-from imumon.recordings.foreign import BadRow, Part, layout_hint, read_foreign
+from imumon.recordings.foreign import BadRow, Part, read_foreign
 from imumon.recordings.map import TableMap
 from imumon.recordings.table import TableWriter
 
 LISTED = 10
 """Bad rows that an error or a report lists; the others are counted."""
 
-
-_DECIMAL = 'decimal commas are read with csv: {decimal: ","} in the map'
+_LAYOUT = (
+    '; add to the map what fits: csv: {delimiter: ";", comment: "#", header: false, columns: [NAME, ...]}'
+)
 _BAD_ROWS = (
-    "mend the table, pass over lines before the data with csv: {skip_rows: N}"
-    ' and comments with csv: {comment: "#"}, or add bad_rows: drop to the map to import the others'
+    "mend the table, state its layout in the map, as in"
+    ' csv: {skip_rows: 1, comment: "#", delimiter: ";", decimal: ","},'
+    " or add bad_rows: drop to the map to import the others"
 )
-_WENT_BACK = (
-    "if the device or the log started anew there, add backwards: segment to time in the map;"
-    " local time goes back where daylight saving ends: write UTC, or the zone (+01:00)"
+_NOT_AFTER = (
+    "if the device or the log started anew there, add backwards: segment to time in the map; if the clock is"
+    " too coarse, give rate_hz: ... in place of time; local time goes back where daylight saving ends: write"
+    " UTC, or the zone (+01:00)"
 )
-_STAYED = "if the rows are evenly spaced, give rate_hz: ... in place of time"
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,14 +115,12 @@ class TableImport:
         self.map_text = read_text(map_path, hint="a map is a YAML file: imumon import --help has an example")
         self.map = parse_yaml(self.map_text, TableMap, str(map_path))
         names = [source.column for source in self.map.sources()]
-        self._names, place, self._parts = read_foreign(table, names, self.map.time, self.map.csv)
+        self._names, self._parts = read_foreign(table, names, self.map.time, self.map.csv)
         wanted = [*names, *([self.map.time.column] if self.map.time else [])]
         if absent := [name for name in wanted if name not in self._names]:
-            first = re.search(rf"(?<!\w){re.escape(absent[0])}(?!\w)", self.map_text)
-            line = 1 + self.map_text.count("\n", 0, first.start() if first else 0)
-            layout = "" if len(absent) < len(wanted) else f"; add to the map: {layout_hint(self._names)}"
+            layout = "" if len(absent) < len(wanted) else _LAYOUT
             raise bad_config(
-                f"{map_path}:{line}: {place}: has no column {', '.join(map(repr, absent))}",
+                f"{map_path}: {table} has no column {', '.join(map(repr, absent))}",
                 f"it has: {', '.join(map(repr, self._names))}{layout}",
             )
         self.columns = {name: KNOWN[name] for name in ("device_time_ns", "segment")}
@@ -164,8 +163,7 @@ class TableImport:
                 shown.append(f"... and {self._rows_bad - len(shown)} more")
             rows = self._rows_good + self._rows_bad
             seen = f"{self.table}: {self._rows_bad} of {rows} rows cannot be taken; nothing was imported"
-            comma = re.search(r"'-?\d*,\d+'", self._listed[0].why)
-            raise bad_data("\n".join([seen, *shown]), _DECIMAL if comma else _BAD_ROWS)
+            raise bad_data("\n".join([seen, *shown]), _BAD_ROWS)
         if not self._rows_good:
             what = f"none of its {self._rows_bad} rows can be taken" if self._rows_bad else "has no rows"
             raise bad_data(f"{self.table}: {what}")
@@ -222,9 +220,8 @@ class TableImport:
             at = int(np.argmax(wrong))
             line, line_before = int(part.line[at]), int(part.line[at - 1]) if at else before_line
             after_s, before_s = int(times[at]) * 1e-9, int(times[at] - steps[at]) * 1e-9
-            verb, hint = ("is before", _WENT_BACK) if steps[at] else ("is the same as", _STAYED)
-            what = f"time {after_s:.9f} s {verb} {before_s:.9f} s of line {line_before}"
-            raise bad_data(f"{self.table}:{line}: {what}", hint)
+            what = f"time {after_s:.9f} s is not after {before_s:.9f} s of line {line_before}"
+            raise bad_data(f"{self.table}:{line}: {what}", _NOT_AFTER)
         segments = self._segment + np.cumsum(back)
         self._span_ns += sum(steps[~back].tolist()) - (self._last is None)
         self._intervals.add(times, segments)

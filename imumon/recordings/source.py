@@ -159,7 +159,7 @@ def no_samples(source: Source, pipeline: Pipeline) -> ImumonError:
     """Return why a run over a source gave no rows."""
     counters = pipeline.counters
     if not counters.bytes_received:
-        return bad_data(f"{source.path} is empty")
+        return bad_data(f"{source.path} is empty: there are no samples")
     others = ", ".join(f"{count} {name}" for name, count in counters.packets_by_type.items())
     device = source.device.name if source.device is not None else "table"
     return bad_data(

@@ -9,28 +9,22 @@ import numpy as np
 
 from imumon.blocks import SampleBlock
 from imumon.geodesy import STANDARD_GRAVITY
-from imumon.intake import GRAVITIES, RANGES
+from imumon.intake import GRAVITIES
 from imumon.pipeline import PipelineCounters
 from imumon.recordings.wire_reader import WireReader
 from imumon.transport.reader import Bytes, Event, EventKind, Item, Reads
 
 BEGINS = {EventKind.SILENT: "silent", EventKind.LOST: "lost"}
 ENDS = {EventKind.OPENED, EventKind.RESUMED}
-NAMED = 20
-"""Outages that are named one by one."""
-
 LEAST_ROWS = 50
 """Fewer are no evidence about a device file: the unit may have been dropped."""
 SKIPPED = 0.25
 """Share of the bytes in no packet.  A length that is wrong by a byte loses every second packet."""
 
-LIMITS = {
-    "gyro": (*RANGES["gyro_"], 0.1, "byte order, type and place of its fields"),
-    "accel": (*RANGES["accel_"], 0.1, "byte order, type and place of its fields"),
-    "specific force": (*GRAVITIES, "times gravity", 0.5, "byte order, scale and unit"),
-}
-"""Least and greatest reading, the unit, the share beyond that is too much (of floats with swapped bytes
-nearly half are), and what in the device file contradicts them."""
+NAMED = 20
+"""Outages that are named one by one."""
+BEYOND = 0.5
+"""Share of the specific forces beyond `GRAVITIES`; of those with swapped bytes nearly all are."""
 
 
 @dataclass(slots=True)
@@ -84,13 +78,10 @@ class Outages:
         """Return all outages with their lengths, in one phrase."""
         if not self.found:
             return "none"
-        lengths = [self.seconds(outage) for outage in self.found]
-        named = [
-            f"{wall_clock(outage.began_ns)} {outage.kind} {length:.1f} s"
-            for outage, length in zip(self.found[:NAMED], lengths, strict=False)
-        ]
-        more = [f"{len(lengths) - NAMED} more"] if len(lengths) > NAMED else []
-        return f"{len(lengths)}, {sum(lengths):.1f} s in all: {', '.join([*named, *more])}"
+        first, more = self.found[:NAMED], len(self.found) - NAMED
+        named = [f"{wall_clock(one.began_ns)} {one.kind} {self.seconds(one):.1f} s" for one in first]
+        named += [f"{more} more"] if more > 0 else []
+        return f"{len(self.found)}, {sum(map(self.seconds, self.found)):.1f} s in all: {', '.join(named)}"
 
     def as_data(self) -> list[dict[str, object]]:
         """Return the outages as ``--json`` has them."""
@@ -127,28 +118,24 @@ def describe_disk(folder: Path) -> str:
 
 
 class Doubts:
-    """What contradicts the device file in a capture that was decoded with it: readings that no unit has.
+    """What contradicts the device file in a capture that was decoded with it.
 
     `described` is whether the device file states how long a packet is and where its checksum stands.
     """
 
     def __init__(self, described: bool) -> None:
         self._described = described
-        self._counts = {name: np.zeros(2, np.int64) for name in LIMITS}
-        """Readings beyond the limits, and all of them."""
+        self._beyond = self._rows = 0
+        """Rows with a specific force beyond `GRAVITIES`, and with any."""
 
     def through(self, blocks: Iterable[SampleBlock]) -> Iterator[SampleBlock]:
         """Yield the blocks as they are."""
         for block in blocks:
-            readings = {"gyro": block.gyro, "accel": block.accel}
-            if (force := block.accel) is not None:
+            if (accel := block.accel) is not None:
                 with np.errstate(over="ignore"):
-                    readings["specific force"] = np.sqrt((force**2).sum(axis=1)) / STANDARD_GRAVITY
-            for name, values in readings.items():
-                if values is not None:
-                    low, high = LIMITS[name][:2]
-                    beyond = (values < low) | (values > high)
-                    self._counts[name] += [beyond.sum(), (~np.isnan(values)).sum()]
+                    force = np.sqrt((accel**2).sum(axis=1)) / STANDARD_GRAVITY
+                self._beyond += int(((force < GRAVITIES[0]) | (force > GRAVITIES[1])).sum())
+                self._rows += int((~np.isnan(force)).sum())
             yield block
 
     def found(self, counters: PipelineCounters) -> list[str]:
@@ -156,18 +143,14 @@ class Doubts:
         texts = []
         skipped, received = counters.bytes_skipped, counters.bytes_received
         if self._described and skipped > SKIPPED * received:
-            cause = "length of the packet (a wrong one swallows the beginning of the next)"
-            if counters.checksum_errors > counters.packets:
-                cause = "checksum, with its place and byte order,"
             texts.append(
-                f"{skipped / received:.0%} of the bytes are in no packet: is the {cause} right in the device"
-                " file?  Else the line is damaged, or something else sends on it"
+                f"{skipped / received:.0%} of the bytes are in no packet: are length and checksum of it right"
+                " in the device file?  Else the line is damaged, or something else sends on it"
             )
-        for name, (low, high, unit, share, cause) in LIMITS.items():
-            beyond, count = self._counts[name]
-            if count >= LEAST_ROWS and beyond > share * count:
-                texts.append(
-                    f"{beyond / count:.0%} of the {name} readings are not within {low:g} to {high:g} {unit},"
-                    f" as they must be: are {cause} right in the device file?"
-                )
+        if self._rows >= LEAST_ROWS and self._beyond > BEYOND * self._rows:
+            low, high = GRAVITIES
+            texts.append(
+                f"{self._beyond / self._rows:.0%} of the specific force readings are not within {low:g} to"
+                f" {high:g} times gravity: are byte order, scale and unit right in the device file?"
+            )
         return texts

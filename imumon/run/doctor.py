@@ -6,7 +6,6 @@ import platform
 import re
 import shutil
 import subprocess
-import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import StrEnum
@@ -28,18 +27,9 @@ from imumon.wing import NEEDED, is_wing
 
 DISTRIBUTION = "imumon"
 VULKAN_DRIVERS = tuple(Path(place, "vulkan/icd.d") for place in ("/usr/share", "/usr/local/share", "/etc"))
-GRAPHICS_CARDS = ("/dev/dri/renderD*", "/dev/nvidia[0-9]*")
-"""What the kernel makes for a graphics card; without one, drivers of cards draw nothing."""
 BYTES_PER_DAY = 400 * 60 * 86_400
 """A day of packets of 60 bytes at 400 Hz, as wire.mcap keeps them."""
 ANSWER_S = 10.0
-EXTRAS = {
-    "foxglove": "monitor --publish foxglove",
-    "ros2": "export --to mcap, import of ROS bags",
-    "autopilot": "import of .ulg",
-    "batch": "batch, sessions at URLs",
-}
-"""What the packages of each extra are for."""
 
 
 class State(StrEnum):
@@ -63,59 +53,35 @@ class Finding(NamedTuple):
 
 def examine(folder: Path) -> Iterator[Finding]:
     """Examine everything that a recording needs; `folder` is where sessions are written."""
-    return chain(packages(), plug_ins(), compiled_code(), disk(folder), serial_ports(), viewer(), graphics())
+    return chain(packages(), compiled_code(), disk(folder), serial_ports(), viewer(), graphics())
 
 
 def packages() -> Iterator[Finding]:
     """Name the versions of what imumon requires, and what is missing; `pip check` shows whether they fit."""
     yield Finding("Python", State.GOOD, f"{platform.python_version()} on {platform.platform(terse=True)}")
-    there = {_canonical(one.name): one.version for one in metadata.distributions()}
-    names: dict[str, list[str]] = {"": [DISTRIBUTION]}
-    for text in metadata.requires(DISTRIBUTION) or ():
-        extra = re.search(r"extra == \W(\w+)", text)
-        names.setdefault(extra[1] if extra else "", []).append(_canonical(re.split(r"[^\w.-]", text)[0]))
-    missing = {extra: [one for one in of if one not in there] for extra, of in names.items()}
-    versions = [f"{name} {there[name]}" for name in names[""] if name in there]
+    versions, lacking = list[str](), list[str]()
+    needed = [text for text in metadata.requires(DISTRIBUTION) or () if "extra ==" not in text]
+    for name in (DISTRIBUTION, *(re.split(r"[^\w.-]", text)[0] for text in needed)):
+        try:
+            versions.append(f"{name} {metadata.version(name)}")
+        except metadata.PackageNotFoundError:
+            lacking.append(name)
     yield Finding("packages", State.GOOD, ", ".join(versions))
-    if lacking := missing.pop(""):
+    if lacking:
         what = f"not installed: {', '.join(lacking)}; imumon needs each of them"
         yield Finding("packages", State.FAULT, what, f"pip install {' '.join(lacking)}")
-    extras = [extra for extra in missing if missing[extra]]
-    if extras:
-        parts = [f"{', '.join(missing[extra])} (for {EXTRAS.get(extra, extra)})" for extra in extras]
-        remedy = f'where that is wanted: pip install "imumon[{",".join(extras)}]"'
-        yield Finding("optional packages", State.WARNING, f"not installed: {'; '.join(parts)}", remedy)
-
-
-def _canonical(name: str) -> str:
-    """Return the name of a package as all its spellings are written (PyPA, name normalization)."""
-    return re.sub(r"[-_.]+", "-", name).lower()
-
-
-def plug_ins() -> Iterator[Finding]:
-    """Test whether each plug-in loads."""
-    for plugin in installed():
-        if plugin.problem:
-            remedy = f"mend or remove it (pip uninstall {plugin.package}), or imumon --without-plugins"
-            yield Finding("plug-ins", State.FAULT, plugin.problem, remedy)
-        else:
-            yield Finding("plug-ins", State.GOOD, f"{plugin.name} of {plugin.package}")
 
 
 def compiled_code() -> Iterator[Finding]:
-    """Test whether compiled code can be kept, and whether there is any."""
-    subject, kept = "compiled code", os.environ.get("NUMBA_CACHE_DIR")
+    """Test whether compiled code can be kept."""
+    kept = os.environ.get("NUMBA_CACHE_DIR")
     own = [Path(__file__).parents[1], Path.home() / ".cache" / "numba"]
     usable = [place for place in ([Path(kept)] if kept else own) if _writable(place)]
-    count = sum(1 for place in usable for _ in place.rglob("*.nbi"))
-    if not usable:
-        seen = "no folder for it can be written to, so each start compiles anew"
-        yield Finding(subject, State.FAULT, seen, "set NUMBA_CACHE_DIR to a folder of yours")
-    elif not count:
-        seen = f"none in {usable[0]}: the first recording waits until it is made"
-        yield Finding(subject, State.WARNING, seen, "imumon demo makes what most recordings need")
+    if usable:
+        yield Finding("compiled code", State.GOOD, f"it is kept in {usable[0]}")
     else:
-        yield Finding(subject, State.GOOD, f"{count} functions kept in {usable[0]}")
+        seen = "no folder for it can be written to, so each start compiles anew"
+        yield Finding("compiled code", State.FAULT, seen, "set NUMBA_CACHE_DIR to a folder of yours")
 
 
 def disk(folder: Path) -> Iterator[Finding]:
@@ -178,19 +144,13 @@ def graphics() -> Iterator[Finding]:
         seen = "there is none: no window can be opened"
         remedy = "--view web shows a run in a browser, --view terminal where it runs"
         yield Finding("display", State.WARNING, seen, remedy)
-    if sys.platform != "linux":
-        return
     drivers = [file.name for place in VULKAN_DRIVERS if place.is_dir() for file in place.glob("*.json")]
-    if not drivers:
+    if drivers:
+        yield Finding("graphics", State.GOOD, ", ".join(sorted(drivers)))
+    else:
         seen = "no Vulkan driver: the viewer's window needs one, or OpenGL"
         remedy = "install that of the graphics card, or mesa-vulkan-drivers, which draws on the processor"
         yield Finding("graphics", State.WARNING, seen, remedy)
-    elif not any(list(Path("/").glob(pattern[1:])) for pattern in GRAPHICS_CARDS):
-        seen = "no graphics card that this user sees: the window is drawn by the processor, slowly"
-        remedy = "--view web shows a run in a browser on another computer; --view terminal needs neither"
-        yield Finding("graphics", State.WARNING, seen, remedy)
-    else:
-        yield Finding("graphics", State.GOOD, ", ".join(sorted(drivers)))
 
 
 def _nearest(place: Path) -> Path:

@@ -110,7 +110,7 @@ class DecodedPort:
     """A port that is read and decoded in threads of its own until it is stopped; nothing is recorded.
 
     `report` takes log lines, from several threads; `record` all that comes, in the thread that reads.  The
-    status card begins with `card`, and SESSION in warnings stands for `session`.
+    status card begins with `card`.
     """
 
     def __init__(
@@ -121,7 +121,6 @@ class DecodedPort:
         report: Report,
         record: Sink = lambda _: None,
         card: Mapping[str, str] = MappingProxyType({}),
-        session: Path = Path("SESSION"),
     ) -> None:
         self.pipeline = pipeline
         self.pipeline.live = True
@@ -130,7 +129,7 @@ class DecodedPort:
         self._began_ns = self._clock.now_ns()
         silent_after_s = max(SILENT_AFTER_S, SILENT_AFTER_PACKETS / (device.rate_hz or np.inf))
         self.reader = Reader(settings, record, self._items.put, silent_after_s=silent_after_s)
-        self.narrator = Narrator(pipeline, settings, (), report, dict(card), session)
+        self.narrator = Narrator(pipeline, settings, (), report, dict(card))
         self.takers: list[Callable[[SampleBlock, Mapping[str, SampleBlock]], object]]
         self.takers = [self.narrator.samples]
         """Take, in the pipeline's thread, the samples and those of the side streams as they come."""
@@ -239,9 +238,8 @@ class LiveRun(DecodedPort):
         model = setup.model
         self._of_another = model.of_another(serial) if isinstance(model, BiasModel) else ""
         self._recorder = Recorder(self._writer, self._report_problem, self._save)
-        path = self.session.path
-        card = {"device": device.title, "port": str(settings), "recording": str(path)}
-        super().__init__(device, settings, pipeline, self._report, self._recorder.put, card, path)
+        card = {"device": device.title, "port": str(settings), "recording": str(self.session.path)}
+        super().__init__(device, settings, pipeline, self._report, self._recorder.put, card)
         self.takers.append(self._digest.update)
 
     def open(self) -> None:
@@ -306,8 +304,8 @@ class LiveRun(DecodedPort):
     def report_view_error(self, why: str) -> None:
         """Log that the recording of the view has stopped; may be called from any thread."""
         wire = self._recorder.problem or "wire.mcap has all so far"
-        text = f"the view is not recorded any more: {why}; {wire}; make room on the disk; afterwards"
-        self._report("ERROR", f"{text} imumon replay {self.session.path} --view native shows the whole run")
+        shown = f"imumon replay {self.session.path} --view native shows the whole run"
+        self._report("ERROR", f"the view is not recorded any more: {why}; {wire}; {shown}")
 
     def _take_marks(self) -> None:
         with self._marking:

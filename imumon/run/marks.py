@@ -21,8 +21,8 @@ KINDS = {kind.value: kind for kind in (EventKind.MARK, EventKind.START, EventKin
 def ask_for_mark(session: Path, kind: EventKind, text: str) -> None:
     """Request a mark, or the start or stop of a part, from whoever records this session.
 
-    Raises BAD_CONFIG when the text is empty, the session is not being recorded, what is to begin goes on, or
-    what is to stop does not; BAD_DATA when there is no session.
+    Raises BAD_CONFIG when the text is empty, or the session is not being recorded; BAD_DATA when there is no
+    session.
     """
     if not text.strip():
         raise bad_config("the text of the mark is empty", "name what is marked")
@@ -30,14 +30,6 @@ def ask_for_mark(session: Path, kind: EventKind, text: str) -> None:
     if not (opened.wire_path.exists() and is_recorded(opened.wire_path)):
         what = f"{session} is not being recorded"
         raise bad_config(what, "marks are made while imumon monitor runs; its summary names the session")
-    if kind is not EventKind.MARK:
-        requested = [other for other, part in Marks(opened.path).take() if part == for_log(text)]
-        goes_on = [one for one in requested if one is not EventKind.MARK][-1:] == [EventKind.START]
-        if goes_on != (kind is EventKind.STOP):
-            what, option = (
-                ("goes on already", "--stop ends") if goes_on else ("does not go on", "--start begins")
-            )
-            raise bad_config(f"the part {text!r} {what} in {session}", f"{option} it")
     append_request(opened.path, kind, text)
 
 

@@ -1,7 +1,6 @@
 """What is shown of a run: samples, rates, losses, state lanes, log lines and the status card."""
 
 import math
-import shlex
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -69,16 +68,11 @@ class Progress:
     """What a person reads of the clock, label and text."""
 
 
-def advised(text: str, session: Path) -> str:
-    """Return a warning whose commands, for SESSION, name this one: to be copied into a shell."""
-    return text.replace("SESSION", shlex.quote(str(session)))
-
-
 class Narrator:
     """Turns what the pipeline does into view items and log lines; used by one thread.
 
     `settings` is the port, for the link load.  View items go to `publish`, log lines also to `report`.  The
-    status card begins with `card`, and SESSION in the commands that a warning advises stands for `session`.
+    status card begins with `card`.
     """
 
     def __init__(
@@ -88,9 +82,8 @@ class Narrator:
         publish: Sequence[Publish],
         report: Report,
         card: dict[str, str],
-        session: Path,
     ) -> None:
-        self._pipeline, self._session = pipeline, session
+        self._pipeline = pipeline
         self.publish = tuple(publish)
         self._report, self._card = report, card
         self._timebase = Timebase()
@@ -182,7 +175,7 @@ class Narrator:
         for notice in self._pipeline.notices():
             self.log("INFO", f"device: {notice}", now_ns)
         for warning in self._pipeline.warnings():
-            self.log("WARN", advised(warning, self._session), now_ns)
+            self.log("WARN", warning, now_ns)
         for lane, state in self._pipeline.lanes().items():
             self._lane(lane, state, now_ns)
         samples = progress.counters.samples
@@ -301,40 +294,24 @@ def describe(progress: Progress) -> dict[str, str]:
     load = {} if progress.link_load is None else {"link load": f"{progress.link_load:.0%}"}
     return {
         "packets": f"{counters.packets:,} ({progress.packets_per_s:.1f}/s)",
-        "bytes": f"{counters.bytes_received:,} received, {describe_skipped(counters)}",
+        "bytes": f"{counters.bytes_received:,} received, {counters.bytes_skipped:,} skipped",
         "losses": describe_losses(counters),
         **progress.clock,
         **load,
     }
 
 
-DATED = {
-    "": " at",
-    "clock": " at",
-    "arrival": ", by their arrival at",
-    "rows": ", spaced at",
-    "counter": ", by their counter, which is taken to count at",
-}
-"""What stands before the rate of a stream, by how its rows are dated."""
-
-
 def describe_streams(counters: PipelineCounters, tables: Mapping[str, Path]) -> dict[str, str]:
     """Return what came of each stream and which table has it, label and text."""
     rows = {}
     for name, stream in counters.streams.items():
-        rate = "" if stream.rate_hz is None else f"{DATED[stream.dated_by]} {stream.rate_hz:.4g} Hz"
+        rate = "" if stream.rate_hz is None else f" at {stream.rate_hz:.4g} Hz"
+        rate += f", dated by {stream.dated_by}" if rate and stream.dated_by not in ("", "clock") else ""
         holes = f", {stream.gaps:,} gaps" if stream.gaps else ""
         parts = f", {stream.incomplete:,} of them incomplete" if stream.incomplete else ""
         where = f" in {tables[name]}" if name in tables else ""
         rows[f"stream {name}"] = f"{stream.rows:,} rows{rate}{parts}{holes}{where}"
     return rows
-
-
-def describe_skipped(counters: PipelineCounters) -> str:
-    """Return how many bytes are in no packet, and why where they may be the rest of a first one."""
-    skipped, packet_bytes = counters.bytes_skipped, counters.bytes_in_packets / max(counters.packets, 1)
-    why = " (part of a packet, as is usual at the start)" if 0 < skipped < packet_bytes else ""
-    return f"{skipped:,} skipped{why}"
 
 
 def describe_losses(counters: PipelineCounters) -> str:

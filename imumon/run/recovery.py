@@ -18,7 +18,6 @@ from imumon.recordings.source import Source, bytes_missing, run_over, source_of
 from imumon.recordings.wire import WireWriter, is_recorded
 from imumon.recordings.wire_reader import WireReader, WireSummary
 from imumon.run.live import summary_of
-from imumon.run.narration import advised
 from imumon.run.setup import recorded_setup
 from imumon.run.stages import pipeline_of
 from imumon.transport.reader import Bytes, Event
@@ -102,8 +101,7 @@ def _run_again(session: Session, source: Source) -> tuple[SessionMetadata, list[
         events=summary.events,
         views=sorted(path.name for path in session.path.glob(VIEWS)),
     )
-    warnings = [advised(text, session.path) for text in pipeline.warnings()]
-    return closed, [*source.warnings(), *warnings]
+    return closed, [*source.warnings(), *pipeline.warnings()]
 
 
 def _metadata_anew(wire: Path, device_name: str | None) -> tuple[SessionMetadata, list[str]]:

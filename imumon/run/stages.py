@@ -1,7 +1,6 @@
 """Which estimators run behind the clock, and in which order; and a recording backward through the same."""
 
 import math
-import shlex
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -130,10 +129,3 @@ def keep_learned(pipeline: Pipeline, session: Session) -> Path | None:
     }
     model.model_copy(update=changes).write(path)
     return path
-
-
-def compared(session: Session, learned: Path) -> str:
-    """Return the command that shows a session with the model that it ran with and with the learned one."""
-    both = f"{shlex.quote(str(session.path))} {shlex.quote(str(learned))}"
-    page = shlex.quote(str(session.path / "compared.html"))
-    return f"imumon replay {shlex.quote(str(session.path))} --compare-models {both} --out {page}"

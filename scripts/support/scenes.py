@@ -64,7 +64,7 @@ def view_items(name: str, scene: Scene) -> tuple[ViewSetup, list[ViewItem]]:
     items: list[ViewItem] = []
     port = PortSettings("/dev/ttyUSB0", device.serial.baudrates[0])
     card = {"device": device.title, "port": str(port), "recording": f"sessions/{name}"}
-    narrator = Narrator(pipeline, port, [items.append], lambda *_: None, card, Path(name))
+    narrator = Narrator(pipeline, port, [items.append], lambda *_: None, card)
     with tempfile.TemporaryDirectory(prefix="imumon-") as folder:
         for _ in replay(scene.record(Path(folder)), pipeline, narrator):
             pass

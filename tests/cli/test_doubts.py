@@ -40,7 +40,7 @@ def device(folder: Path, *changes: tuple[str, str]) -> Path:
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ([("length: 58\n", "length: 60\n")], "48% of the bytes are in no packet: is the length"),
+        ([("length: 58\n", "length: 60\n")], "48% of the bytes are in no packet: are length"),
         (
             [("byte_order: big", "byte_order: little")],
             "of the specific force readings are not within 0.3 to 3 times gravity",
@@ -64,20 +64,20 @@ def test_a_device_file_that_does_not_fit_is_doubted(
 
 
 def test_floats_with_swapped_bytes_are_doubted() -> None:
-    values = np.random.default_rng(0).normal(0.02, 0.01, (3, 200)).astype(np.float32).byteswap()
+    values = np.random.default_rng(0).normal(5.0, 1.0, (3, 200)).astype(np.float32).byteswap()
     with np.errstate(invalid="ignore"):  # some are signalling NaN
         swapped = values.astype(np.float64)
-    block = SampleBlock({f"gyro_{axis}": each for axis, each in zip("xyz", swapped, strict=True)})
+    block = SampleBlock({f"accel_{axis}": each for axis, each in zip("xyz", swapped, strict=True)})
     doubts = Doubts(described=True)
     assert [*doubts.through([block])] == [block]
     (doubt,) = doubts.found(Pipeline(None).counters)
-    assert "of the gyro readings are not within -1000 to 1000 rad/s, as they must be" in doubt
+    assert "of the specific force readings are not within 0.3 to 3 times gravity" in doubt
 
 
 def test_a_checksum_that_fits_by_chance_is_doubted(capture: Path, tmp_path: Path) -> None:
     described = device(tmp_path, ("type: fletcher16-256, first: 2, last: 55, at: 56", SUM))
     (doubt,) = answer("decode", capture, "--device", described, "--out", tmp_path / "t.parquet")["doubts"]
-    assert "of the bytes are in no packet: is the checksum" in doubt
+    assert "of the bytes are in no packet: are length and checksum" in doubt
 
 
 SUM = "type: xor8, first: 2, last: 55, at: 56"

@@ -10,20 +10,20 @@ import sys
 from tests.waiting import LIMIT_S
 
 OWN = "import fcntl, termios; fcntl.ioctl(0, termios.TIOCSCTTY, 0)\n"
-PRESSED = f"""
+PRESSED = """
 from imumon.cli.live_run import single_keys
 import sys, time
-with single_keys() as keys:
-    print("ready", keys.possible, flush=True)
-    end, found = time.monotonic() + {LIMIT_S}, ""
-    while keys.possible and time.monotonic() < end and len(found) < 2:
-        found += keys.pressed()
+with single_keys() as pressed:
+    print("ready", pressed is not None, flush=True)
+    end, found = time.monotonic() + float(sys.argv[1]), ""
+    while pressed is not None and time.monotonic() < end and len(found) < 2:
+        found += pressed()
         time.sleep(0.01)
     print("found", found, flush=True)
 """
 IN_BACKGROUND = f"""
 import subprocess, sys
-done = subprocess.Popen([sys.executable, "-c", {PRESSED!r}], process_group=0)
+done = subprocess.Popen([sys.executable, "-c", {PRESSED!r}, sys.argv[1]], process_group=0)
 try:
     done.wait({LIMIT_S})
 except subprocess.TimeoutExpired:
@@ -36,7 +36,7 @@ def _run(script: str, keys: bytes, close: bool = False) -> str:
     """Run a script in a terminal of its own, press keys when it is ready; return what it printed."""
     ours, theirs = pty.openpty()
     process = subprocess.Popen(
-        [sys.executable, "-c", OWN + script],
+        [sys.executable, "-c", OWN + script, str(1.0 if close else LIMIT_S)],
         stdin=theirs,
         stdout=subprocess.PIPE,
         start_new_session=True,

@@ -81,16 +81,6 @@ def test_plugins_are_listed_with_package_and_problem() -> None:
 
 
 @pytest.mark.usefixtures("package")
-def test_the_doctor_names_what_does_not_load(tmp_path: Path) -> None:
-    done = imumon("doctor", tmp_path, "--json")
-    assert done.returncode == 1
-    findings = [f for f in json.loads(done.stdout)["findings"] if f["subject"] == "plug-ins"]
-    assert sorted(finding["state"] for finding in findings) == ["fault", "fault", "good", "good"]
-    assert "broken of their-package" in findings[0]["seen"]
-    assert findings[1]["seen"] == "doubled of their-package"
-
-
-@pytest.mark.usefixtures("package")
 def test_a_run_without_plugins_loads_none() -> None:
     assert "theirs" in answer("devices")
     plugins.plugins.cache_clear()

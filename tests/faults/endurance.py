@@ -103,7 +103,7 @@ def accelerated(folder: Path, rate_hz: float, hours: float) -> Row:
     recorder.start()
     pipeline = Pipeline(device, estimators(device, Setup()))
     view = ViewRecorder(folder / "view.rrd", ViewSetup("soak", "soak", pipeline.units))
-    narrator = Narrator(pipeline, None, [view.publish], lambda *_: None, {}, folder)
+    narrator = Narrator(pipeline, None, [view.publish], lambda *_: None, {})
     process, times, memory = psutil.Process(), [], []
 
     def recorded() -> Iterator[Item]:

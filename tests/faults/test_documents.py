@@ -53,7 +53,7 @@ def test_a_scale_that_is_no_scale_is_refused(scale: str) -> None:
 )
 def test_a_unit_that_would_be_computed_for_ever_is_refused_at_once(unit: str) -> None:
     began = time.process_time()
-    with pytest.raises(ValueError, match="usual here"):
+    with pytest.raises(ValueError, match=r"usual here|is not a unit"):
         parse_unit(unit, "rad/s")
     assert time.process_time() - began < 0.5
 
@@ -69,9 +69,9 @@ def test_any_text_is_a_unit_or_refused(text: str) -> None:
 
 
 def test_a_nul_in_a_path_is_a_wrong_path(tmp_path: Path) -> None:
-    with pytest.raises(ImumonError, match="NUL"):
+    with pytest.raises(ImumonError, match="null byte"):
         parse_setup('format: imumon-pipeline/1\nmodel: "a\\0b"\n', str(tmp_path / "p.yaml"))
-    with pytest.raises(ImumonError, match="NUL"):
+    with pytest.raises(ImumonError, match="null byte"):
         load_device("a\0b.yaml")
 
 

@@ -95,7 +95,7 @@ def test_an_error_shows_the_name_of_a_file_harmlessly(tmp_path: Path) -> None:
 def test_log_lines_of_the_view_are_one_line_each() -> None:
     lines: list[str] = []
     items: list[ViewItem] = []
-    narrator = Narrator(Pipeline(None), None, [items.append], lambda _, text: lines.append(text), {}, Path())
+    narrator = Narrator(Pipeline(None), None, [items.append], lambda _, text: lines.append(text), {})
     narrator.item(Event(EventKind.OPENED, 1, f"{EVIL}\nERROR forged"))
     [log] = [item for item in items if isinstance(item, Log)]
     assert log.text == lines[0]

@@ -74,14 +74,11 @@ def test_a_file_in_place_of_the_folder_is_refused(tmp_path: Path) -> None:
 
 def test_a_path_that_is_no_session_is_refused_with_what_is_there(tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
-    (tmp_path / "other").mkdir()
-    (tmp_path / "other" / "log.csv").touch()
     (tmp_path / "raw.bin").write_bytes(b"12345")
     for name, seen in {
         "none": "no such file or folder",
-        "empty": "it has nothing",
-        "other": "it has log.csv",
-        "raw.bin": "a file of 5 bytes",
+        "empty": "the folder has no session.yaml",
+        "raw.bin": "it is a file",
     }.items():
         assert not is_session(tmp_path / name)
         with pytest.raises(ImumonError, match=seen) as caught:

@@ -184,10 +184,10 @@ def test_times_that_do_not_increase_are_refused_with_their_line(
     monkeypatch.setattr(foreign, "ROWS_PER_PART", rows_per_part)
     drop = MAP + "bad_rows: drop\n"
     error = refused(tmp_path, HEADER + "0.1,1,2,3,\n0.3,1,2,3,\n0.2,1,2,3,\n", drop)
-    assert "t.csv:4: time 0.200000000 s is before 0.300000000 s of line 3" in error.seen
+    assert "t.csv:4: time 0.200000000 s is not after 0.300000000 s of line 3" in error.seen
     assert "backwards: segment" in error.hint
     error = refused(tmp_path, HEADER + "0.1,1,2,3,\n0.1,1,2,3,\n")
-    assert "t.csv:3: time 0.100000000 s is the same as 0.100000000 s of line 2" in error.seen
+    assert "t.csv:3: time 0.100000000 s is not after 0.100000000 s of line 2" in error.seen
     assert "rate_hz" in error.hint
 
 
@@ -240,7 +240,7 @@ def test_text_comes_in_many_layouts(tmp_path: Path, table: str, extra: str) -> N
 def test_a_line_that_the_map_does_not_name_a_comment_is_a_row(tmp_path: Path, line: str, why: str) -> None:
     error = refused(tmp_path, f"t,x,y,z\n0.5,1,2,3\n{line}\n")
     assert why in error.seen
-    assert 'csv: {comment: "#"}' in error.hint
+    assert 'comment: "#"' in error.hint
 
 
 @pytest.mark.parametrize(
@@ -268,6 +268,13 @@ def test_a_date_in_another_format_is_a_row_that_cannot_be_taken(tmp_path: Path) 
     assert "2 of 3 rows" in error.seen
     assert "t.csv:3: time '01/31/2026 12:00:02.5' is not as '%d.%m.%Y %H:%M:%S.%f'" in error.seen
     assert "t.csv:4: time '32.01.2026 12:00:03.5'" in error.seen
+
+
+@pytest.mark.parametrize("date_format", ["%d.%m.%Y %Q", "%d.%m.%Y %H %H", "%"])
+def test_a_format_that_python_does_not_know_is_refused_in_words(tmp_path: Path, date_format: str) -> None:
+    dates = MAP.replace("unit: s", f'format: "{date_format}"')
+    error = refused(tmp_path, HEADER + "31.01.2026 12:00:01.5,1,2,3,a\n", dates)
+    assert f"is not as '{date_format}'" in error.seen
 
 
 def test_text_in_utf_16_is_read(tmp_path: Path) -> None:
@@ -309,15 +316,11 @@ def test_parquet_rows_that_cannot_be_taken_are_named(tmp_path: Path) -> None:
 def test_a_column_that_the_table_lacks_is_named_with_the_map(tmp_path: Path) -> None:
     error = refused(tmp_path, "t,x,y\n0.5,1,2\n")
     assert error.reason is Reason.BAD_CONFIG
-    assert "map.yaml:2: " in error.seen
-    assert "t.csv:1: has no column 'z'" in error.seen
+    assert "map.yaml: " in error.seen
+    assert "t.csv has no column 'z'" in error.seen
     assert error.hint == "it has: 't', 'x', 'y'"  # the layout is right
     error = refused(tmp_path, "t;x;y;z\n0.5;1;2;3\n")
-    assert 'csv: {delimiter: ";"}' in error.hint
-    error = refused(tmp_path, "# a logger\nt,x,y,z\n0.5,1,2,3\n")
-    assert 'csv: {comment: "#"}' in error.hint
-    error = refused(tmp_path, "0,0.1,0.2,0.3\n0.01,0.1,0.2,0.3\n")
-    assert "csv: {header: false, columns: [NAME, ...]}" in error.hint
+    assert 'csv: {delimiter: ";", ' in error.hint
 
 
 @pytest.mark.parametrize(
@@ -413,7 +416,7 @@ def test_a_force_that_is_not_gravity_is_reported_with_its_unit(
 def test_decimal_commas(tmp_path: Path) -> None:
     table = (HEADER + "0.1,180,0,-90,a\n0.2,1,2.5,3,b\n").replace(",", ";").replace(".", ",")
     error = refused(tmp_path, table, 'csv: {delimiter: ";"}\n' + MAP)
-    assert 'csv: {decimal: ","}' in error.hint
+    assert 'decimal: ","' in error.hint
     german, plain = tmp_path / "german", tmp_path / "plain"
     german.mkdir()
     plain.mkdir()

@@ -105,7 +105,7 @@ def test_a_count_that_is_not_below_its_wrap_is_a_bad_row(tmp_path: Path) -> None
 
 
 def test_a_count_that_stands_still_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ImumonError, match="is the same as"):
+    with pytest.raises(ImumonError, match="is not after"):
         run(tmp_path, [1, 5, 5], WRAPPING.replace("UNIT", "ms").replace("AT", "10"))
 
 

@@ -37,18 +37,16 @@ def test_a_computer_that_runs_the_tests_has_no_fault(tmp_path: Path) -> None:
     assert not (tmp_path / "not").exists()
 
 
-def test_a_missing_package_is_named_with_what_needs_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    there = [one for one in metadata.distributions() if one.name not in ("scipy", "pyulog", "rosbags")]
-    monkeypatch.setattr(metadata, "distributions", lambda: there)
-    found = {finding.subject: finding for finding in doctor.packages() if finding.remedy}
-    assert found["packages"].state is State.FAULT
-    assert found["packages"].remedy == "pip install scipy"
-    optional = found["optional packages"]
-    assert optional.state is State.WARNING
-    assert "pyulog (for import of .ulg)" in optional.seen
-    assert "rosbags (for export --to mcap, import of ROS bags)" in optional.seen
-    assert "autopilot" in optional.remedy
-    assert "ros2" in optional.remedy
+def test_a_missing_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    def version(name: str) -> str:
+        if name in ("scipy", "pyulog"):  # what an extra brings is named when it is needed
+            raise metadata.PackageNotFoundError(name)
+        return "1.0"
+
+    monkeypatch.setattr(metadata, "version", version)
+    (found,) = [finding for finding in doctor.packages() if finding.remedy]
+    assert found.state is State.FAULT
+    assert found.remedy == "pip install scipy"
 
 
 def test_a_person_reads_a_line_per_finding(tmp_path: Path) -> None:
@@ -104,11 +102,6 @@ def test_a_full_disk_and_one_that_cannot_be_written_to(
     assert "NUMBA_CACHE_DIR" in only(doctor.compiled_code()).remedy
 
 
-def test_an_empty_cache_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
-    assert only(doctor.compiled_code()).state is State.WARNING
-
-
 def test_a_viewer_that_is_missing_or_does_not_start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def missing() -> Path:
         raise ImumonError(Reason.NOT_FOUND, "the Rerun viewer is not installed", "install it")
@@ -132,7 +125,4 @@ def test_what_draws_the_window(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     assert "no Vulkan driver" in graphics.seen
     (tmp_path / "lvp_icd.json").write_text("{}")
     monkeypatch.setattr(doctor, "has_display", lambda: True)
-    monkeypatch.setattr(doctor, "GRAPHICS_CARDS", (f"{tmp_path}/card*",))
-    assert "by the processor" in only(doctor.graphics()).seen
-    (tmp_path / "card0").touch()
     assert only(doctor.graphics()).state is State.GOOD

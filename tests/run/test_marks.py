@@ -45,23 +45,6 @@ def test_marks_are_events_of_the_recording_and_lanes_of_the_view(tmp_path: Path)
     assert open_session(folder).metadata.results_digest is not None
 
 
-def test_only_a_part_that_goes_on_can_be_stopped(tmp_path: Path) -> None:
-    folder = tmp_path / "s"
-    with VirtualDevice(AX1, tmp_path / "ahrs") as ahrs:
-        run = start(ahrs.port.path, folder, Watcher())
-        run.mark(EventKind.START, "by a key")
-        with pytest.raises(ImumonError, match="goes on already"):
-            ask_for_mark(folder, EventKind.START, "by a key")
-        ask_for_mark(folder, EventKind.STOP, "by a key")
-        for part in ("by a key", "never begun"):
-            with pytest.raises(ImumonError, match=f"the part '{part}' does not go on") as error:
-                ask_for_mark(folder, EventKind.STOP, part)
-            assert error.value.reason is Reason.BAD_CONFIG
-        run.stop()
-    events = [item for item in WireReader(folder / "wire.mcap") if isinstance(item, Event)]
-    assert [event.kind for event in events if event.kind in KINDS] == [EventKind.START, EventKind.STOP]
-
-
 def test_what_is_not_recorded_cannot_be_marked(tmp_path: Path) -> None:
     with VirtualDevice(AX1, tmp_path / "ahrs") as ahrs:
         run = start(ahrs.port.path, tmp_path / "s", Watcher())

@@ -1,12 +1,10 @@
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 
 from imumon.pipeline import Pipeline
 from imumon.protocols.device import load_device
-from imumon.run.narration import Narrator, advised, describe_skipped
+from imumon.run.narration import Narrator
 from imumon.simulation.unit import SimulatedUnit, load_scenario
 from imumon.transport.reader import Bytes, Event, EventKind, Reads
 from imumon.transport.settings import PortSettings
@@ -20,7 +18,7 @@ S = 1_000_000_000
 def narrated() -> tuple[Pipeline, Narrator, list[ViewItem]]:
     pipeline, items = Pipeline(AX1), list[ViewItem]()
     settings, card = PortSettings("/dev/ttyUSB0"), {"device": "x"}
-    narrator = Narrator(pipeline, settings, [items.append], lambda *_: None, card, Path("bench 1"))
+    narrator = Narrator(pipeline, settings, [items.append], lambda *_: None, card)
     return pipeline, narrator, items
 
 
@@ -41,17 +39,6 @@ def send(pipeline: Pipeline, narrator: Narrator, seconds: int, damage: bool = Fa
 
 def states(items: list[ViewItem], lane: str) -> list[str]:
     return [item.state for item in items if isinstance(item, State) and item.lane == lane]
-
-
-@pytest.mark.parametrize(("skipped", "explained"), [(0, False), (35, True), (58, False), (5000, False)])
-def test_the_rest_of_a_first_packet_is_explained(skipped: int, explained: bool) -> None:
-    pipeline, narrator, _ = narrated()
-    pipeline.feed(bytes(skipped), START)
-    send(pipeline, narrator, 1)
-    assert pipeline.counters.bytes_skipped == skipped
-    text = describe_skipped(pipeline.counters)
-    assert text.startswith(f"{skipped:,} skipped")
-    assert ("usual at the start" in text) is explained
 
 
 def test_rates_losses_and_lanes_follow_the_data() -> None:
@@ -124,8 +111,3 @@ def test_a_lost_port_does_not_fill_the_recording() -> None:
     kinds = [type(item) for item in items[settled:]]
     assert kinds.count(Status) + kinds.count(Numbers) == 0
     assert len(kinds) < 5
-
-
-def test_a_command_that_is_advised_names_this_session() -> None:
-    said = advised("look closer: imumon diagnose --train SESSION --out DIR", Path("bench 1"))
-    assert said == "look closer: imumon diagnose --train 'bench 1' --out DIR"

@@ -11,7 +11,7 @@ from imumon.columns import TEMPERATURES, BodyAxes
 from imumon.errors import bad_data
 from imumon.estimation.gyro_bias.stage import RestDetector
 from imumon.estimation.temperature_rate.stage import TemperatureRate
-from imumon.geodesy import earth_rate_in_body
+from imumon.geodesy import earth_rate_along, north_in_body
 from imumon.models.curves.points import Points
 from imumon.recordings.reduced import ACCEL, AXES, GYRO, Reduced, reduce
 from imumon.recordings.source import Count, no_count, open_recording
@@ -181,7 +181,8 @@ def group(records: Sequence[Record], latitude_deg: float | None, heading_deg: fl
             rate = np.gradient(t, start_s) if len(rows) > 1 else np.zeros(1)
             up, earth = _up(record, rows), None
             if latitude_deg is not None and heading_deg is not None and np.isfinite(up).all():
-                earth = earth_rate_in_body(up, np.deg2rad(heading_deg), np.deg2rad(latitude_deg))
+                north = north_in_body(up, np.deg2rad(heading_deg))
+                earth = earth_rate_along(up, north, np.deg2rad(latitude_deg))
             runs.append(Run(number, index, rows, cell, seconds, t, rate, up, earth))
     every = (
         np.concatenate([np.empty(0), *(getattr(run, name) for run in runs)])
