@@ -243,9 +243,9 @@ def chosen_view(view: View | None, bind: str) -> View:
     Raises BAD_CONFIG where a view is to be drawn in a terminal and there is none, or served on an address
     that is none of this computer.
     """
-    from imumon.view.viewer import LOCALHOST, default_mode, has_display
+    from imumon.view.viewer import LOCALHOST, has_display
 
-    mode = view or default_mode()
+    mode = view or ("native" if has_display() else "web")
     if mode == "terminal" and not is_terminal():
         what, hint = "standard error is no terminal", "run it in a terminal, or use --view web or none"
         raise bad_config(f"--view terminal: {what}", hint)

@@ -13,7 +13,7 @@ import threading
 import time
 import tty
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -153,7 +153,7 @@ class Lines(lines.Lines):
 
 
 SCREEN_S = 1.0
-"""How often a screen is drawn: at 9600 baud a line takes 0.1 s, and some ten change."""
+"""How often a screen is drawn: some 2 kB."""
 
 
 def watch(
@@ -176,16 +176,19 @@ def watch(
                 note(status(), newline=False, control=clear)
         note("", newline=False, control=clear)
         return
-    from imumon.view.terminal import Screen
+    from imumon.view.terminal import GIVEN_BACK, OWN_SCREEN, drawn
 
     drawn_s = -math.inf
-    with closing(Screen(lambda text: note("", newline=False, control=text))) as shown:
+    note("", newline=False, control=OWN_SCREEN)
+    try:
         while ending.wait():
             step()
             if time.monotonic() - drawn_s >= SCREEN_S:
                 drawn_s = time.monotonic()
                 columns, rows = os.get_terminal_size(sys.stderr.fileno())
-                shown.show(screen(columns, rows), columns, rows)
+                note("", newline=False, control=drawn(screen(columns, rows), columns, rows))
+    finally:
+        note("", newline=False, control=GIVEN_BACK)
 
 
 @contextmanager

@@ -215,7 +215,7 @@ def _speed(text: str | None, view: str) -> float | None:
 def view(
     sessions: tuple[Path, ...],
     align: Alignment,
-    view: Mode | None,
+    view: common.View | None,
     out: Path | None,
     bind: str,
     as_json: bool,
@@ -236,7 +236,7 @@ def view(
     from imumon.run.stages import pipeline_of
     from imumon.view.compare import Comparison
     from imumon.view.items import ViewSetup
-    from imumon.view.viewer import APPLICATION, default_mode
+    from imumon.view.viewer import APPLICATION
 
     if out is not None:
         check_output(out, suffix=".rrd")
@@ -248,14 +248,13 @@ def view(
         source = source_of(session)
         opened.append((session, source, pipeline_of(source, recorded_setup(session))))
     setup = ViewSetup(" and ".join(names), f"view-{time.time_ns()}")
-    mode = view or default_mode()
     rec = rr.RecordingStream(APPLICATION, recording_id=setup.recording_id)
-    url = ""
+    mode, url = view, ""
     if out is not None:
         rec.set_sinks(rr.FileSink(out))
     else:
-        common.chosen_view(mode, bind)
-        url = _shown(rec, setup, mode, bind)
+        mode = common.chosen_view(view, bind)
+        url = _shown(rec, mode, bind)
     comparison = Comparison(rec, setup, align)
     found = dict[str, tuple[dict[str, object], dict[str, str]]]()
     try:
@@ -318,16 +317,16 @@ def _log_session(
     return data, rows
 
 
-def _shown(rec: rr.RecordingStream, setup: ViewSetup, mode: Mode, bind: str) -> str:
+def _shown(rec: rr.RecordingStream, mode: common.View, bind: str) -> str:
     """Connect the stream to a viewer or to the page that shows it; return where that is.
 
     Raises NOT_FOUND when no viewer comes up.
     """
     from imumon.view.viewer import probe, proxy_url, start_viewer, viewer_port
-    from imumon.view.web import serve_page
+    from imumon.view.web import WebServer, serve_stream
 
     if mode == "web":
-        return serve_page(rec, setup, bind=bind).url
+        return WebServer(serve_stream(rec), bind=bind).url
     port = viewer_port()
     viewer = None if probe(port) else start_viewer(port)
     deadline = time.monotonic() + STARTING_S

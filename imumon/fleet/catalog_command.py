@@ -34,9 +34,8 @@ HEADS = (
 @click.option(
     "--out", type=common.PATH, help="Folder for sessions.parquet, units.parquet and models.parquet."
 )
-@click.option("--rrd", hidden=True, help="Retired: imumon report UNIT draws the drift.")
 @common.json_option
-def catalog(folder: Path, results: Path | None, out: Path | None, rrd: str | None, as_json: bool) -> None:
+def catalog(folder: Path, results: Path | None, out: Path | None, as_json: bool) -> None:
     """List the units of the sessions in DIR: temperatures, σ, losses, models, their drift, and outliers.
 
     \b
@@ -47,10 +46,6 @@ def catalog(folder: Path, results: Path | None, out: Path | None, rrd: str | Non
     """
     from imumon.fleet.catalog.tables import tables, write_tables
 
-    if rrd is not None:
-        common.log(
-            "WARN", "--rrd is retired, and nothing is written: imumon report UNIT draws the drift of a unit"
-        )
     with nullcontext() if out is None else results_folder(out):
         units, unusual, left_out = read(folder, results)
         rows = tables(units, unusual)

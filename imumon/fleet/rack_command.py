@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from imumon.view.publisher import ViewPublisher
 
 LOG_LINES = 100
-"""Log lines that a terminal may show below the table."""
+"""Log lines that a terminal may show below the table, the newest first."""
 
 
 @click.command("rack")
@@ -66,7 +66,7 @@ def command(
     next(changed)  # those from here on
     plans = load_rack(file)
     ending, lines = Ending(seconds), Lines()
-    publisher = _publisher(file, out, mode, window, bind)
+    publisher = _publisher(file, mode, window, bind)
     rack = Rack(out, lines.put, None if publisher is None else publisher.publish)
     log: deque[str] = deque(maxlen=LOG_LINES)
 
@@ -83,11 +83,9 @@ def command(
     def status() -> str:
         return in_short(rack.rows) + ("" if publisher is None else f"  view: {publisher.text}")
 
-    def screen(columns: int, rows: int) -> list[str]:
-        log.extend(f"{level} {text}" for _, level, text in lines.take())
-        shown = [f"rack {file.stem}: {in_short(rack.rows)}", "", *text_lines(rack.rows), ""]
-        newest = list(log)[::-1][: max(rows - len(shown), 0)][::-1]
-        return [line[:columns] for line in [*shown, *newest][:rows]]
+    def screen(*_: int) -> list[str]:
+        log.extendleft(f"{level} {text}" for _, level, text in lines.take())
+        return [f"rack {file.stem}: {in_short(rack.rows)}", "", *text_lines(rack.rows), "", *log]
 
     try:
         rack.change(plans)
@@ -108,7 +106,7 @@ def command(
     return EXIT_NEGATIVE if troubles else EXIT_OK
 
 
-def _publisher(file: Path, out: Path, mode: common.View, window: float, bind: str) -> ViewPublisher | None:
+def _publisher(file: Path, mode: common.View, window: float, bind: str) -> ViewPublisher | None:
     """Return the view that all units share, where there is one."""
     if mode == "terminal" or mode == "none":
         return None
@@ -119,7 +117,6 @@ def _publisher(file: Path, out: Path, mode: common.View, window: float, bind: st
         title=f"rack {file.stem}",
         recording_id=f"rack-{file.stem}-{time.time_ns()}",
         window_s=window,
-        properties={"file": str(file), "sessions": str(out)},
     )
     return ViewPublisher(mode, setup, bind=bind, module="imumon.fleet.rack.view").start()
 

@@ -93,7 +93,6 @@ class Publisher(FedProcess):
         self._published = self._handed_rows = 0
         self._sent = self._lost = 0
         """What processes that ended have sent, and what was lost with them."""
-        self._closed = False
         self._now = Delivery("begins", ready=False)
         """What the present process reports."""
 
@@ -103,16 +102,12 @@ class Publisher(FedProcess):
             self._published += item.rows
             super().publish(item)
 
-    def close(self, timeout_s: float = 1.5) -> None:
-        """Send what is left and end the process, within `timeout_s`; what has not left by then is dropped."""
-        super().close(timeout_s)
-        self._closed = True
-
     @property
     def state(self) -> Delivery:
-        """How it goes now."""
+        """How it goes now; after `close` all that has not left is dropped."""
         now, sent = self._now, self._sent + self._now.sent
-        dropped = self._published - sent if self._closed else self.dropped + self._lost + now.dropped
+        closed = self._queue.closed.is_set() and not self._supervisor.is_alive()
+        dropped = self._published - sent if closed else self.dropped + self._lost + now.dropped
         return now._replace(sent=sent, dropped=dropped)
 
     def _first(self) -> tuple[Target, ViewSetup]:
@@ -152,13 +147,11 @@ class Publishers:
 
     @property
     def text(self) -> str:
-        """The part of a status line: where it goes, and what of it was dropped."""
-        texts = []
-        for target, state in self._states:
-            dropped = f", {state.dropped:,} dropped" if state.dropped else ""
-            text = f"{state.sent:,} sent{dropped}" if state.ready else state.text
-            texts.append(f"  {target.kind}: {text}")
-        return "".join(texts)
+        """The part of a status line: where it goes, and how much of it was dropped."""
+        return "".join(
+            f"  {to.kind}: " + (f"{of.sent:,} sent, {of.dropped:,} dropped" if of.ready else of.text)
+            for to, of in self._states
+        )
 
     @property
     def as_data(self) -> dict[str, object]:

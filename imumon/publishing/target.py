@@ -4,6 +4,7 @@ import importlib.util
 import ipaddress
 import socket
 from typing import Literal, NamedTuple
+from urllib.parse import urlsplit
 
 from imumon.errors import bad_config, missing_package
 from imumon.view.viewer import LOCALHOST
@@ -13,7 +14,6 @@ PORTS: dict[Kind, int] = {"udp-json": 9870, "foxglove": 8765, "ros2": 0}
 """What PlotJuggler and Foxglove propose; ROS finds its readers by itself."""
 NETWORK = "network"
 """Instead of an address for ROS 2: as far as the environment allows, not this computer alone."""
-_HIGHEST_PORT = 65535
 
 
 class Target(NamedTuple):
@@ -67,22 +67,11 @@ def parse_target(text: str) -> Target:
             hint = f"ros2 for this computer alone, ros2={NETWORK} for as far as ROS is set up to reach"
             raise bad_config(what, hint)
         return Target(kind, NETWORK if address else LOCALHOST)
-    host, port = _split(text, address, PORTS[kind])
-    try:  # once: a name server must not be waited for later on
-        found = socket.getaddrinfo(host, None, type=socket.SOCK_DGRAM)
-    except (OSError, UnicodeError) as error:
-        raise bad_config(f"--publish {text}: the host {host!r} is not known", "give its address") from error
+    try:
+        parts = urlsplit(f"//{address}")
+        port = parts.port or PORTS[kind]
+        # Once: a name server must not be waited for later on.
+        found = socket.getaddrinfo(parts.hostname or LOCALHOST, port, type=socket.SOCK_DGRAM)
+    except (OSError, ValueError) as error:
+        raise bad_config(f"--publish {text}: {error}", "HOST:PORT or [HOST]:PORT, with 1 to 65535") from error
     return Target(kind, str(found[0][4][0]).partition("%")[0], port)
-
-
-def _split(text: str, address: str, port: int) -> tuple[str, int]:
-    """Return host and port of HOST, HOST:PORT, :PORT or [HOST]:PORT."""
-    host, number = address, str(port)
-    if address.startswith("["):
-        host, _, rest = address[1:].partition("]")
-        number = rest.removeprefix(":") or number
-    elif address.count(":") == 1:
-        host, number = address.split(":")
-    if not (number.isascii() and number.isdigit() and 0 < int(number) <= _HIGHEST_PORT):
-        raise bad_config(f"--publish {text}: the port is {number!r}", "HOST:PORT, with 1 to 65535")
-    return host or LOCALHOST, int(number)

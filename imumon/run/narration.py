@@ -273,7 +273,6 @@ def view_setup(
     """Return what the view must know of a session and its units before the first sample."""
     metadata, name = session.metadata, session.path.name
     title = f"replay of {name}" if replay else name
-    port = {"port": metadata.port.url} if metadata.port is not None else {}
     return ViewSetup(
         title=title,
         recording_id=f"{title} {metadata.created_ns}".replace(" ", "-"),
@@ -281,7 +280,6 @@ def view_setup(
         z_down=metadata.axes == "FRD",
         window_s=window_s,
         first_tab="Replay" if replay else "Live",
-        properties={"device": metadata.device, "session": str(session.path), **port},
     )
 
 

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import rerun.blueprint as rrb
 
@@ -76,16 +76,14 @@ def blueprint(setup: ViewSetup, contents: Contents, timeline: str, *, live: bool
     return arranged(rrb.Tabs(first, *tabs), timeline)
 
 
-def arranged(
-    tabs: rrb.Tabs, timeline: str, play_state: Literal["following", "paused"] = "following"
-) -> rrb.Blueprint:
+def arranged(tabs: rrb.Tabs, timeline: str) -> rrb.Blueprint:
     """Return the blueprint that shows these tabs and nothing else, on this timeline.
 
-    One that follows opens a recording at its end, where the charts are complete.
+    As it follows, a recording is opened at its end, where the charts are complete.
     """
     return rrb.Blueprint(
         tabs,
-        rrb.TimePanel(state="collapsed", timeline=timeline, play_state=play_state),
+        rrb.TimePanel(state="collapsed", timeline=timeline, play_state="following"),
         rrb.BlueprintPanel(state="hidden"),
         rrb.SelectionPanel(state="hidden"),
         auto_views=False,
@@ -132,8 +130,8 @@ def _row(parts: Sequence[tuple[float, Any]], name: str) -> Any:
 def _column(parts: Sequence[tuple[float, Any]]) -> Any:
     """Return parts above each other, each with its share of the height; None is no part, and without any."""
     there = [(share, part) for share, part in parts if part is not None]
-    column = rrb.Vertical(*[part for _, part in there], row_shares=[share for share, _ in there])
-    return column if there else None
+    shares = [share for share, _ in there]
+    return rrb.Vertical(*[part for _, part in there], row_shares=shares) if there else None
 
 
 def _strips(views: list[Any], most: int) -> Any:

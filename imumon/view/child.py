@@ -20,7 +20,7 @@ from imumon.view.items import ViewSetup
 from imumon.view.logger import StreamLogger
 from imumon.view.publisher import Report, Start
 from imumon.view.viewer import LIVE_APPLICATION, probe, proxy_url, start_viewer, viewer_port
-from imumon.view.web import serve_page, serve_stream
+from imumon.view.web import WebServer, serve_stream
 
 POLL_S = 0.25
 LINGER_S = 3.0
@@ -36,7 +36,7 @@ class Viewers:
     def __init__(self, start: Start, rec: rr.RecordingStream) -> None:
         self._viewer: subprocess.Popen[bytes] | None = None
         if start.mode == "web":
-            page = serve_page(rec, start.setup, start.port, start.bind)
+            page = WebServer(serve_stream(rec), start.port, start.bind)
             self._serving = Report("serving the web viewer", page.url, page.port)
             return
         address, port = serve_stream(rec)

@@ -3,38 +3,34 @@
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
-import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
 from imumon.blocks import SampleBlock
 from imumon.charts import BLUE, GREEN, ORANGE, RED, VIOLET, Color
 from imumon.view.blueprint import arranged
-from imumon.view.items import Samples, Timebase, Times, ViewSetup
+from imumon.view.items import Timebase, Times, ViewSetup
 from imumon.view.layout import FIRST, Strip, tab_of
 from imumon.view.logger import RECORDED_STEP_NS
-from imumon.view.panels import PANELS
+from imumon.view.panels import PANELS, draw
 from imumon.view.rows import Rows
-from imumon.view.window import Window, entity, series_view
+from imumon.view.window import Extents, Window, series_view
 
 COLORS: tuple[Color, ...] = (BLUE, ORANGE, GREEN, VIOLET, RED)
 """Of the sessions, in their order; with more they come again."""
 COLUMNS = 3
 """Views beside each other in a tab: the three axes."""
-NAMES_MARGIN = 0.3
-"""Share of the time of all sessions that stays free behind it, for a legend of their names."""
 
 Alignment = Literal["power-on", "host"]
 
 
 @dataclass(slots=True)
 class _Quantity:
-    """One line of a panel, a view of its own: what draws it of each session, and how far its axis reaches."""
+    """One line of a panel, a view of its own, and what draws it of each session."""
 
     panel: Strip
     number: int
     drawn: list[Strip] = field(default_factory=list)
-    ends: dict[str, tuple[float, float]] = field(default_factory=dict)
 
     def of(self, session: str, color: Color) -> Strip:
         """Return the panel that draws this line of a session."""
@@ -53,7 +49,7 @@ class Comparison:
         self._rec, self._setup, self._align = rec, setup, align
         strips = [panel for panel in PANELS if isinstance(panel, Strip)]
         self._quantities = [_Quantity(panel, at) for panel in strips for at in range(len(panel.lines))]
-        self._first_ns, self._last_ns = np.iinfo(np.int64).max, np.iinfo(np.int64).min
+        self._extents = Extents(rec, live=False)
         self._sessions = 0
         self._panels: list[Strip] = []
         """What draws the quantities of the present session."""
@@ -69,24 +65,26 @@ class Comparison:
 
     def log(self, block: SampleBlock) -> None:
         """Log samples of the session, in order: of each half second the extremes, so that spikes stay."""
-        rows = self._rows(self._timebase.samples(block))
-        if (clock := rows.clock) is None or not len(clock):
+        _, device_ns, host_ns = self._timebase.samples(block).times
+        by_host = self._align == "host"
+        clock = host_ns if by_host or device_ns is None else device_ns
+        if clock is None or not len(clock):
             return
+        if self._began_ns is None:
+            self._began_ns = int(clock[0])
+        times = Times(None, None, clock) if by_host else Times(None, clock - self._began_ns, None)
+        rows = Rows(block.columns, times, RECORDED_STEP_NS)
         for quantity, panel in zip(self._quantities, self._panels, strict=True):
             begins = panel not in quantity.drawn
             if not rows.columns.keys() >= set(panel.columns) or (begins and not panel.has_values(rows)):
                 continue
             if begins:
                 quantity.drawn.append(panel)
-                panel.declare(self._rec)
-            panel.log(self._rec, rows)
-            if (ends := panel.ends(rows)) is not None:
-                quantity.ends[panel.key] = ends
-            self._first_ns = min(self._first_ns, int(clock[0]))
-            self._last_ns = max(self._last_ns, int(clock[-1]))
+            draw(self._rec, panel, rows, self._extents, begins=begins)
 
     def arrange(self) -> rrb.Blueprint | None:
         """Send the arrangement, once all is logged, and return it; None when there is nothing to see."""
+        self._extents.finish()
         tabs: dict[str, list[Any]] = {}
         for quantity in self._quantities:
             if quantity.drawn:
@@ -97,29 +95,12 @@ class Comparison:
             return None
         grids = [rrb.Grid(*views, grid_columns=COLUMNS, name=name) for name, views in tabs.items()]
         timeline = "device_time" if self._align == "power-on" else "host_time"
-        found = arranged(rrb.Tabs(*grids), timeline, play_state="paused")
+        found = arranged(rrb.Tabs(*grids), timeline)
         self._rec.send_blueprint(found)
         return found
 
-    def _rows(self, samples: Samples) -> Rows:
-        _, device_ns, host_ns = samples.times
-        times = Times(None, None, host_ns)
-        if self._align == "power-on":
-            since = host_ns if device_ns is None else device_ns
-            if since is not None:
-                self._began_ns = int(since[0]) if self._began_ns is None else self._began_ns
-                since = since - self._began_ns
-            times = Times(None, since, None)
-        return Rows(samples.block.columns, times, RECORDED_STEP_NS)
-
     def _view(self, quantity: _Quantity) -> Any:
-        """Return the view of a line; its axis ends behind the data, where the names of the sessions stand."""
         panel, (first, *others) = quantity.panel, quantity.drawn
-        until_ns = self._last_ns + NAMES_MARGIN * (self._last_ns - self._first_ns)
-        times = np.array([self._first_ns, until_ns], np.int64)
-        rows = Rows({}, Times(None, *((times, None) if self._align == "power-on" else (None, times))))
-        lows, highs = zip(*quantity.ends.values(), strict=True)
-        rows.send(self._rec, entity(first.drawn), np.array([[min(lows), max(highs)]] * 2))
         title = str(first.view(self._setup, Window()).name)
         if len(panel.lines) > 1:
             title = title.replace(panel.title, f"{panel.title}: {panel.lines[quantity.number].name}")

@@ -173,22 +173,19 @@ class ViewSetup(NamedTuple):
     """Seconds that the live strips show."""
     first_tab: str = "Live"
     """What the first tab is called while the data comes."""
-    properties: Mapping[str, str] = {}
-    """What else describes the session: device, port, rate."""
 
 
 class Timebase:
     """Puts samples and events on the three timelines of the view.
 
     Device time starts anew in each segment; here it goes on: a new segment begins as much later than the last
-    sample as the host clock states, or one sample interval later when there is no host time.  The device's
+    sample as the host clock states, or at its time when there is no host time.  The device's
     own time stays in the block.  `samples` is called from one thread; `at` may be called from any.
     """
 
     def __init__(self) -> None:
         self._count = 0
         self._shift_ns: dict[int, int] = {}
-        self._interval_ns = 0
         self._last = Instant(None, None, None)
 
     def samples(self, block: SampleBlock) -> Samples:
@@ -227,14 +224,12 @@ class Timebase:
         n, shifted, last = len(block), np.empty_like(device), self._last
         segment = block.columns.get("segment", np.zeros(n, np.int64))
         for start, stop in pairwise([0, *(np.flatnonzero(np.diff(segment)) + 1).tolist(), n]):
-            label, gap = int(segment[start]), self._interval_ns
+            label, gap = int(segment[start]), 0
             if host is not None and last.host_ns is not None:
-                gap = max(gap, int(host[start]) - last.host_ns)
+                gap = max(0, int(host[start]) - last.host_ns)
             begin = int(device[start]) if last.device_ns is None else last.device_ns + gap
             shift = self._shift_ns.setdefault(label, begin - int(device[start]))
             shifted[start:stop] = device[start:stop] + shift
-            if stop - start > 1:
-                self._interval_ns = max(0, int(device[stop - 1] - device[stop - 2]))
             host_ns = last.host_ns if host is None else int(host[stop - 1])
             last = Instant(None, int(shifted[stop - 1]), host_ns)
         return shifted

@@ -71,8 +71,8 @@ def markdown(line: Log) -> str:
 
 def dated(line: Log) -> str:
     """Return a line as a terminal shows it: with the time of day, and its level where that matters."""
-    when = "" if line.at.host_ns is None else f"{clock(line.at.host_ns)} "
-    return f"{when}{line.level + ' ' if line.level not in QUIET else ''}{line.text}"
+    mark = "" if line.level in QUIET else f"{line.level} "
+    return f"{clock(line.at.host_ns)} {mark}{line.text}"
 
 
 def clock(host_ns: int | None) -> str:

@@ -71,8 +71,8 @@ class StreamLogger:
         self._step_ns = 0 if live else RECORDED_STEP_NS
 
     def begin(self) -> None:
-        """Log what does not change (name, properties, styles), and the latest states."""
-        name_recording(self._rec, self._setup, "session")
+        """Log what does not change (name, styles), and the latest states."""
+        self._rec.send_recording_name(self._setup.title)
         self.declare()
 
     def declare(self) -> None:
@@ -196,13 +196,6 @@ class StreamLogger:
             self._arranged, self._arranged_s = (contents, self._timeline), time.monotonic()
             self.arrangement = blueprint(self._setup, contents, self._timeline, live=self._live)
             self._rec.send_blueprint(self.arrangement)
-
-
-def name_recording(rec: rr.RecordingStream, setup: ViewSetup, what: str) -> None:
-    """Log the name of a recording, and what describes the session, or whatever it is of."""
-    rec.send_recording_name(setup.title)
-    if setup.properties:
-        rec.send_property(what, rr.AnyValues(True, **setup.properties))
 
 
 def status_card(event: Status) -> str:

@@ -113,6 +113,16 @@ class ShownPanels:
                 yield Strip(f"other/{name}", name, (line,), drawn, OTHER, silent=0.0)
 
 
+def draw(rec: rr.RecordingStream, panel: Panel, rows: Rows, extents: Extents, *, begins: bool) -> None:
+    """Log rows to a panel, and how far its axis must reach."""
+    if begins:
+        panel.declare(rec)
+    panel.log(rec, rows)
+    if isinstance(panel, Strip) and (ends := panel.ends(rows)) is not None:
+        last = np.array([len(rows.columns[panel.columns[0]]) - 1])
+        extents.set(panel.drawn, ends, rows.kept(last))
+
+
 class PanelLog:
     """Logs the panels that have had data."""
 
@@ -140,12 +150,7 @@ class PanelLog:
     def log(self, rows: Rows) -> None:
         """Log rows to the panels that draw them."""
         for panel, begins in self._panels.take(rows):
-            if begins:
-                panel.declare(self._rec)
-            panel.log(self._rec, rows)
-            if isinstance(panel, Strip) and (ends := panel.ends(rows)) is not None:
-                last = np.array([len(rows.columns[panel.columns[0]]) - 1])
-                self._extents.set(panel.drawn, ends, rows.kept(last))
+            draw(self._rec, panel, rows, self._extents, begins=begins)
 
     def log_cards(self, newest: Rows) -> None:
         """Write the present values of every tab at the time of the newest row, when it is time."""
@@ -153,18 +158,13 @@ class PanelLog:
         if self._written_ns is not None and 0 <= now - self._written_ns < self._step_ns:
             return
         self._written_ns = now
-        values = self._panels.cards.take()
-        for place, readings in self.readings().items():
-            log_markdown(self._rec, card_path(place), [card(readings, values)], newest)
-
-    def readings(self) -> dict[str, list[Reading]]:
-        """Return what the card of each tab shows: that of the first tab everything."""
-        found: dict[str, list[Reading]] = {}
+        values, found = self._panels.cards.take(), dict[str, list[Reading]]()
         for panel in self.shown:
-            if readings := self._panels.readings[panel.key]:
-                for place in dict.fromkeys((FIRST, tab_of(panel.place))):
-                    found.setdefault(place, []).extend(readings)
-        return found
+            for place in dict.fromkeys((FIRST, tab_of(panel.place))):  # the card of the first tab has all
+                found.setdefault(place, []).extend(self._panels.readings[panel.key])
+        for place, readings in found.items():
+            if readings:
+                log_markdown(self._rec, card_path(place), [card(readings, values)], newest)
 
 
 def card_path(place: str) -> str:

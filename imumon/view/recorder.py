@@ -21,9 +21,8 @@ SEGMENT_S = 600.0
 """A segment ends with the first batch after it.  Until then Rerun keeps 2 kB of each chunk: 25 MB/h at
 1 kHz."""
 QUEUE_BYTES = 64 << 20
-FLUSH_S, TIMEOUTS = 5.0, 6
-"""How long a flush may take; after so many in a row that take longer the disk is taken for full, which Rerun
-does not always report."""
+FLUSH_S = 60.0
+"""A flush that takes longer means that the disk is full, which Rerun does not always report."""
 
 
 class ViewRecorder:
@@ -50,7 +49,7 @@ class ViewRecorder:
         self._queue = DropOldestQueue(QUEUE_BYTES)
         self.publish, self.end = self._queue.put, self._queue.close
         """Queue an item, and begin to write what is left; both return at once."""
-        self._refused = self._timeouts = 0
+        self._refused = 0
         self.error = ""
         """Why nothing is written any more (disk full, ...); empty while all is well."""
         self._on_error = on_error
@@ -100,12 +99,9 @@ class ViewRecorder:
         """Find out whether Rerun could write; Rerun reports it in its log only, or when flushed."""
         try:
             self._rec.flush(timeout_sec=FLUSH_S)
-            self._timeouts = 0
         except RuntimeError as error:  # rerun has no exceptions of its own
-            self._timeouts += 1
-            if "timed out" not in str(error).lower() or self._timeouts >= TIMEOUTS:
-                self.error = f"{self.files[-1]} cannot be written any more: {error}"
-                self._on_error(self.error)
+            self.error = f"{self.files[-1]} cannot be written any more: {error}"
+            self._on_error(self.error)
 
     def _open_segment(self) -> None:
         count = len(self.files)

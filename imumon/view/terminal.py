@@ -1,8 +1,7 @@
 """The view in a terminal: present values, states and the log."""
 
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
-from itertools import zip_longest
+from collections.abc import Mapping, Sequence
 from textwrap import wrap
 
 import numpy as np
@@ -37,7 +36,7 @@ class TerminalView:
         self._log: deque[str] = deque(maxlen=LOG_LINES)
 
     def lines(self, columns: int, rows: int, status: str) -> list[str]:
-        """Return the text of a screen, at most so many rows, each at most so many columns wide."""
+        """Return the text of a screen of so many columns, at most so many rows."""
         for item in merge(self._queue.take(0.0, 0.0)):
             if isinstance(item, Samples):
                 self._gather(item.block.columns)
@@ -61,37 +60,18 @@ class TerminalView:
         if room > 0:
             log = [part for line in self._log for part in wrap(line, columns, subsequent_indent="  ")]
             found += ["", *log[-room:]]
-        return [_one_line(line)[:columns] for line in found[:rows]]
+        return found[:rows]
 
     def _gather(self, columns: Mapping[str, ColumnArray]) -> None:
         for _ in self._panels.take(Rows(columns, NO_TIMES)):
             pass
 
 
-class Screen:
-    """Writes lines to a terminal, only those that changed: it stays usable at 9600 baud."""
-
-    def __init__(self, write: Callable[[str], None]) -> None:
-        self._write = write
-        self._shown: list[str] = []
-        self._size = (0, 0)
-        write("\x1b[?1049h\x1b[?25l\x1b[2J")  # a screen of its own, without a cursor
-
-    def show(self, lines: Sequence[str], columns: int, rows: int) -> None:
-        """Write what has changed since the last time; all of it when the terminal has another size."""
-        if (columns, rows) != self._size:
-            self._size, self._shown = (columns, rows), []
-            self._write("\x1b[2J")
-        before, self._shown = self._shown, [_one_line(line) for line in lines]
-        pairs = enumerate(zip_longest(self._shown, before, fillvalue=""), 1)
-        parts = [f"\x1b[{row};1H{line}\x1b[K" for row, (line, old) in pairs if line != old]
-        if parts:
-            self._write("".join(parts))
-
-    def close(self) -> None:
-        """Give the terminal back as it was."""
-        self._write("\x1b[?25h\x1b[?1049l")
+OWN_SCREEN, GIVEN_BACK = "\x1b[?1049h\x1b[?25l", "\x1b[?25h\x1b[?1049l"
+"""Begin and end a screen of its own, without a cursor; the terminal is then as it was."""
 
 
-def _one_line(text: str) -> str:
-    return for_log(text).replace("\t", " ")
+def drawn(lines: Sequence[str], columns: int, rows: int) -> str:
+    """Return what fills a terminal of this size with these lines, whatever it showed before."""
+    shown = [for_log(line).replace("\t", " ")[:columns] for line in lines[:rows]]
+    return "\x1b[H" + "\r\n".join(f"\x1b[K{line}" for line in [*shown, *[""] * (rows - len(shown))])

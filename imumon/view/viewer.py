@@ -30,11 +30,6 @@ LIVE_APPLICATION, APPLICATION = "imumon-live", "imumon"
 """Of live views and of recordings: a viewer keeps an arrangement for each."""
 
 
-def default_mode() -> Mode:
-    """Return "native" where a window can be opened, otherwise "web"."""
-    return "native" if has_display() else "web"
-
-
 def has_display() -> bool:
     """Return whether a window can be opened here."""
     display = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
@@ -86,23 +81,13 @@ def probe(port: int, timeout_s: float = 0.5) -> bool | None:
 def free_port(preferred: int, bind: str = LOCALHOST) -> int:
     """Return the preferred port or the next one that nobody listens on.
 
-    For Rerun's own programs, which report a port in use in their log only; another program may take it
-    before they do.
-
-    Raises BUSY when the next hundred are all in use.
-    """
-    with listen(preferred, bind) as trial:
-        return int(trial.getsockname()[1])
-
-
-def listen(preferred: int, bind: str = LOCALHOST) -> socket.socket:
-    """Return a socket that listens on the preferred port or the next one free, so that nobody else takes it.
+    Another program may take it before the caller does.
 
     Raises BUSY when the next hundred are all in use.
     """
     for port in range(preferred, min(preferred + 100, 65536)):
-        with contextlib.suppress(OSError):
-            return socket.create_server((bind, port))
+        with contextlib.suppress(OSError), socket.create_server((bind, port)):
+            return port
     raise ImumonError(Reason.BUSY, f"no free port from {preferred} on {bind}", "name another port")
 
 

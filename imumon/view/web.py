@@ -9,10 +9,9 @@ import threading
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import closing
-from functools import partial
-from html import escape
 from http import HTTPStatus
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from http.server import BaseHTTPRequestHandler
+from socketserver import ThreadingTCPServer
 from typing import Any
 from urllib.error import URLError
 from urllib.parse import quote, urlsplit
@@ -22,7 +21,6 @@ import rerun as rr
 
 from imumon.errors import ImumonError, Reason
 from imumon.view import viewer
-from imumon.view.items import ViewSetup
 
 ASSETS = {
     "/": "text/html; charset=utf-8",
@@ -39,9 +37,6 @@ OURS = {"connection", "keep-alive", "transfer-encoding", "content-length", "host
 """Headers that each of two connections has of its own; ``Host`` and ``Origin`` were checked here."""
 
 
-HOST = re.compile(r"([\w.-]+|\[[0-9a-fA-F:]+\])(?::\d+)?$")
-
-
 def refusal(host: str, origin: str = "") -> str:
     """Return why a request with these headers is not answered; empty when it is.
 
@@ -49,18 +44,14 @@ def refusal(host: str, origin: str = "") -> str:
     is then in ``Origin``, or in ``Host`` when that name was made to lead here (DNS rebinding).  A name can be
     made to lead anywhere by who owns it; an address, and this computer's name, cannot.
     """
-    requested, own = HOST.match(host), socket.gethostname().lower()
-    name = requested.group(1).lower().strip("[]") if requested else ""
-    if name not in ("localhost", own, f"{own}.local"):
-        try:
+    own = socket.gethostname().lower()
+    try:
+        name = urlsplit(f"//{host}").hostname or ""
+        if name not in ("localhost", own, f"{own}.local"):
             ipaddress.ip_address(name)
-        except ValueError:
-            return (
-                f"Host {host!r} is neither an address nor the name of this computer: open it by its address"
-            )
-    if origin and (urlsplit(origin).hostname or "") != name:
-        return f"Origin {origin!r} is another site"
-    return ""
+        return f"Origin {origin!r} is another site" if origin and urlsplit(origin).hostname != name else ""
+    except ValueError:
+        return f"Host {host!r} is neither an address nor the name of this computer: open it by its address"
 
 
 def bundled_assets() -> dict[str, bytes]:
@@ -88,25 +79,11 @@ def bundled_assets() -> dict[str, bytes]:
         program.wait()
 
 
-def page(html: str, title: str) -> str:
-    """Return Rerun's page with another title, and without what it would load from elsewhere."""
-    named = re.sub(r"<title>.*?</title>", lambda _: f"<title>{escape(title)}</title>", html, flags=re.DOTALL)
-    return re.sub(r"<link\b[^>]*https://[^>]*>", "", named)
-
-
 def serve_stream(rec: rr.RecordingStream) -> tuple[str, int]:
     """Let viewers read a stream, and return where."""
     address = viewer.hidden_address()
     rec.set_sinks(rr.GrpcServerSink(*address, server_memory_limit=viewer.SERVER_MEMORY, newest_first=True))
     return address
-
-
-def serve_page(
-    rec: rr.RecordingStream, setup: ViewSetup, port: int = viewer.WEB_PORT, bind: str = viewer.LOCALHOST
-) -> "WebServer":
-    """Let browsers read a stream, on this port or the next one free."""
-    title = " - ".join(filter(None, (setup.properties.get("device", ""), setup.title, "imumon")))
-    return WebServer(viewer.listen(port, bind), serve_stream(rec), title)
 
 
 POLICY = (
@@ -118,34 +95,34 @@ POLICY = (
 settings, asks for updates and for fonts; a browser that is given this policy refuses them."""
 
 
-class WebServer:
+class WebServer(ThreadingTCPServer):
     """Serves the page from memory, in threads of its own, and passes the stream on.
 
-    All comes from one address and port, so that it works as well through a tunnel (``ssh -L``).
+    All comes from one address and port, so that it works as well through a tunnel (``ssh -L``): this port or
+    the next one free.
 
-    `door` listens where browsers come to (`imumon.view.viewer.listen`); `stream` is address and port of the
-    server that the stream comes from, which answers whoever reaches it.
+    `stream` is address and port of the server that the stream comes from, which answers whoever reaches it.
     """
 
-    def __init__(self, door: socket.socket, stream: tuple[str, int], title: str = "imumon") -> None:
-        bind, self.port = door.getsockname()
-        self.stream = stream
+    allow_reuse_address = daemon_threads = True
+
+    def __init__(
+        self, stream: tuple[str, int], port: int = viewer.WEB_PORT, bind: str = viewer.LOCALHOST
+    ) -> None:
+        self.stream, self.files = stream, bundled_assets()
+        # The policy does not keep a browser from connecting to the sites that the page names.
+        self.files["/"] = re.sub(rb"<link\b[^>]*https://[^>]*>", b"", self.files["/"])
+        self.port = viewer.free_port(port, bind)
+        super().__init__((bind, self.port), _Handler)
         host = socket.gethostname() if bind == "0.0.0.0" else bind  # as others reach it
         self.url = f"http://{host}:{self.port}/"
-        self.files = bundled_assets()
-        self.files["/"] = page(self.files["/"].decode(), title).encode()
-        self._server = _Server((bind, self.port), partial(_Handler, self), bind_and_activate=False)
-        self._server.socket.close()
-        self._server.socket = door
-        threading.Thread(target=self._server.serve_forever, name="web viewer", daemon=True).start()
+        threading.Thread(target=self.serve_forever, name="web viewer", daemon=True).start()
 
     def close(self) -> None:
         """Stop serving."""
-        self._server.shutdown()
-        self._server.server_close()
+        self.shutdown()
+        self.server_close()
 
-
-class _Server(ThreadingHTTPServer):
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Pass over a browser that went away in the middle of an answer."""
         if not isinstance(sys.exception(), ConnectionError):
@@ -155,10 +132,7 @@ class _Server(ThreadingHTTPServer):
 class _Handler(BaseHTTPRequestHandler):
     protocol_version = "HTTP/1.1"
     timeout = 30
-
-    def __init__(self, site: WebServer, *arguments: Any) -> None:
-        self._site = site
-        super().__init__(*arguments)
+    server: WebServer
 
     def do_GET(self) -> None:
         """Answer with a file; who asks for the page without a stream is sent to the one with ours."""
@@ -168,7 +142,7 @@ class _Handler(BaseHTTPRequestHandler):
         if path == "/" and not query:
             stream = quote(f"rerun+http://{self.headers['Host']}/proxy", safe="")
             self._answer(HTTPStatus.FOUND, b"", {"Location": f"/?url={stream}&hide_welcome_screen=1"})
-        elif (body := self._site.files.get(path)) is None:
+        elif (body := self.server.files.get(path)) is None:
             self.send_error(HTTPStatus.NOT_FOUND)
         else:
             headers = {"Content-Type": ASSETS[path], "Content-Security-Policy": POLICY}
@@ -190,7 +164,7 @@ class _Handler(BaseHTTPRequestHandler):
             self.send_error(HTTPStatus.NOT_FOUND)
             return
         body = self.rfile.read(int(self.headers.get("Content-Length", 0)))
-        with closing(http.client.HTTPConnection(*self._site.stream)) as stream:
+        with closing(http.client.HTTPConnection(*self.server.stream)) as stream:
             try:
                 stream.request("POST", self.path, body, dict(_passed_on(self.headers.items())))
                 answer = stream.getresponse()

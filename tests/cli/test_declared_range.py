@@ -32,7 +32,7 @@ def rest(_: DeviceFile | None) -> list[Estimator]:
 
 
 READERS: dict[str, Callable[[Path], Iterable[str]]] = {
-    "allan": lambda path: read_channels(path).warnings,
+    "allan": lambda path: read_channels(path)[1],
     "diagnose": lambda path: read_runs(path, None, rest)[0].warnings,
     "calibrate": lambda path: read_session(path)[1],
 }

@@ -168,7 +168,7 @@ def read_by_each(session: Path) -> Iterator[tuple[str, Mapping[str, Any]]]:
     for run in read_runs(session, None):
         yield "diagnose", {**run.mean, "rest": run.rest}
         yield "diagnose", {f"variance of {name}": values for name, values in run.variance.items()}
-    for name, series in read_channels(session).series.items():
+    for name, series in read_channels(session)[0].items():
         yield "allan", {f"{name} {field}": getattr(series, field) for field in ("values", "there")}
     for row in work(Job(str(session), BatchOptions(command="replay"), str(session))):
         numbers = ("samples", "mean", "sd", "least", "greatest")

@@ -19,7 +19,7 @@ from imumon.view.viewer import quiet_environment, viewer_binary
 from tests.view.streams import ACCEL, RATE_HZ, Stream, block, entities, scalars
 from tests.waiting import LIMIT_S
 
-SETUP = ViewSetup("test", "recording-1", properties={"device": "synthetic"})
+SETUP = ViewSetup("test", "recording-1")
 
 
 def rerun(*arguments: str) -> None:
@@ -138,7 +138,7 @@ def test_full_disk_is_reported_and_what_is_missing_counted(tmp_path: Path) -> No
         from imumon.view import recorder as rooms
         from imumon.view.recorder import ViewRecorder
         from tests.view.streams import Stream
-        rooms.BATCH_S, rooms.FLUSH_S = 0.05, 0.5  # where only flushes that take too long show it
+        rooms.BATCH_S, rooms.FLUSH_S = 0.05, 5.0  # where only flushes that take too long show it
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
         resource.setrlimit(resource.RLIMIT_FSIZE, (500_000, 500_000))
         said = []

@@ -9,9 +9,8 @@ from pathlib import Path
 import pytest
 
 from imumon.view.viewer import (
-    default_mode,
     free_port,
-    listen,
+    has_display,
     probe,
     quiet_environment,
     viewer_binary,
@@ -50,17 +49,17 @@ def test_another_program_is_distinguished(port: int, reply: bytes) -> None:
 
 
 def test_a_port_in_use_is_passed_over(port: int) -> None:
-    with listen(port) as first, listen(port) as second:
-        assert first.getsockname()[1] < second.getsockname()[1] < free_port(port)
+    with socket.create_server(("127.0.0.1", free_port(port))) as server:
+        assert server.getsockname()[1] < free_port(port)
 
 
-def test_display_decides_the_mode(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_display_is_found_by_its_name(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sys.platform", "linux")
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     monkeypatch.setenv("DISPLAY", ":0")
-    assert default_mode() == "native"
+    assert has_display()
     monkeypatch.delenv("DISPLAY")
-    assert default_mode() == "web"
+    assert not has_display()
 
 
 def test_rerun_writes_no_analytics_with_our_environment(

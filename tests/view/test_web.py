@@ -11,18 +11,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from imumon.view.viewer import listen
-from imumon.view.web import WebServer, page, refusal
-
-HTML = """<html><head><link rel="preconnect" href="https://fonts.example" />
-<link
-  href="https://fonts.example/css2" rel="stylesheet" />
-<link rel="icon" href="favicon.ico" /></head><body></body></html>"""
+from imumon.view.web import WebServer, refusal
 
 
 @pytest.fixture(scope="module")
 def server() -> Iterator[WebServer]:
-    site = WebServer(listen(29090), ("127.0.0.1", 29876), "AX1 & co")
+    site = WebServer(("127.0.0.1", 29876), 29090)
     yield site
     site.close()
 
@@ -31,12 +25,11 @@ def test_page_and_program_are_served_and_may_speak_to_this_machine_only(server: 
     with urllib.request.urlopen(server.url) as response:
         html = response.read().decode()
         allowed = response.headers["Content-Security-Policy"]
-    assert "<title>AX1 &amp; co</title>" in html
     assert response.headers["Content-Type"] == "text/html; charset=utf-8"
     assert response.url.endswith(f"%3A{server.port}%2Fproxy&hide_welcome_screen=1")
     assert not re.findall(r"https?://", allowed)
     assert "re_viewer.js" in html
-    assert '<link rel="preconnect" href="https://' not in html
+    assert not re.search(r"<link\b[^>]*https://", html)
     with urllib.request.urlopen(f"{server.url}re_viewer_bg.wasm") as response:
         assert response.read(4) == b"\0asm"
         assert response.headers["Content-Type"] == "application/wasm"
@@ -58,14 +51,8 @@ def test_other_paths_do_not_exist(server: WebServer) -> None:
     connection.close()
 
 
-def test_page_loads_nothing_from_elsewhere() -> None:
-    text = page(HTML, "title")
-    assert "https://" not in text
-    assert "favicon.ico" in text
-
-
 def test_a_page_for_all_addresses_names_this_computer() -> None:
-    site = WebServer(listen(29190, "0.0.0.0"), ("127.0.0.1", 29876))
+    site = WebServer(("127.0.0.1", 29876), 29190, "0.0.0.0")
     site.close()
     assert site.url == f"http://{socket.gethostname()}:{site.port}/"
 

@@ -17,10 +17,8 @@ from imumon.models.curves.polynomial import CUBIC
 from imumon.recordings.source import RECORDING
 
 ROWS, SETTINGS_NAME, LOCK_NAME = "rows", "batch.yaml", ".lock"
-FIRST_WRITE_S = 20.0
-WRITE_SHARE = 0.02
-"""What has been computed is written when it took so much of the time since the beginning: whoever kills a
-batch loses at most that, and there are some fifty files for every factor of e in its length."""
+WRITE_S = 60.0
+"""What has been computed is written so often: whoever kills a batch loses at most that."""
 
 Row = Mapping[str, Any]
 """Of a session and a channel: the columns of `schema_of` that it has."""
@@ -98,7 +96,7 @@ class Dataset:
         self.folder = folder
         self._schema = schema_of(options.command)
         self._waiting: list[Row] = []
-        self._began = self._written = time.monotonic()
+        self._written = time.monotonic()
         try:
             (folder / ROWS).mkdir(parents=True, exist_ok=True)
             self._lock = (folder / LOCK_NAME).open("w")
@@ -155,8 +153,7 @@ class Dataset:
     def add(self, rows: Sequence[Row]) -> None:
         """Add all rows of a session; they are on the medium after some time, or after `write`."""
         self._waiting += rows
-        now = time.monotonic()
-        if now - self._written >= max(FIRST_WRITE_S, WRITE_SHARE * (now - self._began)):
+        if time.monotonic() - self._written >= WRITE_S:
             self.write()
 
     def write(self) -> None:

@@ -22,8 +22,6 @@ SIGMAS = tuple(name.replace("gyro_", "gyro_bias_sd_") for name in GYRO)
 COLDEST, HOTTEST = "coldest_degc", "hottest_degc"
 BEST, WORST = "best_sigma_rad_per_s", "worst_sigma_rad_per_s"
 """Columns of a session and of a unit; the sigmas are the smallest of the gyro bias that were reached."""
-LARGEST_MODEL = 1 << 20
-"""Bytes: a larger YAML file is no model."""
 
 
 class Entry(NamedTuple):
@@ -136,9 +134,7 @@ def read_models(folder: Path) -> list[BiasModel]:
     """Return the models in the files below a folder."""
     found = []
     for path in sorted(folder.rglob("*.yaml")):
-        if path.name == METADATA_NAME or path.stat().st_size > LARGEST_MODEL:
-            continue
-        if b"imumon-bias-model/" in path.read_bytes():
+        if path.name != METADATA_NAME and b"imumon-bias-model/" in path.read_bytes():
             with suppress(ImumonError):  # another file that mentions the format
                 found.append(load_model(path))
     return found

@@ -19,7 +19,7 @@ from imumon.view.child import run
 from imumon.view.fed import serve
 from imumon.view.items import ViewItem, ViewSetup, merge
 from imumon.view.lanes import lane_path
-from imumon.view.logger import StreamLogger, name_recording
+from imumon.view.logger import StreamLogger
 from imumon.view.publisher import Report
 from imumon.view.rows import at_instants, log_markdown
 from imumon.view.window import Window
@@ -48,7 +48,7 @@ class UnitsLogger:
 
     def begin(self) -> None:
         """Log what does not change."""
-        name_recording(self._rec, self._setup, "rack")
+        self._rec.send_recording_name(self._setup.title)
 
     def log(self, items: Iterable[ViewItem]) -> None:
         """Log items, those of each unit in their order."""

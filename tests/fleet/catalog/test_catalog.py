@@ -77,8 +77,7 @@ def test_a_model_without_session_has_a_unit(tmp_path: Path) -> None:
 
 def test_catalog_of_a_folder(folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    done = imumon("catalog", folder, "--out", out, "--rrd", tmp_path / "units.rrd", "--json")
-    assert "--rrd is retired" in done.stderr
+    done = imumon("catalog", folder, "--out", out, "--json")
     assert done.returncode == 0, done.stderr
     rows = json.loads(done.stdout)
     assert [row["unit"] for row in rows["units"]] == [f"SN0{n}" for n in range(1, 6)]
