@@ -5,8 +5,6 @@ standard deviation s, with steps q, is q/pi exp(-2 pi² s²/q²): the first term
 sawtooth that rounding is, averaged over the noise (Widrow and Kollar, Quantization Noise, 2008, ch. 4).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -6,8 +6,6 @@ last, how neighbours differ, and how the unit has turned.  Slots lie on a grid t
 sample of a segment.  A slot ends with the first sample behind it, so its results are known from that row on.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any

@@ -1,7 +1,5 @@
 """What a device file holds of temperature sensors; apart from the estimators, so that it loads quickly."""
 
-from __future__ import annotations
-
 from typing import Literal
 
 from pydantic import Field

@@ -337,4 +337,6 @@ def _advice(folder: Path) -> str:
     """Return what can be done with the data of a session without readable metadata; empty without data."""
     if lost_metadata(folder) is not None:
         return f"{WIRE_NAME} is there: imumon recover {folder} makes {METADATA_NAME} anew from it"
+    if not (folder / METADATA_NAME).is_file() and (folder / SAMPLES_NAME).is_file():
+        return f"its samples are there, and can be read as a table: {folder / SAMPLES_NAME}"
     return ""

@@ -11,8 +11,6 @@ posterior or, if larger, the distance to earlier headings in this position.  Wha
 constant rate is added, and what it has turned and crept since the fit.
 """
 
-from __future__ import annotations
-
 import cmath
 import math
 from collections.abc import Sequence

@@ -16,8 +16,6 @@ Hann windows that overlap by half: an angle that stays bounded falls out of them
 smooth ends.  Their scatter about a slow trend is the noise, and a cell far beyond that is a knock.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Parameters of the alignment in a pipeline file."""
 
-from __future__ import annotations
-
 import math
 from typing import Annotated
 

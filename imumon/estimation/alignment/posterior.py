@@ -25,8 +25,6 @@ docs/appendix/alignment-details.md.  Declare those of a better unit: for gyros w
 300 ppm and 750 µg are taken.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from itertools import product

@@ -1,7 +1,5 @@
 """What a user reads of an alignment: its state, and texts of the result."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import NamedTuple

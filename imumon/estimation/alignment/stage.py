@@ -1,7 +1,5 @@
 """Alignment as a stage of the pipeline: the heading of a unit at rest, with its sigma."""
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Collection, Iterator, Mapping, Sequence

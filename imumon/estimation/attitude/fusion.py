@@ -4,8 +4,6 @@ VQF takes samples at a constant rate.  Here the rate is that of the first sample
 multiplied by its own interval over the usual one, so the angle is right whatever the intervals are.
 """
 
-from __future__ import annotations
-
 import copyreg
 import math
 from collections.abc import Sequence

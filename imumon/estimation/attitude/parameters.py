@@ -1,7 +1,5 @@
 """Parameters of the attitude, in a module of their own that loads quickly."""
 
-from __future__ import annotations
-
 from pydantic import Field
 
 from imumon.config import Retired, StrictModel

@@ -12,8 +12,6 @@ A calibrated magnetometer ties the heading down: VQF follows the field with τ =
 horizontal and the vertical field, and B_cal its calibrated strength.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from dataclasses import dataclass

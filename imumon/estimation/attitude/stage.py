@@ -1,7 +1,5 @@
 """Attitude as a stage of the pipeline."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Literal

@@ -24,8 +24,6 @@ else                                                                it is 16 to 
 ==================================================================  ===================================
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field

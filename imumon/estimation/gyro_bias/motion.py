@@ -10,8 +10,6 @@ the accelerometers, are far smaller.  The rate about the vertical is not estimat
 observable.  So an upright axis has no bias.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """Rest and gyro bias as stages of the pipeline: zero-velocity updates, and the thermal model at all times."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from typing import Literal

@@ -1,7 +1,5 @@
 """Temperature: a thermal bias model as a known input, the variance that it adds, and charts of the bias."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -24,8 +24,6 @@ ones are rare: c = 1 + (36/|d|)² divides their density.  σ² is the variance o
 below e⁻² or |d| above `largest_jump`.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

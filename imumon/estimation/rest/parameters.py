@@ -1,7 +1,5 @@
 """Settings of rest and gyro bias in a pipeline file; apart from the estimator, so that they load quickly."""
 
-from __future__ import annotations
-
 from functools import cached_property
 from typing import Annotated, Literal
 

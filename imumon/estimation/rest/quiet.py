@@ -10,8 +10,6 @@ q², `QUIET_VARIANCE`, is always quiet.  While v is not known, a *trial* of 16 s
 needed: whether a steady mean is the bias or a turn is decided by `odds`.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from functools import partial
 

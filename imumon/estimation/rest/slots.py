@@ -1,7 +1,5 @@
 """Slots of a quarter of a second, from which rest is detected, and measurements of the bias made of them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -15,8 +15,6 @@ that of a normal one if that is smaller (scale factor of the Particle Data Group
 exceeds two, by that.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple

@@ -5,8 +5,6 @@ Electroacoust. 15 (1967): eq 1-4 with half-overlapping Hann windows.  NumPy alon
 import, in the middle of a measurement.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Mapping, Sequence

@@ -11,8 +11,6 @@ noise models are an MMAE (static multiple models): they are only weighed.  Steps
 Bar-Shalom, Li and Kirubarajan, Estimation with Applications to Tracking and Navigation (2001), section 11.6.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple

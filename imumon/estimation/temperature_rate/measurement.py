@@ -22,8 +22,6 @@ Log likelihoods are of probabilities of a slot's mean on its lattice of d/n, so 
 With R = (d/n)²/2π the density 1/√(2πR) times d/n is 1: no point of the lattice has a probability above it.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

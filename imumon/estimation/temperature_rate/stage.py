@@ -4,8 +4,6 @@ The method goes from samples to slots, through the gate to the filters, to an ou
 The gate decides what of a thermometer is a fault and not a temperature.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace

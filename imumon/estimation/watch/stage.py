@@ -15,8 +15,6 @@ has tests of its own, with::
     e = exp(lambda v²) sqrt(1 - 2 lambda kappa)                                     (2)
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from enum import StrEnum

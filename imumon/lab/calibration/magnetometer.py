@@ -120,12 +120,14 @@ def fit_magnetometer(blocks: Iterable[SampleBlock], unit: str, source: str) -> M
         )
     advice = "away from iron and cables, draw figure-eights while turning the unit over"
     # The directions of the field are hardly known then: those of gravity show what is missing.
-    seen = covered(accel[np.isfinite(accel).all(1)])
-    what += f"; gravity was in {seen.mean():.0%} of the directions"
-    missing = ~seen @ MIDDLES
-    axis = int(np.argmax(np.abs(missing)))
-    side = f"{'-' if missing[axis] < 0.0 else '+'}{'xyz'[axis]}"
-    raise bad_data(f"{source}: {what}", f"{advice}; next: turn the {side} axis up, and around there")
+    if len(up := accel[np.isfinite(accel).all(1)]):
+        seen = covered(up)
+        what += f"; gravity was in {seen.mean():.0%} of the directions"
+        missing = ~seen @ MIDDLES
+        axis = int(np.argmax(np.abs(missing)))
+        side = f"{'-' if missing[axis] < 0.0 else '+'}{'xyz'[axis]}"
+        advice += f"; next: turn the {side} axis up, and around there"
+    raise bad_data(f"{source}: {what}", advice)
 
 
 def covered(directions: FloatArray) -> BoolArray:

@@ -5,8 +5,6 @@ model, this as it is or fitted anew, with or without a constant in each pose.  T
 likeliest with what was found beside it.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """The extended model: what was declared, with the effects that are claimed, as a model file."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Any

@@ -5,8 +5,6 @@ do not depend on the noise of (1): beside a large random walk, generalised least
 differences of neighbouring blocks.  That noise enters the sigmas only (`sigmas`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product

@@ -15,8 +15,6 @@ state x is the random walk and a Gauss-Markov process for each tau, the bias the
 Its innovations over their standard deviations are ỹ, and these are the diagonal of L.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import partial
 

@@ -5,8 +5,6 @@ those before it, with the noise that each had when the better one was found.  We
 the ratio of the two likelihoods would ever exceed A with a probability of 1 / A at most (Ville's inequality).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple

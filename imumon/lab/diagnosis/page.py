@@ -1,7 +1,5 @@
 """The pages for people, each one file that needs no network: report.html, and two models compared."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Callable, Sequence
 from pathlib import Path

@@ -4,8 +4,6 @@ For each question every answer is simulated, with the noise that was found, and 
 The evidence is the difference of the gains, in BIC, between the effect that the unit has and each rival.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Sequence
 from pathlib import Path

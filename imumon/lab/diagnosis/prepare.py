@@ -2,8 +2,6 @@
 and these less what a present model expects of them.  On what is left out functions add to `remarks`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The report of a diagnosis: report.json for programs, and the conclusion and next step in words."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict

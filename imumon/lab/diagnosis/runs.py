@@ -1,7 +1,5 @@
 """Recordings as runs from power-on, in means of slots: what is read, what is training, and what is test."""
 
-from __future__ import annotations
-
 from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain

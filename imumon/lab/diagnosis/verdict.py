@@ -24,8 +24,6 @@ The rows, in their order; what is left is by the model with the claims, if any::
     not proven        none of these: what is left is small, or only the test has it
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import islice

@@ -84,6 +84,10 @@ def test_few_directions_are_refused_with_what_to_turn(swing: tuple[float, float,
     with pytest.raises(ImumonError, match=r"\d+% of the directions") as caught:
         fit_magnetometer([block], "uT", "a recording")
     assert "turn the -z axis up" in str(caught.value.hint)
+    alone = SampleBlock({name: values for name, values in block.columns.items() if name.startswith("mag")})
+    with pytest.raises(ImumonError) as caught:
+        fit_magnetometer([alone], "uT", "a recording")
+    assert "next" not in str(caught.value.hint)
 
 
 def test_a_unit_that_did_not_turn_is_refused() -> None:
