@@ -1,7 +1,5 @@
 """SampleBlock: n samples as a struct of arrays, the only thing that flows down the pipeline."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -91,11 +89,11 @@ class SampleBlock:
                 stacked[:, j] = self.columns[name]
         return stacked
 
-    def with_columns(self, extra: Mapping[str, ColumnArray]) -> SampleBlock:
+    def with_columns(self, extra: Mapping[str, ColumnArray]) -> "SampleBlock":
         """Return a block that has these columns as well (or instead, where the name exists)."""
         return SampleBlock({**self.columns, **extra})
 
-    def rows(self, start: int, stop: int) -> SampleBlock:
+    def rows(self, start: int, stop: int) -> "SampleBlock":
         """Return samples start..stop as views."""
         return SampleBlock({name: values[start:stop] for name, values in self.columns.items()})
 

@@ -4,8 +4,6 @@ The results depend on the bytes, their arrival times and the events between them
 cut into pieces: a replay of a recording gives the same numbers, bit for bit.
 """
 
-from __future__ import annotations
-
 import hashlib
 import pickle
 import zlib
@@ -166,7 +164,7 @@ class Pipeline:
         return pickle.dumps(self)
 
     @staticmethod
-    def restore(snapshot: bytes) -> Pipeline:
+    def restore(snapshot: bytes) -> "Pipeline":
         """Return a pipeline that goes on where `snapshot` was taken.
 
         Only for bytes of one's own: like everything that pickle reads, they can run code.

@@ -1,7 +1,5 @@
 """``imumon allan``: the noise of a unit at rest, from a recording."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from pkgutil import resolve_name
@@ -65,7 +63,7 @@ def command(
     print_rows({name: str(path) for name, path in outputs.items()})
 
 
-def _show_terms(results: dict[str, Result]) -> None:
+def _show_terms(results: "dict[str, Result]") -> None:
     from rich.table import Column
 
     from imumon.allan.covariance import TERMS_OF
@@ -89,7 +87,7 @@ def _show_terms(results: dict[str, Result]) -> None:
     show("Bias instability B: the flat part of the curve is 0.664 B.")
 
 
-def _with_sd(result: Result, term: str, factor: float) -> str:
+def _with_sd(result: "Result", term: str, factor: float) -> str:
     """Return the value with two digits of its standard deviation behind it: 1.234(56)."""
     estimate = None if result.fit is None else result.fit.terms[term]
     if estimate is None:

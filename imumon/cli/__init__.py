@@ -1,7 +1,5 @@
 """The command line: commands are imported only when they run."""
 
-from __future__ import annotations
-
 import atexit
 import errno
 import gc
@@ -217,7 +215,7 @@ def _is_interrupt(error: BaseException | None) -> bool:
     return error is not None or INTERRUPTED.is_set()
 
 
-def _interrupt(number: int, frame: FrameType | None) -> None:
+def _interrupt(number: int, frame: "FrameType | None") -> None:
     INTERRUPTED.set()
     signal.default_int_handler(number, frame)
 
@@ -235,7 +233,7 @@ def _heed_interrupts() -> None:
     atexit.register(signal.signal, signal.SIGINT, signal.SIG_IGN)
     usual = sys.unraisablehook
 
-    def again(lost: UnraisableHookArgs) -> None:
+    def again(lost: "UnraisableHookArgs") -> None:
         if lost.exc_type is KeyboardInterrupt:
             threading.Timer(0.01, signal.raise_signal, [signal.SIGINT]).start()
         elif not INTERRUPTED.is_set():  # what was interrupted half made cannot be taken down in order

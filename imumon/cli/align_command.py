@@ -1,7 +1,5 @@
 """``imumon align``: the heading of a unit at rest, from a recording or a port."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -101,7 +99,7 @@ def command(
     return EXIT_OK if settled else EXIT_NEGATIVE
 
 
-def _with_sigma(setup: Setup, until: float | None) -> Setup:
+def _with_sigma(setup: "Setup", until: float | None) -> "Setup":
     """Return the setup with the sigma wanted; raises BAD_CONFIG when it does not have the latitude."""
     if setup.latitude_deg is None:
         what = "the heading is found by the earth rate, and the latitude is not known"
@@ -124,7 +122,7 @@ def _is_recording(source: str) -> bool:
     raise ImumonError(Reason.NOT_FOUND, what, hint)
 
 
-def _stage_of(pipeline: Pipeline) -> Alignment:
+def _stage_of(pipeline: "Pipeline") -> "Alignment":
     from imumon.estimation.alignment.stage import Alignment
 
     return next(stage for stage in pipeline.estimators if isinstance(stage, Alignment))
@@ -132,7 +130,7 @@ def _stage_of(pipeline: Pipeline) -> Alignment:
 
 def _recorded(
     path: Path, device: str | None, options: dict[str, Any], until: float | None
-) -> tuple[Pipeline, set[str]]:
+) -> "tuple[Pipeline, set[str]]":
     """Go through a recording to its end; return the pipeline, and the names of the columns that came."""
     from imumon.estimation.alignment.stage import Alignment
     from imumon.estimation.gyro_bias.stage import RestAndBias
@@ -151,7 +149,7 @@ def _recorded(
     return pipeline, {column.name for column in source.columns(pipeline)}
 
 
-def _live(live: PortRun, positions: int, patient: bool) -> Pipeline:
+def _live(live: PortRun, positions: int, patient: bool) -> "Pipeline":
     """Record and align a port until the heading has settled, or will not, or the time is over."""
     stage, text = _stage_of(live.run.pipeline), ""
     try:

@@ -1,7 +1,5 @@
 """What several commands share: options, output for people and programs."""
 
-from __future__ import annotations
-
 import json
 import math
 import os
@@ -31,12 +29,14 @@ if TYPE_CHECKING:
 Options = TypeVar("Options", bound=Callable[..., Any])
 INTERRUPTED = threading.Event()
 """Set by Ctrl-C where that does nothing else: libraries make other errors of KeyboardInterrupt, or none."""
+ABSURD = 1e5
+"""A limit from here on protects the program, and is of no interest in a help text."""
 
 
 def described_range(kind: click.IntRange | click.FloatRange) -> str:
     """Return the limits of a number, of which there is a lower one, as people write them."""
     low, high = kind.min, kind.max
-    if high is None:
+    if high is None or high >= ABSURD:
         return f"above {low:g}" if kind.min_open else f"{low:g} or more"
     return f"above {low:g}, up to {high:g}" if kind.min_open else f"{low:g} to {high:g}"
 
@@ -56,6 +56,8 @@ class Number(click.FloatRange):
         if math.isnan(number):
             unit = " of seconds, without a unit" if self.name == "seconds" else ""
             self.fail(f"{value} is not a number{unit}", param, ctx)
+        if self.max is not None and self.max >= ABSURD and number > self.max:
+            self.fail(f"{value} is not in the range up to {self.max:g}", param, ctx)
         return float(super().convert(value, param, ctx))
 
     _describe_range = described_range
@@ -185,7 +187,7 @@ def show(text: str, *, newline: bool = True) -> None:
     click.echo(for_terminal(text), nl=newline)
 
 
-def console(*, error: bool = False) -> Console:
+def console(*, error: bool = False) -> "Console":
     """Return what draws tables and bars; texts in them are no markup."""
     from rich.console import Console
 
@@ -320,7 +322,7 @@ def setup_options(command: Options) -> Options:
     return command
 
 
-def make_setup(given: Mapping[str, Any], session: Session | None = None) -> Setup:
+def make_setup(given: Mapping[str, Any], session: "Session | None" = None) -> "Setup":
     """Return the setup of a run: the pipeline file, else that of the session, changed by the options.
 
     Raises BAD_CONFIG when a file cannot be read, or the parts contradict each other.

@@ -1,7 +1,5 @@
 """``imumon doctor``, ``ports``, ``detect``, ``devices``, ``plugins``: what there is on this computer."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -181,7 +179,7 @@ def detect(
     received = dict[int | None, bytearray]()
     arriving = bytearray()
 
-    def begin(settings: PortSettings) -> None:
+    def begin(settings: "PortSettings") -> None:
         nonlocal arriving
         rate = settings.baudrate if settings.has_line else None
         arriving = received[rate] = bytearray()
@@ -239,7 +237,7 @@ def _save(folder: Path, received: Mapping[int | None, bytearray], data: Mapping[
     common.note(f"{folder} has the bytes of {len(names)} baud rate(s) and evidence.json")
 
 
-def _propose(received: dict[int | None, bytearray], evidence: list[Evidence]) -> str | None:
+def _propose(received: dict[int | None, bytearray], evidence: "list[Evidence]") -> str | None:
     """Return a device file for lines of text, or for binary packets of fixed length at one of the rates."""
     from imumon.protocols import binary_proposal, text_proposal
     from imumon.transport.detect import Verdict
@@ -255,7 +253,7 @@ def _propose(received: dict[int | None, bytearray], evidence: list[Evidence]) ->
     return found.text if found is not None else None
 
 
-def _show(evidence: list[Evidence]) -> None:
+def _show(evidence: "list[Evidence]") -> None:
     """Write the candidates with valid packets, and how many others there are; without any, the best one."""
     from rich.table import Column
 

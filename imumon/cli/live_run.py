@@ -1,7 +1,5 @@
 """What the commands that record a port share: settings, session, signals, log lines, single keys."""
 
-from __future__ import annotations
-
 import gc
 import math
 import os
@@ -83,7 +81,7 @@ class PortRun:
         port: str,
         device: str,
         baud: int | None,
-        setup: Setup,
+        setup: "Setup",
         out: Path | None,
         seconds: float | None,
         serial: str | None = None,
@@ -112,7 +110,7 @@ class PortRun:
         self.run.open()
         self.ending.begin()
 
-    def begin(self, publish: Sequence[Callable[[ViewItem], None]]) -> None:
+    def begin(self, publish: "Sequence[Callable[[ViewItem], None]]") -> None:
         """Begin to decode, once all is compiled."""
         from imumon.run.live import warm_up
 
@@ -121,7 +119,7 @@ class PortRun:
         gc.freeze()  # a search through all that was loaded takes 0.1 s, in which nothing else runs
         self.run.begin(publish)
 
-    def raise_problem(self, summary: LiveSummary) -> None:
+    def raise_problem(self, summary: "LiveSummary") -> None:
         """Raise what ended the run, or that nothing could be decoded."""
         from imumon.run.live import nothing_decoded
 

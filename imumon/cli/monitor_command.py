@@ -1,7 +1,5 @@
 """``imumon monitor``: connect, watch, record."""
 
-from __future__ import annotations
-
 import shlex
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -111,7 +109,7 @@ class _Views:
     """The live view, if any, the recording of the view, and what other programs get."""
 
     def __init__(
-        self, setup: ViewSetup, run: LiveRun, mode: common.View, bind: str, outputs: Sequence[Any]
+        self, setup: "ViewSetup", run: "LiveRun", mode: common.View, bind: str, outputs: Sequence[Any]
     ) -> None:
         from imumon.view.publisher import ViewPublisher
         from imumon.view.recorder import ViewRecorder
@@ -188,7 +186,7 @@ def _watch(live: PortRun, views: _Views) -> None:
         watch(live.ending, lines, step, status, None if view is None else screen)
 
 
-def status_line(progress: Progress) -> str:
+def status_line(progress: "Progress") -> str:
     """Return the one line that a terminal shows while recording."""
     counters = progress.counters
     load = "" if progress.link_load is None else f"  link {progress.link_load:.0%}"
@@ -198,7 +196,7 @@ def status_line(progress: Progress) -> str:
     )
 
 
-def _rows(summary: LiveSummary, progress: Progress, views: _Views) -> dict[str, str]:
+def _rows(summary: "LiveSummary", progress: "Progress", views: _Views) -> dict[str, str]:
     """Return what a person reads at the end."""
     from imumon.run.account import describe_disk, describe_span
     from imumon.run.narration import describe

@@ -1,7 +1,5 @@
 """``imumon decode``, ``export``, ``import``, ``mark``, ``recover``: sessions, tables and logs."""
 
-from __future__ import annotations
-
 from dataclasses import asdict
 from math import isfinite
 from pathlib import Path
@@ -76,7 +74,7 @@ def _write_table(
     common.print_result(as_json, data, rows)
 
 
-def exported_as_data(source: Source, pipeline: Pipeline, exported: Exported) -> dict[str, object]:
+def exported_as_data(source: "Source", pipeline: "Pipeline", exported: "Exported") -> dict[str, object]:
     """Return what ``--json`` prints of a run that was exported: the table, what came, what is missing."""
     from imumon.protocols.base import MAIN
 

@@ -1,7 +1,5 @@
 """``imumon configure``: rate, outputs and baud rate of a device, only because a user asks for it."""
 
-from __future__ import annotations
-
 import signal
 from typing import TYPE_CHECKING
 
@@ -95,7 +93,7 @@ def command(
     note(f"to watch it: imumon monitor {port} --device {device}{again}")
 
 
-def _plan(family: Family, wish: Wish, now: int, report: Report) -> None:
+def _plan(family: "Family", wish: "Wish", now: int, report: "Report") -> None:
     """Work out what would be sent."""
     from imumon.configure.configuration import check_load, planned
     from imumon.transport.settings import PortSettings
@@ -107,7 +105,7 @@ def _plan(family: Family, wish: Wish, now: int, report: Report) -> None:
         check_load(family, family.wanted({}, wish), line)
 
 
-def _show_plan(report: Report) -> None:
+def _show_plan(report: "Report") -> None:
     width = min(max(len(request.shown) for request in report.plan), 60)
     for request in report.plan:
         click.echo(f"{request.shown:<{width}}  {request.meaning}")
@@ -118,7 +116,7 @@ def _show_plan(report: Report) -> None:
     note("dry run: nothing was sent, and the port was not opened")
 
 
-def _show(report: Report, family: Family, line: str) -> None:
+def _show(report: "Report", family: "Family", line: str) -> None:
     """Show what was found, and what became of it."""
     rows = {"device": " ".join((family.title, *report.identity)), "line": line}
     for name, text in report.before.items():
@@ -142,7 +140,7 @@ def _show(report: Report, family: Family, line: str) -> None:
         log("INFO", "not saved: the settings are lost at power-off (--save writes flash)")
 
 
-def _show_restored(report: Report) -> None:
+def _show_restored(report: "Report") -> None:
     for text in report.restored:
         log("INFO", f"put back: {text}")
     for text in report.not_restored:

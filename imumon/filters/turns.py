@@ -13,8 +13,6 @@ as much.  Of motion nearly as fast as the samples, the squared second difference
 What is faster than half the sample rate is lost, unless the device has integrated it.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -54,14 +52,14 @@ class Turn:
     seconds: float = 0.0  # time of all samples, each since the one before; without pauses
     path: float = 0.0  # sum of the angles of the parts that it is made of, rad
 
-    def less(self, bias: FloatArray) -> Turn:
+    def less(self, bias: FloatArray) -> "Turn":
         """Return the turn of a slot less what a bias, rad/s, (3,), adds, to first order of its angle."""
         angle = self.by_bias @ bias
         rotation = rotation_by(-angle) @ self.rotation
         by_scale = self.by_scale - self.by_bias[:, :, np.newaxis] * bias
         return replace(self, rotation=rotation, by_scale=by_scale, path=angle_of(rotation))
 
-    def then(self, other: Turn) -> Turn:
+    def then(self, other: "Turn") -> "Turn":
         """Return this turn and another after it."""
         c = self.rotation
         return Turn(

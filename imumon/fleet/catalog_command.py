@@ -1,7 +1,5 @@
 """``imumon catalog``, ``report``: the sessions of a folder, and the units that they are of."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Sequence
 from contextlib import nullcontext
@@ -60,7 +58,7 @@ def catalog(folder: Path, results: Path | None, out: Path | None, as_json: bool)
     common.print_rows({path.name: str(path) for path in written})
 
 
-def read(folder: Path, results: Path | None = None) -> tuple[list[Unit], list[Outlier], dict[str, str]]:
+def read(folder: Path, results: Path | None = None) -> "tuple[list[Unit], list[Outlier], dict[str, str]]":
     """Return the units of the sessions in a folder, what is unusual of them, and what was left out and why.
 
     The latter is warned of, and of what recordings lack.
@@ -78,7 +76,7 @@ def read(folder: Path, results: Path | None = None) -> tuple[list[Unit], list[Ou
     return units, outliers(units), left_out
 
 
-def _row(unit: Unit, unusual: Sequence[Outlier]) -> list[str]:
+def _row(unit: "Unit", unusual: "Sequence[Outlier]") -> list[str]:
     from imumon.fleet.catalog.tables import day, drifts
     from imumon.fleet.catalog.units import BEST, COLDEST, HOTTEST, WORST
     from imumon.lab.diagnosis.page import shown

@@ -1,7 +1,5 @@
 """``imumon rack``: many units on one bench, each recorded by a process of its own, watched together."""
 
-from __future__ import annotations
-
 import time
 from collections import deque
 from pathlib import Path
@@ -106,7 +104,7 @@ def command(
     return EXIT_NEGATIVE if troubles else EXIT_OK
 
 
-def _publisher(file: Path, mode: common.View, window: float, bind: str) -> ViewPublisher | None:
+def _publisher(file: Path, mode: common.View, window: float, bind: str) -> "ViewPublisher | None":
     """Return the view that all units share, where there is one."""
     if mode == "terminal" or mode == "none":
         return None

@@ -1,7 +1,5 @@
 """``imumon calibrate``, ``magnetometer``: bias over temperature, hard and soft iron, from recordings."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from math import degrees
 from pathlib import Path
@@ -129,7 +127,7 @@ def calibrate(
         print_rows(one.rows())
 
 
-def _report(result: Calibration, out: Path) -> dict[str, Any]:
+def _report(result: "Calibration", out: Path) -> dict[str, Any]:
     model, cells = result.model, result.cells
     return {
         "out": out,
@@ -156,7 +154,7 @@ def _report(result: Calibration, out: Path) -> dict[str, Any]:
     }
 
 
-def _show(result: Calibration) -> None:
+def _show(result: "Calibration") -> None:
     """Print the error of every candidate at levels left out, a line per channel."""
     names = list(dict.fromkeys(name for f in result.findings.values() for name in f.choice.held_out_rms))
     heads = [name.replace("polynomial", "poly").replace("network", "net") for name in names]
@@ -172,7 +170,7 @@ def _show(result: Calibration) -> None:
         show(f"{channel:8}{unit:>6}" + "".join(cells))
 
 
-def _summary(result: Calibration, out: Path) -> dict[str, str]:
+def _summary(result: "Calibration", out: Path) -> dict[str, str]:
     model, cells = result.model, result.cells
     low, high = cells.temperature.min(), cells.temperature.max()
     rows = {
@@ -189,7 +187,7 @@ def _summary(result: Calibration, out: Path) -> dict[str, str]:
     return {**rows, "model": str(out)}
 
 
-def _per_channel(result: Calibration, of: Callable[[Finding], float | None]) -> str:
+def _per_channel(result: "Calibration", of: "Callable[[Finding], float | None]") -> str:
     """Return a number of each channel, those of one unit together."""
     parts: dict[str, list[str]] = {}
     for name, finding in result.findings.items():

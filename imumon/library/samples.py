@@ -1,7 +1,5 @@
 """Samples in memory, and what other programs make of them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -39,7 +37,7 @@ class Samples:
 
     _table: SampleBlock
     columns: Mapping[str, Column]
-    side: Mapping[str, Samples] = field(default_factory=dict)
+    side: "Mapping[str, Samples]" = field(default_factory=dict)
 
     def __repr__(self) -> str:
         side = f", side streams {', '.join(self.side)}" if self.side else ""
@@ -52,9 +50,9 @@ class Samples:
     def __getitem__(self, key: str) -> ColumnArray: ...
 
     @overload
-    def __getitem__(self, key: slice) -> Samples: ...
+    def __getitem__(self, key: slice) -> "Samples": ...
 
-    def __getitem__(self, key: str | slice) -> ColumnArray | Samples:
+    def __getitem__(self, key: str | slice) -> "ColumnArray | Samples":
         """Return a column, shape (n,), or the rows of a slice as views; side streams stay whole."""
         if isinstance(key, slice):
             rows = {name: values[key] for name, values in self._table.columns.items()}

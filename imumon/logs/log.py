@@ -5,8 +5,6 @@ stands in the row nearest to it in time, once, so that its noise is what it was;
 than the sensors' samples are apart.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -60,7 +58,7 @@ class Damage:
     places: int = 0
     size: int = 0
 
-    def and_at(self, begin: int, end: int) -> Damage:
+    def and_at(self, begin: int, end: int) -> "Damage":
         """Return this with what stands between two offsets, if anything does."""
         return self if end <= begin else Damage(self.places + 1, self.size + end - begin)
 

@@ -1,7 +1,5 @@
 """The full-scale range of gyros and accelerometers, where a device file, a pipeline file or a map has it."""
 
-from __future__ import annotations
-
 import math
 
 from pydantic import Field
@@ -24,7 +22,7 @@ class Ranges(StrictModel):
     gyro_deg_per_s: float | None = Field(default=None, gt=0.0, le=1e5)
     accel_g: float | None = Field(default=None, gt=0.0, le=1e5)
 
-    def over(self, other: Ranges) -> Ranges:
+    def over(self, other: "Ranges") -> "Ranges":
         """Return these, and what only the other declares."""
         return other.model_copy(update=self.model_dump(exclude_none=True))
 

@@ -1,7 +1,5 @@
 """The option `--publish` of `imumon monitor`: live samples for other programs."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -23,7 +21,7 @@ option = click.option(
 )
 
 
-def parse(given: Sequence[str]) -> list[Target]:
+def parse(given: Sequence[str]) -> "list[Target]":
     """Return the targets of --publish; report those beyond this computer."""
     if not given:
         return []
@@ -34,7 +32,7 @@ def parse(given: Sequence[str]) -> list[Target]:
     return targets
 
 
-def start(parsed: Sequence[Target], setup: ViewSetup) -> Publishers:
+def start(parsed: "Sequence[Target]", setup: "ViewSetup") -> "Publishers":
     """Begin to send to them."""
     from imumon.publishing.publisher import Publisher, Publishers
 

@@ -1,7 +1,5 @@
 """The session folder, and its session.yaml: what was recorded, with what, when, and how it ended."""
 
-from __future__ import annotations
-
 import hashlib
 import math
 import os
@@ -89,7 +87,7 @@ class SessionMetadata(StrictModel):
     views: list[str] = Field(default_factory=list)
 
     @classmethod
-    def begun(cls, source: SourceKind, at_ns: int, **more: Any) -> SessionMetadata:
+    def begun(cls, source: SourceKind, at_ns: int, **more: Any) -> "SessionMetadata":
         """Return the metadata of a session that begins at this Unix time (ns), made by this version."""
         versions = {
             "imumon": __version__,
@@ -110,7 +108,7 @@ class SessionMetadata(StrictModel):
             return self.counters.get(SPAN, math.nan) * 1e-9
         return math.nan if self.ended_ns is None else (self.ended_ns - self.created_ns) * 1e-9
 
-    def closed(self, ended_ns: int, **changes: Any) -> SessionMetadata:
+    def closed(self, ended_ns: int, **changes: Any) -> "SessionMetadata":
         """Return the metadata of the session after its end in order at this Unix time (ns)."""
         ended = {"state": "closed", "ended_ns": ended_ns, "ended": iso_utc(ended_ns)}
         return self.model_copy(update={**ended, **changes})

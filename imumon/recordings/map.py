@@ -1,7 +1,5 @@
 """The map of a foreign table: which column is what, in which unit.  Described in docs/import-map.md."""
 
-from __future__ import annotations
-
 from collections import Counter
 from datetime import UTC, datetime
 from fractions import Fraction
@@ -85,7 +83,7 @@ class TimeColumn(StrictModel):
         return given
 
     @model_validator(mode="after")
-    def _wraps_as_a_count_can(self) -> TimeColumn:
+    def _wraps_as_a_count_can(self) -> "TimeColumn":
         if self.wraps_at is not None and self.unit == TIMESTAMPS:
             raise ValueError("dates do not wrap: leave wraps_at out")
         if self.wraps_at is not None and self.backwards == "segment":
@@ -174,7 +172,7 @@ class TextFormat(StrictModel):
     columns: list[str] | None = None
 
     @model_validator(mode="after")
-    def _names_come_from_one_place(self) -> TextFormat:
+    def _names_come_from_one_place(self) -> "TextFormat":
         if self.header and self.columns is not None:
             raise ValueError("csv.columns names the columns of a table without header; add header: false")
         if not self.header and self.columns is None:
@@ -211,7 +209,7 @@ class TableMap(StrictModel):
         return given
 
     @model_validator(mode="after")
-    def _is_whole(self) -> TableMap:
+    def _is_whole(self) -> "TableMap":
         if (self.time is None) == (self.rate_hz is None):
             given = "neither is there" if self.time is None else "both are there"
             raise ValueError(f"a map has either time: {{column: ..., unit: ...}} or rate_hz: ...; {given}")

@@ -1,7 +1,5 @@
 """Means of whole recordings over slots of some seconds, and which of the slots are at rest."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields
 from typing import Self
@@ -136,7 +134,7 @@ def gatherer_of(names: Sequence[str], slot_s: float) -> SlotGatherer:
     return SlotGatherer(len(names) + 1, round(slot_s * 1e9))
 
 
-def kept_slots(gatherer: SlotGatherer, block: SampleBlock, names: Sequence[str]) -> Iterator[KeptSlots]:
+def kept_slots(gatherer: SlotGatherer, block: SampleBlock, names: Sequence[str]) -> "Iterator[KeptSlots]":
     """Yield the slots that end in a block of samples, a piece at a time.
 
     The last column is 1 at rest, 0 when not, and NaN where rest was not detected; a column that the block

@@ -8,8 +8,6 @@ The covariance of the orientation is about the fixed axes east, north and up, ra
 for an unknown heading beside a known tilt: its variance is then `ANY_HEADING`, as while the heading is free.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -120,7 +118,7 @@ class Stream:
     """The latest reading of what is published when it changes."""
 
     @classmethod
-    def of(cls, name: str, path: Path, axes: BodyAxes | None) -> Stream:
+    def of(cls, name: str, path: Path, axes: BodyAxes | None) -> "Stream":
         """Return the stream of a table, whose noise is known."""
         units = {column.name: column.unit for column in read_columns(path).values()}
         clocks, made = set[str](), cls(name, units, "", axes == "FRD")
@@ -223,7 +221,7 @@ class Stream:
         values = block.vector(name)
         return values if values is None or not self.flip else values * [1.0, -1.0, -1.0]
 
-    def _attitude(self, block: SampleBlock) -> _Part:
+    def _attitude(self, block: SampleBlock) -> "_Part":
         """Return the estimated attitude x, y, z, w, body to east-north-up, and variances about these."""
         q = block.vector("attitude_estimate", "xyzw")
         if q is None:

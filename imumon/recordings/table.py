@@ -4,8 +4,6 @@ Parquet has the unit and the meaning of each column in the metadata of its field
 header, so that every program reads it, and the units in a second file beside it, NAME.units.yaml.
 """
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -90,7 +88,7 @@ class TableWriter:
             with naming(self.path):
                 self._flush()
 
-    def __enter__(self) -> TableWriter:
+    def __enter__(self) -> "TableWriter":
         with naming(self.path):
             self._folder = TemporaryDirectory(prefix=".imumon-", dir=target(self.path).parent)
         return self

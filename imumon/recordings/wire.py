@@ -5,8 +5,6 @@ soon as it is on disk, and no index grows with the length of the recording; what
 sealed with a check record.
 """
 
-from __future__ import annotations
-
 import fcntl
 import json
 import mmap
@@ -80,7 +78,7 @@ class Check(NamedTuple):
         return body + zlib.crc32(body).to_bytes(4, "little")
 
     @classmethod
-    def unpack(cls, buffer: mmap.mmap | bytes, offset: int) -> Check | None:
+    def unpack(cls, buffer: mmap.mmap | bytes, offset: int) -> "Check | None":
         """Return the record that begins here, or None when it is not one, or damaged."""
         record = buffer[offset : offset + CHECK_SIZE]
         if len(record) < CHECK_SIZE or zlib.crc32(record[:-4]).to_bytes(4, "little") != record[-4:]:
@@ -173,7 +171,7 @@ class WireWriter:
         except OSError:
             return True
 
-    def begun_again(self) -> WireWriter:
+    def begun_again(self) -> "WireWriter":
         """Return the writer of a new file, with its folder, after this one has vanished.
 
         Its first event states what is missing.  Raises OSError when that cannot be done; what comes until it

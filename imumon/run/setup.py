@@ -1,7 +1,5 @@
 """Pipeline files: what the estimators need to know that the device does not send."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self, get_args
 
@@ -228,12 +226,12 @@ class Setup(StrictModel):
         }
         return own.model_copy(update={"noise": {**known, **own.noise}})
 
-    def with_options(self, **given: Any) -> Setup:
+    def with_options(self, **given: Any) -> "Setup":
         """Return the setup with what was given on the command line; None leaves what there is."""
         changed = {name: value for name, value in given.items() if value is not None}
         return self.model_copy(update=changed).checked() if changed else self
 
-    def checked(self) -> Setup:
+    def checked(self) -> "Setup":
         """Return the setup; raises BAD_CONFIG when its parts contradict each other."""
         if self.zupt_mode == "thermal" and self.bias_model is None:
             what = "the thermal mode needs the bias over temperature, and there is no model"

@@ -5,8 +5,6 @@ is integrated from the gyros, sample by sample (`imumon.filters.turns`), less th
 reference frame is forward, left and up of the first position.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from dataclasses import dataclass, field
@@ -51,18 +49,18 @@ class AzimuthError(NamedTuple):
     crept: float = 0.0  # by the vertical gyro less its rate at rest, which may be all wrong, rad
 
     @classmethod
-    def of(cls, turn: Turn, up: FloatArray) -> AzimuthError:
+    def of(cls, turn: Turn, up: FloatArray) -> "AzimuthError":
         """Return that of a turn; `up` (3,) is the vertical in body axes at its beginning."""
         # The earth rate turns against the body: up to all of it is wrong while it turns by a radian.
         by_earth = EARTH_RATE * turn.seconds * min(turn.path, 1.0)
         return cls(turn.sampling_variance(up) + by_earth**2, turn.scale_about(up))
 
-    def then(self, other: AzimuthError) -> AzimuthError:
+    def then(self, other: "AzimuthError") -> "AzimuthError":
         """Return that of both turns, one after the other."""
         by_scale, crept = self.by_scale + other.by_scale, self.crept + other.crept
         return AzimuthError(self.variance + other.variance, by_scale, crept)
 
-    def variance_from(self, other: AzimuthError, scale_sd: float = 0.0) -> float:
+    def variance_from(self, other: "AzimuthError", scale_sd: float = 0.0) -> float:
         """Return the variance of the angle between both, rad²; `scale_sd` of each element of E."""
         by_scale = scale_sd**2 * float(np.sum(np.square(self.by_scale - other.by_scale)))
         return abs(self.variance - other.variance) + (self.crept - other.crept) ** 2 + by_scale
@@ -83,7 +81,7 @@ class PositionFit(NamedTuple):
     hann_mean: complex  # and of the Hann-weighted one
     rest_s: float
 
-    def averaged(self) -> PositionFit:
+    def averaged(self) -> "PositionFit":
         """Return the fit with one hypothesis that has the mean and the variance of all."""
         weight = np.exp(self.log_weight - self.log_weight.max())
         weight /= weight.sum()

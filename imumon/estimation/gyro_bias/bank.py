@@ -29,8 +29,6 @@ All modes have one F, so the moments of their mixture, the *prediction*, propaga
 It is evaluated at each sample: a unit in the hand is in another pose a quarter of a second later.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -189,7 +187,7 @@ class Bank(States):
         slopes: Sequence[float],
         white: FloatArray,
         first: Measurement,
-    ) -> Bank:
+    ) -> "Bank":
         """Return filters after the first measurement, before which nothing is known of the bias.
 
         `noise` are declared σ, rad/√s, B, rad/s, and K, rad/s/√s, (3,) each, or None; `slopes` standard
@@ -216,7 +214,7 @@ class Bank(States):
         innovation, variance = self.prediction.innovation(now)
         return bool((innovation**2 <= sigmas**2 * variance).all())
 
-    def after(self, now: Measurement, jumped: bool = False) -> Bank:
+    def after(self, now: Measurement, jumped: bool = False) -> "Bank":
         """Return the filters after a measurement.
 
         With `jumped` the bias may be any, so the mean rate shows nothing of modes and σ², which stay.
@@ -243,7 +241,7 @@ class Bank(States):
         scale = fade * (self.scale + 0.5 * square)
         return bank._with_noise(weight, fade * (a + 0.5), scale)
 
-    def _with_noise(self, log_weight: FloatArray, shape: float, scale: FloatArray) -> Bank:
+    def _with_noise(self, log_weight: FloatArray, shape: float, scale: FloatArray) -> "Bank":
         bank = replace(self, log_weight=log_weight, shape=shape, scale=scale)
         if not self.declared:
             return bank
@@ -271,19 +269,19 @@ class Bank(States):
         covariance[:, FLICKER.start, FLICKER.start] += 0.47 * process[:, FLICKER.start]
         return Prediction(process, mean, covariance, self.time_s, self.degc, white.sum(1))
 
-    def wider(self, variance: FloatArray) -> Bank:
+    def wider(self, variance: FloatArray) -> "Bank":
         """Let the bias have changed by an unknown amount of this variance, (rad/s)², (3,) or (3, F)."""
         covariance = self.covariance.copy()
         covariance[..., WALK, WALK] += variance.reshape(3, -1) / self.white
         return replace(self, covariance=covariance)
 
-    def with_noise_of(self, other: Bank) -> Bank:
+    def with_noise_of(self, other: "Bank") -> "Bank":
         """Take σ² and the mode weights of another bank; the covariance of the states, P σ², stays."""
         ratio = self.white / other.white
         bank = replace(self, covariance=self.covariance * ratio[..., np.newaxis, np.newaxis])
         return bank._with_noise(other.log_weight, other.shape, other.scale)
 
-    def with_white(self, white: FloatArray) -> Bank:
+    def with_white(self, white: FloatArray) -> "Bank":
         """Restart σ², the variance of the mean of a second, (rad/s)², (3,)."""
         scale = np.zeros_like(self.scale) + PRIOR_COUNT * white[:, np.newaxis]
         return self.with_noise_of(replace(self, shape=PRIOR_COUNT, scale=scale))

@@ -5,8 +5,6 @@
 While the unit moves, the variance of the bias grows with time, temperature, gaps and turns against the earth.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -49,7 +47,7 @@ class Estimator:
     """The last temperatures that were known, °C, (3,)."""
     motion: Motion = field(default_factory=Motion)  # estimates the bias before the first rest
 
-    def restarted(self) -> Estimator:
+    def restarted(self) -> "Estimator":
         """Return what holds after a restart of the device: the noise is what it was, the bias is not."""
         self.quiet.restart()
         self.thermal.restart()

@@ -5,8 +5,6 @@ sample (`imumon.filters.turns`): that keeps north, or bounds how much of the ear
 has turned.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 from functools import partial
@@ -40,7 +38,7 @@ class Attitude:
     turn: Turn = STILL  # since the last rest, less the bias
     lost: bool = False  # whether readings were missing since the last rest
 
-    def anew(self) -> Attitude:
+    def anew(self) -> "Attitude":
         """Return the attitude before the first rest."""
         return Attitude(self.latitude, self.heading)
 

@@ -1,7 +1,5 @@
 """What is learned of a thermometer from its readings: step, noise, and how long a reading is repeated."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 
@@ -61,7 +59,7 @@ class Slot:
         """Highest reading, the last one before the slot included."""
         return max(self.largest, self.before)
 
-    def alone(self) -> Slot:
+    def alone(self) -> "Slot":
         """Return the slot as if there had been no reading before it."""
         return replace(self, before=self.first, changes=max(self.changes - (self.first != self.before), 0))
 

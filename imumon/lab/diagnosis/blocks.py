@@ -1,7 +1,5 @@
 """Block means at rest, the white floor below them, and a survey of what the runs can show."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -64,7 +62,7 @@ class RunBlocks:
     def __len__(self) -> int:
         return len(self.time_s)
 
-    def in_blocks_of(self, block_s: float) -> RunBlocks:
+    def in_blocks_of(self, block_s: float) -> "RunBlocks":
         """Return the same run in blocks of another length, s."""
         drivers = next(iter(self.drives.values())).others
         return make_blocks(self.run, [*self.mean], [*self.temperature], [*drivers], block_s)

@@ -10,8 +10,6 @@ Coefficients are *shared* by all runs, or *separate* in each of some; `Effect.sc
 `imumon.effects.base` has what an effect provides, `Survey`, what runs can show, and `Drive`, what drives it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -81,7 +79,7 @@ class Candidate:
         """Whether all its coefficients are shared by all runs."""
         return not any(part.separate_runs for part in self.parts)
 
-    def neighbours(self, survey: Survey, level: int) -> list[Candidate]:
+    def neighbours(self, survey: Survey, level: int) -> "list[Candidate]":
         """Return candidates with one parameter of one part changed, closer at each level."""
         may_start = self.parts[0].effect.free_start and level == 0 and len(self.parts) == 1
         return ([replace(self, free_start=not self.free_start)] if may_start else []) + [
@@ -90,7 +88,7 @@ class Candidate:
             for effect in part.effect.refined(survey, level)
         ]
 
-    def with_part(self, at: int, part: Part) -> Candidate:
+    def with_part(self, at: int, part: Part) -> "Candidate":
         """Return it with another part in the place of part number `at`."""
         return replace(self, parts=(*self.parts[:at], part, *self.parts[at + 1 :]))
 
@@ -293,7 +291,7 @@ class Channel:
         present = self.present_effects
         return present is not None and bool(self.degree or len(self.fixed_effects) < len(present))
 
-    def with_model_fixed(self) -> Channel:
+    def with_model_fixed(self) -> "Channel":
         """Return it with the present model as it is but for a constant; without one, itself."""
         if self.present_effects is None:
             return self

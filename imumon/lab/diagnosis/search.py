@@ -4,8 +4,6 @@ The package docstring has the search in five steps, and the equations (3) to (5)
 `AxisSearch.tabulate` is step 1, `select` 2, `AxisSearch.add` 3, `_add_families` 4, `AxisSearch.eliminate` 5.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
@@ -43,7 +41,7 @@ Progress = Callable[[str], None] | None
 
 def search(
     channels: Sequence[Channel], survey: Survey, kinds: Sequence[str], stages: int, progress: Progress
-) -> list[AxisSearch]:
+) -> "list[AxisSearch]":
     """Find what the axes of one sensor, over the same training runs, lack of these kinds of effects.
 
     A present model's effects that are fitted anew are the first findings; those that these runs do not show
@@ -75,7 +73,7 @@ def gain_bar(families: int, axes: int) -> float:
     return PROVEN_GAIN + 2.0 * float(np.log(max(1, families) * (2**axes - 1)))
 
 
-def _add_families(active: Sequence[AxisSearch], bar: float) -> None:
+def _add_families(active: "Sequence[AxisSearch]", bar: float) -> None:
     """Add one effect to each axis, by its newest table, until none exceeds the bar; finish the other axes.
 
     An axis that refuses the selected family goes on without it.  What a faulty axis gains is of its fault.

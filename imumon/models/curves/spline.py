@@ -1,7 +1,5 @@
 """A piecewise cubic, fitted as a smoothing spline: no more shape than the levels show."""
 
-from __future__ import annotations
-
 from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Literal, Self
 
@@ -51,13 +49,13 @@ class SplineCurve(StrictModel):
         """Return db/dT at temperatures in °C, in the unit of the channel per °C."""
         return np.asarray(self._cubics(temperature, nu=1))
 
-    def minus(self, constant: float) -> SplineCurve:
+    def minus(self, constant: float) -> "SplineCurve":
         """Return the curve lowered by a constant."""
         values = [value - constant for value in self.values]
         return SplineCurve(knots_degc=self.knots_degc, values=values, slopes=self.slopes)  # no stale cubics
 
     @cached_property
-    def _cubics(self) -> CubicHermiteSpline:
+    def _cubics(self) -> "CubicHermiteSpline":
         from scipy.interpolate import CubicHermiteSpline  # takes 0.4 s, and few models have a spline
 
         return CubicHermiteSpline(self.knots_degc, self.values, self.slopes)
