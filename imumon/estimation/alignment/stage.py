@@ -206,9 +206,8 @@ class Alignment:
 
 def _inputs(block: SampleBlock) -> FloatArray:
     """Return gyros, accelerometers and magnetometer, NaN where unknown, and whether it rests, (n, 10)."""
-    unknown = np.full((len(block), 3), np.nan)
-    vectors = [unknown if one is None else one for one in (block.gyro, block.accel, block.mag)]
+    vectors = block.stacked([f"{name}_{axis}" for name in ("gyro", "accel", "mag") for axis in "xyz"])
     rests = np.asarray(block.columns.get("at_rest", np.ones(len(block), np.int64))) != 0  # or unknown
-    values = np.column_stack([*vectors, rests])
+    values = np.column_stack([vectors, rests])
     values[~np.isfinite(values[:, :6].sum(axis=1)), :6] = np.nan
     return values

@@ -97,7 +97,8 @@ class AttitudeEstimate:
         """Return the columns of samples with a time and a rate."""
         time_ns, rate = block["device_time_ns"], np.asarray(block.gyro)
         corrected, bias_sd, field = (
-            _vector(block, name) for name in ("gyro_corrected", "gyro_bias_sd", "mag")
+            block.stacked([f"{name}_{axis}" for axis in "xyz"])
+            for name in ("gyro_corrected", "gyro_bias_sd", "mag")
         )
         known = np.asarray(np.isfinite(corrected).all(axis=1))
         rest = known & (block["at_rest"] == 1 if "at_rest" in block else False)
@@ -225,12 +226,6 @@ def tilt_into_heading(up: FloatArray, tilt_variance: FloatArray) -> FloatArray:
     slope2 = rise2 / np.maximum(1.0 - rise2, LEAST_HORIZONTAL**2)
     is_open = np.abs(level - LEAST_HORIZONTAL) < 3.0 * np.sqrt(tilt_variance)
     return np.where(is_open, np.inf, slope2 * tilt_variance)
-
-
-def _vector(block: SampleBlock, name: str) -> FloatArray:
-    """Return a vector of the samples, (n, 3); NaN where a block lacks it."""
-    vectors = block.vector(name)
-    return np.full((len(block), 3), math.nan) if vectors is None else vectors
 
 
 def _complete(vectors: FloatArray) -> FloatArray:

@@ -113,10 +113,8 @@ def heading_of(block: SampleBlock) -> FloatArray:
     sine of the yaw and zero, else NaN."""
     if block.mag is not None:
         return block.mag
-    yaw, q = block.columns.get("yaw"), block.quaternion
-    if yaw is None and q is not None:
-        w, x, y, z = q.T
-        yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    yaw = block.columns.get("yaw")
     if yaw is None:
-        return np.full((len(block), 3), np.nan)
+        w, x, y, z = block.stacked([f"q_{part}" for part in "wxyz"]).T
+        yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
     return np.column_stack([np.cos(yaw), np.sin(yaw), np.zeros(len(block))])

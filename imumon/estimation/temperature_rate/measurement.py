@@ -51,7 +51,7 @@ def evaluate(thermometer: Thermometer, slot: Slot, filters: Filters) -> tuple[Co
 
     The first is what enters the states, the second all that the slot shows, for the output.
     """
-    step, n = thermometer.step, thermometer.independent(slot)
+    step, n = thermometer.step, max(thermometer.independence * slot.count, 1.0)  # independent readings
     variance = NOISE.white[MEAN] * thermometer.mean_variance + (step / n) ** 2 / (2.0 * math.pi)
     of_means = _gaussian(filters, MEAN, slot.mean, variance, math.log(step / n))
     square_rate = filters.x[RATE, CODE] ** 2 + filters.p[RATE, RATE, CODE]

@@ -113,10 +113,6 @@ class Thermometer:
         """Variance that a slot's mean has at least, ρ or that of rounding, °C²."""
         return max(self.rho, self.step**2 / 12.0)
 
-    def independent(self, slot: Slot) -> float:
-        """Return the number n of independent readings of a slot, 1 at least."""
-        return max(self.independence * slot.count, 1.0)
-
     def is_dead(self, slot: Slot) -> bool:
         """Return whether noise of more than a step has stopped for a minute and ten slots."""
         # White variance of a reading, the lesser of two estimates: a ramp scatters, too, but not from reading
