@@ -208,7 +208,10 @@ def test_a_dry_run_opens_nothing() -> None:
         (["--baud", 12345], "no baud rate 12345"),
         (["--save"], "nothing to save"),
         (["--rate", 100, "--dry-run"], "give both --rate and --outputs"),
-        (["--rate", 800, "--outputs", "inertial,attitude", "--dry-run", "--at", 9600], "of 9600 baud"),
+        (
+            ["--rate", 800, "--outputs", "inertial,attitude", "--dry-run", "--at", 9600],
+            "of what 9600 baud carry",
+        ),
     ],
 )
 def test_what_is_wrong_is_reported_in_one_line_before_the_port_is_opened(

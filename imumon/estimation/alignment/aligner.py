@@ -145,8 +145,8 @@ class Aligner:
         same = [other for other in self._fits if other.attitude[2] @ fit.attitude[2] > SAME_UP]
         still = min(same, key=lambda other: abs(other.vertical - earth_up))
         here.still_rate = still.vertical
-        # If another was, the true rate at rest lies between the earth rate and that one's: the unit may creep
-        # by up to their difference, but not by more than the largest difference between positions.
+        # If not even that one was, the true rate at rest is between the earth rate and its own: the unit may
+        # creep by up to their difference, but not by more than the largest difference between positions.
         largest = max(_vertical_change(fit, other) for other in same)
         self.creep_rate = max(_vertical_change(fit, still), min(abs(still.vertical - earth_up), largest))
         return True

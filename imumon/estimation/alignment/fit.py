@@ -117,7 +117,7 @@ def fit_position(record: Position, latitude: float, known: KnownWarmUp | None) -
 
 
 def _creeps(vertical: FloatArray, valid: BoolArray, row_s: float) -> bool:
-    """Return whether the vertical gyro, rad/s, (n,), shows a slow turn at a rate that changes."""
+    """Return whether the vertical gyro, rad/s, (n,), seems to turn slowly, at a changing rate."""
     cells = _cells(valid, CREEP_CELLS)
     if cells is None:
         return False

@@ -42,7 +42,7 @@ class KnownWarmUp(StrictModel):
 
     @property
     def remaining(self) -> tuple[float, tuple[float, ...]]:
-        """What remains of the warm-up when this is subtracted, as `ANY_WARM_UP`; that if no sd is given."""
+        """What remains of the warm-up when this is subtracted: `ANY_WARM_UP` without `amplitude_sd_ug`."""
         if self.amplitude_sd_ug is None:
             return ANY_WARM_UP
         largest, mean_s = max(map(abs, self.amplitude_ug)), sum(self.time_constant_s) / 3.0

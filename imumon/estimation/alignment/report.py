@@ -61,7 +61,7 @@ class Status(NamedTuple):
             return "disturbed"
         if self.observable:
             return "aligning" if self.settled_s is None else "settled"
-        return "not observable" if self.estimates and self.rest_s > NOT_OBSERVABLE_S else "coarse"
+        return "not observable" if self.rest_s > NOT_OBSERVABLE_S else "coarse"
 
     @property
     def heading_text(self) -> str:

@@ -208,7 +208,7 @@ class HeadingSigma:
         return self._magnetic(slot, tilt_variance, relative) if slot.end["north"] else relative
 
     def _magnetic(self, slot: Slot, tilt_variance: float, relative: float) -> float:
-        """Return (e_cal² + e_iron² + B_v² θ²) / B_h² + v (H2), NaN where the magnetometer is not calibrated.
+        """Return (e_cal² + e_iron² + B_v² θ²) / B_h² + v (H2), NaN without a calibration or gyro bias.
 
         θ² is the variance of the tilt, and `relative` is v.  e_cal is the error of the calibration, and
         e_iron the iron that came after it (H5), with a margin of 2 for what a pose does not show.

@@ -63,8 +63,8 @@ class AttitudeEstimate:
         self._heading = math.radians(heading_deg or 0.0)
         self._slots = SlotGatherer(10, int(SLOT_S * 1e9), turns=True)
         self._accelerometers, self._gyros = Accelerometers(given.accel_bias_m_per_s2), Gyros(given.gyro_scale)
-        # Where the latitude is known its vertical part is not in the bias, and turns the heading.  Elsewhere
-        # it is in the bias, whose standard deviation has what is no bias after a turn.
+        # With a latitude the earth rate stays in the corrected rate: its vertical part turns the heading.
+        # Without one it is in the bias, whose standard deviation covers what a turn changes of it.
         self._earth_rate = EARTH_RATE * abs(math.sin(math.radians(latitude_deg or 0.0)))
         self._fusion, self._field = Fusion(self._heading), np.full(3, math.nan)
         self._path = np.zeros(3)  # sum of the angles of all samples, rad

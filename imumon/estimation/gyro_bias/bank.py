@@ -135,7 +135,7 @@ class Prediction(States):
     white: FloatArray  # variance of the white noise of a second, (rad/s)², (3,)
 
     def bias(self, force: FloatArray, of_mean: bool = False) -> tuple[FloatArray, FloatArray]:
-        """Return bias and variance at a specific force, (3,) each; `of_mean` without the fastest flicker."""
+        """Return bias and variance at a specific force, (3,) each; `of_mean`: the variance without g1."""
         h = measurement_row(force)
         mean = self.mean @ h
         if of_mean:

@@ -74,14 +74,14 @@ class Estimator:
         return "a turn is more likely than a changed bias" if self.hypotheses.turning else ""
 
     def step(self, slot: Slot) -> FloatArray:
-        """Take a slot; return the normalised innovations of the measurement it completes at rest, (3,), or
-        NaN."""
+        """Take a slot; return normalised innovations, (3,): NaN unless it completes a measurement at rest."""
         innovation = np.full(3, np.nan)
         degc = slot.mean[DEGC]
         self.degc = np.where(np.isfinite(degc), degc, self.degc)
         self._widen(self.thermal.variance(degc, slot.mean[POWER_ON_SD], np.zeros(3)))
         self.quiet.update(slot, self.limits.drift)
         if not self.quiet.present[GYRO].all():
+            self.attitude.lost = True
             return innovation
         if self.quiet.quiet_slots == 0:
             self._coast(slot)
@@ -217,9 +217,9 @@ class Estimator:
     def output(self, now_s: float) -> LinearBias:
         """Return the bias from a time on.
 
-        Its variance has these parts: the states of all modes, flicker of single samples, the unknown part of
-        the earth rate, a turn that may hide in the first rest, and the square of the turn hypothesis, which
-        contains the largest error by rounding.
+        The reported variance has these parts: the states of all modes, with what `_widen` has added, flicker
+        of single samples, the unknown part of the earth rate, a turn that may hide in the first rest, and the
+        square of the turn hypothesis (added by the stage), which contains the largest error by rounding.
         """
         if self.hypotheses is None:
             terms, covariance = np.zeros((3, 4)), np.zeros((3, 4, 4))

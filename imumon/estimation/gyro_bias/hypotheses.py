@@ -1,7 +1,7 @@
 """The mean rate of a quiet second: the bias as before, a changed bias, or a turn?
 
 There are three copies of the filters.  The *present* one has learned everything up to now, the *test copy*
-until up to 16 s ago, and the *nominal* one before the present rate began.  Of each mean the first row holds:
+until up to 16 s ago, and the *nominal* one before the present rate began.  The first row that holds counts:
 
 =================  =================================  ================================================
 the mean fits      that is                            what follows
@@ -13,8 +13,8 @@ neither            the rate has changed               the present bias may be an
 
 The present less the nominal bias is a turn with a probability P(turn), by `imumon.estimation.rest.odds`.  Up
 to 1/2 it is rest, and the present bias is reported; above it is a turn, and the nominal one is.  The sigma of
-that contains the difference, times the root of the probability of the other.  The first row of these decides
-what becomes of the nominal bias:
+that contains the difference, times the root of the probability of the other.  The first row that holds
+decides what becomes of the nominal bias:
 
 ==================================================================  ===================================
 P(turn) above 1/4 (1/10 if the rate has changed), until below 1/20  it stays, through motion as well
@@ -164,7 +164,7 @@ class Hypotheses:
             square = self.p_turn * (change**2 + np.maximum(variance - own, 0.0))
         self.ambiguities = np.stack([self.ambiguities[1], np.copysign(np.sqrt(square), change)])
         # A turn in the first rest is found by the heading, until another rate contradicts it.
-        if self.first and not self.changes:
+        if self.first and not self.changes and not self.rest_given:
             self.began_turning |= odds.heading(self.recent, np.zeros(3)) < BEGAN_LOG_RATIO
         if self.began_turning:
             self.ambiguities[:] = now.rate

@@ -44,8 +44,7 @@ class Attitude:
 
     @property
     def uncertain_earth(self) -> FloatArray:
-        """Variance of the error of the earth rate that is subtracted, or of the change of what is taken for
-        bias, (rad/s)², (3,)."""
+        """Variance of the error of the earth rate that is subtracted or taken for bias, (rad/s)², (3,)."""
         return self._level_variance(self.heading_variance) + self._turned_earth()
 
     def _level_variance(self, heading_variance: float) -> FloatArray:

@@ -5,7 +5,7 @@ Read `slots` (quarters of a second), `quiet` (does anything move?) and `odds` (P
 
 - Why is a slot no rest?  `Estimator.unrest`, from `QuietDetector.unrest` and P(turn).
 - Why is sigma so wide?  `Estimator.output` sums its parts.
-- What assumes MEMS gyros?  Not white noise and flicker, which are learned, but `quiet.QUIET_SD`;
-  `USUAL_CHANGE`, `SLOWEST_TURN` and `UNSEEN_TURN` of odds, `SENSITIVITY_SD` and `TURN_ON` (bank), `SCALE_SD`
-  (place), `BIAS_WALK` (motion); and the keys `gyro_drift` and `largest_jump`.  No other values were tested.
+- What would another gyro need?  White noise is learned, flicker only among `FLICKER_CORNERS_S` (bank); else
+  declare B and K.  Assumed are `quiet.QUIET_SD`; `USUAL_CHANGE`, `SLOWEST_TURN` and `UNSEEN_TURN` of odds;
+  `SLOPE_PER_SIGMA`, `SENSITIVITY_SD` and `TURN_ON` (bank); `SCALE_SD` (place); and `BIAS_WALK` (motion).
 """

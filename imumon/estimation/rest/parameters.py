@@ -26,8 +26,8 @@ class RestParameters(StrictModel):
         Fastest change of an accelerometer's bias that is still rest, m/s³; a slower tilt than accel_drift / g
         (32 deg/h by default) cannot be distinguished from it.
     undecided_s : float
-        A steady gyro mean that differs from that of the last rest is a turn about the vertical for so long,
-        and bias from then on, if it differs by no more than largest_jump and nothing decides before.
+        A rate that P(turn) takes for a turn becomes bias when it has lasted so long, if neither gravity nor
+        heading shows a turn, and it differs from the last bias by no more than largest_jump.
     largest_jump : float
         Largest change of a gyro's bias within one run of the unit, rad/s.
     """

@@ -6,8 +6,8 @@ L = 1, 2, 4 ... 64, and of the L slots before them may differ by D, summed over 
 
     sum max(|D| - drift L dt, 0)² / (2 max(v / L, q²)) <= 42,    dt = 1/4 s
 
-q², `QUIET_VARIANCE`, is always quiet.  While v is not known, a *trial* of 16 slots finds it.  No bias is
-needed: whether a steady mean is the bias or a turn is decided by `odds`.
+q², `QUIET_VARIANCE` and that of rounding, is always quiet.  While v is not known, or after an unquiet second,
+a *trial* of 16 slots finds it.  Whether a steady mean is the bias or a turn is decided by `odds`.
 """
 
 from dataclasses import dataclass, field
@@ -56,7 +56,7 @@ SLOWER = 16.0
 """In a trial: largest variance of slot means over the variance that their samples explain: a hand is slow
 within a slot and fast between slots."""
 ROAD = np.array([2.5e-3, 0.021])
-"""In a trial: largest rms of slot means, rad/s and m/s².  No sensor is noisier (0.1 °/s/√Hz, 1.5 mg/√Hz)."""
+"""In a trial: largest rms of slot means, rad/s, m/s²: of sensors (0.1 °/s/√Hz, 1.5 mg/√Hz), not of roads."""
 NOISE_CHANGE = 2.5
 """Factor of the variance from which on a trial has found another noise.  Assumed."""
 
@@ -107,10 +107,11 @@ class QuietDetector:
         """Largest error of a mean by rounding to steps of the sensor, (6,).
 
         With noise of variance v, in steps squared, it is at most exp(-2 π² v) half steps; the amplitude is
-        1/π of a step (Widrow), half a step without noise.  Readings that are all equal show no step: they may
-        have any, up to `UNSEEN_STEP`.
+        1/π of a step (Widrow), half a step without noise.  Readings that are all equal may have any step up
+        to `UNSEEN_STEP`.
         """
-        step = np.where((self.step == 0.0) & (self.sample_noise < NO_NOISE), UNSEEN_STEP, self.step)
+        unseen = self.present & (self.step == 0.0) & (self.sample_noise < NO_NOISE)
+        step = np.where(unseen, UNSEEN_STEP, self.step)
         noise = np.maximum(self.sample_noise / (step**2 + 1e-24) - 1.0 / 12.0, 0.0)
         return np.asarray(0.5 * step * np.exp(-2.0 * np.pi**2 * noise))
 
@@ -230,8 +231,8 @@ class QuietDetector:
         within = np.array([one.variance for one in self.latest])
         enough = np.isfinite(within).all(0) & (count >= 3.0)
         samples = np.where(enough, within.mean(0), noise * count)
-        # A variance below `least` is always that of rest: QUIET², or 9 times the known noise if that is less,
-        # and that of rounding.
+        # A variance below `least` is always that of rest: QUIET_SD², or 9 times the known noise if that is
+        # less, and that of rounding.
         least = (np.minimum(QUIET_SD**2, 9.0 * self.noise) if self.noise_slots else QUIET_SD**2) + self.floor
         longer = [mean.reshape(-1, length, AXES).mean(1).var(0, ddof=1) for length in (4, 8)]
         ratio = np.array(longer) / np.maximum([noise / 4.0, noise / 8.0], least)
@@ -240,7 +241,7 @@ class QuietDetector:
         second = np.diff(mean, 2, axis=0) ** 2 / np.maximum(noise, least)
         first, last = (half.reshape(-1, 2, 3).sum((0, 2)) for half in (second[:7], second[7:]))
         uneven = np.maximum(first, last) > HALVES * np.minimum(first, last) + HALVES_OFFSET
-        # Single samples are as loud as they are, and a gyro may be noisy: its samples are then white.
+        # Slots of one or two samples may be loud, and so may a gyro whose samples are white.
         loud = np.maximum(mean.var(0), noise).reshape(2, 3).mean(1) > ROAD**2
         road = loud & (count.reshape(2, 3).max(1) >= 3.0)
         white = (noise * count < 1.5 * samples) & (np.arange(AXES) < ACCEL.start)

@@ -29,7 +29,7 @@ from imumon.filters.slots import SlotGatherer, Slots
 from imumon.pipeline import Estimator
 
 SLOT_NS = 31_250_000
-"""Half of the shortest slot over which a stage integrates rotations."""
+"""An eighth of the shortest slot over which a stage integrates rotations."""
 SUSPECT = 2.0
 """A standard normal value exceeds this in magnitude with a probability of 5 %."""
 MEDIAN = 0.6745

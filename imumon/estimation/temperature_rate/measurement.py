@@ -130,8 +130,8 @@ def _one_code(
 ) -> list[Correction]:
     """Confine y to the code (8).
 
-    All n readings are in it, so the most extreme noise of n was: of the median s Φ⁻¹(2^(-1/n)), by which the
-    edges move in, and of a variance of about s²/(1 + 2 ln n) (extremes of normals), by which they are soft.
+    All n readings are in it, so was the most extreme noise of n.  Its median is s Φ⁻¹(2^(-1/n)), by which the
+    edges move in; its variance about s²/(1 + 2 ln n) (extremes of normals), by which they are soft.
 
     `renewed` is the part of the slow error that is new: to that part, a code that stays is new evidence.
     Returns what enters the states, and all that the code shows.

@@ -3,9 +3,9 @@
 When the filter is right, an innovation over its standard deviation, v, is standard normal whatever came
 before.  So for every regressor r that is known before v the factor::
 
-    e = exp(theta r v - theta |r| tolerance - theta² r² kappa / 2)                  (1)
+    e = exp(theta r v - |theta r| tolerance - theta² r² kappa / 2)                  (1)
 
-has an expectation of at most one, given the past, as long as the mean of v is within tolerance |r| of zero
+has an expectation of at most one, given the past, as long as the mean of v is within tolerance of zero
 and its variance within kappa.  A CUSUM of log e, max(0, m) + log e, is below the logarithm of the
 Shiryaev-Roberts sum, which less the number of steps is a supermartingale: the mean number of steps until m
 exceeds log A is A at least.  Of K such tests the limit log(K A) keeps that mean.  See Pollak 1985 for the
@@ -37,7 +37,7 @@ LEARNING = 20
 CLIP = 4.0
 """An innovation counts as no more than this many standard deviations: a knock is no effect."""
 TOLERANCE, KAPPA = 0.03, 1.1
-"""Mean of an innovation per unit of a regressor, and variance, that are still as the filter expects."""
+"""Mean and variance of an innovation that are still as the filter expects."""
 THETAS = (0.12, 0.35, 1.0, -0.12, -0.35, -1.0)
 """Means that are tested for, per unit of a regressor; the best is at most 1.7 times off in between."""
 LAMBDAS = np.array([0.1, 0.3])

@@ -138,3 +138,12 @@ def test_a_heading_that_a_sway_hides_is_not_blamed_on_the_gyros_alone() -> None:
     assert stage.status.to_go_text.endswith("or slow motion of the unit")
     (notice,) = stage.notices()
     assert "or the unit sways" in notice
+
+
+def test_a_record_that_never_has_a_fit_is_not_observable_either() -> None:
+    # Slower than the noise shows as motion, and it changes all the time.
+    creep = 3.8e-3 * np.cos(2.0 * math.pi / 30.0 * _time(120.0))
+    stage, _ = aligned(_shaken(120.0, np.outer(creep, [0.0, 0.0, 1.0])))
+    assert not stage.status.estimates
+    assert texts(stage)["alignment"] == "not observable"
+    assert any("creeps" in text for text in stage.notices())

@@ -102,3 +102,31 @@ def test_a_unit_that_was_turned_in_a_gap_has_another_earth_rate_in_its_bias() ->
     added = RestAndBias(mode="standard").process(block)
     z = (vector(added) - bias)[6000:] / vector(added, "gyro_bias_sd")[6000:]
     assert np.abs(z).max() < 5.0
+
+
+def test_gyros_that_are_silent_may_have_missed_a_turn() -> None:
+    block, _ = record(Truth(RATE_HZ, arw=ARW / 100.0, flicker=0.01 * DPH), 150.0, 1)
+    t = np.arange(len(block)) / RATE_HZ
+    silent = (t >= 60.0) & (t < 120.0)
+    gyros = {f"gyro_{axis}": np.where(silent, np.nan, block[f"gyro_{axis}"]) for axis in "xyz"}
+    sd = vector(RestAndBias().process(block.with_columns(gyros)), "gyro_bias_sd")
+    assert (sd[round(119.0 * RATE_HZ), :2] > EARTH_RATE / 2.0).all()
+
+
+def test_a_gyro_that_is_silent_has_no_error_by_rounding() -> None:
+    block, _ = record(Truth(RATE_HZ), 120.0, 1)
+    t = np.arange(len(block)) / RATE_HZ
+    block = block.with_columns({"gyro_z": np.where(t >= 60.0, np.nan, block["gyro_z"])})
+    turn = RestAndBias().process(block)["turn_hypothesis_z"]
+    assert abs(turn[-1]) < 10.0 * DPH
+
+
+def test_a_yaw_turns_no_rest_that_is_given_into_a_turn() -> None:
+    block, _ = record(Truth(RATE_HZ), 60.0, 1)
+    t = np.arange(len(block)) / RATE_HZ
+    at_rest = np.ones(len(t), np.int64)
+    drifting = {"gyro_z": block["gyro_z"] + 0.01, "yaw": 0.01 * t, "at_rest": at_rest}
+    stage = RestAndBias(GIVEN)
+    added = stage.process(block.with_columns(drifting))
+    assert stage.unrest == ""
+    assert added["gyro_bias_sd_z"][-1] < 30.0 * DPH
