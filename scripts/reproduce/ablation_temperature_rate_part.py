@@ -21,7 +21,7 @@ from imumon.estimation.temperature_rate.filter import (
 )
 from imumon.estimation.temperature_rate.measurement import evaluate
 from imumon.estimation.temperature_rate.stage import MultipleModelRate
-from imumon.estimation.temperature_rate.thermometer import Slot, Thermometer
+from imumon.estimation.temperature_rate.thermometer import Thermometer
 
 TITLE = "Rate of temperature: kinds of thermometers, and a measured record in steps of 0, 1/16, 0.5 and 1 °C."
 FLOOR = 0.1
@@ -72,10 +72,6 @@ def _nothing(*_: Any) -> float:
     return 0.0
 
 
-def _count(_: Thermometer, slot: Slot) -> float:
-    return float(slot.count)
-
-
 def _entering_only(*given: Any) -> tuple[Correction, Correction]:
     entering, _ = evaluate(*given)
     return entering, entering
@@ -89,7 +85,7 @@ VARIANTS: dict[str, Change] = {
     "a code that does not enter does not confine the output": [(stage, "evaluate", _entering_only)],
     "the scatter of readings is no evidence": [(measurement, "_scatter", _nothing)],
     "σ of a model exact": [(measurement, "SIGMA_ERROR", 0.0)],
-    "all readings independent": [(Thermometer, "independent", _count)],
+    "all readings independent": [(Thermometer, "independence", property(lambda _: 1.0, lambda *_: None))],
     "no repeats known by a leap": [(Thermometer, "leaps", _never)],
     "no repeats known": [(thermometer, "MOST_REPEAT_S", 0.0)],
     "7 white sigmas, not 13": _noise((*_white((0.02, 0.06, 0.12, 0.2, 0.28, 0.36, 0.45)), *SLOW_CODES)),
