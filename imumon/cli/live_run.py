@@ -197,8 +197,8 @@ def single_keys() -> Iterator[Callable[[], str] | None]:
     as it was.
     """
     terminal = sys.stdin.fileno() if sys.stdin is not None and sys.stdin.isatty() else -1
-    in_front = False
-    with suppress(OSError):  # there is no terminal, or it is that of another session
+    in_front = terminal >= 0
+    with suppress(OSError):  # there is no terminal, or one that controls no job
         in_front = os.tcgetpgrp(terminal) == os.getpgrp()
     if not in_front:
         yield None
