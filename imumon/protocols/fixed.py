@@ -95,7 +95,10 @@ class NumberField(StrictModel):
         if not 0 < abs(_fraction(self.scale)) < LARGEST_NUMBER:
             raise ValueError(f"scale {self.scale} is not a reasonable number")
         for name in self.names:
-            self.scaled(name)
+            try:
+                self.scaled(name)
+            except ValueError as error:
+                raise ValueError(f"{name}: {error}") from error
         return self
 
     def scaled(self, name: str) -> tuple[Column, float, float]:

@@ -214,7 +214,7 @@ def time_parser(unit: str, date_format: str | None = None) -> ParseTime:
                 raise ValueError
             else:
                 time_ns = int((Decimal(text) * scale).to_integral_value())
-        except (ValueError, InvalidOperation, re.error) as error:  # strptime: a directive is there twice
+        except (ValueError, InvalidOperation) as error:
             raise ValueError(f"time {text.strip()!r} is not {expected}") from error
         except ArithmeticError:
             time_ns = 2**63

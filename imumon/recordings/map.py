@@ -1,5 +1,6 @@
 """The map of a foreign table: which column is what, in which unit.  Described in docs/import-map.md."""
 
+import re
 from collections import Counter
 from datetime import UTC, datetime
 from fractions import Fraction
@@ -45,7 +46,10 @@ MOMENT = datetime(2026, 1, 31, 13, 14, 15, tzinfo=UTC)
 def _check_format(text: str) -> str:
     if "%Z" in text:
         raise ValueError("%Z: the name of a zone does not give its offset; %z is +01:00")
-    parsed = datetime.strptime(MOMENT.strftime(text), text).replace(tzinfo=UTC)
+    try:
+        parsed = datetime.strptime(MOMENT.strftime(text), text).replace(tzinfo=UTC)
+    except re.error as error:
+        raise ValueError(f"{text!r} has a directive twice") from error
     if parsed not in (MOMENT, MOMENT.replace(1900, 1, 1)):
         raise ValueError(
             "a format has hours, minutes and seconds, and a whole date or none: %d.%m.%Y %H:%M:%S.%f"
