@@ -131,4 +131,4 @@ def test_the_names_of_columns_are_no_formulas(tmp_path: Path) -> None:
     path = tmp_path / "t.csv"
     with TableWriter(path, {name: Column(name, "1"), "b": Column("b", "1")}) as table:
         table.write(SampleBlock({name: np.array([1.0]), "b": np.array([2.0])}))
-    assert path.read_text().splitlines() == ['"\'=HYPERLINK(evil,1)",b', "1,2"]
+    assert path.read_text().splitlines() == ['"\'=HYPERLINK(evil,1)",b', "1.0,2.0"]

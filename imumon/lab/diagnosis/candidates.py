@@ -355,8 +355,17 @@ class Channel:
 
 
 def least_squares(columns: FloatArray, values: FloatArray) -> FloatArray:
-    """Return the coefficients of ordinary least squares, the smallest where columns are collinear, of values
-    (n,), or (n, m): of the identity, those of each value, the pseudo-inverse."""
+    """Return the coefficients of ordinary least squares, the smallest where columns are collinear."""
+    norm = _norms(columns)
+    return np.asarray(np.linalg.lstsq(columns / norm, values, rcond=1e-10)[0] / norm)
+
+
+def pseudo_inverse(columns: FloatArray) -> FloatArray:
+    """Return the matrix that gives these coefficients of values, (k, n); columns may have any unit."""
+    norm = _norms(columns)
+    return np.asarray(np.linalg.pinv(columns / norm, rcond=1e-10) / norm[:, np.newaxis])
+
+
+def _norms(columns: FloatArray) -> FloatArray:
     norm = np.linalg.norm(columns, axis=0)
-    norm = np.where(norm > 0, norm, 1.0)
-    return np.asarray((np.linalg.lstsq(columns / norm, values, rcond=1e-10)[0].T / norm).T)
+    return np.asarray(np.where(norm > 0, norm, 1.0))

@@ -16,7 +16,7 @@ from scipy.linalg import solve_triangular
 from imumon.blocks import BoolArray, FloatArray, IntArray
 from imumon.effects.base import Effect, Survey
 from imumon.lab.diagnosis.blocks import RunBlocks
-from imumon.lab.diagnosis.candidates import Candidate, Channel, Part, least_squares
+from imumon.lab.diagnosis.candidates import Candidate, Channel, Part, least_squares, pseudo_inverse
 from imumon.lab.diagnosis.likelihood import Likelihood
 
 CARRY_SPREAD = 0.35
@@ -274,7 +274,7 @@ def sigmas(
     noise = likelihood.maximum(channel.y, design)[1]
     whitened, _ = likelihood.whitened(np.column_stack([design, slopes, channel.y]), noise)
     columns, y = whitened[:, :-1], whitened[:, -1]
-    inverse, pinv_a = (least_squares(each, np.eye(len(y))) for each in (columns, design))
+    inverse, pinv_a = pseudo_inverse(columns), pseudo_inverse(design)
     freedom = max(len(y) - columns.shape[1], 1)
     s = float(np.sqrt(np.sum((y - columns @ (inverse @ y)) ** 2) / freedom))
     m = inverse[design.shape[1] :]
