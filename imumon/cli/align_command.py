@@ -21,7 +21,7 @@ HOPELESS_S = 120.0
 LONGEST_S = 300.0
 """Longest time in one of several positions."""
 DONE = "done"
-"""The last instruction."""
+"""The last instruction: the result is there, or will not come."""
 
 
 @click.command("align")
@@ -159,7 +159,7 @@ def _live(live: PortRun, positions: int, patient: bool) -> "Pipeline":
                 live.lines.write()
                 line.update(_progress(stage.status, text))
                 before, text = text, instruction(stage.status, positions, text, patient)
-                if text != before:
+                if text not in (before, DONE):  # the result follows
                     common.note(text)
     finally:
         summary = live.run.stop()

@@ -151,7 +151,7 @@ class Lines(lines.Lines):
 
 
 SCREEN_S = 1.0
-"""How often a screen is drawn: some 2 kB."""
+"""How often a screen is drawn, s; it is some 2 kB."""
 
 
 def watch(

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
 
@@ -28,6 +28,7 @@ from imumon.models.model import UNITS, BiasModel, ChannelModel, TrainedOn
 from imumon.recordings.reduced import ACCEL, GYRO
 from imumon.version import __version__
 
+Name = TypeVar("Name", bound=str)
 Progress = Callable[[str], None]
 """Takes what is being done now."""
 MANY_LEVELS = 6
@@ -249,7 +250,7 @@ def _one_way(cells: Cells) -> bool:
     return True
 
 
-def _common(names: Sequence[str | None]) -> Any:
+def _common(names: Sequence[Name | None]) -> Name | None:
     known = {name for name in names if name is not None}
     return known.pop() if len(known) == 1 else None
 
