@@ -13,7 +13,7 @@ from array import array
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from fractions import Fraction
-from functools import lru_cache, partial
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -22,7 +22,7 @@ from imumon.blocks import IntArray
 from imumon.columns import KNOWN
 from imumon.protocols import vectornav_fields as tables
 from imumon.protocols.base import LONGEST_PACKET, MAIN, ByteArray, Encoder, Timing, chosen
-from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, Checksum, Found, Frame, counted_length
+from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, Checksum, Found, Frame, counted_length, windows
 from imumon.protocols.messages import Alike, Message, TableDecoder, field
 from imumon.protocols.numbers import Number, Record
 from imumon.protocols.text import line_frame, sentence_body, texts
@@ -86,22 +86,41 @@ def _contents(packet: bytes) -> Contents | int:
     return Contents(tuple(fields), at, end) if items else IMPOSSIBLE
 
 
-def _length(packet: bytes) -> int:
-    found = read_contents(packet)
-    return found.end + 2 if isinstance(found, Contents) else found
+def _in_word(group: int, bit: int) -> tuple[int, int, int]:
+    """Return bytes of a field, whether it is not known, and whether its length depends on what follows."""
+    if bit == 15 and group != tables.COMMON:
+        return 0, 0, 1  # another word follows
+    item = tables.BY_PLACE.get((group, bit))
+    return (0, 1, 0) if item is None else (item.size, 0, item.name in tables.REPEATS)
 
 
-_remembered = lru_cache(_length)
+IN_WORD = {group: np.array([_in_word(group, bit) for bit in range(16)], float) for group in range(1, 8)}
+"""For each bit of the word of a group what `_in_word` returns, (16, 3); reals are multiplied faster."""
+NOT_KNOWN_SECOND = 0xFF & ~(1 << tables.GNSS3 - 8)
+"""Bits of a second group byte that nobody knows."""
 
 
 def _lengths(held: ByteArray, at: IntArray) -> IntArray:
     """Return the length of the packet at each place; see `framing.Lengths`."""
-    data, result = held.tobytes(), np.empty(len(at), np.int64)
-    for k, start in enumerate(at.tolist()):
-        words = data[start + 1].bit_count() if start + 1 < len(data) else 0
-        length = _remembered(data[start : start + 2 + 2 * words])  # which is mostly the whole header
-        result[k] = _length(data[start : start + LONGEST_PACKET]) if length == INCOMPLETE else length
-    return result
+    groups, second = (np.append(held, np.zeros(2, np.uint8))[at + k] for k in (1, 2))
+    place, total = at + 2, np.zeros((len(at), 3))
+    is_cut = place > len(held)
+    for group, in_word in IN_WORD.items():
+        there = np.flatnonzero(groups >> group - 1 & 1)
+        is_cut[there] |= place[there] + 2 > len(held)
+        there = there[~is_cut[there] & (total[there, 2] == 0.0)]
+        bits = np.unpackbits(windows(held, place[there], 2), axis=1, bitorder="little")
+        total[there] += bits.astype(np.float64) @ in_word
+        place[there] += 2
+    size, unknown, more = total.astype(np.int64).T
+    length = np.where(is_cut, INCOMPLETE, place - at + size + 2)
+    length[(unknown > 0) | (~is_cut & (size == 0)) | (length > LONGEST_PACKET)] = IMPOSSIBLE
+    hopeless = (groups > 0x7F) & (second & NOT_KNOWN_SECOND > 0) & (at + MOST_HEADER + 4 <= len(held))
+    length[hopeless] = IMPOSSIBLE
+    for k in np.flatnonzero(np.where(groups > 0x7F, ~hopeless, (more > 0) & (unknown == 0))).tolist():
+        found = read_contents(held[at[k] : at[k] + LONGEST_PACKET].tobytes())
+        length[k] = found.end + 2 if isinstance(found, Contents) else found
+    return length
 
 
 XMODEM = Checksum("crc16-xmodem", first=1, big=True)
