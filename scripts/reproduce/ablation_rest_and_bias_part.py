@@ -38,6 +38,7 @@ VARIANTS: dict[str, Change] = {
     "no test by gravity": [(odds, "OBLIQUE", 1e9)],
     "a vague prediction does not explain a rate": [(odds, "nominal_bias", lambda *_: 0.0)],
     "rest after one second, however short the last rests": [(quiet, "SHORT_RESTS", 10**9)],
+    "no turn may hide in the first rest": [(odds, "hidden_turn", lambda *_: np.zeros(3))],
 }
 
 
@@ -50,6 +51,7 @@ def outcomes(seeds: range, data: Path) -> Iterator[Outcome]:
             yield _outcome(f"{name}, {grade}", [_turned(turn, which, seed) for seed in seeds])
     yield _outcome("0.5 °/s about a level axis, noisy", [_turned(LEVEL, NOISY, seed) for seed in seeds])
     yield _outcome("walk of 6 °/h/√s at rest", [_walking(seed) for seed in seeds])
+    yield _outcome("0.2 °/s for 1.5 s after a restart", [_restarted(seed) for seed in seeds])
     for path in sorted((data / "broad").glob("*.npz")):
         error, ratio, _ = bias_errors(path)
         yield _outcome(path.stem, [(error, ratio)])
@@ -81,9 +83,24 @@ def _walking(seed: int) -> tuple[FloatArray, FloatArray]:
     return _once_a_second(samples, walk, rate_hz)
 
 
-def _once_a_second(samples: SampleBlock, truth: FloatArray, rate_hz: float) -> tuple[FloatArray, FloatArray]:
+def _restarted(seed: int) -> tuple[FloatArray, FloatArray]:
+    """Return the same, each quarter second, of a resting unit that restarts and then turns for 1.5 s."""
+    rng, n, rate_hz = np.random.default_rng(seed), 1500, 50.0
+    again = np.arange(n) >= n // 3
+    t = (np.arange(n) - n // 3 * again) / rate_hz
+    gyro = 3e-5 * np.sqrt(rate_hz) * rng.standard_normal((n, 3))
+    gyro[again & (t < 1.5), 2] += np.radians(0.2)
+    accel = 0.02 * rng.standard_normal((n, 3)) + [0.0, 0.0, 9.81]
+    samples = sent(t, gyro=gyro, accel=accel).with_columns({"segment": again.astype(np.int64)})
+    samples = samples.with_columns(RestAndBias().process(samples))
+    return _once_a_second(samples, np.zeros((n, 3)), rate_hz / 4.0, 0.0)
+
+
+def _once_a_second(
+    samples: SampleBlock, truth: FloatArray, rate_hz: float, first_s: float = FIRST_S
+) -> tuple[FloatArray, FloatArray]:
     """Return error and error over sigma of the bias after the first minute."""
-    at = slice(round(FIRST_S * rate_hz), None, round(rate_hz))
+    at = slice(round(first_s * rate_hz), None, round(rate_hz))
     bias, sd = (
         np.column_stack([samples[f"{name}_{axis}"] for axis in "xyz"])[at]
         for name in ("gyro_bias", "gyro_bias_sd")

@@ -61,7 +61,8 @@ def ablation(
         most = 2 if given.quick else None
         base = list(islice(outcomes(given.seeds, given.data), most))
         rows = [row("none", base, base)]
-        for name, change in islice(variants.items(), most):
+        chosen = {name: change for name, change in variants.items() if given.only in name}
+        for name, change in islice(chosen.items(), most):
             with changed(change):
                 rows.append(row(name, list(islice(outcomes(given.seeds, given.data), most)), base))
         seeds = f"  Seeds {given.seeds[0]} to {given.seeds[-1]}."

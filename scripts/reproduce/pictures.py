@@ -218,7 +218,7 @@ def steps() -> list[Axes]:
         name = f"{label}: {score.rms / DEG_PER_H:.2g} °/h rms"
         test.plot(last.time_s / 60.0, score.predicted_residual[0] / DEG_PER_H, style, ms=4, label=name)
     floor = verdict.channel.floor.sd / DEG_PER_H
-    titles = ("1 minus the best curve", "2 the same over time", "3 unused recording S3")
+    titles = ("1: error of the best curve", "2: the same over time", "3: unused recording S3")
     for one, title in zip((loop, effect, test), titles, strict=True):
         one.axhspan(-floor, floor, color="0.85", zorder=0, label="white noise, ±1σ")
         one.set(title=title, xlabel="minutes since power-on")

@@ -72,7 +72,11 @@ def allan_curve() -> list[Axes]:
     figure = Figure(figsize=(8.0, 4.6), dpi=100)
     panel = figure.subplots()
     panel.loglog(tau_s, np.sqrt(white**2 + flat**2 + walk**2), color="C0", lw=2.5, label="Allan deviation")
-    parts = {"white noise": (white, "C1"), "flicker": (flat, "C2"), "random walk": (walk, "C3")}
+    parts = {
+        "angle random walk": (white, "C1"),
+        "bias instability": (flat, "C2"),
+        "rate random walk": (walk, "C3"),
+    }
     for name, (values, color) in parts.items():
         panel.loglog(tau_s, values, color=color, linewidth=1.0, linestyle="--", label=name)
     panel.plot([3600.0], [ARW], "o", color="C1")

@@ -169,7 +169,7 @@ def parser_of(
         "--seeds", "--repeat", type=int, default=study.seeds, help="runs of each scene (%(default)s)"
     )
     parser.add_argument("--first", type=int, default=study.first, help="first seed (%(default)s)")
-    parser.add_argument("--only", default="", help="scenes with this text in their name")
+    parser.add_argument("--only", default="", help="scenes, or changes, with this text in their name")
     parser.add_argument("--data", type=Path, default=data, help="folder of the measured recordings")
     parser.add_argument("--jobs", type=int, default=2, help="processes, where a study has some (%(default)s)")
     parser.add_argument("--quick", action="store_true", help="the first of everything, in seconds")
