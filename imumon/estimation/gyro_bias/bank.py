@@ -191,8 +191,7 @@ class Bank(States):
         """Return filters after the first measurement, before which nothing is known of the bias.
 
         `noise` are declared σ, rad/√s, B, rad/s, and K, rad/s/√s, (3,) each, or None; `slopes` standard
-        deviations of the slope over σ, 1/°C; `white` is the σ² that is measured, of the mean rate of a
-        second, (rad/s)², (3,).
+        deviations of the slope over σ, 1/°C; `white` is σ² as measured, (rad/s)², (3,).
         """
         (sigma, b, k), count = noise, PRIOR_COUNT
         if sigma is not None:

@@ -1,8 +1,7 @@
 """Slot by slot: is the unit at rest, and what is the bias?
 
-`imumon.estimation.rest.quiet` detects whether anything moves, without a bias.  Of each quiet second
-`hypotheses` decides whether its mean rate is the bias, a changed bias or a turn, and `bank` filters the bias.
-While the unit moves, the variance of the bias grows with time, temperature, gaps and turns against the earth.
+The words are those of `imumon.estimation.rest`.  While the unit moves, the variance of the bias grows with
+time, temperature, gaps and turns against the earth.
 """
 
 import math
@@ -79,7 +78,7 @@ class Estimator:
         degc = slot.mean[DEGC]
         self.degc = np.where(np.isfinite(degc), degc, self.degc)
         self._widen(self.thermal.variance(degc, slot.mean[POWER_ON_SD], np.zeros(3)))
-        self.quiet.update(slot, self.limits.drift)
+        self.quiet.update(slot, np.repeat([self.limits.gyro_drift, self.limits.accel_drift], 3))
         if not self.quiet.present[GYRO].all():
             self.attitude.lost = True
             return innovation
@@ -129,8 +128,9 @@ class Estimator:
         return np.maximum(self.quiet.noise * covered_s, LEAST_WHITE)
 
     def _accel_noise(self) -> float:
-        """Return the variance of the mean force of a second, (m/s²)²; infinite without accelerometers."""
-        return float(self._noise()[ACCEL].max()) if self.quiet.present[ACCEL].all() else math.inf
+        """Return the variance of the mean force of a second, (m/s²)²; ∞ if any of 16 slots lacks it."""
+        known = np.isfinite([one.mean[ACCEL] for one in self.quiet.latest]).all()
+        return float(self._noise()[ACCEL].max()) if known else math.inf
 
     def _measurement(self, slots: Sequence[Slot]) -> Measurement:
         covered, last = np.array([one.covered_s for one in slots]), slots[-1]
@@ -215,11 +215,9 @@ class Estimator:
         return np.asarray(innovation / np.sqrt(variance))
 
     def output(self, now_s: float) -> LinearBias:
-        """Return the bias from a time on.
+        """Return the bias from a time on, and the parts of its variance that `imumon.estimation.rest` lists.
 
-        The reported variance has these parts: the states of all modes, with what `_widen` has added, flicker
-        of single samples, the unknown part of the earth rate, a turn that may hide in the first rest, and the
-        square of the turn hypothesis (added by the stage), which contains the largest error by rounding.
+        The square of the turn hypothesis, which contains the error by rounding, is added by the stage.
         """
         if self.hypotheses is None:
             terms, covariance = np.zeros((3, 4)), np.zeros((3, 4, 4))

@@ -1,7 +1,7 @@
 """The mean rate of a quiet second: the bias as before, a changed bias, or a turn?
 
 There are three copies of the filters.  The *present* one has learned everything up to now, the *test copy*
-until up to 16 s ago, and the *nominal* one before the present rate began.  The first row that holds counts:
+until up to 16 s ago, and the *nominal* one before the present rate began.  The first row that holds decides:
 
 =================  =================================  ================================================
 the mean fits      that is                            what follows

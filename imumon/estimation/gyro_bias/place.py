@@ -1,8 +1,7 @@
 """Attitude of a unit against the earth, as far as the bias needs it: up at rest, and turns in between.
 
 At rest the specific force shows where up is.  While the unit moves, the gyros follow the attitude sample by
-sample (`imumon.filters.turns`): that keeps north, or bounds how much of the earth rate that is taken for bias
-has turned.
+sample (`imumon.filters.turns`): that keeps north, or bounds what of the earth rate in the bias has turned.
 """
 
 import math
@@ -71,8 +70,7 @@ class Attitude:
     def come_to_rest(self, force: FloatArray, prediction: Prediction | None) -> FloatArray:
         """Take the attitude of a new rest; return what that adds to the variance of the bias, (rad/s)², (3,).
 
-        The mean specific force, m/s², is NaN or zero where not known; the prediction of the bias is None
-        before the first rest.
+        The mean specific force, m/s², is NaN or zero where not known; the prediction is None at first.
         """
         added, size = self._turned_earth(), float(np.linalg.norm(force))
         if size > 0.0:

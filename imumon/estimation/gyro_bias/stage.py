@@ -49,8 +49,7 @@ class RestAndBias:
     quarter of a second; a single sample far from the mean ends it at that sample.
 
     ``turn_hypothesis_{x,y,z}`` is the difference between a steady turn and a changed bias, rad/s, times the
-    root of the probability of what is not shown; and the largest error by rounding.  Its square is in the
-    variance of the bias.
+    root of the probability of what is not shown; and the error by rounding.  Its square is in the variance.
 
     ``gyro_bias_{x,y,z}`` is the bias of the raw rate, with what is not known of the earth rate: all of it, or
     without a heading its level part.  It is NaN until the unit was at rest for some seconds, or for a minute
@@ -65,11 +64,9 @@ class RestAndBias:
     mode : "standard", "thermal" or "learned"
         standard: the bias is a random walk with flicker noise, of data that the model, if there is one, has
         calibrated.  thermal: raw data, and the model's increments are added to the bias (TCZUPT; with the
-        same noise these two are one filter).  learned: the slope over temperature is estimated as well, and
-        used where the evidence is for it.
+        same noise these two are one filter).  learned: the slope is estimated, and used where it is evident.
     latitude_deg, heading_deg : float or None
-        Of the place, and of the body's x axis (where that is vertical: of -z) at the first rest, clockwise
-        from north.
+        Of the place, and of the body's x axis (if vertical: -z) at the first rest, clockwise from north.
     rest : RestParameters or None
         What a resting unit may do.
     """
@@ -133,8 +130,8 @@ class RestAndBias:
         self._trail.add(temperature[slots.row], bias[slots.row])
         vectors = bias, sd, readings[:, GYRO] - bias, innovation, bias - curve, sd
         columns = [rest, *turn.T, *(axis for vector in vectors for axis in vector.T)]
-        added = dict(zip((column.name for column in (*REST, *BIAS)), columns, strict=True))
-        return {column.name: added[column.name] for column in self.columns}
+        # A detector of rest alone has the first of them.
+        return dict(zip((column.name for column in self.columns), columns, strict=False))
 
     def _estimate(
         self, block: SampleBlock, slots: Slots, readings: FloatArray, temperature: FloatArray

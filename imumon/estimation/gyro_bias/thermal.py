@@ -51,8 +51,7 @@ class Thermal:
     def restart(self) -> None:
         """Count the variance from now on."""
         self._mark_degc = self._power_on_sd = np.full(3, np.nan)
-        """Temperature up to which the random walk has been counted, and sd of the state at power-on when it
-        was first known, rad/s, (3,)."""
+        """Temperature up to which the walk is counted, °C, and first sd of the state at power-on, rad/s."""
         self._beyond_degc = self._faded = np.zeros(3)
         """Farthest outside of the calibrated range, °C, and variance by what has faded, (rad/s)², (3,)."""
 
@@ -141,8 +140,7 @@ class BiasTrail:
                 self._points, self._every = self._points[::2], 2 * self._every
 
     def charts(self) -> list[Chart]:
-        """Return the chart of the bias, and with a model that of the bias less its curve; none without
-        data."""
+        """Return charts of the bias and, with a model, of the bias less its curve; none without data."""
         if not self._points:
             return []
         degc, bias = np.hsplit(np.array(self._points), 2)

@@ -1,27 +1,28 @@
 """P(turn): is a steady rate a turn, or the bias?  A Bayesian test of one hypothesis against three others.
 
-The rate differs by the vector d from the nominal bias; |d| is its size.  Each o is the odds of an explanation
-over a turn, by the prior and the gyros; each Λ is the likelihood ratio of no turn over a turn, by another
-sensor::
+The present bias differs by the vector d, of size |d|, from the nominal bias, which is predicted as if nothing
+had changed (see `imumon.estimation.rest`).  In this *odds table* o is the odds of an explanation over a turn,
+by the prior and the gyros, and Λ the likelihood ratio of no turn over a turn, by another sensor::
 
     P(turn) = 1 / (1 + Λ_gravity Λ_heading (o_changed + o_nominal + o_first))
 
     o_changed = 2 D c / (π (|d|/50 + 50/|d|) (1 + n))       the bias has changed: half-Cauchy of 50 °/h, and
-                                                            prior odds of 1 : 1 + n after n changes before
-                                                            it: a hand changes its rate more often than a bias
+                                                            prior odds of 1 : 1 + n, as a hand changes its
+                                                            rate more often than a bias
     o_nominal = 2 N(|d|; 0, σ²) |d| D c                     nothing has changed: the nominal bias is vague
-    o_first   = 0.05 (size of the first rate / of this)³    the first rest was a turn, and this is the bias
-                                                            (with the earth rate in both; after a change only)
+    o_first   = 0.05 (size of the first rate / of this)³    the first rest was a turn, and this is the bias;
+                                                            0 until the rate has changed
 
     Λ_gravity = 2 / (1 + r)                                 a turn about a tilted axis tilts the unit by its
                                                             angle; r is the ratio of such a turn over no turn
     Λ_heading = 1 / (0.95 r + 0.05)                         a turn turns magnetometer or yaw by its angle,
                                                             unless one is stuck or iron is near
 
-Turns are log-uniform from 36 °/h (0.01 °/s) to 300 °/s, so their density is 1/(D |d|), D = ln(30000); slower
-ones are rare: c = 1 + (36/|d|)² divides their density.  σ² is the variance of d along its direction.  |d| and
-σ are in °/h here.  When the rate has lasted for `undecided_s` it is no turn, unless Λ_gravity Λ_heading is
-below e⁻² or |d| above `largest_jump`.
+n is how often the rate had changed before, since a measurement fitted the nominal bias (`Hypotheses.changes`
+less one).  Turns are log-uniform from 36 °/h (0.01 °/s) to 300 °/s, so their density is 1/(D |d|), D =
+ln(30000); slower ones are rare: c = 1 + (36/|d|)² divides their density.  σ² is the variance of d along its
+direction.  |d| and σ are in °/h here.  When the rate has lasted for `undecided_s` it is no turn, unless
+Λ_gravity Λ_heading is below e⁻² or |d| above `largest_jump`.
 """
 
 import math
@@ -36,16 +37,17 @@ from imumon.geodesy import DEG_PER_H, EARTH_RATE, STANDARD_GRAVITY
 USUAL_CHANGE = 50.0 * DEG_PER_H
 """Scale of the half-Cauchy density of changes of a bias, rad/s: of MEMS gyros.  Assumed."""
 SLOWEST_TURN, FASTEST_TURN = math.radians(0.01), math.radians(300.0)
-"""rad/s: turns are as likely on a logarithmic scale between these.  Assumed."""
+"""rad/s, between which turns are log-uniform.  Assumed."""
 LOG_RANGE = math.log(FASTEST_TURN / SLOWEST_TURN)
-"""D of the table, a natural logarithm."""
+"""D of the odds table, a natural logarithm."""
 OBLIQUE = 0.3
 """Share of a rate across the vertical from which on gravity is compared: no turntable leans so much (17°)."""
 EXCLUDED_SIGMAS = 4.0
 """An oblique turn by more than so many sigmas of the tilt is excluded where the unit has tilted by less than
 half as many, and the change is mostly about level axes."""
 MOSTLY_LEVEL = 0.6
-"""Share of the square of such a change that is about level axes: flicker moves all three.  Assumed."""
+"""Share of the square of such a change that is about level axes: 2/3 if all axes change alike, and less of a
+turn about an axis that leans from the vertical by less than 50°.  Assumed."""
 HEADING_ERROR = 0.15
 """Error of a change of heading over that change: hard and soft iron.  Assumed."""
 HEADING_NOISE = 0.01
@@ -53,17 +55,16 @@ HEADING_NOISE = 0.01
 STUCK_HEADING = 0.05
 """Prior probability that a magnetometer or a yaw does not turn with the unit: stuck, or iron turns along.
 Without it a turn of 0.5 °/s was rest beside a stuck one, with a bias off by 153 sigma."""
-MOST_LOG_RATIO = 50.0  # bound of |ln Λ|
+MOST_LOG_RATIO = 50.0  # ln Λ of an excluded turn; `hypotheses` clips ln(Λ_gravity Λ_heading) to ± this
 LEAST_LOG_RATIO = -2.0
 """ln Λ from which on a rate that lasts for `undecided_s` is no turn.  Assumed."""
 LEAST_MEASUREMENTS = 3
-"""Least number of measurements by which gravity is compared."""
+"""Least number of measurements by which gravity is compared; the noise of the heading needs one more."""
 BEGAN_TURNING = 0.05
-"""Prior that the first rest of a recording was a turn, where two steady means cannot both be the bias.
-Assumed."""
+"""Prior that the first rest was a turn, where two steady means cannot both be the bias.  Assumed."""
 UNSEEN_TURN, UNSEEN_S = math.radians(0.1), 2.0
-"""Standard deviation of a turn in the first moment of the first rest, rad/s, and the time, s, after which it
-is e times smaller: steps of up to 0.09 °/s are always quiet, and no hand is steady for long.  Assumed."""
+"""Standard deviation of a turn in the first moment of the first rest, rad/s, as steps of up to 0.09 °/s are
+always quiet; and the time, s, in which it falls by e, as no hand stays steady for long.  Assumed."""
 
 
 def changed_bias(size: float, changes: int, largest: float) -> float:
@@ -82,15 +83,16 @@ def nominal_bias(size: float, variance: float) -> float:
 
 
 def _rarity(size: float) -> float:
-    """Return c, by which turns of this rate are rarer than log-uniform ones."""
+    """Return c, by which turns of this rate, which is not 0, are rarer than log-uniform ones."""
     return 1.0 + (SLOWEST_TURN / size) ** 2
 
 
 def first_turn(first: FloatArray, now: FloatArray) -> float:
     """Return the odds that the first mean had a turn in it, and the present one has none; rad/s, (3,).
 
-    Of the biases of a gyro nobody knows the scale s: with a density of 1/s, a mean of size m is the bias
-    with a density of 1/m³.
+    The turn's size |d| is the same if the first or if this mean is the bias, so its density cancels.  Of the
+    scale of biases nothing is known (density 1/scale), so that a bias of size m has the density 1/m³.  The
+    earth rate is in both means, and so its square in that of both sizes.
     """
     larger = (float(first @ first) + EARTH_RATE**2) / (float(now @ now) + EARTH_RATE**2)
     return BEGAN_TURNING * math.sqrt(larger) ** 3
@@ -128,13 +130,13 @@ def gravity(
     The nominal bias, its variance, and the `change` d from it are in rad/s, (3,); `force_variance` is that of
     a measurement, (m/s²)², and `drift` of accelerometers in m/s³.  From the first measurement to the last,
     T seconds, the unit tilts by t, rad; its gyros less the bias turn by phi, rad, both across the vertical.
-    Half of the turns are about the vertical, the others oblique::
+    Though d is oblique, half of the turns are about the vertical, as d may contain flicker of level axes::
 
         no turn, or about the vertical:  t ~ N(0, v),           v = (noise and drift of the force)² / g², rad²
-        oblique turn:                    t ~ N(phi, v + s² T²), s² = variance of the bias, (rad/s)²
+        oblique turn:                    t ~ N(phi, v + s² T²), s² = variance of the bias, its largest axis
         L(turn) = (L(oblique) + L(no turn)) / 2
 
-    Densities are taken without their norms, for with them a unit that stood was no rest in measured data.
+    Densities are taken without their norms, for with them a standing unit was turning in measured data.
     """
     first, last = measurements[0].force, measurements[-1].force
     g = math.hypot(*last)
@@ -163,7 +165,7 @@ def heading(measurements: Sequence[Measurement], bias: FloatArray) -> float:
     not compared, for not all devices count the yaw alike.
     """
     measurements = [one for one in measurements if math.isfinite(one.heading[0]) and any(one.force)]
-    if len(measurements) < 4:
+    if len(measurements) <= LEAST_MEASUREMENTS:
         return 0.0
     vectors = np.array([one.heading for one in measurements])
     force = np.array([one.force for one in measurements])
@@ -173,6 +175,7 @@ def heading(measurements: Sequence[Measurement], bias: FloatArray) -> float:
         up = np.array([[0.0, 0.0, 1.0]])
     north = vectors - (vectors * up).sum(1, keepdims=True) * up
     turned = np.unwrap(np.arctan2(north @ np.cross(up[-1], north[0]), north @ north[0]))
+    # If even in time, a second difference has 6 times the variance of a heading, and the change has it twice.
     measured, noise2 = abs(float(turned[-1])), float((np.diff(turned, 2) ** 2).mean()) / 3.0
     variance = noise2 + HEADING_NOISE**2 + (HEADING_ERROR * angle) ** 2
     follows = (measured**2 - (measured - angle) ** 2) / (2.0 * variance)  # ln L(turn) / L(no turn)

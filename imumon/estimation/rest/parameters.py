@@ -1,6 +1,5 @@
 """Settings of rest and gyro bias in a pipeline file; apart from the estimator, so that they load quickly."""
 
-from functools import cached_property
 from typing import Annotated, Literal
 
 import numpy as np
@@ -26,8 +25,8 @@ class RestParameters(StrictModel):
         Fastest change of an accelerometer's bias that is still rest, m/s³; a slower tilt than accel_drift / g
         (32 deg/h by default) cannot be distinguished from it.
     undecided_s : float
-        A rate that P(turn) takes for a turn becomes bias when it has lasted so long, if neither gravity nor
-        heading shows a turn, and it differs from the last bias by no more than largest_jump.
+        A rate that P(turn) takes for a turn becomes bias when it has lasted so long, if gravity and heading
+        together do not show a turn, and it differs from the last bias by no more than largest_jump.
     largest_jump : float
         Largest change of a gyro's bias within one run of the unit, rad/s.
     """
@@ -36,18 +35,13 @@ class RestParameters(StrictModel):
     accel_drift: float = Field(default=1.5e-3, ge=0.0, le=10.0)
     undecided_s: float = Field(default=14400.0, ge=0.0, le=86400.0)
     largest_jump: float = Field(default=0.017, ge=0.0, le=10.0)
-    begins_turning: Retired = None
+    begins_turning: Retired = None  # as all of this type: a key of earlier versions, read and not used
     gyro_g_sensitivity: Retired = None
     gyro_walk: Retired = None
 
-    @cached_property
-    def drift(self) -> FloatArray:
-        """Permitted drift of the six axes, rad/s² and m/s³."""
-        return np.repeat([self.gyro_drift, self.accel_drift], 3)
-
 
 class GyroBiasParameters(StrictModel):
-    """Noise of the sensors, and how the bias is followed; every key has a default, which suits any unit.
+    """Noise of the sensors, and how the bias is followed; every key has a default, which suits MEMS gyros.
 
     Parameters
     ----------
@@ -60,7 +54,7 @@ class GyroBiasParameters(StrictModel):
         from the innovations.
     assume_at_rest : bool
         Whether motion is not detected: rest is that of the column at_rest of the samples, and without one the
-        unit rests throughout.  A rate that differs for a minute is then another bias.
+        unit rests throughout.  A rate that contradicts the bias is in sigma for a minute, and then the bias.
     """
 
     angle_random_walk_rad_per_sqrt_s: _PerAxis | None = None
@@ -69,7 +63,7 @@ class GyroBiasParameters(StrictModel):
     assume_at_rest: bool = False
     velocity_random_walk_m_per_s_per_sqrt_s: Retired = None
     zeroing_s: Retired = None
-    thermal_form: Literal["increments"] = Field(default="increments", exclude=True)
+    thermal_form: Literal["increments"] = Field(default="increments", exclude=True)  # no other was kept
 
     @property
     def per_axis(self) -> list[FloatArray | None]:

@@ -1,13 +1,14 @@
 """Is the signal quiet?  Means of neighbouring windows against the noise that the unit has at rest.
 
-A slot of a quarter of a second has a mean and a variance of each axis.  Of a unit at rest the means are white
-noise of variance v, (rad/s)² or (m/s²)², about a constant.  While v is known, the means of the last L slots,
-L = 1, 2, 4 ... 64, and of the L slots before them may differ by D, summed over the three axes of a sensor::
+Of a unit at rest the means of slots are white noise of variance v, (rad/s)² or (m/s²)², about a constant.
+While v is known, the means of the last L slots, L = 1, 2, 4 ... 64, and of the L slots before them may differ
+by D, summed over the three axes of a sensor::
 
     sum max(|D| - drift L dt, 0)² / (2 max(v / L, q²)) <= 42,    dt = 1/4 s
 
-q², `QUIET_VARIANCE` and that of rounding, is always quiet.  While v is not known, or after an unquiet second,
-a *trial* of 16 slots finds it.  Whether a steady mean is the bias or a turn is decided by `odds`.
+q², `QUIET_VARIANCE` and that of rounding, is always quiet.  While v is not known, or when 4 slots in all were
+unquiet since the last rest of 16 slots, a *trial* of the last 16 finds it.  Whether a steady mean is the bias
+or a turn is decided by `odds`.
 """
 
 from dataclasses import dataclass, field
@@ -21,10 +22,9 @@ from imumon.estimation.rest.slots import ACCEL, AXES, Slot
 TRIAL = 16
 """Slots of a trial."""
 SECOND_SLOTS = 4
-"""Slots of a second: so many are quiet before rest is detected."""
+"""Slots of a second: so many are quiet before rest is detected, if the noise is known; else `TRIAL`."""
 SHORT_RESTS = 2
-"""Short rests after which rest takes a trial's length: a slow tilt is quiet for a second, again and again.
-Ablation."""
+"""Short rests after which rest takes a trial's length: a slow tilt is quiet for single seconds.  Ablation."""
 QUIET_TOO_SHORT, FAR_SAMPLE = "quiet for too short a time", "a single sample is far from the mean"
 LENGTHS = 2 ** np.arange(7)
 """Slots of the windows that are compared."""
@@ -32,11 +32,10 @@ WIDTH = LENGTHS[:, np.newaxis]
 CHI_SQUARE = 42.0
 """Three axes together: once in 2e8 for Gaussian noise of known variance."""
 QUIET_SD = np.repeat([3.5e-4, 5e-3], 3)
-"""Standard deviation of a mean of a second that is always quiet, (6,), rad/s (72 °/h) and m/s² (0.03°): MEMS
-biases step by as much.  Assumed."""
+"""Standard deviation q of a mean of a second that is always quiet, (6,), rad/s (72 °/h) and m/s² (0.03°): a
+step of one axis is, by √84 q or 0.18 °/s (0.09 °/s for L = 1), as of MEMS biases.  Assumed."""
 QUIET_VARIANCE = QUIET_SD**2 / np.maximum(1.0, 4.0 / WIDTH)
-"""q², (7, 6): variance of a window that is always quiet, less in one of 1 or 2 slots: a disturbance has had
-less time to act."""
+"""q² of each window, (7, 6): less for L = 1 and 2, as a disturbance has had less time to act."""
 UNSEEN_STEP = np.repeat([np.radians(2000.0 / 2**15), 0.0], 3)
 """rad/s, and not used for m/s²: the step of gyros that measure to 2000 °/s with 16 bits."""
 NO_NOISE = 1e-20
@@ -48,15 +47,15 @@ SPIKE_SIGMAS = 8.0
 MEMORY_SLOTS = 1200.0
 """Slots over which the noise is averaged at rest: five minutes."""
 LARGEST_COLOUR = 5.0
-"""In a trial: largest variance of means of 4 and 8 slots over that of white noise.  Assumed."""
+"""In a trial (coloured): largest variance of means of 4 and 8 slots over that of white noise.  Assumed."""
 HALVES, HALVES_OFFSET = 5.0, 20.0
-"""In a trial: largest noise of one half over the other, and what is added to it: else a knock was noise.
-Assumed."""
+"""In a trial (uneven): the sum of squares over v of one half is at most so many times that of the other, plus
+so much: else a knock was noise.  Assumed."""
 SLOWER = 16.0
-"""In a trial: largest variance of slot means over the variance that their samples explain: a hand is slow
-within a slot and fast between slots."""
+"""In a trial (slow): largest variance of slot means over what their samples explain: a hand is slow within a
+slot and fast between slots."""
 ROAD = np.array([2.5e-3, 0.021])
-"""In a trial: largest rms of slot means, rad/s, m/s²: of sensors (0.1 °/s/√Hz, 1.5 mg/√Hz), not of roads."""
+"""In a trial (road): largest rms of slot means, rad/s, m/s²: of sensors (0.1 °/s/√Hz, 1.5 mg/√Hz)."""
 NOISE_CHANGE = 2.5
 """Factor of the variance from which on a trial has found another noise.  Assumed."""
 
@@ -71,7 +70,7 @@ class QuietDetector:
     present: BoolArray = field(default_factory=lambda: np.zeros(AXES, np.bool_))
     """Axes that have readings in these, (6,)."""
     slots: int = 0  # since the beginning or the last restart
-    quiet_slots: int = 0  # in a row; 0 in motion, or while the noise is not known
+    quiet_slots: int = 0  # in a row; 0 in motion, and while the noise is not known unless rest is given
     unquiet: int = 0  # slots since the last rest of a trial's length that were not quiet
     pause: int = 0  # the same since the last quiet slot
     short_rests: int = 0  # rests in a row that were shorter than a trial, with pauses of a second at most
@@ -83,7 +82,7 @@ class QuietDetector:
     moving: str = ""  # what is not quiet in the latest slot; empty if all is
     disturbed: bool = False  # whether a single sample of the present slot was outside `band`
     step: FloatArray = field(default_factory=partial(np.zeros, AXES))
-    """Step of the sensor; 0 while it is not known."""
+    """Step of the sensor, the least of all slots; 0 while it is not known, where `Slot.step` is ∞."""
 
     @property
     def is_rest(self) -> bool:
@@ -104,22 +103,24 @@ class QuietDetector:
 
     @property
     def rounding_error(self) -> FloatArray:
-        """Largest error of a mean by rounding to steps of the sensor, (6,).
+        """Error of a mean by rounding to steps of the sensor, (6,).
 
-        With noise of variance v, in steps squared, it is at most exp(-2 π² v) half steps; the amplitude is
-        1/π of a step (Widrow), half a step without noise.  Readings that are all equal may have any step up
-        to `UNSEEN_STEP`.
+        With noise of sd s, in steps, it is at most exp(-2 π² s²) half steps, and readings have the variance
+        r = s² + 1/12 (Sheppard).  Not if s is below a third: where two readings alternate, r <= 1/4 shows
+        nothing of s, and the error is up to √(1/4 - r) steps.  A third of that is taken at least, as a sigma.
+        Readings that are all equal may have any step up to `UNSEEN_STEP`.
         """
         unseen = self.present & (self.step == 0.0) & (self.sample_noise < NO_NOISE)
         step = np.where(unseen, UNSEEN_STEP, self.step)
-        noise = np.maximum(self.sample_noise / (step**2 + 1e-24) - 1.0 / 12.0, 0.0)
-        return np.asarray(0.5 * step * np.exp(-2.0 * np.pi**2 * noise))
+        variance = self.sample_noise / (step**2 + 1e-24)
+        by_noise = 0.5 * np.exp(-2.0 * np.pi**2 * np.maximum(variance - 1.0 / 12.0, 0.0))
+        return np.asarray(step * np.maximum(by_noise, np.sqrt(np.maximum(0.25 - variance, 0.0)) / 3.0))
 
     @property
     def band(self) -> tuple[FloatArray, FloatArray]:
         """Lowest and highest reading of a unit at rest, (6,) each; infinite of absent axes."""
         width = np.where(self.present, SPIKE_SIGMAS * np.sqrt(self.sample_noise + self.noise), np.inf)
-        width = width + 4.0 * QUIET_SD + 1.5 * self.step
+        width = width + 4.0 * QUIET_SD + 1.5 * self.step  # the bias may step, and readings are rounded
         centre = self.mean[-SECOND_SLOTS:].mean(0)
         return centre - width, centre + width
 
@@ -157,7 +158,7 @@ class QuietDetector:
             self.noise_slots = 0.0
             self.restart()
         found = np.isfinite(slot.step) & ((slot.step < self.step) | (self.step == 0.0))
-        # The first step of a coarse sensor is outside a band that knew none.
+        # That a sensor has steps is known by its first one, which ends no rest though it is outside `band`.
         self.disturbed &= not (found & (self.step == 0.0)).any()
         self.step = np.where(found, slot.step, self.step)
 
@@ -180,11 +181,11 @@ class QuietDetector:
             return "the mean changes by more than noise and drift"
         return "the samples scatter more than at rest" if self._scatters(slot) else ""
 
-    def _windows_differ(self, drift: FloatArray) -> bool:
-        """Return whether means of windows differ by more than noise and drift, (6,) a slot."""
+    def _windows_differ(self, drift_per_slot: FloatArray) -> bool:
+        """Return whether means of windows differ by more than noise and drift, rad/s and m/s², (6,)."""
         sums = self.mean[::-1].cumsum(0)  # of the latest 1, 2, 3 ... slots
         change = 2.0 * sums[LENGTHS - 1] - sums[2 * LENGTHS - 1]
-        excess = np.maximum(np.abs(change) / WIDTH - drift * WIDTH, 0.0)
+        excess = np.maximum(np.abs(change) / WIDTH - drift_per_slot * WIDTH, 0.0)
         square = excess**2 / (2.0 * np.maximum(self.noise / WIDTH, QUIET_VARIANCE + self.floor))
         differ = (square.reshape(-1, 2, 3).sum(2) > CHI_SQUARE).any(1)
         return bool(differ[self.quiet_slots >= 2 * LENGTHS].any())
@@ -192,9 +193,9 @@ class QuietDetector:
     def _scatters(self, slot: Slot) -> bool:
         """Return whether three samples or more scatter more than at rest (chi-square)."""
         # Wilson and Hilferty, with half the degrees of freedom: samples may be filtered.
-        k = 2.0 / (9.0 * np.maximum(0.5 * (slot.samples - 1.0), 1.0))
-        factor = VARIANCE_FACTOR * (1.0 - k + VARIANCE_SIGMAS * np.sqrt(k)) ** 3
-        limit = np.maximum(factor * self.sample_noise, 1e-12) + 12.0 * self.floor
+        spread = 2.0 / (9.0 * np.maximum(0.5 * (slot.samples - 1.0), 1.0))  # variance of the cube root
+        factor = VARIANCE_FACTOR * (1.0 - spread + VARIANCE_SIGMAS * np.sqrt(spread)) ** 3
+        limit = np.maximum(factor * self.sample_noise, 1e-12) + 12.0 * self.floor  # 1e-6² or more, and step²
         return bool(((slot.variance > limit) & (slot.samples >= 3.0)).any())
 
     def _learn(self, slot: Slot) -> None:
@@ -231,8 +232,7 @@ class QuietDetector:
         within = np.array([one.variance for one in self.latest])
         enough = np.isfinite(within).all(0) & (count >= 3.0)
         samples = np.where(enough, within.mean(0), noise * count)
-        # A variance below `least` is always that of rest: QUIET_SD², or 9 times the known noise if that is
-        # less, and that of rounding.
+        # Always that of rest: the variance of rounding, and QUIET_SD² or, if less, 9 times the known noise.
         least = (np.minimum(QUIET_SD**2, 9.0 * self.noise) if self.noise_slots else QUIET_SD**2) + self.floor
         longer = [mean.reshape(-1, length, AXES).mean(1).var(0, ddof=1) for length in (4, 8)]
         ratio = np.array(longer) / np.maximum([noise / 4.0, noise / 8.0], least)

@@ -22,7 +22,8 @@ REST_GIVEN, GATHERED = AXES + 12, AXES + 13
 rad/s; temperature of each gyro, °C; sd of the model's unknown state at power-on, rad/s; a vector that turns
 with the heading (`heading_of`); 1 for given rest and 0 for given motion; and how many there are."""
 COARSEST_STEPS = (0.035, 0.16)
-"""No gyro (rad/s) and no accelerometer (m/s²) reads in coarser steps: 2 °/s is what may shake at rest."""
+"""rad/s (2 °/s) and m/s² (1/61 g), coarser than 8 bits for ±250 °/s and ±2 g: a larger rms change of readings
+that rarely change is shaking, and no rounding."""
 
 
 class Slot(NamedTuple):
@@ -35,20 +36,20 @@ class Slot(NamedTuple):
     samples: FloatArray  # number of samples of each of the six axes, (6,)
     mean: FloatArray  # of all columns that are gathered, (19,)
     variance: FloatArray  # of the samples of the six axes about the mean (n - 1), (rad/s)², (m/s²)², (6,)
-    step: FloatArray  # of the sensor, (6,), if most readings are equal and some differ by one; else ∞
+    step: FloatArray  # of the sensor, (6,), if most readings are as the one before, and some not; else ∞
     turn: Turn
     rest_given: bool | None  # whether it was at rest throughout; None where that is to be detected
 
 
 class Measurement(NamedTuple):
-    """What the filters of the bias are updated with: means over about a quiet second; NaN where missing."""
+    """What the filters of the bias are updated with: means over about a quiet second."""
 
     end_s: float
     length_s: float
     covered_s: float  # by its samples: the variance of the mean rate is that of one second over this time
     rate: FloatArray  # less the thermal model and the known earth rate, rad/s, (3,)
     force: FloatArray  # m/s², (3,); the last known one where it is missing, zero before the first
-    degc: FloatArray  # temperature of each gyro, °C, (3,)
+    degc: FloatArray  # temperature of each gyro, °C, (3,); NaN where missing, as is the heading
     heading: FloatArray  # a vector that turns with it (`heading_of`), (3,)
 
 

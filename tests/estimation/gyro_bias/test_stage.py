@@ -266,6 +266,18 @@ def test_a_coarse_gyro_whose_readings_do_not_change_at_rest_keeps_its_bias_when_
     assert np.abs(error / vector(added, "gyro_bias_sd")[50 * 55 :]).max() < 2.0
 
 
+@pytest.mark.parametrize("bias_steps", [0.53, 0.55, 0.58])
+def test_a_gyro_that_alternates_between_two_readings_has_its_rounding_in_the_sigma(bias_steps: float) -> None:
+    t, step = np.arange(6000) / 50.0, math.radians(0.06)
+    bias = step * (bias_steps + np.array([0.0, 3.0, -5.0]))
+    rng = np.random.default_rng(3)
+    rate = bias + 0.1 * step * rng.normal(size=(len(t), 3))
+    force = 0.01 * rng.normal(size=(len(t), 3)) + [0.0, 0.0, GRAVITY]
+    added = RestAndBias().process(scene(t, step * np.round(rate / step), force))
+    error = (vector(added) - bias)[50 * 60 :] / vector(added, "gyro_bias_sd")[50 * 60 :]
+    assert np.abs(error).max() < 3.0
+
+
 def test_the_thermal_mode_needs_a_model() -> None:
     with pytest.raises(ImumonError, match="needs a bias model"):
         RestAndBias(mode="thermal")

@@ -48,6 +48,16 @@ def test_a_slow_tilt_from_the_begin_is_in_the_sigma_until_it_shows() -> None:
         assert np.nanmax(z) < 6.0
 
 
+@pytest.mark.parametrize("silent_s", [0.3, 0.6])
+def test_a_first_turn_that_silent_accelerometers_do_not_show_is_in_the_sigma(silent_s: float) -> None:
+    samples = begun(0.1, 0, 4.0, False, 0)
+    t = samples["device_time_ns"] * 1e-9
+    for axis in "xyz":
+        samples[f"accel_{axis}"][(t >= silent_s) & (t < silent_s + 3.8)] = np.nan
+    z, _ = normalised(samples)
+    assert np.nanmax(z) < 6.0
+
+
 def test_a_unit_that_rests_is_as_certain_as_before_within_some_seconds() -> None:
     _, sd = normalised(begun(0.0, 2, 0.0, False, 0))
     assert (sd[450] < 0.03 * DEG).all()

@@ -326,6 +326,19 @@ def test_samples_that_are_lost_do_not_make_an_undecided_rate_last_longer() -> No
     assert rest[t > 110.0].all()
 
 
+@pytest.mark.parametrize("rate_dps", [0.5, 2.0])
+def test_accelerometers_that_are_silent_exclude_no_turn(rate_dps: float) -> None:
+    t, gyro, accel = noise(70.0)
+    silent = (t >= 60.0) & (t < 63.9)
+    turning = rate_dps * DEG * silent
+    gyro[:, 0] += turning
+    force = rolled(accel, np.cumsum(turning) / 100.0)
+    force[silent] = np.nan
+    result = RestAndBias().process(block(t, gyro, force))
+    assert not result["at_rest"][(t > 61.0) & silent].any()
+    assert (np.abs(result["gyro_bias_x"] - 2.0 * DEG) / result["gyro_bias_sd_x"])[t > 60.0].max() < 4.0
+
+
 @pytest.mark.parametrize("stall_s", [0.0, 20.0])
 def test_samples_that_come_in_a_burst_do_not_shorten_the_time_of_later_ones(stall_s: float) -> None:
     """A buffer that is emptied at once, at the start or after a stall, with times of arrival."""
