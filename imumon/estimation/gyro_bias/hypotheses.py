@@ -1,7 +1,7 @@
 """The mean rate of a quiet second: the bias as before, a changed bias, or a turn?
 
 There are three copies of the filters.  The *present* one has learned everything up to now, the *test copy*
-until up to 16 s ago, and the *nominal* one before the present rate began.  The first row that holds decides:
+until up to 16 s ago, the *nominal* one until a change that may be a turn.  The first row that holds decides:
 
 =================  =================================  ================================================
 the mean fits      that is                            what follows
@@ -19,8 +19,8 @@ decides what becomes of the nominal bias:
 ==================================================================  ===================================
 P(turn) above 1/4 (1/10 if the rate has changed), until below 1/20  it stays, through motion as well
 the rate has changed up to 16 s ago                                 it stays
-the rate has changed before that                                    it is the present bias from then on
-else                                                                it is 16 to 32 s behind the present
+the rate has changed before that                                    it becomes the present bias, once
+else                                                                16 to 32 s behind; first, the last rest's
 ==================================================================  ===================================
 """
 
@@ -45,7 +45,7 @@ and where it has changed, and up to which it then follows again; by the gyros al
 slowest that is considered, has P(turn) 0.14.  With 0.25 for both a tactical gyro that turns at 72 °/h is off
 by 902 sigma, with 0.1 for both a warm-up of 60 to 92 °/h/K has a sigma of 195 °/h instead of less than 80."""
 LAG_S = 16.0
-"""By so much at least, and twice as much at most, the nominal bias follows the present one."""
+"""By so much at least, and twice as much at most, the nominal bias lags behind the present one."""
 ONSET_S = 4.0
 """A change that motion follows sooner was its onset; an older one may end a turn in the first rest."""
 NEW_POSE = 0.3
@@ -66,13 +66,13 @@ class Hypotheses:
     nominal: Bank
     test_copy: Bank  # the present filters as they were up to `LAG_S` ago, and the next nominal ones
     recent: list[Measurement]  # of this rest, `RECENT` at most; none in motion
-    first: Measurement | None  # the first rest, while it may have been a turn: till another pose
+    first: Measurement | None  # of the first rest, while that may have been a turn: till another pose or bias
     limits: RestParameters
     rest_given: bool  # then any steady rate is bias after `UNDECIDED_GIVEN_S`
     undo: Bank | None = None  # the present filters before the last second, for motion that follows at once
     alike: int = 0  # how many of the recent measurements are of the present rate
     changes: int = 0  # how often the rate has changed since it fitted the nominal bias
-    steady_s: float = 0.0  # how long the present rate has lasted; compared in whole seconds, to be no tie
+    steady_s: float = 0.0  # how long the present rate has lasted; with `LAG_S` and `ONSET_S` in whole seconds
     p_turn: float = 0.0  # probability that the difference of both biases is a turn
     ambiguities: FloatArray = field(default_factory=partial(np.zeros, (2, 3)))
     """What the less likely hypothesis adds to sigma, rad/s, by the last two measurements, (2, 3)."""

@@ -1,11 +1,11 @@
 """Is the unit at rest, and is a steady rate the bias or a turn?  Rest and bias are one estimator.
 
 - A *slot* (`slots`) is a quarter of a second, or one slow sample: mean and variance of each axis.
-- It is *quiet* (`quiet`) if means of slots differ by no more than noise and drift.  A *trial* of 16 slots
-  finds the noise; before one succeeds there is no rest.
+- It is *quiet* (`quiet`) if means of slots differ by no more than noise and drift within this rest, and no
+  sample scatters more.  A *trial* of 16 slots finds the noise; before, there is no rest that is not given.
 - A *measurement* is the mean of a second of quiet slots; with it the filters of the bias are updated.
 - The *present bias* has all measurements.  The *nominal bias* is a prediction as if nothing had changed: from
-  16 to 32 s ago, or from before the last change of the rate while that may be a turn.
+  16 to 32 s ago, or the end of the last rest; or from before the rate changed, while that may be a turn.
 - P(turn), by `odds`, is the probability that the present less the nominal bias is a turn.
 
 Of `imumon.estimation.gyro_bias` read `hypotheses` (two decision tables: what a measurement does to both),
@@ -14,10 +14,10 @@ Of `imumon.estimation.gyro_bias` read `hypotheses` (two decision tables: what a 
 - Why is a slot no rest?  `Estimator.unrest`, from `QuietDetector.unrest` and P(turn).
 - Why is sigma so wide?  `Estimator.output` adds variances: of the filters, widened by gaps, temperature and
   turns against the earth; of flicker of samples; of the unknown earth rate; of a turn that may hide in the
-  first rest; and of the less likely of bias and turn, with the error by rounding.
+  first rest; and of the difference to the less likely hypothesis, with the error by rounding.
 - What would another gyro need?  White noise is learned, flicker only among `FLICKER_CORNERS_S` (bank); else
-  declare B and K.  Assumed are `quiet.QUIET_SD`; `USUAL_CHANGE`, `SLOWEST_TURN` and `UNSEEN_TURN` of odds;
+  declare B and K.  Assumed are `quiet.QUIET_SD`, `gyro_drift`, `largest_jump`; `USUAL_CHANGE`, `SLOWEST_TURN`
+  (`DOUBT` hangs on it) and `UNSEEN_TURN` of odds;
   `SLOPE_PER_SIGMA`, `SENSITIVITY_SD` and `TURN_ON` (bank); `SCALE_SD` (place); and `BIAS_WALK` (motion).
-- "Assumed." of a constant: plausible, and not measured.  "Ablation.": docs/appendix/ablation-results.md has
-  what is worse without it.
+- "Assumed.": plausible, and not measured.  "Ablation.": its price is in docs/appendix/ablation-results.md.
 """

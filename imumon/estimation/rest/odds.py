@@ -11,7 +11,7 @@ by the prior and the gyros, and Λ the likelihood ratio of no turn over a turn, 
                                                             rate more often than a bias
     o_nominal = 2 N(|d|; 0, σ²) |d| D c                     nothing has changed: the nominal bias is vague
     o_first   = 0.05 (size of the first rate / of this)³    the first rest was a turn, and this is the bias;
-                                                            0 until the rate has changed
+                                                            0 until a new rate has lasted for 4 s
 
     Λ_gravity = 2 / (1 + r)                                 a turn about a tilted axis tilts the unit by its
                                                             angle; r is the ratio of such a turn over no turn
@@ -92,7 +92,7 @@ def first_turn(first: FloatArray, now: FloatArray) -> float:
 
     The turn's size |d| is the same if the first or if this mean is the bias, so its density cancels.  Of the
     scale of biases nothing is known (density 1/scale), so that a bias of size m has the density 1/m³.  The
-    earth rate is in both means, and so its square in that of both sizes.
+    earth rate may be in both means, and so its square in that of both sizes.
     """
     larger = (float(first @ first) + EARTH_RATE**2) / (float(now @ now) + EARTH_RATE**2)
     return BEGAN_TURNING * math.sqrt(larger) ** 3
@@ -101,7 +101,7 @@ def first_turn(first: FloatArray, now: FloatArray) -> float:
 def hidden_turn(measurements: Sequence[Measurement], force_variance: float) -> FloatArray:
     """Return the variance of a turn that may hide in the first rest, (rad/s)², (3,).
 
-    T seconds from the first measurement to the last one, nothing has contradicted it.  About the vertical it
+    It has been contradicted by none of the measurements, of T seconds (16 at most).  About the vertical it
     shows in no other sensor; across it gravity shows the tilt t, rad, with a variance v, rad²::
 
         about the vertical:  u² = (UNSEEN_TURN exp(-T / UNSEEN_S))²

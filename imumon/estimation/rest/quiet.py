@@ -33,7 +33,7 @@ CHI_SQUARE = 42.0
 """Three axes together: once in 2e8 for Gaussian noise of known variance."""
 QUIET_SD = np.repeat([3.5e-4, 5e-3], 3)
 """Standard deviation q of a mean of a second that is always quiet, (6,), rad/s (72 °/h) and m/s² (0.03°): a
-step of one axis is, by √84 q or 0.18 °/s (0.09 °/s for L = 1), as of MEMS biases.  Assumed."""
+step of one axis is, by √84 q/2 or 0.09 °/s at once, 0.18 °/s within a second, as of MEMS biases.  Assumed."""
 QUIET_VARIANCE = QUIET_SD**2 / np.maximum(1.0, 4.0 / WIDTH)
 """q² of each window, (7, 6): less for L = 1 and 2, as a disturbance has had less time to act."""
 UNSEEN_STEP = np.repeat([np.radians(2000.0 / 2**15), 0.0], 3)
@@ -50,14 +50,14 @@ LARGEST_COLOUR = 5.0
 """In a trial (coloured): largest variance of means of 4 and 8 slots over that of white noise.  Assumed."""
 HALVES, HALVES_OFFSET = 5.0, 20.0
 """In a trial (uneven): the sum of squares over v of one half is at most so many times that of the other, plus
-so much: else a knock was noise.  Assumed."""
+so much: else a knock would be noise.  Assumed."""
 SLOWER = 16.0
 """In a trial (slow): largest variance of slot means over what their samples explain: a hand is slow within a
 slot and fast between slots."""
 ROAD = np.array([2.5e-3, 0.021])
 """In a trial (road): largest rms of slot means, rad/s, m/s²: of sensors (0.1 °/s/√Hz, 1.5 mg/√Hz)."""
 NOISE_CHANGE = 2.5
-"""Factor of the variance from which on a trial has found another noise.  Assumed."""
+"""Factor of the variance from which on a trial has found a larger noise.  Assumed."""
 
 
 @dataclass(slots=True, eq=False)
