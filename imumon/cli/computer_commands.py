@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from imumon.cli import common
-from imumon.errors import EXIT_NEGATIVE, EXIT_OK, ImumonError, Reason
+from imumon.errors import EXIT_NEGATIVE, EXIT_OK, EXIT_PORT, ImumonError, Reason
 from imumon.files import check_output, plain, results_folder, write_text
 from imumon.version import __version__
 
@@ -154,7 +154,7 @@ def detect(
     proposed: Path | None,
     folder: Path | None,
     as_json: bool,
-) -> None:
+) -> int:
     """Find baud rate and protocol of the device on PORT by trying, and show the evidence.
 
     \b
@@ -177,16 +177,12 @@ def detect(
     if folder is not None and folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
         raise ImumonError(Reason.EXISTS, f"{folder} is there already", "give the name of a new folder")
     received = dict[int | None, bytearray]()
-    arriving = bytearray()
 
-    def begin(settings: "PortSettings") -> None:
-        nonlocal arriving
+    def begin(settings: "PortSettings") -> bytearray:
         rate = settings.baudrate if settings.has_line else None
-        arriving = received[rate] = bytearray()
         common.note(f"listening to {settings.url if rate is None else f'{rate} baud'}")
-
-    def keep(data: bytes) -> None:
-        arriving.extend(data)
+        received[rate] = bytearray()
+        return received[rate]
 
     devices = {name: load_device(name) for name in names or device_names()}
     own_rates = [rate for device in devices.values() for rate in device.serial.baudrates[:1]]
@@ -196,7 +192,6 @@ def detect(
         list(rates) or baudrates_to_try(own_rates),
         seconds,
         begin,
-        keep,
     )
     wrong = failure(port, evidence)
     fit = [item for item in evidence if item.verdict is Verdict.FRAMES]
@@ -217,13 +212,15 @@ def detect(
             common.show(f"\n{item.protocol}: imumon monitor {port} --device {item.protocol}{rate}")
         if proposal:
             common.show(f"\nno device file describes what came; this one may:\n\n{proposal}")
-    if proposal and proposed:
-        write_text(proposed, proposal)
-        common.note(f"look at {proposed}, then: imumon monitor {port} --device {proposed}")
-    if wrong and proposal:
-        raise ImumonError(wrong.reason, wrong.seen, "complete the proposed device file: --device FILE")
-    if wrong:
+    if wrong is None:
+        return EXIT_OK
+    if proposal is None:
         raise wrong
+    if proposed is not None:
+        write_text(proposed, proposal)
+    file = proposed or "FILE"
+    common.note(f"no known device: complete the proposed file, then: imumon monitor {port} --device {file}")
+    return EXIT_PORT
 
 
 def _save(folder: Path, received: Mapping[int | None, bytearray], data: Mapping[str, object]) -> None:
@@ -242,8 +239,8 @@ def _propose(received: dict[int | None, bytearray], evidence: "list[Evidence]") 
     from imumon.protocols import binary_proposal, text_proposal
     from imumon.transport.detect import Verdict
 
-    last = max(evidence, key=lambda item: (item.tells_the_rate, item.text_share), default=None)
-    if last is not None and last.tells_the_rate:
+    last = max(evidence, key=lambda item: (item.tells_the_rate, item.text_share))
+    if last.tells_the_rate:
         return text_proposal.propose(bytes(received[last.baudrate]), last.seconds, last.baudrate)
     if any(item.verdict is Verdict.PARTLY for item in evidence):
         return None  # a known device whose bytes are damaged

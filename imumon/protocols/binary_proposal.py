@@ -181,7 +181,7 @@ def _layout(at: IntArray, packets: ByteArray, check: Checksum | None, rate: floa
     if check is None:
         yield "# No checksum that imumon knows fits at the end: where a packet begins is a guess, and at"
         yield "# another baud rate the bytes may repeat as well."
-        yield "checksum: {type: none, first: 0, last: 0, at: 0}"
+        yield "checksum: none"
     else:
         order = f", byte_order: {'big' if check.big else 'little'}" if check.size > 1 else ""
         right = np.count_nonzero(check(packets.reshape(-1), np.arange(n) * length, np.full(n, length)))

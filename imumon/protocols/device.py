@@ -6,7 +6,7 @@ from pathlib import Path
 from pkgutil import resolve_name
 from typing import Literal, Self
 
-from pydantic import Field, PositiveFloat, PositiveInt, PrivateAttr, field_validator
+from pydantic import Field, PositiveFloat, PositiveInt, PrivateAttr
 
 from imumon.config import StrictModel, parse_yaml
 from imumon.errors import bad_config
@@ -99,14 +99,7 @@ class _Header(StrictModel, extra="ignore"):
     """The part of a device file that names the protocol which reads the rest."""
 
     format: Literal["imumon-device/1"]
-    protocol: str
-
-    @field_validator("protocol")
-    @classmethod
-    def _known(cls, name: str) -> str:
-        if name not in PROTOCOLS:
-            raise ValueError(f"expected {', '.join(PROTOCOLS)}")
-        return name
+    protocol: Literal[tuple(PROTOCOLS)]  # type: ignore[valid-type]  # pydantic reads it when it runs
 
 
 def device_names() -> list[str]:

@@ -6,7 +6,7 @@ from functools import partial
 from typing import Annotated, Literal, Self
 
 import numpy as np
-from pydantic import AfterValidator, Field, NonNegativeInt, PositiveInt, StringConstraints, model_validator
+from pydantic import Field, NonNegativeInt, PositiveInt, StringConstraints, model_validator
 
 from imumon.blocks import IntArray, SampleBlock
 from imumon.columns import KNOWN, NAME, Column
@@ -23,15 +23,7 @@ Byte = Annotated[int, Field(ge=0, le=255)]
 ColumnName = Annotated[str, StringConstraints(pattern=NAME)]
 NumberName = Literal["u8", "i8", "u16", "i16", "u24", "i24", "u32", "i32", "u64", "i64", "f32", "f64"]
 IntegerName = Literal["u8", "u16", "u32"]
-
-
-def _known_checksum(name: str) -> str:
-    if name not in CHECKSUM_NAMES:
-        raise ValueError(f"expected one of {', '.join(CHECKSUM_NAMES)}")
-    return name
-
-
-ChecksumName = Annotated[str, AfterValidator(_known_checksum)]
+ChecksumName = Literal[CHECKSUM_NAMES]  # type: ignore[valid-type]  # pydantic reads it when it runs
 
 ARBITRARY = "a.u."
 """Unit of a magnetometer that is not calibrated to a field strength."""
@@ -55,6 +47,11 @@ class ChecksumField(StrictModel):
     at: NonNegativeInt
     byte_order: ByteOrder | None = None
     zeros: NonNegativeInt = 0
+
+    @model_validator(mode="before")
+    @classmethod
+    def _without(cls, given: object) -> object:
+        return {"type": given, "first": 0, "last": 0, "at": 0} if given == "none" else given
 
 
 class When(StrictModel):
@@ -149,6 +146,15 @@ class PacketField(NumberField):
         return self
 
 
+def distinct_names(fields: Sequence[NumberField]) -> list[str]:
+    """Return the columns of the fields; raises ValueError where one is there twice."""
+    names = [name for field in fields for name in field.names]
+    for number, field in enumerate(fields):
+        if twice := [name for name in field.names if names.count(name) > 1]:
+            raise ValueError(f"fields[{number}]: column {twice[0]} is there twice")
+    return names
+
+
 def timing_of(fields: Sequence[NumberField], rate_hz: float | None) -> Timing:
     """Return how a device counts time; of several counters or clocks the last counts."""
     by_name = {name: field for field in fields for name in field.names}
@@ -197,10 +203,8 @@ class Packet(StrictModel):
                 raise ValueError(
                     f"{what}: bytes {start} to {stop - 1} are outside the packet of {self.length} bytes"
                 )
-        names = [name for field in self.fields for name in field.names]
+        names = distinct_names(self.fields)
         for number, field in enumerate(self.fields):
-            if twice := [name for name in field.names if names.count(name) > 1]:
-                raise ValueError(f"fields[{number}]: column {twice[0]} is there twice")
             if field.when is not None and field.when.column not in names:
                 raise ValueError(f"fields[{number}]: when: there is no column {field.when.column}")
         return self

@@ -23,8 +23,8 @@ from imumon.config import StrictModel
 from imumon.protocols.base import COMMON, MAIN, NO_GROUP, ByteArray, Encoder, Groups, Timing, chosen
 from imumon.protocols.decoder import Decoder
 from imumon.protocols.device import DeviceFile
-from imumon.protocols.fixed import NumberField, NumberName, timing_of
-from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, Checksum, Found, Frame
+from imumon.protocols.fixed import NumberField, NumberName, distinct_names, timing_of
+from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, Checksum, Found, Frame, unchecked
 from imumon.protocols.numbers import NUMBER_TYPES, WRAPPING, Number, Record, is_missing
 
 LINE_END = 0x0A
@@ -93,6 +93,7 @@ class Line(StrictModel):
             raise ValueError("a line with checksum begins with $")
         if self.decimal == self.separator:
             raise ValueError("separator and decimal point are the same")
+        distinct_names(self.fields)
         return self
 
     @property
@@ -118,7 +119,7 @@ class Line(StrictModel):
         try:
             words = self._words(checked[len(self.prefix) :])
             numbers = [self._number(words[key]) for key in self.wanted]
-        except (ValueError, KeyError, IndexError, RecursionError):
+        except (ValueError, LookupError, OverflowError, RecursionError):
             return None
         fit = (low <= numbers[k] <= high and numbers[k].is_integer() for k, low, high in self._counts)
         return numbers if all(fit) else None
@@ -138,23 +139,19 @@ class Line(StrictModel):
             return {key: reduce(_step, str(key).split("."), tree) for key in self.wanted}
         separator = None if self.separator == " " else self.separator
         words = body.split(separator)
-        if self.form == "pairs":
-            if self.values is not None and len(words) != self.values:
-                raise ValueError("another number of pairs")
-            pairs = (re.split("[:=]", word, maxsplit=1) for word in words)
-            return {key.strip(): value for key, value in pairs}
-        if len(words) != self.values:
+        if self.values not in (None, len(words)):
             raise ValueError("another number of values")
-        return words
+        if self.form == "delimited":
+            return words
+        pairs = (re.split("[:=]", word, maxsplit=1) for word in words)
+        return {key.strip(): value for key, value in pairs}
 
     def _number(self, word: Any) -> float:
         if isinstance(word, str):
-            word = word.strip()
-            if self.decimal == ",":
-                word = word.replace(",", ".")
+            word = word.strip().replace(self.decimal, ".")
             if not NUMBER.fullmatch(word):
                 raise ValueError("not a number")
-        elif isinstance(word, bool) or not isinstance(word, int | float):
+        elif type(word) not in (int, float):  # bool is an int as well
             raise ValueError("not a number")
         value = float(word)
         if not isfinite(value):
@@ -175,11 +172,9 @@ class Line(StrictModel):
     def _written(self, numbers: Sequence[float]) -> bytes:
         """Return the line with these numbers, in the order of the columns."""
         words = {
-            key: f"{number:.0f}" if number.is_integer() else f"{number:.7g}"
+            key: (f"{number:.0f}" if number.is_integer() else f"{number:.7g}").replace(".", self.decimal)
             for key, number in zip(self.wanted, numbers, strict=True)
         }
-        if self.decimal == ",":
-            words = {key: word.replace(".", ",") for key, word in words.items()}
         if self.form == "json":
             body = json.dumps(_tree({str(key): float(word) for key, word in words.items()}))
         elif self.form == "pairs":
@@ -236,7 +231,7 @@ class TextDecoder(Decoder):
     def __init__(self, lines: Sequence[Line], timing: Timing) -> None:
         readers = [partial(read_once, line) for line in lines]
         frames = [
-            line_frame({line.prefix.encode() or b"\n": line.name}, read, not line.prefix)
+            line_frame({line.prefix.encode() or b"\n": line.name}, read, line.checksum != "none")
             for line, read in zip(lines, readers, strict=True)
         ]
         layouts = [Record(line.numbers) for line in lines]
@@ -275,9 +270,10 @@ def lines_right(read: Callable[[str], object], held: ByteArray, at: IntArray, le
     return np.array([read(text) is not None for text in texts(held, at, length)], np.bool_)
 
 
-def line_frame(names: Mapping[bytes, str], read: Callable[[str], object], after_end: bool = False) -> Frame:
-    """Return the frame of lines that are right when they can be read."""
-    return Frame(names, partial(line_lengths, after_end), partial(lines_right, read))
+def line_frame(names: Mapping[bytes, str], read: Callable[[str], object], sealed: bool = True) -> Frame:
+    """Return the frame of lines that are right when they can be read; `sealed` are those with a checksum."""
+    lengths, right = partial(line_lengths, b"\n" in names), partial(lines_right, read)
+    return Frame(names, lengths, right if sealed else unchecked, fits=None if sealed else right)
 
 
 @lru_cache(MOST_LINES)

@@ -9,7 +9,7 @@ import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import chain, product
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -28,6 +28,8 @@ NEAR = 0.06
 """Offset and scale errors of a sensor that nobody calibrated: a few percent of gravity."""
 STEADY = 0.05
 """Scatter of a norm, relative, up to which it is that of a constant vector."""
+ZERO = 2.5
+"""Norm, in units of its scatter, up to which three numbers are about zero: of noise alone it is 2.3."""
 NORMS = [
     *((g * (1 - NEAR), g * (1 + NEAR), "accel", keys, f"gravity is {g:g}") for g, keys in GRAVITIES.items()),
     *(
@@ -44,16 +46,12 @@ QUANTITIES = {
 }
 NAMED_TEMPERATURE = re.compile(r"^t(emp(erature)?)?([._ ]?(c|degc))?$", re.I)
 
-Guess = tuple[str, str]
-"""What stands in the file for a field besides its place, and why."""
+Guess = tuple[str, str, str]
+"""Column of a field, empty where it is not known, its other keys, and why."""
 
 
-class _Described(NamedTuple):
-    """What lines may be: keys of their description, place or name of each column, and which lines."""
-
-    keys: Mapping[str, Any]
-    places: Sequence[int | str]
-    lines: Sequence[str]
+_Described = tuple[Mapping[str, Any], Sequence[int | str], Sequence[str]]
+"""What lines may be: keys of their description, place or name of each column, and which lines."""
 
 
 def propose(data: bytes, seconds: float, baudrate: int | None) -> str | None:
@@ -65,9 +63,11 @@ def propose(data: bytes, seconds: float, baudrate: int | None) -> str | None:
     lines = [line for line in lines if line.strip()]
     if len(lines) < LEAST_LINES:
         return None
-    read = ((one, _read(one)) for one in chain(_named(lines), _delimited(lines)))
-    found, numbers = next(((one, rows) for one, rows in read if rows is not None), (None, np.zeros(0)))
-    if found is None:
+    for keys, places, described in chain(_named(lines), _delimited(lines)):
+        numbers = _read(keys, places, described)
+        if numbers is not None:
+            break
+    else:
         return None
     n = len(numbers)
     rate = n / seconds if seconds > 0 else 0.0
@@ -75,11 +75,11 @@ def propose(data: bytes, seconds: float, baudrate: int | None) -> str | None:
         "# Proposed from what came; every reason stands beside its line.  Look at it before you trust it.",
         *file_head("lines of text", "text", baudrate, f"{rate:.3g}  # {n} lines in {seconds:.2g} s"),
         "lines:", "  - name: line",
-        *(f"    {key}: {json.dumps(value)}" for key, value in found.keys.items()), "    fields:",
+        *(f"    {key}: {json.dumps(value)}" for key, value in keys.items()), "    fields:",
     ]  # fmt: skip
-    for place, (keys, why) in zip(found.places, _guesses(found.places, numbers, rate), strict=True):
-        text.append(f"      # {why}")
-        text.append(f"      - {{{'at' if isinstance(place, int) else 'key'}: {json.dumps(place)}, {keys}}}")
+    for place, (column, more, why) in zip(places, _guesses(places, numbers, rate), strict=True):
+        at = f"{'at' if isinstance(place, int) else 'key'}: {json.dumps(place)}, column: {column}"
+        text += [f"      # {why}", f"      - {{{at}{', ' if more else ''}{more}}}"]
     return "\n".join(text) + "\n"
 
 
@@ -93,13 +93,13 @@ def file_head(what: str, protocol: str, baudrate: int | None, rate: str) -> list
     ]  # fmt: skip
 
 
-def _read(found: _Described) -> FloatArray | None:
+def _read(keys: Mapping[str, Any], places: Sequence[int | str], lines: Sequence[str]) -> FloatArray | None:
     """Return the numbers of the lines, (n, columns), when nearly all are as they are described."""
-    place = "key" if isinstance(found.places[0], str) else "at"
-    fields = [{place: at, "column": f"value_{k}"} for k, at in enumerate(found.places)]
-    line = Line.model_validate({**found.keys, "name": "line", "fields": fields})
-    rows = [numbers for text in found.lines if (numbers := line.read(text)) is not None]
-    return np.array(rows) if len(rows) >= max(LEAST_LINES, SAME * len(found.lines)) else None
+    place = "key" if isinstance(places[0], str) else "at"
+    fields = [{place: at, "column": f"value_{k}"} for k, at in enumerate(places)]
+    line = Line.model_validate({**keys, "name": "line", "fields": fields})
+    rows = [numbers for text in lines if (numbers := line.read(text)) is not None]
+    return np.array(rows) if len(rows) >= max(LEAST_LINES, SAME * len(lines)) else None
 
 
 def _named(lines: list[str]) -> Iterator[_Described]:
@@ -109,7 +109,7 @@ def _named(lines: list[str]) -> Iterator[_Described]:
         shapes = Counter(tuple(_names_in(text, separator)) for text in lines)
         del shapes[()]
         for names, _ in shapes.most_common(1):
-            yield _Described(keys, names, lines)
+            yield keys, names, lines
 
 
 def _names_in(text: str, separator: str) -> list[str]:
@@ -143,7 +143,7 @@ def _delimited(lines: list[str]) -> Iterator[_Described]:
         if not numeric or (size == 1 and separator != " "):
             continue
         keys = {"prefix": prefix, "separator": separator, "values": size, "checksum": checksum or "none"}
-        yield _Described(keys, numeric, begun)
+        yield keys, numeric, begun
 
 
 def _beginnings(lines: list[str]) -> list[tuple[str, str]]:
@@ -166,8 +166,17 @@ def _guesses(places: Sequence[int | str], x: FloatArray, rate: float) -> list[Gu
             what, unit, why = vector
             for j, axis in zip(three, "xyz", strict=True):
                 own = names[j][-1:].lower()
-                taken[j] = f"column: {what}_{own if own in tuple('xyz') else axis}, {unit}", why
-    return [taken.get(k) or _single(x[:, k], k, names[k]) for k in range(len(names))]
+                taken[j] = what and f"{what}_{own if own in tuple('xyz') else axis}", unit, why
+    guesses = dict[str, Guess]()
+    for k, name in enumerate(names):
+        likely, keys, why = taken.get(k) or _single(x[:, k], name)
+        plain = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
+        columns = likely, f"{plain}_raw" if plain[:1].isalpha() else "", f"value_{k}"
+        column = next(one for one in columns if one and one not in guesses)
+        if likely and column != likely:
+            keys, why = "", f"also looks like {likely} ({why}), only one can be"
+        guesses[column] = column, keys, why
+    return [*guesses.values()]
 
 
 def _time(x: FloatArray, rate: float) -> Guess | None:
@@ -180,34 +189,42 @@ def _time(x: FloatArray, rate: float) -> Guess | None:
     for unit, size in UNITS.items():
         if 0.7 < middle * size * rate < 1.4:
             why = f"rises by {middle:.6g} a line: at {rate:.4g} lines a second that is {unit}"
-            return f"{'type: u32, ' if whole else ''}column: device_ticks, unit: {unit}", why
-    return ("type: u32, column: packet_counter", "rises by one a line") if whole and middle == 1.0 else None
+            return "device_ticks", f"{'type: u32, ' if whole else ''}unit: {unit}", why
+    return ("packet_counter", "type: u32", "rises by one a line") if whole and middle == 1.0 else None
 
 
-def _vector(x: FloatArray, names: Sequence[str]) -> tuple[str, str, str] | None:
-    """Return quantity, scale and unit, and the reason, of three columns; None when it is not known."""
-    norm = np.linalg.norm(x, axis=1)
-    mean, scatter = float(norm.mean()), float(norm.std())
+def _vector(x: FloatArray, names: Sequence[str]) -> Guess | None:
+    """Return quantity, scale and unit, and the reason, of three columns; None when it is not known.
+
+    The quantity is empty where the unit moved.
+    """
+    low, norm, high = np.percentile(np.linalg.norm(x, axis=1), (16, 50, 84))  # a few shocks do not count
+    scatter = (high - low) / 2
     named = next((what for what, pattern in QUANTITIES.items() if all(map(pattern.match, names))), None)
-    how = f"{'named so; ' if named else ''}norm {mean:.4g} with scatter {scatter:.2g}"
-    for low, high, what, keys, why in NORMS if scatter < STEADY * mean else ():
-        if low <= mean <= high and named in (None, what):
+    how = f"{'named so; ' if named else ''}norm {norm:.4g} with scatter {scatter:.2g}"
+    for least, most, what, keys, why in NORMS if scatter < STEADY * norm else ():
+        if least <= norm <= most and named in (None, what):
             return what, keys, f"{how}: {why}"
-    # About zero for numbers with their scatter: noise and a small offset.
+    # Numbers with their scatter: noise and a small offset.
     deviation, offset = x.std(axis=0), np.abs(x.mean(axis=0))
-    is_noise = np.all(deviation > 0) and np.all(offset < 30 * deviation.max()) and np.abs(x).max() < 300
-    if named == "gyro" or (named is None and is_noise):
-        why = "named so" if named else "about zero on all three axes"
+    is_small = np.all(deviation > 0) and np.all(offset < 30 * deviation.max()) and np.abs(x).max() < 300
+    if named == "gyro" or (named is None and is_small):
+        if named:
+            why = "named so"
+        elif norm < ZERO * scatter:
+            why = "about zero on all three axes"
+        elif np.diff(x, axis=0).var(axis=0).sum() > x.var(axis=0).sum():  # twice as much where it is white
+            why = f"{how}: noise about a bias"
+        else:
+            return "", "", f"{how}, changing slowly: the unit moved; keep it at rest while detecting"
         return "gyro", "unit: deg/s", f"{why}; rad/s or deg/s is not known at rest: turn by 90 deg and look"
     return None
 
 
-def _single(x: FloatArray, k: int, name: str) -> Guess:
+def _single(x: FloatArray, name: str) -> Guess:
     """Return what a column is taken for that belongs to no other."""
     steady = x.min() >= -40 and x.max() <= 85 and np.ptp(x) < 2
     if steady and (NAMED_TEMPERATURE.match(name) or (not name and 10 <= x.mean() <= 60)):
         why = "named so" if name else "nearly constant"
-        return "column: temperature, unit: degC", f"{why}, {x.mean():.4g}"
-    plain = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
-    own = f"{plain}_raw" if plain[:1].isalpha() else f"value_{k}"
-    return f"column: {own}", "its meaning is unknown"
+        return "temperature", "unit: degC", f"{why}, {x.mean():.4g}"
+    return "", "", "its meaning is unknown"

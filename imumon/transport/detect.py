@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Any
 
-from imumon.errors import ImumonError, Reason, bad_config
+from imumon.errors import ImumonError, Reason
 from imumon.transport.port import open_port
 from imumon.transport.ports import silent_error, wrong_baud_error
 from imumon.transport.settings import PortSettings
@@ -113,8 +113,7 @@ def detect(
     candidates: Mapping[str, Callable[[], Candidate]],
     baudrates: Sequence[int] = COMMON_BAUDRATES,
     seconds_each: float = 1.5,
-    before_rate: Callable[[PortSettings], None] = lambda _: None,
-    received: Callable[[bytes], None] = lambda _: None,
+    before_rate: Callable[[PortSettings], bytearray] = lambda _: bytearray(),
 ) -> list[Evidence]:
     """Listen at one rate after the other until the bytes frame; return the evidence, the best first.
 
@@ -125,18 +124,15 @@ def detect(
     `candidates`: makes a fresh decoder per name.
     `baudrates`: rates in bit/s, in the order to try them.
     `seconds_each`: time to listen at each rate; less when there is enough evidence.
-    `before_rate`: given what is tried next.
-    `received`: given the bytes as they come.
+    `before_rate`: given what is tried next; returns what the bytes that come are added to.
     """
-    for factory in candidates.values():
-        factory().feed(b"\0", 0)  # compiled kernels are loaded before bytes pile up
     rates = baudrates if PortSettings(url).has_line else baudrates[:1]
     evidence: list[Evidence] = []
     for rate in rates:
         settings = PortSettings(url, baudrate=rate)
-        before_rate(settings)
+        data = before_rate(settings)
         try:
-            evidence += listen(settings, candidates, seconds_each, received, others=len(rates) > 1)
+            evidence += listen(settings, candidates, seconds_each, data, others=len(rates) > 1)
         except ImumonError as error:
             if error.reason is not Reason.BAD_CONFIG or rate == rates[-1]:
                 raise
@@ -155,24 +151,23 @@ def listen(
     settings: PortSettings,
     candidates: Mapping[str, Callable[[], Candidate]],
     seconds: float,
-    received: Callable[[bytes], None],
+    data: bytearray,
     others: bool,
 ) -> list[Evidence]:
-    """Feed what arrives within `seconds` to every candidate; return the evidence in their order.
+    """Feed what arrives within `seconds` to every candidate, and add it to `data`; return the evidence.
 
     Bytes without a packet end it early only where there are other rates to try: else all that comes may
     serve a proposal.
     """
     decoders = {name: factory() for name, factory in candidates.items()}
     samples = dict.fromkeys(decoders, 0)
-    data, elapsed = bytearray(), 0.0
+    elapsed = 0.0
     with open_port(settings) as port:
         start = time.monotonic()
         while elapsed < seconds and not (
             _has_plenty(decoders.values()) or (others and _is_foreign(decoders.values(), data))
         ):
             read = port.read(min(POLL_S, seconds - elapsed))
-            received(read)
             data += read
             for name, decoder in decoders.items():
                 decoder.feed(read, time.time_ns())
@@ -202,12 +197,10 @@ def failure(url: str, evidence: Sequence[Evidence]) -> ImumonError | None:
 
     `evidence` is what `detect` returned, the best first.
     """
-    if not evidence:
-        return bad_config("no protocol or no baud rate to try")
     best = evidence[0]
     if best.verdict is Verdict.FRAMES:
         return None
-    settings = PortSettings(url) if best.baudrate is None else PortSettings(url, baudrate=best.baudrate)
+    settings = PortSettings(url, best.baudrate or COMMON_BAUDRATES[0])
     if best.verdict is Verdict.SILENT:
         return silent_error(settings, sum({item.baudrate: item.seconds for item in evidence}.values()))
     seen = wrong_baud_error(settings, best.bytes_per_s, best.share_framed, best.odd_share).seen

@@ -240,12 +240,10 @@ def _errno_text(number: int | None, error: Exception) -> str:
 
 def _not_found(device: str, number: int | None) -> tuple[str, str]:
     if number in (errno.ENOTTY, errno.EINVAL, errno.EISDIR) and Path(device).exists():
-        return "it exists but is not a serial port", describe_ports()
-    hint = "Plug the device in, or give one of these names."
-    ports = describe_ports()
-    if ports.startswith("no "):
-        hint = "Plug the device in; `dmesg` shows whether the USB bus detects it and a driver takes it."
-    return ports, hint
+        hint = f"`imumon decode {device} --device NAME` reads a file of bytes; {describe_ports()}"
+        return "it exists but is not a serial port", hint
+    hint = "Give the name of a port that exists, or plug the device in: `dmesg` shows whether USB detects it."
+    return describe_ports(), hint
 
 
 def _busy(device: str) -> tuple[str, str]:

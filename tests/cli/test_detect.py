@@ -38,6 +38,8 @@ def test_lines_of_text_get_a_device_file_that_reads_them(tmp_path: Path) -> None
         done = imumon("detect", port.path, "--propose", board, "--baud", 115200, "--seconds", 1)
     assert done.returncode == 3, done.stderr
     assert "gravity is 9.80665" in done.stdout
+    assert "frame" not in done.stderr
+    assert f"then: imumon monitor {port.path} --device {board}" in done.stderr
     result = answer("decode", capture, "--device", board, "--out", tmp_path / "t.csv")
     assert result["samples"] == 199  # the first line may be torn
     assert imumon("detect", "/dev/ttyNONE", "--propose", board).returncode == 2
@@ -62,6 +64,14 @@ def test_binary_packets_get_a_device_file_that_reads_them(tmp_path: Path) -> Non
     assert load_device(str(board)).serial.baudrates == [115200]
     result = answer("decode", capture, "--device", board, "--out", tmp_path / "t.csv")
     assert result["samples"] == 400
+
+
+def test_a_file_is_no_port_but_can_be_decoded(tmp_path: Path) -> None:
+    capture = tmp_path / "capture.txt"
+    capture.write_text("1,2,3\n")
+    done = imumon("detect", capture)
+    assert done.returncode == 3
+    assert f"imumon decode {capture} --device NAME" in done.stderr
 
 
 def test_noise_gets_no_device_file(tmp_path: Path) -> None:

@@ -12,6 +12,7 @@ from imumon.pipeline import Pipeline
 from imumon.protocols.device import device_names, load_device, parse_device
 from imumon.protocols.ranges import Ranges
 from imumon.simulation.unit import SimulatedUnit, load_scenario
+from tests.protocols.streams import feed_in_chunks
 
 GOOD = """\
 format: imumon-device/1
@@ -81,6 +82,13 @@ def test_a_scale_may_be_a_fraction_of_decimals(scale: str) -> None:
     device = parse_device(GOOD.replace("scale: 0.01,", f"scale: {scale},"), "my.yaml")
     assert device.name == parse_device(GOOD, "my.yaml").name
     assert "my.yaml:" in complaint(GOOD.replace("scale: 0.01,", "scale: 1/0,"))
+
+
+def test_a_device_without_a_checksum() -> None:
+    packet = parse_device(GOOD.replace("{type: sum8, first: 0, last: 10, at: 11}", "none"), "my.yaml")
+    block = feed_in_chunks(packet.decoder(), b"\xaa\x00\x07" + bytes(9), [5])
+    assert block["packet_counter"].tolist() == [7]
+    assert "packet.checksum" in complaint(GOOD.replace("{type: sum8, first: 0, last: 10, at: 11}", "null"))
 
 
 def test_an_empty_file_and_a_list_are_refused() -> None:

@@ -43,13 +43,21 @@ def test_lines_with_separators() -> None:
     np.testing.assert_allclose(np.rad2deg(block["gyro_z"]), [5, 6, 3])
 
 
+@pytest.mark.parametrize("text", [CSV, JSON, PAIRS])
+def test_without_a_checksum_there_are_no_checksum_errors(text: str) -> None:
+    decoder = parse_device(text, "t.yaml").decoder()
+    feed_in_chunks(decoder, b"\nboot\n1,2,3\n", [5])
+    counters = decoder.counters()
+    assert (counters.checksum_errors, counters.length_errors, counters.bytes_skipped) == (0, 2, 11)
+
+
 @pytest.mark.parametrize("bad", [b"-5", b"70000", b"1.5", b"65536"])
 def test_a_clock_that_its_type_does_not_hold_makes_a_line_bad(bad: bytes) -> None:
     decoder = parse_device(CSV.replace("u32", "u16"), "t.yaml").decoder()
     line = bad + b",1,2,3\n"
     block = feed_in_chunks(decoder, b"\n0,1,2,3\n" + line + b"65535,1,2,3\n", [7])
     assert block["device_ticks"].tolist() == [0, 65535]
-    assert decoder.counters().checksum_errors == 1
+    assert decoder.counters().length_errors == 1
 
 
 def test_a_count_is_written_with_the_bits_that_its_type_has() -> None:
@@ -69,9 +77,9 @@ def test_pairs_and_json() -> None:
     np.testing.assert_allclose(np.rad2deg(block["gyro_x"]), [90, 45])
     assert block["temperature"].tolist() == [21.5, 22]
     good = b'{"t": 1, "imu": {"gyro": [1, 2, 3]}, "temp": 20.5}\n'
-    block = decoded(
-        JSON, b"\n" + good + b'{"imu": {"gyro": [1, 2]}, "temp": 1}\n{"imu": 1, "temp": true}\n' + good
-    )
+    bad = b'{"imu": {"gyro": [1, 2]}, "temp": 1}\n{"imu": 1, "temp": true}\n'
+    huge = good.replace(b"20.5", b"9" * 400)  # as a float it would overflow
+    block = decoded(JSON, b"\n" + good + bad + huge + good)
     np.testing.assert_allclose(np.rad2deg(block["gyro_z"]), [3, 3])
     assert block["temperature"].tolist() == [20.5, 20.5]
 
@@ -145,11 +153,20 @@ def test_known_boards() -> None:
         (CSV, "at: 0", "key: t", "need at"),
         (SUM, "'$IMU,'", "'IMU,'", "begins with $"),
         (CSV, "at: 0, type", "at: 0, key: t, type", "give either at"),
+        (CSV, "gyro_y, gyro_z]", "gyro_y, gyro_x]", "fields[1]: column gyro_x is there twice"),
+        (PAIRS, "column: temperature, unit: degC", "column: gyro_x, unit: deg/s", "gyro_x is there twice"),
     ],
 )
 def test_wrong_descriptions_are_refused(text: str, old: str, new: str, words: str) -> None:
     assert old in text
     assert words in complaint(text.replace(old, new))
+
+
+def test_lines_of_two_kinds_may_have_one_column() -> None:
+    line = "    values: 2\n    fields: [{at: 0, column: t, unit: s}, {at: 1, column: k, unit: g}]\n"
+    text = HEAD + "".join(f"  - name: {name}\n    prefix: '{name},'\n{line}" for name in "ab")
+    block = decoded(text, b"a,1,5\nb,2,6\n")
+    assert block["k"].tolist() == [5, 6]
 
 
 def test_the_device_is_one_of_text() -> None:

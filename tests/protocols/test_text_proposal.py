@@ -61,6 +61,48 @@ def test_counts_of_a_sensor_are_known_by_gravity() -> None:
     assert "mag_x" in text
 
 
+def test_each_name_is_proposed_once() -> None:
+    unit = ACCEL / np.linalg.norm(ACCEL, axis=1, keepdims=True)[:, [0, 0, 0]]
+    rows = np.column_stack([TICKS, TICKS, ACCEL, GYRO, unit, GYRO[::-1], ACCEL[:, :2] * 0 + 25])
+    data = lines([f"{row[0]:.0f},{row[1]:.0f}," + ",".join(f"{x:.4f}" for x in row[2:]) for row in rows])
+    checked(data)
+    text = device_for(data)[1]
+    assert "also looks like accel_x (norm 1 with scatter" in text
+    for name in ("value_1", "value_8", "value_9", "value_10", "value_11", "value_12", "value_13", "value_15"):
+        assert f"column: {name}}}" in text
+    assert text.count("column: device_ticks") == text.count("column: temperature") == 1
+
+
+def test_keys_that_differ_in_capitals_alone_have_columns_of_their_own() -> None:
+    device, _ = device_for(lines([f"foo:{-k % 7},Foo:{-k % 5}" for k in range(N)]))
+    assert [c.name for c in device.decoder().columns] == ["arrival_time_ns", "foo_raw", "value_1"]
+
+
+def test_a_force_that_changed_while_the_unit_moved_is_not_about_zero() -> None:
+    turn = np.sin(np.arange(N) / 8)
+    force = (1.03 + 0.15 * np.cos(np.arange(N) / 5)) * np.array([GYRO[:, 0] / 10, np.sin(turn), np.cos(turn)])
+    data = lines([",".join(f"{x:.4f}" for x in row) for row in np.column_stack([force.T, GYRO])])
+    text = device_for(data)[1]
+    assert "the unit moved; keep it at rest while detecting" in text.split("column: value_0")[0]
+    assert "about zero" not in text.split("column: value_2")[0]
+    assert "column: gyro_z" in text.split("at: 5")[1]
+
+
+def test_a_few_shocks_leave_the_norm_of_a_force_steady() -> None:
+    force = ACCEL / 9.80665
+    force[[20, 21, 60]] *= [[2.5], [0.3], [1.9]]
+    data = lines([",".join(f"{x:.4f}" for x in row) for row in force])
+    assert "gravity is 1\n      - {at: 2, column: accel_z, scale: 1, unit: g}" in device_for(data)[1]
+
+
+def test_a_rate_with_a_large_bias_is_no_rate_about_zero() -> None:
+    rates = np.add(GYRO, (2.1, -1.1, 0.3))
+    text = device_for(lines([",".join(f"{x:.4f}" for x in row) for row in rates]))[1]
+    assert "noise about a bias" in text
+    assert "about zero" not in text
+    assert "column: gyro_z, unit: deg/s" in text
+
+
 def test_pairs_and_their_names() -> None:
     names = ("ax", "ay", "az", "gx", "gy", "gz", "temp")
     rows = np.column_stack([ACCEL, GYRO, np.full(N, 25.0)])

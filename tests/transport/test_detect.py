@@ -88,13 +88,18 @@ def sending(device: VirtualPort, make: Callable[[int], bytes] = packet) -> Itera
 
 def test_rate_and_protocol_are_found_among_wrong_ones() -> None:
     tried: list[int] = []
+
+    def begin(settings: PortSettings) -> bytearray:
+        tried.append(settings.baudrate)
+        return bytearray()
+
     with VirtualPort(baudrate=57600) as device, sending(device):
         evidence = detect(
             device.path,
             CANDIDATES,
             [115200, 230400, 57600, 9600],
             LIMIT_S,
-            lambda s: tried.append(s.baudrate),
+            begin,
         )
     best = evidence[0]
     assert (best.protocol, best.baudrate, best.verdict) == ("mine", 57600, Verdict.FRAMES)
@@ -157,12 +162,13 @@ def test_text_points_to_command_mode() -> None:
 def test_text_is_listened_to_for_as_long_as_requested_at_its_rate() -> None:
     heard, tried = bytearray(), list[int]()
 
-    def begin(settings: PortSettings) -> None:
+    def begin(settings: PortSettings) -> bytearray:
         heard.clear()
         tried.append(settings.baudrate)
+        return heard
 
     with VirtualPort(baudrate=57600) as device, sending(device, lambda n: b"%d,2,3\r\n" % n * 10):
-        evidence = detect(device.path, CANDIDATES, [115200, 57600, 9600], TEXT_S, begin, heard.extend)
+        evidence = detect(device.path, CANDIDATES, [115200, 57600, 9600], TEXT_S, begin)
     assert tried == [115200, 57600]
     assert all(item.seconds >= TEXT_S for item in evidence if item.baudrate == 57600)
     assert heard.count(b"\n") > 100
