@@ -17,9 +17,10 @@ from typing import NamedTuple
 import numpy as np
 
 from imumon.allan.covariance import TERMS_OF, TRUSTED_FREEDOM, Runs, freedom, intervals
-from imumon.allan.series import JITTER, WALK, nominal_interval_ns
+from imumon.allan.series import JITTER, WALK
 from imumon.blocks import ColumnArray, FloatArray, IntArray, SampleBlock
 from imumon.charts import AXIS_COLORS, GREY, Axis, Chart, Curve
+from imumon.clock.checks import usual_interval_ns
 from imumon.columns import Column
 from imumon.compiled import njit, record
 from imumon.config import retired
@@ -155,7 +156,8 @@ class StreamingAllan:
             self._waiting = times, segments, first
             return len(values)
         self._begin()
-        self._run.interval_ns = nominal_interval_ns(times, segments)
+        steps = np.diff(times)
+        self._run.interval_ns, _ = usual_interval_ns(steps[(np.diff(segments) == 0) & (steps > 0)], True)
         self._run.offset = float(first[0])
         if self._run.interval_ns:
             stream(times, segments, first, self._run)

@@ -14,6 +14,7 @@ from imumon.errors import bad_data
 from imumon.estimation.gyro_bias.stage import RestDetector
 from imumon.estimation.rest.slots import COARSEST_STEPS
 from imumon.filters.rounding import digits
+from imumon.pipeline import BY_RATE
 from imumon.recordings.reduced import ACCEL, GYRO
 from imumon.recordings.source import Count, no_count, open_recording
 
@@ -65,7 +66,8 @@ def read_channels(path: Path, count: Count = no_count) -> Channels:
     channels = {name: samples[name] for name in there if np.isfinite(samples[name]).sum() > 1}
     if not channels:
         raise bad_data(f"{path}: holds no two numbers in any of {', '.join(CHANNELS)}")
-    series = even_channels(samples["device_time_ns"], samples["segment"], channels)
+    counted = any(of.dated_by in BY_RATE for of in recording.pipeline.counters.streams.values())
+    series = even_channels(samples["device_time_ns"], samples["segment"], channels, counted=counted)
     if len(samples) < FEWEST_SAMPLES:
         what = f"has {len(samples)} samples; an Allan deviation needs {FEWEST_SAMPLES} at the least"
         advice = "record for ten times as long as the longest averaging time of interest"
@@ -86,7 +88,7 @@ def read_channels(path: Path, count: Count = no_count) -> Channels:
     warnings = recording.warnings()
     if empty := [name for name in there if name not in channels]:
         warnings.append(f"{', '.join(empty)}: fewer than two numbers; left out")
-    warnings += _of_units(series)
+    warnings += _of_units(samples, series)
     of_grids = by_text((name, text) for name, channel in series.items() for text in _of_grid(channel))
     for text, alike in of_grids.items():
         warnings.append(text if len(alike) == len(series) else f"{', '.join(alike)}: {text}")
@@ -106,14 +108,16 @@ def by_text(found: Iterable[tuple[str, str]]) -> dict[str, list[str]]:
     return channels
 
 
-def _of_units(series: Mapping[str, EvenSeries]) -> Iterator[str]:
+def _of_units(samples: SampleBlock, series: Mapping[str, EvenSeries]) -> Iterator[str]:
     """Yield what looks like readings in other units."""
     gyros = [name for name in GYRO if name in series]
     if fast := [name for name in gyros if np.median(np.abs(series[name].values)) > FASTEST_RAD_S]:
         yield f"{', '.join(fast)}: turns faster than any gyro measures: it is not in rad/s"
-    norm = float(np.linalg.norm([series[name].values.mean() for name in ACCEL if name in series]))
-    if series.keys() >= {*ACCEL} and not NORMAL_G[0] < norm < NORMAL_G[1]:
-        yield f"the mean specific force is {norm:.4g} m/s^2, not gravity: it is not in m/s^2, or not whole"
+    if samples.accel is not None and series.keys() >= {*ACCEL}:
+        norm = float(np.nanmean(np.linalg.norm(samples.accel, axis=1)))
+        if not NORMAL_G[0] < norm < NORMAL_G[1]:
+            what = f"the mean specific force is {norm:.4g} m/s^2, not gravity"
+            yield f"{what}: it is not in m/s^2, or not whole"
 
 
 def _of_grid(channel: EvenSeries) -> Iterator[str]:

@@ -16,9 +16,10 @@ import numpy as np
 
 from imumon.allan.covariance import TRUSTED_FREEDOM, Runs, covariances_of, freedom
 from imumon.blocks import BoolArray, FloatArray, IntArray
+from imumon.clock.checks import usual_interval_ns
 
 JITTER = 0.35
-"""Time between samples may be off by this part of the interval."""
+"""Time between samples may be off by this part of the interval, or by the resolution of the times."""
 PARTS = 4
 """A gap of a quarter of an averaging time, in the middle, changes its mean of a random walk by 0.4 % of the
 variance: a quarter of the cube of its part."""
@@ -110,28 +111,17 @@ class Division:
         """Return the covariances for a correlation time, samples."""
 
 
-def nominal_interval_ns(time_ns: IntArray, segment: IntArray) -> float:
-    """Return the usual time from sample to sample: the mean of the steps within 50 % of their median."""
-    steps = np.diff(time_ns)
-    steps = steps[(np.diff(segment) == 0) & (steps > 0)]
-    if not len(steps):
-        return 0.0
-    middle = float(np.partition(steps, (len(steps) - 1) // 2)[(len(steps) - 1) // 2])  # one of them
-    near = steps[np.abs(steps - middle) < 0.5 * middle]
-    return float(near.mean())
-
-
 Grid = tuple[BoolArray, IntArray, EvenSeries]
 """Where samples lie on an even grid: which are kept, at which position; and a series without values."""
 
 
 def even_channels(
-    time_ns: IntArray, segment: IntArray, channels: Mapping[str, FloatArray]
+    time_ns: IntArray, segment: IntArray, channels: Mapping[str, FloatArray], *, counted: bool = False
 ) -> dict[str, EvenSeries]:
     """Put the finite values of each channel on an even grid; channels without two neighbours are left out.
 
     Device time, the count of its restarts, and channels are (n,), NaN where a channel has no sample: one that
-    is slower than the packets has its own interval.
+    is slower than the packets has its own interval.  `counted`: the times are those of a count of packets.
     """
     grids: dict[bytes, Grid | None] = {}
     series = {}
@@ -139,21 +129,22 @@ def even_channels(
         present = np.isfinite(values)
         key = np.packbits(present).tobytes()
         if key not in grids:
-            grids[key] = _grid(time_ns[present], segment[present])
+            grids[key] = _grid(time_ns[present], segment[present], counted)
         if (grid := grids[key]) is not None:
             kept, position, bare = grid
             series[name] = bare._replace(values=_filled(values[present][kept], position, bare))
     return series
 
 
-def _grid(time_ns: IntArray, segment: IntArray) -> Grid | None:
-    interval = nominal_interval_ns(time_ns, segment)
-    if interval <= 0.0:
+def _grid(time_ns: IntArray, segment: IntArray, counted: bool) -> Grid | None:
+    n, steps = len(time_ns), np.diff(time_ns)
+    interval, resolution = usual_interval_ns(steps[(np.diff(segment) == 0) & (steps > 0)], counted)
+    if not interval > 0.0:
         return None
-    n = len(time_ns)
-    steps = np.diff(time_ns) / interval
-    whole = np.rint(steps)
-    even = (np.abs(steps - whole) <= JITTER) & (whole >= 1) & (whole - 1 <= n // LONGEST_GAP)
+    steps = steps / interval
+    rounded = resolution / interval
+    whole = np.where(np.abs(steps - 1.0) < rounded, 1.0, np.rint(steps))
+    even = (np.abs(steps - whole) <= max(JITTER, rounded)) & (whole >= 1) & (whole - 1 <= n // LONGEST_GAP)
     even &= np.diff(segment) == 0
     together = steps[even & (whole == 1)]
     jitter = float(np.sqrt(np.mean((together - 1.0) ** 2))) if len(together) else 0.0

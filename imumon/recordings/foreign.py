@@ -207,7 +207,9 @@ def time_parser(unit: str, date_format: str | None = None) -> ParseTime:
     def parse(text: str) -> int:
         try:
             if date_format is not None:
-                time_ns = _of_date(datetime.strptime(text.strip(), date_format))
+                moment = datetime.strptime(text.strip(), date_format)
+                # The year of a time of day without a date; it becomes that since midnight.
+                time_ns = _of_date(moment.replace(year=1970) if moment.year == 1900 else moment)
             elif unit == TIMESTAMPS:
                 time_ns = _of_timestamp(text)
             elif "_" in text:  # which Decimal accepts, but no table means

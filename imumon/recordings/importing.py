@@ -4,6 +4,7 @@ import math
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime, timedelta
 from fractions import Fraction
 from pathlib import Path
 
@@ -28,15 +29,15 @@ _LAYOUT = (
     '; add to the map what fits: csv: {delimiter: ";", comment: "#", header: false, columns: [NAME, ...]}'
 )
 _BAD_ROWS = (
-    "mend the table, state its layout in the map, as in"
-    ' csv: {skip_rows: 1, comment: "#", delimiter: ";", decimal: ","},'
-    " or add bad_rows: drop to the map to import the others"
+    "mend the table, or add to the map its layout, as"
+    ' csv: {skip_rows: 1, comment: "#", delimiter: ";", decimal: ","}, or bad_rows: drop to import the others'
 )
 _NOT_AFTER = (
-    "if the device or the log started anew there, add backwards: segment to time in the map; if the clock is"
-    " too coarse, give rate_hz: ... in place of time; local time goes back where daylight saving ends: write"
-    " UTC, or the zone (+01:00)"
+    "if the device started anew there, add backwards: segment to time in the map; at midnight of a day,"
+    " wraps_at: 86400; if the clock is too coarse, give rate_hz: ... in place of time; where daylight saving"
+    " ended, write UTC, or the zone (+01:00)"
 )
+_NO_RATE = "the times are too coarse for a rate; if no row is lost, give rate_hz: ... in place of time"
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,13 +103,7 @@ def import_table(
 
 
 class TableImport:
-    """The rows of a table from elsewhere as samples, read once, and what became of them.
-
-    Raises BAD_CONFIG for a wrong map or a column that the table lacks, with the file of the map;
-    BAD_DATA for a table that cannot be read.
-
-    `rows_dropped`: rows of what the table was made of that are not in it.
-    """
+    """The rows of a table from elsewhere as samples, read once; arguments, errors as of `import_table`."""
 
     def __init__(self, table: Path, map_path: Path, rows_dropped: int = 0) -> None:
         self.table = table
@@ -119,6 +114,8 @@ class TableImport:
         wanted = [*names, *([self.map.time.column] if self.map.time else [])]
         if absent := [name for name in wanted if name not in self._names]:
             layout = "" if len(absent) < len(wanted) else _LAYOUT
+            if any("\ufffd" in name for name in self._names):
+                layout += "; \ufffd is in place of what is not UTF-8: convert the table to UTF-8"
             raise bad_config(
                 f"{map_path}: {table} has no column {', '.join(map(repr, absent))}",
                 f"it has: {', '.join(map(repr, self._names))}{layout}",
@@ -172,8 +169,9 @@ class TableImport:
         """Return what became of the table, once its blocks were read."""
         inertial = self.map.gyro is not None or self.map.accel is not None
         rate_hz = self.map.rate_hz or self._intervals.rate_hz or math.nan
-        doubts = [*(rate_doubts(rate_hz) if inertial else ()), *filter(None, [self._force.found])]
-        used = {source.column for source in self.map.sources()}
+        doubts = [_NO_RATE] if self._rows_good > 1 and math.isnan(rate_hz) else []
+        doubts += [*(rate_doubts(rate_hz) if inertial else ()), *filter(None, [self._force.found])]
+        used = {"", *(source.column for source in self.map.sources())}
         used |= {self.map.time.column} if self.map.time else set()
         return ImportReport(
             rows_in=self._rows_good + self._rows_bad,
@@ -219,8 +217,8 @@ class TableImport:
         if wrong.any():
             at = int(np.argmax(wrong))
             line, line_before = int(part.line[at]), int(part.line[at - 1]) if at else before_line
-            after_s, before_s = int(times[at]) * 1e-9, int(times[at] - steps[at]) * 1e-9
-            what = f"time {after_s:.9f} s is not after {before_s:.9f} s of line {line_before}"
+            after, before = (self._shown(int(ns)) for ns in (times[at], times[at] - steps[at]))
+            what = f"time {after} is not after {before} of line {line_before}"
             raise bad_data(f"{self.table}:{line}: {what}", _NOT_AFTER)
         segments = self._segment + np.cumsum(back)
         self._span_ns += sum(steps[~back].tolist()) - (self._last is None)
@@ -228,6 +226,12 @@ class TableImport:
         self._last = int(times[-1]), int(part.line[-1])
         self._segment = int(segments[-1])
         return times, segments
+
+    def _shown(self, time_ns: int) -> str:
+        if self.map.time is None or self.map.time.format is None:
+            return f"{time_ns * 1e-9:.9f} s"
+        moment = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=time_ns // 1000)
+        return repr(moment.strftime(self.map.time.format))
 
     def _times(self, part: Part) -> IntArray:
         if not len(part.index):

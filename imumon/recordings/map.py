@@ -60,8 +60,8 @@ def _check_format(text: str) -> str:
 class TimeColumn(StrictModel):
     """The column of time; `backwards` states what a time before the one above means.
 
-    `wraps_at`, in its unit, is where a count begins at 0 again.  `format`, in place of a unit, is how dates
-    are written, by the directives of `datetime.strptime`.
+    `wraps_at`, in its unit, or in s of a time of day, is where a count begins at 0 again.  `format`, in place
+    of a unit, is how dates are written, by the directives of `datetime.strptime`.
     """
 
     column: str
@@ -75,7 +75,7 @@ class TimeColumn(StrictModel):
         """After how many ns the count begins at 0 again; None for a time that does not."""
         if self.wraps_at is None:
             return None
-        return Fraction(str(self.wraps_at)) * parse_unit(self.unit, "ns").factor
+        return Fraction(str(self.wraps_at)) * parse_unit("s" if self.format else self.unit, "ns").factor
 
     @model_validator(mode="before")
     @classmethod
@@ -88,7 +88,7 @@ class TimeColumn(StrictModel):
 
     @model_validator(mode="after")
     def _wraps_as_a_count_can(self) -> "TimeColumn":
-        if self.wraps_at is not None and self.unit == TIMESTAMPS:
+        if self.wraps_at is not None and self.unit == TIMESTAMPS and self.format is None:
             raise ValueError("dates do not wrap: leave wraps_at out")
         if self.wraps_at is not None and self.backwards == "segment":
             raise ValueError(

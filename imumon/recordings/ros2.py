@@ -17,12 +17,14 @@ import numpy as np
 
 from imumon.blocks import NO_INT, BoolArray, FloatArray, IntArray, SampleBlock, missing
 from imumon.columns import BodyAxes
-from imumon.errors import missing_package
+from imumon.errors import bad_data, missing_package
 from imumon.protocols.base import MAIN
 from imumon.recordings.table import CLOCKS, iterate_table, read_columns
 
 Message = dict[str, Any]
 SECOND_NS = 1_000_000_000
+UNTIL_S = 2**31
+"""Of a message of ROS, whose seconds have 32 bits."""
 TESLA = {"T": 1.0, "mT": 1e-3, "uT": 1e-6, "nT": 1e-9, "gauss": 1e-4, "mgauss": 1e-7}
 UNKNOWN, NOTHING = [0.0] * 9, [-1.0] + [0.0] * 8
 ANY_HEADING = np.pi**2 / 3
@@ -52,7 +54,7 @@ DIAGNOSED = (
 def write_ros2(tables: Mapping[str, Path], out: Path, axes: BodyAxes | None) -> tuple[list[str], list[str]]:
     """Write tables of a run as one MCAP file; return the streams that it has, and what ROS has no terms for.
 
-    Raises BAD_CONFIG when a package that it needs is not installed.
+    Raises BAD_CONFIG when a package that it needs is not installed; BAD_DATA for times that ROS cannot hold.
 
     `tables`: of the main stream and of each side stream, Parquet.
     `axes`: body axes of the samples; where they are not known the samples stay as they are.
@@ -152,6 +154,10 @@ class Stream:
             return
         times: IntArray = block[self.clock]
         second = times // SECOND_NS
+        known = times[times != NO_INT] * 1e-9
+        if not 0.0 <= known.min(initial=0.0) <= known.max(initial=0.0) < UNTIL_S:
+            what = f"{self.clock} is from {known.min():.3f} s to {known.max():.3f} s"
+            raise bad_data(f"{what}, and ROS 2 has 1970 to 2038", "write .parquet, .csv, .npz or .mat")
         before = second[0] - 1 if self._second is None else self._second
         begins, self._second = np.diff(second, prepend=before) != 0, int(second[-1])
         topics = list(self._topics(block, begins))

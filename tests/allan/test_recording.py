@@ -70,6 +70,13 @@ def test_units_that_cannot_be_are_reported(tmp_path: Path) -> None:
     assert "specific force is 1 m/s^2" in said
 
 
+def test_gravity_in_a_unit_that_turns_over_is_no_wrong_unit(tmp_path: Path) -> None:
+    angle = np.linspace(0, 2 * np.pi, N, endpoint=False)
+    force = {"accel_x": 9.8 * np.sin(angle), "accel_y": np.zeros(N), "accel_z": 9.8 * np.cos(angle)}
+    warnings = read_channels(write(tmp_path, columns() | force)).warnings
+    assert not any("specific force" in text for text in warnings)
+
+
 def test_a_channel_without_numbers_is_left_out_and_reported(tmp_path: Path) -> None:
     opened = read_channels(write(tmp_path, columns() | {"gyro_y": np.full(N, np.nan)}))
     assert list(opened.series) == ["gyro_x", "gyro_z"]

@@ -89,6 +89,27 @@ def test_lost_samples_cost_neither_terms_nor_long_averaging_times(lost: float) -
     assert min(each.longest_tau_s for each in found.values()) > 80.0
 
 
+@pytest.mark.parametrize("rate_hz", [150, 250, 333.3, 400, 640, 700, 800, 900, 950, 1000])
+@pytest.mark.parametrize("lost", [0.0, 0.01])
+def test_times_in_whole_milliseconds_give_the_noise_or_nothing(rate_hz: float, lost: float) -> None:
+    n, rng = 70_000, np.random.default_rng(int(rate_hz))
+    keep = rng.random(n) >= lost
+    time_ns = np.floor(np.arange(n) / rate_hz * 1000 + 1e-9)[keep].astype(np.int64) * 1_000_000
+    values = rng.normal(0, np.sqrt(rate_hz), n)[keep]
+    found = even_channels(time_ns, np.zeros(keep.sum(), np.int64), {"x": values})
+    if not found:
+        assert lost
+        assert rate_hz > 500
+        return
+    assert found["x"].used == keep.sum()
+    if not lost or rate_hz in (150, 250, 333.3, 400, 1000):
+        assert found["x"].gap_lengths.sum() == n - keep.sum() - (not keep[0]) - (not keep[-1])
+    fit = analyse(found)["x"].fit
+    term = fit and fit.terms["angle_random_walk"]
+    assert term
+    assert abs(term.value - 1.0) < 3.0 * term.sd
+
+
 def test_a_restart_and_a_pause_end_an_island() -> None:
     n = 900
     time_ns = np.arange(n) * STEP_NS

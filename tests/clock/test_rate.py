@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from imumon.blocks import NO_INT
-from imumon.clock.checks import Intervals
+from imumon.clock.checks import Intervals, usual_interval_ns
 
 
 @pytest.mark.parametrize("rate_hz", [0.01, 1.0, 99.7, 125.0, 4000.0])
@@ -27,6 +27,21 @@ def test_rate_is_that_where_nothing_is_missing(rate_hz: float, jitter: float) ->
     assert intervals.rows == 1995
 
 
+@pytest.mark.parametrize("rate_hz", [150, 278, 333.3, 400, 476, 500, 640, 700, 800, 900, 950, 1000])
+@pytest.mark.parametrize("lost", [0.0, 0.01])
+def test_times_in_whole_milliseconds_give_the_rate_or_none(rate_hz: float, lost: float) -> None:
+    kept = np.random.default_rng(int(rate_hz)).random(40_000) >= lost
+    time = np.floor(np.arange(40_000) / rate_hz * 1000 + 1e-9)[kept].astype(np.int64) * 1_000_000
+    intervals = Intervals()
+    intervals.add(time, np.zeros(kept.sum(), np.int64))
+    if intervals.rate_hz is None:
+        assert lost
+        assert rate_hz > 500
+    else:
+        assert intervals.rate_hz == pytest.approx(rate_hz, rel=4e-3 if lost else 2e-4)
+        assert lost or not intervals.gaps
+
+
 def test_steps_between_segments_and_unknown_times_do_not_count() -> None:
     time = np.array([0, 10, NO_INT, 20, 5, 15, 25], np.int64) * 1_000_000
     time[2] = NO_INT
@@ -34,6 +49,12 @@ def test_steps_between_segments_and_unknown_times_do_not_count() -> None:
     intervals.add(time, np.array([0, 0, 0, 0, 1, 1, 1]))
     assert intervals.rate_hz == pytest.approx(100.0)
     assert (intervals.gaps, intervals.backwards) == (0, 0)
+
+
+def test_what_a_counter_lacks_at_even_steps_is_missing_and_no_rounding() -> None:
+    steps = np.diff(np.arange(5000)[np.arange(5000) % 8 != 3] * 1_000_000)
+    assert usual_interval_ns(steps, counted=True) == (1e6, 0.0)
+    assert usual_interval_ns(steps)[0] == pytest.approx(8e6 / 7, rel=1e-3)
 
 
 def test_a_time_that_runs_back_within_a_segment_is_counted() -> None:

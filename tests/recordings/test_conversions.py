@@ -18,6 +18,7 @@ from imumon.errors import ImumonError, Reason
 from imumon.logs.importing import import_log
 from imumon.pipeline import Pipeline
 from imumon.recordings.exports import convert, export_run
+from imumon.recordings.importing import import_table
 from imumon.recordings.ros2 import SECOND_NS, write_ros2
 from imumon.recordings.source import open_source, run_over
 from imumon.recordings.table import TableWriter
@@ -78,6 +79,19 @@ def bag(path: Path) -> dict[str, list[Any]]:
             message = reader.deserialize(raw, connection.msgtype)
             found.setdefault(connection.topic, []).append(message)
     return found
+
+
+@pytest.mark.parametrize("time_s", [-1, 2**31, 4_200_000_000])
+def test_a_time_that_ros_cannot_hold_is_refused_before_a_file_appears(tmp_path: Path, time_s: int) -> None:
+    (tmp_path / "t.csv").write_text(f"t,x,y,z\n{time_s + 0.25},1,2,3\n{time_s + 0.5},1,2,3\n")
+    (tmp_path / "m.yaml").write_text("time: {column: t, unit: s}\ngyro: {columns: [x, y, z], unit: deg/s}\n")
+    import_table(tmp_path / "t.csv", tmp_path / "m.yaml", tmp_path / "s")
+    source, pipeline, out = open_source(tmp_path / "s"), Pipeline(None), tmp_path / "out.mcap"
+    with pytest.raises(ImumonError) as caught:
+        export_run(run_over(source.items, pipeline), pipeline, source, out, None)
+    assert caught.value.reason is Reason.BAD_DATA
+    assert f"device_time_ns is from {time_s + 0.25:.3f} s" in caught.value.seen
+    assert not out.exists()
 
 
 def vector(message: Any) -> FloatArray:

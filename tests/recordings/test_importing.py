@@ -129,6 +129,14 @@ def test_a_rate_gives_even_times_that_do_not_drift(tmp_path: Path) -> None:
     ]
 
 
+def test_times_that_are_too_coarse_for_a_rate_are_reported(tmp_path: Path) -> None:
+    kept = np.random.default_rng(1).random(10_000) > 0.01
+    rows = "".join(f"{int(row * 1.11):d},1,2,3,\n" for row in np.flatnonzero(kept))
+    report, _ = run(tmp_path, HEADER + rows, MAP.replace("unit: s", "unit: ms"))
+    assert np.isnan(report.rate_hz)
+    assert "give rate_hz" in " ".join(report.warnings)
+
+
 def test_empty_cells_are_nan(tmp_path: Path) -> None:
     _, samples = run(tmp_path, HEADER + "0.1,,NaN,null,\n0.2,1,2,3,\n")
     assert samples.gyro is not None
@@ -189,6 +197,35 @@ def test_times_that_do_not_increase_are_refused_with_their_line(
     error = refused(tmp_path, HEADER + "0.1,1,2,3,\n0.1,1,2,3,\n")
     assert "t.csv:3: time 0.100000000 s is not after 0.100000000 s of line 2" in error.seen
     assert "rate_hz" in error.hint
+
+
+DAY = MAP.replace("unit: s}", 'format: "%H:%M:%S.%f"}')
+NIGHT = HEADER + "23:59:59.990,1,2,3,\n00:00:00.010,1,2,3,\n00:00:00.030,1,2,3,\n"
+
+
+def test_a_time_of_day_that_passes_midnight_is_quoted_or_wraps(tmp_path: Path) -> None:
+    error = refused(tmp_path, NIGHT, DAY)
+    assert "t.csv:3: time '00:00:00.010000' is not after '23:59:59.990000' of line 2" in error.seen
+    assert "wraps_at: 86400" in error.hint
+    _, samples = run(tmp_path, NIGHT, DAY.replace('f"}', 'f", wraps_at: 86400}'))
+    assert (samples["device_time_ns"] / 1e7).tolist() == [8_639_999, 8_640_001, 8_640_003]
+
+
+def test_a_whole_date_does_not_wrap(tmp_path: Path) -> None:
+    dates = MAP.replace("unit: s}", 'format: "%d.%m.%Y %H:%M:%S", wraps_at: 86400}')
+    assert "is not from 0 to below 86400" in str(
+        refused(tmp_path, HEADER + "1.2.2026 23:59:59,1,2,3,\n", dates)
+    )
+
+
+def test_columns_without_a_name_are_not_listed(tmp_path: Path) -> None:
+    report, _ = run(tmp_path, "t\tx\ty\tz\ta\t\n0.5\t1\t2\t3\t4\t\n", MAP + 'csv: {delimiter: "\\t"}')
+    assert report.columns_unused == ("a",)
+
+
+def test_a_header_that_is_not_utf_8_is_named(tmp_path: Path) -> None:
+    error = refused(tmp_path, "t,x (°),y,z\n0.5,1,2,3\n".encode("latin-1"), MAP.replace("[x,", '["x (°)",'))
+    assert "convert the table to UTF-8" in error.hint
 
 
 @pytest.mark.parametrize("rows_per_part", [1, 2, 3, 100])
