@@ -17,8 +17,6 @@ WRITERS = {
     "plot": "plot:write_plot",
     "noise": "output:write_noise",
     "kalibr": "output:write_kalibr",
-    "openvins": "output:write_openvins",
-    "vins": "output:write_vins",
 }
 """Modules and functions that write an output; they are loaded when it is wanted."""
 
@@ -28,11 +26,9 @@ WRITERS = {
 @click.option("--plot", type=PATH, help="Draw the curves, log-log, into this PNG.")
 @click.option("--noise-out", type=PATH, help="Write the terms as the noise section of a pipeline YAML.")
 @click.option("--kalibr", type=PATH, help="Write the terms as Kalibr's imu.yaml.")
-@click.option("--openvins", type=PATH, help="Write the terms as OpenVINS' kalibr_imu_chain.yaml.")
-@click.option("--vins", type=PATH, help="Write the terms as VINS-Mono and VINS-Fusion have them.")
 @json_option
 def command(
-    recording: Path, plot: Path | None, noise_out: Path | None, as_json: bool, **odometry: Path | None
+    recording: Path, plot: Path | None, noise_out: Path | None, kalibr: Path | None, as_json: bool
 ) -> None:
     """Estimate noise, bias instability and drift of a recording at rest.
 
@@ -47,13 +43,14 @@ def command(
     from imumon.allan.analysis import analyse
     from imumon.allan.recording import read_channels
 
-    output.check_outputs(plot, noise_out, *odometry.values())
+    output.check_outputs(plot, noise_out, kalibr)
     with reading_bar([recording], quiet=as_json) as progress:
         opened = read_channels(recording, progress.count)
         progress("deviations and terms of all channels")
         results = analyse(opened.series)
     warn([*opened.warnings, *output.remarks(results)])
-    outputs = {name: path for name, path in ({"plot": plot, "noise": noise_out} | odometry).items() if path}
+    wanted = {"plot": plot, "noise": noise_out, "kalibr": kalibr}
+    outputs = {name: path for name, path in wanted.items() if path}
     for name, path in outputs.items():
         resolve_name(f"imumon.allan.{WRITERS[name]}")(path, results, recording)
     if as_json:
