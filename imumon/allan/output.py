@@ -130,7 +130,7 @@ def write_noise(path: Path, results: Mapping[str, Result], source: Path) -> None
 
 
 def write_kalibr(path: Path, results: Mapping[str, Result], source: Path) -> None:
-    """Write Kalibr's imu.yaml: densities N and K of continuous time (its wiki, IMU Noise Model), largest axis.
+    """Write Kalibr's imu.yaml: densities N and K of continuous time (its wiki, IMU Noise Model), worst axis.
 
     Raises BAD_DATA when a sensor is missing or shows no white noise; OSError when the file cannot be written.
     """
