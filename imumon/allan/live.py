@@ -157,7 +157,7 @@ class StreamingAllan:
             return len(values)
         self._begin()
         steps = np.diff(times)
-        self._run.interval_ns, _ = usual_interval_ns(steps[(np.diff(segments) == 0) & (steps > 0)], True)
+        self._run.interval_ns, _ = usual_interval_ns(steps[(np.diff(segments) == 0) & (steps > 0)])
         self._run.offset = float(first[0])
         if self._run.interval_ns:
             stream(times, segments, first, self._run)

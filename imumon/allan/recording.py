@@ -14,7 +14,6 @@ from imumon.errors import bad_data
 from imumon.estimation.gyro_bias.stage import RestDetector
 from imumon.estimation.rest.slots import COARSEST_STEPS
 from imumon.filters.rounding import digits
-from imumon.pipeline import BY_RATE
 from imumon.recordings.reduced import ACCEL, GYRO
 from imumon.recordings.source import Count, no_count, open_recording
 
@@ -66,8 +65,9 @@ def read_channels(path: Path, count: Count = no_count) -> Channels:
     channels = {name: samples[name] for name in there if np.isfinite(samples[name]).sum() > 1}
     if not channels:
         raise bad_data(f"{path}: holds no two numbers in any of {', '.join(CHANNELS)}")
-    counted = any(of.dated_by in BY_RATE for of in recording.pipeline.counters.streams.values())
-    series = even_channels(samples["device_time_ns"], samples["segment"], channels, counted=counted)
+    session = recording.source.session
+    rounded = session is not None and session.metadata.source == "import"
+    series = even_channels(samples["device_time_ns"], samples["segment"], channels, rounded=rounded)
     if len(samples) < FEWEST_SAMPLES:
         what = f"has {len(samples)} samples; an Allan deviation needs {FEWEST_SAMPLES} at the least"
         advice = "record for ten times as long as the longest averaging time of interest"
@@ -76,7 +76,7 @@ def read_channels(path: Path, count: Count = no_count) -> Channels:
         used = series[name].used / series[name].samples if name in series else 0.0
         if used < LEAST_USED:
             raise bad_data(
-                f"{path}: {name}: only {used:.0%} of the samples come at an even rate",
+                f"{path}: {name}: only {used:.0%} of the samples are known to come at an even rate",
                 "nothing is resampled: that would change the noise that is to be measured.  "
                 "Use the device's own time or counter; imumon import takes rate_hz for rows that are even",
             )
@@ -114,9 +114,10 @@ def _of_units(samples: SampleBlock, series: Mapping[str, EvenSeries]) -> Iterato
     if fast := [name for name in gyros if np.median(np.abs(series[name].values)) > FASTEST_RAD_S]:
         yield f"{', '.join(fast)}: turns faster than any gyro measures: it is not in rad/s"
     if samples.accel is not None and series.keys() >= {*ACCEL}:
-        norm = float(np.nanmean(np.linalg.norm(samples.accel, axis=1)))
-        if not NORMAL_G[0] < norm < NORMAL_G[1]:
-            what = f"the mean specific force is {norm:.4g} m/s^2, not gravity"
+        norm = np.linalg.norm(samples.accel, axis=1)
+        norm = norm[np.isfinite(norm)]
+        if len(norm) and not NORMAL_G[0] < norm.mean() < NORMAL_G[1]:
+            what = f"the mean specific force is {norm.mean():.4g} m/s^2, not gravity"
             yield f"{what}: it is not in m/s^2, or not whole"
 
 

@@ -116,12 +116,12 @@ Grid = tuple[BoolArray, IntArray, EvenSeries]
 
 
 def even_channels(
-    time_ns: IntArray, segment: IntArray, channels: Mapping[str, FloatArray], *, counted: bool = False
+    time_ns: IntArray, segment: IntArray, channels: Mapping[str, FloatArray], *, rounded: bool = False
 ) -> dict[str, EvenSeries]:
     """Put the finite values of each channel on an even grid; channels without two neighbours are left out.
 
     Device time, the count of its restarts, and channels are (n,), NaN where a channel has no sample: one that
-    is slower than the packets has its own interval.  `counted`: the times are those of a count of packets.
+    is slower than the packets has its own interval.  `rounded` times have a resolution near the interval.
     """
     grids: dict[bytes, Grid | None] = {}
     series = {}
@@ -129,22 +129,22 @@ def even_channels(
         present = np.isfinite(values)
         key = np.packbits(present).tobytes()
         if key not in grids:
-            grids[key] = _grid(time_ns[present], segment[present], counted)
+            grids[key] = _grid(time_ns[present], segment[present], rounded)
         if (grid := grids[key]) is not None:
             kept, position, bare = grid
             series[name] = bare._replace(values=_filled(values[present][kept], position, bare))
     return series
 
 
-def _grid(time_ns: IntArray, segment: IntArray, counted: bool) -> Grid | None:
+def _grid(time_ns: IntArray, segment: IntArray, rounded: bool) -> Grid | None:
     n, steps = len(time_ns), np.diff(time_ns)
-    interval, resolution = usual_interval_ns(steps[(np.diff(segment) == 0) & (steps > 0)], counted)
+    interval, resolution = usual_interval_ns(steps[(np.diff(segment) == 0) & (steps > 0)], rounded)
     if not interval > 0.0:
         return None
     steps = steps / interval
-    rounded = resolution / interval
-    whole = np.where(np.abs(steps - 1.0) < rounded, 1.0, np.rint(steps))
-    even = (np.abs(steps - whole) <= max(JITTER, rounded)) & (whole >= 1) & (whole - 1 <= n // LONGEST_GAP)
+    tolerance = resolution / interval
+    whole = np.where(np.abs(steps - 1.0) < tolerance, 1.0, np.rint(steps))
+    even = (np.abs(steps - whole) <= max(JITTER, tolerance)) & (whole >= 1) & (whole - 1 <= n // LONGEST_GAP)
     even &= np.diff(segment) == 0
     together = steps[even & (whole == 1)]
     jitter = float(np.sqrt(np.mean((together - 1.0) ** 2))) if len(together) else 0.0

@@ -1,5 +1,7 @@
 """Rate and gaps of a stream; whether what dates its rows is true: counts that stand, a nominal rate."""
 
+import math
+
 import numpy as np
 
 from imumon.blocks import NO_INT, IntArray, missing
@@ -137,8 +139,8 @@ BINS_PER_DECADE = 100
 GAP = 1.5
 """An interval longer than so many usual ones lacks a packet."""
 FIRST = 1 << 14
-"""Intervals of which the usual one is taken."""
-PARTS = 64
+"""Intervals of which it is found whether times are rounded."""
+PARTS, SHORTEST_PART = 64, 3
 ROUNDED, LOST = 0.05, 0.5
 """Of the variance that a sum of independent intervals has.  That of even rows differs by less than the
 resolution over any length, a few percent of it; that of rows lost by chance has all of it."""
@@ -148,38 +150,40 @@ DIFFERS = 0.01
 _EDGES = np.geomspace(SHORTEST_NS, LONGEST_NS, 11 * BINS_PER_DECADE + 1)
 
 
-def usual_interval_ns(steps: IntArray, counted: bool = False) -> tuple[float, float]:
+def usual_interval_ns(steps: IntArray, rounded: bool = False) -> tuple[float, float]:
     """Return the usual one of intervals (n,) > 0, and the resolution of their times where they differ by it.
 
-    It is the mean of those within 50 % of their median.  Where the median is the resolution or twice it, it
-    is that of all within the resolution, unless rows are lost; NaN where that cannot be distinguished, 0
-    without intervals.  `counted` times are not rounded.
+    It is the mean of those within 50 % of their median.  Where times are `rounded`, and the median is their
+    resolution or twice it, it is that of all within the resolution, unless rows are lost; NaN where that
+    cannot be distinguished, 0 without intervals.
     """
     if not len(steps):
         return 0.0, 0.0
     median = np.partition(steps, (len(steps) - 1) // 2)[(len(steps) - 1) // 2]
     away = np.abs(steps - median)
     usual = float(steps[away < 0.5 * median].mean())
-    resolution = 1.0 if counted or steps.dtype != np.int64 else float(np.gcd.reduce(steps))
+    resolution = float(np.gcd.reduce(steps)) if rounded else 1.0
     near = steps[away <= resolution] / resolution
     if median > 2 * resolution or near.min() == near.max():
         return usual, 0.0
-    mean, length = near.mean(), len(near) // PARTS
+    mean, length = float(near.mean()), len(near) // PARTS
     scatter = near[: PARTS * length].reshape(PARTS, length).sum(axis=1).var()
     chance = length * near.var()
     # Two even rows are at least 2 mean - 1 apart.
-    if 2.0 * mean - 1.0 >= near.max() or scatter < ROUNDED * chance:
+    if 2.0 * mean - 1.0 >= near.max() or (length >= SHORTEST_PART and scatter < ROUNDED * chance):
         return mean * resolution, resolution
-    unclear = scatter < LOST * chance and abs(mean * resolution / usual - 1.0) > DIFFERS
-    return np.nan if unclear else usual, 0.0
+    is_lost = length >= SHORTEST_PART and scatter > LOST * chance
+    differs = abs(mean * resolution / usual - 1.0) > DIFFERS
+    return math.nan if differs and not is_lost else usual, 0.0
 
 
 class Intervals:
-    """The intervals between the times of a stream within its segments."""
+    """The intervals between the times of a stream within its segments; `rounded` are those of tables."""
 
-    def __init__(self) -> None:
+    def __init__(self, rounded: bool = False) -> None:
         self._count = np.zeros(len(_EDGES) + 1, np.int64)
-        self._first = np.zeros(0, np.int64)
+        self._sum = np.zeros(len(_EDGES) + 1)
+        self._first, self._most = np.zeros(0, np.int64), FIRST if rounded else 0
         self._last = np.zeros((0, 2), np.int64)  # time and segment of the last row
         self.rows = 0
         self.backwards = 0
@@ -194,19 +198,34 @@ class Intervals:
         step = step[change == 0]
         self.backwards += int((step < 0).sum())
         step = step[step > 0]
-        if len(self._first) < FIRST:
-            self._first = np.append(self._first, step)[:FIRST]
-        self._count += np.bincount(np.searchsorted(_EDGES, step), minlength=len(self._count))
+        if len(self._first) < self._most:
+            self._first = np.append(self._first, step)[: self._most]
+        which = np.searchsorted(_EDGES, step)
+        # The sum first: who reads from another thread finds no number without it.
+        self._sum += np.bincount(which, step, len(self._sum))
+        self._count += np.bincount(which, minlength=len(self._count))
+
+    @property
+    def usual_ns(self) -> float | None:
+        """Mean of the intervals about the median one; None before there are two times."""
+        total = self._count.sum()
+        if not total:
+            return None
+        median = int(np.searchsorted(np.cumsum(self._count), (total + 1) // 2))
+        # A quarter of a decade to either side holds the jitter of a timer and no interval of two packets.
+        near = slice(max(median - BINS_PER_DECADE // 8, 0), median + BINS_PER_DECADE // 8 + 1)
+        return float(self._sum[near].sum() / self._count[near].sum())
 
     @property
     def rate_hz(self) -> float | None:
-        """Rows per second where none is missing; None where it is unknown."""
-        usual, _ = usual_interval_ns(self._first)
-        return 1e9 / usual if usual > 0.0 else None
+        """Rows per second where none is missing; None where it is not known."""
+        usual = usual_interval_ns(self._first, rounded=True)[0] if self._most else self.usual_ns
+        return 1e9 / usual if usual and not math.isnan(usual) else None
 
     @property
     def gaps(self) -> int:
         """Intervals in which at least one row is missing."""
-        usual, resolution = usual_interval_ns(self._first)
-        longest = max(GAP * usual, usual + resolution)
-        return int(self._count[int(np.searchsorted(_EDGES, longest)) + 1 :].sum()) if usual else 0
+        usual = self.usual_ns
+        if usual is None:
+            return 0
+        return int(self._count[int(np.searchsorted(_EDGES, GAP * usual)) + 1 :].sum())

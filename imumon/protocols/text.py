@@ -24,7 +24,7 @@ from imumon.protocols.base import COMMON, MAIN, NO_GROUP, ByteArray, Encoder, Gr
 from imumon.protocols.decoder import Decoder
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.fixed import NumberField, NumberName, distinct_names, timing_of
-from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, Checksum, Found, Frame, unchecked
+from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, Checksum, Found, Frame
 from imumon.protocols.numbers import NUMBER_TYPES, WRAPPING, Number, Record, is_missing
 
 LINE_END = 0x0A
@@ -231,7 +231,7 @@ class TextDecoder(Decoder):
     def __init__(self, lines: Sequence[Line], timing: Timing) -> None:
         readers = [partial(read_once, line) for line in lines]
         frames = [
-            line_frame({line.prefix.encode() or b"\n": line.name}, read, line.checksum != "none")
+            line_frame({line.prefix.encode() or b"\n": line.name}, read)
             for line, read in zip(lines, readers, strict=True)
         ]
         layouts = [Record(line.numbers) for line in lines]
@@ -270,10 +270,9 @@ def lines_right(read: Callable[[str], object], held: ByteArray, at: IntArray, le
     return np.array([read(text) is not None for text in texts(held, at, length)], np.bool_)
 
 
-def line_frame(names: Mapping[bytes, str], read: Callable[[str], object], sealed: bool = True) -> Frame:
-    """Return the frame of lines that are right when they can be read; `sealed` are those with a checksum."""
-    lengths, right = partial(line_lengths, b"\n" in names), partial(lines_right, read)
-    return Frame(names, lengths, right if sealed else unchecked, fits=None if sealed else right)
+def line_frame(names: Mapping[bytes, str], read: Callable[[str], object]) -> Frame:
+    """Return the frame of lines that are right when they can be read."""
+    return Frame(names, partial(line_lengths, b"\n" in names), partial(lines_right, read))
 
 
 @lru_cache(MOST_LINES)

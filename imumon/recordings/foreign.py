@@ -203,13 +203,14 @@ def time_parser(unit: str, date_format: str | None = None) -> ParseTime:
 
     The function raises ValueError for text that is no time, or out of the range of int64.
     """
+    some = datetime(2000, 1, 1, tzinfo=UTC)
+    has_date = date_format is None or datetime.strptime(some.strftime(date_format), date_format).year == 2000
 
     def parse(text: str) -> int:
         try:
             if date_format is not None:
                 moment = datetime.strptime(text.strip(), date_format)
-                # The year of a time of day without a date; it becomes that since midnight.
-                time_ns = _of_date(moment.replace(year=1970) if moment.year == 1900 else moment)
+                time_ns = _of_date(moment if has_date else moment.replace(year=1970))
             elif unit == TIMESTAMPS:
                 time_ns = _of_timestamp(text)
             elif "_" in text:  # which Decimal accepts, but no table means

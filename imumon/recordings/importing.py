@@ -33,9 +33,9 @@ _BAD_ROWS = (
     ' csv: {skip_rows: 1, comment: "#", delimiter: ";", decimal: ","}, or bad_rows: drop to import the others'
 )
 _NOT_AFTER = (
-    "if the device started anew there, add backwards: segment to time in the map; at midnight of a day,"
-    " wraps_at: 86400; if the clock is too coarse, give rate_hz: ... in place of time; where daylight saving"
-    " ended, write UTC, or the zone (+01:00)"
+    "if the device started anew there, add backwards: segment to time in the map; if times of day pass"
+    " midnight, wraps_at: 86400 (s; in the unit of the time); if the clock is too coarse, give rate_hz: ..."
+    " in place of time; where daylight saving ended, write UTC, or the zone (+01:00)"
 )
 _NO_RATE = "the times are too coarse for a rate; if no row is lost, give rate_hz: ... in place of time"
 
@@ -125,7 +125,7 @@ class TableImport:
         for one in self.map.sources():
             column = KNOWN.get(one.target) or Column(one.target, "")
             self.columns[one.target] = replace(column, unit=one.unit.target)
-        self._intervals, self._segment, self._span_ns = Intervals(), 0, 0
+        self._intervals, self._segment, self._span_ns = Intervals(rounded=True), 0, 0
         self._force = SpecificForce()
         self._last: tuple[int, int] | None = None
         """Time and line of the last row."""
@@ -169,7 +169,7 @@ class TableImport:
         """Return what became of the table, once its blocks were read."""
         inertial = self.map.gyro is not None or self.map.accel is not None
         rate_hz = self.map.rate_hz or self._intervals.rate_hz or math.nan
-        doubts = [_NO_RATE] if self._rows_good > 1 and math.isnan(rate_hz) else []
+        doubts = [_NO_RATE] if self._rows_good > self._segment + 1 and math.isnan(rate_hz) else []
         doubts += [*(rate_doubts(rate_hz) if inertial else ()), *filter(None, [self._force.found])]
         used = {"", *(source.column for source in self.map.sources())}
         used |= {self.map.time.column} if self.map.time else set()

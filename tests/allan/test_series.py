@@ -96,7 +96,7 @@ def test_times_in_whole_milliseconds_give_the_noise_or_nothing(rate_hz: float, l
     keep = rng.random(n) >= lost
     time_ns = np.floor(np.arange(n) / rate_hz * 1000 + 1e-9)[keep].astype(np.int64) * 1_000_000
     values = rng.normal(0, np.sqrt(rate_hz), n)[keep]
-    found = even_channels(time_ns, np.zeros(keep.sum(), np.int64), {"x": values})
+    found = even_channels(time_ns, np.zeros(keep.sum(), np.int64), {"x": values}, rounded=True)
     if not found:
         assert lost
         assert rate_hz > 500

@@ -43,21 +43,13 @@ def test_lines_with_separators() -> None:
     np.testing.assert_allclose(np.rad2deg(block["gyro_z"]), [5, 6, 3])
 
 
-@pytest.mark.parametrize("text", [CSV, JSON, PAIRS])
-def test_without_a_checksum_there_are_no_checksum_errors(text: str) -> None:
-    decoder = parse_device(text, "t.yaml").decoder()
-    feed_in_chunks(decoder, b"\nboot\n1,2,3\n", [5])
-    counters = decoder.counters()
-    assert (counters.checksum_errors, counters.length_errors, counters.bytes_skipped) == (0, 2, 11)
-
-
 @pytest.mark.parametrize("bad", [b"-5", b"70000", b"1.5", b"65536"])
 def test_a_clock_that_its_type_does_not_hold_makes_a_line_bad(bad: bytes) -> None:
     decoder = parse_device(CSV.replace("u32", "u16"), "t.yaml").decoder()
     line = bad + b",1,2,3\n"
     block = feed_in_chunks(decoder, b"\n0,1,2,3\n" + line + b"65535,1,2,3\n", [7])
     assert block["device_ticks"].tolist() == [0, 65535]
-    assert decoder.counters().length_errors == 1
+    assert decoder.counters().checksum_errors == 1
 
 
 def test_a_count_is_written_with_the_bits_that_its_type_has() -> None:
@@ -167,6 +159,15 @@ def test_lines_of_two_kinds_may_have_one_column() -> None:
     text = HEAD + "".join(f"  - name: {name}\n    prefix: '{name},'\n{line}" for name in "ab")
     block = decoded(text, b"a,1,5\nb,2,6\n")
     assert block["k"].tolist() == [5, 6]
+
+
+def test_lines_with_and_without_a_prefix_may_follow_each_other() -> None:
+    fields = "    fields: [{at: 0, column: t, unit: s}, {at: 1, column: k, unit: g}]\n"
+    text = (
+        HEAD + f"  - name: a\n    prefix: 'a,'\n    values: 2\n{fields}  - name: b\n    values: 2\n{fields}"
+    )
+    block = decoded(text, b"\na,1,5\n2,6\na,3,7\n4,8\n5,9\n")
+    assert block["k"].tolist() == [5, 6, 7, 8, 9]
 
 
 def test_the_device_is_one_of_text() -> None:
