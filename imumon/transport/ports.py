@@ -242,7 +242,7 @@ def _not_found(device: str, number: int | None) -> tuple[str, str]:
     if number in (errno.ENOTTY, errno.EINVAL, errno.EISDIR) and Path(device).exists():
         hint = f"`imumon decode {device} --device NAME` reads a file of bytes; {describe_ports()}"
         return "it exists but is not a serial port", hint
-    hint = "Plug the device in (`dmesg` shows whether USB detects it), or give the name of a port that exists."
+    hint = "Plug the device in (`dmesg` shows whether USB detects it), or give the name of one that exists."
     return describe_ports(), hint
 
 
