@@ -143,7 +143,7 @@ def test_a_protocol_that_nobody_knows_is_a_wrong_baud_rate_or_protocol() -> None
         VirtualPort(baudrate=115200) as device,
         sending(device, lambda n: bytes([n & 0xFF, 3, 129, 77, 200]) * 10),
     ):
-        evidence = detect(device.path, CANDIDATES, [115200], LIMIT_S)
+        evidence = detect(device.path, CANDIDATES, [115200], TEXT_S)
         error = failure(device.path, evidence)
     assert evidence[0].verdict is Verdict.NOTHING
     assert error is not None
@@ -176,7 +176,7 @@ def test_text_is_listened_to_for_as_long_as_requested_at_its_rate() -> None:
 
 def test_bytes_of_one_kind_point_to_the_line() -> None:
     with VirtualPort(baudrate=115200) as device, sending(device, lambda _: b"\x00\xff\x00" * 20):
-        error = failure(device.path, detect(device.path, CANDIDATES, [115200], LIMIT_S))
+        error = failure(device.path, detect(device.path, CANDIDATES, [115200], TEXT_S))
     assert error is not None
     assert "inverted" in error.hint
 
