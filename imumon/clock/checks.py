@@ -141,6 +141,7 @@ GAP = 1.5
 FIRST = 1 << 14
 """Intervals of which it is found whether times are rounded."""
 PARTS, SHORTEST_PART = 64, 3
+"""Sums of intervals that are compared, and how many each has at least."""
 ROUNDED, LOST = 0.05, 0.5
 """Of the variance that a sum of independent intervals has.  That of even rows differs by less than the
 resolution over any length, a few percent of it; that of rows lost by chance has all of it."""
@@ -162,7 +163,9 @@ def usual_interval_ns(steps: IntArray, rounded: bool = False) -> tuple[float, fl
     median = np.partition(steps, (len(steps) - 1) // 2)[(len(steps) - 1) // 2]
     away = np.abs(steps - median)
     usual = float(steps[away < 0.5 * median].mean())
-    resolution = float(np.gcd.reduce(steps)) if rounded else 1.0
+    if not rounded:
+        return usual, 0.0
+    resolution = float(np.gcd.reduce(steps))
     near = steps[away <= resolution] / resolution
     if median > 2 * resolution or near.min() == near.max():
         return usual, 0.0

@@ -97,7 +97,7 @@ def _in_word(group: int, bit: int) -> tuple[int, int, int]:
 IN_WORD = {group: np.array([_in_word(group, bit) for bit in range(16)], float) for group in range(1, 8)}
 """For each bit of the word of a group what `_in_word` returns, (16, 3); reals are multiplied faster."""
 NOT_KNOWN_SECOND = 0xFF & ~(1 << tables.GNSS3 - 8)
-"""Bits of a second group byte that nobody knows."""
+"""Bits of a second group byte that are not documented."""
 
 
 def _lengths(held: ByteArray, at: IntArray) -> IntArray:

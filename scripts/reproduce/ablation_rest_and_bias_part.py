@@ -69,7 +69,7 @@ def _turned(turn: tuple[float, float, float, float], grade: int, seed: int) -> t
     """Return the same before, in and after a steady turn, once a second."""
     samples, truth = measure_with_bias(steady_turn(TURN_RATE_HZ, *turn), SENSORS[grade], seed)
     samples = samples.with_columns(RestAndBias().process(samples))
-    return _once_a_second(samples, truth, TURN_RATE_HZ)
+    return _errors(samples, truth, TURN_RATE_HZ)
 
 
 def _walking(seed: int) -> tuple[FloatArray, FloatArray]:
@@ -80,7 +80,7 @@ def _walking(seed: int) -> tuple[FloatArray, FloatArray]:
     accel = 0.02 * rng.standard_normal((n, 3)) + [0.0, 0.0, 9.81]
     samples = sent(np.arange(n) / rate_hz, gyro=gyro, accel=accel)
     samples = samples.with_columns(RestAndBias().process(samples))
-    return _once_a_second(samples, walk, rate_hz)
+    return _errors(samples, walk, rate_hz)
 
 
 def _restarted(seed: int) -> tuple[FloatArray, FloatArray]:
@@ -93,14 +93,14 @@ def _restarted(seed: int) -> tuple[FloatArray, FloatArray]:
     accel = 0.02 * rng.standard_normal((n, 3)) + [0.0, 0.0, 9.81]
     samples = sent(t, gyro=gyro, accel=accel).with_columns({"segment": again.astype(np.int64)})
     samples = samples.with_columns(RestAndBias().process(samples))
-    return _once_a_second(samples, np.zeros((n, 3)), rate_hz / 4.0, 0.0)
+    return _errors(samples, np.zeros((n, 3)), rate_hz, first_s=0.0, every_s=0.25)
 
 
-def _once_a_second(
-    samples: SampleBlock, truth: FloatArray, rate_hz: float, first_s: float = FIRST_S
+def _errors(
+    samples: SampleBlock, truth: FloatArray, rate_hz: float, first_s: float = FIRST_S, every_s: float = 1.0
 ) -> tuple[FloatArray, FloatArray]:
-    """Return error and error over sigma of the bias after the first minute."""
-    at = slice(round(first_s * rate_hz), None, round(rate_hz))
+    """Return error and error over sigma of the bias."""
+    at = slice(round(first_s * rate_hz), None, round(every_s * rate_hz))
     bias, sd = (
         np.column_stack([samples[f"{name}_{axis}"] for axis in "xyz"])[at]
         for name in ("gyro_bias", "gyro_bias_sd")
