@@ -295,16 +295,17 @@ class _Clock:
 
     def evaluate(self, time_ns: IntArray, segment: IntArray) -> tuple[BoolArray, IntArray]:
         """Return which rows are taken, (n,), and what to add to their segment, (n,)."""
-        n = len(time_ns)
+        n, is_dated = len(time_ns), time_ns != NO_INT
         taken, shift = np.ones(n, np.bool_), np.full(n, self._shift)
         before_ns, before = self._last or (0, 0)
         step_ns = np.diff(time_ns.astype(np.float64), prepend=before_ns)
         goes_on = (step_ns > 0.0) & (step_ns <= LONGEST_GAP_S * 1e9)
-        if n and self._last is not None and np.all(goes_on | (np.diff(segment, prepend=before) != 0)):
+        goes_on |= np.diff(segment, prepend=before) != 0
+        if n and self._last is not None and np.all(goes_on & is_dated):
             self._last, self._rejected = (int(time_ns[-1]), int(segment[-1])), 0
             return taken, shift
         for row, (time, part) in enumerate(zip(time_ns.tolist(), segment.tolist(), strict=True)):
-            taken[row] = self._take(time, part)
+            taken[row] = is_dated[row] and self._take(time, part)
             shift[row] = self._shift
         return taken, shift
 

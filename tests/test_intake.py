@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from imumon.blocks import ColumnArray, SampleBlock, join
+from imumon.blocks import NO_INT, ColumnArray, SampleBlock, join
 from imumon.intake import STUBBORN, Intake
 from imumon.protocols.ranges import Ranges
 
@@ -215,6 +215,18 @@ def test_a_time_that_leaps_and_comes_back_costs_its_rows_only() -> None:
     columns["device_time_ns"][100:105] = 1 << 62
     block, _ = seen(columns)
     assert np.flatnonzero(np.isnan(block["gyro_x"])).tolist() == list(range(100, 105))
+
+
+@pytest.mark.parametrize("sizes", [None, [1], [3, 50]])
+def test_rows_without_a_time_cost_themselves_only(sizes: list[int] | None) -> None:
+    columns = record(500)
+    columns["device_time_ns"][[0, 1, 300]] = NO_INT
+    columns["segment"][250:] = 1
+    columns["device_time_ns"][250] = NO_INT
+    block, intake = seen(columns, sizes)
+    assert np.flatnonzero(np.isnan(block["gyro_x"])).tolist() == [0, 1, 250, 300]
+    assert block["segment"][-1] == 1
+    assert intake.left_out == 4
 
 
 def test_a_clock_that_was_set_goes_on_in_a_segment_of_its_own() -> None:

@@ -204,7 +204,6 @@ class Intervals:
         if len(self._first) < self._most:
             self._first = np.append(self._first, step)[: self._most]
         which = np.searchsorted(_EDGES, step)
-        # The sum first: who reads from another thread finds no number without it.
         self._sum += np.bincount(which, step, len(self._sum))
         self._count += np.bincount(which, minlength=len(self._count))
 

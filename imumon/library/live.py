@@ -13,7 +13,7 @@ from pydantic import Field, InstanceOf, SkipValidation
 
 from imumon.blocks import SampleBlock, join, with_nan
 from imumon.library import checked
-from imumon.pipeline import Estimator, PipelineCounters
+from imumon.pipeline import Estimator
 from imumon.protocols.device import DeviceFile, device_text, parse_device
 from imumon.run.live import BATCH_S, DecodedPort, LiveRun, nothing_decoded, warm_up
 from imumon.run.setup import Setup
@@ -53,7 +53,9 @@ class Live:
         self._last_ns: int | None = None
         """Arrival of the last row that was handed out."""
         self._ready: SimpleQueue[tuple[SampleBlock, Mapping[str, SampleBlock]]] = SimpleQueue()
-        run.takers.append(lambda block, side: self._ready.put((block, side)))
+        self.counters = run.progress.counters
+        """What became of every byte and packet so far."""
+        run.takers.append(self._take)
         run.open()
         run.begin([])
         self._next_batch = self._valid_at = time.monotonic()
@@ -63,11 +65,6 @@ class Live:
     def __repr__(self) -> str:
         samples = f"{self.counters.samples:,} samples"
         return f"<imumon.Live: {self._device.name} on {self._settings}, {self.state}, {samples}>"
-
-    @property
-    def counters(self) -> PipelineCounters:
-        """What became of every byte and packet so far."""
-        return self.pipeline.counters
 
     @property
     def units(self) -> dict[str, str]:
@@ -127,6 +124,11 @@ class Live:
         self, kind: type[BaseException] | None, error: BaseException | None, where: TracebackType | None
     ) -> None:
         self.close()
+
+    def _take(self, block: SampleBlock, side: Mapping[str, SampleBlock]) -> None:
+        """Take what the pipeline's thread hands on; no other may count while it decodes."""
+        self.counters = self.pipeline.counters
+        self._ready.put((block, side))
 
     def _block(self) -> SampleBlock | None:
         """Return what came, as users get it; None when no row did."""

@@ -10,11 +10,10 @@ from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, BinaryIO
-from zipfile import BadZipFile
 
 import numpy as np
 
-from imumon.blocks import SampleBlock
+from imumon.blocks import SampleBlock, missing
 from imumon.columns import KNOWN, BodyAxes, Column, ColumnType
 from imumon.errors import bad_config, bad_data
 from imumon.files import check_output, naming, target
@@ -26,6 +25,8 @@ from imumon.recordings.table import CLOCKS, TableWriter, read_table
 CONVERTED = (".npz", ".mat", ".mcap")
 LONGEST_NAME = 63
 """Of a variable in MATLAB; a longer one is cut."""
+RESERVED = {"units", "file", "allow_pickle"}
+"""Names that a file of NumPy or MATLAB has for something else."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +88,7 @@ def _tables(
     also: Sequence[str] = (),
 ) -> Exported:
     """Write the tables; `also` are columns that come before those that were chosen, where they are there."""
-    main, written, there = TableWriter(out, {}), dict[str, TableWriter](), dict[str, None]()
+    main, written, there, before = TableWriter(out, {}), dict[str, TableWriter](), dict[str, None](), 0
     wanted = [*dict.fromkeys([*also, *(columns or ())])]
     with ExitStack() as stack:
         for block in blocks:
@@ -98,7 +99,14 @@ def _tables(
                 if stream == MAIN:
                     there |= dict.fromkeys(rows.columns)
                     if columns is not None:
-                        rows = SampleBlock({name: rows[name] for name in wanted if name in rows})
+                        chosen = {name: rows[name] for name in wanted if name in rows}
+                        if not chosen:  # the rows come, without values, when the first of these begins
+                            before += len(rows)
+                            continue
+                        rows = SampleBlock(
+                            {k: np.concatenate([missing(before, v.dtype), v]) for k, v in chosen.items()}
+                        )
+                        before = 0
                         known = [column for column in known if column.name in wanted]
                         known.sort(key=lambda column: wanted.index(column.name))
                 if stream not in written:
@@ -142,6 +150,7 @@ def convert(
             continue
         from scipy.io import savemat
 
+        _refuse_reserved(columns)
         short = {name[:LONGEST_NAME]: part for name, part in block.columns.items()}
         units = {"units": {name[:LONGEST_NAME]: column.unit for name, column in columns.items()}}
         savemat(out[stream], short | units, do_compression=True, long_field_names=True, oned_as="column")
@@ -149,9 +158,16 @@ def convert(
 
 
 def write_npz(file: Path | BinaryIO, values: Mapping[str, Any], columns: Mapping[str, Column]) -> None:
-    """Write the columns, and `units`, a text in JSON."""
+    """Write the columns, and `units`, a text in JSON; raises BAD_CONFIG for a name that is `RESERVED`."""
+    _refuse_reserved(columns)
     units = json.dumps({name: column.unit for name, column in columns.items()})
     np.savez_compressed(file, units=np.array(units), **values)
+
+
+def _refuse_reserved(columns: Iterable[str]) -> None:
+    if taken := sorted(RESERVED.intersection(columns)):
+        what = f"no column of .npz or .mat can have the name {', '.join(taken)}"
+        raise bad_config(what, "write .parquet or .csv, or choose others with --columns")
 
 
 def read_npz(path: Path) -> tuple[SampleBlock, dict[str, Column]]:
@@ -168,7 +184,7 @@ def read_npz(path: Path) -> tuple[SampleBlock, dict[str, Column]]:
             dtype: ColumnType = "int64" if part.dtype == np.int64 else "float64"
             description = KNOWN[name].description if name in KNOWN else ""
             columns[name] = Column(name, units[name], dtype, description)
-    except (OSError, ValueError, TypeError, KeyError, EOFError, BadZipFile) as error:
+    except Exception as error:  # damaged bytes make NumPy raise whatever there is
         what = f"{path}: cannot be read as a table of imumon: {error}"
         raise bad_data(what, "imumon export writes one") from error
     return block, columns

@@ -75,6 +75,8 @@ def read_foreign(
 
     Raises BAD_DATA when it cannot be read.
     """
+    if path.exists() and not path.is_file():
+        raise bad_data(f"{path}: is no file", "write the table to a file first")
     with readable(path), path.open("rb") as file:
         head = file.read(4096)
     if not head:
@@ -111,7 +113,8 @@ def _parts(
             values[column], wrong_here = _numbers(path, name, cells[name], decimal)
             wrong = wrong_here | wrong
         if time is not None:
-            times, wrong_times = _times_of(cells[time.column], time, decimal)
+            with table_errors(path):
+                times, wrong_times = _times_of(cells[time.column], time, decimal)
             wrong |= wrong_times
         wrong |= wrong_width
         good = np.setdiff1d(np.arange(len(line)), list(wrong))
@@ -216,7 +219,8 @@ def time_parser(unit: str, date_format: str | None = None) -> ParseTime:
             elif "_" in text:  # which Decimal accepts, but no table means
                 raise ValueError
             else:
-                time_ns = int((Decimal(text) * scale).to_integral_value())
+                exact = (Decimal(text) * scale).to_integral_value()
+                time_ns = int(exact) if abs(exact) < 2**63 else 2**63  # int of 1e999990 does not end
         except (ValueError, InvalidOperation) as error:
             raise ValueError(f"time {text.strip()!r} is not {expected}") from error
         except ArithmeticError:

@@ -22,6 +22,8 @@ from imumon.recordings.foreign import BadRow, Part, read_foreign
 from imumon.recordings.map import TableMap
 from imumon.recordings.table import TableWriter
 
+LEAST_WRAP = 64
+"""A time that goes back by less than this part of its wrap has not wrapped: rows are out of order."""
 LISTED = 10
 """Bad rows that an error or a report lists; the others are counted."""
 
@@ -243,7 +245,8 @@ class TableImport:
         wrap_ns = self.map.time.wrap_ns if self.map.time is not None else None
         if wrap_ns is None:
             return part.time_ns
-        wraps = self._wraps + np.cumsum(np.diff(part.time_ns, prepend=self._counted) < 0)
+        steps = np.diff(part.time_ns, prepend=self._counted)
+        wraps = self._wraps + np.cumsum(steps <= -float(wrap_ns) / LEAST_WRAP)
         self._counted, self._wraps = int(part.time_ns[-1]), int(wraps[-1])
         both = zip(part.time_ns.tolist(), wraps.tolist(), strict=True)
         return np.array([counted + round(count * wrap_ns) for counted, count in both], np.int64)

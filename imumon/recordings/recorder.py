@@ -31,8 +31,8 @@ class Recorder:
     `writer`: used by the recorder alone from `start` to the return of `stop`, which closes it.
     `on_problem`: called from the recorder's threads with one sentence when writing begins to fail, and with
         None when all works again.
-    `save`: called from the second thread every 5 s, to write the session's metadata; an `OSError` or
-        `ImumonError` from it is a problem like any other.
+    `save`: called from the second thread every 5 s, to write the session's metadata; an error from it is
+        a problem like any other.
     """
 
     def __init__(
@@ -106,8 +106,8 @@ class Recorder:
     def _try(self, action: Callable[[], None], what: str) -> None:
         try:
             action()
-        except (OSError, ImumonError) as error:
-            reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+        except Exception as error:  # noqa: BLE001 - whatever it is, both threads go on
+            reason = getattr(error, "strerror", None) or str(error) or repr(error)
             self._report(what, f"{what}: {reason}")
         else:
             self._report(what, None)

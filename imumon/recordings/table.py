@@ -5,6 +5,7 @@ header, so that every program reads it, and the units in a second file beside it
 """
 
 import csv
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
@@ -209,9 +210,12 @@ def read_columns(path: Path) -> dict[str, Column]:
     """
     _check_suffix(path, Reason.BAD_DATA)
     with table_errors(path):
-        if path.suffix == ".csv":
-            return _csv_columns(path)
-        schema = pq.read_schema(path)
+        schema = None if path.suffix == ".csv" else pq.read_schema(path)
+        names = _csv_names(path) if schema is None else schema.names
+    if twice := [name for name, count in Counter(names).items() if count > 1]:
+        raise bad_data(f"{path}: column {', '.join(map(repr, twice))} is there more than once")
+    if schema is None:
+        return _csv_columns(path, names)
     columns = {}
     for field in schema:
         is_whole = pa.types.is_integer(field.type)
@@ -241,11 +245,15 @@ class _UnitsFile(StrictModel):
     columns: dict[str, _UnitsColumn]
 
 
-def _csv_columns(path: Path) -> dict[str, Column]:
+def _csv_names(path: Path) -> list[str]:
     with path.open(encoding="utf-8-sig") as file:
         names = next(csv.reader(file), [])
     if not names:
         raise bad_data(f"{path}: cannot be read: it is empty")
+    return names
+
+
+def _csv_columns(path: Path, names: Iterable[str]) -> dict[str, Column]:
     units = units_path(path)
     units_of = load_yaml(units, _UnitsFile).columns if units.is_file() else {}
     own = {name: Column(name, of.unit, of.type, of.description) for name, of in units_of.items()}

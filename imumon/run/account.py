@@ -12,6 +12,7 @@ from imumon.geodesy import STANDARD_GRAVITY
 from imumon.intake import GRAVITIES
 from imumon.pipeline import PipelineCounters
 from imumon.recordings.wire_reader import WireReader
+from imumon.run.marks import KINDS
 from imumon.transport.reader import Bytes, Event, EventKind, Item, Reads
 
 BEGINS = {EventKind.SILENT: "silent", EventKind.LOST: "lost"}
@@ -45,7 +46,7 @@ class Outages:
 
     found: list[Outage] = field(default_factory=list)
     last_ns: int = 0
-    """Time of the last byte or event."""
+    """Time of the last byte, or event other than a mark."""
 
     def item(self, item: Item | Reads) -> None:
         """Take what came from the port."""
@@ -61,7 +62,8 @@ class Outages:
             lasting.kind = BEGINS[item.kind]  # it may have been silent before it was lost
         elif item.kind in ENDS and lasting is not None:
             lasting.ended_ns = item.time_ns
-        self.last_ns = max(self.last_ns, item.time_ns)
+        if item.kind not in KINDS.values():
+            self.last_ns = max(self.last_ns, item.time_ns)
 
     def watch(self, items: Iterable[Item] | Iterable[SampleBlock]) -> Iterator[Item | Reads | SampleBlock]:
         """Yield what was recorded, and look at it."""

@@ -309,8 +309,8 @@ class LiveRun(DecodedPort):
 
     def _take_marks(self) -> None:
         with self._marking:
-            for kind, text in self._marks.take():
-                self.reader.report(kind, text)
+            for mark in self._marks.take(self._clock.now_ns()):
+                self.reader.report(mark.kind, mark.detail, mark.time_ns)
 
     def _run(self) -> None:
         try:
@@ -322,7 +322,7 @@ class LiveRun(DecodedPort):
 
     def _save(self) -> None:
         """Renew session.yaml and the log, so that a killed session holds how far it came."""
-        changes = summary_of(self.pipeline.counters)
+        changes = summary_of(self.progress.counters)
         self.session.save(self.session.metadata.model_copy(update=changes))
         self._log.write()
 

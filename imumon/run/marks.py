@@ -1,10 +1,11 @@
 """Marks that a person puts into a recording while it goes on: requested in a file of the session's folder.
 
 Whoever records looks into the file 12 times a second, puts what is new into the recording as an event, and
-removes the file at the end: the recording is what counts.
+removes the file at the end: the recording is what counts.  A mark has the time at which it was requested.
 """
 
 import json
+import time
 from contextlib import suppress
 from pathlib import Path
 
@@ -12,9 +13,11 @@ from imumon.errors import bad_config
 from imumon.harmless import for_log
 from imumon.recordings.folder import open_session
 from imumon.recordings.wire import is_recorded
-from imumon.transport.reader import EventKind
+from imumon.transport.reader import Event, EventKind
 
 REQUESTS = "marks.jsonl"
+OLDEST_NS = 60_000_000_000
+"""A request that is older, or of the future, has the time of another clock."""
 KINDS = {kind.value: kind for kind in (EventKind.MARK, EventKind.START, EventKind.STOP)}
 
 
@@ -35,7 +38,7 @@ def ask_for_mark(session: Path, kind: EventKind, text: str) -> None:
 
 def append_request(folder: Path, kind: EventKind, text: str) -> None:
     """Leave a request where whoever records looks for it; raises OSError where that cannot be written."""
-    line = json.dumps({"kind": kind.value, "text": for_log(text)}) + "\n"
+    line = json.dumps({"kind": kind.value, "text": for_log(text), "time_ns": time.time_ns()}) + "\n"
     with (folder / REQUESTS).open("ab") as file:
         file.write(line.encode())
 
@@ -47,19 +50,21 @@ class Marks:
         self._path = folder / REQUESTS
         self._read = 0
 
-    def take(self) -> list[tuple[EventKind, str]]:
-        """Return what is new, whole lines only; what is no request is passed over."""
+    def take(self, now_ns: int) -> list[Event]:
+        """Return what is new by `now_ns` (Unix time), whole lines only; what is no request is passed over."""
         lines = b""
         with suppress(OSError), self._path.open("rb") as file:
             file.seek(self._read)
             lines = file.read()
         end = lines.rfind(b"\n") + 1
         self._read += end
-        requests = list[tuple[EventKind, str]]()
+        requests = list[Event]()
         for line in lines[:end].splitlines():
             with suppress(ValueError, KeyError, TypeError, RecursionError):
                 fields = json.loads(line)
-                requests.append((KINDS[fields["kind"]], for_log(str(fields["text"]))))
+                kind, at_ns = KINDS[fields["kind"]], fields.get("time_ns", now_ns)
+                at_ns = int(at_ns) if now_ns - OLDEST_NS < at_ns < now_ns else now_ns
+                requests.append(Event(kind, at_ns, for_log(str(fields["text"]))))
         return requests
 
     def close(self) -> None:

@@ -16,7 +16,6 @@ from imumon.pipeline import Pipeline, PipelineCounters
 from imumon.recordings.folder import Session
 from imumon.transport.reader import Event, EventKind, Reads
 from imumon.transport.settings import PortSettings
-from imumon.transport.statistics import LinkStatistics
 from imumon.view.cards import measured
 from imumon.view.items import Drawing, Log, Numbers, State, Status, Timebase, ViewItem, ViewSetup
 
@@ -27,6 +26,8 @@ Report = Callable[[str, str], None]
 RATE_WINDOW_NS = 2_000_000_000
 SETTLING_NS = 60_000_000_000
 """The clock fit is called synchronised after this much time in a segment."""
+WARN_ABOVE, CALM_BELOW = 0.80, 0.70
+"""Load at which the warning comes, as a packet that grows overruns the line soon, and at which it goes."""
 GARBLED_BELOW, GARBLED_AFTER_BYTES = 0.5, 400
 """When less than half of the bytes of the last 2 s, at least so many, frame: wrong baud rate or protocol."""
 RESTLESS = 3
@@ -87,8 +88,9 @@ class Narrator:
         self.publish = tuple(publish)
         self._report, self._card = report, card
         self._timebase = Timebase()
-        self._link = LinkStatistics(settings) if settings is not None else None
-        self._history: deque[tuple[int, PipelineCounters]] = deque()
+        self._capacity = settings.capacity_bytes_per_s if settings is not None else None
+        self._history: deque[tuple[int, PipelineCounters, int]] = deque()
+        """Of the last 2 s: when, the counters then, and the arrival of the last bytes before."""
         self._lanes: dict[str, LaneState] = {}
         self._began_ns: int | None = None
         self._first_bytes = 0
@@ -113,9 +115,6 @@ class Narrator:
             if self._began_ns is None:
                 self._began_ns, self._first_bytes = int(item.arrivals_ns[0]), int(item.lengths[0])
             self._last_ns = int(item.arrivals_ns[-1])
-            if self._link is not None:
-                for length, arrival_ns in zip(item.lengths.tolist(), item.arrivals_ns.tolist(), strict=True):
-                    self._link.add(length, arrival_ns)
         elif item.kind in MARKS:
             self.log("INFO", f"{MARKS[item.kind]}: {item.detail}", item.time_ns)
             lane = "mark" if item.kind is EventKind.MARK else "part"
@@ -159,12 +158,14 @@ class Narrator:
         """Show rates, losses and lanes; to be called a few times a second."""
         progress = self.progress(now_ns)
         self._show_numbers(progress, now_ns)
-        if self._link is not None and progress.link_load is not None:
-            state = FULL if self._link.overloaded(now_ns) else OK
-            if state == FULL and self._lanes.get("link") != FULL:
-                text = f"the link is {progress.link_load:.0%} full: beyond 100 % a device drops packets"
+        if (load := progress.link_load) is not None:
+            was_full = self._lanes.get("link") == FULL
+            is_full = load > (CALM_BELOW if was_full else WARN_ABOVE)
+            is_full &= now_ns - self._history[0][0] >= RATE_WINDOW_NS
+            if is_full and not was_full:
+                text = f"the link is {load:.0%} full: beyond 100 % a device drops packets"
                 self.log("WARN", text, now_ns)
-            self._lane("link", state, now_ns)
+            self._lane("link", FULL if is_full else OK, now_ns)
         self._watch_data(now_ns)
         if progress.counters.samples:
             self._watch_clock(now_ns)
@@ -191,18 +192,23 @@ class Narrator:
         if span_s <= 0.0:
             return last
         bytes_per_s = (last.counters.bytes_received - self._first_bytes) / span_s  # the first came before it
-        load = self._link.load_of(bytes_per_s) if self._link is not None else None
+        load = None if self._capacity is None else bytes_per_s / self._capacity
         packets_per_s = max(last.counters.packets - 1, 0) / span_s  # as many intervals
         return replace(last, packets_per_s=packets_per_s, link_load=load)
 
     def progress(self, now_ns: int) -> Progress:
         """Return the numbers of the moment."""
         counters, clock = self._pipeline.counters, self._pipeline.host_clock
-        self._history.append((now_ns, counters))
-        while len(self._history) > 2 and self._history[1][0] < now_ns - RATE_WINDOW_NS:
-            self._history.popleft()
-        then_ns, then = self._history[0]
-        span_s = (now_ns - then_ns) * 1e-9
+        history, load = self._history, None if self._capacity is None else 0.0
+        history.append((now_ns, counters, self._last_ns))
+        begin_ns = now_ns - RATE_WINDOW_NS
+        while len(history) > 2 and (history[1][0] <= begin_ns or not history[0][1].bytes_received):
+            history.popleft()
+        then_ns, then, arrived_ns = history[0]
+        span_s, sent_s = (now_ns - then_ns) * 1e-9, (now_ns - arrived_ns) * 1e-9
+        if self._capacity is not None and then.bytes_received and sent_s > 0.0:
+            # What came first had queued up; a late read brings what was sent since the one before it.
+            load = (counters.bytes_received - then.bytes_received) / sent_s / self._capacity
         drift = "drift not known yet"
         if math.isfinite(clock.drift_sd_ppm):
             drift = f"{measured(clock.drift_ppm, clock.drift_sd_ppm)} ppm"
@@ -213,7 +219,7 @@ class Narrator:
             elapsed_s=0.0 if self._began_ns is None else (now_ns - self._began_ns) * 1e-9,
             counters=counters,
             packets_per_s=(counters.packets - then.packets) / span_s if span_s > 0 else 0.0,
-            link_load=self._link.load(now_ns) if self._link is not None else None,
+            link_load=load,
             port=self._lanes["port"].text if "port" in self._lanes else "",
             clock=rows,
         )

@@ -4,6 +4,7 @@ A file that is replaced stays beside the new one.
 """
 
 import os
+import shutil
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import dataclass, field
@@ -162,7 +163,11 @@ def rewrite(path: Path, bytes_missing: int = 0, ended_ns: int = 0) -> Path:
 def _keep_original(path: Path) -> Path:
     """Give a file a second name, NAME.original or with a number, and return it."""
     original = folder.unused(path.with_name(f"{path.name}.original"))
-    original.hardlink_to(path)
+    try:
+        original.hardlink_to(path)
+    except OSError:  # as exFAT, this disk has no links
+        with replacing(original) as partial:
+            shutil.copy2(path, partial)
     return original
 
 

@@ -152,23 +152,14 @@ class Reader:
         """
         port = open_port(self.settings)
         name = f"reader of {self.settings.url}"
-        self._stopping.clear()
         self._thread = threading.Thread(target=self._run, args=(port,), name=name, daemon=True)
         self._thread.start()
 
     def stop(self) -> None:
         """Stop reading and close the port; returns when both are done, within 0.5 s."""
+        self._stopping.set()
         if self._thread is not None:
-            self._stopping.set()
             self._thread.join()
-            self._thread = None
-
-    def __enter__(self) -> "Reader":
-        self.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.stop()
 
     def _run(self, first: Port) -> None:
         port: Port | None = first

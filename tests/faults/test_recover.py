@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import errno
 import fcntl
 import json
 import os
@@ -126,3 +127,27 @@ def test_a_disk_that_fails_leaves_all_as_it_was(killed: Path, monkeypatch: pytes
     assert done.returncode == 2
     assert "No space left" in done.stderr
     assert {path.name: path.read_bytes() for path in killed.iterdir()} == before
+
+
+@pytest.mark.parametrize("full", [False, True])
+def test_a_disk_without_links_keeps_copies(killed: Path, monkeypatch: pytest.MonkeyPatch, full: bool) -> None:
+    before = {path.name: path.read_bytes() for path in killed.iterdir()}
+
+    def refuse(*_: object) -> None:
+        raise PermissionError(errno.EPERM, "Operation not permitted")
+
+    def fill(_: Path, to: Path) -> None:
+        to.write_bytes(b"the first bytes")
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Path, "hardlink_to", refuse)
+    if full:
+        monkeypatch.setattr("imumon.run.recovery.shutil.copy2", fill)
+    done = imumon("recover", killed)
+    assert done.returncode == (2 if full else 0)
+    after = {path.name: path.read_bytes() for path in killed.iterdir()}
+    if full:
+        assert after == before
+    else:
+        assert after["wire.mcap.original"] == before["wire.mcap"]
+        assert open_session(killed).state == "closed"

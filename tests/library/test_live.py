@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,10 @@ import pytest
 import imumon
 from imumon.blocks import NO_INT
 from imumon.errors import ImumonError, Reason
+from imumon.pipeline import Pipeline
 from imumon.protocols.device import load_device
+from imumon.recordings import recorder
+from imumon.recordings.folder import open_session
 from imumon.simulation.unit import SimulatedUnit, load_scenario
 from imumon.simulation.virtual_device import VirtualDevice
 from imumon.simulation.virtual_port import VirtualPort
@@ -191,3 +195,28 @@ def test_a_device_that_falls_silent_within_a_packet_is_silent(tmp_path: Path, re
                     break
     finally:
         port.close()
+
+
+def test_no_other_thread_counts_while_the_pipeline_decodes(
+    device: VirtualDevice, record: Path | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    counting, counters = set[str](), vars(Pipeline)["counters"].fget
+
+    def counted(pipeline: Pipeline) -> Any:
+        counting.add(threading.current_thread().name)
+        return counters(pipeline)
+
+    monkeypatch.setattr(recorder, "SAVE_PERIOD_S", 0.1)
+    with imumon.open(device.port.path, "ax1", record=record) as unit:
+        monkeypatch.setattr(Pipeline, "counters", property(counted))
+        rows = len(first_rows(unit))
+        while rows < 150:
+            rows += len(next(unit))
+            assert unit.counters.samples >= rows
+        assert counting == {"pipeline"}
+    rows += sum(map(len, unit))
+    assert unit.counters.samples == rows
+    if record is not None:
+        kept = open_session(record).metadata.counters
+        assert kept == {name: n for name, n in kept.items() if n == unit.counters.as_dict().get(name, n)}
+        assert kept["samples"] == rows

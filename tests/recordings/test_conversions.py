@@ -6,6 +6,7 @@ import json
 import sys
 from collections import Counter
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from imumon.columns import KNOWN, Column
 from imumon.errors import ImumonError, Reason
 from imumon.logs.importing import import_log
 from imumon.pipeline import Pipeline
-from imumon.recordings.exports import convert, export_run
+from imumon.recordings.exports import convert, export_run, read_npz
 from imumon.recordings.importing import import_table
 from imumon.recordings.ros2 import SECOND_NS, write_ros2
 from imumon.recordings.source import open_source, run_over
@@ -190,6 +191,30 @@ def test_numpy_and_matlab_have_every_value_with_its_unit(table: Path, tmp_path: 
             values, unit = file[name], str(file["units"][name])
         np.testing.assert_array_equal(values, expected)
         assert unit == COLUMNS[name].unit
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".mat"])
+@pytest.mark.parametrize("name", ["units", "file"])
+def test_a_name_that_the_format_reserves_is_refused(tmp_path: Path, suffix: str, name: str) -> None:
+    source: Any = SimpleNamespace(columns=lambda _: [Column(name, "1")], axes=None)
+    block = SampleBlock({name: np.zeros(3)})
+    with pytest.raises(ImumonError, match=f"can have the name {name}") as caught:
+        export_run([block], Pipeline(None), source, tmp_path / f"t{suffix}", None)
+    assert caught.value.reason is Reason.BAD_CONFIG
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("at", [8, 10, 60])
+def test_a_damaged_file_of_numpy_is_bad_data(table: Path, tmp_path: Path, at: int) -> None:
+    convert({"imu": table}, {"imu": tmp_path / "run.npz"}, "FRD")
+    data = bytearray((tmp_path / "run.npz").read_bytes())
+    data[at] ^= 0xFF
+    directory = data.rindex(b"PK\x01\x02", 0, data.index(b"PK\x05\x06"))
+    data[directory + at] ^= 0xFF
+    (tmp_path / "run.npz").write_bytes(data)
+    with pytest.raises(ImumonError, match="cannot be read as a table") as caught:
+        read_npz(tmp_path / "run.npz")
+    assert caught.value.reason is Reason.BAD_DATA
 
 
 def test_a_run_with_a_receiver_is_one_bag(tmp_path: Path) -> None:

@@ -100,6 +100,13 @@ def test_only_the_columns_that_were_requested_are_exported_in_that_order(tmp_pat
     assert (tmp_path / "u.csv").read_text().startswith("device_time_ns,gyro_x,latitude\n")
 
 
+def test_rows_before_a_chosen_column_begins_are_there_without_it(tmp_path: Path) -> None:
+    blocks = [block(0, 5, "gyro_x"), block(5, 9, "gyro_x", "latitude"), block(9, 11, "gyro_x", "latitude")]
+    assert export_blocks(blocks, tmp_path / "t.parquet", ["latitude"]) == 11
+    samples, _ = read_table(tmp_path / "t.parquet")
+    np.testing.assert_array_equal(samples["latitude"], [*[np.nan] * 5, *range(5, 11)])
+
+
 def test_a_column_that_becomes_known_late_stands_where_it_belongs(tmp_path: Path) -> None:
     blocks = [block(0, 5, "gyro_x"), block(5, 9, "gyro_x", "latitude")]
     came: list[SampleBlock] = []

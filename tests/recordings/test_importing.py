@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -111,7 +112,9 @@ def test_dates_are_time_to_the_nanosecond(moment: datetime, nanoseconds: int) ->
     assert time_parser("iso8601")(text + "+02:00") == expected - 7200 * 10**9
 
 
-@pytest.mark.parametrize("text", ["", "nan", "inf", "1e999999999", "-1e30", "12:00", "1,5", "abc"])
+@pytest.mark.parametrize(
+    "text", ["", "nan", "inf", "1e999999999", "1e999990", "-1e30", "12:00", "1,5", "abc"]
+)
 def test_what_is_no_time_is_refused(text: str) -> None:
     with pytest.raises(ValueError, match="time"):
         time_parser("s")(text)
@@ -466,3 +469,25 @@ def test_decimal_commas(tmp_path: Path) -> None:
 def test_a_rate_too_slow_for_64_bits_is_refused(tmp_path: Path) -> None:
     error = refused(tmp_path, HEADER + "0,1,2,3,a\n" * 2, "rate_hz: 1e-12\n" + MAP.partition("\n")[2])
     assert "292 years" in error.seen
+
+
+def test_a_pipe_is_refused_before_a_row_is_lost(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "t.csv")
+    (tmp_path / "map.yaml").write_text(MAP)
+    with pytest.raises(ImumonError, match="is no file") as caught:
+        import_table(tmp_path / "t.csv", tmp_path / "map.yaml", tmp_path / "session")
+    assert (caught.value.reason, caught.value.hint) == (
+        Reason.BAD_DATA,
+        "write the table to a file first",
+    )
+
+
+@pytest.mark.parametrize(
+    "time",
+    [pa.array([{"s": 1}, {"s": 2}]), pa.array([[1], [2]]), pa.array([b"\xff\xfe", b"\xfd"], pa.binary())],
+)
+def test_a_time_of_another_kind_is_bad_data(tmp_path: Path, time: pa.Array) -> None:
+    pq.write_table(pa.table({"t": time, "x": [1, 2], "y": [1, 2], "z": [1, 2]}), tmp_path / "t.parquet")
+    error = refused(tmp_path, (tmp_path / "t.parquet").read_bytes(), name="t.parquet")
+    assert error.reason is Reason.BAD_DATA
+    assert "t.parquet" in error.seen

@@ -130,3 +130,23 @@ def test_metadata_is_saved_again_and_again_and_its_failure_is_a_problem(
     failed.set()
     assert told.wait(LIMIT_S)
     recorder.stop()
+
+
+def test_whatever_goes_wrong_with_the_metadata_is_reported_and_tried_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(recorder_module, "SAVE_PERIOD_S", 0.05)
+    monkeypatch.setattr(recorder_module, "SYNC_PERIOD_S", 0.05)
+    problems, saved = list[str | None](), threading.Event()
+
+    def save() -> None:
+        if not problems:
+            raise RuntimeError("dictionary changed size during iteration")
+        saved.set()
+
+    recorder = Recorder(WireWriter(tmp_path / "w.mcap", {}), problems.append, save)
+    recorder.start()
+    assert saved.wait(LIMIT_S)
+    recorder.stop()
+    what = "the session's metadata cannot be written: dictionary changed size during iteration"
+    assert problems == [what, None]

@@ -37,7 +37,7 @@ def run(folder: Path, times: Sequence[object], map_text: str) -> tuple[ImportRep
 
 @given(
     start=st.integers(0, 65535),
-    steps=st.lists(st.integers(1, 65535), max_size=40),
+    steps=st.lists(st.integers(1, 64512), max_size=40),
     rows_per_part=st.integers(1, 15),
     broken=st.sets(st.integers(0, 40)),
 )
@@ -53,7 +53,7 @@ def test_a_count_that_wraps_goes_on(
     kept = true_ms[:1].tolist()  # a bad row may not make a gap as long as a wrap
     said = [str(start)]
     for row, time in enumerate(true_ms[1:].tolist(), 1):
-        bad = row in broken and row + 1 < len(true_ms) and true_ms[row + 1] - kept[-1] < 65536
+        bad = row in broken and row + 1 < len(true_ms) and true_ms[row + 1] - kept[-1] <= 64512
         said.append("oops" if bad else str(time % 65536))
         kept += [] if bad else [time]
     text = WRAPPING.replace("UNIT", "ms").replace("AT", "65536") + "bad_rows: drop\n"
@@ -102,6 +102,15 @@ def test_a_count_that_is_not_below_its_wrap_is_a_bad_row(tmp_path: Path) -> None
         run(tmp_path, [1, 65536, -1], text)
     assert "t.csv:3: time '65536' is not from 0 to below 65536, where it wraps" in caught.value.seen
     assert "t.csv:4: time '-1' is not from 0" in caught.value.seen
+
+
+@pytest.mark.parametrize("rows_per_part", [2, 20_000])
+def test_rows_that_are_out_of_order_are_no_wrap(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rows_per_part: int
+) -> None:
+    monkeypatch.setattr(foreign, "ROWS_PER_PART", rows_per_part)
+    with pytest.raises(ImumonError, match=r"t.csv:5: time .* is not after .* of line 4"):
+        run(tmp_path, [65000, 1000, 1200, 1100, 1300], WRAPPING.replace("UNIT", "ms").replace("AT", "65536"))
 
 
 def test_a_count_that_stands_still_is_refused(tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ import math
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import yaml
@@ -168,6 +169,19 @@ def test_a_table_that_cannot_be_read_is_bad_data(tmp_path: Path) -> None:
         with pytest.raises(ImumonError, match="cannot be read") as caught:
             read_table(tmp_path / name)
         assert caught.value.reason is Reason.BAD_DATA
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
+def test_two_columns_of_one_name_are_refused(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"t{suffix}"
+    if suffix == ".csv":
+        path.write_text("gyro_x,gyro_y,gyro_x\n1.5,2.5,3.5\n")
+    else:
+        names = ["gyro_x", "gyro_y", "gyro_x"]
+        pq.write_table(pa.Table.from_arrays([pa.array([1.5])] * 3, names=names), path)
+    with pytest.raises(ImumonError, match="column 'gyro_x' is there more than once") as caught:
+        read_table(path)
+    assert caught.value.reason is Reason.BAD_DATA
 
 
 def test_blocks_of_one_sample_do_not_pile_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -44,6 +44,17 @@ def test_an_outage_lasts_from_the_last_byte_to_the_ports_return() -> None:
     assert "2, 6.5 s in all" in found.describe()
 
 
+def test_a_mark_does_not_shorten_an_outage() -> None:
+    found = watched(
+        data(1),
+        event(EventKind.MARK, 1.9),
+        event(EventKind.SILENT, 2),
+        event(EventKind.START, 3),
+        event(EventKind.RESUMED, 5),
+    )
+    assert found.as_data()[0]["seconds"] == pytest.approx(4.0)
+
+
 def test_an_outage_that_lasts_ends_with_the_recording() -> None:
     found = watched(data(1), event(EventKind.LOST, 2), event(EventKind.CLOSED, 5))
     assert found.as_data()[0]["seconds"] == pytest.approx(4.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 
 import pytest
@@ -11,7 +12,7 @@ from hypothesis import strategies as st
 from imumon.errors import ImumonError, Reason
 from imumon.recordings.folder import open_session
 from imumon.recordings.wire_reader import WireReader
-from imumon.run.marks import REQUESTS, Marks, ask_for_mark
+from imumon.run.marks import REQUESTS, Marks, append_request, ask_for_mark
 from imumon.simulation.virtual_device import VirtualDevice
 from imumon.transport.reader import Event, EventKind
 from imumon.view.items import Log
@@ -63,10 +64,26 @@ def test_no_line_stops_the_recording_and_none_is_taken_twice(
     folder = tmp_path_factory.mktemp("marks", numbered=True)
     asked = b'{"kind": "mark", "text": "a"}\n'
     data = b"".join(line.replace(b"\n", b"") + b"\n" for line in lines) + asked
-    marks, found = Marks(folder), list[tuple[EventKind, str]]()
+    marks, found = Marks(folder), list[Event]()
     for end in (len(data) - cut, len(data)):
         (folder / REQUESTS).write_bytes(data[:end])
-        found += marks.take()
-    assert found.count((EventKind.MARK, "a")) == 1
-    assert marks.take() == []
+        found += marks.take(7)
+    assert found.count(Event(EventKind.MARK, 7, "a")) == 1
+    assert marks.take(8) == []
     marks.close()
+
+
+def test_a_mark_has_the_time_at_which_it_was_requested(tmp_path: Path) -> None:
+    before_ns = time.time_ns()
+    append_request(tmp_path, EventKind.MARK, "fan on")
+    after_ns = time.time_ns()
+    (mark,) = Marks(tmp_path).take(after_ns + 2_000_000_000)
+    assert before_ns <= mark.time_ns <= after_ns
+
+
+@pytest.mark.parametrize("time_ns", [*range(99, 102), "-Infinity", "Infinity", "NaN", -(1 << 70), "true"])
+def test_a_mark_with_the_time_of_another_clock_is_of_now(tmp_path: Path, time_ns: object) -> None:
+    (tmp_path / REQUESTS).write_text(f'{{"kind": "stop", "text": "a", "time_ns": {time_ns}}}\n')
+    now_ns = 100_000_000_100 if isinstance(time_ns, str) else 100
+    expected = time_ns if time_ns == 99 else now_ns
+    assert Marks(tmp_path).take(now_ns) == [Event(EventKind.STOP, expected, "a")]

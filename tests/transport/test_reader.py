@@ -3,6 +3,8 @@ from __future__ import annotations
 import queue
 import socket
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -12,7 +14,7 @@ from imumon.errors import ImumonError, Reason
 from imumon.simulation.virtual_port import VirtualPort
 from imumon.transport import port as port_module
 from imumon.transport import reader as reader_module
-from imumon.transport.reader import Event, EventKind, Item, Reader
+from imumon.transport.reader import Event, EventKind, Item, Reader, Sink
 from imumon.transport.settings import PortSettings
 from tests.transport.helpers import Collector, tcp_server
 from tests.waiting import LIMIT_S, wait_until
@@ -22,9 +24,15 @@ pytestmark = pytest.mark.usefixtures("no_leaks")
 PACKET = b"\xaa\x55" + bytes(range(40))
 
 
-def reading(settings: PortSettings, sink: Collector) -> Reader:
-    """Return a reader to which nothing is silent, however slowly the test goes on."""
-    return Reader(settings, sink, silent_after_s=LIMIT_S)
+@contextmanager
+def reading(settings: PortSettings, *sinks: Sink, silent_after_s: float = LIMIT_S) -> Iterator[Reader]:
+    """Read a port; without `silent_after_s` nothing is silent, however slowly the test goes on."""
+    reader = Reader(settings, *sinks, silent_after_s=silent_after_s)
+    reader.start()
+    try:
+        yield reader
+    finally:
+        reader.stop()
 
 
 def test_bytes_and_events_come_in_order_with_stamps_that_never_go_back() -> None:
@@ -45,7 +53,7 @@ def test_bytes_and_events_come_in_order_with_stamps_that_never_go_back() -> None
 def test_every_sink_gets_everything() -> None:
     items: queue.SimpleQueue[Item] = queue.SimpleQueue()
     sink = Collector()
-    with VirtualPort() as device, Reader(PortSettings(device.path), sink, items.put):
+    with VirtualPort() as device, reading(PortSettings(device.path), sink, items.put):
         device.write(PACKET)
         assert sink.got(PACKET)
     assert [items.get_nowait() for _ in range(items.qsize())] == sink.items
@@ -80,7 +88,7 @@ def test_a_port_that_was_never_there_is_not_waited_for() -> None:
 def test_silence_is_reported_once_and_ends_with_the_next_byte(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(reader_module, "CHECK_SILENT_S", 0.02)
     sink = Collector()
-    with VirtualPort() as device, Reader(PortSettings(device.path), sink, silent_after_s=0.1):
+    with VirtualPort() as device, reading(PortSettings(device.path), sink, silent_after_s=0.1):
         device.write(PACKET)
         assert sink.saw(EventKind.SILENT)
         silences = sink.kinds.count(EventKind.SILENT)
@@ -98,7 +106,7 @@ def test_silence_is_reported_once_and_ends_with_the_next_byte(monkeypatch: pytes
 
 def test_a_device_that_never_spoke_is_silent_too() -> None:
     sink = Collector()
-    with VirtualPort() as device, Reader(PortSettings(device.path), sink, silent_after_s=0.05):
+    with VirtualPort() as device, reading(PortSettings(device.path), sink, silent_after_s=0.05):
         assert sink.saw(EventKind.SILENT)
 
 
@@ -162,7 +170,7 @@ def test_a_silent_port_that_was_replaced_is_reopened(tmp_path: Path, monkeypatch
     sink, link = Collector(), tmp_path / "ttyIMU"
     with VirtualPort() as old, VirtualPort() as new:
         link.symlink_to(old.path)
-        with Reader(PortSettings(str(link)), sink, silent_after_s=0.05):
+        with reading(PortSettings(str(link)), sink, silent_after_s=0.05):
             assert sink.saw(EventKind.SILENT)
             link.unlink()
             link.symlink_to(new.path)
@@ -198,7 +206,7 @@ def test_a_closed_connection_is_lost_and_made_again() -> None:
         client.sendall(PACKET)
 
     sink = Collector()
-    with tcp_server(serve) as number, Reader(PortSettings(f"socket://127.0.0.1:{number}"), sink):
+    with tcp_server(serve) as number, reading(PortSettings(f"socket://127.0.0.1:{number}"), sink):
         assert sink.saw(EventKind.LOST, times=2)
     assert sink.data[: 2 * len(PACKET)] == PACKET * 2
 
@@ -208,7 +216,7 @@ def test_stopping_works_in_every_state_and_twice(state: str, tmp_path: Path) -> 
     sink = Collector()
     # Under a name of its own: the number of a pulled pty is given to the next one that any process opens.
     with VirtualPort(tmp_path / "ttyIMU") as device:
-        with Reader(PortSettings(device.path), sink, silent_after_s=0.05) as reader:
+        with reading(PortSettings(device.path), sink, silent_after_s=0.05) as reader:
             if state == "silent":
                 assert sink.saw(EventKind.SILENT)
             elif state == "lost":
