@@ -22,17 +22,13 @@ COLOR_NAMES = {
 AXIS_COLORS = {"x": RED, "y": GREEN, "z": BLUE}
 """These read on the viewer's dark and on its light theme."""
 
-ITEM_BYTES = 64
-"""What a curve costs in memory beside its arrays, roughly."""
-
 
 @dataclass(frozen=True, slots=True)
 class Axis:
-    """One axis: what it shows with its unit, whether it is logarithmic, or names of the places 0, 1, ...."""
+    """One axis: what it shows with its unit, and whether it is logarithmic."""
 
     label: str
     log: bool = False
-    names: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,8 +65,3 @@ class Chart:
     """What matters most, large."""
     notes: tuple[str, ...] = ()
     """Values that belong to the curves, a line each."""
-
-    @property
-    def nbytes(self) -> int:
-        """Bytes that the chart holds, roughly."""
-        return sum(ITEM_BYTES + curve.x.nbytes + curve.y.nbytes for curve in self.curves)

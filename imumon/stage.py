@@ -9,7 +9,7 @@ from typing import Protocol, TypeVar, get_args
 import numpy as np
 
 from imumon.blocks import ColumnArray, SampleBlock, missing, nan_for_missing
-from imumon.charts import Chart
+from imumon.charts import Chart, Curve
 from imumon.columns import NAME, Column, ColumnType
 from imumon.errors import bad_config
 from imumon.lane import LaneState
@@ -85,7 +85,7 @@ class GuardedStage:
     def charts(self, live: bool) -> Sequence[Chart]:
         """Return its charts as they are now; empty while there is nothing to show."""
         charts = getattr(self.stage, "charts", list)
-        return self._call("charts", lambda: _each_is(Chart, charts(), "chart"), list[Chart](), live)
+        return self._call("charts", lambda: _charts(charts()), list[Chart](), live)
 
     def lanes(self, live: bool) -> Mapping[str, LaneState]:
         """Return the state of each of its lanes as it is now."""
@@ -222,6 +222,15 @@ def _each_is(kind: type[T], found: object, what: str) -> list[T]:
     if not isinstance(found, list | tuple) or not all(isinstance(one, kind) for one in found):
         raise bad_config(f"it returned what is no {what}", f"return a list of {kind.__name__}")
     return [*found]
+
+
+def _charts(found: object) -> list[Chart]:
+    charts = _each_is(Chart, found, "chart")
+    for curve in [curve for chart in charts for curve in _each_is(Curve, chart.curves, "curve")]:
+        is_drawn = isinstance(curve.x, np.ndarray) and isinstance(curve.y, np.ndarray)
+        if not is_drawn or curve.x.ndim != 1 or curve.x.shape != curve.y.shape:
+            raise bad_config(f"x and y of curve {curve.name!r} are no points", "give two arrays, (n,) each")
+    return charts
 
 
 def _lanes(states: object) -> Mapping[str, LaneState]:

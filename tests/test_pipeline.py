@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from imumon.blocks import NO_INT, ColumnArray, SampleBlock, join, missing
-from imumon.charts import Chart
+from imumon.charts import RED, Axis, Chart, Curve
 from imumon.columns import Column
 from imumon.errors import ImumonError
 from imumon.pipeline import UNDATED, Digest, Pipeline
@@ -267,6 +267,32 @@ def test_a_stage_that_raises_is_switched_off_and_all_else_goes_on(call: str) -> 
     assert f"{__file__}:" in report
     assert "in _use, called at" in report
     assert pipeline.irreproducible == {"mine", "turned_x"}
+
+
+class _Draws(CountingEstimator):
+    def __init__(self, curve: Any) -> None:
+        super().__init__()
+        self._curve = curve
+
+    def charts(self) -> list[Chart]:
+        return [Chart("mine", "Mine", "Mine", Axis("x"), Axis("y"), (self._curve,))]
+
+
+@pytest.mark.parametrize(
+    ("curve", "reported"),
+    [
+        (Curve("a", [1.0], [1.0], RED), "x and y of curve 'a' are no points"),  # type: ignore[arg-type]
+        (Curve("a", np.ones(2), np.ones(3), RED), "x and y of curve 'a' are no points"),
+        (Curve("a", np.ones((2, 2)), np.ones((2, 2)), RED), "x and y of curve 'a' are no points"),
+        ("a", "it returned what is no curve"),
+    ],
+)
+def test_a_chart_that_cannot_be_drawn_switches_its_stage_off(curve: Any, reported: str) -> None:
+    pipeline = Pipeline(None, [_Draws(curve)])
+    assert pipeline.charts() == []
+    [warning] = pipeline.warnings()
+    assert "_Draws of tests.test_pipeline is switched off" in warning
+    assert f"charts: {reported}" in warning
 
 
 def test_a_defect_of_imumon_is_raised_but_in_a_live_run(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -15,7 +15,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from imumon.cli.common import CLEAR_LINE, INTERRUPTED, is_terminal, log, note
+from imumon.cli.common import CLEAR_LINE, INTERRUPTED, console, is_terminal, log, note
 from imumon.errors import ImumonError, Reason
 from imumon.heap import prepare_heap
 from imumon.recordings import lines
@@ -183,8 +183,8 @@ def watch(
             step()
             if time.monotonic() - drawn_s >= SCREEN_S:
                 drawn_s = time.monotonic()
-                columns, rows = os.get_terminal_size(sys.stderr.fileno())
-                note("", newline=False, control=drawn(screen(columns, rows), columns, rows))
+                size = console(error=True).size  # some, too, of a terminal that has none or was closed
+                note("", newline=False, control=drawn(screen(*size), *size))
     finally:
         note("", newline=False, control=GIVEN_BACK)
 

@@ -241,7 +241,8 @@ def view(
     if out is not None:
         check_output(out, suffix=".rrd")
     names = [path.resolve().name for path in sessions]
-    names = [name if names.count(name) == 1 else f"{name} {at + 1}" for at, name in enumerate(names)]
+    if len(set(names)) < len(names):
+        names = [f"{name} {number}" for number, name in enumerate(names, 1)]
     opened = []
     for path in sessions:  # what is wrong with one is reported before a viewer comes
         session = open_session(path)
@@ -262,8 +263,7 @@ def view(
             with reading_bar([one[0].path], quiet=as_json) as progress:
                 found[name] = _log_session(*one, name, comparison, progress.count)
         if comparison.arrange() is None:
-            hint = "an imported table has no times of a computer: --align power-on" if align == "host" else ""
-            raise bad_data("the sessions have no samples with such times", hint)
+            raise bad_data("the sessions have no samples that can be shown")
         rec.flush()
     except BaseException:
         if out is not None:  # no file that is a part
@@ -299,8 +299,10 @@ def _log_session(
     comparison.begin(name)
     for block in run_over(outages.watch(source.items), pipeline, count):
         comparison.log(block)
-    common.warn([*source.warnings(), *pipeline.warnings()])
     counters, began_ns = pipeline.counters, metadata.created_ns
+    common.warn([*source.warnings(), *pipeline.warnings()])
+    if counters.samples and comparison.began_ns is None:
+        common.warn([f"{name}: has no times of a computer, and is not shown; --align power-on shows it"])
     ended_ns = max(metadata.ended_ns or 0, outages.last_ns) or began_ns
     span = describe_span(began_ns, ended_ns)
     if metadata.table is not None:  # when a table was measured is not known

@@ -17,7 +17,7 @@ from imumon.recordings.folder import Session
 from imumon.transport.reader import Event, EventKind, Reads
 from imumon.transport.settings import PortSettings
 from imumon.view.cards import measured
-from imumon.view.items import Drawing, Log, Numbers, State, Status, Timebase, ViewItem, ViewSetup
+from imumon.view.items import Drawing, Instant, Log, Numbers, State, Status, Timebase, ViewItem, ViewSetup
 
 Publish = Callable[[ViewItem], None]
 Report = Callable[[str, str], None]
@@ -132,8 +132,11 @@ class Narrator:
             self._emit(self._timebase.side(stream, rows))
         if not len(block):
             return
-        self._emit(self._timebase.samples(block))
-        segment, arrival = int(block["segment"][-1]), int(block["arrival_time_ns"][-1])
+        shown = self._timebase.samples(block)
+        self._emit(shown)
+        # Nobody received the rows of a table: its clock is that of the device.
+        clock = "arrival_time_ns" if "arrival_time_ns" in block else "device_time_ns"
+        segment, arrival = int(block["segment"][-1]), int(block[clock][-1])
         if segment != self._segment:
             if not self._restless:
                 self.log("WARN", f"the device's clock or counter started anew: segment {segment}", arrival)
@@ -146,7 +149,7 @@ class Narrator:
         if (at_rest := block.columns.get("at_rest")) is not None:
             for row in [0, *(np.flatnonzero(np.diff(at_rest)) + 1).tolist()]:  # each change at its own time
                 if (state := MOTION.get(int(at_rest[row]))) is not None:
-                    self._lane("motion", state, int(block["arrival_time_ns"][row]))
+                    self._lane("motion", state, shown.times.at(row))
 
     def log(self, level: str, text: str, time_ns: int | None = None) -> None:
         """Show a log line."""
@@ -263,10 +266,11 @@ class Narrator:
             self.log("ERROR", text, now_ns)
         self._lane("data", state, now_ns)
 
-    def _lane(self, lane: str, state: LaneState, time_ns: int) -> None:
+    def _lane(self, lane: str, state: LaneState, at: Instant | int) -> None:
         if self._lanes.get(lane) != state:
             self._lanes[lane] = state
-            self._emit(State(self._timebase.at(time_ns), lane, state.text, state.level))
+            instant = at if isinstance(at, Instant) else self._timebase.at(at)
+            self._emit(State(instant, lane, state.text, state.level))
 
     def _emit(self, item: ViewItem) -> None:
         for publish in self.publish:

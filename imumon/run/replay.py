@@ -123,10 +123,8 @@ def compare_with_live(session: Session, setup: Setup, digest: Digest, pipeline: 
     # No stage makes a column of a side stream: one that lacks was lost.
     lost = {name for name in live.keys() ^ again.keys() if "/" in name}
     differing = sorted(lost | {name for name in common if live[name] != again[name]})
-    only_live, only_replay = (
-        tuple(sorted(live.keys() - again - lost)),
-        tuple(sorted(again.keys() - live - lost)),
-    )
+    only_live = tuple(sorted(live.keys() - again - lost))
+    only_replay = tuple(sorted(again.keys() - live - lost))
     is_same = bool(common) and not differing
     return Comparison(is_same, len(common), tuple(differing), only_live, only_replay)
 

@@ -6,7 +6,6 @@ Run as ``python -m imumon.view.child`` by `imumon.view.publisher`.
 """
 
 import gc
-import subprocess
 import time
 from collections.abc import Callable
 from functools import partial
@@ -30,33 +29,27 @@ REPEAT_S = 2.0
 the newest first, and the server forgets the oldest.  Until a repetition arrives their panes are empty."""
 
 
-class Viewers:
-    """Serves the stream, and finds out how that goes."""
+def serve_viewers(start: Start, rec: rr.RecordingStream) -> Callable[[], Report]:
+    """Serve the stream; return what finds out how that goes, and where to find what."""
+    stream = serve_stream(rec)
+    if start.mode == "web":
+        page = WebServer(stream, start.port, start.bind)
+        return lambda: Report("serving the web viewer", page.url, page.port)
+    address, served = stream
+    url, port = proxy_url(served, address), viewer_port(start.port)
+    # One that is open goes on with this stream, as after a restart; one that was closed stays closed.
+    viewer = start_viewer(port, url) if start.open_viewer or probe(port) else None
 
-    def __init__(self, start: Start, rec: rr.RecordingStream) -> None:
-        self._viewer: subprocess.Popen[bytes] | None = None
-        if start.mode == "web":
-            page = WebServer(serve_stream(rec), start.port, start.bind)
-            self._serving = Report("serving the web viewer", page.url, page.port)
-            return
-        address, port = serve_stream(rec)
-        url = proxy_url(port, address)
-        self._port = viewer_port(start.port)
-        text = f"`rerun {url}` opens a viewer"
-        # One that is open goes on with this stream, as after a restart; one that was closed stays closed.
-        if start.open_viewer or probe(self._port):
-            self._viewer, text = start_viewer(self._port, url), "viewer open"
-        self._serving = Report(text, url, self._port)
-
-    def poll(self) -> Report:
-        """Return whether the native viewer is still there, and where to find what."""
-        serving, code = self._serving, None if self._viewer is None else self._viewer.poll()
+    def poll() -> Report:
+        code = None if viewer is None else viewer.poll()
+        text = "viewer open" if viewer is not None else f"`rerun {url}` opens a viewer"
         if code:
             text = f"the viewer could not start or go on (exit code {code}); try --view web"
-            return serving._replace(text=text)
-        if code == 0 and not probe(self._port):  # nor did it pass the stream on
-            return serving._replace(text=f"viewer closed; `rerun {serving.url}` brings it back")
-        return serving
+        elif code == 0 and not probe(port):  # nor did it pass the stream on
+            text = f"viewer closed; `rerun {url}` brings it back"
+        return Report(text, url, port)
+
+    return poll
 
 
 def run(
@@ -65,17 +58,17 @@ def run(
     """Take lists of items until the stream ends; what is made logs them as a `StreamLogger` does."""
     start: Start = stream.recv()
     rec = rr.RecordingStream(LIVE_APPLICATION, recording_id=start.setup.recording_id)
-    viewers = Viewers(start, rec)
+    poll = serve_viewers(start, rec)
     logger = make_logger(rec, start.setup)
     logger.begin()
     logger.log(start.lasting)
     gc.freeze()  # or the circles of pictures wait until they are a quarter of all that was loaded
     repeated_s = time.monotonic()
-    out.send(viewers.poll())
+    out.send(poll())
     for items in batches(stream, POLL_S):
         if time.monotonic() - repeated_s > REPEAT_S:
             repeated_s = time.monotonic()
-            out.send(viewers.poll())
+            out.send(poll())
             logger.repeat()
         if items:
             logger.log(items)

@@ -1,6 +1,7 @@
 """Several sessions on one time axis: each quantity in a view of its own, each session in its own colour."""
 
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any, Literal
 
 import rerun as rr
@@ -24,19 +25,13 @@ COLUMNS = 3
 Alignment = Literal["power-on", "host"]
 
 
-@dataclass(slots=True)
-class _Quantity:
-    """One line of a panel, a view of its own, and what draws it of each session."""
-
-    panel: Strip
-    number: int
-    drawn: list[Strip] = field(default_factory=list)
-
-    def of(self, session: str, color: Color) -> Strip:
-        """Return the panel that draws this line of a session."""
-        line = self.panel.lines[self.number]._replace(name=session, color=color)
-        key = f"{rr.escape_entity_path_part(session)}/{self.panel.key}/{self.number}"
-        return replace(self.panel, key=key, lines=(line,), beside=None)
+def _quantities() -> Iterator[Strip]:
+    """Yield a panel for each line of a panel: every quantity has a view of its own."""
+    for panel in PANELS:
+        if isinstance(panel, Strip):
+            for number, line in enumerate(panel.lines):
+                title = f"{panel.title}: {line.name}" if len(panel.lines) > 1 else panel.title
+                yield replace(panel, key=f"{panel.key}/{number}", title=title, lines=(line,), beside=None)
 
 
 class Comparison:
@@ -47,8 +42,9 @@ class Comparison:
 
     def __init__(self, rec: rr.RecordingStream, setup: ViewSetup, align: Alignment) -> None:
         self._rec, self._setup, self._align = rec, setup, align
-        strips = [panel for panel in PANELS if isinstance(panel, Strip)]
-        self._quantities = [_Quantity(panel, at) for panel in strips for at in range(len(panel.lines))]
+        self._quantities = [*_quantities()]
+        self._drawn: list[list[Strip]] = [[] for _ in self._quantities]
+        """What draws each quantity of the sessions that have it."""
         self._extents = Extents(rec, live=False)
         self._sessions = 0
         self._panels: list[Strip] = []
@@ -57,11 +53,15 @@ class Comparison:
 
     def begin(self, session: str) -> None:
         """Begin the next session, whose name is unlike those of the others."""
-        color = COLORS[self._sessions % len(COLORS)]
+        color, prefix = COLORS[self._sessions % len(COLORS)], rr.escape_entity_path_part(session)
         self._sessions += 1
-        self._panels = [quantity.of(session, color) for quantity in self._quantities]
+        self._panels = [
+            replace(one, key=f"{prefix}/{one.key}", lines=(one.lines[0]._replace(name=session, color=color),))
+            for one in self._quantities
+        ]
         self._timebase = Timebase()
-        self._began_ns: int | None = None
+        self.began_ns: int | None = None
+        """First time of the present session; None while nothing of it is shown."""
 
     def log(self, block: SampleBlock) -> None:
         """Log samples of the session, in order: of each half second the extremes, so that spikes stay."""
@@ -70,27 +70,29 @@ class Comparison:
         clock = host_ns if by_host or device_ns is None else device_ns
         if clock is None or not len(clock):
             return
-        if self._began_ns is None:
-            self._began_ns = int(clock[0])
-        times = Times(None, None, clock) if by_host else Times(None, clock - self._began_ns, None)
+        if self.began_ns is None:
+            self.began_ns = int(clock[0])
+        times = Times(None, None, clock) if by_host else Times(None, clock - self.began_ns, None)
         rows = Rows(block.columns, times, RECORDED_STEP_NS)
-        for quantity, panel in zip(self._quantities, self._panels, strict=True):
-            begins = panel not in quantity.drawn
+        for drawn, panel in zip(self._drawn, self._panels, strict=True):
+            begins = panel not in drawn
             if not rows.columns.keys() >= set(panel.columns) or (begins and not panel.has_values(rows)):
                 continue
             if begins:
-                quantity.drawn.append(panel)
+                drawn.append(panel)
             draw(self._rec, panel, rows, self._extents, begins=begins)
 
     def arrange(self) -> rrb.Blueprint | None:
         """Send the arrangement, once all is logged, and return it; None when there is nothing to see."""
         self._extents.finish()
         tabs: dict[str, list[Any]] = {}
-        for quantity in self._quantities:
-            if quantity.drawn:
-                place = quantity.panel.place
-                tab = quantity.panel.title if tab_of(place) == FIRST else place
-                tabs.setdefault(tab, []).append(self._view(quantity))
+        for panel, drawn in zip(self._quantities, self._drawn, strict=True):
+            if drawn:
+                tab = panel.title.partition(":")[0] if tab_of(panel.place) == FIRST else panel.place
+                first, *others = [one.drawn for one in drawn]
+                beside, title = [f"{other}/**" for other in others], panel.view(self._setup, Window()).name
+                view = series_view(first, str(title), Window(), beside, legend=True)
+                tabs.setdefault(tab, []).append(view)
         if not tabs:
             return None
         grids = [rrb.Grid(*views, grid_columns=COLUMNS, name=name) for name, views in tabs.items()]
@@ -98,11 +100,3 @@ class Comparison:
         found = arranged(rrb.Tabs(*grids), timeline)
         self._rec.send_blueprint(found)
         return found
-
-    def _view(self, quantity: _Quantity) -> Any:
-        panel, (first, *others) = quantity.panel, quantity.drawn
-        title = str(first.view(self._setup, Window()).name)
-        if len(panel.lines) > 1:
-            title = title.replace(panel.title, f"{panel.title}: {panel.lines[quantity.number].name}")
-        beside = [f"{other.drawn}/**" for other in others]
-        return series_view(first.drawn, title, Window(), beside, legend=True)

@@ -46,6 +46,10 @@ class Times(NamedTuple):
         """Return the times of the rows to keep."""
         return Times(*(None if values is None else values[keep] for values in self))
 
+    def at(self, row: int) -> Instant:
+        """Return the moment of a row."""
+        return Instant(*(None if values is None else int(values[row]) for values in self))
+
 
 class ViewItem:
     """What the view shows; where it waits in a queue, these are its costs."""
@@ -88,11 +92,6 @@ class Samples(ViewItem):
     def rows(self) -> int:
         """Samples in the item."""
         return len(self.block)
-
-    @property
-    def kind(self) -> tuple[object, ...]:
-        """What samples must have in common to be joined: stream, timelines and columns."""
-        return self.stream, *(values is None for values in self.times), *self.block.columns
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,7 +149,7 @@ class Drawing(Event):
     @property
     def nbytes(self) -> int:
         """Bytes of its curves."""
-        return ITEM_BYTES + self.chart.nbytes
+        return ITEM_BYTES + sum(curve.x.nbytes + curve.y.nbytes for curve in self.chart.curves)
 
     @property
     def lasting(self) -> str:
@@ -187,6 +186,7 @@ class Timebase:
         self._count = 0
         self._shift_ns: dict[int, int] = {}
         self._last = Instant(None, None, None)
+        self._received = True
 
     def samples(self, block: SampleBlock) -> Samples:
         """Return the block with its times; blocks must come in order."""
@@ -195,6 +195,7 @@ class Timebase:
         host = _complete(block, "host_time_ns")
         device = _complete(block, "device_time_ns")
         if len(block):
+            self._received = "host_time_ns" in block
             device_ns, host_ns = self._last.device_ns, self._last.host_ns
             if device is not None:
                 device = self._continued(device, host, block)
@@ -211,9 +212,12 @@ class Timebase:
         return Samples(Times(None, device, host), block, stream)
 
     def at(self, time_ns: int | None = None) -> Instant:
-        """Return the moment `time_ns` (Unix time on the clock of the data), or that of the latest sample."""
+        """Return the moment `time_ns` (Unix time of this computer), or that of the latest sample.
+
+        A table, which nobody received, has the latter only.
+        """
         last = self._last
-        if time_ns is None:
+        if time_ns is None or not self._received:
             return last
         device = last.device_ns
         if device is not None and last.host_ns is not None:
@@ -249,14 +253,15 @@ def first_of_steps(times_ns: IntArray, step_ns: int, before_ns: int | None = Non
 
 
 def merge(items: Iterable[ViewItem]) -> list[ViewItem]:
-    """Join samples into few large items; events follow them in their order."""
+    """Join samples of the same stream, timelines and columns; events follow them in their order."""
     kinds: dict[tuple[object, ...], list[Samples]] = {}
     events: list[ViewItem] = []
     for item in items:
         if not isinstance(item, Samples):
             events.append(item)
         elif item.rows:
-            kinds.setdefault(item.kind, []).append(item)
+            kind = item.stream, *(values is None for values in item.times), *item.block.columns
+            kinds.setdefault(kind, []).append(item)
     return [*map(_joined, kinds.values()), *events]
 
 

@@ -99,6 +99,8 @@ class Strip:
     """Whether the card shows the last line's value large."""
     silent: float | None = None
     """While the columns have no other value there is nothing to show, and no panel."""
+    without: str = ""
+    """Column beside which another panel draws the same."""
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -106,7 +108,9 @@ class Strip:
         return tuple(name for line in self.lines for name in (line.column, line.sd) if name is not None)
 
     def has_values(self, rows: Rows) -> bool:
-        """Return whether each column has a value, and one of them another than `silent`."""
+        """Return whether each column has a value, one another than `silent`, and none is `without`."""
+        if self.without in rows.columns:
+            return False
         values = rows.matrix(self.columns)
         finite = np.isfinite(values)
         return bool(finite.any(axis=0).all() and (finite & (values != self.silent)).any())

@@ -14,18 +14,7 @@ import rerun.blueprint as rrb
 from imumon.harmless import for_markdown
 from imumon.lane import Level
 from imumon.view.blueprint import Contents, blueprint
-from imumon.view.items import (
-    Drawing,
-    Event,
-    Instant,
-    Log,
-    Numbers,
-    Samples,
-    State,
-    Status,
-    ViewItem,
-    ViewSetup,
-)
+from imumon.view.items import Drawing, Event, Log, Numbers, Samples, State, Status, ViewItem, ViewSetup
 from imumon.view.lanes import COLORED_STATES, LINES, LOG_TEXT, declare_lane, lane_path, lane_place, markdown
 from imumon.view.layout import DEVICE
 from imumon.view.panels import PanelLog
@@ -123,10 +112,11 @@ class StreamLogger:
         """Return an event of before the first sample as it is on the timelines that begin with that."""
         if self._began is None or event.at.sample is not None:
             return event
-        sample, device, host = (None if part is None else int(part[0]) for part in self._began.times)
-        if device is not None and host is not None and event.at.host_ns is not None:
-            device -= max(0, host - event.at.host_ns)
-        return replace(event, at=Instant(sample, device, event.at.host_ns))
+        began, host_ns = self._began.times.at(0), event.at.host_ns
+        device_ns = began.device_ns
+        if device_ns is not None and began.host_ns is not None and host_ns is not None:
+            device_ns -= max(0, began.host_ns - host_ns)
+        return replace(event, at=began._replace(device_ns=device_ns, host_ns=host_ns))
 
     def _log_events(self, events: Sequence[Event]) -> None:
         """Log events, those of a kind together: a chunk costs 2 kB, whatever is in it."""

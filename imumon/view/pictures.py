@@ -4,6 +4,7 @@ import io
 import math
 import threading
 import time
+from collections.abc import Sequence
 from functools import cache
 from typing import Any
 
@@ -23,8 +24,10 @@ SIZE, DOTS_PER_INCH = (7.0, 5.6), 150
 tab on a full HD screen, readable in a quarter."""
 ROOM = {"left": 0.114, "right": 0.985, "bottom": 0.086}
 """Fixed: to fit them to the labels takes as long as all else."""
-LETTERS = 40
-"""So many of a headline fit at full size."""
+LEAST = 0.4
+"""The axes reach at least so far to the right and up, however much stands there."""
+NOTE_LETTERS, LETTERS = 69, 40
+"""So many of a line of notes and of a headline fit at full size."""
 TOP, NOTE, HEADLINE = 0.98, 0.032, 0.073
 """Where the axes end, and what a line of notes and a headline take of it."""
 PAPER, FAINT = "#0d0d0d", "#3a3a3a"
@@ -122,10 +125,7 @@ def _frame(axes: Any, chart: Chart) -> None:
     for name, scale in (("x", chart.x), ("y", chart.y)):
         axis = getattr(axes, f"{name}axis")
         axis.set_label_text(for_plot(scale.label))
-        if scale.names:
-            axis.set_ticks(range(len(scale.names)), [for_plot(one) for one in scale.names])
-            axes.set(**{f"{name}lim": (-0.5, len(scale.names) - 0.5)})
-        elif not scale.log:
+        if not scale.log:
             axis.set_minor_locator(AutoMinorLocator())
         elif any((np.asarray(getattr(curve, name)) > 0).any() for curve in chart.curves):
             axes.set(**{f"{name}scale": "log"})
@@ -140,9 +140,12 @@ def _frame(axes: Any, chart: Chart) -> None:
         width = legend.get_window_extent(axes.figure.canvas.get_renderer()).width
         right -= width / axes.figure.bbox.width
     top = TOP - NOTE * len(chart.notes) - (HEADLINE if chart.headline else 0.0)
-    axes.figure.subplots_adjust(top=top, **ROOM | {"right": right})
-    if chart.notes:
-        axes.set_title("\n".join(map(for_plot, chart.notes)), fontsize=10, loc="left", family="monospace")
-    if chart.headline:
-        size = min(20.0, 20.0 * LETTERS / len(chart.headline))
-        axes.figure.suptitle(for_plot(chart.headline), fontsize=size)
+    axes.figure.subplots_adjust(**ROOM | {"top": max(LEAST, top), "right": max(LEAST, right)})
+    text = "\n".join(map(for_plot, chart.notes))
+    axes.set_title(text, fontsize=_fitting(10.0, NOTE_LETTERS, chart.notes), loc="left", family="monospace")
+    axes.figure.suptitle(for_plot(chart.headline), fontsize=_fitting(20.0, LETTERS, [chart.headline]))
+
+
+def _fitting(points: float, letters: int, lines: Sequence[str]) -> float:
+    """Return the size, points, at which the longest line fits, when so many letters fit at this one."""
+    return points * letters / max([letters, *map(len, lines)])

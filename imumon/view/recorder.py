@@ -5,12 +5,13 @@ import math
 import threading
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import rerun as rr
 
 from imumon.heap import trim_heap
-from imumon.view.items import DropOldestQueue, ViewSetup, merge
+from imumon.view.items import DropOldestQueue, ViewItem, ViewSetup, merge
 from imumon.view.logger import StreamLogger
 from imumon.view.viewer import APPLICATION
 
@@ -50,6 +51,7 @@ class ViewRecorder:
         self.publish, self.end = self._queue.put, self._queue.close
         """Queue an item, and begin to write what is left; both return at once."""
         self._refused = 0
+        self._is_stuck = False
         self.error = ""
         """Why nothing is written any more (disk full, ...); empty while all is well."""
         self._on_error = on_error
@@ -73,34 +75,37 @@ class ViewRecorder:
         closing = False
         while not closing:
             closing = self._queue.closed.is_set()
-            self._write_next()
+            items = merge(self._queue.take(BATCH_S, BATCH_S))
+            if self.error:
+                self._refused += sum(item.rows for item in items)
+            elif items:
+                self._do(partial(self._write, items))
             trim_heap()
-        if self.error:
+        if not self.error:
+            self._do(self._logger.finish)
+        if self._is_stuck:
             # After a failed write, whatever ends a stream of Rerun may wait for ever, so it is never ended.
             rr.unregister_shutdown()
             ctypes.pythonapi.Py_IncRef(ctypes.py_object(self._rec))
-            return
-        self._logger.finish()
-        self._rec.disconnect()
+        else:
+            self._rec.disconnect()
 
-    def _write_next(self) -> None:
-        """Write what has come; where that cannot be, count it."""
-        items = merge(self._queue.take(BATCH_S, BATCH_S))
-        if items and not self.error:
-            if time.monotonic() - self._opened_s > SEGMENT_S:
-                self._logger.end_file()
-                self._open_segment()
-            self._logger.log(items)
-            self._check()
-        elif items:
-            self._refused += sum(item.rows for item in items)
+    def _write(self, items: list[ViewItem]) -> None:
+        if time.monotonic() - self._opened_s > SEGMENT_S:
+            self._logger.end_file()
+            self._open_segment()
+        self._logger.log(items)
 
-    def _check(self) -> None:
-        """Find out whether Rerun could write; Rerun reports it in its log only, or when flushed."""
-        try:
-            self._rec.flush(timeout_sec=FLUSH_S)
-        except RuntimeError as error:  # rerun has no exceptions of its own
-            self.error = f"{self.files[-1]} cannot be written any more: {error}"
+    def _do(self, write: Callable[[], None]) -> None:
+        """Write and flush: Rerun reports what the disk did not take in its log only, or when flushed."""
+        flush = partial(self._rec.flush, timeout_sec=FLUSH_S)
+        for step in (write, flush):
+            try:
+                step()
+            except Exception as error:  # noqa: BLE001 - what a plug-in shows may be anything
+                self._is_stuck = step is flush
+                self.error = f"{self.files[-1]} cannot be written any more: {error}"
+        if self.error:
             self._on_error(self.error)
 
     def _open_segment(self) -> None:

@@ -6,7 +6,6 @@ import os
 import secrets
 import socket
 import subprocess
-import sys
 from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
@@ -32,8 +31,7 @@ LIVE_APPLICATION, APPLICATION = "imumon-live", "imumon"
 
 def has_display() -> bool:
     """Return whether a window can be opened here."""
-    display = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
-    return bool(display) or sys.platform in ("darwin", "win32")
+    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
 def viewer_binary() -> Path:
@@ -42,9 +40,8 @@ def viewer_binary() -> Path:
     Raises NOT_FOUND when this installation has none.
     """
     spec = find_spec("rerun_cli")
-    folders = (spec.submodule_search_locations if spec else None) or []
-    for path in (Path(folder) / name for folder in folders for name in ("rerun", "rerun.exe")):
-        if path.is_file():
+    for folder in (spec.submodule_search_locations if spec else None) or ():
+        if (path := Path(folder, "rerun")).is_file():
             return path
     hint = "pip install 'rerun-sdk', or use --view none"
     raise ImumonError(Reason.NOT_FOUND, "the Rerun viewer is not installed", hint)
@@ -119,13 +116,11 @@ def viewer_port(preferred: int = VIEWER_PORT) -> int:
 
 
 def hidden_address() -> tuple[str, int]:
-    """Return a free port, drawn at random, of an address of the loopback; only Linux has more than one.
+    """Return an address of the loopback and a free port there, both drawn at random.
 
     Rerun's server answers whoever reaches its port: a page of another site must not find it.
     """
-    address = LOCALHOST
-    if sys.platform == "linux":
-        address = "127." + ".".join(str(1 + secrets.randbelow(254)) for _ in range(3))
+    address = "127." + ".".join(str(1 + secrets.randbelow(254)) for _ in range(3))
     return address, free_port(20000 + secrets.randbelow(20000), address)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -69,7 +70,16 @@ def test_what_is_wrong_with_a_session_is_reported_before_anything_is_shown(sessi
     assert "NOPE: there is no such file or folder" in done.stderr
 
 
-def test_of_a_table_the_time_of_its_import_is_not_reported_as_when_it_was_recorded(tmp_path: Path) -> None:
+def test_a_name_that_is_made_is_that_of_no_other_session(sessions: list[Path], tmp_path: Path) -> None:
+    shutil.copytree(sessions[0], tmp_path / "session 2")
+    result = answer("view", *sessions, tmp_path / "session 2", "--out", tmp_path / "all.rrd")
+    names = [one["name"] for one in result["sessions"]]
+    assert names == ["session 1", "session 2", "session 2 3"]
+
+
+def test_of_a_table_the_time_of_its_import_is_not_reported_as_when_it_was_recorded(
+    sessions: list[Path], tmp_path: Path
+) -> None:
     rows = [f"{0.01 * row:.2f},0.1,0.2,0.3" for row in range(300)]
     (tmp_path / "a.csv").write_text("\n".join(["t,x,y,z", *rows]))
     (tmp_path / "map.yaml").write_text(
@@ -82,3 +92,7 @@ def test_of_a_table_the_time_of_its_import_is_not_reported_as_when_it_was_record
     refused = imumon("view", tmp_path / "s", "--align", "host", "--out", tmp_path / "two.rrd")
     assert refused.returncode == 4
     assert "--align power-on" in refused.stderr
+    both = imumon("view", tmp_path / "s", sessions[0], "--align", "host", "--out", tmp_path / "three.rrd")
+    assert both.returncode == 0
+    assert "s: has no times of a computer, and is not shown; --align power-on shows it" in both.stderr
+    assert "session: has no times" not in both.stderr

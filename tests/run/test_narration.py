@@ -1,10 +1,13 @@
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
+from imumon.blocks import SampleBlock
 from imumon.pipeline import Pipeline
 from imumon.protocols.device import load_device
 from imumon.run.narration import Narrator
+from imumon.run.replay import replay
 from imumon.simulation.unit import SimulatedUnit, load_scenario
 from imumon.transport.reader import Bytes, Event, EventKind, Reads
 from imumon.transport.settings import PortSettings
@@ -237,3 +240,21 @@ def test_a_lost_port_does_not_fill_the_recording() -> None:
     kinds = [type(item) for item in items[settled:]]
     assert kinds.count(Status) + kinds.count(Numbers) == 0
     assert len(kinds) < 5
+
+
+def test_a_table_is_shown_at_the_times_of_its_own_clock() -> None:
+    pipeline, items = Pipeline(None), list[ViewItem]()
+    narrator = Narrator(pipeline, None, [items.append], lambda *_: None, {})
+    time_ns, zeros = 10_000_000 * np.arange(1000), np.zeros(1000, np.int64)
+    moved = zeros.copy()
+    moved[400:600] = 1
+    table = {"device_time_ns": time_ns, "segment": zeros, "gyro_x": np.zeros(1000), "at_rest": 1 - moved}
+    assert sum(map(len, replay([SampleBlock(table)], pipeline, narrator))) == 1000
+    events = [item for item in items if isinstance(item, State | Status | Numbers)]
+    assert all(item.at.host_ns is None for item in events)
+    motion = [item for item in events if isinstance(item, State) and item.lane == "motion"]
+    assert [(item.state, item.at.device_ns) for item in motion] == [
+        ("rest", 0),
+        ("moving", 4 * S),
+        ("rest", 6 * S),
+    ]

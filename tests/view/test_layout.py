@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 import rerun as rr
 
-from imumon.view.items import Times
+from imumon.view.items import Times, ViewSetup
 from imumon.view.layout import Bands, Line, Strip
+from imumon.view.panels import ShownPanels
 from imumon.view.rows import Rows
 
 
@@ -45,3 +46,19 @@ def test_spikes_stay_where_samples_are_denser_than_pixels(look: Literal["lines",
     (drawn, *_) = rec.looks
     policies = drawn.aggregation_policy.as_arrow_array().to_pylist()
     assert policies == [rr.components.AggregationPolicy.MinMax.value]
+
+
+@pytest.mark.parametrize(
+    ("columns", "drawn"),
+    [
+        (["roll", "pitch"], {"Alignment"}),
+        (["roll", "pitch", "yaw"], {"scene", "Attitude"}),
+        (["roll", "pitch", "yaw", "aligned_roll", "aligned_pitch"], {"scene", "Attitude", "Alignment"}),
+    ],
+)
+def test_roll_and_pitch_of_the_alignment_stand_in_its_tab(columns: list[str], drawn: set[str]) -> None:
+    times = np.arange(3) * 10**9
+    rows = Rows({name: np.ones(3) for name in columns}, Times(None, times, None))
+    shown = [panel.place for panel, _ in ShownPanels(ViewSetup("t", "t")).take(rows)]
+    assert set(shown) == drawn
+    assert len(shown) == len(drawn)

@@ -107,11 +107,19 @@ def test_points_are_drawn_as_points() -> None:
     assert 5 * 60 < len(found) < 5 * 400
 
 
-def test_places_have_names_and_no_numbers_between_them() -> None:
-    curve = Curve("a", np.array([0.0, 1.0]), np.array([1.0, 2.0]), GREEN, points=True, listed=False)
+@pytest.mark.parametrize("letters", [69, 75, 86, 88, 120])
+def test_a_long_line_of_notes_ends_before_the_edge(letters: int) -> None:
+    pixels = _pixels(_chart([1.0, 2.0], notes=("W" * letters,)))
+    assert _ink(pixels[:, :-8]) > 500.0
+    assert _ink(pixels[:, -8:]) == 0.0
 
-    def ink(x: Axis) -> float:
-        return _ink(_pixels(Chart("a", "b", "c", x, Axis("y"), (curve,)))[-100:])
 
-    assert ink(Axis("x", names=("one",) * 2)) < ink(Axis("x")), "two names are less than eleven numbers"
-    assert ink(Axis("x", names=("one", "one more"))) > ink(Axis("x", names=("one",) * 2))
+@pytest.mark.parametrize("more", [{"notes": ("a note",) * 30}, {"notes": ("",)}, {"headline": "W" * 300}])
+def test_however_much_is_written_there_is_a_picture(more: dict[str, Any]) -> None:
+    assert _pixels(_chart([1.0, 2.0], **more)).std() > 1.0
+
+
+def test_a_long_name_in_the_legend_leaves_room_for_the_curve() -> None:
+    x = np.array([1.0, 2.0])
+    curve = Curve("W" * 90, x, x, GREEN, width=4.0)
+    assert len(_drawn(Chart("a", "b", "c", Axis("x"), Axis("y"), (curve,)), GREEN)) > 1000

@@ -13,7 +13,8 @@ import psutil
 import pytest
 from rerun.chunk import RrdReader
 
-from imumon.view.items import ViewSetup
+from imumon.charts import RED, Axis, Chart, Curve
+from imumon.view.items import Drawing, Instant, ViewSetup
 from imumon.view.recorder import ViewRecorder
 from imumon.view.viewer import quiet_environment, viewer_binary
 from tests.view.streams import ACCEL, RATE_HZ, Stream, block, entities, scalars
@@ -82,6 +83,21 @@ def test_segments_open_as_one_and_each_alone(tmp_path: Path, monkeypatch: pytest
         rerun("rrd", "verify", str(path))
         assert {"/1-Port", "/status", "/attitude/body/housing"} <= entities(path)
     assert RrdReader(str(recorder.files[0])).blueprints()
+
+
+def test_what_cannot_be_drawn_is_reported_once_and_the_file_is_whole(tmp_path: Path) -> None:
+    reports = list[str]()
+    recorder = ViewRecorder(tmp_path / "view.rrd", SETUP, on_error=reports.append)
+    stream = Stream(recorder.publish)
+    stream.send(50)
+    x = np.array([1.0, 2.0])
+    curves = (Curve("c", x, x[:1], RED),)
+    recorder.publish(Drawing(Instant(None, None, 5), Chart("k", "Mine", "t", Axis("x"), Axis("y"), curves)))
+    recorder.close(LIMIT_S)
+    assert reports == [recorder.error]
+    assert "view.rrd cannot be written any more" in recorder.error
+    assert "/samples/accel" in entities(tmp_path / "view.rrd")
+    rerun("rrd", "verify", str(tmp_path / "view.rrd"))
 
 
 def test_segments_cost_no_threads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

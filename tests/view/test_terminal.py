@@ -9,6 +9,7 @@ import re
 import signal
 import struct
 import subprocess
+import sys
 import termios
 import time
 from collections.abc import Callable
@@ -183,3 +184,48 @@ def test_without_a_terminal_it_reports_that_and_records_nothing(tmp_path: Path) 
     assert done.returncode == 2
     assert "no terminal" in done.stderr
     assert not list(tmp_path.iterdir())
+
+
+WATCHED = """
+import signal, sys
+from contextlib import suppress
+from imumon.cli.live_run import Lines, watch
+
+class Ending:
+    left = [True, False]
+    def wait(self):
+        return self.left.pop(0)
+
+signal.signal(signal.SIGHUP, signal.SIG_IGN)
+with suppress(OSError):
+    sys.stdin.readline()  # until the terminal is as it shall be
+sizes = []
+watch(Ending(), Lines(), lambda: None, str, lambda *size: sizes.append(size) or ["text"])
+print(sizes)
+"""
+
+
+@pytest.mark.parametrize(
+    ("size", "closed", "drawn_at"),
+    [((30, 100), False, "(100, 30)"), ((0, 0), False, "80"), ((9, 9), True, "80")],
+)
+def test_a_terminal_without_a_size_or_that_was_closed_does_not_end_the_watch(
+    size: tuple[int, int], closed: bool, drawn_at: str
+) -> None:
+    ours, theirs = pty.openpty()
+    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", *size, 0, 0))
+    environment = {name: value for name, value in os.environ.items() if name not in ("COLUMNS", "LINES")}
+    process = subprocess.Popen(
+        [sys.executable, "-c", WATCHED],
+        stdin=theirs, stdout=subprocess.PIPE, stderr=theirs, text=True, env=environment | {"TERM": "xterm"},
+    )  # fmt: skip
+    os.close(theirs)
+    if closed:
+        os.close(ours)
+    else:
+        os.write(ours, b"\n")
+    out, _ = process.communicate(timeout=LIMIT_S)
+    if not closed:
+        os.close(ours)
+    assert process.returncode == 0
+    assert drawn_at in out
