@@ -68,10 +68,16 @@ class Pipeline:
         Stages behind the clock, each of which receives the columns of those before it.
     ranges : Ranges, optional
         Of gyros and accelerometers, where they are other than the device file states.
+    remarks : sequence of str
+        On the parameters, for `warnings`.
     """
 
     def __init__(
-        self, device: DeviceFile | None, estimators: Sequence[Estimator] = (), ranges: Ranges | None = None
+        self,
+        device: DeviceFile | None,
+        estimators: Sequence[Estimator] = (),
+        ranges: Ranges | None = None,
+        remarks: Sequence[str] = (),
     ) -> None:
         self._decoder = device.decoder() if device is not None else None
         self._device_clock = DeviceClock(self._decoder.timing if self._decoder is not None else Timing())
@@ -87,6 +93,7 @@ class Pipeline:
         self._nominal = NominalRate(self._device_clock.timing.rate_hz, given)
         self._repeats = Repeats()
         self._ended = False
+        self._remarks, self._reported = remarks, set[str]()
         self._samples = 0
         self._ready: list[SampleBlock] = []
         groups = self._decoder.groups if self._decoder is not None else None
@@ -229,13 +236,17 @@ class Pipeline:
     def warnings(self) -> list[str]:
         """Return, once each, the remarks of decoder and estimators on the data or on their parameters."""
         dated_by = self._device_clock.dated_by
-        return [
+        texts = [
+            *self._remarks,
             *(self._decoder.warnings() if self._decoder is not None else ()),
             *(self._nominal.notices(self._ended) if dated_by in BY_RATE else ()),
             *self._repeats.notices(dated_by),
             *self._intake.notices(self._ended),
             *(text for stage in self._stages for text in stage.notices(self.live)),
         ]
+        new = [text for text in dict.fromkeys(texts) if text not in self._reported]
+        self._reported.update(new)
+        return new
 
     def charts(self) -> list[Chart]:
         """Return the charts of the estimators as they are now."""

@@ -34,11 +34,9 @@ class Estimator(Protocol):
     def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
         """Return the new columns of a block; the result must not depend on the division into blocks."""
 
-    def notices(self) -> list[str]:
-        """Return, once each, what the user should know of the data or of the parameters."""
-
-    # It may also have `charts`, which returns a list of `Chart`, and `lanes`, which returns a dict of the
-    # state of each of its lanes in the view: a `LaneState`, or a str, which is neither good nor bad.
+    # It may also have `notices`, which returns a list of str, what the user should know so far: a pipeline
+    # reports each text once.  And `charts`, which returns a list of `Chart`; and `lanes`, a dict of the state
+    # of each of its lanes in the view: a `LaneState`, or a str, which is neither good nor bad.
 
 
 class GuardedStage:
@@ -77,10 +75,10 @@ class GuardedStage:
         return new
 
     def notices(self, live: bool) -> list[str]:
-        """Return, once each, its notices, and why it was switched off."""
-        given = self._call("notices", lambda: _each_is(str, self.stage.notices(), "text"), list[str](), live)
-        report, self._report = self._report, []
-        return [*given, *report]
+        """Return its notices so far, and why it was switched off."""
+        notices = getattr(self.stage, "notices", list)
+        given = self._call("notices", lambda: _each_is(str, notices(), "text"), list[str](), live)
+        return [*given, *self._report]
 
     def charts(self, live: bool) -> Sequence[Chart]:
         """Return its charts as they are now; empty while there is nothing to show."""
@@ -166,9 +164,9 @@ def check_stage(stage: Estimator) -> None:
     if isinstance(stage, type):
         name = stage.__name__
         raise bad_config(f"stage {name} is a class", f"give a stage that it makes: {name}()")
-    for needed in ("columns", "process", "notices"):
+    for needed in ("columns", "process"):
         if not hasattr(stage, needed):
-            raise bad_config(f"{name_of(stage)} has no {needed}", "a stage has columns, process and notices")
+            raise bad_config(f"{name_of(stage)} has no {needed}", "a stage has columns and process")
     for column in stage.columns:
         if not isinstance(column, Column):
             raise bad_config(

@@ -336,12 +336,23 @@ def test_a_declaration_that_no_table_can_have_is_refused_at_once(column: Any, sa
     assert caught.value.seen == said
 
 
-@pytest.mark.parametrize("lacking", ["columns", "process", "notices"])
+@pytest.mark.parametrize("lacking", ["columns", "process"])
 def test_a_stage_that_lacks_something_is_refused_at_once(lacking: str) -> None:
-    whole = {"columns": [], "process": lambda _: {}, "notices": list}
+    whole = {"columns": [], "process": lambda _: {}}
     stage: Any = SimpleNamespace(**{name: what for name, what in whole.items() if name != lacking})
     with pytest.raises(ImumonError, match=f"has no {lacking}"):
         Pipeline(None, [stage])
+
+
+def test_what_stages_and_parameters_give_again_and_again_is_reported_once() -> None:
+    silent: Any = SimpleNamespace(columns=[], process=lambda _: {})
+    found = ["it shakes"]
+    stage: Any = SimpleNamespace(columns=[], process=lambda _: {}, notices=lambda: found)
+    pipeline = Pipeline(None, [silent, stage, stage], remarks=["key is not used any more"])
+    assert pipeline.warnings() == ["key is not used any more", "it shakes"]
+    found.append("it shakes, 2 times so far")
+    assert pipeline.warnings() == ["it shakes, 2 times so far"]
+    assert pipeline.warnings() == []
 
 
 def test_a_class_in_place_of_a_stage_is_refused_at_once() -> None:

@@ -23,9 +23,7 @@ from imumon.charts import AXIS_COLORS, GREY, Axis, Chart, Curve
 from imumon.clock.checks import usual_interval_ns
 from imumon.columns import Column
 from imumon.compiled import njit, record
-from imumon.config import retired
 from imumon.recordings.reduced import ACCEL, GYRO
-from imumon.run.setup import AllanParameters, Setup
 
 DENSE = 4
 """Up to this octave differences are taken at every sample."""
@@ -182,17 +180,14 @@ class StreamingAllan:
 class AllanStage:
     """Allan deviations of the gyros and accelerometers, as they come.
 
-    With a column ``at_rest`` only samples at rest count; motion ends a run as a gap does.  The keys of its
-    parameters are not used any more; those that are given are named once.
+    With a column ``at_rest`` only samples at rest count; motion ends a run as a gap does.
     """
 
     columns: Sequence[Column] = ()
     """None: a curve over averaging time is not a quantity of each sample."""
 
-    def __init__(self, parameters: AllanParameters | None = None) -> None:
-        self._retired = [] if parameters is None else retired(parameters)
+    def __init__(self) -> None:
         self._channels: dict[str, StreamingAllan] = {}
-        self._restarts = 0
 
     def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
         """Take the samples of a block; needs ``device_time_ns`` and ``segment``."""
@@ -207,12 +202,10 @@ class AllanStage:
         return {}
 
     def notices(self) -> list[str]:
-        """Say once which keys are not used any more, and that the rate changed and the curves began anew."""
+        """Return how often the rate has changed and the curves began anew."""
         restarts = max((channel.restarts for channel in self._channels.values()), default=0)
-        new, self._restarts = restarts > self._restarts, restarts
-        keys, self._retired = self._retired, []
-        texts = [f"allan: {key} is not used any more" for key in keys]
-        return texts + (["the sample rate changed: the Allan curves begin anew"] if new else [])
+        text = f"the sample rate changed, {restarts} times so far: the Allan curves begin anew"
+        return [text] if restarts else []
 
     def charts(self) -> Sequence[Chart]:
         """Return one log-log chart per sensor; none while no averaging time can be trusted."""
@@ -231,9 +224,9 @@ class AllanStage:
         return charts
 
 
-def allan_stage(setup: Setup, *_others: object) -> list[AllanStage]:
-    """Return the stage of a setup."""
-    return [AllanStage(setup.allan)]
+def allan_stage(*_: object) -> list[AllanStage]:
+    """Return the stage, whatever the setup."""
+    return [AllanStage()]
 
 
 def _curves(shown: Mapping[str, LiveCurve], factor: float) -> Iterator[Curve]:

@@ -183,15 +183,9 @@ class FirRate:
 
 
 class FirStage(TemperatureRate):
-    """The paper's filter as a stage, one for each temperature of the block.
-
-    `retired` is whether the retired key ``method`` of a device file requested it.
-    """
+    """The paper's filter as a stage, one for each temperature of the block."""
 
     prefix, title = "fir_", "FIR-estimated"
 
-    def __init__(self, params: Params, retired: bool = False) -> None:
+    def __init__(self, params: Params) -> None:
         super().__init__(new_method=partial(FirRate, params))
-        if retired:
-            text = "temperature: method is not used any more, it is as published: [fir]"
-            self._notices[text] = False

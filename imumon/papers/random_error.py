@@ -141,7 +141,6 @@ class RandomErrorMethods(SlotStage):
         mean_s, hold_s = self._given.mean_s, self._given.hold_s
         self._axes = {a: Axis(noise.get(f"gyro_{a}"), ExponentialMean(mean_s), hold(hold_s)) for a in AXES}
         self._last_ns: int | None = None
-        self._retired = self._given.retired
 
     @property
     def columns(self) -> Sequence[Column]:
@@ -217,9 +216,3 @@ class RandomErrorMethods(SlotStage):
         if self._predictor is not None:
             readings[:, self._modelled] -= self._predictor.of_block(block).bias
         return readings
-
-    def notices(self) -> list[str]:
-        """Return, once, the keys that were given and are not used any more."""
-        keys, self._retired = self._retired, []
-        instead = {"method": ", it is as published: [sr_rsukf]"}
-        return [f"random_error: {name} is not used any more{instead.get(name, '')}" for name in keys]

@@ -38,10 +38,6 @@ class SlotStage:
             self._shown = shown[-1].copy()
         return shown
 
-    def notices(self) -> list[str]:
-        """Return nothing: the papers report no faults, and the default stages report what is missing."""
-        return []
-
 
 def inertial(block: SampleBlock) -> FloatArray:
     """Return rates and specific forces, rad/s and m/s², (n, 6); NaN where either sensor is missing."""

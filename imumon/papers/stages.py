@@ -23,13 +23,12 @@ def published_stages(
     """
     stages: list[Estimator] = []
     given = temperature or TemperatureRateParameters()
-    retired = given.method == "fir_exponential"
-    if "fir" in setup.methods or retired:
+    if "fir" in setup.methods or given.method == "fir_exponential":
         from imumon.papers.fir import FirStage, Params
 
         step = given.step_degc or DEFAULT_STEP_DEGC
         params = Params(step, given.window_s, given.time_constant_s, given.buffer_size)
-        stages.append(FirStage(params, retired))
+        stages.append(FirStage(params))
     if chosen := _chosen(setup, "stf", "sr_ukf", "sr_rsukf"):
         from imumon.papers.random_error import RandomErrorMethods
 

@@ -14,6 +14,7 @@ from imumon.estimation.watch.stage import WatchParameters
 from imumon.files import as_path, read_text
 from imumon.models.magnetometer import MagnetometerModel
 from imumon.models.model import BiasModel, load_model
+from imumon.protocols.device import DeviceFile
 from imumon.protocols.ranges import Ranges
 from imumon.recordings.folder import Session
 from imumon.run import PublishedMethod
@@ -117,11 +118,6 @@ class RandomErrorParameters(StrictModel):
     hold_s: float = Field(default=60.0, ge=1.0, le=86400.0)
     risk: Retired = None
     phi_limit: Retired = None
-
-    @property
-    def retired(self) -> list[str]:
-        """The keys that were given and are not used any more."""
-        return [*retired(self), *(["method"] if self.method != "drift" else [])]
 
 
 class Setup(StrictModel):
@@ -244,6 +240,18 @@ class Setup(StrictModel):
         defaults = Setup()
         names = [name for name in Setup.model_fields if getattr(self, name) != getattr(defaults, name)]
         return dump_yaml({"format": FORMAT, **self.model_dump(include=set(names))}) if names else None
+
+
+def unused_keys(setup: Setup, device: DeviceFile | None) -> list[str]:
+    """Return texts on the keys of a setup and of a device's thermometers that are not used any more."""
+    sections = {**dict(setup), "temperature": None if device is None else device.temperature}
+    given = {name: section for name, section in sections.items() if isinstance(section, StrictModel)}
+    found = {f"{name}: {key}": "" for name, section in given.items() for key in retired(section)}
+    if setup.random_error.method != "drift":
+        found["random_error: method"] = ", it is as published: [sr_rsukf]"
+    if device is not None and device.temperature.method != "level_bank":
+        found["temperature: method"] = ", it is as published: [fir]"
+    return [f"{key} is not used any more{instead}" for key, instead in found.items()]
 
 
 def parse_setup(text: str, source: str) -> Setup:

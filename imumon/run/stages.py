@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from imumon.estimation.alignment.stage import Alignment
 from imumon.estimation.attitude.stage import AttitudeEstimate
 from imumon.estimation.gyro_bias.stage import RestAndBias
 from imumon.estimation.smoothing.stage import Recorder, SmoothedEstimates, backward, still_heading
@@ -20,7 +21,7 @@ from imumon.protocols.device import DeviceFile
 from imumon.protocols.ranges import Ranges
 from imumon.recordings.folder import Session, fingerprint
 from imumon.recordings.source import Source, run_over
-from imumon.run.setup import Setup, ZuptMode
+from imumon.run.setup import Setup, ZuptMode, unused_keys
 from imumon.stage import STAGE, is_callable, made_by
 from imumon.version import __version__
 from imumon.wing import offers
@@ -42,7 +43,8 @@ def pipeline_of(
     setup = setup or Setup()
     device, declared = (sent.device, sent.range) if isinstance(sent, Source) else (sent, Ranges())
     stages = [stage for stage in estimators(device, setup) if isinstance(stage, only)] if only else []
-    return Pipeline(device, [*stages, *more], setup.range.over(declared))
+    remarks = unused_keys(setup, device) if only else []
+    return Pipeline(device, [*stages, *more], setup.range.over(declared), remarks)
 
 
 def estimators(device: DeviceFile | None, setup: Setup | None = None) -> list[Estimator]:
@@ -50,9 +52,10 @@ def estimators(device: DeviceFile | None, setup: Setup | None = None) -> list[Es
 
     The heading is sought only where the latitude is known.
 
-    Raises BAD_CONFIG for a plug-in that makes no stage, naming it.
+    Raises BAD_CONFIG for a plug-in that makes no stage, naming it, and where parts of the setup contradict
+    each other.
     """
-    setup = setup or Setup()
+    setup = (setup or Setup()).checked()
     temperature = None if device is None else device.temperature
     model = setup.bias_model
     axes = device.axes if device is not None else None
@@ -66,8 +69,6 @@ def estimators(device: DeviceFile | None, setup: Setup | None = None) -> list[Es
         AttitudeEstimate(setup.attitude, axes, setup.magnetometer, setup.latitude_deg, setup.heading_deg),
     ]
     if setup.latitude_deg is not None:
-        from imumon.estimation.alignment.stage import Alignment  # scipy.signal and .spatial take 0.7 s
-
         sent = () if device is None else [column.name for column in device.decoder().possible_columns]
         stages.append(Alignment(setup.alignment, setup.latitude_deg, axes, sent))
     for more in offers("stages"):
@@ -75,7 +76,7 @@ def estimators(device: DeviceFile | None, setup: Setup | None = None) -> list[Es
     return [*stages, *map(made_by, plugins(STAGES, STAGE, is_callable))]
 
 
-SMOOTHED = (TemperatureRate, RestAndBias, AttitudeEstimate)
+SMOOTHED = (TemperatureRate, RestAndBias, AttitudeEstimate, Alignment)
 """Stages whose estimates are smoothed."""
 
 
@@ -84,20 +85,13 @@ def smoothed(source: Source, setup: Setup) -> SmoothedEstimates:
 
     The heading is that where the unit stood still, when the latitude is known.
     """
-    needed: tuple[type, ...] = SMOOTHED
-    if setup.latitude_deg is not None:
-        from imumon.estimation.alignment.stage import Alignment  # scipy.signal and .spatial take 0.7 s
-
-        needed = (*SMOOTHED, Alignment)
     recorder = Recorder()
-    pipeline = pipeline_of(source, setup, only=needed)
+    pipeline = pipeline_of(source, setup, only=SMOOTHED)
     pipeline.sink = recorder.add
     for _ in run_over(source.items, pipeline):
         pass
-    record, heading = recorder.finish(), None
-    if setup.latitude_deg is not None:
-        stage = next(stage for stage in pipeline.estimators if isinstance(stage, Alignment))
-        heading = still_heading(record, stage.finish())
+    record, stages = recorder.finish(), pipeline.estimators
+    aligned = [still_heading(record, stage.finish()) for stage in stages if isinstance(stage, Alignment)]
     given = None if source.device is None else source.device.temperature
     # For the stage that goes backward the earth turns the other way.
     latitude = None if setup.latitude_deg is None else -setup.latitude_deg
@@ -108,7 +102,7 @@ def smoothed(source: Source, setup: Setup) -> SmoothedEstimates:
         toward += 180.0 + (math.degrees(known[-1] - known[0]) if len(known) else 0.0)
     mode: ZuptMode = "learned" if setup.mode == "learned" else "standard"
     bias = RestAndBias(setup.zupt_with_noise, None, mode, latitude, toward, setup.rest)
-    return SmoothedEstimates(record, backward(record, TemperatureRate(parameters=given), bias), heading)
+    return SmoothedEstimates(record, backward(record, TemperatureRate(parameters=given), bias), *aligned)
 
 
 def keep_learned(pipeline: Pipeline, session: Session) -> Path | None:

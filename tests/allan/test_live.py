@@ -13,7 +13,6 @@ from imumon.allan.covariance import Runs, freedom
 from imumon.allan.live import RING, RINGS, STRIDES_PER_TAU, AllanStage, StreamingAllan
 from imumon.allan.series import WALK, EvenSeries, even_channels
 from imumon.blocks import FloatArray, IntArray, SampleBlock
-from imumon.run.setup import AllanParameters
 from tests.allan.simulated import noise
 
 INTERVAL_NS = 10_000_000
@@ -139,12 +138,6 @@ def block(n: int, **extra: IntArray) -> SampleBlock:
     columns = {f"gyro_{axis}": noise(seed, n, 0.01, white=1e-3) for seed, axis in enumerate("xyz")}
     times = {"device_time_ns": np.arange(n) * INTERVAL_NS, "segment": np.zeros(n, np.int64)}
     return SampleBlock({**times, **columns, **extra})
-
-
-def test_a_retired_key_is_read_and_named_once() -> None:
-    stage = AllanStage(AllanParameters.model_validate({"gyro_sheet": {"white": 1e-3}}))
-    assert stage.notices() == ["allan: gyro_sheet is not used any more"]
-    assert stage.notices() == []
 
 
 def test_the_stage_draws_a_chart() -> None:

@@ -1,4 +1,4 @@
-"""STF, SR-UKF and SR-RSUKF as a stage: columns, blocks, motion, restarts, gaps, notices."""
+"""STF, SR-UKF and SR-RSUKF as a stage: columns, blocks, motion, restarts, gaps."""
 
 from __future__ import annotations
 
@@ -111,12 +111,3 @@ def test_motion_that_nobody_noticed_drives_phi_to_its_limit() -> None:
     added = RandomErrorMethods(["sr_rsukf"]).process(block.with_columns({"gyro_x": shaken}))
     assert np.nanmax(np.abs(added["sr_rsukf_phi_x"])) == 0.9
     assert np.isfinite(added["sr_rsukf_random_error_x"][5000:]).all()
-
-
-def test_keys_of_before_are_read_and_named_once() -> None:
-    given = RandomErrorParameters.model_validate({"risk": 0.3, "method": "sr_rsukf"})
-    stage = RandomErrorMethods(["sr_rsukf"], given)
-    risk, method = stage.notices()
-    assert risk == "random_error: risk is not used any more"
-    assert method.endswith("it is as published: [sr_rsukf]")
-    assert stage.notices() == []

@@ -9,8 +9,10 @@ from imumon.estimation.attitude.parameters import AttitudeParameters
 from imumon.estimation.rest.parameters import GyroBiasParameters
 from imumon.models.curves.polynomial import PolynomialCurve
 from imumon.models.model import BiasModel, ChannelModel
+from imumon.protocols.device import device_text, load_device, parse_device
 from imumon.protocols.ranges import Ranges
-from imumon.run.setup import FORMAT, Setup, load_setup, parse_setup
+from imumon.run.setup import FORMAT, Setup, load_setup, parse_setup, unused_keys
+from imumon.run.stages import pipeline_of
 
 
 def _model() -> BiasModel:
@@ -57,6 +59,8 @@ def test_the_thermal_mode_without_a_model_is_refused_with_what_to_do() -> None:
     with pytest.raises(ImumonError, match="there is no model") as caught:
         Setup().with_options(zupt_mode="thermal")
     assert "imumon calibrate" in (caught.value.hint or "")
+    with pytest.raises(ImumonError, match="there is no model"):
+        pipeline_of(load_device("ax1"), Setup(zupt_mode="thermal"))
 
 
 @pytest.mark.parametrize(
@@ -117,6 +121,30 @@ def test_a_pipeline_file_declares_the_range_and_a_session_keeps_it() -> None:
     kept = setup.text()
     assert kept is not None
     assert parse_setup(kept, "session") == setup
+
+
+def test_every_key_that_is_not_used_any_more_is_reported_with_its_section() -> None:
+    sections = {
+        "rest": "gyro_walk: 1.0",
+        "zupt": "zeroing_s: 3.0",
+        "attitude": "axes_doubt: 0.3",
+        "alignment": "damping: 0.7",
+        "allan": "gyro_sheet: {white: 1.0e-3}",
+        "random_error": "risk: 0.3, method: sr_rsukf",
+    }
+    lines = [f"{name}: {{{text}}}" for name, text in sections.items()]
+    setup = parse_setup("\n".join([f"format: {FORMAT}", *lines]), "my.yaml")
+    text = f"{device_text('ax1')[0]}temperature: {{lowest_degc: 3.0, method: fir_exponential}}\n"
+    device = parse_device(text, "device.yaml")
+    found = unused_keys(setup, device)
+    named = {text.partition(" is not used any more")[0] for text in found}
+    assert len(found) == len(named) == 9
+    assert named == {
+        *(f"{name}: {text.split(':')[0]}" for name, text in sections.items()),
+        *("random_error: method", "temperature: lowest_degc", "temperature: method"),
+    }
+    assert set(found) <= set(pipeline_of(device, setup).warnings())
+    assert unused_keys(Setup(), None) == []
 
 
 def test_a_session_with_retired_probabilities_is_read_and_does_not_write_them_again() -> None:

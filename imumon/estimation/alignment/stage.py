@@ -10,7 +10,6 @@ import numpy as np
 from imumon.blocks import ColumnArray, FloatArray, SampleBlock
 from imumon.charts import GREEN, GREY, Axis, Chart, Curve
 from imumon.columns import Column
-from imumon.config import retired
 from imumon.estimation.alignment.aligner import Aligner
 from imumon.estimation.alignment.parameters import AlignmentParameters
 from imumon.estimation.alignment.position import CALM_SLOTS, SLOT_S, Slot
@@ -45,8 +44,7 @@ class Alignment:
         sent: Collection[str] = (),
     ) -> None:
         self._parameters, self._latitude_deg = parameters or AlignmentParameters(), latitude_deg
-        self._events = [f"alignment: {name} is not used any more" for name in retired(self._parameters)]
-        """Messages that were not reported yet."""
+        self._events: list[str] = []  # motions and restarts so far
         self._aligner = Aligner(self._parameters, latitude_deg, self._events)
         self._earlier: list[PositionHeading] = []  # before the last restart
         self._slots = SlotGatherer(10, round(SLOT_S * 1e9), turns=True)
@@ -58,7 +56,6 @@ class Alignment:
         self._index = -1  # of the last slot with samples in the segment
         self._recent: deque[FloatArray] = deque(maxlen=CALM_SLOTS)
         """Specific force, m/s², and magnetic field of the last 2 s, (6,); the mean force is up at rest."""
-        self._reported: set[str] = set()
         self._row: list[float] = []  # values of `columns` after the last slot; empty before the first sample
         self.status = self._aligner.status(0.0)
         """State after the last block; may be read by another thread."""
@@ -106,7 +103,7 @@ class Alignment:
     def _process_slot(self, slots: Slots, k: int) -> None:
         """Advance the aligner by slot k, unless it has no whole sample of gyros and accelerometers."""
         if slots.begins[k]:
-            self._restart("the device started anew")
+            self._restart(f"the device started anew (segment {slots.segment[k]})")
             self._run += 1
             self._origin_ns, self._index = int(slots.start_ns[k]), -1
         if not slots.count[k, :6].min():
@@ -178,12 +175,8 @@ class Alignment:
         return [Chart("alignment_progress", "Alignment", title, *axes, curves, headline=headline)]
 
     def notices(self) -> list[str]:
-        """Return, once each, motions and restarts, and conditions that limit the heading."""
-        texts = self._events.copy()
-        self._events.clear()
-        new = [text for text in self._conditions() if text not in self._reported]
-        self._reported.update(new)
-        return texts + new
+        """Return motions and restarts so far, and conditions that limit the heading."""
+        return [*self._events, *self._conditions()]
 
     def _conditions(self) -> Iterator[str]:
         status, posterior = self.status, self._aligner.posterior
@@ -206,8 +199,8 @@ class Alignment:
 
 def _inputs(block: SampleBlock) -> FloatArray:
     """Return gyros, accelerometers and magnetometer, NaN where unknown, and whether it rests, (n, 10)."""
-    vectors = block.stacked([f"{name}_{axis}" for name in ("gyro", "accel", "mag") for axis in "xyz"])
-    rests = np.asarray(block.columns.get("at_rest", np.ones(len(block), np.int64))) != 0  # or unknown
-    values = np.column_stack([vectors, rests])
+    names = [f"{name}_{axis}" for name in ("gyro", "accel", "mag") for axis in "xyz"]
+    values = block.stacked([*names, "at_rest"])
+    values[:, 9] = values[:, 9] != 0.0  # or unknown
     values[~np.isfinite(values[:, :6].sum(axis=1)), :6] = np.nan
     return values

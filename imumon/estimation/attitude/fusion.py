@@ -84,8 +84,8 @@ class Fusion:
 
     def _begin(self) -> None:
         self._first_ns: list[int] = []
-        self._fields = 0
-        """Times of the samples whose rate is learned, and how many of them have a field."""
+        self._samples, self._fields, self._field_rate_known = 0, list[int](), False
+        """Of the samples from which both rates are learned: times, how many came, and which have a field."""
         self._vqf: VQF | None = None
         self._interval_s = 0.0
         self._bias_known = False
@@ -117,20 +117,40 @@ class Fusion:
             while self._vqf is None and start < stop:
                 self._learn_rate(int(time_ns[start]), *(values[start] for values in sensors[1:]))
                 start += 1
-            if start < stop:
-                given = (values[start:stop] for values in sensors)
-                self._follow(rows[start:stop], bool(bias_known[start]), *given)
+            while start < stop:
+                end = start + self._learn_field_rate(sensors[2][start:stop])
+                given = (values[start:end] for values in sensors)
+                self._follow(rows[start:end], bool(bias_known[start]), *given)
+                start = end
         return rows
 
     def _learn_rate(self, time_ns: int, accel: FloatArray, field: FloatArray) -> None:
         """Take the time of a sample; make the filter when the first intervals are known."""
         self._first_ns.append(time_ns)
-        self._fields += bool(field.any())
-        if len(self._first_ns) > RATE_SAMPLES and accel.any():
+        if field.any():
+            self._fields.append(self._samples)
+        self._samples += 1
+        if self._samples > RATE_SAMPLES and accel.any():
             self._interval_s = max(float(np.median(np.diff(self._first_ns))), 1.0) * 1e-9
-            # The interval of the magnetometer, which may be slower.
-            field_s = self._interval_s * len(self._first_ns) / (self._fields or len(self._first_ns))
-            self._vqf = VQF(self._interval_s, magTs=field_s, tauAcc=TAU_ACC_S, tauMag=TAU_MAG_S)
+            self._vqf = VQF(self._interval_s, tauAcc=TAU_ACC_S, tauMag=TAU_MAG_S)
+
+    def _learn_field_rate(self, field: FloatArray) -> int:
+        """Return how many samples come before the next field; all where two have shown their interval."""
+        if self._field_rate_known:
+            return len(field)
+        has_field = np.asarray(field.any(axis=1))
+        if has_field[0]:
+            self._fields.append(self._samples)
+        if len(self._fields) > 1:
+            assert self._vqf is not None
+            field_s = self._interval_s * (self._fields[-1] - self._fields[0]) / (len(self._fields) - 1)
+            intervals_s = self._interval_s, self._interval_s, field_s
+            self._vqf = _restored(intervals_s, self._vqf.params, self._vqf.state)
+            self._field_rate_known = True
+            return len(field)
+        n = 1 + int(np.argmax(np.append(has_field[1:], True)))
+        self._samples += n
+        return n
 
     def _follow(
         self, rows: Rows, bias_known: bool, angle: FloatArray, accel: FloatArray, field: FloatArray

@@ -8,7 +8,6 @@ import numpy as np
 
 from imumon.blocks import NO_INT, ColumnArray, FloatArray, SampleBlock, missing
 from imumon.columns import Column
-from imumon.config import retired
 from imumon.estimation.attitude.fusion import Fusion, Rows, heading, matrices
 from imumon.estimation.attitude.parameters import AttitudeParameters
 from imumon.estimation.attitude.sigma import SLOT_S, Accelerometers, Gyros, HeadingSigma, Slot, TiltSigma
@@ -73,7 +72,6 @@ class AttitudeEstimate:
         self._last_time: tuple[int, int] | None = None  # ns, and segment of the last sample
         self._attitudes = 0  # how often one had to begin anew
         self._device_has_attitude = False
-        self._reported: set[str] = set()
 
     def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
         """Return the new columns of a block; NaN where there is no attitude, none without gyros or gravity.
@@ -186,12 +184,8 @@ class AttitudeEstimate:
         return {"attitude": next(state for holds, state in table if holds)}
 
     def notices(self) -> list[str]:
-        """Return once what an attitude lacks and its reinitializations, where the device sends none."""
-        texts = [f"{name} is not used any more" for name in retired(self._parameters)]
-        texts += [] if self._device_has_attitude else self._conditions()
-        texts = [text for text in texts if text not in self._reported]
-        self._reported.update(texts)
-        return [f"attitude: {text}" for text in texts]
+        """Return what an attitude lacks and its reinitializations, where the device sends none."""
+        return [] if self._device_has_attitude else [f"attitude: {text}" for text in self._conditions()]
 
     def _conditions(self) -> Iterator[str]:
         north, restarts = self._fusion.north, self._fusion.restarts

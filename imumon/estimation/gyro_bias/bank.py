@@ -70,14 +70,14 @@ FASTER = math.log(TAUS_S[0] / FASTEST_S) / math.log(TAUS_S[2] / TAUS_S[1])
 LEAST_WHITE = 1e-15
 """Variance of the mean of a second, (rad/s)²: 0.0065 °/h, less than any gyro has.  Assumed."""
 MEMORY_S = 600.0
-"""Time over which σ² is averaged."""
+"""Time over which σ² is averaged, in measurements of about a second."""
 PRIOR_COUNT, DECLARED_COUNT = 3.0, 0.5 * MEMORY_S
 """Shape a of a σ² that second differences of 16 slots have shown, and of a declared one."""
 LEAST_WEIGHT = 1e-4
 """Least weight of a mode over the largest, so that the mode may come back."""
 UNKNOWN, TURN_ON = 1e8, math.radians(3.0)
-"""Prior variance of w over σ², and at least TURN_ON², rad/s: turn-on biases of any gyro.  With a
-smaller prior, of a gyro that hardly scatters, the first mean would be a sensitivity to g."""
+"""Prior variance of w over σ², and least prior standard deviation of w, rad/s: turn-on biases of any gyro.
+With a smaller prior, of a gyro that hardly scatters, the first mean would be a sensitivity to g."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,7 +5,7 @@ time, temperature, gaps and turns against the earth.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -39,7 +39,7 @@ class Estimator:
     thermal: Thermal
     attitude: Attitude
     quiet: QuietDetector = field(default_factory=QuietDetector)
-    jumped: bool = False  # whether the bias has, other than by a restart; cleared by who reports it
+    jumps: int = 0  # how often the bias has jumped, other than by a restart
     hypotheses: Hypotheses | None = None  # of the bias, from the first rest on
     pending: list[Slot] = field(default_factory=list)  # quiet slots of a measurement that is not complete
     degc: FloatArray = field(default_factory=partial(np.full, 3, np.nan))
@@ -51,7 +51,7 @@ class Estimator:
         self.quiet.restart()
         self.thermal.restart()
         given = self.parameters, self.slopes, self.limits, self.thermal
-        return Estimator(*given, self.attitude.anew(), self.quiet, self.jumped)
+        return Estimator(*given, self.attitude.anew(), self.quiet, self.jumps)
 
     @property
     def force(self) -> FloatArray:
@@ -105,7 +105,7 @@ class Estimator:
         may have changed by `lag_degc` (sd).
         """
         self.motion.interrupt(0.0)
-        unseen = long and not self.parameters.assume_at_rest  # where rest is given it goes on
+        unseen = long and not self.parameters.assume_at_rest  # given rest does not turn
         self.attitude.lost |= unseen or self.quiet.quiet_slots == 0
         self.degc = np.where(np.isfinite(degc), degc, self.degc)
         self._widen(self.thermal.variance(degc, np.full(3, np.nan), lag_degc))
@@ -168,7 +168,9 @@ class Estimator:
         self.attitude.turn = self.attitude.turn.then(slot.turn.less(bias + slot.mean[MODELLED]))
         self.attitude.lost |= slot.gap_s > 0.0 and not slot.rest_given
 
-    def _come_to_rest(self, force: FloatArray) -> None:
+    def _come_to_rest(self, forces: Iterable[FloatArray]) -> None:
+        """Take the attitude of a rest by the first specific force that is known."""
+        force = next((one for one in forces if np.isfinite(one).all()), np.zeros(3))
         prediction = None if self.hypotheses is None else self.hypotheses.shown.prediction
         self._widen(self.attitude.come_to_rest(force, prediction))
 
@@ -177,12 +179,12 @@ class Estimator:
 
         A second is enough, whatever was before it: waiting for a trial after short rests gains nothing.
         """
-        self.motion.interrupt(self.quiet.latest[-1].length_s)
+        self.motion.interrupt(self.quiet.latest[-1].length_s + self.quiet.latest[-1].gap_s)
         if not self.quiet.noise_slots or self.quiet.quiet_slots < SECOND_SLOTS:
             return
         slots = self.quiet.latest[-self.quiet.quiet_slots :]
         self.attitude = self.attitude.anew()
-        self._come_to_rest(self.force)
+        self._come_to_rest([self.force])
         seconds = range(0, len(slots), SECOND_SLOTS)
         measurements = [self._measurement(slots[k : k + SECOND_SLOTS]) for k in seconds]
         if not np.isfinite([one.rate for one in measurements]).all():
@@ -200,18 +202,18 @@ class Estimator:
         """Decide on a complete measurement; return its normalised innovations, (3,), NaN without a rate."""
         slots, self.pending = self.pending, []
         if hypotheses.moved:
-            self._come_to_rest(slots[0].mean[ACCEL])
+            self._come_to_rest(slot.mean[ACCEL] for slot in slots)
         now = self._measurement(slots)
         if not np.isfinite(now.rate).all():
             return np.full(3, np.nan)
         innovation, variance = hypotheses.shown.prediction.innovation(now)
         parts = (self._measurement([slot]) for slot in slots)
-        self.jumped |= hypotheses.decide(now, parts, self._accel_noise())
+        self.jumps += hypotheses.decide(now, parts, self._accel_noise())
         if hypotheses.began_turning and hypotheses.changes:  # another rate contradicts the first: begin anew
             self.quiet.restart()
             self._interrupt()
         elif self.attitude.turn.seconds and not hypotheses.turning:
-            self._come_to_rest(slots[-1].mean[ACCEL])
+            self._come_to_rest(slot.mean[ACCEL] for slot in reversed(slots))
         return np.asarray(innovation / np.sqrt(variance))
 
     def output(self, now_s: float) -> LinearBias:

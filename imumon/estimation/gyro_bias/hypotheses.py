@@ -13,14 +13,14 @@ neither            the rate has changed               the present bias may be an
 
 The present less the nominal bias is a turn with a probability P(turn), by `imumon.estimation.rest.odds`.  Up
 to 1/2 it is rest, and the present bias is reported; above it is a turn, and the nominal one is.  The sigma of
-that contains the difference, times the root of the probability of the other.  The first row that holds
-decides what becomes of the nominal bias:
+the reported one contains the difference, times the root of the probability of the other.  The first row that
+holds decides what becomes of the nominal bias:
 
 ==================================================================  ===================================
 P(turn) above 1/4 (1/10 if the rate has changed), until below 1/20  it stays, through motion as well
 the rate has changed up to 16 s ago                                 it stays
 the rate has changed before that                                    it becomes the present bias, once
-else                                                                16 to 32 s behind; first, the last rest's
+else                                                                16 to 32 s behind; before, the last rest's
 ==================================================================  ===================================
 """
 
@@ -41,8 +41,8 @@ FIT_SIGMAS = 4.5
 """Sigmas of an axis within which a mean fits; with 4, drifts of a warm-up contradicted the bias."""
 DOUBT, DOUBT_OF_CHANGE, UNLIKELY_TURN = 0.25, 0.1, 0.05
 """P(turn) from which on the nominal bias stays, where the rate creeps (as the bias of a unit that warms up)
-and where it has changed, and up to which it then follows again; by the gyros alone a turn of 36 °/h, the
-slowest that is considered, has P(turn) 0.14.  With 0.25 for both a tactical gyro that turns at 72 °/h is off
+and where it has changed, and up to which it then follows again; by the gyros alone a turn of 36 °/h, below
+which turns are rare, has P(turn) 0.14.  With 0.25 for both a tactical gyro that turns at 72 °/h is off
 by 902 sigma, with 0.1 for both a warm-up of 60 to 92 °/h/K has a sigma of 195 °/h instead of less than 80."""
 LAG_S = 16.0
 """By so much at least, and twice as much at most, the nominal bias lags behind the present one."""
@@ -53,7 +53,7 @@ NEW_POSE = 0.3
 BEGAN_LOG_RATIO = -8.0
 """ln Λ by the heading up to which the recording began in a turn.  Assumed."""
 UNDECIDED_GIVEN_S = 60.0
-"""Where rest is given, a rate that contradicts the bias widens sigma for so long; then it is bias."""
+"""Where rest is given, a new rate is the bias at once, and the difference is in sigma for so long."""
 RECENT = 16
 """Measurements of a rate that are kept: those that gravity and heading are compared over."""
 
@@ -72,7 +72,7 @@ class Hypotheses:
     undo: Bank | None = None  # the present filters before the last second, for motion that follows at once
     alike: int = 0  # how many of the recent measurements are of the present rate
     changes: int = 0  # how often the rate has changed since it fitted the nominal bias
-    steady_s: float = 0.0  # how long the present rate has lasted; with `LAG_S` and `ONSET_S` in whole seconds
+    steady_s: float = 0.0  # how long the present rate has lasted; compared in whole seconds
     p_turn: float = 0.0  # probability that the difference of both biases is a turn
     ambiguities: FloatArray = field(default_factory=partial(np.zeros, (2, 3)))
     """What the less likely hypothesis adds to sigma, rad/s, by the last two measurements, (2, 3)."""
@@ -113,6 +113,7 @@ class Hypotheses:
                 self.first = None  # it was in a hand, and not on a turntable
             if not self.doubted:
                 self.nominal = self.test_copy = self.present
+                self.changes = 0
         self.recent = [*self.recent[1 - RECENT :], now]
         self._learn(now)
         evidence = self.recent[-self.alike :]
@@ -149,7 +150,8 @@ class Hypotheses:
         else:
             accel_variance = accel_noise / evidence[0].covered_s
             log_ratio = odds.gravity(evidence, bias, variance, change, accel_variance, limits.accel_drift)
-            log_ratio += odds.heading(evidence, bias)
+            by_heading, if_no_bias = odds.heading(evidence, np.stack([bias, np.zeros(3)]))
+            log_ratio += by_heading
             explained = odds.changed_bias(size, max(self.changes - 1, 0), limits.largest_jump)
             explained += odds.nominal_bias(size, float((change / size) ** 2 @ (variance + own)))
             if self.first and self.changes and round(self.steady_s) > ONSET_S:
@@ -158,14 +160,14 @@ class Hypotheses:
             ratio = math.exp(max(min(log_ratio, odds.MOST_LOG_RATIO), -odds.MOST_LOG_RATIO))
             is_bias = too_long and log_ratio >= odds.LEAST_LOG_RATIO
             self.p_turn = 0.0 if is_bias else 1.0 / (1.0 + explained * ratio)
+            # A turn in the first rest is found by the heading, until another rate contradicts it.
+            if self.first and not self.changes:
+                self.began_turning |= bool(if_no_bias < BEGAN_LOG_RATIO)
         if self.turning:
             square = (1.0 - self.p_turn) * change**2
         else:  # the variance of the mixture: that of the nominal bias, which may be vague by then, counts
             square = self.p_turn * (change**2 + np.maximum(variance - own, 0.0))
         self.ambiguities = np.stack([self.ambiguities[1], np.copysign(np.sqrt(square), change)])
-        # A turn in the first rest is found by the heading, until another rate contradicts it.
-        if self.first and not self.changes and not self.rest_given:
-            self.began_turning |= odds.heading(self.recent, np.zeros(3)) < BEGAN_LOG_RATIO
         if self.began_turning:
             self.ambiguities[:] = now.rate
 

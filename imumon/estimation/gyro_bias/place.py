@@ -18,7 +18,7 @@ from imumon.geodesy import EARTH_RATE, LEAST_HORIZONTAL, STANDARD_GRAVITY, earth
 SCALE_SD = 0.01
 """Error of an element of the matrix of scale and misalignment: consumer data sheets."""
 LOST_SD = 1.0
-"""Error of a heading that is not known, rad; the sine of larger ones is no larger."""
+"""Error of a heading that is not known, rad: by it the level earth rate is wrong by about itself."""
 
 
 @dataclass(slots=True, eq=False)
@@ -54,13 +54,12 @@ class Attitude:
     def _turned_earth(self) -> FloatArray:
         """Return the variance of what the turn does to the earth rate that is taken for bias, (rad/s)², (3,).
 
-        The rate's direction is not known; with the latitude alone the whole is counted, not the level part.
-        Where readings were missing it may have turned anyhow.
+        The rate's direction is not known; with the latitude alone the whole earth rate is counted, not its
+        level part.  Where readings were missing it may have turned anyhow.
         """
-        rested = self.up.any()
-        if rested and self.latitude is not None and self.heading is not None:
+        if self.up.any() and self.latitude is not None and self.heading is not None:
             return np.zeros(3)
-        if rested and self.lost:
+        if self.lost:
             return np.full(3, 2.0 / 3.0 * EARTH_RATE**2)
         if not self.turn.seconds:
             return np.zeros(3)
@@ -72,7 +71,13 @@ class Attitude:
 
         The mean specific force, m/s², is NaN or zero where not known; the prediction is None at first.
         """
-        added, size = self._turned_earth(), float(np.linalg.norm(force))
+        size = float(np.linalg.norm(force))
+        if self.up.any() and (self.turn.seconds or self.lost) and not size > 0.0:
+            # Of the new pose nothing is known: from now on the earth rate is part of the bias.
+            self.up, self.north, self.earth = np.zeros((3, 3))
+            self.heading_variance = 0.0 if self.latitude is None else LOST_SD**2
+            self.latitude, self.lost = None, True
+        added = self._turned_earth()
         if size > 0.0:
             before, self.up = self.up, force / size
             if self.latitude is not None and self.heading is not None:
@@ -100,11 +105,12 @@ class Attitude:
     def _heading_variance(self, up: FloatArray, prediction: Prediction) -> float:
         """Return the variance of the angle by which the gyros seem to have turned about the vertical, rad².
 
-        By the bias, whose sensitivity meets a gravity that turns in body axes, by scale and misalignment, and
-        for want of more samples; `up` (3,) is that before the turn.
+        By the bias, whose sensitivity meets a gravity that turns in body axes, by scale and misalignment, for
+        want of more samples, and as the earth turns meanwhile; `up` (3,) is that before the turn.
         """
         _, variance = prediction.bias(STANDARD_GRAVITY * up)
         sensitivity = np.einsum("aii->a", prediction.covariance[:, SENSITIVITY, SENSITIVITY]) / 3.0
         by_bias = float((up @ self.turn.by_bias) ** 2 @ (variance + STANDARD_GRAVITY**2 * sensitivity))
         by_scale = SCALE_SD**2 * float(np.sum(self.turn.scale_about(up) ** 2))
-        return by_bias + by_scale + self.turn.sampling_variance(up)
+        by_earth = (EARTH_RATE * self.turn.seconds) ** 2
+        return by_bias + by_scale + by_earth + self.turn.sampling_variance(up)

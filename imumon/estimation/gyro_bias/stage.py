@@ -9,8 +9,6 @@ import numpy as np
 from imumon.blocks import NO_INT, BoolArray, ColumnArray, FloatArray, IntArray, SampleBlock
 from imumon.charts import Chart
 from imumon.columns import Column, vector_columns
-from imumon.config import retired
-from imumon.errors import bad_config
 from imumon.estimation.gyro_bias.bank import SLOPE_LEFT_PER_SIGMA, SLOPE_PER_SIGMA, LinearBias, at_samples
 from imumon.estimation.gyro_bias.estimator import Estimator
 from imumon.estimation.gyro_bias.place import Attitude
@@ -55,16 +53,15 @@ class RestAndBias:
     without a heading its level part.  It is NaN until the unit was at rest for some seconds, or for a minute
     in motion, which leaves an upright axis unknown.
 
-    Raises BAD_CONFIG when the thermal mode has no model, or the model lacks a gyro.
+    Raises BAD_CONFIG when the model lacks a gyro.
 
     Parameters
     ----------
     model : BiasModel or None
         Bias over temperature.
     mode : "standard", "thermal" or "learned"
-        standard: the bias is a random walk with flicker noise, of data that the model, if there is one, has
-        calibrated.  thermal: raw data, and the model's increments are added to the bias (TCZUPT; with the
-        same noise these two are one filter).  learned: the slope is estimated, and used where it is evident.
+        standard, thermal: one filter, of a random walk with flicker noise; a model's increments are added to
+        the bias (TCZUPT).  learned: the slope is estimated, and used where it is evident.
     latitude_deg, heading_deg : float or None
         Of the place, and of the body's x axis (if vertical: -z) at the first rest, clockwise from north.
     rest : RestParameters or None
@@ -83,10 +80,6 @@ class RestAndBias:
         heading_deg: float | None = None,
         rest: RestParameters | None = None,
     ) -> None:
-        if mode == "thermal" and model is None:
-            raise bad_config(
-                "the thermal mode needs a bias model and has none", "give a model, or take the mode learned"
-            )
         self._parameters, rest = parameters or GyroBiasParameters(), rest or RestParameters()
         slopes = (0.0, SLOPE_LEFT_PER_SIGMA if model else SLOPE_PER_SIGMA) if mode == "learned" else (0.0,)
         self._thermal = Thermal(model)
@@ -99,9 +92,7 @@ class RestAndBias:
         self._bias = self._estimator.output(0.0)
         self._trail = BiasTrail(model)
         self._last_ns = NO_INT
-        unused = [f"{key} is not used any more" for key in retired(self._parameters) + retired(rest)]
-        self._notices = _notices_of_place(latitude, heading) + unused
-        self._reported: set[str] = set()
+        self._notices = _notices_of_place(latitude, heading)
 
     def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
         """Return the new columns of a block; NaN where there is no estimate.
@@ -151,7 +142,7 @@ class RestAndBias:
         return rest, innovation, every
 
     def _look_ahead(self, block: SampleBlock, slots: Slots, k: int, degc: FloatArray) -> float:
-        """Detect a restart or a gap by the first sample behind a slot; return up to when all is known, s."""
+        """Detect a restart or a gap by the first sample behind a slot; return until when to predict, s."""
         row = int(slots.row[k])
         time_ns, segment = int(block["device_time_ns"][row]), block["segment"][row]
         if segment != slots.segment[k] or time_ns < slots.end_ns[k]:
@@ -191,14 +182,10 @@ class RestAndBias:
         return self._trail.charts()
 
     def notices(self) -> list[str]:
-        """Return, once each, what is missing, assumed, or out of range, and each jump of the bias."""
-        found = [*self._notices, *self._thermal.notices]
-        texts = [text for text in found if text not in self._reported]
-        self._reported.update(texts)
-        if self._estimator.jumped:
-            self._estimator.jumped, jump = False, "at rest the rate contradicted the bias, so it has jumped"
-            texts.append(f"{jump}: the bias is estimated anew")
-        return texts
+        """Return what is missing, assumed, or out of range, and how often the bias has jumped."""
+        jump = "at rest the rate contradicted the bias, so it has jumped"
+        jumps = f"{jump}, {self._estimator.jumps} times so far: the bias is estimated anew"
+        return [*self._notices, *self._thermal.notices, *([jumps] if self._estimator.jumps else [])]
 
 
 class RestDetector(RestAndBias):
@@ -207,11 +194,11 @@ class RestDetector(RestAndBias):
     columns = REST
 
     def __init__(self, parameters: RestParameters | None = None) -> None:
-        super().__init__(mode="learned", rest=parameters)
+        super().__init__(mode="learned", rest=parameters)  # with a slope, as it has no model
 
     def notices(self) -> list[str]:
-        """Return, once, which parameters are not used any more."""
-        return [text for text in super().notices() if "any more" in text]
+        """Return nothing: its bias is not reported."""
+        return []
 
 
 def _notices_of_place(latitude: float | None, heading: float | None) -> list[str]:

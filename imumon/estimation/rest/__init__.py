@@ -1,8 +1,8 @@
 """Is the unit at rest, and is a steady rate the bias or a turn?  Rest and bias are one estimator.
 
 - A *slot* (`slots`) is a quarter of a second, or one slow sample: mean and variance of each axis.
-- It is *quiet* (`quiet`) if means of slots differ by no more than noise and drift within this rest, and no
-  sample scatters more.  A *trial* of 16 slots finds the noise; before, there is no rest that is not given.
+- It is *quiet* (`quiet`) if means of slots differ by no more than noise and drift since the rest began, and
+  samples scatter no more than at rest.  A *trial* of 16 slots finds the noise; rest before that is given.
 - A *measurement* is the mean of a second of quiet slots; with it the filters of the bias are updated.
 - The *present bias* has all measurements.  The *nominal bias* is a prediction as if nothing had changed: from
   16 to 32 s ago, or the end of the last rest; or from before the rate changed, while that may be a turn.
@@ -16,8 +16,8 @@ Of `imumon.estimation.gyro_bias` read `hypotheses` (two decision tables: what a 
   turns against the earth; of flicker of samples; of the unknown earth rate; of a turn that may hide in the
   first rest; and of the difference to the less likely hypothesis, with the error by rounding.
 - What would another gyro need?  White noise is learned, flicker only among `FLICKER_CORNERS_S` (bank); else
-  declare B and K.  Assumed are `quiet.QUIET_SD`, `gyro_drift`, `largest_jump`; `USUAL_CHANGE`, `SLOWEST_TURN`
-  (`DOUBT` hangs on it) and `UNSEEN_TURN` of odds;
-  `SLOPE_PER_SIGMA`, `SENSITIVITY_SD` and `TURN_ON` (bank); `SCALE_SD` (place); and `BIAS_WALK` (motion).
+  declare B and K.  Assumed are the settings `gyro_drift`, `largest_jump`; `quiet.QUIET_SD`; `USUAL_CHANGE`,
+  `SLOWEST_TURN` (with `hypotheses.DOUBT`) and `UNSEEN_TURN` of odds; `SLOPE_PER_SIGMA`, `SENSITIVITY_SD` and
+  `TURN_ON` (bank); `SCALE_SD` (place); and `BIAS_WALK` (motion).
 - "Assumed.": plausible, and not measured.  "Ablation.": its price is in docs/appendix/ablation-results.md.
 """

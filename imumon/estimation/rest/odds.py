@@ -11,7 +11,7 @@ by the prior and the gyros, and Λ the likelihood ratio of no turn over a turn, 
                                                             rate more often than a bias
     o_nominal = 2 N(|d|; 0, σ²) |d| D c                     nothing has changed: the nominal bias is vague
     o_first   = 0.05 (size of the first rate / of this)³    the first rest was a turn, and this is the bias;
-                                                            0 until a new rate has lasted for 4 s
+                                                            0 up to 4 s after it, or in another pose
 
     Λ_gravity = 2 / (1 + r)                                 a turn about a tilted axis tilts the unit by its
                                                             angle; r is the ratio of such a turn over no turn
@@ -21,8 +21,9 @@ by the prior and the gyros, and Λ the likelihood ratio of no turn over a turn, 
 n is how often the rate had changed before, since a measurement fitted the nominal bias (`Hypotheses.changes`
 less one).  Turns are log-uniform from 36 °/h (0.01 °/s) to 300 °/s, so their density is 1/(D |d|), D =
 ln(30000); slower ones are rare: c = 1 + (36/|d|)² divides their density.  σ² is the variance of d along its
-direction.  |d| and σ are in °/h here.  When the rate has lasted for `undecided_s` it is no turn, unless
-Λ_gravity Λ_heading is below e⁻² or |d| above `largest_jump`.
+direction.  |d| and σ are in °/h here.  o_changed is 1e-9 above `largest_jump`, Λ_gravity e⁵⁰ where excluded.
+When the rate has lasted for `undecided_s` it is no turn, unless Λ_gravity Λ_heading is below e⁻² or |d|
+above `largest_jump`.
 """
 
 import math
@@ -46,8 +47,8 @@ EXCLUDED_SIGMAS = 4.0
 """An oblique turn by more than so many sigmas of the tilt is excluded where the unit has tilted by less than
 half as many, and the change is mostly about level axes."""
 MOSTLY_LEVEL = 0.6
-"""Share of the square of such a change that is about level axes: 2/3 if all axes change alike, and less of a
-turn about an axis that leans from the vertical by less than 50°.  Assumed."""
+"""Share of the square of such a change that is about level axes: 2/3 if all axes change alike, below this of
+a turn about an axis that leans from the vertical by less than 50°.  Assumed."""
 HEADING_ERROR = 0.15
 """Error of a change of heading over that change: hard and soft iron.  Assumed."""
 HEADING_NOISE = 0.01
@@ -158,19 +159,19 @@ def gravity(
     return math.log(2.0) - float(np.logaddexp(log_oblique + 0.5 * tilted**2, 0.0))
 
 
-def heading(measurements: Sequence[Measurement], bias: FloatArray) -> float:
-    """Return ln Λ by how the heading has turned, for rates less a bias, rad/s, (3,); 0 without a heading.
+def heading(measurements: Sequence[Measurement], biases: FloatArray) -> FloatArray:
+    """Return ln Λ by how the heading has turned, (n,), for n biases, rad/s, (n, 3); 0 without a heading.
 
-    Both hypotheses give the angle since the first measurement, with one variance; the sense of the angle is
-    not compared, for not all devices count the yaw alike.
+    Each hypothesis predicts the angle since the first measurement, with one variance; the sense of the angle
+    is not compared, for not all devices count the yaw alike.
     """
-    measurements = [one for one in measurements if math.isfinite(one.heading[0]) and any(one.force)]
+    measurements = [one for one in measurements if np.isfinite(one.heading).all() and any(one.force)]
     if len(measurements) <= LEAST_MEASUREMENTS:
-        return 0.0
+        return np.zeros(len(biases))
     vectors = np.array([one.heading for one in measurements])
     force = np.array([one.force for one in measurements])
     up = force / np.linalg.norm(force, axis=1, keepdims=True)
-    angle = abs(float(_turned(measurements, bias) @ up[-1]))
+    angle = np.abs([_turned(measurements, bias) @ up[-1] for bias in biases])
     if not vectors[:, 2].any():  # a yaw has two components
         up = np.array([[0.0, 0.0, 1.0]])
     north = vectors - (vectors * up).sum(1, keepdims=True) * up
@@ -179,7 +180,7 @@ def heading(measurements: Sequence[Measurement], bias: FloatArray) -> float:
     measured, noise2 = abs(float(turned[-1])), float((np.diff(turned, 2) ** 2).mean()) / 3.0
     variance = noise2 + HEADING_NOISE**2 + (HEADING_ERROR * angle) ** 2
     follows = (measured**2 - (measured - angle) ** 2) / (2.0 * variance)  # ln L(turn) / L(no turn)
-    return -float(np.logaddexp(math.log(1.0 - STUCK_HEADING) + follows, math.log(STUCK_HEADING)))
+    return -np.asarray(np.logaddexp(math.log(1.0 - STUCK_HEADING) + follows, math.log(STUCK_HEADING)))
 
 
 def _turned(measurements: Sequence[Measurement], bias: FloatArray) -> FloatArray:

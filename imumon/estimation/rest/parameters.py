@@ -46,15 +46,15 @@ class GyroBiasParameters(StrictModel):
     Parameters
     ----------
     angle_random_walk_rad_per_sqrt_s : float or [x, y, z], optional
-        Square root of the two-sided density of the gyro's white noise (0.28 °/√h is 8.1e-5).  Measured at
-        rest when it is not given.
+        Square root of the two-sided density of the gyro's white noise (0.28 °/√h is 8.1e-5).  Learned at
+        rest; if given, from this value on.
     bias_instability_rad_per_s, rate_random_walk_rad_per_s_per_sqrt_s : float or [x, y, z], optional
         Flicker coefficient B (floor of the Allan deviation 0.664 B) and bias random walk K, rad/s/√s.  When
         one is given, both hold, the other being zero.  When neither is, how much the bias wanders is learned
         from the innovations.
     assume_at_rest : bool
         Whether motion is not detected: rest is that of the column at_rest of the samples, and without one the
-        unit rests throughout.  A rate that contradicts the bias is in sigma for a minute, and then the bias.
+        unit rests throughout.  A rate that contradicts the bias is bias at once; sigma has both for 60 s.
     """
 
     angle_random_walk_rad_per_sqrt_s: _PerAxis | None = None

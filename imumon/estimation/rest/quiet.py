@@ -1,14 +1,14 @@
 """Is the signal quiet?  Means of neighbouring windows against the noise that the unit has at rest.
 
 Of a unit at rest the means of slots are white noise of variance v, (rad/s)² or (m/s²)², about a constant.
-While v is known, the means of the last L slots, L = 1, 2, 4 ... 64, and of the L slots before them may differ
-by D, summed over the three axes of a sensor::
+While v is known, the means of the last L slots of a rest, L = 1, 2, 4 ... 64, and of the L slots before them
+may differ by D, summed over the three axes of a sensor::
 
     sum max(|D| - drift L dt, 0)² / (2 max(v / L, q²)) <= 42,    dt = 1/4 s
 
-q², `QUIET_VARIANCE` and that of rounding, is always quiet.  While v is not known, or when 4 slots in all were
-unquiet since the last rest of 16 slots, a *trial* of the last 16 finds it.  Whether a steady mean is the bias
-or a turn is decided by `odds`.
+q², `QUIET_VARIANCE` plus the variance of rounding, is always quiet.  While v is not known, or when 4 slots in
+all were unquiet since the last rest of 16 slots, a *trial* of the last 16 finds it.  Whether a steady mean is
+the bias or a turn is decided by `odds`.
 """
 
 from dataclasses import dataclass, field
@@ -16,7 +16,7 @@ from functools import partial
 
 import numpy as np
 
-from imumon.blocks import BoolArray, FloatArray
+from imumon.blocks import BoolArray, FloatArray, IntArray
 from imumon.estimation.rest.slots import ACCEL, AXES, Slot
 
 TRIAL = 16
@@ -67,8 +67,8 @@ class QuietDetector:
     mean: FloatArray = field(default_factory=partial(np.zeros, (2 * LENGTHS[-1], AXES)))
     """Of 128 slots; an axis without reading keeps its last mean, 0 before the first."""
     latest: list[Slot] = field(default_factory=list)  # 16 slots
-    present: BoolArray = field(default_factory=lambda: np.zeros(AXES, np.bool_))
-    """Axes that have readings in these, (6,)."""
+    unread: IntArray = field(default_factory=partial(np.full, AXES, TRIAL))
+    """Slots since the last reading of each axis, (6,); 16 before the first."""
     slots: int = 0  # since the beginning or the last restart
     quiet_slots: int = 0  # in a row; 0 in motion, and while the noise is not known unless rest is given
     unquiet: int = 0  # slots since the last rest of a trial's length that were not quiet
@@ -83,6 +83,11 @@ class QuietDetector:
     disturbed: bool = False  # whether a single sample of the present slot was outside `band`
     step: FloatArray = field(default_factory=partial(np.zeros, AXES))
     """Step of the sensor, the least of all slots; 0 while it is not known, where `Slot.step` is ∞."""
+
+    @property
+    def present(self) -> BoolArray:
+        """Axes that have readings in the latest slots, (6,)."""
+        return np.asarray(self.unread < TRIAL)
 
     @property
     def is_rest(self) -> bool:
@@ -151,9 +156,9 @@ class QuietDetector:
     def _append(self, slot: Slot) -> None:
         """Append a slot; axes that appear or vanish end the rest, and the noise is learned anew."""
         before, self.latest = self.present, [*self.latest[1 - TRIAL :], slot]
-        readable = np.isfinite([one.mean[:AXES] for one in self.latest])
-        self.present = np.asarray(readable.any(0))
-        self.mean = np.vstack([self.mean[1:], np.where(readable[-1], slot.mean[:AXES], self.mean[-1])])
+        readable = np.isfinite(slot.mean[:AXES])
+        self.unread = np.where(readable, 0, self.unread + 1)
+        self.mean = np.vstack([self.mean[1:], np.where(readable, slot.mean[:AXES], self.mean[-1])])
         if (before != self.present).any():
             self.noise_slots = 0.0
             self.restart()
@@ -191,7 +196,7 @@ class QuietDetector:
         return bool(differ[self.quiet_slots >= 2 * LENGTHS].any())
 
     def _scatters(self, slot: Slot) -> bool:
-        """Return whether three samples or more scatter more than at rest (chi-square)."""
+        """Return whether a slot of three samples or more scatters more than at rest (chi-square)."""
         # Wilson and Hilferty, with half the degrees of freedom: samples may be filtered.
         spread = 2.0 / (9.0 * np.maximum(0.5 * (slot.samples - 1.0), 1.0))  # variance of the cube root
         factor = VARIANCE_FACTOR * (1.0 - spread + VARIANCE_SIGMAS * np.sqrt(spread)) ** 3
@@ -224,7 +229,7 @@ class QuietDetector:
         return np.asarray(np.maximum(square.mean(0) / 6.0, 1e-24))
 
     def _try_noise(self, count: FloatArray) -> None:
-        """Take the noise of the last slots if it is that of rest, and larger than before or the first.
+        """Take the noise of the last slots if no test finds motion, and it is the first or a larger one.
 
         `count` is the number of samples in a slot, (6,).
         """

@@ -31,7 +31,7 @@ class Slot(NamedTuple):
 
     end_s: float  # since the first sample of its segment
     length_s: float  # from the end of the slot before, or of the gap before it, to its last sample
-    covered_s: float  # by its samples at the shortest interval so far: lost samples leave more noise
+    covered_s: float  # by its samples at the shortest interval so far: less than the length if some are lost
     gap_s: float  # length of the gap before it; 0 without one
     samples: FloatArray  # number of samples of each of the six axes, (6,)
     mean: FloatArray  # of all columns that are gathered, (19,)

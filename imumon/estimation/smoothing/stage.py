@@ -201,12 +201,6 @@ class SmoothedEstimates:
                 self._values |= {value: one.value, sd: one.sd}
                 texts = {value: "with what came later", sd: "standard deviation with what came later"}
                 self.columns += tuple(Column(of, UNITS[name], description=texts[of]) for of in texts)
-        contradict = [f"{name} ({r:.1f} σ)" for name, r in self.residuals.items() if r > SUSPECT]
-        self._notices = [
-            f"forward and backward contradict each other in {', '.join(contradict)}: something changed "
-            "abruptly that the filter takes for smooth, or its model lacks an effect (of a bias, imumon "
-            "diagnose may name it); the smoothed sigma is widened by that"
-        ] * bool(contradict)
 
     def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
         """Return the new columns of a block; the blocks must be the rows of the first run, in their order."""
@@ -216,6 +210,10 @@ class SmoothedEstimates:
         return {name: values[slot] for name, values in self._values.items()}
 
     def notices(self) -> list[str]:
-        """Return, once, the quantities in which forward and backward contradict each other."""
-        texts, self._notices = self._notices, []
-        return texts
+        """Return the quantities in which forward and backward contradict each other."""
+        contradict = [f"{name} ({r:.1f} σ)" for name, r in self.residuals.items() if r > SUSPECT]
+        return [
+            f"forward and backward contradict each other in {', '.join(contradict)}: something changed "
+            "abruptly that the filter takes for smooth, or its model lacks an effect (of a bias, imumon "
+            "diagnose may name it); the smoothed sigma is widened by that"
+        ] * bool(contradict)

@@ -15,7 +15,6 @@ from imumon.blocks import ColumnArray, FloatArray, SampleBlock, join
 from imumon.charts import AXIS_COLORS, Axis, Chart, Curve
 from imumon.columns import Column
 
-TAB = "Spectrum"
 SPAN_S = 30.0
 """Length of the window of samples, s, and the most samples in it: above 1.09 kHz it is shorter."""
 MOST_SAMPLES = 32768
@@ -39,8 +38,7 @@ _GROUPS = {
     "gyro": ("Angular rate, last 30 s at most", "°/s", float(np.degrees(1.0))),
     "accel": ("Specific force, last 30 s at most", "m/s²", 1.0),
 }
-CHANNELS = tuple(f"{group}_{axis}" for group in _GROUPS for axis in AXIS_COLORS)
-KEPT = ("device_time_ns", "segment", *CHANNELS)
+KEPT = "device_time_ns", "segment", *(f"{group}_{axis}" for group in _GROUPS for axis in AXIS_COLORS)
 
 
 class LiveSpectrum:
@@ -55,7 +53,7 @@ class LiveSpectrum:
 
     def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
         """Take the samples of a block; needs ``device_time_ns`` and ``segment``."""
-        if not len(block) or not any(name in block for name in CHANNELS):
+        if not len(block):
             return {}
         segment = block["segment"]
         latest = SampleBlock({n: block[n][segment == segment[-1]] for n in KEPT if n in block})
@@ -65,10 +63,6 @@ class LiveSpectrum:
         while self._blocks[0]["device_time_ns"][-1] < latest["device_time_ns"][-1] - SPAN_S * 1e9:
             self._blocks.popleft()
         return {}
-
-    def notices(self) -> list[str]:
-        """Return nothing."""
-        return []
 
     def charts(self) -> Sequence[Chart]:
         """Return one chart per sensor; none while there are too few samples."""
@@ -107,7 +101,7 @@ def _chart(group: str, block: SampleBlock, interval_ns: float) -> Chart:
         ]
         notes.append(f"{axis}  " + ("   ".join(lines) or "no line above the noise"))
     x, y = Axis("frequency [Hz]", log=True), Axis(f"amplitude spectral density [{unit}/√Hz]", log=True)
-    return Chart(f"spectrum_{group}", TAB, title, x, y, tuple(curves), notes=tuple(notes))
+    return Chart(f"spectrum_{group}", "Spectrum", title, x, y, tuple(curves), notes=tuple(notes))
 
 
 def welch(values: FloatArray, interval_s: float, length: int) -> tuple[FloatArray, FloatArray, int]:

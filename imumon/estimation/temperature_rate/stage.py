@@ -14,7 +14,6 @@ import numpy as np
 
 from imumon.blocks import ColumnArray, FloatArray, IntArray, SampleBlock
 from imumon.columns import TEMPERATURES, Column
-from imumon.config import retired
 from imumon.estimation.temperature_rate.filter import Filters, correct, estimate, predict, start
 from imumon.estimation.temperature_rate.measurement import evaluate
 from imumon.estimation.temperature_rate.thermometer import FASTEST_RATE, SLOT_S, SPIKE, Slot, Thermometer
@@ -261,9 +260,6 @@ class TemperatureRate:
         self._new_method = new_method or partial(MultipleModelRate, given.step_degc)
         self._methods: dict[str, RateMethod | None] = {}
         """Of each channel; None until its first reading."""
-        unused = sorted(retired(given))
-        self._notices = {f"temperature: {name} is not used any more": False for name in unused}
-        """Lines for the log, and whether `notices` has returned them."""
 
     @property
     def columns(self) -> Sequence[Column]:
@@ -308,13 +304,9 @@ class TemperatureRate:
             self._methods[name] = method
         new = (values[first:] for values in (block["device_time_ns"], block["segment"], reading))
         estimates[:, first:] = method.process(*new)
-        if isinstance(method, MultipleModelRate):
-            for text in method.faults:
-                self._notices.setdefault(f"{name}: {text}", False)
         return estimates
 
     def notices(self) -> list[str]:
-        """Return, once each, what is wrong with the readings; for the log."""
-        texts = [text for text, returned in self._notices.items() if not returned]
-        self._notices.update(dict.fromkeys(texts, True))
-        return texts
+        """Return what is wrong with the readings."""
+        methods = ((name, one) for name, one in self._methods.items() if isinstance(one, MultipleModelRate))
+        return [f"{name}: {text}" for name, method in methods for text in method.faults]

@@ -181,8 +181,6 @@ class ModelWatch:
         self._modelled = modelled
         self._state = State()
         self._texts: list[str] = []
-        """Lines for the log, of which `notices` has returned so many."""
-        self._returned = 0
 
     def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
         """Return ``model_suspect`` of a block, int64.
@@ -206,8 +204,7 @@ class ModelWatch:
             if highest >= self._alarm_at and not state.suspect:
                 state.suspect = True
                 suspect[row:] = segment[row:] == state.segment
-                text = interpret(state.peaks, self._modelled)[1]
-                self._texts += [text] * (text not in self._texts)
+                self._texts.append(interpret(state.peaks, self._modelled)[1])
         return {"model_suspect": suspect}
 
     def lanes(self) -> Mapping[str, LaneState]:
@@ -222,9 +219,8 @@ class ModelWatch:
         return {"model": LaneState("MODEL OK", Level.GOOD)}
 
     def notices(self) -> list[str]:
-        """Return, once each, what is suspected and which command reports more; for the log."""
-        texts, self._returned = self._texts[self._returned :], len(self._texts)
-        return texts
+        """Return what was suspected so far, and which command reports more."""
+        return self._texts
 
 
 def _of_axes(block: SampleBlock, name: str, rows: IntArray) -> FloatArray:

@@ -19,7 +19,7 @@ from imumon.models.model import BiasModel
 from imumon.recordings.folder import Session, fingerprint
 from imumon.recordings.reduced import GYRO, Reduced, reduce
 from imumon.recordings.source import open_recording
-from imumon.run.setup import recorded_setup
+from imumon.run.setup import recorded_setup, unused_keys
 from imumon.run.stages import estimators
 from imumon.version import __version__
 
@@ -60,6 +60,7 @@ def write_session(session: Session, path: Path) -> list[str]:
     slot_s = max(1.0, np.nan_to_num(session.metadata.duration_s) / POINTS)
     means = reduce(recording.blocks(), names, slot_s)
     warnings, counters = recording.warnings(), recording.pipeline.counters
+    warnings += unused_keys(setup, recording.source.device)
     content: dict[str, Any] = {"session": session, "sha256": fingerprint(session.truth_path)}
     content |= {"slot_s": means.slot_s, "course": _course(means), "biases": _biases(means)}
     _write(path, setup.bias_model, **content, warnings=warnings, counters=counters)

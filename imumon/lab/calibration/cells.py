@@ -15,6 +15,7 @@ from imumon.geodesy import earth_rate_along, north_in_body
 from imumon.models.curves.points import Points
 from imumon.recordings.reduced import ACCEL, AXES, GYRO, Reduced, reduce
 from imumon.recordings.source import Count, no_count, open_recording
+from imumon.run.setup import Setup, unused_keys
 
 COLUMNS = (*GYRO, *ACCEL, *TEMPERATURES, "temperature_estimate", *(f"temperature_estimate_{a}" for a in AXES))
 BLOCK_S = 10.0
@@ -82,7 +83,8 @@ def read_session(path: Path, count: Count = no_count) -> tuple[Record, list[str]
     record = record_of(recording.blocks(), *known)
     if not len(record.means):
         raise bad_data(f"{path}: there is no sample in this session")
-    return record, [f"{path}: {text}" for text in recording.warnings()]
+    texts = [*recording.warnings(), *unused_keys(Setup(), recording.source.device)]
+    return record, [f"{path}: {text}" for text in texts]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

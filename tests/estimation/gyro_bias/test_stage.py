@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from imumon.blocks import ColumnArray, FloatArray, SampleBlock, join
-from imumon.errors import ImumonError
 from imumon.estimation.gyro_bias.stage import RestAndBias
 from imumon.geodesy import body_to_ned
 from imumon.pipeline import Estimator
@@ -276,8 +275,3 @@ def test_a_gyro_that_alternates_between_two_readings_has_its_rounding_in_the_sig
     added = RestAndBias().process(scene(t, step * np.round(rate / step), force))
     error = (vector(added) - bias)[50 * 60 :] / vector(added, "gyro_bias_sd")[50 * 60 :]
     assert np.abs(error).max() < 3.0
-
-
-def test_the_thermal_mode_needs_a_model() -> None:
-    with pytest.raises(ImumonError, match="needs a bias model"):
-        RestAndBias(mode="thermal")

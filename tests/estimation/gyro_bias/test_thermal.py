@@ -95,7 +95,6 @@ def test_outside_the_range_the_sigma_widens_and_it_is_reported() -> None:
     assert added["gyro_bias_sd_x"][-1] / DPH == pytest.approx(SLOPE * 6.0, rel=0.1)
     (said,) = [text for text in stage.notices() if "outside" in text]
     assert "20.0 to 50.0" in said
-    assert not any("outside" in text for text in stage.notices())
 
 
 @pytest.mark.parametrize("seed", [0, 1])

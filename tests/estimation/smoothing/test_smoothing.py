@@ -145,7 +145,6 @@ def test_a_jump_that_the_model_lacks_shows_in_the_disagreement() -> None:
     assert sd.max() == pytest.approx(540.0, abs=5.0)
     assert np.median(sd, axis=0) == pytest.approx([8.3, 6.1, 4.4], abs=0.1)
     assert any("contradict each other in gyro_bias_x" in text for text in stage.notices())
-    assert stage.notices() == []
 
 
 def test_a_slow_turn_that_is_taken_for_rest_is_doubted_in_both_directions() -> None:

@@ -39,7 +39,6 @@ def test_a_value_that_sticks_after_a_leap_is_passed_over(rate_hz: float, stuck_s
     assert found["temperature_rate_sd"][last] > found["temperature_rate_sd"][first]
     (text,) = stage.notices()
     assert "85 °C" in text
-    assert stage.notices() == []
 
 
 def test_a_spike_before_it_sticks_makes_no_difference() -> None:
