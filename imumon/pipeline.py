@@ -20,6 +20,7 @@ from imumon.clock import DeviceClock, HostClock
 from imumon.clock.checks import Intervals, NominalRate, Repeats
 from imumon.clock.side import HeldReadings, SharedCounter, SideClock
 from imumon.columns import KNOWN, TIME_COLUMNS, Column
+from imumon.errors import bad_config
 from imumon.intake import Intake
 from imumon.lane import LaneState
 from imumon.protocols.base import COMMON, MAIN, ByteArray, Timing
@@ -27,7 +28,7 @@ from imumon.protocols.device import DeviceFile
 from imumon.protocols.epochs import EpochAssembler
 from imumon.protocols.ranges import Ranges
 from imumon.stage import Estimator as Estimator
-from imumon.stage import GuardedStage
+from imumon.stage import GuardedStage, is_own, name_of
 from imumon.transport.statistics import Counters, StreamCounters
 
 BY_RATE = ("rows", "counter")
@@ -70,6 +71,8 @@ class Pipeline:
         Of gyros and accelerometers, where they are other than the device file states.
     remarks : sequence of str
         On the parameters, for `warnings`.
+
+    Raises BAD_CONFIG when the device has a column with the name of one that a stage of imumon adds.
     """
 
     def __init__(
@@ -83,6 +86,11 @@ class Pipeline:
         self._device_clock = DeviceClock(self._decoder.timing if self._decoder is not None else Timing())
         self.host_clock = HostClock(self._device_clock.drift_limit_ppm)
         self._stages = tuple(GuardedStage(stage) for stage in estimators)
+        sent = {c.name for c in self._decoder.possible_columns} if self._decoder is not None else set()
+        for stage in filter(is_own, estimators):
+            if device is not None and (both := [c.name for c in stage.columns if c.name in sent]):
+                what = f"device {device.name} has column {both[0]}, which {name_of(stage)} adds"
+                raise bad_config(what, "give it another name in the device file")
         self.sink: Callable[[SampleBlock], object] | None = None
         """Takes what stages may see of each block, which is not empty, with the columns that they add."""
         self.live = False

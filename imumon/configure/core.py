@@ -15,7 +15,7 @@ import numpy as np
 from imumon.configure import WING
 from imumon.errors import ImumonError, bad_config
 from imumon.protocols.device import DeviceFile
-from imumon.protocols.framing import Candidates, Frame
+from imumon.protocols.framing import Frame, search
 
 OUTPUTS = {
     "inertial": "angular rate and specific force, corrected as little as the device has them",
@@ -155,7 +155,7 @@ def packets_among(data: bytes, frame: Frame) -> tuple[list[bytes], int]:
 
     A packet that is cut off hides none behind it, as it may be none: an answer would come too late.
     """
-    found, done, _ = Candidates([frame], np.frombuffer(data, np.uint8), final=True).walk(0)
+    _, found, done, _ = search([frame], np.frombuffer(data, np.uint8), final=True, done=0)
     spans = zip(found.at.tolist(), found.length.tolist(), strict=True)
     return [data[at : at + size] for at, size in spans], done
 

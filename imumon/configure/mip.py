@@ -16,7 +16,7 @@ from imumon.configure.firmware import Firmware, nearest
 from imumon.errors import bad_config, bad_data
 from imumon.protocols.base import Encoder
 from imumon.protocols.device import DeviceFile
-from imumon.protocols.mip import ACK, ERRORS, FILTER, SENSOR, SET_NAMES, MipDevice, fields_of, mip_fields
+from imumon.protocols.mip import FILTER, SENSOR, SET_NAMES, MipDevice, mip_fields
 from imumon.protocols.tagged import MIP
 
 BASE, THREE_DM = 0x01, 0x0C
@@ -31,6 +31,10 @@ ANSWERS = {(BASE, DEVICE_INFO): 0x81, (BASE, COMM_SPEED): 0x89, (THREE_DM, IMU_B
 """Descriptor of the data in the answer to each command."""
 ASKING = {(BASE, DEVICE_INFO), (THREE_DM, IMU_BASE_RATE), (THREE_DM, FILTER_BASE_RATE), (THREE_DM, BASE_RATE)}
 """Commands without a function selector whose answer has data."""
+ACK = 0xF1
+"""Field of an acknowledgement: command and code."""
+ERRORS = {1: "unknown command", 2: "invalid checksum", 3: "invalid parameter", 4: "failed", 5: "timed out"}
+"""Codes of an acknowledgement that is none."""
 MAIN_PORT = b"\x01"
 OLD_SELECTOR = {SENSOR: 0x01, FILTER: 0x03}
 """How older devices name the streams of the data sets."""
@@ -54,6 +58,15 @@ ITEM = ">BH"
 """Descriptor and decimation of a field."""
 TIME = {"reference": (0xD5, 0xD5), "gps": (0x12, 0x11)}
 """Field that dates a packet of the sensors, and one of the filter."""
+
+
+def fields_of(payload: bytes) -> list[tuple[int, bytes]]:
+    """Return descriptor and data of the fields of a payload, as far as they make sense."""
+    found = []
+    while len(payload) >= 2 and 2 <= payload[0] <= len(payload):
+        found.append((payload[1], payload[2 : payload[0]]))
+        payload = payload[payload[0] :]
+    return found
 
 
 def request(

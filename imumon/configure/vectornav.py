@@ -182,19 +182,17 @@ class VectorNav(Family):
         return (request(command, f"{name}: {self.describe(name, value)}", register),)
 
     def of_wish(self, present: core.Values, wish: core.Wish) -> dict[str, bytes]:
-        """Return the first binary output; the others and the ASCII output off.  See `Family.wanted`."""
+        """Return the first binary output; for new outputs all others are off.  See `Family.wanted`."""
         now = {name: Output.read(present[name]) for name in (OUTPUT, SECOND, THIRD) if name in present}
         old = now.get(OUTPUT, NO_OUTPUT)
         by, port = core.divisor(self.base_hz, wish.rate_hz), old.port or 1
         if wish.outputs is not None:
             names = ["Common.TimeStartup", *chain(*(FIELDS[name] for name in wish.outputs))]
-            new = Output.of(port, by, names)
-        elif old.on:
-            new = Output(port, by, old.groups, old.words)
-        else:
-            raise core.nothing_to_keep("binary output", "give --outputs")
-        off = {n: replace(one, port=0).value for n, one in now.items() if n != OUTPUT and one.on}
-        return {ASCII: b"0", **off, OUTPUT: new.value}
+            off = {n: replace(one, port=0).value for n, one in now.items() if n != OUTPUT and one.on}
+            return {ASCII: b"0", **off, OUTPUT: Output.of(port, by, names).value}
+        if old.on:
+            return {OUTPUT: replace(old, by=by).value}
+        raise core.nothing_to_keep("binary output", "give --outputs")
 
     def settled(self, name: str, wanted: bytes, found: bytes) -> bool:
         """Return whether it reads back; of an output that is off the rest does not matter."""

@@ -205,7 +205,7 @@ def _rising(
     rate.
     """
     counter = list[tuple[str, str, str]]()
-    for size, order in ((2, "big"), (2, "little"), (1, "big")):
+    for size, order in ((2, "big"), (2, "little"), (1, "little")):
         step, is_whole = _steps(before, after, known, size, order)
         for k in np.flatnonzero(is_whole & (step == 1.0))[: 1 - len(counter)].tolist():
             known[k : k + size] = True

@@ -8,7 +8,7 @@ from imumon.blocks import ColumnArray, IntArray, SampleBlock, join, missing
 from imumon.columns import KNOWN, Column
 from imumon.protocols.base import CHUNK, ByteArray, Groups, Packets, Timing
 from imumon.protocols.epochs import GENERATION
-from imumon.protocols.framing import BAD_SUM, IMPOSSIBLE, Candidates, Found, Frame
+from imumon.protocols.framing import BAD_SUM, IMPOSSIBLE, Found, Frame, search
 from imumon.protocols.numbers import Record
 from imumon.transport.statistics import Counters
 
@@ -145,7 +145,10 @@ class Decoder:
         )
 
     def _by_type(self) -> dict[str, int]:
-        return dict(zip(self._names, self._by_kind.tolist(), strict=True))
+        counts = dict.fromkeys(self._names, 0)
+        for name, n in zip(self._names, self._by_kind.tolist(), strict=True):
+            counts[name] += n
+        return counts
 
     def _report(self, text: str, is_warning: bool = False) -> None:
         """Give a notice, or a warning, unless it was given before."""
@@ -160,9 +163,10 @@ class Decoder:
         data = b"".join([self._rest, *self._parts])
         self._parts.clear()
         self._waiting = 0
-        candidates = Candidates(self._frames, np.frombuffer(data, np.uint8), final)
-        found, rest, overlap = candidates.walk(self._overlap)
-        self._count(found, candidates.at, candidates.verdict, rest)
+        tried, found, rest, overlap = search(
+            self._frames, np.frombuffer(data, np.uint8), final, self._overlap
+        )
+        self._count(found, tried, rest)
         ends, times = np.concatenate(self._ends), np.concatenate(self._times)
         if len(found):
             last = self._searched + found.at + found.length
@@ -174,16 +178,16 @@ class Decoder:
         recent = int(np.searchsorted(ends, self._searched, "right"))
         self._ends, self._times = [ends[recent:]], [times[recent:]]
 
-    def _count(self, found: Found, at: IntArray, verdict: IntArray, rest: int) -> None:
+    def _count(self, found: Found, tried: Found, rest: int) -> None:
         """Count the packets, their bytes once each, and the errors outside of them."""
         ends = found.at + found.length
         begins = np.maximum(found.at, np.concatenate([[self._overlap], ends])[:-1])
         self._in_packets += int(np.sum(ends - begins))
         self._by_kind += np.bincount(found.kind, minlength=len(self._names))
-        covered = np.concatenate([[0], ends])[np.searchsorted(found.at, at, "right")]
-        outside = (at >= np.maximum(covered, self._overlap)) & (at < rest)
-        self._checksum_errors += int(np.sum(outside & (verdict == BAD_SUM)))
-        self._length_errors += int(np.sum(outside & (verdict == IMPOSSIBLE)))
+        covered = np.concatenate([[0], ends])[np.searchsorted(found.at, tried.at, "right")]
+        outside = (tried.at >= np.maximum(covered, self._overlap)) & (tried.at < rest)
+        self._checksum_errors += int(np.sum(outside & (tried.length == BAD_SUM)))
+        self._length_errors += int(np.sum(outside & (tried.length == IMPOSSIBLE)))
 
     def _plain(self, found: Found) -> Found:
         """Return the packets as the layouts have them, where they are sent in another form."""

@@ -1,15 +1,16 @@
 """Devices that send packets of fixed lengths, which their files describe alone: decoder and encoder."""
 
+import re
 from collections.abc import Sequence
 from fractions import Fraction
 from functools import partial
 from typing import Annotated, Literal, Self
 
 import numpy as np
-from pydantic import Field, NonNegativeInt, PositiveInt, StringConstraints, model_validator
+from pydantic import Field, NonNegativeInt, PlainValidator, PositiveInt, StringConstraints, model_validator
 
 from imumon.blocks import IntArray, SampleBlock
-from imumon.columns import KNOWN, NAME, Column
+from imumon.columns import KNOWN, NAME, TIME_COLUMNS, Column
 from imumon.config import LARGEST_NUMBER, StrictModel
 from imumon.protocols.base import COMMON, LONGEST_PACKET, MAIN, NO_GROUP, ByteArray, Encoder, Groups, Timing
 from imumon.protocols.decoder import Decoder
@@ -62,15 +63,28 @@ class When(StrictModel):
     equals: NonNegativeInt
 
 
+def _fraction(number: float | str) -> Fraction:
+    """Take a decimal as it is written, 0.1 is a tenth, and a fraction of such."""
+    above, _, below = str(number).partition("/")
+    return Fraction(above) / Fraction(below or 1)
+
+
+def _scale(given: object) -> Fraction:
+    fraction = r"[+-]?\d{1,19}/[1-9]\d{0,18}(\.\d{1,9})?"
+    if type(given) in (int, float) or (isinstance(given, str) and re.fullmatch(fraction, given)):
+        scale = _fraction(str(given))
+        if 0 < abs(scale) < LARGEST_NUMBER:
+            return scale
+    raise ValueError(f"expected a number or a fraction such as 1/16.4, got {given!r:.60}")
+
+
 class NumberField(StrictModel):
     """One number, or several of the same type in a row: value = (raw * scale + offset) in the unit."""
 
     type: NumberName
     column: ColumnName | None = None
     columns: list[ColumnName] | None = Field(default=None, min_length=1)
-    scale: (
-        float | int | Annotated[str, StringConstraints(pattern=r"^\d{1,19}/[1-9]\d{0,18}(\.\d{1,9})?$")]
-    ) = 1
+    scale: Annotated[Fraction, PlainValidator(_scale)] = Fraction(1)
     offset: float | int = 0
     unit: str = "1"
     description: str = ""
@@ -89,8 +103,8 @@ class NumberField(StrictModel):
     def _consistent(self) -> Self:
         if (self.column is None) == (self.columns is None):
             raise ValueError("give either column: NAME or columns: [NAME, ...]")
-        if not 0 < abs(_fraction(self.scale)) < LARGEST_NUMBER:
-            raise ValueError(f"scale {self.scale} is not a reasonable number")
+        if "packet_counter" in self.names and self.bits > 32:
+            raise ValueError("packet_counter has 32 bits at most: a mask picks the lowest")
         for name in self.names:
             try:
                 self.scaled(name)
@@ -100,8 +114,10 @@ class NumberField(StrictModel):
 
     def scaled(self, name: str) -> tuple[Column, float, float]:
         """Return a column, and scale and offset that give it in its unit."""
-        integer, scale, known = NUMBER_TYPES[self.type].integer, _fraction(self.scale), KNOWN.get(name)
-        plain = integer and self.unit == "1" and self.scale == 1 and self.offset == 0
+        integer, scale, known = NUMBER_TYPES[self.type].integer, self.scale, KNOWN.get(name)
+        plain = integer and self.unit == "1" and scale == 1 and self.offset == 0
+        if name in {*TIME_COLUMNS} - {"packet_counter"}:
+            raise ValueError("imumon sets this itself; the clock of a device is device_ticks")
         if name == "device_ticks":
             # A clock that counts in floating point is made whole nanoseconds; an integer one stays as sent.
             to_ns = exact_conversion(self.unit, "ns")[0]
@@ -161,7 +177,7 @@ def timing_of(fields: Sequence[NumberField], rate_hz: float | None) -> Timing:
     counter, ticks = by_name.get("packet_counter"), by_name.get("device_ticks")
     tick_ns, tick_bits = None, 0
     if ticks is not None:
-        tick_ns = _fraction(ticks.scale) * exact_conversion(ticks.unit, "ns")[0]
+        tick_ns = ticks.scale * exact_conversion(ticks.unit, "ns")[0]
         tick_bits = ticks.bits
         if not NUMBER_TYPES[ticks.type].integer:
             tick_ns, tick_bits = Fraction(1), 0
@@ -241,12 +257,6 @@ class Packet(StrictModel):
             return None
         big = (field.byte_order or self.byte_order) == "big"
         return Checksum(field.type, field.first, big, field.zeros, field.last + 1, field.at)
-
-
-def _fraction(number: float | int | str) -> Fraction:
-    """Take a decimal as it is written, 0.1 is a tenth, and a fraction of such."""
-    above, _, below = str(number).partition("/")
-    return Fraction(above) / Fraction(below or 1)
 
 
 def fixed_decoder(name: str, packets: Sequence[Packet], rate_hz: float | None) -> Decoder:

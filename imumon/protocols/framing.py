@@ -139,67 +139,62 @@ def integers(held: ByteArray, at: IntArray, size: int, big: bool = False) -> Int
     return value
 
 
-class Candidates:
-    """Places of sync patterns in order, one for each place, with what a packet there would be.
+def candidates(frames: Sequence[Frame], held: ByteArray, final: bool) -> Found:
+    """Return places of sync patterns in order, one for each place; the length is what `Frame.verdicts` has.
 
     The first frame counts that finds a packet there; or that may still find one, when more bytes come.
     """
+    at, kind, verdict = (list[IntArray]() for _ in range(3))
+    before = 0
+    for frame in frames:
+        places, number = frame.places(held)
+        at.append(places)
+        kind.append(before + number)
+        verdict.append(frame.verdicts(held, places, final) if len(places) else places)
+        before += len(frame.names)
+    found = Found(held, *map(np.concatenate, (at, verdict, kind)))
+    if len(frames) == 1:
+        return found
+    hopeless = (found.length <= 0) & (final | (found.length != INCOMPLETE))
+    order = np.argsort(2 * found.at + hopeless, kind="stable")
+    return found.only(order[np.diff(found.at[order], prepend=-1) > 0])
 
-    def __init__(self, frames: Sequence[Frame], held: ByteArray, final: bool) -> None:
-        self._held, self._final = held, final
-        self._is_checked = [frame.check is not unchecked for frame in frames for _ in frame.names]
-        at, kind, verdict = (list[IntArray]() for _ in range(3))
-        before = 0
-        for frame in frames:
-            places, number = frame.places(held)
-            at.append(places)
-            kind.append(before + number)
-            verdict.append(frame.verdicts(held, places, final) if len(places) else places)
-            before += len(frame.names)
-        self.at, self._kind, self.verdict = map(np.concatenate, (at, kind, verdict))
-        if len(frames) > 1:
-            hopeless = (self.verdict <= 0) & (final | (self.verdict != INCOMPLETE))
-            order = np.argsort(2 * self.at + hopeless, kind="stable")
-            order = order[np.diff(self.at[order], prepend=-1) > 0]
-            self.at, self._kind, self.verdict = self.at[order], self._kind[order], self.verdict[order]
-        self._begins = np.zeros(len(held) + 1, np.bool_)
-        self._begins[self.at] = True
 
-    def walk(self, done: int) -> tuple[Found, int, int]:
-        """Return the packets that are taken, where the rest begins, and how many of its bytes are taken.
+def search(frames: Sequence[Frame], held: ByteArray, final: bool, done: int) -> tuple[Found, Found, int, int]:
+    """Return the candidates, the packets among them, where the rest begins, and how much of it is taken.
 
-        A candidate that is not complete holds back what follows; at the end of the data it is passed over,
-        and stays pending when no packet follows.
-        """
-        of_interest = np.flatnonzero((self.verdict > 0) | (self.verdict == INCOMPLETE))
-        at, verdict = self.at[of_interest], self.verdict[of_interest]
-        # Most packets stand one directly behind the other: such a run is taken at once.
-        joined = (verdict[:-1] > 0) & (verdict[1:] > 0) & (at[1:] == at[:-1] + verdict[:-1])
-        stops = np.append(np.flatnonzero(~joined), len(at) - 1)
-        run_end = stops[np.searchsorted(stops, np.arange(len(at)))] + 1
-        runs: list[IntArray] = [of_interest[:0]]
-        k, rest, pending, is_checked = 0, len(self._held), -1, True
-        while k < len(at):
-            start, length = int(at[k]), int(verdict[k])
-            overlaps = start < done
-            if overlaps and (0 < length <= done - start or self._begins[done] or not is_checked):
-                k += 1
-            elif length > 0:
-                stop = int(run_end[k])
-                runs.append(of_interest[k:stop])
-                done, pending, k = int(at[stop - 1] + verdict[stop - 1]), -1, stop
-                is_checked = self._is_checked[self._kind[of_interest[stop - 1]]]
-            elif not self._final:
-                rest = start
-                break
-            else:
-                pending = start if pending < 0 and start >= done else pending
-                k += 1
-        if pending >= 0:
-            rest = pending
-        taken = np.concatenate(runs)
-        found = Found(self._held, self.at[taken], self.verdict[taken], self._kind[taken])
-        return found, rest, max(done - rest, 0)
+    A candidate that is not complete holds back what follows; at the end of the data (`final`) it is passed
+    over, and stays pending when no packet follows.  The first `done` bytes are those of an earlier packet.
+    """
+    tried = candidates(frames, held, final)
+    is_checked = [frame.check is not unchecked for frame in frames for _ in frame.names]
+    begins = np.zeros(len(held) + 1, np.bool_)
+    begins[tried.at] = True
+    of_interest = np.flatnonzero((tried.length > 0) | (tried.length == INCOMPLETE))
+    at, verdict = tried.at[of_interest], tried.length[of_interest]
+    # Most packets stand one directly behind the other: such a run is taken at once.
+    joined = (verdict[:-1] > 0) & (verdict[1:] > 0) & (at[1:] == at[:-1] + verdict[:-1])
+    stops = np.append(np.flatnonzero(~joined), len(at) - 1)
+    run_end = stops[np.searchsorted(stops, np.arange(len(at)))] + 1
+    runs: list[IntArray] = [of_interest[:0]]
+    k, rest, pending, may_overlap = 0, len(held), -1, True
+    while k < len(at):
+        start, length = int(at[k]), int(verdict[k])
+        if start < done and (0 < length <= done - start or begins[done] or not may_overlap):
+            k += 1
+        elif length > 0:
+            stop = int(run_end[k])
+            runs.append(of_interest[k:stop])
+            done, pending, k = int(at[stop - 1] + verdict[stop - 1]), -1, stop
+            may_overlap = is_checked[tried.kind[of_interest[stop - 1]]]
+        elif not final:
+            rest = start
+            break
+        else:
+            pending = start if pending < 0 and start >= done else pending
+            k += 1
+    rest = rest if pending < 0 else pending
+    return tried, tried.only(np.concatenate(runs)), rest, max(done - rest, 0)
 
 
 def fixed_length(size: int) -> Lengths:

@@ -93,17 +93,10 @@ class HipnucDecoder(FamilyDecoder):
     start, more = HEADER, HEADER
 
     def wrap(self, key: int, payload: bytes) -> bytes:
-        """Make a frame of a packet: its tag, and the bits of 0x83 above it, go before its numbers."""
-        first = bytes([key]) if key < 0x100 else bytes([OF_BITS, 0, 0, 0]) + (key >> 8).to_bytes(4, "little")
-        payload = first + payload[len(first) :]
+        """Make a frame of a packet with one layout: its tag goes before its numbers."""
+        payload = bytes([key]) + payload[1:]
         head = SYNC + len(payload).to_bytes(2, "little")
         return head + _XMODEM.sealed(head + payload)[-2:] + payload
-
-    def named(self, names: Sequence[str]) -> dict[str, tuple[int, Message]]:
-        """Return ``imu91``, ``ins81``, and 0x83 with the bits that these names have, as ``imu83:0x123``."""
-        bits = [int(name.partition(":")[2], 16) for name in names if name.startswith("imu83:0x")]
-        there = PACKETS | {one << 8 | OF_BITS: of_bits(one) for one in bits}
-        return {message.name: (key, message) for key, message in there.items()}
 
     def _message(self, key: int) -> Message | None:
         return of_bits(key >> 8) if key & 0xFF == OF_BITS else super()._message(key)

@@ -2,11 +2,12 @@
 
 Facts from the protocol's documentation and the common dialect; the checksum has a byte for each message, so a
 message that is not in the table cannot be checked and is not read.  Version 2 leaves out zeros at the end.
-Only the first vehicle that is received is read: a stream may hold many.
+Only the first vehicle of which more than a heartbeat comes is read: a stream may hold many, and a gimbal.
 
 SCALED_IMU and RAW_IMU have rates in steps of 1 mrad/s, 206 deg/h.
 """
 
+from collections.abc import Iterable
 from fractions import Fraction
 from functools import partial
 
@@ -26,7 +27,7 @@ from imumon.protocols.framing import (
     windows,
 )
 from imumon.protocols.messages import FamilyDecoder, table
-from imumon.protocols.numbers import Columns, Derived, known
+from imumon.protocols.numbers import Columns, Derived, Record, known
 
 FIRST, SECOND = b"\xfe", b"\xfd"
 HEADERS = {FIRST: 6, SECOND: 10}
@@ -63,6 +64,8 @@ MESSAGES = table(f"""
 0 heartbeat [vehicle] >=1: vehicle_mode u32 1 mode of the vehicle | 5
 """)
 """Messages by their number; the second and third sensors (116, 129) are only counted."""
+OF_VEHICLE = (*(MESSAGES.keys() - {0}),)
+"""Messages of which the first decides the vehicle; a heartbeat may be that of a gimbal or a radio."""
 EXTRA = {0: 50, 2: 137, 26: 170, 27: 144, 29: 115, 30: 39, 31: 246, 105: 93, 107: 108, 111: 34, 116: 76,
          129: 46}  # fmt: skip
 """Byte of each message that the checksum counts behind the last."""
@@ -102,7 +105,7 @@ def _right(header: int, held: ByteArray, at: IntArray, length: IntArray) -> Bool
 
 
 class MavlinkDecoder(FamilyDecoder):
-    """Decodes the inertial messages of the first vehicle that is received."""
+    """Decodes the messages of the first vehicle that sends more than a heartbeat, from there on."""
 
     messages = MESSAGES
     frames = tuple(
@@ -110,9 +113,10 @@ class MavlinkDecoder(FamilyDecoder):
         for k, (sync, header) in enumerate(HEADERS.items())
     )
     timing = Timing(tick_ns=Fraction(1000))
-    start, more, head = HEADERS[SECOND], HEADERS[SECOND], (5, 6, 7, 8, 9)
+    start, more, head = HEADERS[SECOND], HEADERS[SECOND], (7, 8, 9)
     derived = (CELSIUS,)
-    _vehicle = b""
+    _vehicle = -1
+    """Component << 8 | number of the vehicle that is read."""
 
     def wrap(self, key: int, payload: bytes) -> bytes:
         """Make a message of version 2, which leaves out zeros at the end."""
@@ -135,13 +139,20 @@ class MavlinkDecoder(FamilyDecoder):
         return Found(held.reshape(-1), begins, np.full(len(found), size), found.kind)
 
     def _key(self, packet: bytes) -> int:
-        vehicle, key = packet[5:7], int.from_bytes(packet[7:10], "little")
-        self._vehicle = self._vehicle or vehicle
+        key = int.from_bytes(packet[7:10], "little")
         if key in (26, 27):
             coarse = "rates of SCALED_IMU and RAW_IMU have steps of 206 deg/h: HIGHRES_IMU is finer"
             self._report(coarse, is_warning=True)
-        if vehicle != self._vehicle:
-            number, component = self._vehicle
-            self._report(f"only vehicle {number}, component {component} is read of several")
-            return -1
         return key
+
+    def _by_layout(self, found: Found) -> Iterable[tuple[Record, IntArray]]:
+        vehicle, first = integers(found.held, found.at + 5, 2), 0
+        if self._vehicle < 0:
+            of_vehicle = np.isin(integers(found.held, found.at + 7, 3), OF_VEHICLE)
+            first = int(np.argmax(np.append(of_vehicle, True)))
+            self._vehicle = int(np.append(vehicle, -1)[first])
+        mine = first + np.flatnonzero(vehicle[first:] == self._vehicle)
+        if len(mine) < len(found) - first:
+            component, number = divmod(self._vehicle, 256)
+            self._report(f"only vehicle {number}, component {component} is read of several")
+        return ((layout, mine[rows]) for layout, rows in super()._by_layout(found.only(mine)))

@@ -266,11 +266,6 @@ class FamilyDecoder(TableDecoder):
     def _key(self, packet: bytes) -> int:
         """Return the identifier of a packet; what is not in the table is only counted."""
 
-    def named(self, names: Sequence[str]) -> dict[str, tuple[int, Message]]:
-        """Return identifier and contents of messages by name: of all, or of these and others."""
-        del names
-        return {message.name: (key, message) for key, message in self.messages.items()}
-
     def _message(self, key: int) -> Message | None:
         """Return what an identifier means."""
         return self.messages.get(key)
@@ -287,7 +282,8 @@ class FamilyDecoder(TableDecoder):
 
     def encoder(self, names: Sequence[str]) -> Encoder:
         """Return an encoder of messages; see `TableDecoder.encoder`."""
-        sent = chosen(names, self.named(names), "message")
+        there = {message.name: (key, message) for key, message in self.messages.items()}
+        sent = chosen(names, there, "message")
         return Encoder(*(partial(self._encode, partial(self.wrap, key), message) for key, message in sent))
 
 

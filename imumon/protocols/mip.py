@@ -4,7 +4,7 @@ Facts from the data communications protocols of the devices and the public defin
 The fields of one moment may come in several packets, of which often only the first carries the time.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from fractions import Fraction
 from functools import cache
 from typing import Literal
@@ -28,7 +28,7 @@ _GPS_TIME = """gps_time_of_week f64 s GPS time of week | gps_week u16 1 GPS week
   | gps_time_valid u16 1 validity of gps time"""
 _VALID = "attitude_valid u16 1 validity of attitude"
 _ESTIMATED = """
-06 0B GyroBias gyro_bias.xyz f32 rad/s estimated gyroscope bias
+06 0B GyroBias filter_gyro_bias.xyz f32 rad/s estimated gyroscope bias
 07 0C AccelBias accel_bias.xyz f32 m/s^2 estimated accelerometer bias
 00 08 Position position.xyz f32 m position north, east, down
 00 09 Velocity velocity.xyz f32 m/s velocity north, east, down
@@ -198,36 +198,12 @@ def mip_fields(attitude: Attitude = "filter", clock: Clock = "reference") -> dic
 WEEK_NS = 7 * 86_400 * 10**9
 
 SET_NAMES = {
-    0x01: "base commands",
-    0x0C: "3DM commands",
-    0x0D: "filter commands",
-    0x0E: "GNSS commands",
-    0x0F: "RTK commands",
-    0x13: "aiding commands",
-    0x7F: "system commands",
     SENSOR: "sensor data",
     FILTER: "filter data",
     SYSTEM: "system data",
     **{code: f"{prefix.upper()} data" for code, prefix in GNSS.items()},
 }
-"""Names of the descriptor sets."""
-
-DATA_SETS = range(0x80, 0x100)
-"""Those without fields for a row are counted; commands and replies are messages."""
-
-ACK = 0xF1
-"""Field of an acknowledgement: command and code."""
-ERRORS = {1: "unknown command", 2: "invalid checksum", 3: "invalid parameter", 4: "failed", 5: "timed out"}
-"""Codes of an acknowledgement that is none."""
-
-
-def fields_of(payload: bytes) -> list[tuple[int, bytes]]:
-    """Return descriptor and data of the fields of a payload, as far as they make sense."""
-    found = []
-    while len(payload) >= 2 and 2 <= payload[0] <= len(payload):
-        found.append((payload[1], payload[2 : payload[0]]))
-        payload = payload[payload[0] :]
-    return found
+"""Names of the descriptor sets with data; the others are those of commands and their replies."""
 
 
 def _gps_to_ticks(columns: Columns) -> list[ColumnArray]:
@@ -249,7 +225,7 @@ _GPS_CLOCK = Derived(("gps_week", "gps_time_of_week"), known("device_ticks"), _g
 
 
 class MipDecoder(TaggedDecoder):
-    """Decodes MIP data packets; commands and replies are counted by descriptor set.
+    """Decodes MIP data packets; all others are counted by descriptor set.
 
     `attitude`: whether ``roll``, ``pitch``, ``yaw`` and ``q_*`` are those of the "filter" set or of the "imu"
         set (devices without a navigation filter); the others get columns of their own.
@@ -282,12 +258,6 @@ class MipDecoder(TaggedDecoder):
     def _field_name(self, key: int) -> str:
         name = self.messages[key].name if key in self.messages else f"0x{key & 0xFF:02X}"
         return f"{name} of {self._type_name(key >> 8)}"
-
-    def _describe(self, kind: int, payload: bytes) -> Iterable[str]:
-        for code, data in fields_of(payload) if kind not in DATA_SETS else ():
-            if code == ACK and len(data) >= 2 and data[1]:
-                why = ERRORS.get(data[1], f"code {data[1]}")
-                yield f"the device refused command 0x{data[0]:02X} of the {self._type_name(kind)}: {why}"
 
 
 class MipDevice(TableDevice):

@@ -48,12 +48,13 @@ Columns = Mapping[str, ColumnArray]
 
 @dataclass(frozen=True, slots=True)
 class Derived:
-    """Columns computed from others (a time from a date, a quaternion from a matrix), and back to encode."""
+    """Columns computed from others (a time from a date, a quaternion from a matrix)."""
 
     sources: tuple[str, ...]
     results: tuple[Column, ...]
     decode: Callable[[Columns], list[ColumnArray]]
-    encode: Callable[[Columns], list[ColumnArray]]
+    encode: Callable[[Columns], list[ColumnArray]] | None = None
+    """Returns the others, for virtual devices; without it they are sent as zero."""
 
     @property
     def names(self) -> list[str]:
@@ -181,7 +182,7 @@ def with_sources(
     """Return the columns, and those from which others are computed, as far as they are sent."""
     found = dict(columns)
     for made in derived:
-        if {*made.sources} <= {*sent} and {*made.names} <= columns.keys():
+        if made.encode is not None and {*made.sources} <= {*sent} and {*made.names} <= columns.keys():
             found |= dict(zip(made.sources, made.encode(columns), strict=True))
     return found
 
@@ -250,18 +251,8 @@ def known(*names: str) -> tuple[Column, ...]:
     return tuple(KNOWN[column] for name in names for column in _VECTORS.get(name, (name,)))
 
 
-QUATERNION = known("q")
 MATRIX = tuple(f"_matrix_{i}{j}" for i in "123" for j in "123")
 """Columns of a rotation matrix, reference to body."""
-
-
-def _time_to_parts(name: str, per_s: int, columns: Columns) -> list[ColumnArray]:
-    """Split a Unix time into counts of a second, year, month, day, hour, minute, second."""
-    time = columns[name]
-    seconds, rest = np.divmod(np.where(time == NO_INT, 0, time), per_s)
-    moments = seconds.astype("datetime64[s]").tolist()
-    parts = np.array([moment.timetuple()[:6] for moment in moments], np.int64).reshape(-1, 6)
-    return [np.where(time == NO_INT, NO_INT, part) for part in (rest, *parts.T)]
 
 
 def _parts_to_time(prefix: str, per_s: int, columns: Columns) -> list[ColumnArray]:
@@ -276,12 +267,8 @@ def _parts_to_time(prefix: str, per_s: int, columns: Columns) -> list[ColumnArra
 
 def utc_time(prefix: str, result: Column, per_s: int = 1_000_000_000) -> Derived:
     """Derive a time, so many counts a second, from the hidden columns of a calendar date."""
-    return Derived(
-        tuple(f"_{prefix}{part}" for part in DATE_PARTS),
-        (result,),
-        partial(_parts_to_time, prefix, per_s),
-        partial(_time_to_parts, result.name, per_s),
-    )
+    sources = tuple(f"_{prefix}{part}" for part in DATE_PARTS)
+    return Derived(sources, (result,), partial(_parts_to_time, prefix, per_s))
 
 
 def _matrix_to_quaternion(columns: Columns) -> list[ColumnArray]:
@@ -299,15 +286,4 @@ def _matrix_to_quaternion(columns: Columns) -> list[ColumnArray]:
     return list(quaternion)
 
 
-def _quaternion_to_matrix(columns: Columns) -> list[ColumnArray]:
-    """Convert the quaternion body to reference to the matrix reference to body, row by row."""
-    w, x, y, z = (np.asarray(columns[column.name], np.float64) for column in QUATERNION)
-    rows: list[FloatArray] = [
-        1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y),
-        2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x),
-        2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y),
-    ]  # fmt: skip
-    return list(rows)
-
-
-FROM_MATRIX = Derived(MATRIX, QUATERNION, _matrix_to_quaternion, _quaternion_to_matrix)
+FROM_MATRIX = Derived(MATRIX, known("q"), _matrix_to_quaternion)

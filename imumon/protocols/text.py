@@ -171,8 +171,9 @@ class Line(StrictModel):
 
     def _written(self, numbers: Sequence[float]) -> bytes:
         """Return the line with these numbers, in the order of the columns."""
+        point = "." if self.form == "json" else self.decimal
         words = {
-            key: (f"{number:.0f}" if number.is_integer() else f"{number:.7g}").replace(".", self.decimal)
+            key: (f"{number:.0f}" if number.is_integer() else f"{number:.12g}").replace(".", point)
             for key, number in zip(self.wanted, numbers, strict=True)
         }
         if self.form == "json":
@@ -197,12 +198,12 @@ def sentence_body(text: str, crc: Checksum | None = None) -> str | None:
         return None
     if len(given) == 2:
         return body if int(given, 16) == _xor(body) else None
-    bare = body.encode("ascii", "replace")
+    bare = body.encode()
     return body if crc is not None and crc.sealed(bare) == bare + bytes.fromhex(given) else None
 
 
 def _xor(body: str) -> int:
-    return reduce(xor, body[1:].encode("ascii", "replace"), 0)
+    return reduce(xor, body[1:].encode(), 0)
 
 
 def _step(tree: Any, key: str) -> Any:
@@ -250,7 +251,7 @@ class TextDecoder(Decoder):
 def texts(held: ByteArray, at: IntArray, length: IntArray) -> list[str]:
     """Return lines as text."""
     spans = zip(at.tolist(), length.tolist(), strict=True)
-    return [held[a : a + n].tobytes().decode("ascii", "replace") for a, n in spans]
+    return [held[a : a + n].tobytes().decode("utf-8", "replace") for a, n in spans]
 
 
 def line_lengths(after_end: bool, held: ByteArray, at: IntArray) -> IntArray:

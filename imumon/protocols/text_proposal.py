@@ -43,8 +43,8 @@ QUANTITIES = {
     "accel": re.compile(r"^(imu[._ ]?)?a(cc(el(eration)?)?)?[._ ]?([xyz012])$", re.I),
     "gyro": re.compile(r"^(imu[._ ]?)?(g(yro?)?|w|omega|rate)[._ ]?([xyz012])$", re.I),
     "mag": re.compile(r"^(imu[._ ]?)?m(ag)?[._ ]?([xyz012])$", re.I),
+    "temperature": re.compile(r"^t(emp(erature)?)?([._ ]?(c|degc))?$", re.I),
 }
-NAMED_TEMPERATURE = re.compile(r"^t(emp(erature)?)?([._ ]?(c|degc))?$", re.I)
 
 Guess = tuple[str, str, str]
 """Column of a field, empty where it is not known, its other keys, and why."""
@@ -59,7 +59,7 @@ def propose(data: bytes, seconds: float, baudrate: int | None) -> str | None:
 
     `data`: what came within `seconds`, at `baudrate` (bit/s); the first and the last line may be torn.
     """
-    lines = [line.strip("\r") for line in data.decode("ascii", "replace").split("\n")[1:-1]]
+    lines = [line.strip("\r") for line in data.decode("utf-8", "replace").split("\n")[1:-1]]
     lines = [line for line in lines if line.strip()]
     if len(lines) < LEAST_LINES:
         return None
@@ -159,10 +159,14 @@ def _beginnings(lines: list[str]) -> list[tuple[str, str]]:
 def _guesses(places: Sequence[int | str], x: FloatArray, rate: float) -> list[Guess]:
     names = [place if isinstance(place, str) else "" for place in places]
     taken = {k: guess for k in range(len(names)) if (guess := _time(x[:, k], rate)) is not None}
-    for k in range(len(names) - 2):
+    kinds = [next((what for what, named in QUANTITIES.items() if named.match(name)), "") for name in names]
+    # The norm of a temperature and two small numbers may be that of the earth's field.
+    for may_be_mag, k in product((False, True), range(len(names) - 2)):
         three = range(k, k + 3)
-        vector = None if taken.keys() & {*three} else _vector(x[:, three], [names[j] for j in three])
-        if vector is not None:
+        if taken.keys() & {*three} or len({*kinds[k : k + 3]}) > 1:
+            continue
+        vector = _vector(x[:, three], kinds[k])
+        if vector is not None and (may_be_mag or vector[0] != "mag"):
             what, unit, why = vector
             for j, axis in zip(three, "xyz", strict=True):
                 own = names[j][-1:].lower()
@@ -185,7 +189,7 @@ def _time(x: FloatArray, rate: float) -> Guess | None:
     middle = float(np.median(step))
     if middle <= 0 or np.mean(step > 0) < SAME:
         return None
-    whole = bool(np.all(x == np.rint(x)))
+    whole = bool(np.all(x == np.rint(x))) and x.min() >= 0 and x.max() < 1 << 32
     for unit, size in UNITS.items():
         if 0.7 < middle * size * rate < 1.4:
             why = f"rises by {middle:.6g} a line: at {rate:.4g} lines a second that is {unit}"
@@ -193,23 +197,22 @@ def _time(x: FloatArray, rate: float) -> Guess | None:
     return ("packet_counter", "type: u32", "rises by one a line") if whole and middle == 1.0 else None
 
 
-def _vector(x: FloatArray, names: Sequence[str]) -> Guess | None:
+def _vector(x: FloatArray, named: str) -> Guess | None:
     """Return quantity, scale and unit, and the reason, of three columns; None when it is not known.
 
-    The quantity is empty where the unit moved.
+    `named`: what their names say; may be empty.  The quantity is empty where the unit moved.
     """
     low, norm, high = np.percentile(np.linalg.norm(x, axis=1), (16, 50, 84))  # a few shocks do not count
     scatter = (high - low) / 2
-    named = next((what for what, pattern in QUANTITIES.items() if all(map(pattern.match, names))), None)
     how = f"{'named so; ' if named else ''}norm {norm:.4g} with scatter {scatter:.2g}"
     for least, most, what, keys, why in NORMS if scatter < STEADY * norm else ():
-        if least <= norm <= most and named in (None, what):
+        if least <= norm <= most and named in ("", what):
             return what, keys, f"{how}: {why}"
     # Numbers with their scatter: noise and a small offset.  A filter correlates a few lines, a hand more.
     later = 1 + len(x) // 20
     deviation, offset = x.std(axis=0), np.abs(x.mean(axis=0))
     is_small = np.all(deviation > 0) and np.all(offset < 30 * deviation.max()) and np.abs(x).max() < 300
-    if named == "gyro" or (named is None and is_small):
+    if named == "gyro" or (not named and is_small):
         if named:
             why = "named so"
         elif norm < ZERO * scatter:
@@ -225,7 +228,7 @@ def _vector(x: FloatArray, names: Sequence[str]) -> Guess | None:
 def _single(x: FloatArray, name: str) -> Guess:
     """Return what a column is taken for that belongs to no other."""
     steady = x.min() >= -40 and x.max() <= 85 and np.ptp(x) < 2
-    if steady and (NAMED_TEMPERATURE.match(name) or (not name and 10 <= x.mean() <= 60)):
+    if steady and (QUANTITIES["temperature"].match(name) or (not name and 10 <= x.mean() <= 60)):
         why = "named so" if name else "nearly constant"
         return "temperature", "unit: degC", f"{why}, {x.mean():.4g}"
     return "", "", "its meaning is unknown"

@@ -38,15 +38,10 @@ def _degrees_of(columns: Columns) -> list[ColumnArray]:
     return [np.sign(v) * (np.abs(v) // 10_000_000 + np.abs(v) % 10_000_000 / 6e6) for v in values]
 
 
-def _digits_of(columns: Columns) -> list[ColumnArray]:
-    values = [columns[name] for name in ("longitude", "latitude")]
-    return [np.rint(np.trunc(v) * 1e7 + (v - np.trunc(v)) * 6e6).astype(np.int64) for v in values]
-
-
 DERIVED = (
     utc_time("clock_", CLOCK),
     utc_time("sample_", KNOWN["device_ticks"], per_s=1000),  # 0x61 has the time of the sample itself
-    Derived(("_longitude", "_latitude"), known("longitude", "latitude"), _degrees_of, _digits_of),
+    Derived(("_longitude", "_latitude"), known("longitude", "latitude"), _degrees_of),
 )
 
 _ACCEL, _GYRO, _ANGLES = "accel i16*16*g/32768", "gyro i16*2000*pi/180/32768", "angles i16*pi/32768"

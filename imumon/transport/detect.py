@@ -134,7 +134,7 @@ def detect(
         try:
             evidence += listen(settings, candidates, seconds_each, data, others=len(rates) > 1)
         except ImumonError as error:
-            if error.reason is not Reason.BAD_CONFIG or rate == rates[-1]:
+            if error.reason is not Reason.BAD_CONFIG or (rate == rates[-1] and not evidence):
                 raise
         is_silent = not any(item.bytes_received for item in evidence)
         tried = {item.baudrate for item in evidence}

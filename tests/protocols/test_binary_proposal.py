@@ -7,7 +7,7 @@ import pytest
 import yaml
 
 from imumon.protocols.binary_proposal import propose
-from imumon.protocols.device import load_device, parse_device
+from imumon.protocols.device import device_text, load_device, parse_device
 from imumon.protocols.fixed import SeveralDevice
 from imumon.simulation.unit import SimulatedUnit, load_scenario
 from tests.protocols.streams import feed_in_chunks
@@ -69,6 +69,22 @@ def test_counter_clock_and_unknown_bytes_are_given() -> None:
     assert covered == [2, 3, *range(10, 56)]
     assert "unknown: give type" in proposal.text
     assert "right in 399 of 399 packets" in proposal.text
+
+
+def test_a_counter_of_one_byte_tells_nothing_of_the_order() -> None:
+    text, source = device_text("ax1")
+    for old, new in (
+        ("byte_order: big", "byte_order: little"),
+        ("type: u16, column: packet", "type: u8, column: packet"),
+    ):
+        assert old in text
+        text = text.replace(old, new)
+    sent = parse_device(text, source).encoder().encode(SimulatedUnit(load_scenario("bench")).samples(400))
+    found = propose(b"".join(sent), 4.0, 115_200)
+    assert found is not None
+    packet = yaml.safe_load(found.text)["packet"]
+    assert {"at": 4, "type": "u8", "column": "packet_counter"} in packet["fields"]
+    assert packet["byte_order"] == "little"
 
 
 def test_a_counter_of_seven_bits_stays_unknown() -> None:

@@ -11,6 +11,8 @@ from imumon.estimation.gyro_bias.stage import RestDetector
 from imumon.pipeline import Pipeline
 from imumon.protocols.device import device_names, load_device, parse_device
 from imumon.protocols.ranges import Ranges
+from imumon.run.setup import Setup
+from imumon.run.stages import pipeline_of
 from imumon.simulation.unit import SimulatedUnit, load_scenario
 from tests.protocols.streams import feed_in_chunks
 
@@ -62,6 +64,7 @@ def test_the_good_file_is_good() -> None:
         ("type: u16, column", "type: u16, mask: 0x10000, column", 12, "mask 0x10000 is wider than u16"),
         ("type: i16, columns", "type: i16, mask: 1, columns", 13, "a mask needs an unsigned type"),
         ("gyro_y, gyro_z]", "gyro_y, gyro_y]", 6, "gyro_y"),
+        ("type: u16, column", "type: u64, column", 12, "packet_counter has 32 bits at most"),
         ("axes: FLU", "axes: NED", 5, "axes"),
         ("axes: FLU\n", "", 1, "axes: this key is required"),
         ("protocol: fixed", "protocol: morse", 4, "protocol"),
@@ -77,11 +80,36 @@ def test_a_wrong_file_is_refused_with_its_line(old: str, new: str, line: int, wo
     assert words in seen, seen
 
 
-@pytest.mark.parametrize("scale", ["1/16.4", "10/164"])
+@pytest.mark.parametrize("scale", ["1/16.4", "10/164", "-1/16.4"])
 def test_a_scale_may_be_a_fraction_of_decimals(scale: str) -> None:
     device = parse_device(GOOD.replace("scale: 0.01,", f"scale: {scale},"), "my.yaml")
     assert device.name == parse_device(GOOD, "my.yaml").name
-    assert "my.yaml:" in complaint(GOOD.replace("scale: 0.01,", "scale: 1/0,"))
+
+
+@pytest.mark.parametrize("scale", ["1/0", "0", "0/5", "fast", "[1]", "true", "1/1e9"])
+def test_a_scale_that_is_none_is_refused_in_one_line(scale: str) -> None:
+    seen = complaint(GOOD.replace("scale: 0.01,", f"scale: {scale},"))
+    assert "scale: expected a number or a fraction such as 1/16.4" in seen
+    assert "\n" not in seen
+
+
+@pytest.mark.parametrize("name", ["device_time_ns", "arrival_time_ns", "host_time_ns", "segment"])
+def test_a_column_that_imumon_sets_is_no_column_of_a_device(name: str) -> None:
+    assert "the clock of a device is device_ticks" in complaint(GOOD.replace("packet_counter", name))
+
+
+@pytest.mark.parametrize("name", device_names())
+def test_no_device_has_a_column_that_a_stage_adds(name: str) -> None:
+    pipeline_of(load_device(name), Setup(latitude_deg=50.0))
+
+
+@pytest.mark.parametrize("name", ["gyro_bias_x", "at_rest", "heading"])
+def test_a_column_that_a_stage_adds_is_refused_before_anything_is_written(name: str) -> None:
+    device = parse_device(GOOD.replace("packet_counter", name), "my.yaml")
+    with pytest.raises(ImumonError, match=f"device demo has column {name}, which stage .* adds") as caught:
+        pipeline_of(device, Setup(latitude_deg=50.0))
+    assert "another name in the device file" in caught.value.hint
+    pipeline_of(device, only=())
 
 
 def test_a_device_without_a_checksum() -> None:

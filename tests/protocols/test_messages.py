@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import struct
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,7 @@ from imumon.blocks import NO_INT, SampleBlock
 from imumon.errors import ImumonError
 from imumon.geodesy import STANDARD_GRAVITY
 from imumon.protocols.device import device_text, load_device, parse_device
+from imumon.protocols.framing import Checksum
 from imumon.protocols.messages import table
 from tests.data_folder import measured
 from tests.protocols.streams import feed_in_chunks
@@ -130,15 +133,14 @@ def test_a_hipnuc_frame_of_the_vendor() -> None:
 
 
 def test_a_hipnuc_frame_states_by_bits_what_follows() -> None:
-    text, source = device_text("hipnuc")
-    device = parse_device(text.replace("sends: [imu91]", "sends: ['imu83:0x123']"), source)
-    sent = {"accel_x": np.array([1.5, 2.5]), "temperature": np.array([20.125, 20.25]),
-            "gyro_z": np.array([0.1, 0.2]), "device_ticks": np.array([5000, 15000])}  # fmt: skip
-    packets = device.encoder().encode(SampleBlock(sent))
-    assert len(packets[0]) == 6 + 8 + 12 + 12 + 8 + 4
-    block = feed_in_chunks(device.decoder(), b"".join(packets), [9])
-    for name, values in sent.items():
-        np.testing.assert_allclose(block[name], values, rtol=1e-6)
+    numbers = np.array([1.5, 0, 9.75, 0, 0, 90], "<f4").tobytes()
+    payload = b"\x83\0\0\0\x23\x01\0\0" + numbers + struct.pack("<Qf", 5000, 20.125)
+    head = b"\x5a\xa5" + len(payload).to_bytes(2, "little")
+    frame = head + Checksum("crc16-xmodem").sealed(head + payload)[-2:] + payload
+    block = feed_in_chunks(load_device("hipnuc").decoder(), frame * 2, [9])
+    assert block["accel_x"].tolist() == [1.5, 1.5]
+    assert block["gyro_z"][0] / DEGREE == pytest.approx(90)
+    assert (block["temperature"][0], block["device_ticks"][0]) == (20.125, 5000)
 
 
 def test_an_ximu3_file_that_the_vendors_decoder_read() -> None:
@@ -178,6 +180,25 @@ def test_mavlink_of_one_vehicle_is_read_in_both_versions() -> None:
     assert rows["gyro_x"].tolist() == [0.5, 0.5, 0.125]
     assert decoder.counters().packets_by_type == {"MAVLink 1": 1, "MAVLink 2": 3}
     assert any("only vehicle 1" in text for text in decoder.notices())
+
+
+def test_the_vehicle_is_the_first_that_sends_more_than_a_heartbeat() -> None:
+    device = load_device("mavlink")
+    block = SampleBlock({"gyro_x": np.array([0.5, 0.25]), "device_ticks": np.arange(2) * 1000})
+    mine = device.encoder().encode(block)
+
+    def beat(component: int) -> bytes:
+        body = bytes([9, 0, 0, 0, 1, component, 0, 0, 0]) + bytes(8) + b"\x03"
+        return b"\xfd" + body + mcrf4xx(body + bytes([50]))
+
+    stream = beat(154) + mine[0] + beat(154) + beat(1) + mine[1]
+    for cuts in ([len(stream)], [1], [30]):
+        decoder = device.decoder()
+        rows = feed_in_chunks(decoder, stream, cuts)
+        assert rows["gyro_x"][np.isfinite(rows["gyro_x"])].tolist() == [0.5, 0.25]
+        assert len(rows) == 3
+        assert decoder.counters().packets == 5
+        assert any("only vehicle 1, component 1 " in text for text in decoder.notices())
 
 
 def mcrf4xx(data: bytes) -> bytes:

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -116,7 +118,7 @@ def test_what_is_written_is_read_whatever_the_chunks(text: str, lengths: list[in
         (b"$HEHDT,274.07,T*19", "heading_true", 274.07),
         (b"$GPROT,35.6,A*01", "rate_of_turn", 35.6),
         (b"$PASHR,123816.80,312.95,T,-0.83,-0.42,-0.01,0.234,0.224,0.298,2,1*0B", "heading_true", 312.95),
-        (b"$GPHDG,98.3,0.0,E,12.6,W*4B", "heading_magnetic", 98.3),
+        (b"$GPHDG,98.3,0.0,E,12.6,W*4B", "magnetic_heading", 98.3),
     ],
 )
 def test_nmea_sentences(sentence: bytes, column: str, value: float) -> None:
@@ -152,6 +154,37 @@ def test_known_boards() -> None:
 def test_wrong_descriptions_are_refused(text: str, old: str, new: str, words: str) -> None:
     assert old in text
     assert words in complaint(text.replace(old, new))
+
+
+def test_a_line_may_have_any_letters() -> None:
+    line = '{"t°": 1, "imu": {"gyro": [1, 2, 3]}, "temp": 20.5, "note": "Münster"}\n'.encode()
+    assert len(decoded(JSON, b"\n" + line + line)) == 2
+    body = "$IMU,1,2,3é"
+    total = np.bitwise_xor.reduce(np.frombuffer(body[1:].encode(), np.uint8))
+    text = SUM.replace("values: 3", "values: 4")
+    assert len(decoded(text, f"{body.replace('3é', '3,é')}*{total ^ ord(','):02X}\r\n".encode())) == 1
+
+
+def test_json_has_points_and_its_texts_may_have_commas() -> None:
+    text = JSON.replace("form: json", "form: json\n    separator: ;\n    decimal: ','")
+    (line,) = parse_device(text, "t.yaml").encoder().encode(SampleBlock({"temperature": np.array([21.5])}))
+    assert json.loads(line)["temp"] == 21.5
+    assert decoded(text, b"\n" + line.replace(b"21.5", b'"22,5"'))["temperature"].tolist() == [22.5]
+
+
+def test_places_and_times_are_written_with_all_their_digits() -> None:
+    text = CSV.replace("type: u32, column: device_ticks, unit: us", "column: latitude, unit: deg")
+    device = parse_device(text, "t.yaml")
+    sent = SampleBlock({"latitude": np.array([51.123456789])})
+    block = feed_in_chunks(device.decoder(), b"\n" + b"".join(device.encoder().encode(sent)), [9])
+    assert block["latitude"][0] == pytest.approx(51.123456789, abs=1e-9)
+
+
+def test_lines_of_one_name_are_counted_together() -> None:
+    line = "  - {name: a, prefix: '%s,', values: 1, fields: [{at: 0, column: %s}]}\n"
+    decoder = parse_device(HEAD + line % ("A", "x") + line % ("B", "y"), "t.yaml").decoder()
+    feed_in_chunks(decoder, b"A,1\nB,2\nB,3\n", [4])
+    assert decoder.counters().packets_by_type == {"a": 3}
 
 
 def test_lines_of_two_kinds_may_have_one_column() -> None:

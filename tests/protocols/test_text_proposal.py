@@ -111,6 +111,38 @@ def test_pairs_and_their_names() -> None:
     assert feed_in_chunks(device_for(data)[0].decoder(), data, [50])["temperature"][0] == 25
 
 
+@pytest.mark.parametrize("named", [False, True])
+def test_a_temperature_may_come_before_the_force(named: bool) -> None:
+    names = ("temp", "ax", "ay", "az", "gx", "gy", "gz")
+    rows = np.column_stack([np.full(N, 25.0) + RNG.normal(0, 0.01, N), ACCEL, GYRO])
+    as_json = [json.dumps(dict(zip(names, np.round(row, 4).tolist(), strict=True))) for row in rows]
+    data = lines(as_json if named else [",".join(f"{x:.4f}" for x in row) for row in rows])
+    checked(data)
+    assert "column: temperature" in device_for(data)[1]
+
+
+@pytest.mark.parametrize("up", [(9.8, 0.1, 0.2), (0.1, 9.8, 0.2), (0.1, 0.2, -9.8)])
+def test_the_axis_that_is_vertical_does_not_matter(up: tuple[float, float, float]) -> None:
+    rows = np.column_stack([GYRO, np.add(ACCEL, np.subtract(up, (0.2, -0.1, 9.8)))])
+    text = device_for(lines([",".join(f"{x:.4f}" for x in row) for row in rows]))[1]
+    for k, name in enumerate([f"{what}_{axis}" for what in ("gyro", "accel") for axis in "xyz"]):
+        assert f"at: {k}, column: {name}," in text
+
+
+@pytest.mark.parametrize("start_ms", [1_700_000_000_123, -50])
+def test_a_time_of_the_day_or_before_zero_is_read(start_ms: int) -> None:
+    data = lines([f"{start_ms + 20 * k},{x:.4f},{y:.4f},{z:.4f}" for k, (x, y, z) in enumerate(ACCEL)])
+    block = feed_in_chunks(device_for(data)[0].decoder(), data, [50])
+    assert len(block) >= N - 1
+    assert np.diff(block["device_ticks"])[0] == pytest.approx(20e6)
+
+
+def test_names_need_not_be_ascii() -> None:
+    rows = [f'{{"température °C": {25 + k / 1000}, "ax": {x:.4f}}}' for k, x in enumerate(ACCEL[:, 0])]
+    data = lines(rows)
+    assert len(feed_in_chunks(device_for(data)[0].decoder(), data, [7])) == N
+
+
 def test_json_lines() -> None:
     rows = [{"t": int(t), "acc": list(np.round(a, 4)), "gyro": list(np.round(g, 4)), "temp": 21.0}
             for t, a, g in zip(TICKS, ACCEL, GYRO, strict=True)]  # fmt: skip

@@ -7,9 +7,10 @@ from contextlib import contextmanager
 
 import pytest
 
-from imumon.errors import ImumonError, Reason
+from imumon.errors import ImumonError, Reason, bad_config
 from imumon.simulation.virtual_port import VirtualPort
 from imumon.transport.detect import COMMON_BAUDRATES, Verdict, baudrates_to_try, detect, failure
+from imumon.transport.port import Port, open_port
 from imumon.transport.settings import PortSettings
 from imumon.transport.statistics import Counters
 from tests.transport.helpers import tcp_server
@@ -125,6 +126,25 @@ def test_listening_ends_early_when_the_evidence_is_overwhelming() -> None:
         evidence = detect(device.path, CANDIDATES, [921600], LIMIT_S)
     assert evidence[0].packets >= 50
     assert evidence[0].seconds < LIMIT_S
+
+
+@pytest.mark.parametrize("refused", [[57600], [115200]])
+def test_a_rate_that_the_adapter_refuses_takes_no_evidence_away(
+    monkeypatch: pytest.MonkeyPatch, refused: list[int]
+) -> None:
+    def opened(settings: PortSettings) -> Port:
+        if settings.baudrate in refused:
+            raise bad_config("not offered by this driver")
+        return open_port(settings)
+
+    monkeypatch.setattr("imumon.transport.detect.open_port", opened)
+    with VirtualPort(baudrate=9600) as device:
+        rates = [115200, 57600]
+        evidence = detect(device.path, CANDIDATES, rates, 0.1)
+        assert {item.baudrate for item in evidence} == {*rates} - {*refused}
+        refused += rates
+        with pytest.raises(ImumonError, match="not offered"):
+            detect(device.path, CANDIDATES, rates, 0.1)
 
 
 def test_a_silent_port_is_an_honest_result() -> None:

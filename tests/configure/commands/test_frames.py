@@ -144,8 +144,13 @@ def test_what_is_not_requested_stays() -> None:
     family, kept = vectornav.VectorNav(), vectornav.Output(2, 40, 0x14, (0x3E, 0x3A))
     present = {vectornav.OUTPUT: kept.value, vectornav.ASCII: b"14"}
     wanted = family.wanted(present, Wish(rate_hz=200.0))
-    assert wanted == {vectornav.ASCII: b"0", vectornav.OUTPUT: b"2,4,14,003E,003A"}
+    assert wanted == {vectornav.OUTPUT: b"2,4,14,003E,003A"}
     assert family.wanted(present, Wish(outputs=("inertial",)))[vectornav.OUTPUT] == b"2,40,05,0001,000C"
+    others = present | {vectornav.SECOND: b"1,8,01,0001"}
+    assert family.wanted(others, Wish(rate_hz=200.0)) == wanted
+    changed = family.wanted(others, Wish(200.0, ("inertial",)))
+    assert changed[vectornav.ASCII] == b"0"
+    assert changed[vectornav.SECOND] == b"0,8,01,0001"
     present = {xsens.OUTPUT: xsens.packed([(0x1020, 0xFFFF), (0x8020, 100), (0xC020, 100), (0x5042, 4)])}
     faster = xsens.Xsens().wanted(present, Wish(rate_hz=400.0))[xsens.OUTPUT]
     assert xsens.entries(faster) == [(0x1020, 0xFFFF), (0x8020, 400), (0xC020, 100), (0x5042, 4)]

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from imumon.blocks import NO_INT, SampleBlock
+from imumon.blocks import NO_INT, ColumnArray, SampleBlock
 from imumon.errors import ImumonError, Reason
 from imumon.protocols.base import ByteArray, Encoder
 from imumon.protocols.device import load_device
@@ -26,6 +26,7 @@ from imumon.protocols.xsens.mtdata import (
     find_fields,
 )
 from tests.data_folder import measured
+from tests.protocols.sources import date_of, matrix_of
 from tests.protocols.streams import check_books, chunkings, damage, feed_in_chunks, xbus_message
 from tests.protocols.tagged_twin import LIST, assert_same, decode_plainly
 from tests.protocols.wire import xbus
@@ -413,7 +414,7 @@ def test_round_trip_is_exact_to_the_resolution(precision: Precision, values: lis
 def test_every_identifier_makes_the_round_trip(item: Identifier, precision: Precision) -> None:
     rng = np.random.default_rng(item.code)
     n = 5
-    columns = {}
+    columns, hidden = dict[str, ColumnArray](), dict[str, ColumnArray]()
     for value in item.numbers:
         if value.column is None or value.column.name.startswith("_"):
             continue
@@ -423,15 +424,15 @@ def test_every_identifier_makes_the_round_trip(item: Identifier, precision: Prec
     names = [value.column.name for value in item.numbers if value.column is not None]
     if "_utc_year" in names or "_gnss_utc_year" in names:
         prefix = "utc_" if "_utc_year" in names else "gnss_utc_"
-        columns[f"{prefix}time_ns"] = np.array(
-            [0, 1_548_000_000_999_999_999, 951_827_696_000_000_001, 1, 10**18]
-        )
+        moments = np.array([0, 1_548_000_000_999_999_999, 951_827_696_000_000_001, 1, 10**18])
+        columns[f"{prefix}time_ns"], hidden = moments, date_of(prefix, moments)
     if item.name == "RotationMatrix":
         q = rng.normal(size=(4, n))
         q *= np.sign(q[0]) / np.linalg.norm(q, axis=0)
         columns.update(zip(("q_w", "q_x", "q_y", "q_z"), q, strict=True))
-    decoder = MTData2Decoder()
-    decoder.feed(b"".join(mtdata2_encoder([item.name], precision).encode(SampleBlock(columns))), 0)
+        hidden = matrix_of(q)
+    decoder, sent = MTData2Decoder(), SampleBlock(columns | hidden)
+    decoder.feed(b"".join(mtdata2_encoder([item.name], precision).encode(sent)), 0)
     got = decoder.take()
     assert {*got.columns} == {"arrival_time_ns", *columns}
     for name, values in columns.items():
