@@ -132,7 +132,7 @@ def replay(
         comparison = compare_with_live(opened, setup, digest, pipeline)
     texts = [*source.warnings(), *pipeline.warnings()]
     if setup.bias_model is not None:
-        texts.insert(0, setup.bias_model.of_another(opened.metadata.serial))
+        texts.insert(0, setup.bias_model.of_another(opened.metadata.serial, opened.metadata.axes))
     common.warn(filter(None, texts))
     differs = comparison.identical is False
     if differs:

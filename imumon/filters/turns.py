@@ -92,10 +92,15 @@ Vector = tuple[float, float, float]
 
 def rotation_by(vector: FloatArray) -> FloatArray:
     """Return the matrix (3, 3) of a rotation vector, rad (Rodrigues)."""
-    x, y, z = vector.tolist()
-    first, second = _rodrigues(x * x + y * y + z * z)
-    crossed = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    crossed = cross_matrix(vector)
+    first, second = _rodrigues(_square(vector.tolist()))
     return np.asarray(np.eye(3) + first * crossed + second * (crossed @ crossed))
+
+
+def cross_matrix(vector: FloatArray) -> FloatArray:
+    """Return the matrix (3, 3) that takes a vector to its cross product from the left."""
+    x, y, z = vector.tolist()
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
 def angle_of(rotation: FloatArray) -> float:

@@ -22,15 +22,16 @@ from imumon.cli.common import (
     with_warnings,
 )
 from imumon.cli.progress import announce, reading_bar, size_of
-from imumon.files import check_output, write_text
+from imumon.errors import bad_config
+from imumon.files import check_output, target, write_text
 from imumon.lab.calibration import SHOWN
 
 if TYPE_CHECKING:
     from imumon.lab.calibration.calibration import Calibration, Finding
 
-STARTING_S, SAMPLES_PER_S, SPAN_PER_S = 2.0, 55_000.0, 670.0
-"""For the estimate of the time.  Measured on one core: 19 s of computing for 21,600 samples of 3 h, 103 s for
-600,000 samples of 16.7 h."""
+STARTING_S, SAMPLES_PER_S, SPAN_PER_S = 20.0, 55_000.0, 1000.0
+"""For the estimate of the time, right to a factor of two: networks take long for few points too.  Measured on
+one core: 41 s of computing for 30,000 samples of 0.8 h, 19 s for 21,600 of 3 h, 103 s for 600,000 of 17 h."""
 
 
 @click.command("calibrate")
@@ -81,8 +82,7 @@ def calibrate(
     from imumon.run.truth import check_truth, errors_of_model
 
     export = None if autopilot is None else out.with_suffix(SUFFIX[autopilot])
-    for path in filter(None, (out, plot, export)):
-        check_output(path, suffix=".png" if path is plot else "")
+    _check_outputs(out, plot, export)
     check_ids(autopilot, device_ids)
     if truth:
         check_truth(sessions)
@@ -125,6 +125,16 @@ def calibrate(
     for name, one in errors.items():
         note(f"against the truth of {name}, at rest")
         print_rows(one.rows())
+
+
+def _check_outputs(out: Path, plot: Path | None, export: Path | None = None) -> None:
+    """Refuse outputs that cannot be files, and two that are the same."""
+    paths = [path for path in (out, plot, export) if path is not None]
+    for path in paths:
+        check_output(path, suffix=".png" if path is plot else "")
+    if len(set(map(target, paths))) < len(paths):
+        names = ", ".join(map(str, paths))
+        raise bad_config(f"two of the outputs are the same file: {names}", "give each a name of its own")
 
 
 def _report(result: "Calibration", out: Path) -> dict[str, Any]:
@@ -212,9 +222,7 @@ def magnetometer(session: Path, out: Path, model: Path | None, plot: Path | None
     Stay away from iron and cables.  If there are too few directions, imumon refuses and reports what to
     turn next.  It also refuses a magnetometer whose axes are not those of the gyros.
     """
-    check_output(out)
-    if plot is not None:
-        check_output(plot, suffix=".png")
+    _check_outputs(out, plot)
     from datetime import UTC, datetime
 
     from imumon.lab.calibration.magnetometer import axes_of, doubts, fit_magnetometer

@@ -8,6 +8,7 @@ import numpy.typing as npt
 from pydantic import BeforeValidator, Field, FiniteFloat, NonNegativeInt, model_validator
 
 from imumon.blocks import BoolArray, FloatArray
+from imumon.columns import BodyAxes
 from imumon.config import StrictModel, dump_yaml, load_yaml
 from imumon.effects.library import AnyEffect
 from imumon.errors import ImumonError, bad_config
@@ -122,7 +123,7 @@ class BiasModel(StrictModel):
     device: str | None = None
     serial: str | None = None
     """Device name and the unit's serial number."""
-    axes: Literal["FLU", "FRD"] | None = None
+    axes: BodyAxes | None = None
     """Body axes of the data."""
     earth_rate: Literal["included", "removed"] = "included"
     """Whether the constant of the gyro curves holds the earth rate of the place and attitude of the test."""
@@ -150,11 +151,12 @@ class BiasModel(StrictModel):
                 raise ValueError(f"channel {name} is in {UNITS[name]}, not {channel.unit}")
         return self
 
-    def of_another(self, serial: str | None) -> str:
-        """Return a warning where this is the model of another unit; empty where that is not known."""
-        if serial is None or self.serial in (None, serial):
-            return ""
-        return f"the bias model is of unit {self.serial}, this is {serial}"
+    def of_another(self, serial: str | None, axes: BodyAxes | None = None) -> str:
+        """Return a warning where this is the model of another unit, or in other body axes; else ""."""
+        for what, own, other in (("of unit", self.serial, serial), ("in body axes", self.axes, axes)):
+            if None not in (own, other) and own != other:
+                return f"the bias model is {what} {own}, this is {other}"
+        return ""
 
     def write(self, path: Path) -> None:
         """Write the model file; what `load_model` reads from it equals this model, to the bit.

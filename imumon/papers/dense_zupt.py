@@ -17,8 +17,8 @@ import numpy as np
 
 from imumon.blocks import ColumnArray, FloatArray, SampleBlock
 from imumon.columns import Column
-from imumon.filters.turns import rotation_by
-from imumon.geodesy import EARTH_RATE, STANDARD_GRAVITY, body_to_ned
+from imumon.filters.turns import cross_matrix, rotation_by
+from imumon.geodesy import STANDARD_GRAVITY, body_to_ned, earth_rate_along
 from imumon.models.model import BiasModel
 from imumon.papers.slot_stage import SlotStage, at_rest, gyro_predictor, inertial
 
@@ -29,7 +29,10 @@ YAW = 2
 MEASURED_S = 0.01
 """The standard deviations of the measurements are those of one every 10 ms, as at the paper's 100 Hz."""
 SLOT_S = 0.25
+LONGEST_GAP_S = 1.25
+"""Without samples for longer the unit may have moved; a packet that comes every second may be late."""
 ZEROING_S = 60.0
+"""s at rest; after a gap as long there is nothing to go on from."""
 LEVELLING_S = 1.0
 """s at rest whose mean specific force is the vertical after a motion."""
 VELOCITY_RANDOM_WALK = 1e-3
@@ -64,9 +67,9 @@ class DenseSettings:
         """Earth rate north, east, down, as far as it is known, rad/s, (3,)."""
         if self.latitude_deg is None:
             return np.zeros(3)
-        latitude = math.radians(self.latitude_deg)
-        north = 0.0 if self.heading_deg is None else math.cos(latitude)
-        return EARTH_RATE * np.array([north, 0.0, -math.sin(latitude)])
+        north, _, down = np.eye(3)
+        known = north * (self.heading_deg is not None)
+        return earth_rate_along(-down, known, math.radians(self.latitude_deg))
 
     @cached_property
     def start(self) -> FloatArray:
@@ -125,12 +128,6 @@ def begin(
     return State(attitude, attitude, gravity, *known, velocity=np.zeros(3), accel_bias=np.zeros(3))
 
 
-def cross(a: FloatArray) -> FloatArray:
-    """Return [a x], (3, 3)."""
-    x, y, z = a.tolist()
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-
-
 def step(
     state: State, settings: DenseSettings, gyro: FloatArray, accel: FloatArray, drift: FloatArray
 ) -> FloatArray:
@@ -151,8 +148,8 @@ def step(
     # F = 1 + A dt, and half (A dt)² from bias to velocity:
     # phi' = -[earth x] phi - C b_g,  v' = -[C f x] phi - C b_a.
     f = np.eye(STATES)
-    f[PHI, PHI] -= dt * cross(earth)
-    f[VELOCITY, PHI] = -dt * cross(force)
+    f[PHI, PHI] -= dt * cross_matrix(earth)
+    f[VELOCITY, PHI] = -dt * cross_matrix(force)
     f[PHI, GYRO] = f[VELOCITY, ACCEL] = -dt * state.attitude
     f[VELOCITY, GYRO] = 0.5 * f[VELOCITY, PHI] @ f[PHI, GYRO]
     predicted = f @ state.covariance @ f.T + settings.noise
@@ -199,6 +196,9 @@ class DenseZupt(SlotStage):
         self._assume_rest = assume_rest
         self._state: State | None = None
         self._resting: list[FloatArray] = []
+        """Mean gyros (3) and accelerometers (3) of the slots of a zeroing or a levelling, and their s."""
+        self._slot_ns = 0
+        """Begin of the last slot."""
 
     @property
     def columns(self) -> Sequence[Column]:
@@ -221,21 +221,29 @@ class DenseZupt(SlotStage):
         slots, breaks = self.slots(block, values)
         results = np.full((len(slots), 6), np.nan)
         for k in range(len(slots)):
+            start_ns, length_ns = int(slots.start_ns[k]), self._gatherer.length_ns
             if slots.begins[k]:
+                self._slot_ns = start_ns - length_ns
+            passed = (start_ns - self._slot_ns) // length_ns
+            self._slot_ns += passed * length_ns
+            if slots.begins[k] or passed * SLOT_S > ZEROING_S:
                 self._state, self._resting = None, []
-            self._take(slots.mean[k], bool(slots.smallest[k, 9] == 1.0))
+            self._take(slots.mean[k], bool(slots.smallest[k, 9] == 1.0), passed * SLOT_S)
             if self._state is not None:
                 results[k] = *self._state.bias, *self._state.bias_sd
         shown = self.spread(slots.row, results, breaks, len(block))
         shown[:, :3] += curve
         return {column.name: part for column, part in zip(self.columns, shown.T, strict=True)}
 
-    def _take(self, mean: FloatArray, rests: bool) -> None:
-        """Take in a slot of gyros (3), accelerometers (3), warming (3) and rest."""
+    def _take(self, mean: FloatArray, rests: bool, elapsed_s: float) -> None:
+        """Take in a slot of gyros (3), accelerometers (3), warming (3) and rest, so long after the last."""
         state, settings = self._state, self._settings
-        drift = SLOT_S * np.nan_to_num(mean[6:9])
+        if elapsed_s != SLOT_S:
+            settings = replace(settings, interval_s=elapsed_s)
+        drift = elapsed_s * np.nan_to_num(mean[6:9])
         measured = rests and bool(np.isfinite(mean[:6]).all())
-        if measured and state is not None and np.isfinite(state.velocity).all():
+        gap = elapsed_s > LONGEST_GAP_S
+        if measured and not gap and state is not None and np.isfinite(state.velocity).all():
             # The bias of a step is that at its end.
             step(state, settings, mean[:3] + 0.5 * drift, mean[3:6], drift)
             return
@@ -243,16 +251,17 @@ class DenseZupt(SlotStage):
             state.bias = state.bias + drift
             state.covariance[GYRO, GYRO] += settings.noise[GYRO, GYRO]
             state.velocity[:] = np.nan
-        if not measured:
+        if gap or not measured:
             self._resting = []
+        if not measured:
             return
         # A zeroing or a levelling is under way.  Rates before refer to the bias of now.
         self._resting = [np.concatenate([past[:3] + drift, past[3:]]) for past in self._resting]
-        self._resting.append(mean[:6])
-        if len(self._resting) * SLOT_S < (ZEROING_S if state is None else LEVELLING_S) - 1e-9:
+        self._resting.append(np.append(mean[:6], SLOT_S if gap else elapsed_s))
+        if np.sum(self._resting, axis=0)[6] < (ZEROING_S if state is None else LEVELLING_S):
             return
         means = np.mean(self._resting, axis=0)
-        fresh = begin(settings, means[3:], np.zeros(3))
+        fresh = begin(settings, means[3:6], np.zeros(3))
         if state is None:
             fresh.bias = means[:3] - fresh.attitude.T @ settings.earth
         else:

@@ -113,16 +113,20 @@ class LocalLevel(NamedTuple):
     """(rad/s)²/s."""
 
 
+def measured(means: Sequence[RestMean]) -> int:
+    """Return how many of the means have readings."""
+    return sum(1 for mean in means if mean.covered_s > 0.0)
+
+
 def fit_local_level(means: Sequence[RestMean]) -> LocalLevel:
     """Fit white noise and random walk by likelihood.
 
     The mean over the logarithm of the walk, weighted by the likelihood: never without a walk, for without
     process noise the covariance of the filters degenerates.  Raises BAD_DATA when there are too few means.
     """
-    count = sum(1 for mean in means if mean.covered_s > 0.0)
-    if count < LEAST_MEANS:
+    if (count := measured(means)) < LEAST_MEANS:
         raise bad_data(
-            f"{count} s of readings at rest", f"noise can be fitted from {LEAST_MEANS} s on; hours are better"
+            f"{count} means at rest", f"noise can be fitted from {LEAST_MEANS} means on; hours are better"
         )
     deviance, white, *_ = filtered(means, RATIOS)
     weights = np.exp(-0.5 * (deviance - deviance.min()))

@@ -28,6 +28,7 @@ from imumon.papers.local_level import (
     from_noise,
     hold,
     level_after,
+    measured,
 )
 from imumon.papers.shi_filters import LinearFilter, Model, SampleFilter, SigmaPointFilter
 from imumon.papers.slot_stage import SlotStage, at_rest, gyro_predictor
@@ -83,7 +84,7 @@ class Axis:
         if not self.filters or self.noise is None:
             self.means.append(new)
         self.covered_s += new.covered_s
-        if self.noise is None and self.covered_s >= max(learn_s, LEAST_MEANS):
+        if self.noise is None and self.covered_s >= learn_s and measured(self.means) >= LEAST_MEANS:
             self.noise = fit_local_level(self.means)
             last = max(k for k, mean in enumerate(self.means) if mean.begins)
             del self.means[:last]

@@ -25,7 +25,7 @@ import numpy as np
 from imumon.blocks import ColumnArray, FloatArray, SampleBlock
 from imumon.columns import Column
 from imumon.filters.turns import rotation_by
-from imumon.geodesy import EARTH_RATE, STANDARD_GRAVITY, heading_of
+from imumon.geodesy import STANDARD_GRAVITY, earth_rate_along, heading_of
 from imumon.papers.slot_stage import SlotStage, inertial
 
 SLOT_S = 0.125
@@ -48,11 +48,6 @@ COARSE_S = 30.0
 """s of averaging that the loop starts from."""
 CORNER, DAMPING = 4.0 * math.pi, 0.7
 """ω_n in rad/s (2 Hz) and ζ of the loop, as in the paper's figures."""
-
-
-def earth_rate(latitude: float) -> FloatArray:
-    """Return Ω east, north, up at a latitude in rad, rad/s, (3,)."""
-    return EARTH_RATE * np.array([0.0, math.cos(latitude), math.sin(latitude)])
 
 
 Gains = tuple[float, float, float]
@@ -129,7 +124,8 @@ class SelfAlignment(SlotStage):
 
     def __init__(self, latitude: float, methods: Sequence[str] = METHODS) -> None:
         super().__init__(7, SLOT_S, len(COLUMNS))
-        self._earth = earth_rate(latitude)
+        _, north, up = np.eye(3)
+        self._earth = earth_rate_along(up, north, latitude)
         self.columns = [column for column in COLUMNS if column.name.startswith(tuple(methods))]
         self._begin()
         self._middle_ns = 0

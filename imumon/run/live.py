@@ -236,7 +236,7 @@ class LiveRun(DecodedPort):
             what = f"the recording {self.session.wire_path} cannot be made: {error.strerror}"
             raise bad_config(what, "give another folder") from error
         model = setup.model
-        self._of_another = model.of_another(serial) if isinstance(model, BiasModel) else ""
+        self._of_another = model.of_another(serial, device.axes) if isinstance(model, BiasModel) else ""
         self._recorder = Recorder(self._writer, self._report_problem, self._save)
         card = {"device": device.title, "port": str(settings), "recording": str(self.session.path)}
         super().__init__(device, settings, pipeline, self._report, self._recorder.put, card)

@@ -51,7 +51,6 @@ def demo(context: click.Context, options: tuple[str, ...]) -> int:
     from imumon.cli.monitor_command import command
     from imumon.protocols.device import load_device
     from imumon.simulation.virtual_device import VirtualDevice
-    from imumon.simulation.virtual_port import VirtualPort
 
     try:
         device = command.make_context("demo", ["PORT", "--device", DEVICE, *options]).params["device"]
@@ -61,15 +60,19 @@ def demo(context: click.Context, options: tuple[str, ...]) -> int:
     described = load_device(device)
     # Ctrl-C before the monitor is ready waits until it is, so that every run ends with a summary.
     signal.pthread_sigmask(signal.SIG_BLOCK, STOP)
-    with tempfile.TemporaryDirectory(prefix="imumon-demo-") as folder:
-        port = VirtualPort(Path(folder) / "ahrs")
-        arguments = ["monitor", port.path, "--device", device, *options]
-        monitor = subprocess.Popen([sys.executable, "-m", "imumon", *arguments])
-        for number in STOP:  # Ctrl-C in a terminal reaches the monitor anyway, and twice does no harm
-            signal.signal(number, lambda *_: monitor.send_signal(signal.SIGINT))
-        with VirtualDevice(described, port=port):
+    with (
+        tempfile.TemporaryDirectory(prefix="imumon-demo-") as folder,
+        VirtualDevice(described, Path(folder) / "ahrs") as simulated,
+    ):
+        arguments = ["monitor", simulated.port.path, "--device", device, *options]
+        with subprocess.Popen([sys.executable, "-m", "imumon", *arguments]) as monitor:
+            for number in STOP:  # Ctrl-C in a terminal reaches the monitor anyway, and twice does no harm
+                signal.signal(number, lambda *_: monitor.send_signal(signal.SIGINT))
             signal.pthread_sigmask(signal.SIG_UNBLOCK, STOP)
-            return monitor.wait()
+            code = monitor.wait()
+    if simulated.failure is not None:  # the monitor only knows that nothing came
+        raise simulated.failure
+    return code
 
 
 @click.command("virtual")
@@ -158,9 +161,11 @@ def simulate(
     plan = load_scenario(scenario).model_copy(update={k: v for k, v in given.items() if v is not None})
     text, source = device_text(device or DEVICE)
     described, as_table = parse_device(text, source), out.suffix in TABLES
-    if out.suffix in OTHERS:
+    if not as_table and out.suffix.lower() in (*TABLES, *OTHERS):
         what = f"{out}: simulate writes no such file: a table is NAME.parquet or NAME.csv, a session a folder"
         raise bad_config(what, "imumon export writes the other formats of a session")
+    if as_table and serial is not None:
+        raise bad_config(f"{out}: a table has no serial number", "leave --serial away, or make a session")
     if device is not None or not as_table:  # in the axes of the device
         plan = plan.played(plan.rate_hz, described.axes)
     expected_s = STARTING_S + plan.samples / SAMPLES_PER_S

@@ -15,7 +15,6 @@ import threading
 import time
 import tty
 from contextlib import AbstractContextManager, suppress
-from functools import partial
 from pathlib import Path
 
 from imumon.errors import ImumonError, Reason, bad_config
@@ -53,16 +52,11 @@ class VirtualPort(AbstractContextManager["VirtualPort"]):
         self.bytes_sent = 0
         """Bytes that went over the line while a host had the port open."""
         self.bytes_lost = 0
-        """Bytes written that did not: no host, mute, unplugged, or written faster than the line carries."""
-        self.bytes_overrun = 0
-        """Bytes that arrived at the host and found its buffers full, since it did not read."""
-        self.held_s = CHUNK_S
-        """Line time of what is handed over at once; 0.016 s is an adapter with its usual latency timer."""
+        """Bytes written that did not: no host, unplugged, or written faster than the line carries."""
         self._link = link
         self._master: int | None = None
         self._node = ""
         self._backlog = bytearray()
-        self._mute = False
         self._closing = False
         self._sampler: Sampler | None = None
         self._changed = threading.Condition()
@@ -78,7 +72,7 @@ class VirtualPort(AbstractContextManager["VirtualPort"]):
     def write(self, data: bytes) -> None:
         """Send bytes to the host; returns at once, whether or not anyone reads."""
         with self._changed:
-            if self._mute or self._master is None:
+            if self._master is None:
                 self.bytes_lost += len(data)
                 return
             room = max(BACKLOG - len(self._backlog), 0)
@@ -115,17 +109,6 @@ class VirtualPort(AbstractContextManager["VirtualPort"]):
         """Return the rate that the host has set."""
         assert self._master is not None
         return _termios2(self._master)[_OSPEED]
-
-    def silence(self) -> None:
-        """Let the device send nothing more until `resume`; what it writes is lost."""
-        with self._changed:
-            self._mute = True
-            self._lose_backlog()
-
-    def resume(self) -> None:
-        """Let the device send again."""
-        with self._changed:
-            self._mute = False
 
     def unplug(self) -> None:
         """Pull the cable: the node disappears and the host's descriptor fails.
@@ -193,11 +176,7 @@ class VirtualPort(AbstractContextManager["VirtualPort"]):
                 if self._closing:
                     return
                 rate = self.baudrate / BITS_PER_BYTE
-                whole = rate * self.held_s
-                if self.held_s > CHUNK_S:
-                    left_s = max(free_at + self.held_s - time.monotonic(), 0.0)
-                    self._changed.wait_for(partial(self._has, whole), left_s)
-                size = min(len(self._backlog), math.ceil(whole))
+                size = self._ready(rate)
             free_at += size / rate
             time.sleep(max(free_at - time.monotonic(), 0.0))
             with self._changed:
@@ -206,18 +185,17 @@ class VirtualPort(AbstractContextManager["VirtualPort"]):
                 del self._backlog[:size]
                 self._changed.notify_all()
 
-    def _has(self, size: float) -> bool:
-        return self._closing or len(self._backlog) >= size
+    def _ready(self, rate: float) -> int:
+        """Return how many bytes are handed over at once, by bytes per s."""
+        return min(len(self._backlog), math.ceil(rate * CHUNK_S))
 
     def _deliver(self, data: bytes) -> None:
         """Hand bytes to the host, if there is one and it has room."""
         if self._master is None or not self.host_listens():
             self.bytes_lost += len(data)
             return
-        sampled, taken = self._as_sampled(data), 0
-        with suppress(BlockingIOError):
-            taken = os.write(self._master, sampled)
-        self.bytes_overrun += len(sampled) - taken
+        with suppress(BlockingIOError):  # a host that does not read loses what finds its buffers full
+            os.write(self._master, self._as_sampled(data))
         self.bytes_sent += len(data)
 
     def _as_sampled(self, data: bytes) -> bytes:

@@ -137,7 +137,7 @@ def sizes(title: str, points: list[Points], truth: FloatArray, channels: list[Ch
         by_sample = [rms(part) / DEG_PER_H for part in zip(*(parts for _, parts, _ in found), strict=True)]
         true = rms(np.column_stack([curve.value(INSIDE) for curve, _, _ in found]) - truth) / DEG_PER_H
         fit = partial(fit_network, neurons=n, restarts=3)
-        apart = rms([rms(held_out(channel.points(), fit)) for channel in channels]) / DEG_PER_H
+        apart = rms([rms(held_out(channel, fit)) for channel in channels]) / DEG_PER_H
         rows.append([n, *by_sample, apart if channels else "", true])
     heads = ["neurons", "training samples", "validation samples", "test samples", "levels left out"]
     formats = ("", ".2f", ".2f", ".2f", ".1f", ".2f")
@@ -167,7 +167,7 @@ def slope_methods(soak: Soak, axis: int) -> dict[str, Function]:
     channel, all_points = soak.channels[axis], soak.halfminutes(axis)
     means = level_means(soak, axis)
     knots = knots_of(channel, soak.centers)
-    points = channel.points(slow_variance(channel.points(), channel.white, knots))
+    points = channel.weighted(slow_variance(channel, knots))
     return {
         "derivative of the published b(T) network": published(all_points, 2, 1)[0].slope,
         "network on differences of levels": published(level_differences(soak, axis), 2, 1)[0].value,
@@ -175,7 +175,7 @@ def slope_methods(soak: Soak, axis: int) -> dict[str, Function]:
         "imumon: smoothing spline": fit_spline(points, knots).slope,
         "imumon: network 2": fit_network(points, 2).slope,
         "imumon: network 3": fit_network(points, 3).slope,
-        "imumon calibrate: its choice": choose(channel, points, knots).curve.slope,
+        "imumon calibrate: its choice": choose(points, knots).curve.slope,
     }
 
 
@@ -209,7 +209,7 @@ def outside(soak: Soak) -> Table:
         low, high = soak.centers[1] - DWELLING_DEGC, soak.centers[-2] + DWELLING_DEGC
         inner = channel.only((channel.temperature > low) & (channel.temperature < high))
         knots = knots_of(inner, soak.centers[1:-1])
-        curve = fit_spline(inner.points(), knots)
+        curve = fit_spline(inner.weighted(), knots)
         for end, sign in ((knots[0], -1.0), (knots[-1], 1.0)):
             truth = np.interp(end + sign * DISTANCES_DEGC, INSIDE, soak.bias[:, axis])
             value, slope = float(curve.value(end)), float(curve.slope(end))
@@ -237,7 +237,7 @@ def chamber(record: Record, share: float) -> Table:
         channel = channel_of([first], groups, name, centers)
         assert channel is not None
         knots = knots_of(channel, centers)
-        points = channel.points(slow_variance(channel.points(), channel.white, knots))
+        points = channel.weighted(slow_variance(channel, knots))
         curves: dict[str, Curve] = {
             "line": fit_polynomial(points, 1),
             "cubic": fit_polynomial(points, 3),
@@ -245,7 +245,7 @@ def chamber(record: Record, share: float) -> Table:
             "network 2": fit_network(points, 2),
         }
         found = model.model.channels[name]
-        t, value = rest.means.of(channel.temperature_column)[rest.rest], rest.means.of(name)[rest.rest]
+        t, value = rest.means.of(found.temperature_column)[rest.rest], rest.means.of(name)[rest.rest]
         inside = found.inside(t)
         constant = float(np.average(channel.value, weights=channel.seconds))
         errors = {"constant": rms(value[inside] - constant)}

@@ -28,6 +28,7 @@ from imumon.simulation.unit import SimulatedUnit, load_scenario
 from imumon.simulation.virtual_device import VirtualDevice
 from tests.cli.command import IMUMON, answer, imumon
 from tests.data_folder import measured
+from tests.faults.port import FaultyPort
 from tests.waiting import LIMIT_S, wait_until
 
 
@@ -271,6 +272,8 @@ def test_measured_captures_decode_without_loss(tmp_path: Path) -> None:
         (["replay", "{session}", "--pipeline", "{tab}"], 2, "YAML is indented with spaces"),
         (["view", "{session}", "--out", "v.html"], 2, "name it v.rrd"),
         (["simulate", "kitchen", "--out", "s.xlsx"], 2, "a table is NAME.parquet or NAME.csv"),
+        (["simulate", "kitchen", "--out", "s.CSV"], 2, "a table is NAME.parquet or NAME.csv"),
+        (["simulate", "kitchen", "--out", "s.csv", "--serial", "S1"], 2, "a table has no serial number"),
         (["simulate", "kitchen", "--out", "s", "--duration", "10m"], 2, "10m is not a number of seconds"),
         (["monitor", ".", "--device", "ax1", "--view", "none"], 3, "it exists but is not a serial port"),
         (["demo", "--speed"], 2, "Usage: imumon demo"),
@@ -321,8 +324,9 @@ def test_a_device_file_can_be_printed_changed_and_used(capture: Path, tmp_path: 
 
 
 def test_a_silent_port_is_an_error_with_a_session_of_what_happened(tmp_path: Path) -> None:
-    with VirtualDevice(load_device("ax1"), tmp_path / "ahrs") as ahrs:
-        ahrs.port.silence()
+    port = FaultyPort(tmp_path / "ahrs")
+    with VirtualDevice(load_device("ax1"), port=port) as ahrs:
+        port.silence()
         done = imumon(*monitoring(ahrs, tmp_path / "s"), "--seconds", 1)
     assert done.returncode == 3
     assert "no byte came" in done.stderr

@@ -31,10 +31,11 @@ from imumon.run.setup import Setup
 from imumon.run.stages import estimators
 from imumon.simulation.unit import SimulatedUnit, load_scenario
 from imumon.simulation.unit.unit import MICROSECOND
-from imumon.simulation.virtual_port import CHUNK_S, VirtualPort
+from imumon.simulation.virtual_port import CHUNK_S
 from imumon.transport.reader import Event, EventKind
 from imumon.transport.settings import PortSettings
 from imumon.view.items import State, ViewItem
+from tests.faults.port import FaultyPort
 from tests.faults.rows import Row
 from tests.waiting import unread, wait_until
 
@@ -59,7 +60,7 @@ class Line:
     """Packets of a simulated unit on their way to a live run, each noted with what must become of it."""
 
     def __init__(self, link: Path, seed: int) -> None:
-        self.port = VirtualPort(link, DEVICE.serial.baudrates[0])
+        self.port = FaultyPort(link, DEVICE.serial.baudrates[0])
         self.rng = np.random.default_rng(seed)
         self.sure: Counter[bytes] = Counter()
         """Packets that must be accepted, as often as here."""

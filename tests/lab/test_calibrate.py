@@ -120,6 +120,24 @@ def test_wrong_options_end_with_2(
     assert not (tmp_path / "model.yaml").exists()
 
 
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("calibrate", "--out", "m.param", "--export", "ardupilot"),
+        ("calibrate", "--out", "m.png", "--plot", "m.png"),
+        ("magnetometer", "--out", "m.png", "--plot", "../here/m.png"),
+    ],
+)
+def test_two_outputs_in_one_file_are_refused(short: Path, tmp_path: Path, arguments: tuple[str, ...]) -> None:
+    folder = tmp_path / "here"
+    folder.mkdir()
+    command, *options = arguments
+    done = imumon(command, short, *options, cwd=folder)
+    assert done.returncode == 2
+    assert "two of the outputs are the same file" in done.stderr
+    assert not list(folder.iterdir())
+
+
 def test_what_cannot_give_a_model_ends_with_4_and_no_file(short: Path, tmp_path: Path) -> None:
     done = imumon("calibrate", short, "--out", tmp_path / "model.yaml")
     assert done.returncode == 4

@@ -22,6 +22,7 @@ from imumon.recordings.folder import open_session
 from imumon.simulation.unit import SimulatedUnit, load_scenario
 from imumon.simulation.virtual_device import VirtualDevice
 from imumon.simulation.virtual_port import VirtualPort
+from tests.faults.port import FaultyPort
 from tests.waiting import wait_until
 
 pytestmark = pytest.mark.usefixtures("no_leaks")
@@ -110,11 +111,15 @@ def test_a_lost_port_is_logged_and_raised_and_comes_back(
 
 
 def test_a_silent_port_is_logged_and_raised(
-    device: VirtualDevice, record: Path | None, caplog: pytest.LogCaptureFixture
+    tmp_path: Path, record: Path | None, caplog: pytest.LogCaptureFixture
 ) -> None:
-    with imumon.open(device.port.path, "ax1", timeout=0.5, record=record) as unit:
+    port = FaultyPort(tmp_path / "imu")
+    with (
+        VirtualDevice(load_device("ax1"), port=port),
+        imumon.open(port.path, "ax1", timeout=0.5, record=record) as unit,
+    ):
         first_rows(unit)
-        device.port.silence()
+        port.silence()
         while unit.state != "silent":
             assert "is open but silent" in str(raised(unit, Reason.SILENT))
         assert any(r.levelno == logging.WARNING and "port silent" in r.message for r in caplog.records)

@@ -11,6 +11,7 @@ import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from imumon.columns import BodyAxes
 from imumon.config import parse_yaml
 from imumon.errors import ImumonError, Reason
 from imumon.models.curves.network import NetworkCurve
@@ -173,3 +174,21 @@ def test_outside_the_range_the_tangent_is_followed_and_then_held() -> None:
     assert float(model.value(200.0)) == float(model.value(48.0 + reach))
     assert float(model.slope(200.0)) == 0.0
     assert model.inside([-20.1, -20.0, 48.0, 48.1]).tolist() == [False, True, True, False]
+
+
+@pytest.mark.parametrize(
+    ("serial", "axes", "reported"),
+    [
+        ("SN1", "FRD", ""),
+        (None, None, ""),
+        ("SN2", "FRD", "of unit SN1, this"),
+        (None, "FLU", "axes FRD, this"),
+    ],
+)
+def test_what_does_not_belong_to_a_model_is_reported(
+    serial: str | None, axes: BodyAxes | None, reported: str
+) -> None:
+    model = three_curves().model_copy(update={"serial": "SN1", "axes": "FRD"})
+    text = model.of_another(serial, axes)
+    assert bool(text) is bool(reported)
+    assert reported in text

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from dense_record import DenseRun, dense_filter
 
-from imumon.blocks import FloatArray
+from imumon.blocks import FloatArray, SampleBlock
 from imumon.geodesy import body_to_ned
 from imumon.models.curves.polynomial import PolynomialCurve
 from imumon.models.model import BiasModel, ChannelModel
@@ -132,3 +132,61 @@ def test_live_it_follows_a_ramp_and_holds_in_motion(method: str) -> None:
     assert np.abs(error[6100:]).max() < 8.8
     assert (np.diff(sd[10100:11000]) >= 0.0).all()
     assert sd[10990] > sd[9990]
+
+
+def slow(rate_hz: float, seconds: float, hole: tuple[float, float] = (0.0, 0.0)) -> SampleBlock:
+    """Return a unit at rest, warming by 12 °C/h, in motion from 120 s on, without the samples of a hole."""
+    t = np.arange(round(rate_hz * seconds)) / rate_hz
+    t = t[(t <= hole[0]) | (t >= hole[1])]
+    random = np.random.default_rng(1)
+    columns = {f"gyro_{a}": 40.0 * DPH * t / 300.0 + DPH * random.standard_normal(len(t)) for a in "xyz"}
+    force = np.array([0.0, 0.0, -GRAVITY]) + 1e-4 * random.standard_normal((len(t), 3))
+    return SampleBlock(
+        {
+            "device_time_ns": np.rint(t * 1e9).astype(np.int64),
+            "segment": np.zeros(len(t), np.int64),
+            "temperature": 25.0 + t / 300.0,
+            "temperature_rate": np.full(len(t), 1.0 / 300.0),
+            "at_rest": (t < 120.0).astype(np.int64),
+            **columns,
+            **{f"accel_{a}": force[:, i] for i, a in enumerate("xyz")},
+        }
+    )
+
+
+@pytest.mark.parametrize("rate_hz", [5.0, 3.0, 1.0])
+def test_a_slow_stream_is_the_filter_of_a_fast_one(rate_hz: float) -> None:
+    settings = replace(SETTINGS, latitude_deg=None, heading_deg=None)
+    fast, found = (
+        {
+            name: column[round(hz * 240.0) - 2] / DPH
+            for name, column in DenseZupt("dense_tczupt", settings, warming_model(40.0))
+            .process(slow(hz, 240.0))
+            .items()
+        }
+        for hz in (20.0, rate_hz)
+    )
+    for axis in "xyz":
+        sd = fast[f"dense_tczupt_gyro_bias_sd_{axis}"]
+        assert found[f"dense_tczupt_gyro_bias_sd_{axis}"] == pytest.approx(sd, rel=0.05)
+        assert found[f"dense_tczupt_gyro_bias_{axis}"] == pytest.approx(32.0, abs=3.0)
+
+
+@pytest.mark.parametrize(("hole_s", "known"), [(0.9, True), (30.0, True), (36000.0, False)])
+def test_what_is_not_measured_is_not_counted_as_rest(hole_s: float, known: bool) -> None:
+    settings = replace(SETTINGS, latitude_deg=None, heading_deg=None)
+    block = slow(20.0, 100.0 + hole_s + 20.0, (100.0, 100.0 + hole_s))
+    whole = DenseZupt("dense_zupt", settings, assume_rest=True)
+    columns = dict(block.columns)
+    del columns["at_rest"]
+    sd = whole.process(SampleBlock(columns))["dense_zupt_gyro_bias_sd_x"] / DPH
+    after = int(np.searchsorted(block["device_time_ns"], (100.0 + hole_s) * 1e9)) + 15
+    assert np.isfinite(sd[after]) == known
+    if known:
+        grown = np.hypot(sd[after - 25], 0.1 * np.sqrt(hole_s))
+        assert sd[after] == pytest.approx(grown if hole_s > 1.25 else sd[after - 25], rel=0.01)
+
+
+def test_a_stream_of_less_than_a_packet_a_second_has_no_values() -> None:
+    found = DenseZupt("dense_zupt", SETTINGS).process(slow(0.5, 300.0))
+    assert all(np.isnan(column).all() for column in found.values())

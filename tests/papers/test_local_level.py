@@ -65,7 +65,7 @@ def test_white_noise_and_walk_come_out_as_they_went_in() -> None:
 
 def test_a_minute_does_not_show_a_walk_and_the_filters_get_one_all_the_same() -> None:
     assert fit_local_level(seconds((1e-3 * RNG.standard_normal(60)).tolist())).walk > 0.0
-    with pytest.raises(ImumonError, match="from 30 s on"):
+    with pytest.raises(ImumonError, match="from 30 means on"):
         fit_local_level(seconds([0.0] * 20))
 
 

@@ -95,6 +95,18 @@ def test_gaps_and_another_rate_are_survived() -> None:
     assert np.isnan(added["sr_rsukf_random_error_y"]).all()
 
 
+def test_a_slow_log_is_learnt_from_as_many_means_as_a_fast_one() -> None:
+    n, period_s = 100, 2.5
+    rng = np.random.default_rng(3)
+    times = np.rint(np.arange(n) * period_s * 1e9).astype(np.int64)
+    block = samples(0.01 + flicker(n, rng), 1, rng).with_columns({"device_time_ns": times})
+    added = RandomErrorMethods(given=QUICK).process(block)
+    for method in METHODS:
+        begins = np.flatnonzero(np.isfinite(added[f"{method}_random_error_x"]))
+        assert begins[0] == 30
+        assert len(begins) == n - 30
+
+
 def test_known_noise_starts_the_filters_after_a_second() -> None:
     noise = AxisNoise(angle_random_walk=WHITE, rate_random_walk=1e-2 * WHITE)
     known = QUICK.model_copy(update={"noise": {"gyro_x": noise}})

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.filters.turns import rotation_by
-from imumon.geodesy import EARTH_RATE, MICRO_G, STANDARD_GRAVITY, body_to_ned
+from imumon.geodesy import EARTH_RATE, MICRO_G, STANDARD_GRAVITY, body_to_ned, earth_rate_along
 from imumon.papers import self_alignment
 from imumon.papers.self_alignment import (
     CORNER,
@@ -18,12 +18,11 @@ from imumon.papers.self_alignment import (
     Loop,
     SelfAlignment,
     coarse,
-    earth_rate,
     gains,
 )
 
 LATITUDE = math.radians(36.0)
-EARTH = earth_rate(LATITUDE)
+EARTH = earth_rate_along(np.array([0.0, 0.0, 1.0]), np.array([0.0, 1.0, 0.0]), LATITUDE)
 LEVEL = EARTH_RATE * math.cos(LATITUDE)
 
 

@@ -27,6 +27,7 @@ from imumon.simulation.virtual_device import VirtualDevice
 from imumon.transport.reader import Bytes, Event, EventKind, Item, Reads
 from imumon.transport.settings import PortSettings
 from imumon.view.items import Log, State, Status, ViewItem
+from tests.faults.port import FaultyPort
 from tests.models.models import three_curves
 from tests.waiting import wait_until
 
@@ -146,17 +147,18 @@ def test_an_unplugged_device_comes_back_and_a_reboot_begins_a_segment(
     assert digest.hexdigest() == summary.results_digest
 
 
-def test_silence_is_reported_and_ends_by_itself(tmp_path: Path, ahrs: VirtualDevice) -> None:
-    watcher = Watcher()
-    run = start(ahrs.port.path, tmp_path / "session", watcher)
-    assert wait_until(lambda: run.pipeline.counters.packets > 10)
-    ahrs.port.silence()
-    assert wait_until(lambda: "silent" in watcher.states("port"))
-    ahrs.port.resume()
-    before = run.pipeline.counters.packets
-    assert wait_until(lambda: watcher.states("port")[-1] == "open")
-    assert wait_until(lambda: run.pipeline.counters.packets > before)
-    summary = run.stop()
+def test_silence_is_reported_and_ends_by_itself(tmp_path: Path) -> None:
+    watcher, port = Watcher(), FaultyPort(tmp_path / "ahrs")
+    with VirtualDevice(AX1, port=port):
+        run = start(port.path, tmp_path / "session", watcher)
+        assert wait_until(lambda: run.pipeline.counters.packets > 10)
+        port.silence()
+        assert wait_until(lambda: "silent" in watcher.states("port"))
+        port.resume()
+        before = run.pipeline.counters.packets
+        assert wait_until(lambda: watcher.states("port")[-1] == "open")
+        assert wait_until(lambda: run.pipeline.counters.packets > before)
+        summary = run.stop()
     assert summary.counters.clock_restarts == 0
     assert summary.counters.packets_missing > 50
 

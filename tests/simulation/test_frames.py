@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from imumon.geodesy import EARTH_RATE
-from imumon.simulation.unit.unit import body_rates, earth_rate, reported, to_body
+from imumon.geodesy import EARTH_RATE, earth_rate_along
+from imumon.simulation.unit.unit import body_rates, reported, to_body
 
 ANGLE = st.floats(-np.pi, np.pi)
 
@@ -54,4 +54,6 @@ def test_rates_of_angles_become_rates_of_the_body() -> None:
     ("latitude", "north", "down"), [(0.0, 1.0, 0.0), (90.0, 0.0, -1.0), (-30.0, np.sqrt(0.75), 0.5)]
 )
 def test_the_earth_turns_about_its_axis(latitude: float, north: float, down: float) -> None:
-    np.testing.assert_allclose(earth_rate(latitude) / EARTH_RATE, [north, 0.0, down], atol=1e-12)
+    ahead, _, below = np.eye(3)
+    rate = earth_rate_along(-below, ahead, np.deg2rad(latitude))
+    np.testing.assert_allclose(rate / EARTH_RATE, [north, 0.0, down], atol=1e-12)

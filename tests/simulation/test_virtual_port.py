@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from imumon.errors import ImumonError, Reason
 from imumon.simulation.virtual_port import Sampler, VirtualPort
+from tests.faults.port import FaultyPort
 from tests.waiting import LIMIT_S, wait_until
 
 pytestmark = pytest.mark.usefixtures("no_leaks")
@@ -22,7 +23,7 @@ def test_a_host_at_the_rate_of_the_device_reads_what_was_written() -> None:
     with VirtualPort(baudrate=921600) as device, serial.Serial(device.path, 921600, timeout=LIMIT_S) as host:
         device.write(MESSAGE)
         assert host.read(256) == MESSAGE
-    assert (device.bytes_sent, device.bytes_lost, device.bytes_overrun) == (256, 0, 0)
+    assert (device.bytes_sent, device.bytes_lost) == (256, 0)
 
 
 def test_bytes_leave_no_faster_than_the_line_carries_them() -> None:
@@ -67,11 +68,10 @@ def test_a_host_that_does_not_read_overruns_instead_of_blocking_the_device() -> 
     with VirtualPort(baudrate=8000000) as device, serial.Serial(device.path, 8000000, timeout=0) as host:
         device.write(bytes(400_000))
         assert wait_until(device.drain)
-        assert device.bytes_overrun > 0
         seen = 0
         while chunk := host.read(65536):
             seen += len(chunk)
-        assert seen + device.bytes_overrun == 400_000
+        assert 0 < seen < device.bytes_sent == 400_000
 
 
 def test_what_the_host_writes_reaches_the_device() -> None:
@@ -83,7 +83,7 @@ def test_what_the_host_writes_reaches_the_device() -> None:
 
 
 def test_a_mute_device_sends_nothing_until_it_resumes() -> None:
-    with VirtualPort() as device, serial.Serial(device.path, 115200, timeout=0.1) as host:
+    with FaultyPort() as device, serial.Serial(device.path, 115200, timeout=0.1) as host:
         device.silence()
         device.write(b"lost")
         assert host.read(4) == b""

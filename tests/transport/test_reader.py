@@ -16,6 +16,7 @@ from imumon.transport import port as port_module
 from imumon.transport import reader as reader_module
 from imumon.transport.reader import Event, EventKind, Item, Reader, Sink
 from imumon.transport.settings import PortSettings
+from tests.faults.port import FaultyPort
 from tests.transport.helpers import Collector, tcp_server
 from tests.waiting import LIMIT_S, wait_until
 
@@ -74,7 +75,6 @@ def test_packets_cut_in_pieces_and_bursts_arrive_unchanged() -> None:
         for n in range(1, 16):
             device.write(PACKET * BURST)
             assert sink.got(PACKET * (1 + n * BURST))
-    assert device.bytes_overrun == 0
 
 
 def test_a_port_that_was_never_there_is_not_waited_for() -> None:
@@ -88,7 +88,7 @@ def test_a_port_that_was_never_there_is_not_waited_for() -> None:
 def test_silence_is_reported_once_and_ends_with_the_next_byte(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(reader_module, "CHECK_SILENT_S", 0.02)
     sink = Collector()
-    with VirtualPort() as device, reading(PortSettings(device.path), sink, silent_after_s=0.1):
+    with FaultyPort() as device, reading(PortSettings(device.path), sink, silent_after_s=0.1):
         device.write(PACKET)
         assert sink.saw(EventKind.SILENT)
         silences = sink.kinds.count(EventKind.SILENT)

@@ -47,10 +47,8 @@ class Finding:
     """What was found of one channel."""
 
     choice: Choice
-    points: Points
+    points: Channel
     """What the curve was fitted to, each run less its turn-on offset."""
-    white: FloatArray
-    """Variance that the samples' own noise leaves in each of the points, if it is white, (n,)."""
     offset: FloatArray
     """Turn-on offset of each run from the mean of all, in the channel's unit, (runs,); NaN where it cannot
     be determined."""
@@ -148,22 +146,21 @@ def _all_channels(
         if channel is None:
             continue
         knots = knots_of(channel, centers)
-        points = channel.points(slow_variance(channel.points(), channel.white, knots))
-        offset = turn_on_offsets(channel, points, knots)
+        channel = channel.weighted(slow_variance(channel, knots))
+        offset = turn_on_offsets(channel, len(cells.runs), knots)
         apart = np.isnan(offset[channel.run])
         if apart.any():
-            runs = ", ".join(str(run + 1) for run in np.flatnonzero(np.isnan(offset)))
+            runs = ", ".join(str(run + 1) for run in np.unique(channel.run[apart]))
             what = "left out" if is_accel else "taken as they are, without a turn-on offset"
             warnings.append(f"{name}: runs {runs} have no temperature in common with the others: {what}")
-        keep = ~(apart & is_accel)
-        shifted = replace(points, value=points.value - np.nan_to_num(offset)[channel.run]).only(keep)
-        channel = channel.only(keep)
-        choice = choose(channel, shifted, knots)
+        shifted = replace(channel, value=channel.value - np.nan_to_num(offset)[channel.run])
+        points = shifted.only(~(apart & is_accel))
+        choice = choose(points, knots)
         missed = UNTOLD_S * cells.rate * choice.curve.slope(cells.temperature)
         lag_rms = float(np.sqrt(np.average(missed**2, weights=cells.seconds)))
         own = not (cells.turned and is_accel)
-        findings[name] = Finding(choice, shifted, channel.white, offset, lag_rms, own)
-        channels[name] = _channel_model(name, channel, choice, shifted)
+        findings[name] = Finding(choice, points, offset, lag_rms, own)
+        channels[name] = _channel_model(name, records[0], choice, points)
     return findings, channels, warnings
 
 
@@ -178,14 +175,14 @@ def knots_of(channel: Channel, centers: FloatArray) -> FloatArray:
     return np.concatenate([[low], inner[(inner > low + least) & (inner < high - least)], [high]])
 
 
-def _channel_model(name: str, channel: Channel, choice: Choice, points: Points) -> ChannelModel:
+def _channel_model(name: str, record: Record, choice: Choice, points: Points) -> ChannelModel:
     low, high = float(points.temperature.min()), float(points.temperature.max())
     margin = MARGIN * (high - low)
     constant = float(choice.curve.value(0.5 * (low + high))) if name in ACCEL else 0.0
     return ChannelModel.model_validate(
         {
             "unit": UNITS[name],
-            "temperature_column": channel.temperature_column,
+            "temperature_column": record.temperature_column(name),
             "temperature_range_degc": [low - margin, high + margin],
             "residual_sd": choice.residual_sd,
             "held_out_rms": choice.held_out_rms,
@@ -256,7 +253,7 @@ def _common(names: Sequence[Name | None]) -> Name | None:
 
 
 def check_columns(records: Sequence[Record]) -> None:
-    """Raise BAD_DATA when a record has no gyro, a constant one, no temperature, or not that of the others."""
+    """Raise BAD_DATA when a record has no gyro, a constant one, no temperature, or others than the rest."""
     for record in records:
         if lacking := [name for name in GYRO if not record.means.has(name)]:
             raise bad_data(
@@ -277,11 +274,13 @@ def check_columns(records: Sequence[Record]) -> None:
                 "a sensor that measures is never so quiet: is it switched off, or the column a constant?",
             )
     thermometers = {str(record.temperature_column(GYRO[0])) for record in records}
-    if len(thermometers) > 1:
-        raise bad_data(
-            f"the sessions have different thermometers: {', '.join(sorted(thermometers))}",
-            "calibrate them apart: a curve is over one of them",
-        )
+    axes = {record.axes for record in records if record.axes is not None}
+    for what, found in (("thermometers", thermometers), ("body axes", axes)):
+        if len(found) > 1:
+            raise bad_data(
+                f"the sessions have different {what}: {', '.join(sorted(found))}",
+                "calibrate them apart: a model has one of them",
+            )
 
 
 def check_coverage(records: Sequence[Record], cells: Cells) -> None:

@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 
@@ -88,33 +89,22 @@ def read_session(path: Path, count: Count = no_count) -> tuple[Record, list[str]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Channel:
-    """A channel's means over cells of nearly constant temperature, from all records."""
+class Channel(Points):
+    """A channel's means over cells, from all records."""
 
-    name: str
-    temperature_column: str
-    temperature: FloatArray
-    value: FloatArray
-    """°C, and rad/s or m/s², (n,)."""
     white: FloatArray
-    """Variance that the samples' own noise leaves in the value, if it is white, (n,)."""
+    """Variance that the samples' own noise leaves in the mean, if it is white, (n,)."""
     seconds: FloatArray
     """Time at rest in the cell, (n,)."""
     run: IntArray
-    level: IntArray
-    """From power-on to the next, or to another pose, (n,); temperature level, upwards."""
+    """From power-on to the next, or to another pose, (n,)."""
 
-    def only(self, chosen: BoolArray) -> "Channel":
-        """Return the cells that are chosen."""
-        names = ("temperature", "value", "white", "seconds", "run", "level")
-        return replace(self, **{name: getattr(self, name)[chosen] for name in names})
-
-    def points(self, slow: float = 0.0) -> Points:
-        """Return what to fit; `slow` is the variance of what varies slowly, which a cell does not average."""
+    def weighted(self, slow: float = 0.0) -> Self:
+        """Return them with weights; `slow` is the variance of what varies slowly, which no cell averages."""
         variance = self.white + slow
         least = float(variance[variance > 0].min(initial=np.inf))
         weight = 1.0 / np.maximum(variance, least if np.isfinite(least) else 1.0)
-        return Points(self.temperature, self.value, weight / weight.mean(), self.level)
+        return replace(self, weight=weight / weight.mean())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -197,7 +187,7 @@ def channel_of(
     records: Sequence[Record], cells: Cells, name: str, level_centers: FloatArray
 ) -> Channel | None:
     """Return a channel's means over the cells, or None when it has no values, or none that vary."""
-    column = next((found for record in records if (found := record.temperature_column(name))), None)
+    column = records[0].temperature_column(name)
     if column is None or not all(record.means.has(name) for record in records):
         return None
     parts = []
@@ -217,15 +207,14 @@ def channel_of(
     share = seconds / whole[cell]
     mean_temperature = _sum(cell, share * temperature)
     return Channel(
-        name=name,
-        temperature_column=column,
         temperature=mean_temperature,
         value=_sum(cell, share * value),
+        weight=whole,
+        level=nearest(mean_temperature, level_centers),
         white=_sum(cell, share**2 * white),
         seconds=whole,
         run=run_of[first].astype(np.int64),
-        level=nearest(mean_temperature, level_centers),
-    )
+    ).weighted()
 
 
 def levels(cells: Cells) -> FloatArray:

@@ -138,7 +138,9 @@ def covered(directions: FloatArray) -> BoolArray:
 def _spread(field: FloatArray) -> list[int]:
     """Return the rows whose direction differs by `STEP_RAD` from the last that was taken."""
     rows, last, least = list[int](), np.zeros(3), float(np.cos(STEP_RAD))
-    for k, direction in enumerate(field / np.linalg.norm(field, axis=1, keepdims=True)):
+    with np.errstate(invalid="ignore"):  # where there is no field there is no direction
+        directions = field / np.linalg.norm(field, axis=1, keepdims=True)
+    for k, direction in enumerate(directions):
         if direction @ last < least:
             rows.append(k)
             last = direction

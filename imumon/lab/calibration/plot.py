@@ -51,7 +51,7 @@ def _draw(above: Axes, below: Axes, name: str, result: Calibration) -> None:
     above.plot(at, drawn, color="#d03c3c", lw=1.2, label=finding.choice.name)
     above.set_title(name, loc="right")
     above.set(ylabel=f"minus its middle [{unit}]" if name in ACCEL else f"[{unit}]")
-    noise, sd = factor * np.sqrt(finding.white), factor * model.residual_sd
+    noise, sd = factor * np.sqrt(points.white), factor * model.residual_sd
     below.errorbar(
         points.temperature, factor * (points.value - curve.value(points.temperature)), noise,
         fmt=".", ms=3, color="#3b78d8", ecolor="#b9cdf0", elinewidth=0.7,

@@ -59,7 +59,7 @@ def candidates(points: Points, knots: FloatArray) -> dict[str, Fit]:
     return found
 
 
-def choose(channel: Channel, points: Points, knots: FloatArray) -> Choice:
+def choose(points: Channel, knots: FloatArray) -> Choice:
     """Try every candidate on levels left out, and fit the best to all points."""
     tried = candidates(points, knots)
     residuals = {name: held_out(points, fit) for name, fit in tried.items()}
@@ -68,7 +68,7 @@ def choose(channel: Channel, points: Points, knots: FloatArray) -> Choice:
     curve = tried[best](points)
     known = np.isfinite(residuals[best])
     # Of the square at least a tenth is left.
-    noise = float(np.average(channel.white[known], weights=points.weight[known]))
+    noise = float(np.average(points.white[known], weights=points.weight[known]))
     beyond_white = max(rms[best] ** 2 - noise, 0.1 * rms[best] ** 2)
     return Choice(
         name=best,
@@ -88,10 +88,10 @@ def held_out(points: Points, fit: Fit) -> FloatArray:
     return residual
 
 
-def slow_variance(points: Points, white: FloatArray, knots: FloatArray) -> float:
+def slow_variance(points: Channel, knots: FloatArray) -> float:
     """Return the variance that the means have about a smooth curve beyond the white noise."""
     residual = points.value - fit_spline(points, knots).value(points.temperature)
-    return max(float(np.mean(residual**2 - white)), 0.0)
+    return max(float(np.mean(residual**2 - points.white)), 0.0)
 
 
 def _rms(points: Points, residual: FloatArray) -> float:
@@ -99,23 +99,21 @@ def _rms(points: Points, residual: FloatArray) -> float:
     return float(np.sqrt(np.average(residual[known] ** 2, weights=points.weight[known])))
 
 
-def turn_on_offsets(channel: Channel, points: Points, knots: FloatArray) -> FloatArray:
+def turn_on_offsets(points: Channel, runs: int, knots: FloatArray) -> FloatArray:
     """Return the offset of each run, (runs,) in the channel's unit; NaN where it cannot be determined.
 
     A run is compared only where others were at the same temperatures: with no level in common, an offset and
     a bend of the curve are the same.  The mean over the runs that can be compared is 0.
     """
-    runs = int(channel.run.max()) + 1
-    together = _comparable(channel.run, channel.level, runs)
+    together = _comparable(points.run, points.level, runs)
     offset = np.full(runs, np.nan)
     offset[together] = 0.0
     if len(together) < 2:
         return offset
-    used = np.isin(channel.run, together)
-    points = points.only(used)
+    points = points.only(np.isin(points.run, together))
     basis, penalty = penalised_basis(points, knots)
     root, m = np.sqrt(points.weight), len(penalty)
-    design = np.hstack([basis, channel.run[used][:, np.newaxis] == together[1:]]) * root[:, np.newaxis]
+    design = np.hstack([basis, points.run[:, np.newaxis] == together[1:]]) * root[:, np.newaxis]
     normal = design.T @ design
     normal[:m, :m] += _STIFFNESS * penalty
     solved = np.linalg.solve(normal, design.T @ (points.value * root))

@@ -1,6 +1,7 @@
 """What a curve is fitted to."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
+from typing import Self
 
 import numpy as np
 
@@ -23,9 +24,9 @@ class Points:
     def __len__(self) -> int:
         return len(self.temperature)
 
-    def only(self, chosen: BoolArray) -> "Points":
+    def only(self, chosen: BoolArray) -> Self:
         """Return the means that are chosen."""
-        return Points(self.temperature[chosen], self.value[chosen], self.weight[chosen], self.level[chosen])
+        return replace(self, **{field.name: getattr(self, field.name)[chosen] for field in fields(self)})
 
     def merged(self, width: float) -> "Points":
         """Return weighted means of those of the same level that are in the same `width` of °C.

@@ -44,10 +44,6 @@ class _Timed(StrictModel):
 class _Lasting(_Timed):
     duration_s: float = Field(gt=0.0)
 
-    @property
-    def _length_s(self) -> float:
-        return self.duration_s
-
 
 class Turn(_Lasting):
     """A guided turn: the attitude changes by these angles, smoothly (minimum jerk), and stays there."""
@@ -102,12 +98,8 @@ class Bump(_Shaking):
     kind: Literal["bump"]
     decay_s: float = Field(gt=0.0)
 
-    @property
-    def _length_s(self) -> float:
-        return RINGING * self.decay_s
-
     def _add(self, since_s: FloatArray, total: Movement) -> None:
-        ringing = _within(since_s, self._length_s)
+        ringing = _within(since_s, RINGING * self.decay_s)
         since = np.where(ringing, since_s, 0.0)
         fading = ringing * np.exp(-since / self.decay_s)
         omega = 2 * np.pi * self.frequency_hz
@@ -152,10 +144,6 @@ class Handling(_Timed):
             raise ValueError(f"rest_s {self.rest_s:g} leaves no time for motion in every_s {self.every_s:g}")
         return self
 
-    @property
-    def _length_s(self) -> float:
-        return self.rounds * self.every_s
-
     def _add(self, since_s: FloatArray, total: Movement) -> None:
         number = np.clip(np.floor(since_s / self.every_s), -1, self.rounds)
         under_way = (number >= 0) & (number < self.rounds)
@@ -187,11 +175,6 @@ def movement(events: Sequence[Event], start_rad: FloatArray, time_s: FloatArray)
         if event.at_s <= time_s[-1]:
             event._add(time_s - event.at_s, total)
     return total
-
-
-def is_static(events: Sequence[Event], first_s: float, last_s: float) -> bool:
-    """Return whether no event is under way between two times."""
-    return all(event.at_s > last_s or event.at_s + event._length_s < first_s for event in events)
 
 
 def _within(since_s: FloatArray, length_s: float) -> BoolArray:

@@ -9,13 +9,16 @@ from typing import Any, ClassVar, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
-from imumon.columns import BodyAxes
+from imumon.columns import KNOWN, BodyAxes
 from imumon.config import StrictModel, load_yaml, parse_yaml
 from imumon.effects.base import ACCEL
 from imumon.errors import ImumonError, bad_config
 from imumon.files import bundled, read_text
 from imumon.simulation.unit.motion import Event
 from imumon.simulation.unit.parameters import Thermometer, UnitParameters
+
+FREE = {"pressure", "latitude", "longitude", "altitude"}
+"""Known columns that a driver may be; the unit sends others itself."""
 
 
 class _Based(StrictModel):
@@ -180,6 +183,8 @@ class Scenario(_Based):
 
     @model_validator(mode="after")
     def _has_what_drives_the_unit(self) -> Self:
+        if own := sorted(self.drivers.keys() & KNOWN.keys() - FREE):
+            raise ValueError(f"drivers: {own[0]} is a column of the unit itself; give it another name")
         unit = self.unit
         for effects in (unit.gyro_effects_deg_per_h, unit.accel_effects_ug):
             for effect in (*effects.x, *effects.y, *effects.z):

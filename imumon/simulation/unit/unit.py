@@ -3,16 +3,15 @@
 Angles are roll, pitch and heading in rad, ZYX, of forward-right-down body axes to north-east-down.
 """
 
-from collections.abc import Mapping
 from fractions import Fraction
 
 import numpy as np
 
 from imumon.blocks import ColumnArray, FloatArray, SampleBlock, join
 from imumon.columns import KNOWN, TEMPERATURES, BodyAxes, Column
-from imumon.geodesy import EARTH_RATE, quaternions
+from imumon.geodesy import earth_rate_along, quaternions
 from imumon.simulation.unit.biases import accel_bias, gyro_bias
-from imumon.simulation.unit.motion import Movement, is_static, movement
+from imumon.simulation.unit.motion import Movement, movement
 from imumon.simulation.unit.noise import White, generator
 from imumon.simulation.unit.scenario import Scenario
 from imumon.simulation.unit.thermal import SensorTemperature, Thermometers
@@ -38,17 +37,8 @@ TRUTH_COLUMNS: tuple[Column, ...] = (
 """What `SimulatedUnit.run` returns as the truth, besides device_time_ns and segment."""
 
 
-_CONSTANT: dict[str, ColumnArray] = {
-    "status": np.array([7]),
-    "supply_voltage": np.array([5.02]),
-    "pressure": np.array([101_325.0]),
-}
+_CONSTANT = {"status": 7, "supply_voltage": 5.02, "pressure": 101_325.0}
 """What encoders may query and nothing here changes."""
-
-
-def _whole(columns: Mapping[str, ColumnArray]) -> SampleBlock:
-    """Return a block of `CHUNK` rows; a column of one row holds throughout."""
-    return SampleBlock({name: np.array(np.broadcast_to(values, CHUNK)) for name, values in columns.items()})
 
 
 class SimulatedUnit:
@@ -65,7 +55,8 @@ class SimulatedUnit:
         self._tick_ns = tick_ns
         self._angles = np.deg2rad([attitude.roll_deg, attitude.pitch_deg, attitude.heading_deg])
         self._up = np.array([0.0, 0.0, -scenario.gravity_m_per_s2])
-        self._earth = earth_rate(scenario.latitude_deg)
+        north, _, down = np.eye(3)
+        self._earth = earth_rate_along(-down, north, np.deg2rad(scenario.latitude_deg))
         self._temperature = SensorTemperature(scenario.chamber, unit.self_heating)
         self._gyro_bias = gyro_bias(unit, 1.0 / rate, seed)
         self._accel_bias = accel_bias(unit, 1.0 / rate, seed)
@@ -114,14 +105,12 @@ class SimulatedUnit:
         """Return what is sent of the next `CHUNK` samples, and the truth."""
         time_s = np.arange(first, first + CHUNK) / self.scenario.rate_hz
         temperature = self._temperature.process(time_s)
-        events = self.scenario.motion
-        still = is_static(events, time_s[0], time_s[-1])  # then one row holds throughout
-        motion = movement(events, self._angles, time_s[-1:] if still else time_s)
+        motion = movement(self.scenario.motion, self._angles, time_s)
         rate, force, field = self._in_body(motion)
         others = {
             name: np.interp(time_s, course.at_s, course.value) for name, course in self._drivers.items()
         }
-        drive = time_s, temperature, np.broadcast_to(force, (CHUNK, 3)), others
+        drive = time_s, temperature, force, others
         gyro_bias, accel_bias = self._gyro_bias.process(*drive), self._accel_bias.process(*drive)
         sensed = np.column_stack([rate + gyro_bias, force + accel_bias])
         if self._low_pass is None:
@@ -137,7 +126,7 @@ class SimulatedUnit:
             **split("temperature", readings),
             "temperature": readings[:, 3],
             **reported(motion.angles, self.scenario.axes),
-            **_CONSTANT,
+            **{name: np.full(CHUNK, value) for name, value in _CONSTANT.items()},
             **{name: values + noise[:, at] for at, (name, values) in enumerate(others.items())},
         }
         truth = {
@@ -148,7 +137,7 @@ class SimulatedUnit:
             **split("temperature", temperature),
             "at_rest": (~motion.moving).astype(np.int64),
         }
-        return _whole(sent), _whole(truth)
+        return SampleBlock(sent), SampleBlock(truth)
 
     def _in_body(self, motion: Movement) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return angular rate, specific force and magnetic field in the axes of the unit."""
@@ -212,12 +201,6 @@ def to_body(angles: FloatArray, vectors: FloatArray) -> FloatArray:
             cos_roll * below - sin_roll * across,
         ]
     )
-
-
-def earth_rate(latitude_deg: float) -> FloatArray:
-    """Return the earth rate north, east, down in rad/s, (3,)."""
-    latitude = np.deg2rad(latitude_deg)
-    return EARTH_RATE * np.array([np.cos(latitude), 0.0, -np.sin(latitude)])
 
 
 def reported(angles: FloatArray, axes: BodyAxes) -> dict[str, ColumnArray]:

@@ -19,7 +19,7 @@ from imumon.models.curves.points import folds
 from imumon.models.curves.polynomial import fit_polynomial
 from tests.lab.calibration.records import DEG_H, GRAVITY, record, samples, soak, true_bias, true_slope
 
-GYROS = ("gyro_x", "gyro_y", "gyro_z")
+GYROS, ACCELS = ([f"{sensor}_{axis}" for axis in "xyz"] for sensor in ("gyro", "accel"))
 INSIDE = np.linspace(-20.5, 48.0, 500)
 
 
@@ -57,7 +57,7 @@ def test_points_scatter_about_the_curve_by_the_noise_of_their_samples(soaked: Ca
     for finding in soaked.findings.values():
         points = finding.points
         left = points.value - finding.choice.curve.value(points.temperature)
-        assert 0.8 < np.sqrt(np.mean(left**2 / finding.white)) < 1.4
+        assert 0.8 < np.sqrt(np.mean(left**2 / points.white)) < 1.4
 
 
 def test_every_kind_of_curve_was_tried_and_the_worst_is_not_chosen(soaked: Calibration) -> None:
@@ -86,9 +86,8 @@ def test_a_split_by_sample_shows_no_error_where_levels_left_out_do() -> None:
     t = np.repeat([*np.arange(-20.53, 46.0, 5.0), 48.08], 1800)
     records = [record(t)]
     cells = group(records, None, None)
-    channel = channel_of(records, cells, "gyro_z", levels(cells))
-    assert channel is not None
-    points = channel.points()
+    points = channel_of(records, cells, "gyro_z", levels(cells))
+    assert points is not None
     part = np.random.default_rng(0).permutation(len(points)) % 20
     curve = fit_polynomial(points.only(part < 13), 12)
     rms = [
@@ -134,10 +133,28 @@ def test_runs_without_a_common_temperature_get_no_offset_and_that_is_reported() 
 
 
 @pytest.mark.usefixtures("fast")
+def test_a_last_run_without_accelerometers_has_no_offset_of_theirs() -> None:
+    parts = [samples(soak(300.0), seed, accel=(0.0, 0.0, GRAVITY), segment=seed) for seed in range(3)]
+    parts[2] = parts[2].with_columns({f"accel_{axis}": np.full(len(parts[2]), np.nan) for axis in "xyz"})
+    found = calibrate([record_of(parts, "three runs", "0" * 64)])
+    runs = found.model.trained_on
+    assert [set(run.offset) for run in runs] == [{*GYROS, *ACCELS}, {*GYROS, *ACCELS}, set(GYROS)]
+    assert np.isnan(found.findings["accel_z"].offset).tolist() == [False, False, True]
+    assert not any("in common" in text for text in found.warnings)
+
+
+@pytest.mark.usefixtures("fast")
 def test_sessions_of_different_units_are_reported() -> None:
     one = replace(record(soak(600.0)), serial="SN1")
     other = replace(record(soak(600.0), seed=1), serial="SN2", sha256="1" * 64)
     assert "the sessions are of different units: SN1, SN2" in calibrate([one, other]).warnings
+
+
+def test_sessions_in_different_body_axes_are_refused() -> None:
+    records = [replace(record(soak(300.0)), axes=axes) for axes in ("FRD", None, "FLU")]
+    with pytest.raises(ImumonError, match="different body axes: FLU, FRD") as caught:
+        calibrate(records)
+    assert caught.value.reason is Reason.BAD_DATA
 
 
 def test_sessions_with_different_thermometers_are_refused() -> None:

@@ -94,6 +94,9 @@ def test_a_unit_that_did_not_turn_is_refused() -> None:
     block, _ = figure_eight(1, swing=(0.0, 0.0, 0.0), over=False)
     with pytest.raises(ImumonError, match="directions"):
         fit_magnetometer([block], "uT", "a recording")
+    still = SampleBlock({f"mag_{axis}": np.full(300, 20.0) for axis in "xyz"})
+    with pytest.raises(ImumonError, match="0 readings in other directions"):
+        fit_magnetometer([still], "uT", "a recording")
     with pytest.raises(ImumonError, match="there is no magnetometer"):
         fit_magnetometer([SampleBlock({"accel_x": np.zeros(3)})], "uT", "a recording")
 

@@ -5,7 +5,7 @@ import pytest
 from pydantic import TypeAdapter
 
 from imumon.blocks import FloatArray
-from imumon.simulation.unit.motion import Event, is_static, movement
+from imumon.simulation.unit.motion import Event, movement
 
 EVENT: TypeAdapter[Event] = TypeAdapter(Event)
 ALL = {
@@ -71,21 +71,6 @@ def test_handling_ends_each_round_at_rest_and_where_it_began_but_for_the_heading
         assert np.abs(position[rest]).max() < 2e-3
         np.testing.assert_allclose(np.rad2deg(motion.angles[rest][0]), [1, 2, 40 + 30 * number], atol=1e-9)
     np.testing.assert_allclose(np.rad2deg(motion.angles[-1]), [1, 2, 40 + 90], atol=1e-9)
-
-
-@pytest.mark.parametrize("name", list(ALL))
-def test_static_times_are_those_of_which_one_row_tells_all(name: str) -> None:
-    events = [event(name)]
-    for first in np.arange(0.0, 44.0, 0.5):
-        t = first + np.arange(0, 0.5, 0.01)
-        if is_static(events, t[0], t[-1]):
-            motion = movement(events, START, t)
-            assert np.ptp(motion.angles, axis=0).max() == 0.0
-            assert not motion.acceleration.any()
-            assert not motion.rates.any()
-            assert not motion.moving.any()
-    assert is_static(events, 42.0, 44.0)
-    assert not is_static(events, 3.2, 3.5)
 
 
 def test_events_add_up() -> None:

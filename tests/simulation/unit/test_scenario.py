@@ -149,3 +149,18 @@ def test_the_loop_of_crs05_is_one_and_a_half_percent_of_the_span() -> None:
     spans = np.ptp(axis_values(unit.gyro_bias_deg_per_s, np.column_stack([soak] * 3)), axis=0)
     assert unit.gyro_hysteresis is not None
     np.testing.assert_allclose(unit.gyro_hysteresis.half_width_deg_per_h, 0.015 * 3600 * spans, atol=0.01)
+
+
+@pytest.mark.parametrize(
+    ("name", "free"),
+    [("gyro_x", False), ("device_time_ns", False), ("pressure", True), ("supply_voltage", True)],
+)
+def test_a_driver_takes_the_place_of_no_column_of_the_unit(tmp_path: Path, name: str, free: bool) -> None:
+    path = tmp_path / "mine.yaml"
+    driver = f"drivers:\n  {name}: {{unit: V, at_s: [0], value: [5.0]}}\n"
+    path.write_text(f"format: imumon-scenario/1\nbase: bench\n{driver}")
+    if free:
+        assert name in load_scenario(path).drivers
+        return
+    with pytest.raises(ImumonError, match=f"{name} is a column of the unit itself"):
+        load_scenario(path)
