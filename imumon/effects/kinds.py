@@ -30,45 +30,33 @@ _KINDS: tuple[type[Effect], ...] = (
 )
 KINDS: dict[str, type[Effect]] = {kind.name: kind for kind in _KINDS}
 """imumon's own, by the name of their kind, in the order in which they are tried."""
-SEPARATED_BY: dict[tuple[str, str], str] = {
-    ("temperature_rate", "temperature_curve"): "a second ramp at another rate, or downwards",
-    ("thermal_lag", "temperature_rate"): "a fast ramp into a soak: the lag goes on for its time constant",
-    ("thermal_lag", "hysteresis"): (
-        "a soak of more than five time constants after a ramp, and two ramp rates: a lag decays in the"
-        " soak, a loop stays"
-    ),
-    ("thermal_lag", "temperature_curve"): "a second ramp at another rate, or downwards",
-    ("thermal_lag", "warm_up"): "power-on in equilibrium with the ambient temperature held",
-    ("thermal_lag", "drift"): "a second ramp in the other direction",
+SEPARATED_BY = {
+    ("dead_time", "hysteresis"): "two ramp rates: a loop does not care, a delay doubles",
     ("dead_time", "temperature_rate"): "a fast ramp into a soak: the delay goes on for its time",
     ("dead_time", "thermal_lag"): (
         "a fast ramp into a soak: a lag bends at once and slowly, a delay later and at once"
     ),
-    ("dead_time", "hysteresis"): "two ramp rates: a loop does not care, a delay doubles",
-    ("dead_time", "temperature_curve"): "a second ramp at another rate, or downwards",
-    ("hysteresis", "temperature_rate"): "two ramp rates: a loop does not care, a rate effect doubles",
-    ("hysteresis", "temperature_curve"): "a turn of the temperature inside the range",
-    ("hysteresis", "warm_up"): "power-on in equilibrium with the ambient temperature held",
-    ("hysteresis", "drift"): "a second ramp in the other direction",
-    ("warm_up", "drift"): "a run longer than four time constants of the warm-up",
-    ("warm_up", "temperature_rate"): "power-on in equilibrium with the ambient temperature held",
-    ("warm_up", "temperature_curve"): "a second run that starts at another temperature",
-    ("warm_up", "step"): "another run: a warm-up comes again at the same time",
-    ("stress_relaxation", "warm_up"): "a run of ten time constants of the warm-up: a relaxation goes on",
-    ("stress_relaxation", "drift"): "a run ten times as long: a relaxation slows down",
-    ("stress_relaxation", "thermal_lag"): "power-on in equilibrium with the ambient temperature held",
-    ("stress_relaxation", "step"): "another run: a relaxation comes again at the same time",
-    ("drift", "temperature_rate"): "a second ramp in the other direction",
-    ("drift", "temperature_curve"): "a second ramp in the other direction",
     ("drift", "run_offset"): "longer runs, the device not switched off between them",
     ("drift", "step"): "a longer run: a drift goes on",
-    ("step", "run_offset"): "a run with the jump in its middle",
+    ("drift", "stress_relaxation"): "a run ten times as long: a relaxation slows down",
+    ("drift", "warm_up"): "a run longer than four time constants of the warm-up",
     ("g_sensitivity", "run_offset"): "at least four poses within one run",
     ("g_sensitivity", "step"): "each pose taken twice in one run",
-    ("product", "g_sensitivity"): "each pose at several temperatures, and upside down",
-    ("product", "temperature_curve"): "a run at one temperature in which the other driver moves",
+    ("hysteresis", "temperature_curve"): "a turn of the temperature inside the range",
+    ("hysteresis", "temperature_rate"): "two ramp rates: a loop does not care, a rate effect doubles",
+    ("hysteresis", "thermal_lag"): (
+        "a soak of more than five time constants after a ramp, and two ramp rates: a lag decays in the"
+        " soak, a loop stays"
+    ),
+    ("run_offset", "step"): "a run with the jump in its middle",
+    ("step", "stress_relaxation"): "another run: a relaxation comes again at the same time",
+    ("step", "warm_up"): "another run: a warm-up comes again at the same time",
+    ("stress_relaxation", "warm_up"): "a run of ten time constants of the warm-up: a relaxation goes on",
+    ("temperature_rate", "thermal_lag"): "a fast ramp into a soak: the lag goes on for its time constant",
 }
-"""What to record to separate two effects."""
+"""What to record to separate two effects, by their names in order..."""
+OTHERWISE = "power-on in equilibrium with the ambient held, then ramps at another rate and downwards"
+"""...and any others."""
 EFFECT = "effect of that name"
 """What a plug-in offers in the group `imumon.plugins.EFFECTS`, in words."""
 

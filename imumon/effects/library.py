@@ -4,26 +4,19 @@ from typing import TYPE_CHECKING, Annotated, Union
 
 from pydantic import AfterValidator, Field
 
-from imumon.effects.base import DrivenEffect, Effect
-from imumon.effects.kinds import EFFECT, KINDS, SEPARATED_BY, guarded, is_effect
+from imumon.effects.base import Effect
+from imumon.effects.kinds import EFFECT, KINDS, OTHERWISE, SEPARATED_BY, guarded, is_effect
 from imumon.plugins import EFFECTS as OFFERED
 from imumon.plugins import plugins
 
 EFFECTS: dict[str, type[Effect]] = dict(KINDS)
 EFFECTS |= {plugin.name: guarded(plugin) for plugin in plugins(OFFERED, EFFECT, is_effect)}
-_OPERATORS = {kind.operator: kind for kind in EFFECTS.values() if issubclass(kind, DrivenEffect)}
 
 
 def effects_for(channel: str) -> list[str]:
     """Return the effects that a channel may have; what is no gyro may have what an accelerometer may."""
     sensor = "gyro" if channel.startswith("gyro") else "accel"
     return [name for name, effect in EFFECTS.items() if sensor in effect.sensors]
-
-
-def kind_of(label: str) -> type[Effect]:
-    """Return the effect that a label such as ``thermal_lag`` or ``lag(supply_voltage)`` is of."""
-    first = label.partition("(")[0]
-    return EFFECTS.get(first) or _OPERATORS[first]
 
 
 def _complete(effect: Effect) -> Effect:
@@ -44,15 +37,12 @@ else:
 
 def separated_by(one: str, other: str) -> str:
     """Return what to record to separate two effects, given by their labels."""
+    driven = [name for name in (one, other) if "(" in name]
     if one.partition("(")[2] != other.partition("(")[2]:
-        free = [name for name in (one, other) if "(" in name]
-        return f"a run in which what {' and '.join(free)} depends on goes another way than the rest"
-    pair = kind_of(one).name, kind_of(other).name
-    return (
-        SEPARATED_BY.get(pair)
-        or SEPARATED_BY.get(pair[::-1])
-        or "another run with a different course of temperature, the ambient held after power-on"
-    )
+        return f"a run in which what {' and '.join(driven)} depends on goes another way than the rest"
+    if driven:
+        return f"a run in which what {one} depends on goes up and down at two rates, and is held in between"
+    return SEPARATED_BY.get((min(one, other), max(one, other)), OTHERWISE)
 
 
 def suspected_by(trait: str) -> tuple[str, ...]:

@@ -129,12 +129,13 @@ def diagnose(
     runs: list[list[Run]] = []
     warned = with_warnings(lambda: dict.fromkeys(t for group in runs for run in group for t in run.warnings))
     with warned, results_folder(out), reading_bar([*train, *test], quiet=as_json) as progress:
-        sensors = channels.split(",")
+        sensors = [name.strip() for name in channels.split(",")]
         runs += [read(path, map_path, at_rest, sensors, progress.count) for path in (*train, *test)]
         split = len(train)
         training = [run for group in runs[:split] for run in group]
         testing = [run for group in runs[split:] for run in group]
-        beside = {"all": None, "none": []}.get(drivers, drivers.split(","))
+        named = [name.strip() for name in drivers.split(",")]
+        beside = {"all": None, "none": []}.get(drivers, named)
         diagnosis = find_effects(training, testing, assumed, progress, sensors, model, beside)
         diagnosis.options = _given(click.get_current_context())
         written = {"report": "report.html", "numbers": "report.json"}
@@ -150,6 +151,8 @@ def _show(diagnosis: Diagnosis, out: Path, written: Mapping[str, str], *, as_jso
     from imumon.lab.diagnosis.report import conclusion, next_step, report
 
     warn(diagnosis.caveats)
+    if "model" not in written and (out / "model.yaml").exists():
+        warn([f"{out / 'model.yaml'} is of an earlier diagnosis: none of these channels goes into a model"])
     if as_json:
         print_json(report(diagnosis, out))
     print_rows({verdict.name: verdict.summary for verdict in diagnosis.verdicts})
@@ -227,7 +230,6 @@ def learn(
     """
     from imumon.lab.diagnosis.diagnose import diagnose as find_effects
     from imumon.lab.diagnosis.extended import extended_model, with_model
-    from imumon.lab.diagnosis.prepare import latest
     from imumon.lab.diagnosis.report import report
     from imumon.recordings.folder import sessions_in
 
@@ -235,13 +237,13 @@ def learn(
     model = model_of(model_path) if model_path is not None else None
     found = sessions_in(folder, lambda text: warn([text]))
     sessions = _of_one(found, {"device": device, "serial": serial}, folder)
-    if model is not None:
-        warn(filter(None, {model.of_another(session.metadata.serial) for session in sessions}))
     with reading_bar([session.path for session in sessions], quiet=as_json) as progress:
         usable = [runs for session in sessions if (runs := _resting_runs(session, progress.count))]
         if not usable:
             raise bad_data(f"no session in {folder} can be used", "record the unit at rest for an hour")
-        diagnosis = find_effects(*latest(usable), progress=progress, model=model)
+        *earlier, last = usable
+        training = [run for runs in earlier or [last] for run in runs]
+        diagnosis = find_effects(training, last if earlier else [], progress=progress, model=model)
     warn(diagnosis.caveats)
     better = any(verdict.predicts and (verdict.claims or verdict.refit) for verdict in with_model(diagnosis))
     if better:
@@ -315,6 +317,8 @@ def plan(report: Path, out: Path, hours: float, as_json: bool) -> None:
     with results_folder(out), reading_bar([report], quiet=as_json) as progress:
         plans = [planning.plan(content, question, hours * 3600.0, progress) for question in questions]
         files = [planning.write_plan(content, at + 1, made, out) for at, made in enumerate(plans)]
+    written = {path for paths in files for path in paths}
+    warn(f"{path} is of an earlier plan" for path in sorted({*out.glob("[0-9]-*")} - written))
     described = [_described(made, paths) for made, paths in zip(plans, files, strict=True)]
     if as_json:
         print_json({"questions": described})

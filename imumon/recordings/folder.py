@@ -308,7 +308,7 @@ def sessions_in(folder: Path, report: Callable[[str], None] | None = None) -> li
     What is a session by its files and cannot be read is left out, and reported.
     """
     found = []
-    for path in sorted(folder.iterdir()) if folder.is_dir() else ():
+    for path in sorted(folder.glob("*/")):
         try:
             found.append(open_session(path))
         except ImumonError as error:

@@ -203,7 +203,27 @@ def test_the_library_has_every_effect_of_the_folder() -> None:
 
 def test_what_tells_effects_apart_is_of_the_library() -> None:
     assert {name for pair in SEPARATED_BY for name in pair} <= set(EFFECTS)
-    assert all(pair[::-1] not in SEPARATED_BY for pair in SEPARATED_BY)
+    assert all(first < second for first, second in SEPARATED_BY)
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "what"),
+    [
+        ("thermal_lag", "dead_time", "a fast ramp into a soak"),
+        ("hysteresis", "temperature_curve", "a turn of the temperature inside the range"),
+        ("warm_up", "thermal_lag", "power-on in equilibrium with the ambient held"),
+        ("temperature_curve", "temperature_rate", "ramps at another rate"),
+        ("drift", "temperature_curve", "downwards"),
+        ("curve(supply)", "drift", "what curve(supply) depends on goes another way than the rest"),
+        ("curve(supply)", "lag(supply)", "depends on goes up and down at two rates, and is held"),
+    ],
+)
+def test_what_is_to_be_recorded_does_not_depend_on_which_effect_is_first(
+    one: str, other: str, what: str
+) -> None:
+    assert what in library.separated_by(one, other)
+    if "(" not in one:
+        assert library.separated_by(one, other) == library.separated_by(other, one)
 
 
 def test_a_delay_gives_the_temperature_that_was() -> None:

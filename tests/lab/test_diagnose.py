@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -68,12 +69,14 @@ def test_a_diagnosis_that_fails_leaves_no_folder_behind_and_takes_none_away(
 
 
 def test_the_next_command_reads_the_recordings_as_this_one_did(tables: Path, tmp_path: Path) -> None:
-    given = ["--train", tables / "a.csv", "--channels", "gyro", "--map", tables / "map.yaml", "--at-rest"]
-    done = imumon("diagnose", *given, "--out", tmp_path / "found")
+    given = ["--train", tables / "a.csv", "--channels", "gyro_x, gyro_y"]
+    given += ["--map", tables / "map.yaml", "--at-rest"]
+    out = tmp_path / "found here"
+    done = imumon("diagnose", *given, "--out", out)
     assert done.returncode == 0, done.stderr
-    again = f"imumon diagnose {' '.join(map(str, given))} --test NEW --out {tmp_path / 'found'}"
+    again = shlex.join(["imumon", "diagnose", *map(str, given), "--test", "NEW", "--out", str(out)])
     assert again in done.stderr
-    (step,) = json.loads((tmp_path / "found" / "report.json").read_text(encoding="utf-8"))["next"]
+    (step,) = json.loads((out / "report.json").read_text(encoding="utf-8"))["next"]
     assert step["command"] == again
 
 

@@ -111,6 +111,12 @@ def test_a_session_of_a_folder_that_cannot_be_opened_is_reported(tmp_path: Path)
     assert [text.partition(":")[0] for text in told] == ["bare is left out", "broken is left out"]
 
 
+def test_a_session_itself_is_no_folder_of_sessions(tmp_path: Path) -> None:
+    """It was returned once for each of its files."""
+    create_session(tmp_path / "s", metadata()).wire_path.touch()
+    assert sessions_in(tmp_path / "s") == sessions_in(tmp_path / "none") == []
+
+
 def test_metadata_of_another_format_is_refused_with_file_and_line(tmp_path: Path) -> None:
     session = create_session(tmp_path / "s", metadata())
     session.wire_path.touch()

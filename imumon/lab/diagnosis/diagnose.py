@@ -142,6 +142,8 @@ def _prepared(
     names = prepare.usable_channels(train, test, sensors, remarks)
     train, test = prepare.train_and_test(train, test, names, remarks)
     if model is not None:
+        of_units = [model.of_another(run.origin.serial) for run in (*train, *test) if run.origin]
+        remarks += filter(None, dict.fromkeys(of_units))
         names = prepare.channels_with_model(names, model)
         degree = prepare.degree_of(model, names)
     temperature_names = {name: prepare.temperature_of(name, model, train) for name in names}

@@ -22,17 +22,21 @@ WIDENED = 1.01
 
 
 def extended_model(diagnosis: Diagnosis) -> BiasModel:
-    """Return the declared model with what carries over of the claims, for every channel.
+    """Return the declared model with what carries over of the claims, for every channel, and the channels of
+    the present model that were not diagnosed.
 
     A jump, a turn-on offset and an amplitude that is another in each run are in the report alone.
     """
     present, recorded = diagnosis.model, [one for one in diagnosis.train if one.run.origin is not None]
+    found = {one.name: _channel(one, present) for one in with_model(diagnosis)}
+    channels = {**(present.channels if present else {}), **found}
+    earlier = present.trained_on if present and len(channels) > len(found) else []
     update: dict[str, Any] = {
         "made_by": f"imumon {__version__}",
         "created": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}",
         "block_s": diagnosis.train[0].block_s,
-        "trained_on": [trained_on(one) for one in recorded],
-        "channels": {one.name: _channel(one, present) for one in with_model(diagnosis)},
+        "trained_on": [*earlier, *map(trained_on, recorded)],
+        "channels": channels,
     }
     if present is not None:
         return present.model_copy(update=update)
@@ -62,9 +66,15 @@ def _channel(verdict: ChannelVerdict, model: BiasModel | None) -> ChannelModel:
         "curve": PolynomialCurve(center_degc=middle, half_width_degc=half, coefficients=[0.0]),
     }
     present = ChannelModel.model_validate(new) if model is None else model.channels[verdict.name]
-    if verdict.name.startswith("accel"):  # its constant is gravity: at the middle the present bias stays
-        fitted = replace(fitted, declared=np.append(0.0, fitted.declared[1:]))
-    return refitted(present, channel, fitted, residual)
+    return refitted(present, channel, without_unknown_constant(fitted, verdict.name, model), residual)
+
+
+def without_unknown_constant(fitted: Fit, name: str, model: BiasModel | None) -> Fit:
+    """Return a fit whose constant, where it holds gravity, or an earth rate that the present model has not,
+    is zero: at the middle the present bias stays."""
+    if name.startswith("accel") or (model is not None and model.earth_rate == "removed"):
+        return replace(fitted, declared=np.append(0.0, fitted.declared[1:]))
+    return fitted
 
 
 def refitted(present: ChannelModel, channel: Channel, fitted: Fit, residual_sd: float) -> ChannelModel:

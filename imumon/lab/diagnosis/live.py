@@ -22,7 +22,7 @@ from imumon.lab.diagnosis import prepare
 from imumon.lab.diagnosis.blocks import LEAST_BLOCKS, common_block_s, make_blocks, survey
 from imumon.lab.diagnosis.candidates import Training
 from imumon.lab.diagnosis.diagnose import Prepared, likeliest, search_sensor
-from imumon.lab.diagnosis.extended import refitted, trained_on
+from imumon.lab.diagnosis.extended import refitted, trained_on, without_unknown_constant
 from imumon.lab.diagnosis.fit import LEAST_TEST_BLOCKS, fit
 from imumon.lab.diagnosis.likelihood import Likelihood
 from imumon.lab.diagnosis.runs import DRIVERS, LONGEST_GAP_S, BoundedRun, Origin, Run, further_columns
@@ -102,7 +102,8 @@ def _better(found: AxisSearch, gain: float, model: BiasModel) -> Better:
     present, before = model.channels[channel.name], fit(channel.with_model_fixed(), [])
     fitted = fit(channel, found.model)
     # What is left holds the white noise of the means as well: the model's own error is no larger.
-    better = refitted(present, channel, fitted, min(present.residual_sd, fitted.train_rms))
+    lasting = without_unknown_constant(fitted, channel.name, model)
+    better = refitted(present, channel, lasting, min(present.residual_sd, fitted.train_rms))
     return Better(channel.name, lacking.names, gain, before.train_rms, fitted.train_rms, better)
 
 
@@ -158,7 +159,7 @@ class LiveDiagnosis:
         self._reported: set[str] = set()
         self._last_ns = 0
         self.offered: Challenger | None = None
-        """The better model that has won, to be kept when the session ends."""
+        """The better model that has won on the run `_won_on`, to be kept when the session ends."""
         self._begin()
 
     def _begin(self) -> None:
@@ -210,7 +211,8 @@ class LiveDiagnosis:
             if now_s >= self._next_search_s:
                 self._next_search_s = (now_s // SEARCH_EVERY_S + 1.0) * SEARCH_EVERY_S
                 try:
-                    self._search(self._run(), now_s)
+                    run = prepare.within_range(self._model, self._run_so_far.run(), self._gyros)
+                    self._search(run, now_s)
                 except ImumonError as error:  # a temperature, or what drives the model, is not there so far
                     self._report(f"the model is not searched: {error.seen}")
 
@@ -222,7 +224,7 @@ class LiveDiagnosis:
             self._challenger = None
             self._report(f"the better model is dropped: what came later is less likely with it ({change})")
         elif ratio > DECISIVE:
-            self.offered = challenger
+            self.offered, self._won_on = challenger, run
             won = f"a better model has won on what came later: {change} (likelihood ratio e^{ratio:.0f})"
             self._report(f"{won}; it is kept with the session when that ends")
 
@@ -251,13 +253,9 @@ class LiveDiagnosis:
         if self._learn and (beside is None or elapsed_s >= REPLACED_AFTER * beside.since_s):
             self._challenger = challenger
 
-    def _run(self) -> Run:
-        """Return the run so far, at rest only where the present model knows the temperature."""
-        return prepare.within_range(self._model, self._run_so_far.run(), self._gyros)
-
     def evidence(self, session: str, sha256: str) -> TrainedOn:
-        """Return what a learned model states of this session."""
-        run = replace(self._run(), origin=Origin(session, 0, sha256))
+        """Return what the model that has won states of this session: of the run that proved it."""
+        run = replace(self._won_on, origin=Origin(session, 0, sha256))
         return trained_on(prepare.residual(run, self._model, self._gyros))
 
     def _report(self, text: str, what: str = "") -> None:

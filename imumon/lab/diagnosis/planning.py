@@ -15,7 +15,7 @@ from pydantic import Field
 
 from imumon.blocks import SampleBlock
 from imumon.config import StrictModel
-from imumon.effects.base import ACCEL, LEAST_SPAN_DEGC
+from imumon.effects.base import ACCEL, LEAST_SPAN_DEGC, Positive
 from imumon.effects.library import EFFECTS, AnyEffect, effects_for
 from imumon.files import write_text
 from imumon.geodesy import DEG_PER_H, MICRO_G
@@ -125,7 +125,7 @@ class Answer(StrictModel, extra="ignore"):
 
 
 class _Channel(StrictModel, extra="ignore"):
-    noise_floor_rms: float
+    noise_floor_rms: Positive
     slow_noise: dict[str, float]
     before: dict[str, float | None]
     questions: list[list[Answer]]

@@ -16,7 +16,7 @@ from imumon.effects.vibration import SECOND_NS
 from imumon.errors import bad_config, bad_data
 from imumon.filters.rounding import mean_error
 from imumon.lab.diagnosis.blocks import BLOCK_S, LEAST_BLOCKS, RunBlocks, common_block_s, make_blocks
-from imumon.lab.diagnosis.runs import CHANNELS, MOSTLY, SHORTEST_RUN_S, Run, channels_of, unit_of
+from imumon.lab.diagnosis.runs import CHANNELS, MOSTLY, SENSORS, SHORTEST_RUN_S, Run, channels_of, unit_of
 from imumon.models.curves.polynomial import PolynomialCurve
 from imumon.models.model import BiasModel
 from imumon.models.predictor import BiasPredictor
@@ -42,10 +42,15 @@ def usable_channels(train: Runs, test: Runs, sensors: Sequence[str], remarks: li
 
     The clock of the device beside others only where all runs have it.
 
-    Raises BAD_DATA when there is none.
+    Raises BAD_CONFIG for a sensor that is not known and no column, BAD_DATA when there is no channel.
     """
-    found = []
-    for name in channels_of(sensors, {name for run in train for name in run.variance}):
+    found, there = [], {name: None for run in train for name in run.variance}
+    if lacking := [name for name in sensors if name not in SENSORS and not channels_of([name], there)]:
+        raise bad_config(
+            f"--channels: {', '.join(map(repr, lacking))} is not in the training data",
+            f"there are {', '.join(there)}",
+        )
+    for name in channels_of(sensors, there):
         lacking = [run.name for run in train if _share_there(run, name) <= LEAST_THERE]
         if lacking:
             remarks.append(f"{name} is left out: {', '.join(lacking)} hardly has it")
@@ -67,6 +72,11 @@ def usable_channels(train: Runs, test: Runs, sensors: Sequence[str], remarks: li
 def _share_there(run: Run, name: str) -> float:
     """Return the share of its slots with samples in which a run has a column."""
     return float(np.isfinite(run.mean[name][run.there]).mean()) if name in run.mean else 0.0
+
+
+def _has(run: Run, name: str) -> bool:
+    """Return whether a run has more than one value of a column: of fewer there is no course."""
+    return bool(np.isfinite(run.mean.get(name, np.nan)).sum() > 1)
 
 
 def usable_drivers(
@@ -107,12 +117,6 @@ def usable_drivers(
         else:
             found.append(name)
     return found
-
-
-def latest(recordings: Sequence[Sequence[Run]]) -> tuple[list[Run], list[Run]]:
-    """Return the runs of all recordings but the last, and those of the last, the test; of one, no test."""
-    *earlier, last = recordings
-    return [run for runs in earlier or [last] for run in runs], list(last) if earlier else []
 
 
 def train_and_test(
@@ -245,7 +249,7 @@ def usable_blocks(
     """
     found, earlier = [], len(remarks)
     for run in runs:
-        if lacking := [name for name in (*channels, *temperatures) if name not in run.mean]:
+        if lacking := [name for name in (*channels, *temperatures) if not _has(run, name)]:
             why = f"it lacks {', '.join(lacking)}"
         elif run.rest_share < MOSTLY:
             why = f"the unit moves: at rest for {run.rest_share:.0%} of its {run.duration_s / 60:.0f} min"
@@ -294,7 +298,7 @@ def temperature_of(channel: str, model: BiasModel | None, runs: Sequence[Run]) -
     if model is not None:
         wanted = model.channels[channel].temperature_column.replace("_estimate", "")
     for name in (wanted, *TEMPERATURES):
-        if name != channel and all(np.isfinite(run.mean.get(name, np.nan)).sum() > 1 for run in runs):
+        if name != channel and all(_has(run, name) for run in runs):
             return name
     each = [f"{run.name} has {', '.join(t for t in TEMPERATURES if t in run.mean) or 'none'}" for run in runs]
     raise bad_data(

@@ -1,6 +1,7 @@
 """The report of a diagnosis: report.json for programs, and the conclusion and next step in words."""
 
 import json
+import shlex
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -254,6 +255,7 @@ def next_step(diagnosis: Diagnosis, folder: Path | None) -> NextStep:
 def _steps(diagnosis: Diagnosis, folder: Path) -> Iterator[NextStep]:
     """Yield what there is to do, the most urgent first."""
     verdicts, chosen = diagnosis.verdicts, bool(diagnosis.test) and not diagnosis.held_out
+    out, plan, model = (shlex.quote(str(path)) for path in (folder, folder / "next", folder / "model.yaml"))
 
     def which(holds: Callable[[ChannelVerdict], bool]) -> str:
         return ", ".join(one.name for one in verdicts if holds(one))
@@ -266,7 +268,7 @@ def _steps(diagnosis: Diagnosis, folder: Path) -> Iterator[NextStep]:
         )
     if not chosen or any(one.by_test for one in verdicts):
         why = "The test has chosen the effect." if chosen else "Without a test nothing is proven."
-        command = f"imumon diagnose {diagnosis.options} --test NEW --out {folder}"
+        command = f"imumon diagnose {diagnosis.options} --test NEW --out {out}"
         yield NextStep("Record another session from power-on and test on that.", why, command)
     if names := which(lambda one: one.shifted):
         why = "What is left of the test is a constant, as of another turn-on bias; training has no such rest."
@@ -280,12 +282,12 @@ def _steps(diagnosis: Diagnosis, folder: Path) -> Iterator[NextStep]:
     sets = [one.finding for verdict in verdicts for one in verdict.claims if one.finding.alternatives]
     for first, second, *_ in (finding.names for finding in sets):
         why = f"{first} and {second} fit these recordings alike, and predict others differently."
-        command = f"imumon plan {folder} --out {folder / 'next'}"
+        command = f"imumon plan {out} --out {plan}"
         yield NextStep(f"Record {separated_by(first, second)}.", why, command)
     if useful := [one for one in with_model(diagnosis) if one.claims and one.predicts]:
         least = min(one.test_after.rms / one.test_before.rms for one in useful)
         what = f"Use the model with what is named of {', '.join(one.name for one in useful)}."
-        command = f"imumon monitor PORT --device NAME --model {folder / 'model.yaml'}"
+        command = f"imumon monitor PORT --device NAME --model {model}"
         yield NextStep(what, f"Errors in the test fall by up to {1.0 - least:.0%}.", command)
     if names := which(lambda one: one.row.state == "not proven"):
         why = "What is left is little, noise or an effect too small to prove."

@@ -15,9 +15,10 @@ from imumon.effects.temperature_curve import TemperatureCurve
 from imumon.effects.vibration import SECOND_NS
 from imumon.lab.diagnosis.diagnose import diagnose
 from imumon.lab.diagnosis.extended import extended_model, refitted
-from imumon.lab.diagnosis.runs import Run
+from imumon.lab.diagnosis.live import better_models
+from imumon.lab.diagnosis.runs import Origin, Run
 from imumon.models.curves.spline import SplineCurve
-from imumon.models.model import ChannelModel
+from imumon.models.model import ChannelModel, TrainedOn
 from tests.lab.diagnosis.test_live import model
 from tests.lab.diagnosis.units import DPH, ramps, run, three
 
@@ -94,3 +95,42 @@ def test_a_present_polynomial_of_too_high_a_degree_for_a_curve_stays_an_effect(s
         expected = float(present.curve.value(26.0 + 14.0 * u)) + 1e-6 * u
         expected += sum(1e-5 * u**power for power in range(9, 15))
         assert bias == pytest.approx(expected, rel=1e-9)
+
+
+def bent(time: FloatArray, degc: FloatArray) -> FloatArray:
+    """Return an earth rate, a curve that has to be fitted anew, and a lack."""
+    return 12.0 + 20.0 * ((degc - 25.0) / 15.0) ** 2 + 40.0 * np.sin(2.0 * np.pi * time / 700.0)
+
+
+@pytest.mark.parametrize("removed", [True, False])
+def test_the_earth_rate_of_the_data_goes_into_no_model_that_has_none(removed: bool) -> None:
+    """The constant was that of the data, and the file still had: removed."""
+    present = model().model_copy(update={"earth_rate": "removed" if removed else "included"})
+    train, test = three(bent, 2400)
+    found = extended_model(diagnose(train, test, model=present))
+    (live,) = better_models(run(1, *ramps(3000, True), bent), present, ["gyro_x"])
+    before, degc = present.channels["gyro_x"].curve, 26.0
+    for channel in (found.channels["gyro_x"], live.model):
+        change = float(channel.curve.value(degc) - before.value(degc)) / DPH
+        assert abs(change) < 1.5 if removed else change > 8.0
+
+
+def test_channels_of_the_present_model_that_are_not_diagnosed_stay() -> None:
+    """They were dropped."""
+    earlier = TrainedOn(
+        session="S", sha256="0" * 64, rest_s=1.0, blocks=1, temperature_range_degc=[10.0, 42.0]
+    )
+    channels = {"gyro_z": model().channels["gyro_x"], **model().channels}
+    present = model().model_copy(update={"channels": channels, "trained_on": [earlier]})
+    train, test = three(lambda time, _: np.zeros_like(time), 2400)
+    found = extended_model(diagnose(train, test, model=present))
+    assert found.channels.keys() == channels.keys()
+    assert found.channels["gyro_z"] == channels["gyro_z"]
+    assert found.trained_on == [earlier]
+
+
+def test_a_model_of_another_unit_is_reported() -> None:
+    train, test = three(lambda time, _: np.zeros_like(time), 2400)
+    test = [replace(one, origin=Origin("S", 0, "0" * 64, serial="7")) for one in test]
+    caveats = diagnose(train, test, model=model().model_copy(update={"serial": "8"})).caveats
+    assert "the bias model is of unit 8, this is 7" in caveats

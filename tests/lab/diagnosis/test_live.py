@@ -205,3 +205,19 @@ def test_a_model_without_gyros_is_not_searched() -> None:
     stage = LiveDiagnosis(without)
     assert said(session(accel_x=np.zeros(SECONDS)), stage) == ""
     assert stage.notices() == []
+
+
+def test_what_a_learned_model_states_is_the_run_that_proved_it() -> None:
+    """It was the run at the end, which could be too short for any mean: the model was lost."""
+    stage = LiveDiagnosis(model(), learn=True)
+    assert said(session(40.0 * DPH * np.sin(np.arange(SECONDS) / 30.0)), stage)
+    assert stage.offered is not None
+    won = stage.evidence("session", "0" * 64)
+    assert won.rest_s > FIRST_SEARCH_S
+    again, last = session(), int(10 * SECONDS * 1e9)
+    for part in (slice(0, 20), slice(20, 40)):
+        time_ns = last + (again.time_s[part] * 1e9).astype(np.int64)
+        segment, rest = np.ones(20, np.int64), np.ones(20)
+        values = {name: values[part] for name, values in again.mean.items()}
+        stage.process(SampleBlock({**values, "device_time_ns": time_ns, "segment": segment, "at_rest": rest}))
+    assert stage.evidence("session", "0" * 64) == won

@@ -87,3 +87,22 @@ def test_what_is_no_report_is_refused(tmp_path: Path, capsys: pytest.CaptureFixt
     (tmp_path / "report.json").write_text(json.dumps({"format": "something else"}))
     assert command(["plan", str(tmp_path), "--out", str(tmp_path / "plan")]) != 0
     assert "report.json" in capsys.readouterr().err
+
+
+def test_files_of_an_earlier_plan_are_named(
+    open_report: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "2-drift.yaml").touch()
+    assert command(["plan", str(open_report), "--out", str(tmp_path), "--hours", "0.9"]) == 0
+    assert f"{tmp_path / '2-drift.yaml'} is of an earlier plan" in capsys.readouterr().err
+
+
+def test_a_report_without_white_noise_is_refused(
+    open_report: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It ended in a ZeroDivisionError."""
+    content = json.loads((open_report / "report.json").read_text(encoding="utf-8"))
+    content["channels"]["gyro_x"]["noise_floor_rms"] = 0
+    (tmp_path / "report.json").write_text(json.dumps(content), encoding="utf-8")
+    assert command(["plan", str(tmp_path), "--out", str(tmp_path / "plan")]) == 2
+    assert "noise_floor_rms" in capsys.readouterr().err

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from imumon.errors import ImumonError
+from imumon.errors import ImumonError, Reason
 from imumon.lab.diagnosis.blocks import common_block_s, white_floor
 from imumon.lab.diagnosis.diagnose import diagnose, search_block_s
 from imumon.lab.diagnosis.prepare import usable_blocks, usable_channels, usable_drivers
@@ -214,3 +214,22 @@ def test_a_channel_that_changes_between_blocks_only_is_diagnosed(every_s: int) -
     (verdict,) = diagnose(train, test, sensors=("pressure",)).verdicts
     assert 0.3 < verdict.channel.floor.sd < 1.0  # 1 is the noise of a reading
     assert not verdict.claims
+
+
+@pytest.mark.parametrize("wrong", ["gyro_u", "acel", "", "mag"])
+def test_a_channel_that_is_not_there_is_refused_with_those_that_are(wrong: str) -> None:
+    """It was ignored beside others."""
+    train, test = three(still, SECONDS)
+    with pytest.raises(ImumonError, match=f"--channels: '{wrong}' is not in the training data") as error:
+        diagnose(train, test, sensors=("gyro_x", wrong))
+    assert error.value.reason is Reason.BAD_CONFIG
+    assert error.value.hint == "there are gyro_x"
+
+
+def test_a_test_with_one_reading_of_the_temperature_is_not_used_and_that_is_reported() -> None:
+    """It ended in a KeyError."""
+    train, test = three(still, SECONDS)
+    test[0].mean["temperature"][1:] = np.nan
+    diagnosis = diagnose(train, test)
+    assert not diagnosis.test
+    assert f"{test[0].name}: not used, it lacks temperature" in diagnosis.caveats
