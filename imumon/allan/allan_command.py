@@ -2,7 +2,6 @@
 
 import math
 from pathlib import Path
-from pkgutil import resolve_name
 from typing import TYPE_CHECKING
 
 import click
@@ -12,13 +11,6 @@ from imumon.cli.progress import reading_bar
 
 if TYPE_CHECKING:
     from imumon.allan.analysis import Result
-
-WRITERS = {
-    "plot": "plot:write_plot",
-    "noise": "output:write_noise",
-    "kalibr": "output:write_kalibr",
-}
-"""Modules and functions that write an output; they are loaded when it is wanted."""
 
 
 @click.command("allan")
@@ -49,15 +41,20 @@ def command(
         progress("deviations and terms of all channels")
         results = analyse(opened.series)
     warn([*opened.warnings, *output.remarks(results)])
-    wanted = {"plot": plot, "noise": noise_out, "kalibr": kalibr}
-    outputs = {name: path for name, path in wanted.items() if path}
-    for name, path in outputs.items():
-        resolve_name(f"imumon.allan.{WRITERS[name]}")(path, results, recording)
+    if plot is not None:
+        from imumon.allan.plot import write_plot
+
+        write_plot(plot, results, recording)
+    if noise_out is not None:
+        output.write_noise(noise_out, results, recording)
+    if kalibr is not None:
+        output.write_kalibr(kalibr, results, recording)
     if as_json:
         print_json(output.as_json(results))
     else:
         _show_terms(results)
-    print_rows({name: str(path) for name, path in outputs.items()})
+    written = {"plot": plot, "noise": noise_out, "kalibr": kalibr}
+    print_rows({name: str(path) for name, path in written.items() if path is not None})
 
 
 def _show_terms(results: "dict[str, Result]") -> None:

@@ -9,18 +9,21 @@ from imumon.allan.covariance import CONFIDENCE, TERMS_OF
 from imumon.allan.fit import AMBIGUOUS, DIGITS, NO_SUM
 from imumon.allan.recording import UNITS, by_text, group_of
 from imumon.config import dump_yaml
-from imumon.errors import bad_data
-from imumon.files import check_output, write_text
+from imumon.errors import bad_config, bad_data
+from imumon.files import check_output, target, write_text
 
 
 def check_outputs(plot: Path | None, *files: Path | None) -> None:
     """Refuse outputs that could not be written, or would replace what a person may have edited.
 
     Raises EXISTS for a file that is there (a picture is replaced); BAD_CONFIG for a picture that is not a
-    PNG, and where there is no folder.
+    PNG, where there is no folder, and for one name twice.
     """
-    for path in filter(None, (plot, *files)):
+    given = [*filter(None, (plot, *files))]
+    for path in given:
         check_output(path, replace=path is plot, suffix=".png" if path is plot else "")
+    if len({target(path) for path in given}) < len(given):
+        raise bad_config("two of the outputs have one name", "give each a name of its own")
 
 
 def remarks(results: Mapping[str, Result]) -> list[str]:

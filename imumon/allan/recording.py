@@ -1,19 +1,16 @@
 """The channels of a recording for the Allan deviation, and what the user should know of it."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from imumon.allan.fit import NO_SUM
 from imumon.allan.series import PARTS, EvenSeries, even_channels
 from imumon.blocks import SampleBlock, join
 from imumon.columns import TEMPERATURES
 from imumon.errors import bad_data
 from imumon.estimation.gyro_bias.stage import RestDetector
-from imumon.estimation.rest.slots import COARSEST_STEPS
-from imumon.filters.rounding import digits
 from imumon.recordings.reduced import ACCEL, GYRO
 from imumon.recordings.source import Count, no_count, open_recording
 
@@ -30,10 +27,8 @@ MOVING_SHARE, LEAST_FOR_MOTION_S = 0.01, 10.0
 """Less is put down to the rest detector, which cannot detect rest before so many s."""
 SHORT_S = 300.0
 """Bias instability shows at averaging times of minutes, which a shorter recording does not have."""
-FASTEST_HZ, FASTEST_RAD_S = 5e4, 100.0
-"""No IMU sends faster; a column device_time_ns in another unit would.  No gyro measures more (5700 deg/s)."""
-NORMAL_G = (9.3, 10.3)
-"""Norm of the specific force at rest, m/s^2, with a few percent for an uncalibrated unit."""
+FASTEST_HZ = 5e4
+"""No IMU sends faster; a column device_time_ns in another unit would."""
 
 
 class Channels(NamedTuple):
@@ -88,11 +83,10 @@ def read_channels(path: Path, count: Count = no_count) -> Channels:
     warnings = recording.warnings()
     if empty := [name for name in there if name not in channels]:
         warnings.append(f"{', '.join(empty)}: fewer than two numbers; left out")
-    warnings += _of_units(samples, series)
     of_grids = by_text((name, text) for name, channel in series.items() for text in _of_grid(channel))
     for text, alike in of_grids.items():
         warnings.append(text if len(alike) == len(series) else f"{', '.join(alike)}: {text}")
-    warnings += _of_motion(samples, series, declared="at_rest" in recording.columns)
+    warnings += _of_motion(samples, declared="at_rest" in recording.columns)
     length_s = max(channel.duration_s for channel in series.values())
     if length_s < SHORT_S:
         advice = "record for ten times the longest averaging time of interest, such as an hour"
@@ -106,19 +100,6 @@ def by_text(found: Iterable[tuple[str, str]]) -> dict[str, list[str]]:
     for channel, text in found:
         channels.setdefault(text, []).append(channel)
     return channels
-
-
-def _of_units(samples: SampleBlock, series: Mapping[str, EvenSeries]) -> Iterator[str]:
-    """Yield what looks like readings in other units."""
-    gyros = [name for name in GYRO if name in series]
-    if fast := [name for name in gyros if np.median(np.abs(series[name].values)) > FASTEST_RAD_S]:
-        yield f"{', '.join(fast)}: turns faster than any gyro measures: it is not in rad/s"
-    if samples.accel is not None and series.keys() >= {*ACCEL}:
-        norm = np.linalg.norm(samples.accel, axis=1)
-        norm = norm[np.isfinite(norm)]
-        if len(norm) and not NORMAL_G[0] < norm.mean() < NORMAL_G[1]:
-            what = f"the mean specific force is {norm.mean():.4g} m/s^2, not gravity"
-            yield f"{what}: it is not in m/s^2, or not whole"
 
 
 def _of_grid(channel: EvenSeries) -> Iterator[str]:
@@ -138,7 +119,7 @@ def _of_grid(channel: EvenSeries) -> Iterator[str]:
         yield f"time from sample to sample varies by {channel.jitter:.0%} rms; taken as even"
 
 
-def _of_motion(samples: SampleBlock, series: Mapping[str, EvenSeries], *, declared: bool) -> Iterator[str]:
+def _of_motion(samples: SampleBlock, *, declared: bool) -> Iterator[str]:
     """Yield the share of motion: by the column ``at_rest`` of a table, else by the rest detector."""
     time_ns = samples["device_time_ns"]
     known = time_ns >= time_ns[0] + LEAST_FOR_MOTION_S * 1e9
@@ -155,20 +136,11 @@ def _of_motion(samples: SampleBlock, series: Mapping[str, EvenSeries], *, declar
     advice = "these are deviations of the motion, not of the sensor: record it lying still"
     if declared:
         yield f"the unit moved during {share:.1%} of the recording (column at_rest): {advice}"
-    elif coarse := [name for name, channel in series.items() if _is_coarse(name, channel)]:
-        yield f"whether the unit moved is unknown: the steps of {', '.join(coarse)} are too coarse"
     elif not at_rest.any():
-        what = "the unit moved, or is noisier than a sensor at rest can be"
+        what = "motion, more noise than a sensor at rest can have, or steps that are too coarse"
         yield f"the rest detector found no rest: {what}; {advice}"
     else:
         yield f"the unit moved during {share:.1%} of the recording (by the rest detector): {advice}"
-
-
-def _is_coarse(name: str, channel: EvenSeries) -> bool:
-    """Return whether steps hide the noise of a channel, or are coarser than the rest detector knows."""
-    steps = digits(channel.values[channel.there])
-    coarsest = dict(zip(UNITS, COARSEST_STEPS, strict=True))[group_of(name)]
-    return steps is not None and (steps.error > NO_SUM or steps.step > coarsest)
 
 
 def _of_temperature(samples: SampleBlock) -> Iterator[str]:

@@ -10,6 +10,7 @@ import sys
 import threading
 from contextlib import suppress
 from functools import cache, partial
+from io import TextIOWrapper
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING
 
@@ -158,6 +159,8 @@ def main() -> None:
         sys.exit(shell_complete(cli, {}, "imumon", COMPLETION, instruction))
     _heed_interrupts()
     _open_missing_streams()
+    if isinstance(sys.stdout, TextIOWrapper):  # which may have no letter for ° or τ
+        sys.stdout.reconfigure(errors="backslashreplace")
     _report_compiling()
     code = run(sys.argv[1:])
     # All is done: Ctrl-C now only spares what Python does before it ends.

@@ -138,6 +138,8 @@ SHORTEST_NS, LONGEST_NS = 1e3, 1e14
 BINS_PER_DECADE = 100
 GAP = 1.5
 """An interval longer than so many usual ones lacks a packet."""
+LONG_GAP_NS, LONG_GAP = 1e9, 10.0
+"""What is between the rows of an interval longer than both, of which the latter is in usual ones, is lost."""
 FIRST = 1 << 14
 """Intervals of which it is found whether times are rounded."""
 PARTS, SHORTEST_PART = 64, 3
@@ -231,3 +233,9 @@ class Intervals:
         if usual is None:
             return 0
         return int(self._count[int(np.searchsorted(_EDGES, GAP * usual)) + 1 :].sum())
+
+    @property
+    def covered_s(self) -> float:
+        """Sum of the intervals without long gaps."""
+        longest = max(LONG_GAP_NS, LONG_GAP * (self.usual_ns or 0.0))
+        return float(self._sum[: int(np.searchsorted(_EDGES, longest)) + 1].sum()) * 1e-9

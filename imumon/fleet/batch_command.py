@@ -12,13 +12,9 @@ import click
 from imumon.cli import common
 from imumon.cli.progress import bar
 from imumon.errors import EXIT_NEGATIVE, EXIT_OK
-from imumon.files import write_text
-from imumon.harmless import for_log
 
 SHOWN = 20
 """Lines that are shown of what failed, and of what is missing."""
-FAILED_NAME = "failed.txt"
-"""Lists all that failed, where that is more than is shown."""
 
 
 @click.group("batch")
@@ -97,10 +93,7 @@ def _run(
     every = dict.fromkeys(place for one in sessions for place in find(one))
     results = Dataset(out.absolute(), options)
     try:
-        if retry:
-            results.forget_failures()
-        before = results.done()
-        left = [place for place in every if place not in before]
+        left = results.left(every, retry)
         if left:
             jobs = (Job(place, options, str(results.folder), limit_s=timeout) for place in left)
             shown = bar("sessions", len(left), quiet=as_json)
@@ -129,10 +122,7 @@ def _report(out: Path, rows: Mapping[str, Mapping[str, Any]], before: int, as_js
     failures = {place: f"{row['reason']}: {row['error']}" for place, row in rows.items() if row.get("reason")}
     lacks = {place: texts for place, row in rows.items() if (texts := lacking(row))}
     failed = [f"{place}: {why}" for place, why in sorted(failures.items())]
-    (out / FAILED_NAME).unlink(missing_ok=True)
-    if len(failed) > SHOWN:
-        write_text(out / FAILED_NAME, "".join(f"{for_log(line)}\n" for line in failed))
-    _warn_first(failed, f"more failed; all {len(failed):,} are in {out / FAILED_NAME}")
+    _warn_first(failed, f"more failed; all {len(failed):,} are in the table")
     missing = [f"{place}: {text}" for place, texts in sorted(lacks.items()) for text in texts]
     _warn_first(missing, "more lines on missing parts, in the column warnings")
     reasons = Counter(why.partition(":")[0] for why in failures.values())
@@ -164,6 +154,10 @@ def _chosen(given: dict[str, Any]) -> dict[str, Any]:
         from imumon.lab.diagnosis.diagnose import parse_declared
 
         parse_declared(chosen["declared"])
+    if {"latitude_deg", "heading_deg"} & chosen.keys():
+        from imumon.lab.calibration.calibration import check_place
+
+        check_place(chosen.get("latitude_deg"), chosen.get("heading_deg"))
     return chosen
 
 

@@ -2,7 +2,6 @@
 
 import sys
 from collections.abc import Sequence
-from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,10 +9,9 @@ import click
 
 from imumon.cli import common
 from imumon.errors import bad_data
-from imumon.files import check_output, results_folder
+from imumon.files import check_output
 
 if TYPE_CHECKING:
-    from imumon.fleet.catalog.tables import Outlier
     from imumon.fleet.catalog.units import Unit
 
 RESULTS = "catalog"
@@ -44,26 +42,25 @@ def catalog(folder: Path, results: Path | None, out: Path | None, as_json: bool)
     """
     from imumon.fleet.catalog.tables import tables, write_tables
 
-    with nullcontext() if out is None else results_folder(out):
-        units, unusual, left_out = read(folder, results)
-        rows = tables(units, unusual)
-        written = [] if out is None else write_tables(rows, out)
+    units, left_out = read(folder, results)
+    rows = tables(units)
+    written = [] if out is None else write_tables(rows, out)
     common.warn(f"{row['session']}: {row['error']}" for row in rows["sessions"] if row["error"])
     if as_json:
         common.print_json(
             rows | {"left_out": [{"session": place, "error": why} for place, why in left_out.items()]}
         )
     else:
-        _show([_row(unit, unusual) for unit in units])
+        _show([_row(unit) for unit in units])
     common.print_rows({path.name: str(path) for path in written})
 
 
-def read(folder: Path, results: Path | None = None) -> "tuple[list[Unit], list[Outlier], dict[str, str]]":
-    """Return the units of the sessions in a folder, what is unusual of them, and what was left out and why.
+def read(folder: Path, results: Path | None = None) -> "tuple[list[Unit], dict[str, str]]":
+    """Return the units of the sessions in a folder, and what was left out and why.
 
     The latter is warned of, and of what recordings lack.
     """
-    from imumon.fleet.catalog.tables import outliers
+    from imumon.fleet.catalog.tables import find_outliers
     from imumon.fleet.catalog.units import read_models, read_sessions, units_of
 
     if not folder.is_dir():
@@ -73,10 +70,11 @@ def read(folder: Path, results: Path | None = None) -> "tuple[list[Unit], list[O
     units = units_of(entries, read_models(folder))
     common.warn(f"{place} is left out: {why}" for place, why in left_out.items())
     common.warn(f"{entry.session.path}: {text}" for entry in entries for text in entry.lacking)
-    return units, outliers(units), left_out
+    find_outliers(units)
+    return units, left_out
 
 
-def _row(unit: "Unit", unusual: "Sequence[Outlier]") -> list[str]:
+def _row(unit: "Unit") -> list[str]:
     from imumon.fleet.catalog.tables import day, drifts
     from imumon.fleet.catalog.units import BEST, COLDEST, HOTTEST, WORST
     from imumon.lab.diagnosis.page import shown
@@ -92,7 +90,7 @@ def _row(unit: "Unit", unusual: "Sequence[Outlier]") -> list[str]:
         unit.name, unit.device, str(row["sessions"]), f"{row['hours']:.2f}",
         day(row["first"]), day(row["last"]), _from_to(row[COLDEST], row[HOTTEST]),
         _from_to(factor * row[BEST], factor * row[WORST]), str(row["models"]), drift_text,
-        str(sum(outlier.unit == unit.name for outlier in unusual)),
+        str(len(unit.outliers)),
     ]  # fmt: skip
 
 
@@ -137,12 +135,13 @@ def report(what: str, out: Path, sessions: Path) -> None:
     if is_session(Path(what)):
         common.warn(write_session(open_session(Path(what)), out))
     else:
-        units, unusual, _ = read(sessions) if sessions.is_dir() else ([], [], {})
-        known = {unit.name: unit for unit in units}
-        if what not in known:
+        units, _ = read(sessions) if sessions.is_dir() else ([], {})
+        known = [unit for unit in units if unit.name == what]
+        if len(known) != 1:
+            there = ", ".join(f"{unit.name} ({unit.device})" for unit in known or units) or "none"
             raise bad_data(
-                f"{what} is neither a session nor a unit of which there are sessions in {sessions}",
-                f"there are: {', '.join(known) or 'none'}; --sessions DIR names another folder",
+                f"{what} is neither a session nor one unit of which there are sessions in {sessions}",
+                f"there are: {there}; --sessions DIR names another folder",
             )
-        write_unit(known[what], unusual, out)
+        write_unit(known[0], out)
     common.print_rows({"record": str(out)})

@@ -21,17 +21,18 @@ from imumon.logs import log
 from imumon.logs.log import Damage, Log, Series, named, triple
 
 SCALING = "the units that DataFlash defines for IMU"
+GYRO = "GyrX", "GyrY", "GyrZ"
 MARK = b"\xa3\x95"
 FORMAT = 128
 HEAD = MARK + bytes([FORMAT])
 """A log begins with a message that describes the format of another."""
 DESCRIPTION = struct.Struct("<BB4s16s64s")
 TYPES = {
-    "a": "V64", "b": "i1", "B": "u1", "h": "<i2", "H": "<u2", "i": "<i4", "I": "<u4", "f": "<f4", "d": "<f8",
-    "n": "V4", "N": "V16", "Z": "V64", "c": "<i2", "C": "<u2", "e": "<i4", "E": "<u4", "L": "<i4", "M": "u1",
+    "b": "i1", "B": "u1", "h": "<i2", "H": "<u2", "i": "<i4", "I": "<u4", "f": "<f4", "d": "<f8",
+    "c": "<i2", "C": "<u2", "e": "<i4", "E": "<u4", "L": "<i4", "M": "u1",
     "q": "<i8", "Q": "<u8", "g": "<f2",
 }  # fmt: skip
-"""NumPy's of each type."""
+"""NumPy's of each type of a number: what is kept has no texts and arrays."""
 SENSORS = {"IMU": ("IMU", 0), "IMU2": ("IMU", 1), "IMU3": ("IMU", 2), "MAG": ("MAG", 0), "BARO": ("BARO", 0)}
 """Of the messages that are kept the kind, and the number of the sensor where none (field I) is in them."""
 BLOCK = 256
@@ -48,10 +49,10 @@ def read(path: Path, sensor: str | None = None) -> Log:
     Raises BAD_DATA when it has no IMU messages; BAD_CONFIG when not of this sensor.
     """
     found, damage = _messages(path)
-    imus = sorted(name for name in found if name.startswith("IMU."))
+    imus = sorted(name for name in found if name.startswith("IMU.") and found[name].keys() >= {*GYRO})
     name, others = log.pick(path, imus, sensor, damage)
     imu = found[name]
-    gyro = named(imu, ["GyrX", "GyrY", "GyrZ", "AccX", "AccY", "AccZ"], [*triple("gyro"), *triple("accel")])
+    gyro = named(imu, [*GYRO, "AccX", "AccY", "AccZ"], [*triple("gyro"), *triple("accel")])
     # A sensor without a thermometer reads 0 all the time.
     if np.any(imu.get("T", 0.0)):
         gyro |= named(imu, ["T"], ["temperature"])

@@ -67,11 +67,15 @@ def parse_target(text: str) -> Target:
             hint = f"ros2 for this computer alone, ros2={NETWORK} for as far as ROS is set up to reach"
             raise bad_config(what, hint)
         return Target(kind, NETWORK if address else LOCALHOST)
+    hint = f"{kind}=:PORT, {kind}=HOST:PORT or {kind}=[HOST]:PORT, with 1 to 65535"
     try:
         parts = urlsplit(f"//{address}")
-        port = parts.port or PORTS[kind]
+        port = PORTS[kind] if parts.port is None else parts.port
+        is_more = parts.netloc != address or "@" in address or "%" in address
+        if is_more or port == 0 or (parts.hostname or "").isdigit():
+            raise ValueError(f"{address} is no host and port")
         # Once: a name server must not be waited for later on.
         found = socket.getaddrinfo(parts.hostname or LOCALHOST, port, type=socket.SOCK_DGRAM)
     except (OSError, ValueError) as error:
-        raise bad_config(f"--publish {text}: {error}", "HOST:PORT or [HOST]:PORT, with 1 to 65535") from error
+        raise bad_config(f"--publish {text}: {error}", hint) from error
     return Target(kind, str(found[0][4][0]).partition("%")[0], port)

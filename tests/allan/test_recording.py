@@ -62,12 +62,11 @@ def test_a_table_that_states_its_other_unit_is_refused(tmp_path: Path) -> None:
 
 
 def test_units_that_cannot_be_are_reported(tmp_path: Path) -> None:
-    made = columns()
-    made["gyro_x"] = made["gyro_x"] + 300.0
-    made |= {f"accel_{axis}": np.full(N, value) for axis, value in zip("xyz", (0, 0, 1.0), strict=True)}
+    made = still(20.0, 300.0, 1e-3)
+    made |= {f"accel_{axis}": made[f"accel_{axis}"] / 9.80665 for axis in "xyz"}
     said = " ".join(read_channels(write(tmp_path, made)).warnings)
-    assert "gyro_x: turns faster" in said
-    assert "specific force is 1 m/s^2" in said
+    assert "specific force is 0.1 times gravity" in said
+    assert "is its unit right?" in said
 
 
 def test_gravity_in_a_unit_that_turns_over_is_no_wrong_unit(tmp_path: Path) -> None:
@@ -129,6 +128,13 @@ def test_nothing_is_overwritten_but_a_picture(tmp_path: Path) -> None:
         check_outputs(None, tmp_path / "none" / "n.yaml")
     (tmp_path / "a.png").touch()
     check_outputs(tmp_path / "a.png", None, tmp_path / "k.yaml")
+
+
+def test_two_outputs_are_two_files(tmp_path: Path) -> None:
+    (tmp_path / "link.yaml").symlink_to(tmp_path / "a.yaml")
+    for other in ("a.yaml", "link.yaml"):
+        with pytest.raises(ImumonError, match="have one name"):
+            check_outputs(None, tmp_path / "a.yaml", tmp_path / other)
 
 
 def still(rate_hz: float, seconds: float, noise: float, step: float = 0.0) -> dict[str, Any]:

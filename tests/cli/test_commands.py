@@ -363,6 +363,13 @@ def test_output_that_nobody_takes_is_an_error_without_a_traceback(session: Path,
     assert "rror" not in piped.stderr.replace("errors", "")
 
 
+def test_output_that_has_no_letter_for_a_sign_is_written_all_the_same() -> None:
+    command, latin = [IMUMON, "catalog", "--help"], os.environ | {"PYTHONIOENCODING": "latin-1"}
+    done = subprocess.run(command, capture_output=True, env=latin, check=False, timeout=LIMIT_S)
+    assert done.returncode == 0, done.stderr
+    assert b"temperatures, \\u03c3, losses" in done.stdout
+
+
 def test_the_recording_of_a_session_is_no_raw_capture(tmp_path: Path) -> None:
     answer("simulate", "bench", "--out", tmp_path / "s", "--duration", 1)
     told = answer("decode", tmp_path / "s" / "wire.mcap", "--device", "ax1", "--out", tmp_path / "t.csv")

@@ -119,7 +119,7 @@ def test_a_simulation_that_meets_a_full_disk_leaves_nothing_and_can_be_made_agai
         done = imumon("simulate", "bench", "--out", out, "--duration", 1)
     assert done.returncode == 2
     assert f"imumon: {out}: No space left on device\nmake room" in done.stderr
-    assert not list(tmp_path.iterdir())
+    assert not list(out.parent.iterdir())
     answer("simulate", "bench", "--out", out, "--duration", 1)
 
 
@@ -145,4 +145,4 @@ def test_a_full_disk_is_reported_of_the_file_that_was_given(
 def test_a_report_of_what_is_not_there_reports_it(tmp_path: Path) -> None:
     done = imumon("report", "NOPE", "--out", "r.html", cwd=tmp_path)
     assert done.returncode == 4
-    assert "NOPE is neither a session nor a unit of which there are sessions in sessions" in done.stderr
+    assert "NOPE is neither a session nor one unit of which there are sessions in sessions" in done.stderr

@@ -18,7 +18,7 @@ from imumon.logs.importing import import_log
 from imumon.logs.log import Series, _beside
 from imumon.recordings.folder import open_session
 from imumon.recordings.table import read_table
-from tests.logs.made import dataflash, ulog
+from tests.logs.made import DATAFLASH, dataflash, ulog
 
 TIMES = "uint64_t timestamp;uint64_t timestamp_sample;uint32_t device_id;"
 SENSOR, BARO = f"{TIMES}float x;float y;float z;float temperature;", f"{TIMES}float pressure;"
@@ -180,6 +180,29 @@ def test_a_log_whose_messages_have_no_known_time_is_refused(tmp_path: Path) -> N
     dataflash(tmp_path / "old.BIN", [("IMU", [k, 0.1, 0.2, 0.3, 0.0, 0.0, -9.8]) for k in range(20)], kinds)
     with pytest.raises(ImumonError, match=r"old\.BIN: none of the 20 samples of IMU\.0 has a time"):
         import_log(tmp_path / "old.BIN", None, tmp_path / "session")
+
+
+@pytest.mark.parametrize(
+    ("layout", "columns"),
+    [
+        ("QBfffnffIIfBBHH", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ,EG,EA,T,GH,AH,GHz,AHz"),  # a flipped bit
+        ("QBffffffIIfBBHH", "TimeUS,I,GyzX,GyrY,GyrZ,AccX,AccY,AccZ,EG,EA,T,GH,AH,GHz,AHz"),
+        ("QBffffffIIfBBHH", "TimeUS,I,a,b,c,d,e,f,g,h,T,i,j,k,l"),
+    ],
+)
+def test_a_log_whose_sensor_has_no_rates_is_refused_by_its_own_name(
+    tmp_path: Path, layout: str, columns: str
+) -> None:
+    path = tmp_path / "a.BIN"
+    dataflash(path, [imu(1000 * k, 0, 0.1) for k in range(20)])
+    before = path.read_bytes()
+    form, names = (text.encode() for text in DATAFLASH["IMU"][1:])
+    path.write_bytes(
+        before.replace(form, layout.encode(), 1).replace(names, columns.encode().ljust(len(names), b"\0"), 1)
+    )
+    with pytest.raises(ImumonError, match=r"a\.BIN: there is no gyro") as refused:
+        import_log(path, None, tmp_path / "session")
+    assert refused.value.reason is Reason.BAD_DATA
 
 
 @pytest.mark.parametrize("left", [1, 2, 3, 40])

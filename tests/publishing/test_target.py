@@ -67,6 +67,12 @@ def test_what_leaves_this_computer_is_reported(text: str, said: str) -> None:
         ("udp-json=127.0.0.1:x", "'x'"),
         ("foxglove=::1", "':1'"),
         ("udp-json=no such host:5", "not known"),
+        ("udp-json=9999", "no host and port"),
+        ("foxglove=8766", "no host and port"),
+        ("udp-json=127.0.0.1:0", "no host and port"),
+        ("udp-json=127.0.0.1:98/x", "no host and port"),
+        ("udp-json=a@127.0.0.1:98", "no host and port"),
+        ("udp-json=[fe80::1%lo]:98", "no host and port"),
         ("ros2=192.0.2.7", "takes no address"),
     ],
 )

@@ -2,23 +2,26 @@
 
 import fcntl
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from pydantic import Field
 
 from imumon.config import StrictModel, dump_yaml, load_yaml
-from imumon.errors import ImumonError, Reason, bad_config
-from imumon.files import replacing, write_text
+from imumon.errors import ImumonError, Reason, bad_config, bad_data
+from imumon.files import TRUTH, replacing, write_text
 from imumon.models.curves.polynomial import CUBIC
 from imumon.recordings.source import RECORDING
 
 ROWS, SETTINGS_NAME, LOCK_NAME = "rows", "batch.yaml", ".lock"
 WRITE_S = 60.0
 """What has been computed is written so often: whoever kills a batch loses at most that."""
+LATE_S = 3600.0
+"""So long before its rows were written a session may have been read."""
 
 Row = Mapping[str, Any]
 """Of a session and a channel: the columns of `schema_of` that it has."""
@@ -82,6 +85,35 @@ def lacking(row: Row) -> list[str]:
     return [text for text in row.get("warnings") or () if RECORDING in text]
 
 
+def _is_left(row: Row | None, begun: int | None, retry: bool) -> bool:
+    """Return whether a session with this row is to be done; the row may be of another at its place."""
+    if row is None or begun not in (None, row["begun"]):
+        return True
+    files = (Path(row["session"]) / name for name in TRUTH)
+    changed = (path.stat().st_mtime for path in files if path.is_file())
+    is_changed = lacking(row) and max(changed, default=0.0) > row["written"] - LATE_S
+    return bool(is_changed or (retry and row["reason"]))
+
+
+def _read(part: Path, **chosen: Any) -> pa.Table:
+    """Return rows of a file; raises BAD_DATA when it is damaged."""
+    try:
+        return pq.read_table(part, **chosen)
+    except (pa.ArrowException, OSError) as error:
+        raise bad_data(f"{part} is damaged", "remove it: its sessions are done again") from error
+
+
+def _are_of(sessions: Collection[str]) -> pc.Expression:
+    return pc.field("session").isin(pa.array(sessions, pa.string()))
+
+
+def _listed(table: pa.Table) -> list[dict[str, Any]]:
+    """Return rows with `begun` as Unix time, ns."""
+    at = table.schema.get_field_index("begun")
+    rows: list[dict[str, Any]] = table.set_column(at, "begun", table["begun"].cast(pa.int64())).to_pylist()
+    return rows
+
+
 class Dataset:
     """The results so far, to which one program at a time adds.
 
@@ -95,7 +127,6 @@ class Dataset:
     def __init__(self, folder: Path, options: BatchOptions) -> None:
         self.folder = folder
         self._schema = schema_of(options.command)
-        self._waiting: list[Row] = []
         self._written = time.monotonic()
         try:
             (folder / ROWS).mkdir(parents=True, exist_ok=True)
@@ -123,6 +154,9 @@ class Dataset:
             raise
         for partial in (folder / ROWS).glob("*.partial"):
             partial.unlink()
+        last = int(self.parts[-1].stem.rpartition("-")[2]) if self.parts else 0
+        self._next: tuple[int, list[Row]] = last + 1, []
+        """Number and rows of the next file; both change at once, or Ctrl-C would have rows written twice."""
 
     @property
     def parts(self) -> list[Path]:
@@ -130,40 +164,52 @@ class Dataset:
         return sorted((self.folder / ROWS).glob("*.parquet"))
 
     def done(self) -> dict[str, Row]:
-        """Return the sessions that are in the table: warnings, and reason and error of a failure."""
-        tables = [pq.read_table(part, columns=["session", *_WHY]) for part in self.parts]
-        return {row["session"]: row for table in tables for row in table.to_pylist()}
+        """Return the sessions that are in the table: when they began (Unix time, ns) and their rows were
+        written (s), warnings, and reason and error of a failure.
+        """
+        return {
+            row["session"]: {**row, "written": part.stat().st_mtime}
+            for part in self.parts
+            for row in _listed(_read(part, columns=["session", "begun", *_WHY]))
+        }
 
-    def rows(self, sessions: Sequence[str]) -> dict[str, list[Row]]:
-        """Return all rows of these sessions, by session."""
-        found: dict[str, list[Row]] = {}
+    def rows(self, sessions: Collection[str]) -> dict[str, list[Row]]:
+        """Return all rows of these sessions, by session; `begun` is Unix time, ns."""
+        found: dict[str, list[Row]] = {session: [] for session in sessions}
         for part in self.parts:
-            for row in pq.read_table(part, filters=[("session", "in", sessions)]).to_pylist():
-                found.setdefault(row["session"], []).append(row)
+            for row in _listed(_read(part, filters=_are_of(sessions))):
+                found[row["session"]].append(row)
         return found
 
-    def forget_failures(self) -> None:
-        """Take out what failed, so that it is done again."""
-        for part in self.parts:
-            table = pq.read_table(part)
-            good = table.filter(table["reason"].is_null())
-            if len(good) < len(table):
-                self._put(part, good)
+    def left(self, sessions: Mapping[str, int | None], retry: bool) -> list[str]:
+        """Return which of these sessions are to be done, and take out what is known of them.
+
+        They are new, or lacked something and have changed since, or have failed, with `retry`, or are others
+        by when they began: Unix time, ns; None where that is not known.
+        """
+        done = self.done()
+        left = [session for session, begun in sessions.items() if _is_left(done.get(session), begun, retry)]
+        for part in self.parts if done.keys() & left else ():
+            table = _read(part)
+            others = table.filter(~_are_of(left))
+            if len(others) < len(table):
+                self._put(part, others)
+        return left
 
     def add(self, rows: Sequence[Row]) -> None:
         """Add all rows of a session; they are on the medium after some time, or after `write`."""
-        self._waiting += rows
+        self._next[1].extend(rows)
         if time.monotonic() - self._written >= WRITE_S:
             self.write()
 
     def write(self) -> None:
         """Write what was added."""
         self._written = time.monotonic()
-        if self._waiting:
-            last = int(self.parts[-1].stem.rpartition("-")[2]) if self.parts else 0
-            table = pa.Table.from_pylist(self._waiting, self._schema)
-            self._put(self.folder / ROWS / f"part-{last + 1:06}.parquet", table)
-            self._waiting = []
+        number, rows = self._next
+        if rows:
+            table = pa.Table.from_pylist(rows, self._schema)
+            self._put(self.folder / ROWS / f"part-{number:06}.parquet", table)
+            self._next = number + 1, []
 
     def close(self) -> None:
         """Write what was added, and let others add."""

@@ -19,7 +19,8 @@ from typing import Any
 
 import numpy as np
 
-from imumon.blocks import NO_INT, SampleBlock
+from imumon.blocks import SampleBlock
+from imumon.clock.checks import Intervals
 from imumon.errors import ImumonError, Reason, bad_config, bad_data
 from imumon.fleet.batch.dataset import BatchOptions, Row
 from imumon.fleet.batch.places import fetched
@@ -31,9 +32,6 @@ from imumon.run.replay import compare_with_live, digested
 from imumon.run.setup import parse_setup, recorded_setup
 from imumon.run.stages import pipeline_of
 from imumon.version import __version__
-
-GAP_S, GAP_STEPS = 1.0, 10.0
-"""A step of time longer than both, of which the latter is in usual steps, is a gap in what was recorded."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,9 +51,8 @@ class Job:
     def file(self, folder: str, suffix: str) -> Path:
         """Return where a file of this session goes; two sessions of one name have two."""
         name = self.place.partition("?")[0].rstrip("/").rpartition("/")[2]
-        path = (
-            Path(self.out) / folder / f"{name}-{hashlib.sha256(self.place.encode()).hexdigest()[:8]}{suffix}"
-        )
+        digest = hashlib.sha256(self.place.encode()).hexdigest()
+        path = Path(self.out) / folder / f"{name}-{digest[:8]}{suffix}"
         path.parent.mkdir(exist_ok=True)
         return path
 
@@ -135,23 +132,11 @@ class Channels:
     def __init__(self) -> None:
         self._parts: dict[str, list[tuple[float, ...]]] = {}
         """By channel, of each block: number, mean, variance, least and greatest of the finite values."""
-        self.duration_s = 0.0
-        """Of the samples; gaps and what is between segments are left out."""
-        self._last = np.zeros(0, np.int64), np.zeros(0, np.int64)
-        """Time and segment of the latest row."""
+        self._intervals = Intervals()
 
     def add(self, block: SampleBlock) -> None:
         """Add the samples of a block."""
-        there = np.flatnonzero(block["device_time_ns"] != NO_INT)
-        time_ns, segment = (
-            np.append(last, block[name][there])
-            for last, name in zip(self._last, ("device_time_ns", "segment"), strict=True)
-        )
-        steps = np.diff(time_ns)[np.diff(segment) == 0] * 1e-9
-        if len(steps):
-            gap_s = max(GAP_S, GAP_STEPS * float(np.median(steps)))
-            self.duration_s += float(steps[(steps > 0) & (steps < gap_s)].sum())
-        self._last = time_ns[-1:], segment[-1:]
+        self._intervals.add(block["device_time_ns"], block["segment"])
         for name, values in block.columns.items():
             if values.dtype == np.float64 and len(known := values[np.isfinite(values)]):
                 part = len(known), known.mean(), known.var(), known.min(), known.max()
@@ -167,7 +152,7 @@ class Channels:
             sd = float(np.sqrt(squares / (count - 1))) if count > 1 else None
             yield {
                 "channel": name, "samples": int(count), "mean": float(mean), "sd": sd,
-                "least": least.min(), "greatest": greatest.max(), "duration_s": self.duration_s,
+                "least": least.min(), "greatest": greatest.max(), "duration_s": self._intervals.covered_s,
             }  # fmt: skip
 
 
@@ -220,12 +205,11 @@ def _allan(path: Path, _: Job) -> Iterator[Row]:
 
 
 def _calibrate(path: Path, job: Job) -> Iterator[Row]:
-    from imumon.lab.calibration.calibration import calibrate, check_place
+    from imumon.lab.calibration.calibration import calibrate
     from imumon.lab.calibration.cells import read_session
 
     options = job.options
     serial = open_session(path).metadata.serial
-    check_place(options.latitude_deg, options.heading_deg)  # before minutes of reading
     record, warnings = read_session(path)
     found = calibrate([record], options.latitude_deg, options.heading_deg, serial)
     file = job.file("models", ".yaml")

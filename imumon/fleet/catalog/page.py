@@ -1,7 +1,7 @@
 """The record of a session or of a unit, for the file: one page that needs no network."""
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from imumon.blocks import FloatArray
 from imumon.columns import TEMPERATURES
 from imumon.files import write_text
-from imumon.fleet.catalog.tables import Outlier, day, drifts
+from imumon.fleet.catalog.tables import day, drifts
 from imumon.fleet.catalog.units import Unit
 from imumon.harmless import for_plot
 from imumon.lab.diagnosis.page import COLOURS, HOUR_S, environment, shown, svg
@@ -33,10 +33,10 @@ BIASES = tuple((f"gyro_bias_{axis}", f"gyro_bias_sd_{axis}") for axis in "xyz")
 PER_HOUR, HOURLY = shown("rad/s")
 
 
-def write_unit(unit: Unit, unusual: Sequence[Outlier], path: Path) -> None:
+def write_unit(unit: Unit, path: Path) -> None:
     """Write the record of a unit; raises OSError when that fails."""
     model = unit.models[-1].model if unit.models else None
-    drifted, own = drifts(unit), [outlier for outlier in unusual if outlier.unit == unit.name]
+    drifted = drifts(unit)
     begun = min((int(one.time_ns[0]) for one in drifted), default=0)
     curves = {
         one.channel: Curve(
@@ -46,7 +46,7 @@ def write_unit(unit: Unit, unusual: Sequence[Outlier], path: Path) -> None:
     }
     labels = {"xlabel": f"days since {day(begun)}", "ylabel": f"bias less the first model's ± 2σ, {HOURLY}"}
     drift = {"Bias by each model, less the first": _figure(curves, **labels)} if curves else {}
-    _write(path, model, unit=unit, unusual=own, drifted=drifted, drift=drift)
+    _write(path, model, unit=unit, drifted=drifted, drift=drift)
 
 
 def write_session(session: Session, path: Path) -> list[str]:
@@ -94,7 +94,9 @@ def _curves(model: BiasModel) -> dict[str, str]:
 
 def _course(means: Reduced) -> dict[str, str]:
     """Return figures of temperature and gyro bias over time by their captions."""
-    hours = (means.start_ns - means.start_ns[:1]).astype(np.float64) * 1e-9 / HOUR_S
+    steps = np.diff(means.start_ns, prepend=means.start_ns[:1]) * 1e-9
+    steps[1:][np.diff(means.run) != 0] = means.slot_s
+    hours = np.cumsum(steps) / HOUR_S
     figures: dict[str, str] = {}
     if readings := {name: Curve(hours, means.of(name)) for name in TEMPERATURES if means.has(name)}:
         figures["Temperature"] = _figure(readings, xlabel="time, h", ylabel="temperature, °C")

@@ -10,8 +10,7 @@ import pyarrow.parquet as pq
 
 from imumon.blocks import FloatArray, IntArray
 from imumon.files import plain, replacing
-from imumon.fleet.catalog.units import BEST, COLDEST, HOTTEST, WORST, Unit
-from imumon.lab.diagnosis.page import shown
+from imumon.fleet.catalog.units import BEST, COLDEST, HOTTEST, WORST, Outlier, Unit
 from imumon.models.model import BiasModel, ChannelModel
 from imumon.recordings.reduced import GYRO
 
@@ -92,57 +91,38 @@ def line(x: FloatArray, y: FloatArray, sd: FloatArray) -> tuple[float, float]:
     return float(coefficients[0]), float(np.sqrt(max(excess, 1.0) * covariance[0, 0]))
 
 
-class Outlier(NamedTuple):
-    """A value of a unit, in rad/s, far from those of the others of its device.
-
-    `score` is the modified z-score: about its distance from the median in sigmas of the others.
-    """
-
-    unit: str
-    what: str
-    value: float
-    median: float
-    score: float
-
-    def __str__(self) -> str:
-        """Return it in a few words."""
-        factor, unit = shown("rad/s")
-        values = f"{factor * self.value:.3g} {unit}, the others {factor * self.median:.3g}"
-        return f"{self.what}: {values} (score {self.score:.1f})"
-
-
-def outliers(units: Sequence[Unit]) -> list[Outlier]:
-    """Return what is unusual, the worst first, among at least `FEWEST_UNITS` units of each device."""
-    found: list[Outlier] = []
+def find_outliers(units: Sequence[Unit]) -> None:
+    """Add to the units what is unusual of them, among at least `FEWEST_UNITS` units of each device."""
     for device in dict.fromkeys(unit.device for unit in units):
         for what, of in _quantities([unit for unit in units if unit.device == device]).items():
-            known = {name: value for name, value in of.items() if np.isfinite(value)}
+            known = {unit: value for unit, value in of.items() if np.isfinite(value)}
             if len(known) < FEWEST_UNITS:
                 continue
             median = float(np.median([*known.values()]))
             spread = float(np.median([abs(value - median) for value in known.values()]))
-            for name, value in known.items():
+            for unit, value in known.items():
                 score = TO_SIGMA * (value - median) / spread if spread else 0.0
                 if abs(score) > OUTLYING:
-                    found.append(Outlier(name, what, value, median, score))
-    return sorted(found, key=lambda outlier: -abs(outlier.score))
+                    unit.outliers.append(Outlier(what, value, median, score))
+    for unit in units:
+        unit.outliers.sort(key=lambda outlier: -abs(outlier.score))
 
 
-def _quantities(units: Sequence[Unit]) -> dict[str, dict[str, float]]:
+def _quantities(units: Sequence[Unit]) -> dict[str, dict[Unit, float]]:
     """Return what units of a device are compared by: name to unit to value, in rad/s."""
-    found: dict[str, dict[str, float]] = {
-        "smallest σ of the bias": {unit.name: unit.row[BEST] for unit in units},
-        "largest σ of the bias": {unit.name: unit.row[WORST] for unit in units},
+    found: dict[str, dict[Unit, float]] = {
+        "smallest σ of the bias": {unit: unit.row[BEST] for unit in units},
+        "largest σ of the bias": {unit: unit.row[WORST] for unit in units},
     }
-    latest = {unit.name: unit.models[-1].model.channels for unit in units if unit.models}
+    latest = {unit: unit.models[-1].model.channels for unit in units if unit.models}
     for channel in GYRO:
-        having = {name: channels[channel] for name, channels in latest.items() if channel in channels}
+        having = {unit: channels[channel] for unit, channels in latest.items() if channel in channels}
         at = common_temperature([*having.values()])
         if at is not None:
             found |= {
-                f"{channel} at {at:.0f} °C": {n: float(c.value(at)) for n, c in having.items()},
-                f"{channel} slope per °C": {n: float(c.slope(at)) for n, c in having.items()},
-                f"{channel} residual": {n: c.residual_sd for n, c in having.items()},
+                f"{channel} at {at:.0f} °C": {unit: float(c.value(at)) for unit, c in having.items()},
+                f"{channel} slope per °C": {unit: float(c.slope(at)) for unit, c in having.items()},
+                f"{channel} residual": {unit: c.residual_sd for unit, c in having.items()},
             }
     return found
 
@@ -164,14 +144,11 @@ _TYPES: dict[str, pa.DataType] = {
 """Of the columns that are not text."""
 
 
-def tables(units: Sequence[Unit], unusual: Sequence[Outlier]) -> dict[str, list[dict[str, Any]]]:
+def tables(units: Sequence[Unit]) -> dict[str, list[dict[str, Any]]]:
     """Return the rows of each of `COLUMNS`; times are Unix time in ns, NaN is None."""
-    of_units = [
-        {**unit.row, "outliers": [str(one) for one in unusual if one.unit == unit.name]} for unit in units
-    ]
     rows = {
         "sessions": [{**entry.row, "unit": unit.name} for unit in units for entry in unit.entries],
-        "units": of_units,
+        "units": [{**unit.row, "outliers": [*map(str, unit.outliers)]} for unit in units],
         "models": [
             {
                 "unit": unit.name,
@@ -196,6 +173,7 @@ def tables(units: Sequence[Unit], unusual: Sequence[Outlier]) -> dict[str, list[
 
 def write_tables(rows: Mapping[str, Sequence[Mapping[str, Any]]], folder: Path) -> list[Path]:
     """Write each table as Parquet; return the files.  Raises OSError when that fails."""
+    folder.mkdir(parents=True, exist_ok=True)
     written = []
     for table, given in rows.items():
         schema = pa.schema([(name, _TYPES.get(name, pa.string())) for name in COLUMNS[table]])

@@ -1,8 +1,9 @@
 """Sessions and the units that they are of, each with its row of the catalog's tables."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass, field
+from datetime import datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,8 +14,9 @@ from imumon.errors import ImumonError
 from imumon.fleet.batch.dataset import BatchOptions, Dataset, Row, lacking
 from imumon.fleet.batch.places import find
 from imumon.fleet.batch.tasks import Job, work
+from imumon.lab.diagnosis.page import shown
 from imumon.models.model import BiasModel, load_model
-from imumon.recordings.folder import METADATA_NAME, Session, open_session
+from imumon.recordings.folder import METADATA_NAME, Session, fingerprint, open_session
 from imumon.recordings.reduced import GYRO
 from imumon.run.setup import recorded_setup
 
@@ -43,6 +45,24 @@ class Dated(NamedTuple):
     time_ns: int
 
 
+class Outlier(NamedTuple):
+    """A value of a unit, in rad/s, far from those of the others of its device.
+
+    `score` is the modified z-score: about its distance from the median in sigmas of the others.
+    """
+
+    what: str
+    value: float
+    median: float
+    score: float
+
+    def __str__(self) -> str:
+        """Return it in a few words."""
+        factor, unit = shown("rad/s")
+        values = f"{factor * self.value:.3g} {unit}, the others {factor * self.median:.3g}"
+        return f"{self.what}: {values} (score {self.score:.1f})"
+
+
 @dataclass(slots=True, eq=False)
 class Unit:
     """A unit: its sessions, the oldest first, and its models, in the order of their data."""
@@ -52,6 +72,8 @@ class Unit:
     device: str
     entries: list[Entry] = field(default_factory=list)
     models: list[Dated] = field(default_factory=list)
+    outliers: list[Outlier] = field(default_factory=list)
+    """The worst first."""
 
     @property
     def row(self) -> dict[str, Any]:
@@ -89,13 +111,13 @@ def read_sessions(
             left_out[place] = error.line
     options = BatchOptions(command="replay")
     with closing(Dataset(results.absolute(), options)) as known:
-        done = known.done()
-        for place in (one for one in sessions if one not in done):
+        begun = {place: session.metadata.created_ns for place, session in sessions.items()}
+        for place in known.left(begun, retry=True):
             progress(f"replaying {Path(place).name}")
             known.add(work(Job(place, options, str(known.folder))))
         known.write()
-        rows = known.rows([*sessions])
-    entries = [_entry(session, rows.get(place, [])) for place, session in sessions.items()]
+        rows = known.rows(sessions)
+    entries = [_entry(session, rows[place]) for place, session in sessions.items()]
     return sorted(entries, key=lambda entry: entry.session.metadata.created_ns), left_out
 
 
@@ -103,9 +125,6 @@ def _entry(session: Session, rows: Sequence[Row]) -> Entry:
     """Return a session with what the rows of its replay show, one for each channel."""
     metadata, channels = session.metadata, {row["channel"]: row for row in rows if row["channel"]}
     any_row: Row = next(iter(channels.values()), {"duration_s": 0.0})
-    duration_s = any_row.get("duration_s")
-    if duration_s is None:  # results of an earlier version do not have it
-        duration_s = metadata.duration_s
     failure = next((row["error"] for row in rows if row["reason"]), None)
     model = None
     try:
@@ -118,7 +137,7 @@ def _entry(session: Session, rows: Sequence[Row]) -> Entry:
         "device": metadata.device,
         "state": session.state,
         "begun": metadata.created_ns,
-        "hours": duration_s / 3600.0,
+        "hours": any_row.get("duration_s", np.nan) / 3600.0,
         COLDEST: min((one["least"] for one in thermometers), default=np.nan),
         HOTTEST: max((one["greatest"] for one in thermometers), default=np.nan),
         BEST: min((one["least"] for one in sigmas), default=np.nan),
@@ -143,9 +162,10 @@ def read_models(folder: Path) -> list[BiasModel]:
 def units_of(entries: Sequence[Entry], models: Sequence[BiasModel]) -> list[Unit]:
     """Return the units, by name: a serial number is the session's own, or that of a model made of it."""
     every = [*models, *(entry.model for entry in entries if entry.model is not None)]
-    trained = {run.session: one.serial for one in every if one.serial for run in one.trained_on}
-    begun = {entry.session.path.name: entry.session.metadata.created_ns for entry in entries}
+    runs = [(run, one.serial) for one in every if one.serial for run in one.trained_on]
+    trained, names = {run.sha256: serial for run, serial in runs}, {run.session for run, _ in runs}
     units: dict[tuple[str, str], Unit] = {}
+    made: list[tuple[Unit, BiasModel]] = []
 
     def unit_of(serial: str | None, device: str) -> Unit:
         name = serial or f"({device})"
@@ -153,22 +173,27 @@ def units_of(entries: Sequence[Entry], models: Sequence[BiasModel]) -> list[Unit
 
     for entry in entries:
         metadata, model = entry.session.metadata, entry.model
-        of_model = None if model is None else model.serial
-        serial = metadata.serial or trained.get(entry.session.path.name) or of_model
+        serial = metadata.serial
+        if not serial and entry.session.path.name in names:  # two units may have sessions of one name
+            serial = trained.get(fingerprint(entry.session.truth_path))
+        serial = serial or (None if model is None else model.serial)
         unit = unit_of(serial, metadata.device)
         unit.entries.append(entry)
         if model is not None and model.serial in (None, serial):
-            _add(unit, model, begun)
-    for model in models:
-        _add(unit_of(model.serial, model.device or "unknown"), model, begun)
+            made.append((unit, model))
+    made += [(unit_of(model.serial, model.device or "unknown"), model) for model in models]
+    for unit, model in made:
+        _add(unit, model)
     for unit in units.values():
         unit.models.sort(key=lambda dated: dated.time_ns)
     return sorted(units.values(), key=lambda unit: unit.name)
 
 
-def _add(unit: Unit, model: BiasModel, begun: Mapping[str, int]) -> None:
-    """Add a model, unless the unit has it already."""
+def _add(unit: Unit, model: BiasModel) -> None:
+    """Add a model, unless the unit has it already, or it has no date."""
+    names = {run.session for run in model.trained_on}
+    data = [entry.row["begun"] for entry in unit.entries if entry.session.path.name in names]
     if model.channels and all(dated.model != model for dated in unit.models):
-        created = int(np.datetime64(model.created.removesuffix("Z"), "ns").astype(np.int64))
-        data = [begun[run.session] for run in model.trained_on if run.session in begun]
-        unit.models.append(Dated(model, max(data, default=created)))
+        with suppress(ValueError):
+            time_ns = max(data) if data else round(datetime.fromisoformat(model.created).timestamp() * 1e9)
+            unit.models.append(Dated(model, time_ns))

@@ -97,6 +97,8 @@ def _plan(name: str, place: Place, default: Shared, path: Path) -> Plan:
             setup = setup.with_options(model=load_model(path.parent / unit.model))
     except ImumonError as error:
         raise ImumonError(error.reason, f"{path}: {name}: {error.seen}", error.hint) from error
+    except OSError as error:  # of a name that no file can have, and of a folder that nobody may look into
+        raise bad_config(f"{path}: {name}: {error.filename}: {error.strerror}") from error
     return Plan(name, device_yaml, settings, unit.serial, setup.text())
 
 

@@ -169,7 +169,7 @@ sys.exit(os.waitstatus_to_exitcode(pty.spawn(sys.argv[1:])))
 """
 
 
-def test_more_failures_than_a_screen_takes_are_all_in_a_file(tmp_path: Path, client: Any) -> None:
+def test_more_failures_than_a_screen_takes_are_counted(tmp_path: Path, client: Any) -> None:
     for number in range(25):
         (tmp_path / "lab" / f"s{number:02}").mkdir(parents=True)
         (tmp_path / "lab" / f"s{number:02}" / "session.yaml").write_text("format: nothing of ours\n")
@@ -177,12 +177,46 @@ def test_more_failures_than_a_screen_takes_are_all_in_a_file(tmp_path: Path, cli
     options = ("--out", out, "--scheduler", client.scheduler.address)
     few = imumon("batch", "decode", *sorted(every.iterdir())[:13], *options)
     assert all(f"{every}/s{number:02}: bad data" in few.stderr for number in range(13))
-    assert not (out / "failed.txt").exists()
+    assert "more failed" not in few.stderr
     many = imumon("batch", "decode", every, *options)
     assert many.returncode == 1
-    assert f"5 more failed; all 25 are in {out}/failed.txt" in many.stderr
-    lines = (out / "failed.txt").read_text().splitlines()
-    assert [line.partition(":")[0] for line in lines] == [f"{every}/s{number:02}" for number in range(25)]
+    assert "5 more failed; all 25 are in the table" in many.stderr
+    assert [row["session"] for row in table(out)] == [f"{every}/s{number:02}" for number in range(25)]
+
+
+def test_a_session_that_was_being_recorded_is_done_again_when_it_has_ended(
+    tmp_path: Path, client: Any
+) -> None:
+    options = ("--out", tmp_path / "out", "--scheduler", client.scheduler.address)
+    session = tiny(tmp_path / "s", seconds=2.0)
+    whole = {path: path.read_bytes() for path in (session / "session.yaml", session / "wire.mcap")}
+    (session / "session.yaml").write_bytes(whole[session / "session.yaml"].replace(b"closed", b"open"))
+    (session / "wire.mcap").write_bytes(whole[session / "wire.mcap"][:20_000])
+    assert answer("batch", "decode", session, *options)["lacking"]
+    (before, *_) = table(tmp_path / "out")
+    for path, content in whole.items():
+        path.write_bytes(content)
+    assert not answer("batch", "decode", session, *options)["lacking"]
+    assert answer("batch", "decode", session, *options)["done_before"] == 1
+    (after, *_) = table(tmp_path / "out")
+    assert after["samples"] == 200 > before["samples"]
+    assert len(table(tmp_path / "out")) == len({row["channel"] for row in table(tmp_path / "out")})
+
+
+def test_what_is_not_in_this_call_keeps_its_failure(sessions: Path, tmp_path: Path, client: Any) -> None:
+    options = ("--out", tmp_path / "out", "--scheduler", client.scheduler.address)
+    imumon("batch", "decode", sessions / "s05", sessions / "s07", *options)
+    imumon("batch", "decode", sessions / "s07", *options, "--retry")
+    assert {row["session"] for row in table(tmp_path / "out")} == {
+        str(sessions / name) for name in ("s05", "s07")
+    }
+
+
+def test_half_a_place_is_refused_before_anything_begins(sessions: Path, tmp_path: Path) -> None:
+    done = imumon("batch", "calibrate", sessions, "--out", tmp_path / "out", "--heading", "10")
+    assert done.returncode == 2
+    assert "there is no latitude" in done.stderr
+    assert not (tmp_path / "out").exists()
 
 
 def first_channels(rows: list[Row]) -> list[Row]:

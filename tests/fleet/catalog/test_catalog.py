@@ -1,15 +1,23 @@
 from __future__ import annotations
 
+import itertools
 import json
 import shutil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import polars as pl
 import pytest
+import yaml
 
-from imumon.fleet.catalog.tables import MONTH_NS, drifts, line, outliers
+from imumon.blocks import SampleBlock
+from imumon.columns import TEMPERATURES
+from imumon.fleet.catalog.page import BIASES, Curve, _course
+from imumon.fleet.catalog.tables import MONTH_NS, drifts, find_outliers, line
 from imumon.fleet.catalog.units import Dated, Unit, read_models, units_of
+from imumon.recordings.folder import fingerprint
+from imumon.recordings.reduced import reduce
 from tests.cli.command import imumon
 from tests.fleet.batch.sessions import tiny
 from tests.fleet.catalog.fleet import DEG_PER_H, PER_MONTH, RUNAWAY, SD, fleet, model_of
@@ -59,13 +67,19 @@ def test_models_with_and_without_the_earth_rate_are_not_compared() -> None:
 def test_one_of_many_is_unusual() -> None:
     noise = np.random.default_rng(2).normal(0.0, DEG_PER_H, 20)
     units = [unit(f"u{n}", [value]) for n, value in enumerate(noise)]
-    usual = outliers(units)
+    find_outliers(units)
+    usual = sum(len(one.outliers) for one in units)
+    units = [unit(one.name, [constant]) for one, constant in zip(units, noise, strict=True)]
     units.append(unit("far", [20 * DEG_PER_H]))
-    found = outliers(units)
-    assert found[0].unit == "far"
-    assert sum(outlier.unit == "far" for outlier in found) == 3
-    assert len(found) == len(usual) + 3
-    assert not outliers([unit(f"u{n}", [value]) for n, value in enumerate([0, 1e-6, 2e-6, 9e-3])])
+    find_outliers(units)
+    scores = [abs(outlier.score) for outlier in units[-1].outliers]
+    assert len(scores) == 3
+    assert scores == sorted(scores, reverse=True)
+    assert scores[0] > max((abs(outlier.score) for one in units[:-1] for outlier in one.outliers), default=0)
+    assert sum(len(one.outliers) for one in units) == usual + 3
+    few = [unit(f"u{n}", [value]) for n, value in enumerate([0, 1e-6, 2e-6, 9e-3])]
+    find_outliers(few)
+    assert not any(one.outliers for one in few)
 
 
 def test_a_model_without_session_has_a_unit(tmp_path: Path) -> None:
@@ -117,6 +131,93 @@ def test_hours_and_packets_are_those_that_can_be_read(tmp_path: Path) -> None:
     assert rows["c"]["lost"] == pytest.approx(2000, rel=0.1)
     assert rows["d"]["lost"] is None
     assert json.loads(done.stdout)["units"][0]["hours"] == pytest.approx(sum(hours.values()))
+
+
+def only_session(folder: Path) -> dict[str, object]:
+    (row,) = json.loads(imumon("catalog", folder, "--json").stdout)["sessions"]
+    assert isinstance(row, dict)
+    return row
+
+
+def test_a_session_that_grows_is_mended_or_is_another_one_is_replayed_again(tmp_path: Path) -> None:
+    other, session = tiny(tmp_path / "other" / "s", seconds=20.0, seed=1), tmp_path / "lab" / "s"
+    tiny(session, seconds=60.0)
+    whole = {name: (session / name).read_bytes() for name in ("session.yaml", "wire.mcap")}
+
+    def hours(metadata: bytes, wire: bytes) -> float:
+        (session / "session.yaml").write_bytes(metadata)
+        (session / "wire.mcap").write_bytes(wire)
+        found = only_session(session.parent)["hours"]
+        assert isinstance(found, float)
+        return found
+
+    wire, is_open = whole["wire.mcap"], whole["session.yaml"].replace(b"state: closed", b"state: open")
+    minute = pytest.approx(60.0 / 3600.0, rel=1e-3)
+    growing = [hours(is_open, wire[: len(wire) * part // 4]) for part in (1, 2)]
+    assert 0.0 < growing[0] < growing[1] < 60.0 / 3600.0
+    assert hours(whole["session.yaml"], wire) == minute
+    begun = yaml.safe_load((other / "session.yaml").read_text())
+    begun["created_ns"] += 1
+    assert hours(yaml.safe_dump(begun).encode(), (other / "wire.mcap").read_bytes()) == pytest.approx(
+        20.0 / 3600.0, rel=1e-3
+    )
+    assert hours(whole["session.yaml"], bytes(1000)) == 0.0
+    assert hours(whole["session.yaml"], wire) == minute
+    parts = sorted((session.parent / "catalog" / "rows").iterdir())
+    only_session(session.parent)
+    assert sorted((session.parent / "catalog" / "rows").iterdir()) == parts
+
+
+def test_a_session_is_of_the_unit_whose_model_was_made_of_its_bytes(tmp_path: Path) -> None:
+    of_a, of_b = (tiny(tmp_path / name / "night", seconds=2.0, seed=seed) for seed, name in enumerate("AB"))
+    model = model_of("SN-A", 0, "night", 0.0)
+    trained = model.trained_on[0].model_copy(update={"sha256": fingerprint(of_a / "wire.mcap")})
+    model.model_copy(update={"trained_on": [trained]}).write(tmp_path / "a.yaml")
+    rows = json.loads(imumon("catalog", tmp_path, "--json").stdout)["sessions"]
+    assert {row["session"]: row["unit"] for row in rows} == {str(of_a): "SN-A", str(of_b): "(ax1)"}
+
+
+def test_a_model_without_a_date_is_left_out(tmp_path: Path) -> None:
+    tiny(tmp_path / "s", seconds=2.0)
+    model_of("SN1", 0, "gone", 0.0).model_copy(update={"created": "yesterday"}).write(tmp_path / "m.yaml")
+    done = imumon("catalog", tmp_path, "--json")
+    assert done.returncode == 0, done.stderr
+    assert [unit["models"] for unit in json.loads(done.stdout)["units"]] == [0, 0]
+
+
+def test_results_of_sessions_of_which_none_can_be_read_any_more(tmp_path: Path) -> None:
+    session = tiny(tmp_path / "s", seconds=2.0)
+    assert only_session(tmp_path)["hours"]
+    (session / "session.yaml").write_text("format: nothing of ours\n")
+    done = imumon("catalog", tmp_path, "--json")
+    assert done.returncode == 0, done.stderr
+    rows = json.loads(done.stdout)
+    assert (rows["sessions"], len(rows["left_out"])) == ([], 1)
+
+
+def test_a_serial_number_of_two_devices_is_refused_with_their_names(tmp_path: Path) -> None:
+    for name in ("ax1", "ax2"):
+        session = tiny(tmp_path / name, seconds=2.0)
+        text = yaml.safe_load((session / "session.yaml").read_text())
+        (session / "session.yaml").write_text(yaml.safe_dump(text | {"serial": "77", "device": name}))
+    done = imumon("report", "77", "--sessions", tmp_path, "--out", tmp_path / "u.html")
+    assert done.returncode == 4
+    assert "there are: 77 (ax1), 77 (ax2)" in done.stderr
+
+
+def test_runs_of_a_record_stand_one_after_the_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn: dict[str, Curve] = {}
+
+    def figure(curves: dict[str, Curve], **_: Any) -> str:
+        drawn.update(curves)
+        return ""
+
+    monkeypatch.setattr("imumon.fleet.catalog.page._figure", figure)
+    n = 50
+    times = np.concatenate([np.arange(n), np.arange(n), 3600 + np.arange(n)]) * 1_000_000_000
+    made = {"device_time_ns": times, "segment": np.repeat([0, 1, 2], n), "temperature": np.ones(3 * n)}
+    _course(reduce([SampleBlock(made)], [*TEMPERATURES, *itertools.chain(*BIASES)], 1.0))
+    np.testing.assert_allclose(np.diff(drawn["temperature"].x), 1.0 / 3600.0, rtol=1e-6)
 
 
 def test_a_narrow_terminal_tears_no_word(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -52,6 +52,10 @@ def test_a_device_file_is_looked_for_beside_the_rack(tmp_path: Path) -> None:
     assert "name: mine" in plans["left"].device_yaml
 
 
+def test_a_name_that_no_file_can_have_is_refused(tmp_path: Path) -> None:
+    assert "left: " in refused(written(tmp_path, GOOD.replace("device: ax1", f"device: {'x' * 300}")))
+
+
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
