@@ -295,8 +295,10 @@ class _Clock:
 
     def evaluate(self, time_ns: IntArray, segment: IntArray) -> tuple[BoolArray, IntArray]:
         """Return which rows are taken, (n,), and what to add to their segment, (n,)."""
-        n, is_dated = len(time_ns), time_ns != NO_INT
+        n = len(time_ns)
         taken, shift = np.ones(n, np.bool_), np.full(n, self._shift)
+        # A table of others may have floats.
+        is_dated = (time_ns != NO_INT) & np.isfinite(time_ns) & np.isfinite(segment)
         before_ns, before = self._last or (0, 0)
         step_ns = np.diff(time_ns.astype(np.float64), prepend=before_ns)
         goes_on = (step_ns > 0.0) & (step_ns <= LONGEST_GAP_S * 1e9)

@@ -205,10 +205,7 @@ class Pipeline:
         self._decoder.feed_reads(data, ends, arrivals_ns)
 
     def push(self, block: SampleBlock) -> None:
-        """Take samples that have their times already, from a table; a NaN among them is no time."""
-        times = {name: block[name] for name in ("device_time_ns", "segment") if name in block}
-        whole = {k: np.where(abs(v) < 2.0**63, v, NO_INT).astype(np.int64) for k, v in times.items()}
-        block = block.with_columns(whole)
+        """Take samples that have their times already, from a table."""
         self._ready.append(self._estimate(block))
         self._count(MAIN, block)
 
