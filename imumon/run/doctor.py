@@ -3,11 +3,13 @@
 import errno
 import os
 import platform
+import re
 import shutil
 import subprocess
 from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import StrEnum
+from importlib import metadata
 from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
@@ -20,10 +22,10 @@ from imumon.stage import STAGE, is_callable, made_by
 from imumon.transport.port import latency_text
 from imumon.transport.ports import PortInfo, latency_timer_path, list_ports, open_error
 from imumon.transport.settings import PortSettings
-from imumon.version import __version__
 from imumon.view.viewer import has_display, quiet_environment, viewer_binary
 from imumon.wing import NEEDED, is_wing
 
+DISTRIBUTION = "imumon"
 VULKAN_DRIVERS = tuple(Path(place, "vulkan/icd.d") for place in ("/usr/share", "/usr/local/share", "/etc"))
 BYTES_PER_DAY = 400 * 60 * 86_400
 """A day of packets of 60 bytes at 400 Hz, as wire.mcap keeps them."""
@@ -51,13 +53,23 @@ class Finding(NamedTuple):
 
 def examine(folder: Path) -> Iterator[Finding]:
     """Examine everything that a recording needs; `folder` is where sessions are written."""
-    return chain(versions(), compiled_code(), disk(folder), serial_ports(), viewer(), graphics())
+    return chain(packages(), compiled_code(), disk(folder), serial_ports(), viewer(), graphics())
 
 
-def versions() -> Iterator[Finding]:
-    """Name the versions of imumon, Python and the system; `session.yaml` has those of the packages."""
-    where = f"{platform.python_version()} on {platform.platform(terse=True)}"
-    yield Finding("imumon", State.GOOD, f"{__version__} with Python {where}")
+def packages() -> Iterator[Finding]:
+    """Name the versions of what imumon requires, and what is missing; `pip check` shows whether they fit."""
+    yield Finding("Python", State.GOOD, f"{platform.python_version()} on {platform.platform(terse=True)}")
+    versions, lacking = list[str](), list[str]()
+    needed = [text for text in metadata.requires(DISTRIBUTION) or () if "extra ==" not in text]
+    for name in (DISTRIBUTION, *(re.split(r"[^\w.-]", text)[0] for text in needed)):
+        try:
+            versions.append(f"{name} {metadata.version(name)}")
+        except metadata.PackageNotFoundError:
+            lacking.append(name)
+    yield Finding("packages", State.GOOD, ", ".join(versions))
+    if lacking:
+        what = f"not installed: {', '.join(lacking)}; imumon needs each of them"
+        yield Finding("packages", State.FAULT, what, f"pip install {' '.join(lacking)}")
 
 
 def compiled_code() -> Iterator[Finding]:

@@ -29,13 +29,29 @@ def only(findings: Iterator[Finding]) -> Finding:
 def test_a_computer_that_runs_the_tests_has_no_fault(tmp_path: Path) -> None:
     said = answer("doctor", tmp_path / "not" / "yet")
     subjects = {finding["subject"] for finding in said["findings"]}
-    assert {"imumon", "compiled code", "disk", "viewer"} <= subjects
+    assert {"Python", "packages", "compiled code", "disk", "viewer"} <= subjects
+    packages = next(f for f in said["findings"] if f["subject"] == "packages")
+    assert (packages["state"], packages["remedy"]) == ("good", "")
+    for name in ("numpy", "pyserial", "rerun-sdk", "pyyaml"):
+        assert f"{name} {metadata.version(name)}" in packages["seen"]
     assert not (tmp_path / "not").exists()
+
+
+def test_a_missing_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    def version(name: str) -> str:
+        if name in ("scipy", "pyulog"):  # what an extra brings is named when it is needed
+            raise metadata.PackageNotFoundError(name)
+        return "1.0"
+
+    monkeypatch.setattr(metadata, "version", version)
+    (found,) = [finding for finding in doctor.packages() if finding.remedy]
+    assert found.state is State.FAULT
+    assert found.remedy == "pip install scipy"
 
 
 def test_a_person_reads_a_line_per_finding(tmp_path: Path) -> None:
     said = imumon("doctor", tmp_path).stdout
-    assert f"imumon: {metadata.version('imumon')} with Python" in said
+    assert f"packages: imumon {metadata.version('imumon')}" in said
     assert f"free in {tmp_path}" in said
 
 
