@@ -238,6 +238,8 @@ def learn(
     model = model_of(model_path) if model_path is not None else None
     found = sessions_in(folder, lambda text: warn([text]))
     sessions = _of_one(found, {"device": device, "serial": serial}, folder)
+    if model is not None:
+        warn(filter(None, {model.of_another(session.metadata.serial) for session in sessions}))
     with reading_bar([session.path for session in sessions], quiet=as_json) as progress:
         usable = [runs for session in sessions if (runs := _resting_runs(session, progress.count))]
         if not usable:
