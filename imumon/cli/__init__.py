@@ -159,7 +159,7 @@ def main() -> None:
         sys.exit(shell_complete(cli, {}, "imumon", COMPLETION, instruction))
     _heed_interrupts()
     _open_missing_streams()
-    if isinstance(sys.stdout, TextIOWrapper):  # which may have no letter for ° or τ
+    if isinstance(sys.stdout, TextIOWrapper) and sys.stdout.errors == "strict":  # it may lack ° or τ
         sys.stdout.reconfigure(errors="backslashreplace")
     _report_compiling()
     code = run(sys.argv[1:])

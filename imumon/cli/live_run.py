@@ -15,7 +15,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from imumon.cli.common import CLEAR_LINE, INTERRUPTED, console, is_terminal, log, note
+from imumon.cli.common import CLEAR_LINE, INTERRUPTED, is_terminal, log, note
 from imumon.errors import ImumonError, Reason
 from imumon.heap import prepare_heap
 from imumon.recordings import lines
@@ -183,7 +183,10 @@ def watch(
             step()
             if time.monotonic() - drawn_s >= SCREEN_S:
                 drawn_s = time.monotonic()
-                size = console(error=True).size  # some, too, of a terminal that has none or was closed
+                size = (0, 0)
+                with suppress(OSError):  # it may be closed
+                    size = os.get_terminal_size(sys.stderr.fileno())
+                size = size if all(size) else (80, 24)
                 note("", newline=False, control=drawn(screen(*size), *size))
     finally:
         note("", newline=False, control=GIVEN_BACK)

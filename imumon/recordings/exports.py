@@ -25,7 +25,7 @@ from imumon.recordings.table import CLOCKS, TableWriter, read_table
 CONVERTED = (".npz", ".mat", ".mcap")
 LONGEST_NAME = 63
 """Of a variable in MATLAB; a longer one is cut."""
-RESERVED = {"units", "file", "allow_pickle"}
+RESERVED = {".npz": {"units", "file", "allow_pickle"}, ".mat": {"units"}}
 """Names that a file of NumPy or MATLAB has for something else."""
 
 
@@ -150,7 +150,7 @@ def convert(
             continue
         from scipy.io import savemat
 
-        _refuse_reserved(columns)
+        _refuse_reserved(columns, ".mat")
         short = {name[:LONGEST_NAME]: part for name, part in block.columns.items()}
         units = {"units": {name[:LONGEST_NAME]: column.unit for name, column in columns.items()}}
         savemat(out[stream], short | units, do_compression=True, long_field_names=True, oned_as="column")
@@ -159,14 +159,14 @@ def convert(
 
 def write_npz(file: Path | BinaryIO, values: Mapping[str, Any], columns: Mapping[str, Column]) -> None:
     """Write the columns, and `units`, a text in JSON; raises BAD_CONFIG for a name that is `RESERVED`."""
-    _refuse_reserved(columns)
+    _refuse_reserved(columns, ".npz")
     units = json.dumps({name: column.unit for name, column in columns.items()})
     np.savez_compressed(file, units=np.array(units), **values)
 
 
-def _refuse_reserved(columns: Iterable[str]) -> None:
-    if taken := sorted(RESERVED.intersection(columns)):
-        what = f"no column of .npz or .mat can have the name {', '.join(taken)}"
+def _refuse_reserved(columns: Iterable[str], suffix: str) -> None:
+    if taken := sorted(RESERVED[suffix].intersection(columns)):
+        what = f"no column of {suffix} can have the name {', '.join(taken)}"
         raise bad_config(what, "write .parquet or .csv, or choose others with --columns")
 
 

@@ -308,7 +308,7 @@ def sessions_in(folder: Path, report: Callable[[str], None] | None = None) -> li
     What is a session by its files and cannot be read is left out, and reported.
     """
     found = []
-    for path in sorted(folder.glob("*/")):
+    for path in sorted(one for one in folder.iterdir() if one.is_dir()) if folder.is_dir() else ():
         try:
             found.append(open_session(path))
         except ImumonError as error:

@@ -76,7 +76,7 @@ def read_foreign(
     Raises BAD_DATA when it cannot be read.
     """
     if path.exists() and not path.is_file():
-        raise bad_data(f"{path}: is no file", "write the table to a file first")
+        raise bad_data(f"{path}: is no file", "" if path.is_dir() else "write the table to a file first")
     with readable(path), path.open("rb") as file:
         head = file.read(4096)
     if not head:

@@ -120,7 +120,7 @@ class WireSummary:
     checksum_ok: bool | None = None
     """Whether the checksum over the file agrees; None when there is none because it was not finished."""
     last_ns: int = 0
-    """Unix time of the last message."""
+    """Unix time of the latest message."""
     damage: Damage = field(default_factory=Damage)
     """What is missing, now or before the file was written anew."""
     recovered: Damage = field(default_factory=Damage)
@@ -286,7 +286,7 @@ class WireReader:
             if opcode == wire.MESSAGE_OP:
                 channel, sequence, time_ns, _ = FIELDS.unpack_from(data, begin)
                 self._next_sequence = (sequence + 1) & SEQUENCE_MASK
-                self.summary.last_ns = time_ns
+                self.summary.last_ns = max(self.summary.last_ns, time_ns)  # a mark may be older
                 begin += FIELDS.size
             if channel in _BEFORE_DATA:
                 self._pieces.append(data[begin + _BEFORE_DATA[channel] : end])

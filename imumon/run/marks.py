@@ -5,7 +5,7 @@ removes the file at the end: the recording is what counts.  A mark has the time 
 """
 
 import json
-import time
+import math
 from contextlib import suppress
 from pathlib import Path
 
@@ -13,11 +13,11 @@ from imumon.errors import bad_config
 from imumon.harmless import for_log
 from imumon.recordings.folder import open_session
 from imumon.recordings.wire import is_recorded
-from imumon.transport.reader import Event, EventKind
+from imumon.transport.reader import Event, EventKind, steady_ns
 
 REQUESTS = "marks.jsonl"
 OLDEST_NS = 60_000_000_000
-"""A request that is older, or of the future, has the time of another clock."""
+"""A request that is older, or of the future, is of another start of the computer."""
 KINDS = {kind.value: kind for kind in (EventKind.MARK, EventKind.START, EventKind.STOP)}
 
 
@@ -38,7 +38,7 @@ def ask_for_mark(session: Path, kind: EventKind, text: str) -> None:
 
 def append_request(folder: Path, kind: EventKind, text: str) -> None:
     """Leave a request where whoever records looks for it; raises OSError where that cannot be written."""
-    line = json.dumps({"kind": kind.value, "text": for_log(text), "time_ns": time.time_ns()}) + "\n"
+    line = json.dumps({"kind": kind.value, "text": for_log(text), "steady_ns": steady_ns()}) + "\n"
     with (folder / REQUESTS).open("ab") as file:
         file.write(line.encode())
 
@@ -62,8 +62,8 @@ class Marks:
         for line in lines[:end].splitlines():
             with suppress(ValueError, KeyError, TypeError, RecursionError):
                 fields = json.loads(line)
-                kind, at_ns = KINDS[fields["kind"]], fields.get("time_ns", now_ns)
-                at_ns = int(at_ns) if now_ns - OLDEST_NS < at_ns < now_ns else now_ns
+                kind, age_ns = KINDS[fields["kind"]], steady_ns() - fields.get("steady_ns", math.nan)
+                at_ns = now_ns - int(age_ns) if 0 <= age_ns < OLDEST_NS else now_ns
                 requests.append(Event(kind, at_ns, for_log(str(fields["text"]))))
         return requests
 

@@ -110,14 +110,15 @@ class Clock:
     """
 
     def __init__(self) -> None:
-        self._offset_ns = time.time_ns() - _steady_ns()
+        self._offset_ns = time.time_ns() - steady_ns()
 
     def now_ns(self) -> int:
         """Return Unix time in ns."""
-        return self._offset_ns + _steady_ns()
+        return self._offset_ns + steady_ns()
 
 
-def _steady_ns() -> int:
+def steady_ns() -> int:
+    """Return the time of a clock that is never set, the same in all programs, ns."""
     boottime = getattr(time, "CLOCK_BOOTTIME", None)
     return time.monotonic_ns() if boottime is None else time.clock_gettime_ns(boottime)
 

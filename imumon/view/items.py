@@ -186,6 +186,7 @@ class Timebase:
         self._count = 0
         self._shift_ns: dict[int, int] = {}
         self._last = Instant(None, None, None)
+        self._begun_ns = 0  # device time of the first sample
         self._received = True
 
     def samples(self, block: SampleBlock) -> Samples:
@@ -199,6 +200,8 @@ class Timebase:
             device_ns, host_ns = self._last.device_ns, self._last.host_ns
             if device is not None:
                 device = self._continued(device, host, block)
+                if device_ns is None:
+                    self._begun_ns = int(device[0])
                 device_ns = int(device[-1])
             self._last = Instant(self._count - 1, device_ns, host_ns if host is None else int(host[-1]))
         return Samples(Times(sample, device, host), block)
@@ -221,7 +224,7 @@ class Timebase:
             return last
         device = last.device_ns
         if device is not None and last.host_ns is not None:
-            device += max(0, time_ns - last.host_ns)
+            device = max(self._begun_ns, device + time_ns - last.host_ns)
         return Instant(last.sample, device, time_ns)
 
     def _continued(self, device: IntArray, host: IntArray | None, block: SampleBlock) -> IntArray:

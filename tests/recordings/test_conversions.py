@@ -193,8 +193,7 @@ def test_numpy_and_matlab_have_every_value_with_its_unit(table: Path, tmp_path: 
         assert unit == COLUMNS[name].unit
 
 
-@pytest.mark.parametrize("suffix", [".npz", ".mat"])
-@pytest.mark.parametrize("name", ["units", "file"])
+@pytest.mark.parametrize(("name", "suffix"), [("units", ".npz"), ("units", ".mat"), ("file", ".npz")])
 def test_a_name_that_the_format_reserves_is_refused(tmp_path: Path, suffix: str, name: str) -> None:
     source: Any = SimpleNamespace(columns=lambda _: [Column(name, "1")], axes=None)
     block = SampleBlock({name: np.zeros(3)})

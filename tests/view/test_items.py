@@ -83,6 +83,13 @@ def test_device_time_of_an_event_goes_on_while_the_device_is_silent() -> None:
     assert at.device_ns == DEVICE_NS + 90 * MS + 3_000 * MS
 
 
+def test_device_time_of_an_event_that_is_shown_late_is_that_of_its_moment() -> None:
+    timebase = Timebase()
+    timebase.samples(block(0, 10))
+    assert timebase.at(HOST_NS + 30 * MS).device_ns == DEVICE_NS + 30 * MS
+    assert timebase.at(HOST_NS - 3_000 * MS).device_ns == DEVICE_NS
+
+
 def test_event_before_the_first_sample_has_host_time_only() -> None:
     at = Timebase().at(HOST_NS)
     assert (at.sample, at.device_ns, at.host_ns) == (None, None, HOST_NS)
