@@ -4,7 +4,7 @@ import errno
 import math
 import os
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -65,6 +65,22 @@ def naming(path: Path) -> Iterator[None]:
     except OSError as error:
         why = os.strerror(error.errno) if error.errno else str(error)
         raise OSError(error.errno or errno.EIO, why, str(path)) from error
+
+
+@contextmanager
+def results_folder(path: Path) -> Iterator[None]:
+    """Make a folder, if need be with its parents; those that are new and empty at the end go again.
+
+    Raises OSError when that fails.
+    """
+    made = [folder for folder in (path, *path.parents) if not folder.exists()]
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        yield
+    finally:
+        for folder in made:
+            with suppress(OSError):  # it holds something, or is not there
+                folder.rmdir()
 
 
 def target(path: Path) -> Path:

@@ -10,7 +10,7 @@ import click
 
 from imumon.cli import common
 from imumon.errors import EXIT_NEGATIVE, EXIT_OK, EXIT_PORT, ImumonError, Reason
-from imumon.files import check_output, plain, write_text
+from imumon.files import check_output, plain, results_folder, write_text
 from imumon.version import __version__
 
 if TYPE_CHECKING:
@@ -226,11 +226,11 @@ def detect(
 def _save(folder: Path, received: Mapping[int | None, bytearray], data: Mapping[str, object]) -> None:
     """Write the bytes of each rate, and what was found in them, without the name of computer or port."""
     names = {rate: "port.bin" if rate is None else f"{rate}.bin" for rate in received}
-    folder.mkdir(parents=True, exist_ok=True)
-    for rate, name in names.items():
-        (folder / name).write_bytes(received[rate])
-    facts = {"imumon": __version__, "files": [*names.values()], **data}
-    write_text(folder / "evidence.json", json.dumps(plain(facts), indent=2) + "\n")
+    with results_folder(folder):
+        for rate, name in names.items():
+            (folder / name).write_bytes(received[rate])
+        facts = {"imumon": __version__, "files": [*names.values()], **data}
+        write_text(folder / "evidence.json", json.dumps(plain(facts), indent=2) + "\n")
     common.note(f"{folder} has the bytes of {len(names)} baud rate(s) and evidence.json")
 
 

@@ -2,6 +2,7 @@
 
 import sys
 from collections.abc import Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -9,7 +10,7 @@ import click
 
 from imumon.cli import common
 from imumon.errors import bad_data
-from imumon.files import check_output
+from imumon.files import check_output, results_folder
 
 if TYPE_CHECKING:
     from imumon.fleet.catalog.units import Unit
@@ -42,9 +43,10 @@ def catalog(folder: Path, results: Path | None, out: Path | None, as_json: bool)
     """
     from imumon.fleet.catalog.tables import tables, write_tables
 
-    units, left_out = read(folder, results)
-    rows = tables(units)
-    written = [] if out is None else write_tables(rows, out)
+    with nullcontext() if out is None else results_folder(out):
+        units, left_out = read(folder, results)
+        rows = tables(units)
+        written = [] if out is None else write_tables(rows, out)
     common.warn(f"{row['session']}: {row['error']}" for row in rows["sessions"] if row["error"])
     if as_json:
         common.print_json(

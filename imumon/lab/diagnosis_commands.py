@@ -21,7 +21,7 @@ from imumon.cli.common import (
 )
 from imumon.cli.progress import reading_bar, rounded_time
 from imumon.errors import EXIT_NEGATIVE, EXIT_OK, ImumonError, bad_config, bad_data
-from imumon.files import check_output
+from imumon.files import check_output, results_folder
 
 if TYPE_CHECKING:
     from imumon.lab.diagnosis.diagnose import Diagnosis
@@ -128,8 +128,7 @@ def diagnose(
     parse_declared(assumed)
     runs: list[list[Run]] = []
     warned = with_warnings(lambda: dict.fromkeys(t for group in runs for run in group for t in run.warnings))
-    out.mkdir(parents=True, exist_ok=True)
-    with warned, reading_bar([*train, *test], quiet=as_json) as progress:
+    with warned, results_folder(out), reading_bar([*train, *test], quiet=as_json) as progress:
         sensors = [name.strip() for name in channels.split(",")]
         runs += [read(path, map_path, at_rest, sensors, progress.count) for path in (*train, *test)]
         split = len(train)
@@ -317,12 +316,11 @@ def plan(report: Path, out: Path, hours: float, as_json: bool) -> None:
     if questions and not as_json:
         at_most = rounded_time(QUESTION_S * len(questions))
         log("INFO", f"questions that are open: {len(questions)}; the search takes at most about {at_most}")
-    out.mkdir(parents=True, exist_ok=True)
-    with reading_bar([report], quiet=as_json) as progress:
+    with results_folder(out), reading_bar([report], quiet=as_json) as progress:
         plans = [planning.plan(content, question, hours * 3600.0, progress) for question in questions]
         files = [planning.write_plan(content, at + 1, made, out) for at, made in enumerate(plans)]
     written = {path for paths in files for path in paths}
-    warn(f"{path} is of an earlier plan" for path in sorted({*out.glob("[0-9]-*")} - written))
+    warn(f"{path} is of an earlier plan" for path in sorted({*out.glob("[0-9]*-*")} - written))
     described = [_described(made, paths) for made, paths in zip(plans, files, strict=True)]
     if as_json:
         print_json({"questions": described})

@@ -20,7 +20,7 @@ from pydantic import Field, NonNegativeInt
 from imumon.columns import BodyAxes
 from imumon.config import StrictModel, dump_yaml, parse_yaml
 from imumon.errors import ImumonError, Reason, bad_config, bad_data
-from imumon.files import naming, read_text, readable, write_text
+from imumon.files import naming, read_text, readable, results_folder, write_text
 from imumon.transport.statistics import StreamCounters
 from imumon.version import __version__
 
@@ -222,9 +222,9 @@ def whole_session(path: Path) -> Iterator[Path]:
     if not path.name or (path.is_dir() and any(path.iterdir())):
         raise ImumonError(Reason.EXISTS, f"{path} is there already", "give the name of a new folder")
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    with naming(path):
+    with naming(path), results_folder(path.parent):
         try:
-            partial.mkdir(parents=True)
+            partial.mkdir()
             yield partial
             partial.rename(path)
         finally:

@@ -17,6 +17,8 @@ from vqf import VQF
 from imumon.blocks import BoolArray, FloatArray, IntArray
 from imumon.geodesy import LEAST_HORIZONTAL
 
+FIELDS = 4
+"""Intervals of the magnetometer of which the median is taken: one of them may be long."""
 RATE_SAMPLES = 16
 """Intervals whose median is taken for that of the samples: jitter of a clock averages out, a gap does not
 count, and at 50 Hz the attitude begins after 0.3 s."""
@@ -135,15 +137,15 @@ class Fusion:
             self._vqf = VQF(self._interval_s, tauAcc=TAU_ACC_S, tauMag=TAU_MAG_S)
 
     def _learn_field_rate(self, field: FloatArray) -> int:
-        """Return how many samples come before the next field; all where two have shown their interval."""
+        """Return how many samples come before the next field; all once enough have shown their interval."""
         if self._field_rate_known:
             return len(field)
         has_field = np.asarray(field.any(axis=1))
         if has_field[0]:
             self._fields.append(self._samples)
-        if len(self._fields) > 1:
+        if len(self._fields) > FIELDS:
             assert self._vqf is not None
-            field_s = self._interval_s * (self._fields[-1] - self._fields[0]) / (len(self._fields) - 1)
+            field_s = self._interval_s * float(np.median(np.diff(self._fields)))
             intervals_s = self._interval_s, self._interval_s, field_s
             self._vqf = _restored(intervals_s, self._vqf.params, self._vqf.state)
             self._field_rate_known = True

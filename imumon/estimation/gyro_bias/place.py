@@ -36,6 +36,7 @@ class Attitude:
     heading_variance: float = 0.0  # where the place is known, rad²
     turn: Turn = STILL  # since the last rest, less the bias
     lost: bool = False  # whether readings were missing since the last rest
+    unposed: bool = False  # whether the pose of this rest is not known, so that all earth rate is bias
 
     def anew(self) -> "Attitude":
         """Return the attitude before the first rest."""
@@ -44,6 +45,8 @@ class Attitude:
     @property
     def uncertain_earth(self) -> FloatArray:
         """Variance of the error of the earth rate that is subtracted or taken for bias, (rad/s)², (3,)."""
+        if self.unposed:
+            return np.full(3, EARTH_RATE**2)
         return self._level_variance(self.heading_variance) + self._turned_earth()
 
     def _level_variance(self, heading_variance: float) -> FloatArray:
@@ -73,10 +76,9 @@ class Attitude:
         """
         size = float(np.linalg.norm(force))
         if self.up.any() and (self.turn.seconds or self.lost) and not size > 0.0:
-            # Of the new pose nothing is known: from now on the earth rate is part of the bias.
+            # Of the new pose nothing is known: up to the next rest the earth rate is part of the bias.
             self.up, self.north, self.earth = np.zeros((3, 3))
-            self.heading_variance = 0.0 if self.latitude is None else LOST_SD**2
-            self.latitude, self.lost = None, True
+            self.unposed, self.lost = self.latitude is not None, True
         added = self._turned_earth()
         if size > 0.0:
             before, self.up = self.up, force / size
@@ -84,6 +86,9 @@ class Attitude:
                 added = self._find_north(before, self.heading, None if self.lost else prediction)
             if self.latitude is not None:
                 self.earth = earth_rate_along(self.up, self.north, self.latitude)
+            if self.unposed:  # the bias has to lose the earth rate again
+                self.unposed, added = False, np.full(3, EARTH_RATE**2)
+                self.heading_variance = 0.0 if self.heading is None else LOST_SD**2
         self.turn, self.lost = STILL, False
         return added
 

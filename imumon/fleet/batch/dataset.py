@@ -1,6 +1,7 @@
 """The results of a batch: Parquet files in a folder, which together have each session once."""
 
 import fcntl
+import os
 import time
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
@@ -219,5 +220,9 @@ class Dataset:
             self._lock.close()
 
     def _put(self, path: Path, table: pa.Table) -> None:
+        """Write a file of rows; one that replaces another keeps the time at which its rows were written."""
+        written_ns = path.stat().st_mtime_ns if path.exists() else None
         with replacing(path) as partial:
             pq.write_table(table, partial, compression="zstd")
+        if written_ns is not None:
+            os.utime(path, ns=(written_ns, written_ns))

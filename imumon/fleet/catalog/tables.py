@@ -173,7 +173,6 @@ def tables(units: Sequence[Unit]) -> dict[str, list[dict[str, Any]]]:
 
 def write_tables(rows: Mapping[str, Sequence[Mapping[str, Any]]], folder: Path) -> list[Path]:
     """Write each table as Parquet; return the files.  Raises OSError when that fails."""
-    folder.mkdir(parents=True, exist_ok=True)
     written = []
     for table, given in rows.items():
         schema = pa.schema([(name, _TYPES.get(name, pa.string())) for name in COLUMNS[table]])

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass, field
-from datetime import datetime
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -195,5 +195,7 @@ def _add(unit: Unit, model: BiasModel) -> None:
     data = [entry.row["begun"] for entry in unit.entries if entry.session.path.name in names]
     if model.channels and all(dated.model != model for dated in unit.models):
         with suppress(ValueError):
-            time_ns = max(data) if data else round(datetime.fromisoformat(model.created).timestamp() * 1e9)
-            unit.models.append(Dated(model, time_ns))
+            if not data:
+                created = datetime.fromisoformat(model.created)
+                data = [round(created.replace(tzinfo=created.tzinfo or UTC).timestamp() * 1e9)]
+            unit.models.append(Dated(model, max(data)))

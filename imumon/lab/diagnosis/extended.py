@@ -30,12 +30,13 @@ def extended_model(diagnosis: Diagnosis) -> BiasModel:
     present, recorded = diagnosis.model, [one for one in diagnosis.train if one.run.origin is not None]
     found = {one.name: _channel(one, present) for one in with_model(diagnosis)}
     channels = {**(present.channels if present else {}), **found}
+    trained = [*map(trained_on, recorded)]
     earlier = present.trained_on if present and len(channels) > len(found) else []
     update: dict[str, Any] = {
         "made_by": f"imumon {__version__}",
         "created": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}",
         "block_s": diagnosis.train[0].block_s,
-        "trained_on": [*earlier, *map(trained_on, recorded)],
+        "trained_on": [*(one for one in earlier if one not in trained), *trained],
         "channels": channels,
     }
     if present is not None:

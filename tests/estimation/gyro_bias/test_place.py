@@ -28,6 +28,23 @@ def test_a_turn_without_accelerometers_leaves_the_earth_rate_in_the_sigma(seed: 
     assert (sigma > 0.5 * EARTH_RATE).all()
 
 
+def test_a_pose_that_comes_back_has_its_earth_rate_again() -> None:
+    block, bias, _, rest = in_the_hand(0.0, 1, rests=5)
+    turns, ends = np.flatnonzero(np.diff(rest) < 0), np.flatnonzero(np.diff(rest) > 0)
+    at = np.arange(len(rest))
+    silent = {
+        f"accel_{axis}": np.where((at > turns[1]) & (at < turns[2]), np.nan, block[f"accel_{axis}"])
+        for axis in "xyz"
+    }
+    restarted = {"segment": np.where(at < ends[3], 0, 1)}
+    given = block.with_columns(silent)
+    for parts in (given, given.with_columns(restarted)):
+        result = RestAndBias(GIVEN, latitude_deg=LATITUDE_DEG, heading_deg=0.0).process(parts)
+        z = (vector(result, "gyro_bias") - bias) / vector(result, "gyro_bias_sd")
+        known = np.flatnonzero((rest == 1) & np.isfinite(z).all(1))
+        assert np.abs(z[known[known > ends[0]]]).max() < 5.0
+
+
 def test_a_heading_of_which_one_axis_is_missing_decides_nothing() -> None:
     zero = np.zeros(3)
     slots = [
