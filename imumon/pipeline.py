@@ -90,9 +90,8 @@ class Pipeline:
         for stage in filter(is_own, estimators):
             if device is not None and (both := [c.name for c in stage.columns if c.name in sent]):
                 what = f"device {device.name} has column {both[0]}, which {name_of(stage)} adds"
-                raise bad_config(
-                    what, "give it another name: in the device file, or in session.yaml of a recording"
-                )
+                hint = "give it another name in the device file; of a recording that is in session.yaml"
+                raise bad_config(what, hint)
         self.sink: Callable[[SampleBlock], object] | None = None
         """Takes what stages may see of each block, which is not empty, with the columns that they add."""
         self.live = False
