@@ -64,7 +64,7 @@ SENSITIVITY_SD = math.radians(0.06) / STANDARD_GRAVITY
 """Standard deviation of an entry of the matrix of sensitivity, rad/s per m/s², of an uncompensated gyro; with
 a second, smaller level a gyro between both was off by 9 sigma."""
 FASTEST_S = 0.02
-"""Down to here the flicker of single samples goes on."""
+"""Shortest time constant of the flicker of single samples."""
 FASTER = math.log(TAUS_S[0] / FASTEST_S) / math.log(TAUS_S[2] / TAUS_S[1])
 """Variance of the flicker of single samples that is faster than g1, over that of g1."""
 LEAST_WHITE = 1e-15
@@ -77,7 +77,7 @@ LEAST_WEIGHT = 1e-4
 """Least weight of a mode over the largest, so that the mode may come back."""
 UNKNOWN, TURN_ON = 1e8, math.radians(3.0)
 """Prior variance of w over σ², and least prior standard deviation of w, rad/s: turn-on biases of any gyro.
-With a smaller prior, of a gyro that hardly scatters, the first mean would be a sensitivity to g."""
+With a smaller prior the first mean of a quiet gyro would be taken for a sensitivity to g."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -169,7 +169,7 @@ class Estimator:
         self.attitude.lost |= slot.gap_s > 0.0 and not slot.rest_given
 
     def _come_to_rest(self, forces: Iterable[FloatArray]) -> None:
-        """Take the attitude of a rest by the first specific force that is known."""
+        """Take the attitude of a rest by the first of these forces that is known."""
         force = next((one for one in forces if np.isfinite(one).all()), np.zeros(3))
         prediction = None if self.hypotheses is None else self.hypotheses.shown.prediction
         self._widen(self.attitude.come_to_rest(force, prediction))

@@ -18,9 +18,9 @@ holds decides what becomes of the nominal bias:
 
 ==================================================================  ===================================
 P(turn) above 1/4 (1/10 if the rate has changed), until below 1/20  it stays, through motion as well
-the rate has changed up to 16 s ago                                 it stays
+the rate has changed up to 16 s ago                                 it stays until the unit moves
 the rate has changed before that                                    it becomes the present bias, once
-else                                                                16 to 32 s behind; before, the last rest's
+else                                                                16 to 32 s behind, or the last rest's
 ==================================================================  ===================================
 """
 
@@ -68,11 +68,11 @@ class Hypotheses:
     recent: list[Measurement]  # of this rest, `RECENT` at most; none in motion
     first: Measurement | None  # of the first rest, while that may have been a turn: till another pose or bias
     limits: RestParameters
-    rest_given: bool  # then any steady rate is bias after `UNDECIDED_GIVEN_S`
+    rest_given: bool  # then a new rate is bias at once: see `UNDECIDED_GIVEN_S`
     undo: Bank | None = None  # the present filters before the last second, for motion that follows at once
     alike: int = 0  # how many of the recent measurements are of the present rate
     changes: int = 0  # how often the rate has changed since it fitted the nominal bias
-    steady_s: float = 0.0  # how long the present rate has lasted; compared in whole seconds
+    steady_s: float = 0.0  # how long the present rate has lasted; with `LAG_S` and `ONSET_S` in whole seconds
     p_turn: float = 0.0  # probability that the difference of both biases is a turn
     ambiguities: FloatArray = field(default_factory=partial(np.zeros, (2, 3)))
     """What the less likely hypothesis adds to sigma, rad/s, by the last two measurements, (2, 3)."""
@@ -113,7 +113,7 @@ class Hypotheses:
                 self.first = None  # it was in a hand, and not on a turntable
             if not self.doubted:
                 self.nominal = self.test_copy = self.present
-                self.changes = 0
+                self.changes, self.steady_s = 0, 0.0
         self.recent = [*self.recent[1 - RECENT :], now]
         self._learn(now)
         evidence = self.recent[-self.alike :]

@@ -7,7 +7,7 @@ them), are fitted (Gauss and Newton) by the specific force at rest g, upwards, m
 
 Changes of speed are the noise, and the fit shows their variance s², (m/s)²; errors of scale, and biases of
 the accelerometers, are far smaller.  The rate about the vertical is not estimated: only sways make that rate
-observable.  So an upright axis has no bias.
+observable.  So an upright axis stays unknown.
 """
 
 import math

@@ -1,7 +1,7 @@
 """Attitude of a unit against the earth, as far as the bias needs it: up at rest, and turns in between.
 
 At rest the specific force shows where up is.  While the unit moves, the gyros follow the attitude sample by
-sample (`imumon.filters.turns`): that keeps north, or bounds what of the earth rate in the bias has turned.
+sample (`imumon.filters.turns`): that keeps north, or bounds how the earth rate in the bias has turned.
 """
 
 import math
@@ -27,13 +27,13 @@ class Attitude:
 
     latitude: float | None
     heading: float | None
-    """Latitude of the place and heading of the first rest, rad; None where not known."""
+    """Latitude, and heading of the first rest after each start, rad; None where not known."""
     up: FloatArray = field(default_factory=partial(np.zeros, 3))
     north: FloatArray = field(default_factory=partial(np.zeros, 3))
     """Unit vectors, (3,); zero where not known."""
     earth: FloatArray = field(default_factory=partial(np.zeros, 3))
     """What is known of the earth rate, rad/s, (3,)."""
-    heading_variance: float = 0.0  # where the place is known, rad²
+    heading_variance: float = 0.0  # with latitude and heading, rad²
     turn: Turn = STILL  # since the last rest, less the bias
     lost: bool = False  # whether readings were missing since the last rest
     unposed: bool = False  # whether the pose of this rest is not known, so that all earth rate is bias
@@ -58,7 +58,7 @@ class Attitude:
         """Return the variance of what the turn does to the earth rate that is taken for bias, (rad/s)², (3,).
 
         The rate's direction is not known; with the latitude alone the whole earth rate is counted, not its
-        level part.  Where readings were missing it may have turned anyhow.
+        level part.  Where readings were missing it may have turned by any angle.
         """
         if self.up.any() and self.latitude is not None and self.heading is not None:
             return np.zeros(3)
@@ -75,8 +75,9 @@ class Attitude:
         The mean specific force, m/s², is NaN or zero where not known; the prediction is None at first.
         """
         size = float(np.linalg.norm(force))
-        if self.up.any() and (self.turn.seconds or self.lost) and not size > 0.0:
-            # Of the new pose nothing is known: up to the next rest the earth rate is part of the bias.
+        is_new = self.turn.seconds or self.lost if self.up.any() else self.latitude is not None
+        if is_new and not size > 0.0:
+            # Of this pose nothing is known: up to the next rest the earth rate is part of the bias.
             self.up, self.north, self.earth = np.zeros((3, 3))
             self.unposed, self.lost = self.latitude is not None, True
         added = self._turned_earth()

@@ -25,8 +25,8 @@ class Thermal:
     """The model's increments since the first temperature, and their variance; zero without a model.
 
     Within the calibrated range the error of the curve is a random walk over temperature; outside it the slope
-    itself is unknown, and the farthest counts.  An unknown state at power-on fades: what has
-    faded, its sd at first less that now, has moved the bias.
+    itself is unknown, and the farthest counts.  An unknown state at power-on fades: its sd
+    at first less that now is by how much the bias has moved.
 
     Raises BAD_CONFIG when the model lacks a gyro.
     """

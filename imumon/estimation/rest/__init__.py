@@ -14,7 +14,7 @@ Of `imumon.estimation.gyro_bias` read `hypotheses` (two decision tables: what a 
 - Why is a slot no rest?  `Estimator.unrest`, from `QuietDetector.unrest` and P(turn).
 - Why is sigma so wide?  `Estimator.output` adds variances: of the filters, widened by gaps, temperature and
   turns against the earth; of flicker of samples; of the unknown earth rate; of a turn that may hide in the
-  first rest; and of the difference to the less likely hypothesis, with the error by rounding.
+  first rest; and of the difference to the less likely hypothesis, with the error by rounding (`stage`).
 - What would another gyro need?  White noise is learned, flicker only among `FLICKER_CORNERS_S` (bank); else
   declare B and K.  Assumed are the settings `gyro_drift`, `largest_jump`; `quiet.QUIET_SD`; `USUAL_CHANGE`,
   `SLOWEST_TURN` (with `hypotheses.DOUBT`) and `UNSEEN_TURN` of odds; `SLOPE_PER_SIGMA`, `SENSITIVITY_SD` and

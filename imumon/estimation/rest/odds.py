@@ -11,7 +11,7 @@ by the prior and the gyros, and Λ the likelihood ratio of no turn over a turn, 
                                                             rate more often than a bias
     o_nominal = 2 N(|d|; 0, σ²) |d| D c                     nothing has changed: the nominal bias is vague
     o_first   = 0.05 (size of the first rate / of this)³    the first rest was a turn, and this is the bias;
-                                                            0 up to 4 s after it, or in another pose
+                                                            0 till 4 s after a change, or in a new pose
 
     Λ_gravity = 2 / (1 + r)                                 a turn about a tilted axis tilts the unit by its
                                                             angle; r is the ratio of such a turn over no turn
