@@ -119,7 +119,7 @@ def test_a_simulation_that_meets_a_full_disk_leaves_nothing_and_can_be_made_agai
         done = imumon("simulate", "bench", "--out", out, "--duration", 1)
     assert done.returncode == 2
     assert f"imumon: {out}: No space left on device\nmake room" in done.stderr
-    assert not list(out.parent.iterdir())
+    assert not list(tmp_path.iterdir())
     answer("simulate", "bench", "--out", out, "--duration", 1)
 
 
