@@ -166,8 +166,10 @@ def main() -> None:
     # All is done: Ctrl-C now only spares what Python does before it ends.
     signal.signal(signal.SIGINT, lambda *_: os._exit(code))
     _settle_streams()
-    if code == EXIT_INTERRUPTED:
-        os._exit(code)  # where it came in a call of exec, as dataclasses do, Python would end by the signal
+    # Where Ctrl-C came in a call of exec, as dataclasses do, Python would end by the signal; where a view is
+    # still being drawn, in C++, by an abort.
+    if code == EXIT_INTERRUPTED or any(one.name == "view recorder" for one in threading.enumerate()):
+        os._exit(code)
     sys.exit(code)
 
 

@@ -503,3 +503,14 @@ def test_a_ctrl_c_that_a_library_lost_ends_a_command_that_waits_for_one(
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+def test_a_view_that_is_still_drawn_ends_with_the_command() -> None:
+    still_drawing = (
+        "import sys, threading, time\nfrom imumon.cli import main\n"
+        f"threading.Thread(target=time.sleep, args=[{10 * LIMIT_S}], name='view recorder').start()\n"
+        "sys.argv = ['imumon', '--version']\nmain()\n"
+    )
+    done = subprocess.run([sys.executable, "-c", still_drawing], capture_output=True, timeout=LIMIT_S)
+    assert done.returncode == 0
+    assert done.stdout
