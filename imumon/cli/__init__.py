@@ -20,6 +20,7 @@ from click.shell_completion import shell_complete
 
 from imumon.cli.common import INTERRUPTED, log, note
 from imumon.errors import EXIT_INTERRUPTED, EXIT_OK, EXIT_USAGE, ImumonError
+from imumon.view import RECORDER
 from imumon.wing import GROUPS, Command, built_in, wings
 
 if TYPE_CHECKING:
@@ -168,7 +169,7 @@ def main() -> None:
     _settle_streams()
     # Where Ctrl-C came in a call of exec, as dataclasses do, Python would end by the signal; where a view is
     # still being drawn, in C++, by an abort.
-    if code == EXIT_INTERRUPTED or any(one.name == "view recorder" for one in threading.enumerate()):
+    if code == EXIT_INTERRUPTED or any(one.name == RECORDER for one in threading.enumerate()):
         os._exit(code)
     sys.exit(code)
 

@@ -29,12 +29,14 @@ if TYPE_CHECKING:
 Options = TypeVar("Options", bound=Callable[..., Any])
 INTERRUPTED = threading.Event()
 """Set by Ctrl-C where that does nothing else: libraries make other errors of KeyboardInterrupt, or none."""
+ABSURD = 1e5
+"""A limit from here on protects the program, and is of no interest in a help text."""
 
 
 def described_range(kind: click.IntRange | click.FloatRange) -> str:
     """Return the limits of a number, of which there is a lower one, as people write them."""
     low, high = kind.min, kind.max
-    if high is None:
+    if high is None or high >= ABSURD:
         return f"above {low:g}" if kind.min_open else f"{low:g} or more"
     return f"above {low:g}, up to {high:g}" if kind.min_open else f"{low:g} to {high:g}"
 
@@ -54,6 +56,8 @@ class Number(click.FloatRange):
         if math.isnan(number):
             unit = " of seconds, without a unit" if self.name == "seconds" else ""
             self.fail(f"{value} is not a number{unit}", param, ctx)
+        if self.max is not None and self.max >= ABSURD and number > self.max:
+            self.fail(f"{value} is not in the range up to {self.max:g}", param, ctx)
         return float(super().convert(value, param, ctx))
 
     _describe_range = described_range

@@ -12,9 +12,13 @@ import click
 from imumon.cli import common
 from imumon.cli.progress import bar
 from imumon.errors import EXIT_NEGATIVE, EXIT_OK
+from imumon.files import write_text
+from imumon.harmless import for_log
 
 SHOWN = 20
 """Lines that are shown of what failed, and of what is missing."""
+FAILED_NAME = "failed.txt"
+"""Lists all that failed, where that is more than is shown."""
 
 
 @click.group("batch")
@@ -122,7 +126,10 @@ def _report(out: Path, rows: Mapping[str, Mapping[str, Any]], before: int, as_js
     failures = {place: f"{row['reason']}: {row['error']}" for place, row in rows.items() if row.get("reason")}
     lacks = {place: texts for place, row in rows.items() if (texts := lacking(row))}
     failed = [f"{place}: {why}" for place, why in sorted(failures.items())]
-    _warn_first(failed, f"more failed; all {len(failed):,} are in the table")
+    (out / FAILED_NAME).unlink(missing_ok=True)
+    if len(failed) > SHOWN:
+        write_text(out / FAILED_NAME, "".join(f"{for_log(line)}\n" for line in failed))
+    _warn_first(failed, f"more failed; all {len(failed):,} are in {out / FAILED_NAME}")
     missing = [f"{place}: {text}" for place, texts in sorted(lacks.items()) for text in texts]
     _warn_first(missing, "more lines on missing parts, in the column warnings")
     reasons = Counter(why.partition(":")[0] for why in failures.values())

@@ -237,8 +237,8 @@ def learn(
     model = model_of(model_path) if model_path is not None else None
     found = sessions_in(folder, lambda text: warn([text]))
     sessions = _of_one(found, {"device": device, "serial": serial}, folder)
-    if model is not None:
-        warn(filter(None, {model.of_another(session.metadata.serial) for session in sessions}))
+    of_units = set() if model is None else {model.of_another(one.metadata.serial) for one in sessions}
+    warn(filter(None, of_units))
     with reading_bar([session.path for session in sessions], quiet=as_json) as progress:
         usable = [runs for session in sessions if (runs := _resting_runs(session, progress.count))]
         if not usable:
@@ -246,7 +246,7 @@ def learn(
         *earlier, last = usable
         training = [run for runs in earlier or [last] for run in runs]
         diagnosis = find_effects(training, last if earlier else [], progress=progress, model=model)
-    warn(diagnosis.caveats)
+    warn(text for text in diagnosis.caveats if text not in of_units)
     better = any(verdict.predicts and (verdict.claims or verdict.refit) for verdict in with_model(diagnosis))
     if better:
         extended_model(diagnosis).write(out)

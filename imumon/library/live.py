@@ -126,7 +126,7 @@ class Live:
         self.close()
 
     def _take(self, block: SampleBlock, side: Mapping[str, SampleBlock]) -> None:
-        """Take what the pipeline's thread hands on; no other may count while it decodes."""
+        """Queue a batch with its counters, in the thread that decodes: no other may count meanwhile."""
         self.counters = self.pipeline.counters
         self._ready.put((block, side))
 

@@ -7,3 +7,6 @@
 calls for the live stream and for the file alike.  Nothing here ever makes the caller wait: queues are
 bounded and drop the oldest, and what was dropped is counted.
 """
+
+RECORDER = "view recorder"
+"""Name of the thread that writes view.rrd; at the end it may still be drawing."""

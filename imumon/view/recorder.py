@@ -11,6 +11,7 @@ from pathlib import Path
 import rerun as rr
 
 from imumon.heap import trim_heap
+from imumon.view import RECORDER
 from imumon.view.items import DropOldestQueue, ViewItem, ViewSetup, merge
 from imumon.view.logger import StreamLogger
 from imumon.view.viewer import APPLICATION
@@ -58,7 +59,7 @@ class ViewRecorder:
         self.files: list[Path] = []
         """The segments so far, in order; the last one is being written until `close`."""
         self._open_segment()
-        self._thread = threading.Thread(target=self._run, name="view recorder", daemon=True)
+        self._thread = threading.Thread(target=self._run, name=RECORDER, daemon=True)
         self._thread.start()
 
     @property

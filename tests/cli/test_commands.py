@@ -507,8 +507,8 @@ def test_a_ctrl_c_that_a_library_lost_ends_a_command_that_waits_for_one(
 
 def test_a_view_that_is_still_drawn_ends_with_the_command() -> None:
     still_drawing = (
-        "import sys, threading, time\nfrom imumon.cli import main\n"
-        f"threading.Thread(target=time.sleep, args=[{10 * LIMIT_S}], name='view recorder').start()\n"
+        "import sys, threading, time\nfrom imumon.cli import main\nfrom imumon.view import RECORDER\n"
+        f"threading.Thread(target=time.sleep, args=[{10 * LIMIT_S}], name=RECORDER).start()\n"
         "sys.argv = ['imumon', '--version']\nmain()\n"
     )
     command = [sys.executable, "-c", still_drawing]

@@ -63,4 +63,4 @@ def test_the_scenarios_are_listed_unbroken(name: str) -> None:
 def test_a_number_outside_of_its_range_gets_the_range_in_words() -> None:
     assert "is not in the range -90 to 90" in imumon("calibrate", "s", "--out", "m", "--latitude", 91).stderr
     assert "is not in the range above 0" in imumon("virtual", "--seconds", 0).stderr
-    assert "is not in the range above 0, up to 1e+09" in imumon("virtual", "--seconds", "inf").stderr
+    assert "is not in the range up to 1e+09" in imumon("virtual", "--seconds", "inf").stderr
