@@ -69,7 +69,7 @@ packet:
 
 @pytest.mark.parametrize(
     ("baudrate", "scale", "code", "cause"),
-    [(1200, 16, 2, "of a line at 1200 baud"), (115200, 3000, 4, "does not fit")],
+    [(1200, 16, 2, "of a line at 1200 baud"), (115200, 10_000_000, 4, "does not fit")],
 )
 def test_a_demo_that_cannot_send_ends_with_the_cause(
     tmp_path: Path, baudrate: int, scale: int, code: int, cause: str
