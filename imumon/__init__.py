@@ -15,12 +15,12 @@ docs/architecture.md shows each step and which files to touch to add something, 
 Time
     Always int64 nanoseconds.  ``device_time_ns`` is the device's own clock, unwrapped, as the device counts
     it (it starts anew in a new ``segment``); ``arrival_time_ns`` is the Unix time at which the last byte of
-    the packet was read from the port; ``host_time_ns`` is the device clock mapped to Unix time by the lower
-    hull of arrival minus device time: the estimate of the time of validity, never later than the arrival.
+    the packet was read from the port; ``host_time_ns`` is the device clock mapped to Unix time,
+    fitted to the earliest arrivals: the estimate of when a row was measured, never later than its arrival.
 
 Rows
-    A row is a time of validity of the inertial sensors, whatever packets its fields came in; what has a time
-    and rate of its own (a receiver, a filter) is a side stream with rows and a table of its own.
+    A row holds what the inertial sensors measured at one instant, whatever packets its fields came in; what has
+    a time and rate of its own (a receiver, a filter) is a side stream with rows and a table of its own.
 
 Units
     SI inside: angular rate rad/s, specific force m/s², angle rad, pressure Pa, temperature °C.  Latitude and

@@ -12,7 +12,7 @@ STANDS = 100
 MEASURED_S = 10.0
 """Arrivals scatter by 0.1 s and more; over so long they give a rate to a few percent."""
 SILENT_NS = 3_000_000_000
-"""After a longer silence nobody knows how many packets there would have been."""
+"""After a longer silence it is not known how many packets there would have been."""
 SETTLE_NS = 1_000_000_000
 """What comes so soon after a silence, or first of all, may have been sent long before: it is not counted."""
 

@@ -1,4 +1,4 @@
-"""``imumon configure``: rate, outputs and baud rate of a device, only because a user asks for it."""
+"""``imumon configure``: rate, outputs and baud rate of a device, only where a user requests it."""
 
 import signal
 from typing import TYPE_CHECKING

@@ -196,7 +196,7 @@ class Family(ABC):
     resume: Requests = ()
     """Lets the data come again."""
     questions: Requests = ()
-    """What `learn` asks of a device of the newest kind."""
+    """What `learn` queries of a device of the newest kind."""
 
     def __init__(self, device: DeviceFile | None = None) -> None:
         self.device = device

@@ -7,7 +7,7 @@ force it makes k columns; the bias that it adds is columns times coefficients.
 - regress: ``effect.columns(drive)`` for each parameter of ``type(effect).grid(survey)``;
 - live: `imumon.models.predictor.Carrier`, fed block by block, with the same numbers however they are divided.
 
-What the diagnosis has to know of an effect beyond that are its class attributes: no other code asks for an
+What the diagnosis has to know of an effect beyond that are its class attributes: no other code tests for an
 effect by its name.
 """
 

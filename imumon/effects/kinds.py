@@ -31,10 +31,10 @@ _KINDS: tuple[type[Effect], ...] = (
 KINDS: dict[str, type[Effect]] = {kind.name: kind for kind in _KINDS}
 """imumon's own, by the name of their kind, in the order in which they are tried."""
 SEPARATED_BY = {
-    ("dead_time", "hysteresis"): "two ramp rates: a loop does not care, a delay doubles",
+    ("dead_time", "hysteresis"): "two ramp rates: a loop stays the same, a delay doubles",
     ("dead_time", "temperature_rate"): "a fast ramp into a soak: the delay goes on for its time",
     ("dead_time", "thermal_lag"): (
-        "a fast ramp into a soak: a lag bends at once and slowly, a delay later and at once"
+        "a fast ramp into a soak: a lag begins at once and slowly, a delay later and at once"
     ),
     ("drift", "run_offset"): "longer runs, the device not switched off between them",
     ("drift", "step"): "a longer run: a drift goes on",
@@ -43,7 +43,7 @@ SEPARATED_BY = {
     ("g_sensitivity", "run_offset"): "at least four poses within one run",
     ("g_sensitivity", "step"): "each pose taken twice in one run",
     ("hysteresis", "temperature_curve"): "a turn of the temperature inside the range",
-    ("hysteresis", "temperature_rate"): "two ramp rates: a loop does not care, a rate effect doubles",
+    ("hysteresis", "temperature_rate"): "two ramp rates: a loop stays the same, a rate effect doubles",
     ("hysteresis", "thermal_lag"): (
         "a soak of more than five time constants after a ramp, and two ramp rates: a lag decays in the"
         " soak, a loop stays"

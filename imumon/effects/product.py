@@ -48,7 +48,7 @@ class Product(Effect):
     """u v of two drivers, each as (driver - middle) / half span; of the specific force a u each component.
 
     Of the specific force with itself the columns are x², y², z², xy, xz and yz, in (m/s²)².  Of another
-    driver v is a column as well, the last: nobody knows at which temperature it does nothing.
+    driver v is a column as well, the last: at which temperature it does nothing is not known.
     """
 
     kind: Literal["product"] = "product"

@@ -176,7 +176,7 @@ class DeadTime(Follower):
         return np.asarray(np.interp(time - self.delay_s, past[:, 0], past[:, 1]))
 
     def settled(self, drive: Drive) -> BoolArray:
-        """Return whether the delay has passed: what was before power-on, nobody knows."""
+        """Return whether the delay has passed: what was before power-on is not known."""
         return drive.time_s > self.delay_s
 
 

@@ -78,7 +78,7 @@ class Turn:
         return np.asarray((axis @ self.by_scale.reshape(3, 9)).reshape(3, 3))
 
     def sampling_variance(self, axis: FloatArray) -> float:
-        """Return the variance of the angle about an axis, (3,), for want of more samples, rad²."""
+        """Return the variance of the angle about an axis, (3,), by missing samples, rad²."""
         coning = float(axis @ self.coning)
         return coning * coning + self.fast**2 + self.missed
 

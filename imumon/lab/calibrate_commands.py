@@ -273,7 +273,7 @@ def magnetometer(session: Path, out: Path, model: Path | None, plot: Path | None
         "hard iron": ", ".join(f"{value:.2f} ± {sd:.2g}" for value, sd in hard) + f" {found.unit}",
         "soft iron": f"{soft}, ± {worst:.1g}",
         "strength": f"{found.field:.2f} {found.unit}, {scatter}",
-        "axes": "not checked, for want of gyros or turns",
+        "axes": "not checked: no gyros, or too few turns",
         "written": str(out),
     }
     if off is not None:

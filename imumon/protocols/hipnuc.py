@@ -65,7 +65,7 @@ HEAD = part(f"{_INS} | 4")
 
 
 def of_bits(bits: int) -> Message:
-    """Return the message 0x83 with the fields of these bits; it ends at the first bit that nobody knows."""
+    """Return the message 0x83 with the fields of these bits; it ends at the first bit that is not known."""
     there = [BITS.get(bit) for bit in range(32) if bits >> bit & 1]
     end = there.index(None) if None in there else len(there)
     return field(f"imu83:{bits:#x}", HEAD, *(one.numbers for one in there[:end] if one is not None))

@@ -3,7 +3,7 @@
 A line is numbers between separators, pairs of key and number, or JSON; it may begin with a prefix and end
 with a checksum as NMEA has it.  A line counts when it has exactly the numbers that are described and all are
 finite: there is mostly no checksum, and a torn line must not become a sample.  So the first line of a stream
-without prefix, of which nobody knows where it began, does not count.
+without prefix, whose beginning is not known, does not count.
 """
 
 import json

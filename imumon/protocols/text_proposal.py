@@ -1,4 +1,4 @@
-"""A device file proposed from lines of text that nobody described: what the columns may be, and why.
+"""A device file proposed from lines of text without a description: what the columns may be, and why.
 
 It is a proposal: statistics of a unit at rest separate force from rates, but not deg/s from rad/s.  The
 reasons stand beside each field, for somebody to confirm.
@@ -25,7 +25,7 @@ GRAVITIES = {9.80665: "scale: 1, unit: m/s^2", 1.0: "scale: 1, unit: g", 1000.0:
 }
 """What the norm of the specific force at rest is, in units and counts that are usual."""
 NEAR = 0.06
-"""Offset and scale errors of a sensor that nobody calibrated: a few percent of gravity."""
+"""Offset and scale errors of a sensor that is not calibrated: a few percent of gravity."""
 STEADY = 0.05
 """Scatter of a norm, relative, up to which it is that of a constant vector."""
 ZERO = 2.5

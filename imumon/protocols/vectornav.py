@@ -2,7 +2,7 @@
 
 Facts from the vendor's SDK and the VN-100 manual.  A binary packet is FA, a byte that lists the groups
 that follow, a word for each that lists its fields, the fields, and a CRC; it has no length: that is the
-sum of the fields.  So a packet with a field that nobody knows cannot be read, and is passed over.
+sum of the fields.  So a packet with a field that is not known cannot be read, and is passed over.
 
 `AngRate`, `Accel` and `Mag` are what the device's filter has left: its own estimate of the gyro bias is
 already taken off.  `Uncomp...` and `Imu` are calibrated in the factory and no more; they make ``gyro``,

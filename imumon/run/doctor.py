@@ -103,7 +103,7 @@ def serial_ports() -> Iterator[Finding]:
     """Test whether there are serial ports, and what keeps them from being read well."""
     ports = list_ports()
     if not ports:
-        remedy = "plug the adapter in; dmesg shows whether the system saw it.  imumon virtual needs none"
+        remedy = "plug the adapter in; dmesg shows whether the system found it.  imumon virtual needs none"
         yield Finding("serial ports", State.WARNING, "there are none", remedy)
     yield from map(_port, ports)
 

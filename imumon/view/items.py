@@ -217,7 +217,7 @@ class Timebase:
     def at(self, time_ns: int | None = None) -> Instant:
         """Return the moment `time_ns` (Unix time of this computer), or that of the latest sample.
 
-        A table, which nobody received, has the latter only.
+        A table, which was not received, has the latter only.
         """
         last = self._last
         if time_ns is None or not self._received:

@@ -76,7 +76,7 @@ def probe(port: int, timeout_s: float = 0.5) -> bool | None:
 
 
 def free_port(preferred: int, bind: str = LOCALHOST) -> int:
-    """Return the preferred port or the next one that nobody listens on.
+    """Return the preferred port or the next one that is free.
 
     Another program may take it before the caller does.
 

@@ -92,7 +92,7 @@ POLICY = (
     "style-src 'self' 'unsafe-inline'; worker-src 'self' blob:"
 )
 """The content security policy: this server, nothing else.  The web viewer sends usage data whatever its
-settings, asks for updates and for fonts; a browser that is given this policy refuses them."""
+settings, requests updates and for fonts; a browser that is given this policy refuses them."""
 
 
 class WebServer(ThreadingTCPServer):
@@ -135,7 +135,7 @@ class _Handler(BaseHTTPRequestHandler):
     server: WebServer
 
     def do_GET(self) -> None:
-        """Answer with a file; who asks for the page without a stream is sent to the one with ours."""
+        """Answer with a file; a request for the page without a stream is sent to the one with ours."""
         if self._refuses():
             return
         path, _, query = self.path.partition("?")

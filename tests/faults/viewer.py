@@ -125,7 +125,7 @@ def _nothing(_: Scene, seconds: float) -> None:
 STOPPED = "view process stopped, also at the end"
 HARMS: dict[str, tuple[str, Callable[[Scene, float], None]]] = {
     "no view": ("none", _nothing),
-    "nobody looks": ("web", _nothing),
+    "no viewer looks": ("web", _nothing),
     STOPPED: ("web", _stop),
     "view process killed": ("web", _kill),
     f"{BROWSERS} browsers come and go, every fifth hangs": ("web", _browsers),

@@ -108,7 +108,7 @@ class State:
         """Of each test: the sum of log e over the block, the CUSUM, and its largest value since the start."""
         self.segment, self.first_ns, self.last_s, self.slots = segment, first_ns, 0.0, 0
         """Segment and time of the first slot, ns; time of the last one since then, s; how many there were."""
-        self.suspect = False  # whether the filter was caught at being wrong
+        self.suspect = False  # whether the innovations contradict the filter
 
 
 def limit(false_alarm_hours: float) -> float:
@@ -172,7 +172,7 @@ class ModelWatch:
     """
 
     columns: Sequence[Column] = (
-        Column("model_suspect", "1", "int64", "1 once the bias filter is caught at being wrong, else 0"),
+        Column("model_suspect", "1", "int64", "1 once the innovations contradict the bias filter, else 0"),
     )
 
     def __init__(self, parameters: WatchParameters | None = None, modelled: bool = False) -> None:
@@ -215,7 +215,7 @@ class ModelWatch:
         if self._state.slots < LEARNING + BLOCK:
             return {"model": LaneState("waiting for rest", Level.WAIT)}
         if not self._modelled:
-            return {"model": LaneState("no model; the filter agrees with itself")}
+            return {"model": LaneState("no model; innovations as expected")}
         return {"model": LaneState("MODEL OK", Level.GOOD)}
 
     def notices(self) -> list[str]:

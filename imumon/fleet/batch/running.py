@@ -30,7 +30,7 @@ LOCALHOST = "127.0.0.1"
 def workers(scheduler: str | None, number: int) -> Iterator[Any]:
     """Give a client of the scheduler at this address, or of a cluster of processes here.
 
-    Raises BAD_CONFIG when Dask is not there; NOT_FOUND when nobody answers at the address.
+    Raises BAD_CONFIG when Dask is not there; NOT_FOUND when nothing answers at the address.
     """
     try:
         import dask

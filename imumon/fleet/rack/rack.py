@@ -264,7 +264,7 @@ class Rack:
             process.received_s = now_s
         elif silent_s > HANGS_S and not unit.silent:
             unit.silent = True
-            text = f"its process (pid {process.pid}) hangs: no word for {silent_s:.1f} s"
+            text = f"its process (pid {process.pid}) hangs: no report for {silent_s:.1f} s"
             self._put(unit, "ERROR", text)
             self._show(unit, State(_now(), "unit", "HANGS", Level.BAD))
 

@@ -58,7 +58,7 @@ _WAYS = Rotation.create_group("O").as_matrix().round() + 0.0  # no negative zero
 WAYS: FloatArray = _WAYS[np.argsort(-np.trace(_WAYS, axis1=1, axis2=2), kind="stable")]
 """The rotations that turn axes into axes, the identity first, (24, 3, 3)."""
 LOST = 0.01
-"""rad²: variance of a turn for want of samples beyond which it is not compared with the field."""
+"""rad²: variance of a turn by missing samples beyond which it is not compared with the field."""
 SLOT_NS = 500_000_000
 """A hand turns a unit by tenths of a radian meanwhile, and by less than half a circle."""
 LEAST_SLOTS = 20

@@ -64,7 +64,7 @@ VERDICTS = (
 )
 BESIDE_CLAIMS = {
     "not_told_apart": ", not told apart",
-    "by_test": ", proven by the test alone, so the error there is no longer unseen",
+    "by_test": ", proven by the test alone, so this test is no independent proof",
     "unexplained": ", and more that is unexplained",
     "hidden": "; too few digits to tell whether there is more",
 }

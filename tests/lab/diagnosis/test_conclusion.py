@@ -197,7 +197,7 @@ def test_what_is_not_told_apart_is_one_verdict_with_one_next_step(lagging: Diagn
     assert "imumon plan" in next_step(found, tmp_path).command
     chosen = replace(both, finding=replace(both.finding, by_test=True))
     found = replace(lagging, verdicts=[replace(verdict, claims=[chosen])])
-    assert "no longer unseen" in conclusion(found)
+    assert "no independent proof" in conclusion(found)
     assert "--test NEW" in next_step(found, tmp_path).command
     alone = replace(claim, finding=replace(claim.finding, alternatives={}))
     found = replace(lagging, verdicts=[replace(verdict, claims=[alone])])
