@@ -162,7 +162,7 @@ def markov(time: float) -> Autocovariance:
 def markov_shape(m: FloatArray, time: float) -> FloatArray:
     """Return the Allan variance at averaging factors of a Gauss-Markov process of unit variance, (n,)."""
     g = markov(time)
-    # The terms of the second difference with itself; IEEE Std 952, C.1.5, is the limit of a long time.
+    # The terms of the second difference with itself; IEEE Std 952 has the limit of a long time.
     return (g(2.0 * m) - 4.0 * g(m) + 3.0 * g(np.zeros(1))) / m**2
 
 

@@ -101,7 +101,10 @@ def drawing() -> str:
         text.append(f"      +-- {wing:<12}{lines[wing]:>22,} lines; of the core: {of_core}")
         if of_wings:
             text.append(f"      |   {'':<12}{'':>22}        of wings: {of_wings}")
-    table = ["| room | lines | before | | what it gives |", "|---|---:|---:|---|---|"]
+    table = [
+        "| room | lines | before November 2026 | core or wing | what it gives |",
+        "|---|---:|---:|---|---|",
+    ]
     for room in sorted(ROOMS, key=lambda room: -lines[room]):
         before, gives = ROOMS[room]
         wing = "wing" if room in made else ""
