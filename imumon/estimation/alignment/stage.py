@@ -19,8 +19,8 @@ from imumon.filters.turns import STILL
 from imumon.geodesy import DEG_PER_H, heading_of
 from imumon.lane import LaneState, Level
 
-LONGEST_GAP_S, LONGEST_MOTION_S = 30.0, 120.0
-"""A longer gap in the data, and a longer motion, restart the alignment."""
+LONGEST_GAP_S, LONGEST_MOTION_S = 5.0, 120.0
+"""A longer gap in the data, which may hide a turn, and a longer motion restart the alignment."""
 LEVELS = {"waiting": Level.WAIT, "disturbed": Level.BAD, "aligning": Level.WAIT, "settled": Level.GOOD}
 """Of the phases; the others are neither good nor bad."""
 

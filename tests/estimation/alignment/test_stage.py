@@ -185,6 +185,16 @@ def test_a_link_with_pauses_leaves_few_cells_and_an_honest_sigma(seed: int) -> N
     assert np.abs(off[shown] / out["heading_sd"][shown]).max() < 4.0
 
 
+def test_after_a_gap_that_may_hide_a_turn_the_alignment_starts_anew() -> None:
+    block = samples(scenario(120.0, rate_hz=20.0, arw=1e-3))
+    seconds = block["device_time_ns"] * 1e-9
+    kept = (seconds < 60.0) | (seconds >= 66.0)
+    stage, out = aligned(SampleBlock({name: values[kept] for name, values in block.columns.items()}))
+    assert np.isfinite(out["heading"][seconds[kept] < 60.0][-1])
+    assert np.isnan(out["heading"][seconds[kept] >= 67.0][0])
+    assert stage.status.rest_s == pytest.approx(54.0, abs=3.0)
+
+
 @pytest.mark.parametrize("rate_hz", [1.0, 5.0, 1000.0])
 def test_any_rate_will_do(rate_hz: float) -> None:
     stage, _ = aligned(samples(scenario(90.0, rate_hz=rate_hz)))
