@@ -19,8 +19,8 @@ Time
     fitted to the earliest arrivals: the estimate of when a row was measured, never later than its arrival.
 
 Rows
-    A row holds what the inertial sensors measured at one instant, whatever packets its fields came in; what has
-    a time and rate of its own (a receiver, a filter) is a side stream with rows and a table of its own.
+    A row holds what the inertial sensors measured at one instant, whatever packets its fields came in; what
+    has a time and rate of its own (a receiver, a filter) is a side stream with rows and a table of its own.
 
 Units
     SI inside: angular rate rad/s, specific force m/s², angle rad, pressure Pa, temperature °C.  Latitude and

@@ -31,7 +31,7 @@ KNOWN: dict[str, Column] = {
     for column in [
         Column("device_time_ns", "ns", "int64", "device clock, unwrapped; starts anew in each segment"),
         Column("arrival_time_ns", "ns", "int64", "Unix time at which the packet's last byte was read"),
-        Column("host_time_ns", "ns", "int64", "device clock mapped to Unix time, fitted to the earliest arrivals"),
+        Column("host_time_ns", "ns", "int64", "device clock in Unix time, fitted to the earliest arrivals"),
         Column("segment", "1", "int64", "counts restarts of the device's clock or counter, from 0"),
         Column("packet_counter", "1", "int64", "packet counter as the device sends it"),
         Column("device_ticks", "1", "int64", "device clock as the device sends it, in its own ticks"),
