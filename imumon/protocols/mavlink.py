@@ -33,6 +33,7 @@ FIRST, SECOND = b"\xfe", b"\xfd"
 HEADERS = {FIRST: 6, SECOND: 10}
 SIGNATURE = 13
 SIGNED = 1
+COARSE = "rates of SCALED_IMU and RAW_IMU have steps of 206 deg/h; finer: HIGHRES_IMU, but PX4 corrects it"
 LONGEST = 64
 """Bytes of the longest payload in the table, with its extensions."""
 
@@ -141,8 +142,7 @@ class MavlinkDecoder(FamilyDecoder):
     def _key(self, packet: bytes) -> int:
         key = int.from_bytes(packet[7:10], "little")
         if key in (26, 27):
-            coarse = "rates of SCALED_IMU and RAW_IMU have steps of 206 deg/h: HIGHRES_IMU is finer"
-            self._report(coarse, is_warning=True)
+            self._report(COARSE, is_warning=True)
         return key
 
     def _by_layout(self, found: Found) -> Iterable[tuple[Record, IntArray]]:

@@ -75,6 +75,21 @@ def test_sbg_frames_of_the_vendor() -> None:
     assert block["processor_load"][block["processor_load"] != NO_INT].tolist() == [42] * 3
 
 
+def test_sbg_rates_about_north_are_not_in_the_columns_of_those_about_the_body_axes() -> None:
+    device = load_device("sbg")
+    logs = {
+        "rate_body": {f"{name}_{c}": [0.5] for name in ("gyro_compensated", "free_accel") for c in "xyz"},
+        "rate_ned": {f"{name}_{c}": [0.25] for name in ("rate_ned", "free_accel_ned") for c in "xyz"},
+    }
+    stream = b""
+    for log, columns in logs.items():
+        sent = SampleBlock({name: np.array(values) for name, values in columns.items()})
+        stream += device.model_copy(update={"sends": [log]}).encoder().encode(sent)[0]
+    block = feed_in_chunks(device.decoder(), stream, [9])
+    for name, values in {**logs["rate_body"], **logs["rate_ned"]}.items():
+        assert block[name][np.isfinite(block[name])].tolist() == values
+
+
 def test_inertial_sense_packets_of_the_vendor() -> None:
     block = vectors("inertialsense", "isb_vendor_vectors.bin")
     assert len(block) == 9
@@ -164,7 +179,8 @@ def test_a_mavlink_message_of_pymavlink() -> None:
     )
     np.testing.assert_allclose([block[f"gyro_{c}"][0] for c in "xyz"], [5e-3, 6e-3, 7e-3])
     assert block["temperature"][0] == 25.0
-    assert any("206 deg/h" in text for text in decoder.warnings())
+    warning = next(text for text in decoder.warnings() if "206 deg/h" in text)
+    assert "PX4" in warning  # of the finer message, whose rates PX4 corrects
 
 
 def test_mavlink_of_one_vehicle_is_read_in_both_versions() -> None:
