@@ -20,9 +20,7 @@ def test_each_link_names_a_term() -> None:
 def test_a_page_links_the_first_use_of_a_term_in_its_prose() -> None:
     known = anchors()
     assert {anchor_of(term, known) for term in FIRST_USES}.isdisjoint({None})
-    page = (
-        "# A soak\n\n`soak` and [ZUPT](glossary.md): ZUPT. Soaks in two poses, soak.\n\n```sh\nsoak\n```\n"
-    )
+    page = "# A soak\n\n`soak` and [ZUPT](glossary.md): ZUPT. Soaks in two poses, soak.\n\n```sh\nsoak\n```\n"
     assert link_first_uses(page, "glossary.md", known) == page.replace(
         "Soaks in two poses", "[Soaks](glossary.md#soak) in two [poses](glossary.md#pose)"
     )
