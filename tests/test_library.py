@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import re
 import sys
 import textwrap
@@ -12,7 +13,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.site_reference import page_of_names
 
 import imumon
 from imumon import plugins
@@ -63,9 +63,16 @@ def test_the_page_runs_as_it_stands(
 
 
 def test_the_table_of_names_is_that_of_the_package() -> None:
-    assert page_of_names() == PAGE.read_text(encoding="utf-8")
+    rows = []
     for name in imumon.__all__:
-        assert getattr(imumon, name) is not None
+        offered = getattr(imumon, name)
+        parameters = (
+            f"({', '.join(inspect.signature(offered).parameters)})" if inspect.isfunction(offered) else ""
+        )
+        if not isinstance(offered, str):
+            about = (inspect.getdoc(offered) or "").partition("\n\n")[0].replace("\n", " ")
+            rows.append(f"| `imumon.{name}{parameters}` | {about.replace('``', '`')} |\n")
+    assert PAGE.read_text(encoding="utf-8").rpartition("|---|---|\n")[2] == "".join(rows)
 
 
 def test_a_port_is_closed_and_what_came_is_still_there(unit: Path) -> None:

@@ -9,6 +9,8 @@ from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
+from imumon.wing import BUILT_IN
+
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = ROOT / "imumon"
 PAGE = ROOT / "docs" / "architecture.md"
@@ -51,13 +53,7 @@ BEFORE = 70_293
 
 def wings() -> list[str]:
     """Return the names of the wings of imumon, as imumon/wing.py lists them."""
-    tree = ast.parse((PACKAGE / "wing.py").read_text(encoding="utf-8"))
-    listed = next(
-        node.value
-        for node in tree.body
-        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "BUILT_IN"
-    )
-    return [name.rpartition(".")[2] for name in ast.literal_eval(listed)]
+    return [name.rpartition(".")[2] for name in BUILT_IN]
 
 
 def room_of(path: Path) -> str:

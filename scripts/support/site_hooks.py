@@ -60,11 +60,7 @@ def link_first_uses(markdown: str, glossary: str, known: dict[str, str]) -> str:
     linked = {anchor_of(link[1], known) for link in LINK_OF_TERM.finditer(markdown)}
     for term in FIRST_USES:
         anchor = anchor_of(term, known)
-        spelt = (
-            re.escape(term)
-            if term.isupper()
-            else f"[{term[0].upper()}{term[0].lower()}]{re.escape(term[1:])}"
-        )
+        spelt = re.escape(term) if term.isupper() else f"(?i:{term[0]}){re.escape(term[1:])}"
         use = re.compile(rf"(?<![\w-]){spelt}(?:e?s)?(?![\w-])")
         for at in range(0, len(parts), 2):
             match = use.search(parts[at])

@@ -1,15 +1,14 @@
-"""Pages of the reference that are made from the code: commands, settings, exit codes, library.
+"""Pages of the reference that are made from the code: commands, settings, exit codes, library."""
 
-As a program it writes the table of names at the end of docs/library.md anew.
-"""
-
+import functools
 import inspect
 import re
 import textwrap
 import types
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Annotated, Any, Literal, Union, get_args, get_origin
+from pkgutil import resolve_name
+from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import click
 from pydantic import BaseModel
@@ -20,8 +19,10 @@ import imumon
 
 WIDTH = 80
 """Columns of a help text."""
-NAMES = Path(__file__).resolve().parents[2] / "docs" / "library.md"
-"""Page that ends with the table of names."""
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+CODE = re.compile(r"`([^`]+)`")
+LINK = re.compile(r"\[[^]]+\]\([^)]+#[^)]+\)")
+"""What is code in a text; a link to a heading."""
 
 
 def pages() -> dict[str, str]:
@@ -66,61 +67,109 @@ def _helps(command: click.Command, parent: click.Context, name: str) -> Iterator
 
 
 def settings() -> str:
-    """Return the keys of every file that a user writes, with type, default and meaning."""
-    from imumon.protocols.fixed import FixedDevice, SeveralDevice
-    from imumon.protocols.text import TextDevice
-    from imumon.recordings.map import TableMap
-    from imumon.run.setup import Setup
-    from imumon.simulation.unit.scenario import Scenario
-
-    files: list[tuple[str, str, type[BaseModel]]] = [
-        ("Pipeline file", "pipeline-files.md", Setup),
-        ("Device file, packets of a fixed length", "device-files.md", FixedDevice),
-        ("Device file, several packets", "device-files.md", SeveralDevice),
-        ("Device file, lines of text", "device-files.md", TextDevice),
-        ("Map of a table", "import-map.md", TableMap),
-        ("Scenario", "simulation.md", Scenario),
+    """Return the keys of every file that a user writes, with type, unit, default and meaning."""
+    files = [
+        ("Pipeline file", "pipeline-files.md", "imumon.run.setup:Setup"),
+        ("Device file, packets of a fixed length", "device-files.md", "imumon.protocols.fixed:FixedDevice"),
+        ("Device file, several packets", "device-files.md", "imumon.protocols.fixed:SeveralDevice"),
+        ("Device file, lines of text", "device-files.md", "imumon.protocols.text:TextDevice"),
+        ("Map of a table", "import-map.md", "imumon.recordings.map:TableMap"),
+        ("Scenario", "simulation.md", "imumon.simulation.unit.scenario:Scenario"),
+        ("Unit file", "simulation.md", "imumon.simulation.unit.scenario:Unit"),
+        ("Rack of units", "rack.md", "imumon.fleet.rack.description:RackFile"),
     ]
-    parts = [
-        "# Settings\n\nThe keys of the YAML files that a user writes. A key without a default is required.\n"
-    ]
+    parts = ["# Settings\n\nKeys of the YAML files that a user writes; one without a default is required.\n"]
     shown: set[type[BaseModel]] = set()
     for title, page, model in files:
         parts.append(f"## {title}\n\nExplained in [{page}](../{page}).\n")
-        parts += _tables(model, "", shown)
+        parts += _tables(resolve_name(model), "", shown, _meanings(page))
     return "\n".join(parts)
 
 
-def _tables(model: type[BaseModel], path: str, shown: set[type[BaseModel]]) -> Iterator[str]:
+def _tables(
+    model: type[BaseModel], path: str, shown: set[type[BaseModel]], meaning_of: Callable[[str], str]
+) -> Iterator[str]:
     """Yield a table of a model's keys, then those of the models within it that were not shown yet."""
-    shown.add(model)
     about = _parameters(model.__doc__ or "")
-    heading = f"**`{path}`**\n\n" if path else ""
-    yield heading + "| key | type | default | meaning |\n|---|---|---|---|"
-    inner: list[tuple[str, type[BaseModel]]] = []
-    for name, field in model.model_fields.items():
-        if field.exclude:
-            continue
-        meaning = about.get(name) or field.description or ""
-        yield f"| `{name}` | {_type(field)} | {_default(field)} | {_cell(meaning)} |"
-        inner += [(f"{path}.{name}".lstrip("."), one) for one in _models(field.annotation)]
+    yield "| key | type | unit | default | meaning |\n|---|---|---|---|---|"
+    places: dict[type[BaseModel], list[str]] = {}
+    for name, field in _fields(model):
+        place = f"{path}.{name}".lstrip(".")
+        meaning = _cell(about.get(name) or meaning_of(place))
+        yield f"| `{name}` | {_type(field)} | {_unit(name)} | {_default(field)} | {meaning} |"
+        for inner in _models(field.annotation):
+            places.setdefault(inner, []).append(f"`{place}`")
     yield ""
-    for where, one in inner:
-        if one not in shown:
-            yield from _tables(one, where, shown)
+    for inner, names in places.items():
+        if inner not in shown:
+            shown.add(inner)
+            title = ", ".join(names + [f"`kind: {kind}`" for kind in _kinds(inner)])
+            about_it = _cell((inner.__doc__ or "").partition("\n\n")[0])
+            yield f"### {title} {{: #{inner.__module__}.{inner.__name__} }}\n\n{about_it}\n"
+            yield from _tables(inner, names[0].strip("`"), shown, meaning_of)
+
+
+def _fields(model: type[BaseModel]) -> list[tuple[str, FieldInfo]]:
+    """Return the keys of a model that still mean something."""
+    return [(name, field) for name, field in model.model_fields.items() if not field.exclude]
 
 
 def _models(annotation: Any) -> list[type[BaseModel]]:
-    """Return the models of files that stand in an annotation."""
+    """Return the models with keys that stand in an annotation, but not those of files of their own."""
     if inspect.isclass(annotation) and issubclass(annotation, BaseModel):
-        is_own_file = "format" in annotation.model_fields
-        return [annotation] if annotation.model_fields and not is_own_file else []
+        is_own_file = "imumon-" in str(annotation.model_fields.get("format"))
+        return [annotation] if _fields(annotation) and not is_own_file else []
     return [one for part in get_args(annotation) for one in _models(part)]
 
 
+def _kinds(model: type[BaseModel]) -> tuple[str, ...]:
+    """Return the kinds that a model is for."""
+    return get_args(getattr(model.model_fields.get("kind"), "annotation", None))
+
+
+UNIT = re.compile(r"_((rad|degc|deg|hours|hz|ppm|ug|mg|m|g|s)((_per|_sqrt|_per_sqrt)_(s[23]?|h|min))*)$")
+"""The unit at the end of the name of a key."""
+SIGNS = {"_per_": "/", "_sqrt": "/sqrt", "sqrt_": "√", "degc": "°C", "deg": "°", "hours": "h"}
+SIGNS |= {"hz": "Hz", "ug": "µg", "s2": "s²", "s3": "s³"}
+
+
+def _unit(key: str) -> str:
+    found = UNIT.search(key)
+    return functools.reduce(lambda text, sign: text.replace(*sign), SIGNS.items(), found[1] if found else "")
+
+
+def _meanings(page: str) -> Callable[[str], str]:
+    """Return what gives the meaning of a key by its path.
+
+    A page explains keys in tables with the head "key", or "key of `PATH`" for those within another.  A key
+    without a row is explained where a key that it is in names it, or behind the last link to a heading there.
+    """
+    text = re.sub(r"\]\((?!http|#)", "](../", (DOCS / page).read_text(encoding="utf-8"))
+    texts = dict(_rows(text.replace("](#", f"](../{page}#")))
+
+    def meaning_of(path: str) -> str:
+        names = path.split(".")
+        above = [texts.get(".".join(names[:at]), "") for at in range(len(names) - 1, 0, -1)]
+        naming = [one for one in above if names[-1] in re.findall(r"\w+", " ".join(CODE.findall(one)))]
+        links = [f"see {link}" for one in above for link in LINK.findall(one)[-1:]]
+        return next(filter(None, [texts.get(path), *naming, *links]), "")
+
+    return meaning_of
+
+
+def _rows(text: str) -> Iterator[tuple[str, str]]:
+    """Yield path and meaning of each key in tables of keys."""
+    for head, rows in re.findall(r"^\| (key\b.*) \|\n\|[-|]+\|\n((?:\|.*\n?)+)", text, re.MULTILINE):
+        titles = head.split(" | ")
+        within = [f"{name}." for name in CODE.findall(titles[0])] or [""]
+        for row in rows.splitlines():
+            cells = dict(zip(titles, re.split(r"(?<!\\) \| ", row.strip("| ")), strict=False))
+            meaning = "; see ".join(cells[title] for title in ("meaning", "described in") if title in cells)
+            yield from ((f"{one}{key}", meaning) for one in within for key in CODE.findall(cells[titles[0]]))
+
+
 def _type(field: FieldInfo) -> str:
-    limits = [_limit(one) for one in field.metadata]
-    return _cell(" ".join([_type_name(field.annotation), *filter(None, limits)]))
+    return _cell(" ".join([_type_name(field.annotation), *filter(None, map(_limit, field.metadata))]))
 
 
 def _type_name(annotation: Any) -> str:
@@ -128,7 +177,7 @@ def _type_name(annotation: Any) -> str:
     if origin is Annotated:
         return " ".join([_type_name(args[0]), *filter(None, map(_limit, args[1:]))])
     if origin is Literal:
-        return " or ".join(f"`{value}`" for value in args)
+        return " or ".join(f"`{value if str(value).strip() else repr(value)}`" for value in args)
     if origin in (Union, types.UnionType):
         return " or ".join(dict.fromkeys(_type_name(one) for one in args if one is not type(None)))
     if origin in (list, tuple):
@@ -138,23 +187,26 @@ def _type_name(annotation: Any) -> str:
     names = {float: "number", int: "integer", str: "text", bool: "true or false"}
     if annotation in names:
         return names[annotation]
+    for model in _models(annotation):
+        return f"[{' or '.join(_kinds(model)) or 'mapping'}](#{model.__module__}.{model.__name__})"
     return "mapping" if inspect.isclass(annotation) and issubclass(annotation, BaseModel) else "value"
 
 
 def _limit(limit: object) -> str:
     """Return a limit of a number in words; empty for other metadata."""
     words = {"gt": "above", "ge": "from", "lt": "below", "le": "to"}
-    found = [f"{word} {getattr(limit, name):g}" for name, word in words.items() if hasattr(limit, name)]
-    return " ".join(found)
+    return " ".join(f"{words[name]} {getattr(limit, name):g}" for name in words if hasattr(limit, name))
 
 
 def _default(field: FieldInfo) -> str:
     if field.is_required():
         return "required"
     value = field.get_default(call_default_factory=True, validated_data={})
-    if value is None or value is PydanticUndefined or value in ([], {}, ()):
+    if value is PydanticUndefined or value in (None, "", [], {}, (), [None] * 3):
         return "none"
-    return "see below" if isinstance(value, BaseModel) else f"`{value}`"
+    if isinstance(value, BaseModel):
+        return "see there"
+    return f"`{str(value).lower() if isinstance(value, bool) else value}`"
 
 
 def _parameters(docstring: str) -> dict[str, str]:
@@ -172,7 +224,7 @@ def _parameters(docstring: str) -> dict[str, str]:
 
 
 def _cell(text: str) -> str:
-    return re.sub(r"``(.*?)``", r"`\1`", text).replace("|", "\\|").replace("\n", " ")
+    return re.sub(r"(?<![\\`])\|", r"\|", re.sub(r"``(.*?)``", r"`\1`", text)).replace("\n", " ")
 
 
 def exit_codes() -> str:
@@ -182,10 +234,8 @@ def exit_codes() -> str:
     codes = {name: getattr(errors, name) for name in dir(errors) if name.startswith("EXIT_")}
     meanings = _constants(inspect.getsource(errors))
     parts = ["# Exit codes\n\n| code | meaning |\n|---:|---|"]
-    parts += [
-        f"| {code} | {_cell(meanings[name])} |"
-        for name, code in sorted(codes.items(), key=lambda one: one[1])
-    ]
+    by_code = sorted(codes, key=codes.__getitem__)
+    parts += [f"| {codes[name]} | {_cell(meanings[name])} |" for name in by_code]
     parts.append(
         "\nAn error is one message on standard error: what was found, and what to do. In Python it is an "
         "`imumon.ImumonError` with a `reason`:\n\n| reason | code | when |\n|---|---:|---|"
@@ -225,28 +275,11 @@ def library() -> str:
     return "\n".join(parts)
 
 
-def page_of_names() -> str:
-    """Return the page of the library with its table of names as it should be."""
-    head = "|---|---|\n"
-    rows = []
-    for name in imumon.__all__:
-        offered = getattr(imumon, name)
-        parameters = ", ".join(inspect.signature(offered).parameters) if inspect.isfunction(offered) else None
-        if not isinstance(offered, str):
-            called = name if parameters is None else f"{name}({parameters})"
-            about = _cell((inspect.getdoc(offered) or "").partition("\n\n")[0])
-            rows.append(f"| `imumon.{called}` | {about} |\n")
-    return NAMES.read_text(encoding="utf-8").rpartition(head)[0] + head + "".join(rows)
-
-
 def _members(offered: type) -> Iterator[tuple[str, Any]]:
     """Yield the public methods and properties that a class defines itself, with a docstring."""
     for name, value in vars(offered).items():
-        if (
-            not name.startswith("_")
-            and inspect.getdoc(value)
-            and (callable(value) or isinstance(value, property))
-        ):
+        is_public = inspect.getdoc(value) and not name.startswith("_")
+        if is_public and (callable(value) or isinstance(value, property)):
             yield name, value
 
 
@@ -255,10 +288,7 @@ def _described(name: str, offered: Any, heading: str) -> str:
     doc = inspect.getdoc(offered) or ""
     parts = [f"{heading} {name}\n"]
     if callable(offered) and not inspect.isclass(offered):
-        signature = (
-            str(inspect.signature(offered)).replace("'", "").replace("(self, ", "(").replace("(self)", "()")
-        )
-        parts.append(_fenced(textwrap.fill(f"{name}{signature}", WIDTH, subsequent_indent="    ")))
+        parts.append(_fenced(textwrap.fill(f"{name}{_signature(offered)}", WIDTH, subsequent_indent="    ")))
     text = doc.partition("Parameters\n----------\n")[0].rstrip()
     parts.append(re.sub(r"``(.*?)``", r"`\1`", text) + "\n")
     parameters = _parameters(doc)
@@ -268,9 +298,17 @@ def _described(name: str, offered: Any, heading: str) -> str:
     return "\n".join(parts)
 
 
+BESIDE = re.compile(r"\b(?:\w+\.)+(?=[A-Za-z])|self: None(?:, )?|(?<=None)Type|\[tuple.*?dtype.*?\]\]")
+"""What a signature is shown without: modules, self, what arrays are of."""
+
+
+def _signature(offered: Callable[..., Any]) -> str:
+    """Return the signature as a caller needs it: types without limits."""
+    hints, signature = get_type_hints(offered), inspect.signature(offered)
+    parameters = [one.replace(annotation=hints.get(name)) for name, one in signature.parameters.items()]
+    text = str(signature.replace(parameters=parameters, return_annotation=hints["return"]))
+    return re.sub(r"Optional\[(\w+)\]", r"\1 | None", BESIDE.sub("", text))
+
+
 def _fenced(text: str) -> str:
     return f"```text\n{text.rstrip()}\n```\n"
-
-
-if __name__ == "__main__":
-    NAMES.write_text(page_of_names(), encoding="utf-8")
