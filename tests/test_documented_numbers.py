@@ -4,9 +4,23 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
+from scipy.optimize import brentq
+
+from imumon.estimation.alignment.stage import LONGEST_GAP_S
+from imumon.estimation.attitude.fusion import TAU_ACC_S
+from imumon.estimation.attitude.sigma import CONFIRMING_TURN, IRON
+from imumon.estimation.gyro_bias.bank import SENSITIVITY_SD
+from imumon.estimation.rest.odds import changed_bias
+from imumon.estimation.rest.parameters import RestParameters
+from imumon.estimation.smoothing.stage import MEDIAN
+from imumon.estimation.temperature_rate.filter import CODE_MODELS, JERK_PSDS, MEAN_MODELS
+from imumon.estimation.temperature_rate.stage import RAMP_S
+from imumon.geodesy import DEG_PER_H, EARTH_RATE, STANDARD_GRAVITY
 
 DOCS = Path(__file__).parents[1] / "docs"
 ALIGNMENT = "appendix/alignment-details.md"
@@ -52,6 +66,7 @@ def numbers_in(page: str, pattern: str) -> list[float]:
         ("alignment.md", "alignment-site-results.md", 4),
         ("batch.md", "performance-table.md", 2),
         ("performance.md", "performance-table.md", 7),
+        ("smoothing.md", "smoothing-details.md", 2),
     ],
 )
 def test_rows_of_a_page_are_those_of_the_appendix(page: str, appendix: str, at_least: int) -> None:
@@ -126,6 +141,12 @@ def test_thermal_calibration() -> None:
         assert (row[0], row[0]) == (before[0], after[1])
         sources = ([before[1]], [before[6]], [after[6]])
         assert all(is_rounded(number, source) for number, source in zip(row[1:], sources, strict=True))
+    promised = [[row[cycle[0].index("promised")]] for row in cycle[1:]]
+    (shown_residual,) = shaped("thermal-calibration.md", "`residual` does not show it: #, # and # °/s")
+    assert all(map(is_rounded, shown_residual, promised))
+    parts_of_z = [row for table in tables(page) for row in table if row[0] == "z" and "polynomial" in row[7]]
+    assert len(parts_of_z) == 3
+    assert all(float(row[6]) > float(row[1]) for row in parts_of_z)  # "worse, whatever part is fitted"
     pattern = r"x falls from ([\d.]+) to ([\d.]+) °/s, still (\d+) floors"
     floors = float(parts[0][6]) / float(parts[0][2])
     assert numbers_in("closing-the-loop.md", pattern) == [*map(float, shown[0][2:]), round(floors)]
@@ -155,3 +176,546 @@ def test_bias_at_corners_of_a_profile() -> None:
     page = "appendix/tczupt-details.md"
     said = numbers_in(page, r"the bias is off by more than 5 sigma for ([\d.]+) to ([\d.]+) %")
     assert said == [round(min(shares), 2), round(max(shares), 2)]
+
+
+class Source(NamedTuple):
+    """Where numbers of a page come from: those at each # of a text, with * for anything within a cell.
+
+    `of` makes what the page has of them: a list of the numbers of each place that fits.
+    """
+
+    page: str
+    shape: str
+    of: Callable[[list[list[float]]], list[float]] = lambda found: found[0]
+
+    def values(self) -> list[float]:
+        found = [[float(number) for number in groups] for groups in shaped(self.page, self.shape)]
+        assert len(found) == 1 or self.of is not Source._field_defaults["of"], self
+        return self.of(found)
+
+
+def shaped(page: str, shape: str) -> list[list[str]]:
+    """Return the numbers at each # of a text, for each place of a page that fits."""
+    pattern = re.escape(shape).replace(r"\#", f"({NUMBER.pattern})").replace(r"\*", "[^|]*")
+    found = [match.groups() for match in re.finditer(pattern, " ".join(text(page).split()))]
+    assert found, f"{page} has no {shape}"
+    return [list(groups) for groups in found]
+
+
+def largest(found: list[list[float]]) -> list[float]:
+    return [max(column) for column in zip(*found, strict=True)]
+
+
+def least_and_largest(found: list[list[float]]) -> list[float]:
+    return [min(map(min, found)), max(map(max, found))]
+
+
+def shown_and_excess(found: list[list[float]]) -> list[float]:
+    """Return the share of records with a term, %, and by how much the term is too large in them, %."""
+    return [found[0][0], 100.0 * (found[0][1] - 1.0)]
+
+
+def odds_of_change(dph: float) -> float:
+    """Return the odds of a changed bias over a turn, by a change of the rate of so many °/h."""
+    return changed_bias(dph * DEG_PER_H, 0, RestParameters().largest_jump)
+
+
+def turn_at(probability: float) -> float:
+    """Return at which change of the rate, °/h, a turn has this probability by the rate alone."""
+    return float(brentq(lambda dph: odds_of_change(dph) + 1.0 - 1.0 / probability, 5.0, 1000.0))
+
+
+NOWHERE = math.nan
+"""A number of a page that no committed table, test or constant has: not compared."""
+ABLATION, ATTITUDE, FIELD = (f"appendix/{name}-results.md" for name in ("ablation", "attitude", "field"))
+ALLAN, ATTITUDE_DETAILS, REST, SMOOTHING, RATE, RANDOM = (
+    f"appendix/{name}-details.md"
+    for name in ("allan", "attitude", "rest-detector", "smoothing", "temperature-rate", "random-error")
+)
+SITES, SPEED, TCZUPT = (
+    f"appendix/{name}.md" for name in ("alignment-site-results", "performance-table", "tczupt-results")
+)
+SOAK, JUMPED = "tutorials/soak.md", "../tests/estimation/smoothing/test_smoothing.py"
+SURPRISES = "../scripts/reproduce/field_surprises.py"
+LEVEL_RATE = EARTH_RATE * math.cos(math.radians(36.0)) / DEG_PER_H
+"""Horizontal earth rate at the latitude of the alignment's examples, °/h."""
+QUICK_TURN = "| rest | turn of 0.05 °/s for 10 min, begun in 0.5 s, 0° off the vertical, * "
+SLOW_RAMP = "| rest | turn of 0.5 °/s for 10 min, begun in 120 s, 0° off the vertical, * "
+
+NO_NUMBER = re.compile(r"`[^`]*`|\]\([^)]*\)")
+"""Names and links, whose digits are none of a row's numbers."""
+
+Numbers = list[float | Source]
+ROWS: list[tuple[str, str, Numbers]] = [
+    # attitude
+    (
+        "attitude.md",
+        "| 02 slow rotation ",
+        [2, Source(ATTITUDE, "| 02 undisturbed slow rotation B | # | * | * | # | # | * | * | # |")],
+    ),
+    (
+        "attitude.md",
+        "| 08 fast, with breaks ",
+        [
+            8,
+            Source(
+                ATTITUDE, "| 08 undisturbed fast rotation with breaks A | # | * | * | # | # | * | * | # |"
+            ),
+        ],
+    ),
+    (
+        "attitude.md",
+        "| one pose, accelerometers off by ",
+        [
+            Source(ATTITUDE, '"Consumer accelerometers": off by # mg'),
+            Source(ATTITUDE, "| at rest, consumer accelerometers | * | * | * | * | * | # | # |", largest),
+        ],
+    ),
+    (
+        "attitude.md",
+        "| gyro z reversed, confirmed about x ",
+        [
+            Source(ATTITUDE, f"| by hand, gyro z reversed | 50 | no |{' * |' * 9} # | # |"),
+            2,  # the step of the page
+        ],
+    ),
+    ("attitude.md", "| magnetometer with other axes ", [NOWHERE]),
+    (
+        "attitude.md",
+        "| 2 m/s² straight ahead ",
+        [2, Source(ATTITUDE_DETAILS, "--part straight`): error over σ # after # s, # after # s")],
+    ),
+    # smoothing
+    (
+        "smoothing.md",
+        "| the bias of all axes jumps ",
+        [
+            Source(JUMPED, "> 150 * RATE_HZ, np.radians(#)"),
+            0.3 * 3600.0,
+            Source(JUMPED, "r == pytest.approx([#, #, #]"),
+            Source(JUMPED, "sd.max() == pytest.approx(#"),
+            Source(JUMPED, "np.median(sd, axis=0) == pytest.approx([#, #, #]"),
+        ],
+    ),
+    ("smoothing.md", "| a chamber that changes its rate at once ", []),
+    # temperature rate
+    ("temperature-rate.md", "| 0.5 °C ", [0.5, Source(RATE, "| in steps of 0.5 °C | #; #, # |")]),
+    ("temperature-rate.md", "| 1 °C ", [1, Source(RATE, "| in steps of 1 °C | #; #, # |")]),
+    (
+        "temperature-rate.md",
+        "| first ",
+        [Source(RATE, "beyond the sigma until a reading shows it: # to # s")],
+    ),
+    ("temperature-rate.md", "| cooling turns into heating ", [Source(RATE, "| as recorded | *, # |")]),
+    (
+        "temperature-rate.md",
+        "| a triangle of temperature",
+        [
+            0.0625,
+            Source(FIELD, "| triangle of 1 °C/min, steps of 0.0625 °C: temperature | * | * | * | * | # |"),
+        ],
+    ),
+    (
+        "temperature-rate.md",
+        "| [popcorn noise]",
+        [Source(RATE, "off by up to # of its sigmas (rms 15 for 3 steps of 60 s), the rate by up to #")],
+    ),
+    # Allan deviation
+    (
+        "allan.md",
+        "| small B beside a small K",
+        [Source(ALLAN, f"| N 1e-3, B 3e-4, K 3e-5 | {term} | # % | # |", shown_and_excess) for term in "BK"],
+    ),
+    (
+        "allan.md",
+        "| vibration, ",
+        [
+            0.1,
+            Source(ALLAN, "| # Hz, A 1e-1; 5 Hz, A 1e-2 or 1e-1 | # of 18 |"),
+            Source(ALLAN, "with a sine of amplitude A (rad/s), 20 minutes at 50 Hz, # seeds each"),
+        ],
+    ),
+    (
+        "allan.md",
+        "| temperature cycle of ",
+        [
+            Source(ALLAN, "| cycle of # s, A 1e-3 or 1e-2 |"),
+            Source(
+                ALLAN, "| cycle of 300 s, A 1e-3 or 1e-2 | * | # to", lambda found: [100 - 100 * found[0][0]]
+            ),
+            Source(ALLAN, "| cycle of 300 s, A 1e-3 or 1e-2 | * | * | * | a random walk, in # |"),
+            Source(ALLAN, "| cycle of 300 s, A 1e-3 or 1e-2 | # of 12 |"),
+        ],
+    ),
+    ("allan.md", "| warm-up, or one step of the bias ", []),
+    # rest
+    (
+        "rest-detector.md",
+        "| 0.05 °/s, begun within ",
+        [
+            0.05,
+            0.5,
+            Source(REST, "a turn of 0.05 °/s (180 °/h) rest for # % (seed 31)"),
+            Source(FIELD, f"{QUICK_TURN}| # % false |", largest),
+            Source(REST, "With seed 31 the least z of the page are # (0.05 °/s"),
+            Source(FIELD, f"{QUICK_TURN}| * | * | * | # | # |", largest),
+        ],
+    ),
+    (
+        "rest-detector.md",
+        "| 0.5 °/s, begun and ended by ramps ",
+        [
+            0.5,
+            120,
+            Source(FIELD, f"{SLOW_RAMP}| # % false |", least_and_largest),
+            Source(REST, "(0.05 °/s, industrial) and # (0.5 °/s, tactical)"),
+            Source(FIELD, f"{SLOW_RAMP}| * | * | * | # | # |", largest),
+        ],
+    ),
+    # gyro bias
+    (
+        "tczupt.md",
+        "| the bias jumps by ",
+        [
+            Source(SURPRISES, "a bias that jumps by # to # deg/h every two minutes or so"),
+            Source(FIELD, "| telegraph of the bias: bias | * | * | * | * | # |"),
+            Source(FIELD, "| telegraph of the bias: bias | * | beyond # σ, % # |"),
+        ],
+    ),
+    (
+        "tczupt.md",
+        "| vibration of a fan",
+        [Source(FIELD, "| fan that the gyros rectify: bias | * | * | * | * | # |")],
+    ),
+    (
+        "tczupt.md",
+        "| a turn without accelerometers ",
+        [math.sqrt(2.0) * SENSITIVITY_SD * STANDARD_GRAVITY / DEG_PER_H],
+    ),
+    ("tczupt.md", "| slow turns that are called rest ", []),
+    # alignment
+    (
+        "alignment.md",
+        "| a bias of 3 °/h of only the gyro ",
+        [
+            3,
+            math.degrees(math.atan(3.0 / LEVEL_RATE)),
+            100.0 * (math.hypot(1.0, 3.0 / LEVEL_RATE) - 1.0),
+            Source(SITES, f"| bias of 3 °/h of the gyro that points east |{' * |' * 18} # |"),
+        ],
+    ),
+    (
+        "alignment.md",
+        "| a tripod that tilts by ",
+        [
+            Source(SITES, "| settling # µrad, 3000 s |"),
+            3000,
+            Source(SITES, f"| settling 2000 µrad, 3000 s |{' * |' * 18} # |"),
+            5,
+            Source(SITES, f"| settling 2000 µrad, 3000 s |{' * |' * 19} # % |"),
+        ],
+    ),
+    (
+        "alignment.md",
+        "| a turn within a gap ",
+        [LONGEST_GAP_S, Source(ALIGNMENT, "until the next fit, # s later (# s in two of 18 runs)")],
+    ),
+    ("alignment.md", "| a quiet gyro with a [scale error]", [1, 180.0 * 0.01]),
+    # random error
+    (
+        "random-error.md",
+        "| flicker over five decades ",
+        [Source(RANDOM, "| drift | * | * | # |", lambda found: [1.0 / found[0][0]])],
+    ),
+    (
+        "random-error.md",
+        "| the drift is a pure random walk",
+        [
+            2e-7 * 60.0 / DEG_PER_H,
+            0.28,
+            Source("../tests/estimation/gyro_bias/test_consistency.py", "[(2e-7, #), (2e-5, 1.0)]"),
+            2e-5 * 60.0 / DEG_PER_H,
+        ],
+    ),
+]
+"""Page, beginning of a row, and what each number of that row is."""
+
+
+@pytest.mark.parametrize(("page", "row", "sources"), ROWS)
+def test_numbers_of_a_row_are_those_of_its_sources(page: str, row: str, sources: Numbers) -> None:
+    lines = [line for line in (DOCS / page).read_text(encoding="utf-8").splitlines() if line.startswith(row)]
+    assert len(lines) == 1, f"{page} has {len(lines)} rows that begin with {row}"
+    compare(NUMBER.findall(NO_NUMBER.sub("", lines[0])), sources)
+
+
+def compare(shown: list[str], sources: Numbers) -> None:
+    """Compare numbers of a page with their sources, rounded to the places that the page has."""
+    values = [value for each in sources for value in (each.values() if isinstance(each, Source) else [each])]
+    assert len(shown) == len(values), (shown, values)
+    for number, value in zip(shown, values, strict=True):
+        half = 0.5 * 10.0 ** -len(number.partition(".")[2])
+        off = (float(number) - value) / half  # half of a place goes up
+        assert math.isnan(value) or -0.9999 < off < 1.0001, (number, value)
+
+
+@pytest.mark.parametrize("page", sorted({page for page, _, _ in ROWS}))
+def test_each_row_of_what_fails_has_its_sources(page: str) -> None:
+    _, heading, section = (DOCS / page).read_text(encoding="utf-8").lower().partition("when it fails\n")
+    assert heading
+    rows = [line for line in section.partition("\n## ")[0].splitlines() if line.startswith("|")]
+    heads = [k for k, line in enumerate(rows) if set(line) <= set("|- ")]
+    known = tuple(row.lower() for where, row, _ in ROWS if where == page)
+    for k, line in enumerate(rows):
+        assert k in heads or k + 1 in heads or line.startswith(known), f"{page}: no source of {line}"
+
+
+SENTENCES: list[tuple[str, str, Numbers]] = [
+    (
+        "attitude.md",
+        "the heading of the same filter is off by #° in one",
+        [Source(ATTITUDE, f"| 02 undisturbed slow rotation B |{' * |' * 4} # |")],
+    ),
+    (
+        "attitude.md",
+        "and by #° in another",
+        [Source(ATTITUDE, f"| 08 undisturbed fast rotation with breaks A |{' * |' * 4} # |")],
+    ),
+    (
+        "attitude.md",
+        "that accelerates straight ahead for # s or more",
+        [Source(ATTITUDE_DETAILS, "--part straight`): error over σ 1.7 after # s")],
+    ),
+    (
+        "attitude.md",
+        "counts as error: #° in a tilt by #°",
+        [Source(ATTITUDE_DETAILS, "| 22 | motion | 30.0 | * | * | * | * | no | # |"), 30],
+    ),
+    (
+        "attitude.md",
+        "A quick tilt by #° that is held for # s decides",
+        [math.degrees(math.sqrt(2.0 * CONFIRMING_TURN)), TAU_ACC_S],
+    ),
+    ("attitude.md", "at least # % of the field: #°", [100.0 * IRON, math.degrees(IRON * 50.0 / 20.0)]),
+    (
+        "smoothing.md",
+        "the error of the bias of y from # to # °/h rms",
+        [Source(SMOOTHING, "| warm-up, handled, rests of 10 s, 15 min | *, #, * | *, #, * |")],
+    ),
+    (
+        "smoothing.md",
+        "f = # ± # °/h and b = # ± # °/h give x = # ± # °/h",
+        [20, 10, 10, 5, (20.0 * 25.0 + 10.0 * 100.0) / 125.0, math.sqrt(100.0 * 25.0 / 125.0)],
+    ),
+    ("smoothing.md", "min(r, median(ρ) / #)); # is the median", [MEDIAN, MEDIAN]),
+    (
+        "smoothing.md",
+        "σ is # to # times as wide as needed",
+        [
+            Source(
+                "smoothing.md",
+                "min | * | * | #, #, # |",
+                lambda found: [1 / max(map(max, found)), 1 / min(map(min, found))],
+            )
+        ],
+    ),
+    (
+        "temperature-rate.md",
+        "a filter runs for each combination of # values of q and # *noise models*",
+        [len(JERK_PSDS), len(CODE_MODELS) + len(MEAN_MODELS)],
+    ),
+    (
+        "temperature-rate.md",
+        "σ is at least # °C/h with a step of # °C, and # °C/h with #.",
+        [3600.0 / math.sqrt(12.0) / RAMP_S, 1, 3600.0 * 0.0625 / math.sqrt(12.0) / RAMP_S, 0.0625],
+    ),
+    (
+        "temperature-rate.md",
+        "error/σ is # rms with this term, and # without. The # s",
+        [
+            Source(ABLATION, "| none | 1.00 | 1.00 (white 0.03 step, 5 °C/h) | # |"),
+            Source(ABLATION, "| no ramp that may have begun | * | * | # |"),
+            RAMP_S,
+        ],
+    ),
+    (
+        "temperature-rate.md",
+        "from # to −# °C in # min and on to # °C in #,",
+        [Source(RATE, "from # to −# °C in # min and on to # °C in #,")],
+    ),
+    (
+        "allan.md",
+        "Simulated records of # minutes at # Hz with N = 10⁻³ rad/√s (# °/√h)",
+        [
+            Source(ALLAN, "Simulated records of # minutes at # Hz, 150 seeds"),
+            math.degrees(1e-3) * 60.0,
+        ],
+    ),
+    (
+        "allan.md",
+        "were then printed in # % of records at most",
+        [Source(ALLAN, "not in the noise were printed in # % of the records at most")],
+    ),
+    (
+        "rest-detector.md",
+        "P(turn) is 1/10 at # °/h, 1/4 at # °/h and ½ at # °/h",
+        [turn_at(0.1), turn_at(0.25), turn_at(0.5)],
+    ),
+    (
+        "rest-detector.md",
+        "bias jumps by # °/h to # °/s about the vertical",
+        [
+            turn_at(0.5),
+            math.degrees(RestParameters().largest_jump),
+        ],
+    ),
+    (
+        "rest-detector.md",
+        "The error is # to # σ, until the # h are over",
+        [
+            *(math.sqrt(1.0 + 1.0 / odds_of_change(3600.0 * dps)) for dps in (0.1, 0.9)),
+            RestParameters().undecided_s / 3600.0,
+        ],
+    ),
+    (
+        "rest-detector.md",
+        "for turns below # °/h, with",
+        [turn_at(0.1)],
+    ),
+    (
+        "tczupt.md",
+        "60 N/√t at best: # °/h after 10 s, # °/h after a minute",
+        [Source(TCZUPT, "60 ARW/√t: # after 10 s, * after 30 s, # after 60 s")],
+    ),
+    (
+        "tczupt.md",
+        "`thermal` is off by [# to # instead of # °/h]",
+        [
+            Source(TCZUPT, "| lag 30 s | imumon thermal | # # # |", least_and_largest),
+            Source(TCZUPT, "| none | imumon thermal | # # # |", lambda found: [sum(found[0]) / 3.0]),
+        ],
+    ),
+    (
+        "alignment.md",
+        "by # µrad in a minute turns the mean of the gyros over that minute by up to #°",
+        [200, math.degrees(200e-6 / 60.0 / DEG_PER_H / LEVEL_RATE)],
+    ),
+    ("alignment.md", "At #° latitude the horizontal part is # °/h", [36, LEVEL_RATE]),
+    (
+        "alignment.md",
+        "accelerometers alone leaves [#°]",
+        [math.degrees(750e-6 * math.tan(math.radians(36.0)))],
+    ),
+    (
+        "alignment.md",
+        "(navigation grade) makes #°, and one of # °/h #°",
+        [math.degrees(0.0035 / LEVEL_RATE), 0.75, math.degrees(0.75 / LEVEL_RATE)],
+    ),
+    (
+        "alignment.md",
+        "The noise alone makes #° in 60 s and #° in 600 s",
+        [math.degrees(1e-3 * math.sqrt(3600.0 / s) / LEVEL_RATE) for s in (60.0, 600.0)],
+    ),
+    (
+        "alignment.md",
+        "Of [# sites]",
+        [Source(ALIGNMENT, "runs # kinds of sites and")],
+    ),
+    (
+        "alignment.md",
+        "# have a heading at both times. The rms of z is below # in # (60 s) and in all # (600 s)",
+        [
+            Source(ALIGNMENT, "# sites have a heading at 60 and at 600 s"),
+            Source(ALIGNMENT, "the rms of error over sigma is below # in # and all #, the largest"),
+        ],
+    ),
+    (
+        "random-error.md",
+        "of the first minute, held, is # °/h off",
+        [Source(RANDOM, "| hold 60 s | # | * | - |")],
+    ),
+    (
+        "random-error.md",
+        "# °/h of it turn the angle by #° in a minute",
+        [10, 10.0 / 60.0],
+    ),
+    (
+        "random-error.md",
+        "equal within the scatter of the runs (# to # °/h)",
+        [
+            Source(RANDOM, "| exponential 200 s | * | # to * |"),
+            Source(RANDOM, "| drift | * | * to # |"),
+        ],
+    ),
+    (
+        "thermal-calibration.md",
+        "this would be the error at the rates of this recording: # °/h on x in the soak",
+        [Source(SOAK, "30 s of lag # ")],
+    ),
+    (
+        "thermal-calibration.md",
+        "wanders about its curve by # to # °/h",
+        [Source(SOAK, "residual # # # °/h;", least_and_largest)],
+    ),
+    (
+        "performance.md",
+        "took # % of a core at 100 Hz and # % at 1 kHz",
+        [Source(SPEED, f"| {rate} Hz | *% | *% | #% |") for rate in (100, 1000)],
+    ),
+    (
+        "performance.md",
+        "At # times real time an hour",
+        [Source(SPEED, "| replay at 400 Hz, at rest, x real time | ≥ 250 | # |")],
+    ),
+    (
+        "performance.md",
+        "The packet of # bytes costs # µs",
+        [58, Source(SPEED, "| 65536 | # |", lambda found: [found[0][0] / 1000.0])],
+    ),
+    (
+        "performance.md",
+        "less than # % of a core, and 99 % of the samples in the viewer within # ms",
+        [
+            Source(SPEED, "| live at 1000 Hz, share of a core | ≤ # |", lambda found: [100.0 * found[0][0]]),
+            Source(SPEED, "| live at 1000 Hz, age p99, s | ≤ # |", lambda found: [1000.0 * found[0][0]]),
+        ],
+    ),
+]
+"""Page, a sentence with # for its numbers, and what these are."""
+
+
+@pytest.mark.parametrize(("page", "sentence", "sources"), SENTENCES)
+def test_numbers_of_a_sentence_are_those_of_its_sources(page: str, sentence: str, sources: Numbers) -> None:
+    (shown,) = shaped(page, sentence)
+    compare(shown, sources)
+
+
+def test_counts_of_the_attitude_page() -> None:
+    *simulated, measured = tables(ATTITUDE)
+    rows = [[float(row[k]) for k in (6, 7, 12, 13)] for table in simulated for row in table[1:]]
+    good = [row for row in rows if max(row[0], row[2]) <= 1.5]
+    pattern = r"Of \[(\d+) simulated rows\].* none, (\d+) have an error over σ of at most ([\d.]+) rms"
+    assert numbers_in("attitude.md", pattern) == [len(rows), len(good), 1.5]
+    most = max(max(row[1], row[3]) for row in good)
+    pattern = r"Single moments reach ([\d.]+): .* The other (\d+) are of"
+    assert numbers_in("attitude.md", pattern) == [most, len(rows) - len(good)]
+    others = {row[0] for table in simulated for row in table[1:] if max(float(row[6]), float(row[12])) > 1.5}
+    assert all("accelerometers" in name or "gyro z reversed" in name for name in others)
+    most = max(float(row[k]) for row in measured[1:] for k in (3, 7))
+    assert numbers_in("attitude.md", r"all within ([\d.]+) σ") == [most]
+    assert len(measured[1:]) == 4  # "two of four trials"
+
+
+def test_what_a_packet_costs() -> None:
+    cost = {row[0]: [float(row[k]) for k in (1, 4)] for row in tables(SPEED)[1][1:]}
+    packets = 1024 / 58
+    feed = (cost["1024"][0] - cost["65536"][0]) * packets / 1000.0
+    take = (cost["1024"][1] - cost["1024"][0]) * packets / 1000.0
+    times = [cost["1024"][k] / cost["65536"][k] for k in (0, 1)]
+    sentence = "`feed` adds about # µs, each `take` about # µs"
+    compare(shaped("performance.md", sentence)[0], [feed, take])
+    sentence = "costs # times as much per packet as in 64 KiB chunks, and a `take` after each of them # times"
+    compare(shaped("performance.md", sentence)[0], [*times])
+    missed = sum(row[-1] == "FAIL" for row in tables(SPEED)[-1])
+    assert ["none", "one", "two", "three"][missed] in text("performance.md").partition(
+        "In the present table "
+    )[2][:5]

@@ -125,6 +125,16 @@ def test_the_sigma_is_true_for_five_decades_of_flicker() -> None:
     assert 0.5 < np.sqrt(np.mean(normalised)) < 1.25
 
 
+@pytest.mark.parametrize(("walk", "times"), [(2e-7, 3.0), (2e-5, 1.0)])  # as docs/random-error.md has it
+def test_a_walk_without_flicker_has_too_large_a_sigma_if_it_is_weak(walk: float, times: float) -> None:
+    normalised = []
+    for seed in range(2):
+        block, bias = record(Truth(rate_hz=4.0, flicker=0.0, walk=walk, low_pass_hz=None), 600.0, seed)
+        added = RestAndBias(GIVEN).process(block)
+        normalised.append(((vector(added) - bias) / vector(added, "gyro_bias_sd"))[240:])
+    assert 1.0 / np.sqrt(np.mean(np.square(normalised))) == pytest.approx(times, rel=0.2)
+
+
 def test_declared_noise_holds_though_a_fan_ran_in_the_first_rest() -> None:
     walk, rate_hz = 2e-6, 10.0
     declared = GyroBiasParameters(rate_random_walk_rad_per_s_per_sqrt_s=walk, assume_at_rest=True)
