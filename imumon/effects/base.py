@@ -36,8 +36,8 @@ ACCEL = "accel"
 LEAST_SPAN_DEGC = 3.0
 """With less the curve itself is not determined, let alone what it lacks."""
 RATIO = 1.3
-"""Of neighbours in a grid of times or widths: half way between two, lags, delays and warm-ups of 40 to 1500 s
-and loops of up to 4 °C leave 7 % of themselves at the most (rms), in ramps of 1.5 °C/min."""
+"""Of neighbours in a grid of times or widths: half way between two, before they are refined, lags, delays and
+warm-ups of 40 to 1500 s and loops of up to 4 °C leave at most 7 % of their rms, in ramps of 1.5 °C/min."""
 FORGOTTEN = float(np.exp(-3.0))
 """Share of what an unknown state at power-on adds that no longer matters: three time constants of a lag."""
 
@@ -126,8 +126,9 @@ class Memory:
     """What an effect carries from one block to the next; NaN at power-on."""
 
     time_s: float = np.nan
+    """That of the last sample."""
     driver: float = np.nan
-    """Those of the last sample (the driver behind the slack of a smooth loop)."""
+    """That of the last sample; of a smooth loop, behind its slack."""
     follower: float = np.nan
     """Where the one stands that follows the driver: lagged, or dragged along."""
     ahead: float = np.nan
@@ -164,7 +165,8 @@ class Effect(StrictModel):
         """Take the keys of the first format, when temperature was all that drove an effect."""
         if not isinstance(given, dict):
             return given
-        return {str(key).removesuffix("_degc"): value for key, value in given.items()}
+        own = cls.model_fields
+        return {key if key in own else str(key).removesuffix("_degc"): value for key, value in given.items()}
 
     @classmethod
     def __pydantic_init_subclass__(cls, **_: Any) -> None:
@@ -187,15 +189,15 @@ class Effect(StrictModel):
         return ()
 
     def scale_of(self, driver: str) -> Scale | None:  # noqa: ARG002 - for those that have one
-        """Return where a driver went in training; None where its place does not matter."""
+        """Return where one of `inputs` went in training; None where its place does not matter."""
         return None
 
     # What there is to try
 
     @classmethod
-    def grid(cls, survey: Survey) -> list[Self]:
-        """Return the effects worth trying on such runs; none where the runs cannot show the effect."""
-        raise NotImplementedError
+    def grid(cls, survey: Survey) -> list[Self]:  # noqa: ARG003 - for those with parameters
+        """Return the effects worth trying on such runs, here one; none where they cannot show the effect."""
+        return [cls()]
 
     @classmethod
     def driven(cls, survey: Survey, driver: str) -> list[Self]:  # noqa: ARG003 - for those that can be
@@ -221,7 +223,7 @@ class Effect(StrictModel):
         return [self.model_copy(update={name: value}) for name, value in moved if value > 0]
 
     def moved(self, name: str, step: float, survey: Survey) -> float:  # noqa: ARG002 - for those that need it
-        """Return a parameter moved by so many distances of the grid; by default, of its logarithm."""
+        """Return a parameter moved by a step; by default, its logarithm by 0.3 of it."""
         return float(getattr(self, name) * np.exp(0.3 * step))
 
     # What it adds
@@ -256,7 +258,7 @@ class Effect(StrictModel):
         return None
 
     def start_columns(self, drive: Drive) -> FloatArray:
-        """Return what a state at power-on higher by 1 adds to the first column, (n, m)."""
+        """Return half of what the first columns of both `starts` differ by, (n, m)."""
         ends = self.starts(drive) if len(drive) else None
         if ends is None:
             return np.empty((len(drive), 0))
@@ -303,6 +305,10 @@ class DrivenEffect(Effect):
     def inputs(self) -> tuple[str, ...]:
         """The driver, where it is another."""
         return () if self.of_temperature else (self.driver,)
+
+    def moved(self, name: str, step: float, survey: Survey) -> float:
+        """Return a parameter moved: of another driver twice as far, whose grid is as much coarser."""
+        return super().moved(name, step if self.of_temperature else 2.0 * step, survey)
 
 
 class ScaledEffect(DrivenEffect):

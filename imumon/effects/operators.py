@@ -1,7 +1,7 @@
 """Operators with memory, one sample after another: first-order lag, play, smooth rate-independent loop.
 
 The last values before a block come in as numbers; NaN means that there were none, and the operator
-begins in equilibrium with the first temperature.
+begins in equilibrium with the first value.
 """
 
 import numpy as np

@@ -21,7 +21,6 @@ BEGUN = 1e-9
 """Share of a time constant: at power-on itself either integral is infinite, and their difference is not."""
 EDGE_BLOCKS = 3
 """A jump closer than this to an end of the run cannot be distinguished from a bad block."""
-MOST_TIMES = 300
 LEAST_CYCLES = 4.0
 """Half a cycle imitates any slow residual."""
 FREQUENCY_STEP = 0.4
@@ -95,8 +94,9 @@ class StressRelaxation(Effect):
     def advance(self, memory: Memory, drive: Drive) -> FloatArray:  # noqa: ARG002 - time is its memory
         """Return what is left of each step."""
         ends = self.time_constant_s * self.ratio ** np.arange(self.steps + 1)
-        logarithm = np.log(np.maximum(drive.time_s, BEGUN * self.time_constant_s))
-        integrals = [np.interp(logarithm - np.log(end), *_integral()) for end in ends]
+        logarithm, table = np.log(np.maximum(drive.time_s, BEGUN * self.time_constant_s)), _integral()
+        logs = [logarithm - np.log(end) for end in ends]
+        integrals = [np.interp(log, *table) + np.maximum(table[0][0] - log, 0.0) for log in logs]
         return np.column_stack([slow - fast for fast, slow in pairwise(integrals)])
 
 
@@ -104,7 +104,8 @@ class StressRelaxation(Effect):
 def _integral() -> tuple[FloatArray, FloatArray]:
     """Return log x and E1(x), from ends 1e9 time constants long to an E1 of 1e-19.
 
-    A line between these errs by 1.1e-7; calls of `exp1` would take ten times as long.
+    A line between these errs by 1.1e-7; `exp1` would take ten times as long.  Before them E1 grows as log x
+    falls.
     """
     from scipy.special import exp1  # 0.13 s, which no command spends that has no such effect
 
@@ -118,11 +119,6 @@ class Drift(Effect):
     kind: Literal["drift"] = "drift"
     scope = "either"
     suspected_by = ("time since start", "follow each other")
-
-    @classmethod
-    def grid(cls, survey: Survey) -> list[Self]:  # noqa: ARG003 - any run can show it
-        """Return the one there is."""
-        return [cls()]
 
     def advance(self, memory: Memory, drive: Drive) -> FloatArray:  # noqa: ARG002 - time is its memory
         """Return the hours."""
@@ -142,8 +138,7 @@ class Step(Effect):
     def grid(cls, survey: Survey) -> list[Self]:
         """Return times at the bounds of the blocks of the longest run."""
         blocks = int(max(survey.durations_s) / survey.block_s)
-        stride = max(1, -(-blocks // MOST_TIMES))
-        bounds = range(EDGE_BLOCKS, blocks - EDGE_BLOCKS + 1, stride)
+        bounds = range(EDGE_BLOCKS, blocks - EDGE_BLOCKS + 1)
         return [cls(time_s=index * survey.block_s) for index in bounds]
 
     def fits_in(self, duration_s: float, survey: Survey) -> bool:

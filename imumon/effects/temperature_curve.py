@@ -11,8 +11,7 @@ from imumon.blocks import FloatArray
 from imumon.effects.base import Drive, Memory, ScaledEffect, Survey
 
 MORE_DEGREES = (2, 4, 6)
-DEGREES = (1, 2, 3)
-"""Of a curve over another driver."""
+"""Further powers that are tried."""
 
 
 class TemperatureCurve(ScaledEffect):
@@ -41,7 +40,7 @@ class TemperatureCurve(ScaledEffect):
     def driven(cls, survey: Survey, driver: str) -> list[Self]:
         """Return a line, a parabola and a cubic."""
         scale = asdict(survey.others[driver])
-        return [cls(driver=driver, first_power=1, powers=powers, **scale) for powers in DEGREES]
+        return [cls(driver=driver, first_power=1, powers=powers, **scale) for powers in (1, 2, 3)]
 
     def advance(self, memory: Memory, drive: Drive) -> FloatArray:  # noqa: ARG002 - it has no memory
         """Return the powers of u."""

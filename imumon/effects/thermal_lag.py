@@ -24,7 +24,7 @@ SHORTEST_S = 20.0
 """A lag or delay that is shorter is a rate in means of 30 s."""
 HIGHEST_ORDER = 9
 UNTOLD_S = 30.0
-"""sd of a gyro's lag behind the thermometer: half of the lag that means of 30 s separate from a rate."""
+"""Time constant of a gyro's lag behind the thermometer that no model states.  Assumed."""
 SPACING_S = 0.25
 """One temperature is remembered of each such interval; the temperature of a unit is straight in between."""
 START_SD_DEGC = 1.0
@@ -35,8 +35,6 @@ SLACK_DEGC = 0.15
 """Way of the thermometer that its noise and its steps make up."""
 
 Shape = Literal["play", "smooth"]
-FILTERS_S = (5.0, 45.0)
-"""The fastest and the slowest of the rate of another driver that are tried."""
 
 
 class Follower(ScaledEffect):
@@ -62,7 +60,7 @@ class Follower(ScaledEffect):
 
     @classmethod
     def of_curve(cls, survey: Survey) -> list[Self]:
-        """Return those of more powers than are declared; none where the temperature went one way only."""
+        """Return those of at least the declared powers; none for one run that went one way only."""
         every = [max(survey.degree, 1) + more for more in (0, *MORE_DEGREES)]
         orders = [order for order in every if order <= HIGHEST_ORDER]
         linear = [one for one in cls.grid(survey) if one.order == 1] if may_sum(survey, 2) else []
@@ -138,11 +136,11 @@ class ThermalLag(Follower):
         return Memory(0.0, first, low), Memory(0.0, first, high)
 
     def with_start(self, start: FloatArray) -> Self:
-        """Return it with the rms of the starts in the training runs as `start_sd`."""
+        """Return it with the rms of the starts in training as `start_sd`: 1 °C, or what it was, at least."""
         if not start.size or not self.coefficients[0]:
             return self
         rms = float(np.sqrt(np.mean(start**2))) * self.start_sd / abs(self.coefficients[0])
-        return self.model_copy(update={"start_sd": max(START_SD_DEGC, rms)})
+        return self.model_copy(update={"start_sd": max(min(START_SD_DEGC, self.start_sd), rms)})
 
 
 class DeadTime(Follower):
@@ -261,8 +259,8 @@ class TemperatureRate(DrivenEffect):
 
     @classmethod
     def driven(cls, survey: Survey, driver: str) -> list[Self]:  # noqa: ARG003 - whatever varies has a rate
-        """Return one behind each of some filters."""
-        return [cls(driver=driver, smoothing_s=seconds) for seconds in logarithmic(*FILTERS_S, RATIO**2)]
+        """Return one behind each of five filters, of 5 to 41 s."""
+        return [cls(driver=driver, smoothing_s=seconds) for seconds in logarithmic(5.0, 41.0, RATIO**2)]
 
     def advance(self, memory: Memory, drive: Drive) -> FloatArray:
         """Return the filtered rate: how far a lag is behind, over its time constant."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -16,9 +17,10 @@ from imumon.effects.base import Drive, Effect, Scale, Survey
 from imumon.effects.kinds import SEPARATED_BY
 from imumon.effects.library import EFFECTS
 from imumon.effects.product import GSensitivity
-from imumon.effects.since_power_on import StressRelaxation
-from imumon.effects.thermal_lag import DeadTime, Hysteresis, ThermalLag
+from imumon.effects.since_power_on import Step, StressRelaxation, WarmUp
+from imumon.effects.thermal_lag import DeadTime, Hysteresis, TemperatureRate, ThermalLag
 from imumon.effects.vibration import Vibration
+from imumon.lab.diagnosis.search import REFINEMENTS
 from imumon.models.predictor import Carrier
 
 SURVEY = Survey((7200.0, 7200.0), 30.0, 4, 19.6, 30.0, 3, 25.0, 15.0)
@@ -255,6 +257,49 @@ def test_a_narrow_step_of_barriers_is_an_exponential_and_one_at_power_on_is_its_
     time = np.array([0.0, 50.0, 400.0])
     columns = narrow.columns(Drive(time, np.full(3, 20.0)))[:, 0] / np.log(1.01)
     np.testing.assert_allclose(columns, np.exp(-time / 100.5), rtol=1e-3)
+
+
+def test_a_spectrum_has_the_same_share_of_each_decade_however_wide_it_is() -> None:
+    """Of slow barriers nothing has relaxed after a second: 0.51 was left of the last step."""
+    wide = StressRelaxation(time_constant_s=60.0, ratio=1e4, steps=5)
+    columns = wide.columns(Drive(np.ones(1), np.full(1, 20.0)))[0]
+    np.testing.assert_allclose(columns[1:], np.log(1e4), rtol=1e-5)
+
+
+TEN_HOURS = replace(SURVEY, durations_s=(36_000.0, 7200.0), others={"supply_voltage": Scale(5.0, 0.1)})
+
+
+@pytest.mark.parametrize(
+    "grid",
+    [
+        ThermalLag.driven(TEN_HOURS, "supply_voltage"),
+        Hysteresis.driven(TEN_HOURS, "supply_voltage"),
+        TemperatureRate.driven(TEN_HOURS, "supply_voltage"),
+        [one for one in ThermalLag.grid(TEN_HOURS) if one.order == 1],
+        WarmUp.grid(TEN_HOURS),
+        Step.grid(TEN_HOURS)[:50],
+    ],
+    ids=lambda grid: grid[0].label,
+)
+def test_refining_reaches_whatever_lies_between_two_of_a_grid(grid: list[Effect]) -> None:
+    """Of another driver, and of jumps in a long run, it ended before the middle."""
+    name = grid[0].nonlinear[0]
+    for found, following in pairwise(grid):
+        low, high = getattr(found, name), getattr(following, name)
+        target = 0.5 * (low + high) if name == "time_s" else float(np.sqrt(low * high))
+        best = found
+        for level in range(REFINEMENTS):
+            neighbours = [best, *best.refined(TEN_HOURS, level)]
+            best = min(neighbours, key=lambda one: abs(getattr(one, name) - target))
+        assert getattr(best, name) == pytest.approx(target, rel=0.01)
+
+
+def test_the_start_of_a_lag_of_another_driver_stays_as_sure_as_it_was_declared() -> None:
+    """It was at least 1, of whatever unit."""
+    lag = ThermalLag(driver="supply_voltage", time_constant_s=60.0, start_sd=0.01, middle=5.0, half_span=0.1)
+    lag = lag.with_coefficients([1e-4, 0.0])
+    assert lag.with_start(np.array([0.5e-4])).start_sd == 0.01
+    assert lag.with_start(np.array([3e-4])).start_sd == pytest.approx(0.03)
 
 
 def test_what_the_runs_cannot_show_is_not_tried() -> None:

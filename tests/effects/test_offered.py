@@ -72,6 +72,16 @@ def test_an_effect_of_a_driver_needs_no_operator() -> None:
     assert [effect().label, effect(driver="supply").label] == ["creep", "creep(supply)"]
 
 
+def test_an_effect_may_have_a_field_in_degrees() -> None:
+    """Its name lost its end, as keys of the first format do."""
+
+    class Stuck(DrivenEffect):
+        kind: Literal["stuck"] = "stuck"
+        gap_degc: float = 0.5
+
+    assert Stuck.model_validate({"gap_degc": 2.0}).gap_degc == 2.0
+
+
 @pytest.mark.parametrize(
     ("columns", "said"),
     [
