@@ -17,11 +17,10 @@ from vqf import VQF
 from imumon.blocks import BoolArray, FloatArray, IntArray
 from imumon.geodesy import LEAST_HORIZONTAL
 
-FIELDS = 4
+FIELD_INTERVALS = 4
 """Intervals of the magnetometer of which the median is taken: one of them may be long."""
 RATE_SAMPLES = 16
-"""Intervals whose median is taken for that of the samples: jitter of a clock averages out, a gap does not
-count, and at 50 Hz the attitude begins after 0.3 s."""
+"""Intervals whose median is that of the samples: jitter of a clock averages out, a gap does not count."""
 TAU_ACC_S, TAU_MAG_S = 3.0, 9.0
 """VQF's defaults, s: so slowly the vertical follows the accelerometers, and the heading the magnetometer."""
 ROW = np.dtype(
@@ -87,7 +86,7 @@ class Fusion:
     def _begin(self) -> None:
         self._first_ns: list[int] = []
         self._samples, self._fields, self._field_rate_known = 0, list[int](), False
-        """Of the samples from which both rates are learned: times, how many came, and which have a field."""
+        """Of the samples from which both rates are learned: last times, how many came, last with a field."""
         self._vqf: VQF | None = None
         self._interval_s = 0.0
         self._bias_known = False
@@ -128,9 +127,9 @@ class Fusion:
 
     def _learn_rate(self, time_ns: int, accel: FloatArray, field: FloatArray) -> None:
         """Take the time of a sample; make the filter when the first intervals are known."""
-        self._first_ns.append(time_ns)
+        self._first_ns = [*self._first_ns[-RATE_SAMPLES:], time_ns]
         if field.any():
-            self._fields.append(self._samples)
+            self._fields = [*self._fields[-RATE_SAMPLES:], self._samples]
         self._samples += 1
         if self._samples > RATE_SAMPLES and accel.any():
             self._interval_s = max(float(np.median(np.diff(self._first_ns))), 1.0) * 1e-9
@@ -142,8 +141,8 @@ class Fusion:
             return len(field)
         has_field = np.asarray(field.any(axis=1))
         if has_field[0]:
-            self._fields.append(self._samples)
-        if len(self._fields) > FIELDS:
+            self._fields = [*self._fields[-RATE_SAMPLES:], self._samples]
+        if len(self._fields) > FIELD_INTERVALS:
             assert self._vqf is not None
             field_s = self._interval_s * float(np.median(np.diff(self._fields)))
             intervals_s = self._interval_s, self._interval_s, field_s

@@ -29,23 +29,20 @@ SLOT_S = 0.5
 LAG_S = 2.0 * TAU_ACC_S
 """Lag of d, s, after which VQF's low-pass has forgotten; m is the mean over three lags.  Ablation."""
 ACCEL_SD = 0.075
-"""a0 of accelerometers that are not declared, m/s²: 7.6 mg, between 5 and 10 mg of a calibrated unit.  A
-prior that a single pose cannot correct: it does not separate 5 mg from 40."""
+"""a0 of accelerometers that are not declared, m/s²: 7.6 mg, between 5 and 10 mg of a calibrated unit."""
 SCALE_SD = 0.02
 """s0 of gyros that are not declared: between 1 % of a calibrated unit and 3 % of an MPU-6050."""
 SCALE_TURN = 2.0
 """w0, rad²: s0 counts like so much turn.  Ablation."""
 CONFIRMING_TURN = 0.1
 """rad² of tilt by turns about the gyros' own axes that confirm them.  Each turn counts half: a quick tilt of
-19° that is held for 3 s and taken back is enough, or one of 26° alone.  With 0.05 a robot arm whose gyros x
-and y are exchanged is off by up to 10 sigma.  Ablation."""
+19° that is held for 3 s and taken back is enough, or one of 26° alone.  Ablation."""
 LARGEST_CHANGE = 0.05
 """Share of that tilt by which u may change.  Ablation."""
 IRON = 0.025
 """k_iron, share of the field.  A prior, as `ACCEL_SD`: a single pose shows one of three components."""
 IRON_MEMORY_S = 30.0
-"""Time in which iron that has shown is forgotten, s: it may have been a magnet in the room, and the next pose
-shows it again.  Ablation."""
+"""Time in which iron that has shown is forgotten, s: it may have been a magnet in the room.  Ablation."""
 
 
 class Slot(NamedTuple):

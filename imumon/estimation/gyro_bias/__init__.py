@@ -1,1 +1,1 @@
-"""Bias of each gyro: updates at rest, a thermal model or a slope at all times; read `rest` first."""
+"""Bias of each gyro: updates at rest, temperature in between; read `rest` first."""

@@ -8,25 +8,25 @@ Per axis the state is::
 
     w   walk, rad/s                 w' = w + s dT + N(0, K² dt)
     gi  flicker, rad/s              gi' = e^(-dt/τi) gi + N(0, σg² (1 - e^(-2 dt/τi))),  τ = 1, 30, 1000 s
-    s   slope, rad/s per °C         s' = s + N(0, σs² |dT| / 30 °C)
+    s   slope, rad/s per °C         s' = s + N(0, q |dT|),  q = σs² / 30 °C
     m   sensitivity to the specific force, rad/s per m/s², constant
 
     bias = w + g1 + g2 + g3 + m f = H x    (K in rad/s/√s, σg and σs as gi and s, dt s, dT °C, f m/s²)
 
+Within a step w follows the walk of s: so Q also has q |dT|³/3 of w, and q dT |dT|/2 between w and s.
 Three Gauss-Markov processes of one variance, a decade and a half apart, are flicker noise of coefficient B,
 rad/s: σg² = B² ln(τ3/τ2) / π: flicker has a variance of B² ln(ratio) / π in each interval of time constants.
 
 Modes
 -----
-The modes are fixed: static multiple models (Bar-Shalom et al., 2001, section 11.6.2).  White noise σ²,
-(rad/s)² (of the mean of a second) is not known (West & Harrison, 1997, ch. 4): each filter has its mean x,
-its covariance P over σ², and of σ² an inverse-gamma posterior IG(a, β).  Gains do not depend on σ², and S
-here is the innovation covariance over σ².  The predictive density of a measurement is Student's t with 2 a
-degrees of freedom and squared scale S β/a, and it weighs the modes of each axis; all variances that are used
-are means, with E[σ²] = β/(a - 1).
+Five are fixed, flicker of four corners or a walk: static multiple models (Bar-Shalom et al., 2001, 11.6.2).
+White noise σ², (rad/s)² (of the mean of a second), is not known (West & Harrison, 1997, ch. 4): each filter
+has its mean x, its covariance P over σ², and of σ² an inverse-gamma posterior IG(a, β).  Gains do not depend
+on σ², and S here is the innovation covariance over σ².  The predictive density of a measurement is Student's
+t with 2 a degrees of freedom and squared scale S β/a, and it weighs the modes of each axis; all variances
+that are used are means, with E[σ²] = β/(a - 1).
 
 All modes have one F, so the moments of their mixture, the *prediction*, propagate as those of each of them.
-It is evaluated at each sample: a unit in the hand is in another pose a quarter of a second later.
 """
 
 import math
@@ -61,12 +61,9 @@ SLOPE_LEFT_PER_SIGMA = 0.25
 SLOPE_DEGC = 30.0
 """Difference of temperature over which a slope changes by as much as itself."""
 SENSITIVITY_SD = math.radians(0.06) / STANDARD_GRAVITY
-"""Standard deviation of an entry of the matrix of sensitivity, rad/s per m/s², of an uncompensated gyro; with
-a second, smaller level a gyro between both was off by 9 sigma."""
-FASTEST_S = 0.02
-"""Shortest time constant of the flicker of single samples."""
-FASTER = math.log(TAUS_S[0] / FASTEST_S) / math.log(TAUS_S[2] / TAUS_S[1])
-"""Variance of the flicker of single samples that is faster than g1, over that of g1."""
+"""Standard deviation of an entry of the matrix of sensitivity, rad/s per m/s², of an uncompensated gyro."""
+FASTER = math.log(TAUS_S[0] / 0.02) / math.log(TAUS_S[2] / TAUS_S[1])
+"""Variance of the flicker of single samples that is faster than g1, from 0.02 s on, over that of g1."""
 LEAST_WHITE = 1e-15
 """Variance of the mean of a second, (rad/s)²: 0.0065 °/h, less than any gyro has.  Assumed."""
 MEMORY_S = 600.0
@@ -76,8 +73,7 @@ PRIOR_COUNT, DECLARED_COUNT = 3.0, 0.5 * MEMORY_S
 LEAST_WEIGHT = 1e-4
 """Least weight of a mode over the largest, so that the mode may come back."""
 UNKNOWN, TURN_ON = 1e8, math.radians(3.0)
-"""Prior variance of w over σ², and least prior standard deviation of w, rad/s: turn-on biases of any gyro.
-With a smaller prior the first mean of a quiet gyro would be taken for a sensitivity to g."""
+"""Prior variance of w over σ², and least prior standard deviation of w, rad/s: turn-on biases of any gyro."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,15 +84,17 @@ class States:
     mean: FloatArray  # x, (3, ..., 8)
     covariance: FloatArray  # P, (3, ..., 8, 8)
     time_s: float
-    degc: FloatArray  # of each gyro, (3,)
+    degc: FloatArray  # of each gyro, as far as it has moved, (3,)
 
-    def at(self, time_s: float, degc: FloatArray) -> Self:
-        """Return F x and F P Fᵀ + Q at a later time and temperatures, °C, (3,); NaN is no change."""
-        dt, warming = time_s - self.time_s, degc - self.degc
+    def at(self, time_s: float, degc: FloatArray, degc_sd: FloatArray) -> Self:
+        """Return F x and F P Fᵀ + Q at a later time and temperatures ± sd, °C, (3,); NaN is no change."""
+        dt = time_s - self.time_s
         if dt <= 0.0:
             return self
-        # The thermometer's noise times the slope is not in Q: innovations at rest show it, in σ² and weights.
-        warming, keeps = np.where(np.isfinite(warming), warming, 0.0), np.exp(-dt / TAUS_S)
+        known = np.where(np.isfinite(self.degc), self.degc, degc)
+        # What is within a sigma has not moved: else noise, which moves no bias, draws the slope to zero.
+        known = np.where(np.isfinite(degc), np.clip(known, degc - degc_sd, degc + degc_sd), known)
+        warming, keeps = np.nan_to_num(known - self.degc), np.exp(-dt / TAUS_S)
         f, grows = np.zeros((3, STATES, STATES)), np.zeros((3, STATES))
         f[:] = np.diag([1.0, *keeps, 1.0, 1.0, 1.0, 1.0])
         f[:, WALK, SLOPE] = warming
@@ -105,7 +103,10 @@ class States:
         f, grows = f.reshape(3, *modes, STATES, STATES), grows.reshape(3, *modes, STATES)
         covariance = f @ self.covariance @ f.swapaxes(-1, -2)
         np.einsum("...ii->...i", covariance)[...] += self.process * grows  # its diagonal
-        known = np.where(np.isfinite(degc), degc, self.degc)
+        warming = warming.reshape(3, *modes)
+        walk = self.process[..., SLOPE] * np.abs(warming)
+        covariance[..., WALK, WALK] += walk * warming**2 / 3.0
+        covariance[..., [WALK, SLOPE], [SLOPE, WALK]] += (walk * warming / 2.0)[..., np.newaxis]
         mean = (f @ self.mean[..., np.newaxis])[..., 0]
         return replace(self, mean=mean, covariance=covariance, time_s=time_s, degc=known)
 
@@ -134,6 +135,11 @@ class Prediction(States):
 
     white: FloatArray  # variance of the white noise of a second, (rad/s)², (3,)
 
+    @property
+    def slope_square(self) -> FloatArray:
+        """E[s²], (rad/s/°C)², (3,)."""
+        return np.asarray(self.mean[:, SLOPE] ** 2 + self.covariance[:, SLOPE, SLOPE])
+
     def bias(self, force: FloatArray, of_mean: bool = False) -> tuple[FloatArray, FloatArray]:
         """Return bias and variance at a specific force, (3,) each; `of_mean`: the variance without g1."""
         h = measurement_row(force)
@@ -144,7 +150,7 @@ class Prediction(States):
 
     def innovation(self, now: Measurement) -> tuple[FloatArray, FloatArray]:
         """Return a mean rate less its prediction, rad/s, and the variance of that, (3,) each."""
-        bias, variance = self.at(now.end_s, now.degc).bias(now.force)
+        bias, variance = self.at(now.end_s, now.degc, now.degc_sd).bias(now.force)
         return now.rate - bias, variance + self.white / now.covered_s
 
     def output(self, added: FloatArray, force: FloatArray, turn: FloatArray) -> LinearBias:
@@ -218,7 +224,7 @@ class Bank(States):
 
         With `jumped` the bias may be any, so the mean rate shows nothing of modes and σ², which stay.
         """
-        prior = self.at(now.end_s, now.degc)
+        prior = self.at(now.end_s, now.degc, now.degc_sd)
         if jumped:
             prior = prior.wider(np.maximum(UNKNOWN * self.white, TURN_ON**2))
         h = measurement_row(now.force)

@@ -1,7 +1,7 @@
 """Slot by slot: is the unit at rest, and what is the bias?
 
 The words are those of `imumon.estimation.rest`.  While the unit moves, the variance of the bias grows with
-time, temperature, gaps and turns against the earth.
+time, gaps and turns against the earth, and by a model or a slope with temperature.
 """
 
 import math
@@ -12,7 +12,7 @@ from functools import partial
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.estimation.gyro_bias.bank import LEAST_WHITE, SENSITIVITY_SD, SLOPE, Bank, LinearBias
+from imumon.estimation.gyro_bias.bank import LEAST_WHITE, SENSITIVITY_SD, Bank, LinearBias
 from imumon.estimation.gyro_bias.hypotheses import Hypotheses
 from imumon.estimation.gyro_bias.motion import Motion
 from imumon.estimation.gyro_bias.place import Attitude
@@ -42,8 +42,8 @@ class Estimator:
     jumps: int = 0  # how often the bias has jumped, other than by a restart
     hypotheses: Hypotheses | None = None  # of the bias, from the first rest on
     pending: list[Slot] = field(default_factory=list)  # quiet slots of a measurement that is not complete
-    degc: FloatArray = field(default_factory=partial(np.full, 3, np.nan))
-    """The last temperatures that were known, °C, (3,)."""
+    degc: FloatArray = field(default_factory=partial(np.full, (2, 3), np.nan))
+    """The last temperatures that were known, and their standard deviations, °C, (2, 3)."""
     motion: Motion = field(default_factory=Motion)  # estimates the bias before the first rest
 
     def restarted(self) -> "Estimator":
@@ -75,9 +75,9 @@ class Estimator:
     def step(self, slot: Slot) -> FloatArray:
         """Take a slot; return normalised innovations, (3,): NaN unless it completes a measurement at rest."""
         innovation = np.full(3, np.nan)
-        degc = slot.mean[DEGC]
-        self.degc = np.where(np.isfinite(degc), degc, self.degc)
-        self._widen(self.thermal.variance(degc, slot.mean[POWER_ON_SD], np.zeros(3)))
+        degc = slot.mean[DEGC].reshape(2, 3)
+        self.degc = np.where(np.isfinite(degc[0]), degc, self.degc)
+        self._widen(self.thermal.variance(degc[0], slot.mean[POWER_ON_SD], np.zeros(3)))
         self.quiet.update(slot, np.repeat([self.limits.gyro_drift, self.limits.accel_drift], 3))
         if not self.quiet.present[GYRO].all():
             self.attitude.lost = True
@@ -107,12 +107,10 @@ class Estimator:
         self.motion.interrupt(0.0)
         unseen = long and not self.parameters.assume_at_rest  # given rest does not turn
         self.attitude.lost |= unseen or self.quiet.quiet_slots == 0
-        self.degc = np.where(np.isfinite(degc), degc, self.degc)
+        self.degc[0] = np.where(np.isfinite(degc), degc, self.degc[0])
         self._widen(self.thermal.variance(degc, np.full(3, np.nan), lag_degc))
         if self.hypotheses is not None:
-            prediction = self.hypotheses.shown.prediction
-            slope2 = prediction.mean[:, SLOPE] ** 2 + prediction.covariance[:, SLOPE, SLOPE]
-            self._widen(slope2 * lag_degc**2)
+            self._widen(self.hypotheses.shown.prediction.slope_square * lag_degc**2)
         if long:
             self.quiet.restart()
             self._interrupt()
@@ -142,7 +140,7 @@ class Estimator:
         headings = np.array([one.mean[HEADING] for one in slots if np.isfinite(one.mean[HEADING]).all()])
         heading = headings.mean(0) if len(headings) else mean[HEADING]  # a magnetometer may be slow
         length_s = sum(one.length_s for one in slots)
-        return Measurement(last.end_s, length_s, total, rate, force, degc, heading)
+        return Measurement(last.end_s, length_s, total, rate, force, degc[:3], degc[3:], heading)
 
     def _interrupt(self) -> None:
         """End the rest: drop a measurement that is not complete."""
@@ -175,10 +173,7 @@ class Estimator:
         self._widen(self.attitude.come_to_rest(force, prediction))
 
     def _begin(self) -> None:
-        """Begin the filters with the first quiet second, or the slots of the trial that found the noise.
-
-        A second is enough, whatever was before it: waiting for a trial after short rests gains nothing.
-        """
+        """Begin the filters with the quiet slots there are, a second at least."""
         self.motion.interrupt(self.quiet.latest[-1].length_s + self.quiet.latest[-1].gap_s)
         if not self.quiet.noise_slots or self.quiet.quiet_slots < SECOND_SLOTS:
             return
@@ -228,7 +223,8 @@ class Estimator:
             covariance[:, 0, 0] = variance + any_pose
             return LinearBias(terms, covariance, np.zeros(3), np.zeros(3))
         turn, rounding = self.hypotheses.ambiguity, self.quiet.rounding_error[GYRO]
-        prediction = self.hypotheses.shown.prediction.at(now_s, self.degc)
+        prediction = self.hypotheses.shown.prediction.at(now_s, *self.degc)
         turn = np.copysign(np.hypot(turn, rounding), turn)
         added = self.attitude.uncertain_earth + self.hypotheses.hidden
+        added = added + prediction.slope_square * np.nan_to_num(self.degc[0] - prediction.degc) ** 2
         return prediction.output(added, self.force, turn)

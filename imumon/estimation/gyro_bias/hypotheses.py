@@ -19,8 +19,8 @@ holds decides what becomes of the nominal bias:
 ==================================================================  ===================================
 P(turn) above 1/4 (1/10 if the rate has changed), until below 1/20  it stays, through motion as well
 the rate has changed up to 16 s ago                                 it stays until the unit moves
-the rate has changed before that                                    it becomes the present bias, once
-else                                                                16 to 32 s behind, or the last rest's
+the rate has changed before that                                    it becomes the present bias (a jump)
+else                                                                as of 16 to 32 s ago or the last rest
 ==================================================================  ===================================
 """
 
@@ -42,8 +42,7 @@ FIT_SIGMAS = 4.5
 DOUBT, DOUBT_OF_CHANGE, UNLIKELY_TURN = 0.25, 0.1, 0.05
 """P(turn) from which on the nominal bias stays, where the rate creeps (as the bias of a unit that warms up)
 and where it has changed, and up to which it then follows again; by the gyros alone a turn of 36 °/h, below
-which turns are rare, has P(turn) 0.14.  With 0.25 for both a tactical gyro that turns at 72 °/h is off
-by 902 sigma, with 0.1 for both a warm-up of 60 to 92 °/h/K has a sigma of 195 °/h instead of less than 80."""
+which turns are rare, has P(turn) 0.14."""
 LAG_S = 16.0
 """By so much at least, and twice as much at most, the nominal bias lags behind the present one."""
 ONSET_S = 4.0
@@ -138,9 +137,8 @@ class Hypotheses:
         self.test_copy, self.steady_s, self.alike = self.present, now.length_s, 1
 
     def _weigh(self, now: Measurement, evidence: Sequence[Measurement], accel_noise: float) -> None:
-        # A rate that lasts is no flicker of a second, so that is not in the variance; with it, a slow turn
-        # of a gyro of 1.8 °/√h was a bias, and that off by 35 sigma.
-        nominal = self.nominal.prediction.at(now.end_s, now.degc)
+        # A rate that lasts is no flicker of a second, so that is not in the variance.
+        nominal = self.nominal.prediction.at(now.end_s, now.degc, now.degc_sd)
         bias, variance = nominal.bias(now.force, of_mean=True)
         present, own = self.present.prediction.bias(now.force, of_mean=True)
         change, limits = present - bias, self.limits

@@ -6,8 +6,8 @@ them), are fitted (Gauss and Newton) by the specific force at rest g, upwards, m
     ∫ C f dt = ∫ (g - [g x] ∫ C bias dt) dt + N(0, s²),    over a part of 5 s
 
 Changes of speed are the noise, and the fit shows their variance s², (m/s)²; errors of scale, and biases of
-the accelerometers, are far smaller.  The rate about the vertical is not estimated: only sways make that rate
-observable.  So an upright axis stays unknown.
+the accelerometers, are smaller.  The rate about the vertical is not estimated: only sways make that rate
+observable.  So an upright axis is unknown, even if it was known while level.
 """
 
 import math

@@ -60,8 +60,8 @@ class RestAndBias:
     model : BiasModel or None
         Bias over temperature.
     mode : "standard", "thermal" or "learned"
-        standard, thermal: one filter, of a random walk with flicker noise; a model's increments are added to
-        the bias (TCZUPT).  learned: the slope is estimated, and used where it is evident.
+        standard, thermal: a model's increments are added to the bias (TCZUPT); without a model sigma does not
+        contain the temperature.  learned: the slope is estimated, and used where it is evident.
     latitude_deg, heading_deg : float or None
         Of the place, and of the body's x axis (if vertical: -z) at the first rest, clockwise from north.
     rest : RestParameters or None
@@ -98,26 +98,25 @@ class RestAndBias:
         """Return the new columns of a block; NaN where there is no estimate.
 
         Needs ``device_time_ns`` and ``segment``; takes what there is of gyro_{x,y,z} in rad/s and
-        accel_{x,y,z} in m/s², of mag_{x,y,z}, yaw or q_{w,x,y,z}, and of temperature_estimate or temperature
-        in °C.
+        accel_{x,y,z} in m/s², of mag_{x,y,z}, yaw or q_{w,x,y,z}, and, in °C, of temperature_estimate and its
+        _sd, or of temperature: that is taken as exact, so its noise draws a learned slope to zero.
         """
         n, time_ns, segment = len(block), block["device_time_ns"], block["segment"]
         readings = block.stacked(SENSORS)
         readings[time_ns == NO_INT] = np.nan
         usable = np.asarray(np.isfinite(readings).any(1))
-        temperature, (total, curve, power_on_sd) = self._thermal.process(block)
+        (temperature, sd), (total, curve, power_on_sd) = self._thermal.process(block)
         given = np.full(n, np.nan)  # is to be detected
         if self._parameters.assume_at_rest:
             given = np.asarray(block.columns.get("at_rest", np.ones(n)) == 1, np.float64)
-        values = np.column_stack([readings, total, temperature, power_on_sd, heading_of(block), given])
+        values = np.column_stack([readings, total, power_on_sd, heading_of(block), temperature, sd, given])
         slots = self._slots.process(np.where(usable, time_ns, NO_INT), segment, values)
         rest, innovation, every = self._estimate(block, slots, readings, temperature)
         self._expire(rest, time_ns, usable)
         if self._parameters.assume_at_rest:
             rest[:] = given
         bias, variance, turn = at_samples(slots.row, every, readings[:, ACCEL], rest == 0)
-        sd = np.sqrt(variance + turn**2)
-        bias = bias + total
+        bias, sd = bias + total, np.sqrt(variance + turn**2)
         self._trail.add(temperature[slots.row], bias[slots.row])
         vectors = bias, sd, readings[:, GYRO] - bias, innovation, bias - curve, sd
         columns = [rest, *turn.T, *(axis for vector in vectors for axis in vector.T)]
@@ -174,7 +173,7 @@ class RestAndBias:
 
     @property
     def unrest(self) -> str:
-        """Why the unit does not rest, as of the latest slot; empty where it does."""
+        """Why the latest slot is no rest; empty where it is, or readings are missing."""
         return self._estimator.unrest
 
     def charts(self) -> Sequence[Chart]:

@@ -25,8 +25,8 @@ class Thermal:
     """The model's increments since the first temperature, and their variance; zero without a model.
 
     Within the calibrated range the error of the curve is a random walk over temperature; outside it the slope
-    itself is unknown, and the farthest counts.  An unknown state at power-on fades: its sd
-    at first less that now is by how much the bias has moved.
+    itself is unknown, on the way out and on the way back.  An unknown state at power-on fades: its sd at
+    first less that now is by how much the bias has moved.
 
     Raises BAD_CONFIG when the model lacks a gyro.
     """
@@ -53,7 +53,7 @@ class Thermal:
         self._mark_degc = self._power_on_sd = np.full(3, np.nan)
         """Temperature up to which the walk is counted, °C, and first sd of the state at power-on, rad/s."""
         self._beyond_degc = self._faded = np.zeros(3)
-        """Farthest outside of the calibrated range, °C, and variance by what has faded, (rad/s)², (3,)."""
+        """How far outside of the calibrated range, °C, and variance by what has faded, (rad/s)², (3,)."""
 
     def variance(self, degc: FloatArray, sd: FloatArray, lag_degc: FloatArray) -> FloatArray:
         """Return the variance, (rad/s)², that temperatures add, with this sd of the state, (3,); NaN: none.
@@ -68,10 +68,12 @@ class Thermal:
         far = moved >= MOVED_DEGC
         self._mark_degc = np.where(far, degc, self._mark_degc)
         walk = np.where(far, 2.0 * self._residual**2 * moved / CORRELATION_DEGC, 0.0)
-        self._beyond_degc = np.fmax(self._beyond_degc, np.fmax(self._low - degc, degc - self._high))
+        beyond = np.maximum(np.maximum(self._low - degc, degc - self._high), 0.0)
+        back = self._beyond_degc - beyond >= MOVED_DEGC
+        self._beyond_degc = np.where(back, beyond, np.fmax(self._beyond_degc, beyond))
         self._power_on_sd = np.where(np.isfinite(self._power_on_sd), self._power_on_sd, sd)
         self._faded = np.fmax(self._faded, (sd - self._power_on_sd) ** 2)
-        degc2 = self._beyond_degc**2 - before2 + lag_degc**2
+        degc2 = np.abs(self._beyond_degc**2 - before2) + lag_degc**2
         return np.asarray(walk + self._steepness**2 * degc2 + self._faded - faded)
 
     def unseen_lag(self, gap_s: float, behind: SampleBlock) -> FloatArray:
@@ -84,16 +86,18 @@ class Thermal:
         return np.asarray(-UNTOLD_S * math.expm1(-gap_s / UNTOLD_S) * unseen)
 
     def process(self, block: SampleBlock) -> tuple[FloatArray, FloatArray]:
-        """Return the temperature of each gyro, °C, (n, 3), estimated where possible, and three by the model,
-        rad/s, (3, n, 3): what is added to the bias since the first temperature, the curve, and the sd of its
-        unknown state at power-on.
+        """Return the temperature of each gyro and its sd, °C, (2, n, 3), estimated where possible, and three
+        by the model, rad/s, (3, n, 3): what is added to the bias since the first temperature, the curve, and
+        the sd of its unknown state at power-on.
 
         The three are zero without a model; curve and sd are NaN before the first temperature.
         """
         # The reading is a stopgap where the estimate has not begun; mixed with it, it would jump.
         temperature = _first_of(block, self._sources)
+        sd = _first_of(block, [[names[0].replace("estimate", "estimate_sd")] for names in self._sources])
+        temperatures = np.stack([temperature, np.nan_to_num(sd)])
         if self._predictor is None:
-            return temperature, np.zeros((3, len(block), 3))
+            return temperatures, np.zeros((3, len(block), 3))
         others = {name: block[name] for name in self._predictor.drivers if name in block}
         times, segment = block["device_time_ns"], block["segment"]
         predicted = self._predictor.process(times, segment, temperature, block.accel, others)
@@ -107,7 +111,7 @@ class Thermal:
             text = f"the temperature is outside the bias model's range, {given}: the bias is extrapolated"
             self.notices[text] = None
         total = np.where(known, curve - self._reference, 0.0)
-        return temperature, np.stack([total, curve, np.where(known, predicted.start_sd, np.nan)])
+        return temperatures, np.stack([total, curve, np.where(known, predicted.start_sd, np.nan)])
 
 
 def _first_of(block: SampleBlock, sources: list[list[str]]) -> FloatArray:
@@ -126,7 +130,7 @@ class BiasTrail:
 
     def __init__(self, model: BiasModel | None) -> None:
         self._channels = [] if model is None else [model.channels[name] for name in GYROS]
-        self._points: list[FloatArray] = []
+        self._points, self._latest = list[FloatArray](), np.empty((0, 6))
         self._every, self._count = 1, 0
 
     def add(self, temperature: FloatArray, bias: FloatArray) -> None:
@@ -135,7 +139,7 @@ class BiasTrail:
         for point in points[np.isfinite(points).all(1)]:
             if self._count % self._every == 0:
                 self._points.append(point)
-            self._count += 1
+            self._count, self._latest = self._count + 1, point[np.newaxis]
             if len(self._points) > MOST_POINTS:
                 self._points, self._every = self._points[::2], 2 * self._every
 
@@ -143,7 +147,7 @@ class BiasTrail:
         """Return charts of the bias and, with a model, of the bias less its curve; none without data."""
         if not self._points:
             return []
-        degc, bias = np.hsplit(np.array(self._points), 2)
+        degc, bias = np.hsplit(np.vstack([*self._points, self._latest]), 2)
         bias = bias / DEG_PER_H
         lines, left = [], bias.copy()
         for j, ((axis, color), channel) in enumerate(zip(AXIS_COLORS.items(), self._channels, strict=False)):
@@ -163,9 +167,9 @@ class BiasTrail:
 
 
 def _trails(degc: FloatArray, bias: FloatArray) -> list[Curve]:
-    """Return where each axis has been, and where it is now as a larger point; °C and °/h, (n, 3)."""
+    """Return where each axis has been, and where it is now, the last point, larger; °C and °/h, (n, 3)."""
     curves = []
     for (axis, color), x, y in zip(AXIS_COLORS.items(), degc.T, bias.T, strict=True):
-        curves.append(Curve(f"{axis}, estimate", x, y, color, points=True, width=2.5))
+        curves.append(Curve(f"{axis}, estimate", x[:-1], y[:-1], color, points=True, width=2.5))
         curves.append(Curve(f"now {axis}", x[-1:], y[-1:], color, points=True, width=9.0, listed=False))
     return curves

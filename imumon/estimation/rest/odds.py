@@ -54,15 +54,14 @@ HEADING_ERROR = 0.15
 HEADING_NOISE = 0.01
 """rad, least standard deviation of a heading: a device gives its yaw in steps, and filters it."""
 STUCK_HEADING = 0.05
-"""Prior probability that a magnetometer or a yaw does not turn with the unit: stuck, or iron turns along.
-Without it a turn of 0.5 °/s was rest beside a stuck one, with a bias off by 153 sigma."""
+"""Prior probability that a magnetometer or a yaw does not turn with the unit: stuck, or iron turns along."""
 MOST_LOG_RATIO = 50.0  # ln Λ of an excluded turn; `hypotheses` clips ln(Λ_gravity Λ_heading) to ± this
 LEAST_LOG_RATIO = -2.0
 """ln Λ from which on a rate that lasts for `undecided_s` is no turn.  Assumed."""
 LEAST_MEASUREMENTS = 3
 """Least number of measurements by which gravity is compared; the noise of the heading needs one more."""
 BEGAN_TURNING = 0.05
-"""Prior that the first rest was a turn, where two steady means cannot both be the bias.  Assumed."""
+"""Prior odds that the first rest was a turn, where two steady means cannot both be the bias.  Assumed."""
 UNSEEN_TURN, UNSEEN_S = math.radians(0.1), 2.0
 """Standard deviation of a turn in the first moment of the first rest, rad/s, as steps of up to 0.09 °/s are
 always quiet; and the time, s, in which it falls by e, as no hand stays steady for long.  Assumed."""
@@ -102,7 +101,7 @@ def first_turn(first: FloatArray, now: FloatArray) -> float:
 def hidden_turn(measurements: Sequence[Measurement], force_variance: float) -> FloatArray:
     """Return the variance of a turn that may hide in the first rest, (rad/s)², (3,).
 
-    It has been contradicted by none of the measurements, of T seconds (16 at most).  About the vertical it
+    It has been contradicted by none of the measurements, of T seconds (15 at most).  About the vertical it
     shows in no other sensor; across it gravity shows the tilt t, rad, with a variance v, rad²::
 
         about the vertical:  u² = (UNSEEN_TURN exp(-T / UNSEEN_S))²

@@ -16,11 +16,12 @@ SENSORS = tuple(f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "
 """Gyro x, y, z in rad/s, then accelerometer x, y, z in m/s²."""
 AXES = len(SENSORS)
 GYRO, ACCEL = slice(0, 3), slice(3, 6)
-MODELLED, DEGC, POWER_ON_SD, HEADING = (slice(AXES + 3 * i, AXES + 3 * i + 3) for i in range(4))
-REST_GIVEN, GATHERED = AXES + 12, AXES + 13
-"""Columns that are gathered: gyros, rad/s; accelerometers, m/s²; what a model has added to the bias,
-rad/s; temperature of each gyro, °C; sd of the model's unknown state at power-on, rad/s; a vector that turns
-with the heading (`heading_of`); 1 for given rest and 0 for given motion; and how many there are."""
+MODELLED, POWER_ON_SD, HEADING = (slice(AXES + 3 * i, AXES + 3 * i + 3) for i in range(3))
+DEGC = slice(AXES + 9, AXES + 15)
+REST_GIVEN, GATHERED = AXES + 15, AXES + 16
+"""Columns that are gathered: gyros, rad/s; accelerometers, m/s²; what a model has added to the bias, rad/s;
+sd of its unknown state at power-on, rad/s; a vector that turns with the heading (`heading_of`); temperature
+of each gyro, °C, and its sd; 1 for given rest and 0 for given motion; and how many there are."""
 COARSEST_STEPS = (0.035, 0.16)
 """rad/s (2 °/s) and m/s² (1/61 g), coarser than 8 bits for ±250 °/s and ±2 g: a larger rms change of readings
 that rarely change is shaking, and no rounding."""
@@ -34,7 +35,7 @@ class Slot(NamedTuple):
     covered_s: float  # by its samples at the shortest interval so far: less than the length if some are lost
     gap_s: float  # length of the gap before it; 0 without one
     samples: FloatArray  # number of samples of each of the six axes, (6,)
-    mean: FloatArray  # of all columns that are gathered, (19,)
+    mean: FloatArray  # of all columns that are gathered, (22,)
     variance: FloatArray  # of the samples of the six axes about the mean (n - 1), (rad/s)², (m/s²)², (6,)
     step: FloatArray  # of the sensor, (6,), if most readings are as the one before, and some not; else ∞
     turn: Turn
@@ -50,6 +51,7 @@ class Measurement(NamedTuple):
     rate: FloatArray  # less the thermal model and the known earth rate, rad/s, (3,)
     force: FloatArray  # m/s², (3,); the last known one where it is missing, zero before the first
     degc: FloatArray  # temperature of each gyro, °C, (3,); NaN where missing, as is the heading
+    degc_sd: FloatArray  # its standard deviation, °C, (3,)
     heading: FloatArray  # a vector that turns with it (`heading_of`), (3,)
 
 

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import pickle
 from typing import Literal
 
 import numpy as np
@@ -460,3 +461,8 @@ def test_gyros_without_gravity_have_no_attitude() -> None:
     assert texts(stage) == {"attitude": "waiting"}
     silent = made.block.with_columns({f"accel_{axis}": np.full(500, np.nan) for axis in "xyz"})
     assert np.isnan(stage.process(silent)["attitude_estimate_w"]).all()
+    size = len(pickle.dumps(stage))
+    for k in range(1, 5):
+        later = silent.with_columns({"device_time_ns": silent["device_time_ns"] + k * 5_000_000_000})
+        stage.process(later)
+    assert len(pickle.dumps(stage)) < size + 100  # it keeps no samples

@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import chi2
 
 from imumon.blocks import FloatArray
-from imumon.estimation.gyro_bias.bank import SENSITIVITY, SENSITIVITY_SD, Bank
+from imumon.estimation.gyro_bias.bank import SENSITIVITY, SENSITIVITY_SD, SLOPE_PER_SIGMA, Bank
 from imumon.estimation.gyro_bias.stage import RestAndBias
 from imumon.estimation.rest.parameters import GyroBiasParameters
 from imumon.estimation.rest.slots import Measurement
@@ -159,7 +159,7 @@ def test_the_first_means_are_as_certain_as_their_sigma(seconds: int) -> None:
         bias, white = rng.normal(0.0, 0.02, 3), sigma**2 * rng.chisquare(6.0, 3) / 6.0
         means = [
             Measurement(
-                k + 1.0, 1.0, 1.0, bias + sigma * rng.standard_normal(3), zero, np.full(3, np.nan), zero
+                k + 1.0, 1.0, 1.0, bias + sigma * rng.standard_normal(3), zero, np.full(3, np.nan), zero, zero
             )
             for k in range(seconds)
         ]
@@ -173,8 +173,21 @@ def test_the_first_means_are_as_certain_as_their_sigma(seconds: int) -> None:
 
 def test_the_prior_of_the_sensitivity_is_that_of_the_data_sheets_whatever_the_noise() -> None:
     zero = np.zeros(3)
-    first = Measurement(1.0, 1.0, 1.0, zero, zero, np.full(3, np.nan), zero)
+    first = Measurement(1.0, 1.0, 1.0, zero, zero, np.full(3, np.nan), zero, zero)
     for white in (1e-12, 1e-6):
         bank = Bank.begin((None, None, None), (0.0,), np.full(3, white), first)
         sd = np.sqrt(np.einsum("aii->ai", bank.prediction.covariance)[:, SENSITIVITY])
         assert sd == pytest.approx(np.full((3, 3), SENSITIVITY_SD))
+
+
+def test_a_motion_of_one_step_widens_the_bias_like_one_of_many() -> None:
+    """The slope changes on the way, and the bias with it."""
+    zero, cold, white = np.zeros(3), np.full(3, 25.0), np.full(3, (17.0 * DPH) ** 2)
+    first = Measurement(1.0, 1.0, 1.0, zero, zero, cold, zero, zero)
+    start = Bank.begin((None, None, None), (SLOPE_PER_SIGMA,), white, first).prediction
+    for change in (10.0, -10.0):
+        one = many = start
+        one = one.at(101.0, cold + change, zero)
+        for k in range(1, 101):
+            many = many.at(1.0 + k, cold + change * k / 100.0, zero)
+        np.testing.assert_allclose(one.covariance, many.covariance, rtol=1e-9, atol=1e-30)

@@ -55,6 +55,7 @@ def test_a_heading_of_which_one_axis_is_missing_decides_nothing() -> None:
             np.full(3, 0.01),
             np.array([0.0, 0.0, 9.81]),
             zero,
+            zero,
             np.array([0.3, np.nan, 0.5]),
         )
         for k in range(8)

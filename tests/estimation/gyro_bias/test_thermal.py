@@ -7,6 +7,7 @@ import pytest
 
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.estimation.gyro_bias.stage import Mode, RestAndBias
+from imumon.estimation.temperature_rate.stage import TemperatureRate
 from tests.estimation.gyro_bias.records import (
     DPH,
     GIVEN,
@@ -97,6 +98,17 @@ def test_outside_the_range_the_sigma_widens_and_it_is_reported() -> None:
     assert "20.0 to 50.0" in said
 
 
+def test_the_sigma_widens_on_the_way_back_into_the_range() -> None:
+    """The curve goes on in a straight line, and the gyro has no slope up there: its bias was found there."""
+    t = np.arange(3000) / 10
+    temperature = np.interp(t, [0, 100, 200], [60.0, 60.0, 50.0])
+    block, bias = warming(temperature, 0.0)
+    stage = RestAndBias(GIVEN, model=slope_model(SLOPE), mode="thermal")
+    added = stage.process(with_rest(block, t < 100.0))
+    ratio = (vector(added) - bias)[-1] / vector(added, "gyro_bias_sd")[-1]
+    assert np.abs(ratio).max() < 2.0
+
+
 @pytest.mark.parametrize("seed", [0, 1])
 def test_a_slope_is_learned(seed: int) -> None:
     t = np.arange(12000) / 10
@@ -147,3 +159,15 @@ def test_a_quiet_gyro_is_followed_as_it_warms_up(arw_deg: float, slope_dph: floa
     error = (vector(added) - bias)[known]
     assert np.sqrt(np.mean(error**2, 0)).max() < error_dph * DPH
     assert np.abs(error / vector(added, "gyro_bias_sd")[known]).max() < 7.0
+
+
+def test_noise_of_the_thermometer_is_no_evidence_that_there_is_no_slope() -> None:
+    t = np.arange(3600) / 10
+    temperature = np.interp(t, [0, 300, 360], [25.0, 25.0, 27.0])
+    block, bias = warming(temperature)
+    noise = np.repeat(0.03 * np.random.default_rng(0).standard_normal(360), 10)
+    block = with_rest(block.with_columns({"temperature": temperature + noise}), t < 300.0)
+    block = block.with_columns(TemperatureRate().process(block))
+    added = RestAndBias(GIVEN, mode="learned").process(block)
+    off, sd = (vector(added) - bias)[-1], vector(added, "gyro_bias_sd")[-1]
+    assert np.abs(off / sd).max() < 2.5

@@ -30,6 +30,11 @@ def test_the_trail_is_the_same_whatever_the_blocks() -> None:
     assert len(trail.x) == 175  # every fourth
 
 
+def test_the_large_point_is_the_latest() -> None:
+    (chart, _) = trail_of(699, []).charts()  # the last one that is kept is the 697th
+    assert next(curve for curve in chart.curves if curve.name == "now x").x == pytest.approx([40.0])
+
+
 def test_a_day_is_kept_in_constant_memory() -> None:
     trail = BiasTrail(None)
     for hour in range(24):
