@@ -17,15 +17,6 @@ from imumon.files import write_png
 from imumon.harmless import for_plot
 
 COLORS = {"x": "#d03c3c", "y": "#2a9a4f", "z": "#3b78d8"}
-STYLES = {
-    "angle_random_walk": ":",
-    "bias_instability": "-.",
-    "rate_random_walk": (0, (12, 3)),
-    "quantization": (0, (1, 3)),
-    "rate_ramp": (0, (10, 2, 1, 2, 1, 2)),
-    "correlated_noise": (0, (3, 2, 3, 2, 1, 2)),
-}
-"""Lines of the terms, in their order."""
 
 
 def write_plot(path: Path, results: Mapping[str, Result], source: Path) -> None:
@@ -51,9 +42,8 @@ def _draw(axes: Any, group: str, results: Mapping[str, Result]) -> None:
         axes.plot(result.tau_s[trusted], line, color=COLORS[name[-1]], lw=1.8, label=name[-1])
     for name, result in results.items():
         color, tau, allan = COLORS[name[-1]], result.tau_s, result.allan
-        axes.plot(tau, factor * allan.values, color=color, lw=0.8, label="beyond the longest trusted τ")
-        band = {"color": color, "alpha": 0.16, "lw": 0, "label": "68 % interval"}
-        axes.fill_between(tau, factor * allan.low, factor * allan.high, **band)
+        axes.plot(tau, factor * allan.values, color=color, lw=0.8)
+        axes.fill_between(tau, factor * allan.low, factor * allan.high, color=color, alpha=0.16, lw=0)
         if result.fit is not None:
             _draw_fit(axes, group, result.fit, tau, color)
     longest = max((result.longest_tau_s for result in results.values() if result.trusted), default=0.0)
@@ -63,27 +53,19 @@ def _draw(axes: Any, group: str, results: Mapping[str, Result]) -> None:
             "longest trusted τ", (longest, 0.99), xycoords=("data", "axes fraction"), rotation=90,
             ha="right", va="top", fontsize=8, color="0.4",
         )  # fmt: skip
-    axes.set(
-        xscale="log", yscale="log", xlabel="averaging time τ [s]", ylabel=f"Allan deviation [{level.shown}]"
-    )
+    deviation = f"Allan deviation, 68 % interval [{level.shown}]"
+    axes.set(xscale="log", yscale="log", xlabel="averaging time τ [s]", ylabel=deviation)
     axes.set_title(MEASURED[group].capitalize(), fontsize=10)
     axes.grid(which="major", color="0.8", lw=0.6)
     axes.grid(which="minor", color="0.92", lw=0.4)
     handles, labels = axes.get_legend_handles_labels()
-    named = dict(zip(labels, handles, strict=True))  # each style once
+    named = dict(zip(labels, handles, strict=True))  # the fit once
     axes.legend(named.values(), named.keys(), loc="lower left", fontsize=8, handlelength=3.2)
 
 
 def _draw_fit(axes: Any, group: str, fit: Fit, tau_s: FloatArray, color: str) -> None:
-    """Draw the sum of the terms, and thinly each of those that the data show."""
+    """Draw the sum of the terms."""
     factor = TERMS_OF[group]["bias_instability"].factor
     tau = np.geomspace(tau_s[fit.first], tau_s[fit.last], 100)
-    parts = fit.shares(tau / tau_s[0]).T
-    deviation = factor * np.sqrt(np.maximum(parts.sum(axis=0), 0.0))
+    deviation = factor * np.sqrt(np.maximum(fit.shares(tau / tau_s[0]).sum(axis=-1), 0.0))
     axes.plot(tau, deviation, color=color, lw=1.0, ls="--", label="fit: sum of the terms")
-    for (term, style), part in zip(STYLES.items(), parts, strict=True):
-        if fit.terms[term] and np.count_nonzero(fit.coefficients) > 1:
-            line = factor * np.sqrt(np.maximum(part, 0.0))
-            line[line < 0.5 * deviation.min()] = np.nan
-            title = f"its part: {TERMS_OF[group][term].title}"
-            axes.plot(tau, line, color=color, lw=0.9, ls=style, label=title)

@@ -145,7 +145,7 @@ def replay(
     if smoother is not None:
         data["disagreement"] = smoother.residuals
         text = ", ".join(f"{name} {value:.2f}" for name, value in smoother.residuals.items())
-        rows["forward less backward"] = f"{text} σ rms" if text else "nothing to compare"
+        rows["forward minus backward"] = f"{text} σ rms" if text else "nothing to compare"
     if true is not None:
         data["truth"] = true.as_data()
         rows |= true.rows()

@@ -48,7 +48,7 @@ def tab_of(place: str) -> str:
 
 
 DEG = float(np.rad2deg(1.0))
-FACTORS = {"°": DEG, "°/s": DEG, "°/s²": DEG, "°/h": 3600.0 * DEG, "°C/h": 3600.0, "µg": 1e6, "%": 100.0}
+FACTORS = {"°": DEG, "°/s": DEG, "°/s²": DEG, "°/h": 3600.0 * DEG, "°C/h": 3600.0, "µrad": 1e6, "%": 100.0}
 """How many of a unit that is drawn are one unit of the columns, where that is not one."""
 IN_DEGREES = {"rad": "°", "rad/s": "°/s", "rad/s^2": "°/s²"}
 READ_AS = {**IN_DEGREES, "deg": "°", "m/s^2": "m/s²", "uT": "µT", "degC": "°C", "arbitrary": "a.u.", "1": ""}

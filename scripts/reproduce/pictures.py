@@ -60,18 +60,19 @@ def temperature_rate() -> list[Axes]:
     width, difference = difference_s * rate_hz, np.full(len(t), np.nan)
     difference[width:] = (reading[width:] - reading[:-width]) / difference_s
     fir, bank = FirRate(Params(step, 300.0, 180.0, 1000)), MultipleModelRate()
-    above, below = axes("A unit that heats itself, read in steps of 0.05 °C", 2, "min")
+    above, middle, below = drawn = axes("A unit that heats itself, read in steps of 0.05 °C", 3, "min")
     shown = slice(5 * 60 * rate_hz, None, 50)  # after five minutes every method has begun
     for name, rate, color in (("differences over 180 s", difference, "C0"), ("truth", truth, "k")):
         above.plot(t[shown] / 60.0, PER_HOUR * rate[shown], color, linewidth=0.9, label=name)
     above.set(ylabel="rate, °C/h")
-    for name, method, color in (("published filter", fir, "C1"), ("imumon", bank, "C2")):
+    methods = (middle, "published filter", fir, "C1"), (below, "imumon", bank, "C2")
+    for ax, name, method, color in methods:
         _, rate, _, rate_sd = method.process(time_ns, segment, reading)
         error, sd = (PER_HOUR * each[shown] for each in (rate - truth, rate_sd))
-        below.plot(t[shown] / 60.0, error, color, linewidth=0.9, label=f"{name}, ±2σ")
-        below.fill_between(t[shown] / 60.0, error - 2.0 * sd, error + 2.0 * sd, color=color, alpha=0.25)
-    below.set(ylim=(-4.0, 4.0), ylabel="error of the rate, °C/h")
-    return [above, below]
+        ax.plot(t[shown] / 60.0, error, color, linewidth=0.9, label=f"{name}, ±2σ")
+        ax.fill_between(t[shown] / 60.0, error - 2.0 * sd, error + 2.0 * sd, color=color, alpha=0.25)
+        ax.set(ylim=(-4.0, 4.0), ylabel="error of the rate, °C/h")
+    return drawn
 
 
 def turn_or_bias() -> list[Axes]:
@@ -230,16 +231,20 @@ def steps() -> list[Axes]:
 def random_error() -> list[Axes]:
     """Draw an hour at rest: the drift of the bias, the default estimate, and the first minute held."""
     record = wander.simulate(wander.HOUR, wander.HOUR_SEEDS[0])
-    (ax,) = axes("One hour at rest at constant temperature", 1, "min")
+    above, below = drawn = axes("One hour at rest at constant temperature", 2, "min")
     rest, shown = np.ones(len(record.drift)), slice(60 * wander.RATE_HZ, None, 5 * wander.RATE_HZ)
     minutes = np.arange(len(rest))[shown] / (60.0 * wander.RATE_HZ)
-    ax.plot(minutes, wander.HOUR * record.drift[shown], "k--", lw=0.9, label="true bias")
-    for name, label in {"drift": "default, ±2σ", "hold 60 s": "mean of the first minute, held"}.items():
+    true = wander.HOUR * record.drift[shown]
+    above.plot(minutes, true, "0.6", lw=0.9, label="true bias")
+    for name, label in {"drift": "default", "hold 60 s": "mean of the first minute, held"}.items():
         values, _, sd = (wander.HOUR * one[shown] for one in wander.slow(name, rest, record))
-        ax.plot(minutes, values, linewidth=0.9, label=label)
-        ax.fill_between(minutes, values - 2.0 * sd, values + 2.0 * sd, alpha=0.2)
-    ax.set_ylabel("°/h")
-    return [ax]
+        above.plot(minutes, values, linewidth=1.5, label=label)
+        if name == "drift":
+            below.fill_between(minutes, -2.0 * sd, 2.0 * sd, alpha=0.2, label="±2σ of the default")
+            below.plot(minutes, values - true, linewidth=0.9, label="error of the default")
+    above.set(ylabel="bias, °/h", ylim=(-100.0, 150.0))
+    below.set(ylabel="error of the bias, °/h", ylim=(-150.0, 150.0))
+    return drawn
 
 
 def chamber_cycle() -> list[Axes]:
@@ -251,10 +256,11 @@ def chamber_cycle() -> list[Axes]:
     for one, verdict in zip(drawn, found.verdicts, strict=True):
         (run,) = verdict.channel.training.runs
         effects = ", ".join(claim.finding.name for claim in verdict.claims) or "nothing named"
-        for fit, style, name in ((verdict.before, "C3.", "cubic"), (verdict.after, "C2.", f"with {effects}")):
-            one.plot(run.time_s / 60.0, np.degrees(fit.residual), style, ms=4, label=name)
+        minutes, before, after = run.time_s / 60.0, verdict.before.residual, verdict.after.residual
+        one.plot(minutes, np.degrees(before), "C3o", ms=7, mfc="none", label="cubic")
+        one.plot(minutes, np.degrees(after), "C2.", ms=4, label=f"with {effects}")
         one.set_title(verdict.name, fontsize=10)
-        one.set_xlabel("minutes")
+        one.set_xlabel("minutes since the start")
         one.grid(alpha=0.3)
     drawn[0].set_ylabel("residual, °/s")
     return drawn

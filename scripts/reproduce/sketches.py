@@ -98,7 +98,7 @@ def allan_curve() -> list[Axes]:
     )
     for to, at, text, color in marks:
         panel.annotate(text, to, at, color=color, arrowprops={"arrowstyle": "->", "color": color})
-    panel.set(xlabel="averaging time τ [s]", ylabel="°/h", ylim=(0.2, 30.0))
+    panel.set(xlabel="averaging time τ [s]", ylabel="Allan deviation [°/h]", ylim=(0.2, 30.0))
     panel.grid(alpha=0.3, which="both")
     return figure.axes
 

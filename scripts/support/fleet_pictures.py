@@ -1,4 +1,7 @@
-"""Make the pictures of docs/rack.md and docs/catalog.md: python -m support.fleet_pictures [rack] [record]"""
+"""Make pictures of docs/rack.md, docs/catalog.md, docs/magnetometer.md, of what tests simulate.
+
+python -m support.fleet_pictures [rack] [record] [magnetometer]
+"""
 
 import os
 import signal
@@ -14,13 +17,17 @@ from imumon.cli import run
 from imumon.fleet.rack.description import load_rack
 from imumon.fleet.rack.rack import Rack
 from imumon.fleet.rack.view import UnitsLogger
+from imumon.lab.calibration.magnetometer import fit_magnetometer
+from imumon.lab.calibration.plot import write_magnetometer_plot
 from imumon.protocols.device import device_text, load_device
 from imumon.view.items import ViewItem, ViewSetup
 from imumon.view.viewer import APPLICATION
 from support.screenshots import PICTURES, keep_small, studio
 from tests.faults.rack import Feeder, packets, write_rack
 from tests.fleet.catalog.fleet import RUNAWAY, fleet
+from tests.lab.calibration.test_magnetometer import figure_eight
 
+FIGURES = PICTURES.parent / "figures"
 RATE_HZ = 100.0
 UNITS, SECONDS = 8, 90.0
 SCENARIO = "night"
@@ -36,6 +43,12 @@ def record(folder: Path) -> None:
     _, _, drift = page.read_text().partition('id="drift"')
     chart = drift[drift.index("<svg") : drift.index("</svg>") + len("</svg>")]
     (PICTURES / "record.svg").write_text(chart + "\n")
+
+
+def magnetometer(_: Path) -> None:
+    """Draw what `imumon magnetometer --plot` draws of a figure-eight."""
+    fit = fit_magnetometer([figure_eight(1)[0]], "uT", "simulated")
+    write_magnetometer_plot(FIGURES / "magnetometer.png", fit, "simulated figure-eight")
 
 
 def rack(folder: Path) -> None:
@@ -84,7 +97,7 @@ def rack(folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    for chosen in (rack, record):
-        if chosen.__name__ in (sys.argv[1:] or ["rack", "record"]):
+    for chosen in (rack, record, magnetometer):
+        if not sys.argv[1:] or chosen.__name__ in sys.argv[1:]:
             with tempfile.TemporaryDirectory(prefix="imumon-") as scratch:
                 chosen(Path(scratch))

@@ -33,7 +33,7 @@ SHAKING = [Vibration.model_validate(_FAST | shaken) for shaken in _SHAKEN]
 """A motor and what it drives."""
 _ROUNDS = {"at_s": 0.0, "rounds": 5, "every_s": 120.0, "rest_s": 10.0}
 HANDLING = Handling.model_validate(
-    _ROUNDS | {"kind": "handling", "swing_deg": (15.0, 10.0, 25.0), "heading_deg": 45.0}
+    _ROUNDS | {"kind": "handling", "swing_deg": (25.0, 16.0, 2.0), "heading_deg": 45.0}
 )
 """As in the scenario warm-up, by gentler hands."""
 TURNING = Chamber(start_degc=25.0, steps=[Step(to_degc=to, rate_degc_per_min=2.0) for to in (40.0, 25.0) * 5])
@@ -126,7 +126,7 @@ def scenes(data: Path) -> dict[str, Scene]:
         "recorded": Scene(
             "A warm-up in motion with a bias model, opened afterwards: rerun view.rrd",
             "ax1",
-            simulated("warm-up", "ax1", 600.0, motion=[HANDLING]),
+            simulated("warm-up", "ax1", 600.0, 50.0, motion=[HANDLING]),
             lambda: Setup(model=model(), latitude_deg=40.93),
             live=False,
         ),

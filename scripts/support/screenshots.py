@@ -38,7 +38,7 @@ SHOWN = {
 }
 """The pictures that the docs have: of which scene, which tab."""
 CROPS = {
-    "gyro-bias": {"bias-curve": (1170, 280, 1920, 880)},
+    "gyro-bias": {"bias-curve": (1350, 480, 1920, 950)},
     "alignment": {"alignment-sigma": (1350, 480, 1920, 950)},
     "allan": {"allan-gyro": (0, 190, 960, 960)},
 }

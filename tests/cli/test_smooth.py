@@ -27,4 +27,4 @@ def test_a_replay_adds_what_the_future_shows(tmp_path: Path) -> None:
     assert np.isfinite(smoothed).all()
     sd, forward_sd = (np.array(found[name], float) for name in ("gyro_bias_smoothed_sd_x", "gyro_bias_sd_x"))
     assert np.median(sd) < np.nanmedian(forward_sd)
-    assert "forward less backward" in done.stderr
+    assert "forward minus backward" in done.stderr

@@ -157,11 +157,11 @@ class BiasTrail:
             left[:, j] -= channel.value(degc[:, j]) / DEG_PER_H
         dots = "dots: estimates since the start; large: now"
         note, over = f"line: model; {dots}" if lines else dots, [*lines, *_trails(degc, bias)]
-        axes = Axis("temperature [°C]"), Axis("[°/h]")
+        axes = Axis("temperature [°C]"), Axis("bias [°/h]")
         title = "Gyro bias over temperature"
         charts = [Chart("gyro_bias", "Gyro bias", title, *axes, tuple(over), notes=(note,))]
         if lines:
-            title, over = "Gyro bias less the calibrated curve", _trails(degc, left)
+            title, over = "Gyro bias minus the calibrated curve", _trails(degc, left)
             charts.append(Chart("gyro_bias_left", "Residual", title, *axes, tuple(over), notes=(dots,)))
         return charts
 

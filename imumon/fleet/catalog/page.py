@@ -44,8 +44,8 @@ def write_unit(unit: Unit, path: Path) -> None:
         )
         for one in drifted
     }
-    labels = {"xlabel": f"days since {day(begun)}", "ylabel": f"bias less the first model's ± 2σ, {HOURLY}"}
-    drift = {"Bias by each model, less the first": _figure(curves, **labels)} if curves else {}
+    labels = {"xlabel": f"days since {day(begun)}", "ylabel": f"bias minus the first model's ± 2σ, {HOURLY}"}
+    drift = {"Bias by each model, minus the first": _figure(curves, **labels)} if curves else {}
     _write(path, model, unit=unit, drifted=drifted, drift=drift)
 
 

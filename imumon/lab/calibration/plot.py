@@ -50,7 +50,7 @@ def _draw(above: Axes, below: Axes, name: str, result: Calibration) -> None:
     drawn = factor * (curve.value(at) - middle)
     above.plot(at, drawn, color="#d03c3c", lw=1.2, label=finding.choice.name)
     above.set_title(name, loc="right")
-    above.set(ylabel=f"minus its middle [{unit}]" if name in ACCEL else f"[{unit}]")
+    above.set(ylabel=f"bias minus its middle [{unit}]" if name in ACCEL else f"bias [{unit}]")
     noise, sd = factor * np.sqrt(points.white), factor * model.residual_sd
     below.errorbar(
         points.temperature, factor * (points.value - curve.value(points.temperature)), noise,
@@ -59,7 +59,7 @@ def _draw(above: Axes, below: Axes, name: str, result: Calibration) -> None:
     )  # fmt: skip
     label = f"residual, ±1σ: {sd:.2g} {unit}"
     below.axhspan(-sd, sd, color="#d03c3c", alpha=0.35, lw=0, label=label, zorder=3)
-    below.set(xlabel="temperature [°C]", ylabel=f"minus the curve [{unit}]")
+    below.set(xlabel="temperature [°C]", ylabel=f"bias minus the curve [{unit}]")
     for axes in (above, below):
         axes.grid(color="0.9", lw=0.5)
         axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), fontsize=8, frameon=False, borderpad=0.1)
@@ -71,6 +71,8 @@ def write_magnetometer_plot(path: Path, fit: MagnetometerFit, title: str) -> Non
     Raises OSError when the file cannot be written; one that was there before is untouched.
     """
     model, turn = fit.model, np.linspace(0.0, 2.0 * np.pi, 200)
+    unit = model.unit.replace("uT", "µT")
+    circle = f"field, {model.field:.4g} {unit}"
     every = 1 + len(fit.readings) // MOST_POINTS
     readings = fit.readings[::every]
     field = model.corrected(readings)
@@ -79,14 +81,14 @@ def write_magnetometer_plot(path: Path, fit: MagnetometerFit, title: str) -> Non
         axes = figure.add_subplot(1, 3, number + 1)
         axes.plot(readings[:, i], readings[:, j], ".", ms=2, color="0.65", label="as sent")
         axes.plot(field[:, i], field[:, j], ".", ms=2, color="#3b78d8", label="corrected")
-        axes.plot(model.field * np.cos(turn), model.field * np.sin(turn), color="0.2", lw=0.9)
+        axes.plot(model.field * np.cos(turn), model.field * np.sin(turn), color="0.2", lw=0.9, label=circle)
         axes.plot(model.hard_iron[i], model.hard_iron[j], "+", ms=11, color="#d03c3c", label="hard iron")
-        axes.set(xlabel=f"{'xyz'[i]} [{model.unit}]", ylabel=f"{'xyz'[j]} [{model.unit}]", aspect="equal")
+        axes.set(xlabel=f"{'xyz'[i]} [{unit}]", ylabel=f"{'xyz'[j]} [{unit}]", aspect="equal")
         axes.grid(color="0.9", lw=0.5)
     figure.axes[0].legend(loc="upper right", fontsize=9, framealpha=0.9)
     figure.suptitle(
-        f"{for_plot(title)}: strength {model.field:.4g} {model.unit}, "
-        f"scatter {fit.residual_before:.2g} as sent, {model.residual_sd:.2g} corrected; "
+        f"{for_plot(title)}: scatter of the strength {fit.residual_before:.2g} {unit} as sent, "
+        f"{model.residual_sd:.2g} {unit} corrected; "
         f"{model.coverage:.0%} of the directions",
         fontsize=11,
     )

@@ -281,7 +281,7 @@ class LiveDiagnosis:
 def _charts(run: Run, present: BiasModel, better: BiasModel, one: Better) -> list[Chart]:
     """Return what is left of a channel over time and temperature, and what the better model would take away.
 
-    Block means at rest, °/h, less their mean, the turn-on bias.  The line is the difference of the models.
+    Block means at rest, °/h, minus their mean, the turn-on bias.  The line is the difference of the models.
     """
     name, axis, what = one.channel, one.channel[-1], one.names[0]
     before, after = (prepare.residual(run, model, [name]) for model in (present, better))
@@ -289,11 +289,12 @@ def _charts(run: Run, present: BiasModel, better: BiasModel, one: Better) -> lis
     points, line = ((part - part.mean()) / DEG_PER_H for part in both)
     degc = before.temperature[prepare.temperature_of(name, present, [run])]
     time = "time", before.time_s / 60.0, "time since power-on [min]"
-    title = f"Gyro {axis} less the model, means of {before.block_s:.0f} s, and {what} through it"
+    title = f"Gyro {axis} minus the model, means of {before.block_s:.0f} s, and {what} through it"
     headline = f"{one.before / DEG_PER_H:.3g} → {one.after / DEG_PER_H:.3g} °/h"
     notes, charts = (f"{' or '.join(one.names)}, gain {one.gain:.0f}",), []
     for key, x, label in (time, ("temperature", degc, "temperature [°C]")):
         dots = Curve(f"left, {axis}", x, points, AXIS_COLORS[axis], points=True, width=4.0)
-        drawn = Axis(label), Axis("[°/h]"), (dots, Curve(what, x, line, INK))
-        charts.append(Chart(f"model_lacks_over_{key}", RESIDUAL, title, *drawn, headline, notes))
+        drawn = Axis(label), Axis("bias [°/h]"), (dots, Curve(what, x, line, INK))
+        over = f"{title}, over {key}"
+        charts.append(Chart(f"model_lacks_over_{key}", RESIDUAL, over, *drawn, headline, notes))
     return charts

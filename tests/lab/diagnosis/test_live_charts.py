@@ -75,4 +75,4 @@ def test_the_chart_is_of_the_axis_with_the_largest_error(curve_alone: BiasModel)
     names = [f"gyro_{axis}" for axis in "xyz"]
     every = curve_alone.model_copy(update={"channels": dict.fromkeys(names, curve_alone.channels["gyro_x"])})
     stage = watched(every, lambda time, _: 12.0 * np.sin(time / 90.0), names, larger="gyro_y")
-    assert [chart.title.split(" less")[0] for chart in stage.charts()] == ["Gyro y", "Gyro y"]
+    assert [chart.title.split(" minus")[0] for chart in stage.charts()] == ["Gyro y", "Gyro y"]
