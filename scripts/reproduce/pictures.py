@@ -22,7 +22,6 @@ from tczupt_study import LATITUDE_DEG, ZEROING
 from tczupt_study import simulate as ramp_test
 from thermometers import PER_HOUR
 
-from imumon.blocks import FloatArray
 from imumon.estimation.attitude.stage import AttitudeEstimate
 from imumon.estimation.gyro_bias.stage import RestAndBias, RestDetector
 from imumon.estimation.rest.parameters import GyroBiasParameters
@@ -169,32 +168,25 @@ def attitude_sigma() -> list[Axes]:
     turn = np.abs(heading_error(q, truth, int(np.argmax(np.isfinite(heading_sd))), True))
     tilt, tilt_sd = np.linalg.norm(tilt_error(q, truth), axis=1), samples["attitude_estimate_tilt_sd"]
     t = samples["device_time_ns"] * 1e-9
-    drawn = axes("Turned by hand for 30 s, at rest for 10 s, and so on; no magnetometer", 2)
-    pairs: list[tuple[str, FloatArray, FloatArray]] = [
-        ("tilt", tilt, np.sqrt(2.0) * tilt_sd),
-        ("relative heading", turn, heading_sd),
-    ]
-    for ax, (name, error, sd) in zip(drawn, pairs, strict=True):
+    upper, lower = axes("Turned by hand for 30 s, at rest for 10 s, and so on; no magnetometer", 2)
+    total = np.sqrt(2.0) * tilt_sd
+    for ax, name, error, sd in (upper, "tilt", tilt, total), (lower, "relative heading", turn, heading_sd):
         ax.fill_between(t, np.degrees(sd), alpha=0.3, label="sigma")
         z = error / sd
         label = f"error: {np.sqrt(np.nanmean(z**2)):.1f} σ rms, {np.nanmax(z):.1f} σ at most"
         ax.plot(t, np.degrees(error), linewidth=0.8, label=label)
         ax.set_ylabel(f"{name}, °")
-    upper, lower = drawn
     upper.set_ylim(0.0, 5.0)  # the first sigma would flatten all that follows
-    first = f"gyros not confirmed yet: sigma up to {np.degrees(np.nanmax(pairs[0][2])):.0f}°"
+    first = f"gyros not confirmed yet: sigma up to {np.degrees(np.nanmax(total)):.0f}°"
     upper.annotate(first, (23.8, 4.5), (29.0, 4.35), arrowprops={"arrowstyle": "->"}, fontsize=8)
     steep = np.hypot(truth[:, 2, 1], truth[:, 2, 2]) < np.sin(15.0 * DEG)
     lower.fill_between(t, 1.0, where=steep, transform=lower.get_xaxis_transform(), color="0.9", zorder=0)
     lower.set_ylim(0.0, 15.0)
-    return drawn
+    return [upper, lower]
 
 
 def steps() -> list[Axes]:
-    """Draw the worked case of docs/closing-the-loop.md: training, the lag beside it, and the test.
-
-    The gyros of its three sessions are 30 s behind their thermometers; the third is the test.
-    """
+    """Draw the worked case of docs/closing-the-loop.md, gyros that are 30 s late: training, lag, test."""
     plan = load_scenario("crs05-ramp-lag").played(10.0, "FRD")
     first, second, third = (
         collect([play(plan, seed, (RestDetector(),)).samples], f"S{seed}")[0] for seed in (1, 2, 3)
@@ -266,14 +258,9 @@ def chamber_cycle() -> list[Axes]:
     return drawn
 
 
+_OWN = attitude_sigma, turn_or_bias, bias_in_motion, bias_race, smoothed_bias, temperature_rate, random_error
 PICTURES: dict[str, Callable[[], list[Axes]]] = {
-    "attitude-sigma": attitude_sigma,
-    "turn-or-bias": turn_or_bias,
-    "bias-in-motion": bias_in_motion,
-    "bias-race": bias_race,
-    "smoothed-bias": smoothed_bias,
-    "temperature-rate": temperature_rate,
-    "random-error": random_error,
+    **{drawing.__name__.replace("_", "-"): drawing for drawing in _OWN},
     "closing-the-loop/steps": steps,
     "closing-the-loop/chamber-cycle": chamber_cycle,
     "glossary/allan": sketches.allan_curve,
