@@ -19,6 +19,9 @@ DEEPEST = 50
 LARGEST_NUMBER = 2.0**63
 """No quantity is larger: times are int64, and squares of what is smaller are far from the end of float64."""
 
+OPTIONS = {"imumon-bias-model": "model", "imumon-device": "device", "imumon-pipeline": "pipeline"}
+"""Which option takes which files, by their `format` without its version."""
+
 Location = tuple[str | int, ...]
 
 
@@ -160,12 +163,17 @@ def _describe(item: Any, root: yaml.Node, source: str) -> str:
     line, path = _locate(root, location)
     where = f"{source}:{line}: {path}: " if path else f"{source}:{line}: "
     message = str(item["msg"]).removeprefix("Value error, ")
+    kind = str(item["input"]).rpartition("/")[0]
+    if location == ("format",) and kind not in message and (option := OPTIONS.get(kind)):
+        return f"{source}:{line}: this is a {option} file, which --{option} takes"
     if item["type"] == "extra_forbidden":
         return f"{where}unknown key"
     if item["type"] == "missing":
         return f"{where}this key is required"
     if item["type"] == "value_error":
         return where + message
+    if item["type"] == "list_type":
+        return f"{where}expected a list: [{_short(str(item['input']), 60)}]"
     return f"{where}{message}, got {_short(repr(item['input']), 60)}"
 
 

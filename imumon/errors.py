@@ -7,11 +7,11 @@ EXIT_OK = 0
 EXIT_NEGATIVE = 1
 """The command ran, and the answer is no (a verification that differs, a heading that does not settle)."""
 EXIT_USAGE = 2
-"""Wrong command line, or a wrong file written by a person (device, map, pipeline YAML)."""
+"""Wrong command line, or a file written by a person (device, map, pipeline YAML) is wrong or not there."""
 EXIT_PORT = 3
 """The port cannot be opened, was lost for good, or stayed silent."""
 EXIT_DATA = 4
-"""A recording, capture or table cannot be read, or holds nothing that can be decoded."""
+"""A recording, capture or table is not there, cannot be read, or holds nothing that can be decoded."""
 
 EXIT_INTERRUPTED = 130
 """Ctrl-C before a recording began, or in a command that records nothing; as shells have it."""
@@ -21,7 +21,7 @@ class Reason(Enum):
     """Why an operation failed."""
 
     NOT_FOUND = "not found"
-    """No such port, or it went away; no such file."""
+    """No such port, or it went away; no viewer; for `imumon.read` also no such file."""
     PERMISSION = "permission denied"
     """The port exists but this user may not open it."""
     BUSY = "busy"
@@ -33,9 +33,9 @@ class Reason(Enum):
     WRONG_BAUD = "wrong baud rate or protocol"
     """Bytes arrive but do not frame."""
     BAD_CONFIG = "bad configuration"
-    """A YAML file or an option is wrong."""
+    """An option is wrong, or a YAML file is wrong or not there."""
     BAD_DATA = "bad data"
-    """A capture, table or recording does not hold what it should."""
+    """A capture, table or recording is not there, or does not hold what it should."""
     REFUSED = "refused by the device"
     """The device answered, and refused, or did something else than was commanded."""
     TIMEOUT = "timeout"

@@ -142,6 +142,19 @@ def check_output(path: Path, *, replace: bool = False, suffix: str = "") -> None
         raise bad_config(f"{path}: there is no folder {place.parent}", "make it first")
 
 
+def check_outputs(plot: Path | None, *files: Path | None) -> None:
+    """Refuse, as `check_output`, outputs of which only a picture replaces one; and one file for two of them.
+
+    Raises EXISTS or BAD_CONFIG.
+    """
+    given = [*filter(None, (plot, *files))]
+    for path in given:
+        check_output(path, replace=path is plot, suffix=".png" if path is plot else "")
+    if len({target(path) for path in given}) < len(given):
+        names = ", ".join(map(str, given))
+        raise bad_config(f"two of the outputs are the same file: {names}", "give each a name of its own")
+
+
 def plain(value: Any) -> Any:
     """Return a value as JSON knows it: paths as text, numbers without the types of NumPy, NaN as None."""
     if isinstance(value, Mapping):

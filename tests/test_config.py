@@ -9,6 +9,8 @@ from hypothesis import strategies as st
 from imumon.config import StrictModel, parse_yaml
 from imumon.errors import ImumonError, Reason
 from imumon.fleet.rack.description import RackFile
+from imumon.protocols.device import parse_device
+from imumon.run.setup import Setup
 
 
 class Example(StrictModel):
@@ -49,6 +51,31 @@ def test_of_a_file_of_another_kind_only_that_is_stated() -> None:
     with pytest.raises(ImumonError) as caught:
         parse_yaml("format: other/1\nwhat: 1\nelse: 2\n", Kind, "x.yaml")
     assert caught.value.seen == "x.yaml:1: format: Input should be 'kind/1', got 'other/1'"
+
+
+@pytest.mark.parametrize(
+    ("kind", "what"),
+    [
+        ("imumon-bias-model/2", "a model file, which --model takes"),
+        ("imumon-pipeline/1", "a pipeline file, which --pipeline takes"),
+        ("imumon-device/1", "a device file, which --device takes"),
+    ],
+)
+def test_a_file_that_another_option_takes_is_named(kind: str, what: str) -> None:
+    with pytest.raises(ImumonError) as caught:
+        parse_yaml(f"# mine\nformat: {kind}\nother: 1\n", Kind, "x.yaml")
+    assert caught.value.seen == f"x.yaml:2: this is {what}"
+
+
+def test_another_version_of_the_same_kind_is_not_called_another_kind() -> None:
+    with pytest.raises(ImumonError, match="format: Input should be 'imumon-pipeline/1', got"):
+        parse_yaml("format: imumon-pipeline/9\n", Setup, "x.yaml")
+
+
+def test_a_list_of_one_is_shown_where_a_list_is_expected() -> None:
+    text = "format: imumon-device/1\nname: a\ntitle: a\nprotocol: text\nserial: {baudrates: 115200}\n"
+    with pytest.raises(ImumonError, match=r"x.yaml:5: serial.baudrates: expected a list: \[115200\]"):
+        parse_device(text, "x.yaml")
 
 
 def test_a_wrong_key_gets_those_that_there_are_and_a_tab_its_cure() -> None:

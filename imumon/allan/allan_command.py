@@ -8,6 +8,7 @@ import click
 
 from imumon.cli.common import PATH, json_option, print_json, print_rows, print_table, show, warn
 from imumon.cli.progress import reading_bar
+from imumon.files import check_outputs
 
 if TYPE_CHECKING:
     from imumon.allan.analysis import Result
@@ -35,7 +36,7 @@ def command(
     from imumon.allan.analysis import analyse
     from imumon.allan.recording import read_channels
 
-    output.check_outputs(plot, noise_out, kalibr)
+    check_outputs(plot, noise_out, kalibr)
     with reading_bar([recording], quiet=as_json) as progress:
         opened = read_channels(recording, progress.count)
         progress("deviations and terms of all channels")

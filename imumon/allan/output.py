@@ -9,21 +9,9 @@ from imumon.allan.covariance import CONFIDENCE, TERMS_OF
 from imumon.allan.fit import AMBIGUOUS, DIGITS, NO_SUM
 from imumon.allan.recording import UNITS, by_text, group_of
 from imumon.config import dump_yaml
-from imumon.errors import bad_config, bad_data
-from imumon.files import check_output, target, write_text
-
-
-def check_outputs(plot: Path | None, *files: Path | None) -> None:
-    """Refuse outputs that could not be written, or would replace what a person may have edited.
-
-    Raises EXISTS for a file that is there (a picture is replaced); BAD_CONFIG for a picture that is not a
-    PNG, where there is no folder, and for one name twice.
-    """
-    given = [*filter(None, (plot, *files))]
-    for path in given:
-        check_output(path, replace=path is plot, suffix=".png" if path is plot else "")
-    if len({target(path) for path in given}) < len(given):
-        raise bad_config("two of the outputs have one name", "give each a name of its own")
+from imumon.errors import bad_data
+from imumon.files import write_text
+from imumon.run.setup import FORMAT
 
 
 def remarks(results: Mapping[str, Result]) -> list[str]:
@@ -113,7 +101,7 @@ def value_of(result: Result | None, term: str) -> float | None:
 
 
 def write_noise(path: Path, results: Mapping[str, Result], source: Path) -> None:
-    """Write the noise section of a pipeline YAML: the terms in SI units per sensor, each for x, y, z.
+    """Write a pipeline file that states the noise: the terms in SI units per sensor, each for x, y, z.
 
     Raises OSError when the file cannot be written; one that was there before is untouched.
     """
@@ -129,7 +117,7 @@ def write_noise(path: Path, results: Mapping[str, Result], source: Path) -> None
         f"# Noise of {source.name}, by Allan deviation; x, y, z; null: the data do not show it.\n"
         "# SI units.  Bias instability B: the flat part of the Allan deviation is 0.664 B.\n"
     )
-    write_text(path, head + dump_yaml({"noise": section}, flow=None))
+    write_text(path, head + dump_yaml({"format": FORMAT, "noise": section}, flow=None))
 
 
 def write_kalibr(path: Path, results: Mapping[str, Result], source: Path) -> None:

@@ -16,8 +16,8 @@ WORTH_LOGGING_S = 5.0
 
 
 def announce(what: str, samples: int, span_s: float, expected_s: float, *, quiet: bool) -> None:
-    """Write how long work on so many samples takes, in a line, where that is more than `WORTH_LOGGING_S`."""
-    if expected_s > WORTH_LOGGING_S and not quiet:
+    """Write how long work on so many samples takes, where that is known and more than `WORTH_LOGGING_S`."""
+    if samples and expected_s > WORTH_LOGGING_S and not quiet:
         log("INFO", f"{what} {samples:,} samples of {span_s:,.0f} s: about {rounded_time(expected_s)}")
 
 

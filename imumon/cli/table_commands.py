@@ -154,11 +154,12 @@ def import_(
         common.log("WARN", f"{report.rows_dropped} of {report.rows_in} rows were dropped, {why}")
     common.warn(report.warnings)
     rate = f" at {report.rate_hz:.4g} Hz" if isfinite(report.rate_hz) else ""
+    gaps = f", {report.gaps_s:.1f} s of it in gaps" if report.gaps_s >= 0.1 else ""
     rows = {
         "rows": f"{report.rows_in:,} in, {report.rows_out:,} out, {report.rows_dropped:,} dropped",
         "columns": ", ".join(report.columns),
         "not used": ", ".join(report.columns_unused) or "none",
-        "span": f"{report.span_s:.1f} s{rate}, {report.segments} segment(s)",
+        "span": f"{report.span_s:.1f} s{rate}, {report.segments} segment(s){gaps}",
         "session": str(out),
     }
     data = {"session": out, **asdict(report)}

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from imumon.cli import common
+from imumon.cli.progress import bar
 from imumon.errors import bad_data
 from imumon.files import check_output, results_folder
 
@@ -44,7 +45,7 @@ def catalog(folder: Path, results: Path | None, out: Path | None, as_json: bool)
     from imumon.fleet.catalog.tables import tables, write_tables
 
     with nullcontext() if out is None else results_folder(out):
-        units, left_out = read(folder, results)
+        units, left_out = read(folder, results, quiet=as_json)
         rows = tables(units)
         written = [] if out is None else write_tables(rows, out)
     common.warn(f"{row['session']}: {row['error']}" for row in rows["sessions"] if row["error"])
@@ -57,18 +58,18 @@ def catalog(folder: Path, results: Path | None, out: Path | None, as_json: bool)
     common.print_rows({path.name: str(path) for path in written})
 
 
-def read(folder: Path, results: Path | None = None) -> "tuple[list[Unit], dict[str, str]]":
-    """Return the units of the sessions in a folder, and what was left out and why.
+def read(folder: Path, results: Path | None, quiet: bool) -> "tuple[list[Unit], dict[str, str]]":
+    """Return the units of the sessions in a folder, and what was left out and why, with the progress.
 
-    The latter is warned of, and of what recordings lack.
+    What was left out is warned of, and what recordings lack.
     """
     from imumon.fleet.catalog.tables import find_outliers
     from imumon.fleet.catalog.units import read_models, read_sessions, units_of
 
     if not folder.is_dir():
         raise bad_data(f"{folder} is no folder", "give the folder of the sessions")
-    with common.console(error=True).status("reading") as status:
-        entries, left_out = read_sessions(folder, results or folder / RESULTS, status.update)
+    with bar("reading", None, quiet=quiet) as progress:
+        entries, left_out = read_sessions(folder, results or folder / RESULTS, progress)
     units = units_of(entries, read_models(folder))
     common.warn(f"{place} is left out: {why}" for place, why in left_out.items())
     common.warn(f"{entry.session.path}: {text}" for entry in entries for text in entry.lacking)
@@ -137,7 +138,7 @@ def report(what: str, out: Path, sessions: Path) -> None:
     if is_session(Path(what)):
         common.warn(write_session(open_session(Path(what)), out))
     else:
-        units, _ = read(sessions) if sessions.is_dir() else ([], {})
+        units, _ = read(sessions, None, quiet=False) if sessions.is_dir() else ([], {})
         known = [unit for unit in units if unit.name == what]
         if len(known) != 1:
             there = ", ".join(f"{unit.name} ({unit.device})" for unit in known or units) or "none"

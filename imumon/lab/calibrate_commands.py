@@ -22,8 +22,7 @@ from imumon.cli.common import (
     with_warnings,
 )
 from imumon.cli.progress import announce, reading_bar, size_of
-from imumon.errors import bad_config
-from imumon.files import check_output, target, write_text
+from imumon.files import check_outputs, write_text
 from imumon.lab.calibration import SHOWN
 
 if TYPE_CHECKING:
@@ -82,7 +81,7 @@ def calibrate(
     from imumon.run.truth import check_truth, errors_of_model
 
     export = None if autopilot is None else out.with_suffix(SUFFIX[autopilot])
-    _check_outputs(out, plot, export)
+    check_outputs(plot, out, export)
     check_ids(autopilot, device_ids)
     if truth:
         check_truth(sessions)
@@ -125,16 +124,6 @@ def calibrate(
     for name, one in errors.items():
         note(f"against the truth of {name}, at rest")
         print_rows(one.rows())
-
-
-def _check_outputs(out: Path, plot: Path | None, export: Path | None = None) -> None:
-    """Refuse outputs that cannot be files, and two that are the same."""
-    paths = [path for path in (out, plot, export) if path is not None]
-    for path in paths:
-        check_output(path, suffix=".png" if path is plot else "")
-    if len(set(map(target, paths))) < len(paths):
-        names = ", ".join(map(str, paths))
-        raise bad_config(f"two of the outputs are the same file: {names}", "give each a name of its own")
 
 
 def _report(result: "Calibration", out: Path) -> dict[str, Any]:
@@ -222,7 +211,7 @@ def magnetometer(session: Path, out: Path, model: Path | None, plot: Path | None
     Stay away from iron and cables.  If there are too few directions, imumon refuses and reports what to
     turn next.  It also refuses a magnetometer whose axes are not those of the gyros.
     """
-    _check_outputs(out, plot)
+    check_outputs(plot, out)
     from datetime import UTC, datetime
 
     from imumon.lab.calibration.magnetometer import axes_of, doubts, fit_magnetometer

@@ -148,6 +148,7 @@ def diagnose(
 
 
 def _show(diagnosis: Diagnosis, out: Path, written: Mapping[str, str], *, as_json: bool) -> None:
+    from imumon.lab.diagnosis.page import error_text
     from imumon.lab.diagnosis.report import conclusion, next_step, report
 
     warn(diagnosis.caveats)
@@ -156,6 +157,7 @@ def _show(diagnosis: Diagnosis, out: Path, written: Mapping[str, str], *, as_jso
     if as_json:
         print_json(report(diagnosis, out))
     print_rows({verdict.name: verdict.summary for verdict in diagnosis.verdicts})
+    print_rows({f"error of {one.name}": error for one in diagnosis.verdicts if (error := error_text(one))})
     print_rows({what: str(out / name) for what, name in written.items()})
     print_rows({"conclusion": conclusion(diagnosis)})
     step = next_step(diagnosis, out)

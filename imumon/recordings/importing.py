@@ -27,13 +27,11 @@ LEAST_WRAP = 64
 LISTED = 10
 """Bad rows that an error or a report lists; the others are counted."""
 
-_LAYOUT = (
-    '; add to the map what fits: csv: {delimiter: ";", comment: "#", header: false, columns: [NAME, ...]}'
-)
-_BAD_ROWS = (
-    "mend the table, or add to the map its layout, as"
-    ' csv: {skip_rows: 1, comment: "#", delimiter: ";", decimal: ","}, or bad_rows: drop to import the others'
-)
+_CSV = 'csv: {delimiter: ";", decimal: ",", comment: "#", skip_rows: 1}'
+_LAYOUT = f"; add what fits to the map: {_CSV}; without a line of names: header: false, columns: [NAME, ...]"
+_OTHERS = ", or bad_rows: drop to import the others"
+_BAD_ROWS = f"mend the table, or add to the map its layout, as {_CSV}{_OTHERS}"
+_BAD_TIMES = f'mend the unit or the format of time in the map, as format: "%d.%m.%Y %H:%M:%S.%f"{_OTHERS}'
 _NOT_AFTER = (
     "if the device started anew there, add backwards: segment to time in the map; if times of day pass"
     " midnight, wraps_at: 86400 (s; in the unit of the time); if the clock is too coarse, give rate_hz: ..."
@@ -56,6 +54,8 @@ class ImportReport:
     segments: int
     span_s: float
     """Time from the first to the last row, summed over the segments."""
+    gaps_s: float
+    """Sum of the intervals of more than 1 s and ten usual ones."""
     rate_hz: float
     """Rate that the map gives, else rows per second where none is missing; NaN when there is no span."""
     bad_rows: tuple[BadRow, ...]
@@ -162,7 +162,8 @@ class TableImport:
                 shown.append(f"... and {self._rows_bad - len(shown)} more")
             rows = self._rows_good + self._rows_bad
             seen = f"{self.table}: {self._rows_bad} of {rows} rows cannot be taken; nothing was imported"
-            raise bad_data("\n".join([seen, *shown]), _BAD_ROWS)
+            dates = all(row.why.startswith("time ") and {":", "%"} & {*row.why} for row in self._listed)
+            raise bad_data("\n".join([seen, *shown]), _BAD_TIMES if dates else _BAD_ROWS)
         if not self._rows_good:
             what = f"none of its {self._rows_bad} rows can be taken" if self._rows_bad else "has no rows"
             raise bad_data(f"{self.table}: {what}")
@@ -183,6 +184,7 @@ class TableImport:
             columns_unused=tuple(name for name in self._names if name not in used),
             segments=self._segment + 1,
             span_s=self._span_ns * 1e-9,
+            gaps_s=max(0.0, round(self._span_ns * 1e-9 - self._intervals.covered_s, 3)),
             rate_hz=rate_hz,
             bad_rows=tuple(self._listed),
             warnings=(*self.warnings(), *doubts),

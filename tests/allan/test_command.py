@@ -15,10 +15,9 @@ from PIL import Image
 from imumon.allan.recording import CHANNELS
 from imumon.blocks import SampleBlock
 from imumon.columns import KNOWN, Column
-from imumon.config import StrictModel, parse_yaml
 from imumon.recordings.importing import import_table
 from imumon.recordings.table import TableWriter
-from imumon.run.setup import Noise
+from imumon.run.setup import parse_setup
 from tests.allan.simulated import noise
 from tests.cli.command import imumon
 
@@ -26,10 +25,6 @@ N, INTERVAL_S = 40_000, 0.02
 WHITE = 3e-4
 """rad/s/√Hz, 1 deg/√min: a coarse sensor, yet one that exists; more is taken for vibration.  It walks by
 1.9 °/h in a second; three times as much is now and then taken for a turn."""
-
-
-class Section(StrictModel):
-    noise: Noise
 
 
 def allan(*arguments: object) -> subprocess.CompletedProcess[str]:
@@ -99,7 +94,8 @@ def test_the_written_files_say_the_same(done: subprocess.CompletedProcess[str], 
     found = json.loads(done.stdout)
     text = (table.parent / "noise.yaml").read_text()
     section = yaml.safe_load(text)["noise"]
-    read = parse_yaml(text, Section, "noise.yaml").noise
+    read = parse_setup(text, "noise.yaml").noise
+    assert text.splitlines()[2] == "format: imumon-pipeline/1"
     assert read.gyro is not None
     assert read.gyro.angle_random_walk_rad_per_sqrt_s == section["gyro"]["angle_random_walk_rad_per_sqrt_s"]
     assert read.accel is not None

@@ -10,9 +10,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from imumon.allan.output import check_outputs
 from imumon.allan.recording import read_channels
 from imumon.errors import ImumonError, Reason
+from imumon.files import check_outputs
 
 N = 2000
 
@@ -133,7 +133,7 @@ def test_nothing_is_overwritten_but_a_picture(tmp_path: Path) -> None:
 def test_two_outputs_are_two_files(tmp_path: Path) -> None:
     (tmp_path / "link.yaml").symlink_to(tmp_path / "a.yaml")
     for other in ("a.yaml", "link.yaml"):
-        with pytest.raises(ImumonError, match="have one name"):
+        with pytest.raises(ImumonError, match="are the same file"):
             check_outputs(None, tmp_path / "a.yaml", tmp_path / other)
 
 

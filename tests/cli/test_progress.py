@@ -85,6 +85,7 @@ def test_long_work_is_announced_with_its_time_and_short_work_is_not(
     for expected_s in (4.0, 21.0, 200.0, 7000.0):
         progress.announce("reading", 13500, 6750.0, expected_s, quiet=False)
         progress.announce("reading", 13500, 6750.0, expected_s, quiet=True)
+        progress.announce("reading", 0, 0.0, expected_s, quiet=False)
     assert lines == [f"reading 13,500 samples of 6,750 s: about {text}" for text in ("20 s", "3 min", "2 h")]
     assert progress.size_of([session])[0] == 2000
 

@@ -153,3 +153,6 @@ def test_the_worked_case_of_the_page_is_what_the_command_prints(tmp_path: Path) 
     assert [line[:6] for line in shown] == ["gyro_y", "gyro_x", "gyro_y", "gyro_z"]
     for line in shown:
         assert " ".join(line.removesuffix(", ...").split()) in printed
+    page = pages[0].read_text(encoding="utf-8")
+    (error,) = [line for line in page.splitlines() if line.startswith("error of ")]
+    assert " ".join(error.split()) in printed

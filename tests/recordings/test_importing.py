@@ -171,6 +171,45 @@ def test_a_row_that_cannot_be_taken_is_named_with_its_line(tmp_path: Path, row: 
     assert "bad_rows: drop" in error.hint
 
 
+@pytest.mark.parametrize(
+    ("time", "why"),
+    [
+        ('format: "%H:%M:%S.%f"', "not as '%H:%M:%S.%f'"),
+        ("unit: iso8601", "not a date with time"),
+        ("unit: s", "not a number"),
+    ],
+)
+def test_a_time_in_another_form_gets_a_hint_about_the_time(tmp_path: Path, time: str, why: str) -> None:
+    error = refused(tmp_path, HEADER + "12:00:01,1,2,3,a\n", MAP.replace("unit: s", time))
+    assert f"time '12:00:01' is {why}" in error.seen
+    assert "the unit or the format of time" in error.hint
+    assert "csv:" not in error.hint
+
+
+@pytest.mark.parametrize(
+    ("first", "remedy"), [("sep=,", "skip_rows: 1"), ("# made by", 'comment: "#"'), ("a;b", 'decimal: ","')]
+)
+def test_a_table_whose_first_line_has_no_names_gets_the_layouts(
+    tmp_path: Path, first: str, remedy: str
+) -> None:
+    table = f"{first}\nt,x,y,z\n0.1,1,2,3\n"
+    hint = refused(tmp_path, table).hint
+    assert remedy in hint
+    assert "without a line of names: header: false" in hint
+    run(tmp_path, table, MAP + "csv: {skip_rows: 1}\n")
+
+
+def test_a_gap_is_reported_with_its_length(tmp_path: Path) -> None:
+    def rows(first: int, last: int) -> str:
+        return "".join(f"{row / 100},1,2,3,\n" for row in range(first, last))
+
+    report, _ = run(tmp_path, HEADER + rows(0, 500) + rows(2499, 3000))
+    assert report.gaps_s == pytest.approx(20.0, abs=1e-3)
+    (tmp_path / "whole").mkdir()
+    whole, _ = run(tmp_path / "whole", HEADER + rows(0, 3000))
+    assert whole.gaps_s == 0.0
+
+
 def test_an_error_lists_the_first_bad_rows_and_counts_all(tmp_path: Path) -> None:
     error = refused(tmp_path, HEADER + "0.1,1,2,3,a\n" + "oops\n" * 50_000)
     assert "50000 of 50001 rows" in error.seen

@@ -112,8 +112,9 @@ def read_sessions(
     options = BatchOptions(command="replay")
     with closing(Dataset(results.absolute(), options)) as known:
         begun = {place: session.metadata.created_ns for place, session in sessions.items()}
-        for place in known.left(begun, retry=True):
-            progress(f"replaying {Path(place).name}")
+        left = known.left(begun, retry=True)
+        for number, place in enumerate(left, 1):
+            progress(f"replaying {Path(place).name}, {number} of {len(left)}")
             known.add(work(Job(place, options, str(known.folder))))
         known.write()
         rows = known.rows(sessions)

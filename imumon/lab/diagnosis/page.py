@@ -80,9 +80,16 @@ def write_page(diagnosis: Diagnosis, path: Path, progress: Progress = None) -> N
 
 
 def _errors(verdict: ChannelVerdict) -> tuple[float, float]:
-    """Return the rms of the test before and after; NaN without one."""
+    """Return the rms of the test before and after, in the unit of the channel; NaN without one."""
     test = verdict.test_after
     return verdict.test_before.rms, test.smaller_rms if verdict.claims else test.rms
+
+
+def error_text(verdict: ChannelVerdict) -> str:
+    """Return the error of the test, before and after where something is claimed; empty without a test."""
+    (factor, unit), (before, after) = shown(verdict.channel.unit), _errors(verdict)
+    becomes = f" → {_number(after, factor)}" if verdict.claims else ""
+    return f"{_number(before, factor)}{becomes} {unit}" if np.isfinite(before) else ""
 
 
 def _curve(verdict: ChannelVerdict) -> list[tuple[float, float, float]]:

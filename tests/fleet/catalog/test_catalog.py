@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import io
 import itertools
 import json
 import shutil
@@ -12,10 +13,12 @@ import pytest
 import yaml
 
 from imumon.blocks import SampleBlock
+from imumon.cli import progress
 from imumon.columns import TEMPERATURES
 from imumon.fleet.catalog.page import BIASES, Curve, _course
 from imumon.fleet.catalog.tables import MONTH_NS, drifts, find_outliers, line
 from imumon.fleet.catalog.units import Dated, Unit, read_models, units_of
+from imumon.fleet.catalog_command import read
 from imumon.recordings.folder import fingerprint
 from imumon.recordings.reduced import reduce
 from tests.cli.command import imumon
@@ -34,6 +37,23 @@ def unit(name: str, constants: list[float]) -> Unit:
         for month, constant in enumerate(constants)
     ]
     return Unit(name, "ax1", models=models)
+
+
+def test_the_sessions_that_are_replayed_are_counted_but_not_beside_json(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lines: list[str] = []
+    monkeypatch.setattr(progress, "LINE_S", 0.0)
+    monkeypatch.setattr(progress, "log", lambda _, text: lines.append(text))
+    monkeypatch.setattr("sys.stderr", io.StringIO())
+    few = tmp_path / "few"
+    for session in sorted(path.parent for path in folder.rglob("session.yaml"))[:2]:
+        shutil.copytree(session, few / session.name)
+    read(few, tmp_path / "quiet", quiet=True)
+    assert not lines
+    units, _ = read(few, tmp_path / "shown", quiet=False)
+    assert units
+    assert [line.partition(", ")[2] for line in lines] == ["1 of 2", "2 of 2"]
 
 
 def test_drift_is_the_slope_of_the_models() -> None:
