@@ -1,6 +1,8 @@
 """Names, units and types of the columns that samples, tables and recordings have."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
+from difflib import SequenceMatcher
 from typing import Literal
 
 ColumnType = Literal["float64", "int64"]
@@ -57,3 +59,15 @@ TEMPERATURES = ("temperature", "temperature_x", "temperature_y", "temperature_z"
 """Readings of the thermometers: of the unit, or of each axis."""
 TIME_COLUMNS = ("device_time_ns", "arrival_time_ns", "host_time_ns", "segment", "packet_counter")
 """Columns that every decoded table begins with (where the source has them)."""
+
+
+def mistyped(names: Iterable[str]) -> list[str]:
+    """Return a warning for each name that is a letter off a canonical one, but for numbers and axes."""
+    return [
+        f"column {name} is one of the device's own: if {known} is meant, correct the name in the device file"
+        for name in names
+        if name not in KNOWN and not name[-1].isdigit()
+        for known in KNOWN
+        if name[:-1] != known[:-1] and abs(len(name) - len(known)) <= 1
+        if SequenceMatcher(None, name, known).ratio() >= 1 - 1.01 / min(len(name), len(known))
+    ]

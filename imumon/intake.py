@@ -5,7 +5,7 @@ that stays the same for long while another does not is reported, and a specific 
 """
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -44,8 +44,10 @@ AT_AN_EDGE, BEYOND_CHANCE = 0.5, 3.0
 the axes beside it may rightly stay on one; more by so many times the root of their number is no chance."""
 GRAVITIES = (0.3, 3.0)
 """Of the specific force, its median: what has less falls and what has more is thrown, neither for minutes."""
-MINUTE_NS, MINUTES = 60_000_000_000, 3
-"""So many in a row: rockets burn with three times gravity for two minutes, parabolas last half a minute."""
+BEYOND, LEAST_READINGS = 0.5, 50
+"""Share beyond them, and number, of readings from which on these are doubted."""
+LEAST_S, LONG_S = 5.0, 240.0
+"""Least length of them at the end, and before: a rocket burns for two minutes, a parabola lasts for half."""
 SLOWEST_HZ, FASTEST_HZ = 0.1, 40e3
 """Of samples: slower is no motion sensor, and the fastest that is sold has 32 kHz (ICM-42688)."""
 
@@ -137,8 +139,9 @@ class Intake:
             for what, count in self._left_out.items()
         }
         found = [text for unchanged in self._unchanged.values() for text in unchanged.found.values()]
-        found += [] if self._force.found is None else [self._force.found]
         every |= dict(zip(found, found, strict=True))
+        if (doubt := self._force.doubt(LEAST_S if ended else LONG_S)) is not None:
+            every["force"] = doubt
         new = [text for what, text in every.items() if what not in self._reported]
         self._reported.update(every)
         return new
@@ -212,34 +215,6 @@ class _Still:
         return np.asarray(same & ~was_possible & (run > 2 * longest + REPEATS))
 
 
-class _Windows:
-    """Sums over windows of device time, each within one segment, whatever the division into blocks."""
-
-    def __init__(self, length_ns: int) -> None:
-        self._length_ns = length_ns
-        self._at: tuple[int, int] | None = None
-        """Segment, and number of the window in device time."""
-        self._began_ns = self._latest_ns = 0
-        self._sums = np.zeros(0)
-
-    def ended(
-        self, time_ns: IntArray, segment: IntArray, terms: FloatArray
-    ) -> Iterator[tuple[int, int, int, list[float]]]:
-        """Add the terms (n, k) of rows; yield of each window that ends the first row behind it, the times of
-        its first and last row, and its sums (k,).
-        """
-        number = time_ns // self._length_ns
-        edges = np.flatnonzero((np.diff(number) != 0) | (np.diff(segment) != 0)) + 1
-        for begin, end in pairwise([0, *edges.tolist(), len(number)] if len(number) else []):
-            now = int(segment[begin]), int(number[begin])
-            if now != self._at:
-                if self._at is not None:
-                    yield begin, self._began_ns, self._latest_ns, self._sums.tolist()
-                self._at, self._began_ns, self._sums = now, int(time_ns[begin]), np.zeros(terms.shape[1])
-            self._latest_ns = int(time_ns[end - 1])
-            self._sums += terms[begin:end].sum(axis=0)
-
-
 class _Unchanged:
     """Finds axes of a sensor that stay the same, or missing, in a window while another axis changes.
 
@@ -252,8 +227,11 @@ class _Unchanged:
         self.found: dict[str, str] = {}
         """Warning by axis."""
         self._last: FloatArray | None = None
-        self._windows = _Windows(UNCHANGED_NS)
-        """Readings, and how many of each axis differ from the one before."""
+        self._at: tuple[int, int] | None = None
+        """Segment, and number of the window in device time."""
+        self._began_ns = self._latest_ns = 0
+        self._sums = np.zeros(4)
+        """Readings in the window, and how many of each axis differ from the one before."""
 
     def process(self, sent: SampleBlock) -> None:
         """Take the rows in which any axis has a reading."""
@@ -267,19 +245,32 @@ class _Unchanged:
         changed = (readings != before) & ~(np.isnan(readings) & np.isnan(before))
         terms = np.column_stack([np.ones(len(changed)), changed])
         time_ns, segment = sent["device_time_ns"][there], sent["segment"][there]
+        number = time_ns // UNCHANGED_NS
+        edges = np.flatnonzero((np.diff(number) != 0) | (np.diff(segment) != 0)) + 1
+        for begin, end in pairwise([0, *edges.tolist(), len(number)]):
+            now = int(segment[begin]), int(number[begin])
+            if now != self._at:
+                if self._at is not None:
+                    self._end(before[begin])
+                self._at, self._began_ns, self._sums = now, int(time_ns[begin]), np.zeros(4)
+            self._latest_ns = int(time_ns[end - 1])
+            self._sums += terms[begin:end].sum(axis=0)
+
+    def _end(self, readings: FloatArray) -> None:
+        """End a window, whose last readings are given, (3,)."""
+        count, *changes = self._sums.tolist()
+        frequent = AT_AN_EDGE * count + BEYOND_CHANCE * count**0.5
+        if self._latest_ns - self._began_ns < 0.95 * UNCHANGED_NS or max(changes) <= frequent:
+            return
         names, unit = [f"{self._sensor}_{axis}" for axis in "xyz"], RANGES[f"{self._sensor}_"][2]
-        for row, began_ns, latest_ns, (count, *changes) in self._windows.ended(time_ns, segment, terms):
-            frequent = AT_AN_EDGE * count + BEYOND_CHANCE * count**0.5
-            if latest_ns - began_ns < 0.95 * UNCHANGED_NS or max(changes) <= frequent:
-                continue
-            since = f"for {UNCHANGED_NS * 1e-9:g} s and more, since {began_ns * 1e-9:.3f} s of device time"
-            beside = f"{since}, while {names[int(np.argmax(changes))]} changes"
-            for name, value, changed in zip(names, before[row].tolist(), changes, strict=True):
-                text = f"reads {value:g} {unit} without any change {beside}: it is stuck, or too coarse"
-                if np.isnan(value):
-                    text = f"reads nothing {beside}: it is dead"
-                if not changed:
-                    self.found.setdefault(name, f"{name} {text}")
+        since = f"for {UNCHANGED_NS * 1e-9:g} s and more, since {self._began_ns * 1e-9:.3f} s of device time"
+        beside = f"{since}, while {names[int(np.argmax(changes))]} changes"
+        for name, value, changed in zip(names, readings.tolist(), changes, strict=True):
+            text = f"reads {value:g} {unit} without any change {beside}: it is stuck, or too coarse"
+            if np.isnan(value):
+                text = f"reads nothing {beside}: it is dead"
+            if not changed:
+                self.found.setdefault(name, f"{name} {text}")
 
 
 class _Clock:
@@ -331,30 +322,43 @@ def rate_doubts(rate_hz: float) -> list[str]:
 
 
 class SpecificForce:
-    """Tests the magnitude of the specific force minute by minute, whatever the division into blocks."""
+    """Tests the magnitude of the specific force of all samples, whatever the division into blocks."""
 
     def __init__(self) -> None:
-        self._minutes = _Windows(MINUTE_NS)
-        """Readings that are below `GRAVITIES`, above, and all; and the sum of those beyond, in g."""
-        self._beyond = 0
-        """Minutes in a row most of which was below, or above: negative where below."""
-        self.found: str | None = None
-        """The warning, once it is certain."""
+        self._beyond = self._readings = 0
+        """Readings beyond `GRAVITIES`, and all."""
+        self._sum, self._span_ns = 0.0, 0
+        """Sum of all, in g, and the time in which they came, without gaps."""
+        self._last_ns = np.zeros(0, np.int64)
 
     def look(self, block: SampleBlock) -> None:
-        """Take samples, with what is left out of them missing, where they have a time."""
-        accel = block.accel
-        if self.found is not None or accel is None or "device_time_ns" not in block:
+        """Take samples, with what is left out of them missing."""
+        if (accel := block.accel) is None:
             return
-        magnitude = np.sqrt(np.einsum("ij,ij->i", accel, accel)) / STANDARD_GRAVITY
-        there = np.isfinite(magnitude) & (block["device_time_ns"] != NO_INT)
-        force = magnitude[there]
-        low, high = force < GRAVITIES[0], force > GRAVITIES[1]
-        terms = np.column_stack([low, high, np.ones(len(force)), np.where(low | high, force, 0.0)])
-        time_ns, segment = block["device_time_ns"][there], block["segment"][there]
-        for *_, (below, above, count, total) in self._minutes.ended(time_ns, segment, terms):
-            way = -1 if 2 * below > count else 1 if 2 * above > count else 0
-            self._beyond = way + (self._beyond if way * self._beyond > 0 else 0)
-            if abs(self._beyond) >= MINUTES and self.found is None:
-                what = f"the specific force is {total / (below + above):.2g} times gravity for minutes"
-                self.found = f"{what}, which no vehicle on earth bears: is its unit right?"
+        with np.errstate(over="ignore"):
+            force = np.sqrt(np.einsum("ij,ij->i", accel, accel)) / STANDARD_GRAVITY
+            there = ~np.isnan(force)
+            self._sum += float(force[there].sum())
+        self._readings += int(there.sum())
+        self._beyond += int(((force < GRAVITIES[0]) | (force > GRAVITIES[1])).sum())
+        if "device_time_ns" in block:
+            time_ns = np.append(self._last_ns, block["device_time_ns"][there])
+            self._span_ns += int(np.clip(np.diff(time_ns), 0, 10**9).sum())
+            self._last_ns = time_ns[-1:]
+
+    def through(self, blocks: Iterable[SampleBlock]) -> Iterator[SampleBlock]:
+        """Take samples on their way, without their times, which a table of others may lack."""
+        for block in blocks:
+            self.look(SampleBlock({name: block[name] for name in block.columns if name.startswith("accel_")}))
+            yield block
+
+    def doubt(self, least_s: float = 0.0) -> str | None:
+        """Return the warning where most readings are of no motion and span so many seconds."""
+        beyond, n = self._beyond, self._readings
+        if n < LEAST_READINGS or beyond <= BEYOND * n or self._span_ns < 1e9 * least_s:
+            return None
+        seen = f"{beyond / n:.0%} of the specific force readings are not within {GRAVITIES[0]:g} to"
+        seen += f" {GRAVITIES[1]:g} times gravity but {self._sum / n:.2g} in the mean"
+        return (
+            f"{seen}: are byte order, scale and unit right in the device file or map?  Else it fell or spun"
+        )

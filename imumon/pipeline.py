@@ -19,7 +19,7 @@ from imumon.charts import Chart
 from imumon.clock import DeviceClock, HostClock
 from imumon.clock.checks import Intervals, NominalRate, Repeats
 from imumon.clock.side import HeldReadings, SharedCounter, SideClock
-from imumon.columns import KNOWN, TIME_COLUMNS, Column
+from imumon.columns import KNOWN, TIME_COLUMNS, Column, mistyped
 from imumon.errors import bad_config
 from imumon.intake import Intake
 from imumon.lane import LaneState
@@ -41,6 +41,7 @@ UNDATED = NO_INT
 class PipelineCounters(Counters):
     """What became of every byte and packet, and of values (`left_out`); the keys of ``--json``."""
 
+    packets_counted: bool = False
     counter_gaps: int = 0
     packets_missing: int = 0
     clock_restarts: int = 0
@@ -102,7 +103,8 @@ class Pipeline:
         self._nominal = NominalRate(self._device_clock.timing.rate_hz, given)
         self._repeats = Repeats()
         self._ended = False
-        self._remarks, self._reported = remarks, set[str]()
+        named = sorted(sent) if device is not None and device.protocol.startswith(("fixed", "text")) else []
+        self._remarks, self._reported = [*remarks, *mistyped(named)], set[str]()
         self._samples = 0
         self._ready: list[SampleBlock] = []
         groups = self._decoder.groups if self._decoder is not None else None
@@ -167,6 +169,7 @@ class Pipeline:
             )
         return PipelineCounters(
             **asdict(raw),
+            packets_counted=self._device_clock.packets_counted,
             counter_gaps=self._device_clock.counter_gaps,
             packets_missing=self._device_clock.packets_missing,
             clock_restarts=self._device_clock.resets,

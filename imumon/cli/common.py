@@ -97,8 +97,6 @@ model_option = click.option(
 )
 serial_option = click.option("--serial", help="Serial number of the unit, for the catalog.")
 columns_option = click.option("--columns", help="Columns of the table, separated by commas; default: all.")
-
-
 window_option = click.option(
     "--window",
     default=30,
@@ -239,7 +237,7 @@ def is_terminal() -> bool:
 View = Literal["native", "web", "terminal", "none"]
 
 
-def chosen_view(view: View | None, bind: str) -> View:
+def chosen_view(view: View | None, bind: str = "127.0.0.1") -> View:
     """Return where the view is to be shown, and report what stands against it.
 
     Raises BAD_CONFIG where a view is to be drawn in a terminal and there is none, or served on an address

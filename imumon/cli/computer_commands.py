@@ -169,7 +169,7 @@ def detect(
     not packets of any device that was tried.
     """
     from imumon.protocols.device import device_names, load_device
-    from imumon.transport.detect import Verdict, baudrates_to_try, failure
+    from imumon.transport.detect import HEADER_BYTES, WRONG_CHECKSUM, Verdict, baudrates_to_try, failure
     from imumon.transport.detect import detect as try_devices
 
     if proposed is not None:
@@ -210,6 +210,9 @@ def detect(
         for item in fit:
             rate = f" --baud {item.baudrate}" if item.baudrate is not None else ""
             common.show(f"\n{item.protocol}: imumon monitor {port} --device {item.protocol}{rate}")
+        near = max(evidence, key=lambda item: item.checksum_errors)
+        if not near.packets and near.checksum_errors * HEADER_BYTES > near.bytes_received:
+            common.show(f"\n{near.protocol}: {near.checksum_errors:,} right headers: {WRONG_CHECKSUM}")
         if proposal:
             common.show(f"\nno device file describes what came; this one may:\n\n{proposal}")
     if wrong is None:
@@ -218,7 +221,7 @@ def detect(
         raise wrong
     if proposed is not None:
         write_text(proposed, proposal)
-    file = proposed or "FILE"
+    file = proposed or "FILE, which --propose FILE writes"
     common.note(f"no known device: complete the proposed file, then: imumon monitor {port} --device {file}")
     return EXIT_PORT
 
@@ -245,8 +248,10 @@ def _propose(received: dict[int | None, bytearray], evidence: "list[Evidence]") 
     if any(item.verdict is Verdict.PARTLY for item in evidence):
         return None  # a known device whose bytes are damaged
     seconds = {item.baudrate: item.seconds for item in evidence}
-    tried = [binary_proposal.propose(bytes(received[rate]), s, rate) for rate, s in seconds.items()]
-    found = max((one for one in tried if one is not None), key=lambda one: one[:2], default=None)
+    pairs = [(rate, bytes(data)) for rate, data in received.items() if rate in seconds]
+    tried = [binary_proposal.propose(data, seconds[rate], rate) for rate, data in pairs]
+    fits = (one for one in tried if one is not None)  # without a line all do: the first tried is usual
+    found = max(fits, key=lambda one: (one.checked, one.checked or one.covered), default=None)
     return found.text if found is not None else None
 
 

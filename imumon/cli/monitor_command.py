@@ -190,9 +190,10 @@ def status_line(progress: "Progress") -> str:
     """Return the one line that a terminal shows while recording."""
     counters = progress.counters
     load = "" if progress.link_load is None else f"  link {progress.link_load:.0%}"
+    lost = f"{'lost' if counters.packets_counted else 'damaged'} {counters.lost:,}"
     return (
         f"{progress.port or 'opening':7} {progress.elapsed_s:7.1f} s  {counters.packets:,} packets "
-        f"{progress.packets_per_s:.1f}/s{load}  lost {counters.lost:,}  skipped {counters.bytes_skipped:,} B"
+        f"{progress.packets_per_s:.1f}/s{load}  {lost}  skipped {counters.bytes_skipped:,} B"
     )
 
 
@@ -212,5 +213,5 @@ def _rows(summary: "LiveSummary", progress: "Progress", views: _Views) -> dict[s
     if views.dropped:
         rows["view"] = f"{views.dropped:,} items were not shown; the recording has them"
     rows["session"] = str(summary.session)
-    rows["replay"] = f"imumon replay {shlex.quote(str(summary.session))} --view native"
+    rows["replay"] = f"imumon replay {shlex.quote(str(summary.session))} --view {common.chosen_view(None)}"
     return rows

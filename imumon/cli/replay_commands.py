@@ -93,7 +93,7 @@ def replay(
     from imumon.pipeline import Digest
     from imumon.recordings.exports import Exported, export_run
     from imumon.recordings.folder import open_session
-    from imumon.recordings.source import open_source
+    from imumon.recordings.source import no_samples, open_source
     from imumon.run.narration import Narrator, describe_losses, describe_streams, view_setup
     from imumon.run.replay import Comparison, compare_with_live, digested, replay
     from imumon.run.stages import pipeline_of, smoothed
@@ -131,6 +131,9 @@ def replay(
     if not smooth and rate is None:
         comparison = compare_with_live(opened, setup, digest, pipeline)
     texts = [*source.warnings(), *pipeline.warnings()]
+    if pipeline.counters.bytes_received and not pipeline.counters.streams:
+        what = no_samples(source, pipeline).seen
+        texts.append(f"{what}: is it another device?  Try: imumon decode SESSION --device NAME --out TABLE")
     if setup.bias_model is not None:
         texts.insert(0, setup.bias_model.of_another(opened.metadata.serial, opened.metadata.axes))
     common.warn(filter(None, texts))

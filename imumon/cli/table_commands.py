@@ -44,22 +44,23 @@ def _write_table(
     file: Path, device: str | None, rate: float | None, out: Path, columns: str | None, as_json: bool
 ) -> None:
     """Decode a capture or a session into a table, and report what came."""
+    from imumon.intake import SpecificForce
     from imumon.pipeline import Pipeline
     from imumon.recordings.exports import export_run
     from imumon.recordings.source import open_source, run_over
-    from imumon.run.account import Doubts
+    from imumon.run.account import doubts
     from imumon.run.narration import describe_losses, describe_streams
 
     source = open_source(file, device, rate)
     source.refuse_output(out)
     pipeline, sender, session = Pipeline(source.device), source.device, source.session
     named = {"file": source.path, "session": session and session.path, "device": sender and sender.name}
-    doubts = Doubts(sender is not None and sender.protocol.startswith("fixed"))
+    described, force = sender is not None and sender.protocol.startswith("fixed"), SpecificForce()
     with reading_bar([file], quiet=as_json) as progress:
-        blocks = doubts.through(run_over(source.items, pipeline, progress.count))
+        blocks = force.through(run_over(source.items, pipeline, progress.count))
         exported = export_run(blocks, pipeline, source, out, common.split_columns(columns))
     counters = pipeline.counters
-    doubtful = doubts.found(counters)
+    doubtful = doubts(described, counters, force)
     common.warn([*source.warnings(), *pipeline.warnings(), *exported.warnings, *doubtful])
     for notice in pipeline.notices():
         common.log("INFO", f"device: {notice}")

@@ -118,7 +118,8 @@ class NominalRate:
         measured = self.measured_hz
         if self._rate_hz is None or self._reported or (measured is None and (not ended or self._given)):
             return []
-        text = "and nothing shows whether they came at it: if they did not, give --rate HZ"
+        text = f"and nothing shows whether they came at it, as {MEASURED_S:g} s of arrivals would"
+        text += ": if they did not, decode or replay with --rate HZ, or set rate_hz in the device file"
         if measured is not None:
             # The packets at either end may have waited for as long as the longest time without a read.
             allowed_s = self._arrived_s / RATE_STEADINESS + 2.0 * self._latest_s

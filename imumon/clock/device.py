@@ -137,6 +137,11 @@ class DeviceClock:
         return DATED_BY[int(self._state.source)]
 
     @property
+    def packets_counted(self) -> bool:
+        """Whether a packet counter has come, by which it is known how many packets are missing."""
+        return int(self._state.raw_counter) != NO_INT
+
+    @property
     def counter_gaps(self) -> int:
         """Times that the packet counter skipped values."""
         return int(self._state.gaps)

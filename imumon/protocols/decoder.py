@@ -35,6 +35,7 @@ class Decoder:
         packets; None where each packet is a row.
     `possible`: all columns that may come.
     `layouts`: what packets of each kind carry, where their kind alone states it.
+    `remarks`: on the device file, for `warnings`.
     """
 
     def __init__(
@@ -44,12 +45,13 @@ class Decoder:
         groups: Groups | None,
         possible: Iterable[Column] = (),
         layouts: Sequence[Record] = (),
+        remarks: Sequence[str] = (),
     ) -> None:
         self.timing, self.groups = timing, groups
         self._frames = tuple(frames)
         self._done: list[Packets] = []
         self._reported = set[str]()
-        self._notices, self._warnings = list[str](), list[str]()
+        self._notices, self._warnings = list[str](), [*remarks]
         self._parts: list[bytes] = []
         self._waiting = 0  # bytes in the parts
         self._rest = b""  # searched, and still part of what may become a packet

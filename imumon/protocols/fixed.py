@@ -1,9 +1,10 @@
 """Devices that send packets of fixed lengths, which their files describe alone: decoder and encoder."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from fractions import Fraction
 from functools import partial
+from itertools import pairwise
 from typing import Annotated, Literal, Self
 
 import numpy as np
@@ -268,7 +269,17 @@ def fixed_decoder(name: str, packets: Sequence[Packet], rate_hz: float | None) -
     timing = timing_of([field for packet in packets[::-1] for field in packet.fields], rate_hz)
     layouts = [Record(packet.numbers) for packet in packets]
     groups = Groups.of([layout.of_column for layout in layouts]) if len(packets) > 1 else None
-    return Decoder(frames, timing, groups, layouts=layouts)
+    return Decoder(frames, timing, groups, layouts=layouts, remarks=[*_overlaps(packets)])
+
+
+def _overlaps(packets: Sequence[Packet]) -> Iterator[str]:
+    """Yield a warning for fields that share bytes; bits, and what is only in some packets, may do so."""
+    for packet in packets:
+        whole = sorted((f for f in packet.fields if not (f.mask or f.when)), key=lambda f: f.at)
+        for a, b in pairwise(whole):
+            if b.at < a.end:
+                both = f"{', '.join(a.names)} and {', '.join(b.names)} share byte {b.at} of a packet"
+                yield f"{both}: is `at` right in the device file?"
 
 
 def _length(packet: Packet, held: ByteArray, at: IntArray) -> IntArray:

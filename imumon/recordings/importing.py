@@ -16,7 +16,7 @@ from imumon.columns import KNOWN, Column
 from imumon.config import parse_yaml
 from imumon.errors import bad_config, bad_data
 from imumon.files import read_text
-from imumon.intake import SpecificForce, rate_doubts
+from imumon.intake import LEAST_S, SpecificForce, rate_doubts
 from imumon.recordings import folder
 from imumon.recordings.foreign import BadRow, Part, read_foreign
 from imumon.recordings.map import TableMap
@@ -153,8 +153,7 @@ class TableImport:
                 for source, values in zip(self.map.sources(), part.values, strict=True):
                     columns[source.target] = source.unit.convert(values)
                 block = SampleBlock(columns)
-                with np.errstate(over="ignore"):
-                    self._force.look(block)
+                self._force.look(block)
                 yield block
         if self._listed and strict:
             shown = [f"{self.table}:{row.line}: {row.why}: {row.text!r}" for row in self._listed]
@@ -173,7 +172,7 @@ class TableImport:
         inertial = self.map.gyro is not None or self.map.accel is not None
         rate_hz = self.map.rate_hz or self._intervals.rate_hz or math.nan
         doubts = [_NO_RATE] if self._rows_good > self._segment + 1 and math.isnan(rate_hz) else []
-        doubts += [*(rate_doubts(rate_hz) if inertial else ()), *filter(None, [self._force.found])]
+        doubts += [*(rate_doubts(rate_hz) if inertial else ()), *filter(None, [self._force.doubt(LEAST_S)])]
         used = {"", *(source.column for source in self.map.sources())}
         used |= {self.map.time.column} if self.map.time else set()
         return ImportReport(

@@ -5,11 +5,8 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
 
-import numpy as np
-
 from imumon.blocks import SampleBlock
-from imumon.geodesy import STANDARD_GRAVITY
-from imumon.intake import GRAVITIES
+from imumon.intake import SpecificForce
 from imumon.pipeline import PipelineCounters
 from imumon.recordings.wire_reader import WireReader
 from imumon.run.marks import KINDS
@@ -17,15 +14,10 @@ from imumon.transport.reader import Bytes, Event, EventKind, Item, Reads
 
 BEGINS = {EventKind.SILENT: "silent", EventKind.LOST: "lost"}
 ENDS = {EventKind.OPENED, EventKind.RESUMED}
-LEAST_ROWS = 50
-"""Fewer are no evidence about a device file: the unit may have been dropped."""
 SKIPPED = 0.25
 """Share of the bytes in no packet.  A length that is wrong by a byte loses every second packet."""
-
 NAMED = 20
 """Outages that are named one by one."""
-BEYOND = 0.5
-"""Share of the specific forces beyond `GRAVITIES`; of those with swapped bytes nearly all are."""
 
 
 @dataclass(slots=True)
@@ -119,40 +111,16 @@ def describe_disk(folder: Path) -> str:
     return f"{decimal(sum(sizes.values()))}: {named}"
 
 
-class Doubts:
-    """What contradicts the device file in a capture that was decoded with it.
+def doubts(described: bool, counters: PipelineCounters, force: SpecificForce) -> list[str]:
+    """Return what contradicts the device file in a capture, each with its likely cause.
 
     `described` is whether the device file states how long a packet is and where its checksum stands.
     """
-
-    def __init__(self, described: bool) -> None:
-        self._described = described
-        self._beyond = self._rows = 0
-        """Rows with a specific force beyond `GRAVITIES`, and with any."""
-
-    def through(self, blocks: Iterable[SampleBlock]) -> Iterator[SampleBlock]:
-        """Yield the blocks as they are."""
-        for block in blocks:
-            if (accel := block.accel) is not None:
-                with np.errstate(over="ignore"):
-                    force = np.sqrt((accel**2).sum(axis=1)) / STANDARD_GRAVITY
-                self._beyond += int(((force < GRAVITIES[0]) | (force > GRAVITIES[1])).sum())
-                self._rows += int((~np.isnan(force)).sum())
-            yield block
-
-    def found(self, counters: PipelineCounters) -> list[str]:
-        """Return the warnings, each with its likely cause; nothing where all fits the device file."""
-        texts = []
-        skipped, received = counters.bytes_skipped, counters.bytes_received
-        if self._described and skipped > SKIPPED * received:
-            texts.append(
-                f"{skipped / received:.0%} of the bytes are in no packet: are length and checksum of it right"
-                " in the device file?  Else the line is damaged, or something else sends on it"
-            )
-        if self._rows >= LEAST_ROWS and self._beyond > BEYOND * self._rows:
-            low, high = GRAVITIES
-            texts.append(
-                f"{self._beyond / self._rows:.0%} of the specific force readings are not within {low:g} to"
-                f" {high:g} times gravity: are byte order, scale and unit right in the device file?"
-            )
-        return texts
+    skipped, received = counters.bytes_skipped, counters.bytes_received
+    texts = [*filter(None, [force.doubt()])]
+    if described and skipped > SKIPPED * received:
+        what = f"{skipped / received:.0%} of the bytes are in no packet: are length and checksum of it right"
+        texts.insert(
+            0, f"{what} in the device file?  Else the line is damaged, or something else sends on it"
+        )
+    return texts

@@ -34,6 +34,7 @@ from imumon.run.marks import Marks, append_request
 from imumon.run.narration import Narrator, Publish, Report
 from imumon.run.setup import Setup
 from imumon.run.stages import estimators, pipeline_of
+from imumon.transport.detect import HEADER_BYTES, WRONG_CHECKSUM
 from imumon.transport.reader import SILENT_AFTER_S, Bytes, Clock, Event, EventKind, Item, Reader, Reads, Sink
 from imumon.transport.settings import PortSettings
 
@@ -42,7 +43,6 @@ BATCH_S = 0.08
 of what a batch costs does not depend on its length."""
 TICK_S = 0.5
 """How often rates, lanes and the status card are renewed."""
-
 SILENT_AFTER_PACKETS = 3
 """A device that sends less often than once a second is silent after the time of so many packets."""
 
@@ -350,7 +350,7 @@ def arrived(items: SimpleQueue[Item]) -> Iterator[Reads | Event]:
 
 def summary_of(counters: PipelineCounters, unrecorded: int | None = None) -> dict[str, Any]:
     """Return what session.yaml has of counters and streams; `unrecorded` bytes once it is known how many."""
-    flat = {name: value for name, value in counters.as_dict().items() if isinstance(value, int)}
+    flat = {name: value for name, value in counters.as_dict().items() if type(value) is int}
     flat |= {f"packets_by_type.{name}": count for name, count in counters.packets_by_type.items()}
     if unrecorded is not None:
         flat["bytes_unrecorded"] = unrecorded
@@ -379,4 +379,6 @@ def nothing_decoded(
             f"{device.name} ({counters.checksum_errors} with the right header but a wrong checksum)"
         )
         hint = f"wrong baud rate or device?  Try: imumon detect {settings.url}"
+        if counters.checksum_errors * HEADER_BYTES > counters.bytes_received:
+            hint = f"{WRONG_CHECKSUM}  What fits: imumon detect {settings.url} --device FILE"
     return ImumonError(reason, what, hint)

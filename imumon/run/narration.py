@@ -13,6 +13,7 @@ from imumon.blocks import NO_INT, SampleBlock
 from imumon.harmless import for_log
 from imumon.lane import LaneState, Level
 from imumon.pipeline import Pipeline, PipelineCounters
+from imumon.protocols.base import MAIN
 from imumon.recordings.folder import Session
 from imumon.transport.reader import Event, EventKind, Reads
 from imumon.transport.settings import PortSettings
@@ -323,8 +324,12 @@ def describe_streams(counters: PipelineCounters, tables: Mapping[str, Path]) -> 
 
 
 def describe_losses(counters: PipelineCounters) -> str:
-    """Return what was lost, in one phrase."""
+    """Return what was lost, in one phrase; without a packet counter that is not known."""
+    packets = f"{counters.packets_missing:,} packets in {counters.counter_gaps:,} gaps"
+    if not counters.packets_counted:
+        main = counters.streams.get(MAIN)
+        gaps = f", {main.gaps:,} gaps by its clock" if main and main.dated_by == "clock" else ""
+        packets = f"not known, as no packet_counter came{gaps}"
     return (
-        f"{counters.packets_missing:,} packets in {counters.counter_gaps:,} gaps, "
-        f"{counters.checksum_errors:,} checksum errors, {counters.length_errors:,} length errors"
+        f"{packets}, {counters.checksum_errors:,} checksum errors, {counters.length_errors:,} length errors"
     )

@@ -27,12 +27,12 @@ TRIED_BYTES = 2048
 ENOUGH_TEXT = 100
 MOSTLY_TEXT = 0.95
 """Share of printable bytes from which a stream is text: at a wrong rate a third of all bytes is."""
+HEADER_BYTES, WRONG_CHECKSUM = 200, "is its checksum, or its length, another than in the device file?"
+"""One right header in so many bytes is no chance: of other bytes one in 256 is a first byte."""
 SILENT_RATES = 3
 """After so many rates without a byte it is silent: a wrong rate garbles bytes, it does not stop them."""
 POLL_S = 0.05
 TEXT, ODD = b"\t\r\n" + bytes(range(0x20, 0x7F)), b"\x00\xff"
-
-
 Candidate = Any
 """A decoder (`imumon.protocols.decoder.Decoder`): has `feed`, `finish`, `take` and `counters`."""
 
@@ -163,7 +163,9 @@ def listen(
     samples = dict.fromkeys(decoders, 0)
     elapsed = 0.0
     with open_port(settings) as port:
-        start = time.monotonic()
+        start = time.monotonic() + (POLL_S if settings.has_line else 0.0)
+        while time.monotonic() < start:  # what has waited is of no rate
+            port.read(POLL_S)
         while elapsed < seconds and not (
             _has_plenty(decoders.values()) or (others and _is_foreign(decoders.values(), data))
         ):

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from imumon.blocks import SampleBlock
+from imumon.intake import SpecificForce
 from imumon.pipeline import Pipeline
 from imumon.protocols.device import device_text, load_device
-from imumon.run.account import Doubts
+from imumon.run.account import doubts
 from imumon.simulation.unit import SimulatedUnit, load_scenario
 from tests.cli.command import answer, imumon
 
@@ -68,9 +69,9 @@ def test_floats_with_swapped_bytes_are_doubted() -> None:
     with np.errstate(invalid="ignore"):  # some are signalling NaN
         swapped = values.astype(np.float64)
     block = SampleBlock({f"accel_{axis}": each for axis, each in zip("xyz", swapped, strict=True)})
-    doubts = Doubts(described=True)
-    assert [*doubts.through([block])] == [block]
-    (doubt,) = doubts.found(Pipeline(None).counters)
+    force = SpecificForce()
+    assert [*force.through([block])] == [block]
+    (doubt,) = doubts(True, Pipeline(None).counters, force)
     assert "of the specific force readings are not within 0.3 to 3 times gravity" in doubt
 
 

@@ -489,7 +489,7 @@ def test_a_force_that_is_not_gravity_is_reported_with_its_unit(
     table = "t,x,y,z\n" + "".join(f"{second},0,0.01,1\n" for second in range(300)) + "301,0,0,1e300\n"
     text = f"time: {{column: t, unit: s}}\naccel: {{columns: [x, y, z], unit: {unit}}}\n"
     report, _ = run(tmp_path, table, text)
-    assert any("is its unit right?" in warning for warning in report.warnings) is reported
+    assert any("scale and unit right" in warning for warning in report.warnings) is reported
 
 
 def test_decimal_commas(tmp_path: Path) -> None:

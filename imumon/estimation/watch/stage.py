@@ -213,7 +213,8 @@ class ModelWatch:
             reason = interpret(self._state.peaks, self._modelled)[0]
             return {"model": LaneState(f"MODEL SUSPECT: {reason}", Level.BAD)}
         if self._state.slots < LEARNING + BLOCK:
-            return {"model": LaneState("waiting for rest", Level.WAIT)}
+            none = "" if self._modelled else "no model; "
+            return {"model": LaneState(f"{none}waiting for rest", Level.WAIT)}
         if not self._modelled:
             return {"model": LaneState("no model; innovations as expected")}
         return {"model": LaneState("MODEL OK", Level.GOOD)}

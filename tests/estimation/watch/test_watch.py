@@ -136,6 +136,7 @@ def test_a_restart_of_the_device_clears_the_suspicion() -> None:
     )
     watch = ModelWatch(modelled=True)
     assert texts(watch) == {"model": "waiting for rest"}
+    assert texts(ModelWatch()) == {"model": "no model; waiting for rest"}
     suspect = watch.process(block)["model_suspect"]
     first = int(np.argmax(suspect))
     assert seconds[first] < 1000.0
