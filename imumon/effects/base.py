@@ -58,7 +58,7 @@ class Drive:
     def of(self, driver: str) -> FloatArray:
         """Return what drives an effect, (n,), or the specific force, (n, 3).
 
-        Raises ValueError where that is not recorded.
+        Raises ValueError or KeyError where that is not recorded.
         """
         if driver == ACCEL:
             if self.accel is None:
@@ -273,7 +273,7 @@ class Effect(StrictModel):
     # Once it is fitted
 
     def with_start(self, start: FloatArray) -> Self:  # noqa: ARG002 - for those with memory
-        """Return it as sure of its start as the coefficients of `start_columns` in each run are alike."""
+        """Return it with the sd of its start that the coefficients of `start_columns` in each run show."""
         return self
 
     def polynomial(self) -> Polynomial | None:

@@ -60,7 +60,7 @@ class Follower(ScaledEffect):
 
     @classmethod
     def of_curve(cls, survey: Survey) -> list[Self]:
-        """Return those of at least the declared powers; none for one run that went one way only."""
+        """Return those of at least the declared powers; none for one run with fewer than two turns."""
         every = [max(survey.degree, 1) + more for more in (0, *MORE_DEGREES)]
         orders = [order for order in every if order <= HIGHEST_ORDER]
         linear = [one for one in cls.grid(survey) if one.order == 1] if may_sum(survey, 2) else []
@@ -136,7 +136,7 @@ class ThermalLag(Follower):
         return Memory(0.0, first, low), Memory(0.0, first, high)
 
     def with_start(self, start: FloatArray) -> Self:
-        """Return it with the rms of the starts in training as `start_sd`: 1 °C, or what it was, at least."""
+        """Return it with the rms of the starts in training as `start_sd`, at least 1 °C or what it was."""
         if not start.size or not self.coefficients[0]:
             return self
         rms = float(np.sqrt(np.mean(start**2))) * self.start_sd / abs(self.coefficients[0])

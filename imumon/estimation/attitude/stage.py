@@ -23,7 +23,7 @@ ONE_TURN = np.eye(1, 9)[0]
 TEXT = {part: f"attitude, body to east-north-up, {part}" for part in "wxyz"} | {
     "roll": "estimated roll",
     "pitch": "estimated pitch",
-    "tilt_sd": "standard deviation of pitch, and of roll over cos(pitch)",
+    "tilt_sd": "standard deviation of pitch; that of roll is this over cos(pitch)",
     "heading": "of the body x axis, clockwise from magnetic north; relative: from where it begins",
     "heading_sd": "its standard deviation; of its change since then where it is relative",
 }

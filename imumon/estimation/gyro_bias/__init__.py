@@ -1,1 +1,1 @@
-"""Bias of each gyro: updates at rest, temperature in between; read `rest` first."""
+"""Bias of each gyro: updates at rest, temperature in between; read `imumon.estimation.rest` first."""

@@ -19,7 +19,7 @@ rad/s: σg² = B² ln(τ3/τ2) / π: flicker has a variance of B² ln(ratio) / �
 
 Modes
 -----
-Five are fixed, flicker of four corners or a walk: static multiple models (Bar-Shalom et al., 2001, 11.6.2).
+Five of the noise (one if declared) times those of the slope: static multiple models (Bar-Shalom, 2001, 11.6).
 White noise σ², (rad/s)² (of the mean of a second), is not known (West & Harrison, 1997, ch. 4): each filter
 has its mean x, its covariance P over σ², and of σ² an inverse-gamma posterior IG(a, β).  Gains do not depend
 on σ², and S here is the innovation covariance over σ².  The predictive density of a measurement is Student's

@@ -21,6 +21,7 @@ from imumon.estimation.rest import odds
 from imumon.estimation.rest.parameters import GyroBiasParameters, RestParameters
 from imumon.estimation.rest.quiet import QUIET_TOO_SHORT, SECOND_SLOTS, QuietDetector
 from imumon.estimation.rest.slots import ACCEL, DEGC, GYRO, HEADING, MODELLED, POWER_ON_SD, Measurement, Slot
+from imumon.filters.turns import STILL
 from imumon.geodesy import EARTH_RATE, STANDARD_GRAVITY
 
 SECOND_S = 1.0 - 1e-6
@@ -203,7 +204,10 @@ class Estimator:
             return np.full(3, np.nan)
         innovation, variance = hypotheses.shown.prediction.innovation(now)
         parts = (self._measurement([slot]) for slot in slots)
-        self.jumps += hypotheses.decide(now, parts, self._accel_noise())
+        jumped = hypotheses.decide(now, parts, self._accel_noise())
+        self.jumps += jumped
+        if jumped:  # what seemed to be a turn was the bias
+            self.attitude.turn = STILL
         if hypotheses.began_turning and hypotheses.changes:  # another rate contradicts the first: begin anew
             self.quiet.restart()
             self._interrupt()

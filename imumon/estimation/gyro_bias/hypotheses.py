@@ -1,7 +1,7 @@
 """The mean rate of a quiet second: the bias as before, a changed bias, or a turn?
 
-There are three copies of the filters.  The *present* one has learned everything up to now, the *test copy*
-until up to 16 s ago, the *nominal* one until a change that may be a turn.  The first row that holds decides:
+Of three copies of the filters the *present* one has learned everything up to now, the *test copy* up to 16 s
+ago, the *nominal* one up to 16 to 32 s ago or a change that may be a turn.  The first row that holds decides:
 
 =================  =================================  ================================================
 the mean fits      that is                            what follows

@@ -29,9 +29,9 @@ REST = (
 BIAS = (
     *vector_columns("gyro_bias", "rad/s", "bias of the raw rate"),
     *vector_columns("gyro_bias_sd", "rad/s", "standard deviation of the bias"),
-    *vector_columns("gyro_corrected", "rad/s", "angular rate less bias"),
+    *vector_columns("gyro_corrected", "rad/s", "angular rate minus bias"),
     *vector_columns(
-        "zupt_innovation", "1", "zero-velocity innovation over its standard deviation; missing between slots"
+        "zupt_innovation", "1", "zero-velocity innovation over its standard deviation; missing otherwise"
     ),
     *vector_columns(
         "gyro_random_error", "rad/s", "bias less the model's curve; the bias where there is no model"
@@ -69,7 +69,6 @@ class RestAndBias:
     """
 
     columns: Sequence[Column] = (*REST, *BIAS)
-    """The columns that `process` adds."""
 
     def __init__(
         self,
@@ -83,8 +82,7 @@ class RestAndBias:
         self._parameters, rest = parameters or GyroBiasParameters(), rest or RestParameters()
         slopes = (0.0, SLOPE_LEFT_PER_SIGMA if model else SLOPE_PER_SIGMA) if mode == "learned" else (0.0,)
         self._thermal = Thermal(model)
-        angles = latitude_deg, heading_deg
-        latitude, heading = (None if angle is None else math.radians(angle) for angle in angles)
+        latitude, heading = (None if a is None else math.radians(a) for a in (latitude_deg, heading_deg))
         attitude = Attitude(latitude, heading)
         self._estimator = Estimator(self._parameters, slopes, rest, self._thermal, attitude)
         self._timing = Timing()

@@ -34,7 +34,7 @@ class Thermal:
     def __init__(self, model: BiasModel | None) -> None:
         self._predictor = None if model is None else BiasPredictor(model, GYROS)
         columns = ["temperature"] * 3 if self._predictor is None else self._predictor.temperature_columns
-        self._sources = [_sources(name, axis) for name, axis in zip(columns, "xyz", strict=True)]
+        self._ends = [_ends(name, axis) for name, axis in zip(columns, "xyz", strict=True)]
         self._reference = np.full(3, np.nan)
         channels = [] if model is None else [model.channels[name] for name in GYROS]
         self._low, self._high = np.reshape([one.temperature_range_degc for one in channels], (-1, 2)).T
@@ -81,7 +81,7 @@ class Thermal:
 
         `behind` is the first row after it: what it knows of the rate (sd) holds, else `UNSEEN_RATE`.
         """
-        rate_sd = _first_of(behind, [[names[0].replace("estimate", "rate_sd")] for names in self._sources])[0]
+        rate_sd = _first_of(behind, self._ends, "_rate_sd")[0]
         unseen = np.where(np.isfinite(rate_sd), rate_sd, UNSEEN_RATE)
         return np.asarray(-UNTOLD_S * math.expm1(-gap_s / UNTOLD_S) * unseen)
 
@@ -92,10 +92,9 @@ class Thermal:
 
         The three are zero without a model; curve and sd are NaN before the first temperature.
         """
-        # The reading is a stopgap where the estimate has not begun; mixed with it, it would jump.
-        temperature = _first_of(block, self._sources)
-        sd = _first_of(block, [[names[0].replace("estimate", "estimate_sd")] for names in self._sources])
-        temperatures = np.stack([temperature, np.nan_to_num(sd)])
+        # The reading is used only where there is no estimate at all: mixed, both would jump.
+        temperature = _first_of(block, self._ends, "_estimate", "")
+        temperatures = np.stack([temperature, np.nan_to_num(_first_of(block, self._ends, "_estimate_sd"))])
         if self._predictor is None:
             return temperatures, np.zeros((3, len(block), 3))
         others = {name: block[name] for name in self._predictor.drivers if name in block}
@@ -114,15 +113,15 @@ class Thermal:
         return temperatures, np.stack([total, curve, np.where(known, predicted.start_sd, np.nan)])
 
 
-def _first_of(block: SampleBlock, sources: list[list[str]]) -> FloatArray:
-    """Return the first column of each list that a block has, (n, lists); NaN without one."""
-    return block.stacked([next((name for name in names if name in block), "") for names in sources])
+def _first_of(block: SampleBlock, ends: list[list[str]], *kinds: str) -> FloatArray:
+    """Return the first column of these kinds that a block has, for each list of ends, (n, 3); else NaN."""
+    names = [[f"temperature{kind}{end}" for kind in kinds for end in each] for each in ends]
+    return block.stacked([next((name for name in one if name in block), "") for one in names])
 
 
-def _sources(column: str, axis: str) -> list[str]:
-    suffix = column.removeprefix("temperature").removeprefix("_estimate")
-    suffixes = [suffix] if suffix else ["", f"_{axis}"]
-    return [f"temperature{kind}{end}" for kind in ("_estimate", "") for end in suffixes]
+def _ends(column: str, axis: str) -> list[str]:
+    end = column.removeprefix("temperature").removeprefix("_estimate")
+    return [end] if end else ["", f"_{axis}"]
 
 
 class BiasTrail:

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 
+from imumon.blocks import SampleBlock
 from imumon.estimation.gyro_bias.stage import RestAndBias
 from imumon.estimation.rest import odds
+from imumon.estimation.rest.parameters import RestParameters
 from imumon.estimation.rest.slots import Measurement
-from imumon.geodesy import EARTH_RATE
+from imumon.geodesy import EARTH_RATE, STANDARD_GRAVITY, earth_rate_along
 from tests.estimation.gyro_bias.records import GIVEN, LATITUDE_DEG, vector
 from tests.estimation.gyro_bias.test_poses import in_the_hand
 
@@ -43,6 +47,24 @@ def test_a_pose_that_comes_back_has_its_earth_rate_again() -> None:
         z = (vector(result, "gyro_bias") - bias) / vector(result, "gyro_bias_sd")
         known = np.flatnonzero((rest == 1) & np.isfinite(z).all(1))
         assert np.abs(z[known[known > ends[0]]]).max() < 5.0
+
+
+def test_a_jump_of_the_bias_that_was_taken_for_a_turn_does_not_turn_north() -> None:
+    t = np.arange(1, 4001) / 10.0
+    earth = earth_rate_along(np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0]), math.radians(LATITUDE_DEG))
+    jump = np.where(t > 120.0, math.radians(1000.0) / 3600.0, 0.0)
+    rng = np.random.default_rng(0)
+    gyro = earth + np.outer(jump, [0.0, 0.0, 1.0]) + 3e-6 * rng.standard_normal((len(t), 3))
+    accel = [0.0, 0.0, STANDARD_GRAVITY] + 2e-3 * rng.standard_normal((len(t), 3))
+    vectors = {"gyro": gyro, "accel": accel}
+    columns = {f"{name}_{axis}": of[:, j] for name, of in vectors.items() for j, axis in enumerate("xyz")}
+    time_ns = np.round(t * 1e9).astype(np.int64)
+    block = SampleBlock({"device_time_ns": time_ns, "segment": np.zeros(len(t), np.int64), **columns})
+    decided = RestParameters(undecided_s=60.0)
+    result = RestAndBias(latitude_deg=LATITUDE_DEG, heading_deg=0.0, rest=decided).process(block)
+    z = (vector(result, "gyro_bias") - np.outer(jump, [0.0, 0.0, 1.0])) / vector(result, "gyro_bias_sd")
+    assert result["at_rest"][-1] == 1
+    assert np.abs(z[t > 250.0]).max() < 4.0
 
 
 def test_a_heading_of_which_one_axis_is_missing_decides_nothing() -> None:

@@ -161,12 +161,15 @@ def test_a_quiet_gyro_is_followed_as_it_warms_up(arw_deg: float, slope_dph: floa
     assert np.abs(error / vector(added, "gyro_bias_sd")[known]).max() < 7.0
 
 
-def test_noise_of_the_thermometer_is_no_evidence_that_there_is_no_slope() -> None:
+@pytest.mark.parametrize("names", [["temperature"], [f"temperature_{axis}" for axis in "xyz"]])
+def test_noise_of_the_thermometer_is_no_evidence_that_there_is_no_slope(names: list[str]) -> None:
     t = np.arange(3600) / 10
     temperature = np.interp(t, [0, 300, 360], [25.0, 25.0, 27.0])
     block, bias = warming(temperature)
     noise = np.repeat(0.03 * np.random.default_rng(0).standard_normal(360), 10)
-    block = with_rest(block.with_columns({"temperature": temperature + noise}), t < 300.0)
+    every = {name: values for name, values in block.columns.items() if not name.startswith("temperature")}
+    block = SampleBlock(every | dict.fromkeys(names, temperature + noise))
+    block = with_rest(block, t < 300.0)
     block = block.with_columns(TemperatureRate().process(block))
     added = RestAndBias(GIVEN, mode="learned").process(block)
     off, sd = (vector(added) - bias)[-1], vector(added, "gyro_bias_sd")[-1]
