@@ -237,6 +237,7 @@ SITES, SPEED, TCZUPT = (
 )
 SOAK, JUMPED = "tutorials/soak.md", "../tests/estimation/smoothing/test_smoothing.py"
 SURPRISES = "../scripts/reproduce/field_surprises.py"
+WARMING = "../tests/estimation/gyro_bias/test_thermal.py"
 LEVEL_RATE = EARTH_RATE * math.cos(math.radians(36.0)) / DEG_PER_H
 """Horizontal earth rate at the latitude of the alignment's examples, °/h."""
 QUICK_TURN = "| rest | turn of 0.05 °/s for 10 min, begun in 0.5 s, 0° off the vertical, * "
@@ -392,6 +393,17 @@ ROWS: list[tuple[str, str, Numbers]] = [
         "| a turn without accelerometers ",
         [math.sqrt(2.0) * SENSITIVITY_SD * STANDARD_GRAVITY / DEG_PER_H],
     ),
+    (
+        "tczupt.md",
+        "| the temperature changes in motion",
+        [Source(WARMING, '("standard", 0.0, #)'), 2, Source(WARMING, "SLOPE = #")],
+    ),
+    (
+        "tczupt.md",
+        '| `RestAndBias(mode="learned")` in Python',
+        [Source(WARMING, '("learned", #, #), ("learned", #, #)')],
+    ),
+    ("tczupt.md", "| a model, between two rests out of its range ", []),
     ("tczupt.md", "| slow turns that are called rest ", []),
     # alignment
     (

@@ -174,3 +174,20 @@ def test_noise_of_the_thermometer_is_no_evidence_that_there_is_no_slope(names: l
     added = RestAndBias(GIVEN, mode="learned").process(block)
     off, sd = (vector(added) - bias)[-1], vector(added, "gyro_bias_sd")[-1]
     assert np.abs(off / sd).max() < 2.5
+
+
+@pytest.mark.parametrize(
+    ("mode", "noise_degc", "off_by_sigmas"),
+    [("standard", 0.0, 24.0), ("learned", 0.03, 7.0), ("learned", 0.1, 24.0)],
+)
+def test_the_limits_of_temperature_are_as_the_page_has_them(
+    mode: Mode, noise_degc: float, off_by_sigmas: float
+) -> None:
+    t = np.arange(20400) / 10
+    temperature = np.interp(t, [0, 1980, 2040], [25.0, 25.0, 27.0])
+    block, bias = warming(temperature)
+    noise = np.repeat(noise_degc * np.random.default_rng(0).standard_normal(2040), 10)
+    block = with_rest(block.with_columns({"temperature": temperature + noise}), t < 1980.0)
+    added = RestAndBias(GIVEN, mode=mode).process(block)
+    z = ((vector(added) - bias) / vector(added, "gyro_bias_sd"))[-1]
+    assert np.abs(z).max() == pytest.approx(off_by_sigmas, rel=0.25)
