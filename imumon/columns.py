@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from difflib import SequenceMatcher
+from difflib import get_close_matches
 from typing import Literal
 
 ColumnType = Literal["float64", "int64"]
@@ -59,6 +59,8 @@ TEMPERATURES = ("temperature", "temperature_x", "temperature_y", "temperature_z"
 """Readings of the thermometers: of the unit, or of each axis."""
 TIME_COLUMNS = ("device_time_ns", "arrival_time_ns", "host_time_ns", "segment", "packet_counter")
 """Columns that every decoded table begins with (where the source has them)."""
+ALIKE = 0.9
+"""Share of letters in common from which a name may be a slip: one too few of 5, or a wrong one of 10."""
 
 
 def mistyped(names: Iterable[str]) -> list[str]:
@@ -67,7 +69,6 @@ def mistyped(names: Iterable[str]) -> list[str]:
         f"column {name} is one of the device's own: if {known} is meant, correct the name in the device file"
         for name in names
         if name not in KNOWN and not name[-1].isdigit()
-        for known in KNOWN
-        if name[:-1] != known[:-1] and abs(len(name) - len(known)) <= 1
-        if SequenceMatcher(None, name, known).ratio() >= 1 - 1.01 / min(len(name), len(known))
+        for known in get_close_matches(name, KNOWN, 1, ALIKE)
+        if name[:-1] != known[:-1]
     ]

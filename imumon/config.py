@@ -163,8 +163,8 @@ def _describe(item: Any, root: yaml.Node, source: str) -> str:
     line, path = _locate(root, location)
     where = f"{source}:{line}: {path}: " if path else f"{source}:{line}: "
     message = str(item["msg"]).removeprefix("Value error, ")
-    kind = str(item["input"]).rpartition("/")[0]
-    if location == ("format",) and kind not in message and (option := OPTIONS.get(kind)):
+    kind = str(item["input"]).rpartition("/")[0] if location == ("format",) else ""
+    if kind not in message and (option := OPTIONS.get(kind)):
         return f"{source}:{line}: this is a {option} file, which --{option} takes"
     if item["type"] == "extra_forbidden":
         return f"{where}unknown key"
@@ -172,7 +172,7 @@ def _describe(item: Any, root: yaml.Node, source: str) -> str:
         return f"{where}this key is required"
     if item["type"] == "value_error":
         return where + message
-    if item["type"] == "list_type":
+    if item["type"] == "list_type" and isinstance(item["input"], str | int | float):
         return f"{where}expected a list: [{_short(str(item['input']), 60)}]"
     return f"{where}{message}, got {_short(repr(item['input']), 60)}"
 

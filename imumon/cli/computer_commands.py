@@ -211,7 +211,7 @@ def detect(
             rate = f" --baud {item.baudrate}" if item.baudrate is not None else ""
             common.show(f"\n{item.protocol}: imumon monitor {port} --device {item.protocol}{rate}")
         near = max(evidence, key=lambda item: item.checksum_errors)
-        if not near.packets and near.checksum_errors * HEADER_BYTES > near.bytes_received:
+        if wrong and names and near.checksum_errors * HEADER_BYTES > near.bytes_received:
             common.show(f"\n{near.protocol}: {near.checksum_errors:,} right headers: {WRONG_CHECKSUM}")
         if proposal:
             common.show(f"\nno device file describes what came; this one may:\n\n{proposal}")

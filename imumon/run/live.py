@@ -379,6 +379,7 @@ def nothing_decoded(
             f"{device.name} ({counters.checksum_errors} with the right header but a wrong checksum)"
         )
         hint = f"wrong baud rate or device?  Try: imumon detect {settings.url}"
-        if counters.checksum_errors * HEADER_BYTES > counters.bytes_received:
-            hint = f"{WRONG_CHECKSUM}  What fits: imumon detect {settings.url} --device FILE"
+        described = device.protocol.startswith("fixed")
+        if described and counters.checksum_errors * HEADER_BYTES > counters.bytes_received:
+            hint = f"{WRONG_CHECKSUM}  Else the baud rate is wrong.  What fits: imumon detect {settings.url}"
     return ImumonError(reason, what, hint)

@@ -20,8 +20,7 @@ from imumon.geodesy import EARTH_RATE, forward
 SLOT_S = 0.25
 """Length of the slots into which samples are gathered, s."""
 CAPACITY = 4096
-"""Largest number of rows of a record: 17 minutes of slots; then rows are merged in pairs, so that the time of
-a fit stays bounded."""
+"""Largest number of rows of a record, 17 minutes of slots: beyond, rows are merged in pairs, for speed."""
 
 MOTION_RATE, LIMIT_FACTOR = 1e-3, 5.0
 """A rate is motion that differs from the median at rest by more than 1 mrad/s (slower than any hand; less is
@@ -29,8 +28,7 @@ sway, noise or creep), and by more than 5 times the largest deviation of the las
 SWAYING_RATE = 20e-3
 """rad/s: at the start, a rate that varies by less for 10 s is rest; a larger deviation never is."""
 CALM_SLOTS, SWAYING_SLOTS, MEDIAN_SLOTS = 8, 40, 120
-"""Slots: 2 s of calm are a rest, 10 s of sway at the start; the rate at rest is the median of 30 s, computed
-every 10 s."""
+"""Slots: 2 s of calm are a rest, 10 s of sway at the start; the rate at rest is the median of 30 s."""
 
 
 class Slot(NamedTuple):

@@ -56,8 +56,7 @@ P_WORSE, P_WORSE_THAN_DECLARED = 0.003, 0.001
 """Prior probabilities of any of these factors (assumed): over the regression, as rare as a normal value
 beyond three sigmas, and over a declared bias.  Ablation: without them, errors are up to 40 sigma."""
 DIRECTIONS = np.linspace(0.0, 2.0 * np.pi, 720, endpoint=False)
-"""Where the search for peaks on the circle begins, rad: every half degree, as a turn about a level axis near
-east leaves two peaks close together."""
+"""Where the search for peaks on the circle begins, rad: every half degree, as two may be close together."""
 WAVES = np.stack([f(k * DIRECTIONS) for k in (1.0, 2.0) for f in (np.cos, np.sin)])
 QUARTIC = 0.152
 """An exponential of -δ⁴/24 has the integral of a Gaussian of the sharpness √0.152."""

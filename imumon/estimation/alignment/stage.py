@@ -20,7 +20,7 @@ from imumon.geodesy import DEG_PER_H, heading_of
 from imumon.lane import LaneState, Level
 
 LONGEST_GAP_S, LONGEST_MOTION_S = 5.0, 120.0
-"""A longer gap in the data, which may hide a turn, and a longer motion restart the alignment."""
+"""A longer gap in the data (and than three intervals), which may hide a turn, and a longer motion restart."""
 LEVELS = {"waiting": Level.WAIT, "disturbed": Level.BAD, "aligning": Level.WAIT, "settled": Level.GOOD}
 """Of the phases; the others are neither good nor bad."""
 
@@ -54,6 +54,7 @@ class Alignment:
         self._origin_ns = self._segment = self._run = 0
         """The first time of the segment, its number in the data, and by the count of segments."""
         self._index = -1  # of the last slot with samples in the segment
+        self._step = math.inf  # least number of slots from one with samples to the next
         self._recent: deque[FloatArray] = deque(maxlen=CALM_SLOTS)
         """Specific force, m/s², and magnetic field of the last 2 s, (6,); the mean force is up at rest."""
         self._row: list[float] = []  # values of `columns` after the last slot; empty before the first sample
@@ -110,7 +111,8 @@ class Alignment:
             return
         index = (int(slots.start_ns[k]) - self._origin_ns) // self._slots.length_ns
         missing, end_s = index - self._index - 1, SLOT_S * (self._index + 1)
-        if SLOT_S * (missing + 1) > LONGEST_GAP_S:
+        self._step = min(self._step, missing + 1 if self._index >= 0 else math.inf)
+        if SLOT_S * (missing + 1) > max(LONGEST_GAP_S, 3.0 * SLOT_S * self._step):
             self._restart(f"samples are missing at {end_s:.1f} s for {SLOT_S * missing:.1f} s")
         mean, turn, at_rest = slots.mean[k].copy(), slots.turns[k], bool(slots.smallest[k, -1] > 0.0)
         # A sample of a slow device stands for the slots before it, but alone it is no calm of 2 s.

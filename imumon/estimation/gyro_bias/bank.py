@@ -85,6 +85,7 @@ class States:
     covariance: FloatArray  # P, (3, ..., 8, 8)
     time_s: float
     degc: FloatArray  # of each gyro, as far as it has moved, (3,)
+    read: FloatArray  # temperatures at the last measurement, °C, (3,)
 
     def at(self, time_s: float, degc: FloatArray, degc_sd: FloatArray) -> Self:
         """Return F x and F P Fᵀ + Q at a later time and temperatures ± sd, °C, (3,); NaN is no change."""
@@ -139,6 +140,15 @@ class Prediction(States):
     def slope_square(self) -> FloatArray:
         """E[s²], (rad/s/°C)², (3,)."""
         return np.asarray(self.mean[:, SLOPE] ** 2 + self.covariance[:, SLOPE, SLOPE])
+
+    def at(self, time_s: float, degc: FloatArray, degc_sd: FloatArray) -> Self:
+        """Return the states once from a measurement on: w, and its variance, have the dT that they lack."""
+        then = super().at(time_s, degc, degc_sd)
+        left = np.nan_to_num(degc - self.read - (then.degc - self.degc))
+        mean, covariance = then.mean.copy(), then.covariance.copy()
+        mean[:, WALK] += mean[:, SLOPE] * left
+        covariance[:, WALK, WALK] += self.slope_square * left**2
+        return replace(then, mean=mean, covariance=covariance)
 
     def bias(self, force: FloatArray, of_mean: bool = False) -> tuple[FloatArray, FloatArray]:
         """Return bias and variance at a specific force, (3,) each; `of_mean`: the variance without g1."""
@@ -211,8 +221,8 @@ class Bank(States):
         scale = np.tile(count * white[:, np.newaxis], process.shape[1])
         start_s, zero = first.end_s - first.covered_s, np.zeros_like(variance)
         covariance = variance[..., np.newaxis] * np.eye(STATES)
-        bank = cls(process, zero, covariance, start_s, first.degc, log_prior, count, scale, b is not None)
-        return bank.after(first, jumped=True)
+        prior = process, zero, covariance, start_s, first.degc, first.degc
+        return cls(*prior, log_prior, count, scale, b is not None).after(first, jumped=True)
 
     def fits(self, now: Measurement, sigmas: float) -> bool:
         """Return whether a mean is within so many sigmas of its prediction in each axis."""
@@ -234,7 +244,8 @@ class Bank(States):
         gain = cross / spread[..., np.newaxis]
         mean = prior.mean + gain * innovation[..., np.newaxis]
         covariance = prior.covariance - gain[..., np.newaxis] * cross[..., np.newaxis, :]
-        bank = replace(prior, mean=mean, covariance=covariance)
+        read = np.where(np.isfinite(now.degc), now.degc, prior.read)
+        bank = replace(prior, mean=mean, covariance=covariance, read=read)
         if jumped:
             return bank
         a, square = self.shape, innovation**2 / spread
@@ -272,7 +283,7 @@ class Bank(States):
         # g1 at the end of a second is not its mean over it, by which it was updated: the difference, of
         # 1 + 0.736 - 2 x 0.632 of its variance, dies away with g1.
         covariance[:, FLICKER.start, FLICKER.start] += 0.47 * process[:, FLICKER.start]
-        return Prediction(process, mean, covariance, self.time_s, self.degc, white.sum(1))
+        return Prediction(process, mean, covariance, self.time_s, self.degc, self.read, white.sum(1))
 
     def wider(self, variance: FloatArray) -> "Bank":
         """Let the bias have changed by an unknown amount of this variance, (rad/s)², (3,) or (3, F)."""

@@ -230,5 +230,4 @@ class Estimator:
         prediction = self.hypotheses.shown.prediction.at(now_s, *self.degc)
         turn = np.copysign(np.hypot(turn, rounding), turn)
         added = self.attitude.uncertain_earth + self.hypotheses.hidden
-        added = added + prediction.slope_square * np.nan_to_num(self.degc[0] - prediction.degc) ** 2
         return prediction.output(added, self.force, turn)

@@ -111,8 +111,8 @@ class Attitude:
     def _heading_variance(self, up: FloatArray, prediction: Prediction) -> float:
         """Return the variance of the angle by which the gyros seem to have turned about the vertical, rad².
 
-        By the bias, whose sensitivity meets a gravity that turns in body axes, by scale and misalignment, for
-        want of more samples, and as the earth turns meanwhile; `up` (3,) is that before the turn.
+        By the bias, whose sensitivity meets a gravity that turns in body axes, by scale and misalignment, by
+        missing samples, and by the earth's turn meanwhile; `up` (3,) is that before the turn.
         """
         _, variance = prediction.bias(STANDARD_GRAVITY * up)
         sensitivity = np.einsum("aii->a", prediction.covariance[:, SENSITIVITY, SENSITIVITY]) / 3.0

@@ -229,10 +229,7 @@ class QuietDetector:
         return np.asarray(np.maximum(square.mean(0) / 6.0, 1e-24))
 
     def _try_noise(self, count: FloatArray) -> None:
-        """Take the noise of the last slots if no test finds motion, and it is the first or a larger one.
-
-        `count` is the number of samples in a slot, (6,).
-        """
+        """Take the noise of the last slots, of `count` samples, (6,), if still, and the first or larger."""
         mean, noise = self.mean[-TRIAL:], self._white_variance()
         within = np.array([one.variance for one in self.latest])
         enough = np.isfinite(within).all(0) & (count >= 3.0)

@@ -83,10 +83,7 @@ def _gaussian(
 
 
 def _many_codes(filters: Filters, slot: Slot, step: float, n: float, s: FloatArray) -> Correction:
-    """Measure by the mean (6): with white noise, E[mean] = x - β/π sin 2πx, with x = y/d.
-
-    Widrow and Kollar, Quantization Noise (2008), ch. 4.
-    """
+    """Measure by the mean (6): with white noise E[mean] = x - β/π sin 2πx, x = y/d (Widrow, Kollar 2008)."""
     ripple = np.exp(-2.0 * np.pi**2 * (s / step) ** 2)
     offset = (slot.mean - slot.smallest) / step
     x = np.full_like(ripple, offset)

@@ -26,17 +26,14 @@ prediction; after so many slots it may be the truth.  Assumed: wide, as the filt
 POWER_ON_S = 60.0
 """For so long without a change, readings may be a value of power-on, s.  Assumed: sensors take seconds."""
 GAP_S = 600.0
-"""After so long without a reading, or of a sensor that is dead or sticks, there is no estimate, s.  Assumed:
-in that time a board goes through most of a warm-up."""
+"""After so long without a reading, or of a dead sensor, there is no estimate, s.  Assumed: of a warm-up."""
 LINEARITY, HYSTERESIS = 0.05, 0.5
 """Standard deviation of the place of an edge, steps: of a good converter; of one that may have hysteresis, as
 long as readings have not gone back.  Ablation."""
 RAMP_S = 75.0
-"""A rate is not known better than the temperature's sigma over this time, s: a ramp may just have begun.
-Ablation."""
+"""A rate is not known better than the temperature's sigma over so long, s: a ramp may begin.  Ablation."""
 LAG_S = 3.0
-"""Time constant with which the rate in the output follows the estimate, s, so that it does not jump.
-Ablation."""
+"""Time constant with which the rate in the output follows the estimate, s: it does not jump.  Ablation."""
 
 STATISTICS = "count", "changes", "step_squares", "mean", "variance", "smallest", "largest", "first", "last"
 """Those of `Slots` that are the last fields of `Slot`, in their order."""

@@ -202,6 +202,14 @@ def test_any_rate_will_do(rate_hz: float) -> None:
     assert abs(error_deg(stage.status.shown.heading, 30.0)) < 0.08
 
 
+def test_a_device_of_a_sample_in_five_seconds_does_not_start_anew_at_each() -> None:
+    block = samples(scenario(600.0, rate_hz=20.0))
+    late = np.random.default_rng(0).integers(0, 3, len(block) // 100)
+    kept = np.arange(len(late)) * 100 + late
+    stage, _ = aligned(SampleBlock({name: values[kept] for name, values in block.columns.items()}))
+    assert not [text for text in stage.notices() if "anew" in text]
+
+
 def test_angles_that_a_device_sends_stay_its_own() -> None:
     block = samples(scenario(5.0, rate_hz=50.0))
     assert {"roll", "pitch"} <= {c.name for c in Alignment(None, 36.0).columns}

@@ -184,7 +184,7 @@ def test_a_motion_of_one_step_widens_the_bias_like_one_of_many() -> None:
     """The slope changes on the way, and the bias with it."""
     zero, cold, white = np.zeros(3), np.full(3, 25.0), np.full(3, (17.0 * DPH) ** 2)
     first = Measurement(1.0, 1.0, 1.0, zero, zero, cold, zero, zero)
-    start = Bank.begin((None, None, None), (SLOPE_PER_SIGMA,), white, first).prediction
+    start = Bank.begin((None, None, None), (SLOPE_PER_SIGMA,), white, first)
     for change in (10.0, -10.0):
         one = many = start
         one = one.at(101.0, cold + change, zero)

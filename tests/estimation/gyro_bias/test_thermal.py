@@ -191,3 +191,16 @@ def test_the_limits_of_temperature_are_as_the_page_has_them(
     added = RestAndBias(GIVEN, mode=mode).process(block)
     z = ((vector(added) - bias) / vector(added, "gyro_bias_sd"))[-1]
     assert np.abs(z).max() == pytest.approx(off_by_sigmas, rel=0.25)
+
+
+def test_steps_of_a_degree_widen_the_sigma_in_motion_and_not_at_rest() -> None:
+    t = np.arange(12000) / 10
+    temperature = np.interp(t, [0, 900, 1200], [25.0, 40.0, 37.0])
+    block, bias = warming(temperature)
+    block = with_rest(block.with_columns({"temperature": np.round(temperature)}), t < 900.0)
+    block = block.with_columns(TemperatureRate().process(block))
+    added = RestAndBias(GIVEN, mode="learned").process(block)
+    off, sd = np.abs(vector(added) - bias) / DPH, vector(added, "gyro_bias_sd") / DPH
+    assert sd[8990].max() < 20.0
+    assert (off[-1] < np.maximum(2.0 * sd[-1], 1.0)).all()
+    assert off[-1].max() < 30.0
