@@ -154,7 +154,7 @@ def _sees_it_all(shown: list[ViewItem]) -> None:
         ("killed", "DEAD: signal 9"),
         ("killed", "recording"),
     } <= lanes
-    assert any("hangs: no word" in one.item.text for one in items if isinstance(one.item, Log))
+    assert any("hangs: no report" in one.item.text for one in items if isinstance(one.item, Log))
     pages = [item for item in shown if isinstance(item, Overview)]
     assert ("good", "stopped", "killed", "flooding") in [page.units for page in pages]
     assert any("| stopped | HANGS |" in page.markdown for page in pages)
