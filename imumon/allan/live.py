@@ -216,10 +216,8 @@ class AllanStage:
             found = {axis: one.curve().trusted() for axis, one in channels.items() if one is not None}
             shown = {axis: curve for axis, curve in found.items() if len(curve.tau_s) > 1}
             if shown:
-                x, y = (
-                    Axis("averaging time [s]", log=True),
-                    Axis(f"Allan deviation [{level.shown}]", log=True),
-                )
+                x = Axis("averaging time [s]", log=True)
+                y = Axis(f"Allan deviation [{level.shown}]", log=True)
                 curves = tuple(_curves(shown, level.factor))
                 notes = tuple(_note(axis, curve, group) for axis, curve in found.items())
                 key, title = f"allan_{group}", _TITLE.format(measured)

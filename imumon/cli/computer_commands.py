@@ -169,7 +169,7 @@ def detect(
     not packets of any device that was tried.
     """
     from imumon.protocols.device import device_names, load_device
-    from imumon.transport.detect import HEADER_BYTES, WRONG_CHECKSUM, Verdict, baudrates_to_try, failure
+    from imumon.transport.detect import WRONG_CHECKSUM, Verdict, baudrates_to_try, failure, is_wrong_checksum
     from imumon.transport.detect import detect as try_devices
 
     if proposed is not None:
@@ -211,7 +211,8 @@ def detect(
             rate = f" --baud {item.baudrate}" if item.baudrate is not None else ""
             common.show(f"\n{item.protocol}: imumon monitor {port} --device {item.protocol}{rate}")
         near = max(evidence, key=lambda item: item.checksum_errors)
-        if wrong and names and near.checksum_errors * HEADER_BYTES > near.bytes_received:
+        protocol = devices[near.protocol].protocol if wrong and names else ""
+        if is_wrong_checksum(protocol, near.checksum_errors, near.bytes_received):
             common.show(f"\n{near.protocol}: {near.checksum_errors:,} right headers: {WRONG_CHECKSUM}")
         if proposal:
             common.show(f"\nno device file describes what came; this one may:\n\n{proposal}")

@@ -23,7 +23,7 @@ from imumon.effects.temperature_curve import MORE_DEGREES
 SHORTEST_S = 20.0
 """A lag or delay that is shorter is a rate in means of 30 s."""
 HIGHEST_ORDER = 9
-UNTOLD_S = 30.0
+OWN_LAG_S = 30.0
 """Time constant of a gyro's lag behind the thermometer that no model states.  Assumed."""
 SPACING_S = 0.25
 """One temperature is remembered of each such interval; the temperature of a unit is straight in between."""

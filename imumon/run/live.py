@@ -34,7 +34,7 @@ from imumon.run.marks import Marks, append_request
 from imumon.run.narration import Narrator, Publish, Report
 from imumon.run.setup import Setup
 from imumon.run.stages import estimators, pipeline_of
-from imumon.transport.detect import HEADER_BYTES, WRONG_CHECKSUM
+from imumon.transport.detect import WRONG_CHECKSUM, is_wrong_checksum
 from imumon.transport.reader import SILENT_AFTER_S, Bytes, Clock, Event, EventKind, Item, Reader, Reads, Sink
 from imumon.transport.settings import PortSettings
 
@@ -379,7 +379,6 @@ def nothing_decoded(
             f"{device.name} ({counters.checksum_errors} with the right header but a wrong checksum)"
         )
         hint = f"wrong baud rate or device?  Try: imumon detect {settings.url}"
-        described = device.protocol.startswith("fixed")
-        if described and counters.checksum_errors * HEADER_BYTES > counters.bytes_received:
+        if is_wrong_checksum(device.protocol, counters.checksum_errors, counters.bytes_received):
             hint = f"{WRONG_CHECKSUM}  Else the baud rate is wrong.  What fits: imumon detect {settings.url}"
     return ImumonError(reason, what, hint)

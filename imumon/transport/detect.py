@@ -28,7 +28,7 @@ ENOUGH_TEXT = 100
 MOSTLY_TEXT = 0.95
 """Share of printable bytes from which a stream is text: at a wrong rate a third of all bytes is."""
 HEADER_BYTES, WRONG_CHECKSUM = 200, "is its checksum, or its length, another than in the device file?"
-"""One right header in so many bytes is no chance: of other bytes one in 256 is a first byte."""
+"""One right header in so many bytes is no chance, if a file describes the packet; and what that means."""
 SILENT_RATES = 3
 """After so many rates without a byte it is silent: a wrong rate garbles bytes, it does not stop them."""
 POLL_S = 0.05
@@ -101,6 +101,11 @@ class Evidence:
         if self.packets >= ENOUGH_PACKETS and self.share_framed >= FRAMED:
             return Verdict.FRAMES if self.samples else Verdict.UNREAD
         return Verdict.PARTLY if self.packets and self.share_framed >= FRAMED_IN_PART else Verdict.NOTHING
+
+
+def is_wrong_checksum(protocol: str, checksum_errors: int, bytes_received: int) -> bool:
+    """Return whether so many bytes have too many right headers for another device or a wrong baud rate."""
+    return protocol.startswith("fixed") and checksum_errors * HEADER_BYTES > bytes_received
 
 
 def baudrates_to_try(first: Iterable[int] = ()) -> list[int]:

@@ -92,7 +92,7 @@ POLICY = (
     "style-src 'self' 'unsafe-inline'; worker-src 'self' blob:"
 )
 """The content security policy: this server, nothing else.  The web viewer sends usage data whatever its
-settings, requests updates and for fonts; a browser that is given this policy refuses them."""
+settings, requests updates and fonts; a browser that is given this policy refuses them."""
 
 
 class WebServer(ThreadingTCPServer):

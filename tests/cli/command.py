@@ -13,6 +13,7 @@ from typing import Any
 from click.testing import CliRunner
 
 from imumon.cli import run
+from imumon.protocols.device import device_text
 
 IMUMON = str(Path(sys.executable).with_name("imumon"))
 MAP = """
@@ -33,6 +34,16 @@ def imumon(*arguments: object, cwd: Path = Path()) -> subprocess.CompletedProces
             for number, handler in zip(SIGNALS, handlers, strict=True):
                 signal.signal(number, handler)
     return subprocess.CompletedProcess(given, code, out.getvalue().decode(), err.getvalue().decode())
+
+
+def device(folder: Path, *changes: tuple[str, str]) -> Path:
+    """Write the device file of the AX1 with changes."""
+    text, _ = device_text("ax1")
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    (folder / "device.yaml").write_text(text, encoding="utf-8")
+    return folder / "device.yaml"
 
 
 def answer(*arguments: object) -> dict[str, Any]:

@@ -11,10 +11,10 @@ import pytest
 from imumon.blocks import SampleBlock
 from imumon.intake import SpecificForce
 from imumon.pipeline import Pipeline
-from imumon.protocols.device import device_text, load_device
+from imumon.protocols.device import load_device
 from imumon.run.account import doubts
 from imumon.simulation.unit import SimulatedUnit, load_scenario
-from tests.cli.command import answer, imumon
+from tests.cli.command import answer, device, imumon
 
 UNCHECKED = ("type: fletcher16-256", "type: none")
 
@@ -26,16 +26,6 @@ def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("capture") / "ax1.raw"
     path.write_bytes(b"".join(packets))
     return path
-
-
-def device(folder: Path, *changes: tuple[str, str]) -> Path:
-    """Write the device file of the AX1 with changes."""
-    text, _ = device_text("ax1")
-    for old, new in changes:
-        assert old in text
-        text = text.replace(old, new)
-    (folder / "device.yaml").write_text(text, encoding="utf-8")
-    return folder / "device.yaml"
 
 
 @pytest.mark.parametrize(

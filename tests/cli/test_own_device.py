@@ -11,22 +11,12 @@ from imumon.protocols.device import device_text, load_device
 from imumon.simulation.unit import SimulatedUnit, load_scenario
 from imumon.simulation.virtual_device import VirtualDevice
 from imumon.simulation.virtual_port import VirtualPort
-from tests.cli.command import answer, imumon
+from tests.cli.command import answer, device, imumon
 from tests.transport.test_detect import sending
 
 COUNTED = "column: packet_counter"
 FORCE = "accel_z], scale: 1.0e-6, unit: m/s^2"
 DOUBT = "100% of the specific force readings are not within 0.3 to 3 times gravity but 0.001 in the mean"
-
-
-def device(folder: Path, *changes: tuple[str, str]) -> Path:
-    """Write the device file of the AX1 with changes."""
-    text, _ = device_text("ax1")
-    for old, new in changes:
-        assert old in text
-        text = text.replace(old, new)
-    (folder / "device.yaml").write_text(text, encoding="utf-8")
-    return folder / "device.yaml"
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ import numpy as np
 
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.charts import AXIS_COLORS, Axis, Chart, Curve
-from imumon.effects.thermal_lag import UNTOLD_S
+from imumon.effects.thermal_lag import OWN_LAG_S
 from imumon.estimation.temperature_rate.thermometer import UNSEEN_RATE
 from imumon.geodesy import DEG_PER_H
 from imumon.models.model import BiasModel
@@ -83,7 +83,7 @@ class Thermal:
         """
         rate_sd = _first_of(behind, self._ends, "_rate_sd")[0]
         unseen = np.where(np.isfinite(rate_sd), rate_sd, UNSEEN_RATE)
-        return np.asarray(-UNTOLD_S * math.expm1(-gap_s / UNTOLD_S) * unseen)
+        return np.asarray(-OWN_LAG_S * math.expm1(-gap_s / OWN_LAG_S) * unseen)
 
     def process(self, block: SampleBlock) -> tuple[FloatArray, FloatArray]:
         """Return the temperature of each gyro and its sd, °C, (2, n, 3), estimated where possible, and three

@@ -8,7 +8,7 @@ from typing import TypeVar
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.effects.thermal_lag import UNTOLD_S
+from imumon.effects.thermal_lag import OWN_LAG_S
 from imumon.errors import bad_config, bad_data
 from imumon.geodesy import DEG_PER_H
 from imumon.intake import RANGES
@@ -53,7 +53,7 @@ class Finding:
     """Turn-on offset of each run from the mean of all, in the channel's unit, (runs,); NaN where it cannot
     be determined."""
     lag_rms: float
-    """What a gyro `imumon.effects.thermal_lag.UNTOLD_S` behind its thermometer would err by in this data."""
+    """What a gyro `imumon.effects.thermal_lag.OWN_LAG_S` behind its thermometer would err by in this data."""
     comparable: bool = True
     """Whether the offsets are the sensor's own; those of an accelerometer in several poses are gravity's."""
 
@@ -156,7 +156,7 @@ def _all_channels(
         shifted = replace(channel, value=channel.value - np.nan_to_num(offset)[channel.run])
         points = shifted.only(~(apart & is_accel))
         choice = choose(points, knots)
-        missed = UNTOLD_S * cells.rate * choice.curve.slope(cells.temperature)
+        missed = OWN_LAG_S * cells.rate * choice.curve.slope(cells.temperature)
         lag_rms = float(np.sqrt(np.average(missed**2, weights=cells.seconds)))
         own = not (cells.turned and is_accel)
         findings[name] = Finding(choice, points, offset, lag_rms, own)
@@ -311,10 +311,10 @@ def check_coverage(records: Sequence[Record], cells: Cells) -> None:
             f" curve bridges {WIDEST_HOLE:.0%}",
             "record levels in between",
         )
-    wrong = UNTOLD_S * cells.rate_rms
+    wrong = OWN_LAG_S * cells.rate_rms
     if wrong > MOST_LAG * span:
         raise bad_data(
-            f"the temperature moves at {60 * cells.rate_rms:.2f} °C/min (rms): a gyro {UNTOLD_S:g} s behind "
+            f"the temperature moves at {60 * cells.rate_rms:.2f} °C/min (rms): a gyro {OWN_LAG_S:g} s behind "
             f"its thermometer would be wrong by {wrong:.2f} °C, {wrong / span:.0%} of the {span:.2f} °C "
             f"span; a model allows {MOST_LAG:.0%}",
             "heat and cool more slowly, hold levels, or cover a wider range",
