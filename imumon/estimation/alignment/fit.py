@@ -63,6 +63,8 @@ def fit_position(record: Position, latitude: float, known: KnownWarmUp | None) -
     """
     # y and α in horizontal axes, of which the mean force is the vertical.
     valid, means = record.rows()
+    if not (divisions := [cells for count in CELLS if (cells := _cells(valid, count))]):
+        return None
     force = means[:, 3:] / STANDARD_GRAVITY
     attitude = upright(record.attitude[0], force[valid].mean(axis=0))
     if known is not None:
@@ -76,11 +78,10 @@ def fit_position(record: Position, latitude: float, known: KnownWarmUp | None) -
     y_design, alpha_design = _designs(n, row_s, np.array(warm_tau_s))
     slow = np.hstack([_trend(n, TREND_ORDER), y_design[:, 1 : 1 + len(TILT_TAU_S)]])
     without_line, line = _without_sway(np.column_stack([y, alpha]), valid, slow)
-    cells = _divide(without_line[:, 0], valid)
-    if cells is None or _creeps(gyro[:, 2], valid, row_s):
+    if _creeps(gyro[:, 2], valid, row_s):
         return None
     # and both in cells, without the sway.
-    windows, used, variance = cells
+    windows, used, variance = _divide(without_line[:, 0], divisions)
     count, cell_s = len(used), row_s * n / (len(used) + 1.0)
     correlation = np.eye(count) + OVERLAP * (np.eye(count, k=1) + np.eye(count, k=-1))
     y_cells, alpha_cells = (windows @ without_line).T
@@ -169,20 +170,19 @@ def _amplitudes(columns: FloatArray, data: ColumnArray, valid: BoolArray) -> Col
     return np.asarray(np.linalg.solve(normal, columns.T @ data[valid]))
 
 
-def _divide(y: ColumnArray, valid: BoolArray) -> tuple[FloatArray, BoolArray, float] | None:
-    """Return the division into cells with the smallest variance of the mean; None if the record is too short.
+def _divide(y: ColumnArray, cells: list[tuple[FloatArray, BoolArray]]) -> tuple[FloatArray, BoolArray, float]:
+    """Return the division into cells of which the mean has the smallest variance.
 
-    It has the weights of the rows in each cell, (J, n), which cells have all rows and no knock, (J,), and the
-    variance of each part of a cell.  Longer cells suppress more sway, but estimate the noise from fewer
-    degrees of freedom ν: they must be better by the standard deviation √(2/ν) of that estimate.
+    It is the weights of the rows in each cell, (J, n), which cells have all rows and no knock, (J,), and the
+    variance of each part of a cell.  Longer cells suppress more sway, but have fewer degrees of freedom ν:
+    they must be better by the standard deviation √(2/ν) of their variance.
     """
-    best, smallest = None, math.inf
-    for windows, whole in filter(None, (_cells(valid, count) for count in CELLS)):
-        variance, used, freedom = _scatter(windows @ y, whole, TREND_ORDER)
-        of_mean = variance / float(used.sum())
-        if of_mean * (1.0 + math.sqrt(2.0 / freedom)) < smallest:
-            best, smallest = (windows, used, variance), of_mean
-    return best
+    best, *longer = [(each[0], *_scatter(each[0] @ y, each[1], TREND_ORDER)) for each in cells]
+    for other in longer:
+        (_, variance, used, freedom), (_, smallest, most, _) = other, best
+        if variance / used.sum() * (1.0 + math.sqrt(2.0 / freedom)) < smallest / most.sum():
+            best = other
+    return best[0], best[2], best[1]
 
 
 def _cells(valid: BoolArray, count: int) -> tuple[FloatArray, BoolArray] | None:
