@@ -144,7 +144,7 @@ def _prepared(
     if model is not None:
         of_units = [model.of_another(run.origin.serial) for run in (*train, *test) if run.origin]
         remarks += filter(None, dict.fromkeys(of_units))
-        names = prepare.channels_with_model(names, model)
+        names = prepare.channels_with_model(names, model, remarks)
         degree = prepare.degree_of(model, names)
     temperature_names = {name: prepare.temperature_of(name, model, train) for name in names}
     temperatures = [*dict.fromkeys(temperature_names.values())]

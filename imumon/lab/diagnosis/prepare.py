@@ -279,9 +279,11 @@ def usable_blocks(
     return found
 
 
-def channels_with_model(channels: Sequence[str], model: BiasModel) -> list[str]:
+def channels_with_model(channels: Sequence[str], model: BiasModel, remarks: list[str]) -> list[str]:
     """Return the channels that a model has; raises BAD_CONFIG where it has none of them."""
     if found := [name for name in channels if name in model.channels]:
+        if others := [name for name in channels if name not in found]:
+            remarks.append(f"left out, as the model does not have them: {', '.join(others)}")
         return found
     raise bad_config(
         f"the model has {', '.join(model.channels)}; the data has {', '.join(channels)}",

@@ -52,6 +52,23 @@ def supplied(one: Run, volt: float = 5.0) -> Run:
     return replace(one, mean={**one.mean, "supply": np.full(len(one.time_s), volt)})
 
 
+def with_second_axis(one: Run) -> Run:
+    """Return a run of which gyro y reads as gyro x does."""
+    return replace(
+        one,
+        mean={**one.mean, "gyro_y": one.mean["gyro_x"]},
+        variance={**one.variance, "gyro_y": one.variance["gyro_x"]},
+        count={**one.count, "gyro_y": one.count["gyro_x"]},
+    )
+
+
+def test_channels_that_the_present_model_does_not_have_are_reported() -> None:
+    train, test = ([with_second_axis(one) for one in runs] for runs in three(nothing, SECONDS))
+    diagnosis = diagnose(train, test, model=cubic_model())
+    assert [verdict.name for verdict in diagnosis.verdicts] == ["gyro_x"]
+    assert "left out, as the model does not have them: gyro_y" in diagnosis.caveats
+
+
 def test_a_driver_of_the_present_model_may_be_constant() -> None:
     """It was dropped, and its effect had nothing to be computed from."""
     train, test = ([supplied(one) for one in runs] for runs in three(nothing, SECONDS))
