@@ -156,3 +156,9 @@ def test_the_worked_case_of_the_page_is_what_the_command_prints(tmp_path: Path) 
     page = pages[0].read_text(encoding="utf-8")
     (error,) = [line for line in page.splitlines() if line.startswith("error of ")]
     assert " ".join(error.split()) in printed
+    done = imumon("plan", out, "--out", tmp_path / "next")
+    assert done.returncode == 0, done.stderr
+    (planned,) = [
+        line for line in pages[1].read_text(encoding="utf-8").splitlines() if line.startswith("1  gyro_")
+    ]
+    assert " ".join(planned.split()) in " ".join(done.stderr.split())
