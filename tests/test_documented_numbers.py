@@ -240,6 +240,8 @@ SURPRISES = "../scripts/reproduce/field_surprises.py"
 WARMING = "../tests/estimation/gyro_bias/test_thermal.py"
 LEVEL_RATE = EARTH_RATE * math.cos(math.radians(36.0)) / DEG_PER_H
 """Horizontal earth rate at the latitude of the alignment's examples, °/h."""
+LARGEST_JUMP = RestParameters().largest_jump / DEG_PER_H * (1.0 - 1e-9)
+"""Largest jump of a bias that time decides, °/h."""
 QUICK_TURN = "| rest | turn of 0.05 °/s for 10 min, begun in 0.5 s, 0° off the vertical, * "
 SLOW_RAMP = "| rest | turn of 0.5 °/s for 10 min, begun in 120 s, 0° off the vertical, * "
 
@@ -358,7 +360,7 @@ ROWS: list[tuple[str, str, Numbers]] = [
             0.5,
             Source(REST, "a turn of 0.05 °/s (180 °/h) rest for # % (seed 31)"),
             Source(FIELD, f"{QUICK_TURN}| # % false |", largest),
-            Source(REST, "With seed 31 the least z of the page are # (0.05 °/s"),
+            Source(REST, "and the least z, # (0.05 °/s, industrial) and"),
             Source(FIELD, f"{QUICK_TURN}| * | * | * | # | # |", largest),
         ],
     ),
@@ -584,7 +586,7 @@ SENTENCES: list[tuple[str, str, Numbers]] = [
         "rest-detector.md",
         "The error is # to # σ, until the # h are over",
         [
-            *(math.sqrt(1.0 + 1.0 / odds_of_change(3600.0 * dps)) for dps in (0.1, 0.9)),
+            *(math.sqrt(1.0 + 1.0 / odds_of_change(dph)) for dph in (turn_at(0.5), LARGEST_JUMP)),
             RestParameters().undecided_s / 3600.0,
         ],
     ),
