@@ -434,6 +434,7 @@ ROWS: list[tuple[str, str, Numbers]] = [
         "| a turn within a gap ",
         [LONGEST_GAP_S, Source(ALIGNMENT, "until the next fit, # s later (# s in two of 18 runs)")],
     ),
+    ("alignment.md", "| accelerometers that log gravity", []),
     ("alignment.md", "| a quiet gyro with a [scale error]", [1, 180.0 * 0.01]),
     # random error
     (
