@@ -4,11 +4,11 @@
 
 - the first ones begin the first position;
 - those after a turn begin a position, whose attitude is by the turn about the vertical, and else by gravity;
-- all others go on in the present position; sigma has the small angle of a motion before them.
+- all others go on in the present position; a small angle of motion before them is added to sigma.
 
 When its time at rest has grown by a third, `fit` and then `posterior` give north anew.  Sigma is that of the
-posterior or, if larger, the distance to earlier headings in this position.  What the unit may have crept at a
-constant rate is added, and what it has turned and crept since the fit.
+posterior or, if larger, the distance to earlier headings in this position.  What the unit has turned and
+crept since the fit is added, and a constant creep that other positions with the same axis up show.
 """
 
 import cmath
@@ -45,10 +45,9 @@ FIRST_FIT_S, LONGEST_REFIT_S = 10.0, 60.0
 """Time at rest of the first fit of a position, and the longest between two fits; in between a position is
 fitted anew when its time at rest has grown by a third, which lowers sigma by an eighth."""
 FORGET_S = 60.0
-"""A longer record loses its first half while the unit creeps."""
+"""A longer record loses its first half while no fit is possible, as where the unit creeps."""
 RECENT_SHARE = 0.5
-"""Sigma is at least the distance to the headings fitted in the last half of the time at rest in a position;
-ablation: without it, six of 41 sites were over 7 sigma off once, not two."""
+"""Sigma is at least the distance to headings fitted in the last half of the time at rest in a position."""
 
 
 class Aligner:
@@ -122,7 +121,7 @@ class Aligner:
 
     @property
     def attitude(self) -> FloatArray:
-        """Body axes to the reference frame, now, (3, 3); there is none before the first rest."""
+        """Body axes to the reference frame, now, (3, 3); only after the first rest."""
         return np.asarray(self.positions[-1].attitude @ self.motion.turn.rotation)
 
     @property
@@ -140,12 +139,12 @@ class Aligner:
         here.fit = fit
         white = np.median([each.white for each in self._fits])
         self.errors = sensor_errors(math.sqrt(white), self.parameters)
-        # Positions in which the same axis is up have one bias, and the nearest to the earth rate is at rest.
+        # Positions with the same axis up, this one too, have one bias; the nearest to the earth rate rests.
         earth_up = EARTH_RATE * math.sin(self.latitude)
         same = [other for other in self._fits if other.attitude[2] @ fit.attitude[2] > SAME_UP]
         still = min(same, key=lambda other: abs(other.vertical - earth_up))
         here.still_rate = still.vertical
-        # If not even that one was, the true rate at rest is between the earth rate and its own: the unit may
+        # If not even that one does, the true rate at rest is between the earth rate and its own: the unit may
         # creep by up to their difference, but not by more than the largest difference between positions.
         largest = max(_vertical_change(fit, other) for other in same)
         self.creep_rate = max(_vertical_change(fit, still), min(abs(still.vertical - earth_up), largest))
@@ -194,7 +193,7 @@ class Aligner:
         # A Hann-weighted mean has 1.5 times the variance.
         for name, mean, factor in (("gyro_mean", fit.gyro_mean, 1.0), ("hann_mean", fit.hann_mean, 1.5)):
             heading = joint.heading + cmath.phase(mean) - self.posterior.north
-            rate_sd = math.sqrt(factor * fit.white / fit.rest_s + self.posterior.rate_sd**2)
+            rate_sd = math.sqrt(factor * fit.variance.min() + self.posterior.rate_sd**2)
             found[name] = Estimate(heading % math.tau, min(rate_sd / self.earth_horizontal, ANY_ANGLE_SD))
         return found
 
@@ -205,7 +204,7 @@ class Aligner:
         by_bias = (self.posterior.rate_sd / self.earth_horizontal) ** 2
         by_bias *= self.positions[-1].ordinal == 1  # several positions separate it from the earth rate
         now, wanted = joint.sd**2 - by_bias, self.wanted_sd**2 - by_bias
-        return max(self.rest_s * (now / wanted - 1.0), 0.0) if wanted > 0.0 else math.inf
+        return max(self.rest_s * (now / wanted - 1.0), 0.0) if min(now, wanted) > 0.0 else math.inf
 
     def status(self, elapsed_s: float) -> Status:
         """Return the state so long after the first sample."""

@@ -40,7 +40,7 @@ MIN_VARIANCE = 1e-18
 """Lower bound of the variance of a cell, (rad/s)² or rad², for readings that do not change at all."""
 CREEP_CELLS, CREEP_ANGLE, CREEP_NOISE = 12, 3e-4, 4.0
 """A unit creeps about the vertical whose angle by means of 12 cells of the vertical gyro, less their mean,
-varies by more than 0.3 mrad and more than 4 times what the white noise turns in this time."""
+varies by more than 0.3 mrad and more than 4 times what the white noise turns meanwhile: it has no fit."""
 MIN_PERIODS, LEFT_SHARE = 1.5, 0.3
 """A line of the sway has so many periods in the record at least (a slower sway is left to the trend and the
 tilt), and leaves this share of the variance at most: noise and knocks have power at all frequencies."""
@@ -50,8 +50,7 @@ TILT_SD, P_TILTS = (1e-5, 1e-4, 1e-3), 0.3
 """Standard deviation of the amplitudes of a unit that tilts, rad, and the prior probability that it does.
 With 0.03 a slow tilt passes for a bias, 9 sigma off."""
 TILTS = np.vstack([sd * sum(np.eye(6, 8, k) for k in range(3)) for sd in TILT_SD])
-"""Standard deviation of each amplitude, rad, (18, 8): three neighbouring exponentials of one size.  With all
-eight at once a tripod that settles by 200 µrad in 60 s is 2.7° off after 20 s, not 0.4° (rms of four)."""
+"""Standard deviation of each amplitude, rad, (18, 8): three neighbouring exponentials of one size."""
 WALK = 1e-7
 """Random walk of a warmed-up accelerometer, g/√s; assumed."""
 

@@ -10,7 +10,7 @@ from imumon.blocks import FloatArray
 from imumon.config import Retired, StrictModel
 
 ANY_WARM_UP = 1e-4, (100.0, 300.0, 1000.0)
-"""Warm-up of accelerometers: standard deviation of its amplitudes, g, and their time constants, s."""
+"""Warm-up of accelerometers: sd of its amplitudes, g, and their time constants, s; assumed."""
 
 
 class KnownWarmUp(StrictModel):
@@ -58,16 +58,16 @@ class AlignmentParameters(StrictModel):
     settled_deg : float
         The heading is settled when its sigma is at most this.
     observable_deg : float
-        A heading with a larger sigma is not shown: a MEMS gyro with a small bias by luck has 7 to 12 degrees.
+        A heading with a larger sigma is not shown; MEMS gyros whose bias is small by luck reach 7 to 12.
     gyro_bias_sd_deg_per_h : float, optional
         Standard deviation of a gyro's bias, from run to run.  Default: a regression on the noise, with a
-        factor of 4.5 either way (one sigma), of which the data weigh what fits the earth rate.
+        factor of 4.5 either way (one sigma), weighted by how well the earth rate then fits the rates.
     gyro_flicker_deg_per_h : float, optional
         Standard deviation by which the bias changes from position to position: the bias instability.
-        Default: 0.
+        Default: 0, with which the sigma of several positions is too small where the bias moves: declare it.
     gyro_scale_sd_ppm : float, optional
         Standard deviation of each element of a gyro's scale and misalignment: in turns between positions,
-        and, if declared, of the earth rate at rest.  Default: a regression on the noise, 300 at least.
+        and, if declared, of the earth rate at rest (else sigma lacks 0.02°).  Default: by the noise, >= 300.
     accel_bias_sd_ug : float, optional
         Standard deviation of the constant bias of an accelerometer; it tilts the horizon.  Default:
         a regression on the noise of the gyros, 750 at least.

@@ -1,7 +1,6 @@
 """Which slots are rest and which are turns, and the record of a rest in one attitude.
 
-`aligner` has one `Motion` and a list of `Position`; `fit` makes a `PositionFit` of the rows of one.  A turn
-is integrated from the gyros, sample by sample (`imumon.filters.turns`), less their rate at rest.  The
+A turn is integrated from the gyros, sample by sample (`imumon.filters.turns`), less their rate at rest.  The
 reference frame is forward, left and up of the first position.
 """
 
@@ -23,8 +22,8 @@ CAPACITY = 4096
 """Largest number of rows of a record, 17 minutes of slots: beyond, rows are merged in pairs, for speed."""
 
 MOTION_RATE, LIMIT_FACTOR = 1e-3, 5.0
-"""A rate is motion that differs from the median at rest by more than 1 mrad/s (slower than any hand; less is
-sway, noise or creep), and by more than 5 times the largest deviation of the last 30 s."""
+"""A slot moves if its rate differs from the median at rest by more than 1 mrad/s (slower than any hand; less
+is sway, noise or creep), and by more than 5 times the largest deviation of the last 30 s."""
 SWAYING_RATE = 20e-3
 """rad/s: at the start, a rate that varies by less for 10 s is rest; a larger deviation never is."""
 CALM_SLOTS, SWAYING_SLOTS, MEDIAN_SLOTS = 8, 40, 120
@@ -49,7 +48,7 @@ class AzimuthError(NamedTuple):
     @classmethod
     def of(cls, turn: Turn, up: FloatArray) -> "AzimuthError":
         """Return that of a turn; `up` (3,) is the vertical in body axes at its beginning."""
-        # The earth rate turns against the body: up to all of it is wrong while it turns by a radian.
+        # The earth rate turns against the body: about all of it is wrong in a turn by a radian.
         by_earth = EARTH_RATE * turn.seconds * min(turn.path, 1.0)
         return cls(turn.sampling_variance(up) + by_earth**2, turn.scale_about(up))
 
@@ -59,7 +58,7 @@ class AzimuthError(NamedTuple):
         return AzimuthError(self.variance + other.variance, by_scale, crept)
 
     def variance_from(self, other: "AzimuthError", scale_sd: float = 0.0) -> float:
-        """Return the variance of the angle between both, rad²; `scale_sd` of each element of E."""
+        """Return the variance of the angle from one to its continuation, rad²; E has `scale_sd`."""
         by_scale = scale_sd**2 * float(np.sum(np.square(self.by_scale - other.by_scale)))
         return abs(self.variance - other.variance) + (self.crept - other.crept) ** 2 + by_scale
 
@@ -72,7 +71,9 @@ class PositionFit(NamedTuple):
     variance: FloatArray  # of each part of it, (h,)
     vertical: float  # gyro, rad/s
     vertical_variance: float
-    white: float  # noise of the quieter of both horizontal gyros together and the vertical one, (rad/s)²/Hz
+    white: (
+        float  # noise of the horizontal gyros, or of the vertical one if less: no sway is in it, (rad/s)²/Hz
+    )
     attitude: FloatArray  # from body axes, (3, 3)
     azimuth_error: AzimuthError
     gyro_mean: complex  # has the direction of the plain mean
@@ -162,7 +163,7 @@ class Motion:
     """The motion detector: which slots are rest, and how the unit has turned in between.
 
     A slot is calm if its rate is within `limit` of `rest_rate`.  Without a motion, a calm slot is rest, and
-    another begins a motion; a motion ends with 2 s of calm.  The first rest has its own conditions.
+    any other begins a motion; a motion ends with 2 s of calm.  The first rest has its own conditions.
     """
 
     def __init__(self) -> None:

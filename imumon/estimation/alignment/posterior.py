@@ -11,7 +11,7 @@ b is the bias of the gyros, E their scale and misalignment, and β the bias of t
 tilts the axes.  All three are constant in body axes.  T is the angle about the vertical by each element of E,
 and v the variance of a turn by all else, and of a creep; it is added to both parts of z, so that a large one,
 which is not linear, stays harmless.  Where z multiplies an error, it is that of the fit before.  In (6) E
-counts only if its size is declared.
+counts only if its size is declared: without that sigma lacks it (`AlignmentParameters`).
 
 So w_p is linear in x = (z, b, E, β), by `_design`, and Gaussian.  The log density of x is η'x - ½ x'Λx: each
 position adds to Λ and η, and each turn changes them (`_behind_turn`).  E and β have one size, and are
@@ -21,8 +21,7 @@ isotropic, and a generalised one (Gatto and Jammalamadaka 2007) where one gyro i
 `peaks` finds its maxima, and the heading is the mean of all by weight.
 
 The sizes of the errors are declared, or by a regression on the gyros' noise over the data sheets of
-docs/appendix/alignment-details.md.  Declare those of a better unit: for gyros with 0.001 °/√h, 0.0014 °/h,
-300 ppm and 750 µg are taken.
+docs/appendix/alignment-details.md.
 """
 
 import math
@@ -41,16 +40,14 @@ from imumon.estimation.alignment.report import ANY_ANGLE_SD
 from imumon.geodesy import DEG_PER_H, EARTH_RATE
 
 GYRO_BIAS, BIAS_POWER, LEAST_ARW = 2.0 * DEG_PER_H, 1.86, 0.02
-"""Regression of the bias of a gyro, rad/s, on the ratio of its noise to 0.1 °/√h, of which 0.02 counts at
-least (0.002 °/√h); at most the earth rate."""
+"""Regression of the bias of a gyro: this, rad/s, times the ratio of its noise to 0.1 °/√h, 0.02 at least
+(0.002 °/√h), to this power; at most the earth rate."""
 GYRO_SCALE, ACCEL_BIAS, ERROR_POWER, MOST_ERROR = 3e-4, 7.5e-4, 1.4, 100.0
 """Scale factor and misalignment of a gyro, and bias of an accelerometer, g, of gyros with 0.1 °/√h at most;
 of others they grow with this power of the ratio, up to 100 times."""
 LOG_SIZES, LOG_SIZE_SD = np.linspace(-4.0, 4.0, 9), 1.5
 """Logarithms of the sizes of a bias over that of the regression, and their standard deviation; assumed."""
-AXES = np.array(list(product([0.0, 1.0], repeat=3)))[1:]
-"""Which gyros are worse, (7, 3)."""
-WORSE = np.exp(np.concatenate([log_factor * AXES for log_factor in (2.0, 4.0, 6.0, 8.0, 10.0)]))
+WORSE = np.exp([log * np.array(of) for log in range(2, 11, 2) for of in list(product([0, 1], repeat=3))[1:]])
 """Factors by which one, two or all gyros are worse than that, (35, 3): up to 31 °/h for the best of them."""
 P_WORSE, P_WORSE_THAN_DECLARED = 0.003, 0.001
 """Prior probabilities of any of these factors (assumed): over the regression, as rare as a normal value
@@ -101,7 +98,7 @@ class HeadingPosterior(NamedTuple):
 
     north: float
     sd: float
-    rate_sd: float  # prior of b, E and β in a horizontal gyro, by weight of the posterior, rad/s
+    rate_sd: float  # what b, E and β may make in a horizontal gyro, sizes of b by their posterior, rad/s
     worse: float  # probability that gyros are `WORSE` than declared, or than the regression
 
 

@@ -20,7 +20,7 @@ from imumon.geodesy import DEG_PER_H, heading_of
 from imumon.lane import LaneState, Level
 
 LONGEST_GAP_S, LONGEST_MOTION_S = 5.0, 120.0
-"""A longer gap in the data (and than three intervals), which may hide a turn, and a longer motion restart."""
+"""A gap longer than this and than three intervals may hide a turn: it restarts, as a longer motion does."""
 LEVELS = {"waiting": Level.WAIT, "disturbed": Level.BAD, "aligning": Level.WAIT, "settled": Level.GOOD}
 """Of the phases; the others are neither good nor bad."""
 
@@ -52,7 +52,7 @@ class Alignment:
         """Sign of the body z axis: 1 down, -1 up, 0 not known yet."""
         self._prefix = "aligned_" if {"roll", "pitch"} & set(sent) else ""
         self._origin_ns = self._segment = self._run = 0
-        """The first time of the segment, its number in the data, and by the count of segments."""
+        """Of the segment: first time, number in the data, and count from 1."""
         self._index = -1  # of the last slot with samples in the segment
         self._step = math.inf  # least number of slots from one with samples to the next
         self._recent: deque[FloatArray] = deque(maxlen=CALM_SLOTS)
@@ -75,7 +75,7 @@ class Alignment:
         }
         for mean in ("gyro", "hann"):
             texts[f"heading_{mean}_mean"] = f"heading by the {mean} mean"
-            texts[f"heading_{mean}_mean_sd"] = "its standard deviation"
+            texts[f"heading_{mean}_mean_sd"] = "its standard deviation, without sway and tilts"
         return [Column(name, "rad", description=text) for name, text in texts.items()]
 
     def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
@@ -115,7 +115,7 @@ class Alignment:
         if SLOT_S * (missing + 1) > max(LONGEST_GAP_S, 3.0 * SLOT_S * self._step):
             self._restart(f"samples are missing at {end_s:.1f} s for {SLOT_S * missing:.1f} s")
         mean, turn, at_rest = slots.mean[k].copy(), slots.turns[k], bool(slots.smallest[k, -1] > 0.0)
-        # A sample of a slow device stands for the slots before it, but alone it is no calm of 2 s.
+        # A sample of a slow device fills the slots before it, which correlates cells; alone it is no calm.
         first = self._index + 1 if missing <= CALM_SLOTS - 2 else index
         for number in range(first, index + 1):
             self._recent.append(mean[3:9])
@@ -172,7 +172,7 @@ class Alignment:
         rest_s, _, sd = np.array(self._aligner.history).T
         wanted = Curve("wanted", rest_s[[0, -1]], np.full(2, self._parameters.settled_deg), GREY)
         curves = (Curve("σ", rest_s, np.degrees(sd), GREEN, width=2.0), wanted)
-        axes = Axis("observed time [s]", log=True), Axis("σ [°]", log=True)
+        axes = Axis("time at rest [s]", log=True), Axis("σ [°]", log=True)
         title, headline = "Sigma of the heading", f"{self.status.heading_text}; {self.status.to_go_text}"
         return [Chart("alignment_progress", "Alignment", title, *axes, curves, headline=headline)]
 

@@ -18,7 +18,7 @@ from imumon.blocks import BoolArray, FloatArray, IntArray
 from imumon.geodesy import LEAST_HORIZONTAL
 
 FIELD_INTERVALS = 4
-"""Intervals of the magnetometer of which the median is taken: one of them may be long."""
+"""Least intervals of the magnetometer for their median: one of them may be long."""
 RATE_SAMPLES = 16
 """Intervals whose median is that of the samples: jitter of a clock averages out, a gap does not count."""
 TAU_ACC_S, TAU_MAG_S = 3.0, 9.0
@@ -35,7 +35,7 @@ low_force : magnitude of the low-passed specific force, m/s²
 delta : counterclockwise angle from quat6d to the attitude, rad: VQF's by the field, or that to the declared
     heading
 north, follows : whether the field has shown north, and whether the heading follows it: VQF rejects a
-    disturbed field for some time
+    disturbed field for some time, and then follows it at half its speed
 """
 Rows = npt.NDArray[np.void]
 
@@ -86,7 +86,7 @@ class Fusion:
     def _begin(self) -> None:
         self._first_ns: list[int] = []
         self._samples, self._fields, self._field_rate_known = 0, list[int](), False
-        """Of the samples from which both rates are learned: last times, how many came, last with a field."""
+        """First times, number of samples, and which of them had a field: both rates are learned of them."""
         self._vqf: VQF | None = None
         self._interval_s = 0.0
         self._bias_known = False

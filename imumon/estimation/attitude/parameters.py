@@ -16,8 +16,8 @@ class AttitudeParameters(StrictModel):
         Standard deviation of the accelerometers' error at rest.  When it is not given, 7.6 mg are taken, and
         more where the magnitude of the specific force shows more.
     gyro_scale : float, optional
-        Standard deviation of each element of the gyros' matrix of scale and misalignment: 1 % of a calibrated
-        unit.  When it is not given, 2 % are taken.
+        Standard deviation of each element of the gyros' matrix of scale and misalignment, 1 % in a calibrated
+        unit.  When it is not given, 2 % are taken, and what turns show.
     """
 
     use_magnetometer: bool = True

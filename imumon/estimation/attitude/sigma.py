@@ -4,9 +4,10 @@ The equations (T1) to (H5) are in docs/appendix/attitude-details.md, under the s
 
 VQF turns the specific force into axes that only the gyros carry, low-passes it there with the time constant
 τ = 3 s, and takes what is left for up, u.  True up stands still in these axes.  So an error of the tilt shows
-as a change of u, whether accelerations or gyros cause it.  The element i, j of the gyros' matrix of scale and
-misalignment turns the attitude wrong by that element times q_ij, the integral of c_i rate_j over a slot, with
-c_i the axis of gyro i in gyro-carried axes; q_ii is the turn about the gyro's own axis.
+as a change of u, but not if it stays for over 6 s, as in a car that speeds up for long.  The element i, j of
+the gyros' matrix of scale and misalignment turns the attitude wrong by that element times q_ij, the integral
+of c_i rate_j over a slot, with c_i the axis of gyro i in gyro-carried axes; q_ii is the turn about the
+gyro's own axis.  Constants marked * are by the ablation of the appendix.
 
 A calibrated magnetometer ties the heading down: VQF follows the field with τ = 9 s.  B_h and B_v are the
 horizontal and the vertical field, and B_cal its calibrated strength.
@@ -27,22 +28,22 @@ from imumon.models.magnetometer import MagnetometerModel
 SLOT_S = 0.5
 """Length of a slot, s: short beside τ."""
 LAG_S = 2.0 * TAU_ACC_S
-"""Lag of d, s, after which VQF's low-pass has forgotten; m is the mean over three lags.  Ablation."""
+"""Lag of d, s, after which VQF's low-pass has forgotten; m is forgotten within three lags. *"""
 ACCEL_SD = 0.075
 """a0 of accelerometers that are not declared, m/s²: 7.6 mg, between 5 and 10 mg of a calibrated unit."""
 SCALE_SD = 0.02
 """s0 of gyros that are not declared: between 1 % of a calibrated unit and 3 % of an MPU-6050."""
 SCALE_TURN = 2.0
-"""w0, rad²: s0 counts like so much turn.  Ablation."""
+"""w0, rad²: s0 counts like so much turn. *"""
 CONFIRMING_TURN = 0.1
-"""rad² of tilt by turns about the gyros' own axes that confirm them.  Each turn counts half: a quick tilt of
-19° that is held for 3 s and taken back is enough, or one of 26° alone.  Ablation."""
+"""rad² of tilt by turns about the gyros' own axes that confirm all three, by any of them.  Each turn counts
+half: a quick tilt of 19° that is held for 3 s and taken back is enough, or one of 26° alone. *"""
 LARGEST_CHANGE = 0.05
-"""Share of that tilt by which u may change.  Ablation."""
+"""Share of these rad² that the sum of d may have. *"""
 IRON = 0.025
 """k_iron, share of the field.  A prior, as `ACCEL_SD`: a single pose shows one of three components."""
 IRON_MEMORY_S = 30.0
-"""Time in which iron that has shown is forgotten, s: it may have been a magnet in the room.  Ablation."""
+"""Time in which iron that has shown is forgotten, s: it may have been a magnet in the room. *"""
 
 
 class Slot(NamedTuple):
@@ -55,7 +56,7 @@ class Slot(NamedTuple):
     wrong_turns: FloatArray  # q_ij, rad, in gyro-carried axes, in column 3 i + j, (3, 9); zero at rest
     missed: float  # variance of the angle by samples that are missing, rad²
     bias_sd: float  # standard deviation of the gyro bias about the vertical, rad/s; NaN while it is not known
-    field: FloatArray  # latest, in body axes, in the unit of the calibration, (3,); NaN before the first
+    field: FloatArray  # in body axes, in the unit of the calibration, (3,); NaN where none came
 
 
 def tilt_squared(wrong_turns: FloatArray, up: FloatArray) -> FloatArray:
@@ -128,7 +129,7 @@ class Gyros:
 
 
 class TiltSigma:
-    """Estimate of the tilt's standard deviation since the attitude began."""
+    """Estimate of the tilt's standard deviation since the attitude, or its accelerometers, began."""
 
     def __init__(self, accelerometers: Accelerometers, gyros: Gyros) -> None:
         self.accelerometers, self.gyros = accelerometers, gyros
@@ -137,23 +138,21 @@ class TiltSigma:
         self.mean = 0.0
         """m (T2), the mean of d/4 over 18 s, rad²: d is of two axes, and u is off at both moments."""
         self.late = np.zeros((3, 9))  # q_ij that are forgotten within τ, rad
-        self.rested = False  # since the attitude began
 
     def step(self, slot: Slot) -> float:
         """Take a slot; return the variance at its end, max(m, d/2, l) + a²/g², rad².
 
-        d/2, as u was right where a motion begins: all its change is error.  NaN in the first 6 s of an
-        attitude that begins in motion: there is no earlier vertical to compare with.
+        d/2, as u was right where a motion begins: all its change is error.  NaN in the first 6 s: there is no
+        earlier vertical to compare with.
         """
         self.lag.append((slot.up, slot.wrong_turns))
         change = float(((slot.up - self.lag[0][0]) ** 2).sum())
         self.accelerometers.learn(slot.up_body, float(slot.end["low_force"]))
         latest = list(self.lag)[-round(LAG_S / SLOT_S) :]
         self.gyros.learn(change, np.array([wrong_turns for _, wrong_turns in latest]), slot.up)
-        self.rested |= slot.rest
         self.mean += SLOT_S / (3.0 * LAG_S) * (0.25 * change - self.mean)
         self.late = math.exp(-SLOT_S / TAU_ACC_S) * self.late + slot.wrong_turns
-        if not self.rested and SLOT_S * len(self.lag) < LAG_S:
+        if SLOT_S * len(self.lag) < LAG_S:
             return math.nan
         changed = max(self.mean, 0.5 * change, self.not_followed(slot.up))
         return changed + self.accelerometers.variance / STANDARD_GRAVITY**2
@@ -167,45 +166,51 @@ class HeadingSigma:
     """Estimate of the heading's standard deviation since the attitude began.
 
     The change of a relative heading since the bias is known has the variance v = s² Σ h_ij² + variance by
-    missing samples + Σ (∫ bias_sd dt)² over motions (H1), as each rest measures the bias anew; and Σ h_ii²
-    more until the gyros are confirmed.  The `magnetometer` is None where it is not calibrated; `earth_rate`
-    is its vertical part that is left in the corrected rate, rad/s.
+    missing samples + that by the bias + (∫ earth_rate dt)² (H1), and Σ h_ii² more until the gyros are
+    confirmed; the white noise of the gyros is not in it.  The `magnetometer` is None where it is not
+    calibrated; `earth_rate` is its vertical part that is left in the corrected rate, rad/s.
     """
 
     def __init__(self, gyros: Gyros, magnetometer: MagnetometerModel | None, earth_rate: float) -> None:
         self.gyros, self.magnetometer, self.earth_rate = gyros, magnetometer, earth_rate
         self.about_up = np.zeros(9)  # h_ij = u q_ij, summed over all slots, rad
-        self.earlier = 0.0  # variance by the bias in the motions before, and by missing samples, rad²
-        self.drift = 0.0  # standard deviation by the bias in this motion, rad
+        self.earlier = 0.0  # variance by what the bias was before, and by missing samples, rad²
+        self.drift = np.zeros(2)  # standard deviations by the bias as it is now, and by the earth rate, rad
         self.field_correction = 0.0
         """p, the angle by which the field has turned the heading against the gyros, forgotten with τ, rad."""
-        self.delta = math.nan  # of the last slot, rad
+        self.bias_sd, self.delta = math.nan, math.nan  # of the last slot, rad/s and rad
+        self.by_field = math.nan  # variance by the field that the heading has followed last, rad²
         self.iron = 0.0  # largest along² + across² lately, in the square of the field's unit
 
     def step(self, slot: Slot, tilt_variance: float) -> float:
         """Take a slot; return the variance of the heading, or of its change where it is relative, rad²."""
         known = not math.isnan(slot.bias_sd)
         if not known:
-            self.about_up, self.earlier, self.drift = np.zeros(9), 0.0, 0.0
-        elif slot.rest:
-            self.earlier += self.drift**2
-            self.drift = 0.0
+            self.about_up, self.earlier, self.drift = np.zeros(9), 0.0, np.zeros(2)
+        elif slot.rest:  # by so much of its sigma as a rest takes away the bias is another
+            same = min(slot.bias_sd / self.bias_sd, 1.0) if self.bias_sd > 0.0 else 1.0
+            self.earlier += (1.0 - same**2) * self.drift[0] ** 2
+            self.drift[0] *= same
         else:
-            self.drift += SLOT_S * math.hypot(slot.bias_sd, self.earth_rate)
+            self.drift += SLOT_S * np.array([slot.bias_sd, self.earth_rate])
             self.about_up += slot.up @ slot.wrong_turns
             self.earlier += slot.missed
-        if slot.end["north"] and slot.end["follows"]:  # the field corrects what is older than τ
+        self.bias_sd = slot.bias_sd
+        follows = slot.end["north"] and slot.end["follows"] and not math.isnan(slot.field[0])
+        if follows:  # the field corrects what is older than τ
             keep = math.exp(-SLOT_S / TAU_MAG_S)
             self.about_up *= keep
             self.drift *= keep
             self.earlier *= keep**2
             self.field_correction *= keep
         turned = self.gyros.error_variance(self.about_up**2)
-        relative = turned + self.earlier + self.drift**2 if known else math.nan
-        return self._magnetic(slot, tilt_variance, relative) if slot.end["north"] else relative
+        relative = turned + self.earlier + float(self.drift @ self.drift) if known else math.nan
+        if follows:
+            self.by_field = self._magnetic(slot, tilt_variance, relative)
+        return self.by_field + relative if slot.end["north"] else relative
 
     def _magnetic(self, slot: Slot, tilt_variance: float, relative: float) -> float:
-        """Return (e_cal² + e_iron² + B_v² θ²) / B_h² + v (H2), NaN without a calibration or gyro bias.
+        """Return (e_cal² + e_iron² + B_v² θ²) / B_h² (H2), NaN without a calibration.
 
         θ² is the variance of the tilt, and `relative` is v.  e_cal is the error of the calibration, and
         e_iron the iron that came after it (H5), with a margin of 2 for what a pose does not show.
@@ -221,6 +226,6 @@ class HeadingSigma:
         along2 = (strength - magnetometer.field) ** 2  # (H3)
         across2 = horizontal2 * (self.field_correction**2 - relative) - prior  # (H4)
         self.iron *= math.exp(-SLOT_S / IRON_MEMORY_S)
-        if slot.end["follows"] and math.isfinite(across2):
+        if math.isfinite(across2):
             self.iron = max(self.iron, along2 + max(across2, 0.0))
-        return (prior + 2.0 * self.iron) / horizontal2 + relative
+        return (prior + 2.0 * self.iron) / horizontal2

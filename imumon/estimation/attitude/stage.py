@@ -18,14 +18,12 @@ from imumon.models.magnetometer import MagnetometerModel
 
 GAP_NS = 250_000_000
 """A longer pause hides turns: in it a hand turns by a radian."""
-ONE_TURN = np.eye(1, 9)[0]
-"""Squares of q_ij of a turn by a radian about the axis of one gyro."""
 TEXT = {part: f"attitude, body to east-north-up, {part}" for part in "wxyz"} | {
     "roll": "estimated roll",
     "pitch": "estimated pitch",
     "tilt_sd": "standard deviation of pitch; that of roll is this over cos(pitch)",
     "heading": "of the body x axis, clockwise from magnetic north; relative: from where it begins",
-    "heading_sd": "its standard deviation; of its change since then where it is relative",
+    "heading_sd": "its standard deviation; where it is relative, of its change since the gyro bias is known",
 }
 COLUMNS = (
     *(Column(f"attitude_estimate_{of}", "1" if of in "wxyz" else "rad", description=TEXT[of]) for of in TEXT),
@@ -39,7 +37,7 @@ class AttitudeEstimate:
     Where ``gyro_bias`` is known the rate is without it, and while the unit is ``at_rest`` it does not turn;
     before, VQF estimates the bias by its own means.  North is that of the magnetometer.  Without one the
     heading is relative: it begins at `heading_deg` or 0, after a restart or a gap again, and its standard
-    deviation is that of its change since then.
+    deviation is that of its change since the gyro bias is known.
 
     Roll and pitch are of the body's `axes`; None is whichever of FRD and FLU stands upright at the beginning.
     """
@@ -60,15 +58,15 @@ class AttitudeEstimate:
         """Sign of the body z axis: 1 down, -1 up, 0 not known yet."""
         self._magnetometer = magnetometer
         self._heading = math.radians(heading_deg or 0.0)
-        self._slots = SlotGatherer(10, int(SLOT_S * 1e9), turns=True)
+        self._slots = SlotGatherer(11, int(SLOT_S * 1e9), turns=True)
         self._accelerometers, self._gyros = Accelerometers(given.accel_bias_m_per_s2), Gyros(given.gyro_scale)
         # With a latitude the earth rate stays in the corrected rate: its vertical part turns the heading.
         # Without one it is in the bias, whose standard deviation covers what a turn changes of it.
         self._earth_rate = EARTH_RATE * abs(math.sin(math.radians(latitude_deg or 0.0)))
-        self._fusion, self._field = Fusion(self._heading), np.full(3, math.nan)
+        self._fusion = Fusion(self._heading)
         self._path = np.zeros(3)  # sum of the angles of all samples, rad
         self._shown = np.array([math.nan, math.nan, 0.0, 0.0, 0.0, 0.0])
-        """Of the latest slot: variances of tilt and heading, rad², and of a turn by a radian; path."""
+        """Of the latest slot: variances of tilt and heading, rad², and of a turn per rad²; path."""
         self._last_time: tuple[int, int] | None = None  # ns, and segment of the last sample
         self._attitudes = 0  # how often one had to begin anew
         self._device_has_attitude = False
@@ -113,10 +111,12 @@ class AttitudeEstimate:
         if self._magnetometer is not None:
             field = self._magnetometer.corrected(field)
         angle = 1e-9 * interval_ns[:, np.newaxis] * rate
-        sensors = angle, _complete(np.asarray(block.accel)), _complete(field)
+        force = np.asarray(block.accel)
+        sensors = angle, _complete(force), _complete(field)
         rows = self._fusion.process(begins, known, time_ns, *sensors)
         path = np.cumsum(np.vstack([self._path, angle]), axis=0)[1:]
-        slots = self._slots.process(time_ns, attitude, np.column_stack([rate, bias_sd, field, rest]))
+        values = np.column_stack([rate, bias_sd, field, rest, force.sum(1)])
+        slots = self._slots.process(time_ns, attitude, values)
         ended = [[*self._end_slot(rows[row], slots, k), *path[row]] for k, row in enumerate(slots.row)]
         shown = held(slots.row, np.reshape(ended, (-1, 6)), self._shown, len(rows))
         self._path, self._shown = path[-1], shown[-1]
@@ -125,13 +125,13 @@ class AttitudeEstimate:
     def _end_slot(self, end: Any, slots: Slots, k: int) -> tuple[float, float, float]:
         """Return the variances of tilt and heading, rad², and of a turn over its square, behind slot k.
 
-        `end` is the first row behind the slot; they are NaN where an attitude begins with it.
+        `end` is the first row behind the slot; NaN where an attitude begins with it, or nothing is known.
         """
-        if slots.begins[k]:  # what is known of the sensors stays
+        if slots.begins[k] or not slots.count[k, 10]:  # what is known of the sensors stays
             self._tilt_sigma = TiltSigma(self._accelerometers, self._gyros)
+        if slots.begins[k]:
             self._heading_sigma = HeadingSigma(self._gyros, self._magnetometer, self._earth_rate)
-        turn, bias_sd, field = slots.turns[k], slots.last[k, 3:6], slots.last[k, 6:9]
-        self._field = np.where(np.isfinite(field), field, self._field)
+        turn, bias_sd = slots.turns[k], slots.last[k, 3:6]
         if not end["low_force"] > 0.0:
             return math.nan, math.nan, 0.0
         body, carried = matrices(np.array([end["quat6d"], end["gyr_quat"]]))
@@ -143,10 +143,10 @@ class AttitudeEstimate:
             wrong_turns=carried @ turn.rotation.T @ turn.by_scale.reshape(3, 9),
             missed=turn.missed,
             bias_sd=float(np.linalg.norm(body[2] * bias_sd)),
-            field=self._field,
+            field=slots.last[k, 6:9],
         )
-        tilt = self._tilt_sigma.step(slot)
-        return tilt, self._heading_sigma.step(slot, tilt), self._gyros.error_variance(ONE_TURN)
+        tilt = self._tilt_sigma.step(slot) if slots.count[k, 10] else math.nan
+        return tilt, self._heading_sigma.step(slot, tilt), self._gyros.error_variance(np.eye(1, 9)[0])
 
     def _output(
         self, rows: Rows, angle: FloatArray, path: FloatArray, shown: FloatArray

@@ -6,13 +6,13 @@ recording.  Reversed in time, a rotation by ω is one by -ω: the rates change t
 estimated bias.
 
 Each estimate is one from a forward and a backward filter (Fraser and Potter 1969).  If their errors are
-independent, their difference has the variance P_f + P_b, and the weights are the inverse variances.  (Errors
-that are wholly the same make sigma too small by the root of two, as averaging then removes nothing.)
+independent, their difference has the variance P_f + P_b, and the weights are the inverse variances.  (Both
+have the sample at t itself: where it alone decides, sigma is too small by the root of two.)
 
 Let r be the rms over a recording of the normalised residual |f - b| / sqrt(P_f + P_b).  If it exceeds one,
 the model lacks an effect.  All standard deviations are then multiplied by r, or by the median residual over
 that of a normal one if that is smaller (scale factor of the Particle Data Group); where a single residual
-exceeds two, by that.
+exceeds two, by that residual, if it is more.
 """
 
 import math
@@ -49,7 +49,6 @@ def value_and_sd(quantity: str, suffix: str = "") -> tuple[str, str]:
 NAMES = (
     *SENSORS,
     *TEMPERATURES,
-    "at_rest",
     *(name for quantity in QUANTITIES for name in value_and_sd(*quantity)),
     *(f"gyro_random_error_{axis}" for axis in "xyz"),
     "attitude_estimate_heading",
@@ -64,7 +63,7 @@ class Record(NamedTuple):
     stop: IntArray  # row of the recording after the last of each slot
     run: IntArray  # number of the segment, counted from restart to restart
     middle_ns: IntArray  # device time
-    columns: SampleBlock  # means of sensors; last values of temperatures, rest and estimates
+    columns: SampleBlock  # means of sensors; last values of temperatures and estimates
 
 
 class Recorder:
@@ -97,8 +96,8 @@ class Recorder:
 def backward(record: Record, temperature: Estimator, bias: Estimator) -> dict[str, FloatArray]:
     """Return temperature, its rate and the bias, with their sigmas, by what comes later, (n,) each.
 
-    The stages are new.  That of the bias has no bias model: the modelled bias is subtracted from the rates
-    here.  Time counts from the end of each run, and the order of the runs is reversed.
+    The stages are new.  That of the bias has no bias model, nor its sigma: the modelled bias is subtracted
+    from the rates here.  Time counts from the end of each run, and the order of the runs is reversed.
     """
     ends = np.flatnonzero(np.diff(record.run, append=-1))
     last_ns = record.middle_ns[ends][np.searchsorted(record.run[ends], record.run)]

@@ -33,11 +33,11 @@ EXPLAINING_SHARE = 0.7
 SLOT_S, BLOCK = 1.0, 10
 """Length of a slot at rest, s, and how many make a step of the tests."""
 LEARNING = 20
-"""Slots after a start that do not count: the filter is still estimating the noise."""
+"""Slots after a start that do not count: the filter is still estimating the noise.  Assumed."""
 CLIP = 4.0
-"""An innovation counts as no more than this many standard deviations: a knock is no effect."""
+"""An innovation counts as no more than this many standard deviations: a knock is no effect.  Assumed."""
 TOLERANCE, KAPPA = 0.03, 1.1
-"""Mean and variance of an innovation that are still as the filter expects."""
+"""Mean and variance of an innovation that are still as the filter expects.  Assumed."""
 THETAS = (0.12, 0.35, 1.0, -0.12, -0.35, -1.0)
 """Means that are tested for, per unit of a regressor; the best is at most 1.7 times off in between."""
 LAMBDAS = np.array([0.1, 0.3])
@@ -76,11 +76,11 @@ REGRESSORS = (
     Pattern.TEMPERATURE, Pattern.RATE, Pattern.RATE, Pattern.TIME, Pattern.TIME,
     Pattern.AUTOCORRELATION, Pattern.AUTOCORRELATION,
 )  # fmt: skip
-"""r: the temperature and twice its rate behind high-passes, `DECAYS_S`, and means of earlier innovations."""
+"""r: the temperature and twice its rate behind high-passes, `DECAYS_S`, and past innovations, `KEPT`."""
 HIGH_PASS_S = np.array([300.0, math.inf, 100.0])
 LEAST_CHANGE = np.array([0.2, 0.003, 0.003])
-"""Time constants of the high-passes, s, and the least changes that are not noise of the thermometer, °C and
-°C/s."""
+"""Time constants of the high-passes, s (infinite: none), and the least changes that are no noise of the
+thermometer, and so the least scale, °C and °C/s."""
 SCALE_S = 3600.0
 """These regressors are in units of their largest value, which is forgotten within about an hour."""
 DECAYS_S = np.array([math.inf, 600.0])

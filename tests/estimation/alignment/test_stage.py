@@ -12,6 +12,7 @@ from imumon.estimation.alignment.parameters import AlignmentParameters
 from imumon.estimation.alignment.report import ANY_ANGLE_SD
 from imumon.estimation.alignment.stage import Alignment
 from tests.estimation.alignment.units import (
+    EARTH,
     INPUTS,
     MEMS_ARW,
     aligned,
@@ -81,6 +82,18 @@ def test_a_mean_that_tells_nothing_is_any_angle_and_reported_as_such(declared: f
     told = as_data(stage.status)["estimators"]
     assert isinstance(told, dict)
     assert all(math.isnan(value) for value in told["gyro_mean"].values())
+
+
+def test_a_quiet_vertical_gyro_makes_no_mean_of_the_level_ones_better() -> None:
+    declared = {"gyro_bias_sd_deg_per_h": 1e-3, "accel_bias_sd_ug": 20.0}
+    ratios = []
+    for seed in range(6):
+        block = samples(scenario(60.0, arw=0.05, rate_hz=20.0, warm_up=(0.0, 150.0)), seed)
+        up = 0.1 * block["gyro_z"] - 0.9 * EARTH[2]
+        stage, _ = aligned(block.with_columns({"gyro_z": up}), declared)
+        mean = stage.status.estimates["gyro_mean"]
+        ratios.append(error_deg(mean.heading, 30.0) / math.degrees(mean.sd))
+    assert np.sqrt(np.mean(np.square(ratios))) < 1.5
 
 
 def test_a_declared_bias_counts_and_is_contradicted_when_it_is_too_small() -> None:
