@@ -395,6 +395,7 @@ ROWS: list[tuple[str, str, Numbers]] = [
         "| a turn without accelerometers ",
         [math.sqrt(2.0) * SENSITIVITY_SD * STANDARD_GRAVITY / DEG_PER_H],
     ),
+    ("tczupt.md", "| the thermometer is silent or stuck", [10, 60, 10 * 60]),
     (
         "tczupt.md",
         "| the temperature changes in motion",

@@ -114,12 +114,12 @@ TURN = np.dtype(
     [(name, np.float64, (3, 3)) for name in ("rotation", "by_bias")]
     + [("by_scale", np.float64, (3, 3, 3))]
     + [(name, np.float64, (3,)) for name in ("coning", "rate", "alpha", "before")]
-    + [(name, np.float64) for name in ("fast", "missed", "seconds", "interval")]
+    + [(name, np.float64) for name in ("fast", "missed", "seconds", "interval", "slope")]
     + [("present", np.int64), ("time_ns", np.int64)]
 )
 """A turn as compiled code has it: fields of `Turn`; `rate` in rad/s, `alpha` in rad and `time_ns` of the last
-sample, the alpha `before` it, the last `interval` in s, which grows `LATE` times at most, and how many
-samples are `present` since a pause."""
+sample, the alpha `before` it, the last `interval` in s, which grows `LATE` times at most, the last `slope` of
+the rate, rad/s², and how many samples are `present` since a pause."""
 FIELDS = "rotation", "by_bias", "by_scale", "coning", "fast", "missed", "seconds"
 
 
@@ -163,6 +163,7 @@ def add_rate(turn: Any, time_ns: int, rate: Vector) -> None:
             _miss_samples(turn, dt, usual, rate)
         if turn.present > 0:
             _rotate(turn, (x * dt, y * dt, z * dt), dt)
+            turn.slope = math.sqrt(_change(turn, rate)) / dt
     turn.present += 1
     for i in range(3):
         turn.rate[i] = rate[i]
@@ -171,14 +172,22 @@ def add_rate(turn: Any, time_ns: int, rate: Vector) -> None:
 @inner
 def _miss_samples(turn: Any, dt: float, usual: float, rate: Vector) -> None:
     """Add the variance of the samples that are missing before this one."""
-    x, y, z = rate
-    change = _square((x - turn.rate[0], y - turn.rate[1], z - turn.rate[2]))
+    change = _change(turn, rate)
     if dt > PAUSE_S and dt > PAUSE_INTERVALS * usual:
         # Of the pause only the rates before and after it are known: it may be all of these.
         turn.missed += ((math.sqrt(_square(rate)) + math.sqrt(change)) * dt) ** 2
         turn.present = 0
     else:
+        # At the end of the range of a gyro both are equal, and the rate may have gone on as before.
+        change = max(change, (turn.slope * (dt - usual)) ** 2)
         turn.missed += change * (0.5 * (dt - usual)) ** 2
+
+
+@inner
+def _change(turn: Any, rate: Vector) -> float:
+    """Return the square of the change of the rate since the last sample, (rad/s)²."""
+    x, y, z = rate
+    return _square((x - turn.rate[0], y - turn.rate[1], z - turn.rate[2]))
 
 
 @inner

@@ -129,6 +129,18 @@ def test_missing_samples_and_a_pause_are_in_the_variance() -> None:
     assert turned(rate, 100.0, paused).seconds == pytest.approx(5.0 - 0.01 - 0.61)
 
 
+@pytest.mark.parametrize(("peak_dps", "range_dps"), [(500.0, 250.0), (800.0, 250.0), (3000.0, 2000.0)])
+def test_samples_beyond_the_range_of_a_gyro_are_in_the_variance(peak_dps: float, range_dps: float) -> None:
+    """The rates before and after them are equal."""
+    flick = np.radians(peak_dps) * np.sin(np.linspace(0.0, np.pi, 31)) ** 2
+    rate = np.zeros((100, 3))
+    rate[30:61, 2] = flick
+    kept = np.flatnonzero(rate[:, 2] < math.radians(range_dps))
+    turn = turned(rate, 100.0, kept)
+    error = np.linalg.norm(off(turn, Rotation.from_matrix(turned(rate, 100.0).rotation)))
+    assert 0.1 < error < 2.0 * math.sqrt(turn.missed)
+
+
 def test_a_unit_at_rest_pays_nothing() -> None:
     noise = math.radians(0.3) / 60.0 * np.random.default_rng(3).normal(size=(60_000, 3)) * math.sqrt(1000.0)
     turn = turned(noise, 1000.0)

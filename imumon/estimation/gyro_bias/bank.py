@@ -55,9 +55,9 @@ seconds, and a gyro of 40 °/h was off by 8 sigmas in them."""
 WALK_CORNER_S = 10.0
 """Averaging time at which a random walk overtakes white noise: both are equal at √3 σ/K."""
 SLOPE_PER_SIGMA = 3.6
-"""Standard deviation of the slope over σ, 1/°C: 60 °/h/°C for a gyro of 0.28 °/√h."""
+"""Standard deviation of the slope over σ, 1/°C: 60 °/h/°C for a gyro of 0.28 °/√h.  Assumed."""
 SLOPE_LEFT_PER_SIGMA = 0.25
-"""The same, 1/°C, of the slope that a model's curve leaves."""
+"""The same, 1/°C, of the slope that a model's curve leaves.  Assumed."""
 SLOPE_DEGC = 30.0
 """Difference of temperature over which a slope changes by as much as itself."""
 SENSITIVITY_SD = math.radians(0.06) / STANDARD_GRAVITY
@@ -85,7 +85,7 @@ class States:
     covariance: FloatArray  # P, (3, ..., 8, 8)
     time_s: float
     degc: FloatArray  # of each gyro, as far as it has moved, (3,)
-    read: FloatArray  # temperatures at the last measurement, °C, (3,)
+    read: FloatArray  # temperatures at the last measurement, and their sd, °C, (2, 3)
 
     def at(self, time_s: float, degc: FloatArray, degc_sd: FloatArray) -> Self:
         """Return F x and F P Fᵀ + Q at a later time and temperatures ± sd, °C, (3,); NaN is no change."""
@@ -142,12 +142,13 @@ class Prediction(States):
         return np.asarray(self.mean[:, SLOPE] ** 2 + self.covariance[:, SLOPE, SLOPE])
 
     def at(self, time_s: float, degc: FloatArray, degc_sd: FloatArray) -> Self:
-        """Return the states once from a measurement on: w, and its variance, have the dT that they lack."""
-        then = super().at(time_s, degc, degc_sd)
-        left = np.nan_to_num(degc - self.read - (then.degc - self.degc))
+        """As `States.at`, but not of its own result: w has the whole dT, and what is not known of it."""
+        then, (read, read_sd) = super().at(time_s, degc, degc_sd), self.read
+        left = np.nan_to_num(degc - read - (then.degc - self.degc))
+        unseen = np.nan_to_num(np.maximum(degc_sd**2 - read_sd**2, 0.0))  # of a silent thermometer
         mean, covariance = then.mean.copy(), then.covariance.copy()
         mean[:, WALK] += mean[:, SLOPE] * left
-        covariance[:, WALK, WALK] += self.slope_square * left**2
+        covariance[:, WALK, WALK] += self.slope_square * (left**2 + unseen)
         return replace(then, mean=mean, covariance=covariance)
 
     def bias(self, force: FloatArray, of_mean: bool = False) -> tuple[FloatArray, FloatArray]:
@@ -161,7 +162,7 @@ class Prediction(States):
     def innovation(self, now: Measurement) -> tuple[FloatArray, FloatArray]:
         """Return a mean rate less its prediction, rad/s, and the variance of that, (3,) each."""
         bias, variance = self.at(now.end_s, now.degc, now.degc_sd).bias(now.force)
-        return now.rate - bias, variance + self.white / now.covered_s
+        return now.rate - bias, variance + self.white / now.covered_s + 0.25 * now.rounding**2
 
     def output(self, added: FloatArray, force: FloatArray, turn: FloatArray) -> LinearBias:
         """Return the bias with `added` variance, (rad/s)², at the mean force of a slot, m/s², (3,) each."""
@@ -191,7 +192,7 @@ def at_samples(
 class Bank(States):
     """The filters at a time, (3 axes, F modes, ...), Q and P over σ²."""
 
-    log_weight: FloatArray  # ln of prior times likelihood of each mode, but for a constant, (3, F)
+    log_weight: FloatArray  # ln of the weight of each mode, but for a constant, (3, F)
     shape: float  # a, of all axes, which are measured at once
     scale: FloatArray  # β, (rad/s)², (3, F)
     declared: bool  # whether flicker and walk are, so that Q σ² stays where σ² changes, as by a fan
@@ -221,7 +222,7 @@ class Bank(States):
         scale = np.tile(count * white[:, np.newaxis], process.shape[1])
         start_s, zero = first.end_s - first.covered_s, np.zeros_like(variance)
         covariance = variance[..., np.newaxis] * np.eye(STATES)
-        prior = process, zero, covariance, start_s, first.degc, first.degc
+        prior = process, zero, covariance, start_s, first.degc, np.stack([first.degc, first.degc_sd])
         return cls(*prior, log_prior, count, scale, b is not None).after(first, jumped=True)
 
     def fits(self, now: Measurement, sigmas: float) -> bool:
@@ -244,7 +245,7 @@ class Bank(States):
         gain = cross / spread[..., np.newaxis]
         mean = prior.mean + gain * innovation[..., np.newaxis]
         covariance = prior.covariance - gain[..., np.newaxis] * cross[..., np.newaxis, :]
-        read = np.where(np.isfinite(now.degc), now.degc, prior.read)
+        read = np.where(np.isfinite(now.degc), [now.degc, now.degc_sd], prior.read)
         bank = replace(prior, mean=mean, covariance=covariance, read=read)
         if jumped:
             return bank
@@ -253,9 +254,9 @@ class Bank(States):
         minus_log = 0.5 * np.log(spread * self.scale) + (a + 0.5) * np.log1p(0.5 * square / self.scale)
         weight = self.log_weight - minus_log
         weight = np.maximum(weight - weight.max(1, keepdims=True), np.log(LEAST_WEIGHT))
-        fade = min(1.0, 0.5 * MEMORY_S / (a + 0.5))
-        scale = fade * (self.scale + 0.5 * square)
-        return bank._with_noise(weight, fade * (a + 0.5), scale)
+        shape = min(a + 0.5, 0.5 * MEMORY_S)
+        scale = shape / (a + 0.5) * (self.scale + 0.5 * square)
+        return bank._with_noise(weight, shape, np.maximum(scale, (shape - 1.0) * LEAST_WHITE))
 
     def _with_noise(self, log_weight: FloatArray, shape: float, scale: FloatArray) -> "Bank":
         bank = replace(self, log_weight=log_weight, shape=shape, scale=scale)

@@ -1,11 +1,10 @@
 """Slot by slot: is the unit at rest, and what is the bias?
 
-The words are those of `imumon.estimation.rest`.  While the unit moves, the variance of the bias grows with
-time, gaps and turns against the earth, and by a model or a slope with temperature.
+The words are those of `imumon.estimation.rest`.
 """
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -64,11 +63,11 @@ class Estimator:
         """Why the unit does not rest; empty where it does.
 
         There is no rest from an unquiet slot until a quiet second is decided on, nor while a turn is more
-        likely than a changed bias.  Where a gyro is absent, quiet accelerometers are rest.  Within a slot the
-        stage ends rest at a sample outside `QuietDetector.band`, and where readings are missing for long.
+        likely than a changed bias, nor while gyros are silent that were not before.  Within a slot the stage
+        ends rest at a sample outside `QuietDetector.band`, and where readings are missing for long.
         """
         if self.quiet.unrest or not self.quiet.present[GYRO].all():
-            return self.quiet.unrest
+            return self.quiet.unrest or ("a gyro is silent" if self.quiet.mean[-1, GYRO].any() else "")
         if self.hypotheses is None or self.hypotheses.moved:
             return QUIET_TOO_SHORT
         return "a turn is more likely than a changed bias" if self.hypotheses.turning else ""
@@ -139,9 +138,10 @@ class Estimator:
         force = np.where(np.isfinite(mean[ACCEL]), mean[ACCEL], self.force)
         degc = np.where(np.isfinite(mean[DEGC]), mean[DEGC], last.mean[DEGC])
         headings = np.array([one.mean[HEADING] for one in slots if np.isfinite(one.mean[HEADING]).all()])
-        heading = headings.mean(0) if len(headings) else mean[HEADING]  # a magnetometer may be slow
+        heading = headings.mean(0) if len(headings) else mean[HEADING]  # it may be missing in some
         length_s = sum(one.length_s for one in slots)
-        return Measurement(last.end_s, length_s, total, rate, force, degc[:3], degc[3:], heading)
+        rounding = self.quiet.rounding_error[GYRO]
+        return Measurement(last.end_s, length_s, total, rate, force, degc[:3], degc[3:], heading, rounding)
 
     def _interrupt(self) -> None:
         """End the rest: drop a measurement that is not complete."""
@@ -163,14 +163,14 @@ class Estimator:
 
     def _turn_attitude(self, slot: Slot, hypotheses: Hypotheses) -> None:
         """Add a slot to the turn since the attitude was taken."""
-        bias, _ = hypotheses.shown.prediction.bias(self.force)
+        bias, _ = hypotheses.shown.prediction.at(slot.end_s, *self.degc).bias(self.force)
         self.attitude.turn = self.attitude.turn.then(slot.turn.less(bias + slot.mean[MODELLED]))
         self.attitude.lost |= slot.gap_s > 0.0 and not slot.rest_given
 
-    def _come_to_rest(self, forces: Iterable[FloatArray]) -> None:
-        """Take the attitude of a rest by the first of these forces that is known."""
-        force = next((one for one in forces if np.isfinite(one).all()), np.zeros(3))
-        prediction = None if self.hypotheses is None else self.hypotheses.shown.prediction
+    def _come_to_rest(self, slots: Sequence[Slot], hypotheses: Hypotheses) -> None:
+        """Take the attitude of a rest by the first of these slots whose force is known."""
+        force = next((one.mean[ACCEL] for one in slots if np.isfinite(one.mean[ACCEL]).all()), np.zeros(3))
+        prediction = hypotheses.shown.prediction.at(self.quiet.latest[-1].end_s, *self.degc)
         self._widen(self.attitude.come_to_rest(force, prediction))
 
     def _begin(self) -> None:
@@ -180,7 +180,7 @@ class Estimator:
             return
         slots = self.quiet.latest[-self.quiet.quiet_slots :]
         self.attitude = self.attitude.anew()
-        self._come_to_rest([self.force])
+        self.attitude.come_to_rest(self.force, None)
         seconds = range(0, len(slots), SECOND_SLOTS)
         measurements = [self._measurement(slots[k : k + SECOND_SLOTS]) for k in seconds]
         if not np.isfinite([one.rate for one in measurements]).all():
@@ -198,7 +198,7 @@ class Estimator:
         """Decide on a complete measurement; return its normalised innovations, (3,), NaN without a rate."""
         slots, self.pending = self.pending, []
         if hypotheses.moved:
-            self._come_to_rest(slot.mean[ACCEL] for slot in slots)
+            self._come_to_rest(slots, hypotheses)
         now = self._measurement(slots)
         if not np.isfinite(now.rate).all():
             return np.full(3, np.nan)
@@ -212,14 +212,11 @@ class Estimator:
             self.quiet.restart()
             self._interrupt()
         elif self.attitude.turn.seconds and not hypotheses.turning:
-            self._come_to_rest(slot.mean[ACCEL] for slot in reversed(slots))
+            self._come_to_rest(slots[::-1], hypotheses)
         return np.asarray(innovation / np.sqrt(variance))
 
     def output(self, now_s: float) -> LinearBias:
-        """Return the bias from a time on, and the parts of its variance that `imumon.estimation.rest` lists.
-
-        The square of the turn hypothesis, which contains the error by rounding, is added by the stage.
-        """
+        """Return the bias from a time on, its variance with the parts that `imumon.estimation.rest` lists."""
         if self.hypotheses is None:
             terms, covariance = np.zeros((3, 4)), np.zeros((3, 4, 4))
             terms[:, 0], variance = self.motion.bias

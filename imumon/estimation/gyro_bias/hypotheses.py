@@ -6,7 +6,7 @@ ago, the *nominal* one up to 16 to 32 s ago or a change that may be a turn.  The
 =================  =================================  ================================================
 the mean fits      that is                            what follows
 =================  =================================  ================================================
-the test copy      the rate is as before              the present bias learns; it may creep
+the test copy      the rate is as before              the present bias learns; so it may creep
 the nominal bias   the turn, or the change, is over   the present bias is the nominal one, and learns
 neither            the rate has changed               the present bias may be any, and learns the mean
 =================  =================================  ================================================
@@ -18,7 +18,7 @@ holds decides what becomes of the nominal bias:
 
 ==================================================================  ===================================
 P(turn) above 1/4 (1/10 if the rate has changed), until below 1/20  it stays, through motion as well
-the rate has changed up to 16 s ago                                 it stays until the unit moves
+the rate has changed up to 16 s ago                                 it stays until the next rest, then follows
 the rate has changed before that                                    it becomes the present bias (a jump)
 else                                                                as of 16 to 32 s ago or the last rest
 ==================================================================  ===================================
@@ -46,7 +46,7 @@ which turns are rare, has P(turn) 0.14."""
 LAG_S = 16.0
 """By so much at least, and twice as much at most, the nominal bias lags behind the present one."""
 ONSET_S = 4.0
-"""A change that motion follows sooner was its onset; an older one may end a turn in the first rest."""
+"""A change that motion follows sooner is undone; an older one may end a turn in the first rest."""
 NEW_POSE = 0.3
 """m/s²: a specific force that differs by more from the first one is that of another pose.  Assumed."""
 BEGAN_LOG_RATIO = -8.0
@@ -71,7 +71,7 @@ class Hypotheses:
     undo: Bank | None = None  # the present filters before the last second, for motion that follows at once
     alike: int = 0  # how many of the recent measurements are of the present rate
     changes: int = 0  # how often the rate has changed since it fitted the nominal bias
-    steady_s: float = 0.0  # how long the present rate has lasted; with `LAG_S` and `ONSET_S` in whole seconds
+    steady_s: float = 0.0  # how long the present rate has lasted; whole seconds are compared with `LAG_S`
     p_turn: float = 0.0  # probability that the difference of both biases is a turn
     ambiguities: FloatArray = field(default_factory=partial(np.zeros, (2, 3)))
     """What the less likely hypothesis adds to sigma, rad/s, by the last two measurements, (2, 3)."""
@@ -166,7 +166,7 @@ class Hypotheses:
         else:  # the variance of the mixture: that of the nominal bias, which may be vague by then, counts
             square = self.p_turn * (change**2 + np.maximum(variance - own, 0.0))
         self.ambiguities = np.stack([self.ambiguities[1], np.copysign(np.sqrt(square), change)])
-        if self.began_turning:
+        if self.began_turning:  # what the rate is if there is no bias
             self.ambiguities[:] = now.rate
 
     def _follow(self, now: Measurement) -> bool:

@@ -85,7 +85,7 @@ class Motion:
         for turn, velocity in self.parts:
             excess, turned = turn.by_bias @ at, axes @ turn.by_bias
             added = axes @ rotation_by(-0.5 * excess) @ velocity
-            # An angle too much turns the force, the half of it within the part.
+            # The angle by a bias up to the part, and half of that within it, turns the force.
             by_bias = np.cross(angle + 0.5 * turned, added[:, np.newaxis], axis=0)
             measured.append(added + by_bias @ at)
             design.append(np.hstack([turn.seconds * np.eye(3), by_bias]))

@@ -75,7 +75,7 @@ class Attitude:
         The mean specific force, m/s², is NaN or zero where not known; the prediction is None at first.
         """
         size = float(np.linalg.norm(force))
-        is_new = self.turn.seconds or self.lost if self.up.any() else self.latitude is not None
+        is_new = (self.turn.seconds or self.lost) if self.up.any() else self.latitude is not None
         if is_new and not size > 0.0:
             # Of this pose nothing is known: up to the next rest the earth rate is part of the bias.
             self.up, self.north, self.earth = np.zeros((3, 3))
@@ -89,13 +89,13 @@ class Attitude:
                 self.earth = earth_rate_along(self.up, self.north, self.latitude)
             if self.unposed:  # the bias has to lose the earth rate again
                 self.unposed, added = False, np.full(3, EARTH_RATE**2)
-                self.heading_variance = 0.0 if self.heading is None else LOST_SD**2
+                self.heading_variance = 0.0 if self.heading is None else LOST_SD**2  # 0: it is bias
         self.turn, self.lost = STILL, False
         return added
 
     def _find_north(self, before: FloatArray, heading: float, prediction: Prediction | None) -> FloatArray:
         """Find north where the place is known; `before` is up, (3,), at the last rest, or zero."""
-        northward = self.north @ self.turn.rotation
+        northward = self.north @ self.turn.rotation  # in the axes of now
         northward -= (northward @ self.up) * self.up
         length, variance = float(np.linalg.norm(northward)), LOST_SD**2
         if prediction is not None and length > LEAST_HORIZONTAL:

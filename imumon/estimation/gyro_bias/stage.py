@@ -63,7 +63,8 @@ class RestAndBias:
         standard, thermal: a model's increments are added to the bias (TCZUPT); without a model sigma does not
         contain the temperature.  learned: the slope is estimated, and used where it is evident.
     latitude_deg, heading_deg : float or None
-        Of the place, and of the body's x axis (if vertical: -z) at the first rest, clockwise from north.
+        Of the place, and of the body's x axis (if vertical: -z) at the first rest of each segment, clockwise
+        from north.  Sigma does not contain their errors.
     rest : RestParameters or None
         What a resting unit may do.
     """
@@ -90,6 +91,7 @@ class RestAndBias:
         self._bias = self._estimator.output(0.0)
         self._trail = BiasTrail(model)
         self._last_ns = NO_INT
+        self._seen = np.zeros(3, np.bool_)  # gyros that have had a reading
         self._notices = _notices_of_place(latitude, heading)
 
     def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
@@ -99,11 +101,14 @@ class RestAndBias:
         accel_{x,y,z} in m/s², of mag_{x,y,z}, yaw or q_{w,x,y,z}, and, in °C, of temperature_estimate and its
         _sd, or of temperature: that is taken as exact, so its noise draws a learned slope to zero.
         """
-        n, time_ns, segment = len(block), block["device_time_ns"], block["segment"]
+        n, time_ns = len(block), block["device_time_ns"]
         readings = block.stacked(SENSORS)
         readings[time_ns == NO_INT] = np.nan
         usable = np.asarray(np.isfinite(readings).any(1))
         (temperature, sd), (total, curve, power_on_sd) = self._thermal.process(block)
+        absent = self._fill_absent(readings[:, GYRO])
+        segment = 4 * block["segment"] + absent.sum(1)  # one that comes late begins another
+        block = block.with_columns({"segment": segment})
         given = np.full(n, np.nan)  # is to be detected
         if self._parameters.assume_at_rest:
             given = np.asarray(block.columns.get("at_rest", np.ones(n)) == 1, np.float64)
@@ -115,11 +120,20 @@ class RestAndBias:
             rest[:] = given
         bias, variance, turn = at_samples(slots.row, every, readings[:, ACCEL], rest == 0)
         bias, sd = bias + total, np.sqrt(variance + turn**2)
+        bias[absent] = sd[absent] = innovation[absent] = np.nan
         self._trail.add(temperature[slots.row], bias[slots.row])
         vectors = bias, sd, readings[:, GYRO] - bias, innovation, bias - curve, sd
         columns = [rest, *turn.T, *(axis for vector in vectors for axis in vector.T)]
         # A detector of rest alone has the first of them.
         return dict(zip((column.name for column in self.columns), columns, strict=False))
+
+    def _fill_absent(self, gyro: FloatArray) -> BoolArray:
+        """Let gyros without any reading so far, beside one that has, read zero; return which, (n, 3)."""
+        seen = np.maximum.accumulate(np.vstack([self._seen, np.isfinite(gyro)]))
+        self._seen = seen[-1]
+        absent: BoolArray = (~seen & seen.any(1, keepdims=True))[1:]
+        gyro[absent] = 0.0
+        return absent
 
     def _estimate(
         self, block: SampleBlock, slots: Slots, readings: FloatArray, temperature: FloatArray

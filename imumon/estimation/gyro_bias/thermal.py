@@ -56,9 +56,9 @@ class Thermal:
         """How far outside of the calibrated range, °C, and variance by what has faded, (rad/s)², (3,)."""
 
     def variance(self, degc: FloatArray, sd: FloatArray, lag_degc: FloatArray) -> FloatArray:
-        """Return the variance, (rad/s)², that temperatures add, with this sd of the state, (3,); NaN: none.
+        """Return the variance, (rad/s)², (3,), added since the last call; temperatures that are NaN add none.
 
-        In a gap the lag of the gyros behind the thermometer may have changed by `lag_degc` (sd), (3,).
+        `sd` is that of the state at power-on; in a gap the gyros' lag may change by `lag_degc` (sd), (3,).
         """
         if self._predictor is None:
             return np.zeros(3)
@@ -120,6 +120,7 @@ def _first_of(block: SampleBlock, ends: list[list[str]], *kinds: str) -> FloatAr
 
 
 def _ends(column: str, axis: str) -> list[str]:
+    """Return the endings of columns that belong to an axis, the likeliest first."""
     end = column.removeprefix("temperature").removeprefix("_estimate")
     return [end] if end else ["", f"_{axis}"]
 

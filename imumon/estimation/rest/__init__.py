@@ -2,13 +2,13 @@
 
 - A *slot* (`slots`) is a quarter of a second, or one slow sample: mean and variance of each axis.
 - It is *quiet* (`quiet`) if means of slots differ by no more than noise and drift since the rest began, and
-  samples scatter no more than at rest.  A *trial* of 16 slots finds the noise; rest before that is given.
+  samples scatter no more than at rest.  A *trial* of 16 slots finds the noise; before it only given rest is.
 - A *measurement* is the mean of a second of quiet slots; with it the filters of the bias are updated.
 - The *present bias* has all measurements.  The *nominal bias* is a prediction as if nothing had changed: from
   16 to 32 s ago, or the end of the last rest; or from before the rate changed, while that may be a turn.
 - P(turn), by `odds`, is the probability that the present less the nominal bias is a turn.
 
-Of `imumon.estimation.gyro_bias` read `hypotheses` (two decision tables: what a measurement does to both),
+Of `imumon.estimation.gyro_bias` read `hypotheses` (tables: what a measurement does to both biases),
 `bank` (the Kalman filters) and `estimator`, which calls all of these slot by slot.
 
 - Why is a slot no rest?  `Estimator.unrest`, from `QuietDetector.unrest` and P(turn).
@@ -18,6 +18,6 @@ Of `imumon.estimation.gyro_bias` read `hypotheses` (two decision tables: what a 
 - What would another gyro need?  White noise is learned, flicker only among `FLICKER_CORNERS_S` (bank); else
   declare B and K.  Assumed are the settings `gyro_drift`, `largest_jump`; `quiet.QUIET_SD`; `USUAL_CHANGE`,
   `SLOWEST_TURN` (with `hypotheses.DOUBT`) and `UNSEEN_TURN` of odds; `SLOPE_PER_SIGMA`, `SENSITIVITY_SD` and
-  `TURN_ON` (bank); `SCALE_SD` (place); and `BIAS_WALK` (motion).
+  `TURN_ON` and `LEAST_WHITE` (bank); `SCALE_SD` (place); and `BIAS_WALK` (motion).
 - "Assumed.": plausible, and not measured.  "Ablation.": its price is in docs/appendix/ablation-results.md.
 """

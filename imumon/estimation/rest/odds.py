@@ -9,7 +9,7 @@ by the prior and the gyros, and Λ the likelihood ratio of no turn over a turn, 
     o_changed = 2 D c / (π (|d|/50 + 50/|d|) (1 + n))       the bias has changed: half-Cauchy of 50 °/h, and
                                                             prior odds of 1 : 1 + n, as a hand changes its
                                                             rate more often than a bias
-    o_nominal = 2 N(|d|; 0, σ²) |d| D c                     nothing has changed: the nominal bias is vague
+    o_nominal = 2 N(|d|; 0, σ²) |d| D c                     nothing has changed: the nominal bias was vague
     o_first   = 0.05 (size of the first rate / of this)³    the first rest was a turn, and this is the bias;
                                                             0 till 4 s after a change, or in a new pose
 
@@ -101,7 +101,7 @@ def first_turn(first: FloatArray, now: FloatArray) -> float:
 def hidden_turn(measurements: Sequence[Measurement], force_variance: float) -> FloatArray:
     """Return the variance of a turn that may hide in the first rest, (rad/s)², (3,).
 
-    It has been contradicted by none of the measurements, of T seconds (15 at most).  About the vertical it
+    The turn is contradicted by none of the measurements, of T seconds (15 at most).  About the vertical it
     shows in no other sensor; across it gravity shows the tilt t, rad, with a variance v, rad²::
 
         about the vertical:  u² = (UNSEEN_TURN exp(-T / UNSEEN_S))²

@@ -47,14 +47,14 @@ class GyroBiasParameters(StrictModel):
     ----------
     angle_random_walk_rad_per_sqrt_s : float or [x, y, z], optional
         Square root of the two-sided density of the gyro's white noise (0.28 °/√h is 8.1e-5).  Learned at
-        rest; if given, from this value on.
+        rest, from this value on if it is given.
     bias_instability_rad_per_s, rate_random_walk_rad_per_s_per_sqrt_s : float or [x, y, z], optional
         Flicker coefficient B (floor of the Allan deviation 0.664 B) and bias random walk K, rad/s/√s.  When
         one is given, both hold, the other being zero.  When neither is, how much the bias wanders is learned
         from the innovations.
     assume_at_rest : bool
         Whether motion is not detected: rest is that of the column at_rest of the samples, and without one the
-        unit rests throughout.  A rate that contradicts the bias is bias at once; sigma has both for 60 s.
+        unit rests throughout.  A rate that contradicts the bias is bias at once; for 60 s both are in sigma.
     """
 
     angle_random_walk_rad_per_sqrt_s: _PerAxis | None = None

@@ -6,9 +6,8 @@ may differ by D, summed over the three axes of a sensor::
 
     sum max(|D| - drift L dt, 0)² / (2 max(v / L, q²)) <= 42,    dt = 1/4 s
 
-q², `QUIET_VARIANCE` plus the variance of rounding, is always quiet.  While v is not known, or when 4 slots in
-all were unquiet since the last rest of 16 slots, a *trial* of the last 16 finds it.  Whether a steady mean is
-the bias or a turn is decided by `odds`.
+A change by q, of variance `QUIET_VARIANCE` plus that of rounding, is always quiet.  While v is not known, or
+when 4 slots in all were unquiet since the last rest of 16 slots, a *trial* of the last 16 finds it.
 """
 
 from dataclasses import dataclass, field
@@ -49,11 +48,11 @@ MEMORY_SLOTS = 1200.0
 LARGEST_COLOUR = 5.0
 """In a trial (coloured): largest variance of means of 4 and 8 slots over that of white noise.  Assumed."""
 HALVES, HALVES_OFFSET = 5.0, 20.0
-"""In a trial (uneven): the sum of squares over v of one half is at most so many times that of the other, plus
-so much: else a knock would be noise.  Assumed."""
+"""In a trial (uneven): the sum of squares over v (6 on average) of one half is at most so many times that
+of the other, plus so much: else a knock would be noise.  Assumed."""
 SLOWER = 16.0
 """In a trial (slow): largest variance of slot means over what their samples explain: a hand is slow within a
-slot and fast between slots."""
+slot and fast between slots.  Assumed."""
 ROAD = np.array([2.5e-3, 0.021])
 """In a trial (road): largest rms of slot means, rad/s, m/s²: of sensors (0.1 °/s/√Hz, 1.5 mg/√Hz)."""
 NOISE_CHANGE = 2.5
@@ -200,7 +199,7 @@ class QuietDetector:
         # Wilson and Hilferty, with half the degrees of freedom: samples may be filtered.
         spread = 2.0 / (9.0 * np.maximum(0.5 * (slot.samples - 1.0), 1.0))  # variance of the cube root
         factor = VARIANCE_FACTOR * (1.0 - spread + VARIANCE_SIGMAS * np.sqrt(spread)) ** 3
-        limit = np.maximum(factor * self.sample_noise, 1e-12) + 12.0 * self.floor  # 1e-6² or more, and step²
+        limit = np.maximum(factor * self.sample_noise, 1e-12) + 12.0 * self.floor  # at least (1e-6)²; step²
         return bool(((slot.variance > limit) & (slot.samples >= 3.0)).any())
 
     def _learn(self, slot: Slot) -> None:
@@ -213,7 +212,7 @@ class QuietDetector:
         before, middle, last = self.mean[-3:]
         square = ((last - middle) - (middle - before)) ** 2 / 6.0
         self.noise = self.noise + gain * (np.minimum(square, 9.0 * self.noise) - self.noise)
-        within = np.minimum(slot.variance, 4.0 * self.sample_noise)
+        within = np.minimum(slot.variance, 4.0 * self.sample_noise + 12.0 * self.floor)
         within = np.where(slot.samples >= 3.0, within, self.sample_noise)
         self.sample_noise = self.sample_noise + gain * (within - self.sample_noise)
         if self.quiet_slots >= TRIAL:

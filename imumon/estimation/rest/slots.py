@@ -37,7 +37,7 @@ class Slot(NamedTuple):
     samples: FloatArray  # number of samples of each of the six axes, (6,)
     mean: FloatArray  # of all columns that are gathered, (22,)
     variance: FloatArray  # of the samples of the six axes about the mean (n - 1), (rad/s)², (m/s²)², (6,)
-    step: FloatArray  # of the sensor, (6,), if most readings are as the one before, and some not; else ∞
+    step: FloatArray  # of the sensor, (6,), if most readings are as the one before, but not all; else ∞
     turn: Turn
     rest_given: bool | None  # whether it was at rest throughout; None where that is to be detected
 
@@ -53,6 +53,7 @@ class Measurement(NamedTuple):
     degc: FloatArray  # temperature of each gyro, °C, (3,); NaN where missing, as is the heading
     degc_sd: FloatArray  # its standard deviation, °C, (3,)
     heading: FloatArray  # a vector that turns with it (`heading_of`), (3,)
+    rounding: FloatArray | float = 0.0  # largest error of the rate by rounding, rad/s, (3,)
 
 
 @dataclass(slots=True)

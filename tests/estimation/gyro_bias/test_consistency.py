@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import chi2
 
 from imumon.blocks import FloatArray
-from imumon.estimation.gyro_bias.bank import SENSITIVITY, SENSITIVITY_SD, SLOPE_PER_SIGMA, Bank
+from imumon.estimation.gyro_bias.bank import LEAST_WHITE, SENSITIVITY, SENSITIVITY_SD, SLOPE_PER_SIGMA, Bank
 from imumon.estimation.gyro_bias.stage import RestAndBias
 from imumon.estimation.rest.parameters import GyroBiasParameters
 from imumon.estimation.rest.slots import Measurement
@@ -178,6 +178,23 @@ def test_the_prior_of_the_sensitivity_is_that_of_the_data_sheets_whatever_the_no
         bank = Bank.begin((None, None, None), (0.0,), np.full(3, white), first)
         sd = np.sqrt(np.einsum("aii->ai", bank.prediction.covariance)[:, SENSITIVITY])
         assert sd == pytest.approx(np.full((3, 3), SENSITIVITY_SD))
+
+
+def test_a_gyro_whose_readings_were_equal_for_hours_has_a_sigma_when_they_change() -> None:
+    zero, rng = np.zeros(3), np.random.default_rng(0)
+
+    def reading(time_s: float, rate: float) -> Measurement:
+        force = rng.normal([0.0, 0.0, 9.8], 0.005)
+        return Measurement(time_s, 1.0, 1.0, np.full(3, rate), force, zero, zero, zero)
+
+    bank = Bank.begin((None, None, None), (0.0,), np.full(3, LEAST_WHITE), reading(1.0, 0.0))
+    for k in range(2, 5000):
+        bank = bank.after(reading(float(k), 0.0))
+    for k in range(3):
+        bank = bank.after(reading(5000.0 + 2 * k, 1e-3), jumped=True).after(reading(5001.0 + 2 * k, 1e-3))
+    mean, variance = bank.prediction.bias(np.array([0.0, 0.0, 9.8]))
+    assert mean == pytest.approx(np.full(3, 1e-3))
+    assert (variance > 0.1 * LEAST_WHITE).all()
 
 
 def test_a_motion_of_one_step_widens_the_bias_like_one_of_many() -> None:

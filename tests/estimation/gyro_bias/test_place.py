@@ -13,8 +13,9 @@ from imumon.estimation.rest import odds
 from imumon.estimation.rest.parameters import RestParameters
 from imumon.estimation.rest.slots import Measurement
 from imumon.geodesy import EARTH_RATE, STANDARD_GRAVITY, earth_rate_along
-from tests.estimation.gyro_bias.records import GIVEN, LATITUDE_DEG, vector
+from tests.estimation.gyro_bias.records import DPH, GIVEN, LATITUDE_DEG, local_earth, vector, with_rest
 from tests.estimation.gyro_bias.test_poses import in_the_hand
+from tests.estimation.rest.scenes import block as scene
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -65,6 +66,24 @@ def test_a_jump_of_the_bias_that_was_taken_for_a_turn_does_not_turn_north() -> N
     z = (vector(result, "gyro_bias") - np.outer(jump, [0.0, 0.0, 1.0])) / vector(result, "gyro_bias_sd")
     assert result["at_rest"][-1] == 1
     assert np.abs(z[t > 250.0]).max() < 4.0
+
+
+def test_north_is_kept_by_the_bias_of_each_moment_of_a_motion_that_warms_the_gyros() -> None:
+    t = np.arange(2600) / 4.0
+    degc = np.interp(t, [0.0, 300.0, 600.0], [20.0, 25.0, 35.0])
+    moving = (t > 300.0) & (t <= 600.0)
+    yaw = np.where(moving, 0.5 * np.sin(np.pi * t), 0.0)
+    turned = np.diff(yaw, prepend=0.0) * 4.0
+    north, _, down = local_earth()
+    bias = np.outer(60.0 * DPH * (degc - 20.0), [0.0, 0.0, 1.0])
+    earth = np.column_stack([north * np.cos(yaw), -north * np.sin(yaw), down + turned])
+    rng = np.random.default_rng(0)
+    gyro = earth + bias + 4e-5 * rng.standard_normal(bias.shape)
+    accel = [0.0, 0.0, -STANDARD_GRAVITY] + 2e-3 * rng.standard_normal(bias.shape)
+    block = with_rest(scene(t, gyro, accel), ~moving).with_columns({"temperature": degc})
+    stage = RestAndBias(GIVEN, mode="learned", latitude_deg=LATITUDE_DEG, heading_deg=0.0)
+    error = (vector(stage.process(block)) - bias)[-1] / DPH
+    assert np.abs(error[:2]).max() < 2.0
 
 
 def test_a_heading_of_which_one_axis_is_missing_decides_nothing() -> None:

@@ -275,3 +275,16 @@ def test_a_gyro_that_alternates_between_two_readings_has_its_rounding_in_the_sig
     added = RestAndBias().process(scene(t, step * np.round(rate / step), force))
     error = (vector(added) - bias)[50 * 60 :] / vector(added, "gyro_bias_sd")[50 * 60 :]
     assert np.abs(error).max() < 3.0
+
+
+@pytest.mark.parametrize("noise_steps", [0.01, 0.1])
+def test_a_gyro_whose_equal_readings_begin_to_alternate_is_still_at_rest(noise_steps: float) -> None:
+    """Its noise was not measurable, and its bias creeps to the limit between two readings."""
+    t, step = np.arange(1200) / 20.0, math.radians(0.061)
+    bias = step * np.column_stack([np.interp(t, [20.0, 25.0], [0.2, 0.5]), 0.1 + 0.0 * t, -0.1 + 0.0 * t])
+    rng = np.random.default_rng(0)
+    rate = bias + noise_steps * step * rng.normal(size=bias.shape)
+    force = 0.005 * rng.normal(size=bias.shape) + [0.0, 0.0, GRAVITY]
+    added = RestAndBias().process(scene(t, step * np.round(rate / step), force))
+    assert (added["at_rest"][t > 5.0] == 1).all()
+    assert np.abs((vector(added) - bias) / vector(added, "gyro_bias_sd"))[t > 5.0].max() < 3.0

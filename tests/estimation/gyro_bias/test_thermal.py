@@ -204,3 +204,18 @@ def test_steps_of_a_degree_widen_the_sigma_in_motion_and_not_at_rest() -> None:
     assert sd[8990].max() < 20.0
     assert (off[-1] < np.maximum(2.0 * sd[-1], 1.0)).all()
     assert off[-1].max() < 30.0
+
+
+def test_what_a_silent_thermometer_does_not_know_is_in_the_sigma() -> None:
+    t = np.arange(4000) / 10.0
+    temperature = np.interp(t, [0.0, 200.0, 400.0], [25.0, 28.0, 38.0])
+    block, bias = warming(temperature)
+    silent = t > 200.0
+    columns = {
+        "temperature_estimate": np.where(silent, 28.0, temperature),
+        "temperature_estimate_sd": np.where(silent, 0.05 + 0.05 * (t - 200.0), 0.05),
+    }
+    stage = RestAndBias(GIVEN, mode="learned")
+    added = stage.process(with_rest(block.with_columns(columns), ~silent))
+    z = np.abs((vector(added) - bias) / vector(added, "gyro_bias_sd"))
+    assert z[silent].max() < 5.0

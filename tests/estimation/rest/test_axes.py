@@ -1,0 +1,70 @@
+"""Units of which a gyro is absent, silent or late."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from imumon.blocks import FloatArray, IntArray, SampleBlock
+from imumon.estimation.gyro_bias.stage import RestAndBias
+from tests.estimation.rest.scenes import DEG, block, noise
+
+TURN_S = 150.0
+BIAS = (2.0 * DEG, -0.3 * DEG, 0.1 * DEG)
+
+
+def turned(rate_dps: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return t, gyro and accel of a level unit that turns about the vertical for 20 s."""
+    t, gyro, accel = noise(200.0, 25.0)
+    gyro[:, 2] += rate_dps * DEG * np.clip(np.minimum(t - TURN_S, TURN_S + 20.0 - t) / 0.5, 0.0, 1.0)
+    return t, gyro, accel
+
+
+def without(samples: SampleBlock, axes: str, rows: slice) -> SampleBlock:
+    """Return samples without readings of gyros in some rows."""
+    for axis in axes:
+        samples[f"gyro_{axis}"][rows] = np.nan
+    return samples
+
+
+@pytest.mark.parametrize("axes", ["x", "xy"])
+@pytest.mark.parametrize("rate_dps", [0.5, 30.0, 300.0])
+def test_gyros_that_a_unit_lacks_leave_rest_and_bias_to_the_others(axes: str, rate_dps: float) -> None:
+    t, gyro, accel = turned(rate_dps)
+    result = RestAndBias().process(without(block(t, gyro, accel), axes, slice(None)))
+    rest, turning = result["at_rest"] == 1, (t > TURN_S + 1.0) & (t < TURN_S + 19.0)
+    assert not rest[turning].any()
+    assert rest[(t > 20.0) & (t < TURN_S)].all()
+    assert rest[t > TURN_S + 25.0].all()
+    for axis in axes:
+        for name in ("gyro_bias", "gyro_bias_sd", "gyro_corrected", "zupt_innovation"):
+            assert np.isnan(result[f"{name}_{axis}"]).all()
+    error = np.abs(result["gyro_bias_z"] - BIAS[2])[t > 20.0]
+    assert (error < 4.0 * result["gyro_bias_sd_z"][t > 20.0]).all()
+    assert error[-1] < 0.01 * DEG
+
+
+@pytest.mark.parametrize("axes", ["x", "xyz"])
+def test_a_turn_while_a_gyro_is_silent_is_no_rest(axes: str) -> None:
+    t, gyro, accel = turned(30.0)
+    silent = slice(np.searchsorted(t, 100.0), np.searchsorted(t, 180.0))
+    result = RestAndBias().process(without(block(t, gyro, accel), axes, silent))
+    assert not result["at_rest"][(t > 105.0) & (t < 180.0)].any()
+    assert result["at_rest"][t > 190.0].all()
+
+
+def test_a_gyro_that_comes_late_has_a_bias_like_the_others_however_the_samples_come() -> None:
+    t, gyro, accel = noise(100.0, 25.0)
+    samples = without(block(t, gyro, accel), "y", slice(0, 1000))
+    result = RestAndBias().process(samples)
+    assert np.isnan(result["gyro_bias_y"][:1000]).all()
+    for k, axis in enumerate("xyz"):
+        error = np.abs(result[f"gyro_bias_{axis}"] - BIAS[k])[t > 60.0]
+        assert (error < 4.0 * result[f"gyro_bias_sd_{axis}"][t > 60.0]).all()
+    stage = RestAndBias()
+    cuts: IntArray = np.r_[0, np.arange(7, 2500, 63), 2500]
+    parts = [stage.process(samples.rows(a, b)) for a, b in pairwise(cuts)]
+    for name, values in result.items():
+        np.testing.assert_array_equal(np.concatenate([part[name] for part in parts]), values)
