@@ -32,8 +32,7 @@ MIN_CELLS = 5
 OVERLAP = 1.0 / 6.0
 """Correlation of white noise in neighbouring Hann cells: the mean of their product over that of a square."""
 TREND_ORDER = 5
-"""Coefficients of the polynomial trend that is removed before the scatter is computed; at most a quarter of
-the used cells."""
+"""Coefficients of the polynomial trend about which cells scatter; at most a quarter of the used cells."""
 KNOCK = 10.0
 """Residual, in medians of the residuals, above which a cell is rejected; row "knocks" of the ablation."""
 MIN_VARIANCE = 1e-18

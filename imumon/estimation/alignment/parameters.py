@@ -22,8 +22,7 @@ class KnownWarmUp(StrictModel):
         Final value in body axes, µg.
     time_constant_s : [x, y, z], or a float for all
     amplitude_sd_ug, time_constant_sd_s : float
-        Standard deviations, when they are known: a change of the horizon that they do not explain is then a
-        tilt of the unit.
+        Standard deviations, when they are known: what they do not explain is then a tilt of the unit.
     """
 
     amplitude_ug: Annotated[list[Annotated[float, Field(ge=-1e5, le=1e5)]], Field(min_length=3, max_length=3)]

@@ -172,8 +172,7 @@ class Motion:
         self.recent: deque[FloatArray] = deque(maxlen=MEDIAN_SLOTS)  # rates of slots at rest
         self.pending: deque[Slot] = deque(maxlen=SWAYING_SLOTS)  # slots that are not known to be rest
         self.moving, self.begun_s = False, 0.0
-        """Whether the unit moves, or came to rest less than 2 s ago; when the last motion began, s since the
-        first sample."""
+        """Whether the unit has moved within 2 s; when the last motion began, s since the first sample."""
         self.turn = STILL  # since the motion began
 
     def step(self, slot: Slot, at_rest: bool, turn: Turn) -> tuple[list[Slot], Turn]:

@@ -1,15 +1,14 @@
 """The heading from all positions: a mixture over hypotheses and sizes of the gyros' bias.
 
 Rates are in the reference frame (forward, left and up of the first position).  There the earth rate ω is
-Ω (cos L z, sin L), with the direction of north z, a level unit vector.  A fit has the rates w_p of a position
-with the attitude C_p::
+Ω (cos L z, sin L), with z, the level unit vector to north.  In attitude C_p a fit has the rates w_p::
 
     w_p = ω + C_p (b + E C_pᵀ ω) + ω × (u × C_p β) + flicker + noise    u up                     (6)
-    z'  = z + (Σ T_ij E_ij + N(0, v)) J z                               a turn; J turns by 90°   (7)
+    z'  = z + (Σ ψ_ij E_ij + N(0, q)) J z                               a turn; J turns by 90°   (7)
 
 b is the bias of the gyros, E their scale and misalignment, and β the bias of the accelerometers, g, which
-tilts the axes.  All three are constant in body axes.  T is the angle about the vertical by each element of E,
-and v the variance of a turn by all else, and of a creep; it is added to both parts of z, so that a large one,
+tilts the axes.  All three are constant in body axes.  ψ is the angle about the vertical by each element of E,
+and q the variance of a turn by all else, and of a creep; it is added to both parts of z, so that a large one,
 which is not linear, stays harmless.  Where z multiplies an error, it is that of the fit before.  In (6) E
 counts only if its size is declared: without that sigma lacks it (`AlignmentParameters`).
 

@@ -22,8 +22,7 @@ n is how often the rate had changed before, since a measurement fitted the nomin
 less one).  Turns are log-uniform from 36 °/h (0.01 °/s) to 300 °/s, so their density is 1/(D |d|), D =
 ln(30000); slower ones are rare: c = 1 + (36/|d|)² divides their density.  σ² is the variance of d along its
 direction.  |d| and σ are in °/h here.  o_changed is 1e-9 above `largest_jump`, Λ_gravity e⁵⁰ where excluded.
-When the rate has lasted for `undecided_s` it is no turn, unless Λ_gravity Λ_heading is below e⁻² or |d|
-above `largest_jump`.
+After `undecided_s` it is no turn, unless Λ_gravity Λ_heading is below e⁻² or |d| above `largest_jump`.
 """
 
 import math

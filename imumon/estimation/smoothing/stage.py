@@ -2,8 +2,7 @@
 
 A `Recorder` keeps the forward run as means over short slots, `backward` runs the same stages over them with
 time reversed, and `SmoothedEstimates` puts both together beside the samples, in a second run over the same
-recording.  Reversed in time, a rotation by ω is one by -ω: the rates change their sign, and so does the
-estimated bias.
+recording.  Reversed in time, a rotation by ω is one by -ω: rates and bias change their sign.
 
 Each estimate is one from a forward and a backward filter (Fraser and Potter 1969).  If their errors are
 independent, their difference has the variance P_f + P_b, and the weights are the inverse variances.  (Both
@@ -174,8 +173,7 @@ def still_heading(record: Record, positions: Sequence[PositionHeading]) -> Smoot
 class SmoothedEstimates:
     """Estimates from forward and backward filters; ``gyro_bias_sd_x`` becomes ``gyro_bias_smoothed_sd_x``.
 
-    `record` is of the first run, `backward` (n,) each what `backward` returns, and `heading` what
-    `still_heading` returns.
+    `record` is of the first run; `backward`, (n,) each, and `heading` are by `backward` and `still_heading`.
     """
 
     def __init__(

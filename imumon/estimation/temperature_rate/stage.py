@@ -88,8 +88,7 @@ class MultipleModelRate:
     def process(self, time_ns: IntArray, segment: IntArray, reading: FloatArray) -> RateEstimate:
         """Return the estimates of samples that follow those of the last call; the same in blocks of any size.
 
-        Device time, segment, and reading, °C or NaN, are (n,).  A new segment starts anew, but what is known
-        of the sensor stays.
+        Device time, segment, and reading, °C or NaN, are (n,).  A new segment keeps what the sensor is.
         """
         before = np.array(self._output)
         slots = self._gatherer.process(time_ns, segment, reading[:, np.newaxis])
@@ -222,8 +221,7 @@ def extrapolate(time_s: FloatArray, segment: IntArray, reading: FloatArray, show
     """Return the estimates at samples from the output of the last slot; all arrays are (n,).
 
     Before the first slot of a segment ends, and behind missing rows until the next slot ends, there is the
-    reading, with its standard deviation (NaN while it is unknown), and the last rate or zero, ±
-    `FASTEST_RATE`.
+    reading, with its standard deviation or NaN, and the last rate or zero, ± `FASTEST_RATE`.
     """
     age = time_s - shown.end_s
     known = (segment == shown.segment) & (age >= 0.0) & (age <= shown.late_s)

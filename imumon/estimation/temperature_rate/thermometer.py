@@ -15,13 +15,11 @@ UNKNOWN_STEP_DEGC = 1.0
 LARGEST_STEP_DEGC = 2.0
 """A change that is larger is no step, °C."""
 SPIKE = 8.0
-"""So many °C, and so many steps, are more than a temperature moves within a slot or from a reading to its
-repeat.  Assumed."""
+"""A temperature moves by less than so many °C, or steps, within a slot or until a repeat.  Assumed."""
 MEMORY_SLOTS = 32
 """Length of running means.  Ablation: 16 and 64 change errors by at most 9 %."""
 MEMORY_CHANGES = 128
-"""Changes of which the least is the step; with 32, readings every 30 s in a swing have errors 1.35 times as
-large."""
+"""Changes of which the least is the step.  Ablation: with 32, every 30 s in a swing, 1.35 times the error."""
 REVERSALS = 3
 """So often must a reading go back within `MOST_REPEAT_S` until its noise is known to reach over an edge."""
 MOST_REPEAT_S = 60.0
@@ -124,8 +122,7 @@ class Thermometer:
     def leaps(self, slot: Slot) -> bool:
         """Return whether a reading skips a code after a silence of more than two slots.
 
-        A temperature passes every code.  So the reading was repeated, and the temperature may have moved for
-        as long as it was.
+        A temperature passes every code.  So the reading was repeated, and the temperature moved meanwhile.
         """
         silent_s = slot.time_s - self.changed_s
         farthest = min(FASTEST_RATE * silent_s, SPIKE * max(1.0, self.step))

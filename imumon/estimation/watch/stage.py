@@ -52,8 +52,7 @@ class WatchParameters(StrictModel):
     false_alarm_hours : float
         Least mean time at rest, h, until a false alarm, while the filter is right.
     learn : bool
-        Whether a better model, where one is found, runs beside the present one, and replaces it once its
-        predictions are better.
+        Whether a better model, once found, runs beside the present one until its predictions are better.
     """
 
     false_alarm_hours: float = Field(default=24.0, ge=0.1, le=1e5)
