@@ -15,12 +15,14 @@ from imumon.intake import RANGES
 from imumon.lab.calibration.cells import (
     BLOCK_S,
     LEAST_COVERED,
+    ONE_WAY,
     Cells,
     Channel,
     Record,
     channel_of,
     group,
     levels,
+    one_way,
 )
 from imumon.lab.calibration.selection import Choice, choose, slow_variance, turn_on_offsets
 from imumon.models.curves.points import Points
@@ -226,25 +228,12 @@ def _remarks(records: Sequence[Record], cells: Cells, findings: dict[str, Findin
         "a session is there twice: it counts twice, and its repeatability means nothing": (
             len({record.sha256 for record in records}) < len(records)
         ),
-        "the temperature goes one way only: what lag, hysteresis or warm-up do is then part of the curve": (
-            _one_way(cells)
-        ),
+        ONE_WAY: one_way([run.temperature for run in cells.runs]),
         f"{', '.join(far)}: the bias differs by {', '.join(far.values())} °/h between the poses, by g or by "
         "the earth rate, which no curve over temperature has: the residual is that of one pose; imumon "
         "diagnose finds which": cells.turned and bool(far),
     }
     return [text for text, applies in remarks.items() if applies]
-
-
-def _one_way(cells: Cells) -> bool:
-    """Return whether no run both rises and falls by a fifth of the span."""
-    enough = 0.2 * float(np.ptp(cells.temperature))
-    for run in cells.runs:
-        t = run.temperature
-        rise, fall = np.max(t - np.minimum.accumulate(t)), np.max(np.maximum.accumulate(t) - t)
-        if min(rise, fall) > enough:
-            return False
-    return True
 
 
 def _common(names: Sequence[Name | None]) -> Name | None:

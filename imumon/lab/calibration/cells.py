@@ -32,6 +32,7 @@ BANDS = 12
 TURNED = np.cos(np.deg2rad(5.0))
 """A unit whose specific force turned by more is in another pose, and that begins a new run."""
 SHORTEST_RUN_S = 60.0
+ONE_WAY = "the temperature goes one way only: what lag, hysteresis or warm-up do is then part of the curve"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -146,6 +147,14 @@ class Cells:
     def turned(self) -> bool:
         """Whether not all runs are in one pose."""
         return any(float(np.dot(run.up, self.runs[0].up)) < TURNED for run in self.runs)
+
+
+def one_way(temperatures: Sequence[FloatArray]) -> bool:
+    """Return whether no run, of these temperatures in °C, both rises and falls by a fifth of the span."""
+    enough = 0.2 * float(np.ptp(np.concatenate(temperatures)))
+    rise = [np.max(t - np.minimum.accumulate(t)) for t in temperatures]
+    fall = [np.max(np.maximum.accumulate(t) - t) for t in temperatures]
+    return bool(np.minimum(rise, fall).max() <= enough)
 
 
 def _main_temperature(record: Record) -> FloatArray:

@@ -17,6 +17,7 @@ from imumon.effects.base import LEAST_SPAN_DEGC
 from imumon.effects.library import effects_for
 from imumon.errors import bad_config
 from imumon.geodesy import EARTH_RATE
+from imumon.lab.calibration.cells import ONE_WAY, one_way
 from imumon.lab.calibration.gravity import Length
 from imumon.lab.diagnosis import prepare
 from imumon.lab.diagnosis.blocks import LEAST_PARTS, RunBlocks, at_poses, common_block_s, survey, white_floor
@@ -160,6 +161,8 @@ def _prepared(
         remarks.append(f"the temperature {moves}: {nothing}")
     elif model is not None:  # else no curve is fitted, and that of the model stays as it is
         prepare.check_range(model, temperature_names, training)
+    elif all(one_way([run.temperature[name] for run in training]) for name in temperatures):
+        remarks.append(ONE_WAY)
     if not tested:
         remarks.append("no run can be used as a test: there is no independent proof")
     if len(training) < 2:

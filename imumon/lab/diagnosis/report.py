@@ -12,6 +12,7 @@ import numpy as np
 from imumon.effects.base import ACCEL
 from imumon.effects.library import separated_by
 from imumon.files import plain, write_text
+from imumon.lab.calibration.cells import ONE_WAY
 from imumon.lab.diagnosis.candidates import Candidate
 from imumon.lab.diagnosis.diagnose import Diagnosis
 from imumon.lab.diagnosis.extended import with_model
@@ -266,6 +267,9 @@ def _steps(diagnosis: Diagnosis, folder: Path) -> Iterator[NextStep]:
         yield NextStep(
             what, "Its values hide what matters: one comes far too often, or their steps are coarse."
         )
+    if ONE_WAY in diagnosis.caveats:
+        why = "Until then what lag, hysteresis or warm-up do is part of the curve."
+        yield NextStep("Record the unit while it warms and cools, and train on that.", why)
     if not chosen or any(one.by_test for one in verdicts):
         why = "The test has chosen the effect." if chosen else "Without a test nothing is proven."
         command = f"imumon diagnose {diagnosis.options} --test NEW --out {out}"

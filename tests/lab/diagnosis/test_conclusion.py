@@ -12,10 +12,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from imumon.lab.calibration.cells import ONE_WAY
 from imumon.lab.diagnosis.candidates import Finding
 from imumon.lab.diagnosis.diagnose import Diagnosis, diagnose
 from imumon.lab.diagnosis.page import write_page
 from imumon.lab.diagnosis.report import conclusion, next_step, report
+from imumon.lab.diagnosis.runs import Run
 from imumon.lab.diagnosis.search import PROVEN_GAIN
 from imumon.lab.diagnosis.verdict import BESIDE_CLAIMS, VERDICTS, ChannelVerdict, Claim
 from tests.lab.diagnosis.test_live import model
@@ -179,6 +181,43 @@ def test_a_test_that_is_off_by_a_constant_alone_needs_an_offset() -> None:
     assert next_step(found, None).what.startswith('Add " + offset" to --declared')
     beside = next_step(replace(found, model=model()), None)  # the command refuses both
     assert beside.what.startswith('Give --declared "polynomial N + offset" in place of --model')
+
+
+def test_a_temperature_that_goes_one_way_only_is_reported_and_the_next_step_is_to_let_it_warm_and_cool(
+    lagging: Diagnosis,
+) -> None:
+    """A late gyro that only warms after a cold start looks complete: its lag is part of the curve."""
+    runs = list[Run]()
+    for seed in (1, 2, 3):
+        time = ramps(1200, up=True)[0]
+        temperature = 24.0 + 14.0 * (1.0 - np.exp(-time / 700.0))
+        runs.append(run(seed, time, temperature, lag))
+    found = diagnose(runs[:2], runs[2:])
+    assert "nothing" in conclusion(found)
+    assert ONE_WAY in found.caveats
+    assert "warms and cools" in next_step(found, None).what
+    assert ONE_WAY not in lagging.caveats
+
+
+def stepped(seed: int, step_degc: float) -> list[Run]:
+    """Return three runs of steep straight curves, and nothing else, over a thermometer in steps."""
+    found, slopes = list[Run](), {"gyro_x": 8.0, "gyro_y": -11.0}
+    for at, up, rate in ((1, True, 1.5), (2, False, 1.5), (3, True, 1.0)):
+        time, outside = ramps(2400, up, rate)
+        temperature = lagged(outside, 90.0)
+        one = run(10 * seed + at, time, temperature, lambda time, _: np.zeros_like(time), (*slopes,))
+        for name, slope in slopes.items():
+            one.mean[name] += slope * (temperature - 25.0) * DPH
+        one.mean["temperature"] = np.round(one.mean["temperature"] / step_degc) * step_degc
+        found.append(one)
+    return found
+
+
+def test_the_steps_of_a_thermometer_are_no_effect_where_that_takes_hardly_anything_away() -> None:
+    *train, test = stepped(7, 1.0)
+    found = diagnose(train, [test])
+    assert [verdict.row.state for verdict in found.verdicts] == ["not proven", "not proven"]
+    assert all("of all recordings: 1.2 white floors become 1.2" in one.remark for one in found.verdicts)
 
 
 def test_without_a_test_the_next_step_is_one(lagging: Diagnosis, tmp_path: Path) -> None:
