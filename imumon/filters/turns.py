@@ -177,9 +177,10 @@ def _miss_samples(turn: Any, dt: float, usual: float, rate: Vector) -> None:
         # Of the pause only the rates before and after it are known: it may be all of these.
         turn.missed += ((math.sqrt(_square(rate)) + math.sqrt(change)) * dt) ** 2
         turn.present = 0
+        turn.slope = 0.0
     else:
         # At the end of the range of a gyro both are equal, and the rate may have gone on as before.
-        change = max(change, (turn.slope * (dt - usual)) ** 2)
+        change = max(change, min((turn.slope * (dt - usual)) ** 2, 9.0 * _square(rate)))
         turn.missed += change * (0.5 * (dt - usual)) ** 2
 
 

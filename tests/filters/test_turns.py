@@ -141,6 +141,13 @@ def test_samples_beyond_the_range_of_a_gyro_are_in_the_variance(peak_dps: float,
     assert 0.1 < error < 2.0 * math.sqrt(turn.missed)
 
 
+@pytest.mark.parametrize("lost", [20, 100, 240])
+def test_samples_that_are_lost_at_rest_cost_what_the_noise_may_turn(lost: int) -> None:
+    noise = np.radians(0.005) * math.sqrt(1000.0 / 2.0) * np.random.default_rng(4).normal(size=(2000, 3))
+    turn = turned(noise, 1000.0, np.r_[np.arange(1000), np.arange(1000 + lost, 2000)])
+    assert math.degrees(math.sqrt(turn.missed)) < 1.0 * lost / 1000.0
+
+
 def test_a_unit_at_rest_pays_nothing() -> None:
     noise = math.radians(0.3) / 60.0 * np.random.default_rng(3).normal(size=(60_000, 3)) * math.sqrt(1000.0)
     turn = turned(noise, 1000.0)

@@ -111,7 +111,6 @@ def fit_position(record: Position, latitude: float, known: KnownWarmUp | None) -
         azimuth_error=record.azimuth_error,
         gyro_mean=complex(y[valid].mean()),
         hann_mean=complex(np.hanning(valid.sum()) @ y[valid]),
-        rest_s=record.rest_s,
     )
 
 

@@ -78,7 +78,6 @@ class PositionFit(NamedTuple):
     azimuth_error: AzimuthError
     gyro_mean: complex  # has the direction of the plain mean
     hann_mean: complex  # and of the Hann-weighted one
-    rest_s: float
 
     def averaged(self) -> "PositionFit":
         """Return the fit with one hypothesis that has the mean and the variance of all."""
@@ -93,8 +92,7 @@ class PositionFit(NamedTuple):
 class Position:
     """A rest in one attitude: sums over its slots, in rows of `row_s` s.
 
-    A row of `sums` (7,) has the number of slots, and the sums of their rates (3) and specific forces (3).  A
-    row without slots is a gap in the data.
+    A row of `sums` (7,) has the number of slots (0 in a gap), and sums of rates (3) and specific forces (3).
 
     `attitude` (3, 3) is from body axes to the reference frame, and `azimuth_error` what may be wrong with the
     turns from the first position to now.  `ordinal` counts from 1 the attitudes that differ enough to

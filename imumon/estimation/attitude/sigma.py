@@ -167,8 +167,8 @@ class HeadingSigma:
 
     The change of a relative heading since the bias is known has the variance v = s² Σ h_ij² + variance by
     missing samples + that by the bias + (∫ earth_rate dt)² (H1), and Σ h_ii² more until the gyros are
-    confirmed; the white noise of the gyros is not in it.  The `magnetometer` is None where it is not
-    calibrated; `earth_rate` is its vertical part that is left in the corrected rate, rad/s.
+    confirmed; white noise, and motion nearly as fast as the samples, are not in it.  An uncalibrated
+    `magnetometer` is None; `earth_rate` is the vertical one left in the corrected rate, rad/s.
     """
 
     def __init__(self, gyros: Gyros, magnetometer: MagnetometerModel | None, earth_rate: float) -> None:
@@ -187,7 +187,7 @@ class HeadingSigma:
         known = not math.isnan(slot.bias_sd)
         if not known:
             self.about_up, self.earlier, self.drift = np.zeros(9), 0.0, np.zeros(2)
-        elif slot.rest:  # by so much of its sigma as a rest takes away the bias is another
+        elif slot.rest:  # what it takes off sigma was an error that is gone; what that has turned stays
             same = min(slot.bias_sd / self.bias_sd, 1.0) if self.bias_sd > 0.0 else 1.0
             self.earlier += (1.0 - same**2) * self.drift[0] ** 2
             self.drift[0] *= same

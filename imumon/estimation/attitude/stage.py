@@ -68,7 +68,7 @@ class AttitudeEstimate:
         self._shown = np.array([math.nan, math.nan, 0.0, 0.0, 0.0, 0.0])
         """Of the latest slot: variances of tilt and heading, rad², and of a turn per rad²; path."""
         self._last_time: tuple[int, int] | None = None  # ns, and segment of the last sample
-        self._attitudes = 0  # how often one had to begin anew
+        self._attitudes = self._silent = 0  # times that one began anew; slots without force, in a row
         self._device_has_attitude = False
 
     def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
@@ -127,7 +127,9 @@ class AttitudeEstimate:
 
         `end` is the first row behind the slot; NaN where an attitude begins with it, or nothing is known.
         """
-        if slots.begins[k] or not slots.count[k, 10]:  # what is known of the sensors stays
+        self._silent = 0 if slots.count[k, 10] else self._silent + 1
+        silent = self._silent > 2  # accelerometers may be as slow as 1 Hz
+        if slots.begins[k] or silent:  # what is known of the sensors stays
             self._tilt_sigma = TiltSigma(self._accelerometers, self._gyros)
         if slots.begins[k]:
             self._heading_sigma = HeadingSigma(self._gyros, self._magnetometer, self._earth_rate)
@@ -145,7 +147,7 @@ class AttitudeEstimate:
             bias_sd=float(np.linalg.norm(body[2] * bias_sd)),
             field=slots.last[k, 6:9],
         )
-        tilt = self._tilt_sigma.step(slot) if slots.count[k, 10] else math.nan
+        tilt = math.nan if silent else self._tilt_sigma.step(slot)
         return tilt, self._heading_sigma.step(slot, tilt), self._gyros.error_variance(np.eye(1, 9)[0])
 
     def _output(

@@ -165,7 +165,8 @@ class Estimator:
         """Add a slot to the turn since the attitude was taken."""
         bias, _ = hypotheses.shown.prediction.at(slot.end_s, *self.degc).bias(self.force)
         self.attitude.turn = self.attitude.turn.then(slot.turn.less(bias + slot.mean[MODELLED]))
-        self.attitude.lost |= slot.gap_s > 0.0 and not slot.rest_given
+        unseen = slot.gap_s > 0.0 or not slot.mean[GYRO].all()  # what the unit lacks reads exactly zero
+        self.attitude.lost |= unseen and not slot.rest_given
 
     def _come_to_rest(self, slots: Sequence[Slot], hypotheses: Hypotheses) -> None:
         """Take the attitude of a rest by the first of these slots whose force is known."""

@@ -91,7 +91,7 @@ class RestAndBias:
         self._bias = self._estimator.output(0.0)
         self._trail = BiasTrail(model)
         self._last_ns = NO_INT
-        self._seen = np.zeros(3, np.bool_)  # gyros that have had a reading
+        self._readings = np.zeros(3, np.int64)  # of each gyro so far
         self._notices = _notices_of_place(latitude, heading)
 
     def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
@@ -120,7 +120,7 @@ class RestAndBias:
             rest[:] = given
         bias, variance, turn = at_samples(slots.row, every, readings[:, ACCEL], rest == 0)
         bias, sd = bias + total, np.sqrt(variance + turn**2)
-        bias[absent] = sd[absent] = innovation[absent] = np.nan
+        bias[absent] = sd[absent] = innovation[absent] = turn[absent] = np.nan
         self._trail.add(temperature[slots.row], bias[slots.row])
         vectors = bias, sd, readings[:, GYRO] - bias, innovation, bias - curve, sd
         columns = [rest, *turn.T, *(axis for vector in vectors for axis in vector.T)]
@@ -128,10 +128,10 @@ class RestAndBias:
         return dict(zip((column.name for column in self.columns), columns, strict=False))
 
     def _fill_absent(self, gyro: FloatArray) -> BoolArray:
-        """Let gyros without any reading so far, beside one that has, read zero; return which, (n, 3)."""
-        seen = np.maximum.accumulate(np.vstack([self._seen, np.isfinite(gyro)]))
-        self._seen = seen[-1]
-        absent: BoolArray = (~seen & seen.any(1, keepdims=True))[1:]
+        """Let gyros of less than 16 readings so far, beside one of more, read zero; return which, (n, 3)."""
+        count = np.cumsum(np.vstack([self._readings, np.isfinite(gyro)]), axis=0)
+        self._readings, seen = count[-1], count[1:] >= 16  # a stray one makes no gyro
+        absent: BoolArray = ~seen & seen.any(1, keepdims=True)
         gyro[absent] = 0.0
         return absent
 

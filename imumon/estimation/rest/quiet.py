@@ -48,11 +48,10 @@ MEMORY_SLOTS = 1200.0
 LARGEST_COLOUR = 5.0
 """In a trial (coloured): largest variance of means of 4 and 8 slots over that of white noise.  Assumed."""
 HALVES, HALVES_OFFSET = 5.0, 20.0
-"""In a trial (uneven): the sum of squares over v (6 on average) of one half is at most so many times that
-of the other, plus so much: else a knock would be noise.  Assumed."""
+"""In a trial (uneven): the sum of squared second differences over v (6 each on average) of one half is at
+most so many times that of the other, plus so much: else a knock would be noise.  Assumed."""
 SLOWER = 16.0
-"""In a trial (slow): largest variance of slot means over what their samples explain: a hand is slow within a
-slot and fast between slots.  Assumed."""
+"""In a trial (slow): largest variance of slot means over what the samples in a slot explain.  Assumed."""
 ROAD = np.array([2.5e-3, 0.021])
 """In a trial (road): largest rms of slot means, rad/s, m/s²: of sensors (0.1 °/s/√Hz, 1.5 mg/√Hz)."""
 NOISE_CHANGE = 2.5

@@ -285,8 +285,7 @@ class TemperatureRate:
     def _estimate(self, name: str, block: SampleBlock) -> FloatArray:
         """Return temperature, rate and their standard deviations, (4, n).
 
-        Rows before the first reading are kept from the method: there may have been no column for them, and
-        what follows must not depend on that.
+        Rows before the first reading are kept from the method: there may have been no column for them.
         """
         estimates = np.full((4, len(block)), np.nan)
         reading, first = block.columns.get(name, estimates[0]), 0

@@ -192,14 +192,14 @@ class ModelWatch:
             return {"model_suspect": np.zeros(len(block), np.int64)}
         state, time_ns = self._state, block["device_time_ns"]
         suspect = np.where(segment == state.segment, int(state.suspect), 0)
-        slots = np.flatnonzero(np.isfinite(innovations).all(1))
+        slots = np.flatnonzero(np.isfinite(innovations).any(1))
         temperature, rate = (_of_axes(block, f"temperature_{name}", slots) for name in ("estimate", "rate"))
         for k, row in enumerate(slots.tolist()):
             now_s = 1e-9 * int(time_ns[row] - state.first_ns)
             if segment[row] != state.segment or now_s < state.last_s:  # a restart
                 state = self._state = State(int(segment[row]), int(time_ns[row]))
                 now_s, suspect[row:] = 0.0, 0
-            highest = step(state, now_s, innovations[row], temperature[k], rate[k])
+            highest = step(state, now_s, np.nan_to_num(innovations[row]), temperature[k], rate[k])
             if highest >= self._alarm_at and not state.suspect:
                 state.suspect = True
                 suspect[row:] = segment[row:] == state.segment

@@ -32,7 +32,7 @@ BANDS = 12
 TURNED = np.cos(np.deg2rad(5.0))
 """A unit whose specific force turned by more is in another pose, and that begins a new run."""
 SHORTEST_RUN_S = 60.0
-ONE_WAY = "the temperature goes one way only: what lag, hysteresis or warm-up do is then part of the curve"
+ONE_WAY = "no session both warms and cools: what lag, hysteresis or warm-up do is then part of the curve"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

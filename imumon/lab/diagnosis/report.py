@@ -269,7 +269,7 @@ def _steps(diagnosis: Diagnosis, folder: Path) -> Iterator[NextStep]:
         )
     if ONE_WAY in diagnosis.caveats:
         why = "Until then what lag, hysteresis or warm-up do is part of the curve."
-        yield NextStep("Record the unit while it warms and cools, and train on that.", why)
+        yield NextStep("Record a session in which the unit warms and cools, and train on that.", why)
     if not chosen or any(one.by_test for one in verdicts):
         why = "The test has chosen the effect." if chosen else "Without a test nothing is proven."
         command = f"imumon diagnose {diagnosis.options} --test NEW --out {out}"

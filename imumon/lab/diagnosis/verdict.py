@@ -335,7 +335,8 @@ def _not_refuted(channel: Channel, findings: list[Finding], left_out: list[Any])
 def _refutation(channel: Channel, baseline: Fit, found: _Hypothesis) -> str:
     """Return what of training, or of the test, refutes a hypothesis; empty where nothing does.
 
-    What is estimated in the test counts only where nothing is left, for it takes away some of all slow noise.
+    What is estimated in the test, which takes away some of all slow noise, counts only where nothing is left,
+    and beside the training.
     """
     floor, white, score = channel.total_floor, channel.floor.sd, found.test_after
     if channel.test and not np.isfinite(score.rms):

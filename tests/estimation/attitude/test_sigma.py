@@ -117,3 +117,13 @@ def test_without_accelerometers_the_tilt_has_no_sigma_until_the_filter_follows_t
     assert np.isfinite(sd[-1])
     relative = found["attitude_estimate_heading_sd"]
     assert relative[-1] > 0.9 * drift * np.count_nonzero(~rest) / HZ
+
+
+def test_accelerometers_slower_than_the_slots_keep_their_sigma() -> None:
+    block = sent(np.ones(round(60.0 * HZ), bool))
+    accel = np.asarray(block.accel).copy()
+    seldom = np.arange(len(accel)) % 11 > 0  # a reading in 0.55 s
+    accel[seldom & (np.arange(len(accel)) > 20.0 * HZ)] = np.nan
+    found = AttitudeEstimate(GIVEN, "FLU").process(with_vectors(block, "accel", accel))
+    for name in ("tilt", "heading"):
+        assert np.isfinite(found[f"attitude_estimate_{name}_sd"][round(15.0 * HZ) :]).all()

@@ -9,6 +9,7 @@ import pytest
 
 from imumon.blocks import FloatArray, IntArray, SampleBlock
 from imumon.estimation.gyro_bias.stage import RestAndBias
+from imumon.geodesy import EARTH_RATE
 from tests.estimation.rest.scenes import DEG, block, noise
 
 TURN_S = 150.0
@@ -39,11 +40,29 @@ def test_gyros_that_a_unit_lacks_leave_rest_and_bias_to_the_others(axes: str, ra
     assert rest[(t > 20.0) & (t < TURN_S)].all()
     assert rest[t > TURN_S + 25.0].all()
     for axis in axes:
-        for name in ("gyro_bias", "gyro_bias_sd", "gyro_corrected", "zupt_innovation"):
-            assert np.isnan(result[f"{name}_{axis}"]).all()
+        for name in ("gyro_bias", "gyro_bias_sd", "gyro_corrected", "zupt_innovation", "turn_hypothesis"):
+            assert np.isnan(result[f"{name}_{axis}"][16:]).all()
     error = np.abs(result["gyro_bias_z"] - BIAS[2])[t > 20.0]
     assert (error < 4.0 * result["gyro_bias_sd_z"][t > 20.0]).all()
     assert error[-1] < 0.01 * DEG
+
+
+def test_a_turn_about_the_gyro_that_a_unit_lacks_widens_the_others_by_the_earth_rate() -> None:
+    t, gyro, accel = turned(5.0)
+    samples = without(block(t, gyro, accel), "z", slice(None))
+    result = RestAndBias(latitude_deg=45.0, heading_deg=0.0).process(samples)
+    late = t > TURN_S + 25.0
+    for axis in "xy":
+        assert (result[f"gyro_bias_sd_{axis}"][late] > 0.5 * EARTH_RATE * np.cos(np.pi / 4.0)).all()
+
+
+def test_a_stray_reading_makes_no_gyro() -> None:
+    t, gyro, accel = noise(100.0, 25.0)
+    samples = without(block(t, gyro, accel), "x", slice(None))
+    samples["gyro_x"][300] = 0.01
+    result = RestAndBias().process(samples)
+    assert result["at_rest"][t > 20.0].all()
+    assert np.isfinite(result["gyro_bias_z"][t > 20.0]).all()
 
 
 @pytest.mark.parametrize("axes", ["x", "xyz"])

@@ -148,6 +148,21 @@ def test_a_restart_of_the_device_clears_the_suspicion() -> None:
     assert "imumon diagnose --train SESSION" in said[0]
 
 
+def test_a_unit_that_lacks_a_gyro_is_watched_by_the_others() -> None:
+    seconds, innovation, _, _ = drive(6, 0.5)
+    block = SampleBlock(
+        {
+            "device_time_ns": np.round(seconds * 1e9).astype(np.int64),
+            "segment": np.zeros(len(seconds), np.int64),
+            **{f"zupt_innovation_{axis}": innovation[:, j] for j, axis in enumerate("xyz")},
+            "zupt_innovation_y": np.full(len(seconds), np.nan),
+        }
+    )
+    watch = ModelWatch(modelled=True)
+    assert not watch.process(block)["model_suspect"].any()
+    assert texts(watch) == {"model": "MODEL OK"}
+
+
 def scenario(gyro_lag_s: float) -> Scenario:
     base = load_scenario("crs05-ramp")
     steps = [
