@@ -195,11 +195,9 @@ class Hypotheses:
         self.undo = None
         if self.changes == 1 and round(self.steady_s) <= ONSET_S:
             self.present, self.changes, self.doubted = self.nominal, 0, False
-            self.ambiguities = np.zeros((2, 3))
-        hidden, self.hidden = self.hidden, np.zeros(3)
-        if not self.doubted:  # what is undecided stays in the variance
-            hidden = hidden + self.ambiguity**2
+        if not self.doubted:
             self.p_turn, self.ambiguities = 0.0, np.zeros((2, 3))
+        hidden, self.hidden = self.hidden, np.zeros(3)
         if hidden.any():
             self.map(lambda bank: bank.wider(hidden))
         self.recent, self.alike = [], 0
