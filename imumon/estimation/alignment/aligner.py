@@ -47,7 +47,7 @@ fitted anew when its time at rest has grown by a third, which lowers sigma by an
 FORGET_S = 60.0
 """A longer record loses its first half while no fit is possible, as where the unit creeps."""
 RECENT_SHARE = 0.5
-"""Sigma is at least the distance to headings fitted in the last half of the time at rest in a position."""
+"""Sigma is at least the distance to headings fitted in this last part of the time at rest.  Ablation."""
 
 
 class Aligner:

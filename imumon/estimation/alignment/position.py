@@ -71,9 +71,7 @@ class PositionFit(NamedTuple):
     variance: FloatArray  # of each part of it, (h,)
     vertical: float  # gyro, rad/s
     vertical_variance: float
-    white: (
-        float  # noise of the horizontal gyros, or of the vertical one if less: no sway is in it, (rad/s)²/Hz
-    )
+    white: float  # noise of the horizontal gyros, or of the vertical one if less, (rad/s)²/Hz
     attitude: FloatArray  # from body axes, (3, 3)
     azimuth_error: AzimuthError
     gyro_mean: complex  # has the direction of the plain mean

@@ -19,8 +19,7 @@ size s.  What is left, η'z - ½ z'Λz, is the log density on the circle: a von 
 isotropic, and a generalised one (Gatto and Jammalamadaka 2007) where one gyro is worse than the others.
 `peaks` finds its maxima, and the heading is the mean of all by weight.
 
-The sizes of the errors are declared, or by a regression on the gyros' noise over the data sheets of
-docs/appendix/alignment-details.md.
+The sizes of errors are declared, or by a regression on the gyros' noise (alignment-details.md: data sheets).
 """
 
 import math
@@ -46,7 +45,9 @@ GYRO_SCALE, ACCEL_BIAS, ERROR_POWER, MOST_ERROR = 3e-4, 7.5e-4, 1.4, 100.0
 of others they grow with this power of the ratio, up to 100 times."""
 LOG_SIZES, LOG_SIZE_SD = np.linspace(-4.0, 4.0, 9), 1.5
 """Logarithms of the sizes of a bias over that of the regression, and their standard deviation; assumed."""
-WORSE = np.exp([log * np.array(of) for log in range(2, 11, 2) for of in list(product([0, 1], repeat=3))[1:]])
+AXES = np.array(list(product([0.0, 1.0], repeat=3)))[1:]
+"""Which gyros are worse, (7, 3)."""
+WORSE = np.exp(np.concatenate([log_factor * AXES for log_factor in (2.0, 4.0, 6.0, 8.0, 10.0)]))
 """Factors by which one, two or all gyros are worse than that, (35, 3): up to 31 °/h for the best of them."""
 P_WORSE, P_WORSE_THAN_DECLARED = 0.003, 0.001
 """Prior probabilities of any of these factors (assumed): over the regression, as rare as a normal value

@@ -4,10 +4,9 @@ The equations (T1) to (H5) are in docs/appendix/attitude-details.md, under the s
 
 VQF turns the specific force into axes that only the gyros carry, low-passes it there with the time constant
 τ = 3 s, and takes what is left for up, u.  True up stands still in these axes.  So an error of the tilt shows
-as a change of u, but not if it stays for over 6 s, as in a car that speeds up for long.  The element i, j of
-the gyros' matrix of scale and misalignment turns the attitude wrong by that element times q_ij, the integral
-of c_i rate_j over a slot, with c_i the axis of gyro i in gyro-carried axes; q_ii is the turn about the
-gyro's own axis.  Constants marked * are by the ablation of the appendix.
+as a change of u, but not if it stays for over 6 s.  The element i, j of the gyros' matrix of scale and
+misalignment turns the attitude wrong by that element times q_ij, the integral of c_i rate_j over a slot, with
+c_i the axis of gyro i in gyro-carried axes; q_ii is the turn about the gyro's own axis.
 
 A calibrated magnetometer ties the heading down: VQF follows the field with τ = 9 s.  B_h and B_v are the
 horizontal and the vertical field, and B_cal its calibrated strength.
@@ -28,22 +27,22 @@ from imumon.models.magnetometer import MagnetometerModel
 SLOT_S = 0.5
 """Length of a slot, s: short beside τ."""
 LAG_S = 2.0 * TAU_ACC_S
-"""Lag of d, s, after which VQF's low-pass has forgotten; m is forgotten within three lags. *"""
+"""Lag of d, s, after which VQF's low-pass has forgotten; m is forgotten within three lags.  Ablation."""
 ACCEL_SD = 0.075
 """a0 of accelerometers that are not declared, m/s²: 7.6 mg, between 5 and 10 mg of a calibrated unit."""
 SCALE_SD = 0.02
 """s0 of gyros that are not declared: between 1 % of a calibrated unit and 3 % of an MPU-6050."""
 SCALE_TURN = 2.0
-"""w0, rad²: s0 counts like so much turn. *"""
+"""w0, rad²: s0 counts like so much turn.  Ablation."""
 CONFIRMING_TURN = 0.1
 """rad² of tilt by turns about the gyros' own axes that confirm all three, by any of them.  Each turn counts
-half: a quick tilt of 19° that is held for 3 s and taken back is enough, or one of 26° alone. *"""
+half: a quick tilt of 19° that is held for 3 s and taken back is enough, or one of 26° alone.  Ablation."""
 LARGEST_CHANGE = 0.05
-"""Share of these rad² that the sum of d may have. *"""
+"""Share of these rad² that the sum of d may have.  Ablation."""
 IRON = 0.025
 """k_iron, share of the field.  A prior, as `ACCEL_SD`: a single pose shows one of three components."""
 IRON_MEMORY_S = 30.0
-"""Time in which iron that has shown is forgotten, s: it may have been a magnet in the room. *"""
+"""Time in which iron that has shown is forgotten, s: it may have been a magnet in the room.  Ablation."""
 
 
 class Slot(NamedTuple):
@@ -142,8 +141,7 @@ class TiltSigma:
     def step(self, slot: Slot) -> float:
         """Take a slot; return the variance at its end, max(m, d/2, l) + a²/g², rad².
 
-        d/2, as u was right where a motion begins: all its change is error.  NaN in the first 6 s: there is no
-        earlier vertical to compare with.
+        d/2, as u was right where a motion begins: all its change is error.  NaN in the first 6 s.
         """
         self.lag.append((slot.up, slot.wrong_turns))
         change = float(((slot.up - self.lag[0][0]) ** 2).sum())
@@ -175,7 +173,10 @@ class HeadingSigma:
         self.gyros, self.magnetometer, self.earth_rate = gyros, magnetometer, earth_rate
         self.about_up = np.zeros(9)  # h_ij = u q_ij, summed over all slots, rad
         self.earlier = 0.0  # variance by what the bias was before, and by missing samples, rad²
-        self.drift = np.zeros(2)  # standard deviations by the bias as it is now, and by the earth rate, rad
+        self.drift, self.by_earth = (
+            0.0,
+            0.0,
+        )  # sd by the bias as it is now, and by the earth rate, rad
         self.field_correction = 0.0
         """p, the angle by which the field has turned the heading against the gyros, forgotten with τ, rad."""
         self.bias_sd, self.delta = math.nan, math.nan  # of the last slot, rad/s and rad
@@ -186,13 +187,14 @@ class HeadingSigma:
         """Take a slot; return the variance of the heading, or of its change where it is relative, rad²."""
         known = not math.isnan(slot.bias_sd)
         if not known:
-            self.about_up, self.earlier, self.drift = np.zeros(9), 0.0, np.zeros(2)
+            self.about_up, self.earlier, self.drift, self.by_earth = np.zeros(9), 0.0, 0.0, 0.0
         elif slot.rest:  # what it takes off sigma was an error that is gone; what that has turned stays
             same = min(slot.bias_sd / self.bias_sd, 1.0) if self.bias_sd > 0.0 else 1.0
-            self.earlier += (1.0 - same**2) * self.drift[0] ** 2
-            self.drift[0] *= same
+            self.earlier += (1.0 - same**2) * self.drift**2
+            self.drift *= same
         else:
-            self.drift += SLOT_S * np.array([slot.bias_sd, self.earth_rate])
+            self.drift += SLOT_S * slot.bias_sd
+            self.by_earth += SLOT_S * self.earth_rate
             self.about_up += slot.up @ slot.wrong_turns
             self.earlier += slot.missed
         self.bias_sd = slot.bias_sd
@@ -201,10 +203,11 @@ class HeadingSigma:
             keep = math.exp(-SLOT_S / TAU_MAG_S)
             self.about_up *= keep
             self.drift *= keep
+            self.by_earth *= keep
             self.earlier *= keep**2
             self.field_correction *= keep
         turned = self.gyros.error_variance(self.about_up**2)
-        relative = turned + self.earlier + float(self.drift @ self.drift) if known else math.nan
+        relative = turned + self.earlier + self.drift**2 + self.by_earth**2 if known else math.nan
         if follows:
             self.by_field = self._magnetic(slot, tilt_variance, relative)
         return self.by_field + relative if slot.end["north"] else relative

@@ -148,7 +148,8 @@ class AttitudeEstimate:
             field=slots.last[k, 6:9],
         )
         tilt = math.nan if silent else self._tilt_sigma.step(slot)
-        return tilt, self._heading_sigma.step(slot, tilt), self._gyros.error_variance(np.eye(1, 9)[0])
+        per_turn = self._gyros.error_variance(np.eye(1, 9)[0])  # about the axis of one gyro
+        return tilt, self._heading_sigma.step(slot, tilt), per_turn
 
     def _output(
         self, rows: Rows, angle: FloatArray, path: FloatArray, shown: FloatArray

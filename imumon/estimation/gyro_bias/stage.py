@@ -130,8 +130,8 @@ class RestAndBias:
     def _fill_absent(self, gyro: FloatArray) -> BoolArray:
         """Let gyros of less than 16 readings so far, beside one of more, read zero; return which, (n, 3)."""
         count = np.cumsum(np.vstack([self._readings, np.isfinite(gyro)]), axis=0)
-        self._readings, seen = count[-1], count[1:] >= 16  # a stray one makes no gyro
-        absent: BoolArray = ~seen & seen.any(1, keepdims=True)
+        self._readings, present = count[-1], count[1:] >= 16  # not by a stray one
+        absent: BoolArray = ~present & present.any(1, keepdims=True)
         gyro[absent] = 0.0
         return absent
 

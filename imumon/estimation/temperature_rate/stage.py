@@ -197,8 +197,7 @@ def output(thermometer: Thermometer, filters: Filters, before: Output, end_s: fl
     """Return mean and standard deviation of the mixture from the end of a slot on, (10) and (11).
 
     To the variance of the temperature are added: the place of the edges, and the time for which a reading is
-    repeated.  To that of the rate: a ramp may just have begun, hidden by the temperature's sigma or by
-    rounding, whichever is larger.
+    repeated.  To that of the rate: a ramp may just have begun, hidden by rounding or the other sigma.
     """
     (temperature, variance), (rate, rate_variance) = estimate(thermometer, filters)
     edge_sd = thermometer.step * (LINEARITY if thermometer.flickers else HYSTERESIS)
