@@ -102,6 +102,20 @@ def test_an_error_of_scale_is_the_same_in_all_turns() -> None:
     assert np.abs(ratios).max() < 4.0
 
 
+@pytest.mark.parametrize("declared", [{}, {"gyro_bias_sd_deg_per_h": 0.0035}])
+def test_of_a_scale_error_that_is_not_declared_half_stays_after_the_next_fit(
+    declared: dict[str, float],
+) -> None:
+    t = np.arange(round(364.0 * 20.0) + 1) / 20.0
+    block, heading = sent(stepped(t, 1, 180.0, 60.0), 20.0)
+    scaled = block.with_columns({"gyro_z": 1.01 * block["gyro_z"]})
+    stage, out = aligned(scaled, {"accel_bias_sd_ug": 30.0} | declared)
+    off = [abs(error_deg(out["heading"][round(at_s * 20.0)], heading)) for at_s in (70.0, 363.0)]
+    assert off == pytest.approx([1.8, 0.9], abs=0.15)
+    assert math.degrees(out["heading_sd"][-1]) < 0.06
+    assert any("contradict the declared bias" in notice for notice in stage.notices()) == bool(declared)
+
+
 def test_a_last_position_too_short_for_a_fit_has_what_the_turn_to_it_adds() -> None:
     t = np.arange(round(66.9 * 50.0) + 1) / 50.0
     block, _ = sent(stepped(t, 1, 90.0, 60.0), 50.0)
@@ -160,6 +174,20 @@ def test_a_turn_beyond_the_declared_range_is_in_the_sigma() -> None:
     assert sd < 10.0
     assert abs(last) < 3.0 * last_sd < 1.0  # by the second position alone
     assert pipeline.counters.left_out > 5
+
+
+@pytest.mark.parametrize(("degrees", "after_s"), [(5.0, 31.0), (30.0, 91.0)])
+def test_a_turn_in_a_gap_is_in_the_sigma_from_a_fit_on(degrees: float, after_s: float) -> None:
+    """The first fit after a large turn rejects what is behind it as a knock: a known limit."""
+    t = np.arange(260 * 20 + 1) / 20.0
+    way = np.clip((t - 150.5) / 3.5, 0.0, 1.0)
+    block, _ = sent(Rotation.from_rotvec(math.radians(degrees) * np.outer(way, UP)), 20.0)
+    after = block["device_time_ns"] * 1e-9 - 154.5
+    kept = (after < -4.5) | (after >= 0.0)
+    received = SampleBlock({name: values[kept] for name, values in block.columns.items()})
+    _, out = aligned(received, {"accel_bias_sd_ug": 30.0})
+    wide = (after[kept] > -60.0) & (out["heading_sd"] > math.radians(1.0))
+    assert after[kept][wide][0] == pytest.approx(after_s, abs=0.5)
 
 
 def tumbled(axis: tuple[float, float, float]) -> Rotation:
