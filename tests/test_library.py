@@ -117,7 +117,7 @@ def test_a_table_in_a_file_of_numpy_is_read_and_others_are_refused_in_words(tmp_
     block = imumon.SampleBlock({"gyro_x": np.array([0.5, np.nan]), "packet_counter": np.array([3, 4])})
     with TableWriter(tmp_path / "t.parquet", columns) as table:
         table.write(block)
-    convert({"imu": tmp_path / "t.parquet"}, {"imu": tmp_path / "t.npz"}, None)
+    convert({"imu": tmp_path / "t.parquet"}, tmp_path / "t.npz", None)
     read = imumon.read(tmp_path / "t.npz")
     assert read.units == {"gyro_x": "rad/s", "packet_counter": "1"}
     np.testing.assert_array_equal(read["gyro_x"], block["gyro_x"])

@@ -44,8 +44,9 @@ def read_channels(path: Path, count: Count = no_count) -> Channels:
     Raises BAD_DATA when there is nothing to read, no such channel, too few samples or no even rate.
     """
     recording = open_recording(path, lambda _: [RestDetector()], count=count)
+    stated = recording.source.imported
     for name in CHANNELS:
-        unit, own = recording.columns[name].unit if name in recording.columns else "", UNITS[group_of(name)]
+        unit, own = stated[name].unit if name in stated else "", UNITS[group_of(name)]
         if unit not in ("", own):
             hint = "a table from elsewhere becomes a session first: imumon import"
             raise bad_data(f"{path}: {name} is in {unit}, not in {own}", hint)
@@ -86,7 +87,7 @@ def read_channels(path: Path, count: Count = no_count) -> Channels:
     of_grids = by_text((name, text) for name, channel in series.items() for text in _of_grid(channel))
     for text, alike in of_grids.items():
         warnings.append(text if len(alike) == len(series) else f"{', '.join(alike)}: {text}")
-    warnings += _of_motion(samples, declared="at_rest" in recording.columns)
+    warnings += _of_motion(samples, declared="at_rest" in stated)
     length_s = max(channel.duration_s for channel in series.values())
     if length_s < SHORT_S:
         advice = "record for ten times the longest averaging time of interest, such as an hour"

@@ -109,7 +109,7 @@ def replay(
     publisher = narrator = None
     comparison = Comparison(None, reason="it ran otherwise, by --smooth or --rate")
     if view != "none":
-        units = {column.name: column.unit for column in source.imported} | pipeline.units
+        units = {column.name: column.unit for column in source.imported.values()} | pipeline.units
         publisher = _begun(view, view_setup(opened, units, window, replay=True), bind)
         card = {"session": str(session), "replay": "as fast as it goes" if pace is None else f"{pace:g} x"}
         narrator = Narrator(pipeline, None, [publisher.publish], lambda *_: None, card)

@@ -237,7 +237,7 @@ def magnetometer(session: Path, out: Path, model: Path | None, plot: Path | None
             made_by=f"imumon {__version__}",
             created=datetime.now(UTC).isoformat(timespec="seconds"),
             device=recording.device,
-            axes=recording.axes,
+            axes=recording.source.axes,
             magnetometer=found,
         )
     known.model_copy(update={"magnetometer": found}).write(out)

@@ -6,13 +6,11 @@ import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from queue import SimpleQueue
-from types import TracebackType
 from typing import Annotated, Self
 
 from pydantic import Field, InstanceOf, SkipValidation
 
 from imumon.blocks import SampleBlock, join, with_nan
-from imumon.library import checked
 from imumon.pipeline import Estimator
 from imumon.protocols.device import DeviceFile, device_text, parse_device
 from imumon.run.live import BATCH_S, DecodedPort, LiveRun, nothing_decoded, warm_up
@@ -21,8 +19,9 @@ from imumon.run.stages import pipeline_of
 from imumon.transport.ports import lost_error, silent_error, wrong_baud_error
 from imumon.transport.settings import PortSettings
 
+from . import checked
+
 _log = logging.getLogger("imumon")
-LEVELS = {"WARN": logging.WARNING, "ERROR": logging.ERROR}
 NEWEST_NS = round(BATCH_S * 1e9)
 """With `latest`, a block has what arrived within so much time."""
 
@@ -50,8 +49,7 @@ class Live:
         self._device, self._settings, self._run = device, settings, run
         self._timeout, self._latest = timeout, latest
         self._ended = self._stopped = False
-        self._last_ns: int | None = None
-        """Arrival of the last row that was handed out."""
+        self._last_ns: int | None = None  # arrival of the last row that was handed out
         self._ready: SimpleQueue[tuple[SampleBlock, Mapping[str, SampleBlock]]] = SimpleQueue()
         self.counters = run.progress.counters
         """What became of every byte and packet so far."""
@@ -59,8 +57,7 @@ class Live:
         run.open()
         run.begin([])
         self._next_batch = self._valid_at = time.monotonic()
-        self._before = self.counters
-        """Counters when the last valid row came."""
+        self._before = self.counters  # counters when the last valid row came
 
     def __repr__(self) -> str:
         samples = f"{self.counters.samples:,} samples"
@@ -120,9 +117,7 @@ class Live:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, where: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _take(self, block: SampleBlock, side: Mapping[str, SampleBlock]) -> None:
@@ -217,7 +212,7 @@ def open(
     warm_up(known, setup)
 
     def report(level: str, line: str) -> None:
-        _log.log(LEVELS.get(level, logging.INFO), line)
+        _log.log(logging.getLevelNamesMapping().get(level, logging.INFO), line)
 
     run: DecodedPort
     if record is None:
@@ -228,7 +223,6 @@ def open(
 
 
 def _newest(block: SampleBlock) -> SampleBlock:
-    """Return the rows that arrived last."""
     if not len(block):
         return block
     arrival_ns = block["arrival_time_ns"]

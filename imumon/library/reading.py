@@ -12,8 +12,6 @@ from imumon.blocks import NO_INT, BoolArray, SampleBlock, missing
 from imumon.columns import KNOWN, TIME_COLUMNS, Column
 from imumon.errors import ImumonError, Reason, bad_config, bad_data
 from imumon.heap import trim_heap
-from imumon.library import checked
-from imumon.library.samples import TIMES, Samples
 from imumon.pipeline import Estimator, Pipeline
 from imumon.protocols.base import MAIN
 from imumon.recordings.exports import CONVERTED, read_npz
@@ -21,6 +19,9 @@ from imumon.recordings.source import Source, no_samples, open_source, run_over
 from imumon.recordings.table import SUFFIXES, iterate_table, read_columns, units_path
 from imumon.run.setup import Setup, recorded_setup
 from imumon.run.stages import pipeline_of
+
+from . import checked
+from .samples import TIMES, Samples
 
 _log = logging.getLogger("imumon")
 LARGE_BYTES = 1 << 20
@@ -66,8 +67,7 @@ def read(
         device time where no host time is known.
     """
     run = _Run(path, device, setup, estimates, stages, columns, begin_s, end_s)
-    blocks: list[SampleBlock] = []
-    aside: dict[str, list[SampleBlock]] = {}
+    blocks, aside = list[SampleBlock](), dict[str, list[SampleBlock]]()
     for block, side in run.blocks():
         blocks.append(block)
         for stream, rows in side.items():
@@ -75,8 +75,7 @@ def read(
     whole = _joined(blocks)
     if columns is not None and (absent := [name for name in columns if name not in whole]) and len(whole):
         raise run.absent(absent, whole.columns)
-    side_samples = {stream: run.samples(_joined(rows), stream=stream) for stream, rows in aside.items()}
-    return run.samples(whole, side_samples)
+    return run.samples(whole, {stream: _joined(rows) for stream, rows in aside.items()})
 
 
 @checked
@@ -97,11 +96,7 @@ def read_blocks(
     `columns` names it.  Parameters and errors are those of `read`.
     """
     run = _Run(path, device, setup, estimates, stages, columns, begin_s, end_s)
-    return (
-        run.samples(block, {stream: run.samples(rows, stream=stream) for stream, rows in side.items()})
-        for block, side in run.blocks()
-        if len(block) or side
-    )
+    return (run.samples(block, side) for block, side in run.blocks() if len(block) or side)
 
 
 class _Run:
@@ -125,8 +120,7 @@ class _Run:
         self._begin_s, self._end_s = begin_s or 0.0, np.inf if end_s is None else end_s
         self._clock, self._first_ns, self._segment = "", 0, 0
         """Column of the times since the first row; it goes on when the device starts anew."""
-        self._over = False
-        """Whether what comes is later than the span."""
+        self._over = False  # whether what comes is later than the span
         if not where.exists():
             raise ImumonError(Reason.NOT_FOUND, f"{where}: there is no such file", "check path and folder")
         if device is None and where.is_file() and where.suffix in (*SUFFIXES, *CONVERTED):
@@ -137,18 +131,15 @@ class _Run:
         if setup is None and source.session is not None:
             setup = recorded_setup(source.session)
         possible = () if source.device is None else source.device.decoder().possible_columns
-        sent = {*TIME_COLUMNS, *(column.name for column in (*source.imported, *possible))}
+        sent = {*TIME_COLUMNS, *source.imported, *(column.name for column in possible)}
         needed = estimates and (bool(stages) or columns is None or not sent.issuperset(columns))
         self._pipeline = pipeline_of(source, setup, stages, (object,) if needed else ())
 
     def blocks(self) -> Iterator[tuple[SampleBlock, Mapping[str, SampleBlock]]]:
         """Yield the rows that are wanted, and those of side streams; log what is missing at the end."""
-        begun = False
         for block in run_over(self._source.items, self._pipeline):
-            side = self._pipeline.side
-            begun = begun or len(block) > 0 or bool(side)
             block = self._within(block)
-            side = {stream: self._within(rows, side=True) for stream, rows in side.items()}
+            side = {name: self._within(rows, side=True) for name, rows in self._pipeline.side.items()}
             yield self._chosen(block), {} if self._columns is not None else side
             if self._over:
                 break
@@ -157,7 +148,7 @@ class _Run:
                 _log.warning(text)
         for text in self._pipeline.warnings():
             _log.warning(text)
-        if not begun and self._source.device is not None:
+        if self._source.device is not None and not self._pipeline.counters.streams:
             raise no_samples(self._source, self._pipeline)
 
     def _within(self, block: SampleBlock, *, side: bool = False) -> SampleBlock:
@@ -168,15 +159,18 @@ class _Run:
         if not self._clock:
             self._clock = next((name for name in TIMES if name in block and block[name][0] != NO_INT), "")
             if not self._clock:
-                what = "begin_s, end_s: the first row has neither host_time_ns nor device_time_ns"
-                raise bad_data(what, "read it whole")
+                raise bad_data(
+                    "begin_s, end_s: the first row has neither host_time_ns nor device_time_ns",
+                    "read it whole",
+                )
             self._first_ns = int(block[self._clock][0])
             self._segment = int(block["segment"][0]) if "segment" in block else 0
         restarted = "segment" in block and (block["segment"] != self._segment).any()
         if restarted and self._clock == "device_time_ns":
-            what = "begin_s, end_s: the device restarted, and the recording has no times of arrival"
-            hint = "read the recording whole, and select by the columns segment and device_time_ns"
-            raise bad_data(what, hint)
+            raise bad_data(
+                "begin_s, end_s: the device restarted, and the recording has no times of arrival",
+                "read the recording whole, and select by the columns segment and device_time_ns",
+            )
         since_s = (block[self._clock] - self._first_ns) * 1e-9
         self._over = self._over or (not side and bool(since_s.min() >= self._end_s))
         wanted: BoolArray = (since_s >= self._begin_s) & (since_s < self._end_s)
@@ -204,24 +198,20 @@ class _Run:
             f"there are: {', '.join(there)}",
         )
 
-    def samples(
-        self, block: SampleBlock, side: Mapping[str, Samples] | None = None, stream: str = MAIN
-    ) -> Samples:
+    def samples(self, block: SampleBlock, side: Mapping[str, SampleBlock], stream: str = MAIN) -> Samples:
         """Return a block with unit and meaning of its columns, in the order of a table."""
-        is_main = stream == MAIN
-        known = self._source.columns(self._pipeline) if is_main else self._pipeline.stream_columns(stream)
-        declared = {column.name: column for column in known}
-        expected = {column.name for column in self._source.imported}
-        if self._columns is not None:
-            declared = {n: declared.get(n) or KNOWN.get(n) or Column(n, "") for n in self._columns}
-            expected = set(self._columns)
-        columns = {name: c for name, c in declared.items() if name in block or name in expected}
-        columns |= {name: Column(name, "") for name in block.columns if name not in columns}
+        known = {column.name: column for column in self._source.columns(self._pipeline, stream)}
+        names = self._columns
+        if names is None:
+            came = (name for name in known if name in block or name in self._source.imported)
+            names = [*came, *block.columns]
+        columns = {name: known.get(name) or KNOWN.get(name) or Column(name, "") for name in names}
         complete = {
             name: block[name] if name in block else missing(len(block), column.dtype)
             for name, column in columns.items()
         }
-        return Samples(SampleBlock(complete), columns, side or {})
+        of_side = {name: self.samples(rows, {}, name) for name, rows in side.items()}
+        return Samples(SampleBlock(complete), columns, of_side)
 
 
 def _table(path: Path, setup: Setup | None, columns: Sequence[str] | None) -> Source:
@@ -230,9 +220,10 @@ def _table(path: Path, setup: Setup | None, columns: Sequence[str] | None) -> So
     Raises BAD_DATA for a table that imumon cannot read; BAD_CONFIG when a setup is given.
     """
     if setup is not None:
-        what = f"setup: {path} is a table, and the estimators, which a setup is for, do not run over one"
-        hint = "leave setup out; imumon import makes a session of a table, and estimators run over that"
-        raise bad_config(what, hint)
+        raise bad_config(
+            f"setup: {path} is a table, and the estimators, which a setup is for, do not run over one",
+            "leave setup out; imumon import makes a session of a table, and estimators run over that",
+        )
     if path.suffix in SUFFIXES:
         there = read_columns(path)
         chosen = there if columns is None else [name for name in (*columns, *TIME_COLUMNS) if name in there]
@@ -241,9 +232,10 @@ def _table(path: Path, setup: Setup | None, columns: Sequence[str] | None) -> So
         block, there = read_npz(path)
         items = iter([block])
     else:
-        what = f"{path}: of tables read takes {', '.join(SUFFIXES)} and .npz, not {path.suffix}"
-        hint = "export the session to one of these, or read the session; a raw capture needs device="
-        raise bad_data(what, hint)
+        raise bad_data(
+            f"{path}: of tables read takes {', '.join(SUFFIXES)} and .npz, not {path.suffix}",
+            "export the session to one of these, or read the session; a raw capture needs device=",
+        )
     if path.suffix == ".csv" and not units_path(path).is_file():
         _log.warning("%s: without %s known names have the units of imumon", path, units_path(path).name)
     if unknown := [name for name, column in there.items() if not column.unit]:
@@ -252,7 +244,7 @@ def _table(path: Path, setup: Setup | None, columns: Sequence[str] | None) -> So
             path,
             ", ".join(unknown),
         )
-    return Source(path, items, None, None, tuple(there.values()))
+    return Source(path, items, imported=there)
 
 
 def _joined(blocks: list[SampleBlock]) -> SampleBlock:

@@ -9,11 +9,10 @@ import numpy as np
 
 from imumon.blocks import NO_INT, ColumnArray, FloatArray, SampleBlock, nan_for_missing, with_nan
 from imumon.columns import Column
-from imumon.errors import bad_config
-from imumon.files import as_path, check_output, replacing
+from imumon.files import as_path
 from imumon.protocols.base import MAIN
 from imumon.recordings.exports import side_path, write_npz
-from imumon.recordings.table import SUFFIXES, TableWriter, arrow_table
+from imumon.recordings.table import TableWriter, arrow_table
 
 TIMES = {"host_time_ns": "datetime64[ns]", "device_time_ns": "timedelta64[ns]"}
 """Columns that date a row, the better first, and NumPy's type of such times."""
@@ -89,14 +88,13 @@ class Samples:
         import pandas as pd
 
         frame = self.to_arrow().to_pandas()
-        device = self._time("device_time_ns")
-        if device is not None and "device_time" not in frame:
-            frame.insert(0, "device_time", device)
-        host = self._time("host_time_ns")
-        if host is not None:
-            frame.index = pd.DatetimeIndex(host, tz="UTC", name="time")
-        elif device is not None:
-            frame.index = pd.TimedeltaIndex(device, name="time")
+        times = self._times()
+        if "device_time_ns" in times and "device_time" not in frame:
+            frame.insert(0, "device_time", times["device_time_ns"])
+        if "host_time_ns" in times:
+            frame.index = pd.DatetimeIndex(times["host_time_ns"], tz="UTC", name="time")
+        elif times:
+            frame.index = pd.TimedeltaIndex(times["device_time_ns"], name="time")
         frame.attrs["units"] = self.units
         return frame
 
@@ -114,7 +112,7 @@ class Samples:
         """
         import xarray
 
-        times = {name: found for name in TIMES if (found := self._time(name)) is not None}
+        times = self._times()
         dimension = "time" if times and "time" not in self.columns else "sample"
         values = {}
         for name, column in self.columns.items():
@@ -138,23 +136,19 @@ class Samples:
         replaced.
         """
         out = as_path("path", path)
-        if out.suffix not in (*SUFFIXES, ".npz"):
-            what = f"{out}: a table cannot have the suffix {out.suffix!r}"
-            hint = f"use {', '.join(SUFFIXES)} or .npz; imumon export writes other formats of a session"
-            raise bad_config(what, hint)
         for stream, part in {MAIN: self, **self.side}.items():
             place = side_path(out, stream)
             if out.suffix == ".npz":
-                check_output(place, replace=True)
-                with replacing(place) as partial, partial.open("wb") as file:
-                    write_npz(file, part._table.columns, part.columns)
+                write_npz(place, part._table.columns, part.columns)
             else:
                 with TableWriter(place, part.columns) as table:
                     table.write(part._table)
 
-    def _time(self, name: str) -> Any:
-        """Return a time column as NumPy's times, or None where it is absent or wholly missing."""
-        values = self._table.columns.get(name)
-        if values is None or values.dtype != np.int64 or (len(values) and (values == NO_INT).all()):
-            return None
-        return values.view(TIMES[name])  # a missing integer is the number that means NaT
+    def _times(self) -> dict[str, Any]:
+        """Return the columns `TIMES` as NumPy's times, but those that are absent or wholly missing."""
+        there = {name: self._table[name] for name in TIMES if name in self._table}
+        return {
+            name: values.view(TIMES[name])  # a missing integer is the number that means NaT
+            for name, values in there.items()
+            if values.dtype == np.int64 and not (len(values) and (values == NO_INT).all())
+        }

@@ -8,6 +8,7 @@ forward-right-down.  Source: AP_Logger/LogStructure.h.
 """
 
 import struct
+from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -17,11 +18,13 @@ import numpy as np
 
 from imumon.blocks import IntArray
 from imumon.files import readable
-from imumon.logs import log
-from imumon.logs.log import Damage, Log, Series, named, triple
+from imumon.recordings.map import triple
+
+from .log import GAUSS_TO_TESLA, Damage, Log, Series, beside, named, nanoseconds, pick
 
 SCALING = "the units that DataFlash defines for IMU"
 GYRO = "GyrX", "GyrY", "GyrZ"
+MAG = "MagX", "MagY", "MagZ"
 MARK = b"\xa3\x95"
 FORMAT = 128
 HEAD = MARK + bytes([FORMAT])
@@ -37,10 +40,6 @@ SENSORS = {"IMU": ("IMU", 0), "IMU2": ("IMU", 1), "IMU3": ("IMU", 2), "MAG": ("M
 """Of the messages that are kept the kind, and the number of the sensor where none (field I) is in them."""
 BLOCK = 256
 """The last page of a log that was written in pages is filled up (AP_Logger_Block)."""
-BESIDE = (
-    log.Wanted("MAG.0", ["MagX", "MagY", "MagZ"], triple("mag"), 1e-3 * log.GAUSS_TO_TESLA),
-    log.Wanted("BARO.0", ["Press"], ["pressure"]),
-)
 
 
 def read(path: Path, sensor: str | None = None) -> Log:
@@ -50,25 +49,23 @@ def read(path: Path, sensor: str | None = None) -> Log:
     """
     found, damage = _messages(path)
     imus = sorted(name for name in found if name.startswith("IMU.") and found[name].keys() >= {*GYRO})
-    name, others = log.pick(path, imus, sensor, damage)
+    name, others = pick(path, imus, sensor, damage)
     imu = found[name]
     gyro = named(imu, [*GYRO, "AccX", "AccY", "AccZ"], [*triple("gyro"), *triple("accel")])
     # A sensor without a thermometer reads 0 all the time.
     if np.any(imu.get("T", 0.0)):
         gyro |= named(imu, ["T"], ["temperature"])
-    return Log(
-        name, others, Series(_time(imu), gyro), log.beside(found, BESIDE, _time), "FRD", SCALING, damage
-    )
+    mag = beside(found.get("MAG.0"), _time, MAG, triple("mag"), 1e-3 * GAUSS_TO_TESLA)
+    baro = beside(found.get("BARO.0"), _time, ["Press"], ["pressure"])
+    return Log(name, others, Series(_time(imu), gyro), [*mag, *baro], "FRD", SCALING, damage)
 
 
 class _Format(NamedTuple):
     """How messages of a number are read."""
 
-    length: int
-    """Of a message, with its head."""
+    length: int  # of a message, with its head
     name: str
-    fields: Any = None
-    """NumPy's type of its content, where that is kept."""
+    fields: Any = None  # NumPy's type of its content, where that is kept
 
 
 def _described(description: bytes) -> tuple[int, _Format]:
@@ -78,12 +75,10 @@ def _described(description: bytes) -> tuple[int, _Format]:
     """
     number, length, *texts = DESCRIPTION.unpack(description)
     name, types, columns = (text.split(b"\0")[0].decode("ascii") for text in texts)
-    if length < len(HEAD) or number == FORMAT:
-        raise ValueError(f"{name}: {length} bytes")
-    if name not in SENSORS:
-        return number, _Format(length, name)
-    fields = np.dtype({"names": columns.split(","), "formats": [TYPES[one] for one in types]})
-    if length != len(HEAD) + fields.itemsize:
+    fields, size = None, length - len(HEAD)
+    if name in SENSORS:
+        fields = np.dtype({"names": columns.split(","), "formats": [TYPES[one] for one in types]})
+    if size < 0 or number == FORMAT or (fields is not None and size != fields.itemsize):
         raise ValueError(f"{name}: {length} bytes")
     return number, _Format(length, name, fields)
 
@@ -93,7 +88,7 @@ def _messages(path: Path) -> tuple[dict[str, dict[str, Any]], Damage]:
     with readable(path):
         data = path.read_bytes()
     formats = {FORMAT: _Format(len(HEAD) + DESCRIPTION.size, "FMT")}
-    contents, damage, good = dict[_Format, bytearray](), Damage(), 0
+    contents, damage, good = defaultdict[_Format, bytearray](bytearray), Damage(), 0
     for at, known in _walk(data, formats):
         damage = damage.and_at(good, at)
         good = at + known.length
@@ -102,7 +97,7 @@ def _messages(path: Path) -> tuple[dict[str, dict[str, Any]], Damage]:
             with suppress(ValueError, KeyError):  # damaged, or of itself: its messages are of no known format
                 formats.update([_described(content)])
         elif known.fields is not None:
-            contents.setdefault(known, bytearray()).extend(content)
+            contents[known] += content
     tail = data[good : good + len(HEAD)]
     # The beginning of another message, which was cut.
     is_begun = MARK.startswith(tail[:2]) and (len(tail) < len(HEAD) or tail[2] in formats)
@@ -136,4 +131,4 @@ def _walk(data: bytes, formats: Mapping[int, _Format]) -> Iterator[tuple[int, _F
 
 
 def _time(fields: dict[str, Any]) -> IntArray:
-    return log.nanoseconds(fields["TimeUS"])
+    return nanoseconds(fields["TimeUS"])

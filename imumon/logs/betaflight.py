@@ -21,13 +21,14 @@ from imumon.blocks import FloatArray
 from imumon.errors import bad_config, bad_data
 from imumon.files import readable
 from imumon.geodesy import STANDARD_GRAVITY
-from imumon.logs.log import AXES, Damage, Log, Series, named, nanoseconds, pick, triple
+from imumon.recordings.map import triple
+
+from .log import Damage, Log, Series, named, nanoseconds, pick
 
 BEGIN = b"H Product:Blackbox"
 TABLE = re.compile(rb"\s*loopIteration\s*,\s*time \(")
 TIME = "time (us)"
 LINE = re.compile(rb"H ([^:\n]+):([^\r\n]*)\r?\n")
-NUMBERED = re.compile(r"(?P<log>.+)\.(?P<number>\d+)")
 LOGS = (".bbl", ".bfl", ".txt", ".cfl")
 GYROS = ("gyroADC", "gyroUnfilt")
 FIRMWARES = ("Cleanflight", "Betaflight", "INAV", "EmuFlight")
@@ -54,13 +55,14 @@ def read(path: Path, sensor: str | None = None) -> Log:
     settings, begin = _settings(data)
     end = data.find(b"\n", begin) + 1 or len(data)
     if TABLE.match(data, begin) is None:
-        what = f"{path}: is a blackbox log as it was recorded"
-        raise bad_config(what, f"blackbox_decode {path}")
+        raise bad_config(f"{path}: is a blackbox log as it was recorded", f"blackbox_decode {path}")
     titles = [title.strip() for title in data[begin:end].decode(errors="replace").split(",")]
     gyros = [one for one in GYROS if set(_parts(one)) <= set(titles)]
     if TIME not in titles or not gyros:
-        what = f"{path}: has no {TIME}, or no {_parts(GYROS[0])[0]} of raw numbers"
-        raise bad_config(what, "decode the log without options for units, or give --map MAP.yaml")
+        raise bad_config(
+            f"{path}: has no {TIME}, or no {_parts(GYROS[0])[0]} of raw numbers",
+            "decode the log without options for units, or give --map MAP.yaml",
+        )
     name, others = pick(path, gyros, sensor)
     lines, source = (settings, f"the head of {path.name}") if settings else _beside(path)
     force = _parts("accSmooth") if set(_parts("accSmooth")) <= set(titles) else []
@@ -68,7 +70,7 @@ def read(path: Path, sensor: str | None = None) -> Log:
     rate, remark = _rate_scale(path, lines)
     gyro = named(values, _parts(name), triple("gyro"), rate)
     one_g = lines.get("acc_1G", "")
-    if force and one_g.isascii() and one_g.isdigit() and int(one_g):
+    if force and one_g.isdecimal() and int(one_g):
         gyro |= named(values, force, triple("accel"), STANDARD_GRAVITY / int(one_g))
         remark += f", accelerometer raw / {one_g} g"
     elif force:
@@ -81,8 +83,10 @@ def _rate_scale(path: Path, lines: Lines) -> tuple[float, str]:
     """Return rad/s for a raw number of the gyro, and what that is in words."""
     firmware = lines.get("Firmware type", "none")
     if firmware not in FIRMWARES:
-        seen = f"{path}: the firmware is {firmware!r}, of which the unit of gyro_scale is not known"
-        raise bad_config(seen, f"known are: {', '.join(FIRMWARES)}; else give --map")
+        raise bad_config(
+            f"{path}: the firmware is {firmware!r}, of which the unit of gyro_scale is not known",
+            f"known are: {', '.join(FIRMWARES)}; else give --map",
+        )
     text = lines.get("gyro_scale", lines.get("gyro.scale", ""))
     try:
         (scale,) = struct.unpack(">f", bytes.fromhex(text.removeprefix("0x").zfill(8)))
@@ -91,8 +95,8 @@ def _rate_scale(path: Path, lines: Lines) -> tuple[float, str]:
     if not 0.0 < scale < math.inf:
         raise bad_config(f"{path}: its gyro_scale is {text!r}, no number", HINT)
     if lines.get("blackbox_high_resolution", "0") != "0":
-        remark = f"raw x {scale:.6g} °/s/10, as blackbox_high_resolution is on"
-        return math.radians(scale) / HIGH_RESOLUTION, remark
+        how = "as blackbox_high_resolution is on"
+        return math.radians(scale) / HIGH_RESOLUTION, f"raw x {scale:.6g} °/s/10, {how}"
     return math.radians(scale), f"raw x {scale:.6g} °/s"
 
 
@@ -113,7 +117,7 @@ def _read_table(
 
 
 def _parts(name: str) -> list[str]:
-    return [f"{name}[{k}]" for k in range(len(AXES))]
+    return [f"{name}[{k}]" for k in range(3)]
 
 
 def _beside(path: Path) -> tuple[Lines, str]:
@@ -121,16 +125,18 @@ def _beside(path: Path) -> tuple[Lines, str]:
 
     Raises BAD_CONFIG where there is none.
     """
-    numbered = NUMBERED.fullmatch(path.stem)
-    name, number = (numbered["log"], int(numbered["number"])) if numbered else (path.stem, 1)
+    name, _, number = path.stem.rpartition(".")
+    if not (name and number.isdecimal()):
+        name, number = path.stem, "1"
     for log in sorted(path.parent.glob("*")):
         if log.stem == name and log.suffix.lower() in LOGS and log.is_file():
             data = log.read_bytes()
-            starts = [found.start() for found in re.finditer(re.escape(BEGIN), data)]
-            if 0 < number <= len(starts):
-                return _settings(data, starts[number - 1])[0], f"log {number} of {log.name}"
-    seen = f"{path}: the scale of its gyro is not stated, nor whether the log has blackbox_high_resolution"
-    raise bad_config(seen, HINT)
+            starts = [found.start() for found in re.finditer(BEGIN, data)]
+            if 0 < int(number) <= len(starts):
+                return _settings(data, starts[int(number) - 1])[0], f"log {int(number)} of {log.name}"
+    raise bad_config(
+        f"{path}: the scale of its gyro is not stated, nor whether the log has blackbox_high_resolution", HINT
+    )
 
 
 def _settings(data: bytes, at: int = 0) -> tuple[dict[str, str], int]:

@@ -6,10 +6,11 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from imumon.errors import bad_config, bad_data
-from imumon.files import readable, write_text
-from imumon.logs import ardupilot, betaflight, px4, ros
-from imumon.logs.log import Log
+from imumon.files import readable
 from imumon.recordings.importing import ImportReport, import_table
+
+from . import ardupilot, betaflight, px4, ros
+from .log import Log
 
 Reader = Callable[[Path, str | None], Log]
 
@@ -24,11 +25,12 @@ def import_log(path: Path, sensor: str | None, out: Path) -> tuple[ImportReport,
     log = reader_of(path)(path, sensor)
     with TemporaryDirectory(prefix="imumon-log-") as folder:
         table = Path(folder) / "log.parquet"
-        text, dropped = log.write(table)
+        dropped = log.write(table)
         if dropped == len(log.gyro.time_ns):
-            what = f"{path}: none of the {dropped:,} samples of {log.sensor} has a time"
-            raise bad_data(what, "make a table of it (mavlogdump.py --format csv), and give --map MAP.yaml")
-        write_text(table.with_suffix(".yaml"), text)
+            raise bad_data(
+                f"{path}: none of the {dropped:,} samples of {log.sensor} has a time",
+                "make a table of it (mavlogdump.py --format csv), and give --map MAP.yaml",
+            )
         files = [one for one in path.iterdir() if one.is_file()] if path.is_dir() else [path]
         largest = max(files, key=lambda one: one.stat().st_size)  # whose fingerprint is kept, of a bag
         rows = import_table(table, table.with_suffix(".yaml"), out, largest, dropped)

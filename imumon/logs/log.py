@@ -15,13 +15,13 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from scipy.ndimage import median_filter
 
-from imumon.blocks import NO_INT, BoolArray, FloatArray, IntArray
+from imumon.blocks import NO_INT, FloatArray, IntArray
 from imumon.config import dump_yaml
 from imumon.errors import bad_config, bad_data
+from imumon.files import write_text
 from imumon.recordings.map import GROUPS
 
 TIME = "time_ns"
-AXES = "xyz"
 GAUSS_TO_TESLA = 1e-4
 NEIGHBOURS = 5
 """A damaged time is detected by the median of so many: two in a row may be wrong."""
@@ -36,19 +36,8 @@ EXACT_US = 2**53
 class Series(NamedTuple):
     """Samples of one sensor."""
 
-    time_ns: IntArray
-    """Array, (n,)."""
-    values: Mapping[str, FloatArray]
-    """By their names in the table, (n,) each."""
-
-
-class Wanted(NamedTuple):
-    """A message of another sensor: its fields, the columns that they become, and what they are times."""
-
-    message: str
-    fields: list[str]
-    columns: list[str]
-    scale: float = 1.0
+    time_ns: IntArray  # (n,)
+    values: Mapping[str, FloatArray]  # by their names in the table, (n,) each
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,51 +56,42 @@ class Damage:
 class Log:
     """What is taken from a log."""
 
-    sensor: str
-    """Which inertial sensor it is."""
-    others: list[str]
-    """The inertial sensors that are not taken."""
-    gyro: Series
-    """Its rows are those of the table."""
-    beside: list[Series]
-    """What is put beside them."""
+    sensor: str  # which inertial sensor it is
+    others: list[str]  # the inertial sensors that are not taken
+    gyro: Series  # its rows are those of the table
+    beside: list[Series]  # what is put beside them
     axes: str
-    scaling: str
-    """Where the units of the values are known from."""
-    damage: Damage = Damage()
-    """What could not be read."""
-    warnings: tuple[str, ...] = ()
-    """What whoever works with the samples has to know."""
+    scaling: str  # where the units of the values are known from
+    damage: Damage = Damage()  # what could not be read
+    warnings: tuple[str, ...] = ()  # what whoever works with the samples has to know
 
-    def write(self, path: Path) -> tuple[str, int]:
-        """Write the table; return its map, and how many rows have no later time and were left out."""
-        time = self.gyro.time_ns
-        kept = _increasing(time)
+    def write(self, path: Path) -> int:
+        """Write the table and, beside it, its map; return how many rows are left out, as no later."""
+        kept = _increasing(self.gyro.time_ns)
+        time = self.gyro.time_ns[kept]
         columns = {name: values[kept] for name, values in self.gyro.values.items()}
         for series in self.beside:
-            columns |= _beside(series, time[kept])
+            columns |= _beside(series, time)
         # An infinite value is damage, and as good as none; the others of its row are none the worse for it.
         columns = {name: np.where(np.isfinite(values), values, np.nan) for name, values in columns.items()}
-        pq.write_table(pa.table({TIME: time[kept], **columns}), path)
+        pq.write_table(pa.table({TIME: time, **columns}), path)
         groups = {
             name: {"columns": GROUPS[name][0], "unit": unit}
             for name, unit in UNITS.items()
             if all(one in columns and np.isfinite(columns[one]).any() for one in GROUPS[name][0])
         }
         text = dump_yaml({"time": {"column": TIME, "unit": "ns"}, **groups, "axes": self.axes})
-        return f"# scaling: {self.scaling}\n{text}", int((~kept).sum())
+        write_text(path.with_suffix(".yaml"), f"# scaling: {self.scaling}\n{text}")
+        return len(self.gyro.time_ns) - len(kept)
 
 
-def _increasing(time_ns: IntArray) -> BoolArray:
-    """Return which rows stay so that times increase: first those go that leap away from their neighbours."""
-    kept: BoolArray = time_ns != NO_INT
-    rows = np.flatnonzero(kept)
+def _increasing(time_ns: IntArray) -> IntArray:
+    """Return the rows whose times increase: first those are left out that leap away from their neighbours."""
+    rows = np.flatnonzero(time_ns != NO_INT)
     away = np.abs(time_ns[rows] - median_filter(time_ns[rows], NEIGHBOURS, mode="nearest"))
     rows = rows[away <= NEIGHBOURS * _usual_step(time_ns[rows])]
     latest = np.maximum.accumulate(np.append(NO_INT, time_ns[rows]))[:-1]
-    kept[:] = False
-    kept[rows[time_ns[rows] > latest]] = True
-    return kept
+    return np.asarray(rows[time_ns[rows] > latest])
 
 
 def _beside(series: Series, time_ns: IntArray) -> dict[str, FloatArray]:
@@ -147,11 +127,6 @@ def named(values: Mapping[str, Any], names: Sequence[str], targets: Sequence[str
     }
 
 
-def triple(name: str) -> list[str]:
-    """Return the columns of a vector."""
-    return [f"{name}_{axis}" for axis in AXES]
-
-
 def nanoseconds(time_us: Any) -> IntArray:
     """Return times in ns of times in µs, (n,); a damaged one is the earliest there is, and left out."""
     there = (time_us >= 0) & (time_us < EXACT_US)
@@ -159,14 +134,14 @@ def nanoseconds(time_us: Any) -> IntArray:
 
 
 def beside(
-    found: Mapping[str, Any], wanted: Sequence[Wanted], time: Callable[[Any], IntArray]
+    fields: Any,
+    time: Callable[[Any], IntArray],
+    names: Sequence[str],
+    columns: Sequence[str],
+    scale: float = 1,
 ) -> list[Series]:
-    """Return what is wanted of other sensors and is there; `time` reads the times of a message."""
-    return [
-        Series(time(found[one.message]), named(found[one.message], one.fields, one.columns, one.scale))
-        for one in wanted
-        if one.message in found
-    ]
+    """Return what is `named` of another sensor, none where the log has none; `time` reads its times."""
+    return [] if fields is None else [Series(time(fields), named(fields, names, columns, scale))]
 
 
 def pick(
@@ -180,7 +155,6 @@ def pick(
         broken = f", of which {damage.size:,} bytes are damaged" if damage.places else ""
         raise bad_data(f"{path}: there is no gyro in this log{broken}")
     if wanted is not None and wanted not in found:
-        seen = f"{path}: there is no sensor {wanted!r}"
-        raise bad_config(seen, f"there are: {', '.join(found)}")
+        raise bad_config(f"{path}: there is no sensor {wanted!r}", f"there are: {', '.join(found)}")
     name = found[0] if wanted is None else wanted
     return name, [one for one in found if one != name]

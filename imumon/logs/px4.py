@@ -16,8 +16,9 @@ import numpy as np
 from imumon.blocks import IntArray
 from imumon.errors import bad_data, missing_package
 from imumon.files import readable
-from imumon.logs import log as logs
-from imumon.logs.log import Damage, Log, Series, Wanted, named, triple
+from imumon.recordings.map import triple
+
+from .log import GAUSS_TO_TESLA, Damage, Log, Series, beside, named, nanoseconds, pick
 
 SCALING = "the units that uORB defines for sensor_gyro and sensor_accel"
 HEAD = b"ULog\x01\x12\x35"
@@ -29,7 +30,7 @@ FLAGS, SUBSCRIPTION, DATA = b"BAD"
 KINDS = frozenset(b"BFIMPQARDLCSO")
 LARGEST = 10_000
 """A message is smaller; pyulog has the same limit."""
-OFFSETS = slice(16, 40)
+OFFSETS = slice(MESSAGE.size + 16, MESSAGE.size + 40)
 """Where FLAGS states that data was appended after a crash; they are messages as all others."""
 SURE = 2
 """So many messages must follow one behind a damaged place; behind a good one it is one."""
@@ -57,28 +58,26 @@ def read(path: Path, sensor: str | None = None) -> Log:
         raise bad_data(f"{path}: cannot be read as a ULog: {error}") from error
     found = {f"{one.name}.{one.multi_id}": one.data for one in log.data_list}
     gyros = sorted(name for name in found if name.startswith("sensor_gyro."))
-    name, others = logs.pick(path, gyros, sensor, damage)
-    gyro = named(found[name], [*"xyz", "temperature"], [*triple("gyro"), "temperature"])
-    accel = Wanted(f"sensor_accel.{name.rpartition('.')[2]}", [*"xyz"], triple("accel"))
-    mag = Wanted("sensor_mag.0", [*"xyz"], triple("mag"), logs.GAUSS_TO_TESLA)
+    name, others = pick(path, gyros, sensor, damage)
+    gyro = named(found[name], ["x", "y", "z", "temperature"], [*triple("gyro"), "temperature"])
+    accel = found.get(name.replace("gyro", "accel"))
+    mag = beside(found.get("sensor_mag.0"), _time, "xyz", triple("mag"), GAUSS_TO_TESLA)
     # The log does not state the unit of the barometer, and firmwares differ.
     pressure = np.asarray(found.get("sensor_baro.0", {}).get("pressure", ()), np.float64)
     pressure = pressure[np.isfinite(pressure)]
     unit = MILLIBAR_TO_PASCAL if len(pressure) and np.median(pressure) < LEAST_PASCAL else 1.0
-    baro = Wanted("sensor_baro.0", ["pressure"], ["pressure"], unit)
-    joined = logs.beside(found, (accel, mag, baro), _time)
+    baro = beside(found.get("sensor_baro.0"), _time, ["pressure"], ["pressure"], unit)
+    joined = [*beside(accel, _time, "xyz", triple("accel")), *mag, *baro]
     return Log(name, others, Series(_time(found[name]), gyro), joined, "FRD", SCALING, damage)
 
 
-def _mended(data: bytes) -> tuple[bytes, Damage]:
+def _mended(data: bytes) -> tuple[bytearray, Damage]:
     """Return a log without its damaged places: a size that is wrong there would end pyulog's reading."""
-    subscribed, parts, damage, good = set[bytes](), [data[:FILE_HEAD]], Damage(), FILE_HEAD
+    subscribed, mended, damage, good = set[bytes](), bytearray(data[:FILE_HEAD]), Damage(), FILE_HEAD
 
     def is_message(at: int, more: int) -> bool:
-        if at == len(data):
-            return True
         if at + MESSAGE.size > len(data):
-            return False
+            return at == len(data)
         size, kind = MESSAGE.unpack_from(data, at)
         begin, end = at + MESSAGE.size, at + MESSAGE.size + size
         if kind not in KINDS or size > LARGEST or end > len(data):
@@ -97,15 +96,15 @@ def _mended(data: bytes) -> tuple[bytes, Damage]:
         damage = damage.and_at(good, at)
         size, kind = MESSAGE.unpack_from(data, at)
         good = at + MESSAGE.size + size
-        content = bytearray(data[at + MESSAGE.size : good])
+        message = bytearray(data[at:good])
         if kind == FLAGS:
-            content[OFFSETS] = bytes(len(content[OFFSETS]))
-        parts += [data[at : at + MESSAGE.size], bytes(content)]
+            message[OFFSETS] = bytes(len(message[OFFSETS]))
+        mended += message
         at = good
-    return b"".join(parts), damage.and_at(good, len(data))
+    return mended, damage.and_at(good, len(data))
 
 
 def _time(fields: Any) -> IntArray:
     """Return the times of validity in ns, else of logging."""
     sampled = fields.get("timestamp_sample")
-    return logs.nanoseconds(sampled if sampled is not None and sampled.any() else fields["timestamp"])
+    return nanoseconds(sampled if sampled is not None and sampled.any() else fields["timestamp"])

@@ -5,15 +5,17 @@ The first topic of MagneticField, Temperature and FluidPressure goes with it.
 """
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from imumon.errors import ImumonError, bad_data, missing_package
-from imumon.logs.log import Log, Series, pick, triple
+from imumon.recordings.map import triple
 from imumon.recordings.wire_reader import is_own
+
+from .log import Log, Series, pick
 
 SECOND_NS = 1_000_000_000
 SCALING = "the units that sensor_msgs/Imu defines; whether the driver keeps to them is not known"
@@ -28,8 +30,10 @@ def read(path: Path, sensor: str | None = None) -> Log:
     Raises BAD_DATA when it has none, or cannot be read; BAD_CONFIG when not this one.
     """
     if path.is_file() and is_own(path):
-        advice = "imumon replay reads its session, imumon decode the file alone"
-        raise bad_data(f"{path} is a recording of imumon, not a bag", advice)
+        raise bad_data(
+            f"{path} is a recording of imumon, not a bag",
+            "imumon replay reads its session, imumon decode the file alone",
+        )
     try:
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
@@ -46,9 +50,10 @@ def read(path: Path, sensor: str | None = None) -> Log:
     except ImumonError:
         raise
     except Exception as error:  # each format of a bag has errors of its own
-        what = f"{path}: cannot be read as a ROS bag: {str(error) or type(error).__name__}"
-        hint = "if it was cut or damaged, mend it first: mcap recover, ros2 bag reindex or rosbag reindex"
-        raise bad_data(what, hint) from error
+        raise bad_data(
+            f"{path}: cannot be read as a ROS bag: {str(error) or type(error).__name__}",
+            "if it was cut or damaged, mend it first: mcap recover, ros2 bag reindex or rosbag reindex",
+        ) from error
     received = (
         f"{name}: {undated[name]:,} of {len(gyro.time_ns):,} headers have no time: the time at which the"
         " recorder received them stands in, and its jitter and delay are not the sensor's"
@@ -73,7 +78,7 @@ def _imu(message: Any) -> list[float]:
     return parts
 
 
-BESIDE: dict[str, tuple[Callable[[Any], list[float]], list[str]]] = {
+BESIDE: dict[str, tuple[Callable[[Any], list[float]], Sequence[str]]] = {
     "sensor_msgs/msg/MagneticField": (lambda m: _vector(m.magnetic_field), triple("mag")),
     "sensor_msgs/msg/Temperature": (lambda m: [m.temperature], ["temperature"]),
     "sensor_msgs/msg/FluidPressure": (lambda m: [m.fluid_pressure], ["pressure"]),
@@ -85,9 +90,9 @@ def _collect(bag: Any, topics: list[str]) -> tuple[list[Series], Counter[str]]:
     """Return the samples of topics, in their order, those that are there; and of each the undated ones."""
     rows: dict[str, list[list[float]]] = {topic: [] for topic in topics}
     times: dict[str, list[int]] = {topic: [] for topic in rows}
-    kinds: dict[str, str] = {}
-    undated: Counter[str] = Counter()
+    undated = Counter[str]()
     connections = [one for one in bag.connections if one.topic in rows and one.msgtype in TAKEN]
+    kinds = {one.topic: one.msgtype for one in connections}
     for connection, time_ns, raw in bag.messages(connections=connections):
         message = bag.deserialize(raw, connection.msgtype)
         stamp = message.header.stamp
@@ -96,7 +101,6 @@ def _collect(bag: Any, topics: list[str]) -> tuple[list[Series], Counter[str]]:
         undated[connection.topic] += stamp_ns == 0
         times[connection.topic].append(stamp_ns or time_ns)
         rows[connection.topic].append(TAKEN[connection.msgtype][0](message))
-        kinds[connection.topic] = connection.msgtype
     found = [
         Series(
             np.array(times[topic], np.int64),

@@ -13,10 +13,11 @@ from multiprocessing.connection import Connection
 from pkgutil import resolve_name
 from typing import Any
 
-from imumon.publishing.publisher import Delivery, Published, Value, messages
-from imumon.publishing.target import Target
 from imumon.view.fed import batches, serve
-from imumon.view.items import Instant, State, ViewSetup
+from imumon.view.items import Instant, State
+
+from .publisher import Delivery, Published, Value, messages
+from .target import Target
 
 REPEAT_S = 1.0
 """How often states are sent again, for who came later: every message of a state has all of them."""
@@ -42,10 +43,10 @@ class UdpJson:
     def send(self, items: Sequence[Published]) -> int:
         """Send items; return how many datagrams the system did not take."""
         failed = burst = 0
-        for message in messages(items, self._states):
-            when = {} if message.time_ns is None else {"timestamp": message.time_ns * 1e-9}
-            values = {**when, message.topic: message.values}
-            datagram = json.dumps(values, ensure_ascii=False, separators=(",", ":")).encode()
+        for topic, time_ns, values in messages(items, self._states):
+            when = {} if time_ns is None else {"timestamp": time_ns * 1e-9}
+            content = {**when, topic: values}
+            datagram = json.dumps(content, ensure_ascii=False, separators=(",", ":")).encode()
             try:
                 self._socket.sendto(datagram, self._to)
                 self.text = "sends"
@@ -64,21 +65,14 @@ class UdpJson:
 
 
 OUTLETS = {"foxglove": "imumon.publishing.foxglove:Foxglove", "ros2": "imumon.publishing.ros2:Ros2"}
-"""Of the kinds that need a package."""
-
-
-def make_outlet(target: Target, setup: ViewSetup) -> Any:
-    """Return the outlet for a target: with `text`, `send` and `close`.
-
-    Raises BUSY or BAD_CONFIG when it cannot be opened.
-    """
-    place = OUTLETS.get(target.kind)
-    return UdpJson(target) if place is None else resolve_name(place)(target, setup)
+"""Of the kinds that need a package, what has `text`, `send` and `close` as `UdpJson`."""
 
 
 def run(stream: Connection, out: Connection) -> None:
-    """Send what comes until the stream ends."""
-    outlet = make_outlet(*stream.recv())
+    """Send what comes until the stream ends; raises BUSY or BAD_CONFIG when the outlet cannot be opened."""
+    target, setup = stream.recv()
+    place = OUTLETS.get(target.kind)
+    outlet: Any = UdpJson(target) if place is None else resolve_name(place)(target, setup)
     taken = failed = 0
     state: State | None = None
     repeated_s = reported_s = time.monotonic()

@@ -10,9 +10,11 @@ from foxglove.messages import LogLevel, Timestamp
 
 from imumon.columns import KNOWN, Column
 from imumon.errors import ImumonError, Reason
-from imumon.publishing.publisher import LOG, STATE, Published, Value, messages, topic_of
-from imumon.publishing.target import Target
+from imumon.protocols.base import MAIN
 from imumon.view.items import Samples, ViewSetup
+
+from .publisher import LOG, STATE, Published, Value, messages
+from .target import Target
 
 LEVELS = {"DEBUG": LogLevel.Debug, "INFO": LogLevel.Info, "WARN": LogLevel.Warning, "ERROR": LogLevel.Error}
 SECOND_NS = 1_000_000_000
@@ -38,8 +40,7 @@ class Foxglove:
             )
         except RuntimeError as error:
             raise ImumonError(Reason.BUSY, f"cannot serve {target}: {error}", "give another port") from error
-        host = f"[{target.host}]" if ":" in target.host else target.host
-        self._url = f"ws://{host}:{self._server.port}"
+        self._url = f"ws://{str(target).partition('=')[2]}"
         self._channels = {STATE: self._channel(STATE, set())}
         self._columns: dict[str, set[str]] = {}
         self._log = LogChannel("/log", context=self._context)
@@ -52,14 +53,14 @@ class Foxglove:
     def send(self, items: Sequence[Published]) -> int:
         """Hand messages to the SDK, which keeps the latest 1024 for a slow viewer; none fails here."""
         wanted = [item for item in items if not isinstance(item, Samples) or self._is_wanted(item)]
-        for message in messages(wanted, self._states):
-            if message.topic == LOG:
-                level = LEVELS.get(str(message.values["level"]), LogLevel.Unknown)
-                when, text = Timestamp(*divmod(message.time_ns or 0, SECOND_NS)), str(message.values["text"])
+        for topic, time_ns, values in messages(wanted, self._states):
+            if topic == LOG:
+                level = LEVELS.get(str(values["level"]), LogLevel.Unknown)
+                when, text = Timestamp(*divmod(time_ns or 0, SECOND_NS)), str(values["text"])
                 line = FoxgloveLog(timestamp=when, level=level, message=text, name="imumon")
-                self._log.log(line, log_time=message.time_ns)
+                self._log.log(line, log_time=time_ns)
             else:
-                self._channels[message.topic].log(dict(message.values), log_time=message.time_ns)
+                self._channels[topic].log(dict(values), log_time=time_ns)
         return 0
 
     def close(self) -> None:
@@ -72,7 +73,7 @@ class Foxglove:
 
     def _is_wanted(self, item: Samples) -> bool:
         """Have a channel that describes these columns; return whether a viewer has subscribed to it."""
-        topic, columns = topic_of(item), {"sample", *item.block.columns}
+        topic, columns = item.stream or MAIN, {"sample", *item.block.columns}
         known = self._columns.get(topic, set())
         if not columns <= known:
             self._columns[topic] = columns | known

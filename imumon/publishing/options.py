@@ -8,9 +8,10 @@ import click
 from imumon.cli.common import warn
 
 if TYPE_CHECKING:
-    from imumon.publishing.publisher import Publishers
-    from imumon.publishing.target import Target
     from imumon.view.items import ViewSetup
+
+    from .publisher import Publishers
+    from .target import Target
 
 name = "publish"
 option = click.option(
@@ -23,9 +24,7 @@ option = click.option(
 
 def parse(given: Sequence[str]) -> "list[Target]":
     """Return the targets of --publish; report those beyond this computer."""
-    if not given:
-        return []
-    from imumon.publishing.target import parse_target
+    from .target import parse_target
 
     targets = [parse_target(text) for text in given]
     warn(target.warning for target in targets if target.warning is not None)
@@ -34,6 +33,6 @@ def parse(given: Sequence[str]) -> "list[Target]":
 
 def start(parsed: "Sequence[Target]", setup: "ViewSetup") -> "Publishers":
     """Begin to send to them."""
-    from imumon.publishing.publisher import Publisher, Publishers
+    from .publisher import Publisher, Publishers
 
     return Publishers([Publisher(target, setup).start() for target in parsed])

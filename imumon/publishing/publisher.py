@@ -11,9 +11,10 @@ import numpy as np
 
 from imumon.blocks import NO_INT
 from imumon.protocols.base import MAIN
-from imumon.publishing.target import Target
 from imumon.view.fed import FedProcess
 from imumon.view.items import Log, Samples, State, ViewItem, ViewSetup
+
+from .target import Target
 
 CLOCKS = ("host_time_ns", "arrival_time_ns")
 """The first that a row has is the time of its message, Unix time in ns."""
@@ -21,23 +22,10 @@ STATE, LOG = "state", "log"
 Value = float | int | str
 
 
-class Message(NamedTuple):
-    """Values of one moment."""
-
-    topic: str
-    """The stream (`MAIN`, "gnss", ...), `STATE` or `LOG`."""
-    time_ns: int | None
-    """Unix time."""
-    values: Mapping[str, Value]
-
-
+Message = tuple[str, int | None, Mapping[str, Value]]
+"""Of one moment: topic (the stream, `STATE` or `LOG`), Unix time, and values by name."""
 Published = Samples | State | Log
 """Those items of the view that are for other programs, too."""
-
-
-def topic_of(item: Samples) -> str:
-    """Return the topic of samples."""
-    return item.stream or MAIN
 
 
 def messages(items: Sequence[Published], states: dict[str, Value]) -> Iterator[Message]:
@@ -50,9 +38,9 @@ def messages(items: Sequence[Published], states: dict[str, Value]) -> Iterator[M
             yield from _rows(item)
         elif isinstance(item, State):
             states[item.lane] = item.state
-            yield Message(STATE, item.at.host_ns, dict(states))
+            yield STATE, item.at.host_ns, dict(states)
         else:
-            yield Message(LOG, item.at.host_ns, {"level": item.level, "text": item.text})
+            yield LOG, item.at.host_ns, {"level": item.level, "text": item.text}
 
 
 def _rows(item: Samples) -> Iterator[Message]:
@@ -65,7 +53,7 @@ def _rows(item: Samples) -> Iterator[Message]:
     for row in zip(*columns.values(), strict=True):
         there = {name: value for name, value in zip(columns, row, strict=True) if value is not None}
         times = (int(there[clock]) for clock in CLOCKS if clock in there)
-        yield Message(topic_of(item), next(times, None), there)
+        yield item.stream or MAIN, next(times, None), there
 
 
 class Delivery(NamedTuple):
@@ -74,13 +62,10 @@ class Delivery(NamedTuple):
     In reports of the publishing process the latter are those that the system did not take.
     """
 
-    text: str
-    """One phrase."""
-    ready: bool = True
-    """Whether the receiver can be reached, as far as is known."""
+    text: str  # one phrase
+    ready: bool = True  # whether the receiver can be reached, as far as is known
     sent: int = 0
-    dropped: int = 0
-    """Also those that the queue was full for, or that the process which sends did not take."""
+    dropped: int = 0  # also those that the queue was full for, or that the process which sends did not take
 
 
 class Publisher(FedProcess):
@@ -91,10 +76,8 @@ class Publisher(FedProcess):
         self.target = target
         self._setup = setup
         self._published = self._handed_rows = 0
-        self._sent = self._lost = 0
-        """What processes that ended have sent, and what was lost with them."""
-        self._now = Delivery("begins", ready=False)
-        """What the present process reports."""
+        self._sent = self._lost = 0  # what processes that ended have sent, and what was lost with them
+        self._now = Delivery("begins", ready=False)  # what the present process reports
 
     def publish(self, item: ViewItem) -> None:
         """Queue an item, when it is for other programs; takes microseconds.  Called from one thread."""
@@ -156,8 +139,9 @@ class Publishers:
     @property
     def as_data(self) -> dict[str, object]:
         """What the command reports with --json."""
-        states = self._states
-        return {"published": [{"to": str(to), "sent": of.sent, "dropped": of.dropped} for to, of in states]}
+        return {
+            "published": [{"to": str(to), "sent": of.sent, "dropped": of.dropped} for to, of in self._states]
+        }
 
     @property
     def rows(self) -> dict[str, str]:

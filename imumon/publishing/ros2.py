@@ -6,10 +6,12 @@ from collections.abc import Sequence
 from typing import Any
 
 from imumon.errors import bad_config
-from imumon.publishing.publisher import CLOCKS, Published, topic_of
-from imumon.publishing.target import Target
+from imumon.protocols.base import MAIN
 from imumon.recordings.ros2 import Message, Stream
 from imumon.view.items import Samples, ViewSetup
+
+from .publisher import CLOCKS, Published
+from .target import Target
 
 ALONE = {"ROS_LOCALHOST_ONLY": "1", "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
 """Keeps ROS on this computer: the first up to Humble, the second since."""
@@ -47,7 +49,7 @@ class Ros2:
         failed = 0
         for item in items:
             if isinstance(item, Samples):
-                name = topic_of(item)
+                name = item.stream or MAIN
                 if (stream := self._streams.get(name)) is None:
                     clock = next((one for one in CLOCKS if one in item.block), "")
                     stream = Stream(name, self._setup.units, clock, self._setup.z_down)

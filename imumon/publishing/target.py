@@ -63,9 +63,10 @@ def parse_target(text: str) -> Target:
                 "source /opt/ros/DISTRO/setup.bash, then start imumon with the Python that ROS was built for",
             )
         if address not in ("", NETWORK):
-            what = f"--publish {text}: ROS 2 takes no address"
-            hint = f"ros2 for this computer alone, ros2={NETWORK} for as far as ROS is set up to reach"
-            raise bad_config(what, hint)
+            raise bad_config(
+                f"--publish {text}: ROS 2 takes no address",
+                f"ros2 for this computer alone, ros2={NETWORK} for as far as ROS is set up to reach",
+            )
         return Target(kind, NETWORK if address else LOCALHOST)
     hint = f"{kind}=:PORT, {kind}=HOST:PORT or {kind}=[HOST]:PORT, with 1 to 65535"
     try:

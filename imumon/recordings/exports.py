@@ -5,40 +5,38 @@ it, or files of other programs: NumPy, MATLAB, ROS 2.
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 
 from imumon.blocks import SampleBlock, missing
 from imumon.columns import KNOWN, BodyAxes, Column, ColumnType
 from imumon.errors import bad_config, bad_data
-from imumon.files import check_output, naming, target
+from imumon.files import check_output, naming, replacing, target
 from imumon.pipeline import Pipeline
 from imumon.protocols.base import MAIN
-from imumon.recordings.source import Source, no_samples
-from imumon.recordings.table import CLOCKS, TableWriter, read_table
+
+from .source import Source, no_samples
+from .table import CLOCKS, TableWriter, read_table
 
 CONVERTED = (".npz", ".mat", ".mcap")
-LONGEST_NAME = 63
-"""Of a variable in MATLAB; a longer one is cut."""
-RESERVED = {".npz": {"units", "file", "allow_pickle"}, ".mat": {"units"}}
+RESERVED = {"units", "file", "allow_pickle"}
 """Names that a file of NumPy or MATLAB has for something else."""
+LONGEST_NAME = 63
+"""Of a variable in MATLAB."""
 
 
 @dataclass(frozen=True, slots=True)
 class Exported:
     """What was written."""
 
-    rows: int
-    """Of the main stream."""
-    tables: dict[str, Path]
-    """Of each stream that has rows."""
-    warnings: list[str] = field(default_factory=list)
-    """What the format has no place for."""
+    rows: int  # of the main stream
+    tables: dict[str, Path]  # of each stream that has rows
+    warnings: Sequence[str] = ()  # what the format has no place for
 
 
 def side_path(out: Path, stream: str) -> Path:
@@ -71,9 +69,8 @@ def export_run(
         table = Path(folder) / f"{out.stem}.parquet"
         also = CLOCKS if out.suffix == ".mcap" else ()
         made = _tables(blocks, pipeline, source, table, columns, also)
-        written = {stream: Path(folder) / side_path(out, stream).name for stream in made.tables}
-        files, left_out = convert(made.tables, written, source.axes)
-        for path in dict.fromkeys(files.values()):
+        files, left_out = convert(made.tables, Path(folder) / out.name, source.axes)
+        for path in {*files.values()}:
             path.replace(target(out.with_name(path.name)))
     tables = {stream: out.with_name(path.name) for stream, path in files.items()}
     return Exported(made.rows, tables, [f"not written: {text}" for text in left_out])
@@ -95,20 +92,19 @@ def _tables(
             for stream, rows in {**(pipeline.side if columns is None else {}), MAIN: block}.items():
                 if not len(rows):
                     continue
-                known = source.columns(pipeline) if stream == MAIN else pipeline.stream_columns(stream)
-                if stream == MAIN:
+                known = source.columns(pipeline, stream)
+                if columns is not None:
                     there |= dict.fromkeys(rows.columns)
-                    if columns is not None:
-                        chosen = {name: rows[name] for name in wanted if name in rows}
-                        if not chosen:  # the rows come, without values, when the first of these begins
-                            before += len(rows)
-                            continue
-                        rows = SampleBlock(
-                            {k: np.concatenate([missing(before, v.dtype), v]) for k, v in chosen.items()}
-                        )
-                        before = 0
-                        known = [column for column in known if column.name in wanted]
-                        known.sort(key=lambda column: wanted.index(column.name))
+                    chosen = {name: rows[name] for name in wanted if name in rows}
+                    if not chosen:  # the rows come, without values, when the first of these begins
+                        before += len(rows)
+                        continue
+                    rows = SampleBlock(
+                        {k: np.concatenate([missing(before, v.dtype), v]) for k, v in chosen.items()}
+                    )
+                    before = 0
+                    by_name = {column.name: column for column in known}
+                    known = [by_name[name] for name in wanted if name in by_name]
                 if stream not in written:
                     writer = main if stream == MAIN else TableWriter(side_path(out, stream), {})
                     written[stream] = stack.enter_context(writer)
@@ -116,58 +112,64 @@ def _tables(
                 written[stream].write(rows)
         absent = [name for name in columns or () if name not in there]
         if absent and there:
-            seen = f"no column {', '.join(absent)} in these samples"
-            raise bad_config(seen, f"there are: {', '.join(there)}")
+            raise bad_config(
+                f"no column {', '.join(absent)} in these samples", f"there are: {', '.join(there)}"
+            )
         if not written:
             raise no_samples(source, pipeline)
-    order = sorted(written, key=lambda stream: stream != MAIN)
-    return Exported(main.rows, {stream: written[stream].path for stream in order})
+    return Exported(main.rows, {stream: writer.path for stream, writer in written.items()})
 
 
 def convert(
-    tables: Mapping[str, Path], out: Mapping[str, Path], axes: BodyAxes | None
+    tables: Mapping[str, Path], out: Path, axes: BodyAxes | None
 ) -> tuple[dict[str, Path], list[str]]:
     """Write Parquet tables as files of the suffix of `out`; return what was made, and what was left out.
 
     Raises BAD_CONFIG when a package that is needed is not installed, or the format has no place for any of
     it.
 
-    `tables`, `out`: of each stream.  All streams of a ROS 2 bag go to the first.
+    `tables`: of each stream.  One ROS 2 bag has all streams, other formats have a file for each.
     """
-    first = next(iter(out.values()))
-    if first.suffix == ".mcap":
-        from imumon.recordings.ros2 import write_ros2
+    if out.suffix == ".mcap":
+        from .ros2 import write_ros2
 
-        streams, left_out = write_ros2(tables, first, axes)
+        streams, left_out = write_ros2(tables, out, axes)
         if not streams:
-            what = f"there is nothing to write as messages of ROS 2: {'; '.join(left_out)}"
-            raise bad_config(what, "leave --columns out, or name a whole vector: gyro_x,gyro_y,gyro_z")
-        return dict.fromkeys(streams, first), left_out
+            raise bad_config(
+                f"there is nothing to write as messages of ROS 2: {'; '.join(left_out)}",
+                "leave --columns out, or name a whole vector: gyro_x,gyro_y,gyro_z",
+            )
+        return dict.fromkeys(streams, out), left_out
+    files = {stream: side_path(out, stream) for stream in tables}
     for stream, path in tables.items():
         block, columns = read_table(path)
-        if first.suffix == ".npz":
-            write_npz(out[stream], block.columns, columns)
+        if out.suffix == ".npz":
+            write_npz(files[stream], block.columns, columns)
             continue
         from scipy.io import savemat
 
-        _refuse_reserved(columns, ".mat")
-        short = {name[:LONGEST_NAME]: part for name, part in block.columns.items()}
-        units = {"units": {name[:LONGEST_NAME]: column.unit for name, column in columns.items()}}
-        savemat(out[stream], short | units, do_compression=True, long_field_names=True, oned_as="column")
-    return dict(out), []
+        content = {**block.columns, "units": _units(columns)}
+        savemat(files[stream], content, do_compression=True, long_field_names=True, oned_as="column")
+    return files, []
 
 
-def write_npz(file: Path | BinaryIO, values: Mapping[str, Any], columns: Mapping[str, Column]) -> None:
-    """Write the columns, and `units`, a text in JSON; raises BAD_CONFIG for a name that is `RESERVED`."""
-    _refuse_reserved(columns, ".npz")
-    units = json.dumps({name: column.unit for name, column in columns.items()})
-    np.savez_compressed(file, units=np.array(units), **values)
+def write_npz(path: Path, values: Mapping[str, Any], columns: Mapping[str, Column]) -> None:
+    """Write the columns, and `units`, a text in JSON.
+
+    Raises BAD_CONFIG for a name that is `RESERVED`, and as `TableWriter`.
+    """
+    check_output(path, replace=True)
+    with replacing(path) as partial, partial.open("wb") as file:
+        np.savez_compressed(file, units=np.array(json.dumps(_units(columns))), **values)
 
 
-def _refuse_reserved(columns: Iterable[str], suffix: str) -> None:
-    if taken := sorted(RESERVED[suffix].intersection(columns)):
-        what = f"no column of {suffix} can have the name {', '.join(taken)}"
-        raise bad_config(what, "write .parquet or .csv, or choose others with --columns")
+def _units(columns: Mapping[str, Column]) -> dict[str, str]:
+    if taken := [name for name in columns if name in RESERVED or len(name) > LONGEST_NAME]:
+        raise bad_config(
+            f"no column of .npz and .mat can have the name {', '.join(taken)}",
+            "write .parquet or .csv, or choose others with --columns",
+        )
+    return {name: column.unit for name, column in columns.items()}
 
 
 def read_npz(path: Path) -> tuple[SampleBlock, dict[str, Column]]:
@@ -185,6 +187,7 @@ def read_npz(path: Path) -> tuple[SampleBlock, dict[str, Column]]:
             description = KNOWN[name].description if name in KNOWN else ""
             columns[name] = Column(name, units[name], dtype, description)
     except Exception as error:  # damaged bytes make NumPy raise whatever there is
-        what = f"{path}: cannot be read as a table of imumon: {error}"
-        raise bad_data(what, "imumon export writes one") from error
+        raise bad_data(
+            f"{path}: cannot be read as a table of imumon: {error}", "imumon export writes one"
+        ) from error
     return block, columns

@@ -33,7 +33,7 @@ DEFAULT_PARENT = Path("sessions")
 
 FORMAT: Final = "imumon-session/1"
 SourceKind = Literal["live", "simulation", "import"]
-SPAN: Final = "span_ns"
+SPAN = "span_ns"
 """Counter of an imported session: what its rows span, without the gaps between segments."""
 _PACKAGES = ("numpy", "numba", "scipy", "pyarrow", "mcap", "rerun-sdk")
 
@@ -93,8 +93,8 @@ class SessionMetadata(StrictModel):
             "imumon": __version__,
             "python": platform.python_version(),
             "platform": platform.platform(),
+            **{name: version(name) for name in _PACKAGES},
         }
-        versions |= {name: version(name) for name in _PACKAGES}
         return cls(source=source, created=iso_utc(at_ns), created_ns=at_ns, versions=versions, **more)
 
     def for_wire(self) -> dict[str, str]:
@@ -111,7 +111,7 @@ class SessionMetadata(StrictModel):
     def closed(self, ended_ns: int, **changes: Any) -> "SessionMetadata":
         """Return the metadata of the session after its end in order at this Unix time (ns)."""
         ended = {"state": "closed", "ended_ns": ended_ns, "ended": iso_utc(ended_ns)}
-        return self.model_copy(update={**ended, **changes})
+        return self.model_copy(update=ended | changes)
 
 
 def iso_utc(time_ns: int) -> str:
@@ -153,14 +153,9 @@ class Session:
         return self.path / WIRE_NAME
 
     @property
-    def samples_path(self) -> Path:
-        """The samples, the truth of an imported session."""
-        return self.path / SAMPLES_NAME
-
-    @property
     def truth_path(self) -> Path:
-        """The file that everything else follows from."""
-        return self.samples_path if self.metadata.source == "import" else self.wire_path
+        """The file that everything else follows from: of an imported session its samples."""
+        return self.path / SAMPLES_NAME if self.metadata.source == "import" else self.wire_path
 
     @property
     def view_path(self) -> Path:
@@ -206,8 +201,9 @@ def create_session(path: Path, metadata: SessionMetadata) -> Session:
         raise
     except OSError as error:
         remove_empty(session)
-        what = f"the session {path} cannot be made: {error.strerror}"
-        raise bad_config(what, "give another folder") from error
+        raise bad_config(
+            f"the session {path} cannot be made: {error.strerror}", "give another folder"
+        ) from error
     return session
 
 
@@ -237,8 +233,11 @@ def refuse_existing(path: Path) -> None:
         raise ImumonError(Reason.EXISTS, f"{path} is a file, not a folder", "give another folder")
     parts = [name for name in (METADATA_NAME, WIRE_NAME, SAMPLES_NAME, VIEW_NAME) if (path / name).exists()]
     if parts:
-        what = f"{path} holds a session already ({', '.join(parts)})"
-        raise ImumonError(Reason.EXISTS, what, "nothing was overwritten; give another folder")
+        raise ImumonError(
+            Reason.EXISTS,
+            f"{path} holds a session already ({', '.join(parts)})",
+            "nothing was overwritten; give another folder",
+        )
 
 
 def remove_empty(session: Session) -> None:
@@ -263,8 +262,10 @@ def open_session(path: Path) -> Session:
     """
     folder = _folder(path)
     if not folder.exists():
-        hint = f"sessions are folders with a {METADATA_NAME}, usually in ./{DEFAULT_PARENT}"
-        raise bad_data(f"{path}: there is no such file or folder", hint)
+        raise bad_data(
+            f"{path}: there is no such file or folder",
+            f"sessions are folders with a {METADATA_NAME}, usually in ./{DEFAULT_PARENT}",
+        )
     if not (folder / METADATA_NAME).is_file():
         there = f"the folder has no {METADATA_NAME}" if folder.is_dir() else "it is a file"
         raise bad_data(f"{path} is not a session: {there}", _advice(folder) or _HINT)
@@ -283,16 +284,17 @@ def open_session(path: Path) -> Session:
 def lost_metadata(path: Path) -> Path | None:
     """Return the wire file whose session.yaml is missing, or is damaged so that no version reads it."""
     wire, metadata = _folder(path) / WIRE_NAME, _folder(path) / METADATA_NAME
-    content = b""
-    if wire.is_file() and metadata.is_file():
+    if not wire.is_file():
+        return None
+    if metadata.is_file():
         with suppress(ImumonError):
             read_metadata(metadata)
             return None
         with readable(metadata):
             content = metadata.read_bytes()
-    stated = re.search(rb"^format: imumon-session/(\S+)", content, re.MULTILINE)
-    is_other = stated is not None and stated[1] != FORMAT.rpartition("/")[2].encode()
-    return None if is_other or not wire.is_file() else wire
+        if re.search(rb"^format: imumon-session/(?!1\b)\S", content, re.MULTILINE):
+            return None
+    return wire
 
 
 def name_unit(path: Path, serial: str | None) -> None:
@@ -302,7 +304,7 @@ def name_unit(path: Path, serial: str | None) -> None:
         session.save(session.metadata.model_copy(update={"serial": serial}))
 
 
-def sessions_in(folder: Path, report: Callable[[str], None] | None = None) -> list[Session]:
+def sessions_in(folder: Path, report: Callable[[str], object]) -> list[Session]:
     """Return the sessions whose folders are in this one, the oldest first.
 
     What is a session by its files and cannot be read is left out, and reported.
@@ -312,8 +314,7 @@ def sessions_in(folder: Path, report: Callable[[str], None] | None = None) -> li
         try:
             found.append(open_session(path))
         except ImumonError as error:
-            names = (METADATA_NAME, WIRE_NAME, SAMPLES_NAME)
-            if report is not None and any((path / name).is_file() for name in names):
+            if any((path / name).is_file() for name in (METADATA_NAME, WIRE_NAME, SAMPLES_NAME)):
                 report(f"{path.name} is left out: {error.line}")
     return sorted(found, key=lambda session: session.metadata.created_ns)
 

@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from decimal import Decimal, InvalidOperation
 from itertools import islice
 from pathlib import Path
@@ -19,9 +19,10 @@ import pyarrow.parquet as pq
 from imumon.blocks import FloatArray, IntArray
 from imumon.errors import bad_data
 from imumon.files import readable
-from imumon.recordings.map import TIMESTAMPS, TextFormat, TimeColumn
-from imumon.recordings.table import table_errors
 from imumon.units import parse_unit
+
+from .map import TIMESTAMPS, TableMap, TextFormat, TimeColumn
+from .table import table_errors
 
 ROWS_PER_PART = 20_000
 CONTROL_SHARE = 0.05
@@ -33,10 +34,9 @@ _NO_VALUE = r"^(nan|na|n/a|null|none)?$"
 _TIMESTAMP = re.compile(
     r"\s*(\d{4}-\d\d-\d\d)[T ](\d\d:\d\d:\d\d)(?:[.,](\d{1,9}))?\s*(Z|UTC|[+-]\d\d:?\d\d)?\s*", re.ASCII
 )
-_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 Wrong = dict[int, str]
 """What is wrong with which row of a part."""
-ParseTime = Callable[[str], int]
 Rows = tuple[IntArray, Mapping[str, Any], Callable[[int], str], Wrong]
 """Rows as they stand in a table: lines, cells by column, whole texts, and those of a wrong width."""
 
@@ -54,21 +54,14 @@ class BadRow:
 class Part:
     """Rows of a table as they come."""
 
-    index: IntArray
-    """Number of each good row among all rows, from 0, (n,); blank lines are none."""
-    line: IntArray
-    """Line (text) or row (Parquet) of each good row, from 1, (n,)."""
-    time_ns: IntArray | None
-    """As the column has it, also where it wraps, (n,)."""
-    values: FloatArray
-    """The columns of data that were requested, in the units of the table, (k, n); NaN where a cell is
-    empty."""
+    index: IntArray  # number of each good row among all rows, from 0, (n,); blank lines are none
+    line: IntArray  # line (text) or row (Parquet) of each good row, from 1, (n,)
+    time_ns: IntArray | None  # as the column has it, also where it wraps, (n,)
+    values: FloatArray  # columns of data, in the units of the table, (k, n); NaN where a cell is empty
     bad: list[BadRow]
 
 
-def read_foreign(
-    path: Path, columns: Sequence[str], time: TimeColumn | None, text_format: TextFormat
-) -> tuple[list[str], Iterator[Part]]:
+def read_foreign(path: Path, table_map: TableMap) -> tuple[list[str], Iterator[Part]]:
     """Return the names of all columns of a table, and its rows as a stream of parts.
 
     Whether it is Parquet or text is decided by the content, not by the name.
@@ -81,14 +74,12 @@ def read_foreign(
         head = file.read(4096)
     if not head:
         raise bad_data(f"{path}: is empty")
-    wanted = list(dict.fromkeys([*columns, *([time.column] if time is not None else [])]))
-    decimal = "."
+    wanted, text_format = table_map.columns(), table_map.csv
     if head.startswith(b"PAR1"):
         with table_errors(path):
-            names = list(pq.read_schema(path).names)
+            names = pq.read_schema(path).names
         rows = _parquet_rows(path, wanted)
     else:
-        decimal = text_format.decimal
         lines = _lines(path, _encoding(path, head), text_format)
         names = [*(text_format.columns or ())]
         if text_format.header:
@@ -99,14 +90,12 @@ def read_foreign(
         rows = _text_rows(lines, names, text_format)
     if twice := [name for name in wanted if names.count(name) > 1]:
         raise bad_data(f"{path}: column {', '.join(map(repr, twice))} is there more than once")
-    return names, _parts(path, rows, columns, time, decimal)
+    return names, _parts(path, rows, table_map)
 
 
-def _parts(
-    path: Path, tables: Iterable[Rows], columns: Sequence[str], time: TimeColumn | None, decimal: str
-) -> Iterator[Part]:
-    """Yield the rows that can be taken, and those that cannot."""
-    first_row = 0
+def _parts(path: Path, tables: Iterable[Rows], table_map: TableMap) -> Iterator[Part]:
+    first_row, columns = 0, [source.column for source in table_map.sources()]
+    time, decimal = table_map.time, table_map.csv.decimal
     for line, cells, text_of, wrong_width in tables:
         values, wrong, times = np.empty((len(columns), len(line))), Wrong(), None
         for column, name in enumerate(columns):
@@ -133,11 +122,11 @@ def _parts(
 
 def _lines(path: Path, encoding: str, text_format: TextFormat) -> Iterator[tuple[int, str]]:
     """Yield number and text of each line that is neither blank nor a comment; what is no text is replaced."""
-    comment, skip = text_format.comment, text_format.skip_rows
+    comment = text_format.comment
     with readable(path), path.open(encoding=encoding, errors="replace") as file:
         for number, line in enumerate(file, 1):
             text = line.strip(" \r\n")
-            if number > skip and text and not (comment and text.startswith(comment)):
+            if number > text_format.skip_rows and text and not (comment and text.startswith(comment)):
                 yield number, text
 
 
@@ -172,8 +161,10 @@ def _encoding(path: Path, head: bytes) -> str:
         return "utf-16"
     control = sum(byte < 0x20 and byte not in b"\t\n\r\f\x1b" for byte in head)
     if control > CONTROL_SHARE * len(head):
-        what = f"{path}: is neither text nor Parquet: {control} of its first {len(head)} bytes are controls"
-        raise bad_data(what, "a raw capture is decoded with: imumon decode FILE --device NAME")
+        raise bad_data(
+            f"{path}: is neither text nor Parquet: {control} of its first {len(head)} bytes are controls",
+            "a raw capture is decoded with: imumon decode FILE --device NAME",
+        )
     return "utf-8-sig"
 
 
@@ -181,39 +172,36 @@ def _numbers(path: Path, name: str, cells: Any, decimal: str) -> tuple[FloatArra
     """Return the numbers of a column, NaN where there is none, and what is wrong with which cells."""
     import pyarrow.compute as pc  # 30 ms, for tables of others only
 
-    kind, numbers, odd = cells.type, cells, list[int]()
+    kind, numbers, wrong = cells.type, cells, Wrong()
     if pa.types.is_string(kind):
         cells = pc.utf8_trim_whitespace(cells.fill_null(""))
-        plain = cells if decimal == "." else pc.replace_substring(cells, decimal, ".")
+        plain = pc.replace_substring(cells, decimal, ".")
         is_number = pc.match_substring_regex(plain, _NUMBER)
         numbers = pc.utf8_ltrim(pc.if_else(is_number, plain, "nan"), "+")
         fine = pc.or_(is_number, pc.match_substring_regex(pc.utf8_lower(cells), _NO_VALUE))
-        odd = np.flatnonzero(~np.asarray(fine)).tolist()
+        wrong = dict.fromkeys(np.flatnonzero(~np.asarray(fine)).tolist(), "is not a number")
     elif not (pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal(kind)):
         raise bad_data(f"{path}: column {name!r} is {kind}, not a number")
-    known = pc.cast(numbers, pa.float64(), safe=False).fill_null(math.nan)
-    values = np.asarray(known.to_numpy(zero_copy_only=False), np.float64)
-    wrong = {row: f"{cells[row].as_py()!r} is not a number" for row in odd}
-    large = np.flatnonzero(np.isinf(values)).tolist()
-    return values, wrong | {row: f"{cells[row].as_py()!r} is too large" for row in large}
+    values = np.asarray(pc.cast(numbers, pa.float64(), safe=False).fill_null(math.nan), np.float64)
+    wrong |= dict.fromkeys(np.flatnonzero(np.isinf(values)).tolist(), "is too large")
+    return values, {row: f"{cells[row].as_py()!r} {why}" for row, why in wrong.items()}
 
 
 # Times
 
 
-def time_parser(unit: str, date_format: str | None = None) -> ParseTime:
+def time_parser(unit: str, date_format: str | None = None) -> Callable[[str], int]:
     """Return a function from the text of a time to integer nanoseconds, without rounding through floats.
 
     The function raises ValueError for text that is no time, or out of the range of int64.
     """
-    some = datetime(2000, 1, 1, tzinfo=UTC)
-    has_date = date_format is None or datetime.strptime(some.strftime(date_format), date_format).year == 2000
 
     def parse(text: str) -> int:
         try:
             if date_format is not None:
                 moment = datetime.strptime(text.strip(), date_format)
-                time_ns = _of_date(moment if has_date else moment.replace(year=1970))
+                # Without a date it is in the year 1900.
+                time_ns = _of_date(moment.replace(year=1970) if moment.year == 1900 else moment)
             elif unit == TIMESTAMPS:
                 time_ns = _of_timestamp(text)
             elif "_" in text:  # which Decimal accepts, but no table means
@@ -250,8 +238,7 @@ def _of_timestamp(text: str) -> int:
 
 
 def _of_date(moment: datetime) -> int:
-    since = (moment if moment.tzinfo else moment.replace(tzinfo=UTC)) - _EPOCH
-    return ((since.days * 86_400 + since.seconds) * 10**6 + since.microseconds) * 1000
+    return (moment.replace(tzinfo=moment.tzinfo or UTC) - EPOCH) // timedelta(microseconds=1) * 1000
 
 
 def _times_of(cells: Any, time: TimeColumn, decimal: str) -> tuple[IntArray, Wrong]:

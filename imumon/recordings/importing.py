@@ -4,7 +4,7 @@ import math
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime, timedelta
+from datetime import timedelta
 from fractions import Fraction
 from pathlib import Path
 
@@ -17,10 +17,11 @@ from imumon.config import parse_yaml
 from imumon.errors import bad_config, bad_data
 from imumon.files import read_text
 from imumon.intake import LEAST_S, SpecificForce, rate_doubts
-from imumon.recordings import folder
-from imumon.recordings.foreign import BadRow, Part, read_foreign
-from imumon.recordings.map import TableMap
-from imumon.recordings.table import TableWriter
+
+from . import folder
+from .foreign import EPOCH, BadRow, Part, read_foreign
+from .map import TableMap
+from .table import TableWriter
 
 LEAST_WRAP = 64
 """A time that goes back by less than this part of its wrap has not wrapped: rows are out of order."""
@@ -47,21 +48,14 @@ class ImportReport:
     rows_in: int
     rows_out: int
     rows_dropped: int
-    columns: tuple[str, ...]
-    """Columns of the session."""
-    columns_unused: tuple[str, ...]
-    """Columns of the table that the map does not name."""
+    columns: tuple[str, ...]  # columns of the session
+    columns_unused: tuple[str, ...]  # columns of the table that the map does not name
     segments: int
-    span_s: float
-    """Time from the first to the last row, summed over the segments."""
-    gaps_s: float
-    """Sum of the intervals of more than 1 s and ten usual ones."""
-    rate_hz: float
-    """Rate that the map gives, else rows per second where none is missing; NaN when there is no span."""
-    bad_rows: tuple[BadRow, ...]
-    """The first rows that were dropped."""
-    warnings: tuple[str, ...]
-    """What cannot be known of the times of the rows."""
+    span_s: float  # time from the first to the last row, summed over the segments
+    gaps_s: float  # sum of the intervals of more than 1 s and ten usual ones
+    rate_hz: float  # as the map gives it, else rows per second where none is missing; NaN without a span
+    bad_rows: tuple[BadRow, ...]  # the first rows that were dropped
+    warnings: tuple[str, ...]  # what cannot be known of the times of the rows
 
 
 def import_table(
@@ -83,7 +77,7 @@ def import_table(
                 writer.write(block)
         report = source.report()
         now_ns, file = time.time_ns(), made_of or table
-        counters = {"samples": report.rows_out, "segments": report.segments}
+        span_ns = round(report.span_s * 1e9)
         begun = folder.SessionMetadata.begun(
             "import",
             now_ns,
@@ -98,7 +92,7 @@ def import_table(
                 rows_out=report.rows_out,
                 rows_dropped=report.rows_dropped,
             ),
-            counters=counters | {folder.SPAN: round(report.span_s * 1e9)},
+            counters={"samples": report.rows_out, "segments": report.segments, folder.SPAN: span_ns},
         )
         folder.Session(partial, begun).save(begun.closed(now_ns))
     return report
@@ -111,11 +105,9 @@ class TableImport:
         self.table = table
         self.map_text = read_text(map_path, hint="a map is a YAML file: imumon import --help has an example")
         self.map = parse_yaml(self.map_text, TableMap, str(map_path))
-        names = [source.column for source in self.map.sources()]
-        self._names, self._parts = read_foreign(table, names, self.map.time, self.map.csv)
-        wanted = [*names, *([self.map.time.column] if self.map.time else [])]
-        if absent := [name for name in wanted if name not in self._names]:
-            layout = "" if len(absent) < len(wanted) else _LAYOUT
+        self._names, self._parts = read_foreign(table, self.map)
+        if absent := [name for name in self.map.columns() if name not in self._names]:
+            layout = "" if len(absent) < len(self.map.columns()) else _LAYOUT
             if any("\ufffd" in name for name in self._names):
                 layout += "; \ufffd is in place of what is not UTF-8: convert the table to UTF-8"
             raise bad_config(
@@ -129,10 +121,9 @@ class TableImport:
             self.columns[one.target] = replace(column, unit=one.unit.target)
         self._intervals, self._segment, self._span_ns = Intervals(rounded=True), 0, 0
         self._force = SpecificForce()
-        self._last: tuple[int, int] | None = None
-        """Time and line of the last row."""
-        self._counted = self._wraps = 0
-        """What its column of time holds, and how often that has wrapped."""
+        self._last_ns = self._last_line = np.empty(0, np.int64)  # time and line of the last row, once there
+        self._wrap_ns = None if self.map.time is None else self.map.time.wrap_ns
+        self._counted = self._wraps = 0  # what its column of time holds, and how often that has wrapped
         self._rows_good, self._rows_bad = 0, rows_dropped
         self._listed: list[BadRow] = []
 
@@ -147,7 +138,7 @@ class TableImport:
             self._rows_good += len(part.index)
             self._rows_bad += len(part.bad)
             self._listed += part.bad[: LISTED - len(self._listed)]
-            if not (self._listed and strict):
+            if len(part.index) and not (self._listed and strict):
                 time_ns, segments = self._dated(part)
                 columns: dict[str, ColumnArray] = {"device_time_ns": time_ns, "segment": segments}
                 for source, values in zip(self.map.sources(), part.values, strict=True):
@@ -173,8 +164,7 @@ class TableImport:
         rate_hz = self.map.rate_hz or self._intervals.rate_hz or math.nan
         doubts = [_NO_RATE] if self._rows_good > self._segment + 1 and math.isnan(rate_hz) else []
         doubts += [*(rate_doubts(rate_hz) if inertial else ()), *filter(None, [self._force.doubt(LEAST_S)])]
-        used = {"", *(source.column for source in self.map.sources())}
-        used |= {self.map.time.column} if self.map.time else set()
+        used = {"", *self.map.columns()}
         return ImportReport(
             rows_in=self._rows_good + self._rows_bad,
             rows_out=self._rows_good,
@@ -191,9 +181,9 @@ class TableImport:
 
     def warnings(self) -> list[str]:
         """Return what cannot be known of the times of the rows."""
-        if self.map.time is None or self.map.time.wrap_ns is None:
+        if self._wrap_ns is None:
             return []
-        wrap = f"{float(self.map.time.wrap_ns) * 1e-9:g} s"
+        wrap = f"{float(self._wrap_ns) * 1e-9:g} s"
         return [
             f"{self.table}: time wraps every {wrap}, and how often it did in a gap cannot be known: one"
             f" of {wrap} or longer comes out short by whole wraps"
@@ -208,46 +198,40 @@ class TableImport:
         try:
             times = self._times(part)
         except OverflowError:
-            what = f"{self.table}: its times are beyond the 292 years that a time in ns can hold"
-            raise bad_data(what, "check rate_hz, or wraps_at and the unit of time, in the map") from None
-        if not len(times):
-            return times, times
+            raise bad_data(
+                f"{self.table}: its times are beyond the 292 years that a time in ns can hold",
+                "check rate_hz, or wraps_at and the unit of time, in the map",
+            ) from None
+        time_ns, line = np.append(self._last_ns, times), np.append(self._last_line, part.line)
+        steps = np.diff(time_ns)
         time = self.map.time
-        before_ns, before_line = self._last or (int(times[0]) - 1, 0)
-        steps = np.diff(times, prepend=before_ns)
-        back = steps < 0
         wrong = steps <= 0 if time is None or time.backwards == "error" else steps == 0
         if wrong.any():
             at = int(np.argmax(wrong))
-            line, line_before = int(part.line[at]), int(part.line[at - 1]) if at else before_line
-            after, before = (self._shown(int(ns)) for ns in (times[at], times[at] - steps[at]))
-            what = f"time {after} is not after {before} of line {line_before}"
-            raise bad_data(f"{self.table}:{line}: {what}", _NOT_AFTER)
-        segments = self._segment + np.cumsum(back)
-        self._span_ns += sum(steps[~back].tolist()) - (self._last is None)
+            before, after = (self._shown(int(ns)) for ns in time_ns[at : at + 2])
+            what = f"time {after} is not after {before} of line {line[at]}"
+            raise bad_data(f"{self.table}:{line[at + 1]}: {what}", _NOT_AFTER)
+        segments = self._segment + np.cumsum(np.diff(time_ns, prepend=time_ns[:1]) < 0)[-len(times) :]
+        self._span_ns += sum(steps[steps > 0].tolist())
         self._intervals.add(times, segments)
-        self._last = int(times[-1]), int(part.line[-1])
+        self._last_ns, self._last_line = times[-1:], part.line[-1:]
         self._segment = int(segments[-1])
         return times, segments
 
     def _shown(self, time_ns: int) -> str:
         if self.map.time is None or self.map.time.format is None:
             return f"{time_ns * 1e-9:.9f} s"
-        moment = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=time_ns // 1000)
-        return repr(moment.strftime(self.map.time.format))
+        return repr((EPOCH + timedelta(microseconds=time_ns // 1000)).strftime(self.map.time.format))
 
     def _times(self, part: Part) -> IntArray:
-        if not len(part.index):
-            return part.index
         if part.time_ns is None:
             # Each is rounded by itself so that no error adds up; a row that was dropped keeps its time.
             period_ns = 10**9 / Fraction(str(self.map.rate_hz))
             return np.array([round(row * period_ns) for row in part.index.tolist()], np.int64)
-        wrap_ns = self.map.time.wrap_ns if self.map.time is not None else None
-        if wrap_ns is None:
+        if self._wrap_ns is None:
             return part.time_ns
         steps = np.diff(part.time_ns, prepend=self._counted)
-        wraps = self._wraps + np.cumsum(steps <= -float(wrap_ns) / LEAST_WRAP)
+        wraps = self._wraps + np.cumsum(steps <= -float(self._wrap_ns) / LEAST_WRAP)
         self._counted, self._wraps = int(part.time_ns[-1]), int(wraps[-1])
         both = zip(part.time_ns.tolist(), wraps.tolist(), strict=True)
-        return np.array([counted + round(count * wrap_ns) for counted, count in both], np.int64)
+        return np.array([counted + round(count * self._wrap_ns) for counted, count in both], np.int64)

@@ -41,7 +41,7 @@ class SessionLog(Lines):
 
     def write(self) -> None:
         """Write the lines that wait; raises OSError when that fails, and they are lost."""
-        from imumon.recordings.folder import iso_utc  # here, as it loads pydantic
+        from .folder import iso_utc  # here, as it loads pydantic
 
         lines = [
             {"time": iso_utc(now_ns), "time_ns": now_ns, "level": level, "text": text}

@@ -68,7 +68,7 @@ class TimeColumn(StrictModel):
     unit: Annotated[str, AfterValidator(_check_time_unit)]
     format: Annotated[str, AfterValidator(_check_format)] | None = None
     backwards: Literal["error", "segment"] = "error"
-    wraps_at: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None
+    wraps_at: float | None = Field(default=None, gt=0)
 
     @property
     def wrap_ns(self) -> Fraction | None:
@@ -115,15 +115,16 @@ class Group(StrictModel):
     unit: UnitText
 
 
-def _axes(name: str) -> tuple[str, ...]:
+def triple(name: str) -> tuple[str, ...]:
+    """Return the columns of a vector."""
     return tuple(f"{name}_{axis}" for axis in "xyz")
 
 
 GROUPS: dict[str, tuple[tuple[str, ...], ...]] = {
-    "gyro": (_axes("gyro"),),
-    "accel": (_axes("accel"),),
-    "mag": (_axes("mag"),),
-    "temperature": (("temperature",), _axes("temperature")),
+    "gyro": (triple("gyro"),),
+    "accel": (triple("accel"),),
+    "mag": (triple("mag"),),
+    "temperature": (("temperature",), triple("temperature")),
     "attitude": (("q_w", "q_x", "q_y", "q_z"), ("roll", "pitch", "yaw")),
     "pressure": (("pressure",),),
 }
@@ -170,17 +171,18 @@ class TextFormat(StrictModel):
 
     delimiter: Annotated[str, Field(min_length=1, max_length=1)] | Literal["whitespace"] = ","
     decimal: Literal[".", ","] = "."
-    comment: Annotated[str, Field(min_length=1)] | None = None
+    comment: str | None = Field(default=None, min_length=1)
     header: bool = True
     skip_rows: NonNegativeInt = 0
     columns: list[str] | None = None
 
     @model_validator(mode="after")
     def _names_come_from_one_place(self) -> "TextFormat":
-        if self.header and self.columns is not None:
-            raise ValueError("csv.columns names the columns of a table without header; add header: false")
-        if not self.header and self.columns is None:
-            raise ValueError("a table without header needs csv.columns: the names of all its columns")
+        if self.header == (self.columns is not None):
+            raise ValueError(
+                "a table without header needs csv.columns, the names of all its columns; with these add"
+                " header: false"
+            )
         if self.decimal == self.delimiter:
             raise ValueError('a decimal comma needs another delimiter, such as csv: {delimiter: ";"}')
         if twice := [name for name, count in Counter(self.columns or []).items() if count > 1]:
@@ -192,7 +194,7 @@ class TableMap(StrictModel):
     """The whole map."""
 
     time: TimeColumn | None = None
-    rate_hz: Annotated[float, Field(gt=0, le=1e6, allow_inf_nan=False)] | None = None
+    rate_hz: float | None = Field(default=None, gt=0, le=1e6)
     gyro: Group | None = None
     accel: Group | None = None
     mag: Group | None = None
@@ -219,23 +221,21 @@ class TableMap(StrictModel):
             raise ValueError(f"a map has either time: {{column: ..., unit: ...}} or rate_hz: ...; {given}")
         if taken := [name for name in self.other if name in RESERVED]:
             raise ValueError(f"other.{taken[0]} is the name of something else; give the column another")
-        sources = self.sources()
-        if not sources:
+        if not self.sources():
             raise ValueError(
                 "the map names no data: add gyro, accel, mag, temperature, attitude, pressure or other"
             )
-        names = Counter(source.column for source in sources)
-        if self.time is not None:
-            names[self.time.column] += 1
-        if twice := [name for name, count in names.items() if count > 1]:
+        if twice := [name for name, count in Counter(self.columns()).items() if count > 1]:
             raise ValueError(f"column {', '.join(map(repr, twice))} is used more than once")
         return self
+
+    def columns(self) -> list[str]:
+        """Return the columns of the table that the map names, that of time last."""
+        return [*(source.column for source in self.sources()), *([self.time.column] if self.time else [])]
 
     def sources(self) -> list[Source]:
         """Return the columns of data that the map names, in canonical order; others come last."""
         groups = {name: group for name in GROUPS if (group := getattr(self, name)) is not None}
         found = [source for name, group in groups.items() for source in _sources(name, group)]
-        order = list(KNOWN)
-        found.sort(key=lambda source: order.index(source.target))
         others = [Source(one.column, name, parse_own_unit(one.unit)) for name, one in self.other.items()]
         return [*found, *others]

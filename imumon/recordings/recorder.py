@@ -7,8 +7,9 @@ from contextlib import suppress
 from queue import SimpleQueue
 
 from imumon.errors import ImumonError
-from imumon.recordings.wire import WireCounters, WireWriter
 from imumon.transport.reader import Item
+
+from .wire import WireCounters, WireWriter
 
 FLUSH_PERIOD_S = 0.05
 """A quarter of what is promised: the import of a library can keep the interpreter for 0.1 s, and a wake-up is
@@ -41,7 +42,7 @@ class Recorder:
         self._writer = writer
         self._on_problem = on_problem
         self._save = save
-        self._items: SimpleQueue[Item | None] = SimpleQueue()
+        self._items: SimpleQueue[Item] = SimpleQueue()
         self.put = self._items.put
         """Takes an item and returns at once: a sink for `imumon.transport.reader.Reader`."""
         self._problems: dict[str, str] = {}
@@ -66,7 +67,6 @@ class Recorder:
 
         A disk that does not answer is waited for 10 s; then the thread is left, and `problem` reports it.
         """
-        self._items.put(None)
         self._stopping.set()
         deadline = time.monotonic() + STOP_TIMEOUT_S
         for thread in (self._thread, self._keeper):
@@ -79,12 +79,10 @@ class Recorder:
     def _run(self) -> None:
         stopped = False
         while not stopped:
-            self._stopping.wait(FLUSH_PERIOD_S)  # slept through: to be woken by each read costs more than it
-            items = [self._items.get_nowait() for _ in range(self._items.qsize())]
-            for item in items:
-                if item is not None:
-                    self._writer.write(item)
-            stopped = None in items
+            # Slept through: to be woken by each read costs more than it.
+            stopped = self._stopping.wait(FLUSH_PERIOD_S)
+            for _ in range(self._items.qsize()):
+                self._writer.write(self._items.get_nowait())
             self._try(self._writer.flush, _WRITING)
             gone = self._writer.has_vanished
             self._report(_GONE, f"{_GONE}: what it held is lost; a new file is begun" if gone else None)

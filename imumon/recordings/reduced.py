@@ -9,9 +9,10 @@ import numpy as np
 from imumon.blocks import BoolArray, FloatArray, IntArray, SampleBlock
 from imumon.filters.slots import SlotGatherer, Slots
 
+from .map import triple
+
 AXES = "xyz"
-GYRO = tuple(f"gyro_{axis}" for axis in AXES)
-ACCEL = tuple(f"accel_{axis}" for axis in AXES)
+GYRO, ACCEL = triple("gyro"), triple("accel")
 PIECE = 4096
 """Samples at a time, to bound the memory: as many slots may end in them."""
 QUIET_QUANTILE = 0.25
@@ -27,28 +28,18 @@ JERK = 0.02
 class Reduced:
     """m columns of a recording over n slots; a slot without samples is not there."""
 
-    names: tuple[str, ...]
-    """The m columns."""
-    slot_s: float
-    """Length of a slot."""
-    run: IntArray
-    number: IntArray
-    """Which run (a new segment, or a clock that goes back, begins another), and which slot of its grid,
-    (n,)."""
-    segment: IntArray
-    start_ns: IntArray
-    """Segment, and device time at which the slot begins, (n,)."""
-    span_s: FloatArray
-    """Time between its first and its last sample, (n,)."""
-    rest_share: FloatArray
-    """Share of its samples at rest, (n,); NaN where rest was not detected."""
-    count: IntArray
-    """Finite values, (n, m)."""
-    mean: FloatArray
-    variance: FloatArray
-    """Mean (NaN without any value) and unbiased variance (NaN with fewer than two) of the values, (n, m)."""
-    smallest: FloatArray
-    """Of the values, (n, m); NaN without any."""
+    names: tuple[str, ...]  # the m columns
+    slot_s: float  # length of a slot
+    run: IntArray  # which run, (n,): a new segment, or a clock that goes back, begins another
+    number: IntArray  # which slot of the grid of its run, (n,)
+    segment: IntArray  # (n,)
+    start_ns: IntArray  # device time at which the slot begins, (n,)
+    span_s: FloatArray  # time between its first and its last sample, (n,)
+    rest_share: FloatArray  # share of its samples at rest, (n,); NaN where rest was not detected
+    count: IntArray  # finite values, (n, m)
+    mean: FloatArray  # of the values, (n, m); NaN without any
+    variance: FloatArray  # of the values, unbiased, (n, m); NaN with fewer than two
+    smallest: FloatArray  # of the values, (n, m); NaN without any
 
     def __len__(self) -> int:
         return len(self.segment)
@@ -76,23 +67,20 @@ class Reduced:
     def quiet(self) -> BoolArray:
         """Return which slots scatter little and have the specific force of their neighbours, (n,)."""
         quiet = np.ones(len(self), np.bool_)
-        sensors = [name for name in (*GYRO, *ACCEL) if name in self.names and self.has(name)]
-        for name in sensors:
+        for name in (one for one in (*GYRO, *ACCEL) if one in self.names and self.has(one)):
             at = self.names.index(name)
             scatter = np.sqrt(np.where(self.count[:, at] >= SIGNIFICANT, self.variance[:, at], np.nan))
-            sd = scatter / np.sqrt(np.maximum(self.count[:, at], 1))
             known = scatter[np.isfinite(scatter)]
             if len(known):
                 quiet &= ~(scatter > LOUDER * np.quantile(known, QUIET_QUANTILE))
-            few = ~np.isfinite(sd) & np.isfinite(self.of(name))
-            if few.any():  # then neighbours show how far a slot scatters
-                steps = np.abs(np.diff(self.of(name)))
-                steps = steps[np.isfinite(steps)]
-                scatter_of_means = np.median(steps) / (0.6745 * 2.0**0.5) if len(steps) else 0.0
-                sd = np.where(few, scatter_of_means, sd)
             if name in ACCEL:  # a slot without a value is no evidence
-                step = np.abs(np.diff(self.of(name)))
-                near = ~(step > JERK + 5.0 * np.hypot(sd[1:], sd[:-1]))
+                steps = np.abs(np.diff(self.of(name)))
+                there = steps[np.isfinite(steps)]
+                of_means = np.median(there) / (0.6745 * 2.0**0.5) if len(there) else 0.0
+                sd = scatter / np.sqrt(np.maximum(self.count[:, at], 1))
+                # Of a slot with too few samples its neighbours show how far it scatters.
+                sd = np.where(np.isfinite(sd), sd, of_means)
+                near = ~(steps > JERK + 5.0 * np.hypot(sd[1:], sd[:-1]))
                 quiet[1:] &= near
                 quiet[:-1] &= near
         return quiet
@@ -142,12 +130,8 @@ def kept_slots(gatherer: SlotGatherer, block: SampleBlock, names: Sequence[str])
     """
     for start in range(0, len(block), PIECE):
         piece = block.rows(start, start + PIECE)
-        values = np.full((len(piece), len(names) + 1), np.nan)
-        for j, name in enumerate(names):
-            if name in piece:
-                values[:, j] = piece[name]
-        if "at_rest" in piece:
-            values[:, -1] = piece["at_rest"] == 1
+        at_rest = piece["at_rest"] == 1 if "at_rest" in piece else np.full(len(piece), np.nan)
+        values = np.column_stack([piece.stacked(names), at_rest])
         yield KeptSlots.of(gatherer.process(piece["device_time_ns"], piece["segment"], values))
 
 

@@ -8,18 +8,21 @@ The covariance of the orientation is about the fixed axes east, north and up, ra
 for an unknown heading beside a known tilt: its variance is then `ANY_HEADING`, as while the heading is free.
 """
 
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from imumon.blocks import NO_INT, BoolArray, FloatArray, IntArray, SampleBlock, missing
+from imumon.blocks import NO_INT, BoolArray, FloatArray, IntArray, SampleBlock
 from imumon.columns import BodyAxes
 from imumon.errors import bad_data, missing_package
 from imumon.protocols.base import MAIN
-from imumon.recordings.table import CLOCKS, iterate_table, read_columns
+
+from .map import triple
+from .table import CLOCKS, iterate_table, read_columns
 
 Message = dict[str, Any]
 SECOND_NS = 1_000_000_000
@@ -40,8 +43,8 @@ SCALARS = {"pressure": (PRESSURE, "fluid_pressure")} | {
 DIAGONAL_KNOWN = 2
 NOISY = ("gyro", "accel")
 DIAGNOSED = (
-    *(f"gyro_bias_{axis}" for axis in "xyz"),
-    *(f"gyro_bias_sd_{axis}" for axis in "xyz"),
+    *triple("gyro_bias"),
+    *triple("gyro_bias_sd"),
     "at_rest",
     "temperature_rate",
     "heading",
@@ -64,9 +67,7 @@ def write_ros2(tables: Mapping[str, Path], out: Path, axes: BodyAxes | None) -> 
         from rosbags.typesys import Stores, get_typestore
     except ModuleNotFoundError as error:
         raise missing_package("a ROS 2 bag", "mcap-ros2-support and rosbags", "ros2") from error
-    counts: dict[str, int] = {}
-    left_out: list[str] = []
-    streams: list[str] = []
+    streams, left_out, counts = list[str](), list[str](), Counter[str]()
     known = get_typestore(Stores.ROS2_FOXY)
     with out.open("wb") as file:
         writer = Writer(file)
@@ -76,14 +77,16 @@ def write_ros2(tables: Mapping[str, Path], out: Path, axes: BodyAxes | None) -> 
         }
         for stream, path in tables.items():
             published = Stream.of(stream, path, axes)
-            left_out += published.left_out
-            before = sum(counts.values())
+            if not published.clock:
+                left_out.append(f"{stream}: its rows have no time")
+            if (unit := published.units.get("mag_x", "T")) not in TESLA:
+                left_out.append(f"the magnetic field: its unit is {unit!r}, ROS has tesla")
+            before = counts.total()
             for block in iterate_table(path):
                 for topic, kind, time_ns, message in published.messages(block):
-                    number = counts.get(topic, 0)
-                    counts[topic] = number + 1
-                    writer.write_message(topic, schemas[kind], message, time_ns, sequence=number)
-            if sum(counts.values()) > before:
+                    writer.write_message(topic, schemas[kind], message, time_ns, sequence=counts[topic])
+                    counts[topic] += 1
+            if counts.total() > before:
                 streams.append(stream)
             elif published.clock:
                 left_out.append(f"{stream}: of its columns alone no message can be made")
@@ -91,13 +94,8 @@ def write_ros2(tables: Mapping[str, Path], out: Path, axes: BodyAxes | None) -> 
     return streams, left_out
 
 
-class _Topic(NamedTuple):
-    """Messages of a block: topic, type, which rows have one, (n,), and what makes that of a row."""
-
-    name: str
-    kind: str
-    due: BoolArray
-    make: Callable[[int], Message]
+_Topic = tuple[str, str, BoolArray, Callable[[int], Message]]
+"""Messages of a block: topic, type, which rows have one, (n,), and what makes that of a row."""
 
 
 @dataclass(slots=True)
@@ -105,19 +103,14 @@ class Stream:
     """How the samples of a stream become messages, block by block."""
 
     name: str
-    units: Mapping[str, str]
-    """Of its columns."""
-    clock: str
-    """The column that has the times of the messages; empty where there is none."""
-    flip: bool
-    """Whether the samples are turned by 180° about x, from forward-right-down to forward-left-up."""
+    units: Mapping[str, str]  # of its columns
+    clock: str  # the column that has the times of the messages; empty where there is none
+    flip: bool  # whether the samples are turned by 180° about x, from forward-right-down to forward-left-up
+    # Of successive samples at rest, the sum of the squared differences, and how many.
     _squares: dict[str, FloatArray] = field(default_factory=lambda: {name: np.zeros(3) for name in NOISY})
     _steps: dict[str, int] = field(default_factory=lambda: dict.fromkeys(NOISY, 0))
-    """Of successive samples at rest, the sum of the squared differences, and how many."""
-    _second: int | None = None
-    """In which the latest row was."""
-    _last: dict[str, float] = field(default_factory=dict)
-    """The latest reading of what is published when it changes."""
+    _second: int | None = None  # in which the latest row was
+    _last: dict[str, float] = field(default_factory=dict)  # of what is published when it changes
 
     @classmethod
     def of(cls, name: str, path: Path, axes: BodyAxes | None) -> "Stream":
@@ -133,20 +126,11 @@ class Stream:
     def learn(self, block: SampleBlock) -> None:
         """Take the noise of samples at rest into account, for the covariances."""
         for name in NOISY if "at_rest" in block else ():
-            if (values := block.vector(name)) is not None:
-                at_rest = block["at_rest"] == 1
-                steps = np.diff(values, axis=0)[at_rest[1:] & at_rest[:-1]]
-                steps = steps[np.isfinite(steps).all(axis=1)]
-                self._squares[name] += np.sum(steps**2, axis=0)
-                self._steps[name] += len(steps)
-
-    @property
-    def left_out(self) -> list[str]:
-        """What has no place in a message."""
-        found = [] if self.clock else [f"{self.name}: its rows have no time"]
-        if self.units.get("mag_x", "T") not in TESLA:
-            found.append(f"the magnetic field: its unit is {self.units['mag_x']!r}, ROS has tesla")
-        return found
+            at_rest = block["at_rest"] == 1
+            steps = np.diff(block.stacked(triple(name)), axis=0)[at_rest[1:] & at_rest[:-1]]
+            steps = steps[np.isfinite(steps).all(axis=1)]
+            self._squares[name] += np.sum(steps**2, axis=0)
+            self._steps[name] += len(steps)
 
     def messages(self, block: SampleBlock) -> Iterator[tuple[str, str, int, Message]]:
         """Yield topic, type, time and message, in the order of the rows."""
@@ -164,10 +148,9 @@ class Stream:
         for row in np.flatnonzero(times != NO_INT).tolist():
             sec, nanosec = divmod(int(times[row]), SECOND_NS)
             header = {"stamp": {"sec": sec, "nanosec": nanosec}, "frame_id": "imu_link"}
-            for topic in topics:
-                if topic.due[row]:
-                    message = {"header": header, **topic.make(row)}
-                    yield topic.name, topic.kind, int(times[row]), message
+            for topic, kind, due, make in topics:
+                if due[row]:
+                    yield topic, kind, int(times[row]), {"header": header, **make(row)}
 
     def _topics(self, block: SampleBlock, begins: BoolArray) -> Iterator[_Topic]:
         """Yield what the block has messages of; `begins` marks the rows that are the first of a second."""
@@ -175,7 +158,7 @@ class Stream:
         if self.name == MAIN:
             yield from self._inertial(block)
             if any(name in block for name in DIAGNOSED):
-                yield _Topic("/diagnostics", DIAGNOSTICS, begins, lambda row: _diagnostics(block, row))
+                yield "/diagnostics", DIAGNOSTICS, begins, lambda row: _diagnostics(block, row)
         else:
             prefix = f"/{self.name}"
         for name in block.columns:
@@ -193,18 +176,16 @@ class Stream:
             name: np.tile(self._squares[name] / (2.0 * max(self._steps[name], 1)), (len(block), 1))
             for name in NOISY
         }
-        rate, force, sd = (gyro, noise["gyro"]), (accel, noise["accel"]), block.vector("gyro_bias_sd")
-        if gyro is not None or accel is not None:
-            yield _imu("/imu/data_raw", (None, None), rate, force)
-        if gyro is not None and bias is not None and sd is not None:
-            variances = np.where(self._squares["gyro"].all(), sd**2 + noise["gyro"], 0.0)
+        force, none = (accel, noise["accel"]), np.full((len(block), 4), np.nan)
+        yield _imu("/imu/data_raw", (none, none), (gyro, noise["gyro"]), force)
+        if "gyro_bias_x" in block:
+            variances = block.stacked(triple("gyro_bias_sd")) ** 2 + noise["gyro"]
+            variances = np.where(self._squares["gyro"].all(), variances, 0.0)
             yield _imu("/imu/data", self._attitude(block), (gyro - bias, variances), force)
-        if mag is not None and (scale := TESLA.get(self.units["mag_x"])):
+        if scale := TESLA.get(self.units.get("mag_x", "")):
             values, there = mag * scale, np.asarray(np.isfinite(mag).all(axis=1))
             unknown = {"magnetic_field_covariance": UNKNOWN}
-            yield _Topic(
-                "/imu/mag", MAG, there, lambda row: {"magnetic_field": _named(values[row]), **unknown}
-            )
+            yield "/imu/mag", MAG, there, lambda row: {"magnetic_field": _named(values[row]), **unknown}
 
     def _scalar(self, topic: str, block: SampleBlock, column: str, begins: BoolArray) -> _Topic:
         """Return messages of one value and its variance, zero where it is not known.
@@ -212,7 +193,7 @@ class Stream:
         A reading is published when it has changed, and once a second; an estimate once a second.
         """
         (kind, of), values, due = SCALARS[column], block[column], begins.copy()
-        variance = np.nan_to_num(_optional(block, f"{column}_sd") ** 2)
+        variance = np.nan_to_num(block.stacked([f"{column}_sd"])[:, 0] ** 2)
         if column != "temperature_estimate":
             due |= np.diff(values, prepend=self._last.get(column, np.nan)) != 0
             self._last[column] = float(values[-1])
@@ -220,65 +201,62 @@ class Stream:
         def make(row: int) -> Message:
             return {of: float(values[row]), "variance": float(variance[row])}
 
-        return _Topic(topic, kind, due & np.isfinite(values), make)
+        return topic, kind, due & np.isfinite(values), make
 
-    def _vector(self, block: SampleBlock, name: str) -> FloatArray | None:
-        """Return a vector in forward-left-up axes, (n, 3)."""
-        values = block.vector(name)
-        return values if values is None or not self.flip else values * [1.0, -1.0, -1.0]
+    def _vector(self, block: SampleBlock, name: str) -> FloatArray:
+        """Return a vector in forward-left-up axes, (n, 3); NaN where there is none."""
+        return block.stacked(triple(name)) * ([1.0, -1.0, -1.0] if self.flip else 1.0)
 
     def _attitude(self, block: SampleBlock) -> "_Part":
         """Return the estimated attitude x, y, z, w, body to east-north-up, and variances about these."""
-        q = block.vector("attitude_estimate", "xyzw")
-        if q is None:
-            return None, None
+        q = block.stacked([f"attitude_estimate_{axis}" for axis in "xyzw"])
         if self.flip:  # from forward-left-up to forward-right-down, then as estimated: the product with i
             x, y, z, w = q.T
             q = np.column_stack([w, z, -y, -x])
-        tilt, heading, north = (
-            _optional(block, f"attitude_estimate_{name}") for name in ("tilt_sd", "heading_sd", "north")
-        )
+        further = [f"attitude_estimate_{name}" for name in ("tilt_sd", "heading_sd", "north")]
+        tilt, heading, north = block.stacked(further).T
         yaw = np.where((north == 1) & np.isfinite(heading), heading**2, ANY_HEADING)
         return q, np.column_stack([tilt**2, tilt**2, yaw])
 
 
-_Part = tuple[FloatArray | None, FloatArray | None]
-"""A quantity of a message: values (n, 3) or (n, 4), and variances (n, 3), in SI units."""
+_Part = tuple[FloatArray, FloatArray]
+"""A quantity of a message, SI units: values (n, 3) or (n, 4), NaN where there is none; variances (n, 3)."""
 
 
 def _imu(topic: str, attitude: _Part, rate: _Part, force: _Part) -> _Topic:
     """Return messages `sensor_msgs/Imu` of the rows that have a rate or a force."""
     parts = {"orientation": attitude, "angular_velocity": rate, "linear_acceleration": force}
-    inertial = [np.isfinite(values).all(axis=1) for values, _ in (rate, force) if values is not None]
+    inertial = [np.isfinite(values).all(axis=1) for values, _ in (rate, force)]
 
     def make(row: int) -> Message:
         message: Message = {}
         for name, (values, variances) in parts.items():
             value: Any = (0.0, 0.0, 0.0, 1.0) if name == "orientation" else (0.0, 0.0, 0.0)
             covariance = NOTHING
-            if values is not None and variances is not None and np.isfinite(values[row]).all():
+            if np.isfinite(values[row]).all():
                 value, covariance = values[row], _diagonal(variances[row])
             message |= {name: _named(value), f"{name}_covariance": covariance}
         return message
 
-    return _Topic(topic, IMU, np.any(inertial, axis=0), make)
+    return topic, IMU, np.any(inertial, axis=0), make
 
 
 def _fix(topic: str, block: SampleBlock, of: str) -> _Topic:
     """Return messages `sensor_msgs/NavSatFix`, with the accuracies that the receiver gives."""
-    place = {name: _optional(block, f"{of}{name}") for name in ("latitude", "longitude", "altitude")}
-    level, upright = (_optional(block, f"{of}{name}_accuracy") for name in ("horizontal", "vertical"))
+    names = ("latitude", "longitude", "altitude")
+    place = block.stacked([f"{of}{name}" for name in names])
+    accuracy = block.stacked([f"{of}{name}_accuracy" for name in ("horizontal", "horizontal", "vertical")])
 
     def make(row: int) -> Message:
-        spread = np.array([level[row], level[row], upright[row]]) ** 2
+        spread = accuracy[row] ** 2
         return {
             "status": {"status": 0, "service": 1},
-            **{name: float(values[row]) for name, values in place.items()},
+            **dict(zip(names, place[row].tolist(), strict=True)),
             "position_covariance": _diagonal(spread),
             "position_covariance_type": DIAGONAL_KNOWN if np.isfinite(spread).all() else 0,
         }
 
-    return _Topic(topic, FIX, np.isfinite(place["latitude"] + place["longitude"]), make)
+    return topic, FIX, np.isfinite(place[:, 0] + place[:, 1]), make
 
 
 def _diagnostics(block: SampleBlock, row: int) -> Message:
@@ -292,11 +270,6 @@ def _diagnostics(block: SampleBlock, row: int) -> Message:
         "values": [{"key": name, "value": f"{value:.9g}"} for name, value in values.items()],
     }
     return {"status": [status]}
-
-
-def _optional(block: SampleBlock, name: str) -> FloatArray:
-    """Return a column, NaN where there is none."""
-    return np.asarray(block.columns.get(name, missing(len(block), np.float64)))
 
 
 def _named(values: Any) -> dict[str, float]:

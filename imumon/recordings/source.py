@@ -4,8 +4,8 @@
 samples needs them: what no estimate may be made from is left out, as it is for all stages.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +16,12 @@ from imumon.columns import BodyAxes, Column
 from imumon.errors import ImumonError, Reason, bad_config, bad_data
 from imumon.files import readable
 from imumon.pipeline import UNDATED, Estimator, Pipeline
+from imumon.protocols.base import MAIN
 from imumon.protocols.device import DeviceFile, load_device, parse_device
 from imumon.protocols.ranges import Ranges, declared
-from imumon.recordings.folder import (
+from imumon.transport.reader import Bytes, EventKind, Item, Reads
+
+from .folder import (
     METADATA_NAME,
     Session,
     begun_of,
@@ -27,10 +30,9 @@ from imumon.recordings.folder import (
     lost_metadata,
     open_session,
 )
-from imumon.recordings.importing import TableImport
-from imumon.recordings.table import SUFFIXES, iterate_samples, iterate_table, read_columns
-from imumon.recordings.wire_reader import WireReader, WireSummary, is_wire
-from imumon.transport.reader import Bytes, EventKind, Item, Reads
+from .importing import TableImport
+from .table import SUFFIXES, iterate_samples, iterate_table, read_columns
+from .wire_reader import WireReader, WireSummary, is_wire
 
 READ_SIZE = 1 << 16
 RECORDING = "recording: "
@@ -46,30 +48,19 @@ class Source:
     """Something recorded, ready to be run over."""
 
     path: Path
-    items: Iterable[Item] | Iterable[SampleBlock]
-    """What `run_over` takes."""
-    device: DeviceFile | None
-    """What sent the bytes; None for an imported session."""
-    session: Session | None
-    """None for a raw capture."""
-    imported: tuple[Column, ...] = ()
-    """Columns of an imported session's table."""
-    table: TableImport | None = None
-    """The table from elsewhere that is read with its map, without a session."""
+    items: Iterable[Item] | Iterable[SampleBlock]  # what `run_over` takes
+    device: DeviceFile | None = None  # what sent the bytes; None for a table
+    session: Session | None = None  # None for a raw capture or a table
+    imported: Mapping[str, Column] = field(default_factory=dict)  # of a table; empty for bytes
+    table: TableImport | None = None  # the table from elsewhere that is read with its map, without a session
+    axes: BodyAxes | None = None  # body axes of the samples; None where they are not stated
 
-    def columns(self, pipeline: Pipeline) -> list[Column]:
+    def columns(self, pipeline: Pipeline, stream: str = MAIN) -> list[Column]:
         """Return the columns that the run's blocks have so far; `pipeline` is the one it runs through."""
-        own = {column.name for column in self.imported}
-        return [*self.imported, *(column for column in pipeline.columns if column.name not in own)]
-
-    @property
-    def axes(self) -> BodyAxes | None:
-        """Body axes of the samples; None where they are not stated."""
-        if self.device is not None:
-            return self.device.axes
-        if self.session is not None:
-            return self.session.metadata.axes
-        return None if self.table is None else self.table.map.axes
+        if stream != MAIN:
+            return pipeline.stream_columns(stream)
+        rest = [column for column in pipeline.columns if column.name not in self.imported]
+        return [*self.imported.values(), *rest]
 
     @property
     def range(self) -> Ranges:
@@ -84,22 +75,21 @@ class Source:
         by_pipeline = declared(metadata.pipeline_yaml, f"{name} (pipeline_yaml)")
         return by_pipeline.over(declared(by_map, f"{name} (map_yaml)"))
 
+    @property
+    def truth(self) -> Path:
+        """The file that everything follows from."""
+        return self.path if self.session is None else self.session.truth_path
+
     def refuse_output(self, out: Path | None) -> None:
         """Raise EXISTS when the output would replace what is read."""
-        read = [self.path] if self.session is None else [self.session.wire_path, self.session.samples_path]
-        if out is not None and out.exists() and any(path.exists() and out.samefile(path) for path in read):
+        if out is not None and out.exists() and out.samefile(self.truth):
             raise ImumonError(Reason.EXISTS, f"{out} is what is read", "give another name for the table")
 
     def warnings(self) -> list[str]:
         """Return what is missing from the recording, as it is known after the run."""
-        if isinstance(self.items, WireReader):
-            return self.lacks(self.items.summary)
-        return [] if self.table is None else self.table.warnings()
-
-    def lacks(self, summary: WireSummary) -> list[str]:
-        """Return what a wire file and its session lack, one sentence each, by what was found in the file."""
-        name = self.path.name if self.session is None else self.session.wire_path.name
-        state = None if self.session is None else self.session.state
+        if not isinstance(self.items, WireReader):
+            return [] if self.table is None else self.table.warnings()
+        name, state, summary = self.truth.name, self.session and self.session.state, self.items.summary
         missing, damage = bytes_missing(self.session, summary), summary.damage
         sent = summary.bytes + summary.bytes_unrecorded + missing
         is_damaged = damage.places > summary.recovered.places
@@ -130,15 +120,13 @@ class Source:
         if not isinstance(self.items, WireReader):
             return {}
         summary = self.items.summary
-        began_ns = None if self.session is None else self.session.metadata.created_ns
-        where = []
+        whole, where = asdict(summary), []
         for place in summary.damage.where:
             at_s = None
-            if began_ns is not None and place.after_ns is not None:
-                at_s = round((place.after_ns - began_ns) * 1e-9, 6)
+            if self.session is not None and place.after_ns is not None:
+                at_s = round((place.after_ns - self.session.metadata.created_ns) * 1e-9, 6)
             # Blocks that are not as they were written are left out.
             where.append({**asdict(place), "at_s": at_s, "seconds": place.seconds, "altered": False})
-        whole = asdict(summary)
         lacking = {
             name: whole[name] for name in ("complete", "checksum_ok", "bytes_unrecorded", "tail_bytes")
         }
@@ -181,21 +169,25 @@ def open_source(path: Path, device_name: str | None = None, rate_hz: float | Non
     """
     device = None if device_name is None else load_device(device_name)
     if is_session(path):
-        return replace(source_of(open_session(path), device, rate_hz), path=path)
+        return source_of(open_session(path), device, rate_hz)
     if not path.is_file() and not path.is_fifo():
         open_session(path)  # raises, naming what is there
     wire = WireReader(path) if path.is_file() and is_wire(path) else None
     if device is None:
         if wire is None:
-            hint = "add --device NAME; imumon devices lists them"
-            raise bad_config(f"{path} is not a session, so its device must be named", hint)
+            raise bad_config(
+                f"{path} is not a session, so its device must be named",
+                "add --device NAME; imumon devices lists them",
+            )
         metadata = wire.metadata()
         begun = begun_of(metadata)
         if begun is None or begun.device_yaml is None:
-            hint = f"add --device {metadata.get('device', 'NAME')}, or the path of its file"
-            raise bad_config(f"{path} does not hold its device file", hint)
+            raise bad_config(
+                f"{path} does not hold its device file",
+                f"add --device {metadata.get('device', 'NAME')}, or the path of its file",
+            )
         device = parse_device(begun.device_yaml, f"{path} (device_yaml)")
-    return Source(path, wire or capture_items(path), device.at_rate(rate_hz), None)
+    return Source(path, wire or capture_items(path), device.at_rate(rate_hz), axes=device.axes)
 
 
 def source_of(session: Session, device: DeviceFile | None = None, rate_hz: float | None = None) -> Source:
@@ -205,16 +197,19 @@ def source_of(session: Session, device: DeviceFile | None = None, rate_hz: float
     """
     if session.metadata.source == "import":
         if rate_hz is not None:
-            what = f"--rate, and the samples of {session.path} have their times already"
-            raise bad_config(what, "rate_hz in the map of an import spaces rows without a time")
-        columns = tuple(read_columns(session.samples_path).values())
-        return Source(session.path, iterate_samples(session), None, session, columns)
+            raise bad_config(
+                f"--rate, and the samples of {session.path} have their times already",
+                "rate_hz in the map of an import spaces rows without a time",
+            )
+        columns, axes = read_columns(session.truth_path), session.metadata.axes
+        return Source(session.path, iterate_samples(session), None, session, columns, axes=axes)
     if device is None:
-        text = session.metadata.device_yaml
-        if text is None:
+        if session.metadata.device_yaml is None:
             raise bad_data(f"{session.path}: session.yaml has no device_yaml")
-        device = parse_device(text, f"{session.path / METADATA_NAME} (device_yaml)")
-    return Source(session.path, WireReader(session.wire_path), device.at_rate(rate_hz), session)
+        name = f"{session.path / METADATA_NAME} (device_yaml)"
+        device = parse_device(session.metadata.device_yaml, name)
+    wire = WireReader(session.wire_path)
+    return Source(session.path, wire, device.at_rate(rate_hz), session, axes=device.axes)
 
 
 def capture_items(path: Path) -> Iterator[Item]:
@@ -222,8 +217,10 @@ def capture_items(path: Path) -> Iterator[Item]:
 
     Raises BAD_DATA when the file cannot be read.
     """
-    hint = "give a raw capture, or a session folder (which has a session.yaml)"
-    with readable(path, hint), path.open("rb") as file:
+    with (
+        readable(path, "give a raw capture, or a session folder (which has a session.yaml)"),
+        path.open("rb") as file,
+    ):
         while data := file.read(READ_SIZE):
             yield Bytes(data, UNDATED)
 
@@ -295,24 +292,12 @@ def no_stages(_: DeviceFile | None) -> Sequence[Estimator]:
 class Recording:
     """A recording that is open; its samples can be read once."""
 
-    source: Source
-    """What is read."""
-    pipeline: Pipeline
-    """What it runs through."""
-    count: Count
-    """Takes how many more bytes were read."""
-    truth: Path
-    """The file that everything follows from."""
-    name: str
-    """Of its folder or file."""
-    device: str | None
-    """What sent it; None for a table."""
-    axes: BodyAxes | None
-    """In which body axes it is; None where it is not stated."""
-    serial: str | None
-    """Serial number of the unit, as its session has it."""
-    columns: dict[str, Column]
-    """Columns of a table or an imported session; empty for a recording that has to be decoded."""
+    source: Source  # what is read
+    pipeline: Pipeline  # what it runs through
+    count: Count  # takes how many more bytes were read
+    name: str  # of its folder or file
+    device: str | None  # what sent it; None for a table
+    serial: str | None  # serial number of the unit, as its session has it
 
     def blocks(self) -> Iterator[SampleBlock]:
         """Yield the samples in order, with device_time_ns, segment and what the stages add to them.
@@ -331,7 +316,7 @@ class Recording:
 
     def sha256(self) -> str:
         """Return the fingerprint of its bytes."""
-        return fingerprint(self.truth)
+        return fingerprint(self.source.truth)
 
 
 def open_recording(
@@ -348,18 +333,16 @@ def open_recording(
     `count`: takes how many more bytes were read, for a progress bar.
     """
     source = _open(path, map_path)
-    session, there = source.session, {column.name: column for column in source.imported}
-    made = stages(source.device)
-    wanted = [stage for stage in made if there.keys().isdisjoint(column.name for column in stage.columns)]
+    made, there = stages(source.device), source.imported.keys()
+    wanted = [stage for stage in made if there.isdisjoint(column.name for column in stage.columns)]
     return Recording(
-        source, Pipeline(source.device, wanted, source.range), count,
-        truth=source.path if session is None else session.truth_path,
-        name=(path if session is None else session.path).name or str(path),
+        source,
+        Pipeline(source.device, wanted, source.range),
+        count,
+        name=source.path.name or str(source.path),
         device=None if source.device is None else source.device.name,
-        axes=source.axes,
-        serial=None if session is None else session.metadata.serial,
-        columns=there,
-    )  # fmt: skip
+        serial=None if source.session is None else source.session.metadata.serial,
+    )
 
 
 def _open(path: Path, map_path: Path | None) -> Source:
@@ -367,20 +350,23 @@ def _open(path: Path, map_path: Path | None) -> Source:
         return open_source(path)
     if map_path is not None:
         table = TableImport(path, map_path)
-        return Source(path, table.blocks(), None, None, tuple(table.columns.values()), table)
+        return Source(path, table.blocks(), imported=table.columns, table=table, axes=table.map.axes)
     if path.suffix not in SUFFIXES:
         if lost_metadata(path) is not None:
             open_session(path)  # raises, with what to do
-        what = f"{path} is neither a session nor a table ({', '.join(SUFFIXES)})"
-        hint = "a raw capture becomes a table first: imumon decode FILE --device NAME --out TABLE.parquet"
-        raise bad_data(what, hint)
+        raise bad_data(
+            f"{path} is neither a session nor a table ({', '.join(SUFFIXES)})",
+            "a raw capture becomes a table first: imumon decode FILE --device NAME --out TABLE.parquet",
+        )
     columns = read_columns(path)
     if "device_time_ns" not in columns:
-        seen = f"{path}: has no column device_time_ns, so it is no table of imumon"
-        raise bad_data(seen, "a table from elsewhere needs a map: imumon import")
+        raise bad_data(
+            f"{path}: has no column device_time_ns, so it is no table of imumon",
+            "a table from elsewhere needs a map: imumon import",
+        )
     # Without a column segment it is one segment.
     blocks = (
         block if "segment" in block else block.with_columns({"segment": np.zeros(len(block), np.int64)})
         for block in iterate_table(path)
     )
-    return Source(path, blocks, None, None, tuple(columns.values()))
+    return Source(path, blocks, imported=columns)

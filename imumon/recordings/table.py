@@ -12,7 +12,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Final, Literal
+from typing import Any, Literal
 
 import numpy as np
 import pyarrow as pa
@@ -25,10 +25,11 @@ from imumon.config import StrictModel, dump_yaml, load_yaml
 from imumon.errors import ImumonError, Reason, bad_data
 from imumon.files import check_output, naming, target, write_text
 from imumon.harmless import for_csv
-from imumon.recordings.folder import Session
 from imumon.version import __version__
 
-FORMAT: Final = "imumon-table/1"
+from .folder import Session
+
+FORMAT = "imumon-table/1"
 SUFFIXES = (".parquet", ".csv")
 BUFFER_BYTES = 16 << 20
 """Rows are gathered to this size before they are written; it is also the size of a row group."""
@@ -64,9 +65,9 @@ class TableWriter:
         self._columns = dict(columns)
         self._buffer: list[SampleBlock] = []
         self._buffered = 0
-        self._names: list[str] = []
-        """Columns of the part that is being written."""
-        self._parts: list[pq.ParquetWriter] = []
+        self._present: list[Column] = []  # columns of the part that is being written
+        self._parts: list[Path] = []
+        self._writer: pq.ParquetWriter
 
     def announce(self, columns: Iterable[Column]) -> None:
         """Set which columns may come from now on, in the order which the table shall have."""
@@ -99,50 +100,44 @@ class TableWriter:
             if kind is None:
                 with naming(self.path):
                     self._flush()
-                    self._parts[-1].close()
+                    self._writer.close()
                     self._finish()
             elif self._parts:
                 with suppress(OSError):
-                    self._parts[-1].close()
+                    self._writer.close()
 
     def _flush(self) -> None:
         """Write the buffer as one row group; a column that is new begins a new part."""
         block = join(self._buffer)
         self._buffer, self._buffered = [], 0
-        names = [name for name in self._columns if not self.rows or name in self._names or name in block]
-        if not self._parts or names != self._names:
+        every = self._columns.values()
+        present = [one for one in every if not self.rows or one in self._present or one.name in block]
+        if not self._parts or present != self._present:
             if self._parts:
-                self._parts[-1].close()
-            self._names = names
-            self._parts.append(_parquet_writer(self._part(len(self._parts)), _schema(self._present())))
+                self._writer.close()
+            self._present = present
+            self._parts.append(Path(self._folder.name) / f"{len(self._parts)}.parquet")
+            self._writer = _parquet_writer(self._parts[-1], _schema(present))
         if len(block):
-            self._parts[-1].write_table(arrow_table(block, self._present()))
-
-    def _part(self, number: int) -> Path:
-        return Path(self._folder.name) / f"{number}.parquet"
-
-    def _present(self) -> list[Column]:
-        return [self._columns[name] for name in self._names]
+            self._writer.write_table(arrow_table(block, present))
 
     def _finish(self) -> None:
         """Make the table of the parts: as it is when there is one, else with nulls for what came later."""
-        parts, columns = [self._part(number) for number in range(len(self._parts))], self._present()
-        whole = parts[0]
-        if self.path.suffix != ".parquet" or len(parts) > 1:
-            whole = self._part(len(parts))
-            tables = (arrow_table(block, columns) for part in parts for block in iterate_table(part))
+        columns, whole = self._present, self._parts[0]
+        if self.path.suffix != ".parquet" or len(self._parts) > 1:
+            whole = whole.with_name("whole")
+            tables = (arrow_table(block, columns) for part in self._parts for block in iterate_table(part))
             if self.path.suffix == ".parquet":
                 with _parquet_writer(whole, _schema(columns)) as writer:
                     for table in tables:
                         writer.write_table(table)
             else:
-                _write_csv(whole, tables, self._names)
+                _write_csv(whole, tables, [one.name for one in columns])
                 units = {
-                    c.name: _UnitsColumn(unit=c.unit, type=c.dtype, description=c.description)
-                    for c in columns
+                    c.name: {"unit": c.unit, "type": c.dtype, "description": c.description} for c in columns
                 }
-                content = _UnitsFile(format=FORMAT, imumon=__version__, columns=units)
-                write_text(units_path(self.path), dump_yaml(content.model_dump()))
+                content = {"format": FORMAT, "imumon": __version__, "columns": units}
+                write_text(units_path(self.path), dump_yaml(content))
         whole.replace(target(self.path))
 
 
@@ -153,15 +148,15 @@ def iterate_samples(session: Session) -> Iterator[SampleBlock]:
     """
     imported = session.metadata.table
     if imported is not None:
-        with table_errors(session.samples_path):
-            rows = int(pq.read_metadata(session.samples_path).num_rows)
+        with table_errors(session.truth_path):
+            rows = int(pq.read_metadata(session.truth_path).num_rows)
         if rows != imported.rows_out:
             raise bad_data(
-                f"{session.samples_path} was changed after the import: it has {rows:,} rows, and"
+                f"{session.truth_path} was changed after the import: it has {rows:,} rows, and"
                 f" {imported.rows_out:,} were imported",
                 f"import {imported.file} again, into another folder",
             )
-    return iterate_table(session.samples_path)
+    return iterate_table(session.truth_path)
 
 
 @contextmanager
@@ -210,19 +205,19 @@ def read_columns(path: Path) -> dict[str, Column]:
     """
     _check_suffix(path, Reason.BAD_DATA)
     with table_errors(path):
-        schema = None if path.suffix == ".csv" else pq.read_schema(path)
-        names = _csv_names(path) if schema is None else schema.names
-    if twice := [name for name, count in Counter(names).items() if count > 1]:
+        schema = pq.read_schema(path) if path.suffix == ".parquet" else _schema(_csv_columns(path))
+    if twice := [name for name, count in Counter(schema.names).items() if count > 1]:
         raise bad_data(f"{path}: column {', '.join(map(repr, twice))} is there more than once")
-    if schema is None:
-        return _csv_columns(path, names)
     columns = {}
     for field in schema:
         is_whole = pa.types.is_integer(field.type)
         if not (is_whole or pa.types.is_floating(field.type)):
             raise bad_data(f"{path}: column {field.name!r} is {field.type}, not a number")
-        stated = {key.decode(): value.decode() for key, value in (field.metadata or {}).items()}
-        stated = {key: value for key, value in stated.items() if key in ("unit", "description")}
+        stated = {
+            key.decode(): value.decode()
+            for key, value in (field.metadata or {}).items()
+            if key in (b"unit", b"description")
+        }
         known = KNOWN.get(field.name) or Column(field.name, "")
         columns[field.name] = replace(known, dtype="int64" if is_whole else "float64", **stated)
     return columns
@@ -245,25 +240,24 @@ class _UnitsFile(StrictModel):
     columns: dict[str, _UnitsColumn]
 
 
-def _csv_names(path: Path) -> list[str]:
+def _csv_columns(path: Path) -> list[Column]:
     with path.open(encoding="utf-8-sig") as file:
         names = next(csv.reader(file), [])
     if not names:
         raise bad_data(f"{path}: cannot be read: it is empty")
-    return names
-
-
-def _csv_columns(path: Path, names: Iterable[str]) -> dict[str, Column]:
     units = units_path(path)
     units_of = load_yaml(units, _UnitsFile).columns if units.is_file() else {}
     own = {name: Column(name, of.unit, of.type, of.description) for name, of in units_of.items()}
-    return {name: own.get(name) or KNOWN.get(name) or Column(name, "") for name in names}
+    return [own.get(name) or KNOWN.get(name) or Column(name, "") for name in names]
 
 
 def _check_suffix(path: Path, reason: Reason) -> None:
     if path.suffix not in SUFFIXES:
-        what = f"{path}: a table cannot have the suffix {path.suffix!r}"
-        raise ImumonError(reason, what, f"use {' or '.join(SUFFIXES)}; to write also .npz, .mat or .mcap")
+        raise ImumonError(
+            reason,
+            f"{path}: a table cannot have the suffix {path.suffix!r}",
+            f"use {' or '.join(SUFFIXES)}; imumon export also writes .npz, .mat and .mcap",
+        )
 
 
 def _schema(columns: Iterable[Column]) -> Any:
@@ -292,7 +286,6 @@ def arrow_table(block: SampleBlock, columns: Iterable[Column]) -> Any:
 
 
 def _batches(path: Path, schema: Any) -> Iterator[Any]:
-    """Yield record batches of a table file."""
     if path.suffix == ".parquet":
         with pq.ParquetFile(path, pre_buffer=False) as file:
             yield from file.iter_batches(batch_size=READ_ROWS, columns=schema.names)

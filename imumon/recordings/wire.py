@@ -39,9 +39,8 @@ UNRECORDED = "unrecorded"
 MAGIC = b"\x89MCAP0\r\n"
 RECORD = struct.Struct("<BQ")
 """Opcode, and bytes that follow."""
-MESSAGE = struct.Struct("<BQHIQQ")
-"""Opcode, bytes that follow, channel, sequence, log time, publish time; then the payload."""
-MESSAGE_FIELDS = MESSAGE.size - RECORD.size
+FIELDS = struct.Struct("<HIQQ")
+"""Of a message: channel, sequence, log time, publish time; then the payload."""
 MESSAGE_OP, DATA_END_OP = int(Opcode.MESSAGE), int(Opcode.DATA_END)
 SEQUENCE_MASK = (1 << 32) - 1
 
@@ -53,28 +52,23 @@ MCAP leaves 0x80 and above to the application; other readers pass such a record 
 """
 MARKER = bytes.fromhex("a3d1f08b5ce749268e7f13b0c96d42f5")
 """What to search for: 16 bytes drawn once at random, so that no device sends them."""
-_CHECK = struct.Struct("<BQ16sQQIIq")
-CHECK_SIZE = _CHECK.size + 4
-CHECK_LENGTH = CHECK_SIZE - RECORD.size
+_CHECK = struct.Struct("<QQIIq")
+_BEFORE_CHECK = RECORD.pack(CHECK_OP, len(MARKER) + _CHECK.size + 4) + MARKER
+CHECK_SIZE = len(_BEFORE_CHECK) + _CHECK.size + 4
 
 
 class Check(NamedTuple):
     """A check record."""
 
-    start: int
-    size: int
-    """Where in the file the bytes begin that it seals, and how many they are; the record itself is not
-    among them."""
-    sequence: int
-    """Of the message that follows, modulo 2^32."""
-    crc: int
-    """CRC-32 of the bytes."""
-    time_ns: int
-    """Unix time of the latest message before, 0 when there is none."""
+    start: int  # where in the file the bytes begin that it seals
+    size: int  # how many they are; the record itself is not among them
+    sequence: int  # of the message that follows, modulo 2^32
+    crc: int  # CRC-32 of the bytes
+    time_ns: int  # Unix time of the latest message before, 0 when there is none
 
     def pack(self) -> bytes:
         """Return the record."""
-        body = _CHECK.pack(CHECK_OP, CHECK_LENGTH, MARKER, *self)
+        body = _BEFORE_CHECK + _CHECK.pack(*self)
         return body + zlib.crc32(body).to_bytes(4, "little")
 
     @classmethod
@@ -83,8 +77,8 @@ class Check(NamedTuple):
         record = buffer[offset : offset + CHECK_SIZE]
         if len(record) < CHECK_SIZE or zlib.crc32(record[:-4]).to_bytes(4, "little") != record[-4:]:
             return None
-        opcode, length, marker, *fields = _CHECK.unpack_from(record)
-        return cls(*fields) if (opcode, length, marker) == (CHECK_OP, CHECK_LENGTH, MARKER) else None
+        found = record.startswith(_BEFORE_CHECK)
+        return cls(*_CHECK.unpack_from(record, len(_BEFORE_CHECK))) if found else None
 
 
 PENDING_LIMIT = 8 << 20
@@ -100,10 +94,8 @@ class WireCounters:
     reads: int = 0
     bytes: int = 0
     events: int = 0
-    bytes_on_disk: int = 0
-    """Of `bytes`, those handed to the operating system; they survive the end of this process."""
-    bytes_unrecorded: int = 0
-    """Of `bytes`, those that were given up because the disk was full or failed."""
+    bytes_on_disk: int = 0  # of `bytes`, those that the system has; they survive the end of this process
+    bytes_unrecorded: int = 0  # of `bytes`, those that were given up because the disk was full or failed
 
 
 class WireWriter:
@@ -121,36 +113,32 @@ class WireWriter:
     def __init__(self, path: Path, metadata: Mapping[str, str]) -> None:
         self._path = path
         self._metadata = mcap.Metadata(name="imumon", metadata=dict(metadata))
+        # Of each block that is not on disk: where it ends in the file, and the device's bytes in it.
         self._unflushed: deque[tuple[int, int]] = deque()
-        """Of each block that is not on disk: where it ends in the file, and the device's bytes in it."""
         self._sequence = 0
         self.counters = WireCounters()
-        self._gap = Counter[str]()
-        """Of what is given up since the last message: reads, bytes and events."""
+        self._gap = Counter[str]()  # of what is given up since the last message: reads, bytes and events
         self._first_ns = self._last_ns = self._highest_ns = 0
         self._messages: Counter[int] = Counter()
         try:
-            descriptor = os.open(self._path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
+            self._file = path.open("xb", buffering=0)
         except FileExistsError as error:
-            what = f"{self._path} exists already"
-            raise ImumonError(Reason.EXISTS, what, "nothing was overwritten") from error
+            raise ImumonError(Reason.EXISTS, f"{path} exists already", "nothing was overwritten") from error
         with suppress(OSError):  # a file system that knows no locks
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        self._descriptor, self._closed = descriptor, False
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        # What the operating system has not taken yet: a write that fails half-way leaves the rest here.
         self._pending = bytearray()
-        """What the operating system has not taken yet: a write that fails half-way leaves the rest here."""
-        self._crc = self._written = 0
-        """Checksum of all that was put, and how much of it was written."""
+        self._crc = self._written = 0  # checksum of all that was put, and how much of it was written
         self._block_start = self._block_bytes = 0
         self._put(MAGIC)
         self._put(_packed(mcap.Header(profile=FORMAT, library=f"imumon {__version__}")))
         self._metadata_at = self._end
         self._put(_packed(self._metadata))
-        self._put(b"".join(map(_packed, _TOPICS)))
+        self._put(_packed(*_TOPICS))
         try:
             self.flush()
         except OSError:
-            os.close(self._descriptor)
+            self._file.close()
             path.unlink(missing_ok=True)
             raise
 
@@ -167,7 +155,7 @@ class WireWriter:
     def has_vanished(self) -> bool:
         """Return whether the file is no longer under its name: what is written is lost, without an error."""
         try:
-            return not os.path.samestat(self._path.stat(), os.fstat(self._descriptor))
+            return not os.path.samestat(self._path.stat(), os.fstat(self._file.fileno()))
         except OSError:
             return True
 
@@ -182,8 +170,7 @@ class WireWriter:
         new.counters = replace(counts, bytes_on_disk=0, bytes_unrecorded=counts.bytes)
         new._gap = Counter(reads=counts.reads, bytes=counts.bytes, events=counts.events)
         new._note_gap(self._last_ns)
-        self._closed = True
-        os.close(self._descriptor)
+        self._file.close()
         return new
 
     def write(self, item: Item) -> None:
@@ -223,7 +210,7 @@ class WireWriter:
         self._seal()
         try:
             while self._pending:
-                count = os.write(self._descriptor, self._pending)
+                count = os.write(self._file.fileno(), self._pending)
                 del self._pending[:count]
                 self._written += count
         finally:
@@ -235,8 +222,8 @@ class WireWriter:
 
         Raises OSError when the disk fails.
         """
-        if not self._closed:
-            os.fdatasync(self._descriptor)
+        if not self._file.closed:
+            os.fdatasync(self._file.fileno())
 
     def close(self) -> None:
         """Finish and close the file; what cannot be written now is counted as unrecorded.
@@ -244,7 +231,7 @@ class WireWriter:
         Raises OSError when the last bytes cannot be written; the file is closed, and what it holds is
         readable.
         """
-        if self._closed:
+        if self._file.closed:
             return
         self._note_gap(self._last_ns)
         self._seal()
@@ -255,12 +242,11 @@ class WireWriter:
         finally:
             self.counters.bytes_unrecorded += sum(size for _, size in self._unflushed)
             self._unflushed.clear()
-            self._closed = True
-            os.close(self._descriptor)
+            self._file.close()
 
     def _add(self, channel: int, time_ns: int, data: bytes) -> None:
-        length, sequence = MESSAGE_FIELDS + len(data), self._sequence & SEQUENCE_MASK
-        self._put(MESSAGE.pack(MESSAGE_OP, length, channel, sequence, time_ns, time_ns) + data)
+        fields = FIELDS.pack(channel, self._sequence & SEQUENCE_MASK, time_ns, time_ns)
+        self._put(RECORD.pack(MESSAGE_OP, len(fields) + len(data)) + fields + data)
         self._first_ns = min(self._first_ns, time_ns) if self._sequence else time_ns
         self._highest_ns, self._last_ns = max(self._highest_ns, time_ns), time_ns
         self._messages[channel] += 1
@@ -276,7 +262,6 @@ class WireWriter:
             self._gap.clear()
 
     def _seal(self) -> None:
-        """Write the check record of what came since the last one."""
         size = self._end - self._block_start
         if size:
             crc = zlib.crc32(self._pending[-size:])  # none of it is written yet
@@ -302,7 +287,7 @@ class WireWriter:
         )
         length = len(_packed(self._metadata))
         index = mcap.MetadataIndex(offset=self._metadata_at, length=length, name=self._metadata.name)
-        summary = b"".join(map(_packed, (*_TOPICS, statistics, index)))
+        summary = _packed(*_TOPICS, statistics, index)
         start = self._end
         unchecked = _packed(mcap.Footer(summary_start=start, summary_offset_start=0, summary_crc=0))
         crc = zlib.crc32(unchecked[:-4], zlib.crc32(summary))
@@ -311,15 +296,13 @@ class WireWriter:
         self._block_start = self._end
 
 
-_EVENT_SCHEMA = {
-    "title": "imumon.Event",
-    "type": "object",
-    "properties": {"kind": {"type": "string"}, "detail": {"type": "string"}},
-    "required": ["kind"],
-}
+_EVENT_SCHEMA = (
+    b'{"title": "imumon.Event", "type": "object", "properties": {"kind": {"type": "string"}, '
+    b'"detail": {"type": "string"}}, "required": ["kind"]}'
+)
 _SCHEMAS = (
     mcap.Schema(id=1, name="imumon/msg/Wire", encoding="ros2msg", data=b"uint8[] data"),
-    mcap.Schema(id=2, name="imumon.Event", encoding="jsonschema", data=json.dumps(_EVENT_SCHEMA).encode()),
+    mcap.Schema(id=2, name="imumon.Event", encoding="jsonschema", data=_EVENT_SCHEMA),
 )
 _CHANNELS = (
     mcap.Channel(id=WIRE_CHANNEL, topic="/wire", message_encoding="cdr", metadata={}, schema_id=1),
@@ -328,9 +311,10 @@ _CHANNELS = (
 _TOPICS: tuple[mcap.McapRecord, ...] = (*_SCHEMAS, *_CHANNELS)
 
 
-def _packed(record: mcap.McapRecord) -> bytes:
+def _packed(*records: mcap.McapRecord) -> bytes:
     builder = RecordBuilder()
-    record.write(builder)
+    for record in records:
+        record.write(builder)
     return bytes(builder.end())  # type: ignore[no-untyped-call]  # the library has no type for it
 
 

@@ -23,18 +23,17 @@ from mcap.records import Header, Metadata
 
 from imumon.errors import ImumonError, bad_data
 from imumon.files import readable
-from imumon.recordings import wire
-from imumon.recordings.folder import iso_utc
-from imumon.recordings.wire import CHECK_SIZE, MAGIC, RECORD, SEQUENCE_MASK, Check
 from imumon.transport.reader import Event, EventKind, Item, Reads
+
+from . import wire
+from .folder import iso_utc
+from .wire import CHECK_SIZE, FIELDS, MAGIC, RECORD, SEQUENCE_MASK, Check
 
 FORMATS = ("imumon-wire/1", wire.FORMAT)
 """Those that are read; in the first, reads are bare bytes."""
 PROFILE = wire.FORMAT.rpartition("/")[0].encode()
 HEAD_SIZE = 64
 """Bytes at the begin of a file among which the profile stands."""
-FIELDS = struct.Struct("<HIQQ")
-"""Of a message: channel, sequence, log time, publish time; then the payload."""
 READ_SIZE = 1 << 20
 """Bytes of reads that are handed on at once, and of which a checksum is taken."""
 RELEASE_SIZE = 16 << 20
@@ -57,15 +56,11 @@ KEPT_PLACES = 100
 class Place:
     """A place of a wire file at which something is missing."""
 
-    offset: int
-    bytes: int
-    """Where in the file, and how many bytes of the file are of no use there; 0 when bytes were cut out."""
-    after_ns: int | None
-    before_ns: int | None
-    """Unix time of the last message before, and of the last one lost or the first one behind; None when there
-    is none."""
-    messages: int
-    """Reads and events that are missing, by the numbers of those before and behind; 0 where not known."""
+    offset: int  # where in the file
+    bytes: int  # how many bytes of the file are of no use there; 0 when bytes were cut out
+    after_ns: int | None  # Unix time of the last message before; None when there is none
+    before_ns: int | None  # that of the last one lost, or of the first one behind
+    messages: int  # reads and events missing, by the numbers of those before and behind; 0 where not known
 
     @property
     def seconds(self) -> float:
@@ -73,7 +68,6 @@ class Place:
         return max(0, self.before_ns - self.after_ns) * 1e-9 if self.after_ns and self.before_ns else 0.0
 
     def __str__(self) -> str:
-        """Return it in a few words."""
         when = f", {self.seconds:.3f} s from {iso_utc(self.after_ns)}" if self.after_ns else ""
         return (
             f"{self.bytes:,} bytes at byte {self.offset:,}{when}, {self.messages or 'some'} messages missing"
@@ -85,14 +79,10 @@ class Damage:
     """What a wire file lacks."""
 
     places: int = 0
-    bytes: int = 0
-    """Bytes of the file that are of no use."""
-    messages: int = 0
-    """Reads and events that are missing."""
-    seconds: float = 0.0
-    """Time that the places span."""
-    where: list[Place] = field(default_factory=list)
-    """The first places, with their details."""
+    bytes: int = 0  # bytes of the file that are of no use
+    messages: int = 0  # reads and events that are missing
+    seconds: float = 0.0  # time that the places span
+    where: list[Place] = field(default_factory=list)  # the first places, with their details
 
     def add(self, place: Place) -> None:
         """Count a place."""
@@ -111,22 +101,14 @@ class WireSummary:
     reads: int = 0
     bytes: int = 0
     events: int = 0
-    bytes_unrecorded: int = 0
-    """Bytes that came from the device and are not in the file, as the file states."""
-    tail_bytes: int = 0
-    """Bytes at the end of the file that are not a whole record, or are damaged: not of use."""
-    complete: bool = False
-    """The file was finished in order; False after a power failure, a kill or a full disk."""
-    checksum_ok: bool | None = None
-    """Whether the checksum over the file agrees; None when there is none because it was not finished."""
-    last_ns: int = 0
-    """Unix time of the latest message."""
-    damage: Damage = field(default_factory=Damage)
-    """What is missing, now or before the file was written anew."""
-    recovered: Damage = field(default_factory=Damage)
-    """Of `damage`, what the file states was missing already when it was written."""
-    metadata: dict[str, str] = field(default_factory=dict)
-    """The metadata that the recording program wrote."""
+    bytes_unrecorded: int = 0  # bytes that came from the device and are not in the file, as the file states
+    tail_bytes: int = 0  # bytes at the end of the file that are no whole record, or damaged: of no use
+    complete: bool = False  # whether it was finished; not after a power failure, a kill or a full disk
+    checksum_ok: bool | None = None  # whether that over the file agrees; None when it was not finished
+    last_ns: int = 0  # Unix time of the latest message
+    damage: Damage = field(default_factory=Damage)  # what is missing, now or before the file was written anew
+    recovered: Damage = field(default_factory=Damage)  # of that, what the file states was missing before
+    metadata: dict[str, str] = field(default_factory=dict)  # the metadata that the recording program wrote
 
     @property
     def is_sound(self) -> bool:
@@ -148,16 +130,13 @@ class WireReader:
     def _begin(self, data: mmap.mmap | bytes) -> None:
         self.summary = WireSummary()
         self._data: mmap.mmap | bytes = data
+        # Up to where everything is read or given up, and up to where it is no longer kept in memory.
         self._done = self._released = 0
-        """Up to where everything is read or given up, and up to where it is no longer kept in memory."""
-        self._crc = 0
-        """CRC-32 of the file up to `_done`."""
-        self._next_sequence = 0
-        """Of the next message, modulo 2^32."""
+        self._crc = 0  # CRC-32 of the file up to `_done`
+        self._next_sequence = 0  # of the next message, modulo 2^32
         self._pieces: list[bytes] = []
         self._arrivals_ns: list[int] = []
-        self._kept = 0
-        """Reads that were found since the last batch, and their bytes."""
+        self._kept = 0  # reads that were found since the last batch, and their bytes
 
     def __iter__(self) -> Iterator[Item]:
         """Yield the items in the order in which they were written, each read by itself.
@@ -194,8 +173,7 @@ class WireReader:
                 yield from self._block(check, at)
         if not self._done:
             if not is_mcap and PROFILE not in head:
-                hint = "only wire files that imumon recorded can be replayed"
-                raise bad_data(f"{self.path}: is not a wire file", hint)
+                raise self._error("is not a wire file")
             end = yield from self._records(data, min(len(MAGIC), len(data)), sealed=False)
             self._finish(end)
         yield from self._reads()
@@ -264,8 +242,8 @@ class WireReader:
         missing = max(0, self._ahead(sequence))
         if size or missing:
             yield from self._reads()
-            after_ns, before = self.summary.last_ns or None, before_ns or None
-            self.summary.damage.add(Place(self._done, size, after_ns, before, missing))
+            last_ns = self.summary.last_ns
+            self.summary.damage.add(Place(self._done, size, last_ns or None, before_ns or None, missing))
         self._next_sequence = self._next_sequence + missing & SEQUENCE_MASK
 
     def _error(self, what: str) -> ImumonError:

@@ -68,15 +68,17 @@ def recover(path: Path, device_name: str | None = None) -> Recovered:
     wire = session.wire_path
     if is_recorded(wire):
         raise ImumonError(Reason.BUSY, f"{wire} is being recorded", "stop the recording first")
-    source, before = source_of(session), WireReader(wire)
-    for _ in before.batches():
+    source = source_of(session)
+    assert isinstance(source.items, WireReader)
+    for _ in source.items.batches():
         pass
-    missing, result = bytes_missing(session, before.summary), Recovered(session.path, before.summary)
-    if missing or not before.summary.is_sound:
+    before = source.items.summary
+    missing, result = bytes_missing(session, before), Recovered(session.path, before)
+    if missing or not before.is_sound:
         result.originals.append(rewrite(wire, missing, session.metadata.ended_ns or 0))
-        result.done.append(f"{wire.name}: {before.summary.reads:,} reads written anew, finished")
+        result.done.append(f"{wire.name}: {before.reads:,} reads written anew, finished")
     elif lost is None and session.state == "closed":
-        result.warnings = source.lacks(before.summary)
+        result.warnings = source.warnings()
         return result
     metadata, warnings = _run_again(session, source)
     if lost is not None or metadata != session.metadata:

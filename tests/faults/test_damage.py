@@ -8,7 +8,7 @@ from mcap.reader import make_reader
 from mcap.stream_reader import StreamReader
 
 from imumon.errors import ImumonError
-from imumon.recordings.wire import CDR, CHECK_SIZE, MARKER, MESSAGE
+from imumon.recordings.wire import CDR, CHECK_SIZE, FIELDS, MARKER, RECORD
 from imumon.recordings.wire_reader import WireReader
 from imumon.transport.reader import Bytes
 from tests.faults.damage import attack_all, made_items, record, truncate_all
@@ -51,8 +51,9 @@ def test_a_place_states_where_it_is_how_long_and_how_many_reads(tmp_path: Path) 
     read = list(reader)
     lost = [item for item in items if item not in read]
     [place] = reader.summary.damage.where
-    size = len(lost) * (MESSAGE.size + CDR.size + 40) + CHECK_SIZE
-    first = content.index(lost[0].data) - MESSAGE.size - CDR.size  # type: ignore[union-attr]
+    head = RECORD.size + FIELDS.size + CDR.size
+    size = len(lost) * (head + 40) + CHECK_SIZE
+    first = content.index(lost[0].data) - head  # type: ignore[union-attr]
     assert (place.offset, place.bytes, place.messages) == (first, size, len(lost)) == (first, size, 10)
     assert place.after_ns == items[items.index(lost[0]) - 1].time_ns
     assert place.seconds == pytest.approx(0.1)

@@ -17,9 +17,8 @@ import psutil
 
 from imumon.recordings.wire import (
     CDR,
+    FIELDS,
     MAGIC,
-    MESSAGE,
-    MESSAGE_FIELDS,
     MESSAGE_OP,
     RECORD,
     WIRE_CHANNEL,
@@ -66,12 +65,12 @@ class Lag:
         """Count the bytes of the records that are there by now."""
         self._file.seek(self._at)
         data, at = self._file.read(), 0
-        while len(data) - at >= MESSAGE.size:
+        while len(data) - at >= RECORD.size + FIELDS.size:
             opcode, length = RECORD.unpack_from(data, at)
             if at + RECORD.size + length > len(data):
                 break
-            if opcode == MESSAGE_OP and MESSAGE.unpack_from(data, at)[2] == WIRE_CHANNEL:
-                self._kept += length - MESSAGE_FIELDS - CDR.size
+            if opcode == MESSAGE_OP and FIELDS.unpack_from(data, at + RECORD.size)[0] == WIRE_CHANNEL:
+                self._kept += length - FIELDS.size - CDR.size
             at += RECORD.size + length
         self._at += at
 

@@ -41,7 +41,7 @@ def table(path: Path, rate: str = "", head: str = "", rows: int = ROWS) -> Path:
 
 def imported(path: Path, out: Path, sensor: str | None = None) -> tuple[ImportReport, Log, dict[str, float]]:
     report, log = import_log(path, sensor, out)
-    block, _ = read_table(open_session(out).samples_path)
+    block, _ = read_table(open_session(out).truth_path)
     return report, log, {name: float(np.nanmean(values)) for name, values in block.columns.items()}
 
 

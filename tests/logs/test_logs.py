@@ -31,7 +31,7 @@ def imu(time_us: int, number: int, rate: float, temperature: float = 30.0) -> tu
 
 def samples(session: Path) -> dict[str, Any]:
     opened = open_session(session)
-    block, columns = read_table(opened.samples_path)
+    block, columns = read_table(opened.truth_path)
     assert opened.metadata.table is not None
     return {
         **block.columns,

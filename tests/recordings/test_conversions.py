@@ -180,7 +180,7 @@ def test_rerun_opens_the_bag(table: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize("suffix", [".npz", ".mat"])
 def test_numpy_and_matlab_have_every_value_with_its_unit(table: Path, tmp_path: Path, suffix: str) -> None:
     out = tmp_path / f"run{suffix}"
-    made, left_out = convert({"imu": table}, {"imu": out}, "FRD")
+    made, left_out = convert({"imu": table}, out, "FRD")
     assert (made, left_out) == ({"imu": out}, [])
     for name, expected in samples().columns.items():
         if suffix == ".npz":
@@ -193,9 +193,9 @@ def test_numpy_and_matlab_have_every_value_with_its_unit(table: Path, tmp_path: 
         assert unit == COLUMNS[name].unit
 
 
-@pytest.mark.parametrize(("name", "suffix"), [("units", ".npz"), ("units", ".mat"), ("file", ".npz")])
+@pytest.mark.parametrize(("name", "suffix"), [("units", ".npz"), ("n" * 64, ".mat"), ("file", ".npz")])
 def test_a_name_that_the_format_reserves_is_refused(tmp_path: Path, suffix: str, name: str) -> None:
-    source: Any = SimpleNamespace(columns=lambda _: [Column(name, "1")], axes=None)
+    source: Any = SimpleNamespace(columns=lambda *_: [Column(name, "1")], axes=None)
     block = SampleBlock({name: np.zeros(3)})
     with pytest.raises(ImumonError, match=f"can have the name {name}") as caught:
         export_run([block], Pipeline(None), source, tmp_path / f"t{suffix}", None)
@@ -205,7 +205,7 @@ def test_a_name_that_the_format_reserves_is_refused(tmp_path: Path, suffix: str,
 
 @pytest.mark.parametrize("at", [8, 10, 60])
 def test_a_damaged_file_of_numpy_is_bad_data(table: Path, tmp_path: Path, at: int) -> None:
-    convert({"imu": table}, {"imu": tmp_path / "run.npz"}, "FRD")
+    convert({"imu": table}, tmp_path / "run.npz", "FRD")
     data = bytearray((tmp_path / "run.npz").read_bytes())
     data[at] ^= 0xFF
     directory = data.rindex(b"PK\x01\x02", 0, data.index(b"PK\x05\x06"))

@@ -88,7 +88,7 @@ def export_blocks(
     known: Callable[[], Iterable[Column]] = KNOWN.values,
 ) -> int:
     """Export blocks of a run whose columns are known as they come."""
-    source: Any = SimpleNamespace(path=out, columns=lambda _: [*known()])
+    source: Any = SimpleNamespace(path=out, columns=lambda *_: [*known()])
     return export_run(blocks, Pipeline(None), source, out, columns).rows
 
 

@@ -47,8 +47,8 @@ def test_a_table_with_its_map_is_what_its_import_is(table: Path, tmp_path: Path)
     assert list(one.columns) == list(other.columns)
     for name in one.columns:
         np.testing.assert_array_equal(one[name], other[name])
-    assert (with_map.axes, session.axes) == ("FRD", "FRD")
-    assert session.truth.name == "samples.parquet"
+    assert (with_map.source.axes, session.source.axes) == ("FRD", "FRD")
+    assert session.source.truth.name == "samples.parquet"
     assert session.sha256() != with_map.sha256()
 
 

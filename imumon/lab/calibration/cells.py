@@ -81,7 +81,7 @@ def read_session(path: Path, count: Count = no_count) -> tuple[Record, list[str]
         lambda device: [TemperatureRate(parameters=device.temperature if device else None), RestDetector()],
         count=count,
     )
-    known = recording.name, recording.sha256(), recording.device, recording.axes, recording.serial
+    known = recording.name, recording.sha256(), recording.device, recording.source.axes, recording.serial
     record = record_of(recording.blocks(), *known)
     if not len(record.means):
         raise bad_data(f"{path}: there is no sample in this session")
