@@ -758,6 +758,12 @@ SENTENCES: list[tuple[str, str, Numbers]] = [
     (ALIGNMENT, "tan L, # µg at #° by #°", [750, 36, 750e-6 * TAN * DEGREE]),
     (
         ALIGNMENT,
+        "at #°, with half a turn in # s, if σ_b is above # °/h",
+        [36, 10, LEVEL_RATE * math.radians(BY_TURN / 2)],
+    ),
+    (ALIGNMENT, "# sizes up to a factor of # from the median", [len(LOG_SIZES), math.exp(LOG_SIZES[-1])]),
+    (
+        ALIGNMENT,
         "From #° on it is more than the #° of",
         [math.ceil(math.degrees(math.atan(math.radians(0.05) / 750e-6))), 0.05],
     ),
