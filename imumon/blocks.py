@@ -11,6 +11,8 @@ FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
 ColumnArray = npt.NDArray[Any]
+Columns = Mapping[str, ColumnArray]
+"""By their names, (n,) each."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -25,7 +27,7 @@ class SampleBlock:
         float64 or int64, named and in the units of `imumon.columns.KNOWN`.  Not to be written to.
     """
 
-    columns: Mapping[str, ColumnArray]
+    columns: Columns
 
     def __repr__(self) -> str:
         """Return the size in a line."""
@@ -68,7 +70,7 @@ class SampleBlock:
     def temperature(self) -> FloatArray | None:
         """Temperature in °C, (n, 1) or (n, 3) when there is one per axis, or None."""
         if "temperature" in self.columns:
-            return np.asarray(self.columns["temperature"])[:, np.newaxis]
+            return self.columns["temperature"][:, np.newaxis]
         return self.vector("temperature")
 
     @property
@@ -89,7 +91,7 @@ class SampleBlock:
                 stacked[:, j] = self.columns[name]
         return stacked
 
-    def with_columns(self, extra: Mapping[str, ColumnArray]) -> "SampleBlock":
+    def with_columns(self, extra: Columns) -> "SampleBlock":
         """Return a block that has these columns as well (or instead, where the name exists)."""
         return SampleBlock({**self.columns, **extra})
 
@@ -104,9 +106,7 @@ NO_INT = int(np.iinfo(np.int64).min)
 
 def missing(n: int, dtype: npt.DTypeLike) -> ColumnArray:
     """Return n missing values: NaN, or `NO_INT` for integers."""
-    if np.dtype(dtype) == np.int64:
-        return np.full(n, NO_INT, np.int64)
-    return np.full(n, np.nan, np.float64)
+    return np.full(n, NO_INT if np.dtype(dtype) == np.int64 else np.nan)
 
 
 def nan_for_missing(values: ColumnArray) -> ColumnArray:

@@ -3,7 +3,7 @@
 Plain data: who makes a chart knows nothing of who draws it.
 """
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from imumon.blocks import FloatArray
 
@@ -23,16 +23,14 @@ AXIS_COLORS = {"x": RED, "y": GREEN, "z": BLUE}
 """These read on the viewer's dark and on its light theme."""
 
 
-@dataclass(frozen=True, slots=True)
-class Axis:
+class Axis(NamedTuple):
     """One axis: what it shows with its unit, and whether it is logarithmic."""
 
     label: str
     log: bool = False
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Curve:
+class Curve(NamedTuple):
     """Points in the units of the axes, (n,) each; NaN interrupts a line."""
 
     name: str
@@ -49,8 +47,7 @@ class Curve:
     """Draw a dashed line."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Chart:
+class Chart(NamedTuple):
     """Curves on two axes."""
 
     key: str

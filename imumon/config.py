@@ -51,8 +51,9 @@ class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[mi
         except (ArithmeticError, IndexError, TypeError, ValueError) as error:  # "1:59:59", "0x", "!!int"
             raise _at(node, self.source, f"{shown} is not a number that can be read") from error
         if not -LARGEST_NUMBER < number < LARGEST_NUMBER:  # nor NaN
-            what = f"{shown} is not a reasonable number: expected a finite one within ±2^63"
-            raise _at(node, self.source, what)
+            raise _at(
+                node, self.source, f"{shown} is not a reasonable number: expected a finite one within ±2^63"
+            )
         return number
 
 
@@ -124,8 +125,10 @@ def parse_yaml(text: str, model: type[Model], source: str) -> Model:
         line = error.problem_mark.line + 1 if error.problem_mark else 1
         problem = error.problem or "not YAML"
         tab = any("\t" in row for row in text.splitlines()[line - 1 : line])
-        hint = "there is a tab in this line: YAML is indented with spaces" if tab else ""
-        raise bad_config(f"{source}:{line}: not valid YAML: {problem}", hint) from error
+        raise bad_config(
+            f"{source}:{line}: not valid YAML: {problem}",
+            "there is a tab in this line: YAML is indented with spaces" if tab else "",
+        ) from error
     except (yaml.YAMLError, ValueError, AttributeError, IndexError, TypeError, ArithmeticError) as error:
         # All but the first come from values such as a date with a month 13.
         raise bad_config(f"{source}: not valid YAML: {error}") from error
@@ -229,9 +232,8 @@ def _refuse_deep(text: str, source: str) -> None:
 
     libyaml would crash, and aliases can stand for more than fits in the memory.
     """
-    depth, loader = 0, _Loader(text)
-    while loader.check_event():
-        event = loader.get_event()
+    depth = 0
+    for event in yaml.parse(text, _Loader):
         depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
         if depth > DEEPEST:
             raise _at(event, source, f"nested more than {DEEPEST} deep, which no file of imumon is")

@@ -39,8 +39,11 @@ def read_text(path: Path, reason: Reason = Reason.BAD_CONFIG, hint: str = "") ->
         with path.open("rb") as file:
             content = file.read(LARGEST_TEXT + 1)
         if len(content) > LARGEST_TEXT:
-            large = f"{path}: has more than {LARGEST_TEXT >> 20} MiB, so it is no file of settings"
-            raise ImumonError(reason, large, hint or "give another file")
+            raise ImumonError(
+                reason,
+                f"{path}: has more than {LARGEST_TEXT >> 20} MiB, so it is no file of settings",
+                hint or "give another file",
+            )
         return content.decode("utf-8").replace("\r\n", "\n").replace("\r", "\n")
     except OSError as error:
         raise ImumonError(reason, f"{path}: cannot be read: {error.strerror}", hint or UNREADABLE) from error
@@ -134,8 +137,9 @@ def check_output(path: Path, *, replace: bool = False, suffix: str = "") -> None
         raise bad_config(f"{path}: what is written ends in {suffix}", f"name it {path.stem}{suffix}")
     session = any((place.parent / name).exists() for name in TRUTH)
     if session and (place.name in TRUTH or (place.name in SESSION_FILES and place.exists())):
-        what = f"{place.parent} is a session, whose {place.name} no output may be"
-        raise ImumonError(Reason.EXISTS, what, hint)
+        raise ImumonError(
+            Reason.EXISTS, f"{place.parent} is a session, whose {place.name} no output may be", hint
+        )
     if path.exists() and not replace:
         raise ImumonError(Reason.EXISTS, f"{path} is there already", hint)
     if not place.parent.is_dir():

@@ -29,25 +29,21 @@ def forward(up: FloatArray) -> FloatArray:
     `up` (3,): unit vector up, body axes.
     """
     ahead = np.array([1.0, 0.0, 0.0]) - up[0] * up
-    length = math.sqrt((ahead * ahead).sum())
-    if length < LEAST_HORIZONTAL:
+    if math.sqrt((ahead * ahead).sum()) < LEAST_HORIZONTAL:
         ahead = up[2] * up - np.array([0.0, 0.0, 1.0])
-        length = math.sqrt((ahead * ahead).sum())
-    result: FloatArray = ahead / length
-    return result
+    return np.asarray(ahead / math.sqrt((ahead * ahead).sum()))
 
 
 def north_in_body(up: FloatArray, heading: float) -> FloatArray:
     """Return the direction of north in body axes, (3,); heading in rad."""
     ahead = forward(up)
-    northward: FloatArray = math.cos(heading) * ahead - math.sin(heading) * np.cross(ahead, up)
-    return northward
+    return math.cos(heading) * ahead - math.sin(heading) * np.cross(ahead, up)
 
 
 def heading_of(up: FloatArray, northward: FloatArray) -> float:
     """Return the heading in rad, -π to π, from a vector in body axes whose level part points north, (3,)."""
     ahead = forward(up)
-    return math.atan2(-float(np.cross(ahead, up) @ northward), float(ahead @ northward))
+    return math.atan2(-np.cross(ahead, up) @ northward, ahead @ northward)
 
 
 def body_to_ned(up: FloatArray, heading: float) -> FloatArray:
@@ -71,5 +67,4 @@ def earth_rate_along(up: FloatArray, northward: FloatArray, latitude: float) -> 
         only.
     `latitude`: rad.
     """
-    rate: FloatArray = EARTH_RATE * (math.cos(latitude) * northward + math.sin(latitude) * up)
-    return rate
+    return EARTH_RATE * (math.cos(latitude) * northward + math.sin(latitude) * up)

@@ -5,13 +5,13 @@ that stays the same for long while another does not is reported, and a specific 
 """
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
-from itertools import pairwise
+from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 import numpy as np
 
-from imumon.blocks import NO_INT, BoolArray, ColumnArray, FloatArray, IntArray, SampleBlock, missing
+from imumon.blocks import NO_INT, BoolArray, ColumnArray, Columns, FloatArray, IntArray, SampleBlock, missing
+from imumon.filters.slots import SlotGatherer, Slots
 from imumon.geodesy import STANDARD_GRAVITY
 from imumon.protocols.ranges import Ranges
 
@@ -75,8 +75,8 @@ class Intake:
     `ranges`: what is declared: from there on a reading is the end of the range, and what it was is unknown.
     """
 
-    def __init__(self, ranges: Ranges | None = None) -> None:
-        self._limits = {} if ranges is None else ranges.limits()
+    def __init__(self, ranges: Ranges) -> None:
+        self._limits = ranges.limits()
         """By the beginning of a column's name: what is inside, and what is reported of the rest."""
         for start, (low, high, unit) in RANGES.items():
             self._limits[start] = low, high, f"beyond {low:g} to {high:g} {unit}".rstrip()
@@ -119,9 +119,8 @@ class Intake:
                 zero = (readings == 0.0).all(axis=0)
                 self._leave_out(names, zero, "accel that is zero in all axes", columns)
             if sensor in self._still:
-                stuck = self._still[sensor].evaluate(readings)
                 why = f"{sensor} while its axes stand still where none can at rest"
-                self._leave_out(names, stuck, why, columns)
+                self._leave_out(names, self._still[sensor].evaluate(readings), why, columns)
             if sensor != "accel" and sensor not in self._begun:
                 silent, why = self._begin(sensor, readings)
                 self._leave_out(names, silent, why, columns)
@@ -138,8 +137,7 @@ class Intake:
             what: f"left out of all estimates: {what}" + (f" ({count:,} in all)" if ended else "")
             for what, count in self._left_out.items()
         }
-        found = [text for unchanged in self._unchanged.values() for text in unchanged.found.values()]
-        every |= dict(zip(found, found, strict=True))
+        every |= {text: text for unchanged in self._unchanged.values() for text in unchanged.found.values()}
         if (doubt := self._force.doubt(LEAST_S if ended else LONG_S)) is not None:
             every["force"] = doubt
         new = [text for what, text in every.items() if what not in self._reported]
@@ -149,7 +147,6 @@ class Intake:
     def _leave_out(
         self, names: tuple[str, ...], rows: BoolArray, why: str, columns: dict[str, ColumnArray]
     ) -> None:
-        """Take rows of a sensor for missing, and count them."""
         if rows.any():
             self._left_out[why] += int(rows.sum())
             for name in names:
@@ -176,7 +173,7 @@ class Intake:
         return silent & ~np.maximum.accumulate(valid), f"{sensor} while its values are {what}"
 
 
-def _sensors(columns: Mapping[str, ColumnArray]) -> Iterator[tuple[str, tuple[str, ...]]]:
+def _sensors(columns: Columns) -> Iterator[tuple[str, tuple[str, ...]]]:
     """Yield gyros, accelerometers and each thermometer that is there, with its columns."""
     for sensor in IMPOSSIBLE_AT_REST:
         names = tuple(f"{sensor}_{axis}" for axis in "xyz")
@@ -224,48 +221,27 @@ class _Unchanged:
 
     def __init__(self, sensor: str) -> None:
         self._sensor = sensor
-        self.found: dict[str, str] = {}
-        """Warning by axis."""
-        self._last: FloatArray | None = None
-        self._at: tuple[int, int] | None = None
-        """Segment, and number of the window in device time."""
-        self._began_ns = self._latest_ns = 0
-        self._sums = np.zeros(4)
-        """Readings in the window, and how many of each axis differ from the one before."""
+        self._windows = SlotGatherer(3, UNCHANGED_NS)
+        self.found: dict[str, str] = {}  # warning by axis
 
     def process(self, sent: SampleBlock) -> None:
         """Take the rows in which any axis has a reading."""
-        values = sent.vector(self._sensor)
-        there = np.zeros(len(sent), np.bool_) if values is None else ~np.isnan(values).all(axis=1)
-        if values is None or not there.any():
+        if (values := sent.vector(self._sensor)) is None:
             return
-        readings = values[there]
-        before = np.vstack([readings[:1] if self._last is None else self._last, readings[:-1]])
-        self._last = readings[-1:].copy()
-        changed = (readings != before) & ~(np.isnan(readings) & np.isnan(before))
-        terms = np.column_stack([np.ones(len(changed)), changed])
-        time_ns, segment = sent["device_time_ns"][there], sent["segment"][there]
-        number = time_ns // UNCHANGED_NS
-        edges = np.flatnonzero((np.diff(number) != 0) | (np.diff(segment) != 0)) + 1
-        for begin, end in pairwise([0, *edges.tolist(), len(number)]):
-            now = int(segment[begin]), int(number[begin])
-            if now != self._at:
-                if self._at is not None:
-                    self._end(before[begin])
-                self._at, self._began_ns, self._sums = now, int(time_ns[begin]), np.zeros(4)
-            self._latest_ns = int(time_ns[end - 1])
-            self._sums += terms[begin:end].sum(axis=0)
+        there = ~np.isnan(values).all(axis=1)
+        ended = self._windows.process(sent["device_time_ns"][there], sent["segment"][there], values[there])
+        for row in range(len(ended)):
+            self._evaluate(ended, row)
 
-    def _end(self, readings: FloatArray) -> None:
-        """End a window, whose last readings are given, (3,)."""
-        count, *changes = self._sums.tolist()
-        frequent = AT_AN_EDGE * count + BEYOND_CHANCE * count**0.5
-        if self._latest_ns - self._began_ns < 0.95 * UNCHANGED_NS or max(changes) <= frequent:
+    def _evaluate(self, windows: Slots, row: int) -> None:
+        start_ns, changes = windows.start_ns[row], windows.changes[row].tolist()
+        frequent = AT_AN_EDGE * windows.samples[row] + BEYOND_CHANCE * windows.samples[row] ** 0.5
+        if windows.end_ns[row] - start_ns < 0.95 * UNCHANGED_NS or max(changes) <= frequent:
             return
         names, unit = [f"{self._sensor}_{axis}" for axis in "xyz"], RANGES[f"{self._sensor}_"][2]
-        since = f"for {UNCHANGED_NS * 1e-9:g} s and more, since {self._began_ns * 1e-9:.3f} s of device time"
-        beside = f"{since}, while {names[int(np.argmax(changes))]} changes"
-        for name, value, changed in zip(names, readings.tolist(), changes, strict=True):
+        since = f"for {UNCHANGED_NS * 1e-9:g} s and more, since {start_ns * 1e-9:.3f} s of device time"
+        beside = f"{since}, while {names[np.argmax(changes)]} changes"
+        for name, value, changed in zip(names, windows.last[row].tolist(), changes, strict=True):
             text = f"reads {value:g} {unit} without any change {beside}: it is stuck, or too coarse"
             if np.isnan(value):
                 text = f"reads nothing {beside}: it is dead"
@@ -325,10 +301,8 @@ class SpecificForce:
     """Tests the magnitude of the specific force of all samples, whatever the division into blocks."""
 
     def __init__(self) -> None:
-        self._beyond = self._readings = 0
-        """Readings beyond `GRAVITIES`, and all."""
-        self._sum, self._span_ns = 0.0, 0
-        """Sum of all, in g, and the time in which they came, without gaps."""
+        self._beyond = self._readings = 0  # readings beyond `GRAVITIES`, and all
+        self._sum, self._span_ns = 0.0, 0  # sum of all, in g, and the time in which they came, without gaps
         self._last_ns = np.zeros(0, np.int64)
 
     def look(self, block: SampleBlock) -> None:
@@ -338,7 +312,7 @@ class SpecificForce:
         with np.errstate(over="ignore"):
             force = np.sqrt(np.einsum("ij,ij->i", accel, accel)) / STANDARD_GRAVITY
             there = ~np.isnan(force)
-            self._sum += float(force[there].sum())
+            self._sum += force[there].sum()
         self._readings += int(there.sum())
         self._beyond += int(((force < GRAVITIES[0]) | (force > GRAVITIES[1])).sum())
         if "device_time_ns" in block:

@@ -24,6 +24,7 @@ from imumon.errors import bad_config
 from imumon.intake import Intake
 from imumon.lane import LaneState
 from imumon.protocols.base import COMMON, MAIN, ByteArray, Timing
+from imumon.protocols.decoder import Decoder
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.epochs import EpochAssembler
 from imumon.protocols.ranges import Ranges
@@ -83,39 +84,42 @@ class Pipeline:
         ranges: Ranges | None = None,
         remarks: Sequence[str] = (),
     ) -> None:
-        self._decoder = device.decoder() if device is not None else None
-        self._device_clock = DeviceClock(self._decoder.timing if self._decoder is not None else Timing())
+        self._of_table = device is None
+        self._decoder = Decoder((), Timing(), None) if device is None else device.decoder()
+        timing, groups = self._decoder.timing, self._decoder.groups
+        self._device_clock = DeviceClock(timing)
         self.host_clock = HostClock(self._device_clock.drift_limit_ppm)
         self._stages = tuple(GuardedStage(stage) for stage in estimators)
-        sent = {c.name for c in self._decoder.possible_columns} if self._decoder is not None else set()
+        sent = {column.name for column in self._decoder.possible_columns}
         for stage in filter(is_own, estimators):
             if device is not None and (both := [c.name for c in stage.columns if c.name in sent]):
-                what = f"device {device.name} has column {both[0]}, which {name_of(stage)} adds"
-                hint = "give it another name in the device file; of a recording that is in session.yaml"
-                raise bad_config(what, hint)
+                raise bad_config(
+                    f"device {device.name} has column {both[0]}, which {name_of(stage)} adds",
+                    "give it another name in the device file; of a recording that is in session.yaml",
+                )
         self.sink: Callable[[SampleBlock], object] | None = None
         """Takes what stages may see of each block, which is not empty, with the columns that they add."""
-        self.live = False
-        """Whether a stage of imumon that fails is switched off, as one of another package always is; else
-        its error is raised."""
         self._intake = Intake((ranges or Ranges()).over(device.range if device is not None else Ranges()))
-        given = device is not None and device.rate_given
-        self._nominal = NominalRate(self._device_clock.timing.rate_hz, given)
+        self._nominal = NominalRate(timing.rate_hz, device is not None and device.rate_given)
         self._repeats = Repeats()
         self._ended = False
         named = sorted(sent) if device is not None and device.protocol.startswith(("fixed", "text")) else []
         self._remarks, self._reported = [*remarks, *mistyped(named)], set[str]()
         self._samples = 0
         self._ready: list[SampleBlock] = []
-        groups = self._decoder.groups if self._decoder is not None else None
         self._epochs = EpochAssembler(groups) if groups is not None else None
-        timing = self._device_clock.timing
         self._side_clock, self._shared_counter = SideClock(timing), SharedCounter(timing.counter_bits)
         self._held = HeldReadings()
         self._side_ready: dict[str, list[SampleBlock]] = {}
         self.side: Mapping[str, SampleBlock] = {}
         """The rows of the side streams that belong to what `take` returned last, by stream."""
         self._intervals: dict[str, Intervals] = {}
+
+    def go_live(self) -> None:
+        """From now on switch off a stage of imumon that fails, as one of another package always is; until
+        then its error is raised."""
+        for stage in self._stages:
+            stage.live = True
 
     @property
     def estimators(self) -> tuple[Estimator, ...]:
@@ -135,7 +139,7 @@ class Pipeline:
 
     def stream_columns(self, stream: str) -> list[Column]:
         """Return the columns of a stream's blocks so far, without those of the estimators."""
-        decoded = {column.name: column for column in self._decoder.columns} if self._decoder else {}
+        decoded = {column.name: column for column in self._decoder.columns}
         there = frozenset(decoded) if self._epochs is None else self._epochs.columns(stream)
         if stream == MAIN:
             there |= self._held.names
@@ -146,14 +150,12 @@ class Pipeline:
     @property
     def units(self) -> dict[str, str]:
         """Unit of every column that may ever come."""
-        decoded = self._decoder.possible_columns if self._decoder is not None else ()
         added = [column for stage in self._stages for column in stage.columns]
-        return {column.name: column.unit for column in (*decoded, *added)}
+        return {column.name: column.unit for column in (*self._decoder.possible_columns, *added)}
 
     @property
     def counters(self) -> PipelineCounters:
         """What became of every byte and packet so far."""
-        raw = self._decoder.counters() if self._decoder is not None else Counters()
         assembled = self._epochs.counters if self._epochs is not None else {}
         streams = {}
         for stream, intervals in self._intervals.items():
@@ -168,7 +170,7 @@ class Pipeline:
                 dated_by=self._device_clock.dated_by if is_main else "",
             )
         return PipelineCounters(
-            **asdict(raw),
+            **asdict(self._decoder.counters()),
             packets_counted=self._device_clock.packets_counted,
             counter_gaps=self._device_clock.counter_gaps,
             packets_missing=self._device_clock.packets_missing,
@@ -204,7 +206,7 @@ class Pipeline:
 
     def feed_reads(self, data: ByteArray, ends: IntArray, arrivals_ns: IntArray) -> None:
         """Decode the bytes of several reads: of each where it ends in the data, and when it arrived."""
-        if self._decoder is None:
+        if self._of_table:
             raise ValueError("a pipeline without a device takes samples, not bytes")
         self._decoder.feed_reads(data, ends, arrivals_ns)
 
@@ -215,9 +217,8 @@ class Pipeline:
 
     def finish(self) -> None:
         """End the stream: no more bytes come; samples held back behind a damaged header come out."""
-        if self._decoder is not None:
-            self._decoder.finish()
-            self.pause()
+        self._decoder.finish()
+        self.pause()
         self._ended = True
 
     def pause(self) -> None:
@@ -240,18 +241,18 @@ class Pipeline:
 
     def notices(self) -> list[str]:
         """Return, once each, what the device sent that is not data."""
-        return self._decoder.notices() if self._decoder is not None else []
+        return self._decoder.notices()
 
     def warnings(self) -> list[str]:
         """Return, once each, the remarks of decoder and estimators on the data or on their parameters."""
         dated_by = self._device_clock.dated_by
         texts = [
             *self._remarks,
-            *(self._decoder.warnings() if self._decoder is not None else ()),
+            *self._decoder.warnings(),
             *(self._nominal.notices(self._ended) if dated_by in BY_RATE else ()),
             *self._repeats.notices(dated_by),
             *self._intake.notices(self._ended),
-            *(text for stage in self._stages for text in stage.notices(self.live)),
+            *(text for stage in self._stages for text in stage.notices()),
         ]
         new = [text for text in dict.fromkeys(texts) if text not in self._reported]
         self._reported.update(new)
@@ -259,35 +260,31 @@ class Pipeline:
 
     def charts(self) -> list[Chart]:
         """Return the charts of the estimators as they are now."""
-        return [chart for stage in self._stages for chart in stage.charts(self.live)]
+        return [chart for stage in self._stages for chart in stage.charts()]
 
     def lanes(self) -> dict[str, LaneState]:
         """Return the states that the estimators report, by lane."""
-        return {lane: state for stage in self._stages for lane, state in stage.lanes(self.live).items()}
+        return {lane: state for stage in self._stages for lane, state in stage.lanes().items()}
 
     def _decoded(self, end: bool = False) -> SampleBlock:
         """Put together and date what the decoder has completed, and estimate."""
-        if self._decoder is None:
+        if self._of_table:
             return SampleBlock({})
         packets = self._decoder.take_packets()
-        if not len(packets) and not end:
-            return SampleBlock({})
         if self._epochs is None:
             return self._dated(packets.block, np.zeros(len(packets.block), np.int64), [])
         streams = self._epochs.process(packets, end)
         main = streams.pop(MAIN)
-        held = self._held.process(main.block, streams)
-        block = self._dated(held, main.more, self._epochs.counted_aside)
+        block = self._dated(self._held.process(main.block, streams), main.more, self._epochs.counted_aside)
         for stream, epochs in streams.items():
             times = self._side_clock.times(epochs)
             rest = {name: values for name, values in epochs.block.columns.items() if name != "device_ticks"}
-            side = SampleBlock({**times, **{k: v for k, v in rest.items() if k not in times}})
+            side = SampleBlock(times | rest | times)  # these go first
             self._side_ready.setdefault(stream, []).append(side)
             self._count(stream, side)
         return block
 
     def _dated(self, raw: SampleBlock, more: IntArray, side: list[tuple[int, int]]) -> SampleBlock:
-        """Date rows of the main stream, and estimate."""
         n = len(raw)
         columns = dict(raw.columns)
         counter, ticks = columns.get("packet_counter"), columns.pop("device_ticks", None)
@@ -305,14 +302,14 @@ class Pipeline:
         }
         if counter is not None:
             times["packet_counter"] = counter
-        dated = SampleBlock({**times, **{k: v for k, v in columns.items() if k not in times}})
+        dated = SampleBlock(times | columns | times)  # these go first
         self._side_clock.follow(dated, ticks)
         self._count(MAIN, dated)
         return self._estimate(dated)
 
     def _count(self, stream: str, block: SampleBlock) -> None:
         if len(block) and "device_time_ns" in block:
-            segment = block["segment"] if "segment" in block else np.zeros(len(block), np.int64)
+            segment = block.columns.get("segment", np.zeros(len(block), np.int64))
             self._intervals.setdefault(stream, Intervals()).add(block["device_time_ns"], segment)
 
     def _estimate(self, block: SampleBlock) -> SampleBlock:
@@ -322,7 +319,7 @@ class Pipeline:
         taken = self._intake.process(block)
         current, added = taken.block, dict[str, ColumnArray]()
         for stage in self._stages:
-            new = stage.process(current, self.live)
+            new = stage.process(current)
             current = current.with_columns(new)
             added |= {name: taken.spread(values) for name, values in new.items()}
         if self.sink is not None and len(current):

@@ -2,11 +2,10 @@
 
 import os
 from collections.abc import Callable
-from dataclasses import dataclass, replace
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from traceback import extract_tb
-from typing import Any
+from typing import Any, NamedTuple
 
 from imumon.errors import ImumonError, bad_config
 
@@ -24,8 +23,7 @@ FRAMES = 8
 """Calls of a traceback that are reported, the innermost ones: a line of the log is limited."""
 
 
-@dataclass(frozen=True, slots=True)
-class Plugin:
+class Plugin(NamedTuple):
     """What an installed package offers in a group under a name."""
 
     group: str
@@ -36,9 +34,10 @@ class Plugin:
 
     def error(self, what: str) -> ImumonError:
         """Return the error that states what is wrong with it."""
-        hint = f"mend it, run with imumon --without-plugins, or remove it: pip uninstall {self.package}"
-        seen = f"the plug-in {self.name} of {self.package} ({self.group}) {what}"
-        return bad_config(seen, hint)
+        return bad_config(
+            f"the plug-in {self.name} of {self.package} ({self.group}) {what}",
+            f"mend it, run with imumon --without-plugins, or remove it: pip uninstall {self.package}",
+        )
 
 
 def package_of(entry: EntryPoint) -> tuple[str, str]:
@@ -60,7 +59,7 @@ def load(entry: EntryPoint, needed: str, fits: Callable[[str, Any], bool]) -> Pl
     """
     plugin = Plugin(entry.group, entry.name, *package_of(entry))
     try:
-        plugin = replace(plugin, offered=entry.load())
+        plugin = plugin._replace(offered=entry.load())
     except Exception as error:
         raise plugin.error(f"cannot be imported: {type(error).__name__}: {error}") from error
     if not fits(plugin.name, plugin.offered):

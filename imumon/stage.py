@@ -4,11 +4,12 @@ import os
 import re
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from typing import Protocol, TypeVar, get_args
+from functools import partial
+from typing import Any, Protocol, TypeVar, get_args
 
 import numpy as np
 
-from imumon.blocks import ColumnArray, SampleBlock, missing, nan_for_missing
+from imumon.blocks import Columns, SampleBlock, missing, nan_for_missing
 from imumon.charts import Chart, Curve
 from imumon.columns import NAME, Column, ColumnType
 from imumon.errors import bad_config
@@ -31,7 +32,7 @@ class Estimator(Protocol):
     def columns(self) -> Sequence[Column]:
         """The columns that `process` adds."""
 
-    def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
+    def process(self, block: SampleBlock) -> Columns:
         """Return the new columns of a block; the result must not depend on the division into blocks."""
 
     # It may also have `notices`, which returns a list of str, what the user should know so far: a pipeline
@@ -50,7 +51,7 @@ class GuardedStage:
     def __init__(self, stage: Estimator) -> None:
         check_stage(stage)
         self.stage = stage
-        self.switched_off = False
+        self.live = self.switched_off = False
         self._own = is_own(stage)
         self._columns = tuple(stage.columns)
         """Those of a stage of imumon may change until it is switched off: it knows by then what is sent."""
@@ -62,54 +63,48 @@ class GuardedStage:
         """The columns that it adds."""
         return self.stage.columns if self._own and not self.switched_off else self._columns
 
-    def process(self, block: SampleBlock, live: bool) -> Mapping[str, ColumnArray]:
+    def process(self, block: SampleBlock) -> Columns:
         """Return the new columns of a block.
 
         Raises whatever a stage of imumon raises where the run is not live: a result without its columns
         would pass for a whole one, and the recording can be read again.
         """
-        new = self._call("process", lambda: self._processed(block), None, live, block)
+        new = self._call("process", partial(self._checked, block), None, self._shown(block))
         if new is None:
             return self._missing(block)
         self._samples += len(block)
         return new
 
-    def notices(self, live: bool) -> list[str]:
+    def notices(self) -> list[str]:
         """Return its notices so far, and why it was switched off."""
-        notices = getattr(self.stage, "notices", list)
-        given = self._call("notices", lambda: _each_is(str, notices(), "text"), list[str](), live)
-        return [*given, *self._report]
+        return [*self._call("notices", partial(_each_is, str, "text"), list[str]()), *self._report]
 
-    def charts(self, live: bool) -> Sequence[Chart]:
+    def charts(self) -> Sequence[Chart]:
         """Return its charts as they are now; empty while there is nothing to show."""
-        charts = getattr(self.stage, "charts", list)
-        return self._call("charts", lambda: _charts(charts()), list[Chart](), live)
+        return self._call("charts", _charts, list[Chart]())
 
-    def lanes(self, live: bool) -> Mapping[str, LaneState]:
+    def lanes(self) -> Mapping[str, LaneState]:
         """Return the state of each of its lanes as it is now."""
-        lanes = getattr(self.stage, "lanes", dict)
-        return self._call("lanes", lambda: _lanes(lanes()), dict[str, LaneState](), live)
+        return self._call("lanes", _lanes, dict[str, LaneState]())
 
-    def _call(
-        self, name: str, function: Callable[[], T], otherwise: T, live: bool, block: SampleBlock | None = None
-    ) -> T:
-        """Return what a call of the stage returns; where it fails, switch it off."""
+    def _call(self, name: str, checked: Callable[[Any], T], otherwise: T, *blocks: SampleBlock) -> T:
+        """Return what a call of the stage returns, or as if it had none; where it fails, switch it off."""
         if self.switched_off:
             return otherwise
         try:
-            return function()
+            return checked(getattr(self.stage, name, type(otherwise))(*blocks))
         except Exception as error:  # whatever somebody else's code raises
-            if self._own and (not live or STRICT in os.environ):
+            if self._own and (not self.live or STRICT in os.environ):
                 raise
-            self._switch_off(name, error, block)
+            self._switch_off(name, error, blocks)
             return otherwise
 
-    def _switch_off(self, call: str, error: Exception, block: SampleBlock | None) -> None:
+    def _switch_off(self, call: str, error: Exception, blocks: Sequence[SampleBlock]) -> None:
         declared = {column.name: column for column in self._columns}
         with suppress(Exception):  # those of a stage of imumon by now; it has failed, and may fail here too
             declared |= {column.name: column for column in self.columns}
         # What another has added already is not its own.
-        others = block.columns if block is not None else {}
+        others = {name for block in blocks for name in block.columns}
         self._columns = tuple(column for name, column in declared.items() if name not in others)
         self.switched_off = True
         what = f"{name_of(self.stage)} is switched off after {self._samples:,} samples"
@@ -118,38 +113,38 @@ class GuardedStage:
         advice = "report this defect of imumon" if self._own else theirs
         self._report.append(f"{what}, its columns are missing from there on: {call}: {why}; {advice}")
 
-    def _processed(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
-        sent = block
-        if not self._own:  # it cannot write to what was sent; compiled code would be compiled anew for that
-            sent = SampleBlock(
-                {name: nan_for_missing(values).view() for name, values in block.columns.items()}
-            )
-            for view in sent.columns.values():
-                view.flags.writeable = False
-        new = self.stage.process(sent)
-        if not isinstance(new, Mapping):
-            raise bad_config(f"it returned {_named(new)}", "return a dict: an array for each column")
-        if not len(block):
-            return new if self._own else self._missing(block)
-        return self._checked(new, block)
+    def _shown(self, block: SampleBlock) -> SampleBlock:
+        if self._own:
+            return block
+        # It cannot write to what was sent; compiled code of imumon would be compiled anew for that.
+        shown = {name: nan_for_missing(values).view() for name, values in block.columns.items()}
+        for view in shown.values():
+            view.flags.writeable = False
+        return SampleBlock(shown)
 
-    def _missing(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
+    def _missing(self, block: SampleBlock) -> Columns:
         """Return its columns without values, but for what another adds."""
         own = [column for column in self._columns if column.name not in block]
         return {column.name: missing(len(block), column.dtype) for column in own}
 
-    def _checked(self, new: Mapping[str, ColumnArray], block: SampleBlock) -> Mapping[str, ColumnArray]:
-        """Return the new columns.
+    def _checked(self, block: SampleBlock, new: Any) -> Columns:
+        """Return the new columns of a block.
 
         Raises BAD_CONFIG for one that was not declared, is there already or does not come, or is otherwise
         than declared.
         """
+        if not isinstance(new, Mapping):
+            raise bad_config(f"it returned {_named(new)}", "return a dict: an array for each column")
+        if not len(block):
+            return new if self._own else self._missing(block)
         declared = {column.name: column.dtype for column in self.columns}
         if there := ", ".join(name for name in new if name in block):
             raise bad_config(f"it adds {there}, which is there already", "give it another name")
         if new and new.keys() != declared.keys():
-            what = f"it returned {', '.join(new)} and declares {', '.join(declared)}"
-            raise bad_config(what, "return every column that is declared, NaN where there is nothing")
+            raise bad_config(
+                f"it returned {', '.join(new)} and declares {', '.join(declared)}",
+                "return every column that is declared, NaN where there is nothing",
+            )
         for name, values in new.items():
             is_array = isinstance(values, np.ndarray)
             found = f"{values.dtype} of shape {values.shape}" if is_array else _named(values)
@@ -182,8 +177,9 @@ def check_stage(stage: Estimator) -> None:
         try:
             parse_own_unit(str(column.unit))
         except ValueError as error:
-            hint = 'write it like rad/s, or "1" where there is no unit'
-            raise bad_config(f"{named}: {error}", hint) from error
+            raise bad_config(
+                f"{named}: {error}", 'write it like rad/s, or "1" where there is no unit'
+            ) from error
 
 
 def made_by(plugin: Plugin) -> Estimator:
@@ -215,7 +211,7 @@ def name_of(stage: object) -> str:
     return f"stage {name}" if is_own(stage) else f"stage {name} of {type(stage).__module__}"
 
 
-def _each_is(kind: type[T], found: object, what: str) -> list[T]:
+def _each_is(kind: type[T], what: str, found: object) -> list[T]:
     """Return a list of a stage; raises BAD_CONFIG when it is none, or holds something else."""
     if not isinstance(found, list | tuple) or not all(isinstance(one, kind) for one in found):
         raise bad_config(f"it returned what is no {what}", f"return a list of {kind.__name__}")
@@ -223,8 +219,8 @@ def _each_is(kind: type[T], found: object, what: str) -> list[T]:
 
 
 def _charts(found: object) -> list[Chart]:
-    charts = _each_is(Chart, found, "chart")
-    for curve in [curve for chart in charts for curve in _each_is(Curve, chart.curves, "curve")]:
+    charts = _each_is(Chart, "chart", found)
+    for curve in [curve for chart in charts for curve in _each_is(Curve, "curve", chart.curves)]:
         is_drawn = isinstance(curve.x, np.ndarray) and isinstance(curve.y, np.ndarray)
         if not is_drawn or curve.x.ndim != 1 or curve.x.shape != curve.y.shape:
             raise bad_config(f"x and y of curve {curve.name!r} are no points", "give two arrays, (n,) each")
@@ -235,7 +231,7 @@ def _lanes(states: object) -> Mapping[str, LaneState]:
     if not isinstance(states, Mapping) or not all(isinstance(name, str) for name in states):
         raise bad_config("it returned what is no state", "return a dict of str: the state of each lane")
     each = [LaneState(state) if isinstance(state, str) else state for state in states.values()]
-    return dict(zip(states, _each_is(LaneState, each, "state"), strict=True))
+    return dict(zip(states, _each_is(LaneState, "state", each), strict=True))
 
 
 def _named(value: object) -> str:

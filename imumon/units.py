@@ -2,9 +2,9 @@
 
 import re
 from collections import Counter
-from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache
+from typing import NamedTuple
 
 from imumon.blocks import FloatArray
 
@@ -120,8 +120,7 @@ def _named(name: str) -> Measure | None:
     return whole and (whole[0] * Fraction(size), whole[1])
 
 
-@dataclass(frozen=True, slots=True)
-class Unit:
+class Unit(NamedTuple):
     """A unit of a table: value in `target` = factor * value + offset."""
 
     target: str

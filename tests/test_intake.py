@@ -24,7 +24,7 @@ def record(n: int, seed: int = 0) -> Columns:
 def seen(columns: Columns, sizes: list[int] | None = None) -> tuple[SampleBlock, Intake]:
     """Return what the stages see, spread over all rows."""
     parts: list[SampleBlock] = []
-    intake, start = Intake(), 0
+    intake, start = Intake(Ranges()), 0
     block = SampleBlock(columns)
     while start < len(block):
         size = sizes[len(parts) % len(sizes)] if sizes else len(block)
@@ -66,7 +66,7 @@ def test_readings_at_the_end_of_a_declared_range_are_left_out_axis_by_axis() -> 
     inside = np.abs(columns["gyro_x"]) < 0.999 * end
     np.testing.assert_array_equal(block["gyro_x"][inside], columns["gyro_x"][inside])
     assert "left out of all estimates: gyro_y at its range of 100.1 deg/s" in intake.notices()
-    undeclared = Intake()
+    undeclared = Intake(Ranges())
     assert undeclared.process(SampleBlock(columns)).block["gyro_y"] is sent
     assert undeclared.left_out == 0
 

@@ -6,6 +6,7 @@ import pytest
 from imumon.blocks import SampleBlock
 from imumon.geodesy import STANDARD_GRAVITY
 from imumon.intake import LONG_S, Intake, SpecificForce, rate_doubts
+from imumon.protocols.ranges import Ranges
 
 
 def moved(factor: float, seconds: float = 300.0, rate_hz: float = 10.0, shakes: float = 0.3) -> SampleBlock:
@@ -54,7 +55,7 @@ def test_what_a_rocket_does_for_two_minutes_and_what_is_missing_are_not_reported
 
 def test_another_unit_is_reported_at_the_end_of_a_short_run_of_five_seconds() -> None:
     for seconds, count in ((4.0, 0), (8.0, 1)):
-        intake = Intake()
+        intake = Intake(Ranges())
         intake.process(moved(0.001, seconds, rate_hz=50.0))
         assert intake.notices() == []
         assert len(intake.notices(ended=True)) == count
@@ -78,7 +79,7 @@ def test_gaps_and_restarts_are_no_time_of_samples() -> None:
 
 
 def test_the_intake_reports_it_once() -> None:
-    intake = Intake()
+    intake = Intake(Ranges())
     intake.process(moved(1000.0))
     assert "1e+03 in the mean" in intake.notices()[0]
     assert intake.notices() == []

@@ -298,7 +298,8 @@ def test_a_chart_that_cannot_be_drawn_switches_its_stage_off(curve: Any, reporte
 def test_a_defect_of_imumon_is_raised_but_in_a_live_run(monkeypatch: pytest.MonkeyPatch) -> None:
     def pushed(live: bool) -> Pipeline:
         pipeline = Pipeline(None, [_Fails()])
-        pipeline.live = live
+        if live:
+            pipeline.go_live()
         pipeline.push(SampleBlock({"gyro_x": np.ones(6)}))
         return pipeline
 

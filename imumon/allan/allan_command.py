@@ -11,7 +11,7 @@ from imumon.cli.progress import reading_bar
 from imumon.files import check_outputs
 
 if TYPE_CHECKING:
-    from imumon.allan.analysis import Result
+    from .analysis import Result
 
 
 @click.command("allan")
@@ -32,9 +32,9 @@ def command(
     the noise are fitted to the whole curve of overlapping Allan deviations, and printed with their standard
     deviations.
     """
-    from imumon.allan import output
-    from imumon.allan.analysis import analyse
-    from imumon.allan.recording import read_channels
+    from . import output
+    from .analysis import analyse
+    from .recording import read_channels
 
     check_outputs(plot, noise_out, kalibr)
     with reading_bar([recording], quiet=as_json) as progress:
@@ -43,7 +43,7 @@ def command(
         results = analyse(opened.series)
     warn([*opened.warnings, *output.remarks(results)])
     if plot is not None:
-        from imumon.allan.plot import write_plot
+        from .plot import write_plot
 
         write_plot(plot, results, recording)
     if noise_out is not None:
@@ -61,7 +61,7 @@ def command(
 def _show_terms(results: "dict[str, Result]") -> None:
     from rich.table import Column
 
-    from imumon.allan.covariance import TERMS_OF
+    from .covariance import TERMS_OF
 
     for group, terms in TERMS_OF.items():
         of_group = {name: result for name, result in results.items() if name.startswith(group)}

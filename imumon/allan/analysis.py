@@ -15,12 +15,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from imumon.allan.covariance import DIFFERENCES, NAMES, Kind, freedom, intervals
-from imumon.allan.fit import DIGITS, NO_SUM, Estimate, Fit, fit_terms
-from imumon.allan.series import Division, EvenSeries
 from imumon.blocks import FloatArray, IntArray
 from imumon.compiled import njit
 from imumon.filters.rounding import Digits, digits
+
+from .covariance import DIFFERENCES, NAMES, Kind, freedom, intervals
+from .fit import DIGITS, NO_SUM, Estimate, Fit, fit_terms
+from .series import Division, EvenSeries
 
 
 class Deviations(NamedTuple):
@@ -128,7 +129,7 @@ def _analyse(series: EvenSeries, division: Division) -> Result:
     steps = digits(samples)
     noise, names = np.array([1.0, 0.0, 0.0, 0.0]), list[str]()  # white alone where nothing is fitted
     if fit is not None:
-        fit = _less_certain(fit, samples, steps, float(1.0 - series.there.mean()))
+        fit = _less_certain(fit, samples, steps, 1.0 - series.there.mean())
         found_noise = np.maximum(fit.coefficients[:4], 0.0)
         noise = found_noise if found_noise.any() else noise
         names = [NAMES[row] for row in fit.shares(factors.astype(np.float64)).argmax(axis=1)]
@@ -157,7 +158,7 @@ def _less_certain(fit: Fit, samples: FloatArray, steps: Digits | None, missing: 
     if (white := terms[NAMES[0]]) is not None:
         square = np.square(np.diff(samples))
         # The excess kurtosis of white noise is twice that of the differences of neighbours.
-        kurtosis = max(2.0 * (float(np.square(square).mean() / square.mean() ** 2) - 3.0), 0.0)
+        kurtosis = max(2.0 * (np.square(square).mean() / square.mean() ** 2 - 3.0), 0.0)
         tails = 0.5 * math.sqrt(kurtosis / len(samples)) * white.value
         terms[NAMES[0]] = Estimate(math.sqrt(1.0 - missing) * white.value, math.hypot(white.sd, tails))
     return fit._replace(terms=terms)

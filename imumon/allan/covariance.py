@@ -83,8 +83,7 @@ class Difference(NamedTuple):
 
     coefficients: tuple[float, ...]
     integrals: int
-    norm: float
-    """The mean of squares over the variance, at an averaging factor of one."""
+    norm: float  # the mean of squares over the variance, at an averaging factor of one
 
 
 DIFFERENCES: dict[Kind, Difference] = {
@@ -153,8 +152,7 @@ def markov(time: float) -> Autocovariance:
     def g(k: FloatArray) -> FloatArray:
         x = k / time
         series = x**3 / -6.0 * (1.0 - x / 4.0 * (1.0 - x / 5.0 * (1.0 - x / 6.0 * (1.0 - x / 7.0))))
-        rest = np.where(x < SMALL, series, np.expm1(-x) + x - 0.5 * x**2)
-        return -scale * (rest + linear * k)
+        return -scale * (np.where(x < SMALL, series, np.expm1(-x) + x - 0.5 * x**2) + linear * k)
 
     return g
 

@@ -43,9 +43,10 @@ import numpy as np
 from scipy.optimize import nnls
 from scipy.special import gammaincc
 
-from imumon.allan.covariance import FLOOR_PER_INSTABILITY, NAMES, Covariances, shapes_at
-from imumon.allan.series import LONGEST_START_S, Division
 from imumon.blocks import FloatArray
+
+from .covariance import FLOOR_PER_INSTABILITY, NAMES, Covariances, shapes_at
+from .series import LONGEST_START_S, Division
 
 GOOD = 1e-3
 """A fit is taken for good when chi-square is exceeded by chance with at least this probability."""
@@ -130,21 +131,17 @@ class Solution(NamedTuple):
         beyond = wanted - others @ (others.T @ wanted)
         if beyond @ beyond <= 1e-9 * (wanted @ wanted):
             return 0.0
-        return float(wanted @ self.residual) / float(np.linalg.norm(beyond))
+        return float(wanted @ self.residual / np.linalg.norm(beyond))
 
 
 class Problem(NamedTuple):
     """Variances from one averaging time to another, with the covariance of each set of coefficients."""
 
-    variances: FloatArray
-    """At all trusted averaging times, (n,)."""
-    covariances: Covariances
-    """At these and maybe further ones."""
+    variances: FloatArray  # at all trusted averaging times, (n,)
+    covariances: Covariances  # at these and maybe further ones
     start: int
-    stop: int
-    """The averaging times that are to be described: start..stop, without the last."""
-    model_error: float = 0.0
-    """Part of each variance that no sum of the terms describes."""
+    stop: int  # the averaging times that are to be described: start..stop, without the last
+    model_error: float = 0.0  # part of each variance that no sum of the terms describes
 
     @property
     def design(self) -> FloatArray:
@@ -169,7 +166,7 @@ class Problem(NamedTuple):
         normal = np.linalg.solve(root, 3.0 * expected * (np.cbrt(ratio) - 1.0 + 2.0 / (9.0 * freedom)))
         chi_square = float(normal @ normal)
         # Of the density of the variances themselves: the last part is the derivative of `normal`.
-        spread = float(2.0 * np.log(np.diag(root)).sum() + 4.0 / 3.0 * np.log(ratio).sum())
+        spread = 2.0 * np.log(np.diag(root)).sum() + 4.0 / 3.0 * np.log(ratio).sum()
         left = np.column_stack([design, variances - design @ found])
         white = np.asarray(np.linalg.solve(root, left), np.float64)
         return Solution(found, chi_square, -0.5 * (chi_square + spread), white[:, :-1], white[:, -1])
@@ -377,8 +374,7 @@ def smallest_set(problem: Problem, every: Sequence[int]) -> Solution:
     for size in range(1, len(every) - 1):
         solutions = map(problem.fit, combinations(every, size))
         if found := [each for each in solutions if len(each.columns) == size and is_complete(each)]:
-            ramp = 0.5 * SHOWN**2
-            return max(found, key=lambda one: one.log_likelihood - ramp * (RAMP in one.columns))
+            return max(found, key=lambda one: one.log_likelihood - 0.5 * SHOWN**2 * (RAMP in one.columns))
     return problem.fit(every)
 
 

@@ -16,14 +16,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from imumon.allan.covariance import TERMS_OF, TRUSTED_FREEDOM, Runs, freedom, intervals
-from imumon.allan.series import JITTER, WALK
-from imumon.blocks import ColumnArray, FloatArray, IntArray, SampleBlock
+from imumon.blocks import ColumnArray, Columns, FloatArray, IntArray, SampleBlock
 from imumon.charts import AXIS_COLORS, GREY, Axis, Chart, Curve
 from imumon.clock.checks import usual_interval_ns
 from imumon.columns import Column
 from imumon.compiled import njit, record
 from imumon.recordings.reduced import ACCEL, GYRO
+
+from .covariance import TERMS_OF, TRUSTED_FREEDOM, Runs, freedom, intervals
+from .series import JITTER, WALK
 
 DENSE = 4
 """Up to this octave differences are taken at every sample."""
@@ -32,7 +33,6 @@ RINGS, RING = 36, 64
 """Octaves, and running sums that are kept of each."""
 LEARN = 64
 """Samples from which the interval is learned; as many steps in a row that do not fit it begin anew."""
-_TITLE = "Allan deviation of the {}, at rest; upright bars: 68 % intervals"
 MEASURED = {"gyro": "angular rate", "accel": "specific force"}
 
 
@@ -40,22 +40,15 @@ class _Run:
     """What is carried from sample to sample."""
 
     interval_ns: float
-    offset: float
-    """Time from sample to sample, 0 while it is being learned; what is taken from every value."""
-    rings: FloatArray
-    """Running sums at the last strides of each octave, (RINGS, RING)."""
+    offset: float  # time from sample to sample, 0 while it is being learned; what is taken from every value
+    rings: FloatArray  # running sums at the last strides of each octave, (RINGS, RING)
     sums: FloatArray
-    counts: IntArray
-    """Of the squared differences, (RINGS,)."""
-    position: int
-    """Samples in the run; -1: there is no run."""
-    total: float
-    """Running sum of the run."""
+    counts: IntArray  # of the squared differences, (RINGS,)
+    position: int  # samples in the run; -1: there is no run
+    total: float  # running sum of the run
     time_ns: int
-    segment: int
-    """Of the last sample."""
-    misfits: int
-    """Steps in a row that did not fit the interval."""
+    segment: int  # of the last sample
+    misfits: int  # steps in a row that did not fit the interval
 
 
 @njit
@@ -111,7 +104,7 @@ class LiveCurve(NamedTuple):
 
     def trusted(self) -> "LiveCurve":
         """Return the part up to the first averaging time without enough degrees of freedom."""
-        n = int(np.argmax([*(self.freedom < TRUSTED_FREEDOM), True]))
+        n = np.argmax([*(self.freedom < TRUSTED_FREEDOM), True])
         return LiveCurve(*(part[:n] for part in self))
 
 
@@ -119,12 +112,11 @@ class StreamingAllan:
     """Allan deviation of one channel of a stream."""
 
     def __init__(self) -> None:
-        self.restarts = 0
-        """How often the rate changed, and everything began anew."""
+        self.restarts = 0  # how often the rate changed, and everything began anew
         self._begin()
 
     def _begin(self) -> None:
-        self._waiting = np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0)
+        self._waiting: list[ColumnArray] = [np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0)]
         """Times, segments and values from which the interval is not learned yet."""
         self._run = record(_Run, rings=(RINGS, RING), sums=RINGS, counts=RINGS)
         self._run.position = -1
@@ -146,17 +138,16 @@ class StreamingAllan:
 
     def _learn(self, time_ns: IntArray, segment: IntArray, values: FloatArray, start: int) -> int:
         """Gather samples until the interval is known, then add them; return the next row."""
+        rows = (start + np.flatnonzero(np.isfinite(values[start:])))[: LEARN - len(self._waiting[0])]
+        fresh = time_ns[rows], segment[rows], values[rows]
+        self._waiting = [np.append(*parts) for parts in zip(self._waiting, fresh, strict=True)]
         times, segments, first = self._waiting
-        rows = (start + np.flatnonzero(np.isfinite(values[start:])))[: LEARN - len(first)]
-        times, segments = np.append(times, time_ns[rows]), np.append(segments, segment[rows])
-        first = np.append(first, values[rows])
         if len(first) < LEARN:
-            self._waiting = times, segments, first
             return len(values)
         self._begin()
         steps = np.diff(times)
         self._run.interval_ns, _ = usual_interval_ns(steps[(np.diff(segments) == 0) & (steps > 0)])
-        self._run.offset = float(first[0])
+        self._run.offset = first[0]
         if self._run.interval_ns:
             stream(times, segments, first, self._run)
         return int(rows[-1]) + 1
@@ -164,7 +155,7 @@ class StreamingAllan:
     def curve(self) -> LiveCurve:
         """Return the curve so far; empty while there is none."""
         run = self._run
-        n = int(np.count_nonzero(run.counts))
+        n = np.count_nonzero(run.counts)
         m = 2.0 ** np.arange(n)
         stride = np.maximum(1.0, m / STRIDES_PER_TAU)
         variance = run.sums[:n] / run.counts[:n] / (2.0 * m**2)
@@ -183,13 +174,12 @@ class AllanStage:
     With a column ``at_rest`` only samples at rest count; motion ends a run as a gap does.
     """
 
-    columns: Sequence[Column] = ()
-    """None: a curve over averaging time is not a quantity of each sample."""
+    columns: Sequence[Column] = ()  # None: a curve over averaging time is not a quantity of each sample
 
     def __init__(self) -> None:
         self._channels: dict[str, StreamingAllan] = {}
 
-    def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
+    def process(self, block: SampleBlock) -> Columns:
         """Take the samples of a block; needs ``device_time_ns`` and ``segment``."""
         rest = block.columns.get("at_rest")
         for name in (*GYRO, *ACCEL):
@@ -220,8 +210,8 @@ class AllanStage:
                 y = Axis(f"Allan deviation [{level.shown}]", log=True)
                 curves = tuple(_curves(shown, level.factor))
                 notes = tuple(_note(axis, curve, group) for axis, curve in found.items())
-                key, title = f"allan_{group}", _TITLE.format(measured)
-                charts.append(Chart(key, "Allan", title, x, y, curves, notes=notes))
+                title = f"Allan deviation of the {measured}, at rest; upright bars: 68 % intervals"
+                charts.append(Chart(f"allan_{group}", "Allan", title, x, y, curves, notes=notes))
         return charts
 
 
@@ -250,7 +240,7 @@ def _note(axis: str, curve: LiveCurve, group: str) -> str:
     text = least = "-"
     if len(curve.tau_s):
         level, walk = TERMS_OF[group]["bias_instability"], TERMS_OF[group]["angle_random_walk"]
-        near, lowest = _at_1_s(curve), int(np.argmin(curve.deviation))
+        near, lowest = _at_1_s(curve), np.argmin(curve.deviation)
         if 0.5 <= curve.tau_s[near] <= 2.0:
             scale = walk.factor * math.sqrt(curve.tau_s[near])
             reach = 0.5 * (curve.high[near] - curve.low[near]) * scale
@@ -261,5 +251,4 @@ def _note(axis: str, curve: LiveCurve, group: str) -> str:
 
 
 def _at_1_s(curve: LiveCurve) -> int:
-    """Return which point of a curve is the nearest to 1 s."""
     return int(np.argmin(np.abs(np.log(curve.tau_s))))

@@ -4,14 +4,15 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from imumon.allan.analysis import Result
-from imumon.allan.covariance import CONFIDENCE, TERMS_OF
-from imumon.allan.fit import AMBIGUOUS, DIGITS, NO_SUM
-from imumon.allan.recording import UNITS, by_text, group_of
 from imumon.config import dump_yaml
 from imumon.errors import bad_data
 from imumon.files import write_text
 from imumon.run.setup import FORMAT
+
+from .analysis import Result
+from .covariance import CONFIDENCE, TERMS_OF
+from .fit import AMBIGUOUS, DIGITS, NO_SUM
+from .recording import UNITS, by_text, group_of
 
 
 def remarks(results: Mapping[str, Result]) -> list[str]:
@@ -33,13 +34,17 @@ def _remarks(result: Result, unit: str) -> Iterator[tuple[str, str]]:
         return
     hidden, disturbance = fit.withheld == DIGITS, "(a vibration, a cycle, motion?)"
     if fit.first > 0:
-        what = "shorter averaging times are not fitted: no sum of the terms describes them (a filter?)"
-        yield what, f"{tau_s[fit.first]:.2g} s"
+        yield (
+            "shorter averaging times are not fitted: no sum of the terms describes them (a filter?)",
+            f"{tau_s[fit.first]:.2g} s",
+        )
     if fit.model_error > NO_SUM and not hidden:
         yield f"no sum of the terms describes the curve {disturbance}: no term is reported", ""
     elif fit.model_error > 0.0 and not hidden:
-        what = "the curve differs so much from every sum of the terms; the standard deviations take that in"
-        yield what, f"{50.0 * fit.model_error:.2g} %"
+        yield (
+            "the curve differs so much from every sum of the terms; the standard deviations take that in",
+            f"{50.0 * fit.model_error:.2g} %",
+        )
     if fit.last < result.trusted - 1:
         what = f"no sum of the terms describes longer averaging times {disturbance}: "
         yield what + "only the angle random walk is reported", f"{tau_s[fit.last]:.2g} s"
@@ -52,8 +57,7 @@ def _remarks(result: Result, unit: str) -> Iterator[tuple[str, str]]:
         if hidden:
             yield "the steps of the readings hide the noise: no term is reported", steps
         elif walk is not None and 0.5 * digits.share * walk.value > walk.sd:
-            share = f"{steps}, {digits.share:.0%} of the variance"
-            yield "the steps of the readings add to the noise", share
+            yield "the steps of the readings add to the noise", f"{steps}, {digits.share:.0%} of the variance"
 
 
 def as_json(results: Mapping[str, Result]) -> dict[str, Any]:

@@ -7,14 +7,13 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from imumon.allan.analysis import Result
-from imumon.allan.covariance import TERMS_OF
-from imumon.allan.fit import Fit
-from imumon.allan.live import MEASURED
-from imumon.allan.recording import group_of
-from imumon.blocks import FloatArray
 from imumon.files import write_png
 from imumon.harmless import for_plot
+
+from .analysis import Result
+from .covariance import TERMS_OF
+from .live import MEASURED
+from .recording import group_of
 
 COLORS = {"x": "#d03c3c", "y": "#2a9a4f", "z": "#3b78d8"}
 
@@ -44,8 +43,10 @@ def _draw(axes: Any, group: str, results: Mapping[str, Result]) -> None:
         color, tau, allan = COLORS[name[-1]], result.tau_s, result.allan
         axes.plot(tau, factor * allan.values, color=color, lw=0.8)
         axes.fill_between(tau, factor * allan.low, factor * allan.high, color=color, alpha=0.16, lw=0)
-        if result.fit is not None:
-            _draw_fit(axes, group, result.fit, tau, color)
+        if (fit := result.fit) is not None:
+            fitted = np.geomspace(tau[fit.first], tau[fit.last], 100)
+            line = factor * np.sqrt(np.maximum(fit.shares(fitted / tau[0]).sum(axis=-1), 0.0))
+            axes.plot(fitted, line, color=color, lw=1.0, ls="--", label="fit: sum of the terms")
     longest = max((result.longest_tau_s for result in results.values() if result.trusted), default=0.0)
     if longest:
         axes.axvline(longest, color="0.6", lw=0.8)
@@ -61,11 +62,3 @@ def _draw(axes: Any, group: str, results: Mapping[str, Result]) -> None:
     handles, labels = axes.get_legend_handles_labels()
     named = dict(zip(labels, handles, strict=True))  # the fit once
     axes.legend(named.values(), named.keys(), loc="lower left", fontsize=8, handlelength=3.2)
-
-
-def _draw_fit(axes: Any, group: str, fit: Fit, tau_s: FloatArray, color: str) -> None:
-    """Draw the sum of the terms."""
-    factor = TERMS_OF[group]["bias_instability"].factor
-    tau = np.geomspace(tau_s[fit.first], tau_s[fit.last], 100)
-    deviation = factor * np.sqrt(np.maximum(fit.shares(tau / tau_s[0]).sum(axis=-1), 0.0))
-    axes.plot(tau, deviation, color=color, lw=1.0, ls="--", label="fit: sum of the terms")

@@ -6,13 +6,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from imumon.allan.series import PARTS, EvenSeries, even_channels
 from imumon.blocks import SampleBlock, join
 from imumon.columns import TEMPERATURES
 from imumon.errors import bad_data
 from imumon.estimation.gyro_bias.stage import RestDetector
 from imumon.recordings.reduced import ACCEL, GYRO
 from imumon.recordings.source import Count, no_count, open_recording
+
+from .series import PARTS, EvenSeries, even_channels
 
 UNITS = {"gyro": "rad/s", "accel": "m/s^2"}
 CHANNELS = (*GYRO, *ACCEL)
@@ -48,8 +49,10 @@ def read_channels(path: Path, count: Count = no_count) -> Channels:
     for name in CHANNELS:
         unit, own = stated[name].unit if name in stated else "", UNITS[group_of(name)]
         if unit not in ("", own):
-            hint = "a table from elsewhere becomes a session first: imumon import"
-            raise bad_data(f"{path}: {name} is in {unit}, not in {own}", hint)
+            raise bad_data(
+                f"{path}: {name} is in {unit}, not in {own}",
+                "a table from elsewhere becomes a session first: imumon import",
+            )
     blocks = [
         SampleBlock({name: block[name].copy() for name in WANTED if name in block})
         for block in recording.blocks()
@@ -65,9 +68,10 @@ def read_channels(path: Path, count: Count = no_count) -> Channels:
     rounded = session is not None and session.metadata.source == "import"
     series = even_channels(samples["device_time_ns"], samples["segment"], channels, rounded=rounded)
     if len(samples) < FEWEST_SAMPLES:
-        what = f"has {len(samples)} samples; an Allan deviation needs {FEWEST_SAMPLES} at the least"
-        advice = "record for ten times as long as the longest averaging time of interest"
-        raise bad_data(f"{path}: {what}", advice)
+        raise bad_data(
+            f"{path}: has {len(samples)} samples; an Allan deviation needs {FEWEST_SAMPLES} at the least",
+            "record for ten times as long as the longest averaging time of interest",
+        )
     for name in channels:
         used = series[name].used / series[name].samples if name in series else 0.0
         if used < LEAST_USED:
@@ -131,7 +135,7 @@ def _of_motion(samples: SampleBlock, *, declared: bool) -> Iterator[str]:
         return
     at_rest = samples["at_rest"] == 1
     first = np.argmax(at_rest | known)  # until the first rest nothing is known, unless it comes late
-    share = float(np.mean(~at_rest[first:]))
+    share = np.mean(~at_rest[first:])
     if share <= MOVING_SHARE:
         return
     advice = "these are deviations of the motion, not of the sensor: record it lying still"

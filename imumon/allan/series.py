@@ -14,9 +14,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from imumon.allan.covariance import TRUSTED_FREEDOM, Runs, covariances_of, freedom
 from imumon.blocks import BoolArray, FloatArray, IntArray
 from imumon.clock.checks import usual_interval_ns
+
+from .covariance import TRUSTED_FREEDOM, Runs, covariances_of, freedom
 
 JITTER = 0.35
 """Time between samples may be off by this part of the interval, or by the resolution of the times."""
@@ -37,19 +38,13 @@ WALK = np.array([0.0, 0.0, 1.0, 0.0])
 class EvenSeries(NamedTuple):
     """Samples on an even grid."""
 
-    interval_s: float
-    """Time from sample to sample."""
-    values: FloatArray
-    """All islands one after the other, (n,); that of its neighbours where a sample is missing."""
-    islands: IntArray
-    """Bounds of the islands in `values`, (k + 1,)."""
+    interval_s: float  # time from sample to sample
+    values: FloatArray  # all islands one after the other, (n,); means of neighbours where one is missing
+    islands: IntArray  # bounds of the islands in `values`, (k + 1,)
     gap_starts: IntArray
-    gap_lengths: IntArray
-    """The missing samples, (g,)."""
-    samples: int
-    """Finite samples that there were."""
-    jitter: float
-    """RMS deviation of the time between neighbours, as a part of the interval."""
+    gap_lengths: IntArray  # the missing samples, (g,)
+    samples: int  # finite samples that there were
+    jitter: float  # RMS deviation of the time between neighbours, as a part of the interval
 
     @property
     def used(self) -> int:
@@ -104,7 +99,7 @@ class Division:
         """How many of the averaging times can be trusted, from the shortest on."""
         first = math.log2(max(LONGEST_START_S / series.interval_s, LEAST_TIME))
         last = max(math.log2(self.factors[: self.trusted].max(initial=1)), first)
-        self.times = [float(time) for time in 2.0 ** np.arange(first, last + 1e-9)]
+        self.times: list[float] = (2.0 ** np.arange(first, last + 1e-9)).tolist()
         """Correlation times that are tried, samples, in octaves: beyond a filter, to the longest of these."""
         known = dict(zip(self.times, covariances_of(self.factors, self.runs, self.times), strict=True))
         self.at = cache(lambda time: known.get(time) or covariances_of(self.factors, self.runs, [time])[0])
@@ -147,7 +142,7 @@ def _grid(time_ns: IntArray, segment: IntArray, rounded: bool) -> Grid | None:
     even = (np.abs(steps - whole) <= max(JITTER, tolerance)) & (whole >= 1) & (whole - 1 <= n // LONGEST_GAP)
     even &= np.diff(segment) == 0
     together = steps[even & (whole == 1)]
-    jitter = float(np.sqrt(np.mean((together - 1.0) ** 2))) if len(together) else 0.0
+    jitter = np.sqrt(np.mean((together - 1.0) ** 2)) if len(together) else 0.0
     island = np.cumsum(np.concatenate([[0], ~even]))
     kept = np.bincount(island)[island] >= SHORTEST_ISLAND
     if not kept.any():
@@ -157,8 +152,7 @@ def _grid(time_ns: IntArray, segment: IntArray, rounded: bool) -> Grid | None:
     islands = np.append(position[np.concatenate([[True], ~even])[kept]], position[-1] + 1)
     gaps = np.diff(position) - 1
     starts, lengths = position[:-1][gaps > 0] + 1, gaps[gaps > 0]
-    series = EvenSeries(interval * 1e-9, np.empty(0), islands, starts, lengths, n, jitter)
-    return kept, position, series
+    return kept, position, EvenSeries(interval * 1e-9, np.empty(0), islands, starts, lengths, n, jitter)
 
 
 def _filled(values: FloatArray, position: IntArray, bare: EvenSeries) -> FloatArray:

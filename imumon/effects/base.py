@@ -13,7 +13,7 @@ effect by its name.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
 
 import numpy as np
 from numpy.polynomial import Polynomial
@@ -38,7 +38,7 @@ LEAST_SPAN_DEGC = 3.0
 RATIO = 1.3
 """Of neighbours in a grid of times or widths: half way between two, before they are refined, lags, delays and
 warm-ups of 40 to 1500 s and loops of up to 4 °C leave at most 7 % of their rms, in ramps of 1.5 °C/min."""
-FORGOTTEN = float(np.exp(-3.0))
+FORGOTTEN = np.exp(-3.0)
 """Share of what an unknown state at power-on adds that no longer matters: three time constants of a lag."""
 
 
@@ -46,14 +46,10 @@ FORGOTTEN = float(np.exp(-3.0))
 class Drive:
     """What drives the effects in one run from power-on."""
 
-    time_s: FloatArray
-    """Time since power-on, increasing, (n,)."""
-    temperature_degc: FloatArray
-    """Finite, (n,)."""
-    accel: FloatArray | None = None
-    """Specific force in m/s², body axes, (n, 3)."""
-    others: Mapping[str, FloatArray] = field(default_factory=dict)
-    """Whatever else was recorded, each in its own unit, (n,) each; finite."""
+    time_s: FloatArray  # time since power-on, increasing, (n,)
+    temperature_degc: FloatArray  # finite, (n,)
+    accel: FloatArray | None = None  # specific force in m/s², body axes, (n, 3)
+    others: Mapping[str, FloatArray] = field(default_factory=dict)  # each in its own unit; finite, (n,)
 
     def of(self, driver: str) -> FloatArray:
         """Return what drives an effect, (n,), or the specific force, (n, 3).
@@ -70,40 +66,24 @@ class Drive:
         return len(self.time_s)
 
 
-@dataclass(frozen=True, slots=True)
-class Scale:
+class Scale(NamedTuple):
     """Middle and half of the span of a driver in the training runs, in its unit."""
 
     middle: float
     half_span: float
 
 
-@dataclass(frozen=True, slots=True)
-class Survey:
+class Survey(NamedTuple):
     """What the training runs can show: it decides which parameters of an effect are worth trying."""
 
-    durations_s: Sequence[float]
-    """Length of each run."""
-    span_degc: float
-    """From the lowest to the highest temperature."""
-    reversals: int
-    """Turns of the temperature by more than a fifth of the span, summed over the runs."""
-    accel_range: float
-    """Largest range of any component of the specific force within a run, m/s²."""
-    block_s: float
-    """Length of the blocks whose means are regressed."""
-    degree: int
-    """Degree of the declared polynomial."""
-    middle_degc: float
-    half_span_degc: float
-    """Temperature is scaled to u = (T - middle) / half span."""
-    others: Mapping[str, Scale] = field(default_factory=dict)
-    """Further drivers that were recorded and that vary."""
-
-    @property
-    def scale(self) -> Scale:
-        """That of the temperature."""
-        return Scale(self.middle_degc, self.half_span_degc)
+    durations_s: Sequence[float]  # length of each run
+    span_degc: float  # from the lowest to the highest temperature
+    reversals: int  # turns of the temperature by more than a fifth of the span, summed over the runs
+    accel_range: float  # largest range of any component of the specific force within a run, m/s²
+    block_s: float  # length of the blocks whose means are regressed
+    degree: int  # degree of the declared polynomial
+    scale: Scale  # that of the temperature
+    others: Mapping[str, Scale] = {}  # further drivers that were recorded and that vary
 
     @property
     def runs(self) -> int:
@@ -125,16 +105,11 @@ class Survey:
 class Memory:
     """What an effect carries from one block to the next; NaN at power-on."""
 
-    time_s: float = np.nan
-    """That of the last sample."""
-    driver: float = np.nan
-    """That of the last sample; of a smooth loop, behind its slack."""
-    follower: float = np.nan
-    """Where the one stands that follows the driver: lagged, or dragged along."""
-    ahead: float = np.nan
-    """How far the driver of a smooth loop is ahead of what it drags."""
-    past: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
-    """Earlier times and values of the driver, where a delay needs them, (k, 2)."""
+    time_s: float = np.nan  # that of the last sample
+    driver: float = np.nan  # that of the last sample; of a smooth loop, behind its slack
+    follower: float = np.nan  # where the one stands that follows the driver: lagged, or dragged along
+    ahead: float = np.nan  # how far the driver of a smooth loop is ahead of what it drags
+    past: FloatArray = field(default_factory=lambda: np.empty((0, 2)))  # of a delay: times and drivers
 
 
 class Effect(StrictModel):
@@ -325,4 +300,4 @@ class ScaledEffect(DrivenEffect):
 def logarithmic(low: float, high: float, ratio: float = RATIO) -> list[float]:
     """Return values from low to at most high, each `ratio` times the last; none when high is below low."""
     count = int(np.log(high / low) / np.log(ratio)) + 1 if high >= low else 0
-    return [float(low * ratio**index) for index in range(count)]
+    return [low * ratio**index for index in range(count)]

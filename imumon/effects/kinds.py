@@ -6,29 +6,32 @@ from typing import get_args
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.effects.base import Drive, Effect, Memory
-from imumon.effects.product import GSensitivity, Product
-from imumon.effects.since_power_on import Drift, Periodic, RunOffset, Step, StressRelaxation, WarmUp
-from imumon.effects.temperature_curve import TemperatureCurve
-from imumon.effects.thermal_lag import DeadTime, Hysteresis, TemperatureRate, ThermalLag
 from imumon.plugins import Plugin, described
 
-_KINDS: tuple[type[Effect], ...] = (
-    TemperatureCurve,
-    TemperatureRate,
-    ThermalLag,
-    DeadTime,
-    Hysteresis,
-    WarmUp,
-    StressRelaxation,
-    Drift,
-    Step,
-    RunOffset,
-    Periodic,
-    GSensitivity,
-    Product,
-)
-KINDS: dict[str, type[Effect]] = {kind.name: kind for kind in _KINDS}
+from .base import Drive, Effect, Memory
+from .product import GSensitivity, Product
+from .since_power_on import Drift, Periodic, RunOffset, Step, StressRelaxation, WarmUp
+from .temperature_curve import TemperatureCurve
+from .thermal_lag import DeadTime, Hysteresis, TemperatureRate, ThermalLag
+
+KINDS: dict[str, type[Effect]] = {
+    kind.name: kind
+    for kind in (
+        TemperatureCurve,
+        TemperatureRate,
+        ThermalLag,
+        DeadTime,
+        Hysteresis,
+        WarmUp,
+        StressRelaxation,
+        Drift,
+        Step,
+        RunOffset,
+        Periodic,
+        GSensitivity,
+        Product,
+    )
+}
 """imumon's own, by the name of their kind, in the order in which they are tried."""
 SEPARATED_BY = {
     ("dead_time", "hysteresis"): "two ramp rates: a loop stays the same, a delay doubles",

@@ -4,13 +4,13 @@ from typing import TYPE_CHECKING, Annotated, Union
 
 from pydantic import AfterValidator, Field
 
-from imumon.effects.base import Effect
-from imumon.effects.kinds import EFFECT, KINDS, OTHERWISE, SEPARATED_BY, guarded, is_effect
 from imumon.plugins import EFFECTS as OFFERED
 from imumon.plugins import plugins
 
-EFFECTS: dict[str, type[Effect]] = dict(KINDS)
-EFFECTS |= {plugin.name: guarded(plugin) for plugin in plugins(OFFERED, EFFECT, is_effect)}
+from .base import Effect
+from .kinds import EFFECT, KINDS, OTHERWISE, SEPARATED_BY, guarded, is_effect
+
+EFFECTS = KINDS | {plugin.name: guarded(plugin) for plugin in plugins(OFFERED, EFFECT, is_effect)}
 
 
 def effects_for(channel: str) -> list[str]:

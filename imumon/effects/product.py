@@ -6,7 +6,8 @@ import numpy as np
 from pydantic import Field, FiniteFloat
 
 from imumon.blocks import FloatArray
-from imumon.effects.base import ACCEL, TEMPERATURE, Drive, Effect, Memory, Positive, Scale, Survey
+
+from .base import ACCEL, TEMPERATURE, Drive, Effect, Memory, Positive, Scale, Survey
 
 LEAST_RANGE = 2.0
 """m/s², about twelve degrees of tilt: with less, poses and turn-on offsets look alike."""
@@ -88,14 +89,9 @@ class Product(Effect):
         """Return that with the temperature, where that varies."""
         if not survey.thermal:
             return []
-        scale = survey.others.get(driver, Scale(0.0, 1.0))
-        return [
-            cls(
-                drivers=[TEMPERATURE, driver],
-                middle=[survey.middle_degc, scale.middle],
-                half_span=[survey.half_span_degc, scale.half_span],
-            )
-        ]
+        scales = survey.scale, survey.others.get(driver, Scale(0.0, 1.0))
+        middle, half_span = (list(ends) for ends in zip(*scales, strict=True))
+        return [cls(drivers=[TEMPERATURE, driver], middle=middle, half_span=half_span)]
 
     def advance(self, memory: Memory, drive: Drive) -> FloatArray:  # noqa: ARG002 - it has no memory
         """Return the products."""

@@ -8,7 +8,8 @@ import numpy as np
 from pydantic import Field, FiniteFloat
 
 from imumon.blocks import FloatArray
-from imumon.effects.base import RATIO, Drive, Effect, Memory, Positive, Survey, logarithmic
+
+from .base import RATIO, Drive, Effect, Memory, Positive, Survey, logarithmic
 
 SHORTEST_WARM_UP_S = 60.0
 """Two means of 30 s: a faster one is over in the first."""
@@ -110,7 +111,7 @@ def _integral() -> tuple[FloatArray, FloatArray]:
     from scipy.special import exp1  # 0.13 s, which no command spends that has no such effect
 
     logarithm = np.linspace(np.log(1e-9 * BEGUN), np.log(40.0), 30_000)
-    return logarithm, np.asarray(exp1(np.exp(logarithm)))
+    return logarithm, exp1(np.exp(logarithm))
 
 
 class Drift(Effect):
@@ -122,7 +123,7 @@ class Drift(Effect):
 
     def advance(self, memory: Memory, drive: Drive) -> FloatArray:  # noqa: ARG002 - time is its memory
         """Return the hours."""
-        return np.asarray(drive.time_s / 3600.0)[:, np.newaxis]
+        return (drive.time_s / 3600.0)[:, np.newaxis]
 
 
 class Step(Effect):

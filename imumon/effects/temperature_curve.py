@@ -1,6 +1,5 @@
 """A curve over temperature of a higher degree than the one declared, or over another driver."""
 
-from dataclasses import asdict
 from typing import Annotated, Literal, Self
 
 import numpy as np
@@ -8,7 +7,8 @@ from numpy.polynomial import Polynomial
 from pydantic import Field
 
 from imumon.blocks import FloatArray
-from imumon.effects.base import Drive, Memory, ScaledEffect, Survey
+
+from .base import Drive, Memory, ScaledEffect, Survey
 
 MORE_DEGREES = (2, 4, 6)
 """Further powers that are tried."""
@@ -33,13 +33,13 @@ class TemperatureCurve(ScaledEffect):
         """Return the next powers, two, four or six of them; none at constant temperature."""
         if not survey.thermal:
             return []
-        first, scale = survey.degree + 1, asdict(survey.scale)
+        first, scale = survey.degree + 1, survey.scale._asdict()
         return [cls(first_power=first, powers=powers, **scale) for powers in MORE_DEGREES]
 
     @classmethod
     def driven(cls, survey: Survey, driver: str) -> list[Self]:
         """Return a line, a parabola and a cubic."""
-        scale = asdict(survey.others[driver])
+        scale = survey.others[driver]._asdict()
         return [cls(driver=driver, first_power=1, powers=powers, **scale) for powers in (1, 2, 3)]
 
     def advance(self, memory: Memory, drive: Drive) -> FloatArray:  # noqa: ARG002 - it has no memory

@@ -1,13 +1,13 @@
 """A bias that follows its driver: late, behind a lag or a fixed time later; in a loop; or as its rate."""
 
-from dataclasses import asdict
 from typing import Annotated, Any, Literal, Self, get_args
 
 import numpy as np
 from pydantic import Field, FiniteFloat
 
 from imumon.blocks import BoolArray, FloatArray
-from imumon.effects.base import (
+
+from .base import (
     RATIO,
     Drive,
     DrivenEffect,
@@ -18,7 +18,7 @@ from imumon.effects.base import (
     Survey,
     logarithmic,
 )
-from imumon.effects.temperature_curve import MORE_DEGREES
+from .temperature_curve import MORE_DEGREES
 
 SHORTEST_S = 20.0
 """A lag or delay that is shorter is a rate in means of 30 s."""
@@ -56,7 +56,7 @@ class Follower(ScaledEffect):
         if not survey.thermal:
             return []
         orders = (1, 3) if may_sum(survey, 4) else (1,)
-        return [{"order": order, **asdict(survey.scale)} for order in orders]
+        return [{"order": order, **survey.scale._asdict()} for order in orders]
 
     @classmethod
     def of_curve(cls, survey: Survey) -> list[Self]:
@@ -114,13 +114,13 @@ class ThermalLag(Follower):
     @classmethod
     def driven(cls, survey: Survey, driver: str) -> list[Self]:
         """Return time constants up to a quarter of the shortest run; power-on finds it in equilibrium."""
-        scale = asdict(survey.others[driver])
+        scale = survey.others[driver]._asdict()
         times = logarithmic(SHORTEST_S, survey.shortest_s / 4, RATIO**2)
         return [cls(driver=driver, time_constant_s=tau, start_sd=0.0, **scale) for tau in times]
 
     def follow(self, memory: Memory, drive: Drive) -> FloatArray:
         """Return the lagged driver."""
-        from imumon.effects.operators import first_order
+        from .operators import first_order
 
         time, values = drive.time_s, drive.of(self.driver)
         before = memory.time_s, memory.driver, memory.follower
@@ -131,7 +131,7 @@ class ThermalLag(Follower):
 
     def starts(self, drive: Drive) -> tuple[Memory, Memory]:
         """Return a sensor colder and one warmer than its thermometer by the standard deviation."""
-        first = float(drive.of(self.driver)[0])
+        first = drive.of(self.driver)[0]
         low, high = (first + sign * self.start_sd for sign in (-1.0, 1.0))
         return Memory(0.0, first, low), Memory(0.0, first, high)
 
@@ -207,7 +207,7 @@ class Hysteresis(Follower):
     @classmethod
     def driven(cls, survey: Survey, driver: str) -> list[Self]:
         """Return backlashes of a tenth to four fifths of the span."""
-        scale = asdict(survey.others[driver])
+        scale = survey.others[driver]._asdict()
         widths = [share * 2 * scale["half_span"] for share in SHARES]
         return [cls(driver=driver, half_width=width, slack=0.0, **scale) for width in widths]
 
@@ -218,7 +218,7 @@ class Hysteresis(Follower):
 
     def follow(self, memory: Memory, drive: Drive) -> FloatArray:
         """Return what is dragged along."""
-        from imumon.effects.operators import play, smooth_loop
+        from .operators import play, smooth_loop
 
         values = drive.of(self.driver)
         if not len(values):
@@ -234,7 +234,7 @@ class Hysteresis(Follower):
 
     def starts(self, drive: Drive) -> tuple[Memory, Memory]:
         """Return the ends between which a loop can be."""
-        first = float(drive.of(self.driver)[0])
+        first = drive.of(self.driver)[0]
         low = Memory(driver=first, follower=first + self.half_width, ahead=-self.half_width)
         return low, Memory(driver=first, follower=first - self.half_width, ahead=self.half_width)
 

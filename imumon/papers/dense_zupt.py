@@ -9,18 +9,19 @@ A step takes one sample, or the mean of several: with the noise given as densiti
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
-from imumon.blocks import ColumnArray, FloatArray, SampleBlock
-from imumon.columns import Column
+from imumon.blocks import Columns, FloatArray, SampleBlock
+from imumon.columns import Column, vector_columns
 from imumon.filters.turns import cross_matrix, rotation_by
 from imumon.geodesy import STANDARD_GRAVITY, body_to_ned, earth_rate_along
 from imumon.models.model import BiasModel
-from imumon.papers.slot_stage import SlotStage, at_rest, gyro_predictor, inertial
+
+from .slot_stage import SlotStage, at_rest, gyro_predictor, inertial
 
 STATES = 12
 PHI, VELOCITY, GYRO, ACCEL = (slice(k, k + 3) for k in range(0, STATES, 3))
@@ -74,14 +75,12 @@ class DenseSettings:
     @cached_property
     def start(self) -> FloatArray:
         """Covariance at the start, (12, 12)."""
-        sds = np.square([ANGLE_SD, VELOCITY_SD, self.bias_sd, ACCEL_BIAS_SD])
-        return np.diag(np.repeat(sds, 3))
+        return np.diag(np.repeat(np.square([ANGLE_SD, VELOCITY_SD, self.bias_sd, ACCEL_BIAS_SD]), 3))
 
     @cached_property
     def noise(self) -> FloatArray:
         """Process noise of a step, (12, 12)."""
-        white = self.angle_random_walk, VELOCITY_RANDOM_WALK
-        walks = *white, self.bias_random_walk, ACCEL_BIAS_RANDOM_WALK
+        walks = self.angle_random_walk, VELOCITY_RANDOM_WALK, self.bias_random_walk, ACCEL_BIAS_RANDOM_WALK
         return np.diag(np.concatenate([np.broadcast_to(walk, 3) for walk in walks]) ** 2 * self.interval_s)
 
     @cached_property
@@ -117,15 +116,13 @@ class State:
         return np.sqrt(np.diag(self.covariance)[GYRO])
 
 
-def begin(
-    settings: DenseSettings, force: FloatArray, bias: FloatArray, up: FloatArray | None = None
-) -> State:
-    """Return the state at rest with a mean specific force (3,), along which `up` is by default."""
+def begin(settings: DenseSettings, force: FloatArray, up: FloatArray | None = None) -> State:
+    """Return the state at rest without bias; the specific force (3,) is along `up` by default."""
     up = force if up is None else up
     attitude = body_to_ned(up / np.linalg.norm(up), math.radians(settings.heading_deg or 0.0))
     gravity = float(np.linalg.norm(force))
-    known = np.array(bias, np.float64), settings.start
-    return State(attitude, attitude, gravity, *known, velocity=np.zeros(3), accel_bias=np.zeros(3))
+    bias, velocity, accel_bias = np.zeros((3, 3))
+    return State(attitude, attitude, gravity, bias, settings.start, velocity, accel_bias)
 
 
 def step(
@@ -185,13 +182,13 @@ class DenseZupt(SlotStage):
     def __init__(
         self,
         method: str,
-        settings: DenseSettings | None = None,
+        settings: DenseSettings,
         model: BiasModel | None = None,
         assume_rest: bool = False,
     ) -> None:
         super().__init__(10, SLOT_S, 6)
         self._method = method
-        self._settings = replace(settings or DenseSettings(SLOT_S), interval_s=SLOT_S)
+        self._settings = replace(settings, interval_s=SLOT_S)
         self._predictor, self._axes = gyro_predictor(model)
         self._assume_rest = assume_rest
         self._state: State | None = None
@@ -203,14 +200,11 @@ class DenseZupt(SlotStage):
     @property
     def columns(self) -> Sequence[Column]:
         """The columns that `process` adds."""
-        texts = (("gyro_bias", "bias of the raw rate by this method"), ("gyro_bias_sd", "its sigma"))
-        return [
-            Column(f"{self._method}_{name}_{a}", "rad/s", description=f"{text}, {a}")
-            for name, text in texts
-            for a in "xyz"
-        ]
+        name = f"{self._method}_gyro_bias"
+        bias = vector_columns(name, "rad/s", "bias of the raw rate by this method")
+        return [*bias, *vector_columns(f"{name}_sd", "rad/s", "its sigma")]
 
-    def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
+    def process(self, block: SampleBlock) -> Columns:
         """Return the new columns of a block, NaN before the zeroing is over.
 
         Needs ``device_time_ns``, ``segment``, gyros, accelerometers and ``at_rest``.
@@ -221,14 +215,14 @@ class DenseZupt(SlotStage):
         slots, breaks = self.slots(block, values)
         results = np.full((len(slots), 6), np.nan)
         for k in range(len(slots)):
-            start_ns, length_ns = int(slots.start_ns[k]), self._gatherer.length_ns
+            start_ns, length_ns = slots.start_ns[k], self._gatherer.length_ns
             if slots.begins[k]:
                 self._slot_ns = start_ns - length_ns
             passed = (start_ns - self._slot_ns) // length_ns
             self._slot_ns += passed * length_ns
             if slots.begins[k] or passed * SLOT_S > ZEROING_S:
                 self._state, self._resting = None, []
-            self._take(slots.mean[k], bool(slots.smallest[k, 9] == 1.0), passed * SLOT_S)
+            self._take(slots.mean[k], slots.smallest[k, 9] == 1.0, passed * SLOT_S)
             if self._state is not None:
                 results[k] = *self._state.bias, *self._state.bias_sd
         shown = self.spread(slots.row, results, breaks, len(block))
@@ -241,7 +235,7 @@ class DenseZupt(SlotStage):
         if elapsed_s != SLOT_S:
             settings = replace(settings, interval_s=elapsed_s)
         drift = elapsed_s * np.nan_to_num(mean[6:9])
-        measured = rests and bool(np.isfinite(mean[:6]).all())
+        measured = rests and np.isfinite(mean[:6]).all()
         gap = elapsed_s > LONGEST_GAP_S
         if measured and not gap and state is not None and np.isfinite(state.velocity).all():
             # The bias of a step is that at its end.
@@ -261,7 +255,7 @@ class DenseZupt(SlotStage):
         if np.sum(self._resting, axis=0)[6] < (ZEROING_S if state is None else LEVELLING_S):
             return
         means = np.mean(self._resting, axis=0)
-        fresh = begin(settings, means[3:6], np.zeros(3))
+        fresh = begin(settings, means[3:6])
         if state is None:
             fresh.bias = means[:3] - fresh.attitude.T @ settings.earth
         else:
@@ -278,8 +272,7 @@ class DenseZupt(SlotStage):
         if self._method == "dense_zupt":
             curve[:, self._axes] = predicted.bias
         else:
-            none, names = np.full(len(block), np.nan), self._predictor.temperature_columns
+            names = self._predictor.temperature_columns
             rates = [one.replace("_estimate", "").replace("temperature", "temperature_rate") for one in names]
-            rate = np.column_stack([block.columns.get(name, none) for name in rates])
-            warming[:, self._axes] = predicted.slope * rate
+            warming[:, self._axes] = predicted.slope * block.stacked(rates)
         return curve, warming

@@ -37,14 +37,10 @@ STRETCH = 64
 class Params(NamedTuple):
     """What a user may set; the paper has 300 or 180 s, 180 or 120 s, and 90 measurements."""
 
-    step: float = 0.05
-    """Quantization step δτ of the sensor in °C."""
-    window_s: float = 300.0
-    """Least length T_w of the window in s."""
-    time_constant_s: float = 180.0
-    """Time constant T0 in s."""
-    buffer_size: int = 90
-    """N > 2 `ORDER`; when so many measurements are in the buffer, the oldest goes."""
+    step: float = 0.05  # quantization step δτ of the sensor in °C
+    window_s: float = 300.0  # least length T_w of the window in s
+    time_constant_s: float = 180.0  # time constant T0 in s
+    buffer_size: int = 90  # N > 2 `ORDER`; when so many measurements are in the buffer, the oldest goes
 
     @property
     def sigma(self) -> float:
@@ -56,20 +52,16 @@ class Params(NamedTuple):
 class State:
     """What the filter carries from sample to sample."""
 
-    buffer: FloatArray
-    """Measurements in use, oldest first, °C and s, (m, 2); the oldest is at t0."""
+    buffer: FloatArray  # measurements in use, oldest first, °C and s, (m, 2); the oldest is at t0
     last_reading: float
-    temperature: float
-    """Of the last sample, °C."""
-    x: FloatArray
-    """α, β and γ, °C, (3,)."""
-    s: FloatArray
-    """Upper triangular, S Sᵀ the covariance, (3, 3)."""
+    temperature: float  # of the last sample, °C
+    x: FloatArray  # α, β and γ, °C, (3,)
+    s: FloatArray  # upper triangular, S Sᵀ the covariance, (3, 3)
 
     @classmethod
-    def start(cls, params: Params, t: float, reading: float) -> "State":
+    def start(cls, params: Params, reading: float) -> "State":
         """Listing 1: 2n virtual measurements of the first reading, one a minute into the past."""
-        times = t - START_SPACING_S * np.arange(2 * ORDER, 0, -1)
+        times = -START_SPACING_S * np.arange(2 * ORDER, 0, -1)
         buffer = np.column_stack([np.full(2 * ORDER, reading), times])
         return cls(buffer, reading, reading, *fit(buffer, params))
 
@@ -136,9 +128,9 @@ class FirRate:
                 valid = np.flatnonzero(np.isfinite(reading[begin:end]))
                 if not len(valid):
                     continue
-                begin += int(valid[0])
-                self._origin_ns = int(time_ns[begin])
-                self.state = State.start(self.params, 0.0, float(reading[begin]))
+                begin += valid[0]
+                self._origin_ns = time_ns[begin]
+                self.state = State.start(self.params, reading[begin])
             seconds = (time_ns[begin:end] - self._origin_ns).astype(np.float64) * 1e-9
             self._run(self.state, seconds, reading[begin:end], out[:, begin:end])
         return RateEstimate(*out)
@@ -153,10 +145,10 @@ class FirRate:
             stop = at + self._quiet(state, seconds[part], reading[part], values[0])
             out[:, at:stop] = values[:, : stop - at]
             if stop > at:
-                state.temperature = float(out[0, stop - 1])
+                state.temperature = out[0, stop - 1]
             at, length = stop, 2 * length
             if stop < part.stop:
-                self._event(state, float(seconds[at]), float(reading[at]), out[:, at])
+                self._event(state, seconds[at], reading[at], out[:, at])
                 at, length = at + 1, STRETCH
 
     def _quiet(self, state: State, seconds: FloatArray, reading: FloatArray, temperature: FloatArray) -> int:
@@ -179,7 +171,7 @@ class FirRate:
         if state.buffer is not before:
             state.x, state.s = fit(state.buffer, params)
         out[:] = evaluate(state, params, np.array([t]))[:, 0]
-        state.temperature = float(out[0])
+        state.temperature = out[0]
 
 
 class FirStage(TemperatureRate):

@@ -15,7 +15,6 @@ from typing import NamedTuple
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.errors import bad_data
 from imumon.filters.slots import Slots
 
 SLOT_S = 1.0
@@ -34,35 +33,27 @@ TO_INSTABILITY = math.sqrt(math.pi / math.log(10.0))
 class RestMean(NamedTuple):
     """One second of one axis."""
 
-    begins: bool
-    """Whether a segment begins here."""
-    elapsed_s: float
-    """From the middle of the last slot to the middle of this one."""
-    covered_s: float
-    """Time at rest with readings; 0 where the slot has none."""
-    mean: float
-    """rad/s; NaN where the slot has no readings."""
-    interval_s: float
-    """Between samples."""
+    begins: bool  # whether a segment begins here
+    elapsed_s: float  # from the middle of the last slot to the middle of this one
+    covered_s: float  # time at rest with readings; 0 where the slot has none
+    mean: float  # rad/s; NaN where the slot has no readings
+    interval_s: float  # between samples
 
 
 class RestMeans:
     """Turns slots of readings that are NaN except at rest into means, whatever the division into blocks."""
 
     def __init__(self) -> None:
-        self._middle_ns = 0
-        self._begins = True
-        self._interval_s = 0.0
+        self._middle_ns, self._interval_s = 0, 0.0
 
     def process(self, slots: Slots) -> list[list[RestMean]]:
         """Return for each slot the mean of each column."""
         found = []
         for k in range(len(slots)):
-            middle_ns = int(slots.middle_ns[k])
-            self._begins |= bool(slots.begins[k])
-            elapsed = SLOT_S if self._begins else (middle_ns - self._middle_ns) * 1e-9
-            samples = int(slots.samples[k])
-            inside = (int(slots.end_ns[k]) - int(slots.start_ns[k])) * 1e-9
+            middle_ns, begins = slots.middle_ns[k], slots.begins[k]
+            elapsed = SLOT_S if begins else (middle_ns - self._middle_ns) * 1e-9
+            samples = slots.samples[k]
+            inside = (slots.end_ns[k] - slots.start_ns[k]) * 1e-9
             if samples > 1:
                 self._interval_s = inside / (samples - 1)
             interval = self._interval_s or elapsed  # of a stream with a sample in each slot
@@ -70,9 +61,9 @@ class RestMeans:
             for count, mean in zip(slots.count[k], slots.mean[k], strict=True):
                 covered = float(count) * interval
                 known = (covered, float(mean)) if covered >= LEAST_S else (0.0, math.nan)
-                row.append(RestMean(self._begins, elapsed, *known, interval))
+                row.append(RestMean(begins, elapsed, *known, interval))
             found.append(row)
-            self._middle_ns, self._begins = middle_ns, False
+            self._middle_ns = middle_ns
         return found
 
 
@@ -80,10 +71,8 @@ class RestMeans:
 class ExponentialMean:
     """Mean with exponentially fading memory; over what there is until that is as long as the memory."""
 
-    time_constant_s: float
-    """s at rest; infinity for the mean of everything."""
-    longest_s: float = math.inf
-    """After so many s at rest the mean is held."""
+    time_constant_s: float  # s at rest; infinity for the mean of everything
+    longest_s: float = math.inf  # s at rest after which the mean is held
     rest_s: float = 0.0
     mean: float = math.nan
 
@@ -99,40 +88,24 @@ class ExponentialMean:
         return self.mean
 
 
-def hold(seconds: float) -> ExponentialMean:
-    """Return a mean of the first seconds at rest that stays."""
-    return ExponentialMean(math.inf, seconds)
-
-
 class LocalLevel(NamedTuple):
     """Noise of a local level: of samples Δt apart, R = white / Δt and q = δ¹² = walk Δt."""
 
-    white: float
-    """Density of the white noise, (rad/s)² s."""
-    walk: float
-    """(rad/s)²/s."""
-
-
-def measured(means: Sequence[RestMean]) -> int:
-    """Return how many of the means have readings."""
-    return sum(1 for mean in means if mean.covered_s > 0.0)
+    white: float  # density of the white noise, (rad/s)² s
+    walk: float  # (rad/s)²/s
 
 
 def fit_local_level(means: Sequence[RestMean]) -> LocalLevel:
-    """Fit white noise and random walk by likelihood.
+    """Fit white noise and random walk by likelihood, to at least `LEAST_MEANS` means with readings.
 
     The mean over the logarithm of the walk, weighted by the likelihood: never without a walk, for without
-    process noise the covariance of the filters degenerates.  Raises BAD_DATA when there are too few means.
+    process noise the covariance of the filters degenerates.
     """
-    if (count := measured(means)) < LEAST_MEANS:
-        raise bad_data(
-            f"{count} means at rest", f"noise can be fitted from {LEAST_MEANS} means on; hours are better"
-        )
     deviance, white, *_ = filtered(means, RATIOS)
     weights = np.exp(-0.5 * (deviance - deviance.min()))
     weights /= weights.sum()
-    mean_white = float(weights @ white)
-    return LocalLevel(mean_white, math.exp(float(weights @ np.log(RATIOS))) * mean_white)
+    mean_white = weights @ white
+    return LocalLevel(mean_white, math.exp(weights @ np.log(RATIOS)) * mean_white)
 
 
 def filtered(means: Sequence[RestMean], ratios: FloatArray) -> FloatArray:

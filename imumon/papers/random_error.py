@@ -14,10 +14,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from imumon.blocks import ColumnArray, FloatArray, IntArray, SampleBlock
-from imumon.columns import Column
+from imumon.blocks import Columns, FloatArray, IntArray, SampleBlock
+from imumon.columns import Column, vector_columns
 from imumon.models.model import BiasModel
-from imumon.papers.local_level import (
+from imumon.run.setup import RandomErrorParameters
+
+from .local_level import (
     LEAST_MEANS,
     SLOT_S,
     ExponentialMean,
@@ -26,18 +28,14 @@ from imumon.papers.local_level import (
     RestMeans,
     fit_local_level,
     from_noise,
-    hold,
     level_after,
-    measured,
 )
-from imumon.papers.shi_filters import LinearFilter, Model, SampleFilter, SigmaPointFilter
-from imumon.papers.slot_stage import SlotStage, at_rest, gyro_predictor
-from imumon.run.setup import RandomErrorParameters
+from .shi_filters import LinearFilter, Model, SampleFilter, SigmaPointFilter
+from .slot_stage import SlotStage, at_rest, gyro_predictor
 
 AXES = "xyz"
-LINEAR, UNSCENTED, RISK_SENSITIVE = "stf", "sr_ukf", "sr_rsukf"
-METHODS = (LINEAR, UNSCENTED, RISK_SENSITIVE)
-TITLES = {LINEAR: "STF", UNSCENTED: "SR-UKF", RISK_SENSITIVE: "SR-RSUKF"}
+LINEAR, RISK_SENSITIVE = "stf", "sr_rsukf"
+TITLES = {LINEAR: "STF", "sr_ukf": "SR-UKF", RISK_SENSITIVE: "SR-RSUKF"}
 PHI_VARIANCE = 0.01
 """Variance of φ at the start; nothing is known but that it is zero for a local level."""
 SOFTENING = 1.0
@@ -64,18 +62,13 @@ RISK, PHI_LIMIT = 0.5, 0.9
 class Axis:
     """State of one axis."""
 
-    noise: LocalLevel | None
-    """R and δ¹ per second; None until learnt."""
+    noise: LocalLevel | None  # R and δ¹ per second; None until learnt
     mean: ExponentialMean
     hold: ExponentialMean
-    means: list[RestMean] = field(default_factory=list)
-    """Those of the segment, and while the noise is being learnt all so far."""
-    covered_s: float = 0.0
-    """Time at rest in `means`."""
-    filters: dict[str, SampleFilter] = field(default_factory=dict)
-    """Empty until they start."""
-    interval_s: float = 0.0
-    """Between the samples that they were started for."""
+    means: list[RestMean] = field(default_factory=list)  # of the segment; of all while the noise is learnt
+    covered_s: float = 0.0  # time at rest in `means`
+    filters: dict[str, SampleFilter] = field(default_factory=dict)  # empty until they start
+    interval_s: float = 0.0  # between the samples that they were started for
 
     def take(self, new: RestMean, methods: Sequence[str], learn_s: float) -> None:
         """Take in a second at rest: learn the noise, then start the filters where they do not run."""
@@ -84,10 +77,10 @@ class Axis:
         if not self.filters or self.noise is None:
             self.means.append(new)
         self.covered_s += new.covered_s
-        if self.noise is None and self.covered_s >= learn_s and measured(self.means) >= LEAST_MEANS:
+        count = sum(mean.covered_s > 0.0 for mean in self.means)
+        if self.noise is None and self.covered_s >= learn_s and count >= LEAST_MEANS:
             self.noise = fit_local_level(self.means)
-            last = max(k for k, mean in enumerate(self.means) if mean.begins)
-            del self.means[:last]
+            del self.means[: max(k for k, mean in enumerate(self.means) if mean.begins)]
         if self.noise is None or new.covered_s == 0.0:
             return
         if not self.filters:
@@ -111,7 +104,7 @@ def _begun(method: str, local: LocalLevel, level: float, variance: float, interv
     if method == LINEAR:
         return LinearFilter(model, SOFTENING)
     mu = RISK / (2.0 * (noise + process)) if method == RISK_SENSITIVE else 0.0
-    return SigmaPointFilter(model, (mu, 0.0, 0.0, 0.0, 0.0), PHI_LIMIT)
+    return SigmaPointFilter(model, mu, PHI_LIMIT)
 
 
 class RandomErrorMethods(SlotStage):
@@ -120,19 +113,19 @@ class RandomErrorMethods(SlotStage):
     Columns are ``{method}_random_error_{axis}`` and ``{method}_random_error_sd_{axis}`` in rad/s, φ as
     ``{method}_phi_{axis}`` with its standard deviation, and ``gyro_rest_mean`` and ``gyro_rest_hold``.
 
-    `methods`: of `METHODS`.
+    `methods`: of `TITLES`.
     `given`: its noise is that of the axes that are not learnt.
     `model`: its bias is taken off before; axes that it lacks keep theirs.
     """
 
     def __init__(
         self,
-        methods: Sequence[str] = METHODS,
-        given: RandomErrorParameters | None = None,
+        methods: Sequence[str],
+        given: RandomErrorParameters,
         model: BiasModel | None = None,
     ) -> None:
         super().__init__(len(AXES), SLOT_S, len(MEANS) * len(AXES))
-        self.methods, self._given = methods, given or RandomErrorParameters()
+        self.methods, self._given = methods, given
         self._predictor, self._modelled = gyro_predictor(model)
         self._means = RestMeans()
         noise: dict[str, LocalLevel] = {
@@ -140,8 +133,11 @@ class RandomErrorMethods(SlotStage):
             for channel, one in self._given.noise.items()
         }
         mean_s, hold_s = self._given.mean_s, self._given.hold_s
-        self._axes = {a: Axis(noise.get(f"gyro_{a}"), ExponentialMean(mean_s), hold(hold_s)) for a in AXES}
-        self._last_ns: int | None = None
+        self._axes = {
+            a: Axis(noise.get(f"gyro_{a}"), ExponentialMean(mean_s), ExponentialMean(math.inf, hold_s))
+            for a in AXES
+        }
+        self._last_ns = 0
 
     @property
     def columns(self) -> Sequence[Column]:
@@ -152,13 +148,9 @@ class RandomErrorMethods(SlotStage):
             for name, unit, text in QUANTITIES[: 2 if method == LINEAR else 4]
         ]
         named += [(name, "rad/s", text) for name, text in MEANS]
-        return [
-            Column(f"{name}_{a}", unit, description=f"{text}, {a}")
-            for name, unit, text in named
-            for a in AXES
-        ]
+        return [column for vector in named for column in vector_columns(*vector)]
 
-    def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
+    def process(self, block: SampleBlock) -> Columns:
         """Return the new columns of a block; NaN where there is no estimate.
 
         Needs ``device_time_ns`` and ``segment``; uses the gyros, ``at_rest``, and the temperatures of the
@@ -169,7 +161,7 @@ class RandomErrorMethods(SlotStage):
         readings = self._readings(block)
         slots, breaks = self.slots(block, readings)
         rows, means = slots.row.tolist(), self._means.process(slots)
-        steps_ns = np.diff(times, prepend=times[:1] if self._last_ns is None else self._last_ns)
+        steps_ns = np.diff(times, prepend=self._last_ns)
         shown = np.empty((len(means), len(MEANS) * len(AXES)))
         ends = [*((row, k) for k, row in enumerate(rows)), *((row, len(rows)) for row in breaks)]
         for j, (name, axis) in enumerate(self._axes.items()):
@@ -187,7 +179,7 @@ class RandomErrorMethods(SlotStage):
         names = [f"{column}_{name}" for column, _ in MEANS for name in AXES]
         found |= dict(zip(names, values.T, strict=True))
         if n:
-            self._last_ns = int(times[-1])
+            self._last_ns = times[-1]
         return found
 
     def _filter(
@@ -201,8 +193,7 @@ class RandomErrorMethods(SlotStage):
         """Run the filters of an axis over rows within which nothing begins."""
         axis = self._axes[name]
         for method, one in axis.filters.items():
-            steps = np.asarray(steps_ns * (1e-9 / axis.interval_s), np.float64)
-            series = one.process(readings, steps)
+            series = one.process(readings, np.asarray(steps_ns * (1e-9 / axis.interval_s), np.float64))
             found[f"{method}_random_error_{name}"][part] = series.estimate
             found[f"{method}_random_error_sd_{name}"][part] = series.sd
             if method != LINEAR:
@@ -211,8 +202,7 @@ class RandomErrorMethods(SlotStage):
 
     def _readings(self, block: SampleBlock) -> FloatArray:
         """Return the rates less the thermal bias, (n, 3), NaN where the unit is not at rest."""
-        none = np.full(len(block), np.nan)
-        readings = np.column_stack([block.columns.get(f"gyro_{axis}", none) for axis in AXES])
+        readings = block.stacked([f"gyro_{axis}" for axis in AXES])
         readings[~at_rest(block, self._given.assume_rest)] = np.nan
         if self._predictor is not None:
             readings[:, self._modelled] -= self._predictor.of_block(block).bias

@@ -18,30 +18,29 @@ in the paper, and so there is none here.  The paper runs the loop at 200 Hz; her
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
-from imumon.blocks import ColumnArray, FloatArray, SampleBlock
+from imumon.blocks import Columns, FloatArray, SampleBlock
 from imumon.columns import Column
 from imumon.filters.turns import rotation_by
 from imumon.geodesy import STANDARD_GRAVITY, earth_rate_along, heading_of
-from imumon.papers.slot_stage import SlotStage, inertial
+
+from .slot_stage import SlotStage, inertial
 
 SLOT_S = 0.125
 """The loop follows errors of minutes; faster than this it only passes on noise, which the means take away."""
 LONGEST_GAP_S = 2.0
 """After a longer gap the alignment begins anew."""
-LOOP, AVERAGE, CURVE = "fixed_gain_loop", "total_average", "curve_fit"
-METHODS = (LOOP, AVERAGE, CURVE)
 COLUMNS = tuple(
     Column(name, unit, description=text)
     for name, unit, text in (
-        (f"{LOOP}_heading", "rad", "heading by the control rates of now"),
-        (f"{LOOP}_control_rate_east", "rad/s", "control rate east of the fixed-gain loop"),
-        (f"{LOOP}_control_rate_north", "rad/s", "control rate north of the fixed-gain loop"),
-        (f"{AVERAGE}_heading", "rad", "heading by the total average of the control rates"),
-        (f"{CURVE}_heading", "rad", "heading by the line through the integral of the control rates"),
+        ("fixed_gain_loop_heading", "rad", "heading by the control rates of now"),
+        ("fixed_gain_loop_control_rate_east", "rad/s", "control rate east of the fixed-gain loop"),
+        ("fixed_gain_loop_control_rate_north", "rad/s", "control rate north of the fixed-gain loop"),
+        ("total_average_heading", "rad", "heading by the total average of the control rates"),
+        ("curve_fit_heading", "rad", "heading by the line through the integral of the control rates"),
     )
 )
 COARSE_S = 30.0
@@ -50,16 +49,12 @@ CORNER, DAMPING = 4.0 * math.pi, 0.7
 """ω_n in rad/s (2 Hz) and ζ of the loop, as in the paper's figures."""
 
 
-Gains = tuple[float, float, float]
-"""Of a step: h in s, the decay of a velocity, exp(-k h), and k_b in rad/m."""
-
-
-def gains(interval_s: float) -> Gains:
-    """Return the gains that place the poles of the sampled loop at exp(s h)."""
+def gains(interval_s: float) -> tuple[float, float]:
+    """Return the decay of a velocity, exp(-k h), and k_b in rad/m that place the poles at exp(s h)."""
     decay = math.exp(-2.0 * DAMPING * CORNER * interval_s)
     angle = CORNER * interval_s * math.sqrt(1.0 - DAMPING * DAMPING)
     trace = 2.0 * math.exp(-DAMPING * CORNER * interval_s) * math.cos(angle)
-    return interval_s, decay, (1.0 + decay - trace) / (interval_s**2 * STANDARD_GRAVITY)
+    return decay, (1.0 + decay - trace) / (interval_s**2 * STANDARD_GRAVITY)
 
 
 def coarse(rate: FloatArray, force: FloatArray) -> FloatArray:
@@ -85,9 +80,9 @@ class Loop:
         self._normal, self._right = np.zeros((2, 2)), np.zeros((2, 2))
         """Time and α, the integral of the control rates; HᵀH and Hᵀα of a line a t + b, H of rows [t, 1]."""
 
-    def step(self, gain: Gains, rate: FloatArray, force: FloatArray) -> None:
+    def step(self, interval_s: float, rate: FloatArray, force: FloatArray) -> None:
         """Go on by one step (4 to 7); `rate`, `force` (3,): rad/s and m/s², body axes."""
-        interval_s, decay, kb = gain
+        decay, kb = gains(interval_s)
         frame = self.attitude @ rate - self._earth
         self.velocity = decay * self.velocity + interval_s * (self.attitude @ force)[:2]
         self.control = kb * np.array([-self.velocity[1], self.velocity[0]])
@@ -110,8 +105,7 @@ class Loop:
     def results(self) -> FloatArray:
         """Return the values of `COLUMNS`, after a step."""
         frame, means = heading_of(self.attitude[2], self.attitude[1]), self.means
-        off = np.arctan2(means[:, 0], self._earth[1] + means[:, 1])
-        heading = (frame - off) % (2.0 * math.pi)  # (18)
+        heading = (frame - np.arctan2(means[:, 0], self._earth[1] + means[:, 1])) % (2.0 * math.pi)  # (18)
         return np.array([heading[0], *self.control, *heading[1:]])
 
 
@@ -119,10 +113,10 @@ class SelfAlignment(SlotStage):
     """The published alignment as a stage; it begins anew after motion, a gap or a restart of the device.
 
     `latitude`: rad.
-    `methods`: of `METHODS`: whose columns are given.
+    `methods`: those whose columns are given: "fixed_gain_loop", "total_average" or "curve_fit".
     """
 
-    def __init__(self, latitude: float, methods: Sequence[str] = METHODS) -> None:
+    def __init__(self, latitude: float, methods: Sequence[str]) -> None:
         super().__init__(7, SLOT_S, len(COLUMNS))
         _, north, up = np.eye(3)
         self._earth = earth_rate_along(up, north, latitude)
@@ -135,7 +129,7 @@ class SelfAlignment(SlotStage):
         self._seconds, self._sensed = 0.0, np.zeros(6)
         """Time, and integral of rates and specific forces, until there is a loop."""
 
-    def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
+    def process(self, block: SampleBlock) -> Columns:
         """Return the new columns of a block, NaN where there is no heading.
 
         Needs ``device_time_ns``, ``segment``, gyros and accelerometers; uses ``at_rest``.
@@ -144,8 +138,8 @@ class SelfAlignment(SlotStage):
         slots, breaks = self.slots(block, np.column_stack([inertial(block), rests]))
         results = np.full((len(slots), len(COLUMNS)), np.nan)
         for k in range(len(slots)):
-            elapsed = (int(slots.middle_ns[k]) - self._middle_ns) * 1e-9
-            self._middle_ns = int(slots.middle_ns[k])
+            elapsed = (slots.middle_ns[k] - self._middle_ns) * 1e-9
+            self._middle_ns = slots.middle_ns[k]
             if slots.begins[k] or slots.smallest[k, 6] == 0.0 or elapsed > LONGEST_GAP_S:
                 self._begin()
                 elapsed = SLOT_S
@@ -155,14 +149,13 @@ class SelfAlignment(SlotStage):
                 self._take(mean[:6], SLOT_S * max(round(elapsed / SLOT_S), 1))
             if self._loop is not None and np.isfinite(self._loop.control[0]):
                 results[k] = self._loop.results()
-        shown = self.spread(slots.row, results, breaks, len(block))
-        found = zip(COLUMNS, shown.T, strict=True)
+        found = zip(COLUMNS, self.spread(slots.row, results, breaks, len(block)).T, strict=True)
         return {column.name: values for column, values in found if column in self.columns}
 
     def _take(self, sensed: FloatArray, interval_s: float) -> None:
         """Take in the mean rates and specific forces of a slot, (6,): coarse at first, then the loop."""
         if self._loop is not None:
-            self._loop.step(gains(interval_s), sensed[:3], sensed[3:])
+            self._loop.step(interval_s, sensed[:3], sensed[3:])
             return
         self._seconds += interval_s
         self._sensed = self._sensed + interval_s * sensed

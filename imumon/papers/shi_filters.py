@@ -11,7 +11,8 @@ negative, and the central point counts for nothing).  The noise states are reset
 only the five real states are carried on, and the decomposition of (14) goes onto their five rows.
 
 Risk (15) is P ← (P⁻¹ - 2μ)⁻¹.  The inverses, and the printed 7-state P, are singular at φ = 0, so it is
-done on S: removing 2μ_i from the information is removing a measurement of variance 1/(2μ_i), entry by entry.
+done on S.  Here only μ_x is not zero: removing 2μ_x from the information is removing a measurement of x of
+variance 1/(2μ_x), which scales the first column of S.
 Equation (20) as printed, U = P_xz S_z, is wrong by S_z²: it must be P_xz / S_z.
 
 The steps are compiled: they run at every sample, and in NumPy one takes 52 µs, compiled 0.5.
@@ -23,7 +24,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from imumon.blocks import FloatArray, IntArray
+from imumon.blocks import FloatArray
 from imumon.compiled import njit
 
 FORGETTING = 0.95
@@ -36,7 +37,7 @@ POINTS = 2 * (N + NOISES)
 GAMMA = math.sqrt(N + NOISES)
 
 STEP_CEILING = 0.9999
-"""2 μ_i P_ii may not be more in any step; μ_i is shrunk for the step when it would."""
+"""2 μ_x P_xx may not be more in any step; μ_x is shrunk for the step when it would."""
 REGULAR = 1.5
 """A step of so many intervals or more is a gap: φ does not describe it."""
 
@@ -59,11 +60,9 @@ class Series(NamedTuple):
 
     predicted: FloatArray
     estimate: FloatArray
-    sd: FloatArray
-    """x_k|k-1, x_k|k and its standard deviation, in the unit of the data."""
+    sd: FloatArray  # x_k|k-1, x_k|k and its standard deviation, in the unit of the data
     phi: FloatArray
-    phi_sd: FloatArray
-    """φ of the model and its standard deviation."""
+    phi_sd: FloatArray  # φ of the model and its standard deviation
 
 
 class SampleFilter:
@@ -87,27 +86,21 @@ class SampleFilter:
         return series
 
 
-class LinearSettings(NamedTuple):
-    """φ, q = δ¹² + δ²², R, and β of the strong-tracking filter, negative for the plain Kalman filter."""
-
-    phi: float
-    process_variance: float
-    noise_variance: float
-    softening: float
-
-
 @njit
 def _run_linear(
     series: Series,
     reading: FloatArray,
     steps: FloatArray,
-    settings: LinearSettings,
+    phi: float,
+    variance: float,
+    noise: float,
+    softening: float,
     x: FloatArray,
     p: FloatArray,
     v: FloatArray,
 ) -> None:
-    """Filter samples; x and P of (x_k, x_k-1), and V, (1,), NaN before the first innovation, are carried."""
-    phi, noise = settings.phi, settings.noise_variance
+    """Filter samples with q and R; x and P of (x_k, x_k-1), and V, (1,), NaN before the first innovation, are
+    carried."""
     for k in range(reading.size):
         use = np.isfinite(reading[k])
         x[0], x[1] = (1.0 + phi) * x[0] - phi * x[1], x[0]
@@ -115,12 +108,12 @@ def _run_linear(
         across = (1.0 + phi) * p[0, 0] - phi * p[0, 1]
         p[0, 0], p[1, 1] = (1.0 + phi) * across - phi * ((1.0 + phi) * p[0, 1] - phi * p[1, 1]), p[0, 0]
         p[0, 1] = p[1, 0] = across
-        process = settings.process_variance * steps[k]
+        process = variance * steps[k]
         innovation = reading[k] - x[0]
-        if use and settings.softening >= 0.0:
+        if use:
             square = innovation * innovation
             v[0] = square if np.isnan(v[0]) else (FORGETTING * v[0] + square) / (1.0 + FORGETTING)
-            wanted, had = v[0] - process - settings.softening * noise, p[0, 0]  # H F P Fᵀ Hᵀ
+            wanted, had = v[0] - process - softening * noise, p[0, 0]  # H F P Fᵀ Hᵀ
             if had > 0.0 and wanted > had:
                 p *= wanted / had
         p[0, 0] += process
@@ -138,17 +131,13 @@ def _run_linear(
 
 
 class LinearFilter(SampleFilter):
-    """Kalman filter on model L.
+    """Strong-tracking filter on model L; with an infinite β (`softening`) it is the plain Kalman filter."""
 
-    `softening`: β of the strong-tracking filter; None for the plain Kalman filter.
-    """
-
-    def __init__(self, model: Model, softening: float | None = None) -> None:
+    def __init__(self, model: Model, softening: float = math.inf) -> None:
         _, _, phi, delta1, delta2 = model.mean
-        beta = -1.0 if softening is None else softening
-        known = LinearSettings(phi, delta1**2 + delta2**2, model.noise_variance, beta)
+        known = phi, delta1**2 + delta2**2, model.noise_variance, softening
         mean, variance = np.array(model.mean[:2], np.float64), np.array(model.variance[:2], np.float64)
-        super().__init__(_run_linear, known, mean, np.diag(variance), np.full(1, np.nan))
+        super().__init__(_run_linear, *known, mean, np.diag(variance), np.full(1, np.nan))
 
 
 @njit
@@ -158,12 +147,11 @@ def _run_sigma_points(
     steps: FloatArray,
     noise_variance: float,
     phi_limit: float,
-    risk: FloatArray,
+    risk: float,
     mean: FloatArray,
     factor: FloatArray,
-    shrunk: IntArray,
 ) -> None:
-    """Filter samples; X, S and the number of steps with a smaller μ, (1,), are carried."""
+    """Filter samples; X and S are carried."""
     deviations = np.empty((N, POINTS))
     for k in range(reading.size):
         use = np.isfinite(reading[k])
@@ -171,8 +159,8 @@ def _run_sigma_points(
             predict(mean, factor, deviations, steps[k])
         else:
             hold(mean, factor, deviations, steps[k])
-        if use and take_risk(factor, risk):
-            shrunk[0] += 1
+        if use and risk > 0.0:
+            take_risk(factor, risk)
         series.predicted[k] = mean[X]
         if use:
             measure(mean, factor, reading[k], noise_variance)
@@ -199,8 +187,7 @@ def predict(mean: FloatArray, factor: FloatArray, deviations: FloatArray, noise:
             point[i] = mean[i] + deviations[i, j]
         # x_k-1 is the x_k of before, and φ, δ¹ and δ² stay: their means do, too.
         newer, older = sign * root * (column == N), sign * root * (column == N + 1)
-        after = _model(point, newer, older)
-        deviations[BEFORE, j], deviations[X, j] = deviations[X, j], after - centre
+        deviations[BEFORE, j], deviations[X, j] = deviations[X, j], _model(point, newer, older) - centre
     shift = deviations[X].mean()
     deviations[X] -= shift
     deviations /= math.sqrt(POINTS)
@@ -240,35 +227,12 @@ def _lower(wide: FloatArray, factor: FloatArray) -> None:
 
 
 @njit
-def take_risk(factor: FloatArray, risk: FloatArray) -> bool:
-    """Raise the covariance by the risk (15); return whether an entry of it had to be smaller.
-
-    With f = row i of S, σ² = 1/(2μ_i) and d_j = σ² - Σ_{k≥j} f_k², the lower triangular B with
-    B Bᵀ = E + f fᵀ/(σ² - fᵀf) has B_jj = √(d_j+1/d_j) and B_lj = f_l f_j / √(d_j+1 d_j), l > j; then S ← S B.
-    """
-    shrunk = False
-    for i in range(N):
-        if risk[i] == 0.0:
-            continue
-        variance = (factor[i] ** 2).sum()
-        limit = 0.5 / risk[i]
-        if variance > STEP_CEILING * limit:
-            limit = variance / STEP_CEILING
-            shrunk = True
-        if limit == 0.0:
-            continue
-        gain = np.zeros(N)
-        above = limit
-        for j in range(i, -1, -1):
-            f = factor[i, j]
-            d = above - f * f
-            b, c = math.sqrt(above / d), f / math.sqrt(above * d)
-            for row in range(j, N):
-                old = factor[row, j]
-                factor[row, j] = b * old + c * gain[row]
-                gain[row] += old * f
-            above = d
-    return shrunk
+def take_risk(factor: FloatArray, risk: float) -> None:
+    """Raise the covariance by the risk (15): of S the first column, by √(σ²/(σ² - P_xx)), σ² = 1/(2μ_x)."""
+    variance, limit = factor[X, X] * factor[X, X], 0.5 / risk
+    if variance > STEP_CEILING * limit:
+        limit = variance / STEP_CEILING
+    factor[:, X] *= math.sqrt(limit / (limit - variance))
 
 
 @njit
@@ -284,20 +248,17 @@ def measure(mean: FloatArray, factor: FloatArray, reading: float, noise_variance
 
 
 class SigmaPointFilter(SampleFilter):
-    """SR-RSUKF of one axis; with μ = 0 it is the SR-UKF.
+    """SR-RSUKF of one axis; with μ_x = 0 it is the SR-UKF.
 
     The limit of a lasting risk on a random walk is 2 μ_x (R + q) = 1, where the variance escapes; what would
     cross `STEP_CEILING` in a step is shrunk.
 
-    `risk`: diagonal of μ in 1/unit²; zero for φ, δ¹ and δ², which nothing measures.
+    `risk`: μ_x in 1/unit²; φ, δ¹ and δ², which nothing measures, have none.
     `phi_limit`: φ is held within ±phi_limit; infinity lets it go, as the paper does.
-    `mean`, `factor`: X and the lower triangular S of its covariance S Sᵀ, (5,); `shrunk`: steps with a
-        smaller μ, (1,).
+    `mean`, `factor`: X and the lower triangular S of its covariance S Sᵀ, (5,).
     """
 
-    def __init__(self, model: Model, risk: Sequence[float] = (0.0,) * N, phi_limit: float = math.inf) -> None:
-        self.risk, self.mean = np.array(risk, np.float64), np.array(model.mean, np.float64)
+    def __init__(self, model: Model, risk: float = 0.0, phi_limit: float = math.inf) -> None:
+        self.mean = np.array(model.mean, np.float64)
         self.factor = np.diag(np.sqrt(np.array(model.variance, np.float64)))
-        self.shrunk = np.zeros(1, np.int64)
-        settings = model.noise_variance, phi_limit
-        super().__init__(_run_sigma_points, *settings, self.risk, self.mean, self.factor, self.shrunk)
+        super().__init__(_run_sigma_points, model.noise_variance, phi_limit, risk, self.mean, self.factor)

@@ -15,7 +15,7 @@ DEFAULT_STEP_DEGC = 0.05
 
 
 def published_stages(
-    setup: Setup, temperature: TemperatureRateParameters | None = None, _: Sequence[Estimator] = ()
+    setup: Setup, temperature: TemperatureRateParameters | None, _: Sequence[Estimator]
 ) -> list[Estimator]:
     """Return the stages of the published methods of a setup; they run last.
 
@@ -24,19 +24,25 @@ def published_stages(
     stages: list[Estimator] = []
     given = temperature or TemperatureRateParameters()
     if "fir" in setup.methods or given.method == "fir_exponential":
-        from imumon.papers.fir import FirStage, Params
+        from .fir import FirStage, Params
 
         step = given.step_degc or DEFAULT_STEP_DEGC
-        params = Params(step, given.window_s, given.time_constant_s, given.buffer_size)
-        stages.append(FirStage(params))
+        stages.append(FirStage(Params(step, given.window_s, given.time_constant_s, given.buffer_size)))
     if chosen := _chosen(setup, "stf", "sr_ukf", "sr_rsukf"):
-        from imumon.papers.random_error import RandomErrorMethods
+        from .random_error import RandomErrorMethods
 
         stages.append(RandomErrorMethods(chosen, setup.random_error_with_noise, setup.bias_model))
-    stages += [_dense_zupt(setup, method) for method in _chosen(setup, "dense_zupt", "dense_tczupt")]
+    for method in _chosen(setup, "dense_zupt", "dense_tczupt"):
+        from .dense_zupt import SLOT_S, DenseSettings, DenseZupt
+
+        zupt = setup.zupt_with_noise
+        settings = DenseSettings(SLOT_S, latitude_deg=setup.latitude_deg, heading_deg=setup.heading_deg)
+        if (white := zupt.angle_random_walk_rad_per_sqrt_s) is not None:  # the rest is the paper's
+            settings = replace(settings, angle_random_walk=np.array(white))
+        stages.append(DenseZupt(method, settings, setup.bias_model, zupt.assume_at_rest))
     chosen = _chosen(setup, "fixed_gain_loop", "total_average", "curve_fit")
     if chosen and setup.latitude_deg is not None:
-        from imumon.papers.self_alignment import SelfAlignment
+        from .self_alignment import SelfAlignment
 
         stages.append(SelfAlignment(math.radians(setup.latitude_deg), chosen))
     return stages
@@ -44,15 +50,3 @@ def published_stages(
 
 def _chosen(setup: Setup, *names: str) -> list[str]:
     return [name for name in setup.methods if name in names]
-
-
-def _dense_zupt(setup: Setup, method: str) -> Estimator:
-    """Return ZUPT or TCZUPT with the noise that is known; the bias instability stays the paper's."""
-    from imumon.papers.dense_zupt import SLOT_S, DenseSettings, DenseZupt
-
-    given = setup.zupt_with_noise
-    settings = DenseSettings(SLOT_S, latitude_deg=setup.latitude_deg, heading_deg=setup.heading_deg)
-    white = given.angle_random_walk_rad_per_sqrt_s
-    if white is not None:
-        settings = replace(settings, angle_random_walk=np.array(white))
-    return DenseZupt(method, settings, setup.bias_model, given.assume_at_rest)

@@ -123,7 +123,7 @@ class DecodedPort:
         card: Mapping[str, str] = MappingProxyType({}),
     ) -> None:
         self.pipeline = pipeline
-        self.pipeline.live = True
+        self.pipeline.go_live()
         self._items: SimpleQueue[Item] = SimpleQueue()
         self._outages, self._clock = Outages(), Clock()
         self._began_ns = self._clock.now_ns()

@@ -50,7 +50,8 @@ def demo(context: click.Context, options: tuple[str, ...]) -> int:
     """
     from imumon.cli.monitor_command import command
     from imumon.protocols.device import load_device
-    from imumon.simulation.virtual_device import VirtualDevice
+
+    from .virtual_device import VirtualDevice
 
     try:
         device = command.make_context("demo", ["PORT", "--device", DEVICE, *options]).params["device"]
@@ -98,8 +99,9 @@ def virtual(
     """
     from imumon.cli.live_run import Ending
     from imumon.protocols.device import load_device
-    from imumon.simulation.unit.scenario import load_scenario
-    from imumon.simulation.virtual_device import VirtualDevice
+
+    from .unit.scenario import load_scenario
+    from .virtual_device import VirtualDevice
 
     ending = Ending(seconds)
     played = None if scenario is None else load_scenario(scenario)
@@ -108,8 +110,7 @@ def virtual(
         ending.begin()
         while simulated.failure is None and ending.wait():
             pass
-    lost = simulated.port.bytes_lost
-    log("INFO", f"sent {simulated.packets_sent:,} packets; {lost:,} bytes had no reader")
+    log("INFO", f"sent {simulated.packets_sent:,} packets; {simulated.port.bytes_lost:,} bytes had no reader")
     if simulated.failure is not None:
         raise simulated.failure
 
@@ -154,16 +155,19 @@ def simulate(
     """
     from imumon.protocols.device import device_text, parse_device
     from imumon.recordings.folder import TRUTH_NAME, name_unit
-    from imumon.simulation.recording import record_session, write_table
-    from imumon.simulation.unit import load_scenario
+
+    from .recording import record_session, write_table
+    from .unit import load_scenario
 
     given = {"duration_s": duration, "rate_hz": rate}
     plan = load_scenario(scenario).model_copy(update={k: v for k, v in given.items() if v is not None})
     text, source = device_text(device or DEVICE)
     described, as_table = parse_device(text, source), out.suffix in TABLES
     if not as_table and out.suffix.lower() in (*TABLES, *OTHERS):
-        what = f"{out}: simulate writes no such file: a table is NAME.parquet or NAME.csv, a session a folder"
-        raise bad_config(what, "imumon export writes the other formats of a session")
+        raise bad_config(
+            f"{out}: simulate writes no such file: a table is NAME.parquet or NAME.csv, a session a folder",
+            "imumon export writes the other formats of a session",
+        )
     if as_table and serial is not None:
         raise bad_config(f"{out}: a table has no serial number", "leave --serial away, or make a session")
     if device is not None or not as_table:  # in the axes of the device

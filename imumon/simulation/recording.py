@@ -22,13 +22,14 @@ from imumon.recordings.folder import (
 )
 from imumon.recordings.table import TableWriter
 from imumon.recordings.wire import WireWriter
-from imumon.simulation.unit import TRUTH_COLUMNS, Scenario, SimulatedUnit
-from imumon.simulation.unit.noise import generator
-from imumon.simulation.unit.thermal import chamber_log
-from imumon.simulation.unit.unit import CHUNK
-from imumon.simulation.virtual_device import refuse_overload, switch_on
-from imumon.simulation.virtual_port import BITS_PER_BYTE
 from imumon.transport.reader import Bytes, Event, EventKind
+
+from .unit import TRUTH_COLUMNS, Scenario, SimulatedUnit
+from .unit.noise import generator
+from .unit.thermal import chamber_log
+from .unit.unit import CHUNK
+from .virtual_device import refuse_overload, switch_on
+from .virtual_port import BITS_PER_BYTE
 
 SCENARIO_NAME = "scenario.yaml"
 CHAMBER_NAME = "chamber.csv"
@@ -73,8 +74,7 @@ def record_session(
         write_text(partial / SCENARIO_NAME, text)
         if scenario.chamber.log is not None:
             rows, heads = np.column_stack(chamber_log(scenario, seed)), "time_s,wall_degc,case_degc"
-            path = partial / CHAMBER_NAME
-            np.savetxt(path, rows, fmt="%.3f", delimiter=",", header=heads, comments="")
+            np.savetxt(partial / CHAMBER_NAME, rows, fmt="%.3f", delimiter=",", header=heads, comments="")
         encoder, arrivals = device.encoder(), _Arrivals(device.serial.baudrates[0], seed)
         unit = switch_on(device, scenario, seed)
         names = [KNOWN["device_time_ns"], KNOWN["segment"], *TRUTH_COLUMNS]
@@ -122,7 +122,6 @@ def write_table(scenario: Scenario, seed: int, path: Path, progress: Progress) -
 
 
 def _sizes(scenario: Scenario) -> Iterator[int]:
-    """Yield the numbers of samples of the parts in which a scenario is computed."""
     for first in range(0, scenario.samples, CHUNK):
         yield min(CHUNK, scenario.samples - first)
 

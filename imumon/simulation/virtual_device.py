@@ -12,10 +12,11 @@ from typing import Any
 
 from imumon.errors import ImumonError, bad_config
 from imumon.protocols.device import DeviceFile
-from imumon.simulation.unit import Scenario, SimulatedUnit, load_scenario
-from imumon.simulation.unit.unit import MICROSECOND
-from imumon.simulation.virtual_port import BITS_PER_BYTE, VirtualPort
 from imumon.wing import firmware_of
+
+from .unit import Scenario, SimulatedUnit, load_scenario
+from .unit.unit import MICROSECOND
+from .virtual_port import BITS_PER_BYTE, VirtualPort
 
 DEFAULT_RATE_HZ = 100.0
 TICK_S = 0.005

@@ -58,7 +58,6 @@ class VirtualPort(AbstractContextManager["VirtualPort"]):
         self._node = ""
         self._backlog = bytearray()
         self._closing = False
-        self._sampler: Sampler | None = None
         self._changed = threading.Condition()
         self.replug()
         self._thread = threading.Thread(target=self._send, name="virtual port", daemon=True)
@@ -94,8 +93,7 @@ class VirtualPort(AbstractContextManager["VirtualPort"]):
             data = os.read(master, 4096)
         except OSError:  # the host has just closed its end
             return b""
-        ratio = self.host_baudrate() / self.baudrate
-        return data if abs(ratio - 1) <= SAMPLING_TOLERANCE else Sampler(ratio).feed(data)
+        return Sampler(self.host_baudrate() / self.baudrate).feed(data)
 
     def host_listens(self) -> bool:
         """Return whether a host has the port open."""
@@ -132,7 +130,7 @@ class VirtualPort(AbstractContextManager["VirtualPort"]):
             _set_rate(slave, self.baudrate)  # a host that sets no rate is right by chance, as at a bench
             os.close(slave)  # from here on the master hangs up while no host has the port open
             os.set_blocking(self._master, False)
-            self._sampler = None
+            self._sampler = Sampler(1.0)
             if self._link is not None:
                 self._make_link(self._link)
 
@@ -160,10 +158,12 @@ class VirtualPort(AbstractContextManager["VirtualPort"]):
         except OSError as error:
             self._close_master()
             if isinstance(error, FileExistsError):
-                advice = "remove it, or choose another name for the link"
-                raise ImumonError(Reason.EXISTS, f"{link} exists already", advice) from error
-            what = f"the link {link} cannot be made: {error.strerror}"
-            raise bad_config(what, "choose another name") from error
+                raise ImumonError(
+                    Reason.EXISTS, f"{link} exists already", "remove it, or choose another name for the link"
+                ) from error
+            raise bad_config(
+                f"the link {link} cannot be made: {error.strerror}", "choose another name"
+            ) from error
 
     def _send(self) -> None:
         """Take bytes from the backlog when the line has carried them, and hand them to the host."""
@@ -190,23 +190,15 @@ class VirtualPort(AbstractContextManager["VirtualPort"]):
         return min(len(self._backlog), math.ceil(rate * CHUNK_S))
 
     def _deliver(self, data: bytes) -> None:
-        """Hand bytes to the host, if there is one and it has room."""
         if self._master is None or not self.host_listens():
             self.bytes_lost += len(data)
             return
-        with suppress(BlockingIOError):  # a host that does not read loses what finds its buffers full
-            os.write(self._master, self._as_sampled(data))
-        self.bytes_sent += len(data)
-
-    def _as_sampled(self, data: bytes) -> bytes:
-        """Return the bytes that a host receives that samples the line at the rate it has set."""
         ratio = self.baudrate / max(self.host_baudrate(), 1)
-        if abs(ratio - 1) <= SAMPLING_TOLERANCE:
-            self._sampler = None
-            return data
-        if self._sampler is None or self._sampler.ratio != ratio:
+        if self._sampler.ratio != ratio:  # the host has set another rate
             self._sampler = Sampler(ratio)
-        return self._sampler.feed(data)
+        with suppress(BlockingIOError):  # a host that does not read loses what finds its buffers full
+            os.write(self._master, self._sampler.feed(data))
+        self.bytes_sent += len(data)
 
     def _lose_backlog(self) -> None:
         self.bytes_lost += len(self._backlog)
@@ -233,6 +225,8 @@ class Sampler:
 
     def feed(self, data: bytes) -> bytes:
         """Return the bytes that the receiver completes while these are on the line."""
+        if abs(self.ratio - 1) <= SAMPLING_TOLERANCE:
+            return data
         line = self._line
         line += b"".join(map(_LEVELS.__getitem__, data))
         received = bytearray()

@@ -75,14 +75,14 @@ def random_error() -> Result:
     record = sent(np.arange(n) / RATE_HZ, gyro=vector, at_rest=np.ones(n))
     linear = Model((0.0, 0.0, 0.0, delta, 0.0), (1e-3, 1e-3, 0.0, 0.0, 0.0), noise)
     model = Model((0.0, 0.0, 0.0, delta, 0.0), (1e-3, 1e-3, 0.01, 1e-6, 1e-6), noise)
-    risks = (0.5 / (2 * (noise + delta**2)), 0.0, 0.0, 0.0, 0.0)
+    risk = 0.5 / (2 * (noise + delta**2))
     stage = partial(RandomErrorMethods, ("sr_rsukf",), RandomErrorParameters(learn_s=10.0))
     cost = microseconds(
         {
-            "Kalman filter, model L": (lambda: LinearFilter(linear, None).process(reading), n),
+            "Kalman filter, model L": (lambda: LinearFilter(linear).process(reading), n),
             "strong-tracking filter, model L": (lambda: LinearFilter(linear, 1.0).process(reading), n),
-            "SR-UKF, 5 states": (lambda: SigmaPointFilter(model, (0.0,) * 5).process(reading), n),
-            "SR-RSUKF, 5 states": (lambda: SigmaPointFilter(model, risks).process(reading), n),
+            "SR-UKF, 5 states": (lambda: SigmaPointFilter(model).process(reading), n),
+            "SR-RSUKF, 5 states": (lambda: SigmaPointFilter(model, risk).process(reading), n),
             "stage, SR-RSUKF": (partial(over, stage, record, RATE_HZ), 3 * n),
         }
     )

@@ -15,7 +15,7 @@ from imumon.blocks import FloatArray, IntArray
 from imumon.estimation.gyro_bias.stage import RestAndBias
 from imumon.estimation.rest.parameters import GyroBiasParameters
 from imumon.filters.slots import SlotGatherer
-from imumon.papers.local_level import SLOT_S, ExponentialMean, RestMean, RestMeans, hold
+from imumon.papers.local_level import SLOT_S, ExponentialMean, RestMean, RestMeans
 from imumon.papers.shi_filters import LinearFilter, Model, SigmaPointFilter
 
 RATE_HZ = 100
@@ -83,11 +83,11 @@ def published(name: str, delta: float, record: Record) -> Output:
     variances = (VARIANCE / 100, VARIANCE / 100, 0.01, spread, spread)
     model = Model((start, start, 0.0, delta, 0.0), variances, VARIANCE)
     if name in ("STF", "KF"):
-        found = LinearFilter(model, 1.0 if name == "STF" else None).process(reading)
+        found = LinearFilter(model, 1.0 if name == "STF" else np.inf).process(reading)
         return Output(found.predicted, found.estimate, found.sd)
     risk = float(name.split()[1]) if " " in name else 0.0
     mu = risk / (2 * (VARIANCE + delta**2))
-    result = SigmaPointFilter(model, (mu, 0.0, 0.0, 0.0, 0.0)).process(reading)
+    result = SigmaPointFilter(model, mu).process(reading)
     return Output(result.predicted, result.estimate, result.sd)
 
 
@@ -108,7 +108,7 @@ def slow(name: str, rest: FloatArray, record: Record) -> Output:
     time_ns = np.rint(time_s * 1e9).astype(np.int64)
     means = means_of(time_ns, np.where(rest > 0, record.reading, np.nan))
     kind, seconds, _ = name.split()
-    mean = (hold if kind == "hold" else ExponentialMean)(float(seconds))
+    mean = ExponentialMean(np.inf, float(seconds)) if kind == "hold" else ExponentialMean(float(seconds))
     values = np.array([mean.step(new) for new in means])
     shown = np.append(np.nan, values)[np.minimum(time_ns // 1_000_000_000, len(values))]
     return Output(shown, shown, np.full(n, np.nan))

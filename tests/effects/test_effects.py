@@ -23,7 +23,7 @@ from imumon.effects.vibration import Vibration
 from imumon.lab.diagnosis.search import REFINEMENTS
 from imumon.models.predictor import Carrier
 
-SURVEY = Survey((7200.0, 7200.0), 30.0, 4, 19.6, 30.0, 3, 25.0, 15.0)
+SURVEY = Survey((7200.0, 7200.0), 30.0, 4, 19.6, 30.0, 3, Scale(25.0, 15.0))
 
 
 def run(n: int = 4000, seed: int = 0) -> Drive:
@@ -38,7 +38,7 @@ def run(n: int = 4000, seed: int = 0) -> Drive:
 
 def one_of_each() -> list[Effect]:
     """Return one effect of each family, with coefficients, and one of another driver where there can be."""
-    driven = replace(SURVEY, others={"supply_voltage": Scale(5.0, 0.1)})
+    driven = SURVEY._replace(others={"supply_voltage": Scale(5.0, 0.1)})
     found = []
     for family in EFFECTS.values():
         for effect in (*family.grid(SURVEY)[:1], *family.driven(driven, "supply_voltage")[:1]):
@@ -266,7 +266,7 @@ def test_a_spectrum_has_the_same_share_of_each_decade_however_wide_it_is() -> No
     np.testing.assert_allclose(columns[1:], np.log(1e4), rtol=1e-5)
 
 
-TEN_HOURS = replace(SURVEY, durations_s=(36_000.0, 7200.0), others={"supply_voltage": Scale(5.0, 0.1)})
+TEN_HOURS = SURVEY._replace(durations_s=(36_000.0, 7200.0), others={"supply_voltage": Scale(5.0, 0.1)})
 
 
 @pytest.mark.parametrize(
@@ -303,6 +303,6 @@ def test_the_start_of_a_lag_of_another_driver_stays_as_sure_as_it_was_declared()
 
 
 def test_what_the_runs_cannot_show_is_not_tried() -> None:
-    still = Survey((7200.0,), 0.5, 0, 0.0, 30.0, 3, 25.0, 0.25)
+    still = Survey((7200.0,), 0.5, 0, 0.0, 30.0, 3, Scale(25.0, 0.25))
     tried = {name for name, family in EFFECTS.items() if family.grid(still)}
     assert tried == {"warm_up", "stress_relaxation", "drift", "step", "periodic"}

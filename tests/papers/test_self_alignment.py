@@ -21,6 +21,7 @@ from imumon.papers.self_alignment import (
     gains,
 )
 
+METHODS = ("fixed_gain_loop", "total_average", "curve_fit")
 LATITUDE = math.radians(36.0)
 EARTH = earth_rate_along(np.array([0.0, 0.0, 1.0]), np.array([0.0, 1.0, 0.0]), LATITUDE)
 LEVEL = EARTH_RATE * math.cos(LATITUDE)
@@ -29,12 +30,11 @@ LEVEL = EARTH_RATE * math.cos(LATITUDE)
 def warming(seconds: float, rate_hz: float, tau: float = 300.0) -> FloatArray:
     """Return the means, (n, 3, 2), of a unit along east, north and up that warms up by 30 µg."""
     loop, h = Loop(np.eye(3), EARTH), 1.0 / rate_hz
-    gain = gains(h)
     found = []
     for k in range(1, round(seconds * rate_hz) + 1):
         error = 30 * MICRO_G * (1.0 - math.exp(-k * h / tau))
         force = np.array([error, error, STANDARD_GRAVITY])
-        loop.step(gain, EARTH, force)
+        loop.step(h, EARTH, force)
         found.append(loop.means)
     return np.array(found)
 
@@ -63,7 +63,7 @@ def test_total_average_and_curve_fit_keep_what_the_paper_states_they_keep() -> N
 @pytest.mark.parametrize("rate_hz", [1.0, 10.0, 200.0, 2000.0])
 def test_the_poles_of_the_sampled_loop_are_those_of_the_continuous_one(rate_hz: float) -> None:
     h, g = 1.0 / rate_hz, STANDARD_GRAVITY
-    _, decay, kb = gains(h)
+    decay, kb = gains(h)
     # v' = decay v + h g tilt, tilt' = tilt - h k_b v'
     sampled = np.array([[decay, h * g], [-h * kb * decay, 1.0 - h * h * kb * g]])
     poles = np.roots([1.0, 2.0 * DAMPING * CORNER, CORNER**2])
@@ -95,7 +95,7 @@ def at_rest(heading: float, seconds: float, rate_hz: int, up: FloatArray, seed: 
 @pytest.mark.parametrize("up", [[0.0, 0.0, -1.0], [0.02, -0.05, 1.0], [1.0, 0.03, 0.0]])
 def test_the_heading_of_a_unit_at_rest(heading_deg: float, up: list[float]) -> None:
     block = at_rest(math.radians(heading_deg), 120.0, 100, np.array(up) / np.linalg.norm(up), 1)
-    added = SelfAlignment(LATITUDE).process(block)
+    added = SelfAlignment(LATITUDE, METHODS).process(block)
     assert np.isnan(added["total_average_heading"][:2999]).all()
     # The gyros leave 1e-6/√9000 rad/s, 0.01° (the line 1.1 times that); the accelerometers as much: √(2 Hz)
     # of 0.5 µg/√Hz over 90 s.  Three sigma of both.
@@ -122,7 +122,7 @@ def test_motion_a_gap_and_a_restart_begin_anew(monkeypatch: pytest.MonkeyPatch) 
     x = block["gyro_x"].copy()
     x[1900:2050] = np.nan
     block = block.with_columns({"at_rest": rest, "segment": segment, "gyro_x": x})
-    whole = SelfAlignment(LATITUDE).process(block)
+    whole = SelfAlignment(LATITUDE, METHODS).process(block)
     heading = whole["total_average_heading"]
     assert np.isfinite(heading[600:1000]).all()
     assert np.isnan(heading[1007:1500]).all()

@@ -182,7 +182,7 @@ def test_columns_without_a_panel_have_a_tab(tmp_path: Path) -> None:
 @pytest.mark.parametrize("method", PUBLISHED)
 def test_every_published_method_is_drawn_in_a_tab_of_its_own(tmp_path: Path, method: PublishedMethod) -> None:
     plain = block(0, 50)
-    stages = published_stages(Setup(latitude_deg=45.0, published=[method]))
+    stages = published_stages(Setup(latitude_deg=45.0, published=[method]), None, ())
     for stage in stages:
         stage.process(plain)
     extra = {column.name: np.full(50, 1e-3) for stage in stages for column in stage.columns}

@@ -255,8 +255,7 @@ def survey(runs: Sequence[RunBlocks], temperatures: Iterable[str], degree: int) 
         accel_range=max((float(np.ptp(force, axis=0).max()) for force in forces), default=0.0),
         block_s=runs[0].block_s,
         degree=degree,
-        middle_degc=0.5 * (low + high),
-        half_span_degc=max(0.5 * (high - low), 1e-3),
+        scale=Scale(0.5 * (low + high), max(0.5 * (high - low), 1e-3)),
         others=others,
     )
 

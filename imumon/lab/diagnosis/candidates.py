@@ -125,8 +125,7 @@ def _late_curve(late: Effect, survey: Survey) -> tuple[Part, ...]:
     more = late.width - survey.degree
     if more <= 0:
         return (Part(late),)
-    middle, half_span = survey.middle_degc, survey.half_span_degc
-    powers = TemperatureCurve(middle=middle, half_span=half_span, first_power=survey.degree + 1, powers=more)
+    powers = TemperatureCurve(**survey.scale._asdict(), first_power=survey.degree + 1, powers=more)
     return Part(late), Part(powers)
 
 

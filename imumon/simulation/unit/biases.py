@@ -11,9 +11,10 @@ from imumon.effects.base import Drive, Effect, Memory
 from imumon.effects.since_power_on import RunOffset, WarmUp
 from imumon.effects.thermal_lag import Hysteresis
 from imumon.geodesy import DEG_PER_H, MICRO_G
-from imumon.simulation.unit.noise import GaussMarkov, RandomWalk, White, generator
-from imumon.simulation.unit.parameters import Curves, Effects, Polynomial, Term, UnitParameters
-from imumon.simulation.unit.thermal import Lags
+
+from .noise import GaussMarkov, RandomWalk, White, generator
+from .parameters import Curves, Effects, Polynomial, Term, UnitParameters
+from .thermal import Lags
 
 MG = 1e3 * MICRO_G
 """m/s²."""
@@ -44,14 +45,10 @@ class Bias:
     """Bias of the three axes of a sensor: curve over their temperature, effects, and slow random errors."""
 
     curves: Curves
-    scale: float
-    """Curve over temperature, and its unit in SI units."""
-    lags: Lags
-    """By which the sensors follow the temperature at them."""
-    effects: Sequence[Sequence[Effect]]
-    """Of each axis, in SI units."""
-    random: Sequence[Random]
-    """In SI units."""
+    scale: float  # curve over temperature, and its unit in SI units
+    lags: Lags  # by which the sensors follow the temperature at them
+    effects: Sequence[Sequence[Effect]]  # of each axis, in SI units
+    random: Sequence[Random]  # in SI units
 
     def __post_init__(self) -> None:
         self._carried = [[(effect, Memory()) for effect in axis] for axis in self.effects]
@@ -92,8 +89,8 @@ def gyro_bias(unit: UnitParameters, step_s: float, seed: int) -> Bias:
             effects[-1].append(effect.with_coefficients([height]))
     flicker = [(np.array(part.sd_deg_per_h) * DEG_PER_H, part.tau_s) for part in noise.flicker]
     walk = np.array(noise.random_walk_deg_per_h_per_sqrt_s) * DEG_PER_H
-    random = [*_flicker("gyro", flicker, step_s, seed)]
-    random.append(RandomWalk(walk, step_s, generator(seed, "gyro random walk")))
+    drift = RandomWalk(walk, step_s, generator(seed, "gyro random walk"))
+    random = [*_flicker("gyro", flicker, step_s, seed), drift]
     return Bias(unit.gyro_bias_deg_per_s, np.pi / 180, Lags(unit.gyro_lag_s), effects, random)
 
 

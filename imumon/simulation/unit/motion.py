@@ -12,7 +12,8 @@ from pydantic import Field, model_validator
 
 from imumon.blocks import BoolArray, ColumnArray, FloatArray
 from imumon.config import StrictModel
-from imumon.simulation.unit.parameters import NONE, Three
+
+from .parameters import NONE, Three
 
 EDGE_S = 2.0
 """How long it takes to get into motion and out of it, where a round of handling has room for that."""
@@ -27,12 +28,9 @@ class Movement:
     """Motion at n times."""
 
     angles: FloatArray
-    rates: FloatArray
-    """Roll, pitch, heading in rad, and their derivatives in rad/s, (n, 3)."""
-    acceleration: FloatArray
-    """North, east, down, in m/s², (n, 3)."""
-    moving: BoolArray
-    """False at rest, (n,); a fan shakes a unit that is at rest."""
+    rates: FloatArray  # roll, pitch, heading in rad, and their derivatives in rad/s, (n, 3)
+    acceleration: FloatArray  # north, east, down, in m/s², (n, 3)
+    moving: BoolArray  # False at rest, (n,); a fan shakes a unit that is at rest
 
 
 class _Timed(StrictModel):
@@ -45,19 +43,28 @@ class _Lasting(_Timed):
     duration_s: float = Field(gt=0.0)
 
 
-class Turn(_Lasting):
-    """A guided turn: the attitude changes by these angles, smoothly (minimum jerk), and stays there."""
+class Attitude(StrictModel):
+    """How the unit's forward-right-down axes stand to north-east-down (ZYX); for FLU y and z are turned."""
 
-    kind: Literal["turn"]
     roll_deg: float = 0.0
     pitch_deg: float = 0.0
     heading_deg: float = 0.0
 
+    @property
+    def angles(self) -> FloatArray:
+        """Roll, pitch, heading in rad, (3,)."""
+        return np.deg2rad([self.roll_deg, self.pitch_deg, self.heading_deg])
+
+
+class Turn(_Lasting, Attitude):
+    """A guided turn: the attitude changes by these angles, smoothly (minimum jerk), and stays there."""
+
+    kind: Literal["turn"]
+
     def _add(self, since_s: FloatArray, total: Movement) -> None:
-        angles = np.deg2rad([self.roll_deg, self.pitch_deg, self.heading_deg])
         way, speed, _ = _minimum_jerk(since_s, self.duration_s)
-        total.angles += np.outer(way, angles)
-        total.rates += np.outer(speed, angles)
+        total.angles += np.outer(way, self.angles)
+        total.rates += np.outer(speed, self.angles)
         total.moving |= _within(since_s, self.duration_s)
 
 
@@ -79,10 +86,8 @@ class Rotation(_Lasting):
 
 class _Shaking(_Timed):
     frequency_hz: float = Field(gt=0.0)
-    acceleration_m_per_s2: Three = NONE
-    """Amplitude north, east, down."""
-    tilt_deg: Three = NONE
-    """Amplitude of roll, pitch, heading."""
+    acceleration_m_per_s2: Three = NONE  # amplitude north, east, down
+    tilt_deg: Three = NONE  # amplitude of roll, pitch, heading
 
     def _shake(self, sine: ColumnArray, slope: ColumnArray, total: Movement) -> None:
         """Add an oscillation of amplitude 1 and its derivative (1/s), both of shape (n,)."""

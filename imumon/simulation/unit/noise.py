@@ -5,9 +5,9 @@ the others as they were.
 """
 
 import zlib
-from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from imumon.blocks import FloatArray
 from imumon.compiled import njit
@@ -21,7 +21,7 @@ def generator(seed: int, name: str) -> np.random.Generator:
 class White:
     """Independent normal values; `sd` is the standard deviation of a sample of each of k columns."""
 
-    def __init__(self, sd: Sequence[float] | FloatArray, random: np.random.Generator) -> None:
+    def __init__(self, sd: ArrayLike, random: np.random.Generator) -> None:
         self._sd, self._random = np.asarray(sd, np.float64), random
 
     def take(self, n: int) -> FloatArray:
@@ -36,19 +36,14 @@ class GaussMarkov:
     `tau_s`, `step_s`: correlation time, and time between samples.
     """
 
-    def __init__(
-        self, sd: Sequence[float] | FloatArray, tau_s: float, step_s: float, random: np.random.Generator
-    ) -> None:
-        self._sd = np.asarray(sd, np.float64)
-        self._random = random
-        self._decay = float(np.exp(-step_s / tau_s))
-        self._drive = float(np.sqrt(-np.expm1(-2.0 * step_s / tau_s)))
-        self._last = random.standard_normal(len(self._sd)) * self._sd
+    def __init__(self, sd: ArrayLike, tau_s: float, step_s: float, random: np.random.Generator) -> None:
+        self._decay = np.exp(-step_s / tau_s)
+        self._last = White(sd, random).take(1)[0]
+        self._drive = White(np.sqrt(-np.expm1(-2.0 * step_s / tau_s)) * np.asarray(sd), random)
 
     def take(self, n: int) -> FloatArray:
         """Return the next n values of each column, (n, k)."""
-        noise = self._random.standard_normal((n, len(self._sd))) * (self._drive * self._sd)
-        values = _first_order(noise, self._decay, self._last)
+        values = _first_order(self._drive.take(n), self._decay, self._last)
         self._last = values[-1]
         return values
 
@@ -71,11 +66,9 @@ class RandomWalk:
     `density` is the standard deviation after one second, of each of k columns.
     """
 
-    def __init__(
-        self, density: Sequence[float] | FloatArray, step_s: float, random: np.random.Generator
-    ) -> None:
-        self._steps = White(np.asarray(density, np.float64) * np.sqrt(step_s), random)
-        self._last = np.zeros(len(density))
+    def __init__(self, density: ArrayLike, step_s: float, random: np.random.Generator) -> None:
+        self._steps = White(np.asarray(density) * np.sqrt(step_s), random)
+        self._last = np.zeros(1)
 
     def take(self, n: int) -> FloatArray:
         """Return the next n values of each column, (n, k)."""

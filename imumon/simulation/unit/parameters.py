@@ -1,6 +1,6 @@
 """What a unit file holds: one inertial unit, its biases over temperature, its noise and its thermometers."""
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Generic, Literal, TypeVar
 
 from pydantic import BeforeValidator, Field
 
@@ -45,20 +45,21 @@ class Polynomial(StrictModel):
 Term = Annotated[Shape | Polynomial, Field(discriminator="kind")]
 
 
-class Curves(StrictModel):
-    """A bias over temperature for each axis, as a sum of terms; the key that holds it names the unit."""
-
-    x: list[Term] = Field(default_factory=list)
-    y: list[Term] = Field(default_factory=list)
-    z: list[Term] = Field(default_factory=list)
+Item = TypeVar("Item")
 
 
-class Effects(StrictModel):
-    """Effects of each axis as in a model file, with coefficients in the unit of the key that holds it."""
+class OfAxes(StrictModel, Generic[Item]):
+    """What each axis has; the key that holds it names the unit."""
 
-    x: list[AnyEffect] = Field(default_factory=list)
-    y: list[AnyEffect] = Field(default_factory=list)
-    z: list[AnyEffect] = Field(default_factory=list)
+    x: list[Item] = Field(default_factory=list)
+    y: list[Item] = Field(default_factory=list)
+    z: list[Item] = Field(default_factory=list)
+
+
+Curves = OfAxes[Term]
+"""A bias over temperature, as a sum of terms."""
+Effects = OfAxes[AnyEffect]
+"""Effects as in a model file."""
 
 
 class Hysteresis(StrictModel):

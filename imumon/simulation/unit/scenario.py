@@ -14,8 +14,9 @@ from imumon.config import StrictModel, load_yaml, parse_yaml
 from imumon.effects.base import ACCEL
 from imumon.errors import ImumonError, bad_config
 from imumon.files import bundled, read_text
-from imumon.simulation.unit.motion import Event
-from imumon.simulation.unit.parameters import Thermometer, UnitParameters
+
+from .motion import Attitude, Event
+from .parameters import Thermometer, UnitParameters
 
 FREE = {"pressure", "latitude", "longitude", "altitude"}
 """Known columns that a driver may be; the unit sends others itself."""
@@ -24,8 +25,7 @@ FREE = {"pressure", "latitude", "longitude", "altitude"}
 class _Based(StrictModel):
     """What is read from a file of its kind, and may name a base."""
 
-    kind: ClassVar[str]
-    """Its word in messages; with an s the folder of those that come along."""
+    kind: ClassVar[str]  # its word in messages; with an s the folder of those that come along
 
     base: str | None = None
 
@@ -81,14 +81,6 @@ class _Header(StrictModel, extra="ignore"):
     base: str | None = None
 
 
-class Attitude(StrictModel):
-    """How the unit's forward-right-down axes stand to north-east-down (ZYX); for FLU y and z are turned."""
-
-    roll_deg: float = 0.0
-    pitch_deg: float = 0.0
-    heading_deg: float = 0.0
-
-
 class Step(StrictModel):
     """One step of a chamber: to a temperature at a rate (where there is one), then hold."""
 
@@ -123,14 +115,11 @@ class ChamberLog(StrictModel):
 class Chamber(StrictModel):
     """The temperature around the unit; after the last step it stays."""
 
-    start_degc: float
-    """Temperature at power-on, of chamber and unit."""
+    start_degc: float  # at power-on, of chamber and unit
     steps: list[Step] = Field(default_factory=list)
     wobble: Wobble | None = None
-    lag_s: float = Field(default=0.0, ge=0.0)
-    """Time constant with which the unit follows the chamber, a first-order filter; 0: at once."""
-    log: ChamberLog | None = None
-    """What is logged of the chamber beside the unit."""
+    lag_s: float = Field(default=0.0, ge=0.0)  # time constant of the unit behind the chamber; 0: none
+    log: ChamberLog | None = None  # what is logged of the chamber beside the unit
 
 
 class Unit(UnitParameters, _Based):
@@ -144,10 +133,8 @@ class Course(StrictModel):
 
     unit: str
     at_s: list[float] = Field(min_length=1)
-    value: list[float] = Field(min_length=1)
-    """The corners, times since power-on increasing."""
-    noise: float = Field(default=0.0, ge=0.0)
-    """Standard deviation of a reading."""
+    value: list[float] = Field(min_length=1)  # the corners, times since power-on increasing
+    noise: float = Field(default=0.0, ge=0.0)  # standard deviation of a reading
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

@@ -7,9 +7,10 @@ import numpy as np
 from imumon.blocks import FloatArray
 from imumon.effects.base import Drive, Memory
 from imumon.effects.thermal_lag import ThermalLag
-from imumon.simulation.unit.noise import White, generator
-from imumon.simulation.unit.parameters import NONE, SelfHeating, Thermometer
-from imumon.simulation.unit.scenario import Chamber, Scenario
+
+from .noise import White, generator
+from .parameters import NONE, SelfHeating, Thermometer
+from .scenario import Chamber, Scenario
 
 
 def chamber_knots(chamber: Chamber) -> tuple[FloatArray, FloatArray]:
@@ -37,18 +38,17 @@ class Lags:
     """Temperatures behind first-order lags, from equilibrium at power-on; a time constant of 0 is none."""
 
     def __init__(self, time_constants_s: Sequence[float]) -> None:
-        self._lags = [
-            ThermalLag(time_constant_s=tau, middle=0.0, half_span=1.0) if tau else None
-            for tau in time_constants_s
-        ]
-        self._memories = [Memory() for _ in self._lags]
+        self._lags = {
+            at: (ThermalLag(time_constant_s=tau, middle=0.0, half_span=1.0), Memory())
+            for at, tau in enumerate(time_constants_s)
+            if tau
+        }
 
     def process(self, time_s: FloatArray, temperature_degc: FloatArray) -> FloatArray:
         """Return the lagging temperatures at the next times (n,); both of shape (n, k)."""
         out = temperature_degc.copy()
-        for at, (lag, memory) in enumerate(zip(self._lags, self._memories, strict=True)):
-            if lag is not None:
-                out[:, at] = lag.follow(memory, Drive(time_s, temperature_degc[:, at].copy()))
+        for at, (lag, memory) in self._lags.items():
+            out[:, at] = lag.follow(memory, Drive(time_s, temperature_degc[:, at].copy()))
         return out
 
 

@@ -8,13 +8,14 @@ from fractions import Fraction
 import numpy as np
 
 from imumon.blocks import ColumnArray, FloatArray, SampleBlock, join
-from imumon.columns import KNOWN, TEMPERATURES, BodyAxes, Column
+from imumon.columns import KNOWN, TEMPERATURES, BodyAxes, Column, vector_columns
 from imumon.geodesy import earth_rate_along, quaternions
-from imumon.simulation.unit.biases import accel_bias, gyro_bias
-from imumon.simulation.unit.motion import Movement, movement
-from imumon.simulation.unit.noise import White, generator
-from imumon.simulation.unit.scenario import Scenario
-from imumon.simulation.unit.thermal import SensorTemperature, Thermometers
+
+from .biases import accel_bias, gyro_bias
+from .motion import Movement, movement
+from .noise import White, generator
+from .scenario import Scenario
+from .thermal import SensorTemperature, Thermometers
 
 MICROSECOND = Fraction(1000)
 """ns."""
@@ -28,9 +29,9 @@ FRD_TO_FLU = np.diag([1.0, -1.0, -1.0])
 """Forward-right-down to forward-left-up."""
 
 TRUTH_COLUMNS: tuple[Column, ...] = (
-    *(Column(f"gyro_bias_{a}", "rad/s", description=f"total bias without white noise, {a}") for a in "xyz"),
-    *(Column(f"accel_bias_{a}", "m/s^2", description=f"total bias without white noise, {a}") for a in "xyz"),
-    *(Column(f"rate_{a}", "rad/s", description=f"true angular rate with the earth's, {a}") for a in "xyz"),
+    *vector_columns("gyro_bias", "rad/s", "total bias without white noise"),
+    *vector_columns("accel_bias", "m/s^2", "total bias without white noise"),
+    *vector_columns("rate", "rad/s", "true angular rate with the earth's"),
     *(KNOWN[name] for name in TEMPERATURES),
     Column("at_rest", "1", "int64", "1 at rest, 0 in motion"),
 )
@@ -50,10 +51,9 @@ class SimulatedUnit:
     """
 
     def __init__(self, scenario: Scenario, seed: int = 0, tick_ns: Fraction = MICROSECOND) -> None:
-        unit, rate, attitude = scenario.unit, scenario.rate_hz, scenario.attitude
+        unit, rate = scenario.unit, scenario.rate_hz
         self.scenario = scenario
         self._tick_ns = tick_ns
-        self._angles = np.deg2rad([attitude.roll_deg, attitude.pitch_deg, attitude.heading_deg])
         self._up = np.array([0.0, 0.0, -scenario.gravity_m_per_s2])
         north, _, down = np.eye(3)
         self._earth = earth_rate_along(-down, north, np.deg2rad(scenario.latitude_deg))
@@ -66,9 +66,9 @@ class SimulatedUnit:
         ]
         self._white = White(np.array(densities) * np.sqrt(rate), generator(seed, "white"))
         self._mag_noise = White([MAG_NOISE_UT] * 3, generator(seed, "magnetometer"))
-        self._drivers = scenario.drivers
-        sds = np.array([course.noise for course in scenario.drivers.values()])
-        self._driver_noise = White(sds, generator(seed, "drivers"))
+        self._driver_noise = White(
+            [course.noise for course in scenario.drivers.values()], generator(seed, "drivers")
+        )
         self._thermometers = Thermometers(unit.thermometer, 4, rate, seed)
         self._low_pass: LowPass | None = None
         self._left = self._chunk(0)
@@ -105,10 +105,11 @@ class SimulatedUnit:
         """Return what is sent of the next `CHUNK` samples, and the truth."""
         time_s = np.arange(first, first + CHUNK) / self.scenario.rate_hz
         temperature = self._temperature.process(time_s)
-        motion = movement(self.scenario.motion, self._angles, time_s)
+        motion = movement(self.scenario.motion, self.scenario.attitude.angles, time_s)
         rate, force, field = self._in_body(motion)
         others = {
-            name: np.interp(time_s, course.at_s, course.value) for name, course in self._drivers.items()
+            name: np.interp(time_s, course.at_s, course.value)
+            for name, course in self.scenario.drivers.items()
         }
         drive = time_s, temperature, force, others
         gyro_bias, accel_bias = self._gyro_bias.process(*drive), self._accel_bias.process(*drive)

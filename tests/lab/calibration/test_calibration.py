@@ -17,6 +17,7 @@ from imumon.lab.calibration.calibration import Calibration, calibrate
 from imumon.lab.calibration.cells import channel_of, group, levels, record_of
 from imumon.models.curves.points import folds
 from imumon.models.curves.polynomial import fit_polynomial
+from imumon.protocols.ranges import Ranges
 from tests.lab.calibration.records import DEG_H, GRAVITY, record, samples, soak, true_bias, true_slope
 
 GYROS, ACCELS = ([f"{sensor}_{axis}" for axis in "xyz"] for sensor in ("gyro", "accel"))
@@ -272,7 +273,7 @@ def test_what_cannot_give_a_model_is_refused_with_its_numbers(
     block = samples(temperature)
     block = SampleBlock({**block.columns, **{k: np.full(len(block), v) for k, v in change.items()}})
     with pytest.raises(ImumonError) as caught:
-        calibrate([record_of([Intake().process(block).block], "bench", "0" * 64)])
+        calibrate([record_of([Intake(Ranges()).process(block).block], "bench", "0" * 64)])
     assert caught.value.reason is Reason.BAD_DATA
     assert said in caught.value.seen
     assert caught.value.hint

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from imumon.effects.base import Drive, Memory, Survey
+from imumon.effects.base import Drive, Memory, Scale, Survey
 from imumon.effects.library import EFFECTS
 from imumon.simulation.unit import SimulatedUnit
 from tests.simulation.unit.scenarios import scenario
 
-SURVEY = Survey((7200.0, 7200.0), 30.0, 4, 19.6, 1.0, 3, 25.0, 15.0)
+SURVEY = Survey((7200.0, 7200.0), 30.0, 4, 19.6, 1.0, 3, Scale(25.0, 15.0))
 CHAMBER = {"start_degc": 20, "steps": [{"to_degc": 30, "rate_degc_per_min": 10, "hold_s": 60}]}
 ROLLED = {"kind": "turn", "at_s": 30, "duration_s": 5, "roll_deg": 60}
 DEG_PER_H, UG = np.pi / 180 / 3600, 9.80665e-6
