@@ -158,8 +158,8 @@ def print_listing(as_json: bool, data: Mapping[str, Any], lines: Iterable[str]) 
             show(line)
 
 
-def split_columns(text: str | None) -> list[str] | None:
-    """Split ``a,b,c``; None stays None.
+def split_columns(text: str | None, option: str = "--columns") -> list[str] | None:
+    """Split the ``a,b,c`` of an option; None stays None.
 
     Raises BAD_CONFIG when a name is empty or there twice.
     """
@@ -167,7 +167,7 @@ def split_columns(text: str | None) -> list[str] | None:
         return None
     names = [name.strip() for name in text.split(",")]
     if not all(names) or len(set(names)) < len(names):
-        raise bad_config(f"--columns {text!r}: a name is empty or there twice")
+        raise bad_config(f"{option} {text!r}: a name is empty or there twice")
     return names
 
 

@@ -1,19 +1,17 @@
 """The line to a device: finds it, sends requests, finds answers among the data, measures what it sends."""
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
-import numpy as np
-
-from imumon.configure.core import CommandError, Family, Refusal, Request
 from imumon.errors import ImumonError, Reason
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.numbers import is_missing
 from imumon.transport.detect import Evidence, Verdict, detect, failure
 from imumon.transport.port import Port, open_port
-from imumon.transport.settings import PortSettings
+
+from .core import Answer, CommandError, Family, Message, Request
 
 TRIES = 3
 """A request and two repetitions: a byte may be lost on the line, and one that is lost thrice is no chance."""
@@ -46,9 +44,8 @@ class CommandLink:
     `port` is owned from now on; `streaming`: whether the device sent data when it was found.
     """
 
-    def __init__(self, port: Port, family: Family, streaming: bool) -> None:
-        self.port, self.streaming = port, streaming
-        self._family = family
+    def __init__(self, port: Port, family: Family) -> None:
+        self.port, self.family, self.streaming = port, family, False
         self.sent: list[tuple[Request, bool | None]] = []
         """What went over the line, and whether it was answered; None where devices do not answer."""
 
@@ -64,26 +61,25 @@ class CommandLink:
                 self.sent.append((request, None))
                 self.discard(request.timeout_s)
                 return b""
-            answer = self._answer(request)
+            answer = self._answer(request.answer, request.timeout_s)
             self.sent.append((request, answer is not None))
-            if answer is not None and number:
+            if answer is None:
+                continue
+            if number:
                 self.discard(LATE_S)
-            if isinstance(answer, Refusal):
-                raise CommandError(request, answer.why, refused=True)
-            if answer is not None:
-                return answer
-        times = f", queried {tries} times" if tries > 1 else ""
-        raise CommandError(request, f"no answer within {request.timeout_s:g} s{times}", refused=False)
+            if isinstance(answer, str):
+                raise CommandError(request, answer, refused=True)
+            return answer
+        why = f"no answer within {request.timeout_s:g} s, queried {tries} times"
+        raise CommandError(request, why, refused=False)
 
-    def _answer(self, request: Request) -> bytes | Refusal | None:
-        assert request.answer is not None
+    def _answer(self, find: Callable[[Message], Answer], timeout_s: float) -> Answer:
         held = b""
-        for data in self._arriving(request.timeout_s):
-            messages, done = self._family.messages(held + data)
+        for data in self._arriving(timeout_s):
+            messages, done = self.family.messages(held + data)
             held = (held + data)[done:]
             for message in messages:
-                answer = request.answer(message)
-                if answer is not None:
+                if (answer := find(message)) is not None:
                     return answer
         return None
 
@@ -101,42 +97,38 @@ class CommandLink:
         """Take what has come, and what comes within so many seconds; return how many bytes that was."""
         return sum(map(len, self._arriving(seconds)))
 
-    def answers_at(self, baudrate: int | None, seconds: float) -> bool:
+    def answers_at(self, baudrate: int, seconds: float) -> bool:
         """Return whether the device answers at a rate, asking for so many seconds."""
-        if baudrate is not None and self.port.settings.baudrate != baudrate:
-            self.port.set_baudrate(baudrate)
+        self.port.set_baudrate(baudrate)
         end = time.monotonic() + seconds
         while True:
             try:
-                self.ask(self._family.hello, tries=1)
+                self.ask(self.family.hello, tries=1)
+                return True
             except CommandError as error:
-                if not error.refused and time.monotonic() < end:
-                    continue
-                return error.refused
-            return True
+                if error.refused or time.monotonic() >= end:
+                    return error.refused
 
 
 @dataclass(frozen=True, slots=True)
 class Stream:
-    """What a device sent within a time."""
+    """What a device sent within a time: the columns with values, and why the numbers fit no estimate.
+
+    Number and rate of samples are of the first of `MAIN_COLUMNS` that came; no rate when they were too few.
+    """
 
     seconds: float
-    """Time listened."""
     columns: tuple[str, ...]
-    """Columns with values."""
     samples: int
-    """Of the first of `MAIN_COLUMNS` that came."""
     rate_hz: float | None
-    """Their rate; None when they were too few for a rate."""
     warnings: tuple[str, ...]
-    """Why the numbers are not fit for an estimate, as the decoder has it."""
 
     def problem(self, wanted: Sequence[str], rate_hz: float | None) -> str:
         """Return why these are not the columns and the rate that were requested; empty when they are."""
-        missing = [name for name in wanted if name not in self.columns] if self.columns else ["no data"]
-        if missing:
-            come = "did not come" if self.columns else "came"
-            return f"{', '.join(missing)} {come} within {self.seconds:.1f} s"
+        if not self.columns:
+            return f"no data came within {self.seconds:.1f} s"
+        if missing := [name for name in wanted if name not in self.columns]:
+            return f"{', '.join(missing)} did not come within {self.seconds:.1f} s"
         due = (rate_hz or 0.0) * (1 - TOLERANCE) * self.seconds
         if self.samples and self.rate_hz is None and due >= FEWEST:
             return f"{self.samples} samples came within {self.seconds:.1f} s, not at {rate_hz:.6g} Hz"
@@ -147,22 +139,20 @@ class Stream:
 
 def measure(link: CommandLink, device: DeviceFile, rate_hz: float | None) -> Stream:
     """Listen to a device and return what it sends; raises LOST when the port failed."""
-    decoder, times = device.decoder(), dict[str, list[np.ndarray]]()
+    decoder = device.decoder()
     seconds = max(min(max(PACKETS / rate_hz, LEAST_S), MOST_S), PERIODS / rate_hz) if rate_hz else LEAST_S
     link.discard(SETTLE_S)
     start = time.monotonic()
     while (left := start + seconds - time.monotonic()) > 0:
-        decoder.feed(link.port.read(min(left, 0.05)), time.time_ns())
-        block = decoder.take()
-        for name, values in block.columns.items():
-            if name != "arrival_time_ns":
-                times.setdefault(name, []).append(block["arrival_time_ns"][~is_missing(values)])
-    received = {name: np.concatenate(parts) for name, parts in times.items()}
-    columns = tuple(name for name, arrivals in received.items() if len(arrivals))
-    main = next((received[name] for name in MAIN_COLUMNS if name in columns), np.zeros(0, np.int64))
-    after = main[main > main[0]] if len(main) else main  # the first may have waited together
+        decoder.feed(link.port.read(min(left, POLL_S)), time.time_ns())
+    columns = dict(decoder.take().columns)
+    arrivals_ns = columns.pop("arrival_time_ns")
+    there = {name: ~is_missing(values) for name, values in columns.items()}
+    received = {name: arrivals_ns[known] for name, known in there.items() if known.any()}
+    main = next((received[name] for name in MAIN_COLUMNS if name in received), arrivals_ns[:0])
+    after = main[main > main[:1]]  # the first may have waited together
     rate = len(after) * 1e9 / float(after[-1] - main[0]) if len(after) >= 2 else None
-    return Stream(seconds, columns, len(main), rate, tuple(decoder.warnings()))
+    return Stream(seconds, tuple(received), len(main), rate, tuple(decoder.warnings()))
 
 
 def connect(url: str, device: DeviceFile, family: Family, baudrate: int | None) -> CommandLink:
@@ -174,13 +164,21 @@ def connect(url: str, device: DeviceFile, family: Family, baudrate: int | None) 
     candidates = {device.name: device.decoder}
     evidence = detect(url, candidates, device.serial.baudrates, HEAR_S) if baudrate is None else []
     rates = [baudrate] if baudrate is not None else _rates_received(url, device, evidence)
-    link = CommandLink(open_port(device.port_settings(url, rates[0])), family, streaming=False)
+    link = CommandLink(open_port(device.port_settings(url, rates[0])), family)
     try:
         link.streaming = any(item.packets for item in evidence) or link.discard(HEAR_S) > 0
         for rate in rates:
             if link.answers_at(rate, 1.0 if len(rates) == 1 else 0.0):
                 return link
-        raise _mute(link, device, rates)
+        port = link.port.settings
+        where = f"{port} sends, but" if link.streaming else f"{port.url}: no data, and"
+        raise ImumonError(
+            Reason.SILENT,
+            f"{where} no {device.name} device answers (queried at {', '.join(map(str, rates))} baud)",
+            "is the line to the device (TX of the adapter) connected, does it take commands on this port?"
+            if link.streaming
+            else "check power, wiring (RX and TX swapped?) and the rate (--at)",
+        )
     except BaseException:
         with suppress(ImumonError):
             for request in family.resume if family.hello_quiets and link.streaming else ():
@@ -195,22 +193,11 @@ def _rates_received(url: str, device: DeviceFile, evidence: list[Evidence]) -> l
     if best.verdict not in (Verdict.NOTHING, Verdict.SILENT):
         return [best.baudrate or device.serial.baudrates[0]]
     if not any(item.bytes_received for item in evidence):
-        return list(device.serial.baudrates) if PortSettings(url).has_line else [device.serial.baudrates[0]]
+        return list(device.serial.baudrates)
     wrong = failure(url, evidence)
     assert wrong is not None
     raise ImumonError(
         Reason.WRONG_BAUD,
         f"{wrong.seen}: this is no {device.name} device, or it talks at none of its usual rates",
         f"nothing was sent.  imumon detect {url} reports what it is; --at sets the rate",
-    )
-
-
-def _mute(link: CommandLink, device: DeviceFile, rates: list[int]) -> ImumonError:
-    port = f"{link.port.settings} sends, but" if link.streaming else f"{link.port.settings.url}: no data, and"
-    return ImumonError(
-        Reason.SILENT,
-        f"{port} no {device.name} device answers (queried at {', '.join(map(str, rates))} baud)",
-        "is the line to the device (TX of the adapter) connected, does it take commands on this port?"
-        if link.streaming
-        else "check power, wiring (RX and TX swapped?) and the rate (--at)",
     )

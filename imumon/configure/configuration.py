@@ -1,16 +1,17 @@
 """Configuring a device: read, plan, write, read back, listen, save; and back as it was if anything fails."""
 
 import signal
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from imumon.configure.command_link import HEAR_S, CommandLink, Stream, measure
-from imumon.configure.core import BAUD, CommandError, Family, Request, Wish
 from imumon.errors import ImumonError, Reason, bad_config, bad_data
 from imumon.protocols.device import DeviceFile
 from imumon.transport.settings import PortSettings
+
+from .command_link import HEAR_S, CommandLink, Stream, measure
+from .core import BAUD, CommandError, Family, Request, Values, Wish
 
 WAKE_S = 2.0
 """How long a device is queried at a new baud rate; the slowest to change that is known waits 0.25 s."""
@@ -18,7 +19,11 @@ WAKE_S = 2.0
 
 @dataclass
 class Report:
-    """What was found, planned, sent and achieved; it grows as the work goes on."""
+    """What was found, planned, sent and achieved; it grows as the work goes on.
+
+    `sent` is as `CommandLink.sent`; `result` planned, read, unchanged, done, or failed; `flash_begun`:
+    whether anything was sent that writes into flash.
+    """
 
     device: str
     port: str
@@ -29,14 +34,11 @@ class Report:
     after: dict[str, str] = field(default_factory=dict)
     plan: list[Request] = field(default_factory=list)
     sent: list[tuple[Request, bool | None]] = field(default_factory=list)
-    """As `CommandLink.sent`."""
     warnings: list[str] = field(default_factory=list)
     stream: Stream | None = None
     result: str = "failed"
-    """planned, read, unchanged, done, or failed."""
     saved: bool = False
     flash_begun: bool = False
-    """Whether anything was sent that writes into flash."""
     restored: list[str] = field(default_factory=list)
     not_restored: list[str] = field(default_factory=list)
 
@@ -51,10 +53,10 @@ class Report:
         }
 
 
-def planned(family: Family, wish: Wish, now: int) -> list[Request]:
-    """Return all that would be sent, in order; raises BAD_CONFIG when it depends on what a device sends now.
+def planned(family: Family, wish: Wish, line: PortSettings) -> list[Request]:
+    """Return all that would be sent, in order, to a device on a line as it is now.
 
-    `now`: the baud rate of the device.
+    Raises BAD_CONFIG when that depends on what the device sends now, and as `check_load`.
     """
     if (wish.rate_hz is None) != (wish.outputs is None):
         raise bad_config(
@@ -62,21 +64,24 @@ def planned(family: Family, wish: Wish, now: int) -> list[Request]:
             "give both --rate and --outputs, or leave --dry-run out and --save too: flash stays as it is",
         )
     values = family.wanted({}, wish)
-    names = _in_order(values, wish, now)
+    if wish.rate_hz is not None:
+        check_load(family, values, line, wish)
+    names = _in_order(values, wish, line.baudrate)
     found = [family.hello, *family.quiet, *family.questions, *map(family.read, family.settings)]
     found += [request for name in names for request in family.write(name, values[name])]
     found += [*map(family.read, names), *family.resume]
-    return [*found, *(family.save(names) if wish.save and names else ())]
+    return [*found, *family.save(names)] if wish.save else found
 
 
 def _in_order(names: Iterable[str], wish: Wish, now: int) -> list[str]:
     """Return settings in the order of changing: a faster line before more data, a slower one after less."""
-    faster = wish.baudrate is not None and wish.baudrate > now
+    faster = (wish.baudrate or 0) > now
     return sorted(names, key=lambda name: name != BAUD) if faster else list(names)
 
 
-def check_load(family: Family, values: Mapping[str, bytes], line: PortSettings) -> None:
-    """Raise BAD_CONFIG when the settings send more than the line carries."""
+def check_load(family: Family, values: Values, line: PortSettings, wish: Wish) -> None:
+    """Raise BAD_CONFIG when the settings send more than the line carries at its new baud rate."""
+    line = replace(line, baudrate=wish.baudrate or line.baudrate)
     needed, there = family.bytes_per_s(values), line.capacity_bytes_per_s
     if there is not None and needed > there:
         raise bad_config(
@@ -94,12 +99,11 @@ class Configuration:
     def __init__(
         self,
         link: CommandLink,
-        family: Family,
         device: DeviceFile,
         report: Report,
         progress: Callable[[str], None] = lambda _: None,
     ) -> None:
-        self._link, self._family, self._device = link, family, device
+        self._link, self._family, self._device = link, link.family, device
         self._report, self._progress = report, progress
         report.sent = link.sent
         self._present: dict[str, bytes] = {}
@@ -119,8 +123,13 @@ class Configuration:
         try:
             changes = self._prepare(wish)
             self._carry_out(changes, wish)
-            if wish.save:
-                self._save()
+            if wish.save:  # also where it was so already
+                self._saving = tuple(self._wanted)
+                for request in self._family.save(self._saving):
+                    self._report.flash_begun = True
+                    self._show(request)
+                    self._link.ask(request)
+                self._report.saved = True
         except BaseException as error:
             with _uninterrupted():
                 self._restore()
@@ -130,22 +139,21 @@ class Configuration:
 
     def _prepare(self, wish: Wish) -> dict[str, bytes]:
         """Read the device and return which settings are to change, in order; nothing is written yet."""
-        if self._link.port.shared_with:
-            others = ", ".join(self._link.port.shared_with)
-            self._report.warnings.append(f"{others} reads this port, too: answers may go there")
-        self._try_each(self._family.quiet)
-        self._family.learn(self._link.ask)
-        self._present = {name: self._link.ask(self._family.read(name)) for name in self._family.settings}
-        report, family = self._report, self._family
+        link, report, family = self._link, self._report, self._family
+        if link.port.shared_with:
+            others = ", ".join(link.port.shared_with)
+            report.warnings.append(f"{others} reads this port, too: answers may go there")
+        self._try_each(family.quiet)
+        family.learn(link.ask)
+        self._present = {name: link.ask(family.read(name)) for name in family.settings}
         report.identity = family.identity
         report.before = {name: family.describe(name, value) for name, value in self._present.items()}
         self._wanted = wanted = family.wanted(self._present, wish)
-        after = {**self._present, **wanted}
+        after = self._present | wanted
         report.after = {name: family.describe(name, value) for name, value in after.items()}
-        line = self._link.port.settings
+        line = link.port.settings
         if wanted:
-            faster = replace(line, baudrate=wish.baudrate or line.baudrate)
-            check_load(family, after, faster)
+            check_load(family, after, line, wish)
         changes = {
             name: wanted[name]
             for name in _in_order(wanted, wish, line.baudrate)
@@ -164,28 +172,32 @@ class Configuration:
             )
         return changes
 
-    def _carry_out(self, changes: Mapping[str, bytes], wish: Wish) -> None:
+    def _carry_out(self, changes: dict[str, bytes], wish: Wish) -> None:
         """Write what changes, read it back, and listen to what comes."""
-        for request in self._report.plan:
-            self._progress(f"  {request.shown}\n      {request.meaning}")
+        report, family = self._report, self._family
+        for request in report.plan:
+            self._show(request)
         for name, value in changes.items():
             self._begun.append(name)
-            self._report.flash_begun |= self._family.stores_at_once
+            report.flash_begun |= family.stores_at_once
             self._apply(name, value)
-        self._try_each(self._family.resume)
-        self._report.result = "done" if changes else "read" if wish.only_reads else "unchanged"
+        self._try_each(family.resume)
+        report.result = "done" if changes else "read" if wish.only_reads else "unchanged"
         if not changes:
             return
-        rate = self._family.rate_hz({**self._present, **changes})
-        wanted = [self._family.columns[name] for name in wish.outputs or ()]
-        self._report.stream = stream = measure(self._link, self._device, rate)
-        self._report.warnings += stream.warnings
+        rate = family.rate_hz(self._present | changes)
+        wanted = [family.columns[name] for name in wish.outputs or ()]
+        report.stream = stream = measure(self._link, self._device, rate)
+        report.warnings += stream.warnings
         if problem := stream.problem(wanted, rate):
             raise ImumonError(
                 Reason.REFUSED,
                 f"the device takes the settings and reads them back, but {problem}",
-                self._family.silent_hint if not stream.columns else "",
+                "" if stream.columns else "the output may go to another port of the device",
             )
+
+    def _show(self, request: Request) -> None:
+        self._progress(f"  {request.shown}\n      {request.meaning}")
 
     def _apply(self, name: str, value: bytes) -> None:
         """Write a setting and prove that it reads back."""
@@ -215,15 +227,6 @@ class Configuration:
             raise CommandError(requests[0], f"no answer at {new} baud", refused=False)
         self._try_each(self._family.quiet)
 
-    def _save(self) -> None:
-        """Write into flash what was requested, also where it was so already."""
-        self._saving = tuple(self._wanted)
-        for request in self._family.save(self._saving) if self._saving else ():
-            self._report.flash_begun = True
-            self._progress(f"  {request.shown}\n      {request.meaning}")
-            self._link.ask(request)
-        self._report.saved = bool(self._saving)
-
     def _restore(self) -> None:
         """Put back what was begun, the last first, and let the data come again if they came before."""
         self._report.result = "failed"
@@ -242,13 +245,10 @@ class Configuration:
                 silent = False
         except (CommandError, ImumonError) as error:
             self._report.not_restored += map(self._shown, left)
-            self._report.not_restored += ["sending of data: on"] if silent and self._hears_nothing() else []
+            with suppress(ImumonError):
+                silent = silent and not self._link.discard(HEAR_S)
+            self._report.not_restored += ["sending of data: on"] if silent else []
             self._report.warnings.append(f"putting back stopped: {error}".splitlines()[0])
-
-    def _hears_nothing(self) -> bool:
-        with suppress(ImumonError):
-            return not self._link.discard(HEAR_S)
-        return True
 
     def _put_back(self, name: str) -> None:
         """Put a setting back; one that the device refuses does not keep the others from it."""
@@ -288,11 +288,10 @@ class Configuration:
 @contextmanager
 def _uninterrupted() -> Iterator[None]:
     """Hold off Ctrl-C while a device is put back as it was."""
-    numbers = [one for one in signal.Signals if one.name in ("SIGINT", "SIGTERM", "SIGHUP")]
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
     before = {number: signal.signal(number, signal.SIG_IGN) for number in numbers}
     try:
         yield
     finally:
         for number, handler in before.items():
-            with suppress(TypeError):  # a handler that was not set from Python
-                signal.signal(number, handler)
+            signal.signal(number, handler)

@@ -5,13 +5,24 @@ from typing import TYPE_CHECKING
 
 import click
 
-from imumon.cli.common import Number, Whole, device_help, json_option, log, note, print_json, print_rows, warn
+from imumon.cli.common import (
+    Number,
+    Whole,
+    device_help,
+    json_option,
+    log,
+    note,
+    print_json,
+    print_rows,
+    split_columns,
+    warn,
+)
 from imumon.cli.live_run import ending_signals
 from imumon.errors import bad_config
 
 if TYPE_CHECKING:
-    from imumon.configure.configuration import Report
-    from imumon.configure.core import Family, Wish
+    from .configuration import Report
+    from .core import Family
 
 
 @click.command("configure")
@@ -53,56 +64,43 @@ def command(
     fails, or Ctrl-C ends it, the device gets its old settings back.  For xsens, microstrain, vectornav and
     witmotion.
     """
-    from imumon.configure.configuration import Report
-    from imumon.configure.core import Wish, family_of
     from imumon.protocols.device import load_device
+
+    from .command_link import connect
+    from .configuration import Configuration, Report, planned
+    from .core import Wish, family_of
 
     described = load_device(device)
     family = family_of(described)
-    names = None if outputs is None else tuple(dict.fromkeys(map(str.strip, outputs.split(","))))
-    if names and "" in names:
-        raise bad_config(f"--outputs {outputs!r}: a name is empty")
-    wish = Wish(rate, names, baud, save)
+    wish = Wish(rate, split_columns(outputs, "--outputs"), baud, save)
     family.check(wish)
     if save and wish.only_reads:
         raise bad_config("--save, but nothing to save", "give --rate, --outputs or --baud")
+    line = described.port_settings(port, at)
+    if baud is not None and not line.has_line:
+        raise bad_config(f"{port} has no line with a baud rate", "leave --baud out")
     report = Report(described.name, port, verified=family.verified)
     if dry_run:
-        _plan(family, wish, at or described.serial.baudrates[0], report)
+        report.plan = planned(family, wish, line)
+        report.assumed, report.result = family.assumed, "planned"
         print_json(report.as_dict()) if as_json else _show_plan(report)
         return
-    from imumon.configure.command_link import connect
-    from imumon.configure.configuration import Configuration
-    from imumon.transport.settings import PortSettings
-
-    if baud is not None and not PortSettings(port).has_line:
-        raise bad_config(f"{port} has no line with a baud rate", "leave --baud out")
     for number in ending_signals():
         signal.signal(number, signal.default_int_handler)
     link = connect(port, described, family, at)
     log("INFO", f"{family.title} answers on {link.port.settings}")
     try:
-        Configuration(link, family, described, report, note).run(wish)
+        Configuration(link, described, report, note).run(wish)
     finally:
         link.port.close()
         if as_json:
             print_json(report.as_dict())
         _show(report, family, str(link.port.settings))
-    now = link.port.settings.baudrate
-    again = f" --baud {now}" if now != described.serial.baudrates[0] and link.port.settings.has_line else ""
+    now = link.port.settings
+    again = (
+        f" --baud {now.baudrate}" if now.has_line and now.baudrate != described.serial.baudrates[0] else ""
+    )
     note(f"to watch it: imumon monitor {port} --device {device}{again}")
-
-
-def _plan(family: "Family", wish: "Wish", now: int, report: "Report") -> None:
-    """Work out what would be sent."""
-    from imumon.configure.configuration import check_load, planned
-    from imumon.transport.settings import PortSettings
-
-    report.plan = planned(family, wish, now)
-    report.assumed, report.result = family.assumed, "planned"
-    if wish.rate_hz is not None:
-        line = PortSettings(report.port, wish.baudrate or now)
-        check_load(family, family.wanted({}, wish), line)
 
 
 def _show_plan(report: "Report") -> None:
@@ -112,15 +110,13 @@ def _show_plan(report: "Report") -> None:
     for text in report.assumed:
         click.echo(f"assumed: {text}")
     click.echo(f"commands checked against: {report.verified}")
-    warn(report.warnings)
     note("dry run: nothing was sent, and the port was not opened")
 
 
 def _show(report: "Report", family: "Family", line: str) -> None:
-    """Show what was found, and what became of it."""
     rows = {"device": " ".join((family.title, *report.identity)), "line": line}
     for name, text in report.before.items():
-        new = report.after.get(name, text) if report.result == "done" else text
+        new = report.after[name] if report.result == "done" else text
         rows[name] = text if new == text else f"{new}, was: {text}"
     if report.stream is not None:
         rate = f"{report.stream.rate_hz:.4g} Hz" if report.stream.rate_hz else "too slow to be measured"
@@ -128,7 +124,17 @@ def _show(report: "Report", family: "Family", line: str) -> None:
     print_rows(rows)
     warn(report.warnings)
     if report.result == "failed":
-        _show_restored(report)
+        for text in report.restored:
+            log("INFO", f"put back: {text}")
+        for text in report.not_restored:
+            log("ERROR", f"NOT put back: {text}")
+        if report.not_restored and report.flash_begun:
+            log("ERROR", "flash may hold the new settings: configure again when the device answers")
+        elif report.not_restored:
+            hint = "switch the device off and on, and it has its settings of before"
+            log("ERROR", f"flash was not written: {hint}")
+        elif not report.restored:
+            log("INFO", "no setting was changed")
         return
     if report.result == "unchanged":
         log("INFO", "the device is set like this already")
@@ -138,16 +144,3 @@ def _show(report: "Report", family: "Family", line: str) -> None:
         log("INFO", f"saved: the settings survive power-off{sure}")
     elif report.result == "done":
         log("INFO", "not saved: the settings are lost at power-off (--save writes flash)")
-
-
-def _show_restored(report: "Report") -> None:
-    for text in report.restored:
-        log("INFO", f"put back: {text}")
-    for text in report.not_restored:
-        log("ERROR", f"NOT put back: {text}")
-    if report.not_restored and report.flash_begun:
-        log("ERROR", "flash may hold the new settings: configure again when the device answers")
-    elif report.not_restored:
-        log("ERROR", "flash was not written: switch the device off and on, and it has its settings of before")
-    elif not report.restored:
-        log("INFO", "no setting was changed")

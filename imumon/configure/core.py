@@ -6,30 +6,28 @@ answers are distinguished from data.  `imumon.configure.configuration` sends.
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pkgutil import resolve_name
 from typing import NamedTuple
 
 import numpy as np
 
-from imumon.configure import WING
 from imumon.errors import ImumonError, bad_config
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.framing import Frame, search
 
-OUTPUTS = {
-    "inertial": "angular rate and specific force, corrected as little as the device has them",
-    "increments": "rotation and velocity over the sample",
-    "magnetometer": "magnetic field",
-    "temperature": "temperature of the sensors",
-    "pressure": "air pressure",
-    "attitude": "attitude of the device's own filter",
-    "status": "status word of the device",
+from . import WING
+
+USUAL_COLUMNS = {
+    "inertial": "gyro_x",
+    "increments": "delta_velocity_x",
+    "magnetometer": "mag_x",
+    "temperature": "temperature",
+    "pressure": "pressure",
+    "attitude": "q_w",
+    "status": "status",
 }
-"""What can be requested, whatever the family; the time or counter of the sample comes with it."""
-_FIRST = ("gyro_x", "delta_velocity_x", "mag_x", "temperature", "pressure", "q_w", "status")
-USUAL_COLUMNS = dict(zip(OUTPUTS, _FIRST, strict=True))
-"""For each output a column that must come, in most families."""
+"""What can be requested, whatever the family, and a column that must come then, in most families."""
 
 BAUD = "baud rate"
 """Name of the setting that changes the line itself."""
@@ -50,28 +48,21 @@ class Message(NamedTuple):
     payload: bytes
 
 
-class Refusal(NamedTuple):
-    """Why the device refuses."""
-
-    why: str
-
-
-Answer = bytes | Refusal | None
-"""What a message answers to a request; None when it is not the answer."""
+Answer = bytes | str | None
+"""What a message answers to a request: a value, or in words why it is refused; None when it is no answer."""
 
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """Something to send."""
+    """Something to send: what it means in words, and the bytes that go over the line.
+
+    `answer` finds the answer, for which `timeout_s` is waited; None when the device does not answer to it.
+    """
 
     meaning: str
-    """In words."""
     frame: bytes
-    """As it goes over the line."""
     answer: Callable[[Message], Answer] | None
-    """Finds the answer; None when the device does not answer to it."""
     timeout_s: float = ANSWER_S
-    """How long to wait for the answer."""
 
     @property
     def shown(self) -> str:
@@ -111,37 +102,38 @@ def known(ask: Ask, question: Request) -> bytes | None:
 
 @dataclass(frozen=True, slots=True)
 class Wish:
-    """What a user requested; None: as it is."""
+    """What a user requested, None: as it is; and whether it is written into flash."""
 
     rate_hz: float | None = None
-    outputs: tuple[str, ...] | None = None
+    outputs: Sequence[str] | None = None
     baudrate: int | None = None
     save: bool = False
-    """Whether it is written into flash."""
 
     @property
     def only_reads(self) -> bool:
         """Whether nothing is to be changed."""
-        return self.rate_hz is None and self.outputs is None and self.baudrate is None
+        return self == Wish(save=self.save)
 
 
 class Sent(NamedTuple):
-    """A field that a device sends."""
+    """A field that a device sends.
+
+    `name` is that of encoders, empty when it cannot be encoded; `size` has what precedes it in the packet.
+    """
 
     name: str
-    """As encoders have it; empty when it cannot be encoded."""
     size: int
-    """Bytes with what precedes it in the packet."""
     rate_hz: float
 
 
 class PacketKind(NamedTuple):
-    """Fields that are sent in packets of one kind."""
+    """Fields that are sent in packets of one kind, which the family distinguishes by `key`.
+
+    `around`: bytes of a packet besides its fields.
+    """
 
     key: int
-    """What the family distinguishes kinds by."""
     around: int
-    """Bytes of a packet besides its fields."""
     fields: list[Sent]
 
     @property
@@ -161,45 +153,41 @@ def packets_among(data: bytes, frame: Frame) -> tuple[list[bytes], int]:
 
 
 class Family(ABC):
-    """How a device of a family is configured: its settings are bytes under names."""
+    """How a device of a family is configured: its settings are bytes under names.
+
+    `columns`: for each output a column that must come when it is on; `baud_codes`: value of the baud setting
+    for each baud rate; `verified`: against what the commands were checked; `assumed`: what is taken for
+    granted where no device is queried; `settings`: those that are read, the baud rate last; `identity`: what
+    the device reports of itself, after `learn`.
+
+    `stores_at_once`: whether the device writes into flash whatever is written; `hello_quiets`: whether the
+    first question stops the data; `reset_s`: how long it does not answer after a change of its baud rate.
+
+    `answer_frame` distinguishes what may be an answer from other bytes.  `hello` changes no setting, and
+    every device of the family answers it; `quiet` stops the data while the settings change, `resume` lets
+    them come again; `save_all` writes all settings into flash, and is empty where they are there already;
+    `questions` is what `learn` queries of a device of the newest kind.
+    """
 
     title: str
     columns: Mapping[str, str] = USUAL_COLUMNS
-    """For each output a column that must come when it is on."""
     baud_codes: Mapping[int, bytes]
-    """Value of the baud setting for each baud rate."""
     verified: str
-    """Against what the commands were checked."""
-    stores_at_once = False
-    """Whether the device writes into flash whatever is written."""
-    hello_quiets = False
-    """Whether the first question stops the data."""
-    reset_s = 0.0
-    """How long the device does not answer after a change of its baud rate."""
-    silent_hint = ""
-    """What else may be wrong when the device takes its settings and no data come."""
     assumed: tuple[str, ...] = ()
-    """What is taken for granted where no device is queried."""
     settings: tuple[str, ...]
-    """Names of the settings that are read, the baud rate last."""
     identity: tuple[str, ...] = ()
-    """What the device reports of itself, after `learn`."""
-
+    stores_at_once = False
+    hello_quiets = False
+    reset_s = 0.0
     answer_frame: Frame
-    """How what may be an answer is distinguished from other bytes."""
     hello: Request
-    """Changes no setting; every device of the family answers."""
     quiet: Requests = ()
-    """Stops the data while the settings change."""
-    save_all: Requests = ()
-    """Writes all settings into flash; none where they are there already."""
     resume: Requests = ()
-    """Lets the data come again."""
+    save_all: Requests = ()
     questions: Requests = ()
-    """What `learn` queries of a device of the newest kind."""
 
     def __init__(self, device: DeviceFile | None = None) -> None:
-        self.device = device
+        del device
 
     @abstractmethod
     def message(self, packet: bytes) -> Message:
@@ -228,21 +216,21 @@ class Family(ABC):
         return self.save_all
 
     def wanted(self, present: Values, wish: Wish) -> dict[str, bytes]:
-        """Return the settings that make the wish true.
+        """Return the settings that make the wish true; without present ones it has rate and outputs, or none.
 
         Raises BAD_CONFIG when the device has no such rate, or nothing is sent that could be kept.
         """
         speed = {} if wish.baudrate is None else {BAUD: self.baud_codes[wish.baudrate]}
         if wish.rate_hz is None and wish.outputs is None:
             return speed
-        rate_hz = wish.rate_hz or (self.rate_hz(present) if present else None)
-        if present and rate_hz is None:
-            raise nothing_to_keep("rate", "give --rate")
-        return self.of_wish(present, replace(wish, rate_hz=rate_hz)) | speed
+        rate_hz = wish.rate_hz or self.rate_hz(present)
+        if rate_hz is None:
+            raise nothing_to_keep("--rate")
+        return self.of_wish(present, rate_hz, wish.outputs) | speed
 
     @abstractmethod
-    def of_wish(self, present: Values, wish: Wish) -> dict[str, bytes]:
-        """Return the settings for a rate and outputs; no rate where neither wish nor device states one."""
+    def of_wish(self, present: Values, rate_hz: float, outputs: Sequence[str] | None) -> dict[str, bytes]:
+        """Return the settings for a rate and outputs; None: those of the present settings."""
 
     def settled(self, name: str, wanted: bytes, found: bytes) -> bool:
         """Return whether what reads back is what was wanted."""
@@ -285,44 +273,41 @@ class Family(ABC):
         """
         for name in wish.outputs or ():
             if name not in self.columns:
-                what = f"{self.title} devices have no {name} ({OUTPUTS[name]})" if name in OUTPUTS else ""
-                raise bad_config(what or f"no output {name!r}", f"there are: {', '.join(self.columns)}")
+                what = f"{self.title} devices have no output {name!r}"
+                raise bad_config(what, f"there are: {', '.join(self.columns)}")
         if wish.baudrate is not None and wish.baudrate not in self.baud_codes:
             there = ", ".join(map(str, self.baud_codes))
             raise bad_config(f"no baud rate {wish.baudrate}", f"there are: {there}")
 
 
 def no_rate(rate_hz: float, there: Sequence[float], why: str) -> ImumonError:
-    """Return the error that a device has no such rate, with the nearest ones below and above."""
-    below = max((rate for rate in there if rate <= rate_hz), default=None)
-    above = min((rate for rate in there if rate >= rate_hz), default=None)
-    near = " and ".join(f"{rate:.6g}" for rate in (below, above) if rate is not None)
+    """Return the error that a device has no such rate, with the two that are nearest."""
+    nearest_two = sorted(sorted(there, key=lambda rate: abs(rate - rate_hz))[:2])
+    near = " and ".join(f"{rate:.6g}" for rate in nearest_two)
     return bad_config(f"no rate of {rate_hz:g} Hz ({why})", f"nearest: {near} Hz")
 
 
-def nothing_to_keep(what: str, option: str) -> ImumonError:
-    """Return the error that something is to stay as it is, and there is nothing."""
-    return bad_config(f"the device sends nothing now, so there is no {what} to keep", option)
+def nothing_to_keep(option: str) -> ImumonError:
+    """Return the error that what an option sets is to stay as it is, and there is nothing."""
+    return bad_config("the device sends nothing now, so there is nothing to keep", f"give {option}")
 
 
-def divisor(base_hz: float, rate_hz: float | None) -> int:
+def nearest(base_hz: float, rate_hz: float) -> int:
+    """Return the divisor of a base rate that comes nearest to a rate."""
+    return min(max(round(base_hz / rate_hz), 1), MOST_DIVISOR)
+
+
+def divisor(base_hz: float, rate_hz: float) -> int:
     """Return the whole number by which a base rate is divided to give this one.
 
-    Raises BAD_CONFIG when there is none, with the nearest rates, or no rate is given.
+    Raises BAD_CONFIG when there is none, with the nearest rates.
     """
-    if rate_hz is None:
-        raise nothing_to_keep("rate", "give --rate")
-    exact = base_hz / rate_hz
-    by = min(max(round(exact), 1), MOST_DIVISOR)
+    by = nearest(base_hz, rate_hz)
     if abs(base_hz / by / rate_hz - 1) <= CLOSE_ENOUGH:
         return by
-    low = min(max(int(exact), 1), MOST_DIVISOR)
-    there = [base_hz / low, base_hz / min(low + 1, MOST_DIVISOR)]
+    low = max(int(base_hz / rate_hz), 1)
+    there = [base_hz / low, base_hz / (low + 1)]
     raise no_rate(rate_hz, there, f"the device divides {base_hz:g} Hz by a whole number")
-
-
-FAMILIES = {protocol: place.removesuffix("Firmware") for protocol, place in WING.firmware.items()}
-"""Class of the commands of each protocol; imported when a device of it is requested."""
 
 
 def family_of(device: DeviceFile) -> Family:
@@ -330,10 +315,11 @@ def family_of(device: DeviceFile) -> Family:
 
     Raises BAD_CONFIG when imumon has none for it.
     """
-    if device.protocol not in FAMILIES:
+    if device.protocol not in WING.firmware:
         raise bad_config(
             f"imumon does not configure {device.name} devices",
             "those that it does: xsens, microstrain, vectornav, witmotion; use the vendor's software",
         )
-    family: type[Family] = resolve_name(FAMILIES[device.protocol])
+    place = WING.firmware[device.protocol].removesuffix("Firmware")  # both are in one module, named alike
+    family: type[Family] = resolve_name(place)
     return family(device)

@@ -1,30 +1,23 @@
 """What a virtual device does with commands, whatever its family."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import cache
 from math import gcd
 
-import numpy as np
-
 from imumon.blocks import SampleBlock
-from imumon.configure.core import BAUD, MOST_DIVISOR, Family, Message, PacketKind
 from imumon.protocols.base import Encoder
 from imumon.protocols.messages import TableDevice
 
-EncoderOf = Callable[[int, tuple[str, ...]], Encoder]
+from .core import BAUD, Family, Message, nearest
 
 
 class Sending:
-    """What a configured device sends of the samples of its unit.
+    """What a device sends of the samples of its unit, as it is configured."""
 
-    `base_hz`: the rate that those of the fields divide.  `make`: makes the encoder of a kind of packets.
-    """
-
-    def __init__(self, base_hz: float, kinds: list[PacketKind], make: EncoderOf) -> None:
-        every = [
-            {field.name: max(round(base_hz / field.rate_hz), 1) for field in kind.fields} for kind in kinds
-        ]
+    def __init__(self, firmware: "Firmware") -> None:
+        base_hz, kinds = firmware.base_hz, firmware.family.kinds(firmware.volatile)
+        every = [{field.name: nearest(base_hz, field.rate_hz) for field in kind.fields} for kind in kinds]
         shared = gcd(*(by for fields in every for by in fields.values())) or 1
         self.rate_hz = base_hz / shared
         """Samples per second that the unit must take."""
@@ -32,7 +25,7 @@ class Sending:
             (kind.key, {name: by // shared for name, by in fields.items() if name})
             for kind, fields in zip(kinds, every, strict=True)
         ]
-        self._encoder = cache(make)
+        self._encoder = cache(firmware.encoder)
         self._sample = 0
 
     def encode(self, block: SampleBlock) -> bytes:
@@ -48,12 +41,14 @@ class Sending:
 
 
 class Firmware(ABC):
-    """Answers commands and states what is sent; `settings`: those as delivered, without the baud rate."""
+    """Answers commands and states what is sent; `settings`: those as delivered, without the baud rate.
+
+    `family` finds commands, which have the same form as answers, and knows what settings mean; `base_hz` is
+    the rate that those of the outputs divide; `volatile` and `flash` are the settings as they are, and there.
+    """
 
     family: Family
-    """Tells commands, which have the same form as answers, and what settings mean."""
     base_hz: float
-    """Rate that those of the outputs divide."""
 
     def __init__(self, device: TableDevice, settings: dict[str, bytes]) -> None:
         self.device = device
@@ -61,14 +56,14 @@ class Firmware(ABC):
         named = self.baudrate if self.baudrate in known else next(iter(known))
         self.delivered = settings | {BAUD: known[named]}
         self.volatile, self.flash = dict(self.delivered), dict(self.delivered)
-        """Settings as they are, and in flash."""
         self.streaming = True
         self._held = b""
 
     def receive(self, data: bytes) -> bytes:
         """Take bytes from the host and return the answers."""
-        messages, done = self.found(self._held + data)
-        self._held = (self._held + data)[done:]
+        held = self._held + data
+        messages, done = self.found(held)
+        self._held = held[done:]
         return b"".join(map(self.answer, messages))
 
     def obey(self, name: str, value: bytes) -> None:
@@ -98,10 +93,6 @@ class Firmware(ABC):
     def answer(self, command: Message) -> bytes:
         """Carry a command out and return the answer."""
 
-    def kinds(self) -> list[PacketKind]:
-        """Return what is sent with the settings as they are."""
-        return self.family.kinds(self.volatile)
-
     def encoder(self, key: int, names: Sequence[str]) -> Encoder:
         """Return the encoder of fields in packets of a kind; most devices have one."""
         del key
@@ -109,11 +100,6 @@ class Firmware(ABC):
 
     def sending(self) -> Sending | None:
         """Return what is sent; None when that is what the device file states, at the rate of the start."""
-        if all(value == self.delivered[name] for name, value in self.volatile.items() if name != BAUD):
+        if self.volatile == self.delivered | {BAUD: self.volatile[BAUD]}:
             return None
-        return Sending(self.base_hz, self.kinds(), self.encoder)
-
-
-def nearest(base_hz: float, rate_hz: float) -> int:
-    """Return the divisor of a base rate that comes nearest to a rate."""
-    return int(np.clip(round(base_hz / rate_hz), 1, MOST_DIVISOR))
+        return Sending(self)

@@ -10,14 +10,14 @@ older ones one for each (0x08, 0x0A): the device is queried for those it knows.
 import struct
 from collections.abc import Mapping, Sequence
 
-from imumon.configure import core
-from imumon.configure.core import Family, Message, PacketKind, Request, Sent
-from imumon.configure.firmware import Firmware, nearest
 from imumon.errors import bad_config, bad_data
 from imumon.protocols.base import Encoder
-from imumon.protocols.device import DeviceFile
 from imumon.protocols.mip import FILTER, SENSOR, SET_NAMES, MipDevice, mip_fields
 from imumon.protocols.tagged import MIP
+
+from . import core
+from .core import BAUD, Family, Message, PacketKind, Request, Sent, Values
+from .firmware import Firmware
 
 BASE, THREE_DM = 0x01, 0x0C
 PING, IDLE, DEVICE_INFO, RESUME, COMM_SPEED = 0x01, 0x02, 0x03, 0x06, 0x09
@@ -29,8 +29,6 @@ ANSWERS = {(BASE, DEVICE_INFO): 0x81, (BASE, COMM_SPEED): 0x89, (THREE_DM, IMU_B
            (THREE_DM, BASE_RATE): 0x8E, (THREE_DM, FORMAT): 0x8F, (THREE_DM, STREAM): 0x85,
            (THREE_DM, UART_BAUD): 0x87}  # fmt: skip
 """Descriptor of the data in the answer to each command."""
-ASKING = {(BASE, DEVICE_INFO), (THREE_DM, IMU_BASE_RATE), (THREE_DM, FILTER_BASE_RATE), (THREE_DM, BASE_RATE)}
-"""Commands without a function selector whose answer has data."""
 ACK = 0xF1
 """Field of an acknowledgement: command and code."""
 ERRORS = {1: "unknown command", 2: "invalid checksum", 3: "invalid parameter", 4: "failed", 5: "timed out"}
@@ -70,11 +68,14 @@ def fields_of(payload: bytes) -> list[tuple[int, bytes]]:
 
 
 def request(
-    command_set: int, command: int, data: bytes, meaning: str, strip: int = 0, timeout_s: float = 0.5
+    command_set: int,
+    command: int,
+    data: bytes,
+    meaning: str,
+    repeated: bytes | None = None,
+    timeout_s: float = core.ANSWER_S,
 ) -> Request:
-    """Return a command; its answer is the data behind the first `strip` bytes, which repeat the question."""
-    asking = (command_set, command) in ASKING
-    repeated = data[:strip] if asking else data[1 : 1 + strip]
+    """Return a command; its answer is the data behind what is `repeated` of the question, if it has data."""
 
     def answer(message: Message) -> core.Answer:
         there = fields_of(message.payload) if message.kind == command_set else []
@@ -82,12 +83,12 @@ def request(
         if not acks:
             return None
         if refusal := acks[0][1]:
-            return core.Refusal(ERRORS.get(refusal, f"code {refusal}"))
-        wanted = ANSWERS.get((command_set, command))
-        found = [value for code, value in there if code == wanted]
-        if not found:
-            return None if asking or data[:1] == READ else b""
-        return found[0][strip:] if found[0][:strip] == repeated else None
+            return ERRORS.get(refusal, f"code {refusal}")
+        if repeated is None:
+            return b""
+        wanted = ANSWERS[command_set, command]
+        found = [value for code, value in there if code == wanted and value.startswith(repeated)]
+        return found[0].removeprefix(repeated) if found else None
 
     return Request(meaning, MIP.sealed(command_set, (command, data)), answer, timeout_s)
 
@@ -104,23 +105,23 @@ def message_format(items: Sequence[tuple[int, int]]) -> bytes:
 
 
 def _base_rate(modern: bool, of: int) -> Request:
-    what = f"base rate of {SET_NAMES[of]}"
-    if modern:
-        return request(THREE_DM, BASE_RATE, bytes([of]), f"GetBaseRate: {what}", 1)
-    return request(THREE_DM, IMU_BASE_RATE if of == SENSOR else FILTER_BASE_RATE, b"", f"Get{what}")
+    data = bytes([of]) if modern else b""
+    older = IMU_BASE_RATE if of == SENSOR else FILTER_BASE_RATE
+    return request(THREE_DM, BASE_RATE if modern else older, data, f"GetBaseRate of {SET_NAMES[of]}", data)
 
 
 class Mip(Family):
     """Commands of a MicroStrain device.
 
+    `base_hz`: base rate of each data set that the device has, of those that are configured.
     `modern`: whether one command has the format of any data set.
+    `speed_in_base`: whether the baud rate is set by a base command.
     """
 
     base_hz: Mapping[int, int] = {SENSOR: USUAL_BASE_HZ, FILTER: USUAL_BASE_HZ}
-    """Base rate of each data set that the device has, of those that are configured."""
+    modern = True
     speed_in_base = False
-    """Whether the baud rate is set by a base command."""
-    settings = (*OF_SET, core.BAUD)
+    settings = (*OF_SET, BAUD)
     answer_frame = MIP.frame
     title = "MicroStrain"
     verified = "frames of other programs (0x08, 0x0A), and the virtual device; never a real unit"
@@ -134,18 +135,14 @@ class Mip(Family):
     quiet = (request(BASE, IDLE, b"", "SetToIdle: no data while settings change"),)
     resume = (request(BASE, RESUME, b"", "Resume: data again"),)
     questions = (
-        request(BASE, DEVICE_INFO, b"", "GetDeviceInfo", timeout_s=core.SAVE_S),
+        request(BASE, DEVICE_INFO, b"", "GetDeviceInfo", b"", core.SAVE_S),
         _base_rate(True, SENSOR),
         _base_rate(True, FILTER),
-        request(THREE_DM, UART_BAUD, READ, "read baud rate (UARTBaudRate)"),
+        request(THREE_DM, UART_BAUD, READ, "read baud rate (UARTBaudRate)", b""),
     )
 
-    def __init__(self, device: DeviceFile | None = None, modern: bool = True) -> None:
-        self.attitude, self.clock, self.fields = "filter", "reference", mip_fields()
-        if isinstance(device, MipDevice):
-            self.attitude, self.clock = device.attitude, device.clock
-            self.fields = mip_fields(device.attitude, device.clock)
-        self.modern = modern
+    def __init__(self, device: MipDevice) -> None:
+        self.device, self.fields = device, mip_fields(device.attitude, device.clock)
 
     def message(self, packet: bytes) -> Message:
         """Return descriptor set and fields."""
@@ -153,26 +150,24 @@ class Mip(Family):
 
     def learn(self, ask: core.Ask) -> None:
         """Ask what it is, which commands it knows and its base rates."""
-        about, sensors, _, uart = self.questions
+        about, *_, uart = self.questions
         info = ask(about)
         texts = [info[at : at + 16].decode("ascii", "replace").strip(" \0") for at in (2, 18, 34)]
-        sensor_rate = core.known(ask, sensors)
-        modern = sensor_rate is not None
-        answers = {
-            SENSOR: sensor_rate if modern else core.known(ask, _base_rate(False, SENSOR)),
-            FILTER: core.known(ask, _base_rate(modern, FILTER)),
-        }
-        known_hz = {of: int.from_bytes((answer or b"")[:2], "big") for of, answer in answers.items()}
-        rates = {of: base for of, base in known_hz.items() if base}
-        if SENSOR not in rates:
+        for modern in (True, False):
+            answers = {of: core.known(ask, _base_rate(modern, of)) for of in FORMATS}
+            known_hz = {of: int.from_bytes((answer or b"")[:2], "big") for of, answer in answers.items()}
+            rates = {of: base for of, base in known_hz.items() if base}
+            if SENSOR in rates:
+                break
+        else:
             raise bad_data("the device reports no base rate of its sensors")
         self.identity, self.modern, self.base_hz = tuple(filter(None, texts)), modern, rates
-        self.settings = (*(name for name, of in OF_SET.items() if of in rates), core.BAUD)
+        self.settings = (*(name for name, of in OF_SET.items() if of in rates), BAUD)
         self.speed_in_base = core.known(ask, uart) is None
 
     def command(self, name: str) -> tuple[int, int, bytes]:
         """Return command set, command, and what follows the function selector."""
-        if name == core.BAUD:
+        if name == BAUD:
             return (BASE, COMM_SPEED, MAIN_PORT) if self.speed_in_base else (THREE_DM, UART_BAUD, b"")
         of = OF_SET[name]
         if name in STREAMS.values():
@@ -184,7 +179,7 @@ class Mip(Family):
     def read(self, name: str) -> Request:
         """Return the command with the function selector READ."""
         command_set, command, of = self.command(name)
-        return request(command_set, command, READ + of, f"read {name}", len(of))
+        return request(command_set, command, READ + of, f"read {name}", of)
 
     def write(self, name: str, value: bytes) -> core.Requests:
         """Return the command with the function selector WRITE."""
@@ -201,33 +196,30 @@ class Mip(Family):
 
     def _fields(self, outputs: Sequence[str], of: int) -> list[int]:
         """Return the descriptors of outputs in a data set, the time first."""
-        own = FILTER if self.attitude == "filter" else SENSOR
+        own = FILTER if self.device.attitude == "filter" else SENSOR
         found = [code for name in outputs for code in SENSOR_FIELDS.get(name, ())] if of == SENSOR else []
         if "attitude" in outputs and of == own:
             found.append(0x03 if of == FILTER else 0x0A)
-        return [TIME[self.clock][of == FILTER], *found] if found else []
+        return [TIME[self.device.clock][of == FILTER], *found] if found else []
 
-    def of_wish(self, present: core.Values, wish: core.Wish) -> dict[str, bytes]:
+    def of_wish(self, present: Values, rate_hz: float, outputs: Sequence[str] | None) -> dict[str, bytes]:
         """Return formats and streams; see `Family.wanted`."""
-        outputs = wish.outputs
-        if "attitude" in (outputs or ()) and self.attitude == "filter" and FILTER not in self.base_hz:
+        if "attitude" in (outputs or ()) and self.device.attitude == "filter" and FILTER not in self.base_hz:
             raise bad_config("this device has no filter to take an attitude from",
                 "use a device file with attitude: imu (imumon devices microstrain)")  # fmt: skip
         result: dict[str, bytes] = {}
-        for of, name in FORMATS.items():
-            if of not in self.base_hz:
-                continue
-            kept = [code for code, _ in formatted(present.get(name, b""))]
+        for of, base_hz in self.base_hz.items():
+            kept = [code for code, _ in formatted(present.get(FORMATS[of], b""))]
             codes = kept if outputs is None else self._fields(outputs, of)
-            by = core.divisor(self.base_hz[of], wish.rate_hz) if codes else 1
-            result[name] = message_format([(code, by) for code in codes])
+            by = core.divisor(base_hz, rate_hz) if codes else 1
+            result[FORMATS[of]] = message_format([(code, by) for code in codes])
             if codes:
                 result[STREAMS[of]] = ON
         if ON not in result.values():
-            raise core.nothing_to_keep("output", "give --outputs")
+            raise core.nothing_to_keep("--outputs")
         return result
 
-    def kinds(self, values: core.Values) -> list[PacketKind]:
+    def kinds(self, values: Values) -> list[PacketKind]:
         """Return packets of both data sets, as long as they do not exceed 255 bytes of fields."""
         found = list[PacketKind]()
         for of, name in FORMATS.items():
@@ -239,17 +231,13 @@ class Mip(Family):
             found += [PacketKind(of, 6, fields)] if fields else []
         return found
 
-    def rate_hz(self, values: core.Values) -> float | None:
-        """Return the rate of the formats, also where their streams are off."""
-        return super().rate_hz({name: values.get(name, b"") for name in FORMATS.values()})
-
     def meaning(self, name: str, value: bytes) -> str:
         """Return whether a stream is on, or each field of a format with its rate."""
         if name in STREAMS.values():
             return "off" if value == OFF else "on"
         of = OF_SET[name]
         names = {key: item.name for key, item in self.fields.items()}
-        base = self.base_hz.get(of, USUAL_BASE_HZ)
+        base = self.base_hz[of]
         shown = [
             f"{names.get(of << 8 | code, f'0x{code:02X}')} {f'{base / by:.6g} Hz' if by else 'never'}"
             for code, by in formatted(value)
@@ -258,7 +246,7 @@ class Mip(Family):
 
 
 DONE, UNKNOWN, INVALID = 0, 1, 3
-VIRTUAL = ("VIRTUAL", "0000-0001", "1", "", "")
+INFO = b"\x04\x01" + b"".join(text.rjust(16).encode() for text in ("VIRTUAL", "0000-0001", "1", "", ""))
 """What the virtual device reports of itself."""
 
 
@@ -266,11 +254,12 @@ class MipFirmware(Firmware):
     """A MicroStrain device with sensors and a filter."""
 
     family: Mip
+    device: MipDevice
     base_hz = USUAL_BASE_HZ
 
     def __init__(self, device: MipDevice, rate_hz: float) -> None:
-        self.family, self._device = Mip(device), device
-        by = nearest(USUAL_BASE_HZ, rate_hz)
+        self.family = Mip(device)
+        by = core.nearest(USUAL_BASE_HZ, rate_hz)
         codes = {item.name: key & 0xFF for key, item in self.family.fields.items() if key >> 8 == SENSOR}
         settings = {
             SENSOR_FORMAT: message_format([(codes[name], by) for name in device.sends]),
@@ -285,43 +274,34 @@ class MipFirmware(Firmware):
 
     def _carried_out(self, command: Message) -> tuple[int, bytes | None]:
         """Carry a command out and return the code of its acknowledgement, and data."""
-        there = fields_of(command.payload)
-        code, data = there[0] if there else (0, b"")
+        code, data = next(iter(fields_of(command.payload)), (0, b""))
         if command.kind == BASE:
             if code in (IDLE, RESUME):
                 self.streaming = code == RESUME
-            info = b"\x04\x01" + b"".join(text.rjust(16).encode() for text in VIRTUAL)
             known = code in (PING, IDLE, RESUME, DEVICE_INFO)
-            return DONE if known else UNKNOWN, info if code == DEVICE_INFO else None
+            return DONE if known else UNKNOWN, INFO if code == DEVICE_INFO else None
         if code in (BASE_RATE, IMU_BASE_RATE, FILTER_BASE_RATE) and (self.family.modern or code != BASE_RATE):
             return DONE, data[:1] + USUAL_BASE_HZ.to_bytes(2, "big")
         for name in self.family.settings:
             command_set, number, of = self.family.command(name)
             if (command.kind, code) == (command_set, number) and data[1:].startswith(of):
-                return self._settled(name, data[:1], of, data[1 + len(of) :])
+                if data[:1] == READ:
+                    return DONE, of + self.volatile[name]
+                if data[:1] == SAVE:
+                    self.save(name)
+                elif data[:1] == APPLY:
+                    self.obey(name, data[1 + len(of) :])
+                return DONE if data[:1] in (SAVE, APPLY) else INVALID, None
         return UNKNOWN, None
-
-    def _settled(self, name: str, function: bytes, of: bytes, value: bytes) -> tuple[int, bytes | None]:
-        """Apply, read or save a setting; `of` is the selector before its value."""
-        if function == READ:
-            return DONE, of + self.volatile[name]
-        if function == SAVE:
-            self.save(name)
-        elif function == APPLY:
-            self.obey(name, value)
-        else:
-            return INVALID, None
-        return DONE, None
 
     def encoder(self, key: int, names: Sequence[str]) -> Encoder:
         """Return the encoder of fields of a data set."""
-        return self._device.decoder().encoder(names, key)
+        return self.device.decoder().encoder(names, key)
 
 
 def acknowledged(command: Message, code: int, data: bytes | None = None) -> bytes:
     """Return an answer with its code, zero when the command was carried out, and data."""
-    there = fields_of(command.payload)
-    number = there[0][0] if there else 0
+    number, _ = next(iter(fields_of(command.payload)), (0, b""))
     parts = [(ACK, bytes([number, code]))]
     kind = int(command.kind)
     if data is not None and (kind, number) in ANSWERS:

@@ -8,22 +8,23 @@ volatile memory and $VNWNV saves **all** registers.
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import chain
 
-from imumon.configure import core
-from imumon.configure.core import Family, Message, PacketKind, Request, Sent
-from imumon.configure.firmware import Firmware, nearest
 from imumon.protocols import vectornav
 from imumon.protocols.messages import TableDevice
 from imumon.protocols.text import line_frame, sentence
 from imumon.protocols.vectornav_fields import GROUP_NAMES
+
+from . import core
+from .core import BAUD, Family, Message, PacketKind, Request, Sent, Values
+from .firmware import Firmware
 
 ERRORS = {1: "hard fault", 2: "serial buffer overflow", 3: "invalid checksum", 4: "invalid command",
           5: "not enough parameters", 6: "too many parameters", 7: "invalid parameter", 8: "invalid register",
           9: "unauthorized access", 10: "watchdog reset", 11: "output buffer overflow",
           12: "insufficient baud rate", 255: "error buffer overflow"}  # fmt: skip
 OUTPUT, SECOND, THIRD, ASCII = "binary output 1", "binary output 2", "binary output 3", "ASCII output"
-REGISTERS = {OUTPUT: 75, SECOND: 76, THIRD: 77, ASCII: 6, core.BAUD: 5}
+BINARY = (OUTPUT, SECOND, THIRD)
+REGISTERS = {OUTPUT: 75, SECOND: 76, THIRD: 77, ASCII: 6, BAUD: 5}
 FIELDS: Mapping[str, tuple[str, ...]] = {
     "inertial": ("Imu.UncompAccel", "Imu.UncompGyro"),
     "increments": ("Imu.DeltaTheta", "Imu.DeltaVelocity"),
@@ -63,7 +64,7 @@ def request(
         first, _, rest = text.partition(",")
         number = int(first) if first.isdecimal() else -1
         if message.kind == "ERR":
-            return core.Refusal(f"error {text}: {ERRORS.get(number, 'not a known code')}")
+            return f"error {text}: {ERRORS.get(number, 'not a known code')}"
         if message.kind != command[2:5] or register not in (None, number):
             return None
         return message.payload if register is None else read(rest.encode())
@@ -132,7 +133,7 @@ NO_OUTPUT = Output(0, 0, 0, ())
 
 def _canonical(name: str, value: bytes) -> bytes:
     """Return what is read as it would be written: newer firmware adds the number of the port."""
-    is_output = name in (OUTPUT, SECOND, THIRD)
+    is_output = name in BINARY
     return Output.read(value).value if is_output else value.split(b",")[0].lstrip(b"0") or b"0"
 
 
@@ -140,13 +141,11 @@ class VectorNav(Family):
     """Commands of a VectorNav."""
 
     base_hz = FAST_HZ
-    """What the divisors of the outputs divide."""
     settings = tuple(REGISTERS)
     answer_frame = line_frame({b"$VN": "ascii"}, vectornav.body_of)
     title = "VectorNav"
     verified = "lines of other programs and of the vendor's, and the virtual device; never a real unit"
     baud_codes = BAUD_CODES
-    silent_hint = "the binary output may go to the other serial port of the device"
     assumed = (
         f"base rate {FAST_HZ} Hz (VN-100, 110); {SLOW_HZ} Hz for the others: the model is queried first",
         "binary output 1 goes to serial port 1, or where it goes now",
@@ -181,27 +180,27 @@ class VectorNav(Family):
         command = f"VNWRG,{register:02d},{value.decode('ascii')}"
         return (request(command, f"{name}: {self.describe(name, value)}", register),)
 
-    def of_wish(self, present: core.Values, wish: core.Wish) -> dict[str, bytes]:
+    def of_wish(self, present: Values, rate_hz: float, outputs: Sequence[str] | None) -> dict[str, bytes]:
         """Return the first binary output; for new outputs all others are off.  See `Family.wanted`."""
-        now = {name: Output.read(present[name]) for name in (OUTPUT, SECOND, THIRD) if name in present}
+        now = {name: Output.read(present[name]) for name in BINARY if name in present}
         old = now.get(OUTPUT, NO_OUTPUT)
-        by, port = core.divisor(self.base_hz, wish.rate_hz), old.port or 1
-        if wish.outputs is not None:
-            names = ["Common.TimeStartup", *chain(*(FIELDS[name] for name in wish.outputs))]
+        by, port = core.divisor(self.base_hz, rate_hz), old.port or 1
+        if outputs is not None:
+            names = ["Common.TimeStartup", *(field for name in outputs for field in FIELDS[name])]
             off = {n: replace(one, port=0).value for n, one in now.items() if n != OUTPUT and one.on}
             return {ASCII: b"0", **off, OUTPUT: Output.of(port, by, names).value}
         if old.on:
             return {OUTPUT: replace(old, by=by).value}
-        raise core.nothing_to_keep("binary output", "give --outputs")
+        raise core.nothing_to_keep("--outputs")
 
     def settled(self, name: str, wanted: bytes, found: bytes) -> bool:
         """Return whether it reads back; of an output that is off the rest does not matter."""
-        off = name in (OUTPUT, SECOND, THIRD) and not (Output.read(wanted).on or Output.read(found).on)
+        off = name in BINARY and not (Output.read(wanted).on or Output.read(found).on)
         return off or wanted == found
 
-    def kinds(self, values: core.Values) -> list[PacketKind]:
+    def kinds(self, values: Values) -> list[PacketKind]:
         """Return the packets of the binary outputs."""
-        outputs = [Output.read(values[name]) for name in (OUTPUT, SECOND, THIRD) if name in values]
+        outputs = [Output.read(values[name]) for name in BINARY if name in values]
         return [
             PacketKind(one.port, found.end + 2, [Sent(name, 0, self.base_hz / one.by) for name in one.names])
             for one in outputs
@@ -237,7 +236,7 @@ class VectorNavFirmware(Firmware):
     def __init__(self, device: TableDevice, rate_hz: float) -> None:
         off = Output(0, 1, 0, ()).value
         settings = dict.fromkeys(REGISTERS, off) | {
-            OUTPUT: Output.of(1, nearest(FAST_HZ, rate_hz), device.sends).value,
+            OUTPUT: Output.of(1, core.nearest(FAST_HZ, rate_hz), device.sends).value,
             ASCII: b"0",
         }
         super().__init__(device, settings)

@@ -5,21 +5,22 @@ answered by a frame 0x5F with four registers that does not name them.  So every 
 reading back, and one query waits for its answer before the next.  Saving stores **all** registers.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import reduce
 from operator import or_
 
-from imumon.configure import core
-from imumon.configure.core import Family, Message, PacketKind, Request, Sent
-from imumon.configure.firmware import Firmware
 from imumon.protocols.framing import Checksum, Frame, fixed_length, unchecked
 from imumon.protocols.messages import TableDevice
 from imumon.protocols.witmotion import SIZE, TYPES
 
+from . import core
+from .core import BAUD, Family, Message, PacketKind, Request, Sent, Values
+from .firmware import Firmware
+
 REGISTER_ANSWER = 0x5F
 CONTENT, RATE = "output content", "output rate"
-SAVE, RSW, RRATE, BAUD_REGISTER, READ_ADDRESS = 0x00, 0x02, 0x03, 0x04, 0x27
-REGISTERS = {CONTENT: RSW, RATE: RRATE, core.BAUD: BAUD_REGISTER}
+SAVE, READ_ADDRESS = 0x00, 0x27
+REGISTERS = {CONTENT: 0x02, RATE: 0x03, BAUD: 0x04}
 UNLOCK = b"\xff\xaa\x69\x88\xb5"
 PAUSE_S = 0.1
 """Between writes: the vendor's code leaves 1 to 200 ms."""
@@ -82,29 +83,21 @@ class WitMotion(Family):
         meaning = f"{name}: {self.describe(name, value)}"
         return OPENING, Request(meaning, frame(REGISTERS[name], value), None, PAUSE_S)
 
-    def of_wish(self, present: core.Values, wish: core.Wish) -> dict[str, bytes]:
-        """Return content and rate, as far as they change."""
-        result: dict[str, bytes] = {}
-        if wish.outputs is not None:
-            result[CONTENT] = reduce(or_, (FRAMES[name] for name in wish.outputs), 0).to_bytes(2, "little")
-        elif present and not any(present[CONTENT]):
-            raise core.nothing_to_keep("output", "give --outputs")
-        if wish.rate_hz is not None:
-            near = [code for code, rate in RATES.items() if abs(rate / wish.rate_hz - 1) <= core.CLOSE_ENOUGH]
-            if not near:
-                raise core.no_rate(wish.rate_hz, tuple(RATES.values()), "the device has a list of rates")
-            result[RATE] = bytes([near[0], 0])
-        return result
+    def of_wish(self, present: Values, rate_hz: float, outputs: Sequence[str] | None) -> dict[str, bytes]:
+        """Return content and rate."""
+        if outputs is not None:
+            content = reduce(or_, (FRAMES[name] for name in outputs), 0).to_bytes(2, "little")
+        elif not any(content := present[CONTENT]):
+            raise core.nothing_to_keep("--outputs")
+        near = [code for code, rate in RATES.items() if abs(rate / rate_hz - 1) <= core.CLOSE_ENOUGH]
+        if not near:
+            raise core.no_rate(rate_hz, tuple(RATES.values()), "the device has a list of rates")
+        return {CONTENT: content, RATE: bytes([near[0], 0])}
 
-    def kinds(self, values: core.Values) -> list[PacketKind]:
+    def kinds(self, values: Values) -> list[PacketKind]:
         """Return a frame for each quantity of a sample."""
-        rate = self.rate_hz(values) or 0.0
-        fields = [Sent(name, SIZE, rate) for name in _frames(values[CONTENT])]
-        return [PacketKind(0, 0, fields)] if rate else []
-
-    def rate_hz(self, values: core.Values) -> float | None:
-        """Return the rate of all frames."""
-        return RATES.get(values[RATE][0])
+        rate = RATES.get(values[RATE][0], 0.0)
+        return [PacketKind(0, 0, [Sent(name, SIZE, rate) for name in _frames(values[CONTENT])])]
 
     def meaning(self, name: str, value: bytes) -> str:
         """Return the rate, or the frames of a sample."""
@@ -125,8 +118,7 @@ class WitMotionFirmware(Firmware):
     base_hz = max(RATES.values())
 
     def __init__(self, device: TableDevice, rate_hz: float) -> None:
-        bits = {message.name: 1 << kind - FIRST_FRAME for kind, message in TYPES.items()}
-        content = sum(bits[name] for name in device.sends)
+        content = sum(1 << kind - FIRST_FRAME for kind, frame in TYPES.items() if frame.name in device.sends)
         rate = min(RATES, key=lambda code: abs(RATES[code] - rate_hz))
         super().__init__(device, {CONTENT: content.to_bytes(2, "little"), RATE: bytes([rate, 0])})
         self._locked = True

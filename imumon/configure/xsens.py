@@ -9,18 +9,19 @@ import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from imumon.configure import core
-from imumon.configure.core import Family, Message, PacketKind, Request, Sent
-from imumon.configure.firmware import Firmware
 from imumon.errors import bad_config
 from imumon.protocols.tagged import XBUS, xbus_message
 from imumon.protocols.xsens import mtdata
 from imumon.protocols.xsens.fields import message_of
 
+from . import core
+from .core import BAUD, Family, Message, PacketKind, Request, Sent, Values
+from .firmware import Firmware
+
 GO_TO_MEASUREMENT, SET_BAUDRATE, REQ_PRODUCT_CODE, GO_TO_CONFIG = 0x10, 0x18, 0x1C, 0x30
 REQ_FIRMWARE, RESET, SET_OUTPUT_CONFIGURATION = 0x12, 0x40, 0xC0
 OUTPUT = "output configuration"
-KINDS = {OUTPUT: SET_OUTPUT_CONFIGURATION, core.BAUD: SET_BAUDRATE}
+KINDS = {OUTPUT: SET_OUTPUT_CONFIGURATION, BAUD: SET_BAUDRATE}
 ENTRY = ">HH"
 """Identifier and rate of an output."""
 WITH_EVERY_PACKET = 0xFFFF
@@ -29,8 +30,10 @@ BAUD_CODES = {115_200: b"\x02", 921_600: b"\x0a", 460_800: b"\x00", 230_400: b"\
 OLD_921600 = b"\x80"
 """Another code for 921600 baud, of older units."""
 
-ALWAYS = ((0x1020, WITH_EVERY_PACKET), (0x1060, WITH_EVERY_PACKET))
+ALWAYS = (0x1020, 0x1060)
 """PacketCounter and SampleTimeFine."""
+TIMELESS = {0x10, 0xE0}
+"""Groups of identifiers that go with every packet: times and status."""
 IDENTIFIERS: Mapping[str, tuple[int, ...]] = {
     "inertial": (0x4020, 0x8020),
     "increments": (0x4010, 0x8030),
@@ -38,6 +41,7 @@ IDENTIFIERS: Mapping[str, tuple[int, ...]] = {
     "temperature": (0x0810,),
     "pressure": (0x3010,),
     "attitude": (0x2010,),
+    "status": (0xE020,),
 }
 MOST_HZ = {0x0810: 1, 0x3010: 50, 0xC020: 100}
 """Rates above which the documents have no temperature, pressure, field; the others go up to `FASTEST_HZ`."""
@@ -57,7 +61,7 @@ def request(kind: int, payload: bytes = b"", meaning: str = "", timeout_s: float
     def answer(message: Message) -> core.Answer:
         if message.kind == mtdata.ERROR:
             code = message.payload[0] if message.payload else 0
-            return core.Refusal(f"error {code}: {mtdata.ERRORS.get(code, 'not a known code')}")
+            return f"error {code}: {mtdata.ERRORS.get(code, 'not a known code')}"
         return message.payload if message.kind == kind + 1 else None
 
     return Request(meaning or mtdata.NAMES[kind], frame(kind, payload), answer, timeout_s)
@@ -76,7 +80,7 @@ def packed(outputs: Sequence[tuple[int, int]]) -> bytes:
 class Xsens(Family):
     """Commands of an MTi."""
 
-    settings = (OUTPUT, core.BAUD)
+    settings = (OUTPUT, BAUD)
     answer_frame = replace(XBUS.frame, names={b"\xfa\xff": "Xbus"})
     title = "Xsens MTi"
     verified = "frames of other programs, and the virtual device; never a real unit"
@@ -85,7 +89,7 @@ class Xsens(Family):
     reset_s = 5.0
     baud_codes = BAUD_CODES
     hello = request(GO_TO_CONFIG, timeout_s=0.5)  # measuring, an MTi answers nothing else
-    quiet = (request(GO_TO_CONFIG),)
+    quiet = (hello,)
     resume = (request(GO_TO_MEASUREMENT),)
     questions = (request(REQ_PRODUCT_CODE), request(REQ_FIRMWARE))
 
@@ -111,42 +115,38 @@ class Xsens(Family):
         write = request(kind, value, f"{mtdata.NAMES[kind]}: {self.describe(name, value)}")
         return (write,) if name == OUTPUT else (write, request(RESET))
 
-    def of_wish(self, present: core.Values, wish: core.Wish) -> dict[str, bytes]:
+    def of_wish(self, present: Values, rate_hz: float, outputs: Sequence[str] | None) -> dict[str, bytes]:
         """Return the output configuration; see `Family.wanted`."""
-        rate_hz, outputs = wish.rate_hz, wish.outputs
-        if rate_hz is None:
-            raise core.nothing_to_keep("rate", "give --rate")
         if rate_hz not in RATES:
             raise core.no_rate(rate_hz, RATES, f"the device divides {FASTEST_HZ} Hz by a whole number")
-        now = entries(present[OUTPUT]) if outputs is None else []
-        fastest = self.rate_hz(present) if outputs is None else None
-        timed = [(code, rate_hz if hz == fastest else hz) for code, hz in now if hz != WITH_EVERY_PACKET]
-        always = [item for item in now if item[1] == WITH_EVERY_PACKET]
-        for name in outputs or ():
-            if name == "status":
-                always.append((0xE020, WITH_EVERY_PACKET))
-            else:
-                timed += [(code, rate_hz) for code in IDENTIFIERS[name]]
+        if outputs is None:
+            main = self.rate_hz(present)
+            chosen = [(code, rate_hz if hz == main else hz) for code, hz in entries(present[OUTPUT])]
+        else:
+            codes = (*ALWAYS, *(code for name in outputs for code in IDENTIFIERS[name]))
+            chosen = [(code, WITH_EVERY_PACKET if code >> 8 in TIMELESS else rate_hz) for code in codes]
+        timed = {
+            code: round(min(hz, rate_hz, MOST_HZ.get(code & 0xFFF0, FASTEST_HZ)))
+            for code, hz in chosen
+            if hz != WITH_EVERY_PACKET
+        }
         if not timed:
-            raise bad_config("a status alone has no rate" if always else "nothing to send", "add inertial")
-        often = [
-            (code, round(min(hz, rate_hz, MOST_HZ.get(code & 0xFFF0, FASTEST_HZ)))) for code, hz in timed
-        ]
-        if max(rates := [hz for _, hz in often]) < rate_hz:
-            raise core.no_rate(rate_hz, rates, "these outputs are slower")
-        return {OUTPUT: packed((*always, *often) if outputs is None else (*ALWAYS, *often, *always))}
+            raise bad_config("a status alone has no rate" if chosen else "nothing to send", "add inertial")
+        fastest = max(timed.values())
+        if fastest < rate_hz:
+            raise core.no_rate(rate_hz, [fastest], "these outputs are slower")
+        return {OUTPUT: packed([(code, timed.get(code, WITH_EVERY_PACKET)) for code, _ in chosen])}
 
     def settled(self, name: str, wanted: bytes, found: bytes) -> bool:
         """Return whether it reads back; a unit may send what is not inertial more slowly than it was set."""
         if name != OUTPUT:
             return self.baud_of(wanted) == self.baud_of(found)
-        pairs, there = entries(wanted), entries(found)
-        return [code for code, _ in pairs] == [code for code, _ in there] and all(
-            a == b or (code & 0xFFF0 not in MAIN_CODES and 0 < b < a)
-            for (code, a), (_, b) in zip(pairs, there, strict=True)
+        return len(wanted) == len(found) and all(
+            code == same and (a == b or (code & 0xFFF0 not in MAIN_CODES and 0 < b < a))
+            for (code, a), (same, b) in zip(entries(wanted), entries(found), strict=True)
         )
 
-    def kinds(self, values: core.Values) -> list[PacketKind]:
+    def kinds(self, values: Values) -> list[PacketKind]:
         """Return MTData2 messages."""
         pairs = entries(values[OUTPUT])
         fastest = max((rate for _, rate in pairs if rate != WITH_EVERY_PACKET), default=0)
@@ -174,8 +174,6 @@ class Xsens(Family):
 IDENTITY = {REQ_PRODUCT_CODE: b"MTi-VIRTUAL", REQ_FIRMWARE: bytes([1, 2, 3])}
 NAMED = {kind: name for name, kind in KINDS.items()}
 INVALID_MESSAGE = 4
-TIMELESS = {0x10, 0xE0}
-"""Groups of identifiers that go with every packet: times and status."""
 
 
 class XsensFirmware(Firmware):
@@ -208,7 +206,7 @@ class XsensFirmware(Firmware):
         if data:
             self.obey(name, data)
             self.save(name)
-        return frame(kind + 1, b"" if data and name == core.BAUD else self.volatile[name])
+        return frame(kind + 1, b"" if data and name == BAUD else self.volatile[name])
 
     def obey(self, name: str, value: bytes) -> None:
         """Set a setting; a baud rate counts after a reset."""

@@ -36,26 +36,23 @@ def command() -> None:
 
 
 TABLES = click.option("--tables", is_flag=True, help="Also write DIR/tables/SESSION.parquet.")
-PIPELINE = click.option(
-    "--pipeline", type=common.PATH, help="Pipeline file; default: as each session was recorded."
-)
-PLACE = (
-    click.option("--latitude", "latitude_deg", type=common.Number(min=-90, max=90),
-        help="Degrees north; with --heading the earth's rotation is removed."),
-    click.option("--heading", "heading_deg", type=common.Number(min=-360, max=360),
-        help="Direction of the x axis, degrees clockwise from north."),
-)  # fmt: skip
-DECLARED = click.option("--declared", help="Bias model that is assumed; see imumon diagnose.")
 SUBCOMMANDS: dict[str, tuple[str, tuple[Any, ...]]] = {
     "decode": ("Count, mean and scatter of every channel as sent.", (TABLES,)),
-    "replay": ("Count, mean and scatter of all channels and estimates.", (TABLES, PIPELINE)),
+    "replay": ("Count, mean and scatter of all channels and estimates.", (
+        TABLES, click.option("--pipeline", type=common.PATH,
+            help="Pipeline file; default: as each session was recorded."),
+    )),
     "allan": ("Noise of every channel, from its Allan curve.  The terms have standard deviations.", ()),
-    "calibrate": ("Bias over temperature, a model for each session.  Models: DIR/models/*.yaml.", PLACE),
-    "diagnose": (
-        "Effects that a bias model lacks, for each session.  Reports: DIR/reports/*.json.",
-        (DECLARED,),
-    ),
-}
+    "calibrate": ("Bias over temperature, a model for each session.  Models: DIR/models/*.yaml.", (
+        click.option("--latitude", "latitude_deg", type=common.Number(min=-90, max=90),
+            help="Degrees north; with --heading the earth's rotation is removed."),
+        click.option("--heading", "heading_deg", type=common.Number(min=-360, max=360),
+            help="Direction of the x axis, degrees clockwise from north."),
+    )),
+    "diagnose": ("Effects that a bias model lacks, for each session.  Reports: DIR/reports/*.json.", (
+        click.option("--declared", help="Bias model that is assumed; see imumon diagnose."),
+    )),
+}  # fmt: skip
 """What each does, and options of its own."""
 SHARED: tuple[Any, ...] = (
     click.argument("sessions", nargs=-1, required=True),
@@ -87,11 +84,10 @@ def _run(
     as_json: bool,
     **given: Any,
 ) -> int:
-    from imumon.fleet.batch.dataset import BatchOptions, Dataset
-    from imumon.fleet.batch.places import find
-    from imumon.fleet.batch.running import run_jobs
-    from imumon.fleet.batch.running import workers as workers_of
-    from imumon.fleet.batch.tasks import Job
+    from .batch import running
+    from .batch.dataset import BatchOptions, Dataset
+    from .batch.places import find
+    from .batch.tasks import Job
 
     options = BatchOptions.model_validate({"command": name, **_chosen(given)})
     every = dict.fromkeys(place for one in sessions for place in find(one))
@@ -101,13 +97,13 @@ def _run(
         if left:
             jobs = (Job(place, options, str(results.folder), limit_s=timeout) for place in left)
             shown = bar("sessions", len(left), quiet=as_json)
-            with workers_of(scheduler, min(workers, len(left))) as client, shown as progress:
+            with running.workers(scheduler, min(workers, len(left))) as client, shown as progress:
 
                 def take(rows: Any) -> None:
                     results.add(rows)
                     progress.count(1)
 
-                run_jobs(client, jobs, take)
+                running.run_jobs(client, jobs, take)
     except KeyboardInterrupt:
         results.write()
         kept = f"{len(results.done().keys() & every.keys()):,} of {len(every):,} sessions are done"
@@ -121,7 +117,7 @@ def _run(
 
 def _report(out: Path, rows: Mapping[str, Mapping[str, Any]], before: int, as_json: bool) -> int:
     """Show what became of the sessions, of each of which there is a row; return the exit code."""
-    from imumon.fleet.batch.dataset import ROWS, lacking
+    from .batch.dataset import ROWS, lacking
 
     failures = {place: f"{row['reason']}: {row['error']}" for place, row in rows.items() if row.get("reason")}
     lacks = {place: texts for place, row in rows.items() if (texts := lacking(row))}
@@ -145,7 +141,6 @@ def _report(out: Path, rows: Mapping[str, Mapping[str, Any]], before: int, as_js
 
 
 def _warn_first(lines: list[str], more: str) -> None:
-    """Warn of the first lines, and of how many more there are."""
     hidden = [f"{len(lines) - SHOWN:,} {more}"] if len(lines) > SHOWN else []
     common.warn([*lines[:SHOWN], *hidden])
 

@@ -14,9 +14,8 @@ from imumon.errors import bad_data
 from imumon.files import check_output, results_folder
 
 if TYPE_CHECKING:
-    from imumon.fleet.catalog.units import Unit
+    from .catalog.units import Unit
 
-RESULTS = "catalog"
 HEADS = (
     "unit", "device", "sessions", "h", "first", "last", "°C", "σ, °/h", "models",
     "drift, °/h/month", "outliers",
@@ -42,7 +41,7 @@ def catalog(folder: Path, results: Path | None, out: Path | None, as_json: bool)
     A new session is replayed once.  Serial numbers are those given when recording (--serial), or those in
     the models made of the sessions.
     """
-    from imumon.fleet.catalog.tables import tables, write_tables
+    from .catalog.tables import tables, write_tables
 
     with nullcontext() if out is None else results_folder(out):
         units, left_out = read(folder, results, quiet=as_json)
@@ -63,13 +62,13 @@ def read(folder: Path, results: Path | None, quiet: bool) -> "tuple[list[Unit], 
 
     What was left out is warned of, and what recordings lack.
     """
-    from imumon.fleet.catalog.tables import find_outliers
-    from imumon.fleet.catalog.units import read_models, read_sessions, units_of
+    from .catalog.tables import find_outliers
+    from .catalog.units import read_models, read_sessions, units_of
 
     if not folder.is_dir():
         raise bad_data(f"{folder} is no folder", "give the folder of the sessions")
     with bar("reading", None, quiet=quiet) as progress:
-        entries, left_out = read_sessions(folder, results or folder / RESULTS, progress)
+        entries, left_out = read_sessions(folder, results or folder / "catalog", progress)
     units = units_of(entries, read_models(folder))
     common.warn(f"{place} is left out: {why}" for place, why in left_out.items())
     common.warn(f"{entry.session.path}: {text}" for entry in entries for text in entry.lacking)
@@ -78,9 +77,10 @@ def read(folder: Path, results: Path | None, quiet: bool) -> "tuple[list[Unit], 
 
 
 def _row(unit: "Unit") -> list[str]:
-    from imumon.fleet.catalog.tables import day, drifts
-    from imumon.fleet.catalog.units import BEST, COLDEST, HOTTEST, WORST
     from imumon.lab.diagnosis.page import shown
+
+    from .catalog.tables import day, drifts
+    from .catalog.units import BEST, COLDEST, HOTTEST, WORST
 
     factor, _ = shown("rad/s")
     row, drift_text = unit.row, "-"
@@ -132,8 +132,9 @@ def report(what: str, out: Path, sessions: Path) -> None:
     imumon report 0380123 --sessions sessions --out unit.html
     """
     check_output(out, replace=True, suffix=".html")
-    from imumon.fleet.catalog.page import write_session, write_unit
     from imumon.recordings.folder import is_session, open_session
+
+    from .catalog.page import write_session, write_unit
 
     if is_session(Path(what)):
         common.warn(write_session(open_session(Path(what)), out))

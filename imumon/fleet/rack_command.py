@@ -14,9 +14,6 @@ from imumon.errors import EXIT_NEGATIVE, EXIT_OK, ImumonError
 if TYPE_CHECKING:
     from imumon.view.publisher import ViewPublisher
 
-LOG_LINES = 100
-"""Log lines that a terminal may show below the table, the newest first."""
-
 
 @click.command("rack")
 @click.argument("file", type=common.PATH, metavar="RACK.YAML")
@@ -55,9 +52,9 @@ def command(
     A unit whose port does not exist yet is waited for.  A process that ends or hangs is started again; the
     others go on.  The file is read again when it changes: new units start, removed units end.
     """
-    from imumon.fleet.rack.description import changes, load_rack
-    from imumon.fleet.rack.rack import Rack
-    from imumon.fleet.rack.table import in_short, text_lines
+    from .rack.description import changes, load_rack
+    from .rack.rack import Rack
+    from .rack.table import in_short, text_lines
 
     mode = common.chosen_view(view, bind)
     changed = changes(file)
@@ -66,7 +63,7 @@ def command(
     ending, lines = Ending(seconds), Lines()
     publisher = _publisher(file, mode, window, bind)
     rack = Rack(out, lines.put, None if publisher is None else publisher.publish)
-    log: deque[str] = deque(maxlen=LOG_LINES)
+    log: deque[str] = deque(maxlen=100)  # more lines than a terminal shows below the table, the newest first
 
     def step() -> None:
         rack.look()
@@ -122,9 +119,6 @@ def _publisher(file: Path, mode: common.View, window: float, bind: str) -> "View
 def trouble(unit: dict[str, Any]) -> str:
     """Return what went wrong with a unit, by what ``--json`` holds of it; empty when nothing did."""
     unrecorded = sum(session["bytes_unrecorded"] for session in unit["sessions"])
-    found = [unit["problem"]] if unit["problem"] else []
-    if unit["deaths"]:
-        found.append(f"its process died {len(unit['deaths'])} times")
-    if unrecorded:
-        found.append(f"NOT RECORDED: {unrecorded:,} bytes")
-    return "; ".join(found)
+    died = f"its process died {len(unit['deaths'])} times" if unit["deaths"] else ""
+    lost = f"NOT RECORDED: {unrecorded:,} bytes" if unrecorded else ""
+    return "; ".join(filter(None, (unit["problem"], died, lost)))

@@ -20,7 +20,7 @@ from imumon.plugins import DEVICES, EFFECTS, STAGES, WINGS, entries, load, packa
 from imumon.protocols.device import FOLDER, is_folder, load_device
 from imumon.stage import STAGE, is_callable, made_by
 from imumon.transport.port import latency_text
-from imumon.transport.ports import PortInfo, latency_timer_path, list_ports, open_error
+from imumon.transport.ports import PortInfo, list_ports, open_error
 from imumon.transport.settings import PortSettings
 from imumon.view.viewer import has_display, quiet_environment, viewer_binary
 from imumon.wing import NEEDED, is_wing
@@ -118,7 +118,7 @@ def _port(port: PortInfo) -> Finding:
         remedy = "two readers of one port take bytes from each other: end the other"
         return Finding(port.device, State.WARNING, f"{port}: open in {', '.join(port.holders)}", remedy)
     if timer is not None and timer > 1:
-        remedy = latency_text(False, timer, str(latency_timer_path(port.device)))
+        remedy = latency_text(False, port.device, timer)
         return Finding(port.device, State.WARNING, f"{port}: bytes come in bursts", remedy)
     return Finding(port.device, State.GOOD, str(port))
 

@@ -7,14 +7,15 @@ from enum import Enum
 from typing import Any
 
 from imumon.errors import ImumonError, Reason
-from imumon.transport.port import open_port
-from imumon.transport.ports import silent_error, wrong_baud_error
-from imumon.transport.settings import PortSettings
+
+from .port import open_port
+from .ports import silent_error, wrong_baud_error
+from .settings import PortSettings
 
 COMMON_BAUDRATES = (
-    *(115200, 921600, 460800, 230400, 57600, 38400, 9600, 19200),
-    *(1000000, 2000000, 3000000, 500000, 1500000, 4000000, 4800),
-)
+    115200, 921600, 460800, 230400, 57600, 38400, 9600, 19200,
+    1000000, 2000000, 3000000, 500000, 1500000, 4000000, 4800,
+)  # fmt: skip
 """Rates that devices are delivered with, the most common first."""
 PLENTY_OF_PACKETS = 50
 """With so many packets in good order, listening on at this rate proves nothing more."""
@@ -33,53 +34,47 @@ SILENT_RATES = 3
 """After so many rates without a byte it is silent: a wrong rate garbles bytes, it does not stop them."""
 POLL_S = 0.05
 TEXT, ODD = b"\t\r\n" + bytes(range(0x20, 0x7F)), b"\x00\xff"
-Candidate = Any
-"""A decoder (`imumon.protocols.decoder.Decoder`): has `feed`, `finish`, `take` and `counters`."""
+Candidates = Mapping[str, Callable[[], Any]]
+"""By name what makes a fresh decoder (`imumon.protocols.decoder.Decoder`)."""
 
 
 class Verdict(Enum):
-    """What a protocol makes of the bytes at a rate, best first."""
+    """What a protocol makes of the bytes at a rate, best first; see `Evidence.verdict`."""
 
     FRAMES = "frames"
-    """Nearly all bytes are in valid packets."""
     UNREAD = "frames, and nothing in it is known"
-    """Nearly all bytes are in valid packets, of which none makes a sample."""
     PARTLY = "frames in part"
-    """Valid packets, with many bytes between them."""
     NOTHING = "does not frame"
-    """Bytes, but no packets worth the name."""
     SILENT = "silent"
-    """No bytes."""
 
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """What was found at one baud rate with one protocol."""
+    """What a candidate found at one baud rate, in bit/s; None where there is no line (``socket://``).
+
+    Of the bytes received some are in valid packets, and some pending, of a packet cut off at the end.  Errors
+    are of what looked like a packet and was none.  A device of the same family may frame all packets and find
+    no samples in them.  Odd bytes are 0x00 or 0xFF, which a wrong rate or an inverted line gives; text is
+    printable ASCII or line ends.
+    """
 
     protocol: str
-    """Name of the candidate."""
     baudrate: int | None
-    """In bit/s; None where there is no line (``socket://``)."""
     seconds: float
     bytes_received: int
     bytes_in_packets: int
     bytes_pending: int
-    """All bytes; those in valid packets; those of a packet cut off at the end."""
     packets: int
     checksum_errors: int
     length_errors: int
-    """Valid packets, and what looked like a packet and was none."""
     samples: int
-    """Samples in the packets; a device of the same family may frame the packets and understand none."""
     odd_share: float
-    """Share of bytes that are 0x00 or 0xFF, which a wrong rate or an inverted line gives."""
     text_share: float
-    """Share of bytes that are printable ASCII or line ends."""
 
     @property
     def bytes_per_s(self) -> float:
         """Rate at which bytes arrived."""
-        return self.bytes_received / self.seconds if self.seconds > 0 else 0.0
+        return self.bytes_received / self.seconds
 
     @property
     def share_framed(self) -> float:
@@ -115,7 +110,7 @@ def baudrates_to_try(first: Iterable[int] = ()) -> list[int]:
 
 def detect(
     url: str,
-    candidates: Mapping[str, Callable[[], Candidate]],
+    candidates: Candidates,
     baudrates: Sequence[int] = COMMON_BAUDRATES,
     seconds_each: float = 1.5,
     before_rate: Callable[[PortSettings], bytearray] = lambda _: bytearray(),
@@ -126,7 +121,7 @@ def detect(
     passed over.
 
     `url`: the port; where it has no line, it is listened to once.
-    `candidates`: makes a fresh decoder per name.
+    `candidates`: what is tried on the bytes.
     `baudrates`: rates in bit/s, in the order to try them.
     `seconds_each`: time to listen at each rate; less when there is enough evidence.
     `before_rate`: given what is tried next; returns what the bytes that come are added to.
@@ -154,7 +149,7 @@ def detect(
 
 def listen(
     settings: PortSettings,
-    candidates: Mapping[str, Callable[[], Candidate]],
+    candidates: Candidates,
     seconds: float,
     data: bytearray,
     others: bool,
@@ -165,7 +160,6 @@ def listen(
     serve a proposal.
     """
     decoders = {name: factory() for name, factory in candidates.items()}
-    samples = dict.fromkeys(decoders, 0)
     elapsed = 0.0
     with open_port(settings) as port:
         start = time.monotonic() + (POLL_S if settings.has_line else 0.0)
@@ -176,21 +170,18 @@ def listen(
         ):
             read = port.read(min(POLL_S, seconds - elapsed))
             data += read
-            for name, decoder in decoders.items():
+            for decoder in decoders.values():
                 decoder.feed(read, time.time_ns())
-                samples[name] += len(decoder.take())
             elapsed = time.monotonic() - start
     evidence = []
+    rate = settings.baudrate if settings.has_line else None
+    shares = _share(data, ODD), _share(data, TEXT)
     for name, decoder in decoders.items():
         decoder.finish()
-        samples[name] += len(decoder.take())
         n = decoder.counters()
-        rate = settings.baudrate if settings.has_line else None
         of_bytes = n.bytes_received, n.bytes_in_packets, n.bytes_pending
-        of_packets = n.packets, n.checksum_errors, n.length_errors, samples[name]
-        evidence.append(
-            Evidence(name, rate, elapsed, *of_bytes, *of_packets, _share(data, ODD), _share(data, TEXT))
-        )
+        of_packets = n.packets, n.checksum_errors, n.length_errors, len(decoder.take())
+        evidence.append(Evidence(name, rate, elapsed, *of_bytes, *of_packets, *shares))
     return evidence
 
 
@@ -243,7 +234,7 @@ def _likely_cause(evidence: Sequence[Evidence]) -> str:
     )
 
 
-def _has_plenty(decoders: Iterable[Candidate]) -> bool:
+def _has_plenty(decoders: Iterable[Any]) -> bool:
     """Return whether a candidate frames so many packets that listening on would prove nothing more."""
     counts = (decoder.counters() for decoder in decoders)
     return any(
@@ -253,7 +244,7 @@ def _has_plenty(decoders: Iterable[Candidate]) -> bool:
     )
 
 
-def _is_foreign(decoders: Iterable[Candidate], data: bytearray) -> bool:
+def _is_foreign(decoders: Iterable[Any], data: bytearray) -> bool:
     """Return whether so many bytes without a packet, and no text, come from another rate or protocol."""
     packets = any(decoder.counters().packets for decoder in decoders)
     return len(data) >= TRIED_BYTES and not packets and _share(data, TEXT) <= MOSTLY_TEXT

@@ -5,22 +5,14 @@ import os
 import select
 import socket
 import termios
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, suppress
 from dataclasses import replace
 from urllib.parse import urlsplit
 
 import serial
 
-from imumon.transport.ports import (
-    OPEN_ERRORS,
-    PORT_ERRORS,
-    holders,
-    latency_timer_ms,
-    latency_timer_path,
-    lost_error,
-    open_error,
-)
-from imumon.transport.settings import PortSettings
+from .ports import PORT_ERRORS, holders, latency_timer_ms, latency_timer_path, lost_error, open_error
+from .settings import PortSettings
 
 READ_SIZE = 1 << 16
 """Bytes taken at once: as many as a Linux tty can hold back after a stall."""
@@ -44,11 +36,9 @@ class Port(AbstractContextManager["Port"]):
         self.shared_with: tuple[str, ...] = ()
         """Other programs that had the port open already; what they read is missing here."""
         if isinstance(handle, serial.Serial):
-            _set_exclusive(self._fd, True)
+            _set_exclusive(self._fd, termios.TIOCEXCL)
             self.low_latency = _set_low_latency(handle)
             self.shared_with = tuple(holders(settings.url))
-        else:
-            _keep_alive(handle)
 
     def read(self, timeout_s: float) -> bytes:
         """Return the bytes that are there, waiting for the first at most `timeout_s`; empty when none came.
@@ -77,14 +67,15 @@ class Port(AbstractContextManager["Port"]):
 
         Raises BAD_CONFIG when the adapter has no such rate; LOST when the port failed.
         """
+        settings = replace(self.settings, baudrate=baudrate)
         try:
             if isinstance(self._handle, serial.Serial):
                 self._handle.baudrate = baudrate
         except ValueError as error:
-            raise open_error(replace(self.settings, baudrate=baudrate), error) from error
+            raise open_error(settings, error) from error
         except PORT_ERRORS as error:
             raise lost_error(self.settings, error) from error
-        self.settings = replace(self.settings, baudrate=baudrate)
+        self.settings = settings
 
     def gone(self) -> str:
         """Return why the opened device is no longer the one under its name; empty when it is.
@@ -97,14 +88,13 @@ class Port(AbstractContextManager["Port"]):
             now = os.stat(self.settings.url)  # noqa: PTH116  (the same call as fstat below)
         except OSError:
             return "its device node vanished"
-        then = os.fstat(self._fd)
-        same = (now.st_dev, now.st_ino, now.st_rdev) == (then.st_dev, then.st_ino, then.st_rdev)
-        return "" if same else "its device node was replaced by another one"
+        is_same = os.path.samestat(now, os.fstat(self._fd))
+        return "" if is_same else "its device node was replaced by another one"
 
     def close(self) -> None:
         """Close everything the port holds; closing twice does no harm."""
         if isinstance(self._handle, serial.Serial) and self._handle.is_open:
-            _set_exclusive(self._fd, False)
+            _set_exclusive(self._fd, termios.TIOCNXCL)
         self._handle.close()
 
     def __exit__(self, *_: object) -> None:
@@ -120,8 +110,11 @@ class Port(AbstractContextManager["Port"]):
             if not data and isinstance(self._handle, socket.socket):
                 raise lost_error(self.settings, "the peer closed the connection")
         if not data:
-            if _hung_up(self._fd):
-                raise lost_error(self.settings, "the device hung up (unplugged, or its driver let go)")
+            try:
+                termios.tcgetattr(self._fd)
+            except termios.error as error:
+                hung_up = "the device hung up (unplugged, or its driver let go)"
+                raise lost_error(self.settings, hung_up) from error
             self.vanished_reads += 1
         return data
 
@@ -133,56 +126,40 @@ def open_port(settings: PortSettings) -> Port:
     what was found and what to do.
     """
     try:
-        return Port(_opened(settings), settings)
-    except OPEN_ERRORS as error:
-        raise open_error(settings, error) from error
-
-
-def _opened(settings: PortSettings) -> serial.Serial | socket.socket:
-    """Return the open device, or the connection."""
-    if not settings.has_line:
+        if settings.has_line:
+            return Port(
+                serial.Serial(
+                    settings.url,
+                    settings.baudrate,
+                    settings.bytesize,
+                    settings.parity,
+                    settings.stopbits,
+                    write_timeout=WRITE_TIMEOUT_S,
+                    exclusive=True,
+                ),
+                settings,
+            )
         url = urlsplit(settings.url)
         if url.scheme != "socket" or not url.hostname or not url.port:
             raise ValueError("neither a device nor socket://host:port")
         connection = socket.create_connection((url.hostname, url.port), CONNECT_TIMEOUT_S)
         connection.settimeout(WRITE_TIMEOUT_S)
-        return connection
-    return serial.Serial(
-        settings.url,
-        settings.baudrate,
-        settings.bytesize,
-        settings.parity,
-        settings.stopbits,
-        write_timeout=WRITE_TIMEOUT_S,
-        exclusive=True,
-    )
+        # The system probes an idle connection, or a server without power would look silent for ever.
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+        for option, value in ((socket.TCP_KEEPIDLE, 5), (socket.TCP_KEEPINTVL, 2), (socket.TCP_KEEPCNT, 3)):
+            connection.setsockopt(socket.IPPROTO_TCP, option, value)
+        return Port(connection, settings)
+    except (OSError, termios.error, ValueError) as error:  # pyserial also refuses values
+        raise open_error(settings, error) from error
 
 
-def _keep_alive(connection: socket.socket) -> None:
-    """Have the system probe an idle connection, or a server without power would look silent for ever."""
-    connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-    for name, value in (("TCP_KEEPIDLE", 5), ("TCP_KEEPINTVL", 2), ("TCP_KEEPCNT", 3)):
-        if hasattr(socket, name):
-            connection.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
-
-
-def _set_exclusive(fd: int, on: bool) -> None:
+def _set_exclusive(fd: int, request: int) -> None:
     """Refuse (or allow) further opening, also by programs that ignore the lock that pyserial takes.
 
     The flag outlives the descriptor while anyone holds the device, so it is taken back before closing.
     """
-    try:
-        fcntl.ioctl(fd, termios.TIOCEXCL if on else termios.TIOCNXCL)
-    except OSError:  # the device is gone, which the next read reports with its reason
-        return
-
-
-def _hung_up(fd: int) -> bool:
-    try:
-        termios.tcgetattr(fd)
-    except termios.error:
-        return True
-    return False
+    with suppress(OSError):  # the device is gone, which the next read reports with its reason
+        fcntl.ioctl(fd, request)
 
 
 def _set_low_latency(handle: serial.Serial) -> str:
@@ -192,15 +169,15 @@ def _set_low_latency(handle: serial.Serial) -> str:
         handle.set_low_latency_mode(True)
     except (ValueError, NotImplementedError):  # the driver has no such call, or this user may not make it
         accepted = False
-    return latency_text(accepted, latency_timer_ms(device), str(latency_timer_path(device)))
+    return latency_text(accepted, device, latency_timer_ms(device))
 
 
-def latency_text(accepted: bool, timer_ms: int | None, timer_path: str) -> str:
+def latency_text(accepted: bool, device: str, timer_ms: int | None) -> str:
     """Describe the low-latency mode from what the driver accepted and its latency timer afterwards."""
     if timer_ms is not None and timer_ms > 1:
         return (
             f"off, the adapter holds bytes back for up to {timer_ms} ms; to change it:"
-            f" echo 1 | sudo tee {timer_path}, or for good a udev rule:"
+            f" echo 1 | sudo tee {latency_timer_path(device)}, or for good a udev rule:"
             ' ACTION=="add", SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", ATTR{latency_timer}="1"'
         )
     if timer_ms is not None:

@@ -15,7 +15,8 @@ from serial.tools import list_ports as list_ports_of_pyserial
 from serial.tools.list_ports_common import ListPortInfo
 
 from imumon.errors import ImumonError, Reason, bad_config
-from imumon.transport.settings import PortSettings
+
+from .settings import PortSettings
 
 SYS_TTY = Path("/sys/class/tty")
 BY_ID = Path("/dev/serial/by-id")
@@ -24,8 +25,6 @@ TRIES, PAUSE_S = 3, 0.05
 
 PORT_ERRORS: tuple[type[Exception], ...] = (OSError, termios.error)
 """What pyserial and the system raise when a port fails (`SerialException` is an `OSError`)."""
-OPEN_ERRORS: tuple[type[Exception], ...] = (*PORT_ERRORS, ValueError)
-"""The same while opening, where pyserial also refuses values."""
 
 _REASON_BY_ERRNO: dict[int, Reason] = {
     errno.EACCES: Reason.PERMISSION,
@@ -39,27 +38,25 @@ _REASON_BY_ERRNO: dict[int, Reason] = {
 
 @dataclass(frozen=True, slots=True)
 class PortInfo:
-    """A serial port that exists."""
+    """A serial port that exists, as adapter and system call it.
+
+    `device` opens it; so does `by_id`, of ``/dev/serial/by-id``, which stays the same when adapters are
+    replugged in another order.  Vendor, product and serial number are those of USB, None for other ports.
+    `latency_timer_ms` is how long an FTDI adapter holds bytes back at the most, None where the driver has no
+    such timer; `accessible`: whether this user may read and write the port; `holders`: other programs that
+    have it open, as far as this user may see them.
+    """
 
     device: str
-    """Name to open it by."""
     description: str
-    """What the adapter or the operating system calls it."""
     vid: int | None
     pid: int | None
-    """USB vendor and product id; None for a port that is not USB."""
     serial_number: str | None
-    """USB serial number."""
     driver: str | None
-    """Kernel driver."""
     by_id: str | None
-    """Name under ``/dev/serial/by-id``, which stays the same when adapters are replugged in another order."""
     latency_timer_ms: int | None
-    """How long an FTDI adapter holds bytes back at the most; None where the driver has no such timer."""
     accessible: bool
-    """Whether this user may read and write it."""
     holders: tuple[str, ...]
-    """Other programs that have it open, as far as this user may see them."""
 
     @property
     def usb_id(self) -> str:
@@ -74,7 +71,7 @@ class PortInfo:
 def list_ports() -> list[PortInfo]:
     """Return the serial ports that exist, by name."""
     links = {os.path.realpath(link): str(link) for link in sorted(BY_ID.glob("*"))}
-    found = [
+    return [
         PortInfo(
             device=port.device,
             description=port.description or "",
@@ -89,22 +86,21 @@ def list_ports() -> list[PortInfo]:
         )
         for port in _comports()
     ]
-    return sorted(found, key=lambda port: port.device)
 
 
 def describe_ports() -> str:
     """Return one sentence that names the ports that exist; cheap enough for an error message."""
-    devices = sorted(
+    devices = [
         f"{port.device} ({port.description})" if port.vid is not None else port.device for port in _comports()
-    )
+    ]
     return "ports that exist: " + ", ".join(devices) if devices else "no serial ports exist"
 
 
 def _comports() -> list[ListPortInfo]:
-    """Ask pyserial, which stumbles over an adapter that is being unplugged at this moment."""
+    """Return what pyserial finds, by name; it stumbles over an adapter that is being unplugged right now."""
     for _ in range(TRIES):
         try:
-            return list(list_ports_of_pyserial.comports())
+            return sorted(list_ports_of_pyserial.comports())
         except (OSError, TypeError):  # int(None), from a file of sysfs that has just gone
             time.sleep(PAUSE_S)
     return []
@@ -136,7 +132,7 @@ def holders(device: str) -> list[str]:
     """
     target = os.path.realpath(device)
     found: list[str] = []
-    for process in sorted(PROC.glob("[0-9]*"), key=lambda folder: int(folder.name)):
+    for process in PROC.glob("[0-9]*"):
         open_files = set[str]()
         with suppress(OSError):  # another user's process, or it has just ended
             for entry in (process / "fd").iterdir():
@@ -149,10 +145,9 @@ def holders(device: str) -> list[str]:
 
 def _command(process: Path) -> str:
     try:
-        words = (process / "cmdline").read_bytes().split(b"\0")
+        text = (process / "cmdline").read_text(errors="replace").replace("\0", " ").strip()
     except OSError:
         return "a process"
-    text = b" ".join(words).decode(errors="replace").strip()
     return text if len(text) <= 60 else text[:57] + "..."
 
 
@@ -173,13 +168,22 @@ def open_error(settings: PortSettings, error: Exception) -> ImumonError:
     reason = _REASON_BY_ERRNO.get(number or 0, Reason.NOT_FOUND)
     if reason is Reason.PERMISSION:
         more, hint = _permission(device)
+    elif reason is Reason.BUSY and (others := holders(device)):
+        more, hint = "open in " + ", ".join(others), "Close that program, then try again."
     elif reason is Reason.BUSY:
-        more, hint = _busy(device)
+        more = "held by this program itself, or by a user whose processes are not visible"
+        hint = f"`sudo fuser -v {device}` shows which program it is; ModemManager is a usual one."
     elif reason is Reason.LOST:
         more = "the device is there but does not answer its driver"
         hint = f"Replug it; see `dmesg` for {device}."
+    elif number in (errno.ENOTTY, errno.EINVAL, errno.EISDIR) and Path(device).exists():
+        more = "it exists but is not a serial port"
+        hint = f"`imumon decode {device} --device NAME` reads a file of bytes; {describe_ports()}"
     else:
-        more, hint = _not_found(device, number)
+        more = describe_ports()
+        hint = (
+            "Plug the device in (`dmesg` shows whether USB detects it), or give the name of one that exists."
+        )
     return ImumonError(reason, f"{seen}; {more}", hint)
 
 
@@ -236,24 +240,6 @@ def _errno_text(number: int | None, error: Exception) -> str:
     if number is None or number not in errno.errorcode:  # the resolver has its own, negative numbers
         return str(error)
     return f"{os.strerror(number)} (errno {number}, {errno.errorcode[number]})"
-
-
-def _not_found(device: str, number: int | None) -> tuple[str, str]:
-    if number in (errno.ENOTTY, errno.EINVAL, errno.EISDIR) and Path(device).exists():
-        hint = f"`imumon decode {device} --device NAME` reads a file of bytes; {describe_ports()}"
-        return "it exists but is not a serial port", hint
-    hint = "Plug the device in (`dmesg` shows whether USB detects it), or give the name of one that exists."
-    return describe_ports(), hint
-
-
-def _busy(device: str) -> tuple[str, str]:
-    others = holders(device)
-    if others:
-        return "open in " + ", ".join(others), "Close that program, then try again."
-    return (
-        "held by this program itself, or by a user whose processes are not visible",
-        f"`sudo fuser -v {device}` shows which program it is; ModemManager is a usual one.",
-    )
 
 
 def _permission(device: str) -> tuple[str, str]:

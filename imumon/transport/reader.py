@@ -11,19 +11,18 @@ import numpy.typing as npt
 
 from imumon.blocks import IntArray
 from imumon.errors import ImumonError
-from imumon.transport.port import Port, open_port
-from imumon.transport.ports import lost_error, silent_error
-from imumon.transport.settings import PortSettings
+
+from .port import Port, open_port
+from .ports import lost_error, silent_error
+from .settings import PortSettings
 
 ByteArray = npt.NDArray[np.uint8]
 
 SILENT_AFTER_S = 1.0
 REOPEN_S = 0.2
 """How often reopening is tried, for ever: a try takes a millisecond."""
-CHECK_SILENT_S = 1.0
-"""How often a silent port is checked for having been replaced."""
 STOP_S = 0.2
-"""Longest wait for bytes, after which it is looked whether the reader is to stop."""
+"""Longest wait for bytes; then it is looked whether the reader is to stop, or a silent port was replaced."""
 
 
 class EventKind(Enum):
@@ -61,14 +60,14 @@ class Bytes:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reads:
-    """Several reads one after the other, as a recording has them: faster to go through than each alone."""
+    """Several reads one after the other, as a recording has them: faster to go through than each alone.
+
+    For each, (n,): where it ends in the data, and the Unix time right after it.
+    """
 
     data: ByteArray
-    """The bytes of all."""
     ends: IntArray
-    """Where each read ends in the data, (n,)."""
     arrivals_ns: IntArray
-    """Unix time right after each, (n,)."""
 
     @classmethod
     def of(cls, reads: Sequence[Bytes]) -> "Reads":
@@ -106,7 +105,7 @@ Sink = Callable[[Item], None]
 class Clock:
     """Unix time that never goes back: the time of day at the start plus a clock that only goes forwards.
 
-    Steps of the computer's clock do not reach the stamps; its sleep does, where the system counts it.
+    Steps of the computer's clock do not reach the stamps; its sleep does.
     """
 
     def __init__(self) -> None:
@@ -119,8 +118,7 @@ class Clock:
 
 def steady_ns() -> int:
     """Return the time of a clock that is never set, the same in all programs, ns."""
-    boottime = getattr(time, "CLOCK_BOOTTIME", None)
-    return time.monotonic_ns() if boottime is None else time.clock_gettime_ns(boottime)
+    return time.clock_gettime_ns(time.CLOCK_BOOTTIME)
 
 
 class Reader:
@@ -180,7 +178,7 @@ class Reader:
 
     def _read_until_lost(self, port: Port) -> ImumonError | None:
         """Read until the port fails, and return why; None when the reader is stopped."""
-        last_ns = checked_ns = self._clock.now_ns()
+        last_ns = self._clock.now_ns()
         silent = shared = False
         while not self._stopping.is_set():
             left_s = self._silent_after_s - (self._clock.now_ns() - last_ns) * 1e-9
@@ -199,10 +197,8 @@ class Reader:
             elif quiet_s >= self._silent_after_s and not silent:
                 silent = True
                 self.report(EventKind.SILENT, silent_error(self.settings, quiet_s).seen, now_ns)
-            if silent and now_ns - checked_ns >= CHECK_SILENT_S * 1e9:
-                checked_ns = now_ns
-                if reason := port.gone():
-                    return lost_error(self.settings, reason)
+            if silent and (reason := port.gone()):
+                return lost_error(self.settings, reason)
             if port.vanished_reads and not shared:
                 shared = True
                 self.report(EventKind.SHARED, "another program takes bytes from this port")

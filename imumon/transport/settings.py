@@ -7,16 +7,17 @@ from imumon.errors import bad_config
 
 @dataclass(frozen=True, slots=True)
 class PortSettings:
-    """Where the bytes come from and how the line is set; raises BAD_CONFIG when a value cannot be."""
+    """Where the bytes come from and how the line is set; raises BAD_CONFIG when a value cannot be.
+
+    `url` is a device (``/dev/ttyUSB0``) or ``socket://host:port``, which has no line: nothing else matters
+    there.  Baud rate in bit/s; 7 or 8 data bits; parity N, E or O; 1 or 2 stop bits.
+    """
 
     url: str
-    """A device (``/dev/ttyUSB0``) or ``socket://host:port``."""
     baudrate: int = 115200
-    """Bits per second on the line; a ``socket://`` has no line, so it does not matter there."""
     bytesize: int = 8
     parity: str = "N"
     stopbits: int = 1
-    """Data bits, 7 or 8; parity N, E or O; stop bits, 1 or 2."""
 
     def __post_init__(self) -> None:
         if not self.url:
@@ -32,14 +33,10 @@ class PortSettings:
         return "://" not in self.url
 
     @property
-    def bits_per_byte(self) -> int:
-        """Bits on the line for one byte: start, data, parity and stop bits."""
-        return 1 + self.bytesize + (self.parity != "N") + self.stopbits
-
-    @property
     def capacity_bytes_per_s(self) -> float | None:
         """Bytes per second that the line can carry, or None when there is no line."""
-        return self.baudrate / self.bits_per_byte if self.has_line else None
+        bits = 1 + self.bytesize + (self.parity != "N") + self.stopbits  # the first is the start bit
+        return self.baudrate / bits if self.has_line else None
 
     def __str__(self) -> str:
         if not self.has_line:

@@ -154,7 +154,7 @@ class LoopedPort:
         if sending is None:
             return None
         first = self._sent[sending.rate_hz]
-        kinds = repr(self.firmware.kinds())  # which a test may change
+        kinds = repr(self.firmware.family.kinds(self.firmware.volatile))  # which a test may change
         key = (self._name, self._rate_hz, frozenset(self._sent_by.items()), kinds, first)
         return SENT.setdefault(key, Sent(sending, played(self._name, sending.rate_hz), first))
 
@@ -180,10 +180,10 @@ def looped(monkeypatch: pytest.MonkeyPatch, name: str, rate_hz: float | None = N
     port = LoopedPort(name, rate_hz or device_of(name).rate_hz or 100.0)
     clock = SimpleNamespace(monotonic=port.monotonic, time_ns=port.time_ns)
     monkeypatch.setattr(command_link, "time", clock)
-    family = family_of(port.device)
-    link = CommandLink(cast(Port, port), family, streaming=True)
+    link = CommandLink(cast(Port, port), family_of(port.device))
+    link.streaming = True
     report = Report(port.device.name, port.settings.url)
-    return Looped(port, Configuration(link, family, port.device, report), report)
+    return Looped(port, Configuration(link, port.device, report), report)
 
 
 def failed(one: Looped, wish: Wish) -> ImumonError:

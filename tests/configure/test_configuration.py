@@ -8,9 +8,10 @@ from dataclasses import replace
 import pytest
 
 from imumon.configure.configuration import planned
-from imumon.configure.core import BAUD, PacketKind, Wish
-from imumon.configure.mip import Mip, MipFirmware
+from imumon.configure.core import BAUD, PacketKind, Values, Wish
+from imumon.configure.mip import MipFirmware
 from imumon.errors import ImumonError, Reason
+from imumon.transport.settings import PortSettings
 from tests.configure.faults import Faults
 from tests.configure.looped import Looped, failed, looped
 
@@ -201,7 +202,7 @@ def test_a_slower_line_comes_after_less_data(monkeypatch: pytest.MonkeyPatch) ->
 def test_an_older_mip_device_is_recognised_by_its_own_commands(monkeypatch: pytest.MonkeyPatch) -> None:
     one = looped(monkeypatch, "microstrain")
     assert isinstance(one.port.firmware, MipFirmware)
-    one.port.firmware.family = Mip(modern=False)
+    one.port.firmware.family.modern = False
     succeeded(one)
     assert one.report.plan[1].frame[4:6] == bytes([len(one.report.plan[1].frame) - 6, 0x08])
     assert one.report.stream is not None
@@ -210,15 +211,16 @@ def test_an_older_mip_device_is_recognised_by_its_own_commands(monkeypatch: pyte
 
 def slow_down(monkeypatch: pytest.MonkeyPatch, one: Looped, by: int) -> None:
     """Let a device send more slowly than it states."""
-    real = one.port.firmware.kinds
+    family = one.port.firmware.family
+    real = family.kinds
 
-    def kinds() -> list[PacketKind]:
+    def kinds(values: Values) -> list[PacketKind]:
         return [
             kind._replace(fields=[field._replace(rate_hz=field.rate_hz / by) for field in kind.fields])
-            for kind in real()
+            for kind in real(values)
         ]
 
-    monkeypatch.setattr(one.port.firmware, "kinds", kinds)
+    monkeypatch.setattr(family, "kinds", kinds)
 
 
 def test_a_device_that_sends_at_another_rate_than_it_states_is_put_back(
@@ -266,11 +268,10 @@ def test_a_dry_run_needs_no_device(name: str) -> None:
     from imumon.configure.core import family_of
     from imumon.protocols.device import load_device
 
-    family = family_of(load_device(name))
-    frames = [
-        request.frame for request in planned(family, replace(WISH, baudrate=BAUDRATE, save=True), now=9600)
-    ]
+    family, line = family_of(load_device(name)), PortSettings("/dev/none", 9600)
+    wish = replace(WISH, baudrate=BAUDRATE, save=True)
+    frames = [request.frame for request in planned(family, wish, line)]
     assert frames[0] == family.hello.frame
     assert len(frames) > 6
     with pytest.raises(ImumonError, match="does not know what the device sends now"):
-        planned(family, Wish(20.0), now=9600)
+        planned(family, Wish(20.0), line)

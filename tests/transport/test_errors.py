@@ -124,4 +124,4 @@ def test_lost_silent_and_wrong_baud_say_what_was_detected() -> None:
 def test_low_latency_is_recognised_by_what_the_driver_does(
     accepted: bool, timer_ms: int | None, expected: str
 ) -> None:
-    assert latency_text(accepted, timer_ms, "/sys/x").startswith(expected)
+    assert latency_text(accepted, "/dev/ttyUSB0", timer_ms).startswith(expected)

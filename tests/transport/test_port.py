@@ -224,11 +224,10 @@ def test_closing_twice_does_no_harm() -> None:
 @pytest.mark.parametrize(
     ("bytesize", "parity", "stopbits", "bits"), [(8, "N", 1, 10), (8, "E", 1, 11), (7, "O", 2, 11)]
 )
-def test_bits_per_byte_counts_start_parity_and_stop(
+def test_what_a_line_carries_counts_start_parity_and_stop(
     bytesize: int, parity: str, stopbits: int, bits: int
 ) -> None:
     settings = PortSettings("/dev/ttyUSB0", 110_000, bytesize, parity, stopbits)
-    assert settings.bits_per_byte == bits
     assert settings.capacity_bytes_per_s == 110_000 / bits
 
 

@@ -13,7 +13,6 @@ import serial
 from imumon.errors import ImumonError, Reason
 from imumon.simulation.virtual_port import VirtualPort
 from imumon.transport import port as port_module
-from imumon.transport import reader as reader_module
 from imumon.transport.reader import Event, EventKind, Item, Reader, Sink
 from imumon.transport.settings import PortSettings
 from tests.faults.port import FaultyPort
@@ -85,8 +84,7 @@ def test_a_port_that_was_never_there_is_not_waited_for() -> None:
     assert sink.items == []
 
 
-def test_silence_is_reported_once_and_ends_with_the_next_byte(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(reader_module, "CHECK_SILENT_S", 0.02)
+def test_silence_is_reported_once_and_ends_with_the_next_byte() -> None:
     sink = Collector()
     with FaultyPort() as device, reading(PortSettings(device.path), sink, silent_after_s=0.1):
         device.write(PACKET)
@@ -165,8 +163,7 @@ def test_low_latency_is_requested_at_every_opening(tmp_path: Path, monkeypatch: 
     assert [detail.endswith(f"low latency: opening {n + 1}") for n, detail in enumerate(opened)] == [True] * 2
 
 
-def test_a_silent_port_that_was_replaced_is_reopened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(reader_module, "CHECK_SILENT_S", 0.05)
+def test_a_silent_port_that_was_replaced_is_reopened(tmp_path: Path) -> None:
     sink, link = Collector(), tmp_path / "ttyIMU"
     with VirtualPort() as old, VirtualPort() as new:
         link.symlink_to(old.path)

@@ -18,7 +18,7 @@ from imumon.files import TRUTH, replacing, write_text
 from imumon.models.curves.polynomial import CUBIC
 from imumon.recordings.source import RECORDING
 
-ROWS, SETTINGS_NAME, LOCK_NAME = "rows", "batch.yaml", ".lock"
+ROWS = "rows"
 WRITE_S = 60.0
 """What has been computed is written so often: whoever kills a batch loses at most that."""
 LATE_S = 3600.0
@@ -29,19 +29,20 @@ Row = Mapping[str, Any]
 
 
 class BatchOptions(StrictModel):
-    """A command and its options, the same for all sessions; kept in the folder of the results."""
+    """A command and its options, the same for all sessions; kept in the folder of the results.
+
+    decode and replay may write `tables` of the samples of each session; replay takes a pipeline file instead
+    of what a session was recorded with, calibrate a place, with which the earth rate is removed, diagnose the
+    bias model that is assumed.
+    """
 
     format: Literal["imumon-batch/1"] = "imumon-batch/1"
     command: Literal["decode", "replay", "calibrate", "allan", "diagnose"]
     tables: bool = False
-    """Whether decode and replay write the samples of every session as well."""
     pipeline_yaml: str | None = None
-    """For replay, instead of what a session was recorded with."""
     latitude_deg: float | None = Field(default=None, ge=-90, le=90)
     heading_deg: float | None = Field(default=None, ge=-360, le=360)
-    """For calibrate: with which the earth rate is removed."""
     declared: str = CUBIC
-    """For diagnose: the bias model that is assumed."""
 
 
 _SAMPLES = ("samples", "mean", "sd", "least", "greatest", "duration_s", "lost", "file")
@@ -50,19 +51,13 @@ _NOISE = ("angle_random_walk", "bias_instability", "rate_random_walk", "quantiza
 RESULTS: dict[str, tuple[str, ...]] = {
     "decode": _SAMPLES,
     "replay": (*_SAMPLES, "identical_to_live"),
-    "allan": (
-        *(name for term in _NOISE for name in (term, f"{term}_sd")),
-        *("lowest", "lowest_tau_s", "longest_tau_s", "rate_hz", "duration_s"),
-    ),
-    "calibrate": (
-        *("curve", "residual_sd", "held_out_rms", "fit_rms", "lag_rms", "rest_s"),
-        *("lowest_degc", "highest_degc", "file"),
-    ),
-    "diagnose": (
-        *("effects", "unexplained", "explained_share", "noise_floor_rms"),
-        *("train_rms_before", "train_rms_after", "test_rms_before", "test_rms_after", "summary", "file"),
-    ),
-}
+    "allan": (*(name for term in _NOISE for name in (term, f"{term}_sd")), "lowest", "lowest_tau_s",
+        "longest_tau_s", "rate_hz", "duration_s"),
+    "calibrate": ("curve", "residual_sd", "held_out_rms", "fit_rms", "lag_rms", "rest_s", "lowest_degc",
+        "highest_degc", "file"),
+    "diagnose": ("effects", "unexplained", "explained_share", "noise_floor_rms", "train_rms_before",
+        "train_rms_after", "test_rms_before", "test_rms_after", "summary", "file"),
+}  # fmt: skip
 """Columns of what each command reports of a channel, in SI units."""
 _WHAT, _WHY = ("session", "device", "serial", "begun", "channel", "unit"), ("warnings", "reason", "error")
 _TYPES: dict[str, pa.DataType] = {
@@ -131,7 +126,7 @@ class Dataset:
         self._written = time.monotonic()
         try:
             (folder / ROWS).mkdir(parents=True, exist_ok=True)
-            self._lock = (folder / LOCK_NAME).open("w")
+            self._lock = (folder / ".lock").open("w")
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
             self._lock.close()
@@ -141,7 +136,7 @@ class Dataset:
         except OSError as error:
             raise bad_config(f"{folder}: cannot be made: {error.strerror}") from error
         try:
-            path = folder / SETTINGS_NAME
+            path = folder / "batch.yaml"
             if not path.exists():
                 write_text(path, dump_yaml(options.model_dump()))
             elif load_yaml(path, BatchOptions) != options:
@@ -153,8 +148,6 @@ class Dataset:
         except (ImumonError, OSError):
             self._lock.close()
             raise
-        for partial in (folder / ROWS).glob("*.partial"):
-            partial.unlink()
         last = int(self.parts[-1].stem.rpartition("-")[2]) if self.parts else 0
         self._next: tuple[int, list[Row]] = last + 1, []
         """Number and rows of the next file; both change at once, or Ctrl-C would have rows written twice."""

@@ -8,11 +8,10 @@ from typing import Any
 
 from imumon.errors import bad_config, bad_data, missing_package
 from imumon.recordings.folder import METADATA_NAME, WIRE_NAME, Session, is_session, read_metadata
-from imumon.recordings.table import SUFFIXES
 
 
 def find(place: str) -> list[str]:
-    """Return the sessions at a place in order: itself, or all in the folders below; a table is one, too.
+    """Return the sessions at a place in order: itself, or all in the folders below.
 
     Raises BAD_DATA when there is none, or the place cannot be read; BAD_CONFIG when a package is missing.
     """
@@ -35,22 +34,19 @@ def fetched(place: str, folder: Path | None = None) -> Iterator[Path]:
         return
     files, path = _opened(place)
     with TemporaryDirectory(prefix="imumon-", dir=folder) as made:
-        copy = Path(made) / path.rstrip("/").rpartition("/")[2]
+        copy = Path(made) / Path(path).name
         try:
-            if copy.suffix in SUFFIXES:
-                files.get_file(path, str(copy))
-            else:
-                copy.mkdir()
-                files.get_file(f"{path}/{METADATA_NAME}", str(copy / METADATA_NAME))
-                truth = Session(copy, read_metadata(copy / METADATA_NAME)).truth_path
-                files.get_file(f"{path}/{truth.name}", str(truth))
+            copy.mkdir()
+            files.get_file(f"{path}/{METADATA_NAME}", str(copy / METADATA_NAME))
+            truth = Session(copy, read_metadata(copy / METADATA_NAME)).truth_path
+            files.get_file(f"{path}/{truth.name}", str(truth))
         except OSError as error:
             raise bad_data(f"{place}: cannot be read: {error}") from error
         yield copy
 
 
 def _here(path: Path) -> list[str]:
-    if is_session(path) or path.suffix in SUFFIXES:
+    if is_session(path):
         return [str(path.absolute())]
     # One whose session.yaml is lost is found by its bytes, to be reported.
     found = {each.parent for name in (METADATA_NAME, WIRE_NAME) for each in path.rglob(name)}
@@ -60,8 +56,6 @@ def _here(path: Path) -> list[str]:
 def _elsewhere(place: str) -> list[str]:
     files, root = _opened(place)
     address, mark, options = place.partition("?")
-    if address.endswith(SUFFIXES):
-        return [place]
     try:
         files.info(root)  # which reports why where there is nothing: the search below passes over errors
         parts = [str(name).rpartition("/") for name in files.find(root)]

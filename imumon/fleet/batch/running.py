@@ -9,13 +9,13 @@ from multiprocessing import resource_tracker
 from typing import Any
 
 from imumon.errors import ImumonError, Reason, missing_package
-from imumon.fleet.batch.dataset import Row
-from imumon.fleet.batch.tasks import Job, failure, work
+
+from .dataset import Row
+from .tasks import Job, failure, work
 
 AHEAD = 50
-"""Tasks a worker has before it: enough to have one at once when another ends, few enough that the scheduler
-knows of thousands when there are millions."""
-FEWEST_AHEAD = 200
+"""Tasks a worker has before it, as of four at least: enough to have one at once when another ends, few enough
+that the scheduler knows of thousands when there are millions."""
 CONNECT_S = 10.0
 RESTART_S = 24 * 3600.0
 """How long a worker that died here may take to come back.
@@ -23,7 +23,6 @@ RESTART_S = 24 * 3600.0
 It is begun anew at once.  On a busy machine that takes longer than Dask's 15 s, after which it would be given
 up, and with the last one the batch would wait for ever.
 """
-LOCALHOST = "127.0.0.1"
 
 
 @contextmanager
@@ -40,20 +39,27 @@ def workers(scheduler: str | None, number: int) -> Iterator[Any]:
         raise missing_package("a batch", "distributed", "batch") from error
     if scheduler is None:
         with dask.config.set({"distributed.deploy.lost-worker-timeout": RESTART_S}):
-            with _deaf_to_interrupts():
+            # Threads and processes that begin here take no Ctrl-C: a terminal sends it to the workers, too.
+            # They inherit the mask, also a worker that such a thread begins anew later.  The tracker of
+            # multiprocessing would lift it, were it begun with the first worker.
+            resource_tracker.ensure_running()
+            before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+            try:
                 cluster = LocalCluster(
                     n_workers=number,
                     threads_per_worker=1,
-                    dashboard_address=f"{LOCALHOST}:0",  # any port: another batch may run
+                    dashboard_address="127.0.0.1:0",  # any port: another batch may run
                     silence_logs=logging.CRITICAL,
                 )
+            finally:
+                signal.pthread_sigmask(signal.SIG_SETMASK, before)
             with cluster, Client(cluster) as client:
                 yield client
         return
     with silence_logging_cmgr(logging.CRITICAL):
         try:
             client = Client(scheduler, timeout=CONNECT_S)
-        except (OSError, ValueError, TimeoutError) as error:
+        except (OSError, ValueError) as error:
             raise ImumonError(
                 Reason.NOT_FOUND, f"no scheduler at {scheduler}: {error}", "start one: dask scheduler"
             ) from error
@@ -61,27 +67,7 @@ def workers(scheduler: str | None, number: int) -> Iterator[Any]:
             yield client
 
 
-@contextmanager
-def _deaf_to_interrupts() -> Iterator[None]:
-    """Begin threads and processes that take no Ctrl-C: a terminal sends it to the workers as well.
-
-    The mask is inherited, also by a worker that such a thread begins anew later.  The tracker of
-    multiprocessing would lift it, were it begun with the first worker.
-    """
-    resource_tracker.ensure_running()
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-def run_jobs(
-    client: Any,
-    jobs: Iterable[Job],
-    take: Callable[[Sequence[Row]], object],
-    do: Callable[[Job], Sequence[Row]] = work,
-) -> None:
+def run_jobs(client: Any, jobs: Iterable[Job], take: Callable[[Sequence[Row]], object]) -> None:
     """Do all jobs, in the order in which they end; `take` is given the rows of each.
 
     The tasks of a worker that dies are done by another one; a task with which several die has failed.
@@ -91,13 +77,13 @@ def run_jobs(
     from distributed import as_completed
 
     left = iter(jobs)
-    ahead = max(FEWEST_AHEAD, AHEAD * sum(client.nthreads().values()))
+    ahead = AHEAD * max(4, sum(client.nthreads().values()))
     running: dict[Any, Job] = {}
 
     def begin(count: int) -> list[Any]:
-        begun = {client.submit(do, job, pure=False): job for job in islice(left, count)}
+        begun = {client.submit(work, job, pure=False): job for job in islice(left, count)}
         running.update(begun)
-        return [*begun]
+        return list(begun)
 
     ended = as_completed(begin(ahead))
     for batch in ended.batches():

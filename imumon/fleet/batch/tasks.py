@@ -10,7 +10,6 @@ import faulthandler
 import hashlib
 import json
 import sys
-import threading
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import dataclass
@@ -22,35 +21,36 @@ import numpy as np
 from imumon.blocks import SampleBlock
 from imumon.clock.checks import Intervals
 from imumon.errors import ImumonError, Reason, bad_config, bad_data
-from imumon.fleet.batch.dataset import BatchOptions, Row
-from imumon.fleet.batch.places import fetched
 from imumon.pipeline import Digest, Pipeline
 from imumon.recordings.exports import export_run
-from imumon.recordings.folder import is_session, open_session
+from imumon.recordings.folder import open_session
 from imumon.recordings.source import open_source, run_over
 from imumon.run.replay import compare_with_live, digested
 from imumon.run.setup import parse_setup, recorded_setup
 from imumon.run.stages import pipeline_of
 from imumon.version import __version__
 
+from .dataset import BatchOptions, Row
+from .places import fetched
+
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """A session, what is to be done with it, and where files of it go."""
+    """A session by its path or URL, what is to be done with it, and how long a worker may take.
+
+    `out` is the folder of the batch, which every worker sees under the same path; `version` that of the
+    imumon that submits the job.
+    """
 
     place: str
-    """Path or URL of the session."""
     options: BatchOptions
     out: str
-    """Folder of the batch, which every worker sees under the same path."""
     version: str = __version__
-    """Of the imumon that submits the job."""
     limit_s: float | None = None
-    """How long a worker may take."""
 
     def file(self, folder: str, suffix: str) -> Path:
         """Return where a file of this session goes; two sessions of one name have two."""
-        name = self.place.partition("?")[0].rstrip("/").rpartition("/")[2]
+        name = Path(self.place.partition("?")[0]).name
         digest = hashlib.sha256(self.place.encode()).hexdigest()
         path = Path(self.out) / folder / f"{name}-{digest[:8]}{suffix}"
         path.parent.mkdir(exist_ok=True)
@@ -71,9 +71,8 @@ def work(job: Job) -> list[Row]:
         if job.limit_s is not None and folder is not None:  # only a worker may end
             limit = limited(job.file("late", ".txt"), job.limit_s)
         with limit, fetched(job.place, folder) as path:
-            if is_session(path):
-                metadata = open_session(path).metadata
-                what |= {"device": metadata.device, "serial": metadata.serial, "begun": metadata.created_ns}
+            metadata = open_session(path).metadata
+            what |= {"device": metadata.device, "serial": metadata.serial, "begun": metadata.created_ns}
             rows: list[Row] = [{**what, **row} for row in _COMMANDS[job.options.command](path, job)]
         if not rows:
             raise bad_data(f"{job.place}: has no channel that {job.options.command} knows")
@@ -92,23 +91,17 @@ def failure(place: str, reason: str, error: str) -> dict[str, Any]:
 
 def _folder() -> Path | None:
     """Return the folder that goes with the worker, also when it is killed; None without a worker."""
-    if "distributed" not in sys.modules:
-        return None
-    from distributed import get_worker
+    if "distributed" in sys.modules:
+        from distributed import get_worker
 
-    try:
-        return Path(get_worker().local_directory)
-    except ValueError:
-        return None
-
-
-_ALONE = threading.Lock()
-"""A process has one such clock: sessions with a limit run one after the other in it."""
+        with suppress(ValueError):  # this is no worker
+            return Path(get_worker().local_directory)
+    return None
 
 
 @contextmanager
 def limited(note: Path, limit_s: float) -> Iterator[None]:
-    """End this process where what follows takes longer, and report it in the note.
+    """End this process where what follows takes longer, and report it in the note; one thread at a time.
 
     Raises TIMEOUT when there is such a note already; whoever finds it takes it away.
     """
@@ -117,7 +110,7 @@ def limited(note: Path, limit_s: float) -> Iterator[None]:
         note.unlink()
         if late:
             raise ImumonError(Reason.TIMEOUT, "was not done after its --timeout")
-    with _ALONE, note.open("w") as file:
+    with note.open("w") as file:
         faulthandler.dump_traceback_later(limit_s, exit=True, file=file)
         try:
             yield
@@ -149,9 +142,9 @@ class Channels:
             count = counts.sum()
             mean = counts @ means / count
             squares = counts @ (variances + (means - mean) ** 2)
-            sd = float(np.sqrt(squares / (count - 1))) if count > 1 else None
+            sd = np.sqrt(squares / (count - 1)) if count > 1 else None
             yield {
-                "channel": name, "samples": int(count), "mean": float(mean), "sd": sd,
+                "channel": name, "samples": int(count), "mean": mean, "sd": sd,
                 "least": least.min(), "greatest": greatest.max(), "duration_s": self._intervals.covered_s,
             }  # fmt: skip
 
@@ -174,8 +167,11 @@ def _samples(path: Path, job: Job) -> Iterator[Row]:
     else:
         for _ in blocks:
             pass
-    of_all: dict[str, Any] = {"lost": pipeline.counters.lost, "file": None if file is None else str(file)}
-    of_all["warnings"] = [*source.warnings(), *pipeline.warnings()]
+    of_all = {
+        "lost": pipeline.counters.lost,
+        "file": file and str(file),
+        "warnings": [*source.warnings(), *pipeline.warnings()],
+    }
     if session is not None:
         of_all["identical_to_live"] = compare_with_live(session, setup, digest, pipeline).identical
     units = {column.name: column.unit for column in source.columns(pipeline)}
@@ -185,13 +181,12 @@ def _samples(path: Path, job: Job) -> Iterator[Row]:
 
 def _allan(path: Path, _: Job) -> Iterator[Row]:
     from imumon.allan.analysis import analyse
-    from imumon.allan.covariance import TERMS_OF
     from imumon.allan.recording import UNITS, group_of, read_channels
 
     opened = read_channels(path)
     for name, result in analyse(opened.series).items():
         terms = {} if result.fit is None else result.fit.terms
-        known = {term: found for term in TERMS_OF[group_of(name)] if (found := terms.get(term)) is not None}
+        known = {term: estimate for term, estimate in terms.items() if estimate is not None}
         yield {
             "channel": name, "unit": UNITS[group_of(name)],
             **{term: estimate.value for term, estimate in known.items()},
@@ -215,10 +210,10 @@ def _calibrate(path: Path, job: Job) -> Iterator[Row]:
     file = job.file("models", ".yaml")
     found.model.write(file)
     for name, finding in found.findings.items():
-        low, high = found.model.channels[name].temperature_range_degc
-        choice = finding.choice
+        channel, choice = found.model.channels[name], finding.choice
+        low, high = channel.temperature_range_degc
         yield {
-            "channel": name, "unit": found.model.channels[name].unit, "curve": choice.name,
+            "channel": name, "unit": channel.unit, "curve": choice.name,
             "residual_sd": choice.residual_sd, "held_out_rms": choice.held_out_rms[choice.name],
             "fit_rms": choice.fit_rms, "lag_rms": finding.lag_rms, "rest_s": found.rest_s,
             "lowest_degc": low, "highest_degc": high, "file": str(file),

@@ -11,8 +11,6 @@ from matplotlib.axes import Axes
 from imumon.blocks import FloatArray
 from imumon.columns import TEMPERATURES
 from imumon.files import write_text
-from imumon.fleet.catalog.tables import day, drifts
-from imumon.fleet.catalog.units import Unit
 from imumon.harmless import for_plot
 from imumon.lab.diagnosis.page import COLOURS, HOUR_S, environment, shown, svg
 from imumon.models.model import BiasModel
@@ -23,8 +21,9 @@ from imumon.run.setup import recorded_setup, unused_keys
 from imumon.run.stages import estimators
 from imumon.version import __version__
 
-TEMPLATE = "record.html.j2"
-"""Holds all words and tables of the page."""
+from .tables import day, drifts
+from .units import Unit
+
 POINTS = 400
 """Of a curve over time: more than a figure has pixels for is not visible."""
 MARKED, DAY_NS = 20, 86_400e9
@@ -45,7 +44,7 @@ def write_unit(unit: Unit, path: Path) -> None:
         for one in drifted
     }
     labels = {"xlabel": f"days since {day(begun)}", "ylabel": f"bias minus the first model's ± 2σ, {HOURLY}"}
-    drift = {"Bias by each model, minus the first": _figure(curves, **labels)} if curves else {}
+    drift = _figure("Bias by each model, minus the first", curves, **labels)
     _write(path, model, unit=unit, drifted=drifted, drift=drift)
 
 
@@ -59,57 +58,61 @@ def write_session(session: Session, path: Path) -> list[str]:
     names = [*GYRO, *TEMPERATURES, *itertools.chain(*BIASES)]
     slot_s = max(1.0, np.nan_to_num(session.metadata.duration_s) / POINTS)
     means = reduce(recording.blocks(), names, slot_s)
-    warnings, counters = recording.warnings(), recording.pipeline.counters
-    warnings += unused_keys(setup, recording.source.device)
-    content: dict[str, Any] = {"session": session, "sha256": fingerprint(session.truth_path)}
-    content |= {"slot_s": means.slot_s, "course": _course(means), "biases": _biases(means)}
-    _write(path, setup.bias_model, **content, warnings=warnings, counters=counters)
+    warnings = [*recording.warnings(), *unused_keys(setup, recording.source.device)]
+    _write(
+        path,
+        setup.bias_model,
+        unit=None,
+        session=session,
+        sha256=fingerprint(session.truth_path),
+        slot_s=means.slot_s,
+        course=_course(means),
+        biases=_biases(means),
+        warnings=warnings,
+        counters=recording.pipeline.counters,
+    )
     return warnings
 
 
-def _write(path: Path, model: BiasModel | None, unit: Unit | None = None, **content: Any) -> None:
-    template = environment("imumon.fleet.catalog").get_template(TEMPLATE)
-    units = {"per_hour": PER_HOUR, "hourly": HOURLY, "day": day, "version": __version__}
-    curves = {} if model is None else _curves(model)
-    write_text(path, template.render(model=model, curves=curves, unit=unit, **units, **content))
+def _write(path: Path, model: BiasModel | None, **content: Any) -> None:
+    template = environment("imumon.fleet.catalog").get_template("record.html.j2")  # all words and tables
+    content |= {"per_hour": PER_HOUR, "hourly": HOURLY, "day": day, "version": __version__}
+    write_text(path, template.render(model=model, curves=_curves(model) if model else {}, **content))
 
 
 def _curves(model: BiasModel) -> dict[str, str]:
-    """Return figures of the curves of a model by their captions."""
-    figures = {}
+    figures: dict[str, str] = {}
     kinds = {"gyro": "Bias of the gyros", "accel": "Change of the accelerometers' bias"}
     for kind, caption in kinds.items():
-        curves = dict[str, Curve]()
+        curves, unit = dict[str, Curve](), ""
         for name, channel in model.channels.items():
             if name.startswith(kind):
                 factor, unit = shown(channel.unit)
                 low, high = channel.temperature_range_degc
                 t = np.linspace(low, high, 200)
                 curves[name] = Curve(t, factor * channel.value(t), np.asarray(factor * channel.residual_sd))
-        if curves:
-            labels = {"xlabel": "temperature, °C", "ylabel": f"bias ± 2σ, {unit}"}
-            figures[f"{caption} over temperature"] = _figure(curves, **labels)
+        labels = {"xlabel": "temperature, °C", "ylabel": f"bias ± 2σ, {unit}"}
+        figures |= _figure(f"{caption} over temperature", curves, **labels)
     return figures
 
 
 def _course(means: Reduced) -> dict[str, str]:
-    """Return figures of temperature and gyro bias over time by their captions."""
     steps = np.diff(means.start_ns, prepend=means.start_ns[:1]) * 1e-9
     steps[1:][np.diff(means.run) != 0] = means.slot_s
     hours = np.cumsum(steps) / HOUR_S
-    figures: dict[str, str] = {}
-    if readings := {name: Curve(hours, means.of(name)) for name in TEMPERATURES if means.has(name)}:
-        figures["Temperature"] = _figure(readings, xlabel="time, h", ylabel="temperature, °C")
+    readings = {name: Curve(hours, means.of(name)) for name in TEMPERATURES if means.has(name)}
     biases = {
         bias: Curve(hours, PER_HOUR * means.of(bias), PER_HOUR * means.of(sd))
         for bias, sd in BIASES
         if means.has(sd)
     }
-    if biases:
-        widest = max(np.nanmedian(np.abs(one.y) + 2 * one.sd) for one in biases.values())
-        labels: dict[str, Any] = {"xlabel": "time, h", "ylabel": HOURLY, "ylim": (-2 * widest, 2 * widest)}
-        figures["Gyro bias, with 2σ"] = _figure(biases, **labels)
-    return figures
+    widest = max((np.nanmedian(np.abs(one.y) + 2 * one.sd) for one in biases.values()), default=0.0)
+    return {
+        **_figure("Temperature", readings, xlabel="time, h", ylabel="temperature, °C"),
+        **_figure(
+            "Gyro bias, with 2σ", biases, xlabel="time, h", ylabel=HOURLY, ylim=(-2 * widest, 2 * widest)
+        ),
+    }
 
 
 def _biases(means: Reduced) -> list[tuple[str, float, float, float]]:
@@ -131,8 +134,8 @@ class Curve(NamedTuple):
     sd: FloatArray = np.zeros(())
 
 
-def _figure(curves: Mapping[str, Curve], **axes_settings: Any) -> str:
-    """Return the figure of curves by their names, each with a band of two standard deviations."""
+def _figure(caption: str, curves: Mapping[str, Curve], **axes_settings: Any) -> dict[str, str]:
+    """Return the figure of curves by their names, if any, each with a band of two standard deviations."""
 
     def draw(axes: Axes) -> None:
         for (name, (x, y, sd)), colour in zip(curves.items(), COLOURS, strict=False):
@@ -143,4 +146,4 @@ def _figure(curves: Mapping[str, Curve], **axes_settings: Any) -> str:
         axes.set(**axes_settings)
         axes.legend(fontsize=6)
 
-    return svg(draw)
+    return {caption: svg(draw)} if curves else {}

@@ -10,9 +10,10 @@ import pyarrow.parquet as pq
 
 from imumon.blocks import FloatArray, IntArray
 from imumon.files import plain, replacing
-from imumon.fleet.catalog.units import BEST, COLDEST, HOTTEST, WORST, Outlier, Unit
 from imumon.models.model import BiasModel, ChannelModel
 from imumon.recordings.reduced import GYRO
+
+from .units import BEST, COLDEST, HOTTEST, WORST, Outlier, Unit
 
 MONTH_NS = 365.25 / 12 * 86_400e9
 FEWEST_UNITS = 5
@@ -24,19 +25,20 @@ TO_SIGMA = 0.6745
 
 
 class Drift(NamedTuple):
-    """The bias of a channel at one temperature, by each of the unit's models."""
+    """The bias of a channel, in its unit, at the middle of the temperatures that all of a unit's models know.
+
+    Each model has, (n,), the Unix time of its latest data, the bias, and its sigma: that of the curve and of
+    the turn-on offset together.  The slope of the straight line is NaN with one model, or with all from one
+    moment.
+    """
 
     channel: str
     at_degc: float
-    """Middle of the temperatures that all models know."""
     time_ns: IntArray
-    """Unix time of the latest data of each model, (n,)."""
     bias: FloatArray
     sd: FloatArray
-    """In the channel's unit, (n,).  The sigma is that of the curve and of the turn-on offset together."""
     per_month: float
     per_month_sd: float
-    """Slope of the straight line; NaN with one model, or with all from one moment."""
 
 
 def drifts(unit: Unit) -> list[Drift]:
@@ -55,7 +57,7 @@ def drifts(unit: Unit) -> list[Drift]:
         if at is None:
             continue
         time_ns = np.array([dated.time_ns for dated in having], np.int64)
-        bias = np.array([float(dated.model.channels[name].value(at)) for dated in having])
+        bias = np.array([dated.model.channels[name].value(at) for dated in having])
         sd = np.array([_sigma(dated.model, name) for dated in having])
         slope = line((time_ns - time_ns[0]) / MONTH_NS, bias, sd)
         found.append(Drift(name, at, time_ns, bias, sd, *slope))
@@ -151,14 +153,13 @@ def tables(units: Sequence[Unit]) -> dict[str, list[dict[str, Any]]]:
         "units": [{**unit.row, "outliers": [*map(str, unit.outliers)]} for unit in units],
         "models": [
             {
+                **drift._asdict(),
                 "unit": unit.name,
                 "device": unit.device,
-                "channel": drift.channel,
                 "unit_of_bias": "rad/s",
                 "time": time_ns,
                 "bias": bias,
                 "bias_sd": sd,
-                **{name: getattr(drift, name) for name in ("at_degc", "per_month", "per_month_sd")},
             }
             for unit in units
             for drift in drifts(unit)

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
+from datetime import datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -11,31 +11,34 @@ import numpy as np
 
 from imumon.columns import TEMPERATURES
 from imumon.errors import ImumonError
-from imumon.fleet.batch.dataset import BatchOptions, Dataset, Row, lacking
-from imumon.fleet.batch.places import find
-from imumon.fleet.batch.tasks import Job, work
 from imumon.lab.diagnosis.page import shown
 from imumon.models.model import BiasModel, load_model
 from imumon.recordings.folder import METADATA_NAME, Session, fingerprint, open_session
 from imumon.recordings.reduced import GYRO
 from imumon.run.setup import recorded_setup
 
+from ..batch.dataset import BatchOptions, Dataset, Row, lacking
+from ..batch.places import find
+from ..batch.tasks import Job, work
+
 SIGMAS = tuple(name.replace("gyro_", "gyro_bias_sd_") for name in GYRO)
 COLDEST, HOTTEST = "coldest_degc", "hottest_degc"
 BEST, WORST = "best_sigma_rad_per_s", "worst_sigma_rad_per_s"
 """Columns of a session and of a unit; the sigmas are the smallest of the gyro bias that were reached."""
+EXTREMES = {COLDEST: np.fmin, HOTTEST: np.fmax, BEST: np.fmin, WORST: np.fmax}
+"""What a unit has of its sessions; NaN counts for none."""
 
 
 class Entry(NamedTuple):
-    """A session of the catalog."""
+    """A session of the catalog, with the model it ran with, and what its recording lacks, one sentence each.
+
+    `row` is that of the table of sessions: times in ns, unknown numbers NaN.
+    """
 
     session: Session
     model: BiasModel | None
-    """That it ran with."""
     row: Row
-    """Of the table of sessions: times in ns, unknown numbers NaN."""
-    lacking: Sequence[str] = ()
-    """What the recording lacks, one sentence each."""
+    lacking: Sequence[str]
 
 
 class Dated(NamedTuple):
@@ -57,7 +60,6 @@ class Outlier(NamedTuple):
     score: float
 
     def __str__(self) -> str:
-        """Return it in a few words."""
         factor, unit = shown("rad/s")
         values = f"{factor * self.value:.3g} {unit}, the others {factor * self.median:.3g}"
         return f"{self.what}: {values} (score {self.score:.1f})"
@@ -65,37 +67,40 @@ class Outlier(NamedTuple):
 
 @dataclass(slots=True, eq=False)
 class Unit:
-    """A unit: its sessions, the oldest first, and its models, in the order of their data."""
+    """A unit: its sessions, the oldest first, its models, in the order of their data, and its worst outliers.
+
+    Its name is the serial number; of sessions without one the device, in brackets.
+    """
 
     name: str
-    """Serial number; of sessions without one the device, in brackets."""
     device: str
     entries: list[Entry] = field(default_factory=list)
     models: list[Dated] = field(default_factory=list)
     outliers: list[Outlier] = field(default_factory=list)
-    """The worst first."""
 
     @property
     def row(self) -> dict[str, Any]:
         """Of the table of units, without its outliers."""
         rows = [entry.row for entry in self.entries]
-        of = {name: [row[name] for row in rows] for name in (COLDEST, HOTTEST, BEST, WORST)}
+        begun = [row["begun"] for row in rows]
         return {
             "unit": self.name,
             "device": self.device,
             "sessions": len(rows),
-            "first": min((row["begun"] for row in rows), default=None),
-            "last": max((row["begun"] for row in rows), default=None),
+            "first": min(begun, default=None),
+            "last": max(begun, default=None),
             "hours": float(np.nansum([row["hours"] for row in rows])),
-            **{name: float(np.fmin.reduce(of[name], initial=np.nan)) for name in (COLDEST, BEST)},
-            **{name: float(np.fmax.reduce(of[name], initial=np.nan)) for name in (HOTTEST, WORST)},
+            **{
+                name: float(pick.reduce([row[name] for row in rows], initial=np.nan))
+                for name, pick in EXTREMES.items()
+            },
             "models": len(self.models),
             "latest_model": self.models[-1].model.created if self.models else None,
         }
 
 
 def read_sessions(
-    folder: Path, results: Path, progress: Callable[[str], None] = lambda _: None
+    folder: Path, results: Path, progress: Callable[[str], None]
 ) -> tuple[list[Entry], dict[str, str]]:
     """Return the sessions below a folder, the oldest first, and why what is none by its metadata is left out.
 
@@ -119,7 +124,7 @@ def read_sessions(
         known.write()
         rows = known.rows(sessions)
     entries = [_entry(session, rows[place]) for place, session in sessions.items()]
-    return sorted(entries, key=lambda entry: entry.session.metadata.created_ns), left_out
+    return sorted(entries, key=lambda entry: entry.row["begun"]), left_out
 
 
 def _entry(session: Session, rows: Sequence[Row]) -> Entry:
@@ -132,17 +137,20 @@ def _entry(session: Session, rows: Sequence[Row]) -> Entry:
         model = recorded_setup(session).bias_model
     except ImumonError as error:
         failure = failure or error.line
-    thermometers, sigmas = ([channels[n] for n in of if n in channels] for of in (TEMPERATURES, SIGMAS))
+
+    def extreme(pick: Callable[..., float], names: Sequence[str], of: str) -> float:
+        return pick((channels[name][of] for name in names if name in channels), default=np.nan)
+
     row = {
         "session": str(session.path),
         "device": metadata.device,
         "state": session.state,
         "begun": metadata.created_ns,
-        "hours": any_row.get("duration_s", np.nan) / 3600.0,
-        COLDEST: min((one["least"] for one in thermometers), default=np.nan),
-        HOTTEST: max((one["greatest"] for one in thermometers), default=np.nan),
-        BEST: min((one["least"] for one in sigmas), default=np.nan),
-        WORST: max((one["least"] for one in sigmas), default=np.nan),
+        "hours": any_row["duration_s"] / 3600.0,
+        COLDEST: extreme(min, TEMPERATURES, "least"),
+        HOTTEST: extreme(max, TEMPERATURES, "greatest"),
+        BEST: extreme(min, SIGMAS, "least"),
+        WORST: extreme(max, SIGMAS, "least"),
         "lost": any_row.get("lost"),
         "model": None if model is None else model.created,
         "error": failure,
@@ -184,19 +192,13 @@ def units_of(entries: Sequence[Entry], models: Sequence[BiasModel]) -> list[Unit
             made.append((unit, model))
     made += [(unit_of(model.serial, model.device or "unknown"), model) for model in models]
     for unit, model in made:
-        _add(unit, model)
+        of = {run.session for run in model.trained_on}
+        data = [entry.row["begun"] for entry in unit.entries if entry.session.path.name in of]
+        if model.channels and all(dated.model != model for dated in unit.models):
+            with suppress(ValueError):  # it has no date
+                if not data:
+                    data = [round(datetime.fromisoformat(model.created).timestamp() * 1e9)]
+                unit.models.append(Dated(model, max(data)))
     for unit in units.values():
         unit.models.sort(key=lambda dated: dated.time_ns)
     return sorted(units.values(), key=lambda unit: unit.name)
-
-
-def _add(unit: Unit, model: BiasModel) -> None:
-    """Add a model, unless the unit has it already, or it has no date."""
-    names = {run.session for run in model.trained_on}
-    data = [entry.row["begun"] for entry in unit.entries if entry.session.path.name in names]
-    if model.channels and all(dated.model != model for dated in unit.models):
-        with suppress(ValueError):
-            if not data:
-                created = datetime.fromisoformat(model.created)
-                data = [round(created.replace(tzinfo=created.tzinfo or UTC).timestamp() * 1e9)]
-            unit.models.append(Dated(model, max(data)))

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import Annotated, Final, Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 from pydantic import Field, StringConstraints
 
@@ -15,16 +15,14 @@ from imumon.protocols.device import device_text, parse_device
 from imumon.run.setup import Setup, load_setup
 from imumon.transport.settings import PortSettings
 
-FORMAT: Final = "imumon-rack/1"
 MOST_UNITS = 100
 """Each takes a process, 60 MB and 6 % of a core at 400 Hz: no computer on a bench has room for more."""
-HIGHEST_BAUD = 100_000_000
-"""Of a serial line; the fastest adapters reach 12 MBd."""
 
 Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,31}$")]
 """Of a unit: part of the name of a folder, and of a path in the viewer."""
 Text = Annotated[str, StringConstraints(min_length=1, max_length=4096)]
-Baud = Annotated[int, Field(ge=1, le=HIGHEST_BAUD)]
+Baud = Annotated[int, Field(ge=1, le=100_000_000)]
+"""Of a serial line; the fastest adapters reach 12 MBd."""
 
 
 class Shared(StrictModel):
@@ -43,7 +41,7 @@ class Place(Shared):
     """One unit; what it does not state, the default states."""
 
     port: Text
-    serial: Annotated[str, StringConstraints(min_length=1, max_length=200)] | None = None
+    serial: Text | None = None
 
 
 class RackFile(StrictModel):
@@ -59,13 +57,9 @@ class Plan(NamedTuple):
 
     name: str
     device_yaml: str
-    """Text of the device file."""
     settings: PortSettings
-    """The port."""
     serial: str | None
-    """Serial number of the unit."""
-    pipeline_yaml: str | None
-    """What the estimators are given, the bias model in it; None for the defaults."""
+    setup: Setup
 
 
 def load_rack(path: Path) -> dict[str, Plan]:
@@ -73,7 +67,7 @@ def load_rack(path: Path) -> dict[str, Plan]:
 
     Raises BAD_CONFIG, with file and line, what was found and what was expected.
     """
-    text = read_text(path, hint=f"give a rack file (format: {FORMAT})")
+    text = read_text(path, hint="give a rack file (format: imumon-rack/1)")
     rack = parse_yaml(text, RackFile, str(path))
     ports: dict[str, str] = {}
     for name, place in rack.units.items():
@@ -83,8 +77,7 @@ def load_rack(path: Path) -> dict[str, Plan]:
 
 
 def _plan(name: str, place: Place, default: Shared, path: Path) -> Plan:
-    own_keys = set(place.model_dump(exclude_none=True))
-    unit = place.model_copy(update=default.model_dump(exclude=own_keys))
+    unit = Place.model_validate(default.model_dump() | place.model_dump(exclude_none=True))
     if unit.device is None:
         text = "neither the unit nor the default names its device"
         raise bad_config(f"{path}: units.{name}.device: {text}")
@@ -99,7 +92,7 @@ def _plan(name: str, place: Place, default: Shared, path: Path) -> Plan:
         raise ImumonError(error.reason, f"{path}: {name}: {error.seen}", error.hint) from error
     except OSError as error:  # of a name that no file can have, and of a folder that nobody may look into
         raise bad_config(f"{path}: {name}: {error.filename}: {error.strerror}") from error
-    return Plan(name, device_yaml, settings, unit.serial, setup.text())
+    return Plan(name, device_yaml, settings, unit.serial, setup)
 
 
 def changes(path: Path) -> Iterator[bool]:

@@ -33,38 +33,37 @@ MEMORY_S = 10.0
 
 @dataclass(slots=True)
 class Vitals:
-    """How a unit is, once a second."""
+    """How a unit is, once a second.
+
+    `session` is the folder of its recording, empty while its port cannot be opened; `lanes` the present state
+    of each lane: port, data, motion, model.  Temperature is the mean over its sensors, °C, NaN until there is
+    one; bias and its standard deviation are of each gyro, rad/s, empty until there is one.  Lost packets are
+    missing by their counter, or damaged.  The process takes a share of a core, since the last time and since
+    its port is open, and memory: pages of its own, and its share of those in common with other processes.
+    """
 
     session: str = ""
-    """Folder of its recording; empty while its port cannot be opened."""
     lanes: dict[str, str] = field(default_factory=dict)
-    """Present state of each lane: port, data, motion, model."""
     temperature_deg: float = math.nan
-    """°C, mean over its sensors; NaN until there is one."""
     bias: tuple[float, ...] = ()
     bias_sd: tuple[float, ...] = ()
-    """Gyro bias of each axis and its standard deviation, rad/s; empty until there is one."""
     packets_per_s: float = 0.0
     packets_lost: int = 0
-    """Missing by their counter, or damaged."""
     bytes_received: int = 0
     cpu: float = 0.0
     mean_cpu: float = 0.0
-    """Share of a core that its process takes: since the last time, and since its port is open."""
     memory_mb: float = math.nan
-    """MB: pages of its own, and its share of those that it has in common with other processes."""
 
 
 class Feed:
     """Gathers the view items of a unit; `publish` may be called from any thread, `take` from one.
 
-    `session` is the folder of the recording; `pictures`: whether anybody looks at more than the numbers.
+    `session` is the folder of the recording.
     """
 
-    def __init__(self, session: str, *, pictures: bool) -> None:
+    def __init__(self, session: str) -> None:
         self._queue = DropOldestQueue(QUEUE_BYTES)
         self.publish = self._queue.put
-        self._pictures = pictures
         self._vitals = Vitals(session)
         self._process = psutil.Process()
         self._process.cpu_percent()  # from now on it returns the share since the last call
@@ -88,8 +87,7 @@ class Feed:
         vitals.bytes_received = progress.counters.bytes_received
         vitals.cpu = self._process.cpu_percent() / 100.0
         vitals.mean_cpu = (time.process_time() - self._cpu_s) / (now_s - self._opened_s)
-        pictured = map(picture, items) if self._pictures else ()
-        return vitals, [item for item in pictured if item is not None]
+        return vitals, [item for item in map(picture, items) if item is not None]
 
     def _measure(self, block: SampleBlock) -> None:
         """Note temperature and bias of the newest samples that have them."""
@@ -123,7 +121,7 @@ class OfUnit(ViewItem):
     def lasting(self) -> str | None:
         """What the item replaces, of this unit."""
         key = self.item.lasting
-        return None if key is None else f"{self.setup.title}: {key}"
+        return key and f"{self.setup.title}: {key}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,7 +132,6 @@ class Overview(Event):
     units: tuple[str, ...]
 
     lasting = "overview"
-    """There is one page."""
 
 
 def picture(item: ViewItem) -> Samples | Event | None:
@@ -146,10 +143,7 @@ def picture(item: ViewItem) -> Samples | Event | None:
         hidden = isinstance(item, Drawing) or item.at.host_ns is None
         return None if hidden else replace(item, at=Instant(None, None, item.at.host_ns))
     assert isinstance(item, Samples)
-    arrival = item.block.columns.get("arrival_time_ns")
-    times = arrival if item.times.host_ns is None else item.times.host_ns
-    if times is None or not item.rows:
-        return None
+    times = item.block["arrival_time_ns"] if item.times.host_ns is None else item.times.host_ns
     keep = first_of_steps(times, PICTURE_STEP_NS)
     columns = {
         name: values[keep]

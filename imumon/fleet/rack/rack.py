@@ -1,25 +1,25 @@
 """The rack: keeps a process for each unit, receives its state, and begins it anew when it dies or hangs."""
 
-import contextlib
 import math
 import threading
 import time
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from multiprocessing import get_context
 from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
 
-from imumon.fleet.rack.description import Plan
-from imumon.fleet.rack.feed import OfUnit, Overview, Vitals
-from imumon.fleet.rack.table import Row, markdown, row_of
-from imumon.fleet.rack.unit import Update, run_unit
 from imumon.lane import Level
 from imumon.recordings.lines import SessionLog
 from imumon.view.items import Instant, Log, State, ViewItem, ViewSetup
 
-LOG_NAME = "rack.jsonl"
+from .description import Plan
+from .feed import OfUnit, Overview, Vitals
+from .table import Row, markdown, row_of
+from .unit import Update, run_unit
+
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 10.0
 """A unit that dies is begun anew after the first, one that dies again after twice as long, up to the last."""
 STEADY_S = 30.0
@@ -40,14 +40,14 @@ class Process:
     A thread receives it, as a process that stops in the middle of a message would stop who listens.
     """
 
-    def __init__(self, plan: Plan, *others: Any) -> None:
+    def __init__(self, plan: Plan, folder: Path) -> None:
         context = get_context("forkserver")
         context.set_forkserver_preload(["imumon.fleet.rack.preload"])
         self._ours, theirs = context.Pipe()
         self.received_s = time.monotonic() + FIRST_WORD_S
         """When its last message came; before the first one when that is due."""
         self._messages: SimpleQueue[Update] = SimpleQueue()
-        self._process = context.Process(target=run_unit, args=(plan, *others, theirs), name=plan.name)
+        self._process = context.Process(target=run_unit, args=(plan, folder, theirs), name=plan.name)
         self._process.start()
         self.pid, self.kill = self._process.pid or 0, self._process.kill
         theirs.close()
@@ -63,7 +63,7 @@ class Process:
 
     def ask_to_end(self) -> None:
         """Ask it to close its session; returns at once."""
-        with contextlib.suppress(OSError):  # it is gone
+        with suppress(OSError):  # it is gone
             self._ours.send(None)
 
     @property
@@ -78,34 +78,33 @@ class Process:
         self._ours.close()
 
     def _listen(self) -> None:
-        with contextlib.suppress(EOFError, OSError):
+        with suppress(EOFError, OSError):
             while True:
                 self._messages.put(self._ours.recv())
 
 
 @dataclass(slots=True)
 class Unit:
-    """A unit as the rack sees it, over all lives of its process."""
+    """A unit as the rack sees it, over all lives of its process.
+
+    `silent`: whether its process does not report how it is; `problem`: why its last session has no samples.
+    A process is begun at `begin_s`, after a pause of `pause_s`, and killed at `end_by_s` if it has not ended;
+    None while it was not requested to end.  `deaths` are exit codes of processes that ended without that, and
+    `interrupted` their sessions.
+    """
 
     plan: Plan
     process: Process | None = None
     vitals: Vitals = field(default_factory=Vitals)
     setup: ViewSetup | None = None
     silent: bool = False
-    """Whether its process does not report how it is."""
     end_by_s: float | None = None
-    """When it is killed if it has not ended; None while it was not requested to end."""
     deaths: list[int] = field(default_factory=list)
-    """Exit codes of the processes that ended without a request."""
     interrupted: list[str] = field(default_factory=list)
-    """Their sessions."""
     pause_s: float = FIRST_PAUSE_S
-    """How long it waited for its process."""
     begin_s: float = 0.0
-    """When its process is to be begun."""
     summaries: list[dict[str, object]] = field(default_factory=list)
     problem: str = ""
-    """Why the last session has no samples."""
 
     @property
     def state(self) -> str:
@@ -150,7 +149,7 @@ class Rack:
     ) -> None:
         self._folder, self._publish = folder, publish
         folder.mkdir(parents=True, exist_ok=True)
-        self._log = SessionLog(folder / LOG_NAME, log)
+        self._log = SessionLog(folder / "rack.jsonl", log)
         self._present: dict[str, Unit] = {}
         self._leaving: list[Unit] = []
         self._overview_s = 0.0
@@ -180,8 +179,9 @@ class Rack:
     def look(self) -> None:
         """Take what all units report, and do what is due; waits for none."""
         for unit in self.units:
-            self._receive(unit)
-            self._watch(unit)
+            if unit.process is not None:
+                self._receive(unit, unit.process)
+                self._watch(unit, unit.process)
         ending = {unit.plan.name for unit in self._leaving if unit.process is not None}
         for name, unit in self._present.items():
             due = unit.process is None and unit.end_by_s is None and time.monotonic() >= unit.begin_s
@@ -191,7 +191,7 @@ class Rack:
             self._overview_s = time.monotonic()
             if self._publish is not None:
                 self._publish(Overview(_now(), markdown(self.rows), tuple(self._present)))
-            with contextlib.suppress(OSError):  # a disk that is full stops no recording
+            with suppress(OSError):  # a disk that is full stops no recording
                 self._log.write()
 
     def stop(self) -> None:
@@ -216,7 +216,7 @@ class Rack:
 
     def _begin(self, unit: Unit) -> None:
         try:
-            unit.process = Process(unit.plan, self._folder, self._publish is not None)
+            unit.process = Process(unit.plan, self._folder)
         except (OSError, EOFError) as error:  # no memory, or no processes, for one more
             unit.begin_s = time.monotonic() + LONGEST_PAUSE_S
             self._put(unit, "ERROR", f"its process cannot be begun ({error}); again in {LONGEST_PAUSE_S:g} s")
@@ -228,11 +228,11 @@ class Rack:
         if unit.process is not None:
             unit.process.ask_to_end()
 
-    def _receive(self, unit: Unit) -> None:
-        for message in unit.process.messages() if unit.process is not None else ():
+    def _receive(self, unit: Unit, process: Process) -> None:
+        for message in process.messages():
             for _, level, text in message.lines:
                 self._log.put(level, f"{unit.plan.name}: {text}")
-            unit.problem = message.problem or ""
+            unit.problem = message.problem
             if message.summary is not None:
                 unit.summaries.append(message.summary)
             is_back = unit.silent or (unit.deaths and not unit.vitals.session)
@@ -242,15 +242,13 @@ class Rack:
                 self._show(unit, State(_now(), "unit", "recording", Level.GOOD))
             self._show(unit, *message.items)
 
-    def _watch(self, unit: Unit) -> None:
+    def _watch(self, unit: Unit, process: Process) -> None:
         """Find out whether the process of a unit lives and reports."""
-        process, now_s = unit.process, time.monotonic()
-        if process is None:
-            return
-        code, silent_s = process.exit_code, now_s - process.received_s
+        code, now_s = process.exit_code, time.monotonic()
+        silent_s = now_s - process.received_s
         if code is not None:
             process.close()
-            self._receive(unit)
+            self._receive(unit, process)
             unit.process = None
             self._note_end(unit, code)
         elif unit.end_by_s is not None:
@@ -264,8 +262,7 @@ class Rack:
             process.received_s = now_s
         elif silent_s > HANGS_S and not unit.silent:
             unit.silent = True
-            text = f"its process (pid {process.pid}) hangs: no report for {silent_s:.1f} s"
-            self._put(unit, "ERROR", text)
+            self._put(unit, "ERROR", f"its process (pid {process.pid}) hangs: no report for {silent_s:.1f} s")
             self._show(unit, State(_now(), "unit", "HANGS", Level.BAD))
 
     def _note_end(self, unit: Unit, code: int) -> None:

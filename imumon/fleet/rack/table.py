@@ -3,17 +3,18 @@
 from collections import Counter
 from collections.abc import Sequence
 
-from imumon.fleet.rack.feed import Vitals
 from imumon.geodesy import DEG_PER_H
 from imumon.harmless import for_markdown
 from imumon.view.cards import DIGITS, measured
+
+from .feed import Vitals
 
 HEADINGS = (
     "unit", "state", "°C", "gyro bias x y z ± σ, °/h", "model", "Hz", "lost", "received", "CPU", "MB",
     "deaths",
 )  # fmt: skip
-LEFT = 2
-"""Columns of words; the others are numbers and stand on the right."""
+SIDES = "<<" + ">" * (len(HEADINGS) - 2)
+"""Words stand on the left, numbers on the right."""
 
 
 Row = tuple[str, ...]
@@ -30,7 +31,7 @@ def row_of(name: str, state: str, vitals: Vitals, deaths: int) -> Row:
         vitals.lanes.get("model", "–"),
         f"{vitals.packets_per_s:.0f}",
         f"{vitals.packets_lost:,}",
-        amount(vitals.bytes_received),
+        f"{vitals.bytes_received / 1e6:,.1f} MB",
         f"{vitals.cpu:.0%}",
         measured(vitals.memory_mb, decimals=0),
         str(deaths),
@@ -46,19 +47,13 @@ def bias(vitals: Vitals) -> str:
     return f"{' '.join(value for value, *_ in axes)} ± {axes[0][2]}"
 
 
-def amount(count: int) -> str:
-    """Return bytes as a person reads them."""
-    return f"{count / 1e6:,.1f} MB" if count < 1e9 else f"{count / 1e9:,.2f} GB"
-
-
 def text_lines(rows: Sequence[Row]) -> list[str]:
     """Return the table as text, a line for each row, its headings first."""
     cells = [HEADINGS, *rows]
     widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
     return [
         "  ".join(
-            cell.ljust(width) if place < LEFT else cell.rjust(width)
-            for place, (cell, width) in enumerate(zip(line, widths, strict=True))
+            f"{cell:{side}{width}}" for cell, side, width in zip(line, SIDES, widths, strict=True)
         ).rstrip()
         for line in cells
     ]
@@ -66,7 +61,7 @@ def text_lines(rows: Sequence[Row]) -> list[str]:
 
 def markdown(rows: Sequence[Row]) -> str:
     """Return the table as Markdown."""
-    marks = [":--" if place < LEFT else "--:" for place in range(len(HEADINGS))]
+    marks = [":--" if side == "<" else "--:" for side in SIDES]
     body = [[for_markdown(cell) for cell in row] for row in rows]
     return "\n".join(f"| {' | '.join(line)} |" for line in [HEADINGS, marks, *body])
 

@@ -13,7 +13,6 @@ from typing import Any
 import rerun as rr
 import rerun.blueprint as rrb
 
-from imumon.fleet.rack.feed import OfUnit, Overview
 from imumon.view.blueprint import arranged
 from imumon.view.child import run
 from imumon.view.fed import serve
@@ -24,11 +23,11 @@ from imumon.view.publisher import Report
 from imumon.view.rows import at_instants, log_markdown
 from imumon.view.window import Window
 
+from .feed import OfUnit, Overview
+
 OVERVIEW = "/overview"
 ARRANGE_S = 10.0
 """The arrangement is sent so often at the most: it leads whoever looks on back to the page."""
-TIMELINE = "host_time"
-"""The clocks of devices have nothing in common but that of the computer."""
 BEHIND = 10
 """The processes of the units come before the view (and a viewer that draws by software)."""
 
@@ -94,12 +93,6 @@ class UnitsLogger:
         if arrangements == self._sent:
             return
         self._sent, self._sent_s = arrangements, time.monotonic()
-        tabs = [arrangement.root_container for arrangement in arrangements]
-        self.arrangement = arranged(rrb.Tabs(self._first_tab(), *tabs), TIMELINE)
-        self._rec.send_blueprint(self.arrangement)
-
-    def _first_tab(self) -> Any:
-        """Return the page, and below it how the ports of all units have been."""
         window = Window(self._setup.window_s)
         states = rrb.StateTimelineView(
             origin="/",
@@ -108,8 +101,11 @@ class UnitsLogger:
             time_ranges=window.ranges,
             time_view=window.axis,
         )
-        table = rrb.TextDocumentView(origin=OVERVIEW, name="Units")
-        return rrb.Vertical(table, states, row_shares=[1.0, 1.0], name="Rack")
+        page = rrb.Vertical(rrb.TextDocumentView(origin=OVERVIEW, name="Units"), states, name="Rack")
+        tabs = (arrangement.root_container for arrangement in arrangements)
+        # The clocks of devices have nothing in common but that of the computer.
+        self.arrangement = arranged(rrb.Tabs(page, *tabs), "host_time")
+        self._rec.send_blueprint(self.arrangement)
 
 
 class Below:

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from imumon.configure.core import Message, Refusal, Request, family_of
+from imumon.configure.core import Message, Request, family_of
 from imumon.protocols.device import load_device
 from imumon.simulation.unit import SimulatedUnit, load_scenario
 from imumon.wing import firmware_of
@@ -29,7 +29,7 @@ def exchange(name: str) -> tuple[list[Request], bytes]:
 STREAMS = {name: exchange(name) for name in DEVICES}
 
 
-def understood(name: str, data: bytes) -> list[bytes | Refusal]:
+def understood(name: str, data: bytes) -> list[bytes | str]:
     """Return what a family makes of bytes as answers to its requests."""
     requests, _ = STREAMS[name]
     messages, done = family_of(load_device(name)).messages(data)

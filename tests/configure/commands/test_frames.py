@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import pytest
 
-from imumon.configure import mip, vectornav, witmotion, xsens
-from imumon.configure.core import BAUD, FAMILIES, OUTPUTS, Family, Wish, divisor, family_of
+from imumon.configure import WING, mip, vectornav, witmotion, xsens
+from imumon.configure.core import BAUD, USUAL_COLUMNS, Family, Wish, divisor, family_of
 from imumon.errors import ImumonError
 from imumon.protocols.device import load_device
+from imumon.protocols.mip import MipDevice
 
 XSENS_CONFIGURED = (
     "FA FF C0 30 10 20 FF FF 10 60 FF FF 10 10 FF FF 20 10 01 90 40 20 01 90 40 30 01 90 80 20 01 90 "
@@ -15,6 +16,7 @@ XSENS_CONFIGURED = (
 )
 """SetOutputConfiguration of an MTi-680, from a third party's program."""
 DEVICES = ("xsens", "microstrain", "vectornav", "witmotion")
+MICROSTRAIN = MipDevice.model_validate(load_device("microstrain").model_dump())
 
 
 def test_xsens_frames_are_those_of_other_programs() -> None:
@@ -29,7 +31,8 @@ def test_xsens_frames_are_those_of_other_programs() -> None:
 
 
 def test_mip_frames_are_those_of_the_vendor_and_of_other_programs() -> None:
-    family = mip.Mip(modern=False)
+    family = mip.Mip(MICROSTRAIN)
+    family.modern = False
     assert family.hello.frame.hex(" ") == "75 65 01 02 02 01 e0 c6"
     assert family.quiet[0].frame.hex(" ") == "75 65 01 02 02 02 e1 c7"
     sensors = mip.message_format([(0x04, 1), (0x05, 1)])
@@ -88,7 +91,7 @@ def test_witmotion_frames_are_those_of_the_vendor() -> None:
 @pytest.mark.parametrize("name", DEVICES)
 def test_every_family_speaks_the_shared_words(name: str) -> None:
     family = family_of(load_device(name))
-    assert family.columns.keys() <= OUTPUTS.keys()
+    assert family.columns.keys() <= USUAL_COLUMNS.keys()
     wanted = family.wanted({}, Wish(100.0, tuple(family.columns)))
     assert family.bytes_per_s(wanted) > 1000
     assert all(family.describe(setting, value) for setting, value in wanted.items())
@@ -98,7 +101,7 @@ def test_every_family_speaks_the_shared_words(name: str) -> None:
 
 def test_what_a_family_lacks_is_named() -> None:
     family = witmotion.WitMotion()
-    with pytest.raises(ImumonError, match=r"have no increments.*\n.*inertial, magnetometer"):
+    with pytest.raises(ImumonError, match=r"have no output 'increments'\n.*inertial, magnetometer"):
         family.check(Wish(10.0, ("increments",)))
     with pytest.raises(ImumonError, match=r"no output 'gyro'"):
         family.check(Wish(10.0, ("gyro",)))
@@ -106,7 +109,7 @@ def test_what_a_family_lacks_is_named() -> None:
         family.check(Wish(baudrate=12_345))
     with pytest.raises(ImumonError, match="does not configure stim300"):
         family_of(load_device("stim300"))
-    assert all(load_device(name).protocol in FAMILIES for name in DEVICES)
+    assert all(load_device(name).protocol in WING.firmware for name in DEVICES)
 
 
 @pytest.mark.parametrize(
@@ -114,7 +117,7 @@ def test_what_a_family_lacks_is_named() -> None:
     [
         (xsens.Xsens(), 300.0, "200 and 400"),
         (xsens.Xsens(), 450.0, "400 Hz"),
-        (mip.Mip(), 300.0, "250 and 500"),
+        (mip.Mip(MICROSTRAIN), 300.0, "250 and 500"),
         (vectornav.VectorNav(), 300.0, "266.667 and 400"),
         (witmotion.WitMotion(), 300.0, "200 Hz"),
         (vectornav.VectorNav(), 1e4, "800 Hz"),
@@ -155,9 +158,8 @@ def test_what_is_not_requested_stays() -> None:
     faster = xsens.Xsens().wanted(present, Wish(rate_hz=400.0))[xsens.OUTPUT]
     assert xsens.entries(faster) == [(0x1020, 0xFFFF), (0x8020, 400), (0xC020, 100), (0x5042, 4)]
     present = {mip.SENSOR_FORMAT: mip.message_format([(4, 10), (5, 5)]), mip.FILTER_FORMAT_NAME: b"\0"}
-    assert mip.Mip().wanted(present, Wish(outputs=("inertial",)))[mip.SENSOR_FORMAT] == mip.message_format(
-        [(0xD5, 5), (4, 5), (5, 5)]
-    )
+    changed = mip.Mip(MICROSTRAIN).wanted(present, Wish(outputs=("inertial",)))
+    assert changed[mip.SENSOR_FORMAT] == mip.message_format([(0xD5, 5), (4, 5), (5, 5)])
 
 
 def test_an_mti_may_send_slowly_what_is_not_inertial() -> None:

@@ -44,8 +44,10 @@ def test_what_was_not_whole_is_no_part(tmp_path: Path) -> None:
     Dataset(tmp_path, ALLAN).close()
     (tmp_path / ROWS / "part-000001.parquet.partial").write_bytes(b"PAR1")
     results = Dataset(tmp_path, ALLAN)
+    assert results.parts == []
+    results.add([row("a", "gyro_x")])
     results.close()
-    assert not [*(tmp_path / ROWS).iterdir()]
+    assert [path.name for path in (tmp_path / ROWS).iterdir()] == ["part-000001.parquet"]
 
 
 def test_two_programs_do_not_add_to_one_folder(tmp_path: Path) -> None:

@@ -19,6 +19,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from imumon.errors import ImumonError, Reason
+from imumon.fleet.batch import running
 from imumon.fleet.batch.dataset import RESULTS, ROWS, BatchOptions, Dataset, Row, schema_of
 from imumon.fleet.batch.running import run_jobs, workers
 from imumon.fleet.batch.tasks import Job, limited, work
@@ -246,14 +247,17 @@ def test_nothing_is_lost_or_doubled_when_a_worker_dies_with_results_not_yet_fetc
     assert sorted(row["error"].rpartition(" ")[2] for row in taken) == sorted(str(n) for n in range(12))
 
 
-def test_a_session_that_kills_its_workers_is_a_failure(tmp_path: Path, client: Any) -> None:
+def test_a_session_that_kills_its_workers_is_a_failure(
+    tmp_path: Path, client: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(running, "work", _deadly)
     deadly = Job(str(tmp_path), DECODE, str(tmp_path))
     good = Job(str(tiny(tmp_path / "good")), DECODE, str(tmp_path))
     taken: list[Row] = []
-    run_jobs(client, [good], taken.extend, _deadly)
+    run_jobs(client, [good], taken.extend)
     assert {row["session"] for row in taken} == {good.place}
     taken.clear()
-    run_jobs(client, [deadly], taken.extend, _deadly)
+    run_jobs(client, [deadly], taken.extend)
     assert [row["reason"] for row in taken] == ["worker died"]
 
 
@@ -264,9 +268,10 @@ def _deadly(job: Job) -> list[Row]:
     return []
 
 
-def test_a_defect_ends_no_batch(tmp_path: Path, client: Any) -> None:
+def test_a_defect_ends_no_batch(tmp_path: Path, client: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(running, "work", _defect)
     taken: list[Row] = []
-    run_jobs(client, [Job("a", DECODE, str(tmp_path))] * 2, taken.extend, _defect)
+    run_jobs(client, [Job("a", DECODE, str(tmp_path))] * 2, taken.extend)
     assert [row["reason"] for row in taken] == ["defect"] * 2
     assert taken[0]["error"] == "ZeroDivisionError: of a test"
 

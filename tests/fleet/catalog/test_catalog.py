@@ -228,9 +228,9 @@ def test_a_serial_number_of_two_devices_is_refused_with_their_names(tmp_path: Pa
 def test_runs_of_a_record_stand_one_after_the_other(monkeypatch: pytest.MonkeyPatch) -> None:
     drawn: dict[str, Curve] = {}
 
-    def figure(curves: dict[str, Curve], **_: Any) -> str:
+    def figure(_caption: str, curves: dict[str, Curve], **_: Any) -> dict[str, str]:
         drawn.update(curves)
-        return ""
+        return {}
 
     monkeypatch.setattr("imumon.fleet.catalog.page._figure", figure)
     n = 50

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from imumon.errors import ImumonError, Reason
 from imumon.fleet.rack.description import MOST_UNITS, changes, load_rack
 from imumon.protocols.device import device_text
+from imumon.run.setup import Setup
 
 GOOD = """format: imumon-rack/1
 default:
@@ -42,8 +43,8 @@ def test_a_unit_has_what_it_states_and_the_rest_from_the_default(tmp_path: Path)
     assert (left.settings.url, left.settings.baudrate, left.serial) == ("/dev/ttyUSB0", 921600, "17")
     assert (right.settings.baudrate, right.serial) == (460800, None)
     assert left.device_yaml == device_text("ax1")[0]
-    assert left.pipeline_yaml is None
-    assert "latitude_deg: 48.0" in str(right.pipeline_yaml)
+    assert left.setup == Setup()
+    assert right.setup.latitude_deg == 48.0
 
 
 def test_a_device_file_is_looked_for_beside_the_rack(tmp_path: Path) -> None:

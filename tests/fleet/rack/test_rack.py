@@ -206,7 +206,7 @@ def test_a_unit_whose_rack_is_gone_closes_its_session(tmp_path: Path) -> None:
         (plan,) = load_rack(write_rack(tmp_path, feeder, "ax1")).values()
         context = get_context("forkserver")
         ours, theirs = context.Pipe()
-        arguments = (plan, tmp_path / "sessions", False, theirs)
+        arguments = (plan, tmp_path / "sessions", theirs)
         process = context.Process(target=run_unit, args=arguments)
         process.start()
         theirs.close()

@@ -3,7 +3,7 @@ from __future__ import annotations
 import math
 
 from imumon.fleet.rack.feed import Vitals
-from imumon.fleet.rack.table import HEADINGS, amount, bias, in_short, markdown, row_of, text_lines
+from imumon.fleet.rack.table import HEADINGS, bias, in_short, markdown, row_of, text_lines
 from imumon.geodesy import DEG_PER_H
 
 RESTING = Vitals(
@@ -46,7 +46,3 @@ def test_terminal_and_viewer_have_the_same_cells() -> None:
     assert len(lines) == 4
     assert lines[3].startswith("| a\\|b | DEAD (-9) |")
     assert in_short([*rows, rows[0]]) == "3 units: 2 rest, 1 DEAD (-9)"
-
-
-def test_amounts_stay_readable() -> None:
-    assert [amount(count) for count in (0, 1_234_567, 1_234_567_890)] == ["0.0 MB", "1.2 MB", "1.23 GB"]
