@@ -72,9 +72,9 @@ class DenseSettings:
         known = north * (self.heading_deg is not None)
         return earth_rate_along(-down, known, math.radians(self.latitude_deg))
 
-    @cached_property
+    @property
     def start(self) -> FloatArray:
-        """Covariance at the start, (12, 12)."""
+        """Covariance at the start, (12, 12); a new one each time, as a filter writes to it."""
         return np.diag(np.repeat(np.square([ANGLE_SD, VELOCITY_SD, self.bias_sd, ACCEL_BIAS_SD]), 3))
 
     @cached_property

@@ -190,3 +190,16 @@ def test_what_is_not_measured_is_not_counted_as_rest(hole_s: float, known: bool)
 def test_a_stream_of_less_than_a_packet_a_second_has_no_values() -> None:
     found = DenseZupt("dense_zupt", SETTINGS).process(slow(0.5, 300.0))
     assert all(np.isnan(column).all() for column in found.values())
+
+
+def test_after_a_restart_sigma_begins_as_at_first() -> None:
+    block = slow(20.0, 400.0)
+    columns = dict(block.columns)
+    again = block["device_time_ns"] > 200.0 * 1e9
+    columns["segment"] = again.astype(np.int64)
+    columns["at_rest"] = np.ones(len(block), np.int64)
+    moving = (block["device_time_ns"] > 70.0 * 1e9) & (block["device_time_ns"] < 80.0 * 1e9)
+    columns["at_rest"][moving] = 0  # it is levelled anew behind that
+    found = DenseZupt("dense_zupt", SETTINGS).process(SampleBlock(columns))["dense_zupt_gyro_bias_sd_x"]
+    first, second = (found[rows][np.isfinite(found[rows])][0] for rows in (~again, again))
+    assert second == pytest.approx(first, rel=1e-6)
