@@ -18,10 +18,11 @@ import click
 from click.exceptions import Exit
 from click.shell_completion import shell_complete
 
-from imumon.cli.common import INTERRUPTED, log, note
 from imumon.errors import EXIT_INTERRUPTED, EXIT_OK, EXIT_USAGE, ImumonError
 from imumon.view import RECORDER
 from imumon.wing import GROUPS, Command, built_in, wings
+
+from .common import INTERRUPTED, log, note
 
 if TYPE_CHECKING:
     from sys import UnraisableHookArgs
@@ -117,8 +118,9 @@ def _short_help(ctx: click.Context) -> str:
     formatter = ctx.make_formatter()
     formatter.write_text(str(cli.help))
     with formatter.section("Start here"):
-        first = [(f"imumon {usage}", commands()[usage.split()[0]].help) for usage in START]
-        formatter.write_dl(first, col_max=40)
+        formatter.write_dl(
+            [(f"imumon {usage}", commands()[usage.split()[0]].help) for usage in START], col_max=40
+        )
     with formatter.section("All commands"):
         formatter.write_dl([(group, ", ".join(lines)) for group, lines in _listed(ctx).items()])
     formatter.write_paragraph()
@@ -204,21 +206,11 @@ def run(arguments: list[str]) -> int:
         elif error.filename is not None:
             note("is it there, and may you read it and write to its folder?")
         return EXIT_USAGE
-    except Exception as error:
-        if _is_interrupt(error):
+    except Exception:
+        if INTERRUPTED.is_set():  # Python 3.11 and pydantic make other errors of Ctrl-C
             return EXIT_INTERRUPTED
         raise
     return code if isinstance(code, int) else EXIT_OK
-
-
-def _is_interrupt(error: BaseException | None) -> bool:
-    """Return whether an error is what became of Ctrl-C.
-
-    Python 3.11 makes another where it builds a class, with the first as its cause; pydantic one without.
-    """
-    while error is not None and not isinstance(error, KeyboardInterrupt):
-        error = error.__cause__ or error.__context__
-    return error is not None or INTERRUPTED.is_set()
 
 
 def _interrupt(number: int, frame: "FrameType | None") -> None:

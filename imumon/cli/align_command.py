@@ -6,10 +6,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from imumon.cli import common
-from imumon.cli.live_run import PortRun
 from imumon.errors import EXIT_NEGATIVE, EXIT_OK, ImumonError, Reason, bad_config, bad_data
 from imumon.estimation.alignment.report import ANY_ANGLE_SD, Estimate, Status
+
+from . import common
+from .live_run import PortRun
 
 if TYPE_CHECKING:
     from imumon.estimation.alignment.stage import Alignment
@@ -78,8 +79,10 @@ def command(
     else:
         setup = _with_sigma(common.make_setup(options), until)
         if device is None:
-            hint = f"add --device NAME (imumon devices lists them) or a file; try imumon detect {source}"
-            raise bad_config(f"{source} is a port, so its device must be named", hint)
+            raise bad_config(
+                f"{source} is a port, so its device must be named",
+                f"add --device NAME (imumon devices lists them) or a file; try imumon detect {source}",
+            )
         ran = _live(PortRun(source, device, baud, setup, out, seconds), positions, seconds is not None)
         columns = {column.name for column in ran.columns}
     status = _stage_of(ran).status
@@ -87,24 +90,27 @@ def command(
         needed = [f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz"]
         lacking = ", ".join(name for name in needed if name not in columns)
         found = f"there is no {lacking}" if lacking else "fewer than two samples have all six readings"
-        hint = "the heading needs angular rate and specific force of all three axes, in the same packets"
-        raise bad_data(f"{source}: {found}", hint)
+        raise bad_data(
+            f"{source}: {found}",
+            "the heading needs angular rate and specific force of all three axes, in the same packets",
+        )
+    result = as_data(status, positions)
     if as_json:
-        common.print_json(as_data(status, positions) | {"left_out": ran.counters.left_out})
+        common.print_json(result | {"left_out": ran.counters.left_out})
     else:
         if status.rest_s > 0.0:
             common.print_table(["estimator", "heading [°]", "σ [°]"], estimator_rows(status))
         common.show("\n".join(common.labelled(result_rows(status))))
-    settled = status.settled_s is not None and status.positions >= positions
-    return EXIT_OK if settled else EXIT_NEGATIVE
+    return EXIT_NEGATIVE if result["settled_s"] is None else EXIT_OK
 
 
 def _with_sigma(setup: "Setup", until: float | None) -> "Setup":
     """Return the setup with the sigma wanted; raises BAD_CONFIG when it does not have the latitude."""
     if setup.latitude_deg is None:
-        what = "the heading is found by the earth rate, and the latitude is not known"
-        hint = "add --latitude DEGREES (north is positive), or latitude_deg to the pipeline file"
-        raise bad_config(what, hint)
+        raise bad_config(
+            "the heading is found by the earth rate, and the latitude is not known",
+            "add --latitude DEGREES (north is positive), or latitude_deg to the pipeline file",
+        )
     if until is None:
         return setup
     return setup.with_options(alignment=setup.alignment.model_copy(update={"settled_deg": until}))
@@ -117,9 +123,11 @@ def _is_recording(source: str) -> bool:
         return True
     if "://" in source or path.exists() or source.startswith("/dev/"):
         return False
-    what = f"{source}: there is neither a session nor a port of this name"
-    hint = "imumon ports lists the ports; sessions are folders with a session.yaml, usually in ./sessions"
-    raise ImumonError(Reason.NOT_FOUND, what, hint)
+    raise ImumonError(
+        Reason.NOT_FOUND,
+        f"{source}: there is neither a session nor a port of this name",
+        "imumon ports lists the ports; sessions are folders with a session.yaml, usually in ./sessions",
+    )
 
 
 def _stage_of(pipeline: "Pipeline") -> "Alignment":
@@ -198,8 +206,11 @@ def result_rows(status: Status) -> dict[str, str]:
     settled = f"no {wanted}: {status.to_go_text}"
     if status.settled_s is not None:
         settled = f"yes, {status.settled_s:.1f} s after the first sample {wanted}"
-    counted = f"{min(status.rest_s, status.elapsed_s):.0f} of {status.elapsed_s:.0f} s counted"
-    texts = {"heading": status.heading_text, "settled": settled, "data": counted}
+    texts = {
+        "heading": status.heading_text,
+        "settled": settled,
+        "data": f"{min(status.rest_s, status.elapsed_s):.0f} of {status.elapsed_s:.0f} s counted",
+    }
     if status.positions > 1:
         texts["positions"] = f"{status.positions}, the last turned by {math.degrees(status.turned):.1f}°"
     return texts

@@ -11,7 +11,7 @@ import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TextIO, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TextIO
 
 import click
 
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from imumon.recordings.folder import Session
     from imumon.run.setup import Setup
 
-Options = TypeVar("Options", bound=Callable[..., Any])
 INTERRUPTED = threading.Event()
 """Set by Ctrl-C where that does nothing else: libraries make other errors of KeyboardInterrupt, or none."""
 ABSURD = 1e5
@@ -171,18 +170,19 @@ def split_columns(text: str | None, option: str = "--columns") -> list[str] | No
     return names
 
 
-def note(text: str, *, color: str | None = None, newline: bool = True, control: str = "") -> None:
-    """Write on standard error, behind what controls the terminal.
+def note(text: str = "", *, color: str | None = None, control: str | None = None) -> None:
+    """Write a line on standard error, or what controls the terminal and a text behind it.
 
     A terminal that was closed or a full disk below a log stops no recording.
     """
     with suppress(OSError):
-        click.echo(control + click.style(for_terminal(text), fg=color), err=True, nl=newline)
+        styled = click.style(for_terminal(text), fg=color)
+        click.echo((control or "") + styled, err=True, nl=control is None)
 
 
-def show(text: str, *, newline: bool = True) -> None:
+def show(text: str) -> None:
     """Write on standard output."""
-    click.echo(for_terminal(text), nl=newline)
+    click.echo(for_terminal(text))
 
 
 def console(*, error: bool = False) -> "Console":
@@ -205,8 +205,7 @@ def print_table(columns: Sequence[Any], rows: Iterable[Sequence[str]]) -> None:
 
 def log(level: str, text: str) -> None:
     """Write a log line on standard error."""
-    color = {"WARN": "yellow", "ERROR": "red"}.get(level)
-    note(f"{level:5} {for_log(text)}", color=color)
+    note(f"{level:5} {for_log(text)}", color={"WARN": "yellow", "ERROR": "red"}.get(level))
 
 
 def warn(texts: Iterable[str]) -> None:
@@ -247,8 +246,8 @@ def chosen_view(view: View | None, bind: str = "127.0.0.1") -> View:
 
     mode = view or ("native" if has_display() else "web")
     if mode == "terminal" and not is_terminal():
-        what, hint = "standard error is no terminal", "run it in a terminal, or use --view web or none"
-        raise bad_config(f"--view terminal: {what}", hint)
+        what = "--view terminal: standard error is no terminal"
+        raise bad_config(what, "run it in a terminal, or use --view web or none")
     if mode == "native" and not has_display():
         what = "--view native: there is no display here, so no window opens; --view web shows the run in a"
         warn([f"{what} browser, monitor --view terminal where it runs"])
@@ -256,26 +255,21 @@ def chosen_view(view: View | None, bind: str = "127.0.0.1") -> View:
         try:
             socket.create_server((bind, 0)).close()
         except (OSError, UnicodeError) as error:
-            what, hint = "is no IPv4 address of this computer", "`ip -4 addr` lists them; 0.0.0.0 is all"
-            raise bad_config(f"--bind {bind}: {what}", hint) from error
+            what = f"--bind {bind}: is no IPv4 address of this computer"
+            raise bad_config(what, "`ip -4 addr` lists them; 0.0.0.0 is all") from error
         warn([f"--bind {bind}: every computer that reaches this one can read the live view"])
     return mode
-
-
-LEAST_FOLDED = 20
-"""Columns beside the labels; in less room nothing is folded."""
 
 
 def labelled(rows: Mapping[str, str], columns: int | None = None) -> list[str]:
     """Return lines with a label each, below each other; folded between words to so many columns."""
     width = max(map(len, rows), default=0) + 4
-    fold = textwrap.TextWrapper(columns or 0, break_long_words=False, break_on_hyphens=False)
-    fold.subsequent_indent = " " * width
+    look: Any = {"subsequent_indent": " " * width, "break_long_words": False, "break_on_hyphens": False}
     lines = []
     for label, text in rows.items():
-        fold.initial_indent = f"  {label}".ljust(width)
-        whole = fold.initial_indent + for_log(text)
-        lines += [whole] if fold.width - width < LEAST_FOLDED else fold.wrap(for_log(text)) or [whole]
+        start, whole = f"  {label}".ljust(width), for_log(text)
+        folded = [] if columns is None else textwrap.wrap(whole, columns, initial_indent=start, **look)
+        lines += folded or [start + whole]
     return lines
 
 
@@ -313,7 +307,7 @@ _SETUP_OPTIONS = (
 )
 
 
-def setup_options(command: Options) -> Options:
+def setup_options(command: Callable[..., int]) -> Callable[..., int]:
     """Add the options; the command gets them as keywords named as they are."""
     for option in reversed(_SETUP_OPTIONS):
         command = option(command)
@@ -330,8 +324,11 @@ def make_setup(given: Mapping[str, Any], session: "Session | None" = None) -> "S
     setup = Setup() if session is None else recorded_setup(session)
     if (path := given.get("pipeline")) is not None:
         setup = load_setup(path)
-    keys = {"zupt": "zupt_mode", "latitude": "latitude_deg", "heading": "heading_deg"}
-    changes = {key: given.get(option) for option, key in keys.items()}
+    changes = {
+        "zupt_mode": given.get("zupt"),
+        "latitude_deg": given.get("latitude"),
+        "heading_deg": given.get("heading"),
+    }
     if (path := given.get("model")) is not None:
         from imumon.models.model import load_model
 
@@ -341,7 +338,8 @@ def make_setup(given: Mapping[str, Any], session: "Session | None" = None) -> "S
     if (names := given.get("published")) is not None:
         chosen = [name for name in map(str.strip, names.split(",")) if name]
         if wrong := [name for name in chosen if name not in PUBLISHED or chosen.count(name) > 1]:
-            expected = f"{wrong[0]}: expected {', '.join(PUBLISHED)}, each once"
-            raise click.BadParameter(expected, param_hint="--published")
+            raise click.BadParameter(
+                f"{wrong[0]}: expected {', '.join(PUBLISHED)}, each once", param_hint="--published"
+            )
         changes["published"] = chosen
     return setup.with_options(**changes)

@@ -8,21 +8,31 @@ from typing import TYPE_CHECKING
 
 import click
 
-from imumon.cli import common
 from imumon.errors import EXIT_NEGATIVE, EXIT_OK, EXIT_PORT, ImumonError, Reason
 from imumon.files import check_output, plain, results_folder, write_text
 from imumon.version import __version__
+
+from .common import (
+    PATH,
+    SECONDS,
+    Whole,
+    device_help,
+    json_option,
+    note,
+    print_json,
+    print_listing,
+    print_table,
+    show,
+)
 
 if TYPE_CHECKING:
     from imumon.transport.detect import Evidence
     from imumon.transport.settings import PortSettings
 
-COLOURS = {"good": "green", "warning": "yellow", "fault": "red"}
-
 
 @click.command("doctor")
-@click.argument("folder", type=common.PATH, default=Path("sessions"))
-@common.json_option
+@click.argument("folder", type=PATH, default=Path("sessions"))
+@json_option
 def doctor(folder: Path, as_json: bool) -> int:
     """Check packages, compiled code, disk, ports, viewer and display, and print what to do.
 
@@ -31,22 +41,22 @@ def doctor(folder: Path, as_json: bool) -> int:
 
     FOLDER is where sessions are written.  Exits with 1 when something does not work.
     """
-    from imumon.run.doctor import State, examine
+    from imumon.run.doctor import examine
 
     findings = list(examine(folder))
-    faults = sum(finding.state is State.FAULT for finding in findings)
-    if as_json:
-        common.print_json({"findings": [finding._asdict() for finding in findings], "faults": faults})
-    for finding in () if as_json else findings:
-        click.echo(click.style(f"{finding.state:<8}", fg=COLOURS[finding.state]), nl=False)
-        common.show(f"{finding.subject}: {finding.seen}")
+    faults = sum(finding.state == "fault" for finding in findings)
+    lines = []
+    for finding in findings:
+        lines.append(f"{finding.state:<8}{finding.subject}: {finding.seen}")
         if finding.remedy:
-            common.show(f"{'':<8}  -> {finding.remedy}")
+            lines.append(f"{'':<8}  -> {finding.remedy}")
+    data = {"findings": [finding._asdict() for finding in findings], "faults": faults}
+    print_listing(as_json, data, lines)
     return EXIT_NEGATIVE if faults else EXIT_OK
 
 
 @click.command("ports")
-@common.json_option
+@json_option
 def ports(as_json: bool) -> None:
     """List serial ports with their USB ids, and whether they can be opened.
 
@@ -57,7 +67,7 @@ def ports(as_json: bool) -> None:
 
     found = list_ports()
     if not found and not as_json:
-        common.note("no serial ports exist; imumon virtual makes one without hardware")
+        note("no serial ports exist; imumon virtual makes one without hardware")
     lines = []
     for port in found:
         facts = {
@@ -69,14 +79,12 @@ def ports(as_json: bool) -> None:
             "access": None if port.accessible else "not for this user",
         }
         lines += [str(port), *(f"    {label:<14} {text}" for label, text in facts.items() if text)]
-    common.print_listing(
-        as_json, {"ports": [{**asdict(port), "usb_id": port.usb_id} for port in found]}, lines
-    )
+    print_listing(as_json, {"ports": [{**asdict(port), "usb_id": port.usb_id} for port in found]}, lines)
 
 
 @click.command("devices")
 @click.argument("name", required=False)
-@common.json_option
+@json_option
 def devices(name: str | None, as_json: bool) -> None:
     """List the devices that imumon knows; with NAME, print its file, to copy and change.
 
@@ -88,21 +96,23 @@ def devices(name: str | None, as_json: bool) -> None:
 
     if name is not None:
         load_device(name)
-        common.show(device_text(name)[0], newline=False)
+        show(device_text(name)[0].rstrip())
         return
     data: dict[str, object] = {}
     lines = []
     for device in map(load_device, device_names()):
         rates = list(device.serial.baudrates)
         facts = device.model_dump(include={"title", "verified", "protocol", "rate_hz", "axes"})
-        data[device.name] = facts | {"baudrates": rates}
-        lines.append(f"{device.name:<14} {device.title} ({device.protocol}, {rates[0]} baud)")
-        lines.append(f"{'':<14} checked against {device.verified}")
-    common.print_listing(as_json, data, lines)
+        data[device.name] = {**facts, "baudrates": rates}
+        lines += [
+            f"{device.name:<14} {device.title} ({device.protocol}, {rates[0]} baud)",
+            f"{'':<14} checked against {device.verified}",
+        ]
+    print_listing(as_json, data, lines)
 
 
 @click.command("plugins")
-@common.json_option
+@json_option
 def plugins(as_json: bool) -> int:
     """List the plug-ins with their packages, what each brings, and whether it loads.
 
@@ -119,19 +129,15 @@ def plugins(as_json: bool) -> int:
         lines.append(f"{plugin.name:<14} {plugin.group} of {plugin.package} {plugin.version}".rstrip())
         brings = f"loads; brings {', '.join(plugin.brings) or 'nothing'}"
         lines.append(f"{'':<14} {f'does NOT load: {plugin.problem}' if plugin.problem else brings}")
-    common.print_listing(as_json, {"plugins": [asdict(plugin) for plugin in found]}, lines)
+    print_listing(as_json, {"plugins": [plugin._asdict() for plugin in found]}, lines)
     return EXIT_NEGATIVE if any(plugin.problem for plugin in found) else EXIT_OK
 
 
 @click.command("detect")
 @click.argument("port")
-@click.option(
-    "--device", "names", multiple=True, help=common.device_help + "  May be repeated; default: all."
-)
-@click.option(
-    "--baud", "rates", multiple=True, type=common.Whole(min=1), help="Rate to try; may be repeated."
-)
-@click.option("--seconds", default=1.5, show_default=True, type=common.SECONDS, help="Time at each rate.")
+@click.option("--device", "names", multiple=True, help=device_help + "  May be repeated; default: all.")
+@click.option("--baud", "rates", multiple=True, type=Whole(min=1), help="Rate to try; may be repeated.")
+@click.option("--seconds", default=1.5, show_default=True, type=SECONDS, help="Time at each rate.")
 @click.option(
     "--propose",
     "proposed",
@@ -141,11 +147,11 @@ def plugins(as_json: bool) -> int:
 @click.option(
     "--save",
     "folder",
-    type=common.PATH,
+    type=PATH,
     metavar="FOLDER",
     help="Keep the bytes of each baud rate (RATE.bin) and evidence.json in a new folder, to report a device.",
 )
-@common.json_option
+@json_option
 def detect(
     port: str,
     names: tuple[str, ...],
@@ -180,7 +186,7 @@ def detect(
 
     def begin(settings: "PortSettings") -> bytearray:
         rate = settings.baudrate if settings.has_line else None
-        common.note(f"listening to {settings.url if rate is None else f'{rate} baud'}")
+        note(f"listening to {settings.url if rate is None else f'{rate} baud'}")
         received[rate] = bytearray()
         return received[rate]
 
@@ -202,28 +208,28 @@ def detect(
     if folder is not None:
         _save(folder, received, data)
     if as_json:
-        common.print_json(data)
+        print_json(data)
     else:
         _show(evidence)
         if len(fit) > 1:
-            common.show("\nmore than one fits; the columns and their units show which it is")
+            show("\nmore than one fits; the columns and their units show which it is")
         for item in fit:
             rate = f" --baud {item.baudrate}" if item.baudrate is not None else ""
-            common.show(f"\n{item.protocol}: imumon monitor {port} --device {item.protocol}{rate}")
+            show(f"\n{item.protocol}: imumon monitor {port} --device {item.protocol}{rate}")
         near = max(evidence, key=lambda item: item.checksum_errors)
         protocol = devices[near.protocol].protocol if wrong and names else ""
         if is_wrong_checksum(protocol, near.checksum_errors, near.bytes_received):
-            common.show(f"\n{near.protocol}: {near.checksum_errors:,} right headers: {WRONG_CHECKSUM}")
+            show(f"\n{near.protocol}: {near.checksum_errors:,} right headers: {WRONG_CHECKSUM}")
         if proposal:
-            common.show(f"\nno device file describes what came; this one may:\n\n{proposal}")
+            show(f"\nno device file describes what came; this one may:\n\n{proposal}")
     if wrong is None:
         return EXIT_OK
     if proposal is None:
         raise wrong
     if proposed is not None:
         write_text(proposed, proposal)
-    file = proposed or "FILE, which --propose FILE writes"
-    common.note(f"no known device: complete the proposed file, then: imumon monitor {port} --device {file}")
+    todo = f"imumon monitor {port} --device {proposed or 'FILE, which --propose FILE writes'}"
+    note(f"no known device: complete the proposed file, then: {todo}")
     return EXIT_PORT
 
 
@@ -235,7 +241,7 @@ def _save(folder: Path, received: Mapping[int | None, bytearray], data: Mapping[
             (folder / name).write_bytes(received[rate])
         facts = {"imumon": __version__, "files": [*names.values()], **data}
         write_text(folder / "evidence.json", json.dumps(plain(facts), indent=2) + "\n")
-    common.note(f"{folder} has the bytes of {len(names)} baud rate(s) and evidence.json")
+    note(f"{folder} has the bytes of {len(names)} baud rate(s) and evidence.json")
 
 
 def _propose(received: dict[int | None, bytearray], evidence: "list[Evidence]") -> str | None:
@@ -249,9 +255,12 @@ def _propose(received: dict[int | None, bytearray], evidence: "list[Evidence]") 
     if any(item.verdict is Verdict.PARTLY for item in evidence):
         return None  # a known device whose bytes are damaged
     seconds = {item.baudrate: item.seconds for item in evidence}
-    pairs = [(rate, bytes(data)) for rate, data in received.items() if rate in seconds]
-    tried = [binary_proposal.propose(data, seconds[rate], rate) for rate, data in pairs]
-    fits = (one for one in tried if one is not None)  # without a line all do: the first tried is usual
+    tried = [
+        binary_proposal.propose(bytes(data), seconds[rate], rate)
+        for rate, data in received.items()
+        if rate in seconds
+    ]
+    fits = filter(None, tried)  # without a line all do: the first tried is usual
     found = max(fits, key=lambda one: (one.checked, one.checked or one.covered), default=None)
     return found.text if found is not None else None
 
@@ -275,6 +284,6 @@ def _show(evidence: "list[Evidence]") -> None:
         )
         for item in shown
     )
-    common.print_table([Column(name, no_wrap=name != names[-1]) for name in names], rows)
+    print_table([Column(name, no_wrap=name != names[-1]) for name in names], rows)
     if len(evidence) > len(shown):
-        common.show(f"{len(evidence) - len(shown)} others: no valid packets")
+        show(f"{len(evidence) - len(shown)} others: no valid packets")

@@ -15,10 +15,11 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from imumon.cli.common import CLEAR_LINE, INTERRUPTED, is_terminal, log, note
 from imumon.errors import ImumonError, Reason
 from imumon.heap import prepare_heap
 from imumon.recordings import lines
+
+from .common import CLEAR_LINE, INTERRUPTED, is_terminal, log, note
 
 if TYPE_CHECKING:
     from imumon.run.live import LiveSummary
@@ -98,8 +99,7 @@ class PortRun:
 
         def new_run() -> LiveRun:
             folder = out or default_path(self._device.name, time.time_ns())
-            take = self.lines.put
-            return LiveRun(self._device, text, self._settings, setup, folder, take, serial=serial)
+            return LiveRun(self._device, text, self._settings, setup, folder, self.lines.put, serial=serial)
 
         try:
             self.run = new_run()
@@ -146,7 +146,7 @@ class Lines(lines.Lines):
     def write(self, before: str = "") -> None:
         """Write the lines that wait; `before` clears what stands in the terminal's line."""
         for _, level, text in self.take():
-            note("", newline=False, control=before)
+            note(control=before)
             log(level, text)
 
 
@@ -171,13 +171,13 @@ def watch(
             step()
             lines.write(clear)
             if clear:
-                note(status(), newline=False, control=clear)
-        note("", newline=False, control=clear)
+                note(status(), control=clear)
+        note(control=clear)
         return
     from imumon.view.terminal import GIVEN_BACK, OWN_SCREEN, drawn
 
     drawn_s = -math.inf
-    note("", newline=False, control=OWN_SCREEN)
+    note(control=OWN_SCREEN)
     try:
         while ending.wait():
             step()
@@ -187,9 +187,9 @@ def watch(
                 with suppress(OSError):  # it may be closed
                     size = os.get_terminal_size(sys.stderr.fileno())
                 size = size if all(size) else (80, 24)
-                note("", newline=False, control=drawn(screen(*size), *size))
+                note(control=drawn(screen(*size), *size))
     finally:
-        note("", newline=False, control=GIVEN_BACK)
+        note(control=GIVEN_BACK)
 
 
 @contextmanager
@@ -199,7 +199,7 @@ def single_keys() -> Iterator[Callable[[], str] | None]:
     It is None without a terminal, and in the background.  Ctrl-C stays a signal; in the end the terminal is
     as it was.
     """
-    terminal = sys.stdin.fileno() if sys.stdin is not None and sys.stdin.isatty() else -1
+    terminal = sys.stdin.fileno() if sys.stdin.isatty() else -1
     in_front = terminal >= 0
     with suppress(OSError):  # there is no terminal, or one that controls no job
         in_front = os.tcgetpgrp(terminal) == os.getpgrp()

@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from imumon.cli import common
-from imumon.cli.live_run import PortRun, single_keys, watch
 from imumon.errors import EXIT_NEGATIVE, EXIT_OK, bad_config
 from imumon.wing import offers
+
+from . import common
+from .live_run import PortRun, single_keys, watch
 
 if TYPE_CHECKING:
     from imumon.run.live import LiveRun, LiveSummary
@@ -74,11 +75,12 @@ def command(
     mode = common.chosen_view(view, bind)
     outputs = [(one, one.parse(options.pop(one.name))) for one in offers("live_output")]
     setup = common.make_setup(options)
-    if learn and setup.bias_model is None:
-        what = "--learn: there is no bias model that could be better"
-        hint = "add --model MODEL.yaml, made by: imumon calibrate SESSION... --out MODEL.yaml"
-        raise bad_config(what, hint)
     if learn:
+        if setup.bias_model is None:
+            raise bad_config(
+                "--learn: there is no bias model that could be better",
+                "add --model MODEL.yaml, made by: imumon calibrate SESSION... --out MODEL.yaml",
+            )
         setup = setup.with_options(watch=setup.watch.model_copy(update={"learn": True}))
     live = PortRun(port, device, baud, setup, out, seconds, serial)
     run = live.run
@@ -95,8 +97,9 @@ def command(
             views.close()
         live.lines.write()
     learned = keep_learned(run.pipeline, run.session) if setup.bias_model is not None else None
-    also = {name: value for one in views.outputs for name, value in one.as_data.items()}
-    data = {**summary.as_dict(), "view_dropped": views.dropped, **also, "learned_model": learned}
+    data = {**summary.as_dict(), "view_dropped": views.dropped, "learned_model": learned}
+    for output in views.outputs:
+        data |= output.as_data
     rows = _rows(summary, run.progress, views)
     if learned is not None:
         rows["learned"] = str(learned)
@@ -122,8 +125,7 @@ class _Views:
         self._recorder = ViewRecorder(run.session.view_path, setup, on_error=run.report_view_error)
         self.outputs = outputs
         self._elsewhere = [*([self._live] if self._live else []), *outputs]
-        ours = [one for one in (self._recorder, self._live, self.terminal) if one is not None]
-        self.publish = [one.publish for one in ours]
+        self.publish = [one.publish for one in (self._recorder, self._live, self.terminal) if one is not None]
         self.publish += [publish for output in outputs for publish in output.publish]
 
     @property
@@ -156,7 +158,6 @@ KEYS = "m: mark  s: start, stop"
 
 
 def _watch(live: PortRun, views: _Views) -> None:
-    """Wait for the end, and look after keys, views and the pipeline."""
     from imumon.transport.reader import EventKind
 
     run, lines, view = live.run, live.lines, views.terminal
@@ -168,8 +169,7 @@ def _watch(live: PortRun, views: _Views) -> None:
             if key == "m":
                 run.mark(EventKind.MARK, "key m")
             elif key == "s":
-                kind = EventKind.STOP if switches % 2 else EventKind.START
-                run.mark(kind, f"part {switches // 2 + 1}")
+                run.mark(EventKind.STOP if switches % 2 else EventKind.START, f"part {switches // 2 + 1}")
                 switches += 1
         views.announce(lines.put)
 
@@ -192,13 +192,12 @@ def status_line(progress: "Progress") -> str:
     load = "" if progress.link_load is None else f"  link {progress.link_load:.0%}"
     lost = f"{'lost' if counters.packets_counted else 'damaged'} {counters.lost:,}"
     return (
-        f"{progress.port or 'opening':7} {progress.elapsed_s:7.1f} s  {counters.packets:,} packets "
+        f"{progress.port:7} {progress.elapsed_s:7.1f} s  {counters.packets:,} packets "
         f"{progress.packets_per_s:.1f}/s{load}  {lost}  skipped {counters.bytes_skipped:,} B"
     )
 
 
 def _rows(summary: "LiveSummary", progress: "Progress", views: _Views) -> dict[str, str]:
-    """Return what a person reads at the end."""
     from imumon.run.account import describe_disk, describe_span
     from imumon.run.narration import describe
 

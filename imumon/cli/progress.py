@@ -6,11 +6,14 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from imumon.cli.common import console, log
 from imumon.harmless import for_log
+
+from .common import console, log
 
 LINE_S = 60.0
 """Between two lines without a terminal."""
+
+
 WORTH_LOGGING_S = 5.0
 """Work that takes longer is announced with an estimate of its time."""
 
@@ -41,8 +44,7 @@ class ReadingProgress:
 
     def __init__(self, what: str, total: int | None) -> None:
         self.what, self.total, self.done = for_log(what), total, 0
-        self.show: Callable[[], object] = self._log
-        """Draws the present state."""
+        self.show: Callable[[], object] = self._log  # draws the present state
         self._next_s = time.monotonic() + LINE_S
 
     def count(self, more: int) -> None:
@@ -87,7 +89,7 @@ def reading_bar(paths: Sequence[Path], *, quiet: bool) -> Iterator[ReadingProgre
     """
     from imumon.recordings.source import recorded_bytes
 
-    sizes = [] if quiet else [recorded_bytes(path) for path in paths]
-    total = sum(size or 0 for size in sizes) if None not in sizes else None
+    sizes = [recorded_bytes(path) for path in paths]
+    total = None if None in sizes else sum(filter(None, sizes))
     with bar(f"reading {', '.join(path.name for path in paths)}", total, quiet=quiet) as progress:
         yield progress

@@ -9,13 +9,33 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
-from imumon.cli import common
-from imumon.cli.live_run import serve
-from imumon.cli.progress import reading_bar
-from imumon.cli.table_commands import exported_as_data
-from imumon.errors import EXIT_NEGATIVE, EXIT_OK, ImumonError, Reason, bad_config, bad_data
+from imumon.errors import EXIT_NEGATIVE, EXIT_OK, ImumonError, Reason, bad_config
 from imumon.files import check_output
 from imumon.wing import offers
+
+from .common import (
+    PATH,
+    TABLE,
+    View,
+    bind_option,
+    chosen_view,
+    columns_option,
+    json_option,
+    make_setup,
+    note,
+    print_json,
+    print_result,
+    print_rows,
+    rate_option,
+    setup_options,
+    split_columns,
+    truth_option,
+    warn,
+    window_option,
+)
+from .live_run import serve
+from .progress import reading_bar
+from .table_commands import exported_as_data
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -37,11 +57,11 @@ CLOSE_S = 5.0
 
 
 @click.command("replay")
-@click.argument("session", type=common.PATH)
+@click.argument("session", type=PATH)
 @click.option("--speed", help="1: as recorded; N: N times as fast; max.  Default: 1 with a view, else max.")
-@click.option("--out", type=common.PATH, help=common.TABLE)
-@common.columns_option
-@common.rate_option
+@click.option("--out", type=PATH, help=TABLE)
+@columns_option
+@rate_option
 @click.option(
     "--view",
     type=click.Choice(["native", "web", "none"]),
@@ -52,7 +72,7 @@ CLOSE_S = 5.0
 @click.option(
     "--compare-models",
     nargs=2,
-    type=common.PATH,
+    type=PATH,
     metavar="A B",
     help="Only compare two bias models (files, or sessions that ran with one) on this session;"
     " --out PAGE.html.",
@@ -60,11 +80,11 @@ CLOSE_S = 5.0
 @click.option(
     "--smooth", is_flag=True, help="Also estimate with the data after each sample: columns ..._smoothed."
 )
-@common.truth_option
-@common.setup_options
-@common.window_option
-@common.bind_option
-@common.json_option
+@truth_option
+@setup_options
+@window_option
+@bind_option
+@json_option
 def replay(
     session: Path,
     speed: str | None,
@@ -99,15 +119,14 @@ def replay(
     from imumon.run.stages import pipeline_of, smoothed
 
     opened = open_session(session)  # a raw capture has no times: that is for decode
-    setup = common.make_setup(options, opened)
+    setup = make_setup(options, opened)
     true = _truth(session, setup) if truth else None
     source = open_source(session, rate_hz=rate)
     source.refuse_output(out)
     pace = _speed(speed, view)
-    smoother = smoothed(open_source(session, rate_hz=rate), setup) if smooth else None
-    pipeline, digest = pipeline_of(source, setup, [smoother] if smoother else []), Digest()
+    smoothers = [smoothed(open_source(session, rate_hz=rate), setup)] if smooth else []
+    pipeline, digest = pipeline_of(source, setup, smoothers), Digest()
     publisher = narrator = None
-    comparison = Comparison(None, reason="it ran otherwise, by --smooth or --rate")
     if view != "none":
         units = {column.name: column.unit for column in source.imported.values()} | pipeline.units
         publisher = _begun(view, view_setup(opened, units, window, replay=True), bind)
@@ -115,45 +134,43 @@ def replay(
         narrator = Narrator(pipeline, None, [publisher.publish], lambda *_: None, card)
     try:
         with reading_bar([session], quiet=as_json) as progress:
-            again = replay(source.items, pipeline, narrator, pace, progress.count)
-            blocks = digested(again, pipeline, digest)
+            blocks = replay(source.items, pipeline, narrator, pace, progress.count)
+            blocks = digested(blocks, pipeline, digest)
             if true is not None:
                 blocks = true.through(blocks)
             if out is None:
                 exported = Exported(sum(map(len, blocks)), {})
             else:
-                exported = export_run(blocks, pipeline, source, out, common.split_columns(columns))
+                exported = export_run(blocks, pipeline, source, out, split_columns(columns))
         if publisher is not None and view == "web":
             serve(publisher.url)
     finally:
         if publisher is not None:
             publisher.close(CLOSE_S)
-    if not smooth and rate is None:
+    if smooth or rate is not None:
+        comparison = Comparison(None, reason="it ran otherwise, by --smooth or --rate")
+    else:
         comparison = compare_with_live(opened, setup, digest, pipeline)
-    texts = [*source.warnings(), *pipeline.warnings()]
+    texts = [*source.warnings(), *pipeline.warnings(), *exported.warnings]
     if pipeline.counters.bytes_received and not pipeline.counters.streams:
         what = no_samples(source, pipeline).seen
         texts.append(f"{what}: is it another device?  Try: imumon decode SESSION --device NAME --out TABLE")
     if setup.bias_model is not None:
         texts.insert(0, setup.bias_model.of_another(opened.metadata.serial, opened.metadata.axes))
-    common.warn(filter(None, texts))
-    differs = comparison.identical is False
-    if differs:
-        common.warn(["the samples differ from those of the live run: another version, or bytes missing"])
-    common.warn(exported.warnings)
+    warn(filter(None, texts))
     data = {"session": source.path} | exported_as_data(source, pipeline, exported)
     data |= {"results_digest": digest.hexdigest()} | comparison.as_dict()
     rows = {"samples": f"{exported.rows:,}, {comparison}", "losses": describe_losses(pipeline.counters)}
     rows |= describe_streams(pipeline.counters, exported.tables)
-    if smoother is not None:
+    for smoother in smoothers:
         data["disagreement"] = smoother.residuals
         text = ", ".join(f"{name} {value:.2f}" for name, value in smoother.residuals.items())
         rows["forward minus backward"] = f"{text} σ rms" if text else "nothing to compare"
     if true is not None:
         data["truth"] = true.as_data()
         rows |= true.rows()
-    common.print_result(as_json, data, rows)
-    return EXIT_NEGATIVE if differs else EXIT_OK
+    print_result(as_json, data, rows)
+    return EXIT_NEGATIVE if comparison.identical is False else EXIT_OK
 
 
 def _truth(session: Path, setup: Setup) -> Truth:
@@ -161,19 +178,20 @@ def _truth(session: Path, setup: Setup) -> Truth:
     from imumon.run.truth import read_truth
 
     if setup.latitude_deg is not None and setup.heading_deg is None:
-        what = "--truth with a latitude alone: only a part of the earth's rotation is removed from the bias"
-        raise bad_config(what, "add --heading, or leave --latitude away")
+        raise bad_config(
+            "--truth with a latitude alone: only a part of the earth's rotation is removed from the bias",
+            "add --heading, or leave --latitude away",
+        )
     return read_truth(session, earth_removed=setup.latitude_deg is not None)
 
 
 def _compare(session: Path, given: tuple[Path, Path], out: Path | None, as_json: bool) -> int:
-    """Write the page of what two models leave of a session."""
     if out is None:
         raise bad_config("--compare-models makes a page, which has no name", "add --out PAGE.html")
     check_output(out, suffix=".html")
     compare, *_ = offers("compare_models")  # that of imumon comes first
     data, rows = compare(session, given, out)
-    common.print_result(as_json, data, {**rows, "page": str(out)})
+    print_result(as_json, data, {**rows, "page": str(out)})
     return EXIT_OK
 
 
@@ -181,12 +199,12 @@ def _begun(view: Mode, setup: ViewSetup, bind: str) -> ViewPublisher:
     """Return a view that begins, and report where it is before what it shows is over."""
     from imumon.view.publisher import ViewPublisher
 
-    common.chosen_view(view, bind)
+    chosen_view(view, bind)
     publisher = ViewPublisher(view, setup, bind=bind).start()
     end = time.monotonic() + STARTING_S
     while not publisher.url and time.monotonic() < end:
         time.sleep(0.05)
-    common.note(f"view: {publisher.url or publisher.text}")
+    note(f"view: {publisher.url or publisher.text}")
     return publisher
 
 
@@ -201,7 +219,7 @@ def _speed(text: str | None, view: str) -> float | None:
 
 
 @click.command("view")
-@click.argument("sessions", nargs=-1, required=True, metavar="SESSION...", type=common.PATH)
+@click.argument("sessions", nargs=-1, required=True, metavar="SESSION...", type=PATH)
 @click.option(
     "--align",
     type=click.Choice(["power-on", "host"]),
@@ -212,13 +230,13 @@ def _speed(text: str | None, view: str) -> float | None:
 @click.option(
     "--view", type=click.Choice(["native", "web"]), help="Default: native with a display, else web."
 )
-@click.option("--out", type=common.PATH, help="Write the comparison as NAME.rrd for Rerun, and show nothing.")
-@common.bind_option
-@common.json_option
+@click.option("--out", type=PATH, help="Write the comparison as NAME.rrd for Rerun, and show nothing.")
+@bind_option
+@json_option
 def view(
     sessions: tuple[Path, ...],
     align: Alignment,
-    view: common.View | None,
+    view: View | None,
     out: Path | None,
     bind: str,
     as_json: bool,
@@ -253,20 +271,19 @@ def view(
         opened.append((session, source, pipeline_of(source, recorded_setup(session))))
     setup = ViewSetup(" and ".join(names), f"view-{time.time_ns()}")
     rec = rr.RecordingStream(APPLICATION, recording_id=setup.recording_id)
-    mode, url = view, ""
+    url = ""
     if out is not None:
         rec.set_sinks(rr.FileSink(out))
     else:
-        mode = common.chosen_view(view, bind)
-        url = _shown(rec, mode, bind)
+        view = chosen_view(view, bind)
+        url = _shown(rec, view, bind)
     comparison = Comparison(rec, setup, align)
     found = dict[str, tuple[dict[str, object], dict[str, str]]]()
     try:
         for one, name in zip(opened, names, strict=True):
             with reading_bar([one[0].path], quiet=as_json) as progress:
                 found[name] = _log_session(*one, name, comparison, progress.count)
-        if comparison.arrange() is None:
-            raise bad_data("the sessions have no samples that can be shown")
+        comparison.arrange()
         rec.flush()
     except BaseException:
         if out is not None:  # no file that is a part
@@ -274,13 +291,13 @@ def view(
             out.unlink(missing_ok=True)
         raise
     if url:
-        common.note(f"view: {url}")
+        note(f"view: {url}")
     if as_json:
-        common.print_json({"sessions": [data for data, _ in found.values()], "out": out, "url": url or None})
+        print_json({"sessions": [data for data, _ in found.values()], "out": out, "url": url or None})
     for name, (_, rows) in found.items():
-        common.note(name)
-        common.print_rows(rows)
-    if mode == "web" and out is None:
+        note(name)
+        print_rows(rows)
+    if url and view == "web":
         serve(url)
     rec.disconnect()
 
@@ -303,26 +320,25 @@ def _log_session(
     for block in run_over(outages.watch(source.items), pipeline, count):
         comparison.log(block)
     counters, began_ns = pipeline.counters, metadata.created_ns
-    common.warn([*source.warnings(), *pipeline.warnings()])
+    warn([*source.warnings(), *pipeline.warnings()])
     if counters.samples and comparison.began_ns is None:
-        common.warn([f"{name}: has no times of a computer, and is not shown; --align power-on shows it"])
+        warn([f"{name}: has no times of a computer, and is not shown; --align power-on shows it"])
     ended_ns = max(metadata.ended_ns or 0, outages.last_ns) or began_ns
     span = describe_span(began_ns, ended_ns)
     if metadata.table is not None:  # when a table was measured is not known
         span = f"{metadata.duration_s:.1f} s, imported {wall_clock(began_ns, day=True)}"
     data = {"session": path, "name": name, "created_ns": began_ns, "ended_ns": ended_ns}
     data |= {"outages": outages.as_data(), "files": file_sizes(path), **counters.as_dict()}
-    rows = {
+    return data, {
         "recorded": span,
         "samples": f"{counters.samples:,}",
         "outages": outages.describe(),
         "losses": describe_losses(counters),
         "on disk": describe_disk(path),
     }
-    return data, rows
 
 
-def _shown(rec: rr.RecordingStream, mode: common.View, bind: str) -> str:
+def _shown(rec: rr.RecordingStream, mode: View, bind: str) -> str:
     """Connect the stream to a viewer or to the page that shows it; return where that is.
 
     Raises NOT_FOUND when no viewer comes up.

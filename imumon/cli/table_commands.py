@@ -7,11 +7,25 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from imumon.cli import common
-from imumon.cli.progress import reading_bar
 from imumon.errors import bad_config
 from imumon.files import check_output
 from imumon.wing import offers
+
+from .common import (
+    PATH,
+    TABLE,
+    columns_option,
+    device_help,
+    json_option,
+    log,
+    print_json,
+    print_result,
+    rate_option,
+    serial_option,
+    split_columns,
+    warn,
+)
+from .progress import reading_bar
 
 if TYPE_CHECKING:
     from imumon.pipeline import Pipeline
@@ -22,12 +36,12 @@ KINDS = ["parquet", "csv", "npz", "mat", "mcap"]
 
 
 @click.command("decode")
-@click.argument("file", type=common.PATH)
-@click.option("--device", help=common.device_help + "  A session knows its own.")
-@click.option("--out", type=common.PATH, required=True, help=common.TABLE)
-@common.columns_option
-@common.rate_option
-@common.json_option
+@click.argument("file", type=PATH)
+@click.option("--device", help=device_help + "  A session knows its own.")
+@click.option("--out", type=PATH, required=True, help=TABLE)
+@columns_option
+@rate_option
+@json_option
 def decode(
     file: Path, device: str | None, out: Path, columns: str | None, rate: float | None, as_json: bool
 ) -> None:
@@ -43,7 +57,6 @@ def decode(
 def _write_table(
     file: Path, device: str | None, rate: float | None, out: Path, columns: str | None, as_json: bool
 ) -> None:
-    """Decode a capture or a session into a table, and report what came."""
     from imumon.intake import SpecificForce
     from imumon.pipeline import Pipeline
     from imumon.recordings.exports import export_run
@@ -58,12 +71,12 @@ def _write_table(
     described, force = sender is not None and sender.protocol.startswith("fixed"), SpecificForce()
     with reading_bar([file], quiet=as_json) as progress:
         blocks = force.through(run_over(source.items, pipeline, progress.count))
-        exported = export_run(blocks, pipeline, source, out, common.split_columns(columns))
+        exported = export_run(blocks, pipeline, source, out, split_columns(columns))
     counters = pipeline.counters
     doubtful = doubts(described, counters, force)
-    common.warn([*source.warnings(), *pipeline.warnings(), *exported.warnings, *doubtful])
+    warn([*source.warnings(), *pipeline.warnings(), *exported.warnings, *doubtful])
     for notice in pipeline.notices():
-        common.log("INFO", f"device: {notice}")
+        log("INFO", f"device: {notice}")
     rows = {
         "packets": ", ".join(f"{count:,} {name}" for name, count in counters.packets_by_type.items()),
         "bytes": f"{counters.bytes_received:,} received, {counters.bytes_in_packets:,} in packets, "
@@ -72,7 +85,7 @@ def _write_table(
     }
     rows = (rows if counters.bytes_received else {}) | describe_streams(counters, exported.tables)
     data = named | exported_as_data(source, pipeline, exported) | {"doubts": doubtful}
-    common.print_result(as_json, data, rows)
+    print_result(as_json, data, rows)
 
 
 def exported_as_data(source: "Source", pipeline: "Pipeline", exported: "Exported") -> dict[str, object]:
@@ -80,16 +93,16 @@ def exported_as_data(source: "Source", pipeline: "Pipeline", exported: "Exported
     from imumon.protocols.base import MAIN
 
     tables = exported.tables
-    came = pipeline.counters.as_dict() | source.losses()
-    return {"out": tables.get(MAIN), "rows": exported.rows, "tables": tables, **came}
+    table = {"out": tables.get(MAIN), "rows": exported.rows, "tables": tables}
+    return table | pipeline.counters.as_dict() | source.losses()
 
 
 @click.command("export")
-@click.argument("session", type=common.PATH)
+@click.argument("session", type=PATH)
 @click.option("--to", "kind", required=True, type=click.Choice(KINDS), help="Format; mcap: ROS 2 messages.")
-@click.option("--out", type=common.PATH, help="Table to write; default: export.FORMAT in the session.")
-@common.columns_option
-@common.json_option
+@click.option("--out", type=PATH, help="Table to write; default: export.FORMAT in the session.")
+@columns_option
+@json_option
 def export(session: Path, kind: str, out: Path | None, columns: str | None, as_json: bool) -> None:
     """Write the samples of SESSION, recorded or imported, as a table.
 
@@ -108,12 +121,12 @@ def export(session: Path, kind: str, out: Path | None, columns: str | None, as_j
 
 
 @click.command("import")
-@click.argument("table", type=common.PATH)
-@click.option("--map", "map_path", type=common.PATH, help="YAML file: column and unit of each quantity.")
+@click.argument("table", type=PATH)
+@click.option("--map", "map_path", type=PATH, help="YAML file: column and unit of each quantity.")
 @click.option("--sensor", help="Inertial sensor or topic of a log; default: the first.")
-@click.option("--out", required=True, type=common.PATH, help="Session folder to make.")
-@common.serial_option
-@common.json_option
+@click.option("--out", required=True, type=PATH, help="Session folder to make.")
+@serial_option
+@json_option
 def import_(
     table: Path, map_path: Path | None, sensor: str | None, out: Path, serial: str | None, as_json: bool
 ) -> None:
@@ -138,22 +151,22 @@ def import_(
     from imumon.recordings.folder import name_unit
     from imumon.recordings.importing import import_table
 
-    log: Any = None
+    details: Any = None
     if map_path is None:
         import_log, *_ = offers("import_log")  # that of imumon comes first
-        report, log = import_log(table, sensor, out)
+        report, details = import_log(table, sensor, out)
     elif sensor is not None:
         raise bad_config("--sensor is for logs, --map for tables", "give one of them")
     else:
         report = import_table(table, map_path, out)
     name_unit(out, serial)
-    if log is not None and log.damage.places:
-        lost = f"{log.damage.size:,} bytes in {log.damage.places:,} damaged place(s) of the log"
-        common.log("WARN", f"{lost} were left out")
+    if details is not None and details.damage.places:
+        lost = f"{details.damage.size:,} bytes in {details.damage.places:,} damaged place(s) of the log"
+        log("WARN", f"{lost} were left out")
     if report.rows_dropped:
-        why = "as the map requires" if log is None else "as their time does not increase"
-        common.log("WARN", f"{report.rows_dropped} of {report.rows_in} rows were dropped, {why}")
-    common.warn(report.warnings)
+        why = "as the map requires" if details is None else "as their time does not increase"
+        log("WARN", f"{report.rows_dropped} of {report.rows_in} rows were dropped, {why}")
+    warn(report.warnings)
     rate = f" at {report.rate_hz:.4g} Hz" if isfinite(report.rate_hz) else ""
     gaps = f", {report.gaps_s:.1f} s of it in gaps" if report.gaps_s >= 0.1 else ""
     rows = {
@@ -164,16 +177,16 @@ def import_(
         "session": str(out),
     }
     data = {"session": out, **asdict(report)}
-    if log is not None:
-        data |= {"sensor": log.sensor, "other_sensors": log.others, "scaling": log.scaling}
-        data["damage"] = asdict(log.damage)
-        others = f" (--sensor: {', '.join(log.others)})" if log.others else ""
-        rows |= {"sensor": log.sensor + others, "scaling": log.scaling}
-    common.print_result(as_json, data, rows)
+    if details is not None:
+        data |= {"sensor": details.sensor, "other_sensors": details.others, "scaling": details.scaling}
+        data["damage"] = asdict(details.damage)
+        others = f" (--sensor: {', '.join(details.others)})" if details.others else ""
+        rows |= {"sensor": details.sensor + others, "scaling": details.scaling}
+    print_result(as_json, data, rows)
 
 
 @click.command("mark")
-@click.argument("session", type=common.PATH)
+@click.argument("session", type=PATH)
 @click.argument("text")
 @click.option("--start", is_flag=True, help="A part of the recording called TEXT begins here.")
 @click.option("--stop", is_flag=True, help="The part called TEXT ends here.")
@@ -189,16 +202,15 @@ def mark(session: Path, text: str, start: bool, stop: bool) -> None:
 
     if start and stop:
         raise bad_config("--start and --stop are both given", "give one of them")
-    kind = EventKind.START if start else EventKind.STOP if stop else EventKind.MARK
-    ask_for_mark(session, kind, text)
+    ask_for_mark(session, EventKind.START if start else EventKind.STOP if stop else EventKind.MARK, text)
 
 
 @click.command("recover")
-@click.argument("session", type=common.PATH)
+@click.argument("session", type=PATH)
 @click.option(
-    "--device", help=common.device_help + "  Only where session.yaml is lost and wire.mcap does not hold it."
+    "--device", help=device_help + "  Only where session.yaml is lost and wire.mcap does not hold it."
 )
-@common.json_option
+@json_option
 def recover(session: Path, device: str | None, as_json: bool) -> None:
     """Finish SESSION, which was interrupted or damaged: its recording and its counters.
 
@@ -211,12 +223,11 @@ def recover(session: Path, device: str | None, as_json: bool) -> None:
     from imumon.run.recovery import recover as recovered
 
     result = recovered(session, device)
-    for sentence in result.done or ["the session is whole; nothing was written"]:
-        common.log("INFO", sentence)
-    for original in result.originals:
-        common.log("INFO", f"the original is {original}")
-    common.warn(result.warnings)
+    originals = [f"the original is {path}" for path in result.originals]
+    for sentence in [*result.done, *originals] or ["the session is whole; nothing was written"]:
+        log("INFO", sentence)
+    warn(result.warnings)
     if as_json:
         found = asdict(result)
         del found["before"]["metadata"]
-        common.print_json(found)
+        print_json(found)

@@ -9,8 +9,9 @@ from imumon.blocks import SampleBlock
 from imumon.intake import SpecificForce
 from imumon.pipeline import PipelineCounters
 from imumon.recordings.wire_reader import WireReader
-from imumon.run.marks import KINDS
-from imumon.transport.reader import Bytes, Event, EventKind, Item, Reads
+from imumon.transport.reader import Event, EventKind, Item, Reads
+
+from .marks import KINDS
 
 BEGINS = {EventKind.SILENT: "silent", EventKind.LOST: "lost"}
 ENDS = {EventKind.OPENED, EventKind.RESUMED}
@@ -37,14 +38,12 @@ class Outages:
     """Finds the outages of a port in what comes from it."""
 
     found: list[Outage] = field(default_factory=list)
-    last_ns: int = 0
-    """Time of the last byte, or event other than a mark."""
+    last_ns: int = 0  # time of the last byte, or event other than a mark
 
-    def item(self, item: Item | Reads) -> None:
+    def item(self, item: Reads | Event) -> None:
         """Take what came from the port."""
-        if not isinstance(item, Event):
-            arrivals_ns = [item.time_ns] if isinstance(item, Bytes) else item.arrivals_ns[-1:].tolist()
-            self.last_ns = max(arrivals_ns, default=self.last_ns)
+        if isinstance(item, Reads):
+            self.last_ns = int(item.arrivals_ns[-1])
             return
         lasting = next((one for one in self.found if one.ended_ns is None), None)
         if item.kind in BEGINS:
@@ -60,7 +59,7 @@ class Outages:
     def watch(self, items: Iterable[Item] | Iterable[SampleBlock]) -> Iterator[Item | Reads | SampleBlock]:
         """Yield what was recorded, and look at it."""
         for item in items.batches() if isinstance(items, WireReader) else items:
-            if not isinstance(item, SampleBlock):
+            if isinstance(item, Reads | Event):
                 self.item(item)
             yield item
 
@@ -93,8 +92,8 @@ def wall_clock(time_ns: int, *, day: bool = False) -> str:
 
 def describe_span(began_ns: int, ended_ns: int) -> str:
     """Return when something began and ended, and how long it took."""
-    length = f"{(ended_ns - began_ns) * 1e-9:.1f} s"
-    return f"{wall_clock(began_ns, day=True)} to {wall_clock(ended_ns)}, {length}"
+    length_s = (ended_ns - began_ns) * 1e-9
+    return f"{wall_clock(began_ns, day=True)} to {wall_clock(ended_ns)}, {length_s:.1f} s"
 
 
 def file_sizes(folder: Path) -> dict[str, int]:
@@ -117,10 +116,11 @@ def doubts(described: bool, counters: PipelineCounters, force: SpecificForce) ->
     `described` is whether the device file states how long a packet is and where its checksum stands.
     """
     skipped, received = counters.bytes_skipped, counters.bytes_received
-    texts = [*filter(None, [force.doubt()])]
+    texts = [force.doubt()]
     if described and skipped > SKIPPED * received:
-        what = f"{skipped / received:.0%} of the bytes are in no packet: are length and checksum of it right"
         texts.insert(
-            0, f"{what} in the device file?  Else the line is damaged, or something else sends on it"
+            0,
+            f"{skipped / received:.0%} of the bytes are in no packet: are length and checksum of it right"
+            " in the device file?  Else the line is damaged, or something else sends on it",
         )
-    return texts
+    return [*filter(None, texts)]

@@ -7,12 +7,10 @@ import re
 import shutil
 import subprocess
 from collections.abc import Iterator
-from dataclasses import dataclass
-from enum import StrEnum
 from importlib import metadata
 from itertools import chain
 from pathlib import Path
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 from imumon.effects.kinds import EFFECT, guarded, is_effect
 from imumon.errors import ImumonError
@@ -25,21 +23,13 @@ from imumon.transport.settings import PortSettings
 from imumon.view.viewer import has_display, quiet_environment, viewer_binary
 from imumon.wing import NEEDED, is_wing
 
-DISTRIBUTION = "imumon"
 VULKAN_DRIVERS = tuple(Path(place, "vulkan/icd.d") for place in ("/usr/share", "/usr/local/share", "/etc"))
 BYTES_PER_DAY = 400 * 60 * 86_400
 """A day of packets of 60 bytes at 400 Hz, as wire.mcap keeps them."""
-ANSWER_S = 10.0
 
 
-class State(StrEnum):
-    """How bad a finding is."""
-
-    GOOD = "good"
-    WARNING = "warning"
-    """It works, and less well than it could."""
-    FAULT = "fault"
-    """Something does not work."""
+State = Literal["good", "warning", "fault"]
+"""How bad a finding is; with a warning it works, and less well than it could."""
 
 
 class Finding(NamedTuple):
@@ -58,18 +48,22 @@ def examine(folder: Path) -> Iterator[Finding]:
 
 def packages() -> Iterator[Finding]:
     """Name the versions of what imumon requires, and what is missing; `pip check` shows whether they fit."""
-    yield Finding("Python", State.GOOD, f"{platform.python_version()} on {platform.platform(terse=True)}")
+    yield Finding("Python", "good", f"{platform.python_version()} on {platform.platform(terse=True)}")
     versions, lacking = list[str](), list[str]()
-    needed = [text for text in metadata.requires(DISTRIBUTION) or () if "extra ==" not in text]
-    for name in (DISTRIBUTION, *(re.split(r"[^\w.-]", text)[0] for text in needed)):
+    needed = [text for text in metadata.requires("imumon") or () if "extra ==" not in text]
+    for name in ("imumon", *(re.split(r"[^\w.-]", text)[0] for text in needed)):
         try:
             versions.append(f"{name} {metadata.version(name)}")
         except metadata.PackageNotFoundError:
             lacking.append(name)
-    yield Finding("packages", State.GOOD, ", ".join(versions))
+    yield Finding("packages", "good", ", ".join(versions))
     if lacking:
-        what = f"not installed: {', '.join(lacking)}; imumon needs each of them"
-        yield Finding("packages", State.FAULT, what, f"pip install {' '.join(lacking)}")
+        yield Finding(
+            "packages",
+            "fault",
+            f"not installed: {', '.join(lacking)}; imumon needs each of them",
+            f"pip install {' '.join(lacking)}",
+        )
 
 
 def compiled_code() -> Iterator[Finding]:
@@ -78,10 +72,14 @@ def compiled_code() -> Iterator[Finding]:
     own = [Path(__file__).parents[1], Path.home() / ".cache" / "numba"]
     usable = [place for place in ([Path(kept)] if kept else own) if _writable(place)]
     if usable:
-        yield Finding("compiled code", State.GOOD, f"it is kept in {usable[0]}")
+        yield Finding("compiled code", "good", f"it is kept in {usable[0]}")
     else:
-        seen = "no folder for it can be written to, so each start compiles anew"
-        yield Finding("compiled code", State.FAULT, seen, "set NUMBA_CACHE_DIR to a folder of yours")
+        yield Finding(
+            "compiled code",
+            "fault",
+            "no folder for it can be written to, so each start compiles anew",
+            "set NUMBA_CACHE_DIR to a folder of yours",
+        )
 
 
 def disk(folder: Path) -> Iterator[Finding]:
@@ -92,35 +90,44 @@ def disk(folder: Path) -> Iterator[Finding]:
     days = free / BYTES_PER_DAY
     seen = f"{free / 1e9:.1f} GB free in {there}: {days:.3g} days of 400 packets of 60 bytes a second"
     if not _writable(there):
-        yield Finding("disk", State.FAULT, f"{there} cannot be written to", elsewhere)
+        yield Finding("disk", "fault", f"{there} cannot be written to", elsewhere)
     elif days < 1.0:
-        yield Finding("disk", State.WARNING, seen, elsewhere)
+        yield Finding("disk", "warning", seen, elsewhere)
     else:
-        yield Finding("disk", State.GOOD, seen)
+        yield Finding("disk", "good", seen)
 
 
 def serial_ports() -> Iterator[Finding]:
     """Test whether there are serial ports, and what keeps them from being read well."""
     ports = list_ports()
     if not ports:
-        remedy = "plug the adapter in; dmesg shows whether the system found it.  imumon virtual needs none"
-        yield Finding("serial ports", State.WARNING, "there are none", remedy)
+        yield Finding(
+            "serial ports",
+            "warning",
+            "there are none",
+            "plug the adapter in; dmesg shows whether the system found it.  imumon virtual needs none",
+        )
     yield from map(_port, ports)
 
 
 def _port(port: PortInfo) -> Finding:
     timer = port.latency_timer_ms
     if not port.accessible:
-        refused = PermissionError(errno.EACCES, os.strerror(errno.EACCES))
-        error = open_error(PortSettings(port.device), refused)
-        return Finding(port.device, State.FAULT, error.seen, error.hint)
+        error = open_error(
+            PortSettings(port.device), PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+        )
+        return Finding(port.device, "fault", error.seen, error.hint)
     if port.holders:
-        remedy = "two readers of one port take bytes from each other: end the other"
-        return Finding(port.device, State.WARNING, f"{port}: open in {', '.join(port.holders)}", remedy)
+        return Finding(
+            port.device,
+            "warning",
+            f"{port}: open in {', '.join(port.holders)}",
+            "two readers of one port take bytes from each other: end the other",
+        )
     if timer is not None and timer > 1:
         remedy = latency_text(False, port.device, timer)
-        return Finding(port.device, State.WARNING, f"{port}: bytes come in bursts", remedy)
-    return Finding(port.device, State.GOOD, str(port))
+        return Finding(port.device, "warning", f"{port}: bytes come in bursts", remedy)
+    return Finding(port.device, "good", str(port))
 
 
 def viewer() -> Iterator[Finding]:
@@ -128,29 +135,39 @@ def viewer() -> Iterator[Finding]:
     try:
         command = [str(viewer_binary()), "--version"]
         done = subprocess.run(
-            command, env=quiet_environment(), capture_output=True, text=True, timeout=ANSWER_S, check=True
+            command, env=quiet_environment(), capture_output=True, text=True, timeout=10.0, check=True
         )
-        yield Finding("viewer", State.GOOD, " ".join(done.stdout.split()[:2]))
+        yield Finding("viewer", "good", " ".join(done.stdout.split()[:2]))
     except ImumonError as error:
-        yield Finding("viewer", State.FAULT, error.seen, error.hint)
+        yield Finding("viewer", "fault", error.seen, error.hint)
     except (OSError, subprocess.SubprocessError) as error:
-        remedy = "pip install --force-reinstall rerun-sdk"
-        yield Finding("viewer", State.FAULT, f"it does not start: {error}", remedy)
+        yield Finding(
+            "viewer",
+            "fault",
+            f"it does not start: {error}",
+            "pip install --force-reinstall rerun-sdk",
+        )
 
 
 def graphics() -> Iterator[Finding]:
     """Test whether a window can be opened and what draws it."""
     if not has_display():
-        seen = "there is none: no window can be opened"
-        remedy = "--view web shows a run in a browser, --view terminal where it runs"
-        yield Finding("display", State.WARNING, seen, remedy)
+        yield Finding(
+            "display",
+            "warning",
+            "there is none: no window can be opened",
+            "--view web shows a run in a browser, --view terminal where it runs",
+        )
     drivers = [file.name for place in VULKAN_DRIVERS if place.is_dir() for file in place.glob("*.json")]
     if drivers:
-        yield Finding("graphics", State.GOOD, ", ".join(sorted(drivers)))
+        yield Finding("graphics", "good", ", ".join(sorted(drivers)))
     else:
-        seen = "no Vulkan driver: the viewer's window needs one, or OpenGL"
-        remedy = "install that of the graphics card, or mesa-vulkan-drivers, which draws on the processor"
-        yield Finding("graphics", State.WARNING, seen, remedy)
+        yield Finding(
+            "graphics",
+            "warning",
+            "no Vulkan driver: the viewer's window needs one, or OpenGL",
+            "install that of the graphics card, or mesa-vulkan-drivers, which draws on the processor",
+        )
 
 
 def _nearest(place: Path) -> Path:
@@ -159,22 +176,19 @@ def _nearest(place: Path) -> Path:
 
 
 def _writable(place: Path) -> bool:
-    """Return whether a folder can be written to, or be made."""
     return os.access(_nearest(place), os.W_OK | os.X_OK)
 
 
-@dataclass(frozen=True, slots=True)
-class Installed:
+class Installed(NamedTuple):
     """An entry point of an installed package."""
 
     group: str
     name: str
     package: str
     version: str
+    # Columns of a stage, devices of a folder, the sensors of an effect; empty when it does not load.
     brings: tuple[str, ...] = ()
-    """Columns of a stage, devices of a folder, the sensors of an effect; empty when it does not load."""
-    problem: str = ""
-    """Why it does not load; empty when it does."""
+    problem: str = ""  # why it does not load; empty when it does
 
 
 def installed() -> list[Installed]:

@@ -8,12 +8,12 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from itertools import groupby
 from pathlib import Path
 from queue import SimpleQueue
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -29,14 +29,15 @@ from imumon.recordings.lines import LOG_NAME, SessionLog
 from imumon.recordings.recorder import Recorder
 from imumon.recordings.source import feed
 from imumon.recordings.wire import WireCounters, WireWriter
-from imumon.run.account import Outages
-from imumon.run.marks import Marks, append_request
-from imumon.run.narration import Narrator, Publish, Report
-from imumon.run.setup import Setup
-from imumon.run.stages import estimators, pipeline_of
 from imumon.transport.detect import WRONG_CHECKSUM, is_wrong_checksum
 from imumon.transport.reader import SILENT_AFTER_S, Bytes, Clock, Event, EventKind, Item, Reader, Reads, Sink
 from imumon.transport.settings import PortSettings
+
+from .account import Outages
+from .marks import Marks, append_request
+from .narration import Narrator, Publish, Report
+from .setup import Setup
+from .stages import estimators, pipeline_of
 
 BATCH_S = 0.08
 """Samples go to the estimators and to the view in batches of this length: 50 to 100 ms look fluent, and most
@@ -54,8 +55,8 @@ def warm_up(device: DeviceFile, setup: Setup) -> None:
     ones some tenths of a second.
     """
     pipeline = pipeline_of(device, setup)
-    sent = SampleBlock({column.name: np.zeros(3, column.dtype) for column in KNOWN.values()})
-    for number, packet in enumerate(device.encoder().encode(sent)):
+    zeros = SampleBlock({column.name: np.zeros(3, column.dtype) for column in KNOWN.values()})
+    for number, packet in enumerate(device.encoder().encode(zeros)):
         pipeline.feed(packet, number)
     pipeline.finish()
     pipeline.take()
@@ -78,8 +79,7 @@ def rest_and_turn() -> SampleBlock:
     return SampleBlock({**times, **noise, "temperature": np.linspace(25.0, 26.0, n).round(1)})
 
 
-@dataclass(frozen=True, slots=True)
-class LiveSummary:
+class LiveSummary(NamedTuple):
     """What a live run did."""
 
     session: Path
@@ -89,8 +89,8 @@ class LiveSummary:
     counters: PipelineCounters
     wire: WireCounters
     recording_problem: str | None
+    # None when not everything was decoded live, so that there is nothing to compare a replay with.
     results_digest: str | None
-    """None when not everything was decoded live, so that there is nothing to compare a replay with."""
 
     def as_dict(self) -> dict[str, object]:
         """Return the summary as ``monitor --json`` prints it."""
@@ -129,13 +129,14 @@ class DecodedPort:
         self._began_ns = self._clock.now_ns()
         silent_after_s = max(SILENT_AFTER_S, SILENT_AFTER_PACKETS / (device.rate_hz or np.inf))
         self.reader = Reader(settings, record, self._items.put, silent_after_s=silent_after_s)
-        self.narrator = Narrator(pipeline, settings, (), report, dict(card))
-        self.takers: list[Callable[[SampleBlock, Mapping[str, SampleBlock]], object]]
-        self.takers = [self.narrator.samples]
-        """Take, in the pipeline's thread, the samples and those of the side streams as they come."""
+        self.narrator = Narrator(pipeline, settings, (), report, card)
+        # Take, in the pipeline's thread, the samples and those of the side streams as they come.
+        self.takers: list[Callable[[SampleBlock, Mapping[str, SampleBlock]], object]] = [
+            self.narrator.samples
+        ]
         self._thread = threading.Thread(target=self._run, name="pipeline", daemon=True)
+        # The numbers of the moment, renewed twice a second; in the end with the rates of the whole run.
         self.progress = self.narrator.progress(self._began_ns)
-        """The numbers of the moment, renewed twice a second; in the end with the rates of the whole run."""
         self._finished = False
         self.failure: ImumonError | None = None
 
@@ -229,14 +230,13 @@ class LiveRun(DecodedPort):
         self._log = SessionLog(self.session.path / LOG_NAME, report)
         self._report = self._log.put
         try:
-            wire_metadata = metadata.for_wire() | {"port": str(settings)}
-            self._writer = WireWriter(self.session.wire_path, wire_metadata)
+            self._writer = WireWriter(self.session.wire_path, metadata.for_wire() | {"port": str(settings)})
         except OSError as error:
             remove_empty(self.session)
             what = f"the recording {self.session.wire_path} cannot be made: {error.strerror}"
             raise bad_config(what, "give another folder") from error
-        model = setup.model
-        self._of_another = model.of_another(serial, device.axes) if isinstance(model, BiasModel) else ""
+        if isinstance(setup.model, BiasModel) and (text := setup.model.of_another(serial, device.axes)):
+            self._report("WARN", text)
         self._recorder = Recorder(self._writer, self._report_problem, self._save)
         card = {"device": device.title, "port": str(settings), "recording": str(self.session.path)}
         super().__init__(device, settings, pipeline, self._report, self._recorder.put, card)
@@ -256,8 +256,6 @@ class LiveRun(DecodedPort):
             remove_empty(self.session)
             raise
         self._recorder.start()
-        if self._of_another:
-            self._report("WARN", self._of_another)
 
     def stop(self, views: Sequence[str] = ()) -> LiveSummary:
         """Close the port, process and record what came, and close the session.
@@ -317,13 +315,13 @@ class LiveRun(DecodedPort):
             super()._run()
         finally:
             if not self._finished:
-                text = "decoding stopped; reading and recording go on, decode the session afterwards"
-                self._report("ERROR", text)
+                self._report(
+                    "ERROR", "decoding stopped; reading and recording go on, decode the session afterwards"
+                )
 
     def _save(self) -> None:
         """Renew session.yaml and the log, so that a killed session holds how far it came."""
-        changes = summary_of(self.progress.counters)
-        self.session.save(self.session.metadata.model_copy(update=changes))
+        self.session.save(self.session.metadata.model_copy(update=summary_of(self.progress.counters)))
         self._log.write()
 
     def _report_problem(self, problem: str | None) -> None:

@@ -3,9 +3,9 @@
 import math
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
 
@@ -36,7 +36,7 @@ RESTLESS = 3
 CHART_NS = 5_000_000_000
 """Charts are made anew this often, while samples come: samples wait for it, and the view draws no faster."""
 
-OPEN, LOST = LaneState("open", Level.GOOD), LaneState("lost", Level.BAD)
+OPENING, OPEN, LOST = LaneState("opening"), LaneState("open", Level.GOOD), LaneState("lost", Level.BAD)
 PORT = {
     EventKind.OPENED: OPEN,
     EventKind.RESUMED: OPEN,
@@ -56,18 +56,15 @@ LEVELS = {EventKind.LOST: "ERROR"}
 LEVELS |= dict.fromkeys([EventKind.SILENT, EventKind.UNAVAILABLE, EventKind.SHARED], "WARN")
 
 
-@dataclass(frozen=True, slots=True)
-class Progress:
+class Progress(NamedTuple):
     """The numbers of the moment, for the status line and the card."""
 
     elapsed_s: float
     counters: PipelineCounters
     packets_per_s: float
-    link_load: float | None
-    """Share of what the line can carry; None where there is no line."""
+    link_load: float | None  # share of what the line can carry; None where there is no line
     port: str
-    clock: Mapping[str, str]
-    """What a person reads of the clock, label and text."""
+    clock: Mapping[str, str]  # what a person reads of the clock, label and text
 
 
 class Narrator:
@@ -83,24 +80,22 @@ class Narrator:
         settings: PortSettings | None,
         publish: Sequence[Publish],
         report: Report,
-        card: dict[str, str],
+        card: Mapping[str, str],
     ) -> None:
         self._pipeline = pipeline
         self.publish = tuple(publish)
         self._report, self._card = report, card
         self._timebase = Timebase()
         self._capacity = settings.capacity_bytes_per_s if settings is not None else None
+        # Of the last 2 s: when, the counters then, and the arrival of the last bytes before.
         self._history: deque[tuple[int, PipelineCounters, int]] = deque()
-        """Of the last 2 s: when, the counters then, and the arrival of the last bytes before."""
         self._lanes: dict[str, LaneState] = {}
-        self._began_ns: int | None = None
+        self._began_ns = self._last_ns = 0
         self._first_bytes = 0
-        self._last_ns = 0
         self._segment = 0
         self._segment_began_ns = 0
         self._restless = False
         self._shown: dict[str, str] = {}
-        self._numbers: dict[str, float] = {}
         self._charts_ns = 0
         self._charts_samples = 0
 
@@ -113,14 +108,14 @@ class Narrator:
     def item(self, item: Reads | Event) -> None:
         """Take what came from the port: count bytes, or show an event or a remark of the user."""
         if isinstance(item, Reads):
-            if self._began_ns is None:
+            if not self._began_ns:
                 self._began_ns, self._first_bytes = int(item.arrivals_ns[0]), int(item.lengths[0])
             self._last_ns = int(item.arrivals_ns[-1])
         elif item.kind in MARKS:
             self.log("INFO", f"{MARKS[item.kind]}: {item.detail}", item.time_ns)
             lane = "mark" if item.kind is EventKind.MARK else "part"
-            text = "between parts" if item.kind is EventKind.STOP else for_log(item.detail)
             self._lanes.pop(lane, None)  # the same mark again is another
+            text = "between parts" if item.kind is EventKind.STOP else for_log(item.detail)
             self._lane(lane, LaneState(text), item.time_ns)
         else:
             self.log(LEVELS.get(item.kind, "INFO"), f"port {item.kind.value}: {item.detail}", item.time_ns)
@@ -161,14 +156,12 @@ class Narrator:
     def tick(self, now_ns: int) -> Progress:
         """Show rates, losses and lanes; to be called a few times a second."""
         progress = self.progress(now_ns)
-        self._show_numbers(progress, now_ns)
         if (load := progress.link_load) is not None:
             was_full = self._lanes.get("link") == FULL
             is_full = load > (CALM_BELOW if was_full else WARN_ABOVE)
             is_full &= now_ns - self._history[0][0] >= RATE_WINDOW_NS
             if is_full and not was_full:
-                text = f"the link is {load:.0%} full: beyond 100 % a device drops packets"
-                self.log("WARN", text, now_ns)
+                self.log("WARN", f"the link is {load:.0%} full: beyond 100 % a device drops packets", now_ns)
             self._lane("link", FULL if is_full else OK, now_ns)
         self._watch_data(now_ns)
         if progress.counters.samples:
@@ -177,6 +170,7 @@ class Narrator:
         if shown != self._shown:  # a port that is lost for days must not fill the recording
             self._shown = shown
             self._emit(Status(self._timebase.at(now_ns), shown))
+            self._show_numbers(progress, now_ns)
         for notice in self._pipeline.notices():
             self.log("INFO", f"device: {notice}", now_ns)
         for warning in self._pipeline.warnings():
@@ -192,13 +186,14 @@ class Narrator:
 
     def ended(self, last: Progress) -> Progress:
         """Return the last numbers with rates that are means, from the first byte that came to the last."""
-        span_s = 0.0 if self._began_ns is None else (self._last_ns - self._began_ns) * 1e-9
+        span_s = (self._last_ns - self._began_ns) * 1e-9
         if span_s <= 0.0:
             return last
         bytes_per_s = (last.counters.bytes_received - self._first_bytes) / span_s  # the first came before it
-        load = None if self._capacity is None else bytes_per_s / self._capacity
-        packets_per_s = max(last.counters.packets - 1, 0) / span_s  # as many intervals
-        return replace(last, packets_per_s=packets_per_s, link_load=load)
+        return last._replace(
+            packets_per_s=max(last.counters.packets - 1, 0) / span_s,  # as many intervals
+            link_load=None if self._capacity is None else bytes_per_s / self._capacity,
+        )
 
     def progress(self, now_ns: int) -> Progress:
         """Return the numbers of the moment."""
@@ -220,11 +215,11 @@ class Narrator:
         if clock.delay_ns is not None:
             rows["latest delay"] = f"{clock.delay_ns * 1e-6:.1f} ms above the least"
         return Progress(
-            elapsed_s=0.0 if self._began_ns is None else (now_ns - self._began_ns) * 1e-9,
+            elapsed_s=(now_ns - self._began_ns) * 1e-9 if self._began_ns else 0.0,
             counters=counters,
             packets_per_s=(counters.packets - then.packets) / span_s if span_s > 0 else 0.0,
             link_load=load,
-            port=self._lanes["port"].text if "port" in self._lanes else "",
+            port=self._lanes.get("port", OPENING).text,
             clock=rows,
         )
 
@@ -237,16 +232,17 @@ class Narrator:
         }
         if progress.link_load is not None:
             values["link_load"] = progress.link_load
-        if progress.packets_per_s or values != self._numbers:
-            self._numbers = values
-            self._emit(Numbers(self._timebase.at(now_ns), values))
+        self._emit(Numbers(self._timebase.at(now_ns), values))
 
     def _watch_clock(self, now_ns: int) -> None:
         """The fit of the device clock needs some time in each segment; a jump stays shown until then."""
         restarts = self._history[-1][1].clock_restarts - self._history[0][1].clock_restarts
         if restarts >= RESTLESS and not self._restless:
-            text = f"clock or counter started anew {restarts} times in 2 s: do two devices send on this line?"
-            self.log("ERROR", text, now_ns)
+            self.log(
+                "ERROR",
+                f"clock or counter started anew {restarts} times in 2 s: do two devices send on this line?",
+                now_ns,
+            )
         self._restless = restarts >= RESTLESS or (self._restless and restarts > 0)
         if now_ns - self._segment_began_ns > SETTLING_NS:
             self._lane("clock", SYNCHRONISED, now_ns)
@@ -271,7 +267,7 @@ class Narrator:
         if self._lanes.get(lane) != state:
             self._lanes[lane] = state
             instant = at if isinstance(at, Instant) else self._timebase.at(at)
-            self._emit(State(instant, lane, state.text, state.level))
+            self._emit(State(instant, lane, *state))
 
     def _emit(self, item: ViewItem) -> None:
         for publish in self.publish:

@@ -3,7 +3,6 @@
 A file that is replaced stays beside the new one.
 """
 
-import os
 import shutil
 from collections.abc import Iterator
 from contextlib import closing
@@ -18,10 +17,11 @@ from imumon.recordings.folder import METADATA_NAME, Session, SessionMetadata
 from imumon.recordings.source import Source, bytes_missing, run_over, source_of
 from imumon.recordings.wire import WireWriter, is_recorded
 from imumon.recordings.wire_reader import WireReader, WireSummary
-from imumon.run.live import summary_of
-from imumon.run.setup import recorded_setup
-from imumon.run.stages import pipeline_of
 from imumon.transport.reader import Bytes, Event
+
+from .live import summary_of
+from .setup import recorded_setup
+from .stages import pipeline_of
 
 FLUSH_BYTES = 1 << 20
 """Bytes of the device after which a file that is written anew goes to the disk."""
@@ -34,14 +34,11 @@ class Recovered:
     """What a recovery did."""
 
     session: Path
-    before: WireSummary
-    """What the wire file held before."""
+    before: WireSummary  # what the wire file held before
+    # What was written, one sentence each; empty when there was nothing to do.
     done: list[str] = field(default_factory=list)
-    """What was written, one sentence each; empty when there was nothing to do."""
-    originals: list[Path] = field(default_factory=list)
-    """Where the files are that were replaced."""
-    warnings: list[str] = field(default_factory=list)
-    """What the recording lacks."""
+    originals: list[Path] = field(default_factory=list)  # where the files are that were replaced
+    warnings: list[str] = field(default_factory=list)  # what the recording lacks
 
 
 def recover(path: Path, device_name: str | None = None) -> Recovered:
@@ -63,8 +60,10 @@ def recover(path: Path, device_name: str | None = None) -> Recovered:
         if device_name is not None:
             raise bad_config(f"--device, and {path} knows its device", "leave it out")
     if session.metadata.source == "import":
-        hint = "it follows from its table: imumon import makes it anew"
-        raise bad_data(f"{path} is an imported session, which has no bytes", hint)
+        raise bad_data(
+            f"{path} is an imported session, which has no bytes",
+            "it follows from its table: imumon import makes it anew",
+        )
     wire = session.wire_path
     if is_recorded(wire):
         raise ImumonError(Reason.BUSY, f"{wire} is being recorded", "stop the recording first")
@@ -139,7 +138,7 @@ def rewrite(path: Path, bytes_missing: int = 0, ended_ns: int = 0) -> Path:
 
     What is missing is noted in the new file at its place.  How many bytes of the device are missing in all,
     and when the recording ended, is noted at its end, where the session knows it.  The new file takes the
-    name of the old one when it is on the medium, and then that name is brought there, too.
+    name of the old one when it is on the medium.
 
     Raises OSError when the disk is full or fails; the file is then as it was.
     """
@@ -153,13 +152,7 @@ def rewrite(path: Path, bytes_missing: int = 0, ended_ns: int = 0) -> Path:
                 if flushed > FLUSH_BYTES:
                     writer.flush()
                     flushed = 0
-        original = _keep_original(path)
-    names = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        os.fsync(names)
-    finally:
-        os.close(names)
-    return original
+        return _keep_original(path)
 
 
 def _keep_original(path: Path) -> Path:

@@ -8,9 +8,10 @@ from imumon.blocks import SampleBlock
 from imumon.pipeline import Digest, Pipeline
 from imumon.recordings.folder import Session
 from imumon.recordings.source import Count, feed, no_count, run_over
-from imumon.run.narration import Narrator
-from imumon.run.setup import Setup
 from imumon.transport.reader import Bytes, Item, Reads
+
+from .narration import Narrator
+from .setup import Setup
 
 BATCH_NS = 50_000_000
 TICK_NS = 500_000_000
@@ -71,16 +72,13 @@ def digested(blocks: Iterable[SampleBlock], pipeline: Pipeline, digest: Digest) 
 class Comparison(NamedTuple):
     """The results of a replay beside those of the live run, column by column."""
 
-    identical: bool | None
-    """None where they cannot be compared."""
-    compared: int = 0
-    """How many columns both have."""
+    identical: bool | None  # None where they cannot be compared
+    compared: int = 0  # how many columns both have
     differing: Sequence[str] = ()
+    # Columns of stages that did not run in the replay, or were switched off in it.
     only_live: Sequence[str] = ()
-    """Columns of stages that did not run in the replay, or were switched off in it."""
     only_replay: Sequence[str] = ()
-    reason: str = ""
-    """Why they cannot be compared."""
+    reason: str = ""  # why they cannot be compared
 
     def as_dict(self) -> dict[str, object]:
         """Return it as ``--json`` has it."""
@@ -89,13 +87,13 @@ class Comparison(NamedTuple):
         return {"identical_to_live": self.identical, **columns}
 
     def __str__(self) -> str:
-        """Return the verdict."""
         if self.identical is None:
             return f"not compared with a live run: {self.reason}"
         rest = _listed("; only in the live run", self.only_live)
         rest += _listed("; only in the replay", self.only_replay)
         if not self.identical:
-            return f"NOT those of the live run{_listed('', self.differing)}{rest}"
+            why = "; another version, or bytes missing"
+            return f"NOT those of the live run{_listed('', self.differing)}{rest}{why}"
         count = f" ({self.compared} columns compared)" if rest else ""
         return f"bit for bit those of the live run{count}{rest}"
 
@@ -123,10 +121,13 @@ def compare_with_live(session: Session, setup: Setup, digest: Digest, pipeline: 
     # No stage makes a column of a side stream: one that lacks was lost.
     lost = {name for name in live.keys() ^ again.keys() if "/" in name}
     differing = sorted(lost | {name for name in common if live[name] != again[name]})
-    only_live = tuple(sorted(live.keys() - again - lost))
-    only_replay = tuple(sorted(again.keys() - live - lost))
-    is_same = bool(common) and not differing
-    return Comparison(is_same, len(common), tuple(differing), only_live, only_replay)
+    return Comparison(
+        identical=bool(common) and not differing,
+        compared=len(common),
+        differing=tuple(differing),
+        only_live=tuple(sorted(live.keys() - again - lost)),
+        only_replay=tuple(sorted(again.keys() - live - lost)),
+    )
 
 
 def _paced(items: Iterable[Item | SampleBlock], speed: float) -> Iterator[Item | SampleBlock]:

@@ -17,7 +17,8 @@ from imumon.models.model import BiasModel, load_model
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.ranges import Ranges
 from imumon.recordings.folder import Session
-from imumon.run import PublishedMethod
+
+from . import PublishedMethod
 
 FORMAT: Final = "imumon-pipeline/1"
 
@@ -154,8 +155,9 @@ class Setup(StrictModel):
             except ValidationError as error:
                 raise bad_config(f"Setup: {wrong_arguments(error)}") from error
             if isinstance(self.model, str):  # only `load_setup` knows the folder that it is relative to
-                what = f"Setup: model={self.model!r}: expected a bias model"
-                raise bad_config(what, "use imumon.load_model(path)")
+                raise bad_config(
+                    f"Setup: model={self.model!r}: expected a bias model", "use imumon.load_model(path)"
+                )
 
         # Else pydantic calls it for files as well, whose errors `parse_yaml` gives with their lines.
         __init__.__pydantic_base_init__ = True
@@ -189,13 +191,13 @@ class Setup(StrictModel):
         gyro, own = self.noise.gyro, self.zupt
         if gyro is None:
             return own
-        known: dict[str, list[float]] = {}
+        known: dict[str, Axes] = {}
         white = gyro.angle_random_walk_rad_per_sqrt_s
         if own.angle_random_walk_rad_per_sqrt_s is None and all(white):
-            known["angle_random_walk_rad_per_sqrt_s"] = [value or 0.0 for value in white]
+            known["angle_random_walk_rad_per_sqrt_s"] = white
         flicker, walk = gyro.bias_instability_rad_per_s, gyro.rate_random_walk_rad_per_s_sqrt_s
-        unsaid = own.bias_instability_rad_per_s is None and own.rate_random_walk_rad_per_s_per_sqrt_s is None
-        if unsaid and all(f or w for f, w in zip(flicker, walk, strict=True)):
+        is_open = own.bias_instability_rad_per_s is None and own.rate_random_walk_rad_per_s_per_sqrt_s is None
+        if is_open and all(f or w for f, w in zip(flicker, walk, strict=True)):
             known["bias_instability_rad_per_s"] = [value or 0.0 for value in flicker]
             known["rate_random_walk_rad_per_s_per_sqrt_s"] = [value or 0.0 for value in walk]
         return own.model_copy(update=known)
@@ -203,9 +205,8 @@ class Setup(StrictModel):
     @property
     def methods(self) -> list[PublishedMethod]:
         """Methods of the papers that run beside the defaults: `published`, and that of a retired key."""
-        method = self.random_error.method
-        more: list[PublishedMethod] = [] if method in ("drift", *self.published) else ["sr_rsukf"]
-        return [*self.published, *more]
+        is_old = self.random_error.method == "sr_rsukf" and "sr_rsukf" not in self.published
+        return [*self.published, "sr_rsukf"] if is_old else self.published
 
     @property
     def random_error_with_noise(self) -> RandomErrorParameters:
@@ -213,11 +214,15 @@ class Setup(StrictModel):
         gyro, own = self.noise.gyro, self.random_error
         if gyro is None:
             return own
-        whites, flickers = gyro.angle_random_walk_rad_per_sqrt_s, gyro.bias_instability_rad_per_s
-        walks = gyro.rate_random_walk_rad_per_s_sqrt_s
         known = {
             channel: AxisNoise(angle_random_walk=white, bias_instability=flicker, rate_random_walk=walk)
-            for channel, white, flicker, walk in zip(CHANNELS, whites, flickers, walks, strict=True)
+            for channel, white, flicker, walk in zip(
+                CHANNELS,
+                gyro.angle_random_walk_rad_per_sqrt_s,
+                gyro.bias_instability_rad_per_s,
+                gyro.rate_random_walk_rad_per_s_sqrt_s,
+                strict=True,
+            )
             if white and (flicker or walk)
         }
         return own.model_copy(update={"noise": {**known, **own.noise}})
@@ -230,9 +235,10 @@ class Setup(StrictModel):
     def checked(self) -> "Setup":
         """Return the setup; raises BAD_CONFIG when its parts contradict each other."""
         if self.zupt_mode == "thermal" and self.bias_model is None:
-            what = "the thermal mode needs the bias over temperature, and there is no model"
-            hint = "add --model MODEL.yaml, made by: imumon calibrate SESSION... --out MODEL.yaml"
-            raise bad_config(what, hint)
+            raise bad_config(
+                "the thermal mode needs the bias over temperature, and there is no model",
+                "add --model MODEL.yaml, made by: imumon calibrate SESSION... --out MODEL.yaml",
+            )
         return self
 
     def text(self) -> str | None:
@@ -245,8 +251,12 @@ class Setup(StrictModel):
 def unused_keys(setup: Setup, device: DeviceFile | None) -> list[str]:
     """Return texts on the keys of a setup and of a device's thermometers that are not used any more."""
     sections = {**dict(setup), "temperature": None if device is None else device.temperature}
-    given = {name: section for name, section in sections.items() if isinstance(section, StrictModel)}
-    found = {f"{name}: {key}": "" for name, section in given.items() for key in retired(section)}
+    found = {
+        f"{name}: {key}": ""
+        for name, section in sections.items()
+        if isinstance(section, StrictModel)
+        for key in retired(section)
+    }
     if setup.random_error.method != "drift":
         found["random_error: method"] = ", it is as published: [sr_rsukf]"
     if device is not None and device.temperature.method != "level_bank":

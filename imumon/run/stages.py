@@ -21,13 +21,11 @@ from imumon.protocols.device import DeviceFile
 from imumon.protocols.ranges import Ranges
 from imumon.recordings.folder import Session, fingerprint
 from imumon.recordings.source import Source, run_over
-from imumon.run.setup import Setup, ZuptMode, unused_keys
 from imumon.stage import STAGE, is_callable, made_by
 from imumon.version import __version__
 from imumon.wing import offers
 
-LEARNED_NAME = "learned-model.yaml"
-"""In the folder of a session: the better model that was found in it."""
+from .setup import Setup, ZuptMode, unused_keys
 
 
 def pipeline_of(
@@ -114,12 +112,13 @@ def keep_learned(pipeline: Pipeline, session: Session) -> Path | None:
     stage: Any = next(found, None)
     if stage is None:
         return None
-    path, model = session.path / LEARNED_NAME, stage.offered.model
+    path, model = session.path / "learned-model.yaml", stage.offered.model
     evidence = stage.evidence(session.path.name, fingerprint(session.truth_path))
-    changes = {
-        "made_by": f"imumon {__version__}",
-        "created": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}",
-        "trained_on": [*model.trained_on, evidence],
-    }
-    model.model_copy(update=changes).write(path)
+    model.model_copy(
+        update={
+            "made_by": f"imumon {__version__}",
+            "created": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}",
+            "trained_on": [*model.trained_on, evidence],
+        }
+    ).write(path)
     return path

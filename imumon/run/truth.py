@@ -35,13 +35,12 @@ class Truth:
     earth's rotation removed, it is compared with the sum of both, at the attitude of the last rest.
     """
 
-    time_ns: IntArray
-    """Device time of each row, increasing."""
+    time_ns: IntArray  # device time of each row, increasing
+    # What the estimates are compared with, (n,) each: gyro_bias_{x,y,z} in rad/s, temperatures in °C.
     true: Mapping[str, FloatArray]
-    """What the estimates are compared with, (n,) each: gyro_bias_{x,y,z} in rad/s, temperatures in °C."""
     at_rest: IntArray
+    # Of each quantity so far, in its unit and over its sigma: number, sum of squares and largest, (2, 3).
     errors: dict[str, FloatArray] = field(default_factory=dict)
-    """Of each quantity so far, in its unit and over its sigma: number, sum of squares and largest, (2, 3)."""
 
     def take(self, block: SampleBlock, estimates: Mapping[str, Estimate], *, at_rest: bool = False) -> None:
         """Compare estimates at the samples of a block.
@@ -100,8 +99,10 @@ def check_truth(sessions: Iterable[Path]) -> None:
     """Raise BAD_DATA for the first session that has no truth."""
     for session in sessions:
         if not (session / TRUTH_NAME).is_file():
-            what = f"{session}: there is no {TRUTH_NAME} in this session, so its errors are unknown"
-            raise bad_data(what, "only a session of `imumon simulate` has true values; leave --truth away")
+            raise bad_data(
+                f"{session}: there is no {TRUTH_NAME} in this session, so its errors are unknown",
+                "only a session of `imumon simulate` has true values; leave --truth away",
+            )
 
 
 def read_truth(session: Path, *, earth_removed: bool) -> Truth:
@@ -135,11 +136,9 @@ def errors_of_model(session: Path, model: BiasModel) -> Truth:
         session, lambda device: [TemperatureRate(parameters=None if device is None else device.temperature)]
     )
     for block in recording.blocks():
-        n = len(block)
-        predicted = predictor.of_block(block).bias
         found: dict[str, Estimate] = {
-            name.replace("gyro", "gyro_bias"): (values, np.full(n, model.channels[name].residual_sd))
-            for name, values in zip(names, predicted.T, strict=True)
+            name.replace("gyro", "gyro_bias"): (values, np.full(len(block), model.channels[name].residual_sd))
+            for name, values in zip(names, predictor.of_block(block).bias.T, strict=True)
         }
         found |= {name: (block[name], None) for name in TEMPERATURES if name in block}
         truth.take(block, found, at_rest=True)

@@ -6,12 +6,12 @@ from typing import Any, NamedTuple
 
 import rerun.blueprint as rrb
 
-from imumon.view.items import ViewSetup
-from imumon.view.lanes import LOG_TEXT
-from imumon.view.layout import FIRST, OTHER, SCENE, STRIPS, Strip, tab_of
-from imumon.view.panels import Panel, card_path
-from imumon.view.pictures import CHARTS
-from imumon.view.window import Window, series_view, slow_window
+from .items import ViewSetup
+from .lanes import LOG_TEXT
+from .layout import FIRST, OTHER, SCENE, STRIPS, Strip, tab_of
+from .panels import Panel, card_path
+from .pictures import CHARTS
+from .window import Window, series_view, slow_window
 
 TAB, LANE, LANES_FRAME, LOG = 560.0, 40.0, 42.0, 150.0
 """Points: height of a tab in a browser of 1456 x 819; what a lane takes, title and times of all; what some
@@ -32,22 +32,17 @@ CHART_ROW, CHARTS_ROWS = 2.4, 6.4
 class Contents(NamedTuple):
     """What there is to see."""
 
-    panels: tuple[Panel, ...]
-    """Those that have data."""
-    charts: tuple[tuple[str, str, str], ...]
-    """Those that have been drawn."""
-    lanes: tuple[str, ...]
-    """Entities of the lanes of states, from above."""
-    log: bool
-    status: bool
-    """Whether there are log lines, a status card."""
-    full: bool
-    """Whether as much has come as the slow tabs show."""
+    panels: tuple[Panel, ...]  # those that have data
+    charts: tuple[tuple[str, str, str], ...]  # those that have been drawn
+    lanes: tuple[str, ...]  # entities of the lanes of states, from above
+    log: bool  # whether there are log lines
+    status: bool  # whether there is a status card
+    full: bool  # whether as much has come as the slow tabs show
 
     def card(self, tab: str) -> Any:
         """Return the view of the numbers of a tab, of which the first has all; None where there are none."""
-        strips = [panel for panel in self.panels if isinstance(panel, Strip) and panel.card]
-        shown = strips if tab == FIRST else [panel for panel in strips if panel.place == tab]
+        strips = (panel for panel in self.panels if isinstance(panel, Strip) and panel.card)
+        shown = any(tab in (FIRST, panel.place) for panel in strips)
         return rrb.TextDocumentView(origin=card_path(tab), name="Now") if shown else None
 
 
@@ -70,8 +65,7 @@ def blueprint(setup: ViewSetup, contents: Contents, timeline: str, *, live: bool
     for place, key, title in contents.charts:
         views.setdefault(place, []).append(rrb.Spatial2DView(origin=f"{CHARTS}/{key}", name=title))
     views[OTHER] = [_of_one_unit(*group, panels, setup, slow) for group, panels in others.items()]
-    name = setup.first_tab if live else "Recording"
-    first = _first_tab(name, views, window, contents)
+    first = _first_tab(setup.first_tab if live else "Recording", views, window, contents)
     tabs = [_tab(place, views[place], contents) for place in views if tab_of(place) != FIRST and views[place]]
     return arranged(rrb.Tabs(first, *tabs), timeline)
 
@@ -149,11 +143,16 @@ def _first_tab(name: str, views: dict[str, list[Any]], window: Window, contents:
     right: list[tuple[float, Any]] = []
     height = LANE * len(contents.lanes) + LANES_FRAME
     if contents.lanes:
-        shown: dict[str, Any] = {"time_ranges": window.ranges, "time_view": window.axis}
-        states = rrb.StateTimelineView(origin="/", contents=list(contents.lanes), name="States", **shown)
+        states = rrb.StateTimelineView(
+            origin="/",
+            contents=list(contents.lanes),
+            name="States",
+            time_ranges=window.ranges,
+            time_view=window.axis,
+        )
         right.append((height, states))
     if contents.log:
         right.append((max(LOG, TAB - height), rrb.TextDocumentView(origin=LOG_TEXT, name="Log")))
     is_short = window.seconds is not None and window.seconds <= SHORT_S
-    middle = _strips(views[STRIPS], MOST_STRIPS if is_short else MOST_NARROW)
-    return _row([(3.1, _column(left)), (5.2, middle), (2.7, _column(right))], name)
+    strips = _strips(views[STRIPS], MOST_STRIPS if is_short else MOST_NARROW)
+    return _row([(3.1, _column(left)), (5.2, strips), (2.7, _column(right))], name)

@@ -1,7 +1,6 @@
 """The present values as numbers, in field digits: one card for each tab."""
 
 import math
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
@@ -12,7 +11,6 @@ from imumon.blocks import ColumnArray, FloatArray
 DIGITS = {"°/s": 3, "m/s²": 3, "µT": 2, "a.u.": 4, "°": 2, "°C": 2, "°C/h": 1, "°/h": 1, "1/s": 1, "%": 0}
 """Decimals of a value without a sigma; others have five digits."""
 AXES = ["x", "y", "z"]
-MOST_DECIMALS = 9
 
 
 class Reading(NamedTuple):
@@ -88,9 +86,7 @@ def measured(value: float, sd: float = math.nan, decimals: int | None = None) ->
     if not math.isfinite(value):
         return "–"
     if math.isfinite(sd) and sd > 0:
-        places = min(1 - int(f"{sd:.1e}".split("e")[1]), MOST_DECIMALS)
+        places = min(1 - int(f"{sd:.1e}".split("e")[1]), 9)
         digits = max(places, 0)
-        text = f"{round(value, places):.{digits}f} ± {round(sd, places):.{digits}f}"
-    else:
-        text = f"{value:.5g}" if decimals is None else f"{value:.{decimals}f}"
-    return re.sub(r"^-(?=[0.]+( |$))", "", text)  # no minus before zero
+        return f"{round(value, places):z.{digits}f} ± {round(sd, places):.{digits}f}"
+    return f"{value:z.5g}" if decimals is None else f"{value:z.{decimals}f}"  # z: no minus before zero

@@ -14,12 +14,12 @@ from typing import Any
 
 import rerun as rr
 
-from imumon.view.fed import batches, serve
-from imumon.view.items import ViewSetup
-from imumon.view.logger import StreamLogger
-from imumon.view.publisher import Report, Start
-from imumon.view.viewer import LIVE_APPLICATION, probe, proxy_url, start_viewer, viewer_port
-from imumon.view.web import WebServer, serve_stream
+from .fed import batches, serve
+from .items import ViewSetup
+from .logger import StreamLogger
+from .publisher import Report, Start
+from .viewer import LIVE_APPLICATION, probe, proxy_url, start_viewer, viewer_port
+from .web import WebServer, serve_stream
 
 POLL_S = 0.25
 LINGER_S = 3.0

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import cycle
 from typing import Any, Literal
 
 import rerun as rr
@@ -9,13 +10,15 @@ import rerun.blueprint as rrb
 
 from imumon.blocks import SampleBlock
 from imumon.charts import BLUE, GREEN, ORANGE, RED, VIOLET, Color
-from imumon.view.blueprint import arranged
-from imumon.view.items import Timebase, Times, ViewSetup
-from imumon.view.layout import FIRST, Strip, tab_of
-from imumon.view.logger import RECORDED_STEP_NS
-from imumon.view.panels import PANELS, draw
-from imumon.view.rows import Rows
-from imumon.view.window import Extents, Window, series_view
+from imumon.errors import bad_data
+
+from .blueprint import arranged
+from .items import Timebase, Times, ViewSetup
+from .layout import FIRST, Strip, tab_of
+from .logger import RECORDED_STEP_NS
+from .panels import PANELS, draw
+from .rows import Rows
+from .window import Extents, Window, series_view
 
 COLORS: tuple[Color, ...] = (BLUE, ORANGE, GREEN, VIOLET, RED)
 """Of the sessions, in their order; with more they come again."""
@@ -42,26 +45,23 @@ class Comparison:
 
     def __init__(self, rec: rr.RecordingStream, setup: ViewSetup, align: Alignment) -> None:
         self._rec, self._setup, self._align = rec, setup, align
-        self._quantities = [*_quantities()]
-        self._drawn: list[list[Strip]] = [[] for _ in self._quantities]
-        """What draws each quantity of the sessions that have it."""
+        # What draws each quantity of the sessions that have it.
+        self._drawn: dict[Strip, list[Strip]] = {quantity: [] for quantity in _quantities()}
         self._extents = Extents(rec, live=False)
-        self._sessions = 0
-        self._panels: list[Strip] = []
-        """What draws the quantities of the present session."""
+        self._colors = cycle(COLORS)
+        self._panels: list[Strip] = []  # what draws the quantities of the present session
         rec.send_recording_name(setup.title)
 
     def begin(self, session: str) -> None:
         """Begin the next session, whose name is unlike those of the others."""
-        color, prefix = COLORS[self._sessions % len(COLORS)], rr.escape_entity_path_part(session)
-        self._sessions += 1
+        color, prefix = next(self._colors), rr.escape_entity_path_part(session)
         self._panels = [
             replace(one, key=f"{prefix}/{one.key}", lines=(one.lines[0]._replace(name=session, color=color),))
-            for one in self._quantities
+            for one in self._drawn
         ]
         self._timebase = Timebase()
+        # First time of the present session; None while nothing of it is shown.
         self.began_ns: int | None = None
-        """First time of the present session; None while nothing of it is shown."""
 
     def log(self, block: SampleBlock) -> None:
         """Log samples of the session, in order: of each half second the extremes, so that spikes stay."""
@@ -74,7 +74,7 @@ class Comparison:
             self.began_ns = int(clock[0])
         times = Times(None, None, clock) if by_host else Times(None, clock - self.began_ns, None)
         rows = Rows(block.columns, times, RECORDED_STEP_NS)
-        for drawn, panel in zip(self._drawn, self._panels, strict=True):
+        for drawn, panel in zip(self._drawn.values(), self._panels, strict=True):
             begins = panel not in drawn
             if not rows.columns.keys() >= set(panel.columns) or (begins and not panel.has_values(rows)):
                 continue
@@ -82,11 +82,11 @@ class Comparison:
                 drawn.append(panel)
             draw(self._rec, panel, rows, self._extents, begins=begins)
 
-    def arrange(self) -> rrb.Blueprint | None:
-        """Send the arrangement, once all is logged, and return it; None when there is nothing to see."""
+    def arrange(self) -> None:
+        """Send the arrangement, once all is logged; raises BAD_DATA when there is nothing to see."""
         self._extents.finish()
         tabs: dict[str, list[Any]] = {}
-        for panel, drawn in zip(self._quantities, self._drawn, strict=True):
+        for panel, drawn in self._drawn.items():
             if drawn:
                 tab = panel.title.partition(":")[0] if tab_of(panel.place) == FIRST else panel.place
                 first, *others = [one.drawn for one in drawn]
@@ -94,9 +94,7 @@ class Comparison:
                 view = series_view(first, str(title), Window(), beside, legend=True)
                 tabs.setdefault(tab, []).append(view)
         if not tabs:
-            return None
+            raise bad_data("the sessions have no samples that can be shown")
         grids = [rrb.Grid(*views, grid_columns=COLUMNS, name=name) for name, views in tabs.items()]
         timeline = "device_time" if self._align == "power-on" else "host_time"
-        found = arranged(rrb.Tabs(*grids), timeline)
-        self._rec.send_blueprint(found)
-        return found
+        self._rec.send_blueprint(arranged(rrb.Tabs(*grids), timeline))

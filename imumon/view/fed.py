@@ -13,7 +13,6 @@ import subprocess
 import sys
 import threading
 import time
-import traceback
 from collections.abc import Callable, Iterator, Sequence
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
@@ -23,8 +22,9 @@ import psutil
 
 from imumon.errors import ImumonError
 from imumon.heap import prepare_heap, trim_heap
-from imumon.view.items import DropOldestQueue, ViewItem, merge
-from imumon.view.viewer import quiet_environment
+
+from .items import DropOldestQueue, ViewItem, merge
+from .viewer import quiet_environment
 
 BATCH_S = 0.05
 """Batches are sent as they come, and so far apart: what comes faster, as in a replay, is joined."""
@@ -39,7 +39,6 @@ hangs stalls for 16 s and then goes on.)"""
 LOOK_S = 0.5
 """How often it is looked whether it does."""
 GOODBYE_S = 4.0
-PARENT_S = 1.0
 TRIM_S = 30.0
 SWITCH_S = 0.0005
 """While one thread is busy, another waits so long for the interpreter at each of ten steps (usual: 5 ms)."""
@@ -54,8 +53,7 @@ class FedProcess:
         self._module = module
         self._queue = DropOldestQueue(QUEUE_BYTES)
         self._sending_s = math.inf  # since when
-        self.restarts = 0
-        """How often the process was started again."""
+        self.restarts = 0  # how often the process was started again
         self._process: subprocess.Popen[bytes] | None = None
         self._supervisor = threading.Thread(target=self._supervise, name=f"feeds {module}", daemon=True)
 
@@ -91,12 +89,11 @@ class FedProcess:
 
         The servers of the web viewer end with it.  A native window stays open, so that one can go on looking.
         """
-        deadline = time.monotonic() + timeout_s
         self._queue.close()
         self._supervisor.join(max(0.0, timeout_s - 0.3))
         if self._process is not None and self._process.poll() is None:
             _kill(self._process)
-        self._supervisor.join(max(0.1, deadline - time.monotonic()))
+        self._supervisor.join(0.3)
 
     def _supervise(self) -> None:
         """Keep a process alive and supplied until closed."""
@@ -107,7 +104,6 @@ class FedProcess:
             self.restarts += 1
 
     def _run_process(self) -> None:
-        """Run one process from its start to its end."""
         stdin, to_process = Pipe(duplex=False)
         from_process, stdout = Pipe(duplex=False)
         with stdin, stdout:
@@ -187,11 +183,7 @@ def serve(run: Callable[[Connection, Connection], None], problem: Callable[[Imum
         code = 0
     except ImumonError as error:
         out.send(problem(error))
-    except BaseException:
-        traceback.print_exc()
-        raise
     finally:
-        sys.stderr.flush()
         os._exit(code)
 
 
@@ -206,7 +198,7 @@ def watch(parent: int) -> None:
     """End the process when the measuring process is gone or the memory grows too far, whatever blocks."""
     process, trimmed_s = psutil.Process(), time.monotonic()
     while os.getppid() == parent and process.memory_info().rss < MAX_BYTES:
-        time.sleep(PARENT_S)
+        time.sleep(1.0)
         if time.monotonic() - trimmed_s > TRIM_S:
             trim_heap()
             trimmed_s = time.monotonic()

@@ -24,12 +24,9 @@ ITEM_BYTES = 512
 class Instant(NamedTuple):
     """A moment on the three timelines; None where a timeline does not know it."""
 
-    sample: int | None
-    """Running index of the latest sample."""
-    device_ns: int | None
-    """Device time, ns, continued across segments (see `Timebase`)."""
-    host_ns: int | None
-    """Unix time, ns."""
+    sample: int | None  # running index of the latest sample
+    device_ns: int | None  # device time, ns, continued across segments (see `Timebase`)
+    host_ns: int | None  # Unix time, ns
 
 
 class Times(NamedTuple):
@@ -76,12 +73,9 @@ class ViewItem:
 class Samples(ViewItem):
     """Consecutive samples on the three timelines."""
 
-    times: Times
-    """The index is None in a side stream."""
-    block: SampleBlock
-    """The samples as decoded, and what the estimators added."""
-    stream: str = ""
-    """Name of the side stream; empty for the main one."""
+    times: Times  # the index is None in a side stream
+    block: SampleBlock  # the samples as decoded, and what the estimators added
+    stream: str = ""  # name of the side stream; empty for the main one
 
     @property
     def nbytes(self) -> int:
@@ -124,7 +118,7 @@ class State(Event):
 
 @dataclass(frozen=True, slots=True)
 class Log(Event):
-    """A line for the log; the level is one of TRACE, DEBUG, INFO, WARN, ERROR, CRITICAL."""
+    """A line for the log; the level is one of INFO, WARN, ERROR."""
 
     text: str
     level: str = "INFO"
@@ -136,8 +130,7 @@ class Status(Event):
 
     fields: Mapping[str, str]
 
-    lasting = "status"
-    """There is one card."""
+    lasting = "status"  # there is one card
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,18 +153,13 @@ class Drawing(Event):
 class ViewSetup(NamedTuple):
     """What the view must know before the first sample."""
 
-    title: str
-    """Name of the recording as the viewer shows it."""
-    recording_id: str
-    """The same for live view and recording."""
+    title: str  # name of the recording as the viewer shows it
+    recording_id: str  # the same for live view and recording
+    # Units that differ from `imumon.columns.KNOWN`, by column (magnetic field in arbitrary units, ...).
     units: Mapping[str, str] = {}
-    """Units that differ from `imumon.columns.KNOWN`, by column (magnetic field in arbitrary units, ...)."""
-    z_down: bool = False
-    """True for a device with FRD axes, whose reference frame has z down."""
-    window_s: float = 30.0
-    """Seconds that the live strips show."""
-    first_tab: str = "Live"
-    """What the first tab is called while the data comes."""
+    z_down: bool = False  # True for a device with FRD axes, whose reference frame has z down
+    window_s: float = 30.0  # seconds that the live strips show
+    first_tab: str = "Live"  # what the first tab is called while the data comes
 
 
 class Timebase:
@@ -287,12 +275,10 @@ class DropOldestQueue:
         self._lasting: dict[str, ViewItem] = {}
         self._is_incomplete = False
         self._bytes = 0
-        self.closed = threading.Event()
-        """Set once `close` was called."""
+        self.closed = threading.Event()  # set once `close` was called
         self._taken_s = time.monotonic()
         self._filled = threading.Condition()
-        self.dropped = 0
-        """Samples and events dropped so far."""
+        self.dropped = 0  # samples and events dropped so far
 
     def put(self, item: ViewItem) -> None:
         """Append an item; drop the oldest ones when that is too much."""

@@ -9,7 +9,8 @@ import rerun as rr
 
 from imumon.harmless import for_markdown
 from imumon.lane import Level
-from imumon.view.items import Log
+
+from .items import Log
 
 NAMES = {
     "port": "Port",
@@ -46,8 +47,8 @@ def lane_path(lane: str) -> str:
 
 def declare_lane(rec: rr.RecordingStream, lane: str, states: Mapping[str, Level]) -> None:
     """Log the colours of the states that a lane has had."""
-    colors, texts = np.array([COLORS[level] for level in states.values()], np.uint32), list(states)
-    rec.log(lane_path(lane), rr.StateConfiguration(values=texts, labels=texts, colors=colors), static=True)
+    colors = np.array([COLORS[level] for level in states.values()], np.uint32)
+    rec.log(lane_path(lane), rr.StateConfiguration(values=list(states), colors=colors), static=True)
 
 
 def states_text(states: Mapping[str, str]) -> str:
@@ -59,19 +60,17 @@ LOG_TEXT = "/log_text"
 """Entity of the text; all lines are in the log of the session."""
 LINES = 30
 """So many of the newest are shown."""
-QUIET = ("INFO", "DEBUG", "TRACE")
-"""Levels that are not shown."""
 
 
 def markdown(line: Log) -> str:
     """Return a line with the time of the wall clock, and its level where that matters."""
-    mark = "" if line.level in QUIET else f"**{line.level}** "
+    mark = "" if line.level == "INFO" else f"**{line.level}** "
     return f"`{clock(line.at.host_ns)}` {mark}{for_markdown(line.text)}"
 
 
 def dated(line: Log) -> str:
     """Return a line as a terminal shows it: with the time of day, and its level where that matters."""
-    mark = "" if line.level in QUIET else f"{line.level} "
+    mark = "" if line.level == "INFO" else f"{line.level} "
     return f"{clock(line.at.host_ns)} {mark}{line.text}"
 
 

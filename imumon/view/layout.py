@@ -16,10 +16,11 @@ from imumon.blocks import FloatArray
 from imumon.charts import AXIS_COLORS, COLOR_NAMES, GREY, Color
 from imumon.columns import KNOWN
 from imumon.geodesy import quaternions
-from imumon.view.cards import DIGITS, Reading
-from imumon.view.items import ViewSetup
-from imumon.view.rows import Rows
-from imumon.view.window import RECENT_S, Window, declare_extent, entity, series_view
+
+from .cards import DIGITS, Reading
+from .items import ViewSetup
+from .rows import Rows
+from .window import RECENT_S, Window, declare_extent, entity, series_view
 
 FIRST, OTHER = "Live", "Other"
 """The first tab, and that of the columns that no panel draws."""
@@ -67,40 +68,30 @@ class Line(NamedTuple):
 
     column: str
     name: str
-    color: Color | None
-    """None: the viewer chooses one."""
+    color: Color | None  # None: the viewer chooses one
     sd: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Strip:
-    """A panel that draws columns over time."""
+    """A panel that draws columns over time; `panels.yaml` explains the fields.
+
+    The key, the last part of the entity paths, is unique.
+    """
 
     key: str
-    """Unique; the last part of the entity paths."""
     title: str
     lines: tuple[Line, ...]
     unit: str | None = None
-    """Draw the values in this unit; without, in that of the column."""
     place: str = STRIPS
-    """`SCENE`, `STRIPS`, or the name of a tab."""
     look: Literal["lines", "steps", "points"] = "lines"
-    """Join the values by straight lines, or hold each until the next; or draw points and log only the rows
-    that have a value, where most have none."""
     beside: str | None = None
-    """Entity of another panel, drawn in the same view."""
     limits: tuple[float, ...] = ()
-    """Two level lines, in the unit that is drawn."""
     least: float = 0.0
-    """The axis spans at least as much, in the unit that is drawn."""
     card: str = ""
-    """What the card of the tab calls the present values; it does not show them without."""
     headline: bool = False
-    """Whether the card shows the last line's value large."""
     silent: float | None = None
-    """While the columns have no other value there is nothing to show, and no panel."""
     without: str = ""
-    """Column beside which another panel draws the same."""
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -193,10 +184,8 @@ class Strip:
         values, rows = values[kept], rows.kept(kept)
         rows.send(rec, self.drawn, values)
         if self.limits:
-            ends = np.zeros(len(values), np.bool_)
-            ends[[0, -1]] = True
-            levels = np.tile(np.array(self.limits), (int(ends.sum()), 1))
-            rows.kept(ends).send(rec, f"{self.drawn}/limits", levels)
+            ends = rows.kept(np.array([0, -1]))
+            ends.send(rec, f"{self.drawn}/limits", np.array([self.limits, self.limits]))
 
     def view(self, setup: ViewSetup, window: Window) -> Any:
         """Return the view, its unit and the colours of its lines in the title: a legend would cover data."""
@@ -234,8 +223,7 @@ class Bands(Strip):
                 measured = rr.Measurements.columns(values=value[keep], variances=TWO_SIGMA * sd[keep] ** 2)
                 rec.send_columns(self._entity(line), indexes=rows.kept(keep).indexes, columns=measured)
 
-    def _entity(self, line: Line) -> str:
-        """Return the entity of a band; its name may be that of a session, with spaces."""
+    def _entity(self, line: Line) -> str:  # its name may be that of a session, with spaces
         return f"{self.drawn}/{rr.escape_entity_path_part(line.name)}"
 
 
@@ -244,13 +232,10 @@ class Attitude(NamedTuple):
 
     key: str
     columns: tuple[str, ...]
-    root: str = DEVICE
-    """Entity of the reference frame that the body is drawn in."""
+    root: str = DEVICE  # entity of the reference frame that the body is drawn in
     title: str = "Attitude: body in the device's reference frame"
-    axes: tuple[str, str, str] = ("X", "Y", "Z")
-    """Names of the reference axes."""
-    up: float | None = None
-    """Which way the third axis points, 1 or -1; None: as the axes of the device do."""
+    axes: tuple[str, str, str] = ("X", "Y", "Z")  # names of the reference axes
+    up: float | None = None  # which way the third axis points, 1 or -1; None: as the axes of the device do
     place: str = SCENE
 
     def has_values(self, rows: Rows) -> bool:
@@ -259,24 +244,23 @@ class Attitude(NamedTuple):
 
     def declare(self, rec: rr.RecordingStream) -> None:
         """Log the housing with its connector and axes, and the reference axes."""
+        axes, colors = np.eye(3), [list(color) for color in AXIS_COLORS.values()]
         housing = rr.Boxes3D(
             centers=[[0.0, 0.0, 0.0], [-0.62, 0.0, 0.0], [0.42, 0.0, 0.0]],
             half_sizes=[[0.5, 0.34, 0.13], [0.12, 0.12, 0.07], [0.05, 0.3, 0.135]],
             colors=[[95, 105, 125], [200, 165, 70], [230, 230, 235]],
             fill_mode="solid",
         )
-        rec.log(f"{self.drawn}/housing", housing, static=True)
-        axes, colors = np.eye(3), [list(color) for color in AXIS_COLORS.values()]
         body_axes = rr.Arrows3D(
-            origins=0.1 * axes, vectors=0.95 * axes, colors=colors, labels=["x", "y", "z"], radii=0.022
+            origins=0.1 * axes, vectors=0.95 * axes, colors=colors, labels=list(AXIS_COLORS), radii=0.022
         )
-        rec.log(f"{self.drawn}/axes", body_axes, static=True)
+        reference = rr.Arrows3D(
+            vectors=1.5 * axes, colors=[list(GREY)], labels=list(self.axes), radii=0.008, show_labels=True
+        )
         if self.up is not None:
             rec.log(self.root, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-        labels = list(self.axes)
-        reference = rr.Arrows3D(
-            vectors=1.5 * axes, colors=[list(GREY)], labels=labels, radii=0.008, show_labels=True
-        )
+        rec.log(f"{self.drawn}/housing", housing, static=True)
+        rec.log(f"{self.drawn}/axes", body_axes, static=True)
         rec.log(f"{self.root}/reference", reference, static=True)
 
     def log(self, rec: rr.RecordingStream, rows: Rows) -> None:

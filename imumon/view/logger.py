@@ -13,14 +13,15 @@ import rerun.blueprint as rrb
 
 from imumon.harmless import for_markdown
 from imumon.lane import Level
-from imumon.view.blueprint import Contents, blueprint
-from imumon.view.items import Drawing, Event, Log, Numbers, Samples, State, Status, ViewItem, ViewSetup
-from imumon.view.lanes import COLORED_STATES, LINES, LOG_TEXT, declare_lane, lane_path, lane_place, markdown
-from imumon.view.layout import DEVICE
-from imumon.view.panels import PanelLog
-from imumon.view.pictures import Painter
-from imumon.view.rows import Rows, at_instants, log_markdown
-from imumon.view.window import slow_window
+
+from .blueprint import Contents, blueprint
+from .items import Drawing, Event, Log, Numbers, Samples, State, Status, ViewItem, ViewSetup
+from .lanes import COLORED_STATES, LINES, LOG_TEXT, declare_lane, lane_path, lane_place, markdown
+from .layout import DEVICE
+from .panels import PanelLog
+from .pictures import Painter
+from .rows import Rows, at_instants, log_markdown
+from .window import slow_window
 
 RECORDED_STEP_NS = 500_000_000
 """Of so much time a recording of the view keeps the extremes."""
@@ -41,22 +42,18 @@ class StreamLogger:
     def __init__(self, rec: rr.RecordingStream, setup: ViewSetup, *, live: bool) -> None:
         self._rec, self._setup, self._live = rec, setup, live
         self._panels = PanelLog(rec, setup, live=live)
-        self.end_file = self._panels.end_file
-        """Logs what a file of a recording has at its end."""
+        self.end_file = self._panels.end_file  # logs what a file of a recording has at its end
         self._painter = Painter(rec, live=live)
         self._lanes: dict[str, dict[str, Level]] = {}
         self._lasting: dict[str, Event] = {}
-        self._lines: deque[str] = deque(maxlen=LINES)
-        """The newest log lines, the last one first."""
+        self._lines: deque[str] = deque(maxlen=LINES)  # the newest log lines, the last one first
         self._timeline = "host_time"
         self._arranged: tuple[Contents, str] | None = None
         self._arranged_s = -math.inf
-        self.arrangement: rrb.Blueprint | None = None
-        """The one that was shown last."""
+        self.arrangement: rrb.Blueprint | None = None  # the one that was shown last
         self._last_ns: dict[str, int] = {}
-        self._began: Rows | None = None
-        self._newest: Rows | None = None
-        """Times of the first and of the latest sample."""
+        self._began: Rows | None = None  # time of the first sample
+        self._newest: Rows | None = None  # of the latest
         self._step_ns = 0 if live else RECORDED_STEP_NS
 
     def begin(self) -> None:
@@ -92,15 +89,16 @@ class StreamLogger:
             self._arrange()
 
     def _log_samples(self, item: Samples) -> None:
-        before_ns, stream = self._last_ns.get(item.stream), item.stream
-        rows = Rows(item.block.columns, item.times, self._step_ns, before_ns, stream)
-        if rows.clock is not None and len(rows.clock):
+        rows = Rows(
+            item.block.columns, item.times, self._step_ns, self._last_ns.get(item.stream), item.stream
+        )
+        if rows.clock is not None:
             self._last_ns[item.stream] = int(rows.clock[-1])
         if item.times.device_ns is not None:
             self._timeline = "device_time"
         elif item.times.host_ns is None and self._timeline == "host_time":
             self._timeline = "sample"
-        if not item.stream and item.rows:
+        if not item.stream:
             if self._began is None:
                 self._began = self._newest = rows.kept(np.array([0]))
                 self._lasting = {name: self._placed(event) for name, event in self._lasting.items()}
@@ -122,8 +120,7 @@ class StreamLogger:
         """Log events, those of a kind together: a chunk costs 2 kB, whatever is in it."""
         kinds: dict[tuple[object, ...], list[Any]] = {}
         for event in events:
-            what = ",".join(event.values) if isinstance(event, Numbers) else event.lasting
-            alike = type(event), what, *(time is None for time in event.at)
+            alike = type(event), event.lasting, *(time is None for time in event.at)
             kinds.setdefault(alike, []).append(event)
             if event.lasting is not None:
                 self._lasting[event.lasting] = event
@@ -172,8 +169,8 @@ class StreamLogger:
 
     def _arrange(self) -> None:
         """Send the blueprint when what there is to see has changed."""
-        first, last = (None if rows is None else rows.clock for rows in (self._began, self._newest))
-        age_ns = 0 if first is None or last is None else int(last[0] - first[0])
+        first = None if self._began is None else self._began.clock
+        age_ns = 0 if first is None else self._last_ns[""] - int(first[0])
         contents = Contents(
             panels=self._panels.shown,
             charts=tuple(self._painter.titles.values()),

@@ -11,11 +11,12 @@ from pydantic import RootModel
 
 from imumon.charts import AXIS_COLORS, BLUE, COLOR_NAMES, GREEN, RED
 from imumon.config import load_yaml
-from imumon.view.cards import Cards, Reading, card
-from imumon.view.items import ViewSetup
-from imumon.view.layout import FIRST, OTHER, SCENE, Attitude, Bands, Line, Strip, read_as, tab_of
-from imumon.view.rows import Rows, log_markdown
-from imumon.view.window import Extents
+
+from .cards import Cards, Reading, card
+from .items import ViewSetup
+from .layout import FIRST, OTHER, SCENE, Attitude, Bands, Line, Strip, read_as, tab_of
+from .rows import Rows, log_markdown
+from .window import Extents
 
 Panel = Strip | Attitude
 
@@ -41,7 +42,6 @@ def _strip(
     limits: Sequence[float] = (),
     **fields: Any,
 ) -> Strip:
-    """Return a panel of the file, which describes the fields."""
     drawn = tuple(
         _line(column.format(axis), shown.format(axis, axis), sd)
         for column, shown in lines.items()
@@ -57,12 +57,17 @@ def _line(column: str, shown: str, sd: str | None) -> Line:
     return Line(column, name, COLORS[color], own if sd == "own" else sd)
 
 
-ESTIMATED = tuple(f"attitude_estimate_{part}" for part in "wxyz")
-TITLE, AXES = "Attitude by the estimator", ("east", "north", "up")
 PANELS: tuple[Panel, ...] = (
     Attitude("attitude", ("q_w", "q_x", "q_y", "q_z")),
     Attitude("attitude_from_angles", ("roll", "pitch", "yaw")),
-    Attitude("attitude_estimate", ESTIMATED, "/attitude_estimate", TITLE, AXES, up=1.0),
+    Attitude(
+        "attitude_estimate",
+        tuple(f"attitude_estimate_{part}" for part in "wxyz"),
+        root="/attitude_estimate",
+        title="Attitude by the estimator",
+        axes=("east", "north", "up"),
+        up=1.0,
+    ),
     *_strips(),
 )
 """All panels, in the order in which they stand.  The attitude that comes first turns the body."""
@@ -79,14 +84,13 @@ class ShownPanels:
 
     def __init__(self, setup: ViewSetup) -> None:
         self._setup = setup
-        self.begun: dict[str, Panel] = {}
-        """Those that have had data, in the order in which they began."""
-        self.readings: dict[str, Sequence[Reading]] = {}
-        """What the card shows of each."""
+        self.begun: dict[str, Panel] = {}  # those that have had data, in the order in which they began
+        self.readings: dict[str, Sequence[Reading]] = {}  # what the card shows of each
         self.cards = Cards()
 
-    def take(self, rows: Rows) -> Iterator[tuple[Panel, bool]]:
-        """Yield the panels that draw these rows, and whether they begin; only one body can turn."""
+    def take(self, rows: Rows) -> list[tuple[Panel, bool]]:
+        """Return the panels that draw these rows, and whether they begin; only one body can turn."""
+        found = []
         for panel in self._drawing(rows):
             turns = panel.place == SCENE and any(other.place == SCENE for other in self.begun.values())
             begins = panel.key not in self.begun and not turns and panel.has_values(rows)
@@ -95,7 +99,8 @@ class ShownPanels:
                 self.readings[panel.key] = panel.readings(self._setup) if isinstance(panel, Strip) else ()
             if panel.key in self.begun:
                 self.cards.add(self.readings[panel.key], rows.columns)
-                yield panel, begins
+                found.append((panel, begins))
+        return found
 
     def _drawing(self, rows: Rows) -> Iterator[Panel]:
         """Yield the panels of which all columns are there, and a strip for each other column of floats."""
@@ -123,45 +128,44 @@ def draw(rec: rr.RecordingStream, panel: Panel, rows: Rows, extents: Extents, *,
         extents.set(panel.drawn, ends, rows.kept(last))
 
 
-class PanelLog:
+class PanelLog(ShownPanels):
     """Logs the panels that have had data."""
 
     def __init__(self, rec: rr.RecordingStream, setup: ViewSetup, *, live: bool) -> None:
+        super().__init__(setup)
         self._rec = rec
         self._step_ns = LIVE_CARD_NS if live else RECORDED_CARD_NS
-        self._panels = ShownPanels(setup)
         self._extents = Extents(rec, live=live)
-        self.end_file = self._extents.finish
-        """Logs how far the axes of a recording reach at its end."""
-        self._written_ns: int | None = None
+        self.end_file = self._extents.finish  # logs how far the axes of a recording reach at its end
+        self._written_ns = -self._step_ns  # so that the first comes at once
 
     @property
     def shown(self) -> tuple[Panel, ...]:
         """The panels that have data, in the order in which they stand."""
-        begun = self._panels.begun.values()
-        others = sorted((panel for panel in begun if panel.place == OTHER), key=lambda panel: panel.key)
-        return (*(panel for panel in PANELS if panel.key in self._panels.begun), *others)
+        others = (panel for panel in self.begun.values() if panel.place == OTHER)
+        listed = (panel for panel in PANELS if panel.key in self.begun)
+        return (*listed, *sorted(others, key=lambda panel: panel.key))
 
     def declare(self) -> None:
         """Log what does not change, for a new file."""
-        for panel in self._panels.begun.values():
+        for panel in self.begun.values():
             panel.declare(self._rec)
 
     def log(self, rows: Rows) -> None:
         """Log rows to the panels that draw them."""
-        for panel, begins in self._panels.take(rows):
+        for panel, begins in self.take(rows):
             draw(self._rec, panel, rows, self._extents, begins=begins)
 
     def log_cards(self, newest: Rows) -> None:
         """Write the present values of every tab at the time of the newest row, when it is time."""
         now = 0 if newest.clock is None else int(newest.clock[0])
-        if self._written_ns is not None and 0 <= now - self._written_ns < self._step_ns:
+        if 0 <= now - self._written_ns < self._step_ns:
             return
         self._written_ns = now
-        values, found = self._panels.cards.take(), dict[str, list[Reading]]()
+        values, found = self.cards.take(), dict[str, list[Reading]]()
         for panel in self.shown:
-            for place in dict.fromkeys((FIRST, tab_of(panel.place))):  # the card of the first tab has all
-                found.setdefault(place, []).extend(self._panels.readings[panel.key])
+            for place in {FIRST, tab_of(panel.place)}:  # the card of the first tab has all
+                found.setdefault(place, []).extend(self.readings[panel.key])
         for place, readings in found.items():
             if readings:
                 log_markdown(self._rec, card_path(place), [card(readings, values)], newest)

@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from imumon.charts import Chart, Curve
+from imumon.charts import Chart
 from imumon.harmless import for_plot
-from imumon.view.items import Drawing
-from imumon.view.rows import at_instants
+
+from .items import Drawing
+from .rows import at_instants
 
 CHARTS = "/charts"
 PICTURE_SHARE = 0.03
@@ -31,9 +32,17 @@ NOTE_LETTERS, LETTERS = 69, 40
 TOP, NOTE, HEADLINE = 0.98, 0.032, 0.073
 """Where the axes end, and what a line of notes and a headline take of it."""
 PAPER, FAINT = "#0d0d0d", "#3a3a3a"
-FRAME = {"font.size": 10.0, "axes.edgecolor": "#808080", "legend.edgecolor": FAINT}
-FRAME |= dict.fromkeys(("figure.facecolor", "axes.facecolor", "savefig.facecolor"), PAPER)
-STYLE: Any = ["dark_background", FRAME]
+STYLE: Any = [
+    "dark_background",
+    {
+        "font.size": 10.0,
+        "axes.edgecolor": "#808080",
+        "legend.edgecolor": FAINT,
+        "figure.facecolor": PAPER,
+        "axes.facecolor": PAPER,
+        "savefig.facecolor": PAPER,
+    },
+]
 """As the viewer's dark theme; on the light one it stands as a dark picture."""
 
 
@@ -45,8 +54,7 @@ class Painter:
         self._waiting: dict[str, Drawing] = {}
         self._thread: threading.Thread | None = None
         self._next_s = -math.inf
-        self.titles: dict[str, tuple[str, str, str]] = {}
-        """Tab, key and title of every chart, by its key."""
+        self.titles: dict[str, tuple[str, str, str]] = {}  # tab, key and title of every chart, by its key
 
     def add(self, drawing: Drawing) -> None:
         """Take a chart, which replaces the one before that was not drawn."""
@@ -73,9 +81,11 @@ class Painter:
         """Log the picture of a chart, a PNG; a recording has it whatever moment is looked at."""
         began = time.thread_time()
         try:
-            image = rr.EncodedImage.columns(blob=[picture(drawing.chart)], media_type=["image/png"])
-            indexes = at_instants(drawing.at).indexes if self._live else []
-            self._rec.send_columns(f"{CHARTS}/{drawing.chart.key}", indexes=indexes, columns=image)
+            self._rec.send_columns(
+                f"{CHARTS}/{drawing.chart.key}",
+                indexes=at_instants(drawing.at).indexes if self._live else [],
+                columns=rr.EncodedImage.columns(blob=[picture(drawing.chart)], media_type=["image/png"]),
+            )
         finally:
             self._next_s = time.monotonic() + (time.thread_time() - began) / PICTURE_SHARE
 
@@ -89,7 +99,11 @@ def picture(chart: Chart) -> bytes:
         figure.clear()
         axes = figure.add_subplot()
         for curve in chart.curves:
-            _draw(axes, curve)
+            look: dict[str, Any] = {"lw": curve.width, "ls": "--" if curve.dashed else "-"}
+            if curve.points:
+                look = {"ls": "", "marker": "o", "ms": curve.width}
+            look["color"] = [part / 255 for part in curve.color]
+            axes.plot(curve.x, curve.y, label=for_plot(curve.name) if curve.listed else None, **look)
         _frame(axes, chart)
         if not any(np.isfinite(curve.x * curve.y).any() for curve in chart.curves):
             axes.axis("off")
@@ -109,17 +123,7 @@ def _figure() -> Any:
     return figure
 
 
-def _draw(axes: Any, curve: Curve) -> None:
-    color = tuple(part / 255 for part in curve.color)
-    label = for_plot(curve.name) if curve.listed else None
-    look: dict[str, Any] = {"lw": curve.width, "ls": "--" if curve.dashed else "-"}
-    if curve.points:
-        look = {"ls": "", "marker": "o", "ms": curve.width}
-    axes.plot(curve.x, curve.y, color=color, label=label, **look)
-
-
 def _frame(axes: Any, chart: Chart) -> None:
-    """Set scales, grid, labels, legend and notes."""
     from matplotlib.ticker import AutoMinorLocator, LogFormatter
 
     for name, scale in (("x", chart.x), ("y", chart.y)):

@@ -3,9 +3,9 @@
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-from imumon.view.fed import FedProcess
-from imumon.view.items import ViewItem, ViewSetup
-from imumon.view.viewer import LOCALHOST, VIEWER_PORT, WEB_PORT, Mode
+from .fed import FedProcess
+from .items import ViewItem, ViewSetup
+from .viewer import LOCALHOST, VIEWER_PORT, WEB_PORT, Mode
 
 
 class Start(NamedTuple):
@@ -13,13 +13,10 @@ class Start(NamedTuple):
 
     setup: ViewSetup
     mode: Mode
-    port: int
-    """Of the native viewer, or of the page."""
+    port: int  # of the native viewer, or of the page
     bind: str
-    open_viewer: bool = True
-    """Whether a native viewer is opened where none is open; False after a restart."""
-    lasting: Sequence[ViewItem] = ()
-    """States and charts so far."""
+    open_viewer: bool = True  # whether a native viewer is opened where none is open; False after a restart
+    lasting: Sequence[ViewItem] = ()  # states and charts so far
 
 
 class Report(NamedTuple):

@@ -11,10 +11,11 @@ from pathlib import Path
 import rerun as rr
 
 from imumon.heap import trim_heap
-from imumon.view import RECORDER
-from imumon.view.items import DropOldestQueue, ViewItem, ViewSetup, merge
-from imumon.view.logger import StreamLogger
-from imumon.view.viewer import APPLICATION
+
+from . import RECORDER
+from .items import DropOldestQueue, ViewItem, ViewSetup, merge
+from .logger import StreamLogger
+from .viewer import APPLICATION
 
 BATCH_S = 30.0
 """Items of this long become one chunk per panel.  A chunk costs about 1.4 kB beside its rows: with 80 panels
@@ -49,15 +50,14 @@ class ViewRecorder:
         self._rec = rr.RecordingStream(APPLICATION, recording_id=setup.recording_id)
         self._logger = StreamLogger(self._rec, setup, live=False)
         self._queue = DropOldestQueue(QUEUE_BYTES)
+        # Queue an item, and begin to write what is left; both return at once.
         self.publish, self.end = self._queue.put, self._queue.close
-        """Queue an item, and begin to write what is left; both return at once."""
         self._refused = 0
         self._is_stuck = False
-        self.error = ""
-        """Why nothing is written any more (disk full, ...); empty while all is well."""
+        self.error = ""  # why nothing is written any more (disk full, ...); empty while all is well
         self._on_error = on_error
+        # The segments so far, in order; the last one is being written until `close`.
         self.files: list[Path] = []
-        """The segments so far, in order; the last one is being written until `close`."""
         self._open_segment()
         self._thread = threading.Thread(target=self._run, name=RECORDER, daemon=True)
         self._thread.start()

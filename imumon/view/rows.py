@@ -9,7 +9,8 @@ import numpy as np
 import rerun as rr
 
 from imumon.blocks import BoolArray, ColumnArray, FloatArray, IntArray
-from imumon.view.items import Instant, Times, first_of_steps
+
+from .items import Instant, Times, first_of_steps
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,8 +26,7 @@ class Rows:
     times: Times
     step_ns: int = 0
     before_ns: int | None = None
-    stream: str = ""
-    """Name of the side stream that they are of; empty for the main one."""
+    stream: str = ""  # name of the side stream that they are of; empty for the main one
 
     @cached_property
     def indexes(self) -> list[rr.TimeColumn]:
@@ -55,12 +55,10 @@ class Rows:
 
     def extremes(self, values: FloatArray) -> BoolArray:
         """Return which rows have the least or greatest value of a line in its step, or begin one, (n,)."""
-        clock = self.clock
-        if not self.step_ns or clock is None:
+        if not self.step_ns or self.clock is None:
             return np.ones(len(values), np.bool_)
         keep = self.thinned(self.step_ns)
-        starts = np.flatnonzero(keep[1:]) + 1
-        for start, stop in pairwise([0, *starts.tolist(), len(values)]):
+        for start, stop in pairwise([0, *(np.flatnonzero(keep[1:]) + 1).tolist(), len(values)]):
             part = values[start:stop]
             keep[start + np.argmin(np.nan_to_num(part, nan=np.inf), axis=0)] = True
             keep[start + np.argmax(np.nan_to_num(part, nan=-np.inf), axis=0)] = True

@@ -1,21 +1,19 @@
 """The view in a terminal: present values, states and the log."""
 
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from textwrap import wrap
 
 import numpy as np
 
-from imumon.blocks import ColumnArray
 from imumon.harmless import for_log
-from imumon.view.cards import AXES, cell, rows_of
-from imumon.view.items import DropOldestQueue, Log, Numbers, Samples, State, Times, ViewSetup, merge
-from imumon.view.lanes import dated, states_text
-from imumon.view.panels import ShownPanels
-from imumon.view.rows import Rows
 
-QUEUE_BYTES = 4 << 20
-LOG_LINES = 100
+from .cards import AXES, cell, rows_of
+from .items import DropOldestQueue, Log, Numbers, Samples, State, Times, ViewSetup, merge
+from .lanes import dated, states_text
+from .panels import ShownPanels
+from .rows import Rows
+
 NO_TIMES = Times(None, None, None)
 NAME, CELL = 18, 15
 """Columns of text that the parts of a row take."""
@@ -29,42 +27,39 @@ class TerminalView:
 
     def __init__(self, setup: ViewSetup) -> None:
         self._setup = setup
-        self._queue = DropOldestQueue(QUEUE_BYTES)
+        self._queue = DropOldestQueue(4 << 20)
         self.publish = self._queue.put
         self._panels = ShownPanels(setup)
         self._lanes: dict[str, str] = {}
-        self._log: deque[str] = deque(maxlen=LOG_LINES)
+        self._log: deque[str] = deque(maxlen=100)
 
     def lines(self, columns: int, rows: int, status: str) -> list[str]:
         """Return the text of a screen of so many columns, at most so many rows."""
         for item in merge(self._queue.take(0.0, 0.0)):
             if isinstance(item, Samples):
-                self._gather(item.block.columns)
+                self._panels.take(Rows(item.block.columns, NO_TIMES))
             elif isinstance(item, Numbers):
-                self._gather({name: np.array([value]) for name, value in item.values.items()})
+                numbers = {name: np.array([value]) for name, value in item.values.items()}
+                self._panels.take(Rows(numbers, NO_TIMES))
             elif isinstance(item, State):
                 self._lanes[item.lane] = item.state
             elif isinstance(item, Log):
                 self._log.append(dated(item))
         now = self._panels.cards.take()
-        readings = [one for key in self._panels.begun for one in self._panels.readings[key]]
-        numbers = [
+        readings = [one for found in self._panels.readings.values() for one in found]
+        values = [
             f"{label:{NAME}}{''.join(f'{cell(one, now):>{CELL}}' for one in found)} {found[0].unit}"
             for label, found in rows_of(readings, beside=columns >= NAME + len(AXES) * CELL)
         ]
         head = f"{self._setup.title}  {status}"
         states = [*wrap(states_text(self._lanes), columns), ""]
-        spare = rows - 1 - len(numbers)  # in a small window numbers come before all else
-        found = [head if len(head) <= columns else status, *states[: max(0, spare)], *numbers]
+        spare = rows - 1 - len(values)  # in a small window numbers come before all else
+        found = [head if len(head) <= columns else status, *states[: max(0, spare)], *values]
         room = rows - len(found) - 1
         if room > 0:
             log = [part for line in self._log for part in wrap(line, columns, subsequent_indent="  ")]
             found += ["", *log[-room:]]
         return found[:rows]
-
-    def _gather(self, columns: Mapping[str, ColumnArray]) -> None:
-        for _ in self._panels.take(Rows(columns, NO_TIMES)):
-            pass
 
 
 OWN_SCREEN, GIVEN_BACK = "\x1b[?1049h\x1b[?25l", "\x1b[?25h\x1b[?1049l"

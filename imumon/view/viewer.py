@@ -43,8 +43,9 @@ def viewer_binary() -> Path:
     for folder in (spec.submodule_search_locations if spec else None) or ():
         if (path := Path(folder, "rerun")).is_file():
             return path
-    hint = "pip install 'rerun-sdk', or use --view none"
-    raise ImumonError(Reason.NOT_FOUND, "the Rerun viewer is not installed", hint)
+    raise ImumonError(
+        Reason.NOT_FOUND, "the Rerun viewer is not installed", "pip install 'rerun-sdk', or use --view none"
+    )
 
 
 def quiet_environment() -> dict[str, str]:
@@ -53,8 +54,9 @@ def quiet_environment() -> dict[str, str]:
     Rerun 0.41 knows no variable of its own for this.  With ``CI`` set it neither reads nor writes its
     analytics files and starts no session, unless ``FORCE_RERUN_ANALYTICS`` is set.
     """
-    environment = {name: value for name, value in os.environ.items() if name != "FORCE_RERUN_ANALYTICS"}
-    return {**environment, "CI": "1", "RUST_LOG": os.environ.get("RUST_LOG", "warn")}
+    environment = {"RUST_LOG": "warn", **os.environ, "CI": "1"}
+    environment.pop("FORCE_RERUN_ANALYTICS", None)
+    return environment
 
 
 def probe(port: int, timeout_s: float = 0.5) -> bool | None:
@@ -105,9 +107,9 @@ def start_viewer(port: int, *arguments: str) -> subprocess.Popen[bytes]:
 
     Where one listens on the port already, the program that is started passes its source on to that one.
     """
-    memory = (f"--memory-limit={VIEWER_MEMORY}", f"--server-memory-limit={SERVER_MEMORY}")
-    listening = (f"--port={port}", f"--bind={LOCALHOST}")
-    return start_quietly([str(viewer_binary()), *listening, *memory, "--hide-welcome-screen", *arguments])
+    listening = f"--port={port}", f"--bind={LOCALHOST}", "--hide-welcome-screen"
+    memory = f"--memory-limit={VIEWER_MEMORY}", f"--server-memory-limit={SERVER_MEMORY}"
+    return start_quietly([str(viewer_binary()), *listening, *memory, *arguments])
 
 
 def viewer_port(preferred: int = VIEWER_PORT) -> int:

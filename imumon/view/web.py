@@ -20,7 +20,8 @@ from urllib.request import urlopen
 import rerun as rr
 
 from imumon.errors import ImumonError, Reason
-from imumon.view import viewer
+
+from . import viewer
 
 ASSETS = {
     "/": "text/html; charset=utf-8",
@@ -32,7 +33,6 @@ ASSETS = {
 FETCH_S = 10.0
 STREAM_PATH = "/rerun."
 """How the paths of the stream begin; they are passed on, so that one port is enough."""
-PART_BYTES = 1 << 16
 OURS = {"connection", "keep-alive", "transfer-encoding", "content-length", "host", "origin", "server", "date"}
 """Headers that each of two connections has of its own; ``Host`` and ``Origin`` were checked here."""
 
@@ -118,11 +118,6 @@ class WebServer(ThreadingTCPServer):
         self.url = f"http://{host}:{self.port}/"
         threading.Thread(target=self.serve_forever, name="web viewer", daemon=True).start()
 
-    def close(self) -> None:
-        """Stop serving."""
-        self.shutdown()
-        self.server_close()
-
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Pass over a browser that went away in the middle of an answer."""
         if not isinstance(sys.exception(), ConnectionError):
@@ -134,10 +129,17 @@ class _Handler(BaseHTTPRequestHandler):
     timeout = 30
     server: WebServer
 
+    def parse_request(self) -> bool:
+        """Refuse the request of a page of another site; return whether there is something to answer."""
+        if not super().parse_request():
+            return False
+        reason = refusal(self.headers.get("Host", ""), self.headers.get("Origin", ""))
+        if reason:
+            self.send_error(HTTPStatus.FORBIDDEN, explain=reason)
+        return not reason
+
     def do_GET(self) -> None:
         """Answer with a file; a request for the page without a stream is sent to the one with ours."""
-        if self._refuses():
-            return
         path, _, query = self.path.partition("?")
         if path == "/" and not query:
             stream = quote(f"rerun+http://{self.headers['Host']}/proxy", safe="")
@@ -158,8 +160,6 @@ class _Handler(BaseHTTPRequestHandler):
 
     def do_POST(self) -> None:
         """Pass a request for the stream on, and what comes back as it comes."""
-        if self._refuses():
-            return
         if not self.path.startswith(STREAM_PATH):
             self.send_error(HTTPStatus.NOT_FOUND)
             return
@@ -176,16 +176,9 @@ class _Handler(BaseHTTPRequestHandler):
                 self.send_header(name, value)
             self.send_header("Transfer-Encoding", "chunked")
             self.end_headers()
-            while part := answer.read1(PART_BYTES):
+            while part := answer.read1(1 << 16):
                 self.wfile.write(b"%x\r\n%b\r\n" % (len(part), part))
             self.wfile.write(b"0\r\n\r\n")
-
-    def _refuses(self) -> bool:
-        """Refuse the request of a page of another site; return whether this is one."""
-        reason = refusal(self.headers.get("Host", ""), self.headers.get("Origin", ""))
-        if reason:
-            self.send_error(HTTPStatus.FORBIDDEN, explain=reason)
-        return bool(reason)
 
     def log_message(self, *_: object) -> None:
         """Stay silent; the terminal belongs to the status line."""

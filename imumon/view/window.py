@@ -11,7 +11,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from imumon.view.rows import Rows
+from .rows import Rows
 
 STEP_NS = 1_000_000_000
 """So often the ends are logged anew."""
@@ -69,25 +69,20 @@ NOW = rrb.TimeRangeBoundary.cursor_relative()
 class Window(NamedTuple):
     """What the series of a tab show of a timeline, all the same."""
 
-    seconds: float | None = None
-    """Length; None for a whole recording."""
-    full: bool = True
-    """Whether so much has come; until then it begins where the data does."""
+    seconds: float | None = None  # length; None for a whole recording
+    full: bool = True  # whether so much has come; until then it begins where the data does
 
     def looks(self, ends: Sequence[str]) -> dict[Any, Any]:
         """Return what is queried of the ends of axes: live the latest."""
         if self.seconds is None:
             return {}
-        start = rrb.TimeRangeBoundary.cursor_relative(seconds=-RECENT_S)
-        ranges = [rrb.VisibleTimeRange(one, start=start, end=NOW) for one in TEMPORAL]
-        return {one: [rrb.VisibleTimeRanges(ranges)] for one in ends}
+        latest = rrb.VisibleTimeRanges(_until_now(_back(RECENT_S)))
+        return {one: [latest] for one in ends}
 
     @property
     def ranges(self) -> list[rrb.VisibleTimeRange] | None:
-        """What is queried, on whichever timeline is chosen."""
-        if self.seconds is None:
-            return None
-        return [rrb.VisibleTimeRange(timeline, start=self._start, end=NOW) for timeline in TEMPORAL]
+        """What is queried."""
+        return None if self.seconds is None else _until_now(self._start)
 
     @property
     def axis(self) -> rrb.TimeAxis:
@@ -99,7 +94,15 @@ class Window(NamedTuple):
     def _start(self) -> rrb.TimeRangeBoundary:
         if not self.full or self.seconds is None:
             return ENDLESS
-        return rrb.TimeRangeBoundary.cursor_relative(seconds=-self.seconds)
+        return _back(self.seconds)
+
+
+def _back(seconds: float) -> rrb.TimeRangeBoundary:
+    return rrb.TimeRangeBoundary.cursor_relative(seconds=-seconds)
+
+
+def _until_now(start: rrb.TimeRangeBoundary) -> list[rrb.VisibleTimeRange]:
+    return [rrb.VisibleTimeRange(timeline, start=start, end=NOW) for timeline in TEMPORAL]
 
 
 def series_view(

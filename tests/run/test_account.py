@@ -7,15 +7,15 @@ from pathlib import Path
 import pytest
 
 from imumon.run.account import NAMED, Outages, describe_disk, file_sizes
-from imumon.transport.reader import Bytes, Event, EventKind
+from imumon.transport.reader import Bytes, Event, EventKind, Reads
 
 SECOND = 1_000_000_000
 
 
-def watched(*items: Bytes | Event) -> Outages:
+def watched(*items: Reads | Event) -> Outages:
     outages = Outages()
-    for _ in outages.watch(items):
-        pass
+    for item in items:
+        outages.item(item)
     return outages
 
 
@@ -23,8 +23,8 @@ def event(kind: EventKind, second: float) -> Event:
     return Event(kind, round(second * SECOND), "")
 
 
-def data(second: float) -> Bytes:
-    return Bytes(b"x", round(second * SECOND))
+def data(second: float) -> Reads:
+    return Reads.of([Bytes(b"x", round(second * SECOND))])
 
 
 def test_an_outage_lasts_from_the_last_byte_to_the_ports_return() -> None:

@@ -49,7 +49,8 @@ def test_two_tabs_in_a_browser_show_something_and_nothing_goes_out(tmp_path: Pat
         seen.append(shown(page, tmp_path / "second.png", seen[0]))
         requests = list(page.requests.values())
         out = page.gone_out(site.url)
-    site.close()
+    site.shutdown()
+    site.server_close()
     rec.disconnect()
     assert any("/rerun." in url for url in requests), "the stream comes through the page's own port"
     assert out == []

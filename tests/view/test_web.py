@@ -18,7 +18,8 @@ from imumon.view.web import WebServer, refusal
 def server() -> Iterator[WebServer]:
     site = WebServer(("127.0.0.1", 29876), 29090)
     yield site
-    site.close()
+    site.shutdown()
+    site.server_close()
 
 
 def test_page_and_program_are_served_and_may_speak_to_this_machine_only(server: WebServer) -> None:
@@ -53,7 +54,8 @@ def test_other_paths_do_not_exist(server: WebServer) -> None:
 
 def test_a_page_for_all_addresses_names_this_computer() -> None:
     site = WebServer(("127.0.0.1", 29876), 29190, "0.0.0.0")
-    site.close()
+    site.shutdown()
+    site.server_close()
     assert site.url == f"http://{socket.gethostname()}:{site.port}/"
 
 
