@@ -5,31 +5,25 @@ standard deviation s, with steps q, is q/pi exp(-2 pi² s²/q²): the first term
 sawtooth that rounding is, averaged over the noise (Widrow and Kollar, Quantization Noise, 2008, ch. 4).
 """
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import ndtr
 
 from imumon.blocks import FloatArray
 
-FEW = 0.2
-"""Distinct values, as a share of the samples, below which they lie on a grid."""
-ON_GRID = 0.05
-"""Share of a step within which a difference is a whole number of steps."""
-ROUNDED = 1.0 / 12.0
-"""Variance of what rounding adds, in steps squared."""
+FEW = 0.2  # distinct values, as a share of the samples, below which they lie on a grid
+ON_GRID = 0.05  # share of a step within which a difference is a whole number of steps
+ROUNDED = 1.0 / 12.0  # variance of what rounding adds, in steps squared
 KEPT, BLOCK = 320, 64
 """Pieces of a channel that are evaluated, and samples of each: few, for its mean to be constant."""
-FARTHEST = 6
-"""Steps from the middle of a piece that are counted apart: for noise of 1.6 steps, four sigmas."""
+FARTHEST = 6  # steps from the middle of a piece that are counted apart: for noise of 1.6 steps, four sigmas
 TERMS = 60
 """Of the series that are summed: with noise of 0.02 steps, the least that is tried, the last is < 1e-14."""
 RATIOS = np.geomspace(0.02, 1.6, 45)
 """Noise in steps that is tried, 10 % apart; above the last, rounding leaves all but 1e-22."""
-PHASES = np.linspace(-0.5, 0.5, 21)
-"""Means of a piece between two steps that are tried."""
-LEAST_PROBABILITY = 1e-12
-"""Of a step however far: a single outlier decides nothing."""
+PHASES = np.linspace(-0.5, 0.5, 21)  # means of a piece between two steps that are tried
+LEAST_PROBABILITY = 1e-12  # of a step however far: a single outlier decides nothing
 
 
 def mean_error(step: float, ratio: float) -> float:
@@ -54,8 +48,7 @@ def grid_step(distinct: FloatArray, samples: int) -> float:
     return step if whole.mean() > 0.9 else 0.0
 
 
-@dataclass(frozen=True, slots=True)
-class Digits:
+class Digits(NamedTuple):
     """Step of a channel, in its unit, and its noise before rounding, in steps."""
 
     step: float
@@ -97,11 +90,11 @@ def digits(values: FloatArray) -> Digits | None:
     spread = np.sqrt(np.mean(np.diff(parts, axis=1) ** 2) / 2.0)
     if step == 0.0 or spread > RATIOS[-1] * step:
         return None
-    middle = np.sort(parts, axis=1)[:, BLOCK // 2, np.newaxis]  # one of the readings
+    middle = np.sort(parts, axis=1)[:, BLOCK // 2, None]  # one of the readings
     steps = np.clip(np.rint((parts - middle) / step), -FARTHEST, FARTHEST)
     counts = np.array([(steps == place).sum(axis=1) for place in range(-FARTHEST, FARTHEST + 1)])
     edges = np.concatenate([[-np.inf], np.arange(-FARTHEST, FARTHEST) + 0.5, [np.inf]])
-    below = ndtr((edges - PHASES[:, np.newaxis]) / RATIOS[:, np.newaxis, np.newaxis])
+    below = ndtr((edges - PHASES[:, None]) / RATIOS[:, None, None])
     likely = np.log(np.maximum(np.diff(below), LEAST_PROBABILITY)) @ counts  # (ratios, phases, pieces)
     best = likely.max(axis=1).sum(axis=1)
     return Digits(step, float(RATIOS[int(np.argmax(best))]))

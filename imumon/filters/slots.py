@@ -15,7 +15,8 @@ import numpy.typing as npt
 
 from imumon.blocks import NO_INT, BoolArray, FloatArray, IntArray
 from imumon.compiled import inner, njit
-from imumon.filters.turns import TURN, Turn, add_rate, begin_segment, begin_turn, turn_of
+
+from .turns import TURN, Turn, add_rate, begin_segment, begin_turn, turn_of
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,7 +47,7 @@ class Slots:
     @property
     def middle_ns(self) -> IntArray:
         """Mean of first and last time, (m,): what the mean of a slot refers to."""
-        return np.asarray(self.start_ns + (self.end_ns - self.start_ns) // 2)
+        return self.start_ns + (self.end_ns - self.start_ns) // 2
 
 
 SLOT = np.dtype(
@@ -109,7 +110,7 @@ def held(row: IntArray, values: npt.NDArray[Any], before: npt.NDArray[Any], n: i
 
     `values` (m, ...) hold from the rows (m,) on (`Slots.row`), `before` (...) held before the first of them.
     """
-    return np.repeat(np.concatenate([before[np.newaxis], values]), np.diff([0, *row, n]), axis=0)
+    return np.repeat(np.concatenate([before[None], values]), np.diff([0, *row, n]), axis=0)
 
 
 # Records are passed as whole arrays: arrays in a tuple would cost more than all the sums, at each call.

@@ -14,38 +14,34 @@ What is faster than half the sample rate is lost, unless the device has integrat
 """
 
 import math
-from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.compiled import inner
 
-MIDDLE = 1.0 / 24.0
-"""Of the products of successive angles: what is added, and the error of that."""
+MIDDLE = 1.0 / 24.0  # of the products of successive angles: what is added, and the error of that
 FAST = 1.0 / 40.0
 """Of the squared second differences of the angles.  A cone of half angle a at half the sample rate has
 64 a² of these a sample, and of its turn, pi a² / 2, nothing is measured."""
 PAUSE_S, PAUSE_INTERVALS = 0.25, 3.0
 """A longer pause, in s and in usual intervals, hides how the unit turned in it."""
-LATE = 1.5
-"""Intervals after which a sample is missing."""
+LATE = 1.5  # intervals after which a sample is missing
 
 
-@dataclass(slots=True, eq=False)
-class Turn:
+class Turn(NamedTuple):
     """A turn, from body axes at its beginning to those at its end, and what may be wrong with it."""
 
-    rotation: FloatArray = field(default_factory=lambda: np.eye(3))
+    rotation: FloatArray = np.eye(3)
     """C: vectors in the axes of its end to those of its beginning, (3, 3)."""
-    by_bias: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
+    by_bias: FloatArray = np.zeros((3, 3))
     """Integral of C dt, s, (3, 3): times a bias it is the angle that this adds, in the axes of the
     beginning."""
-    by_scale: FloatArray = field(default_factory=lambda: np.zeros((3, 3, 3)))
+    by_scale: FloatArray = np.zeros((3, 3, 3))
     """Integral of C[a, i] rate[j] dt, rad, (3, 3, 3): the angle about a by the element i, j of the matrix
     of scale and misalignment."""
-    coning: FloatArray = field(default_factory=lambda: np.zeros(3))
+    coning: FloatArray = np.zeros(3)
     """What may be missing or too much between samples, rad, with one sign, (3,)."""
     fast: float = 0.0  # the same of motion that is nearly too fast for the samples, rad, in any direction
     missed: float = 0.0  # variance by samples that are missing, rad²
@@ -56,8 +52,8 @@ class Turn:
         """Return the turn of a slot less what a bias, rad/s, (3,), adds, to first order of its angle."""
         angle = self.by_bias @ bias
         rotation = rotation_by(-angle) @ self.rotation
-        by_scale = self.by_scale - self.by_bias[:, :, np.newaxis] * bias
-        return replace(self, rotation=rotation, by_scale=by_scale, path=angle_of(rotation))
+        by_scale = self.by_scale - self.by_bias[:, :, None] * bias
+        return self._replace(rotation=rotation, by_scale=by_scale, path=angle_of(rotation))
 
     def then(self, other: "Turn") -> "Turn":
         """Return this turn and another after it."""
@@ -75,7 +71,7 @@ class Turn:
 
     def scale_about(self, axis: FloatArray) -> FloatArray:
         """Return the angle about an axis, (3,), by each element of the matrix of scale and misalignment."""
-        return np.asarray((axis @ self.by_scale.reshape(3, 9)).reshape(3, 3))
+        return (axis @ self.by_scale.reshape(3, 9)).reshape(3, 3)
 
     def sampling_variance(self, axis: FloatArray) -> float:
         """Return the variance of the angle about an axis, (3,), by missing samples, rad²."""
@@ -83,9 +79,7 @@ class Turn:
         return coning * coning + self.fast**2 + self.missed
 
 
-STILL = Turn()
-"""No turn, in no time."""
-
+STILL = Turn()  # no turn, in no time
 
 Vector = tuple[float, float, float]
 
@@ -94,7 +88,7 @@ def rotation_by(vector: FloatArray) -> FloatArray:
     """Return the matrix (3, 3) of a rotation vector, rad (Rodrigues)."""
     crossed = cross_matrix(vector)
     first, second = _rodrigues(_square(vector.tolist()))
-    return np.asarray(np.eye(3) + first * crossed + second * (crossed @ crossed))
+    return np.eye(3) + first * crossed + second * (crossed @ crossed)
 
 
 def cross_matrix(vector: FloatArray) -> FloatArray:
@@ -171,7 +165,6 @@ def add_rate(turn: Any, time_ns: int, rate: Vector) -> None:
 
 @inner
 def _miss_samples(turn: Any, dt: float, usual: float, rate: Vector) -> None:
-    """Add the variance of the samples that are missing before this one."""
     change = _change(turn, rate)
     if dt > PAUSE_S and dt > PAUSE_INTERVALS * usual:
         # Of the pause only the rates before and after it are known: it may be all of these.
@@ -216,7 +209,7 @@ def _rotate(turn: Any, alpha: Vector, dt: float) -> None:
             turn.by_scale[k, i, 0] += middle * a
             turn.by_scale[k, i, 1] += middle * b
             turn.by_scale[k, i, 2] += middle * c
-    turn.before[0], turn.before[1], turn.before[2] = p, q, r
+    turn.before[:] = turn.alpha
     turn.alpha[0], turn.alpha[1], turn.alpha[2] = a, b, c
     turn.seconds += dt
 

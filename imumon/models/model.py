@@ -1,4 +1,4 @@
-"""The model file: the bias of each channel over temperature, and where it comes from."""
+"""The model file: the bias of each channel over temperature, hard and soft iron, and where it comes from."""
 
 from pathlib import Path
 from typing import Annotated, Final, Literal, Self
@@ -13,10 +13,10 @@ from imumon.config import StrictModel, dump_yaml, load_yaml
 from imumon.effects.library import AnyEffect
 from imumon.errors import ImumonError, bad_config
 from imumon.files import as_path, write_text
-from imumon.models.curves.network import NetworkCurve
-from imumon.models.curves.polynomial import PolynomialCurve
-from imumon.models.curves.spline import SplineCurve
-from imumon.models.magnetometer import MagnetometerModel
+
+from .curves.network import NetworkCurve
+from .curves.polynomial import PolynomialCurve
+from .curves.spline import SplineCurve
 
 FORMAT: Final = "imumon-bias-model/2"
 READ: Final = ("imumon-bias-model/1", FORMAT)
@@ -34,7 +34,8 @@ near the end the tangent is better; far off both are guesses, and the held value
 
 Curve = Annotated[PolynomialCurve | SplineCurve | NetworkCurve, Field(discriminator="kind")]
 _NonNegative = Annotated[FiniteFloat, Field(ge=0.0)]
-_Sha256 = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
+_Range = Annotated[list[FiniteFloat], Field(min_length=2, max_length=2)]
+_Three = Annotated[list[FiniteFloat], Field(min_length=3, max_length=3)]
 
 
 class ChannelModel(StrictModel):
@@ -44,7 +45,7 @@ class ChannelModel(StrictModel):
     """Of all values of the channel."""
     temperature_column: Annotated[str, Field(pattern="^temperature(_estimate)?(_[xyz])?$")]
     """Column of the samples that the curve is over."""
-    temperature_range_degc: Annotated[list[FiniteFloat], Field(min_length=2, max_length=2)]
+    temperature_range_degc: _Range
     """Where the curve is supported by data."""
     residual_sd: _NonNegative
     """Standard deviation of the bias about the curve, from levels that were left out of the fit."""
@@ -95,6 +96,48 @@ class ChannelModel(StrictModel):
         return (t >= low) & (t <= high)
 
 
+class MagnetometerModel(StrictModel):
+    """Field = soft_iron (reading - hard_iron), as `imumon magnetometer` finds it."""
+
+    unit: str
+    """Of readings and field, as the device has it."""
+    hard_iron: _Three
+    hard_iron_sd: _Three
+    """Reading where there is no field."""
+    soft_iron: Annotated[list[_Three], Field(min_length=3, max_length=3)]
+    soft_iron_sd: Annotated[list[_Three], Field(min_length=3, max_length=3)]
+    """Symmetric; it leaves the mean strength of the field as it was read."""
+    field: Annotated[FiniteFloat, Field(gt=0.0)]
+    """Strength of the field."""
+    residual_sd: _NonNegative
+    """What a reading is off from that strength after the correction, noise and all."""
+    coverage: Annotated[FiniteFloat, Field(ge=0.0, le=1.0)]
+    """Share of the directions that were measured, 0 to 1."""
+    session: str | None = None
+    sha256: str | None = None
+    """The recording."""
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if np.linalg.eigvalsh(np.array(self.soft_iron)).min() <= 0.0:
+            raise ValueError("soft_iron is not a stretching: an eigenvalue is not positive")
+        return self
+
+    def corrected(self, mag: FloatArray) -> FloatArray:
+        """Return the field in body axes of readings, (n, 3)."""
+        return np.asarray((mag - np.array(self.hard_iron)) @ np.array(self.soft_iron).T)
+
+    @property
+    def fit_sd(self) -> float:
+        """Standard deviation of a component of the field by what the fit does not know."""
+        return float(np.hypot(max(self.hard_iron_sd), self.field * np.array(self.soft_iron_sd).max()))
+
+    @property
+    def error_sd(self) -> float:
+        """Standard deviation of a component of the field by that and by what is left over."""
+        return float(np.hypot(self.residual_sd, self.fit_sd))
+
+
 class TrainedOn(StrictModel):
     """A run that a model was made from: a session, or the part of one up to a restart or another pose.
 
@@ -104,10 +147,10 @@ class TrainedOn(StrictModel):
 
     session: str
     run: NonNegativeInt = 0
-    sha256: _Sha256
+    sha256: Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
     rest_s: _NonNegative
     blocks: NonNegativeInt
-    temperature_range_degc: Annotated[list[FiniteFloat], Field(min_length=2, max_length=2)]
+    temperature_range_degc: _Range
     offset: dict[str, FiniteFloat] = Field(default_factory=dict)
 
 

@@ -1,8 +1,8 @@
 """The bias that a model expects, sample by sample."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -10,7 +10,8 @@ from imumon.blocks import BoolArray, FloatArray, IntArray, SampleBlock
 from imumon.effects.base import ACCEL, TEMPERATURE, Drive, Effect, Memory
 from imumon.effects.vibration import VIBRATION, Vibration
 from imumon.errors import bad_config
-from imumon.models.model import REACH, BiasModel
+
+from .model import REACH, BiasModel
 
 NO_DRIVERS: Mapping[str, FloatArray] = {}
 
@@ -53,31 +54,21 @@ class Carrier:
                 seconds = np.asarray((time_ns[first:b] - self._start_ns) * 1e-9, np.float64)
                 part = {name: values[first:b].copy() for name, values in driven.items()}
                 drive = Drive(seconds, part.pop(TEMPERATURE), part.pop(ACCEL, None), part)
-                bias[first:b], start_sd[first:b] = self._added(drive)
+                if not self._memories:
+                    self._memories = [Memory(), *(self._effect.starts(drive) or ())]
+                bias[first:b], *ends = [self._effect.added(memory, drive) for memory in self._memories]
+                if ends:
+                    start_sd[first:b] = 0.5 * self._effect.start_share * np.abs(ends[1] - ends[0])
         return bias, start_sd
 
-    def _added(self, drive: Drive) -> tuple[FloatArray, FloatArray]:
-        """Return bias and standard deviation of samples that follow those of the last call."""
-        if not self._memories:
-            self._memories = [Memory(), *(self._effect.starts(drive) or ())]
-        bias, *ends = [self._effect.added(memory, drive) for memory in self._memories]
-        apart = np.abs(ends[1] - ends[0]) if ends else np.zeros(len(bias))
-        return bias, 0.5 * self._effect.start_share * apart
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Prediction:
+class Prediction(NamedTuple):
     """What a model expects of k channels at n samples."""
 
-    bias: FloatArray
-    """rad/s or m/s², (n, k); NaN before the first temperature."""
-    slope: FloatArray
-    """db/dT of the curve, per °C; NaN before the first temperature, (n, k)."""
-    inside: BoolArray
-    """Whether the temperature is where the model was calibrated, (n, k); False before the first."""
-    start_sd: FloatArray
-    """Standard deviation of the bias due to the unknown state at power-on of effects with memory, (n, k);
-    it dies away."""
+    bias: FloatArray  # rad/s or m/s², (n, k); NaN before the first temperature
+    slope: FloatArray  # db/dT of the curve, per °C, (n, k); NaN before the first temperature
+    inside: BoolArray  # whether the temperature is where the model was calibrated, (n, k); else False
+    start_sd: FloatArray  # sd of the bias by the unknown state at power-on, which dies away, (n, k)
 
 
 class BiasPredictor:
@@ -125,9 +116,7 @@ class BiasPredictor:
         `accel` (n, 3): specific force, m/s²; without it an effect of the specific force adds nothing.
         `others` (n,): the columns `drivers`; without one of them the bias of a channel that needs it is NaN.
         """
-        n, k = len(time_ns), len(self._models)
-        if temperature.shape != (n, k) or len(segment) != n:
-            raise ValueError(f"temperature of shape {temperature.shape} for {n} samples of {k} channels")
+        n, k = temperature.shape
         if self._vibration is not None and accel is not None and VIBRATION not in others:
             others = {**others, VIBRATION: self._vibration.process(time_ns, segment, accel)}
         force, none = np.full((n, 3), np.nan) if accel is None else accel, np.full(n, np.nan)
@@ -151,10 +140,13 @@ class BiasPredictor:
             variance[:, at] += start_sd**2
         return Prediction(bias, slope, inside, np.sqrt(variance))
 
-    def of_block(self, block: SampleBlock) -> Prediction:
-        """Return the expected bias at the samples of a block; columns that it lacks are missing."""
-        none = np.full(len(block), np.nan)
-        temperature = np.column_stack([block.columns.get(name, none) for name in self.temperature_columns])
+    def of_block(self, block: SampleBlock, temperature: FloatArray | None = None) -> Prediction:
+        """Return the expected bias at the samples of a block; columns that it lacks are missing.
+
+        A `temperature` (n, k) is taken instead of the columns of each channel.
+        """
+        if temperature is None:
+            temperature = block.stacked(self.temperature_columns)
         others = {name: block[name] for name in self.drivers if name in block}
         return self.process(block["device_time_ns"], block["segment"], temperature, block.accel, others)
 
@@ -165,8 +157,8 @@ class BiasPredictor:
             return values
         known = np.isfinite(values)
         known[segment != np.concatenate([[self._segment], segment[:-1]])] = True  # nothing is held across
-        row = np.maximum.accumulate(np.where(known, np.arange(1, n + 1)[:, np.newaxis], 0), axis=0)
-        held = np.concatenate([self._last[np.newaxis], values])[row, np.arange(values.shape[1])]
+        row = np.maximum.accumulate(np.where(known, np.arange(1, n + 1)[:, None], 0), axis=0)
+        held = np.concatenate([self._last[None], values])[row, np.arange(values.shape[1])]
         self._last, self._segment = held[-1].copy(), int(segment[-1])
         return held
 

@@ -12,8 +12,7 @@ from imumon.estimation.attitude.parameters import AttitudeParameters
 from imumon.estimation.rest.parameters import GyroBiasParameters, RestParameters
 from imumon.estimation.watch.stage import WatchParameters
 from imumon.files import as_path, read_text
-from imumon.models.magnetometer import MagnetometerModel
-from imumon.models.model import BiasModel, load_model
+from imumon.models.model import BiasModel, MagnetometerModel, load_model
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.ranges import Ranges
 from imumon.recordings.folder import Session

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.geodesy import EARTH_RATE, STANDARD_GRAVITY
-from imumon.models.magnetometer import MagnetometerModel
+from imumon.models.model import MagnetometerModel
 
 FINE_HZ = 1600.0
 """The truth has so many steps; a sample is the mean of those since the one before."""

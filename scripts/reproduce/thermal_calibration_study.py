@@ -114,7 +114,7 @@ def published(points: Points, neurons: int, seed: int) -> tuple[NetworkCurve, li
     parts = split(len(points), random)
     scaled = Scaled.of(points)
     training, validation = (
-        replace(scaled, u=scaled.u[part], y=scaled.y[part], w=scaled.w[part] / scaled.w[part].mean())
+        scaled._replace(u=scaled.u[part], y=scaled.y[part], w=scaled.w[part] / scaled.w[part].mean())
         for part in parts[:2]
     )
     weights = [stopped(start, training, validation) for start in starts(neurons, RESTARTS, random)]

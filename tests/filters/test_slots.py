@@ -14,7 +14,7 @@ from imumon.filters.slots import SlotGatherer, Slots, held
 from imumon.filters.turns import Turn
 
 LENGTH_NS = 1_000_000_000
-TURNS = [field.name for field in fields(Turn)]
+TURNS = Turn._fields
 
 
 def _joined(parts: list[tuple[int, Slots]]) -> dict[str, FloatArray]:

@@ -10,7 +10,7 @@ import pytest
 
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.columns import Column
-from imumon.models import load_model
+from imumon.models.model import load_model
 from imumon.recordings.table import TableWriter, read_table
 from tests.cli.command import MAP, imumon
 from tests.data_folder import measured

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imumon.models import load_model
+from imumon.models.model import load_model
 from tests.cli.command import MAP, imumon
 from tests.data_folder import measured
 from tests.lab.diagnosis.test_diagnose import lag

@@ -93,9 +93,3 @@ def test_an_effect_has_the_temperature_that_is_held_and_before_the_first_there_i
 def test_a_channel_that_the_model_lacks_is_refused() -> None:
     with pytest.raises(ImumonError, match="has no accel_x; it has gyro_x, gyro_y, gyro_z"):
         BiasPredictor(three_curves(), ["gyro_x", "accel_x"])
-
-
-def test_temperatures_must_be_one_per_channel() -> None:
-    predictor = BiasPredictor(three_curves(), CHANNELS)
-    with pytest.raises(ValueError, match="2 samples of 3 channels"):
-        predictor.process(np.arange(2), np.zeros(2, np.int64), np.zeros((2, 1)))

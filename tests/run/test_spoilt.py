@@ -12,8 +12,7 @@ from scipy.spatial.transform import Rotation
 from imumon.blocks import NO_INT, ColumnArray, SampleBlock
 from imumon.geodesy import STANDARD_GRAVITY
 from imumon.models.curves.polynomial import PolynomialCurve
-from imumon.models.magnetometer import MagnetometerModel
-from imumon.models.model import BiasModel, ChannelModel
+from imumon.models.model import BiasModel, ChannelModel, MagnetometerModel
 from imumon.pipeline import Pipeline
 from imumon.run import PUBLISHED
 from imumon.run.setup import Setup

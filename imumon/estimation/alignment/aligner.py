@@ -18,9 +18,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.estimation.alignment.fit import fit_position
-from imumon.estimation.alignment.parameters import AlignmentParameters
-from imumon.estimation.alignment.position import (
+from imumon.filters.turns import Turn, angle_of
+from imumon.geodesy import EARTH_RATE, forward
+
+from .fit import fit_position
+from .parameters import AlignmentParameters
+from .position import (
     SLOT_S,
     AzimuthError,
     Motion,
@@ -30,31 +33,26 @@ from imumon.estimation.alignment.position import (
     direction_of,
     upright,
 )
-from imumon.estimation.alignment.posterior import HeadingPosterior, heading_posterior, sensor_errors
-from imumon.estimation.alignment.report import ANY_ANGLE_SD, Estimate, PositionHeading, Status
-from imumon.filters.turns import Turn, angle_of
-from imumon.geodesy import EARTH_RATE, forward
+from .posterior import HeadingPosterior, heading_posterior, sensor_errors
+from .report import ANY_ANGLE_SD, Estimate, PositionHeading, Status
 
 SAME_ATTITUDE, SHORT_PATH = 1e-3, 20e-3
 """rad: a turn by less (0.06°, the noise of 1 °/√h in 10 s) on a path of less leaves the attitude as it is."""
 NEW_POSITION = 0.2
 """rad: a turn by less, as of a table that is bumped, does not separate the bias from the earth rate."""
-SAME_UP = 0.99
-"""Cosine of the angle between two body axes which count as the same vertical: 8°."""
+SAME_UP = 0.99  # cosine of the angle between two body axes which count as the same vertical: 8°
 FIRST_FIT_S, LONGEST_REFIT_S = 10.0, 60.0
 """Time at rest of the first fit of a position, and the longest between two fits; in between a position is
 fitted anew when its time at rest has grown by a third, which lowers sigma by an eighth."""
-FORGET_S = 60.0
-"""A longer record loses its first half while no fit is possible, as where the unit creeps."""
+FORGET_S = 60.0  # a longer record loses its first half while no fit is possible, as where the unit creeps
 RECENT_SHARE = 0.5
 """Sigma is at least the distance to headings fitted in this last part of the time at rest.  Ablation."""
 
 
 class Aligner:
-    """The alignment of one device since its last restart, fed with slots."""
+    """The alignment of one device since its last restart, fed with slots; `events` takes the messages."""
 
     def __init__(self, parameters: AlignmentParameters, latitude_deg: float, events: list[str]) -> None:
-        """Prepare for the first slot; `events` takes the messages."""
         self.parameters, self.events = parameters, events
         self.latitude = math.radians(latitude_deg)
         self.earth_horizontal = EARTH_RATE * math.cos(self.latitude)
@@ -64,8 +62,7 @@ class Aligner:
         self.creep_rate = 0.0  # by which the unit may creep about the vertical in this position, rad/s
         self.errors = sensor_errors(0.0, parameters)
         self.posterior: HeadingPosterior | None = None  # of the last fit
-        self.history: list[tuple[float, float, float]] = []
-        """Time at rest, s, north and sigma of each fit."""
+        self.history: list[tuple[float, float, float]] = []  # time at rest, s, north and sigma of each fit
         self.rest_s, self.due_s = 0.0, FIRST_FIT_S
         """Time at rest in all positions, and that at which the next fit is due."""
         self.fitted_error = AzimuthError()
@@ -122,7 +119,7 @@ class Aligner:
     @property
     def attitude(self) -> FloatArray:
         """Body axes to the reference frame, now, (3, 3); only after the first rest."""
-        return np.asarray(self.positions[-1].attitude @ self.motion.turn.rotation)
+        return self.positions[-1].attitude @ self.motion.turn.rotation
 
     @property
     def _fits(self) -> list[PositionFit]:

@@ -21,14 +21,13 @@ import math
 import numpy as np
 
 from imumon.blocks import BoolArray, ColumnArray, FloatArray
-from imumon.estimation.alignment.parameters import ANY_WARM_UP, KnownWarmUp
-from imumon.estimation.alignment.position import Position, PositionFit, upright
 from imumon.geodesy import EARTH_RATE, STANDARD_GRAVITY
 
-CELLS = (96, 24, 6)
-"""Candidate numbers of cells in a record; ablation: 48 alone makes 2.4 times the error."""
-MIN_CELLS = 5
-"""Fewer used cells give no scatter about a trend."""
+from .parameters import ANY_WARM_UP, KnownWarmUp
+from .position import Position, PositionFit, upright
+
+CELLS = (96, 24, 6)  # candidate numbers of cells in a record; ablation: 48 alone makes 2.4 times the error
+MIN_CELLS = 5  # fewer used cells give no scatter about a trend
 OVERLAP = 1.0 / 6.0
 """Correlation of white noise in neighbouring Hann cells: the mean of their product over that of a square."""
 TREND_ORDER = 5
@@ -50,8 +49,7 @@ TILT_SD, P_TILTS = (1e-5, 1e-4, 1e-3), 0.3
 With 0.03 a slow tilt passes for a bias, 9 sigma off."""
 TILTS = np.vstack([sd * sum(np.eye(6, 8, k) for k in range(3)) for sd in TILT_SD])
 """Standard deviation of each amplitude, rad, (18, 8): three neighbouring exponentials, alike.  Ablation."""
-WALK = 1e-7
-"""Random walk of a warmed-up accelerometer, g/√s; assumed."""
+WALK = 1e-7  # random walk of a warmed-up accelerometer, g/√s; assumed
 
 
 def fit_position(record: Position, latitude: float, known: KnownWarmUp | None) -> PositionFit | None:
@@ -105,8 +103,8 @@ def fit_position(record: Position, latitude: float, known: KnownWarmUp | None) -
         rate=rate @ np.array([1.0, 1j]) + y_mean,
         variance=rate_variance,
         vertical=float(up_cells[up_used].mean()),
-        vertical_variance=(1.0 + 2.0 * OVERLAP) * up_variance / float(up_used.sum()),
-        white=min(variance, up_variance) * row_s / float(np.sum(windows[0] ** 2)),
+        vertical_variance=(1.0 + 2.0 * OVERLAP) * up_variance / up_used.sum(),
+        white=min(variance, up_variance) * row_s / np.sum(windows[0] ** 2),
         attitude=attitude,
         azimuth_error=record.azimuth_error,
         gyro_mean=complex(y[valid].mean()),
@@ -136,8 +134,14 @@ def _without_sway(data: ColumnArray, valid: BoolArray, slow: FloatArray) -> tupl
     are these functions times the amplitude, (n, 4), rad/s: its uncertainty; zero where there is no line.
     """
     sway = (data[:, 0] - slow @ _amplitudes(slow, data[:, 0], valid)) * valid
-    time = np.linspace(-1.0, 1.0, len(sway))[:, None]
-    phase = np.pi * _strongest_periods(sway) * time
+    n = len(sway)
+    bins = 1 << (8 * n - 1).bit_length()  # at least eight to a period in the record
+    least = math.ceil(MIN_PERIODS * bins / n)
+    axes = np.column_stack([sway.real, sway.imag]) * np.hanning(n + 2)[1:-1, None]
+    power = np.sum(np.abs(np.fft.rfft(axes, bins, axis=0)) ** 2, axis=1)[least : bins // 2]
+    periods = (least + int(np.argmax(power))) * (n - 1) / bins
+    time = np.linspace(-1.0, 1.0, n)[:, None]
+    phase = np.pi * periods * time
     line = np.hstack([np.cos(phase), np.sin(phase), time * np.cos(phase), time * np.sin(phase)])
     columns = np.hstack([slow, line])
     amplitudes = _amplitudes(columns, data, valid)
@@ -148,23 +152,13 @@ def _without_sway(data: ColumnArray, valid: BoolArray, slow: FloatArray) -> tupl
     return data - swing, line * math.sqrt(2.0 * np.mean(np.abs(swing[:, 0]) ** 2))
 
 
-def _strongest_periods(y: ColumnArray) -> float:
-    """Return the number of periods in the record of the strongest oscillation, (n,)."""
-    n = len(y)
-    bins = 1 << (8 * n - 1).bit_length()  # at least eight to a period in the record
-    least = math.ceil(MIN_PERIODS * bins / n)
-    axes = np.column_stack([y.real, y.imag]) * np.hanning(n + 2)[1:-1, None]
-    power = np.sum(np.abs(np.fft.rfft(axes, bins, axis=0)) ** 2, axis=1)[least : bins // 2]
-    return (least + int(np.argmax(power))) * (n - 1) / bins
-
-
 def _amplitudes(columns: FloatArray, data: ColumnArray, valid: BoolArray) -> ColumnArray:
     """Return the least-squares solution over the valid rows."""
     columns = columns[valid]
     normal = columns.T @ columns
     # The slow columns are almost dependent: a weak prior keeps them from following a sway.
     normal.flat[:: len(normal) + 1] *= 1.0 + 1e-9
-    return np.asarray(np.linalg.solve(normal, columns.T @ data[valid]))
+    return np.linalg.solve(normal, columns.T @ data[valid])
 
 
 def _divide(y: ColumnArray, cells: list[tuple[FloatArray, BoolArray]]) -> tuple[FloatArray, BoolArray, float]:

@@ -8,6 +8,7 @@ import math
 from collections import deque
 from dataclasses import dataclass, field
 from itertools import takewhile
+from operator import add
 from typing import NamedTuple
 
 import numpy as np
@@ -16,8 +17,7 @@ from imumon.blocks import BoolArray, ColumnArray, FloatArray
 from imumon.filters.turns import STILL, Turn
 from imumon.geodesy import EARTH_RATE, forward
 
-SLOT_S = 0.25
-"""Length of the slots into which samples are gathered, s."""
+SLOT_S = 0.25  # length of the slots into which samples are gathered, s
 CAPACITY = 4096
 """Largest number of rows of a record, 17 minutes of slots: beyond, rows are merged in pairs, for speed."""
 
@@ -54,8 +54,7 @@ class AzimuthError(NamedTuple):
 
     def then(self, other: "AzimuthError") -> "AzimuthError":
         """Return that of both turns, one after the other."""
-        by_scale, crept = self.by_scale + other.by_scale, self.crept + other.crept
-        return AzimuthError(self.variance + other.variance, by_scale, crept)
+        return AzimuthError(*map(add, self, other))
 
     def variance_from(self, other: "AzimuthError", scale_sd: float = 0.0) -> float:
         """Return the variance of the angle from one to its continuation, rad²; E has `scale_sd`."""
@@ -143,9 +142,9 @@ def upright(ahead: FloatArray, force: FloatArray) -> FloatArray:
 
     `ahead` (3,) is the forward direction in body axes, of which only the horizontal part counts.
     """
-    up = force / math.sqrt(float(force @ force))
+    up = force / math.sqrt(force @ force)
     ahead = ahead - (ahead @ up) * up
-    ahead = ahead / math.sqrt(float(ahead @ ahead))
+    ahead = ahead / math.sqrt(ahead @ ahead)
     return np.vstack([ahead, np.cross(up, ahead), up])
 
 

@@ -33,11 +33,12 @@ import numpy as np
 from scipy.special import i0e, i1e
 
 from imumon.blocks import FloatArray, IntArray
-from imumon.estimation.alignment.fit import eliminate
-from imumon.estimation.alignment.parameters import AlignmentParameters
-from imumon.estimation.alignment.position import AzimuthError, PositionFit
-from imumon.estimation.alignment.report import ANY_ANGLE_SD
 from imumon.geodesy import DEG_PER_H, EARTH_RATE
+
+from .fit import eliminate
+from .parameters import AlignmentParameters
+from .position import AzimuthError, PositionFit
+from .report import ANY_ANGLE_SD
 
 GYRO_BIAS, BIAS_POWER, LEAST_ARW = 2.0 * DEG_PER_H, 1.86, 0.02
 """Regression of the bias of a gyro: this, rad/s, times the ratio of its noise to 0.1 °/√h, 0.02 at least
@@ -47,8 +48,7 @@ GYRO_SCALE, ACCEL_BIAS, ERROR_POWER, MOST_ERROR = 3e-4, 7.5e-4, 1.4, 100.0
 of others they grow with this power of the ratio, up to 100 times."""
 LOG_SIZES, LOG_SIZE_SD = np.linspace(-4.0, 4.0, 9), 1.5
 """Logarithms of the sizes of a bias over that of the regression, and their standard deviation; assumed."""
-AXES = np.array(list(product([0.0, 1.0], repeat=3)))[1:]
-"""Which gyros are worse, (7, 3)."""
+AXES = np.array(list(product([0.0, 1.0], repeat=3)))[1:]  # which gyros are worse, (7, 3)
 WORSE = np.exp(np.concatenate([log_factor * AXES for log_factor in (2.0, 4.0, 6.0, 8.0, 10.0)]))
 """Factors by which one, two or all gyros are worse than that, (35, 3): up to 31 °/h for the best of them."""
 P_WORSE, P_WORSE_THAN_DECLARED = 0.003, 0.001
@@ -57,8 +57,7 @@ beyond three sigmas, and over a declared bias.  Ablation: without them, errors a
 DIRECTIONS = np.linspace(0.0, 2.0 * np.pi, 720, endpoint=False)
 """Where the search for peaks on the circle begins, rad: every half degree, as two may be close together."""
 WAVES = np.stack([f(k * DIRECTIONS) for k in (1.0, 2.0) for f in (np.cos, np.sin)])
-QUARTIC = 0.152
-"""An exponential of -δ⁴/24 has the integral of a Gaussian of the sharpness √0.152."""
+QUARTIC = 0.152  # an exponential of -δ⁴/24 has the integral of a Gaussian of the sharpness √0.152
 
 
 class SensorErrors(NamedTuple):

@@ -4,10 +4,8 @@ import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
-ANY_ANGLE_SD = math.pi / math.sqrt(3.0)
-"""Standard deviation of an angle that is uniform on the circle, rad."""
-NOT_OBSERVABLE_S = 30.0
-"""Time at rest after which "not observable" is reported."""
+ANY_ANGLE_SD = math.pi / math.sqrt(3.0)  # standard deviation of an angle that is uniform on the circle, rad
+NOT_OBSERVABLE_S = 30.0  # time at rest after which "not observable" is reported
 
 
 class Estimate(NamedTuple):

@@ -3,21 +3,21 @@
 import math
 from collections import deque
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from typing import Literal
 
 import numpy as np
 
 from imumon.blocks import ColumnArray, FloatArray, SampleBlock
 from imumon.charts import GREEN, GREY, Axis, Chart, Curve
-from imumon.columns import Column
-from imumon.estimation.alignment.aligner import Aligner
-from imumon.estimation.alignment.parameters import AlignmentParameters
-from imumon.estimation.alignment.position import CALM_SLOTS, SLOT_S, Slot
-from imumon.estimation.alignment.report import Estimate, PositionHeading
+from imumon.columns import BodyAxes, Column
 from imumon.filters.slots import SlotGatherer, Slots, held
 from imumon.filters.turns import STILL
 from imumon.geodesy import DEG_PER_H, heading_of
 from imumon.lane import LaneState, Level
+
+from .aligner import Aligner
+from .parameters import AlignmentParameters
+from .position import CALM_SLOTS, SLOT_S, Slot
+from .report import Estimate, PositionHeading
 
 LONGEST_GAP_S, LONGEST_MOTION_S = 5.0, 120.0
 """A gap longer than this and than three intervals may hide a turn: it restarts, as a longer motion does."""
@@ -40,7 +40,7 @@ class Alignment:
         self,
         parameters: AlignmentParameters | None,
         latitude_deg: float,
-        axes: Literal["FRD", "FLU"] | None = None,
+        axes: BodyAxes | None = None,
         sent: Collection[str] = (),
     ) -> None:
         self._parameters, self._latitude_deg = parameters or AlignmentParameters(), latitude_deg
@@ -58,8 +58,7 @@ class Alignment:
         self._recent: deque[FloatArray] = deque(maxlen=CALM_SLOTS)
         """Specific force, m/s², and magnetic field of the last 2 s, (6,); the mean force is up at rest."""
         self._row: list[float] = []  # values of `columns` after the last slot; empty before the first sample
-        self.status = self._aligner.status(0.0)
-        """State after the last block; may be read by another thread."""
+        self.status = self._aligner.status(0.0)  # state after the last block; may be read by another thread
 
     @property
     def columns(self) -> Sequence[Column]:
@@ -87,7 +86,11 @@ class Alignment:
         if not self._row:
             self._prefix = "aligned_" if "roll" in block or "pitch" in block else self._prefix
             self._row = [math.nan] * len(self.columns)
-        slots = self._slots.process(block["device_time_ns"], block["segment"], _inputs(block))
+        names = [f"{name}_{axis}" for name in ("gyro", "accel", "mag") for axis in "xyz"]
+        values = block.stacked([*names, "at_rest"])
+        values[:, 9] = values[:, 9] != 0.0  # or unknown
+        values[~np.isfinite(values[:, :6].sum(axis=1)), :6] = np.nan
+        slots = self._slots.process(block["device_time_ns"], block["segment"], values)
         before, rows = np.array(self._row), np.empty((len(slots), len(self._row)))
         for k in range(len(slots)):
             self._process_slot(slots, k)
@@ -197,12 +200,3 @@ class Alignment:
             )
         if declared and posterior is not None and posterior.worse > 0.5:
             yield "alignment: the rates contradict the declared bias of the gyros, or the latitude is wrong"
-
-
-def _inputs(block: SampleBlock) -> FloatArray:
-    """Return gyros, accelerometers and magnetometer, NaN where unknown, and whether it rests, (n, 10)."""
-    names = [f"{name}_{axis}" for name in ("gyro", "accel", "mag") for axis in "xyz"]
-    values = block.stacked([*names, "at_rest"])
-    values[:, 9] = values[:, 9] != 0.0  # or unknown
-    values[~np.isfinite(values[:, :6].sum(axis=1)), :6] = np.nan
-    return values

@@ -17,8 +17,7 @@ from vqf import VQF
 from imumon.blocks import BoolArray, FloatArray, IntArray
 from imumon.geodesy import LEAST_HORIZONTAL
 
-FIELD_INTERVALS = 4
-"""Least intervals of the magnetometer for their median: one of them may be long."""
+FIELD_INTERVALS = 4  # least intervals of the magnetometer for their median: one of them may be long
 RATE_SAMPLES = 16
 """Intervals whose median is that of the samples: jitter of a clock averages out, a gap does not count."""
 TAU_ACC_S, TAU_MAG_S = 3.0, 9.0
@@ -71,8 +70,8 @@ def heading(q: FloatArray) -> FloatArray:
     """
     body = matrices(q)
     steep = np.hypot(body[:, 0, 0], body[:, 1, 0]) < LEAST_HORIZONTAL
-    ahead = np.where(steep[:, np.newaxis], -body[:, :, 2], body[:, :, 0])
-    return np.asarray(np.mod(np.arctan2(ahead[:, 0], ahead[:, 1]), 2.0 * np.pi))
+    ahead = np.where(steep[:, None], -body[:, :, 2], body[:, :, 0])
+    return np.mod(np.arctan2(ahead[:, 0], ahead[:, 1]), 2.0 * np.pi)
 
 
 class Fusion:

@@ -20,25 +20,22 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.estimation.attitude.fusion import TAU_ACC_S, TAU_MAG_S
 from imumon.geodesy import STANDARD_GRAVITY
-from imumon.models.magnetometer import MagnetometerModel
+from imumon.models.model import MagnetometerModel
 
-SLOT_S = 0.5
-"""Length of a slot, s: short beside τ."""
+from .fusion import TAU_ACC_S, TAU_MAG_S
+
+SLOT_S = 0.5  # length of a slot, s: short beside τ
 LAG_S = 2.0 * TAU_ACC_S
 """Lag of d, s, after which VQF's low-pass has forgotten; m is forgotten within three lags.  Ablation."""
 ACCEL_SD = 0.075
 """a0 of accelerometers that are not declared, m/s²: 7.6 mg, between 5 and 10 mg of a calibrated unit."""
-SCALE_SD = 0.02
-"""s0 of gyros that are not declared: between 1 % of a calibrated unit and 3 % of an MPU-6050."""
-SCALE_TURN = 2.0
-"""w0, rad²: s0 counts like so much turn.  Ablation."""
+SCALE_SD = 0.02  # s0 of gyros that are not declared: between 1 % of a calibrated unit and 3 % of an MPU-6050
+SCALE_TURN = 2.0  # w0, rad²: s0 counts like so much turn.  Ablation.
 CONFIRMING_TURN = 0.1
 """rad² of tilt by turns about the gyros' own axes that confirm all three, by any of them.  Each turn counts
 half: a quick tilt of 19° that is held for 3 s and taken back is enough, or one of 26° alone.  Ablation."""
-LARGEST_CHANGE = 0.05
-"""Share of these rad² that the sum of d may have.  Ablation."""
+LARGEST_CHANGE = 0.05  # share of these rad² that the sum of d may have.  Ablation.
 IRON = 0.025
 """k_iron, share of the field.  A prior, as `ACCEL_SD`: a single pose shows one of three components."""
 IRON_MEMORY_S = 30.0
@@ -173,10 +170,7 @@ class HeadingSigma:
         self.gyros, self.magnetometer, self.earth_rate = gyros, magnetometer, earth_rate
         self.about_up = np.zeros(9)  # h_ij = u q_ij, summed over all slots, rad
         self.earlier = 0.0  # variance by what the bias was before, and by missing samples, rad²
-        self.drift, self.by_earth = (
-            0.0,
-            0.0,
-        )  # sd by the bias as it is now, and by the earth rate, rad
+        self.drift, self.by_earth = 0.0, 0.0  # sd by the bias as it is now, and by the earth rate, rad
         self.field_correction = 0.0
         """p, the angle by which the field has turned the heading against the gyros, forgotten with τ, rad."""
         self.bias_sd, self.delta = math.nan, math.nan  # of the last slot, rad/s and rad

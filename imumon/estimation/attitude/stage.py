@@ -2,33 +2,29 @@
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from imumon.blocks import NO_INT, ColumnArray, FloatArray, SampleBlock, missing
-from imumon.columns import Column
-from imumon.estimation.attitude.fusion import Fusion, Rows, heading, matrices
-from imumon.estimation.attitude.parameters import AttitudeParameters
-from imumon.estimation.attitude.sigma import SLOT_S, Accelerometers, Gyros, HeadingSigma, Slot, TiltSigma
+from imumon.columns import BodyAxes, Column, vector_columns
 from imumon.filters.slots import SlotGatherer, Slots, held
 from imumon.geodesy import EARTH_RATE, LEAST_HORIZONTAL
 from imumon.lane import LaneState, Level
-from imumon.models.magnetometer import MagnetometerModel
+from imumon.models.model import MagnetometerModel
 
-GAP_NS = 250_000_000
-"""A longer pause hides turns: in it a hand turns by a radian."""
-TEXT = {part: f"attitude, body to east-north-up, {part}" for part in "wxyz"} | {
+from .fusion import Fusion, Rows, heading, matrices
+from .parameters import AttitudeParameters
+from .sigma import SLOT_S, Accelerometers, Gyros, HeadingSigma, Slot, TiltSigma
+
+GAP_NS = 250_000_000  # a longer pause hides turns: in it a hand turns by a radian
+ANGLES = {
     "roll": "estimated roll",
     "pitch": "estimated pitch",
     "tilt_sd": "standard deviation of pitch; that of roll is this over cos(pitch)",
     "heading": "of the body x axis, clockwise from magnetic north; relative: from where it begins",
     "heading_sd": "its standard deviation; where it is relative, of its change since the gyro bias is known",
 }
-COLUMNS = (
-    *(Column(f"attitude_estimate_{of}", "1" if of in "wxyz" else "rad", description=TEXT[of]) for of in TEXT),
-    Column("attitude_estimate_north", "1", "int64", "1: heading from magnetic north, 0: relative heading"),
-)
 
 
 class AttitudeEstimate:
@@ -42,13 +38,18 @@ class AttitudeEstimate:
     Roll and pitch are of the body's `axes`; None is whichever of FRD and FLU stands upright at the beginning.
     """
 
-    columns: Sequence[Column] = COLUMNS
-    """The columns that `process` adds."""
+    columns: Sequence[Column] = (
+        *vector_columns("attitude_estimate", "1", "attitude, body to east-north-up", "wxyz"),
+        *(Column(f"attitude_estimate_{of}", "rad", description=text) for of, text in ANGLES.items()),
+        Column(
+            "attitude_estimate_north", "1", "int64", "1: heading from magnetic north, 0: relative heading"
+        ),
+    )
 
     def __init__(
         self,
         parameters: AttitudeParameters | None = None,
-        axes: Literal["FRD", "FLU"] | None = None,
+        axes: BodyAxes | None = None,
         magnetometer: MagnetometerModel | None = None,
         latitude_deg: float | None = None,
         heading_deg: float | None = None,
@@ -81,7 +82,7 @@ class AttitudeEstimate:
         if gyro is None or block.accel is None:
             return {}
         self._device_has_attitude |= "q_w" in block or "roll" in block
-        found = {column.name: missing(len(block), column.dtype) for column in COLUMNS}
+        found = {column.name: missing(len(block), column.dtype) for column in self.columns}
         usable = np.flatnonzero((block["device_time_ns"] != NO_INT) & np.isfinite(gyro).all(axis=1))
         if len(usable):
             block = SampleBlock({name: values[usable] for name, values in block.columns.items()})
@@ -98,7 +99,7 @@ class AttitudeEstimate:
         )
         known = np.asarray(np.isfinite(corrected).all(axis=1))
         rest = known & (block["at_rest"] == 1 if "at_rest" in block else False)
-        rate = np.where(known[:, np.newaxis], corrected, rate) * ~rest[:, np.newaxis]
+        rate = np.where(known[:, None], corrected, rate) * ~rest[:, None]
         last_ns, last_segment = self._last_time or (time_ns[0], block["segment"][0])
         self._last_time = time_ns[-1], block["segment"][-1]
         interval_ns = np.diff(time_ns, prepend=last_ns)
@@ -110,7 +111,7 @@ class AttitudeEstimate:
             field[:] = math.nan
         if self._magnetometer is not None:
             field = self._magnetometer.corrected(field)
-        angle = 1e-9 * interval_ns[:, np.newaxis] * rate
+        angle = 1e-9 * interval_ns[:, None] * rate
         force = np.asarray(block.accel)
         sensors = angle, _complete(force), _complete(field)
         rows = self._fusion.process(begins, known, time_ns, *sensors)

@@ -45,33 +45,26 @@ STATES = 8
 WALK, FLICKER, SLOPE, SENSITIVITY = 0, slice(1, 4), 4, slice(5, 8)
 TAUS_S = np.array([1.0, 30.0, 1000.0])
 """Time constants of the flicker: from a second to the longest rest that matters."""
-FLOOR_OF_FLICKER = 0.664
-"""Floor of the Allan deviation over B, sqrt(2 ln 2 / π) (IEEE 952)."""
-FLICKER_CORNERS_S = (100.0, 10.0, 1.0, 0.1)
-"""Averaging times at which flicker overtakes white noise."""
+FLOOR_OF_FLICKER = 0.664  # floor of the Allan deviation over B, sqrt(2 ln 2 / π) (IEEE 952)
+FLICKER_CORNERS_S = (100.0, 10.0, 1.0, 0.1)  # averaging times at which flicker overtakes white noise
 STRONG_FLICKER = 2.0
 """Prior of flicker that overtakes at 1 s over that of any other level: it is not observable in the first
 seconds, and a gyro of 40 °/h was off by 8 sigmas in them."""
-WALK_CORNER_S = 10.0
-"""Averaging time at which a random walk overtakes white noise: both are equal at √3 σ/K."""
+WALK_CORNER_S = 10.0  # averaging time at which a random walk overtakes white noise: both are equal at √3 σ/K
 SLOPE_PER_SIGMA = 3.6
 """Standard deviation of the slope over σ, 1/°C: 60 °/h/°C for a gyro of 0.28 °/√h.  Assumed."""
-SLOPE_LEFT_PER_SIGMA = 0.25
-"""The same, 1/°C, of the slope that a model's curve leaves.  Assumed."""
-SLOPE_DEGC = 30.0
-"""Difference of temperature over which a slope changes by as much as itself."""
+SLOPE_LEFT_PER_SIGMA = 0.25  # the same, 1/°C, of the slope that a model's curve leaves.  Assumed.
+SLOPE_DEGC = 30.0  # difference of temperature over which a slope changes by as much as itself
 SENSITIVITY_SD = math.radians(0.06) / STANDARD_GRAVITY
 """Standard deviation of an entry of the matrix of sensitivity, rad/s per m/s², of an uncompensated gyro."""
 FASTER = math.log(TAUS_S[0] / 0.02) / math.log(TAUS_S[2] / TAUS_S[1])
 """Variance of the flicker of single samples that is faster than g1, from 0.02 s on, over that of g1."""
 LEAST_WHITE = 1e-15
 """Variance of the mean of a second, (rad/s)²: 0.0065 °/h, less than any gyro has.  Assumed."""
-MEMORY_S = 600.0
-"""Time over which σ² is averaged, in measurements of about a second."""
+MEMORY_S = 600.0  # time over which σ² is averaged, in measurements of about a second
 PRIOR_COUNT, DECLARED_COUNT = 3.0, 0.5 * MEMORY_S
 """Shape a of a σ² that second differences of 16 slots have shown, and of a declared one."""
-LEAST_WEIGHT = 1e-4
-"""Least weight of a mode over the largest, so that the mode may come back."""
+LEAST_WEIGHT = 1e-4  # least weight of a mode over the largest, so that the mode may come back
 UNKNOWN, TURN_ON = 1e8, math.radians(3.0)
 """Prior variance of w over σ², and least prior standard deviation of w, rad/s: turn-on biases of any gyro."""
 
@@ -87,9 +80,9 @@ class States:
     degc: FloatArray  # of each gyro, as far as it has moved, (3,)
     read: FloatArray  # temperatures at the last measurement, and their sd, °C, (2, 3)
 
-    def at(self, time_s: float, degc: FloatArray, degc_sd: FloatArray) -> Self:
-        """Return F x and F P Fᵀ + Q at a later time and temperatures ± sd, °C, (3,); NaN is no change."""
-        dt = time_s - self.time_s
+    def at(self, time_s: float, read: FloatArray) -> Self:
+        """Return F x and F P Fᵀ + Q at a later time, and temperatures and sd, °C, (2, 3); NaN: no change."""
+        dt, (degc, degc_sd) = time_s - self.time_s, read
         if dt <= 0.0:
             return self
         known = np.where(np.isfinite(self.degc), self.degc, degc)
@@ -107,8 +100,8 @@ class States:
         warming = warming.reshape(3, *modes)
         walk = self.process[..., SLOPE] * np.abs(warming)
         covariance[..., WALK, WALK] += walk * warming**2 / 3.0
-        covariance[..., [WALK, SLOPE], [SLOPE, WALK]] += (walk * warming / 2.0)[..., np.newaxis]
-        mean = (f @ self.mean[..., np.newaxis])[..., 0]
+        covariance[..., [WALK, SLOPE], [SLOPE, WALK]] += (walk * warming / 2.0)[..., None]
+        mean = (f @ self.mean[..., None])[..., 0]
         return replace(self, mean=mean, covariance=covariance, time_s=time_s, degc=known)
 
 
@@ -139,13 +132,13 @@ class Prediction(States):
     @property
     def slope_square(self) -> FloatArray:
         """E[s²], (rad/s/°C)², (3,)."""
-        return np.asarray(self.mean[:, SLOPE] ** 2 + self.covariance[:, SLOPE, SLOPE])
+        return self.mean[:, SLOPE] ** 2 + self.covariance[:, SLOPE, SLOPE]
 
-    def at(self, time_s: float, degc: FloatArray, degc_sd: FloatArray) -> Self:
+    def at(self, time_s: float, read: FloatArray) -> Self:
         """As `States.at`, but not of its own result: w has the whole dT, and what is not known of it."""
-        then, (read, read_sd) = super().at(time_s, degc, degc_sd), self.read
-        left = np.nan_to_num(degc - read - (then.degc - self.degc))
-        unseen = np.nan_to_num(np.maximum(degc_sd**2 - read_sd**2, 0.0))  # of a silent thermometer
+        then, (degc, sd), (degc_before, sd_before) = super().at(time_s, read), read, self.read
+        left = np.nan_to_num(degc - degc_before - (then.degc - self.degc))
+        unseen = np.nan_to_num(np.maximum(sd**2 - sd_before**2, 0.0))  # of a silent thermometer
         mean, covariance = then.mean.copy(), then.covariance.copy()
         mean[:, WALK] += mean[:, SLOPE] * left
         covariance[:, WALK, WALK] += self.slope_square * (left**2 + unseen)
@@ -161,7 +154,7 @@ class Prediction(States):
 
     def innovation(self, now: Measurement) -> tuple[FloatArray, FloatArray]:
         """Return a mean rate less its prediction, rad/s, and the variance of that, (3,) each."""
-        bias, variance = self.at(now.end_s, now.degc, now.degc_sd).bias(now.force)
+        bias, variance = self.at(now.end_s, now.read).bias(now.force)
         return now.rate - bias, variance + self.white / now.covered_s + 0.25 * now.rounding**2
 
     def output(self, added: FloatArray, force: FloatArray, turn: FloatArray) -> LinearBias:
@@ -183,8 +176,8 @@ def at_samples(
     which = np.searchsorted(rows, np.arange(len(moving)), side="right")
     terms, covariance, of_slot, turn = (np.array(one)[which] for one in zip(*every, strict=True))
     row = np.ones((len(force), 1, 4))
-    row[:, 0, 1:] = np.where((moving & np.isfinite(force).all(1))[:, np.newaxis], force, of_slot)
-    variance = ((covariance * row[:, np.newaxis]).sum(3) * row).sum(2)
+    row[:, 0, 1:] = np.where((moving & np.isfinite(force).all(1))[:, None], force, of_slot)
+    variance = ((covariance * row[:, None]).sum(3) * row).sum(2)
     return (terms * row).sum(2), np.maximum(variance, 0.0), turn
 
 
@@ -218,11 +211,11 @@ class Bank(States):
         variance = process.copy()
         variance[..., WALK] = 0.0
         variance[..., SLOPE] *= SLOPE_DEGC
-        variance[..., SENSITIVITY] = (SENSITIVITY_SD**2 / expected)[:, np.newaxis, np.newaxis]
-        scale = np.tile(count * white[:, np.newaxis], process.shape[1])
+        variance[..., SENSITIVITY] = (SENSITIVITY_SD**2 / expected)[:, None, None]
+        scale = np.tile(count * white[:, None], process.shape[1])
         start_s, zero = first.end_s - first.covered_s, np.zeros_like(variance)
-        covariance = variance[..., np.newaxis] * np.eye(STATES)
-        prior = process, zero, covariance, start_s, first.degc, np.stack([first.degc, first.degc_sd])
+        covariance = variance[..., None] * np.eye(STATES)
+        prior = process, zero, covariance, start_s, first.read[0], first.read
         return cls(*prior, log_prior, count, scale, b is not None).after(first, jumped=True)
 
     def fits(self, now: Measurement, sigmas: float) -> bool:
@@ -235,17 +228,17 @@ class Bank(States):
 
         With `jumped` the bias may be any, so the mean rate shows nothing of modes and σ², which stay.
         """
-        prior = self.at(now.end_s, now.degc, now.degc_sd)
+        prior = self.at(now.end_s, now.read)
         if jumped:
             prior = prior.wider(np.maximum(UNKNOWN * self.white, TURN_ON**2))
         h = measurement_row(now.force)
         cross = (prior.covariance.reshape(-1, STATES) @ h).reshape(prior.mean.shape)  # P Hᵀ
         spread = cross @ h + 1.0 / now.covered_s  # S
-        innovation = now.rate[:, np.newaxis] - prior.mean @ h
-        gain = cross / spread[..., np.newaxis]
-        mean = prior.mean + gain * innovation[..., np.newaxis]
-        covariance = prior.covariance - gain[..., np.newaxis] * cross[..., np.newaxis, :]
-        read = np.where(np.isfinite(now.degc), [now.degc, now.degc_sd], prior.read)
+        innovation = now.rate[:, None] - prior.mean @ h
+        gain = cross / spread[..., None]
+        mean = prior.mean + gain * innovation[..., None]
+        covariance = prior.covariance - gain[..., None] * cross[..., None, :]
+        read = np.where(np.isfinite(now.read[0]), now.read, prior.read)
         bank = replace(prior, mean=mean, covariance=covariance, read=read)
         if jumped:
             return bank
@@ -262,7 +255,7 @@ class Bank(States):
         bank = replace(self, log_weight=log_weight, shape=shape, scale=scale)
         if not self.declared:
             return bank
-        return replace(bank, process=self.process * (self.white / bank.white)[..., np.newaxis])
+        return replace(bank, process=self.process * (self.white / bank.white)[..., None])
 
     @property
     def white(self) -> FloatArray:
@@ -275,12 +268,12 @@ class Bank(States):
         w = np.exp(self.log_weight)
         w = w / w.sum(1, keepdims=True)
         white = w * self.white
-        mean = (w[:, np.newaxis] @ self.mean)[:, 0]
-        off = self.mean - mean[:, np.newaxis]
+        mean = (w[:, None] @ self.mean)[:, 0]
+        off = self.mean - mean[:, None]
         flat = self.covariance.reshape(*w.shape, -1)
-        within = (white[:, np.newaxis] @ flat).reshape(3, STATES, STATES)
-        covariance = within + (off * w[..., np.newaxis]).transpose(0, 2, 1) @ off
-        process = (white[:, np.newaxis] @ self.process)[:, 0]
+        within = (white[:, None] @ flat).reshape(3, STATES, STATES)
+        covariance = within + (off * w[..., None]).transpose(0, 2, 1) @ off
+        process = (white[:, None] @ self.process)[:, 0]
         # g1 at the end of a second is not its mean over it, by which it was updated: the difference, of
         # 1 + 0.736 - 2 x 0.632 of its variance, dies away with g1.
         covariance[:, FLICKER.start, FLICKER.start] += 0.47 * process[:, FLICKER.start]
@@ -295,12 +288,12 @@ class Bank(States):
     def with_noise_of(self, other: "Bank") -> "Bank":
         """Take σ² and the mode weights of another bank; the covariance of the states, P σ², stays."""
         ratio = self.white / other.white
-        bank = replace(self, covariance=self.covariance * ratio[..., np.newaxis, np.newaxis])
+        bank = replace(self, covariance=self.covariance * ratio[..., None, None])
         return bank._with_noise(other.log_weight, other.shape, other.scale)
 
     def with_white(self, white: FloatArray) -> "Bank":
         """Restart σ², the variance of the mean of a second, (rad/s)², (3,)."""
-        scale = np.zeros_like(self.scale) + PRIOR_COUNT * white[:, np.newaxis]
+        scale = np.zeros_like(self.scale) + PRIOR_COUNT * white[:, None]
         return self.with_noise_of(replace(self, shape=PRIOR_COUNT, scale=scale))
 
 
@@ -314,11 +307,11 @@ def _modes(
         k = np.tile([*0.0 * corners, math.sqrt(3.0) / WALK_CORNER_S], (3, 1))
         prior = np.array([*np.where(corners == 1.0, STRONG_FLICKER, 1.0), 1.0])
     else:
-        b, k = ((one / np.sqrt(white))[:, np.newaxis] for one in (b, k))
+        b, k = ((one / np.sqrt(white))[:, None] for one in (b, k))
         prior = np.ones(1)
     process = np.zeros((*b.shape, len(slopes), STATES))
-    process[..., WALK] = k[..., np.newaxis] ** 2
+    process[..., WALK] = k[..., None] ** 2
     flicker_variance = b**2 * math.log(TAUS_S[2] / TAUS_S[1]) / math.pi
-    process[..., FLICKER] = flicker_variance[..., np.newaxis, np.newaxis]
+    process[..., FLICKER] = flicker_variance[..., None, None]
     process[..., SLOPE] = np.square(slopes) / SLOPE_DEGC
     return process.reshape(3, -1, STATES), np.tile(np.log(np.repeat(prior, len(slopes))), (3, 1))

@@ -3,19 +3,11 @@
 The words are those of `imumon.estimation.rest`.
 """
 
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from functools import partial
 
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.estimation.gyro_bias.bank import LEAST_WHITE, SENSITIVITY_SD, Bank, LinearBias
-from imumon.estimation.gyro_bias.hypotheses import Hypotheses
-from imumon.estimation.gyro_bias.motion import Motion
-from imumon.estimation.gyro_bias.place import Attitude
-from imumon.estimation.gyro_bias.thermal import Thermal
 from imumon.estimation.rest import odds
 from imumon.estimation.rest.parameters import GyroBiasParameters, RestParameters
 from imumon.estimation.rest.quiet import QUIET_TOO_SHORT, SECOND_SLOTS, QuietDetector
@@ -23,35 +15,44 @@ from imumon.estimation.rest.slots import ACCEL, DEGC, GYRO, HEADING, MODELLED, P
 from imumon.filters.turns import STILL
 from imumon.geodesy import EARTH_RATE, STANDARD_GRAVITY
 
-SECOND_S = 1.0 - 1e-6
-"""Length of a measurement; slots of 0.25 s add up to it in spite of rounding."""
-UNDO_SLOTS = 2
-"""Motion that begins within so many slots after a measurement takes it back from the filters."""
+from .bank import LEAST_WHITE, SENSITIVITY_SD, Bank, LinearBias
+from .hypotheses import Hypotheses
+from .motion import Motion
+from .place import Attitude
+from .thermal import Thermal
+
+SECOND_S = 1.0 - 1e-6  # length of a measurement; slots of 0.25 s add up to it in spite of rounding
+UNDO_SLOTS = 2  # motion that begins within so many slots after a measurement takes it back from the filters
 
 
-@dataclass(slots=True, eq=False)
 class Estimator:
-    """All that is carried from slot to slot."""
+    """All that is carried from slot to slot.
 
-    parameters: GyroBiasParameters
-    slopes: tuple[float, ...]  # standard deviations of the slope over temperature, over σ, 1/°C
-    limits: RestParameters
-    thermal: Thermal
-    attitude: Attitude
-    quiet: QuietDetector = field(default_factory=QuietDetector)
-    jumps: int = 0  # how often the bias has jumped, other than by a restart
-    hypotheses: Hypotheses | None = None  # of the bias, from the first rest on
-    pending: list[Slot] = field(default_factory=list)  # quiet slots of a measurement that is not complete
-    degc: FloatArray = field(default_factory=partial(np.full, (2, 3), np.nan))
-    """The last temperatures that were known, and their standard deviations, °C, (2, 3)."""
-    motion: Motion = field(default_factory=Motion)  # estimates the bias before the first rest
+    `slopes` are standard deviations of the slope over temperature, over σ, 1/°C.
+    """
 
-    def restarted(self) -> "Estimator":
-        """Return what holds after a restart of the device: the noise is what it was, the bias is not."""
+    def __init__(
+        self,
+        parameters: GyroBiasParameters,
+        slopes: Sequence[float],
+        limits: RestParameters,
+        thermal: Thermal,
+        attitude: Attitude,
+    ) -> None:
+        self.parameters, self.slopes, self.limits = parameters, slopes, limits
+        self.thermal, self.attitude, self.quiet = thermal, attitude, QuietDetector()
+        self.jumps = 0  # how often the bias has jumped, other than by a restart
+        self.restart()
+
+    def restart(self) -> None:
+        """Begin after a restart of the device: the noise is what it was, the bias is not."""
         self.quiet.restart()
         self.thermal.restart()
-        given = self.parameters, self.slopes, self.limits, self.thermal
-        return Estimator(*given, self.attitude.anew(), self.quiet, self.jumps)
+        self.attitude = self.attitude.anew()
+        self.hypotheses: Hypotheses | None = None  # of the bias, from the first rest on
+        self.pending: list[Slot] = []  # quiet slots of a measurement that is not complete
+        self.read = np.full((2, 3), np.nan)  # the last temperatures that were known, and their sd, °C
+        self.motion = Motion()  # estimates the bias before the first rest
 
     @property
     def force(self) -> FloatArray:
@@ -72,12 +73,12 @@ class Estimator:
             return QUIET_TOO_SHORT
         return "a turn is more likely than a changed bias" if self.hypotheses.turning else ""
 
-    def step(self, slot: Slot) -> FloatArray:
-        """Take a slot; return normalised innovations, (3,): NaN unless it completes a measurement at rest."""
-        innovation = np.full(3, np.nan)
-        degc = slot.mean[DEGC].reshape(2, 3)
-        self.degc = np.where(np.isfinite(degc[0]), degc, self.degc)
-        self._widen(self.thermal.variance(degc[0], slot.mean[POWER_ON_SD], np.zeros(3)))
+    def step(self, slot: Slot) -> FloatArray | float:
+        """Take a slot; return normalised innovations, (3,), or NaN if it completes no measurement at rest."""
+        innovation: FloatArray | float = np.nan
+        read = slot.mean[DEGC].reshape(2, 3)
+        self.read = np.where(np.isfinite(read[0]), read, self.read)
+        self._widen(self.thermal.variance(read[0], slot.mean[POWER_ON_SD], np.zeros(3)))
         self.quiet.update(slot, np.repeat([self.limits.gyro_drift, self.limits.accel_drift], 3))
         if not self.quiet.present[GYRO].all():
             self.attitude.lost = True
@@ -96,7 +97,7 @@ class Estimator:
                 self.pending = []
             elif self.quiet.is_rest and sum(one.length_s for one in self.pending) >= SECOND_S:
                 innovation = self._decide(self.hypotheses)
-        return np.full(3, np.nan) if self.unrest else innovation
+        return np.nan if self.unrest else innovation
 
     def bridge_gap(self, degc: FloatArray, lag_degc: FloatArray, long: bool) -> None:
         """Widen the bias by a gap; a `long` one ends rest.
@@ -107,7 +108,7 @@ class Estimator:
         self.motion.interrupt(0.0)
         unseen = long and not self.parameters.assume_at_rest  # given rest does not turn
         self.attitude.lost |= unseen or self.quiet.quiet_slots == 0
-        self.degc[0] = np.where(np.isfinite(degc), degc, self.degc[0])
+        self.read[0] = np.where(np.isfinite(degc), degc, self.read[0])
         self._widen(self.thermal.variance(degc, np.full(3, np.nan), lag_degc))
         if self.hypotheses is not None:
             self._widen(self.hypotheses.shown.prediction.slope_square * lag_degc**2)
@@ -128,7 +129,7 @@ class Estimator:
     def _accel_noise(self) -> float:
         """Return the variance of the mean force of a second, (m/s²)²; ∞ if any of 16 slots lacks it."""
         known = np.isfinite([one.mean[ACCEL] for one in self.quiet.latest]).all()
-        return float(self._noise()[ACCEL].max()) if known else math.inf
+        return float(self._noise()[ACCEL].max()) if known else np.inf
 
     def _measurement(self, slots: Sequence[Slot]) -> Measurement:
         covered, last = np.array([one.covered_s for one in slots]), slots[-1]
@@ -136,12 +137,12 @@ class Estimator:
         mean = covered / total @ np.array([one.mean for one in slots])
         rate = mean[GYRO] - mean[MODELLED] - self.attitude.earth
         force = np.where(np.isfinite(mean[ACCEL]), mean[ACCEL], self.force)
-        degc = np.where(np.isfinite(mean[DEGC]), mean[DEGC], last.mean[DEGC])
+        read = np.where(np.isfinite(mean[DEGC]), mean[DEGC], last.mean[DEGC]).reshape(2, 3)
         headings = np.array([one.mean[HEADING] for one in slots if np.isfinite(one.mean[HEADING]).all()])
         heading = headings.mean(0) if len(headings) else mean[HEADING]  # it may be missing in some
         length_s = sum(one.length_s for one in slots)
         rounding = self.quiet.rounding_error[GYRO]
-        return Measurement(last.end_s, length_s, total, rate, force, degc[:3], degc[3:], heading, rounding)
+        return Measurement(last.end_s, length_s, total, rate, force, read, heading, rounding)
 
     def _interrupt(self) -> None:
         """End the rest: drop a measurement that is not complete."""
@@ -163,7 +164,7 @@ class Estimator:
 
     def _turn_attitude(self, slot: Slot, hypotheses: Hypotheses) -> None:
         """Add a slot to the turn since the attitude was taken."""
-        bias, _ = hypotheses.shown.prediction.at(slot.end_s, *self.degc).bias(self.force)
+        bias, _ = hypotheses.shown.prediction.at(slot.end_s, self.read).bias(self.force)
         self.attitude.turn = self.attitude.turn.then(slot.turn.less(bias + slot.mean[MODELLED]))
         unseen = slot.gap_s > 0.0 or not slot.mean[GYRO].all()  # what the unit lacks reads exactly zero
         self.attitude.lost |= unseen and not slot.rest_given
@@ -171,7 +172,7 @@ class Estimator:
     def _come_to_rest(self, slots: Sequence[Slot], hypotheses: Hypotheses) -> None:
         """Take the attitude of a rest by the first of these slots whose force is known."""
         force = next((one.mean[ACCEL] for one in slots if np.isfinite(one.mean[ACCEL]).all()), np.zeros(3))
-        prediction = hypotheses.shown.prediction.at(self.quiet.latest[-1].end_s, *self.degc)
+        prediction = hypotheses.shown.prediction.at(self.quiet.latest[-1].end_s, self.read)
         self._widen(self.attitude.come_to_rest(force, prediction))
 
     def _begin(self) -> None:
@@ -186,23 +187,24 @@ class Estimator:
         measurements = [self._measurement(slots[k : k + SECOND_SLOTS]) for k in seconds]
         if not np.isfinite([one.rate for one in measurements]).all():
             return
-        first, given = measurements[0], slots[-1].rest_given is not None
+        first, *others = measurements
         bank = Bank.begin(self.parameters.per_axis, self.slopes, self._noise()[GYRO], first)
-        for now in measurements[1:]:
+        for now in others:
             bank = bank.after(now)
-        self.hypotheses = Hypotheses(bank, bank, bank, measurements, first, self.limits, given)
+        given = self.parameters.assume_at_rest
+        self.hypotheses = Hypotheses(bank, measurements, self.limits, given)
         if not given:
             parts = [self._measurement([slot]) for slot in slots]
             self.hypotheses.hidden = odds.hidden_turn(parts, self._accel_noise() / parts[0].covered_s)
 
-    def _decide(self, hypotheses: Hypotheses) -> FloatArray:
-        """Decide on a complete measurement; return its normalised innovations, (3,), NaN without a rate."""
+    def _decide(self, hypotheses: Hypotheses) -> FloatArray | float:
+        """Decide on a complete measurement; return normalised innovations, (3,), or NaN without a rate."""
         slots, self.pending = self.pending, []
         if hypotheses.moved:
             self._come_to_rest(slots, hypotheses)
         now = self._measurement(slots)
         if not np.isfinite(now.rate).all():
-            return np.full(3, np.nan)
+            return np.nan
         innovation, variance = hypotheses.shown.prediction.innovation(now)
         parts = (self._measurement([slot]) for slot in slots)
         jumped = hypotheses.decide(now, parts, self._accel_noise())
@@ -214,7 +216,7 @@ class Estimator:
             self._interrupt()
         elif self.attitude.turn.seconds and not hypotheses.turning:
             self._come_to_rest(slots[::-1], hypotheses)
-        return np.asarray(innovation / np.sqrt(variance))
+        return innovation / np.sqrt(variance)
 
     def output(self, now_s: float) -> LinearBias:
         """Return the bias from a time on, its variance with the parts that `imumon.estimation.rest` lists."""
@@ -224,8 +226,9 @@ class Estimator:
             any_pose = EARTH_RATE**2 + (SENSITIVITY_SD * STANDARD_GRAVITY) ** 2
             covariance[:, 0, 0] = variance + any_pose
             return LinearBias(terms, covariance, np.zeros(3), np.zeros(3))
-        turn, rounding = self.hypotheses.ambiguity, self.quiet.rounding_error[GYRO]
-        prediction = self.hypotheses.shown.prediction.at(now_s, *self.degc)
-        turn = np.copysign(np.hypot(turn, rounding), turn)
+        prediction = self.hypotheses.shown.prediction.at(now_s, self.read)
+        before, latest = self.hypotheses.ambiguities  # a single measurement may fit by chance
+        turn = np.where(np.abs(before) > np.abs(latest), before, latest)
+        turn = np.copysign(np.hypot(turn, self.quiet.rounding_error[GYRO]), turn)
         added = self.attitude.uncertain_earth + self.hypotheses.hidden
         return prediction.output(added, self.force, turn)

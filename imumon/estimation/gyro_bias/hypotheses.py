@@ -26,16 +26,14 @@ else                                                                as of 16 to 
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
-from functools import partial
 
 import numpy as np
 
-from imumon.blocks import FloatArray
-from imumon.estimation.gyro_bias.bank import Bank
 from imumon.estimation.rest import odds
 from imumon.estimation.rest.parameters import RestParameters
 from imumon.estimation.rest.slots import Measurement
+
+from .bank import Bank
 
 FIT_SIGMAS = 4.5
 """Sigmas of an axis within which a mean fits; with 4, drifts of a warm-up contradicted the bias."""
@@ -43,42 +41,43 @@ DOUBT, DOUBT_OF_CHANGE, UNLIKELY_TURN = 0.25, 0.1, 0.05
 """P(turn) from which on the nominal bias stays, where the rate creeps (as the bias of a unit that warms up)
 and where it has changed, and up to which it then follows again; by the gyros alone a turn of 36 °/h, below
 which turns are rare, has P(turn) 0.14."""
-LAG_S = 16.0
-"""By so much at least, and twice as much at most, the nominal bias lags behind the present one."""
-ONSET_S = 4.0
-"""A change that motion follows sooner is undone; an older one may end a turn in the first rest."""
+LAG_S = 16.0  # by so much at least, and twice as much at most, the nominal bias lags behind the present one
+ONSET_S = 4.0  # a change that motion follows sooner is undone; an older one may end a turn in the first rest
 NEW_POSE = 0.3
 """m/s²: a specific force that differs by more from the first one is that of another pose.  Assumed."""
-BEGAN_LOG_RATIO = -8.0
-"""ln Λ by the heading up to which the recording began in a turn.  Assumed."""
+BEGAN_LOG_RATIO = -8.0  # ln Λ by the heading up to which the recording began in a turn.  Assumed.
 UNDECIDED_GIVEN_S = 60.0
 """Where rest is given, a new rate is the bias at once, and the difference is in sigma for so long."""
-RECENT = 16
-"""Measurements of a rate that are kept: those that gravity and heading are compared over."""
+RECENT = 16  # measurements of a rate that are kept: those that gravity and heading are compared over
 
 
-@dataclass(slots=True, eq=False)
 class Hypotheses:
-    """Both hypotheses, and the evidence between them; rates in rad/s."""
+    """Both hypotheses, and the evidence between them; rates in rad/s.
 
-    present: Bank
-    nominal: Bank
-    test_copy: Bank  # the present filters as they were up to `LAG_S` ago, and the next nominal ones
-    recent: list[Measurement]  # of this rest, `RECENT` at most; none in motion
-    first: Measurement | None  # of the first rest, while that may have been a turn: till another pose or bias
-    limits: RestParameters
-    rest_given: bool  # then a new rate is bias at once: see `UNDECIDED_GIVEN_S`
-    undo: Bank | None = None  # the present filters before the last second, for motion that follows at once
-    alike: int = 0  # how many of the recent measurements are of the present rate
-    changes: int = 0  # how often the rate has changed since it fitted the nominal bias
-    steady_s: float = 0.0  # how long the present rate has lasted; whole seconds are compared with `LAG_S`
-    p_turn: float = 0.0  # probability that the difference of both biases is a turn
-    ambiguities: FloatArray = field(default_factory=partial(np.zeros, (2, 3)))
-    """What the less likely hypothesis adds to sigma, rad/s, by the last two measurements, (2, 3)."""
-    doubted: bool = False  # whether the nominal bias stays, as the present rate may be a turn
-    began_turning: bool = False  # whether the recording did, by the heading
-    hidden: FloatArray = field(default_factory=partial(np.zeros, 3))
-    """Variance of a turn that may hide in the first rest, (rad/s)², (3,); in motion the filters have it."""
+    They begin with the filters after the `recent` measurements of the first rest.  Where `rest_given`, a new
+    rate is bias at once: see `UNDECIDED_GIVEN_S`.
+    """
+
+    def __init__(
+        self, bank: Bank, recent: list[Measurement], limits: RestParameters, rest_given: bool
+    ) -> None:
+        self.limits, self.rest_given = limits, rest_given
+        self.recent = recent  # measurements of this rest, `RECENT` at most; none in motion
+        # That of the first rest, while it may have been a turn: till another pose or bias.
+        self.first: Measurement | None = recent[0]
+        # The test copy is also the next nominal bias.
+        self.present = self.nominal = self.test_copy = bank
+        self.undo: Bank | None = None  # the present filters before the last second, for motion that follows
+        self.alike = 0  # how many of the recent measurements are of the present rate
+        self.changes = 0  # how often the rate has changed since it fitted the nominal bias
+        self.steady_s = 0.0  # how long the present rate has lasted; whole seconds are compared with `LAG_S`
+        self.p_turn = 0.0  # probability that the difference of both biases is a turn
+        # What the less likely hypothesis adds to sigma, rad/s, by the last two measurements.
+        self.ambiguities = np.zeros((2, 3))
+        self.doubted = False  # whether the nominal bias stays, as the present rate may be a turn
+        self.began_turning = False  # whether the recording did, by the heading
+        # Variance of a turn that may hide in the first rest, (rad/s)²; in motion the filters have it.
+        self.hidden = np.zeros(3)
 
     @property
     def moved(self) -> bool:
@@ -89,12 +88,6 @@ class Hypotheses:
     def turning(self) -> bool:
         """Whether a turn is more likely than a changed bias."""
         return self.p_turn > 0.5 or self.began_turning
-
-    @property
-    def ambiguity(self) -> FloatArray:
-        """What the less likely hypothesis adds to sigma, (3,): a single measurement may fit by chance."""
-        before, latest = self.ambiguities
-        return np.asarray(np.where(np.abs(before) > np.abs(latest), before, latest))
 
     @property
     def shown(self) -> Bank:
@@ -138,7 +131,7 @@ class Hypotheses:
 
     def _weigh(self, now: Measurement, evidence: Sequence[Measurement], accel_noise: float) -> None:
         # A rate that lasts is no flicker of a second, so that is not in the variance.
-        nominal = self.nominal.prediction.at(now.end_s, now.degc, now.degc_sd)
+        nominal = self.nominal.prediction.at(now.end_s, now.read)
         bias, variance = nominal.bias(now.force, of_mean=True)
         present, own = self.present.prediction.bias(now.force, of_mean=True)
         change, limits = present - bias, self.limits

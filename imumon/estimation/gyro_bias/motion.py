@@ -10,36 +10,31 @@ the accelerometers, are smaller.  The rate about the vertical is not estimated: 
 observable.  So an upright axis is unknown, even if it was known while level.
 """
 
-import math
-from dataclasses import dataclass, field
-
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.estimation.gyro_bias.bank import TURN_ON
 from imumon.estimation.rest.slots import SLOT_S
 from imumon.filters.turns import STILL, Turn, rotation_by
 from imumon.geodesy import DEG_PER_H
 
-PART_S, PARTS = 5.0, 12
-"""A window is a minute: a bias of a degree per second turns it by a radian."""
+from .bank import TURN_ON
+
+PART_S, PARTS = 5.0, 12  # a window is a minute: a bias of a degree per second turns it by a radian
 WINDOW_S = PARTS * PART_S
 ALIKE = 6.0
 """Factor of the variance: accelerations of successive parts are alike, where the speed changes slowly."""
-LEAST_VARIANCE = 1e-4
-"""Of the change of speed in a part, (m/s)²: 0.2 mg in 5 s.  Assumed."""
+LEAST_VARIANCE = 1e-4  # of the change of speed in a part, (m/s)²: 0.2 mg in 5 s.  Assumed.
 BIAS_WALK = 30.0 * DEG_PER_H
 """Random walk of the bias, rad/s/sqrt(s): 230 °/h a minute, as 100 °/h/°C at 2 °C/min makes it."""
 
 
-@dataclass(slots=True, eq=False)
 class Motion:
     """Bias by motion, rad/s, and its covariance, window by window."""
 
-    mean: FloatArray = field(default_factory=lambda: np.zeros(3))
-    covariance: FloatArray = field(default_factory=lambda: TURN_ON**2 * np.eye(3))
-    parts: list[tuple[Turn, FloatArray]] = field(default_factory=list)
-    """Of the present window, the last one growing: turn, and ∫ C f dt in the axes of its beginning, m/s."""
+    def __init__(self) -> None:
+        self.mean, self.covariance = np.zeros(3), TURN_ON**2 * np.eye(3)
+        # Of the present window, the last one growing: turn, and ∫ C f dt in the axes of its beginning, m/s.
+        self.parts: list[tuple[Turn, FloatArray]] = []
 
     def interrupt(self, seconds: float) -> None:
         """Begin the window anew: it rested, or readings are missing.  The bias has walked meanwhile."""
@@ -71,11 +66,11 @@ class Motion:
             covariance = np.asarray(np.linalg.inv(normal + prior))
             found = covariance @ right
             left = measured - design @ found
-            free = len(left) - float(np.trace(covariance @ normal))
+            free = len(left) - np.trace(covariance @ normal)
             variance, mean = ALIKE * max(float(left @ left) / free, LEAST_VARIANCE), found[3:]
         self.mean, self.covariance = mean - (vertical @ mean) * vertical, covariance[3:, 3:]
         # About the vertical nothing is learned: the variance stays that of a turn-on bias.
-        lacking = TURN_ON**2 - float(vertical @ self.covariance @ vertical)
+        lacking = TURN_ON**2 - vertical @ self.covariance @ vertical
         self.covariance = self.covariance + max(lacking, 0.0) * np.outer(vertical, vertical)
 
     def _linear(self, at: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -86,7 +81,7 @@ class Motion:
             excess, turned = turn.by_bias @ at, axes @ turn.by_bias
             added = axes @ rotation_by(-0.5 * excess) @ velocity
             # The angle by a bias up to the part, and half of that within it, turns the force.
-            by_bias = np.cross(angle + 0.5 * turned, added[:, np.newaxis], axis=0)
+            by_bias = np.cross(angle + 0.5 * turned, added[:, None], axis=0)
             measured.append(added + by_bias @ at)
             design.append(np.hstack([turn.seconds * np.eye(3), by_bias]))
             angle = angle + turned
@@ -99,5 +94,5 @@ class Motion:
         variance = np.diag(self.covariance) + BIAS_WALK**2 * WINDOW_S
         # A bias that turns a window by half a turn may be a wrong minimum of the fit.
         known = variance < (0.5 * TURN_ON) ** 2
-        known &= float(np.linalg.norm(self.mean)) * WINDOW_S < math.pi
+        known &= float(np.linalg.norm(self.mean)) * WINDOW_S < np.pi
         return np.where(known, self.mean, np.nan), np.where(known, variance, np.nan)

@@ -5,38 +5,34 @@ sample (`imumon.filters.turns`): that keeps north, or bounds how the earth rate 
 """
 
 import math
-from dataclasses import dataclass, field
-from functools import partial
 
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.estimation.gyro_bias.bank import SENSITIVITY, Prediction
-from imumon.filters.turns import STILL, Turn
+from imumon.filters.turns import STILL
 from imumon.geodesy import EARTH_RATE, LEAST_HORIZONTAL, STANDARD_GRAVITY, earth_rate_along, north_in_body
 
-SCALE_SD = 0.01
-"""Error of an element of the matrix of scale and misalignment: consumer data sheets."""
+from .bank import SENSITIVITY, Prediction
+
+SCALE_SD = 0.01  # error of an element of the matrix of scale and misalignment: consumer data sheets
 LOST_SD = 1.0
 """Error of a heading that is not known, rad: by it the level earth rate is wrong by about itself."""
 
 
-@dataclass(slots=True, eq=False)
 class Attitude:
-    """Up, north and earth rate at the last rest, body axes, and the turn since then."""
+    """Up, north and earth rate at the last rest, body axes, and the turn since then.
 
-    latitude: float | None
-    heading: float | None
-    """Latitude, and heading of the first rest after each start, rad; None where not known."""
-    up: FloatArray = field(default_factory=partial(np.zeros, 3))
-    north: FloatArray = field(default_factory=partial(np.zeros, 3))
-    """Unit vectors, (3,); zero where not known."""
-    earth: FloatArray = field(default_factory=partial(np.zeros, 3))
-    """What is known of the earth rate, rad/s, (3,)."""
-    heading_variance: float = 0.0  # with latitude and heading, rad²
-    turn: Turn = STILL  # since the last rest, less the bias
-    lost: bool = False  # whether readings were missing since the last rest
-    unposed: bool = False  # whether the pose of this rest is not known, so that all earth rate is bias
+    `latitude`, and `heading` of the first rest after each start, are in rad; None where not known.
+    """
+
+    def __init__(self, latitude: float | None, heading: float | None) -> None:
+        self.latitude, self.heading = latitude, heading
+        self.up = self.north = np.zeros(3)  # unit vectors; zero where not known
+        self.earth = np.zeros(3)  # what is known of the earth rate, rad/s
+        self.heading_variance = 0.0  # with latitude and heading, rad²
+        self.turn = STILL  # since the last rest, less the bias
+        self.lost = False  # whether readings were missing since the last rest
+        self.unposed = False  # whether the pose of this rest is not known, so that all earth rate is bias
 
     def anew(self) -> "Attitude":
         """Return the attitude before the first rest."""
@@ -52,7 +48,7 @@ class Attitude:
     def _level_variance(self, heading_variance: float) -> FloatArray:
         """Return the variance of the horizontal earth rate by that of the heading, rad², (3,)."""
         level = EARTH_RATE * (1.0 if self.latitude is None else math.cos(self.latitude))
-        return np.asarray(level**2 * heading_variance * (1.0 - self.up**2))
+        return level**2 * heading_variance * (1.0 - self.up**2)
 
     def _turned_earth(self) -> FloatArray:
         """Return the variance of what the turn does to the earth rate that is taken for bias, (rad/s)², (3,).
@@ -100,23 +96,18 @@ class Attitude:
         length, variance = float(np.linalg.norm(northward)), LOST_SD**2
         if prediction is not None and length > LEAST_HORIZONTAL:
             self.north = northward / length
-            variance = min(variance, self._heading_variance(before, prediction))
+            # By the bias, whose sensitivity meets a gravity that turns in body axes, by scale and
+            # misalignment, by missing samples, and by the earth's turn meanwhile.
+            _, bias_variance = prediction.bias(STANDARD_GRAVITY * before)
+            sensitivity = np.einsum("aii->a", prediction.covariance[:, SENSITIVITY, SENSITIVITY]) / 3.0
+            bias_variance = bias_variance + STANDARD_GRAVITY**2 * sensitivity
+            by_bias = float((before @ self.turn.by_bias) ** 2 @ bias_variance)
+            by_scale = SCALE_SD**2 * float(np.sum(self.turn.scale_about(before) ** 2))
+            by_earth = (EARTH_RATE * self.turn.seconds) ** 2
+            variance = min(variance, by_bias + by_scale + by_earth + self.turn.sampling_variance(before))
         else:
             self.north = north_in_body(self.up, heading)
         if not before.any():
             return np.zeros(3)
         self.heading_variance = min(LOST_SD**2, self.heading_variance + variance)
         return self._level_variance(variance)
-
-    def _heading_variance(self, up: FloatArray, prediction: Prediction) -> float:
-        """Return the variance of the angle by which the gyros seem to have turned about the vertical, rad².
-
-        By the bias, whose sensitivity meets a gravity that turns in body axes, by scale and misalignment, by
-        missing samples, and by the earth's turn meanwhile; `up` (3,) is that before the turn.
-        """
-        _, variance = prediction.bias(STANDARD_GRAVITY * up)
-        sensitivity = np.einsum("aii->a", prediction.covariance[:, SENSITIVITY, SENSITIVITY]) / 3.0
-        by_bias = float((up @ self.turn.by_bias) ** 2 @ (variance + STANDARD_GRAVITY**2 * sensitivity))
-        by_scale = SCALE_SD**2 * float(np.sum(self.turn.scale_about(up) ** 2))
-        by_earth = (EARTH_RATE * self.turn.seconds) ** 2
-        return by_bias + by_scale + by_earth + self.turn.sampling_variance(up)

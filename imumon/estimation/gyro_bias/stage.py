@@ -9,15 +9,16 @@ import numpy as np
 from imumon.blocks import NO_INT, BoolArray, ColumnArray, FloatArray, IntArray, SampleBlock
 from imumon.charts import Chart
 from imumon.columns import Column, vector_columns
-from imumon.estimation.gyro_bias.bank import SLOPE_LEFT_PER_SIGMA, SLOPE_PER_SIGMA, LinearBias, at_samples
-from imumon.estimation.gyro_bias.estimator import Estimator
-from imumon.estimation.gyro_bias.place import Attitude
-from imumon.estimation.gyro_bias.thermal import BiasTrail, Thermal
 from imumon.estimation.rest.parameters import GyroBiasParameters, RestParameters
 from imumon.estimation.rest.slots import ACCEL, GATHERED, GYRO, SENSORS, SLOT_S, Timing, heading_of
 from imumon.filters.slots import SlotGatherer, Slots
 from imumon.geodesy import DEG_PER_H, EARTH_RATE
 from imumon.models.model import BiasModel
+
+from .bank import SLOPE_LEFT_PER_SIGMA, SLOPE_PER_SIGMA, LinearBias, at_samples
+from .estimator import Estimator
+from .place import Attitude
+from .thermal import BiasTrail, Thermal
 
 Mode = Literal["standard", "thermal", "learned"]
 LONGEST_PAUSE_S = 2.5
@@ -104,28 +105,32 @@ class RestAndBias:
         n, time_ns = len(block), block["device_time_ns"]
         readings = block.stacked(SENSORS)
         readings[time_ns == NO_INT] = np.nan
-        usable = np.asarray(np.isfinite(readings).any(1))
+        usable = np.isfinite(readings).any(1)
         (temperature, sd), (total, curve, power_on_sd) = self._thermal.process(block)
         absent = self._fill_absent(readings[:, GYRO])
         segment = 4 * block["segment"] + absent.sum(1)  # one that comes late begins another
         block = block.with_columns({"segment": segment})
         given = np.full(n, np.nan)  # is to be detected
         if self._parameters.assume_at_rest:
-            given = np.asarray(block.columns.get("at_rest", np.ones(n)) == 1, np.float64)
+            given[:] = block.columns.get("at_rest", np.ones(n)) == 1
         values = np.column_stack([readings, total, power_on_sd, heading_of(block), temperature, sd, given])
         slots = self._slots.process(np.where(usable, time_ns, NO_INT), segment, values)
         rest, innovation, every = self._estimate(block, slots, readings, temperature)
-        self._expire(rest, time_ns, usable)
+        # Rest ends where readings are missing for long, and at unknown times.
+        latest = np.maximum.accumulate(np.where(usable, np.arange(n), -1))
+        latest_ns = np.where(latest < 0, self._last_ns, time_ns[latest])
+        rest[(time_ns == NO_INT) | (time_ns - latest_ns > int(LONGEST_PAUSE_S * 1e9))] = 0
+        self._last_ns = int(latest_ns[-1]) if n else self._last_ns
         if self._parameters.assume_at_rest:
             rest[:] = given
         bias, variance, turn = at_samples(slots.row, every, readings[:, ACCEL], rest == 0)
         bias, sd = bias + total, np.sqrt(variance + turn**2)
         bias[absent] = sd[absent] = innovation[absent] = turn[absent] = np.nan
         self._trail.add(temperature[slots.row], bias[slots.row])
-        vectors = bias, sd, readings[:, GYRO] - bias, innovation, bias - curve, sd
-        columns = [rest, *turn.T, *(axis for vector in vectors for axis in vector.T)]
+        vectors = turn, bias, sd, readings[:, GYRO] - bias, innovation, bias - curve, sd
         # A detector of rest alone has the first of them.
-        return dict(zip((column.name for column in self.columns), columns, strict=False))
+        names = (column.name for column in self.columns)
+        return dict(zip(names, [rest, *np.hstack(vectors).T], strict=False))
 
     def _fill_absent(self, gyro: FloatArray) -> BoolArray:
         """Let gyros of less than 16 readings so far, beside one of more, read zero; return which, (n, 3)."""
@@ -157,7 +162,7 @@ class RestAndBias:
         row = int(slots.row[k])
         time_ns, segment = int(block["device_time_ns"][row]), block["segment"][row]
         if segment != slots.segment[k] or time_ns < slots.end_ns[k]:
-            self._estimator = self._estimator.restarted()
+            self._estimator.restart()
             return self._timing.end_s
         behind_s = self._timing.since_origin_s(time_ns)
         gap_s = self._timing.gap_s(behind_s)
@@ -175,13 +180,6 @@ class RestAndBias:
             outside = ((readings[start:stop] < low) | (readings[start:stop] > high)).any(1)
             rest[start:stop] = ~np.maximum.accumulate(outside)
             self._estimator.quiet.disturbed = bool(outside.any())
-
-    def _expire(self, rest: IntArray, time_ns: IntArray, usable: BoolArray) -> None:
-        """End rest where readings are missing for long, and at unknown times."""
-        latest = np.maximum.accumulate(np.where(usable, np.arange(len(usable)), -1))
-        latest_ns = np.where(latest < 0, self._last_ns, time_ns[latest])
-        rest[(time_ns == NO_INT) | (time_ns - latest_ns > int(LONGEST_PAUSE_S * 1e9))] = 0
-        self._last_ns = int(latest_ns[-1]) if len(latest_ns) else self._last_ns
 
     @property
     def unrest(self) -> str:

@@ -17,8 +17,7 @@ MOVED_DEGC = 0.5
 """The temperature has moved when it is this far from where it was last noted: noise does not count."""
 CORRELATION_DEGC = 5.0
 """Errors of a curve at temperatures farther apart than about this have little to do with each other."""
-MOST_POINTS = 250
-"""When more are kept, every second one is dropped, and from then on half as many are taken."""
+MOST_POINTS = 250  # when more are kept, every second one is dropped, and from then on half as many are taken
 
 
 class Thermal:
@@ -34,7 +33,9 @@ class Thermal:
     def __init__(self, model: BiasModel | None) -> None:
         self._predictor = None if model is None else BiasPredictor(model, GYROS)
         columns = ["temperature"] * 3 if self._predictor is None else self._predictor.temperature_columns
-        self._ends = [_ends(name, axis) for name, axis in zip(columns, "xyz", strict=True)]
+        ends = [name.removeprefix("temperature").removeprefix("_estimate") for name in columns]
+        self._ends = [[end] if end else ["", f"_{axis}"] for end, axis in zip(ends, "xyz", strict=True)]
+        """Endings of the columns that belong to each gyro, the likeliest first."""
         self._reference = np.full(3, np.nan)
         channels = [] if model is None else [model.channels[name] for name in GYROS]
         self._low, self._high = np.reshape([one.temperature_range_degc for one in channels], (-1, 2)).T
@@ -44,8 +45,7 @@ class Thermal:
         slopes = [one.slope(np.linspace(low, high, 101)) for one, low, high in ranges]
         self._steepness = np.array([np.sqrt(np.mean(slope**2)) for slope in slopes])
         """Standard deviation of a curve's residual, rad/s, and its rms slope, rad/s/°C."""
-        self.notices: dict[str, None] = {}
-        """What was missing, or out of range, so far, in order."""
+        self.notices: dict[str, None] = {}  # what was missing, or out of range, so far, in order
         self.restart()
 
     def restart(self) -> None:
@@ -74,7 +74,7 @@ class Thermal:
         self._power_on_sd = np.where(np.isfinite(self._power_on_sd), self._power_on_sd, sd)
         self._faded = np.fmax(self._faded, (sd - self._power_on_sd) ** 2)
         degc2 = np.abs(self._beyond_degc**2 - before2) + lag_degc**2
-        return np.asarray(walk + self._steepness**2 * degc2 + self._faded - faded)
+        return walk + self._steepness**2 * degc2 + self._faded - faded
 
     def unseen_lag(self, gap_s: float, behind: SampleBlock) -> FloatArray:
         """Return by how much the lag of each gyro's temperature may have changed in a gap (sd), °C, (3,).
@@ -83,7 +83,7 @@ class Thermal:
         """
         rate_sd = _first_of(behind, self._ends, "_rate_sd")[0]
         unseen = np.where(np.isfinite(rate_sd), rate_sd, UNSEEN_RATE)
-        return np.asarray(-OWN_LAG_S * math.expm1(-gap_s / OWN_LAG_S) * unseen)
+        return -OWN_LAG_S * math.expm1(-gap_s / OWN_LAG_S) * unseen
 
     def process(self, block: SampleBlock) -> tuple[FloatArray, FloatArray]:
         """Return the temperature of each gyro and its sd, °C, (2, n, 3), estimated where possible, and three
@@ -97,9 +97,7 @@ class Thermal:
         temperatures = np.stack([temperature, np.nan_to_num(_first_of(block, self._ends, "_estimate_sd"))])
         if self._predictor is None:
             return temperatures, np.zeros((3, len(block), 3))
-        others = {name: block[name] for name in self._predictor.drivers if name in block}
-        times, segment = block["device_time_ns"], block["segment"]
-        predicted = self._predictor.process(times, segment, temperature, block.accel, others)
+        predicted = self._predictor.of_block(block, temperature)
         curve, known = predicted.bias, np.isfinite(predicted.bias)
         for j in np.flatnonzero(np.isnan(self._reference) & known.any(0)):
             self._reference[j] = curve[np.argmax(known[:, j]), j]
@@ -119,12 +117,6 @@ def _first_of(block: SampleBlock, ends: list[list[str]], *kinds: str) -> FloatAr
     return block.stacked([next((name for name in one if name in block), "") for one in names])
 
 
-def _ends(column: str, axis: str) -> list[str]:
-    """Return the endings of columns that belong to an axis, the likeliest first."""
-    end = column.removeprefix("temperature").removeprefix("_estimate")
-    return [end] if end else ["", f"_{axis}"]
-
-
 class BiasTrail:
     """Bias over temperature since the start, thinned to constant memory, beside the curves of a model."""
 
@@ -139,7 +131,7 @@ class BiasTrail:
         for point in points[np.isfinite(points).all(1)]:
             if self._count % self._every == 0:
                 self._points.append(point)
-            self._count, self._latest = self._count + 1, point[np.newaxis]
+            self._count, self._latest = self._count + 1, point[None]
             if len(self._points) > MOST_POINTS:
                 self._points, self._every = self._points[::2], 2 * self._every
 

@@ -31,15 +31,15 @@ from collections.abc import Sequence
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.estimation.rest.slots import Measurement
 from imumon.geodesy import DEG_PER_H, EARTH_RATE, STANDARD_GRAVITY
+
+from .slots import Measurement
 
 USUAL_CHANGE = 50.0 * DEG_PER_H
 """Scale of the half-Cauchy density of changes of a bias, rad/s: of MEMS gyros.  Assumed."""
 SLOWEST_TURN, FASTEST_TURN = math.radians(0.01), math.radians(300.0)
 """rad/s, between which turns are log-uniform.  Assumed."""
-LOG_RANGE = math.log(FASTEST_TURN / SLOWEST_TURN)
-"""D of the odds table, a natural logarithm."""
+LOG_RANGE = math.log(FASTEST_TURN / SLOWEST_TURN)  # D of the odds table, a natural logarithm
 OBLIQUE = 0.3
 """Share of a rate across the vertical from which on gravity is compared: no turntable leans so much (17°)."""
 EXCLUDED_SIGMAS = 4.0
@@ -48,15 +48,13 @@ half as many, and the change is mostly about level axes."""
 MOSTLY_LEVEL = 0.6
 """Share of the square of such a change that is about level axes: 2/3 if all axes change alike, below this of
 a turn about an axis that leans from the vertical by less than 50°.  Assumed."""
-HEADING_ERROR = 0.15
-"""Error of a change of heading over that change: hard and soft iron.  Assumed."""
+HEADING_ERROR = 0.15  # error of a change of heading over that change: hard and soft iron.  Assumed.
 HEADING_NOISE = 0.01
 """rad, least standard deviation of a heading: a device gives its yaw in steps, and filters it."""
 STUCK_HEADING = 0.05
 """Prior probability that a magnetometer or a yaw does not turn with the unit: stuck, or iron turns along."""
 MOST_LOG_RATIO = 50.0  # ln Λ of an excluded turn; `hypotheses` clips ln(Λ_gravity Λ_heading) to ± this
-LEAST_LOG_RATIO = -2.0
-"""ln Λ from which on a rate that lasts for `undecided_s` is no turn.  Assumed."""
+LEAST_LOG_RATIO = -2.0  # ln Λ from which on a rate that lasts for `undecided_s` is no turn.  Assumed.
 LEAST_MEASUREMENTS = 3
 """Least number of measurements by which gravity is compared; the noise of the heading needs one more."""
 BEGAN_TURNING = 0.05
@@ -113,7 +111,7 @@ def hidden_turn(measurements: Sequence[Measurement], force_variance: float) -> F
         return np.full(3, unseen)
     shown = min(unseen, 2.0 * force_variance / (g * seconds) ** 2)
     tilt = np.cross(last.force, first.force) / g**2
-    return np.asarray(shown + (unseen - shown) * (last.force / g) ** 2 + (tilt / seconds) ** 2)
+    return shown + (unseen - shown) * (last.force / g) ** 2 + (tilt / seconds) ** 2
 
 
 def gravity(
@@ -149,11 +147,11 @@ def gravity(
     phi = across @ _turned(measurements, bias)
     tilt = np.cross(last, first) / g**2
     still_variance = ((math.sqrt(2.0 * force_variance) + drift * seconds) / g) ** 2
-    turn_variance = still_variance + float(variance.max()) * seconds**2
+    turn_variance = still_variance + variance.max() * seconds**2
     expected, tilted = (math.hypot(*angle) / math.sqrt(still_variance) for angle in (phi, tilt))
     if expected > EXCLUDED_SIGMAS > 2.0 * tilted and level**2 > MOSTLY_LEVEL * size**2:
         return MOST_LOG_RATIO
-    log_oblique = -0.5 * float((tilt - phi) @ (tilt - phi)) / turn_variance
+    log_oblique = -0.5 * ((tilt - phi) @ (tilt - phi)) / turn_variance
     return math.log(2.0) - float(np.logaddexp(log_oblique + 0.5 * tilted**2, 0.0))
 
 
@@ -184,4 +182,4 @@ def heading(measurements: Sequence[Measurement], biases: FloatArray) -> FloatArr
 def _turned(measurements: Sequence[Measurement], bias: FloatArray) -> FloatArray:
     """Return the angle turned since the first measurement, rad, (3,), for a bias, rad/s, (3,)."""
     seconds = np.diff([one.end_s for one in measurements])
-    return np.asarray(seconds @ (np.array([one.rate for one in measurements[1:]]) - bias))
+    return seconds @ (np.array([one.rate for one in measurements[1:]]) - bias)

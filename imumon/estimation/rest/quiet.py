@@ -10,26 +10,21 @@ A change by q, of variance `QUIET_VARIANCE` plus that of rounding, is always qui
 when 4 slots in all were unquiet since the last rest of 16 slots, a *trial* of the last 16 finds it.
 """
 
-from dataclasses import dataclass, field
-from functools import partial
-
 import numpy as np
 
-from imumon.blocks import BoolArray, FloatArray, IntArray
-from imumon.estimation.rest.slots import ACCEL, AXES, Slot
+from imumon.blocks import BoolArray, FloatArray
 
-TRIAL = 16
-"""Slots of a trial."""
+from .slots import ACCEL, AXES, Slot
+
+TRIAL = 16  # slots of a trial
 SECOND_SLOTS = 4
 """Slots of a second: so many are quiet before rest is detected, if the noise is known; else `TRIAL`."""
 SHORT_RESTS = 2
 """Short rests after which rest takes a trial's length: a slow tilt is quiet for single seconds.  Ablation."""
 QUIET_TOO_SHORT, FAR_SAMPLE = "quiet for too short a time", "a single sample is far from the mean"
-LENGTHS = 2 ** np.arange(7)
-"""Slots of the windows that are compared."""
-WIDTH = LENGTHS[:, np.newaxis]
-CHI_SQUARE = 42.0
-"""Three axes together: once in 2e8 for Gaussian noise of known variance."""
+LENGTHS = 2 ** np.arange(7)  # slots of the windows that are compared
+WIDTH = LENGTHS[:, None]
+CHI_SQUARE = 42.0  # three axes together: once in 2e8 for Gaussian noise of known variance
 QUIET_SD = np.repeat([3.5e-4, 5e-3], 3)
 """Standard deviation q of a mean of a second that is always quiet, (6,), rad/s (72 °/h) and m/s² (0.03°): a
 step of one axis is, by √84 q/2 or 0.09 °/s at once, 0.18 °/s within a second, as of MEMS biases.  Assumed."""
@@ -41,10 +36,8 @@ NO_NOISE = 1e-20
 """Variance of the samples, (rad/s)² and (m/s²)², below which they do not change: rounding in a mean."""
 VARIANCE_SIGMAS, VARIANCE_FACTOR = 6.0, 2.0
 """Motion: a variance of a slot's samples above so many chi-square sigmas, times a factor.  Assumed."""
-SPIKE_SIGMAS = 8.0
-"""A single sample so far from the mean at rest ends the rest.  Assumed."""
-MEMORY_SLOTS = 1200.0
-"""Slots over which the noise is averaged at rest: five minutes."""
+SPIKE_SIGMAS = 8.0  # a single sample so far from the mean at rest ends the rest.  Assumed.
+MEMORY_SLOTS = 1200.0  # slots over which the noise is averaged at rest: five minutes
 LARGEST_COLOUR = 5.0
 """In a trial (coloured): largest variance of means of 4 and 8 slots over that of white noise.  Assumed."""
 HALVES, HALVES_OFFSET = 5.0, 20.0
@@ -54,38 +47,39 @@ SLOWER = 16.0
 """In a trial (slow): largest variance of slot means over what the samples in a slot explain.  Assumed."""
 ROAD = np.array([2.5e-3, 0.021])
 """In a trial (road): largest rms of slot means, rad/s, m/s²: of sensors (0.1 °/s/√Hz, 1.5 mg/√Hz)."""
-NOISE_CHANGE = 2.5
-"""Factor of the variance from which on a trial has found a larger noise.  Assumed."""
+NOISE_CHANGE = 2.5  # factor of the variance from which on a trial has found a larger noise.  Assumed.
 
 
-@dataclass(slots=True, eq=False)
 class QuietDetector:
     """The last slots, the latest one last, and the noise at rest; rad/s and m/s², arrays (..., 6)."""
 
-    mean: FloatArray = field(default_factory=partial(np.zeros, (2 * LENGTHS[-1], AXES)))
-    """Of 128 slots; an axis without reading keeps its last mean, 0 before the first."""
-    latest: list[Slot] = field(default_factory=list)  # 16 slots
-    unread: IntArray = field(default_factory=partial(np.full, AXES, TRIAL))
-    """Slots since the last reading of each axis, (6,); 16 before the first."""
-    slots: int = 0  # since the beginning or the last restart
-    quiet_slots: int = 0  # in a row; 0 in motion, and while the noise is not known unless rest is given
-    unquiet: int = 0  # slots since the last rest of a trial's length that were not quiet
-    pause: int = 0  # the same since the last quiet slot
-    short_rests: int = 0  # rests in a row that were shorter than a trial, with pauses of a second at most
-    noise: FloatArray = field(default_factory=partial(np.zeros, AXES))
-    sample_noise: FloatArray = field(default_factory=partial(np.zeros, AXES))
-    """Variance at rest of the mean of a slot, and of its samples, (rad/s)² and (m/s²)²."""
-    noise_slots: float = 0.0  # slots that the noise is averaged over; 0 while it is not known
-    noise_changed: bool = False  # whether another noise has been found with this slot
-    moving: str = ""  # what is not quiet in the latest slot; empty if all is
-    disturbed: bool = False  # whether a single sample of the present slot was outside `band`
-    step: FloatArray = field(default_factory=partial(np.zeros, AXES))
-    """Step of the sensor, the least of all slots; 0 while it is not known, where `Slot.step` is ∞."""
+    def __init__(self) -> None:
+        # Means of 128 slots; an axis without reading keeps its last mean, 0 before the first.
+        self.mean = np.zeros((2 * LENGTHS[-1], AXES))
+        self.latest: list[Slot] = []  # 16 slots
+        self.unread = np.full(AXES, TRIAL)  # slots since the last reading of each axis; 16 before the first
+        # Variance at rest of the mean of a slot, and of its samples, (rad/s)² and (m/s²)².
+        self.noise = self.sample_noise = np.zeros(AXES)
+        self.noise_slots = 0.0  # slots that the noise is averaged over; 0 while it is not known
+        self.noise_changed = False  # whether another noise has been found with this slot
+        self.moving = ""  # what is not quiet in the latest slot; empty if all is
+        self.disturbed = False  # whether a single sample of the present slot was outside `band`
+        # Step of the sensor, the least of all slots; 0 while it is not known, where `Slot.step` is ∞.
+        self.step = np.zeros(AXES)
+        self.pause = 0  # slots since the last quiet one
+        self.restart()
+
+    def restart(self) -> None:
+        """Count anew after a gap or a restart of the device; the noise stays."""
+        self.slots = 0  # since now
+        self.quiet_slots = 0  # in a row; 0 in motion, and while the noise is not known unless rest is given
+        self.unquiet = 0  # slots since the last rest of a trial's length that were not quiet
+        self.short_rests = 0  # rests in a row, shorter than a trial, with pauses of a second at most
 
     @property
     def present(self) -> BoolArray:
         """Axes that have readings in the latest slots, (6,)."""
-        return np.asarray(self.unread < TRIAL)
+        return self.unread < TRIAL
 
     @property
     def is_rest(self) -> bool:
@@ -102,7 +96,7 @@ class QuietDetector:
     @property
     def floor(self) -> FloatArray:
         """Variance of a mean that rounding makes where the noise does not reach a step, (6,)."""
-        return np.asarray(self.step**2 / 12.0)
+        return self.step**2 / 12.0
 
     @property
     def rounding_error(self) -> FloatArray:
@@ -117,7 +111,7 @@ class QuietDetector:
         step = np.where(unseen, UNSEEN_STEP, self.step)
         variance = self.sample_noise / (step**2 + 1e-24)
         by_noise = 0.5 * np.exp(-2.0 * np.pi**2 * np.maximum(variance - 1.0 / 12.0, 0.0))
-        return np.asarray(step * np.maximum(by_noise, np.sqrt(np.maximum(0.25 - variance, 0.0)) / 3.0))
+        return step * np.maximum(by_noise, np.sqrt(np.maximum(0.25 - variance, 0.0)) / 3.0)
 
     @property
     def band(self) -> tuple[FloatArray, FloatArray]:
@@ -126,10 +120,6 @@ class QuietDetector:
         width = width + 4.0 * QUIET_SD + 1.5 * self.step  # the bias may step, and readings are rounded
         centre = self.mean[-SECOND_SLOTS:].mean(0)
         return centre - width, centre + width
-
-    def restart(self) -> None:
-        """Count anew after a gap or a restart of the device; the noise stays."""
-        self.slots = self.quiet_slots = self.unquiet = self.short_rests = 0
 
     def update(self, slot: Slot, drift: FloatArray) -> None:
         """Detect rest at the end of a slot; `drift`, rad/s² and m/s³, (6,), is permitted at rest.
@@ -140,8 +130,11 @@ class QuietDetector:
         self.slots, self.quiet_slots, self.noise_changed = self.slots + 1, self.quiet_slots + 1, False
         known = self.noise_slots > 0.0
         self.moving, self.disturbed = self._motion(slot, drift), False
-        if self.moving:
-            self._interrupt()
+        if self.moving:  # the rest ends, if there was one
+            self.pause += 1
+            short = 1 < self.quiet_slots <= TRIAL  # it counts this slot, too
+            self.short_rests = 0 if self.pause > SECOND_SLOTS else self.short_rests + short
+            self.quiet_slots, self.unquiet = 0, self.unquiet + 1
         elif known:
             self._learn(slot)
         elif self.quiet_slots >= TRIAL:
@@ -164,13 +157,6 @@ class QuietDetector:
         # That a sensor has steps is known by its first one, which ends no rest though it is outside `band`.
         self.disturbed &= not (found & (self.step == 0.0)).any()
         self.step = np.where(found, slot.step, self.step)
-
-    def _interrupt(self) -> None:
-        """End the present rest, if there is one, at an unquiet slot."""
-        self.pause += 1
-        short = 1 < self.quiet_slots <= TRIAL  # it counts the unquiet slot, too
-        self.short_rests = 0 if self.pause > SECOND_SLOTS else self.short_rests + short
-        self.quiet_slots, self.unquiet = 0, self.unquiet + 1
 
     def _motion(self, slot: Slot, drift: FloatArray) -> str:
         """Return what in a slot is not quiet; empty if all is, or rest is given."""

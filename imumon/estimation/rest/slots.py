@@ -1,6 +1,5 @@
 """Slots of a quarter of a second, from which rest is detected, and measurements of the bias made of them."""
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -50,8 +49,7 @@ class Measurement(NamedTuple):
     covered_s: float  # by its samples: the variance of the mean rate is that of one second over this time
     rate: FloatArray  # less the thermal model and the known earth rate, rad/s, (3,)
     force: FloatArray  # m/s², (3,); the last known one where it is missing, zero before the first
-    degc: FloatArray  # temperature of each gyro, °C, (3,); NaN where missing, as is the heading
-    degc_sd: FloatArray  # its standard deviation, °C, (3,)
+    read: FloatArray  # temperature of each gyro and its sd, °C, (2, 3); NaN where missing, as is the heading
     heading: FloatArray  # a vector that turns with it (`heading_of`), (3,)
     rounding: FloatArray | float = 0.0  # largest error of the rate by rounding, rad/s, (3,)
 
@@ -63,7 +61,7 @@ class Timing:
     origin_ns: int = 0
     end_s: float = 0.0
     interval_s: float = 0.0
-    shortest_s: float = math.inf
+    shortest_s: float = np.inf
 
     def slots(self, ended: Slots) -> Iterator[Slot]:
         """Yield slots that ended, one after the other; a first sample alone covers no time."""
@@ -77,30 +75,26 @@ class Timing:
         steps = np.where(steps <= np.repeat(COARSEST_STEPS, 3), steps, np.inf)
         for k, mean in enumerate(ended.mean):
             given = float(ended.smallest[k, REST_GIVEN])
-            at_rest = None if math.isnan(given) else given == 1.0
-            times = self._times(ended, k)
-            yield Slot(*times, count[k], mean, variance[k], steps[k], ended.turns[k], at_rest)
-
-    def _times(self, ended: Slots, k: int) -> tuple[float, float, float, float]:
-        """Return end, length, time covered by samples, and the gap before the slot, s."""
-        samples = int(ended.count[k, GYRO].max()) or int(ended.samples[k])
-        begins = bool(ended.begins[k])
-        if begins:
-            self.origin_ns, self.end_s = int(ended.start_ns[k]), 0.0
-            self.interval_s, self.shortest_s = 0.0, math.inf
-        start, end = self.since_origin_s(int(ended.start_ns[k])), self.since_origin_s(int(ended.end_ns[k]))
-        gap = 0.0 if begins else self.gap_s(start)
-        if begins or gap:
-            start -= (end - start) / (samples - 1) if samples > 1 else self.interval_s
-        else:
-            start = self.end_s
-        length, self.end_s = end - start, end
-        if length <= 0.0:
-            return end, length, 0.0, gap
-        self.interval_s = length / samples
-        if not (begins or gap):  # these may be what a buffer held, all at once
-            self.shortest_s = min(self.shortest_s, self.interval_s)
-        return end, length, min(length, samples * self.shortest_s), gap
+            at_rest = None if np.isnan(given) else given == 1.0
+            samples = int(ended.count[k, GYRO].max()) or int(ended.samples[k])
+            first_ns, begins = int(ended.start_ns[k]), bool(ended.begins[k])
+            if begins:
+                self.origin_ns, self.end_s = first_ns, 0.0
+                self.interval_s, self.shortest_s = 0.0, np.inf
+            start, end = self.since_origin_s(first_ns), self.since_origin_s(int(ended.end_ns[k]))
+            gap = 0.0 if begins else self.gap_s(start)
+            if begins or gap:
+                start -= (end - start) / (samples - 1) if samples > 1 else self.interval_s
+            else:
+                start = self.end_s
+            length, covered, self.end_s = end - start, 0.0, end
+            if length > 0.0:
+                self.interval_s = length / samples
+                if not (begins or gap):  # these may be what a buffer held, all at once
+                    self.shortest_s = min(self.shortest_s, self.interval_s)
+                covered = min(length, samples * self.shortest_s)
+            sensors = count[k], mean, variance[k], steps[k]
+            yield Slot(end, length, covered, gap, *sensors, ended.turns[k], at_rest)
 
     def since_origin_s(self, time_ns: int) -> float:
         """Return the seconds since the first sample of the segment."""

@@ -14,25 +14,21 @@ that of a normal one if that is smaller (scale factor of the Particle Data Group
 exceeds two, by that residual, if it is more.
 """
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from imumon.blocks import NO_INT, ColumnArray, FloatArray, IntArray, SampleBlock
+from imumon.blocks import ColumnArray, FloatArray, IntArray, SampleBlock
 from imumon.columns import TEMPERATURES, Column
 from imumon.estimation.alignment.report import PositionHeading
 from imumon.estimation.rest.slots import SENSORS
 from imumon.filters.slots import SlotGatherer, Slots
 from imumon.pipeline import Estimator
 
-SLOT_NS = 31_250_000
-"""An eighth of the shortest slot over which a stage integrates rotations."""
-SUSPECT = 2.0
-"""A standard normal value exceeds this in magnitude with a probability of 5 %."""
-MEDIAN = 0.6745
-"""Median of the magnitude of a standard normal value."""
+SLOT_NS = 31_250_000  # an eighth of the shortest slot over which a stage integrates rotations
+SUSPECT = 2.0  # a standard normal value exceeds this in magnitude with a probability of 5 %
+MEDIAN = 0.6745  # median of the magnitude of a standard normal value
 REVERSED = {"temperature_estimate": 1.0, "temperature_rate": -1.0, "gyro_bias": -1.0}
 """What is smoothed with a backward filter, and its sign when time is reversed."""
 UNITS = {"temperature_estimate": "degC", "temperature_rate": "degC/s", "gyro_bias": "rad/s", "heading": "rad"}
@@ -75,8 +71,8 @@ class Recorder:
 
     def add(self, block: SampleBlock) -> None:
         """Take the next rows."""
-        time_ns = block.columns.get("device_time_ns", np.full(len(block), NO_INT))
-        self._keep(self._slots.process(time_ns, block["segment"], block.stacked(NAMES)))
+        times, segment = block["device_time_ns"], block["segment"]
+        self._keep(self._slots.process(times, segment, block.stacked(NAMES)))
         self._rows += len(block)
 
     def _keep(self, slots: Slots) -> None:
@@ -143,7 +139,7 @@ def combine(
     has_forward = np.isfinite(forward_sd)
     value, sd = np.where(has_forward, forward, backward), np.where(has_forward, forward_sd, backward_sd)
     if not both.any():
-        return Smoothed(value, sd, math.nan)
+        return Smoothed(value, sd, np.nan)
     p_f, p_b = forward_sd[both] ** 2, backward_sd[both] ** 2
     residual = np.abs(forward - backward)[both] / np.sqrt(p_f + p_b)
     r = float(np.sqrt(np.mean(residual**2)))
@@ -167,7 +163,7 @@ def still_heading(record: Record, positions: Sequence[PositionHeading]) -> Smoot
         since_s = 1e-9 * (record.middle_ns[run] - record.middle_ns[run[:1]])
         rows = run[(since_s >= position.begun_s) & (since_s <= position.ended_s)]
         value[rows], sd[rows] = position.heading, position.sd
-    return Smoothed(value, sd, math.nan)
+    return Smoothed(value, sd, np.nan)
 
 
 class SmoothedEstimates:
@@ -191,7 +187,7 @@ class SmoothedEstimates:
         if heading is not None:
             found["heading", ""] = heading
         for (name, suffix), one in found.items():
-            if math.isfinite(one.residual):
+            if np.isfinite(one.residual):
                 self.residuals[f"{name}{suffix}"] = one.residual
             if np.isfinite(one.sd).any():
                 value, sd = value_and_sd(f"{name}_smoothed", suffix)

@@ -15,22 +15,15 @@ from imumon.blocks import ColumnArray, FloatArray, SampleBlock, join
 from imumon.charts import AXIS_COLORS, Axis, Chart, Curve
 from imumon.columns import Column
 
-SPAN_S = 30.0
-"""Length of the window of samples, s, and the most samples in it: above 1.09 kHz it is shorter."""
+SPAN_S = 30.0  # length of the window of samples, s, and the most samples in it: above 1.09 kHz it is shorter
 MOST_SAMPLES = 32768
-PARTS = 7
-"""A segment is two of so many parts of the span: six overlap by half."""
-FEWEST = 256
-"""Samples that are needed: with fewer a segment has too few bins for a floor beside a line."""
-GAP = 20.0
-"""A gap of more intervals is not bridged: the spectrum is that of what came after it."""
+PARTS = 7  # a segment is two of so many parts of the span: six overlap by half
+FEWEST = 256  # samples that are needed: with fewer a segment has too few bins for a floor beside a line
+GAP = 20.0  # a gap of more intervals is not bridged: the spectrum is that of what came after it
 MOST_PEAKS = 3
-FALSE_ALARM = 0.01
-"""Chance that white noise shows a peak anywhere in a spectrum."""
-FLOOR_BINS = 15
-"""The floor under a line is the median over so many bins on one side, beyond the bin itself."""
-HALF_LINE = 2
-"""A line of a Hann window has its power in its bin and so many on either side."""
+FALSE_ALARM = 0.01  # chance that white noise shows a peak anywhere in a spectrum
+FLOOR_BINS = 15  # the floor under a line is the median over so many bins on one side, beyond the bin itself
+HALF_LINE = 2  # a line of a Hann window has its power in its bin and so many on either side
 OVERLAP_COST = 19.0 / 18.0
 """Variance of half-overlapping Hann segments over that of as many independent ones, for many: Welch, section
 on overlapped segments, 1 + 2 ρ² with ρ² = (1/6)²."""

@@ -18,7 +18,8 @@ from typing import NamedTuple
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.estimation.temperature_rate.thermometer import FASTEST_RATE, UNSEEN_RATE, Slot, Thermometer
+
+from .thermometer import FASTEST_RATE, UNSEEN_RATE, Slot, Thermometer
 
 STATES = 4
 TEMPERATURE, RATE, ACCELERATION, ERROR = range(STATES)
@@ -27,10 +28,8 @@ START_ACCELERATION = UNSEEN_RATE / 300.0
 LONG_S = WALK_S = 900.0
 """s.  The variance of the acceleration at the start is at most what the jerk makes of it in this time.  And
 the variance that a walk of the reading gains in this time is never known (times `SLOW_MEAN`²).  Ablation."""
-SLOW_MEAN = 0.5
-"""So many sigmas of a slow error always stay in the standard deviation of T.  Ablation."""
-LEAST_PROBABILITY = 1e-14
-"""Least probability of a filter, so that none is lost for ever.  Ablation."""
+SLOW_MEAN = 0.5  # so many sigmas of a slow error always stay in the standard deviation of T.  Ablation.
+LEAST_PROBABILITY = 1e-14  # least probability of a filter, so that none is lost for ever.  Ablation.
 JERK_PSDS = 10.0 ** (-23.0 + 2.5 * np.arange(9.0))
 """Power spectral densities q of white jerk, °C²/s⁵, (m,).  The rate gains √(q t³/3) in a time t: with the
 least, 0.17 °C/h in a day; with the largest, 1 °C/min in a second."""
@@ -67,7 +66,7 @@ MEAN_MODELS: tuple[tuple[float, ...], ...] = (
     *((1.0 - slow, slow, tau_s, 0.0) for slow in (0.3, 1.0) for tau_s in (5.0, 40.0)),
     *((1.0 - slow, slow, 3.0, walk) for slow, walk in ((0.3, 0.01), (1.0, 0.01), (1.0, 0.05))),
 )
-NOISE = NoiseModels(*np.array([*CODE_MODELS, *MEAN_MODELS], np.float64).T[:, :, np.newaxis])
+NOISE = NoiseModels(*np.array([*CODE_MODELS, *MEAN_MODELS], np.float64).T[:, :, None])
 CODE, MEAN = slice(0, len(CODE_MODELS)), slice(len(CODE_MODELS), None)
 """Rows of the code and of the mean models."""
 
@@ -139,8 +138,8 @@ def mix(filters: Filters, dt: float) -> tuple[FloatArray, FloatArray, FloatArray
     predicted = mu @ transition
     off = x - x[..., :1]
     mixed = (mu * off) @ transition / predicted
-    second = (mu * (filters.p + off[:, np.newaxis] * off)) @ transition / predicted
-    return x[..., :1] + mixed, second - mixed[:, np.newaxis] * mixed, predicted
+    second = (mu * (filters.p + off[:, None] * off)) @ transition / predicted
+    return x[..., :1] + mixed, second - mixed[:, None] * mixed, predicted
 
 
 def predict(thermometer: Thermometer, filters: Filters, time_s: float) -> Filters:
@@ -155,7 +154,7 @@ def predict(thermometer: Thermometer, filters: Filters, time_s: float) -> Filter
     f = np.array([[1.0, dt, half, 0.0], [0.0, 1.0, dt, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
     q = np.array([[dt**5 / 20, dt**4 / 8, dt**3 / 6], [dt**4 / 8, dt**3 / 3, half], [dt**3 / 6, half, dt]])
     x, p = _times(f, x), _times(f, _times(f, p).swapaxes(0, 1))
-    p[:ERROR, :ERROR] += q[:, :, np.newaxis, np.newaxis] * JERK_PSDS
+    p[:ERROR, :ERROR] += q[:, :, None, None] * JERK_PSDS
     slow, walk_per_s = slow_error(thermometer)
     phi = np.exp(-dt / NOISE.tau_s)  # depends on the noise model, so F has 1 in its place
     x[ERROR] *= phi
@@ -176,7 +175,7 @@ def correct(filters: Filters, correction: Correction) -> Filters:
     p = filters.p
     gain = (p[:, TEMPERATURE] + p[:, ERROR]) / filters.y[1]  # P Hᵀ / (H P Hᵀ): how the state follows y
     x = filters.x + gain * correction.mean_change
-    p = p + gain[:, np.newaxis] * (gain * correction.variance_change)
+    p = p + gain[:, None] * (gain * correction.variance_change)
     mu = filters.mu * np.exp(correction.log_likelihood - correction.log_likelihood.max())
     return Filters(x, p, np.maximum(mu / mu.sum(), LEAST_PROBABILITY), filters.time_s)
 

@@ -28,20 +28,18 @@ import numpy as np
 from scipy.special import log_ndtr, ndtr, ndtri
 
 from imumon.blocks import FloatArray
-from imumon.estimation.temperature_rate.filter import CODE, MEAN, NOISE, RATE, Correction, Filters
-from imumon.estimation.temperature_rate.thermometer import Slot, Thermometer
+
+from .filter import CODE, MEAN, NOISE, RATE, Correction, Filters
+from .thermometer import Slot, Thermometer
 
 ROOT_2_PI = math.sqrt(2.0 * math.pi)
 SOFT = 2.0
 """An edge is soft for a filter whose prediction has a sigma below so many of the edge's.  Ablation."""
-SURPRISE = 0.02
-"""A code is a surprise for a filter that gave it less than this probability.  Ablation."""
-WIDE = 1.5
-"""A prediction is wide whose sigma exceeds so many steps.  Ablation."""
+SURPRISE = 0.02  # a code is a surprise for a filter that gave it less than this probability.  Ablation.
+WIDE = 1.5  # a prediction is wide whose sigma exceeds so many steps.  Ablation.
 SIGMA_ERROR = 0.1
 """Relative standard deviation of the σ of a code model: half the distance of two models.  Ablation."""
-MOST_RIPPLE = 0.4
-"""Largest β by which a mean is corrected: the iteration converges while 2 β < 1."""
+MOST_RIPPLE = 0.4  # largest β by which a mean is corrected: the iteration converges while 2 β < 1
 RENEWAL = 0.1
 """A code that stays counts this part of its log likelihood, times the part of e that is new.  Ablation."""
 
@@ -105,7 +103,7 @@ def _scatter(x: FloatArray, s: FloatArray, variance: float, n: float) -> FloatAr
     harmonic -= (ripple * np.sin(phase) / math.pi) ** 2
     excess = np.maximum(variance / (s**2 + np.maximum(1.0 / 12.0 + harmonic, 0.0)), 1.0)
     # Its mean is made zero: half the time it is -χ²/2, of mean -1/2.
-    return np.asarray(0.25 - 0.5 * n * (excess - 1.0 - np.log(excess)))
+    return 0.25 - 0.5 * n * (excess - 1.0 - np.log(excess))
 
 
 def _two_codes(filters: Filters, slot: Slot, step: float, n: float, s: FloatArray) -> Correction:

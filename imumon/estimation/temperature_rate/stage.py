@@ -14,11 +14,12 @@ import numpy as np
 
 from imumon.blocks import ColumnArray, FloatArray, IntArray, SampleBlock
 from imumon.columns import TEMPERATURES, Column
-from imumon.estimation.temperature_rate.filter import Filters, correct, estimate, predict, start
-from imumon.estimation.temperature_rate.measurement import evaluate
-from imumon.estimation.temperature_rate.thermometer import FASTEST_RATE, SLOT_S, SPIKE, Slot, Thermometer
 from imumon.filters.slots import SlotGatherer, Slots, held
 from imumon.protocols.thermometer import TemperatureRateParameters
+
+from .filter import Filters, correct, estimate, predict, start
+from .measurement import evaluate
+from .thermometer import FASTEST_RATE, SLOT_S, SPIKE, Slot, Thermometer
 
 GATE_SIGMA, GATE_STEPS, GATE_SLOTS = 8.0, 5.0, 3
 """A slot is an outlier that lies so many sigmas, so many steps, and farther than a temperature moves from the
@@ -80,8 +81,7 @@ class MultipleModelRate:
 
     def __init__(self, step_degc: float | None = None) -> None:
         self.thermometer = Thermometer(step_degc) if step_degc else Thermometer()
-        self.faults: dict[str, None] = {}
-        """What is wrong with it, each text once."""
+        self.faults: dict[str, None] = {}  # what is wrong with it, each text once
         self._gatherer = SlotGatherer(1, round(SLOT_S * 1e9))
         self._begin()
 
@@ -91,7 +91,7 @@ class MultipleModelRate:
         Device time, segment, and reading, °C or NaN, are (n,).  A new segment keeps what the sensor is.
         """
         before = np.array(self._output)
-        slots = self._gatherer.process(time_ns, segment, reading[:, np.newaxis])
+        slots = self._gatherer.process(time_ns, segment, reading[:, None])
         statistics = zip(*(getattr(slots, name)[:, 0].tolist() for name in STATISTICS), strict=True)
         outputs = [self._update(slots, i, values) for i, values in enumerate(statistics)]
         shown = held(slots.row, np.reshape(outputs, (-1, len(before))), before, len(reading))
@@ -105,8 +105,7 @@ class MultipleModelRate:
         """Outliers in a row, and the last reading of the last of them, °C."""
         self._refused_degc = math.nan
         """Last reading of the last slot that has one, if the gate has ignored it, °C; else NaN."""
-        self._read_s = math.nan
-        """End of the last slot that has a reading, s."""
+        self._read_s = math.nan  # end of the last slot that has a reading, s
 
     def _update(self, slots: Slots, i: int, values: Sequence[Any]) -> Output:
         """Process slot i with these `STATISTICS`; return the output from its end on."""
@@ -252,8 +251,7 @@ class TemperatureRate:
     ) -> None:
         given = parameters or TemperatureRateParameters()
         self._new_method = new_method or partial(MultipleModelRate, given.step_degc)
-        self._methods: dict[str, RateMethod | None] = {}
-        """Of each channel; None until its first reading."""
+        self._methods: dict[str, RateMethod | None] = {}  # of each channel; None until its first reading
 
     @property
     def columns(self) -> Sequence[Column]:

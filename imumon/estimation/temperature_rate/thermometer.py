@@ -8,22 +8,17 @@ FASTEST_RATE = 20.0 / 60.0
 deviation of a rate that is not known."""
 UNSEEN_RATE = 200.0 / 3600.0
 """Rate at the start of a warm-up, °C/s: of a board that warms by 20 °C with a time constant of 6 min."""
-SLOT_S = 1.0
-"""Samples are summarised over slots of this length, s."""
-UNKNOWN_STEP_DEGC = 1.0
-"""Step that is assumed until a reading changes, °C: that of the coarsest thermometers."""
-LARGEST_STEP_DEGC = 2.0
-"""A change that is larger is no step, °C."""
+SLOT_S = 1.0  # samples are summarised over slots of this length, s
+UNKNOWN_STEP_DEGC = 1.0  # step that is assumed until a reading changes, °C: that of the coarsest thermometers
+LARGEST_STEP_DEGC = 2.0  # a change that is larger is no step, °C
 SPIKE = 8.0
 """A temperature moves by less than so many °C, or steps, within a slot or until a repeat.  Assumed."""
-MEMORY_SLOTS = 32
-"""Length of running means.  Ablation: 16 and 64 change errors by at most 9 %."""
+MEMORY_SLOTS = 32  # length of running means.  Ablation: 16 and 64 change errors by at most 9 %.
 MEMORY_CHANGES = 128
 """Changes of which the least is the step.  Ablation: with 32, every 30 s in a swing, 1.35 times the error."""
 REVERSALS = 3
 """So often must a reading go back within `MOST_REPEAT_S` until its noise is known to reach over an edge."""
-MOST_REPEAT_S = 60.0
-"""Longest time that a reading is taken to be repeated, s."""
+MOST_REPEAT_S = 60.0  # longest time that a reading is taken to be repeated, s
 
 
 @dataclass(frozen=True, slots=True)

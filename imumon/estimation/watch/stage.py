@@ -30,18 +30,15 @@ from imumon.lane import LaneState, Level
 
 EXPLAINING_SHARE = 0.7
 """A pattern explains the innovations with at least this share of the strongest evidence.  Assumed."""
-SLOT_S, BLOCK = 1.0, 10
-"""Length of a slot at rest, s, and how many make a step of the tests."""
-LEARNING = 20
-"""Slots after a start that do not count: the filter is still estimating the noise.  Assumed."""
+SLOT_S, BLOCK = 1.0, 10  # length of a slot at rest, s, and how many make a step of the tests
+LEARNING = 20  # slots after a start that do not count: the filter is still estimating the noise.  Assumed.
 CLIP = 4.0
 """An innovation counts as no more than this many standard deviations: a knock is no effect.  Assumed."""
 TOLERANCE, KAPPA = 0.03, 1.1
 """Mean and variance of an innovation that are still as the filter expects.  Assumed."""
 THETAS = (0.12, 0.35, 1.0, -0.12, -0.35, -1.0)
 """Means that are tested for, per unit of a regressor; the best is at most 1.7 times off in between."""
-LAMBDAS = np.array([0.1, 0.3])
-"""Of (2): best for variances of 1.4 and 3."""
+LAMBDAS = np.array([0.1, 0.3])  # of (2): best for variances of 1.4 and 3
 
 
 class WatchParameters(StrictModel):
@@ -82,12 +79,10 @@ LEAST_CHANGE = np.array([0.2, 0.003, 0.003])
 thermometer, and so the least scale, °C and °C/s."""
 SCALE_S = 3600.0
 """These regressors are in units of their largest value, which is forgotten within about an hour."""
-DECAYS_S = np.array([math.inf, 600.0])
-"""A constant and a warm-up: their time constants."""
+DECAYS_S = np.array([math.inf, 600.0])  # a constant and a warm-up: their time constants
 KEPT = np.array([0.0, math.exp(-SLOT_S / 10.0)])
 """What a slot leaves of the means of earlier innovations: the last one, and those of about 10 s."""
-PAST_SCALE = 3.0 * np.sqrt((1.0 - KEPT) / (1.0 + KEPT))
-"""Three of their standard deviations."""
+PAST_SCALE = 3.0 * np.sqrt((1.0 - KEPT) / (1.0 + KEPT))  # three of their standard deviations
 
 THETA = np.tile(THETAS, (len(REGRESSORS), 1))
 THETA[-len(KEPT) :] = np.maximum(THETA[-len(KEPT) :], 0.0)
@@ -126,15 +121,22 @@ def step(
     """
     dt, state.last_s = now_s - state.last_s, now_s
     state.slots += 1
-    v = np.clip(innovation, -CLIP, CLIP)[:, np.newaxis]
-    thermal = _high_pass(state, dt, np.column_stack([temperature, rate, rate]))
+    v = np.clip(innovation, -CLIP, CLIP)[:, None]
+    # Temperature and rates behind their high-passes, between -1 and 1; 0 where unknown.
+    value = np.column_stack([temperature, rate, rate])
+    state.low = np.where(np.isnan(state.low), np.where(np.isinf(HIGH_PASS_S), 0.0, value), state.low)
+    state.low += -np.expm1(-dt / HIGH_PASS_S) * np.nan_to_num(value - state.low)
+    change = value - state.low
+    least = np.maximum(math.exp(-dt / SCALE_S) * state.scale, LEAST_CHANGE)
+    state.scale = np.where(np.isnan(change), state.scale, np.maximum(np.abs(change), least))
+    thermal = np.nan_to_num(change / state.scale)
     decay = np.tile(np.exp(-now_s / DECAYS_S), (3, 1))
     past = np.clip(state.past / PAST_SCALE, -1.0, 1.0)
     state.past = KEPT * state.past + (1.0 - KEPT) * v
     counted = state.slots - LEARNING
     if counted <= 0:
         return 0.0
-    theta_r = (np.hstack([thermal, decay, past])[:, :, np.newaxis] * THETA).reshape(3, -1)
+    theta_r = (np.hstack([thermal, decay, past])[:, :, None] * THETA).reshape(3, -1)
     of_mean = theta_r * v - TOLERANCE * np.abs(theta_r) - 0.5 * KAPPA * theta_r**2
     of_variance = LAMBDAS * v**2 + 0.5 * np.log(1.0 - 2.0 * LAMBDAS * KAPPA)
     state.gain += np.hstack([of_mean, of_variance])
@@ -144,16 +146,6 @@ def step(
     state.gain[:] = 0.0
     state.peaks = np.maximum(state.peaks, state.cusum)
     return float(state.peaks.max())
-
-
-def _high_pass(state: State, dt: float, value: FloatArray) -> FloatArray:
-    """Return temperature and rates behind their high-passes, between -1 and 1, (3, 3); 0 where unknown."""
-    state.low = np.where(np.isnan(state.low), np.where(np.isinf(HIGH_PASS_S), 0.0, value), state.low)
-    state.low += -np.expm1(-dt / HIGH_PASS_S) * np.nan_to_num(value - state.low)
-    change = value - state.low
-    least = np.maximum(math.exp(-dt / SCALE_S) * state.scale, LEAST_CHANGE)
-    state.scale = np.where(np.isnan(change), state.scale, np.maximum(np.abs(change), least))
-    return np.asarray(np.nan_to_num(change / state.scale))
 
 
 class ModelWatch:
@@ -187,10 +179,8 @@ class ModelWatch:
         Needs ``device_time_ns``, ``segment`` and ``zupt_innovation_{x,y,z}``; takes what there is of
         ``temperature_estimate`` and ``temperature_rate``, of each axis before those of the unit.
         """
-        segment, innovations = block["segment"], block.vector("zupt_innovation")
-        if innovations is None:
-            return {"model_suspect": np.zeros(len(block), np.int64)}
-        state, time_ns = self._state, block["device_time_ns"]
+        innovations = block.stacked([f"zupt_innovation_{axis}" for axis in "xyz"])
+        state, time_ns, segment = self._state, block["device_time_ns"], block["segment"]
         suspect = np.where(segment == state.segment, int(state.suspect), 0)
         slots = np.flatnonzero(np.isfinite(innovations).any(1))
         temperature, rate = (_of_axes(block, f"temperature_{name}", slots) for name in ("estimate", "rate"))

@@ -30,7 +30,7 @@ from imumon.blocks import BoolArray, FloatArray, SampleBlock
 from imumon.errors import bad_data
 from imumon.filters.slots import SlotGatherer
 from imumon.filters.turns import PAUSE_S
-from imumon.models.magnetometer import MagnetometerModel
+from imumon.models.model import MagnetometerModel
 
 STEP_RAD = np.radians(1.0)
 """A reading counts when its direction differs by so much from the last that did: rest must not weigh more."""

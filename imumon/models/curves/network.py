@@ -6,8 +6,7 @@ Fontanella, Accardo, Schiano Lo Moriello, Angrisani, De Simone, Sensors 2018, 18
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal, NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -15,7 +14,8 @@ from pydantic import Field, FiniteFloat, model_validator
 
 from imumon.blocks import FloatArray
 from imumon.config import StrictModel
-from imumon.models.curves.points import Points
+
+from .points import Points
 
 MOST_NEURONS = 16
 RESTARTS = 8
@@ -26,10 +26,8 @@ With 1e-5 it costs 2 % of the span, more than the noise of the soak, and the slo
 FIRST_STEP = 0.1
 """Bound of the first step, in norms of the start; the least that MINPACK takes.  With its usual 100 that step
 makes neurons so steep that they jump between two levels, where there is no sample."""
-MERGED = 200
-"""Means within this part of the span are merged before training."""
-FIRST, LAST = 50, 200
-"""Evaluations from every start, and of those that go on."""
+MERGED = 200  # means within this part of the span are merged before training
+FIRST, LAST = 50, 200  # evaluations from every start, and of those that go on
 _Layer = Annotated[list[FiniteFloat], Field(min_length=1, max_length=MOST_NEURONS)]
 _Positive = Annotated[FiniteFloat, Field(gt=0.0)]
 
@@ -66,13 +64,13 @@ class NetworkCurve(StrictModel):
     def value(self, temperature: npt.ArrayLike) -> FloatArray:
         """Return b at temperatures in °C, in the unit of the channel."""
         output = _times(self._layers(temperature)[1], np.array(self.output_weights)) + self.output_bias
-        return np.asarray(self.offset + self.scale * output)
+        return self.offset + self.scale * output
 
     def slope(self, temperature: npt.ArrayLike) -> FloatArray:
         """Return db/dT at temperatures in °C, in the unit of the channel per °C; by the chain rule."""
         first, second = self._layers(temperature)
         inner = (1.0 - first**2) * np.array(self.first_weights)
-        outer = (1.0 - second**2) * _times(inner[..., np.newaxis, :], np.array(self.second_weights))
+        outer = (1.0 - second**2) * _times(inner[..., None, :], np.array(self.second_weights))
         return _times(outer, np.array(self.output_weights)) * (self.scale / self.half_width_degc)
 
     def minus(self, constant: float) -> "NetworkCurve":
@@ -89,8 +87,8 @@ def _hidden(
     u: FloatArray, w1: FloatArray, b1: FloatArray, w2: FloatArray, b2: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return the outputs of both hidden layers at u, (...,), each (..., n)."""
-    first = np.tanh(u[..., np.newaxis] * w1 + b1)
-    return first, np.tanh(_times(first[..., np.newaxis, :], w2) + b2)
+    first = np.tanh(u[..., None] * w1 + b1)
+    return first, np.tanh(_times(first[..., None, :], w2) + b2)
 
 
 def _times(a: FloatArray, b: FloatArray) -> FloatArray:
@@ -98,19 +96,16 @@ def _times(a: FloatArray, b: FloatArray) -> FloatArray:
     return np.asarray((a * b).sum(axis=-1))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Scaled:
+class Scaled(NamedTuple):
     """Points in the network's own units, (n,): u within -1 to 1, y of unit variance, weights of mean 1."""
 
     u: FloatArray
     y: FloatArray
     w: FloatArray
-    center: float = 0.0
-    half_width: float = 1.0
-    """°C: u is 0 and 1 there."""
-    offset: float = 0.0
-    scale: float = 1.0
-    """In the unit of the channel: y is 0 and 1 there."""
+    center: float = 0.0  # °C: u is 0 there
+    half_width: float = 1.0  # °C from there to where it is 1
+    offset: float = 0.0  # in the unit of the channel: y is 0 there
+    scale: float = 1.0  # from there to where it is 1
 
     @classmethod
     def of(cls, points: Points) -> "Scaled":
@@ -171,9 +166,9 @@ def sensitivity(weights: FloatArray, u: FloatArray) -> FloatArray:
     w1, b1, w2, b2, w3 = _layers(weights)
     first, second = _hidden(u, w1, b1, w2, b2)
     by_b2 = (1.0 - second**2) * w3
-    by_w2 = (by_b2[:, :, np.newaxis] * first[:, np.newaxis]).reshape(len(u), -1)
+    by_w2 = (by_b2[:, :, None] * first[:, None]).reshape(len(u), -1)
     by_b1 = (by_b2 @ w2) * (1.0 - first**2)
-    return np.hstack([u[:, np.newaxis] * by_b1, by_b1, by_w2, by_b2, second, np.ones((len(u), 1))])
+    return np.hstack([u[:, None] * by_b1, by_b1, by_w2, by_b2, second, np.ones((len(u), 1))])
 
 
 def mean_square(weights: FloatArray, data: Scaled) -> float:
@@ -201,7 +196,7 @@ def train(
 
     def derivative(weights: FloatArray) -> FloatArray:  # is called after each step that was accepted
         accepted(weights)
-        return np.vstack([root[:, np.newaxis] * sensitivity(weights, data.u), np.diag(shrink * same)])
+        return np.vstack([root[:, None] * sensitivity(weights, data.u), np.diag(shrink * same)])
 
     found = leastsq(
         residual, start, Dfun=derivative, full_output=True, maxfev=evaluations, factor=FIRST_STEP, diag=same

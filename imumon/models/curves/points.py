@@ -12,14 +12,10 @@ from imumon.blocks import BoolArray, FloatArray, IntArray
 class Points:
     """Means of one channel at rest, each over a stretch of nearly constant temperature."""
 
-    temperature: FloatArray
-    """°C, (n,)."""
-    value: FloatArray
-    """Mean of the channel, rad/s or m/s², (n,)."""
-    weight: FloatArray
-    """Inverse variance of the mean, in any unit, (n,)."""
-    level: IntArray
-    """Temperature level that the mean belongs to, numbered upwards, (n,); what is left out together."""
+    temperature: FloatArray  # °C, (n,)
+    value: FloatArray  # mean of the channel, rad/s or m/s², (n,)
+    weight: FloatArray  # inverse variance of the mean, in any unit, (n,)
+    level: IntArray  # level of temperature that the mean belongs to, counted upwards, (n,): left out together
 
     def __len__(self) -> int:
         return len(self.temperature)

@@ -9,7 +9,8 @@ from pydantic import Field, FiniteFloat
 
 from imumon.blocks import FloatArray
 from imumon.config import StrictModel
-from imumon.models.curves.points import Points
+
+from .points import Points
 
 HIGHEST_ORDER = 12
 CUBIC = "polynomial 3"
@@ -56,5 +57,5 @@ def fit_polynomial(points: Points, order: int) -> PolynomialCurve:
     center, half_width = 0.5 * (low + high), 0.5 * (high - low) or 1.0
     basis = chebyshev.chebvander((points.temperature - center) / half_width, order)
     root = np.sqrt(points.weight)
-    coefficients = np.linalg.lstsq(basis * root[:, np.newaxis], points.value * root, rcond=None)[0]
+    coefficients = np.linalg.lstsq(basis * root[:, None], points.value * root, rcond=None)[0]
     return PolynomialCurve(center_degc=center, half_width_degc=half_width, coefficients=coefficients.tolist())

@@ -9,15 +9,15 @@ from pydantic import Field, FiniteFloat, model_validator
 
 from imumon.blocks import FloatArray, IntArray
 from imumon.config import StrictModel
-from imumon.models.curves.points import Points, folds
+
+from .points import Points, folds
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicHermiteSpline
 
 MOST_KNOTS = 1000
 DEGREE = 3
-_STRENGTHS = 10.0 ** np.arange(-9.0, 4.1, 0.5)
-"""λ that are tried."""
+_STRENGTHS = 10.0 ** np.arange(-9.0, 4.1, 0.5)  # λ that are tried
 
 
 class SplineCurve(StrictModel):
@@ -73,7 +73,7 @@ def fit_spline(points: Points, knots: FloatArray) -> SplineCurve:
 
     basis, penalty = penalised_basis(points, knots)
     root = np.sqrt(points.weight / points.weight.mean())
-    weighted, target = basis * root[:, np.newaxis], points.value * root
+    weighted, target = basis * root[:, None], points.value * root
     strength = _best_strength(weighted, target, penalty, points.level)
     coefficients = np.linalg.solve(weighted.T @ weighted + strength * penalty, weighted.T @ target)
     fitted = BSpline(np.pad(knots, DEGREE, mode="edge"), coefficients, DEGREE)
@@ -92,18 +92,17 @@ def penalised_basis(points: Points, knots: FloatArray) -> tuple[FloatArray, Floa
     middle, half = 0.5 * (knots[1:] + knots[:-1]), 0.5 * np.diff(knots)
     every = BSpline(extended, np.eye(len(extended) - DEGREE - 1), DEGREE)
     second = [every(middle + side * half / np.sqrt(3.0), nu=2) for side in (-1.0, 1.0)]
-    penalty = np.asarray(sum((part * half[:, np.newaxis]).T @ part for part in second))
-    scale = np.sum(basis**2 * (points.weight / points.weight.mean())[:, np.newaxis]) / np.trace(penalty)
+    penalty = sum((part * half[:, None]).T @ part for part in second)
+    scale = np.sum(basis**2 * (points.weight / points.weight.mean())[:, None]) / np.trace(penalty)
     return basis, penalty * scale
 
 
 def _best_strength(basis: FloatArray, target: FloatArray, penalty: FloatArray, level: IntArray) -> float:
-    """Return the λ with the least error at the levels left out."""
     normal, moment = basis.T @ basis, basis.T @ target
     errors = np.zeros(len(_STRENGTHS))
     for out in folds(level, len(level)):
         own = basis[out]
-        without = normal - own.T @ own + _STRENGTHS[:, np.newaxis, np.newaxis] * penalty
-        fitted = np.linalg.solve(without, (moment - own.T @ target[out])[:, np.newaxis])
-        errors += np.sum((own @ fitted - target[out][:, np.newaxis]) ** 2, axis=(1, 2))
+        without = normal - own.T @ own + _STRENGTHS[:, None, None] * penalty
+        fitted = np.linalg.solve(without, (moment - own.T @ target[out])[:, None])
+        errors += np.sum((own @ fitted - target[out][:, None]) ** 2, axis=(1, 2))
     return float(_STRENGTHS[np.argmin(errors)] if errors.any() else _STRENGTHS[-1])

@@ -15,7 +15,7 @@ from imumon.estimation.attitude.sigma import Accelerometers, Gyros, HeadingSigma
 from imumon.estimation.attitude.stage import AttitudeEstimate, tilt_into_heading
 from imumon.estimation.gyro_bias.stage import RestAndBias
 from imumon.geodesy import STANDARD_GRAVITY
-from imumon.models.magnetometer import MagnetometerModel
+from imumon.models.model import MagnetometerModel
 from tests.estimation.attitude.scenes import NORTH_DEG, matrices, scene, without_mag, wrapped
 from tests.lanes import texts
 

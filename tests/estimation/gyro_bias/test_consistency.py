@@ -159,7 +159,7 @@ def test_the_first_means_are_as_certain_as_their_sigma(seconds: int) -> None:
         bias, white = rng.normal(0.0, 0.02, 3), sigma**2 * rng.chisquare(6.0, 3) / 6.0
         means = [
             Measurement(
-                k + 1.0, 1.0, 1.0, bias + sigma * rng.standard_normal(3), zero, np.full(3, np.nan), zero, zero
+                k + 1.0, 1.0, 1.0, bias + sigma * rng.standard_normal(3), zero, np.full((2, 3), np.nan), zero
             )
             for k in range(seconds)
         ]
@@ -173,7 +173,7 @@ def test_the_first_means_are_as_certain_as_their_sigma(seconds: int) -> None:
 
 def test_the_prior_of_the_sensitivity_is_that_of_the_data_sheets_whatever_the_noise() -> None:
     zero = np.zeros(3)
-    first = Measurement(1.0, 1.0, 1.0, zero, zero, np.full(3, np.nan), zero, zero)
+    first = Measurement(1.0, 1.0, 1.0, zero, zero, np.full((2, 3), np.nan), zero)
     for white in (1e-12, 1e-6):
         bank = Bank.begin((None, None, None), (0.0,), np.full(3, white), first)
         sd = np.sqrt(np.einsum("aii->ai", bank.prediction.covariance)[:, SENSITIVITY])
@@ -185,7 +185,7 @@ def test_a_gyro_whose_readings_were_equal_for_hours_has_a_sigma_when_they_change
 
     def reading(time_s: float, rate: float) -> Measurement:
         force = rng.normal([0.0, 0.0, 9.8], 0.005)
-        return Measurement(time_s, 1.0, 1.0, np.full(3, rate), force, zero, zero, zero)
+        return Measurement(time_s, 1.0, 1.0, np.full(3, rate), force, np.zeros((2, 3)), zero)
 
     bank = Bank.begin((None, None, None), (0.0,), np.full(3, LEAST_WHITE), reading(1.0, 0.0))
     for k in range(2, 5000):
@@ -199,12 +199,12 @@ def test_a_gyro_whose_readings_were_equal_for_hours_has_a_sigma_when_they_change
 
 def test_a_motion_of_one_step_widens_the_bias_like_one_of_many() -> None:
     """The slope changes on the way, and the bias with it."""
-    zero, cold, white = np.zeros(3), np.full(3, 25.0), np.full(3, (17.0 * DPH) ** 2)
-    first = Measurement(1.0, 1.0, 1.0, zero, zero, cold, zero, zero)
+    zero, cold, white = np.zeros(3), np.array([[25.0], [0.0]]) + np.zeros(3), np.full(3, (17.0 * DPH) ** 2)
+    first = Measurement(1.0, 1.0, 1.0, zero, zero, cold, zero)
     start = Bank.begin((None, None, None), (SLOPE_PER_SIGMA,), white, first)
-    for change in (10.0, -10.0):
+    for change in (np.array([[10.0], [0.0]]), np.array([[-10.0], [0.0]])):
         one = many = start
-        one = one.at(101.0, cold + change, zero)
+        one = one.at(101.0, cold + change)
         for k in range(1, 101):
-            many = many.at(1.0 + k, cold + change * k / 100.0, zero)
+            many = many.at(1.0 + k, cold + change * k / 100.0)
         np.testing.assert_allclose(one.covariance, many.covariance, rtol=1e-9, atol=1e-30)

@@ -135,8 +135,8 @@ def cruised(seed: int, minutes: float = 10.0) -> FloatArray:
     velocity = 15.0 * np.sin(2.0 * np.pi * waves[0] * t + waves[1]).sum(1)
     force = np.column_stack([*np.diff(velocity) / dt, np.full(len(t) - 1, STANDARD_GRAVITY)])
     bias, motion, off = np.array([0.002, -0.003, 0.0]), Motion(), []
-    turn = Turn(Rotation.from_rotvec(bias * dt).as_matrix(), dt * np.eye(3), seconds=dt)
-    turn.by_scale = np.einsum("ai,j->aij", np.eye(3), bias * dt)
+    by_scale = np.einsum("ai,j->aij", np.eye(3), bias * dt)
+    turn = Turn(Rotation.from_rotvec(bias * dt).as_matrix(), dt * np.eye(3), by_scale, seconds=dt)
     for one in force:
         motion.take(turn, one)
         if not motion.parts:

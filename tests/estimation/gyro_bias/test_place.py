@@ -87,7 +87,6 @@ def test_north_is_kept_by_the_bias_of_each_moment_of_a_motion_that_warms_the_gyr
 
 
 def test_a_heading_of_which_one_axis_is_missing_decides_nothing() -> None:
-    zero = np.zeros(3)
     slots = [
         Measurement(
             float(k),
@@ -95,8 +94,7 @@ def test_a_heading_of_which_one_axis_is_missing_decides_nothing() -> None:
             1.0,
             np.full(3, 0.01),
             np.array([0.0, 0.0, 9.81]),
-            zero,
-            zero,
+            np.zeros((2, 3)),
             np.array([0.3, np.nan, 0.5]),
         )
         for k in range(8)

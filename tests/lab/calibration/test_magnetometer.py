@@ -8,8 +8,7 @@ from scipy.spatial.transform import Rotation
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.errors import ImumonError
 from imumon.lab.calibration.magnetometer import covered, fit_magnetometer, slower_than_white
-from imumon.models.magnetometer import MagnetometerModel
-from imumon.models.model import BiasModel
+from imumon.models.model import BiasModel, MagnetometerModel
 
 FIELD = np.array([20.0, 1.0, -43.0])
 HARD = np.array([30.0, -20.0, 12.0])

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.errors import ImumonError
 from imumon.lab.calibration.magnetometer import WAYS, Axes, axes_of, doubts, fit_magnetometer
-from imumon.models.magnetometer import MagnetometerModel
+from imumon.models.model import MagnetometerModel
 
 FIELD = np.array([2.0, 20.0, -43.0])
 UP = np.array([0.0, 0.0, 9.81])
