@@ -86,7 +86,8 @@ class Pipeline:
     ) -> None:
         self._of_table = device is None
         self._decoder = Decoder((), Timing(), None) if device is None else device.decoder()
-        timing, groups = self._decoder.timing, self._decoder.groups
+        timing = self._decoder.timing._replace(rate_hz=None if device is None else device.rate_hz)
+        groups = self._decoder.groups
         self._device_clock = DeviceClock(timing)
         self.host_clock = HostClock(self._device_clock.drift_limit_ppm)
         self._stages = tuple(GuardedStage(stage) for stage in estimators)

@@ -10,7 +10,7 @@
 Both go sample by sample, forwards only, so their results do not depend on how the stream was cut into blocks.
 """
 
-from imumon.clock.device import DeviceClock
-from imumon.clock.host import HostClock
+from .device import DeviceClock
+from .host import HostClock
 
 __all__ = ["DeviceClock", "HostClock"]

@@ -25,20 +25,15 @@ def with_delay(blocks: Iterable[SampleBlock]) -> Iterator[SampleBlock]:
     """
     first: int | None = None
     for block in blocks:
-        arrival, device = (block.columns.get(name) for name in ("arrival_time_ns", "device_time_ns"))
-        if arrival is None or device is None:
-            yield block
-            continue
-        known = (arrival != NO_INT) & (device != NO_INT)
-        delay = arrival - device
-        if first is None and known.any():
-            first = int(delay[known][0])
-        if first is None or not (delay[known] != first).any():
-            yield block
-            continue
-        values = np.full(len(block), np.nan)
-        values[known] = (delay[known] - first) / MICROSECOND_NS
-        yield block.with_columns({CLOCK: values})
+        if "arrival_time_ns" in block and "device_time_ns" in block:
+            arrival, device = block["arrival_time_ns"], block["device_time_ns"]
+            known = (arrival != NO_INT) & (device != NO_INT)
+            delay = arrival - device
+            if first is None and known.any():
+                first = int(delay[known][0])
+            if first is not None and (delay[known] != first).any():
+                block = block.with_columns({CLOCK: np.where(known, (delay - first) / MICROSECOND_NS, np.nan)})
+        yield block
 
 
 def rate_ppm(least_delay_us: FloatArray, slot_s: float) -> FloatArray:

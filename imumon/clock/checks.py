@@ -5,7 +5,8 @@ import math
 import numpy as np
 
 from imumon.blocks import NO_INT, IntArray, missing
-from imumon.clock.device import RATE_STEADINESS, DatedBy
+
+from .device import RATE_STEADINESS, DatedBy
 
 STANDS = 100
 """Packets in a row for which a count stays: a clock that ticks every 10 ms has 80 of a stream at 8 kHz."""
@@ -25,12 +26,9 @@ class Repeats:
     """
 
     def __init__(self) -> None:
-        self._last = np.full((2, 1), NO_INT)
-        """Counter and clock of the last packet."""
-        self._run = np.zeros(2, np.int64)
-        """Packets in a row for which only this one has stayed by now."""
-        self._stands_at: dict[int, int] = {}
-        """The count, of the first run of `STANDS` packets."""
+        self._last = np.full((2, 1), NO_INT)  # counter and clock of the last packet
+        self._run = np.zeros(2, np.int64)  # packets in a row for which only this one has stayed by now
+        self._stands_at: dict[int, int] = {}  # the count, of the first run of `STANDS` packets
         self._twice = self._rows = 0
         self._reported: set[str] = set()
 
@@ -78,19 +76,17 @@ class NominalRate:
     """
 
     def __init__(self, rate_hz: float | None, given: bool) -> None:
-        self._rate_hz, self._given = rate_hz, given
-        self._last = np.zeros((0, 3), np.int64)
-        """Time, segment and arrival of the last row, once there is one."""
+        self._rate_hz, self._given = rate_hz or math.nan, given
+        self._last = np.zeros((0, 3), np.int64)  # time, segment, arrival of the last row, once there is one
+        # Between the rows compared, by the rate and by the arrivals; the longest time without a read.
         self._device_s = self._arrived_s = self._latest_s = 0.0
-        """Between the rows compared, by the rate and by the arrivals; the longest time without a read."""
-        self._since_ns = 0
-        """Arrival of the first row after the latest silence."""
+        self._since_ns = 0  # arrival of the first row after the latest silence
         self._reported = False
 
     @property
     def measured_hz(self) -> float | None:
         """The rate by the times of arrival; None before there is enough of them."""
-        if self._rate_hz is None or self._arrived_s < MEASURED_S:
+        if self._arrived_s < MEASURED_S:
             return None
         return self._rate_hz * self._device_s / self._arrived_s
 
@@ -116,7 +112,7 @@ class NominalRate:
     def notices(self, ended: bool) -> list[str]:
         """Return, once, that the rate is contradicted, or at the end that it is only assumed."""
         measured = self.measured_hz
-        if self._rate_hz is None or self._reported or (measured is None and (not ended or self._given)):
+        if self._reported or (measured is None and (not ended or self._given)):
             return []
         text = f"and nothing shows whether they came at it, as {MEASURED_S:g} s of arrivals would"
         text += ": if they did not, decode or replay with --rate HZ, or set rate_hz in the device file"
@@ -216,7 +212,7 @@ class Intervals:
         total = self._count.sum()
         if not total:
             return None
-        median = int(np.searchsorted(np.cumsum(self._count), (total + 1) // 2))
+        median = np.searchsorted(np.cumsum(self._count), (total + 1) // 2)
         # A quarter of a decade to either side holds the jitter of a timer and no interval of two packets.
         near = slice(max(median - BINS_PER_DECADE // 8, 0), median + BINS_PER_DECADE // 8 + 1)
         return float(self._sum[near].sum() / self._count[near].sum())
@@ -230,13 +226,11 @@ class Intervals:
     @property
     def gaps(self) -> int:
         """Intervals in which at least one row is missing."""
-        usual = self.usual_ns
-        if usual is None:
-            return 0
-        return int(self._count[int(np.searchsorted(_EDGES, GAP * usual)) + 1 :].sum())
+        usual = self.usual_ns or math.inf
+        return int(self._count[np.searchsorted(_EDGES, GAP * usual) + 1 :].sum())
 
     @property
     def covered_s(self) -> float:
         """Sum of the intervals without long gaps."""
         longest = max(LONG_GAP_NS, LONG_GAP * (self.usual_ns or 0.0))
-        return float(self._sum[: int(np.searchsorted(_EDGES, longest)) + 1].sum()) * 1e-9
+        return float(self._sum[: np.searchsorted(_EDGES, longest) + 1].sum()) * 1e-9

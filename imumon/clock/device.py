@@ -27,10 +27,11 @@ from typing import Final, Literal
 import numpy as np
 
 from imumon.blocks import NO_INT, IntArray, missing
-from imumon.clock.host import CRYSTAL_PPM
 from imumon.compiled import inner, njit, record, records
 from imumon.errors import bad_config
 from imumon.protocols.base import Timing
+
+from .host import CRYSTAL_PPM
 
 SLACK_NS = 10_000_000_000
 """Packets may queue for this long in the buffers of adapter and host."""
@@ -79,8 +80,6 @@ class _Source:
 
 
 class _State:
-    """What is carried from sample to sample."""
-
     counter_modulus: int
     source: int
     segment: int
@@ -179,8 +178,7 @@ class DeviceClock:
         if n and not dated and not self._sources[ROWS].limit and arrival_ns is None:
             what = "the samples have no device clock, no rate and no arrival times, so they cannot be dated"
             raise bad_config(what, "give rate_hz in the device file")
-        time_ns = np.empty(n, np.int64)
-        segment = np.empty(n, np.int64)
+        time_ns, segment = np.empty((2, n), np.int64)
         absent = missing(n, np.int64)
         sent = (packet_counter, device_ticks, arrival_ns)
         counter, ticks, arrival = (absent if one is None else one for one in sent)
@@ -190,15 +188,13 @@ class DeviceClock:
 
 def _check(timing: Timing) -> Fraction | None:
     """Return the nominal period in ns, to a thousandth, or None; refuse impossible numbers."""
-    bits, tick, rate_hz = timing.counter_bits, timing.tick_ns, timing.rate_hz
+    tick, rate_hz = timing.tick_ns, timing.rate_hz
     # A remainder of ticks times the numerator must fit int64.
     can_tick = tick is None or (tick > 0 and tick.numerator * tick.denominator < 1 << 62)
-    can_count = (bits is None or 1 <= bits <= 32) and 0 <= timing.tick_bits <= 64
-    if not (can_tick and can_count and (rate_hz is None or 1e-3 <= rate_hz <= 1e6)):
+    if not (can_tick and (rate_hz is None or 1e-3 <= rate_hz <= 1e6)):
         raise bad_config(
             f"no device counts like this: {timing}",
-            "a counter has 1 to 32 bits, a clock 0 to 64, a tick is a positive, simple fraction, a rate from"
-            " 0.001 Hz to 1 MHz",
+            "a tick is a positive, simple fraction, a rate from 0.001 Hz to 1 MHz",
         )
     return None if rate_hz is None else (10**9 / Fraction(rate_hz)).limit_denominator(1000)
 
@@ -236,8 +232,9 @@ def _unwrap(
     for i in range(len(time_ns)):
         number, raw = _best(sources, state, counter[i], ticks[i], arrival[i])
         source = sources[number]
+        counted = state.counter_modulus != 0 and counter[i] != NO_INT
         packets = 0  # by how much the packet counter has advanced, modulo its range; 0 where it is not known
-        if state.counter_modulus and counter[i] != NO_INT and state.raw_counter != NO_INT:
+        if counted and state.raw_counter != NO_INT:
             packets = (counter[i] - state.raw_counter) % state.counter_modulus
         state.row += 1
         if number == NO_SOURCE or (number < state.source and state.held < LOST_SOURCE_ROWS):
@@ -251,7 +248,7 @@ def _unwrap(
             if number == COUNTER:
                 packets = step
             elif number == TICKS and step != RESTART:
-                packets = _packets_in(source, state, packets, counter[i] != NO_INT, step)
+                packets = _packets_in(source, state, packets, counted, step)
             if step == RESTART or packets == RESTART:
                 packets = 0
                 state.segment += 1
@@ -259,7 +256,7 @@ def _unwrap(
                 _begin(source, state, number, raw, arrival[i])
             else:
                 _advance(source, state, raw, step, arrival[i])
-        if state.counter_modulus and counter[i] != NO_INT:
+        if counted:
             state.raw_counter = counter[i] % state.counter_modulus
         if packets > 1:
             state.gaps += 1
@@ -350,18 +347,13 @@ def _step(source: _Source, state: _State, raw: int, arrival: int) -> int:
 
 @inner
 def _begin(source: _Source, state: _State, number: int, raw: int, arrival: int) -> None:
-    """Let device time begin at the raw count."""
     state.source = number
-    state.held = 0
-    state.raw = raw
     state.count = raw
-    state.time = _ns(source, raw)
+    state.last_arrival = NO_INT
+    state.reopened = 0
+    _advance(source, state, raw, 0, arrival)
     state.held_packets = 0
     state.time_at_counter = state.time
-    state.reopened = 0
-    state.last_arrival = arrival
-    state.time_at_arrival = state.time
-    state.usual_delay = arrival - state.time if arrival != NO_INT else 0
 
 
 @inner

@@ -49,10 +49,11 @@ POLL_NS = 16_000_000
 and of no more than samples are apart; scatter does not show them."""
 
 NOT_FAR = -1
+NO_SEGMENT = -1
 
 
 class _Block:
-    """Hull and sums of the samples of one block; x and y are relative to the origin of the fit."""
+    """Hull and sums of samples, those of one block; x and y are relative to the origin of the fit."""
 
     corners: int
     hull: IntArray
@@ -61,10 +62,9 @@ class _Block:
     sum_y: float
 
 
-class _Fit:
+class _Fit(_Block):
     """The line, and the hull and sums of all blocks that are remembered."""
 
-    started: int
     segment: int
     x0: int
     y0: int
@@ -72,12 +72,7 @@ class _Fit:
     last_host: int
     block: int
     far_since: int
-    corners: int
-    hull: IntArray
     vertex: int
-    count: float
-    sum_x: float
-    sum_y: float
     slope: float
     slope_sd: float
 
@@ -98,6 +93,8 @@ class HostClock:
     def __init__(self, drift_limit_ppm: float = CRYSTAL_PPM) -> None:
         self._limit = drift_limit_ppm * 1e-6
         self._fit = record(_Fit, hull=(BLOCKS * VERTICES, 2))
+        self._fit.segment = NO_SEGMENT
+        self._fit.last_host = NO_INT
         self._blocks = records(_Block, BLOCKS, hull=(VERTICES, 2))
 
     @property
@@ -114,7 +111,7 @@ class HostClock:
     @property
     def delay_ns(self) -> int | None:
         """Arrival minus host time of the latest sample: transport delay above the least; None at first."""
-        if not self._fit.started:
+        if self._fit.segment == NO_SEGMENT:
             return None
         return int(self._fit.last_arrival - self._fit.last_host)
 
@@ -165,7 +162,7 @@ def _fit_samples(
 
 
 @inner
-def _add(sums: _Fit | _Block, count: float, x: float, y: float) -> None:
+def _add(sums: _Block, count: float, x: float, y: float) -> None:
     sums.count += count
     sums.sum_x += x
     sums.sum_y += y
@@ -175,7 +172,7 @@ def _add(sums: _Fit | _Block, count: float, x: float, y: float) -> None:
 def _must_start(fit: _Fit, device: int, segment: int, arrival: int) -> bool:
     """Return whether the fit so far does not apply to this sample: another segment, or a clock was set."""
     x = device - fit.x0
-    if not fit.started or segment != fit.segment:
+    if segment != fit.segment:
         return True
     above = arrival - device - fit.y0 - _line(fit, x)
     if above < -STEP_NS:
@@ -190,9 +187,6 @@ def _must_start(fit: _Fit, device: int, segment: int, arrival: int) -> bool:
 @inner
 def _start(fit: _Fit, blocks: Sequence[_Block], device: int, segment: int, arrival: int) -> None:
     """Begin a fit with this sample as the origin; only the host time given out last is remembered."""
-    if not fit.started:
-        fit.last_host = NO_INT
-    fit.started = 1
     fit.segment = segment
     fit.x0 = device
     fit.y0 = arrival - device
@@ -206,7 +200,7 @@ def _start(fit: _Fit, blocks: Sequence[_Block], device: int, segment: int, arriv
 
 
 @inner
-def _empty(sums: _Fit | _Block) -> None:
+def _empty(sums: _Block) -> None:
     sums.corners = 0
     sums.count = sums.sum_x = sums.sum_y = 0.0
 

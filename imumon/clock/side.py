@@ -28,8 +28,8 @@ class SideClock:
         self._timing = timing
         self._first = 0
         before = dict.fromkeys(("ticks", "device_time_ns", "host_time_ns"), np.array([NO_INT]))
+        # Main rows; the first stands for the time before any.
         self._main = SampleBlock({**before, "segment": np.zeros(1, np.int64)})
-        """Main rows; the first stands for the time before any."""
 
     def follow(self, main: SampleBlock, ticks: IntArray | None) -> None:
         """Take the dated rows of the main stream that the next side rows refer to."""
@@ -49,17 +49,16 @@ class SideClock:
         at = np.maximum(side.after, side.until - HISTORY) - self._first
         main = {name: values[at] for name, values in self._main.columns.items()}
         ticks, device, host = main["ticks"], main["device_time_ns"], main["host_time_ns"]
-        block, n = side.block, len(side.block)
-        counts = block.columns.get("device_ticks", missing(n, np.int64))
-        arrival = block.columns.get("arrival_time_ns", missing(n, np.int64))
+        block = side.block
+        counts = block.columns.get("device_ticks", missing(len(block), np.int64))
+        arrival = block["arrival_time_ns"]
         own = self._on_main_clock(counts, ticks, device)
         known = own != NO_INT
         mapped = np.where(known & (host != NO_INT) & (device != NO_INT), host + own - device, arrival)
-        host_ns = np.where(arrival == NO_INT, mapped, np.minimum(mapped, arrival))
         return {
             "device_time_ns": np.where(known, own, arrival),
             "arrival_time_ns": arrival,
-            "host_time_ns": np.where((host == NO_INT) & (arrival == NO_INT), NO_INT, host_ns),
+            "host_time_ns": np.where(arrival == NO_INT, mapped, np.minimum(mapped, arrival)),
             "segment": main["segment"],
         }
 
@@ -74,7 +73,7 @@ class SideClock:
         if 0 < bits < 63:
             nearest = (steps + (1 << (bits - 1))) % (1 << bits) - (1 << (bits - 1))
             steps = np.where(anchored, nearest, steps)
-        whole, part = steps // unit.denominator, steps % unit.denominator
+        whole, part = np.divmod(steps, unit.denominator)
         moved = whole * unit.numerator + part * unit.numerator // unit.denominator
         return np.asarray(np.where(alone, 0, device) + moved)
 
@@ -141,20 +140,18 @@ class SharedCounter:
         if not self._modulus:
             return counter
         valid = np.flatnonzero(counter != NO_INT)
-        values = counter[valid]
-        before = np.concatenate([[self._last], values[:-1]]) if len(values) else values
+        values = np.append(self._last, counter[valid])  # the first is that of the call before
         less, waiting = more.copy(), []
         for after, number in [*self._waiting, *side]:
             k = int(np.searchsorted(valid, after - self._rows))
             if k == len(valid):
                 waiting.append((after, number))
-            elif before[k] != NO_INT:
-                step = (values[k] - before[k]) % self._modulus
-                less[valid[k]] += 0 < (number - before[k]) % self._modulus < step
+            elif values[k] != NO_INT:
+                step = (values[k + 1] - values[k]) % self._modulus
+                less[valid[k]] += 0 < (number - values[k]) % self._modulus < step
         total = self._taken + np.cumsum(less)
-        if len(counter):
-            self._taken = int(total[-1])
-        self._last = int(values[-1]) if len(values) else self._last
+        self._taken += int(less.sum())
+        self._last = int(values[-1])
         self._rows += len(counter)
         self._waiting = waiting
         return np.where(counter == NO_INT, NO_INT, (counter - total) % self._modulus)

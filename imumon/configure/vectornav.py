@@ -12,7 +12,6 @@ from functools import partial
 from imumon.protocols import vectornav
 from imumon.protocols.messages import TableDevice
 from imumon.protocols.text import line_frame, sentence
-from imumon.protocols.vectornav_fields import GROUP_NAMES
 
 from . import core
 from .core import BAUD, Family, Message, PacketKind, Request, Sent, Values
@@ -217,7 +216,7 @@ class VectorNav(Family):
         rate = f"{self.base_hz / output.by:.6g} Hz ({self.base_hz}/{output.by})"
         found, fields = output.contents, "fields that imumon does not know"
         if found is not None:
-            groups = [name for group, name in GROUP_NAMES.items() if output.groups >> group - 1 & 1]
+            groups = [name for group, name in vectornav.GROUP_NAMES.items() if output.groups >> group - 1 & 1]
             fields = f"{' '.join(groups)}: {', '.join(item.name for item, _ in found.fields)}"
         return f"{rate} on serial port {output.port}, {fields}"
 

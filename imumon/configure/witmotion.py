@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from functools import reduce
 from operator import or_
 
-from imumon.protocols.framing import Checksum, Frame, fixed_length, unchecked
+from imumon.protocols.framing import Checksum, Frame, fixed_length
 from imumon.protocols.messages import TableDevice
 from imumon.protocols.witmotion import SIZE, TYPES
 
@@ -107,7 +107,7 @@ class WitMotion(Family):
         return ", ".join(_frames(value)) or "nothing"
 
 
-WRITE = Frame({b"\xff\xaa": "write"}, fixed_length(5), unchecked)
+WRITE = Frame({b"\xff\xaa": "write"}, fixed_length(5))
 """A command; it has no checksum."""
 
 

@@ -1,7 +1,6 @@
 """What decoders and encoders of all families have in common: timing, groups of columns, packets."""
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from fractions import Fraction
 from typing import NamedTuple, TypeVar
 
@@ -30,8 +29,7 @@ LONGEST_PACKET = 4096
 """Bytes that a packet may have, so also the most that can be pending."""
 
 
-@dataclass(frozen=True, slots=True)
-class Timing:
+class Timing(NamedTuple):
     """How a device counts time."""
 
     counter_bits: int | None = None
@@ -42,11 +40,10 @@ class Timing:
     tick_bits: int = 0
     """``device_ticks`` wraps at 2**tick_bits; 0 when it never wraps."""
     rate_hz: float | None = None
-    """Nominal packet rate, which dates packets of a device that sends no time."""
+    """Nominal packet rate, which dates packets of a device that sends no time; decoders do not know it."""
 
 
-@dataclass(frozen=True, slots=True)
-class Groups:
+class Groups(NamedTuple):
     """Which columns belong together."""
 
     names: tuple[str, ...]

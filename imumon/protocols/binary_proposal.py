@@ -12,9 +12,10 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from imumon.blocks import BoolArray, FloatArray, IntArray
-from imumon.protocols.base import ByteArray
-from imumon.protocols.framing import CHECKSUM_NAMES, Checksum, integers, windows
-from imumon.protocols.text_proposal import file_head
+
+from .base import ByteArray
+from .framing import CHECKSUM_NAMES, Checksum, integers, windows
+from .text_proposal import file_head
 
 LEAST_PACKETS = 8
 """Packets from which a layout is proposed."""
@@ -161,7 +162,6 @@ def _fitting(packets: ByteArray) -> Iterator[tuple[float, Checksum]]:
 
 
 def _layout(at: IntArray, packets: ByteArray, check: Checksum | None, rate: float) -> Iterator[str]:
-    """Yield the description of the packets."""
     n, length = packets.shape
     constant, usual = _constant(packets), np.median(packets, axis=0).astype(int)
     sync = int(np.argmin(np.append(constant[:LONGEST_SYNC], False)))
@@ -204,14 +204,14 @@ def _rising(
     The counter rises by one a packet; the clock has 32 bits, and rises as time does in a unit that fits the
     rate.
     """
-    counter = list[tuple[str, str, str]]()
     for size, order in ((2, "big"), (2, "little"), (1, "little")):
         step, is_whole = _steps(before, after, known, size, order)
-        for k in np.flatnonzero(is_whole & (step == 1.0))[: 1 - len(counter)].tolist():
+        places = np.flatnonzero(is_whole & (step == 1.0)).tolist()
+        if places:
+            k = places[0]
             known[k : k + size] = True
-            keys = f"at: {k}, type: u{8 * size}, column: packet_counter"
-            counter.append(("rises by one a packet", keys, order))
-    yield from counter
+            yield "rises by one a packet", f"at: {k}, type: u{8 * size}, column: packet_counter", order
+            break
     found = [
         (abs(step[k] * unit_s * rate - 1.0), unit, int(k), order, float(step[k]))
         for order in ("big", "little")

@@ -6,11 +6,12 @@ import numpy as np
 
 from imumon.blocks import ColumnArray, IntArray, SampleBlock, join, missing
 from imumon.columns import KNOWN, Column
-from imumon.protocols.base import CHUNK, ByteArray, Groups, Packets, Timing
-from imumon.protocols.epochs import GENERATION
-from imumon.protocols.framing import BAD_SUM, IMPOSSIBLE, Found, Frame, search
-from imumon.protocols.numbers import Record
 from imumon.transport.statistics import Counters
+
+from .base import CHUNK, ByteArray, Groups, Packets, Timing
+from .epochs import GENERATION
+from .framing import BAD_SUM, IMPOSSIBLE, Found, Frame, search
+from .numbers import Record
 
 MOST_NOTICES = 1000
 """Different notices that a decoder gives at the most; more would be a stream of rubbish."""
@@ -20,8 +21,8 @@ ONLY_CORRECTED = (
     "MIP's ScaledGyro"
 )
 """Warning of a device that sends no rate as it was calibrated in the factory."""
-_ORDER = {name: place for place, name in enumerate(KNOWN)}
-"""Place of the canonical columns, which go before the others."""
+Layouts = Iterable[tuple[Record, IntArray]]
+"""Layouts, and which packets have each."""
 
 
 class Decoder:
@@ -52,14 +53,12 @@ class Decoder:
         self._done: list[Packets] = []
         self._reported = set[str]()
         self._notices, self._warnings = list[str](), [*remarks]
-        self._parts: list[bytes] = []
-        self._waiting = 0  # bytes in the parts
-        self._rest = b""  # searched, and still part of what may become a packet
-        self._overlap = 0  # bytes at the front of the rest that belong to the packet accepted last
+        self._held = bytearray()  # what may become a packet
+        self._rest = 0  # bytes at its front that were searched
+        self._overlap = 0  # bytes at its front that belong to the packet accepted last
         # Bytes up to each end, counted from the first, arrived at these times.
         self._ends: list[IntArray] = []
         self._times: list[IntArray] = []
-        self._searched = 0  # bytes before the rest
         self._received = self._in_packets = self._checksum_errors = self._length_errors = 0
         self._names = [name for frame in frames for name in frame.names.values()]
         self._by_kind = np.zeros(len(self._names), np.int64)
@@ -70,9 +69,11 @@ class Decoder:
 
     @property
     def columns(self) -> tuple[Column, ...]:
-        """Columns of the blocks that `take` returns now; a device may begin to send more."""
+        """Columns of the blocks that `take` returns now, canonical ones first; more may come later."""
         self._search(final=False)
-        return tuple(sorted(self._columns.values(), key=lambda c: (_ORDER.get(c.name, len(_ORDER)), c.name)))
+        names = [name for name in KNOWN if name in self._columns]
+        names += sorted(self._columns.keys() - KNOWN.keys())
+        return tuple(self._columns[name] for name in names)
 
     @property
     def possible_columns(self) -> tuple[Column, ...]:
@@ -89,10 +90,9 @@ class Decoder:
         self._times.append(arrivals_ns.copy())
         for start in range(0, len(data), CHUNK):
             part = bytes(data[start : start + CHUNK])
-            self._parts.append(part)
-            self._waiting += len(part)
+            self._held += part
             self._received += len(part)
-            if self._waiting > CHUNK:
+            if len(self._held) - self._rest > CHUNK:
                 self._search(final=False)
 
     def take(self) -> SampleBlock:
@@ -139,7 +139,7 @@ class Decoder:
         return Counters(
             bytes_received=self._received,
             bytes_in_packets=self._in_packets,
-            bytes_skipped=self._received - self._in_packets - len(self._rest) + self._overlap,
+            bytes_skipped=self._received - self._in_packets - self._rest + self._overlap,
             packets=int(self._by_kind.sum()),
             checksum_errors=self._checksum_errors,
             length_errors=self._length_errors,
@@ -153,31 +153,27 @@ class Decoder:
         return counts
 
     def _report(self, text: str, is_warning: bool = False) -> None:
-        """Give a notice, or a warning, unless it was given before."""
         if text not in self._reported and (is_warning or len(self._reported) < MOST_NOTICES):
             self._reported.add(text)
             (self._warnings if is_warning else self._notices).append(text)
 
     def _search(self, final: bool) -> None:
         """Find the packets in what has come, and keep what may still become one."""
-        if not self._waiting and not (final and self._rest):
+        if len(self._held) == (0 if final else self._rest):
             return
-        data = b"".join([self._rest, *self._parts])
-        self._parts.clear()
-        self._waiting = 0
-        tried, found, rest, overlap = search(
-            self._frames, np.frombuffer(data, np.uint8), final, self._overlap
-        )
+        held = np.frombuffer(bytes(self._held), np.uint8)
+        before = self._received - len(held)
+        tried, found, rest, overlap = search(self._frames, held, final, self._overlap)
         self._count(found, tried, rest)
         ends, times = np.concatenate(self._ends), np.concatenate(self._times)
         if len(found):
-            last = self._searched + found.at + found.length
+            last = before + found.at + found.length
             packets = self._read(found, times[np.searchsorted(ends, last)])
             if len(packets.block):
                 self._done.append(packets)
-        self._rest, self._overlap = data[rest:], overlap
-        self._searched += rest
-        recent = int(np.searchsorted(ends, self._searched, "right"))
+        del self._held[:rest]
+        self._rest, self._overlap = len(self._held), overlap
+        recent = int(np.searchsorted(ends, before + rest, "right"))
         self._ends, self._times = [ends[recent:]], [times[recent:]]
 
     def _count(self, found: Found, tried: Found, rest: int) -> None:
@@ -195,8 +191,8 @@ class Decoder:
         """Return the packets as the layouts have them, where they are sent in another form."""
         return found
 
-    def _by_layout(self, found: Found) -> Iterable[tuple[Record, IntArray]]:
-        """Yield the layouts of the packets, and which have each; others have nothing for a row."""
+    def _by_layout(self, found: Found) -> Layouts:
+        """Yield the layouts of the packets; those without one have nothing for a row."""
         for kind in np.flatnonzero(np.bincount(found.kind)).tolist():
             yield self._of_kind[kind], np.flatnonzero(found.kind == kind)
 

@@ -12,11 +12,12 @@ from imumon.config import StrictModel, parse_yaml
 from imumon.errors import bad_config
 from imumon.files import bundled, read_text
 from imumon.plugins import DEVICES, plugins
-from imumon.protocols.base import Encoder
-from imumon.protocols.decoder import Decoder
-from imumon.protocols.ranges import Ranges
-from imumon.protocols.thermometer import TemperatureRateParameters
 from imumon.transport.settings import PortSettings
+
+from .base import Encoder
+from .decoder import Decoder
+from .ranges import Ranges
+from .thermometer import TemperatureRateParameters
 
 FAMILIES = {
     "ximu3": "imumon.protocols.ximu3:XimuDecoder",
@@ -110,8 +111,8 @@ def device_names() -> list[str]:
 def _files() -> dict[str, Path]:
     """Return the device files by name: those of imumon, which come first, and of plug-ins."""
     found = plugins(DEVICES, FOLDER, is_folder)
-    folders = [Path(plugin.offered) for plugin in found]
-    return {path.stem: path for folder in folders for path in folder.glob("*.yaml")} | bundled("devices")
+    paths = [path for plugin in found for path in Path(plugin.offered).glob("*.yaml")]
+    return {path.stem: path for path in paths} | bundled("devices")
 
 
 def is_folder(_: str, offered: object) -> bool:

@@ -13,16 +13,15 @@ had.  So a row waits for one epoch at the most.  Nothing is reordered and no fie
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import NamedTuple, cast
+from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from imumon.blocks import NO_INT, ColumnArray, IntArray, SampleBlock, join, missing
 from imumon.compiled import inner, njit, records
-from imumon.protocols.base import COMMON, Groups, Packets
-from imumon.protocols.numbers import is_missing
+
+from .base import COMMON, Groups, Packets
+from .numbers import is_missing
 
 GENERATION = 32
 """Epochs after which it is known what an epoch may have; a field that is rarer comes out a row later."""
@@ -31,8 +30,7 @@ EPOCH, GROUP, AFTER, UNTIL = range(4)
 """Columns of the ended epochs: number, group, and main rows as `Epochs` counts them."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Epochs:
+class Epochs(NamedTuple):
     """Epochs of one stream."""
 
     block: SampleBlock
@@ -50,8 +48,6 @@ BITS = 62
 
 
 class _Group:
-    """What is carried for each group."""
-
     apart: int
     epoch: int  # number of the open epoch, 0: none
     key_kind: int
@@ -65,6 +61,7 @@ class _Group:
     all_now: int
     all_before: int
     epochs: int
+    packets: int
     incomplete: int
     latest: int  # of the first group alone: number of the latest epoch of all groups
     ended: int  # and how many have ended in this call
@@ -100,14 +97,13 @@ class EpochAssembler:
         self._groups = groups
         n = len(groups.names)
         self._state = records(_Group, n)
-        self._records = cast(npt.NDArray[np.void], self._state)  # as NumPy sees them
-        self._records["apart"] = groups.apart
+        for group, apart in zip(self._state, groups.apart, strict=True):
+            group.apart = apart
         self._bits: dict[tuple[int, ...], int] = {}
-        self._packets = np.zeros(n, np.int64)
         self.counted_aside: list[tuple[int, int]] = []
         """Of the side packets that `process` took last: the main rows begun before each, and its counter."""
+        # Packets of which some epoch is not complete, and of these epoch and own columns.
         self._kept = SampleBlock({})
-        """Packets of which some epoch is not complete, and of these epoch and own columns."""
         self._kept_epoch = self._kept_own = np.zeros((0, n), np.int64)
         self._columns: dict[str, set[str]] = {name: set() for name in groups.names}
 
@@ -115,8 +111,8 @@ class EpochAssembler:
     def counters(self) -> dict[str, tuple[int, int]]:
         """Packets and incomplete epochs by stream; streams without epochs are left out."""
         return {
-            name: (int(self._packets[g]), int(group.incomplete))
-            for g, (name, group) in enumerate(zip(self._groups.names, self._state, strict=True))
+            name: (int(group.packets), int(group.incomplete))
+            for name, group in zip(self._groups.names, self._state, strict=True)
             if group.epochs
         }
 
@@ -132,14 +128,14 @@ class EpochAssembler:
         """
         epoch, own, ended = self._assigned(packets, end)
         block = join([self._kept, packets.block])
-        is_open = (epoch > 0) & (epoch == self._records["epoch"])
+        is_open = (epoch > 0) & (epoch == [group.epoch for group in self._state])
         found = {}
         for g, name in enumerate(self._groups.names):
             of_group = ended[ended[:, GROUP] == g]
             if g and not len(of_group):
                 continue
             row = np.flatnonzero((epoch[:, g] > 0) & ~is_open[:, g])
-            self._packets[g] += len(row)
+            self._state[g].packets += len(row)
             place = np.searchsorted(of_group[:, EPOCH], epoch[row, g])
             gathered = self._gather(name, block, row, own[row, g], place, len(of_group))
             more = _steps_within(block, row, place, len(of_group))
@@ -162,11 +158,10 @@ class EpochAssembler:
         # Columns of other groups (another message has the same quantity) go into the packet's first group.
         stray = masks & ~np.bitwise_or.reduce(np.where(there, may, 0), axis=1)
         new[np.arange(n), there.argmax(axis=1)] |= stray
-        kind, key = np.zeros(n, np.int64), np.zeros(n, np.int64)
         none = missing(n, np.int64)
         counter, ticks = block.columns.get("packet_counter", none), block.columns.get("device_ticks", none)
-        for number, counts in ((COUNTED, counter), (TIMED, ticks)):
-            kind[counts != NO_INT], key[counts != NO_INT] = number, counts[counts != NO_INT]
+        key = np.where(ticks != NO_INT, ticks, counter)
+        kind = np.where(ticks != NO_INT, TIMED, np.where(counter != NO_INT, COUNTED, NO_TIME))
         epoch, own = np.vstack([self._kept_epoch, np.zeros_like(new)]), np.vstack([self._kept_own, new])
         ended, behind = np.zeros((epoch.size + len(may), 4), np.int64), np.full(n, -1, np.int64)
         self._state[0].ended = 0
@@ -197,9 +192,6 @@ class EpochAssembler:
             if name not in known and name not in COMMON and not present.any():
                 continue
             known.add(name)
-            if len(row) == n and present.all():
-                columns[name] = taken
-                continue
             columns[name] = missing(n, values.dtype)
             order = slice(None, None, -1) if name == "arrival_time_ns" else slice(None)
             columns[name][place[present][order]] = taken[present][order]
@@ -213,7 +205,7 @@ def _steps_within(block: SampleBlock, row: IntArray, place: IntArray, n: int) ->
     counter = block["packet_counter"][row]
     there = counter != NO_INT
     counter, place = counter[there], place[there]
-    first, last = np.zeros(n, np.int64), np.zeros(n, np.int64)
+    first, last = np.zeros((2, n), np.int64)
     first[place[::-1]], last[place] = counter[::-1], counter
     packets = np.bincount(place, minlength=n)
     # A counter that wrapped within the epoch went on by one a packet; the same one again is no step.
@@ -222,7 +214,6 @@ def _steps_within(block: SampleBlock, row: IntArray, place: IntArray, n: int) ->
 
 @njit
 def _assign(work: _Work, end: bool) -> None:
-    """Assign new packets to epochs (see the text of the module)."""
     groups, own, main, held = work.groups, work.own, work.groups[0], len(work.epoch) - len(work.behind)
     for i in range(len(work.behind)):
         belongs, kind, key, mask = work.belongs[i], work.kind[i], work.key[i], work.masks[i]

@@ -13,12 +13,13 @@ from pydantic import Field, NonNegativeInt, PlainValidator, PositiveInt, StringC
 from imumon.blocks import IntArray, SampleBlock
 from imumon.columns import KNOWN, NAME, TIME_COLUMNS, Column
 from imumon.config import LARGEST_NUMBER, StrictModel
-from imumon.protocols.base import COMMON, LONGEST_PACKET, MAIN, NO_GROUP, ByteArray, Encoder, Groups, Timing
-from imumon.protocols.decoder import Decoder
-from imumon.protocols.device import DeviceFile
-from imumon.protocols.framing import CHECKSUM_NAMES, IMPOSSIBLE, Checksum, Frame, unchecked
-from imumon.protocols.numbers import NUMBER_TYPES, Number, Record, write
 from imumon.units import exact_conversion
+
+from .base import LONGEST_PACKET, MAIN, ByteArray, Encoder, Groups, Timing
+from .decoder import Decoder
+from .device import DeviceFile
+from .framing import CHECKSUM_NAMES, IMPOSSIBLE, Checksum, Frame
+from .numbers import NUMBER_TYPES, Number, Record, write
 
 ByteOrder = Literal["big", "little"]
 Byte = Annotated[int, Field(ge=0, le=255)]
@@ -172,17 +173,16 @@ def distinct_names(fields: Sequence[NumberField]) -> list[str]:
     return names
 
 
-def timing_of(fields: Sequence[NumberField], rate_hz: float | None) -> Timing:
+def timing_of(fields: Sequence[NumberField]) -> Timing:
     """Return how a device counts time; of several counters or clocks the last counts."""
     by_name = {name: field for field in fields for name in field.names}
     counter, ticks = by_name.get("packet_counter"), by_name.get("device_ticks")
     tick_ns, tick_bits = None, 0
-    if ticks is not None:
-        tick_ns = ticks.scale * exact_conversion(ticks.unit, "ns")[0]
-        tick_bits = ticks.bits
-        if not NUMBER_TYPES[ticks.type].integer:
-            tick_ns, tick_bits = Fraction(1), 0
-    return Timing(counter.bits if counter else None, tick_ns, tick_bits, rate_hz)
+    if ticks is not None and NUMBER_TYPES[ticks.type].integer:
+        tick_ns, tick_bits = ticks.scale * exact_conversion(ticks.unit, "ns")[0], ticks.bits
+    elif ticks is not None:
+        tick_ns = Fraction(1)
+    return Timing(counter.bits if counter else None, tick_ns, tick_bits)
 
 
 class Packet(StrictModel):
@@ -233,7 +233,7 @@ class Packet(StrictModel):
             Number(
                 *(column, field.type, scale, offset, field.mask or 0),
                 at=field.at + k * NUMBER_TYPES[field.type].size,
-                group=NO_GROUP if column.name in COMMON else MAIN,
+                group=MAIN,
                 big=(field.byte_order or self.byte_order) == "big",
                 when=(w.column, w.modulo, w.equals) if (w := field.when) else None,
             )
@@ -260,13 +260,12 @@ class Packet(StrictModel):
         return Checksum(field.type, field.first, big, field.zeros, field.last + 1, field.at)
 
 
-def fixed_decoder(name: str, packets: Sequence[Packet], rate_hz: float | None) -> Decoder:
+def fixed_decoder(name: str, packets: Sequence[Packet]) -> Decoder:
     """Return a decoder of packets; `name` is what one without a name is called in the counters."""
     frames = [
-        Frame({bytes(x.sync): x.name or name}, partial(_length, x), x.check or unchecked, bytes(x.tail))
-        for x in packets
+        Frame({bytes(x.sync): x.name or name}, partial(_length, x), x.check, bytes(x.tail)) for x in packets
     ]
-    timing = timing_of([field for packet in packets[::-1] for field in packet.fields], rate_hz)
+    timing = timing_of([field for packet in packets[::-1] for field in packet.fields])
     layouts = [Record(packet.numbers) for packet in packets]
     groups = Groups.of([layout.of_column for layout in layouts]) if len(packets) > 1 else None
     return Decoder(frames, timing, groups, layouts=layouts, remarks=[*_overlaps(packets)])
@@ -307,7 +306,7 @@ class FixedDevice(DeviceFile):
 
     def decoder(self) -> Decoder:
         """Make a decoder for this packet."""
-        return fixed_decoder(self.name, [self.packet], self.rate_hz)
+        return fixed_decoder(self.name, [self.packet])
 
     def encoder(self) -> Encoder:
         """Make an encoder for this packet."""
@@ -333,7 +332,7 @@ class SeveralDevice(DeviceFile):
 
     def decoder(self) -> Decoder:
         """Make a decoder for these packets."""
-        return fixed_decoder(self.name, self.packets, self.rate_hz)
+        return fixed_decoder(self.name, self.packets)
 
     def encoder(self) -> Encoder:
         """Make an encoder for those that are sent."""

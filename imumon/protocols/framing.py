@@ -23,7 +23,8 @@ import numpy as np
 import numpy.typing as npt
 
 from imumon.blocks import BoolArray, IntArray
-from imumon.protocols.base import ByteArray
+
+from .base import ByteArray
 
 INCOMPLETE, NO_PACKET, IMPOSSIBLE, BAD_SUM = -1, -2, -3, -4
 """Instead of a length: more bytes must come, nothing of this kind, no such length, the checksum differs."""
@@ -34,12 +35,6 @@ Check = Callable[[ByteArray, IntArray, IntArray], BoolArray]
 """Takes the bytes, places and lengths of whole packets, (n,) each; returns which are right."""
 
 
-def unchecked(held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
-    """Believe every packet."""
-    del held, length
-    return np.ones(len(at), np.bool_)
-
-
 @dataclass(frozen=True, slots=True)
 class Frame:
     """How packets of one kind, or of several with different starts, are distinguished from other bytes."""
@@ -47,37 +42,37 @@ class Frame:
     names: Mapping[bytes, str]
     """What packets begin with, differing in one byte, and what the counters call those that begin so."""
     lengths: Lengths
-    """See `Lengths`."""
-    check: Check
-    """See `Check`."""
+    check: Check | None = None
+    """See `Check`; None: every packet is believed."""
     tail: bytes = b""
     """What may or may not follow a packet, and belongs to it."""
     fits: Check | None = None
     """Tells of packets that came whole whether they can be of this kind by what is in them."""
 
-    def places(self, held: ByteArray) -> tuple[IntArray, IntArray]:
-        """Return where packets may begin, also where only the first bytes are there, and of which kind."""
-        starts = {name[0] for name in self.names}
+    def candidates(self, held: ByteArray, final: bool) -> tuple[IntArray, IntArray, IntArray]:
+        """Return where packets may begin, their lengths or why there are none, and their kinds, (n,) each.
+
+        Also where only the first bytes are there.  A length is that with the tail.
+        """
+        starts, size = {name[0] for name in self.names}, len(next(iter(self.names)))
         at = np.flatnonzero(reduce(or_, [held == byte for byte in starts]))
-        size = len(next(iter(self.names)))
-        whole, cut = np.split(at, [np.searchsorted(at, len(held) - size, "right")])
-        begins, kind = integers(held, whole, size), np.full(len(whole), -1)
+        at, cut = np.split(at, [np.searchsorted(at, len(held) - size, "right")])
+        begins, kind = integers(held, at, size), np.full(len(at), -1)
         for k, name in enumerate(self.names):
             kind[begins == int.from_bytes(name.ljust(8, b"\0"), "little", signed=True)] = k
-        whole, kind = whole[kind >= 0], kind[kind >= 0]
+        at, kind = at[kind >= 0], kind[kind >= 0]
         begun = [any(name.startswith(held[k:].tobytes()) for name in self.names) for k in cut.tolist()]
         cut = cut[np.array(begun, np.bool_)]
-        return np.append(whole, cut), np.append(kind, np.zeros_like(cut))
+        verdict = np.append(self._verdicts(held, at, final), np.full_like(cut, INCOMPLETE))
+        return np.append(at, cut), verdict, np.append(kind, np.zeros_like(cut))
 
-    def verdicts(self, held: ByteArray, at: IntArray, final: bool) -> IntArray:
-        """Return for each place the length of the packet there, with its tail, or why there is none, (n,)."""
-        verdict = np.full(len(at), INCOMPLETE, np.int64)
-        begun = np.flatnonzero(at + len(next(iter(self.names))) <= len(held))
-        verdict[begun] = self.lengths(held, at[begun])
+    def _verdicts(self, held: ByteArray, at: IntArray, final: bool) -> IntArray:
+        """Return the lengths of the packets at these places, with their tails, or why there are none."""
+        verdict = self.lengths(held, at)
         verdict[(verdict > 0) & (at + verdict > len(held))] = INCOMPLETE
         whole = np.flatnonzero(verdict > 0)
         at, length = at[whole], verdict[whole]
-        right = self.check(held, at, length)
+        right = np.ones(len(at), np.bool_) if self.check is None else self.check(held, at, length)
         with_tail = self._with_tail(held, at, length, final) if self.tail else length
         verdict[whole] = np.where(right, with_tail, BAD_SUM)
         if self.fits is not None:
@@ -92,7 +87,7 @@ class Frame:
             place = at + length + k
             agree &= (place >= len(held)) | (held[np.minimum(place, len(held) - 1)] == byte)
         there = at + length + len(self.tail) <= len(held)
-        cut = length if final else np.full(len(at), INCOMPLETE)
+        cut = length if final else INCOMPLETE
         return np.where(agree, np.where(there, length + len(self.tail), cut), length)
 
 
@@ -106,7 +101,6 @@ class Found:
     kind: IntArray
 
     def __len__(self) -> int:
-        """Return the number of packets."""
         return len(self.at)
 
     def only(self, rows: IntArray | BoolArray) -> "Found":
@@ -140,19 +134,16 @@ def integers(held: ByteArray, at: IntArray, size: int, big: bool = False) -> Int
 
 
 def candidates(frames: Sequence[Frame], held: ByteArray, final: bool) -> Found:
-    """Return places of sync patterns in order, one for each place; the length is what `Frame.verdicts` has.
+    """Return what `Frame.candidates` has of all frames in order, one for each place.
 
     The first frame counts that finds a packet there; or that may still find one, when more bytes come.
     """
-    at, kind, verdict = (list[IntArray]() for _ in range(3))
-    before = 0
+    tried, before = [], 0
     for frame in frames:
-        places, number = frame.places(held)
-        at.append(places)
-        kind.append(before + number)
-        verdict.append(frame.verdicts(held, places, final) if len(places) else places)
+        at, verdict, kind = frame.candidates(held, final)
+        tried.append((at, verdict, before + kind))
         before += len(frame.names)
-    found = Found(held, *map(np.concatenate, (at, verdict, kind)))
+    found = Found(held, *map(np.concatenate, zip(*tried, strict=True)))
     if len(frames) == 1:
         return found
     hopeless = (found.length <= 0) & (final | (found.length != INCOMPLETE))
@@ -167,7 +158,7 @@ def search(frames: Sequence[Frame], held: ByteArray, final: bool, done: int) -> 
     over, and stays pending when no packet follows.  The first `done` bytes are those of an earlier packet.
     """
     tried = candidates(frames, held, final)
-    is_checked = [frame.check is not unchecked for frame in frames for _ in frame.names]
+    is_checked = [frame.check is not None for frame in frames for _ in frame.names]
     begins = np.zeros(len(held) + 1, np.bool_)
     begins[tried.at] = True
     of_interest = np.flatnonzero((tried.length > 0) | (tried.length == INCOMPLETE))
@@ -177,7 +168,7 @@ def search(frames: Sequence[Frame], held: ByteArray, final: bool, done: int) -> 
     stops = np.append(np.flatnonzero(~joined), len(at) - 1)
     run_end = stops[np.searchsorted(stops, np.arange(len(at)))] + 1
     runs: list[IntArray] = [of_interest[:0]]
-    k, rest, pending, may_overlap = 0, len(held), -1, True
+    k, rest, may_overlap = 0, len(held), True
     while k < len(at):
         start, length = int(at[k]), int(verdict[k])
         if start < done and (0 < length <= done - start or begins[done] or not may_overlap):
@@ -185,15 +176,14 @@ def search(frames: Sequence[Frame], held: ByteArray, final: bool, done: int) -> 
         elif length > 0:
             stop = int(run_end[k])
             runs.append(of_interest[k:stop])
-            done, pending, k = int(at[stop - 1] + verdict[stop - 1]), -1, stop
+            done, rest, k = int(at[stop - 1] + verdict[stop - 1]), len(held), stop
             may_overlap = is_checked[tried.kind[of_interest[stop - 1]]]
         elif not final:
             rest = start
             break
         else:
-            pending = start if pending < 0 and start >= done else pending
+            rest = min(rest, start) if start >= done else rest
             k += 1
-    rest = rest if pending < 0 else pending
     return tried, tried.only(np.concatenate(runs)), rest, max(done - rest, 0)
 
 
@@ -285,8 +275,8 @@ CHECKSUM_NAMES = ("none", *SIMPLE, *CRCS)
 class Checksum:
     """A checksum of all bytes from `first` to before `end`, which stands at `at`.
 
-    Without these two it covers all, and stands in the last bytes of a packet.  `zeros` more bytes, which are
-    not sent, count as if they followed the others (CRCs only).
+    Without these two it covers all, and stands in the last bytes of a packet.  `zeros` more bytes, and those
+    up to a multiple of `align`, which are not sent, count as if they followed the others (CRCs only).
     """
 
     name: str
@@ -296,6 +286,7 @@ class Checksum:
     zeros: int = 0
     end: int | None = None
     at: int | None = None
+    align: int = 1
 
     @property
     def size(self) -> int:
@@ -308,16 +299,16 @@ class Checksum:
         for size in np.flatnonzero(np.bincount(sizes)).tolist():
             which = np.flatnonzero(sizes == size)
             data = windows(held, first[which], size)
-            found[which] = self._cyclic(data) if self.name in CRCS else SIMPLE[self.name][1](data)
+            if self.name in SIMPLE:
+                found[which] = SIMPLE[self.name][1](data)
+                continue
+            # CRCs are linear: each byte adds what its value and its distance to the end give.
+            zeros = self.zeros + -size % self.align
+            longest = size + zeros
+            table, empty = by_distance(CRCS[self.name], 1 << longest.bit_length())
+            distance = np.arange(longest - 1, zeros - 1, -1)
+            found[which] = np.bitwise_xor.reduce(table.take(data + 256 * distance), axis=1) ^ empty[longest]
         return found & (1 << 8 * self.size) - 1
-
-    def _cyclic(self, data: ByteArray) -> IntArray:
-        """Return CRCs: they are linear, so each byte adds what its value and distance to the end give."""
-        longest = data.shape[1] + self.zeros
-        table, empty = by_distance(CRCS[self.name], 1 << longest.bit_length())
-        distance = np.arange(longest - 1, self.zeros - 1, -1)
-        value = np.bitwise_xor.reduce(table.take(data + 256 * distance), axis=1)
-        return np.asarray(value ^ empty[longest])
 
     def __call__(self, held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
         """Tell which packets are right; see `Check`."""
@@ -336,16 +327,15 @@ class Checksum:
         sums = self.values(bodies.reshape(-1), begin + self.first, begin + (self.end or size))
         most_first = sums.astype(">i8").view(np.uint8).reshape(-1, 8)[:, 8 - self.size :]
         stored = most_first if self.big else most_first[:, ::-1]
-        if self.at is None:
-            return np.concatenate([bodies, stored], axis=1)
-        return np.concatenate([bodies[:, : self.at], stored, bodies[:, self.at + self.size :]], axis=1)
+        at = size if self.at is None else self.at
+        return np.concatenate([bodies[:, :at], stored, bodies[:, at + self.size :]], axis=1)
 
 
 @lru_cache
 def by_distance(crc: Crc, longest: int) -> tuple[IntArray, IntArray]:
     """Return what a byte adds to the CRC by its distance to the end and its value, and the CRC of zeros.
 
-    Shapes: (longest * 256,), distance first, and (longest + 1,).
+    Shapes: ((longest + 1) * 256,), distance first, and (longest + 1,).
     """
     top, mask = crc.width - 1, (1 << crc.width) - 1
     polynomial, initial = crc.polynomial, crc.initial
@@ -364,11 +354,8 @@ def by_distance(crc: Crc, longest: int) -> tuple[IntArray, IntArray]:
             return np.asarray((register >> 8) ^ step[register & 0xFF])
         return np.asarray(((register << 8) & mask) ^ step[register >> crc.width - 8])
 
-    table = np.empty((longest, 256), np.uint16 if crc.width == 16 else np.uint32)
-    empty = np.empty(longest + 1, np.int64)
-    empty[0], added = initial, step
+    rows = np.empty((longest + 1, 257), np.uint16 if crc.width == 16 else np.uint32)
+    rows[0] = np.append(step, initial)
     for k in range(longest):
-        table[k] = added
-        added = with_zero(added)
-        empty[k + 1] = with_zero(empty[k : k + 1])[0]
-    return table.reshape(-1), empty ^ crc.final_xor
+        rows[k + 1] = with_zero(rows[k])
+    return rows[:, :256].reshape(-1), rows[:, 256] ^ crc.final_xor

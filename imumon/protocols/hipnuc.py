@@ -6,13 +6,15 @@ Facts from the vendor's drivers.  0x83 lists the fields that follow by the bits 
 
 from collections.abc import Sequence
 from fractions import Fraction
+from itertools import takewhile
 
 import numpy as np
 
 from imumon.blocks import BoolArray, IntArray
-from imumon.protocols.base import ByteArray, Timing
-from imumon.protocols.framing import Checksum, Frame, counted_length, windows
-from imumon.protocols.messages import FamilyDecoder, Message, field, part, table
+
+from .base import ByteArray, Timing
+from .framing import Checksum, Frame, counted_length, windows
+from .messages import FamilyDecoder, Message, part, table
 
 SYNC = b"\x5a\xa5"
 HEADER, LONGEST = 6, 512 + 6
@@ -66,9 +68,8 @@ HEAD = part(f"{_INS} | 4")
 
 def of_bits(bits: int) -> Message:
     """Return the message 0x83 with the fields of these bits; it ends at the first bit that is not known."""
-    there = [BITS.get(bit) for bit in range(32) if bits >> bit & 1]
-    end = there.index(None) if None in there else len(there)
-    return field(f"imu83:{bits:#x}", HEAD, *(one.numbers for one in there[:end] if one is not None))
+    there = takewhile(BITS.__contains__, (bit for bit in range(32) if bits >> bit & 1))
+    return Message(f"imu83:{bits:#x}", (*HEAD, *(number for bit in there for number in BITS[bit].numbers)))
 
 
 _XMODEM = Checksum("crc16-xmodem")
@@ -80,7 +81,7 @@ def _right(held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
     for size in np.flatnonzero(np.bincount(length)).tolist():
         which = np.flatnonzero(length == size)
         moved = windows(held, at[which], size)[:, [*range(4), *range(HEADER, size), 4, 5]]
-        right[which] = _XMODEM(moved.reshape(-1), np.arange(len(which)) * size, np.full(len(which), size))
+        right[which] = np.all(_XMODEM.sealed_rows(moved[:, :-2]) == moved, axis=1)
     return right
 
 
@@ -110,4 +111,4 @@ class HipnucDecoder(FamilyDecoder):
         if tag and tag[0] not in (*PACKETS, OF_BITS):
             self._report("packets with other tags than 0x81, 0x83 and 0x91 are counted and not read")
         key = int.from_bytes(tag, "little")
-        return int.from_bytes(bits, "little") << 8 | key if key == OF_BITS and len(bits) == 4 else key
+        return int.from_bytes(bits, "little") << 8 | key if key == OF_BITS else key

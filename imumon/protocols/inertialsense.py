@@ -9,10 +9,11 @@ from fractions import Fraction
 import numpy as np
 
 from imumon.blocks import ColumnArray
-from imumon.protocols.base import LONGEST_PACKET, Timing
-from imumon.protocols.framing import Checksum, Frame, counted_length
-from imumon.protocols.messages import FamilyDecoder, table
-from imumon.protocols.numbers import Columns, Derived, known
+
+from .base import LONGEST_PACKET, Timing
+from .framing import Checksum, Frame, counted_length
+from .messages import FamilyDecoder, table
+from .numbers import Columns, Derived, known
 
 SYNC = b"\xef\x49"
 HEADER, AROUND = 6, 8

@@ -7,15 +7,16 @@ Only the first vehicle of which more than a heartbeat comes is read: a stream ma
 SCALED_IMU and RAW_IMU have rates in steps of 1 mrad/s, 206 deg/h.
 """
 
-from collections.abc import Iterable
 from fractions import Fraction
 from functools import partial
 
 import numpy as np
 
 from imumon.blocks import BoolArray, ColumnArray, IntArray
-from imumon.protocols.base import ByteArray, Timing
-from imumon.protocols.framing import (
+
+from .base import ByteArray, Timing
+from .decoder import Layouts
+from .framing import (
     CRCS,
     IMPOSSIBLE,
     INCOMPLETE,
@@ -26,8 +27,8 @@ from imumon.protocols.framing import (
     integers,
     windows,
 )
-from imumon.protocols.messages import FamilyDecoder, table
-from imumon.protocols.numbers import Columns, Derived, Record, known
+from .messages import FamilyDecoder, table
+from .numbers import Columns, Derived, known
 
 FIRST, SECOND = b"\xfe", b"\xfd"
 HEADERS = {FIRST: 6, SECOND: 10}
@@ -70,8 +71,8 @@ OF_VEHICLE = (*(MESSAGES.keys() - {0}),)
 EXTRA = {0: 50, 2: 137, 26: 170, 27: 144, 29: 115, 30: 39, 31: 246, 105: 93, 107: 108, 111: 34, 116: 76,
          129: 46}  # fmt: skip
 """Byte of each message that the checksum counts behind the last."""
-EXTRAS = np.full(256, -1)
-EXTRAS[list(EXTRA)] = [*EXTRA.values()]
+EXTRAS = np.zeros(256, np.int64)
+EXTRAS[[*EXTRA]] = [*EXTRA.values()]
 _CRC = Checksum("crc16-mcrf4xx")
 _OF_LAST_BYTE = by_distance(CRCS["crc16-mcrf4xx"], 1)[0]
 """What the last byte adds to the CRC, by its value."""
@@ -88,7 +89,7 @@ def _length(header: int, held: ByteArray, at: IntArray) -> IntArray:
     there = np.flatnonzero(at + header <= len(held))
     begin = at[there]
     number, size = _number(held, begin, header), header + 2 + held[begin + 1].astype(np.int64)
-    good = (number < len(EXTRAS)) & (EXTRAS[number % len(EXTRAS)] >= 0)
+    good = np.isin(number, [*EXTRA])
     if header == HEADERS[SECOND]:
         flags = held[begin + 2]
         size += SIGNATURE * (flags & SIGNED)
@@ -116,8 +117,7 @@ class MavlinkDecoder(FamilyDecoder):
     timing = Timing(tick_ns=Fraction(1000))
     start, more, head = HEADERS[SECOND], HEADERS[SECOND], (7, 8, 9)
     derived = (CELSIUS,)
-    _vehicle = -1
-    """Component << 8 | number of the vehicle that is read."""
+    _vehicle = -1  # component << 8 | number of the vehicle that is read
 
     def wrap(self, key: int, payload: bytes) -> bytes:
         """Make a message of version 2, which leaves out zeros at the end."""
@@ -145,7 +145,7 @@ class MavlinkDecoder(FamilyDecoder):
             self._report(COARSE, is_warning=True)
         return key
 
-    def _by_layout(self, found: Found) -> Iterable[tuple[Record, IntArray]]:
+    def _by_layout(self, found: Found) -> Layouts:
         vehicle, first = integers(found.held, found.at + 5, 2), 0
         if self._vehicle < 0:
             of_vehicle = np.isin(integers(found.held, found.at + 7, 3), OF_VEHICLE)

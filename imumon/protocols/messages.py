@@ -11,9 +11,8 @@ carry.  The first packet of each signature is looked at in Python; all that are 
 import re
 from abc import abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import lru_cache, partial
-from itertools import chain
+from dataclasses import dataclass
+from functools import partial
 from math import pi
 from pkgutil import resolve_name
 from typing import Any, NamedTuple
@@ -23,11 +22,12 @@ import numpy as np
 from imumon.blocks import IntArray, SampleBlock
 from imumon.columns import Column, ColumnType
 from imumon.geodesy import STANDARD_GRAVITY
-from imumon.protocols.base import COMMON, MAIN, NO_GROUP, Encoder, Groups, Timing, chosen
-from imumon.protocols.decoder import Decoder
-from imumon.protocols.device import FAMILIES, DeviceFile
-from imumon.protocols.framing import Found, Frame, windows
-from imumon.protocols.numbers import Derived, Number, Record, known, with_sources, write
+
+from .base import MAIN, Encoder, Groups, Timing, chosen
+from .decoder import Decoder, Layouts
+from .device import FAMILIES, DeviceFile
+from .framing import Found, Frame, windows
+from .numbers import NUMBER_TYPES, Derived, Number, Record, known, with_sources, write
 
 MOST_LAYOUTS = 4096
 """Signatures that are remembered: so many come of random bytes alone."""
@@ -90,25 +90,23 @@ def _columns(name: str, more: Sequence[str], dtype: ColumnType) -> Iterable[Colu
             yield Column(name, unit, dtype, what)
 
 
-def rows(text: str) -> Iterator[tuple[str, str, str | None, int, Part]]:
-    """Yield what the rows of a table state: ``KEY NAME [GROUP] >=LEAST: NUMBERS``; see `Message` and `part`.
+def rows(text: str, usual: str = MAIN) -> Iterator[tuple[str, str, Part, str, int]]:
+    """Yield what rows ``KEY NAME [GROUP] >=LEAST: NUMBERS`` of a table state; see `Message` and `part`.
 
-    A line that is indented goes on with the one before.
+    A line that is indented goes on with the one before.  `usual`: group where none is stated.
     """
     for row in re.split(r"\n(?=\S)", text.strip()):
         found = _ROW.fullmatch(row)
         assert found is not None, row
         key, name, group, least, numbers = found.groups()
-        yield key, name, group, int(least or 0), part(numbers)
+        yield key, name, part(numbers), usual if group is None else group, int(least or 0)
 
 
 def table(text: str, usual: str = MAIN) -> dict[int, "Message"]:
     """Return the messages of a table by their keys, numbers or letters; `usual`: group of most of them."""
     return {
-        int(key, 0) if key[0].isdecimal() else ord(key): field(
-            name, numbers, group=usual if group is None else group, least=least
-        )
-        for key, name, group, least, numbers in rows(text)
+        int(key, 0) if key[0].isdecimal() else ord(key): Message(name, numbers, group, least)
+        for key, name, numbers, group, least in rows(text, usual)
     }
 
 
@@ -118,14 +116,17 @@ class Message:
 
     name: str
     """What the device file and the counters call it."""
-    size: int
-    """Bytes of the payload of today's devices."""
     numbers: Part
-    """Its numbers, with their places in the payload."""
+    """Its numbers, which stand one behind the other."""
     group: str = MAIN
     """Group of its columns; times and counters have none."""
     least: int = 0
     """Bytes of the shortest payload that is read; `size` when 0."""
+
+    @property
+    def size(self) -> int:
+        """Bytes of the payload of today's devices."""
+        return sum(NUMBER_TYPES[item.type].size for item in self.numbers)
 
     @property
     def columns(self) -> list[Column]:
@@ -134,35 +135,15 @@ class Message:
 
     def placed(self, start: int, size: int, big: bool) -> list[Number]:
         """Return the numbers of a payload that begins at `start` and has `size` bytes."""
-        return [
-            item._replace(
-                at=start + item.at,
-                group=NO_GROUP if item.name in COMMON else item.group or self.group,
-                big=big,
-            )
-            for item in self.numbers
-            if item.end <= size
-        ]
+        at, numbers = start, list[Number]()
+        for item in self.numbers:
+            numbers.append(item._replace(at=at, group=item.group or self.group, big=big))
+            at = numbers[-1].end
+        return [number for number in numbers if number.end <= start + size]
 
 
-def field(name: str, *parts: Part, group: str = MAIN, least: int = 0) -> Message:
-    """Return a message of parts that stand one behind the other."""
-    at, placed = 0, list[Number]()
-    for item in chain(*parts):
-        placed.append(item._replace(at=at))
-        at = placed[-1].end
-    return Message(name, at, tuple(placed), group, least)
-
-
-@lru_cache
-def _all_columns(
-    messages: Sequence[Message], derived: Sequence[Derived], names: Sequence[str], apart: Sequence[str]
-) -> tuple[Groups, tuple[Column, ...]]:
-    """Return the groups and the columns of all messages; kept, as they take ten times as long as the rest."""
-    layouts = [Record(message.placed(0, message.size, False), derived) for message in messages]
-    return Groups.of([layout.of_column for layout in layouts], names, apart), tuple(
-        column for layout in layouts for column in layout.columns
-    )
+Placed = list[tuple[Message, int, int]]
+"""Messages in a packet, where each begins, and its size."""
 
 
 class Alike(NamedTuple):
@@ -191,24 +172,32 @@ class TableDecoder(Decoder):
     big: bool = False
     """Whether the most significant byte comes first."""
 
-    def __init__(self, rate_hz: float | None = None) -> None:
-        table = (tuple(self.messages.values()), *map(tuple, (self.derived, self.names, self.apart)))
+    def __init__(self) -> None:
         self._layouts: dict[tuple[int, int, bytes], Record | None] = {}
-        super().__init__(self.frames, replace(self.timing, rate_hz=rate_hz), *_all_columns(*table))
+        every = [
+            Record(message.placed(0, message.size, self.big), self.derived)
+            for message in self.messages.values()
+        ]
+        groups = Groups.of([layout.of_column for layout in every], self.names, self.apart)
+        possible = [column for layout in every for column in layout.columns]
+        super().__init__(self.frames, self.timing, groups, possible)
 
     @abstractmethod
     def _signature(self, packet: bytes) -> Sequence[int]:
         """Return the places of the bytes that identify what is in a packet."""
 
     @abstractmethod
-    def _contents(self, packet: bytes) -> list[tuple[Message, int, int]]:
-        """Return the messages in a packet that are in the table, and where each begins and its size."""
+    def _contents(self, packet: bytes) -> Placed:
+        """Return the messages in a packet that are in the table."""
 
-    def _layout(self, alike: Alike) -> Record | None:
+    def _numbers(self, packet: bytes) -> list[Number]:
+        """Return the numbers of the messages in a packet, in their places."""
+        there = self._contents(packet)
+        return [item for message, at, size in there for item in message.placed(at, size, self.big)]
+
+    def _layout(self, packet: bytes) -> Record | None:
         """Return what packets of a signature carry; None: nothing for a row."""
-        there = self._contents(alike.packet)
-        numbers = [item for message, at, size in there for item in message.placed(at, size, self.big)]
-        layout = Record(numbers, self.derived)
+        layout = Record(self._numbers(packet), self.derived)
         return layout if layout.columns else None
 
     def _alike(self, found: Found) -> Iterator[Alike]:
@@ -227,12 +216,12 @@ class TableDecoder(Decoder):
             yield Alike(left[same], packet, (kind, size, key))
             left = left[~same]
 
-    def _by_layout(self, found: Found) -> Iterable[tuple[Record, IntArray]]:
+    def _by_layout(self, found: Found) -> Layouts:
         if len(self._layouts) > MOST_LAYOUTS:
             self._layouts.clear()
         for alike in self._alike(found):
             if alike.key not in self._layouts:
-                self._layouts[alike.key] = self._layout(alike)
+                self._layouts[alike.key] = self._layout(alike.packet)
             layout = self._layouts[alike.key]
             if layout is not None:
                 yield layout, alike.rows
@@ -267,14 +256,13 @@ class FamilyDecoder(TableDecoder):
         """Return the identifier of a packet; what is not in the table is only counted."""
 
     def _message(self, key: int) -> Message | None:
-        """Return what an identifier means."""
         return self.messages.get(key)
 
     def _signature(self, packet: bytes) -> Sequence[int]:
         del packet
         return self.head
 
-    def _contents(self, packet: bytes) -> list[tuple[Message, int, int]]:
+    def _contents(self, packet: bytes) -> Placed:
         message, size = self._message(self._key(packet)), len(packet) - self.more
         if message is None or size < (message.least or message.size):
             return []
@@ -295,7 +283,7 @@ class TableDevice(DeviceFile):
     def decoder(self) -> TableDecoder:
         """Make a decoder for this device."""
         family: type[TableDecoder] = resolve_name(FAMILIES[self.protocol])
-        return family(self.rate_hz)
+        return family()
 
     def encoder(self) -> Encoder:
         """Make an encoder that sends what the device would send."""

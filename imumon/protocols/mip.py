@@ -12,12 +12,13 @@ from typing import Literal
 import numpy as np
 
 from imumon.blocks import NO_INT, ColumnArray
-from imumon.protocols.base import NO_GROUP, Encoder, Timing, chosen
-from imumon.protocols.messages import Message, TableDevice, table
-from imumon.protocols.numbers import FROM_MATRIX, Columns, Derived, known
-from imumon.protocols.tagged import MIP, TaggedDecoder, tagged_encoder
 
-SENSOR, FILTER, SYSTEM = 0x80, 0x82, 0xA0
+from .base import NO_GROUP, Encoder, Timing, chosen
+from .messages import Message, TableDevice, table
+from .numbers import FROM_MATRIX, Columns, Derived, known
+from .tagged import MIP, TaggedDecoder
+
+SENSOR, FILTER = 0x80, 0x82
 GNSS = {0x81: "gnss", 0x91: "gnss1", 0x92: "gnss2", 0x93: "gnss3", 0x94: "gnss4", 0x95: "gnss5"}
 """Descriptor sets of receivers, and how their columns begin."""
 
@@ -200,7 +201,7 @@ WEEK_NS = 7 * 86_400 * 10**9
 SET_NAMES = {
     SENSOR: "sensor data",
     FILTER: "filter data",
-    SYSTEM: "system data",
+    0xA0: "system data",
     **{code: f"{prefix.upper()} data" for code, prefix in GNSS.items()},
 }
 """Names of the descriptor sets with data; the others are those of commands and their replies."""
@@ -235,18 +236,16 @@ class MipDecoder(TaggedDecoder):
     form, data, apart = MIP, (SENSOR, FILTER, *GNSS), (*GNSS.values(),)
     timing = Timing(tick_ns=Fraction(1))
 
-    def __init__(
-        self, attitude: Attitude = "filter", clock: Clock = "reference", rate_hz: float | None = None
-    ) -> None:
+    def __init__(self, attitude: Attitude = "filter", clock: Clock = "reference") -> None:
         self.messages = mip_fields(attitude, clock)
         self.derived = (FROM_MATRIX, _GPS_CLOCK) if clock == "gps" else (FROM_MATRIX,)
-        super().__init__(rate_hz)
+        super().__init__()
 
     def encoder(self, names: Sequence[str], descriptor_set: int = SENSOR) -> Encoder:
         """Return an encoder of fields of one descriptor set; see `TableDecoder.encoder`."""
         of_set = {item.name: (key, item) for key, item in self.messages.items() if key >> 8 == descriptor_set}
         fields = chosen(names, of_set, f"field of descriptor set 0x{descriptor_set:02X}")
-        return tagged_encoder(MIP, descriptor_set, fields, self.derived)
+        return self.field_encoder(descriptor_set, fields)
 
     def _field(self, key: int, size: int) -> Message | None:
         found = self.messages.get(key)
@@ -269,4 +268,4 @@ class MipDevice(TableDevice):
 
     def decoder(self) -> MipDecoder:
         """Make a decoder for this device."""
-        return MipDecoder(self.attitude, self.clock, self.rate_hz)
+        return MipDecoder(self.attitude, self.clock)

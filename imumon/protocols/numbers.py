@@ -1,7 +1,6 @@
 """Numbers in packets: how they are read and written, their columns, and what is computed of them."""
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import NamedTuple
 
@@ -10,8 +9,9 @@ import numpy as np
 from imumon.blocks import NO_INT, BoolArray, ColumnArray, FloatArray, IntArray, missing
 from imumon.columns import KNOWN, Column
 from imumon.errors import bad_data
-from imumon.protocols.base import NO_GROUP, ByteArray
-from imumon.protocols.framing import Found, windows
+
+from .base import COMMON, NO_GROUP, ByteArray
+from .framing import Found, windows
 
 
 class NumberType(NamedTuple):
@@ -46,8 +46,7 @@ _FLOAT32_MAX = float(np.finfo(np.float32).max)
 Columns = Mapping[str, ColumnArray]
 
 
-@dataclass(frozen=True, slots=True)
-class Derived:
+class Derived(NamedTuple):
     """Columns computed from others (a time from a date, a quaternion from a matrix)."""
 
     sources: tuple[str, ...]
@@ -154,13 +153,13 @@ def _packed(where: str, value: Number, numbers: ColumnArray) -> ByteArray:
             _refuse(np.isfinite(numbers) & (np.abs(numbers) > _FLOAT32_MAX), numbers, where)
         return numbers.astype(f">f{kind.size}").view(np.uint8).reshape(-1, kind.size)
     numbers = np.where(is_missing(numbers), value.offset if numbers.dtype.kind == "f" else 0, numbers)
-    if numbers.dtype.kind == "f" or (value.factor, value.offset) != (1.0, 0.0) or value.type == "fp1632":
+    if numbers.dtype.kind == "f" or (value.factor, value.offset) != (1.0, 0.0):
         scaled = (numbers - value.offset) / value.factor * (2.0**32 if value.type == "fp1632" else 1.0)
         _refuse(~np.isfinite(scaled) | (np.abs(scaled) > 2.0**62), numbers, where)
         numbers = np.rint(scaled).astype(np.int64)
     if value.mask:
         numbers = numbers * (value.mask & -value.mask) & value.mask
-    elif value.column is not None and value.column.name not in WRAPPING and kind.size < 8:
+    elif value.name not in WRAPPING and kind.size < 8:
         low, high = kind.range
         _refuse((numbers < low) | (numbers > high), numbers, where)
     most_first = numbers.astype(">i8").view(np.uint8).reshape(-1, 8)[:, 8 - kind.size :]
@@ -198,7 +197,8 @@ class Record:
         last = {item.name: item for item in numbers if item.column is not None}
         self._numbers = [*last.values()]
         self._derived = [made for made in derived if last.keys() >= {*made.sources}]
-        self.of_column = {item.name: item.group for item in self._numbers if item.group}
+        grouped = [item for item in self._numbers if item.group and item.name not in COMMON]
+        self.of_column = {item.name: item.group for item in grouped}
         sent = [item.column for item in self._numbers if item.column is not None]
         for made in self._derived:
             sent += made.results
@@ -212,8 +212,7 @@ class Record:
         formats: list[tuple[str, int] | str] = []
         for item in self._numbers:
             kind = NUMBER_TYPES[item.type]
-            letter = "f" if not kind.integer else "i" if kind.signed else "u"
-            plain = f"{'>' if item.big else '<'}{letter}{kind.size}"
+            plain = f"{'>' if item.big else '<'}{item.type[0]}{kind.size}"
             formats.append(("u1", kind.size) if kind.size in (3, 6) else plain)
         names, offsets = [item.name for item in self._numbers], [item.at for item in self._numbers]
         size = max((item.end for item in self._numbers), default=1)
@@ -273,12 +272,14 @@ def utc_time(prefix: str, result: Column, per_s: int = 1_000_000_000) -> Derived
 
 def _matrix_to_quaternion(columns: Columns) -> list[ColumnArray]:
     """Convert the matrix reference to body, row by row, to the quaternion body to reference (Shepperd)."""
-    a, b, c, d, e, f, g, h, i = (np.asarray(columns[name], np.float64) for name in MATRIX)
+    a, b, c, d, e, f, g, h, i = (columns[name] for name in MATRIX)
     squares = np.stack([1 + a + e + i, 1 + a - e - i, 1 - a + e - i, 1 - a - e + i])
-    products = [[squares[0], f - h, g - c, b - d], [f - h, squares[1], b + d, c + g],
-                [g - c, b + d, squares[2], f + h], [b - d, c + g, f + h, squares[3]]]  # fmt: skip
+    products = np.array([
+        [squares[0], f - h, g - c, b - d], [f - h, squares[1], b + d, c + g],
+        [g - c, b + d, squares[2], f + h], [b - d, c + g, f + h, squares[3]],
+    ])  # fmt: skip
     best = np.argmax(np.nan_to_num(squares), axis=0)
-    scaled = np.stack([np.choose(best, [row[k] for row in products]) for k in range(4)])
+    scaled = products[best, :, np.arange(len(a))].T
     with np.errstate(all="ignore"):  # what is not a rotation becomes NaN
         quaternion = scaled / (2 * np.sqrt(np.max(squares, axis=0)))
     quaternion = np.where(np.isfinite(quaternion).all(axis=0), quaternion, np.nan)

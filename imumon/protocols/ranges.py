@@ -28,21 +28,19 @@ class Ranges(StrictModel):
 
     def limits(self) -> dict[str, tuple[float, float, str]]:
         """Return for each column the least and largest reading inside, SI units, and what it is beyond."""
-        ends = {
-            "gyro": (self.gyro_deg_per_s, math.pi / 180.0, "deg/s"),
-            "accel": (self.accel_g, STANDARD_GRAVITY, "g"),
-        }
-        inside = {
-            sensor: (math.nextafter((1.0 - ROUNDED) * end * unit, 0.0), f"at its range of {end:g} {name}")
-            for sensor, (end, unit, name) in ends.items()
-            if end is not None
-        }
-        return {f"{s}_{axis}": (-most, most, label) for s, (most, label) in inside.items() for axis in "xyz"}
+        found = dict[str, tuple[float, float, str]]()
+        for sensor, end, unit, name in (
+            ("gyro", self.gyro_deg_per_s, math.pi / 180.0, "deg/s"),
+            ("accel", self.accel_g, STANDARD_GRAVITY, "g"),
+        ):
+            if end is not None:
+                most = math.nextafter((1.0 - ROUNDED) * end * unit, 0.0)
+                label = f"at its range of {end:g} {name}"
+                found |= {f"{sensor}_{axis}": (-most, most, label) for axis in "xyz"}
+        return found
 
 
 class _Declaring(StrictModel, extra="ignore"):
-    """The part of a file that declares the range."""
-
     range: Ranges = Ranges()
 
 

@@ -10,10 +10,11 @@ from fractions import Fraction
 import numpy as np
 
 from imumon.blocks import BoolArray, ColumnArray, IntArray
-from imumon.protocols.base import LONGEST_PACKET, ByteArray, Timing
-from imumon.protocols.framing import Checksum, Frame, counted_length
-from imumon.protocols.messages import FamilyDecoder, table
-from imumon.protocols.numbers import Columns, Derived, known
+
+from .base import LONGEST_PACKET, ByteArray, Timing
+from .framing import Checksum, Frame, counted_length
+from .messages import FamilyDecoder, table
+from .numbers import Columns, Derived, known
 
 SYNC, END = b"\xff\x5a", 0x33
 HEADER, AROUND = 6, 9

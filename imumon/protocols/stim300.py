@@ -7,19 +7,19 @@ set in the unit and is not in the datagram: the device file has to state it.
 """
 
 from fractions import Fraction
-from functools import lru_cache
 from math import pi
 from typing import Literal
 
 import numpy as np
 from pydantic import PositiveFloat
 
-from imumon.blocks import BoolArray, IntArray
+from imumon.blocks import IntArray
 from imumon.geodesy import STANDARD_GRAVITY
-from imumon.protocols.base import ByteArray, Encoder, Timing
-from imumon.protocols.device import DeviceFile
-from imumon.protocols.framing import Checksum, Frame
-from imumon.protocols.messages import FamilyDecoder, Message, field, part
+
+from .base import ByteArray, Encoder, Timing
+from .device import DeviceFile
+from .framing import Checksum, Frame
+from .messages import FamilyDecoder, Message, part
 
 TICK_NS = 500_000
 """The counter counts samples of the internal 2000 Hz, not datagrams."""
@@ -44,7 +44,6 @@ AccelRange = Literal[5, 10, 30, 80]
 Output = Literal["rate", "increment"]
 
 
-@lru_cache
 def datagrams(output: Output, accel_range_g: AccelRange, rate_hz: float | None) -> dict[int, Message]:
     """Return the datagrams of normal mode by their identifier, which is byte 0 of the payload."""
     is_rate, per_sample, bits = output == "rate", rate_hz or 1.0, RANGE_BITS[accel_range_g]
@@ -66,13 +65,12 @@ def datagrams(output: Output, accel_range_g: AccelRange, rate_hz: float | None) 
     }
     end = "device_ticks u8 | latency u16*1.0 us measurement to transmission"
     return {
-        key: field(f"{key:02X}", part(" | ".join(["1", *map(with_status.__getitem__, names.split()), end])))
+        key: Message(f"{key:02X}", part(" | ".join(["1", *map(with_status.__getitem__, names.split()), end])))
         for key, names in DATAGRAMS.items()
     }
 
 
-CHECKS = [Checksum("crc32-mpeg2", big=True, zeros=zeros) for zeros in range(4)]
-"""By the zeros that fill a datagram up to a multiple of four bytes."""
+CHECK = Checksum("crc32-mpeg2", big=True, align=4)
 SIZES = np.zeros(256, np.int64)
 SIZES[[*DATAGRAMS]] = [message.size + CRC_SIZE for message in datagrams("rate", 10, None).values()]
 """Bytes of each datagram by its identifier."""
@@ -82,18 +80,10 @@ def _length(held: ByteArray, at: IntArray) -> IntArray:
     return SIZES[held[at]]
 
 
-def _right(held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
-    right = np.zeros(len(at), np.bool_)
-    for zeros, check in enumerate(CHECKS):
-        mine = -length % len(CHECKS) == zeros
-        right[mine] = check(held, at[mine], length[mine])
-    return right
-
-
 class StimDecoder(FamilyDecoder):
     """Decodes the datagrams of normal mode, with and without a line end behind them."""
 
-    frames = (Frame({bytes([key]): f"datagram {key:02X}" for key in DATAGRAMS}, _length, _right, LINE_END),)
+    frames = (Frame({bytes([key]): f"datagram {key:02X}" for key in DATAGRAMS}, _length, CHECK, LINE_END),)
     timing = Timing(tick_ns=Fraction(TICK_NS), tick_bits=8)
     start, more, head, big = 0, CRC_SIZE, (0,), True
 
@@ -104,11 +94,11 @@ class StimDecoder(FamilyDecoder):
             f"read as {device.output}s with accelerometers of {device.accel_range_g} g, as the device file "
             "states: the datagrams do not hold it"
         )
-        super().__init__(device.rate_hz)
+        super().__init__()
 
     def wrap(self, key: int, payload: bytes) -> bytes:
         """Make a datagram."""
-        return CHECKS[-len(payload) % len(CHECKS)].sealed(bytes([key]) + payload[1:]) + self._end
+        return CHECK.sealed(bytes([key]) + payload[1:]) + self._end
 
     def _key(self, packet: bytes) -> int:
         self._report(self._assumed)

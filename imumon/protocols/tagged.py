@@ -15,17 +15,20 @@ answer only to commands; taking them for packets would make noise of every FA in
 
 from abc import abstractmethod
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
 from imumon.blocks import BoolArray, IntArray, SampleBlock
 from imumon.errors import bad_config
-from imumon.protocols.base import OTHER, ByteArray, Encoder
-from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, NO_PACKET, Checksum, Found, Frame, counted_length
-from imumon.protocols.messages import Message, TableDecoder
-from imumon.protocols.numbers import Derived, Number, Record, is_missing, with_sources, write
+
+from .base import OTHER, ByteArray, Encoder
+from .decoder import Layouts
+from .framing import IMPOSSIBLE, INCOMPLETE, NO_PACKET, Checksum, Found, Frame, counted_length
+from .messages import Message, Placed, TableDecoder
+from .numbers import is_missing, with_sources, write
 
 LONGEST_XBUS_PAYLOAD = 2048
 KIND_AT = 2
@@ -59,8 +62,7 @@ def xbus_message(kind: int, payload: bytes = b"") -> bytes:
     return bytes([0xFA, 0xFF, kind, *([0xFF, size >> 8, size & 0xFF] if size >= 0xFF else [size])]) + payload
 
 
-@dataclass(frozen=True)
-class Form:
+class Form(NamedTuple):
     """How packets and the fields in them are written."""
 
     frame: Frame
@@ -106,7 +108,7 @@ class Form:
 
 _SUM, _FLETCHER = Checksum("sum8-negated", first=1), Checksum("fletcher16-256")
 XBUS = Form(Frame({b"\xfa": "Xbus"}, xbus_lengths, _SUM), _SUM, xbus_message, LONGEST_XBUS_PAYLOAD, 3)
-XBUS_DATA = replace(XBUS, header=0)
+XBUS_DATA = XBUS._replace(header=0)
 MIP_FRAME = Frame({b"\x75\x65": "MIP"}, counted_length(3, 1, 6, 261), _FLETCHER)
 MIP = Form(MIP_FRAME, _FLETCHER, lambda kind, data: bytes([*b"\x75\x65", kind, len(data)]) + data, 255, 2)
 
@@ -122,17 +124,17 @@ class TaggedDecoder(TableDecoder):
     names = (OTHER,)
     big = True
 
-    def __init__(self, rate_hz: float | None = None) -> None:
+    def __init__(self) -> None:
         self._is_data = np.isin(np.arange(256), [*self.data])
         self._types = np.zeros(256, np.int64)
         self.frames = [replace(self.form.frame, fits=self._fit)]
-        super().__init__(rate_hz)
+        super().__init__()
 
     @abstractmethod
     def _field(self, key: int, size: int) -> Message | None:
         """Return the field with this key and so many bytes; None when there is none."""
 
-    def _contents(self, packet: bytes) -> list[tuple[Message, int, int]]:
+    def _contents(self, packet: bytes) -> Placed:
         found = []
         for key, at, size in self.form.places(packet):
             field = self._field(key, size)
@@ -161,7 +163,7 @@ class TaggedDecoder(TableDecoder):
             fit[data[alike.rows]] = self._is_filled(alike.packet)
         return fit
 
-    def _by_layout(self, found: Found) -> Iterable[tuple[Record, IntArray]]:
+    def _by_layout(self, found: Found) -> Layouts:
         kind = found.held[found.at + KIND_AT]
         self._types += np.bincount(kind, minlength=256)
         for row in np.flatnonzero(~self._is_data[kind]).tolist():
@@ -185,51 +187,40 @@ class TaggedDecoder(TableDecoder):
     def _by_type(self) -> dict[str, int]:
         return {self._type_name(kind): n for kind, n in enumerate(self._types.tolist())}
 
+    def field_encoder(self, kind: int, fields: Sequence[tuple[int, Message]]) -> Encoder:
+        """Return an encoder of one packet per row; raises BAD_CONFIG when the packet becomes too long.
 
-def tagged_encoder(
-    form: Form, kind: int, fields: Sequence[tuple[int, Message]], derived: Sequence[Derived] = ()
-) -> Encoder:
-    """Return an encoder of one Xbus or MIP packet per row.
+        `kind` is the packet type, `fields` have their keys.  A field of which a row has no value is left out.
+        """
+        longest = sum(self.form.header + field.size for _, field in fields)
+        if longest > self.form.longest:
+            raise bad_config(f"a packet with these fields has {longest} bytes, too many")
+        return Encoder(partial(self._encode_fields, kind, fields))
 
-    Raises BAD_CONFIG when the packet becomes too long.
-
-    `kind` is the packet type, `fields` have their keys.  A field of which a row has no value is left out.
-    """
-    longest = sum(form.header + field.size for _, field in fields)
-    if longest > form.longest:
-        raise bad_config(f"a packet with these fields has {longest} bytes, too many")
-    return Encoder(partial(_encode, form, kind, fields, derived))
-
-
-def _encode(
-    form: Form,
-    kind: int,
-    fields: Sequence[tuple[int, Message]],
-    derived: Sequence[Derived],
-    block: SampleBlock,
-) -> list[bytes]:
-    sent = [column.name for _, field in fields for column in field.columns]
-    columns = with_sources(block.columns, derived, sent)
-    present = np.ones((len(block), len(fields)), np.bool_)
-    for k, (_, field) in enumerate(fields):
-        there = [~is_missing(columns[c.name]) for c in field.columns if c.name in columns]
-        if there:  # a field without any column is sent as zero
-            present[:, k] = np.any(there, axis=0)
-    packets = [b""] * len(block)
-    patterns, which = np.unique(present, axis=0, return_inverse=True)
-    for number, pattern in enumerate(patterns):
-        rows = np.flatnonzero(which.reshape(-1) == number)
-        blank = form.packed(
-            kind, [(key, bytes(f.size)) for (key, f), is_sent in zip(fields, pattern, strict=True) if is_sent]
-        )
-        at, numbers = len(blank), list[Number]()
-        for k in np.flatnonzero(pattern)[::-1]:
-            field = fields[k][1]
-            at -= field.size
-            numbers += field.placed(at, field.size, big=True)
-            at -= form.header
-        of_rows = {name: values[rows] for name, values in columns.items()}
-        sealed = form.check.sealed_rows(write("packet", numbers, blank, of_rows, len(rows)))
-        for row, packet in zip(rows, sealed, strict=True):
-            packets[row] = packet.tobytes()
-    return packets
+    def _encode_fields(
+        self, kind: int, fields: Sequence[tuple[int, Message]], block: SampleBlock
+    ) -> list[bytes]:
+        form, names = self.form, [column.name for _, field in fields for column in field.columns]
+        columns = with_sources(block.columns, self.derived, names)
+        present = np.ones((len(block), len(fields)), np.bool_)
+        for k, (_, field) in enumerate(fields):
+            there = [~is_missing(columns[c.name]) for c in field.columns if c.name in columns]
+            if there:  # a field without any column is sent as zero
+                present[:, k] = np.any(there, axis=0)
+        packets = [b""] * len(block)
+        patterns, which = np.unique(present, axis=0, return_inverse=True)
+        for number, pattern in enumerate(patterns):
+            rows = np.flatnonzero(which.reshape(-1) == number)
+            sent = [fields[k] for k in np.flatnonzero(pattern).tolist()]
+            blank = form.packed(kind, [(key, bytes(field.size)) for key, field in sent])
+            places = form.places(blank + bytes(form.check.size))
+            numbers = [
+                number
+                for (_, field), (_, at, size) in zip(sent, places, strict=False)
+                for number in field.placed(at, size, big=True)
+            ]
+            of_rows = {name: values[rows] for name, values in columns.items()}
+            sealed = form.check.sealed_rows(write("packet", numbers, blank, of_rows, len(rows)))
+            for row, packet in zip(rows, sealed, strict=True):
+                packets[row] = packet.tobytes()
+        return packets

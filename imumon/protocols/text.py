@@ -20,12 +20,13 @@ from pydantic import Field, NonNegativeInt, PositiveInt, model_validator
 
 from imumon.blocks import BoolArray, IntArray, SampleBlock
 from imumon.config import StrictModel
-from imumon.protocols.base import COMMON, MAIN, NO_GROUP, ByteArray, Encoder, Groups, Timing, chosen
-from imumon.protocols.decoder import Decoder
-from imumon.protocols.device import DeviceFile
-from imumon.protocols.fixed import NumberField, NumberName, distinct_names, timing_of
-from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, Checksum, Found, Frame
-from imumon.protocols.numbers import NUMBER_TYPES, WRAPPING, Number, Record, is_missing
+
+from .base import MAIN, ByteArray, Encoder, Groups, Timing, chosen
+from .decoder import Decoder
+from .device import DeviceFile
+from .fixed import NumberField, NumberName, distinct_names, timing_of
+from .framing import IMPOSSIBLE, INCOMPLETE, Checksum, Found, Frame
+from .numbers import NUMBER_TYPES, WRAPPING, Number, Record, is_missing
 
 LINE_END = 0x0A
 MOST_LINES = 1 << 14
@@ -106,8 +107,8 @@ class Line(StrictModel):
         """What each number is in a record of the numbers of a line."""
         scaled = [field.scaled(name) for field in self.fields for name in field.names]
         return [
-            Number(c, "f64", factor, zero, at=8 * k, group=NO_GROUP if c.name in COMMON else MAIN)
-            for k, (c, factor, zero) in enumerate(scaled)
+            Number(column, "f64", factor, zero, at=8 * k, group=MAIN)
+            for k, (column, factor, zero) in enumerate(scaled)
         ]
 
     def read(self, text: str) -> list[float] | None:
@@ -119,7 +120,7 @@ class Line(StrictModel):
         try:
             words = self._words(checked[len(self.prefix) :])
             numbers = [self._number(words[key]) for key in self.wanted]
-        except (ValueError, LookupError, OverflowError, RecursionError):
+        except (ValueError, LookupError, TypeError, RecursionError):
             return None
         fit = (low <= numbers[k] <= high and numbers[k].is_integer() for k, low, high in self._counts)
         return numbers if all(fit) else None
@@ -147,16 +148,10 @@ class Line(StrictModel):
         return {key.strip(): value for key, value in pairs}
 
     def _number(self, word: Any) -> float:
-        if isinstance(word, str):
-            word = word.strip().replace(self.decimal, ".")
-            if not NUMBER.fullmatch(word):
-                raise ValueError("not a number")
-        elif type(word) not in (int, float):  # bool is an int as well
-            raise ValueError("not a number")
-        value = float(word)
-        if not isfinite(value):
-            raise ValueError("not finite")
-        return value
+        text = str(word).strip().replace(self.decimal, ".")
+        if not NUMBER.fullmatch(text) or not isfinite(float(text)):
+            raise ValueError("not a finite number")
+        return float(text)
 
     def encode(self, block: SampleBlock) -> list[bytes]:
         """Return the line of each row; see `imumon.protocols.base.Encoder`."""
@@ -170,7 +165,6 @@ class Line(StrictModel):
         return [self._written(row) for row in table.tolist()]
 
     def _written(self, numbers: Sequence[float]) -> bytes:
-        """Return the line with these numbers, in the order of the columns."""
         point = "." if self.form == "json" else self.decimal
         words = {
             key: (f"{number:.0f}" if number.is_integer() else f"{number:.12g}").replace(".", point)
@@ -207,11 +201,7 @@ def _xor(body: str) -> int:
 
 
 def _step(tree: Any, key: str) -> Any:
-    if isinstance(tree, list):
-        return tree[int(key)]
-    if not isinstance(tree, dict):
-        raise ValueError("no such path")
-    return tree[key]
+    return tree[int(key)] if isinstance(tree, list) else tree[key]
 
 
 def _tree(leaves: dict[str, float]) -> Any:
@@ -227,22 +217,20 @@ def _tree(leaves: dict[str, float]) -> Any:
 
 
 class TextDecoder(Decoder):
-    """Decodes lines as records of their numbers; `readers`: read the lines of each frame."""
+    """Decodes lines as records of their numbers."""
 
     def __init__(self, lines: Sequence[Line], timing: Timing) -> None:
-        readers = [partial(read_once, line) for line in lines]
+        self._lines = lines
         frames = [
-            line_frame({line.prefix.encode() or b"\n": line.name}, read)
-            for line, read in zip(lines, readers, strict=True)
+            line_frame({line.prefix.encode() or b"\n": line.name}, partial(read_once, line)) for line in lines
         ]
         layouts = [Record(line.numbers) for line in lines]
         groups = Groups.of([layout.of_column for layout in layouts])
         super().__init__(frames, timing, groups, layouts=layouts)
-        self._readers = readers
 
     def _plain(self, found: Found) -> Found:
         lines = zip(found.kind.tolist(), texts(found.held, found.at, found.length), strict=True)
-        records = [self._readers[kind](text) or () for kind, text in lines]
+        records = [read_once(self._lines[kind], text) or () for kind, text in lines]
         sizes = 8 * np.array([len(record) for record in records], np.int64)
         held = np.array([*chain(*records)], np.float64).view(np.uint8)
         return Found(held, np.cumsum(sizes) - sizes, sizes, found.kind)
@@ -292,7 +280,7 @@ class TextDevice(DeviceFile):
     def decoder(self) -> Decoder:
         """Make a decoder for these lines; of several kinds that fit one the first counts."""
         fields = [field for line in self.lines for field in line.fields]
-        return TextDecoder(self.lines, timing_of(fields, self.rate_hz))
+        return TextDecoder(self.lines, timing_of(fields))
 
     def encoder(self) -> Encoder:
         """Make an encoder for the lines that are sent: all when `sends` is empty."""

@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.protocols.text import NUMBER, Line
+
+from .text import NUMBER, Line
 
 LEAST_LINES = 20
 """Lines of one kind from which columns are proposed."""
@@ -61,8 +62,6 @@ def propose(data: bytes, seconds: float, baudrate: int | None) -> str | None:
     """
     lines = [line.strip("\r") for line in data.decode("utf-8", "replace").split("\n")[1:-1]]
     lines = [line for line in lines if line.strip()]
-    if len(lines) < LEAST_LINES:
-        return None
     for keys, places, described in chain(_named(lines), _delimited(lines)):
         numbers = _read(keys, places, described)
         if numbers is not None:

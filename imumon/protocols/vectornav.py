@@ -11,7 +11,6 @@ already taken off.  `Uncomp...` and `Imu` are calibrated in the factory and no m
 
 from array import array
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
 from fractions import Fraction
 from functools import partial
 from typing import NamedTuple
@@ -20,27 +19,176 @@ import numpy as np
 
 from imumon.blocks import IntArray
 from imumon.columns import KNOWN
-from imumon.protocols import vectornav_fields as tables
-from imumon.protocols.base import LONGEST_PACKET, MAIN, ByteArray, Encoder, Timing, chosen
-from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, Checksum, Found, Frame, counted_length, windows
-from imumon.protocols.messages import Alike, Message, TableDecoder, field
-from imumon.protocols.numbers import Number, Record
-from imumon.protocols.text import line_frame, sentence_body, texts
 
+from .base import LONGEST_PACKET, ByteArray, Encoder, Timing, chosen
+from .decoder import Layouts
+from .framing import IMPOSSIBLE, INCOMPLETE, Checksum, Found, Frame, counted_length, windows
+from .messages import Message, Placed, TableDecoder, part, table
+from .numbers import Number, Record
+from .text import line_frame, sentence_body, texts
+
+COMMON, TIME, IMU, GNSS1, ATTITUDE, INS, GNSS2, GNSS3 = 1, 2, 3, 4, 5, 6, 7, 12
+RECEIVERS = {GNSS1: "gnss1", GNSS2: "gnss2", GNSS3: "gnss3"}
+SIDE_GROUPS = ("mag", "temperature", "pressure", "attitude", "filter", *RECEIVERS.values())
+FILTERED = ("gyro", "accel", "mag")
+"""What the device sends both as it was calibrated in the factory and as its filter has left it."""
+
+
+def _filtered(base: str, factor: str = "") -> str:
+    """Return what the filter has left; where nothing else comes it has the columns without a suffix."""
+    unit = KNOWN[f"{base}_x"].unit
+    return f"{base}_compensated_xyz f32{factor} {unit} {base}, corrected by the device's own filter"
+
+
+YPR, QUATERNION = "yaw f32*deg | pitch f32*deg | roll f32*deg", "q_x f32 | q_y f32 | q_z f32 | q_w f32"
+RATE, FORCE, FIELD = _filtered("gyro"), _filtered("accel"), _filtered("mag", "*gauss")
+DELTA_THETA = """delta_time f32 s time over which the increments were summed
+  | delta_theta_xyz f32*deg rad rotation over the sample"""
+DELTA_VELOCITY = "delta_velocity_xyz f32 m/s velocity increment"
+FREE = "free_accel_xyz f32 m/s^2 acceleration without gravity"
+VELOCITY_NED = "velocity_xyz f32 m/s velocity north, east, down"
+GPS_TIME = "gps_time u64 ns time since 1980-01-06 on the GPS clock"
+SYNC_TIME = "time_since_sync_in u64 ns time since the last pulse at the input"
+PPS = "time_since_pps u64 ns time since the receiver's last pulse"
+
+_RECEIVER = """
+0 TimeUtc: 8
+1 Tow [GNSS]: GNSS:time_of_week u64 ns
+2 Week [GNSS]: GNSS:week u16 1
+3 NumSats [GNSS]: GNSS:satellites u8 1
+4 Fix [GNSS]: GNSS:fix u8 1
+5 Position [GNSS]: GNSS:latitude,longitude f64 deg | GNSS:altitude f64 m
+6 PositionEcef: 24
+7 Velocity [GNSS]: GNSS:velocity_north,velocity_east,velocity_down f32 m/s
+8 VelocityEcef: 12
+9 PositionU [GNSS]: GNSS:position_sigma_north,position_sigma_east,position_sigma_down f32 m
+10 VelocityU [GNSS]: GNSS:velocity_sigma f32 m/s
+11 TimeU [GNSS]: GNSS:time_sigma f32 s
+12 TimeInfo: 2
+13 Dop [GNSS]: GNSS:gdop,pdop,tdop,vdop,hdop,ndop,edop f32 1
+14 SatInfo: 2
+16 RawMeas: 12
+17 Status [GNSS]: GNSS:status u16 1
+18 AltMsl [GNSS]: GNSS:altitude_msl f64 m
+"""
+REPEATS = {"SatInfo": (8, 0), "RawMeas": (28, 10)}
+"""Fields that have more bytes for each count of a byte in them: how many, and the place of that byte."""
+GROUP_NAMES = {COMMON: "Common", TIME: "Time", IMU: "Imu", GNSS1: "Gnss1", ATTITUDE: "Attitude", INS: "Ins",
+               GNSS2: "Gnss2", GNSS3: "Gnss3"}  # fmt: skip
+_TABLES = {
+    COMMON: f"""
+0 TimeStartup []: device_ticks u64
+1 TimeGps []: {GPS_TIME}
+2 TimeSyncIn []: {SYNC_TIME}
+3 Ypr [attitude]: {YPR}
+4 Quaternion [attitude]: {QUATERNION}
+5 AngRate: {RATE}
+6 Position [filter]: place f64
+7 Velocity [filter]: {VELOCITY_NED}
+8 Accel: {FORCE}
+9 Imu: accel f32 | gyro f32
+10 MagPres [mag]: {FIELD} | temperature f32 | pressure f32*kPa
+11 Deltas: {DELTA_THETA} | {DELTA_VELOCITY}
+12 Status: status u16
+13 SyncInCnt: sync_in_count u32 1 pulses at the input
+14 TimeGpsPps []: {PPS}
+""",
+    TIME: f"""
+0 TimeStartup []: device_ticks u64
+1 TimeGps []: {GPS_TIME}
+2 TimeGpsTow []: gps_time_of_week u64 ns GPS time of week
+3 TimeGpsWeek []: gps_week u16 1 GPS week
+4 TimeSyncIn []: {SYNC_TIME}
+5 TimeGpsPps []: {PPS}
+6 TimeUtc: 8
+7 SyncInCnt: sync_in_count u32 1 pulses at the input
+8 SyncOutCnt: sync_out_count u32 1 pulses at the output
+9 TimeStatus: time_status u8 1 which clocks are valid, bits
+""",
+    IMU: f"""
+0 ImuStatus: imu_status u16 1 status of the sensors
+1 UncompMag [mag]: mag f32*gauss
+2 UncompAccel: accel f32
+3 UncompGyro: gyro f32
+4 Temperature [temperature]: temperature f32
+5 Pressure [pressure]: pressure f32*kPa
+6 DeltaTheta: {DELTA_THETA}
+7 DeltaVelocity: {DELTA_VELOCITY}
+8 Mag [mag]: {FIELD}
+9 Accel: {FORCE}
+10 AngRate: {RATE}
+11 SensSat: saturation u16 1 saturated: mag, accel, gyro x y z, pressure, bits
+12 reserved: 40
+""",
+    ATTITUDE: f"""
+0 VpeStatus: status u16
+1 Ypr [attitude]: {YPR}
+2 Quaternion [attitude]: {QUATERNION}
+3 Dcm: 36
+4 MagNed [mag]: mag_ned_xyz f32*gauss uT magnetic field, north, east, down
+5 AccelNed: accel_ned_xyz f32 m/s^2 acceleration with gravity, north, east, down
+6 LinearAccelBody: {FREE}
+7 LinearAccelNed: 12
+8 YprU [attitude]: ypr_sigma_xyz f32*deg rad uncertainty of yaw, pitch, roll
+9 reserved: 12
+10 reserved: 28
+11 reserved: 24
+12 Heave: heave_xyz f32 m heave, its rate, and delayed
+13 AttU [attitude]: attitude_sigma f32*deg rad uncertainty of the attitude
+""",
+    INS: f"""
+0 InsStatus [filter]: ins_status u16 1 status of the navigation filter
+1 Position [filter]: place f64
+2 PositionEcef: 24
+3 VelocityBody [filter]: velocity_body_xyz f32 m/s velocity in the body frame
+4 Velocity [filter]: {VELOCITY_NED}
+5 VelocityEcef: 12
+6 MagEcef: 12
+7 AccelEcef: 12
+8 LinearAccelEcef: 12
+9 PositionU [filter]: position_sigma f32 m uncertainty of the position
+10 VelocityU [filter]: velocity_sigma f32 m/s uncertainty of the velocity
+11 reserved: 68
+12 reserved: 64
+""",
+    **{group: _RECEIVER.replace("GNSS", prefix) for group, prefix in RECEIVERS.items()},
+}
+BY_PLACE = {(group, bit): item for group, text in _TABLES.items() for bit, item in table(text).items()}
+"""Fields by group and bit."""
+
+SENTENCES = {
+    name: Message(name, part(f"8 | {numbers.replace('f32', 'f64')}"))
+    for name, numbers in {
+        "YPR": YPR,
+        "QTN": QUATERNION,
+        "QMR": f"{QUATERNION} | {FIELD} | {FORCE} | {RATE}",
+        "MAG": FIELD,
+        "ACC": FORCE,
+        "GYR": RATE,
+        "MAR": f"{FIELD} | {FORCE} | {RATE}",
+        "YMR": f"{YPR} | {FIELD} | {FORCE} | {RATE}",
+        "YBA": f"{YPR} | {FREE} | {RATE}",
+        "YIA": f"{YPR} | accel_ned_xyz f32 m/s^2 acceleration without gravity, north, east, down | {RATE}",
+        "IMU": "mag f32*gauss | accel f32 | gyro f32 | temperature f32 | pressure f32*kPa",
+        "DTV": f"{DELTA_THETA} | {DELTA_VELOCITY}",
+    }.items()
+}
+"""What each ASCII sentence is as `_plain` writes it: eight bytes of $ and its name, and its numbers."""
 MOST_HEADER = 64
 
 
 class Contents(NamedTuple):
     """What a binary packet holds: its fields and where each begins, and where header and fields end."""
 
-    fields: tuple[tuple[Message, int], ...]
+    fields: list[tuple[Message, int]]
     header: int
     end: int
 
     @property
-    def counters(self) -> list[int]:
-        """Places of the bytes that state how long a field is."""
-        return [at + tables.REPEATS[item.name][1] for item, at in self.fields if item.name in tables.REPEATS]
+    def signature(self) -> list[int]:
+        """Places of the bytes that state what it holds: the header, and counts of repeated parts."""
+        counts = [at + REPEATS[item.name][1] for item, at in self.fields if item.name in REPEATS]
+        return [*range(self.header), *counts]
 
 
 def read_contents(packet: bytes) -> Contents | int:
@@ -59,7 +207,7 @@ def _contents(packet: bytes) -> Contents | int:
         at = 3
     items: list[Message] = []
     for group in groups:
-        if group not in tables.GROUP_NAMES:
+        if group not in GROUP_NAMES:
             return IMPOSSIBLE
         first, more = 0, True
         while more:
@@ -67,59 +215,38 @@ def _contents(packet: bytes) -> Contents | int:
                 return IMPOSSIBLE
             word = packet[at] | packet[at + 1] << 8
             at += 2
-            more = group != tables.COMMON and word >= 0x8000
-            word &= 0xFFFF if group == tables.COMMON else 0x7FFF
-            places = [(group, first + k) for k in range(16) if word >> k & 1]
-            if not tables.BY_PLACE.keys() >= {*places}:
+            more = group != COMMON and word >= 0x8000
+            places = [(group, first + k) for k in range(15 if more else 16) if word >> k & 1]
+            if not BY_PLACE.keys() >= {*places}:
                 return IMPOSSIBLE
-            items += map(tables.BY_PLACE.__getitem__, places)
+            items += map(BY_PLACE.__getitem__, places)
             first += 16
     fields, end = list[tuple[Message, int]](), at
     for item in items:
         fields.append((item, end))
-        if item.name in tables.REPEATS:
-            more_bytes, counter = tables.REPEATS[item.name]
+        if item.name in REPEATS:
+            more_bytes, counter = REPEATS[item.name]
             end += more_bytes * packet[end + counter]
         end += item.size
         if end + 2 > LONGEST_PACKET:
             return IMPOSSIBLE
-    return Contents(tuple(fields), at, end) if items else IMPOSSIBLE
-
-
-def _in_word(group: int, bit: int) -> tuple[int, int, int]:
-    """Return bytes of a field, whether it is not known, and whether its length depends on what follows."""
-    if bit == 15 and group != tables.COMMON:
-        return 0, 0, 1  # another word follows
-    item = tables.BY_PLACE.get((group, bit))
-    return (0, 1, 0) if item is None else (item.size, 0, item.name in tables.REPEATS)
-
-
-IN_WORD = {group: np.array([_in_word(group, bit) for bit in range(16)], float) for group in range(1, 8)}
-"""For each bit of the word of a group what `_in_word` returns, (16, 3); reals are multiplied faster."""
-NOT_KNOWN_SECOND = 0xFF & ~(1 << tables.GNSS3 - 8)
-"""Bits of a second group byte that are not documented."""
+    return Contents(fields, at, end) if items else IMPOSSIBLE
 
 
 def _lengths(held: ByteArray, at: IntArray) -> IntArray:
-    """Return the length of the packet at each place; see `framing.Lengths`."""
-    groups, second = (np.append(held, np.zeros(2, np.uint8))[at + k] for k in (1, 2))
-    place, total = at + 2, np.zeros((len(at), 3))
-    is_cut = place > len(held)
-    for group, in_word in IN_WORD.items():
-        there = np.flatnonzero(groups >> group - 1 & 1)
-        is_cut[there] |= place[there] + 2 > len(held)
-        there = there[~is_cut[there] & (total[there, 2] == 0.0)]
-        bits = np.unpackbits(windows(held, place[there], 2), axis=1, bitorder="little")
-        total[there] += bits.astype(np.float64) @ in_word
-        place[there] += 2
-    size, unknown, more = total.astype(np.int64).T
-    length = np.where(is_cut, INCOMPLETE, place - at + size + 2)
-    length[(unknown > 0) | (~is_cut & (size == 0)) | (length > LONGEST_PACKET)] = IMPOSSIBLE
-    hopeless = (groups > 0x7F) & (second & NOT_KNOWN_SECOND > 0) & (at + MOST_HEADER + 4 <= len(held))
-    length[hopeless] = IMPOSSIBLE
-    for k in np.flatnonzero(np.where(groups > 0x7F, ~hopeless, (more > 0) & (unknown == 0))).tolist():
-        found = read_contents(held[at[k] : at[k] + LONGEST_PACKET].tobytes())
-        length[k] = found.end + 2 if isinstance(found, Contents) else found
+    """Return the length of the packet at each place, all that begin alike at once; see `framing.Lengths`."""
+    length, left = np.zeros(len(at), np.int64), np.arange(len(at))
+    while len(left):
+        found = read_contents(held[at[left[0]] :][:LONGEST_PACKET].tobytes())
+        if isinstance(found, int):
+            length[left[0]], left = found, left[1:]
+            continue
+        places = found.signature
+        alike = at[left] + places[-1] < len(held)
+        heads = windows(held, at[left[alike]], places[-1] + 1)[:, places]
+        alike[alike] = np.all(heads == heads[0], axis=1)
+        length[left[alike]] = found.end + 2
+        left = left[~alike]
     return length
 
 
@@ -138,9 +265,9 @@ def _sentence(text: str) -> tuple[str, list[str], list[float]] | None:
     if body is None:
         return None
     name, *fields = body[3:].split(",")
-    if name not in tables.SENTENCES:
+    if name not in SENTENCES:
         return name, fields, []
-    size = len(tables.SENTENCES[name])
+    size = len(SENTENCES[name].columns)
     if len(fields) > size and fields[-1][:1] in ("S", "T"):
         fields = fields[:size]  # the appendix with status or time
     try:
@@ -150,13 +277,9 @@ def _sentence(text: str) -> tuple[str, list[str], list[float]] | None:
     return (name, fields, numbers) if len(fields) == size and "_" not in body else None
 
 
-SENTENCE = 2
-"""Number of their kind."""
-
-
 PLACES = {
-    f"{tables.GROUP_NAMES[group]}.{item.name}": (group, bit)
-    for (group, bit), item in tables.BY_PLACE.items()
+    f"{GROUP_NAMES[group]}.{item.name}": (group, bit)
+    for (group, bit), item in BY_PLACE.items()
     if group < 8 and bit < 15 and item.columns
 }
 """Group and bit of the fields that can be sent, by GROUP.FIELD: those that need no second byte or word."""
@@ -178,12 +301,12 @@ def header_of(groups: int, words: Iterable[int]) -> bytes:
 def _factory(numbers: Sequence[Number]) -> frozenset[str]:
     """Return of which quantities there are numbers as they were calibrated in the factory."""
     names = {number.name for number in numbers}
-    return frozenset(base for base in tables.FILTERED if f"{base}_x" in names)
+    return frozenset(base for base in FILTERED if f"{base}_x" in names)
 
 
 def _renamed(numbers: Sequence[Number], factory: frozenset[str]) -> list[Number]:
     """Return the numbers; those of the filter have the plain names where nothing comes as calibrated."""
-    bases = {*tables.FILTERED} - factory
+    bases = {*FILTERED} - factory
     plain = {f"{base}_compensated_{axis}": f"{base}_{axis}" for base in bases for axis in "xyz"}
     return [
         number._replace(column=KNOWN[plain[number.name]]) if number.name in plain else number
@@ -200,62 +323,59 @@ class VectorNavDecoder(TableDecoder):
         line_frame({b"$VN": "ascii"}, _sentence),
     )
     timing = Timing(tick_ns=Fraction(1))
-    messages = tables.BY_PLACE
-    names, apart = tables.SIDE_GROUPS, (*tables.RECEIVERS.values(),)
+    messages = BY_PLACE
+    names, apart = SIDE_GROUPS, (*RECEIVERS.values(),)
 
-    def __init__(self, rate_hz: float | None = None) -> None:
-        super().__init__(rate_hz)
+    _factory: frozenset[str] = frozenset()  # quantities that have come as they were calibrated in the factory
+
+    def __init__(self) -> None:
+        super().__init__()
         for name in ("roll", "pitch"):  # alignment calls its own otherwise where a device may send these
             del self._possible[name]
-        self._factory: frozenset[str] = frozenset()
-        """Quantities that have come as they were calibrated in the factory."""
 
-    def _by_layout(self, found: Found) -> Iterable[tuple[Record, IntArray]]:
+    def _by_layout(self, found: Found) -> Layouts:
         """Yield the layouts; where calibrated quantities begin, the filtered ones step back."""
-        start = 0
         for alike in self._alike(found):
-            new = _factory(self._numbers_of(alike)) - self._factory
+            new = _factory(super()._numbers(alike.packet)) - self._factory
             if new:
                 first = int(alike.rows[0])
-                yield from self._of_rows(found, start, first)
-                start, self._factory = first, self._factory | new
+                yield from super()._by_layout(found.only(np.arange(first)))
+                self._factory |= new
                 self._layouts.clear()
-        yield from self._of_rows(found, start, len(found))
-
-    def _of_rows(self, found: Found, start: int, stop: int) -> Iterable[tuple[Record, IntArray]]:
-        for layout, rows in super()._by_layout(found.only(np.arange(start, stop))):
-            yield layout, rows + start
+                rest = found.only(np.arange(first, len(found)))
+                yield from ((layout, first + rows) for layout, rows in self._by_layout(rest))
+                return
+        yield from super()._by_layout(found)
 
     def _signature(self, packet: bytes) -> Sequence[int]:
         if packet[:1] == b"$":
             return range(8)
         found = read_contents(packet)
-        return () if isinstance(found, int) else [*range(found.header), *found.counters]
+        return () if isinstance(found, int) else found.signature
 
-    def _contents(self, packet: bytes) -> list[tuple[Message, int, int]]:
+    def _contents(self, packet: bytes) -> Placed:
+        if packet[:1] == b"$":
+            sentence = SENTENCES.get(packet[1:8].decode().strip())
+            return [] if sentence is None else [(sentence, 0, sentence.size)]
         found = read_contents(packet)
         return [] if isinstance(found, int) else [(item, at, item.size) for item, at in found.fields]
 
-    def _numbers_of(self, alike: Alike) -> list[Number]:
-        """Return the numbers of packets; those of a sentence are in its order."""
-        if alike.key[0] == SENTENCE:
-            values = tables.SENTENCES.get(alike.packet[1:8].decode().strip(), ())
-            return [v._replace(type="f64", at=8 + 8 * k, group=MAIN) for k, v in enumerate(values)]
-        return [n for item, at, size in self._contents(alike.packet) for n in item.placed(at, size, False)]
+    def _numbers(self, packet: bytes) -> list[Number]:
+        return _renamed(super()._numbers(packet), self._factory)
 
-    def _layout(self, alike: Alike) -> Record | None:
-        layout = Record(_renamed(self._numbers_of(alike), self._factory))
-        if "gyro_x" in layout.of_column and "gyro" not in self._factory:
+    def _layout(self, packet: bytes) -> Record | None:
+        layout = super()._layout(packet)
+        if layout is not None and "gyro_x" in layout.of_column and "gyro" not in self._factory:
             self._report(
                 "the angular rate is that of the device's filter, which has taken its own estimate of "
                 "the gyro bias off: what imumon finds is the rest of it; send UncompGyro, Imu or $VNIMU",
                 is_warning=True,
             )
-        return layout if layout.columns else None
+        return layout
 
     def _plain(self, found: Found) -> Found:
         """Return sentences as records of their name and numbers; those that are no data are reported."""
-        rows = np.flatnonzero(found.kind == SENTENCE)
+        rows = np.flatnonzero(found.held[found.at] == ord("$"))
         records = dict[int, bytes]()
         for row, line in zip(
             rows.tolist(), texts(found.held, found.at[rows], found.length[rows]), strict=True
@@ -266,7 +386,7 @@ class VectorNavDecoder(TableDecoder):
             records[row] = f"${name:<7}"[:8].encode() + array("d", numbers).tobytes()
             if name == "ERR":
                 self._report(f"the device reports error {', '.join(words)}")
-            elif name not in tables.SENTENCES:
+            elif name not in SENTENCES:
                 self._report(f"sentence $VN{name} is counted and not read")
         return found.replaced(records)
 
@@ -275,6 +395,6 @@ class VectorNavDecoder(TableDecoder):
         words = words_of(names)
         header = header_of(sum(1 << group - 1 for group in words), words.values())
         places = sorted({PLACES[name] for name in names})
-        sent = field("binary output", *(tables.BY_PLACE[place].numbers for place in places))
-        renamed = replace(sent, numbers=tuple(_renamed(sent.numbers, _factory(sent.numbers))))
-        return Encoder(partial(self._encode, lambda payload: XMODEM.sealed(header + payload), renamed))
+        numbers = [number for place in places for number in BY_PLACE[place].numbers]
+        sent = Message("binary output", tuple(_renamed(numbers, _factory(numbers))))
+        return Encoder(partial(self._encode, lambda payload: XMODEM.sealed(header + payload), sent))

@@ -14,10 +14,11 @@ import numpy as np
 
 from imumon.blocks import ColumnArray, IntArray
 from imumon.columns import KNOWN, Column
-from imumon.protocols.base import ByteArray, Packets, Timing
-from imumon.protocols.framing import INCOMPLETE, NO_PACKET, Checksum, Found, Frame, fixed_length, unchecked
-from imumon.protocols.messages import FamilyDecoder, field, part, table
-from imumon.protocols.numbers import Columns, Derived, known, utc_time
+
+from .base import ByteArray, Packets, Timing
+from .framing import INCOMPLETE, NO_PACKET, Checksum, Found, Frame, fixed_length
+from .messages import FamilyDecoder, Message, part, table
+from .numbers import Columns, Derived, known, utc_time
 
 HEADER, SIZE = 2, 11
 SHORT, LONG = 20, 28
@@ -63,19 +64,17 @@ TYPES = table(f"""
 """What each type carries; the fourth number of 0x52 and 0x54 depends on the model and is left out."""
 IN_ONE = (*part(f"{_ACCEL} | {_GYRO}"), *(angle._replace(group="attitude") for angle in part(_ANGLES)))
 COMBINED_FORMS = {
-    COMBINED << 8 | SHORT: field("combined", IN_ONE),
-    COMBINED << 8 | LONG: field("timed", IN_ONE, part(_DATE.format("sample_", 1))),
+    COMBINED << 8 | SHORT: Message("combined", IN_ONE),
+    COMBINED << 8 | LONG: Message("timed", IN_ONE + part(_DATE.format("sample_", 1))),
 }
 """The frame of several quantities, by its length."""
 
 
 def _combined_lengths(held: ByteArray, at: IntArray) -> IntArray:
     """Return the length of 0x61 by where the next one begins."""
-    result = np.full(len(at), NO_PACKET, np.int64)
+    result, padded = np.full(len(at), NO_PACKET, np.int64), np.pad(held, (0, LONG + 1))
     for size in (LONG, SHORT):
-        there = at + size + 1 < len(held)
-        next_at = np.where(there, at + size, 0)
-        result[there & (held[next_at] == 0x55) & (held[next_at + 1] == COMBINED)] = size
+        result[(padded[at + size] == 0x55) & (padded[at + size + 1] == COMBINED)] = size
     waits = at + LONG + 1 >= len(held)
     return np.where(waits & (result < 0), INCOMPLETE, result)
 
@@ -90,14 +89,13 @@ class WitMotionDecoder(FamilyDecoder):
             fixed_length(SIZE),
             Checksum("sum8"),
         ),
-        Frame({bytes([0x55, COMBINED]): "combined"}, _combined_lengths, unchecked),
+        Frame({bytes([0x55, COMBINED]): "combined"}, _combined_lengths),
     )
     timing = Timing(tick_ns=Fraction(1_000_000))
     start, more, head = HEADER, HEADER, (1,)
     apart = ("gnss",)
     derived = DERIVED
-    _still = np.zeros(ZEROS, np.bool_)
-    """Whether the last rates were zero."""
+    _still = np.zeros(ZEROS, np.bool_)  # whether the last rates were zero
 
     def wrap(self, key: int, payload: bytes) -> bytes:
         """Make a frame of a type, or the combined one."""

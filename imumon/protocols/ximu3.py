@@ -11,10 +11,11 @@ from functools import partial
 import numpy as np
 
 from imumon.blocks import BoolArray, IntArray
-from imumon.protocols.base import ByteArray, Timing
-from imumon.protocols.framing import Found, Frame
-from imumon.protocols.messages import FamilyDecoder, table
-from imumon.protocols.text import NUMBER, line_frame, line_lengths, texts
+
+from .base import ByteArray, Timing
+from .framing import Found, Frame
+from .messages import FamilyDecoder, table
+from .text import NUMBER, line_frame, line_lengths, texts
 
 BINARY = 0x80
 END, ESCAPE, ESCAPED_END, ESCAPED_ESCAPE = 0x0A, 0xDB, 0xDC, 0xDD

@@ -284,7 +284,7 @@ def unwrap(clock: DeviceClock, sent: Packets) -> tuple[IntArray, IntArray]:
     return clock.process(sent.counter, sent.ticks, sent.arrival, len(sent.counter))
 
 
-U16 = replace(MICROSECONDS, counter_bits=16)
+U16 = MICROSECONDS._replace(counter_bits=16)
 
 
 class TestDeviceClock:
@@ -324,7 +324,7 @@ class TestDeviceClock:
 
     @pytest.mark.parametrize("bits", [7, 8, 16])
     def test_gap_of_ten_seconds_is_counted_by_the_clock(self, bits: int) -> None:
-        timing = replace(MICROSECONDS, counter_bits=bits)
+        timing = MICROSECONDS._replace(counter_bits=bits)
         sent = packets(4000, timing, uptime_s=4290.0).without(1500, 2501)
         clock = DeviceClock(timing)
         time, segment = unwrap(clock, sent)
@@ -346,7 +346,7 @@ class TestDeviceClock:
         assert (clock.packets_missing, clock.counter_gaps) == (4, 2)
 
     @pytest.mark.parametrize("seen", [True, False])
-    @pytest.mark.parametrize("timing", [MICROSECONDS, U16, replace(U16, tick_bits=0)])
+    @pytest.mark.parametrize("timing", [MICROSECONDS, U16, U16._replace(tick_bits=0)])
     @pytest.mark.parametrize("uptime_s", [100.0, 2000.0, 2500.0, 4200.0])
     def test_reboot_begins_a_segment(self, uptime_s: float, timing: Timing, seen: bool) -> None:
         sent = packets(1000, timing, uptime_s, counter=17)
@@ -470,7 +470,7 @@ class TestDeviceClock:
         assert np.all(np.diff(time[1500:]) == 10 * MS)
 
     def test_sources_in_order_ticks_counter_rows_arrivals(self) -> None:
-        sent = packets(4, replace(MICROSECONDS, counter_bits=16), uptime_s=3.0, counter=7)
+        sent = packets(4, MICROSECONDS._replace(counter_bits=16), uptime_s=3.0, counter=7)
         both = DeviceClock(MICROSECONDS).process(sent.counter, sent.ticks, sent.arrival, 4)[0]
         counted = DeviceClock(MICROSECONDS).process(sent.counter, None, sent.arrival, 4)[0]
         rows = DeviceClock(Timing(rate_hz=400.0)).process(None, None, sent.arrival, 4)[0]
@@ -488,10 +488,8 @@ class TestDeviceClock:
     @pytest.mark.parametrize(
         "timing",
         [
-            Timing(counter_bits=0),
             Timing(tick_ns=Fraction(0)),
             Timing(tick_ns=Fraction(10**12 + 1, 10**9)),
-            Timing(tick_ns=Fraction(1), tick_bits=65),
             Timing(rate_hz=0.0),
         ],
     )

@@ -87,7 +87,7 @@ def read_number(data: bytes, kind: str) -> float | int:
 
 def read_field(item: Message, data: bytes) -> dict[str, float | int]:
     found: dict[str, float | int] = {}
-    for value in (value for value in item.numbers if value.end <= len(data)):
+    for value in item.placed(0, len(data), True):
         number = read_number(data[value.at : value.end], value.type)
         if value.column is not None:
             integer = value.column.dtype == "int64"

@@ -43,7 +43,7 @@ A second: year u8+2000 1 year | count u16 1 counts | scaled u16*1.0 V voltage | 
     first, second = found.values()
     assert list(found) == [0x50, ord("A")]
     assert (first.name, first.group, first.least, first.size) == ("first", "side", 4, 6 + 2 + 12)
-    assert [(item.name, item.at) for item in first.numbers][2:6] == [
+    assert [(item.name, item.at) for item in first.placed(0, first.size, False)][2:6] == [
         ("gyro_z", 4),
         ("", 6),
         ("", 7),

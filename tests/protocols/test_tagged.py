@@ -10,9 +10,9 @@ from imumon.columns import KNOWN, Column
 from imumon.errors import ImumonError, Reason
 from imumon.protocols.base import Encoder, Timing
 from imumon.protocols.decoder import MOST_NOTICES
-from imumon.protocols.messages import Message, field
+from imumon.protocols.messages import Message
 from imumon.protocols.numbers import Derived, Number
-from imumon.protocols.tagged import XBUS, XBUS_DATA, TaggedDecoder, tagged_encoder
+from imumon.protocols.tagged import XBUS, XBUS_DATA, TaggedDecoder
 from tests.protocols.streams import feed_in_chunks, xbus_message
 
 WIDE, LEVEL = Column("wide", "1", "int64"), Column("level", "m")
@@ -23,11 +23,11 @@ DOUBLE = Derived(
     lambda columns: [columns["level"] / 2],
 )
 FIELDS = [
-    (0x0101, field("wide", (Number(WIDE, "u16"),))),
-    (0x0101, field("wide", (Number(WIDE, "i64"),))),
-    (0x0202, field("level", (Number(LEVEL, "f32"),))),
-    (0x0303, field("half", (Number(None, "u8"), Number(Column("_half", "m"), "f64")))),
-    (0x0404, field("blob", ())),
+    (0x0101, Message("wide", (Number(WIDE, "u16"),))),
+    (0x0101, Message("wide", (Number(WIDE, "i64"),))),
+    (0x0202, Message("level", (Number(LEVEL, "f32"),))),
+    (0x0303, Message("half", (Number(None, "u8"), Number(Column("_half", "m"), "f64")))),
+    (0x0404, Message("blob", ())),
 ]
 
 
@@ -149,7 +149,7 @@ def test_the_role_of_a_type_that_is_not_named_is_a_message() -> None:
 
 
 def test_the_encoder_sends_columns_that_the_block_lacks_as_zero() -> None:
-    encoder = tagged_encoder(XBUS, 0x36, FIELDS[1:4], [DOUBLE])
+    encoder = Talker().field_encoder(0x36, FIELDS[1:4])
     (packet,) = encoder.encode(SampleBlock({"wide": np.array([-3])}))
     decoder = Talker()
     decoder.feed(packet, 0)
@@ -158,12 +158,12 @@ def test_the_encoder_sends_columns_that_the_block_lacks_as_zero() -> None:
 
 
 def test_the_encoder_refuses_a_packet_that_is_too_long() -> None:
-    long = field("long", (Number(KNOWN["roll"], "f64"),) * 31)
+    long = Message("long", (Number(KNOWN["roll"], "f64"),) * 31)
     with pytest.raises(ImumonError, match="2259 bytes") as caught:
-        tagged_encoder(XBUS, 0x36, [(0x0505, long)] * 9)
+        Talker().field_encoder(0x36, [(0x0505, long)] * 9)
     assert caught.value.reason is Reason.BAD_CONFIG
 
 
 def test_an_empty_block_makes_no_packets() -> None:
-    encoder = tagged_encoder(XBUS, 0x36, FIELDS[:1])
+    encoder = Talker().field_encoder(0x36, FIELDS[:1])
     assert encoder.encode(SampleBlock({"wide": np.zeros(0, np.int64)})) == []

@@ -5,13 +5,13 @@ vendor.  The last four bits of an identifier are its format: bits 0-1 the precis
 the reference frame.  Values are in the device's units times a factor.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 from imumon.columns import KNOWN, Column
-from imumon.protocols.base import MAIN
-from imumon.protocols.messages import Message, Part, field, rows
-from imumon.protocols.numbers import FROM_MATRIX, utc_time
+
+from ..messages import Message, rows
+from ..numbers import FROM_MATRIX, utc_time
 
 PRECISIONS = {
     "float32": ("f32", 1.0),
@@ -30,17 +30,14 @@ _DATE = """_{0}year u16 1 year | _{0}month u8 1 month | _{0}day u8 1 day | _{0}h
 UTC = f"_utc_of_second u32 1 ns | {_DATE.format('utc_')} | utc_valid u8 1 validity bits of the UTC time"
 
 
-@dataclass(frozen=True, slots=True)
-class Identifier:
-    """A data identifier without its format bits."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Identifier(Message):
+    """A data identifier without its format bits.
 
-    code: int
-    name: str
-    group: str
-    least: int
-    """Both as `Message` has them."""
-    numbers: Part
-    """Those of type "real" or "framed" have the precision that the format states, "count" its sign."""
+    Numbers of type "real" or "framed" have the precision that the format states, "count" its sign.
+    """
+
+    code: int = 0
 
     @property
     def framed(self) -> bool:
@@ -55,7 +52,7 @@ class Identifier:
     @property
     def raw(self) -> bool:
         """Whether the numbers are raw counts, of which the last bit of the format states the sign."""
-        return self.code >> 8 == RAW_GROUP
+        return self.code >> 8 == 0xA0
 
     def message(self, form: int = 0) -> Message | None:
         """Return the field in a format, the last four bits of the identifier; None when it has no such."""
@@ -67,10 +64,9 @@ class Identifier:
         elif self.raw:
             good = form < 2
         typed = (n._replace(type=kinds.get(n.type, n.type), factor=n.factor * factor) for n in self.numbers)
-        return field(self.name, (*typed,), group=self.group, least=self.least) if good else None
+        return replace(self, numbers=(*typed,)) if good else None
 
 
-RAW_GROUP = 0xA0
 _GNSS_DATE, _NANO = _DATE.format("gnss_utc_"), "_gnss_utc_of_second i32 1 ns"
 _WEEK = "gnss:time_of_week u32*1e-3 s"
 _DOPS = "gnss:gdop,pdop,tdop,vdop,hdop,ndop,edop u16*0.01 1"
@@ -152,8 +148,7 @@ B020 AnalogIn2 [analog]: analog_2 u16*1.0 1 analog input 2, raw counts
 {_TRIGGERS}"""
 """A temperature among raw counts is signed in either format."""
 IDENTIFIERS = tuple(
-    Identifier(int(key, 16), name, MAIN if group is None else group, least, numbers)
-    for key, name, group, least, numbers in rows(_TABLE)
+    Identifier(name, numbers, group, least, int(key, 16)) for key, name, numbers, group, least in rows(_TABLE)
 )
 """Every data identifier, in the order of the columns."""
 

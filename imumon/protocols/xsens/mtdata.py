@@ -7,18 +7,19 @@ messages SetOutputMode (16 bits) and SetOutputSettings (32 bits), and the fixed 
 import struct
 from collections.abc import Iterable, Sequence
 from fractions import Fraction
+from itertools import chain
 from typing import Literal
 
 from pydantic import Field as Key
 
-from imumon.columns import KNOWN
 from imumon.config import StrictModel
-from imumon.protocols.base import Encoder, Timing, chosen
-from imumon.protocols.device import DeviceFile
-from imumon.protocols.messages import Message, TableDevice, field, part
-from imumon.protocols.numbers import Number
-from imumon.protocols.tagged import XBUS, XBUS_DATA, TaggedDecoder, tagged_encoder
-from imumon.protocols.xsens.fields import (
+
+from ..base import Encoder, Timing, chosen
+from ..device import DeviceFile
+from ..messages import Message, TableDevice, part
+from ..numbers import Number
+from ..tagged import XBUS, XBUS_DATA, TaggedDecoder
+from .fields import (
     DERIVED,
     DEVICE_TICKS_OF_UTC,
     FRAMES,
@@ -29,8 +30,7 @@ from imumon.protocols.xsens.fields import (
 )
 
 MTDATA, MTDATA2 = 0x32, 0x36
-DEVICE_ID, CONFIGURATION, FIRMWARE, PRODUCT_CODE = 0x01, 0x0D, 0x13, 0x1D
-ERROR, WARNING, OUTPUT_CONFIGURATION = 0x42, 0x43, 0xC1
+CONFIGURATION, ERROR, WARNING, OUTPUT_CONFIGURATION = 0x0D, 0x42, 0x43, 0xC1
 
 _REQUESTS = {
     0x00: "ReqDeviceID", 0x0C: "ReqConfiguration", 0x10: "GoToMeasurement", 0x12: "ReqFirmwareRevision",
@@ -38,8 +38,8 @@ _REQUESTS = {
     0xC0: "SetOutputConfiguration", 0xD0: "SetOutputMode", 0xD2: "SetOutputSettings",
 }  # fmt: skip
 _ANSWERS = {
-    DEVICE_ID: "DeviceID", CONFIGURATION: "Configuration", FIRMWARE: "FirmwareRevision",
-    PRODUCT_CODE: "ProductCode", MTDATA: "MTData", MTDATA2: "MTData2", ERROR: "Error", WARNING: "Warning",
+    0x01: "DeviceID", CONFIGURATION: "Configuration", 0x13: "FirmwareRevision", 0x1D: "ProductCode",
+    MTDATA: "MTData", MTDATA2: "MTData2", ERROR: "Error", WARNING: "Warning",
     OUTPUT_CONFIGURATION: "OutputConfiguration", 0xD1: "OutputMode", 0xD3: "OutputSettings",
 }  # fmt: skip
 NAMES = {kind + 1: f"{name}Ack" for kind, name in _REQUESTS.items()} | _REQUESTS | _ANSWERS
@@ -109,13 +109,13 @@ class MTData2Decoder(TaggedDecoder):
     messages = _MESSAGES
     derived, apart = DERIVED, ("gnss",)
 
-    def __init__(self, rate_hz: float | None = None, precision: Precision = "float32") -> None:
+    def __init__(self, precision: Precision = "float32") -> None:
         self._precision = precision
-        super().__init__(rate_hz)
+        super().__init__()
 
     def encoder(self, names: Sequence[str]) -> Encoder:
         """Return an encoder of data identifiers; see `TableDecoder.encoder`."""
-        return tagged_encoder(XBUS, MTDATA2, find_fields(names, self._precision), DERIVED)
+        return self.field_encoder(MTDATA2, find_fields(names, self._precision))
 
     def _field(self, key: int, size: int) -> Message | None:
         found = message_of(key, size)
@@ -156,7 +156,7 @@ class MTData2Device(TableDevice):
 
     def decoder(self) -> MTData2Decoder:
         """Make a decoder for this device."""
-        return MTData2Decoder(self.rate_hz, self.precision)
+        return MTData2Decoder(self.precision)
 
 
 Part = Literal[
@@ -223,32 +223,29 @@ def mtdata_field(profile: Profile) -> Message:
         sent.append(part("packet_counter u16"))
     if "utc" in settings.timestamp:
         sent.append(part(UTC))
-    return field("MTData", *sent)
+    return Message("MTData", tuple(chain(*sent)))
 
 
 class MTDataDecoder(TaggedDecoder):
-    """Decodes MTData by a profile; one row per message.
-
-    `rate_hz`: nominal rate of the messages; with the sample counter it dates them.
-    """
+    """Decodes MTData by a profile; one row per message."""
 
     form, data, type_names = XBUS_DATA, (MTDATA,), NAMES
     derived = (DEVICE_TICKS_OF_UTC, *DERIVED)
 
-    def __init__(self, profile: Profile, rate_hz: float | None = None) -> None:
+    def __init__(self, profile: Profile) -> None:
         self._data = mtdata_field(profile)
         self.messages = {0: self._data}
         sent = {column.name for column in self._data.columns}
         self.timing = Timing(
-            counter_bits=16 if KNOWN["packet_counter"].name in sent else None,
+            counter_bits=16 if "packet_counter" in sent else None,
             tick_ns=Fraction(1) if "_utc_year" in sent else None,
         )
-        super().__init__(rate_hz)
+        super().__init__()
 
     def encoder(self, names: Sequence[str] = ()) -> Encoder:
         """Return an encoder of messages of the profile."""
         del names
-        return tagged_encoder(XBUS_DATA, MTDATA, [(0, self._data)], self.derived)
+        return self.field_encoder(MTDATA, [(0, self._data)])
 
     def _field(self, key: int, size: int) -> Message | None:
         del key
@@ -276,7 +273,7 @@ class MTDataDevice(DeviceFile, Profile):
 
     def decoder(self) -> MTDataDecoder:
         """Make a decoder for this device."""
-        return MTDataDecoder(self, self.rate_hz)
+        return MTDataDecoder(self)
 
     def encoder(self) -> Encoder:
         """Make an encoder that sends what the device would send."""
