@@ -10,6 +10,7 @@ import textwrap
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TextIO
 
@@ -72,6 +73,7 @@ class Whole(click.IntRange):
 SECONDS = Number("seconds", min=0, min_open=True, max=1e9)
 """A length of time; the system cannot wait for much more."""
 PATH = click.Path(path_type=Path)
+path_option = partial(click.option, type=PATH)
 TABLE = "Table to write: NAME.parquet, .csv, .npz, .mat, or .mcap (ROS 2)."
 json_option = click.option(
     "--json", "as_json", is_flag=True, help="Print one JSON object on standard output."

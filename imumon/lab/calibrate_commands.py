@@ -14,6 +14,7 @@ from imumon.cli.common import (
     json_option,
     latitude_option,
     note,
+    path_option,
     print_json,
     print_rows,
     show,
@@ -23,27 +24,23 @@ from imumon.cli.common import (
 )
 from imumon.cli.progress import announce, reading_bar, size_of
 from imumon.files import check_outputs, write_text
-from imumon.lab.calibration import SHOWN
+
+from .calibration import SHOWN
 
 if TYPE_CHECKING:
-    from imumon.lab.calibration.calibration import Calibration, Finding
-
-STARTING_S, SAMPLES_PER_S, SPAN_PER_S = 20.0, 55_000.0, 1000.0
-"""For the estimate of the time, right to a factor of two: networks take long for few points too.  Measured on
-one core: 41 s of computing for 30,000 samples of 0.8 h, 19 s for 21,600 of 3 h, 103 s for 600,000 of 17 h."""
+    from .calibration.calibration import Calibration, Finding
 
 
 @click.command("calibrate")
 @click.argument("sessions", nargs=-1, required=True, metavar="SESSION...", type=PATH)
-@click.option("--out", required=True, type=PATH, help="Model file to write.")
-@click.option("--plot", type=PATH, help="Draw curves, points and residuals into this PNG.")
+@path_option("--out", required=True, help="Model file to write.")
+@path_option("--plot", help="Draw curves, points and residuals into this PNG.")
 @latitude_option
 @heading_option
 @click.option("--serial", help="Serial number of the unit, for the model file.")
 @truth_option
 @click.option(
     "--export",
-    "autopilot",
     type=click.Choice(["ardupilot", "px4"]),
     help="Also write the model in the parameters of an autopilot, beside --out.",
 )
@@ -60,7 +57,7 @@ def calibrate(
     heading: float | None,
     serial: str | None,
     truth: bool,
-    autopilot: Literal["ardupilot", "px4"] | None,
+    export: Literal["ardupilot", "px4"] | None,
     imu: int,
     device_ids: tuple[int, int] | None,
     as_json: bool,
@@ -74,52 +71,50 @@ def calibrate(
     The curve with the smallest error there is then fitted to all data.  Sessions that cannot give a good
     model are refused, with the reason.
     """
-    from imumon.lab.calibration.autopilot import SUFFIX, check_ids, parameters
-    from imumon.lab.calibration.calibration import calibrate as find_bias
-    from imumon.lab.calibration.calibration import check_place
-    from imumon.lab.calibration.cells import read_session
     from imumon.run.truth import check_truth, errors_of_model
 
-    export = None if autopilot is None else out.with_suffix(SUFFIX[autopilot])
-    check_outputs(plot, out, export)
-    check_ids(autopilot, device_ids)
+    from .calibration import autopilot, calibration, cells
+
+    file = out.with_suffix(autopilot.SUFFIX[export]) if export else None
+    check_outputs(plot, out, file)
+    autopilot.check_ids(export, device_ids)
     if truth:
         check_truth(sessions)
     warnings: list[str] = []
     samples, span_s = size_of(sessions)
-    expected_s = STARTING_S + samples / SAMPLES_PER_S + span_s / SPAN_PER_S
+    # Right to a factor of two, as networks take long for few points too.  Measured on one core: 41 s of
+    # computing for 30,000 samples of 0.8 h, 19 s for 21,600 of 3 h, 103 s for 600,000 of 17 h.
+    expected_s = 20.0 + samples / 55_000.0 + span_s / 1000.0
     announce("reading", samples, span_s, expected_s, quiet=as_json)
     with with_warnings(lambda: warnings), reading_bar(sessions, quiet=as_json) as progress:
-        check_place(latitude, heading)
+        calibration.check_place(latitude, heading)
         records = []
         for path in sessions:
-            record, found = read_session(path, progress.count)
+            record, found = cells.read_session(path, progress.count)
             records.append(record)
             warnings += found
-        result = find_bias(records, latitude, heading, serial, progress)
+        result = calibration.calibrate(records, latitude, heading, serial, progress)
         result.warnings[:0] = warnings
         model = result.model
     written: dict[str, Path] = {}
-    if autopilot is not None and export is not None:
-        text, notes = parameters(model, autopilot, imu, device_ids)
-        write_text(export, text)
+    if export and file:
+        text, notes = autopilot.parameters(model, export, imu, device_ids)
+        write_text(file, text)
         warn(notes)
-        written["parameters"] = export
+        written["parameters"] = file
     model.write(out)
-    if plot is not None:
-        from imumon.lab.calibration.plot import write_calibration_plot
+    if plot:
+        from .calibration.plot import write_calibration_plot
 
         write_calibration_plot(plot, result, ", ".join(path.name for path in sessions))
     errors = {str(path): errors_of_model(path, model) for path in sessions} if truth else {}
     warn(result.warnings)
     if as_json:
-        report: dict[str, Any] = _report(result, out)
-        if truth:
-            report["truth"] = {path: one.as_data() for path, one in errors.items()}
-        print_json(report | written)
+        of_truth = {"truth": {path: one.as_data() for path, one in errors.items()}} if truth else {}
+        print_json(_report(result, out) | of_truth | written)
     else:
         _show(result)
-    written |= {} if plot is None else {"picture": plot}
+    written |= {"picture": plot} if plot else {}
     print_rows(_summary(result, out) | {name: str(path) for name, path in written.items()})
     for name, one in errors.items():
         note(f"against the truth of {name}, at rest")
@@ -131,7 +126,7 @@ def _report(result: "Calibration", out: Path) -> dict[str, Any]:
     return {
         "out": out,
         "rest_s": result.rest_s,
-        "temperature_range_degc": [float(cells.temperature.min()), float(cells.temperature.max())],
+        "temperature_range_degc": [cells.temperature.min(), cells.temperature.max()],
         "temperature_rate_rms_degc_per_s": cells.rate_rms,
         "levels_degc": model.levels_degc,
         "earth_rate": model.earth_rate,
@@ -154,7 +149,6 @@ def _report(result: "Calibration", out: Path) -> dict[str, Any]:
 
 
 def _show(result: "Calibration") -> None:
-    """Print the error of every candidate at levels left out, a line per channel."""
     names = list(dict.fromkeys(name for f in result.findings.values() for name in f.choice.held_out_rms))
     heads = [name.replace("polynomial", "poly").replace("network", "net") for name in names]
     show("rms error at temperature levels left out; * is chosen")
@@ -171,16 +165,17 @@ def _show(result: "Calibration") -> None:
 
 def _summary(result: "Calibration", out: Path) -> dict[str, str]:
     model, cells = result.model, result.cells
-    low, high = cells.temperature.min(), cells.temperature.max()
     rows = {
         "at rest": f"{result.rest_s / 3600:.2f} h, {len(model.levels_degc)} temperature levels",
-        "temperature": f"{low:.2f} to {high:.2f} °C, {cells.rate_rms * 60:.2f} °C/min rms",
+        "temperature": f"{cells.temperature.min():.2f} to {cells.temperature.max():.2f} °C,"
+        f" {cells.rate_rms * 60:.2f} °C/min rms",
         "residual": _per_channel(result, lambda finding: finding.choice.residual_sd),
         "30 s of lag": _per_channel(result, lambda finding: finding.lag_rms) + ", if the gyro has it",
     }
     if any(finding.repeatability is not None for finding in result.findings.values()):
-        what = "by pose" if cells.turned else "turn-on"
-        rows[what] = _per_channel(result, lambda finding: finding.repeatability)
+        rows["by pose" if cells.turned else "turn-on"] = _per_channel(
+            result, lambda finding: finding.repeatability
+        )
     included = "in the constant of the gyro curves (--latitude, --heading)"
     rows["earth rate"] = "removed" if model.earth_rate == "removed" else included
     return {**rows, "model": str(out)}
@@ -198,9 +193,9 @@ def _per_channel(result: "Calibration", of: "Callable[[Finding], float | None]")
 
 @click.command("magnetometer")
 @click.argument("session", type=PATH)
-@click.option("--out", required=True, type=PATH, help="Model file to write.")
-@click.option("--model", type=PATH, help="Model file of the unit; its other contents are kept.")
-@click.option("--plot", type=PATH, help="Draw readings and field into this PNG.")
+@path_option("--out", required=True, help="Model file to write.")
+@path_option("--model", help="Model file of the unit; its other contents are kept.")
+@path_option("--plot", help="Draw readings and field into this PNG.")
 @json_option
 def magnetometer(session: Path, out: Path, model: Path | None, plot: Path | None, as_json: bool) -> None:
     """Find hard and soft iron from SESSION, in which the unit was moved in figures of eight and turned over.
@@ -214,12 +209,13 @@ def magnetometer(session: Path, out: Path, model: Path | None, plot: Path | None
     check_outputs(plot, out)
     from datetime import UTC, datetime
 
-    from imumon.lab.calibration.magnetometer import axes_of, doubts, fit_magnetometer
     from imumon.models.model import BiasModel, load_model
     from imumon.recordings.source import open_recording
     from imumon.version import __version__
 
-    known = None if model is None else load_model(model)
+    from .calibration.magnetometer import axes_of, doubts, fit_magnetometer
+
+    known = load_model(model) if model else None
     recording = open_recording(session)
     units = dict(recording.pipeline.units)
 
@@ -230,9 +226,8 @@ def magnetometer(session: Path, out: Path, model: Path | None, plot: Path | None
         fit = fit_magnetometer(recording.blocks(), units.get("mag_x", "uT"), str(session))
         axes = axes_of(open_recording(session).blocks(), fit.model)  # read again: it may not fit in memory
         texts = doubts(fit.model, axes, str(session))
-    named = {"session": recording.name, "sha256": recording.sha256()}
-    found = fit.model.model_copy(update=named)
-    if known is None:
+    found = fit.model.model_copy(update={"session": recording.name, "sha256": recording.sha256()})
+    if not known:
         known = BiasModel(
             made_by=f"imumon {__version__}",
             created=datetime.now(UTC).isoformat(timespec="seconds"),
@@ -241,30 +236,30 @@ def magnetometer(session: Path, out: Path, model: Path | None, plot: Path | None
             magnetometer=found,
         )
     known.model_copy(update={"magnetometer": found}).write(out)
-    if plot is not None:
-        from imumon.lab.calibration.plot import write_magnetometer_plot
+    if plot:
+        from .calibration.plot import write_magnetometer_plot
 
         write_magnetometer_plot(plot, fit, recording.name)
     warned = [*warnings(), *(f"{session}: {text}" for text in texts)]
     warn(warned)
-    off = [degrees(axes.angle), degrees(axes.sd)] if axes is not None and axes.is_significant else None
+    off = [degrees(axes.angle), degrees(axes.sd)] if axes and axes.is_significant else None
     if as_json:
         angle, sd = off or (None, None)
         result = {"out": out, "residual_before": fit.residual_before, "points": len(fit.readings)}
-        result |= {"axes_off_deg": angle, "axes_off_sd_deg": sd}
-        print_json(result | found.model_dump() | {"warnings": warned})
+        result |= {"axes_off_deg": angle, "axes_off_sd_deg": sd, **found.model_dump(), "warnings": warned}
+        print_json(result)
     worst = max(value for row in found.soft_iron_sd for value in row)
     soft = "; ".join(" ".join(f"{value:.4f}" for value in row) for row in found.soft_iron)
     hard = zip(found.hard_iron, found.hard_iron_sd, strict=True)
-    scatter = f"scatter {fit.residual_before:.2g} as sent, {found.residual_sd:.2g} corrected"
     rows = {
         "directions": f"{found.coverage:.0%}, {len(fit.readings):,} readings",
         "hard iron": ", ".join(f"{value:.2f} ± {sd:.2g}" for value, sd in hard) + f" {found.unit}",
         "soft iron": f"{soft}, ± {worst:.1g}",
-        "strength": f"{found.field:.2f} {found.unit}, {scatter}",
+        "strength": f"{found.field:.2f} {found.unit}, scatter {fit.residual_before:.2g} as sent,"
+        f" {found.residual_sd:.2g} corrected",
         "axes": "not checked: no gyros, or too few turns",
         "written": str(out),
     }
-    if off is not None:
+    if off:
         rows["axes"] = f"the gyros', turned against them by {off[0]:.1f} ± {off[1]:.1g}°"
     print_rows(rows)

@@ -10,7 +10,6 @@ from study import Options, Study, Table
 
 from imumon.blocks import FloatArray
 from imumon.effects.vibration import SECOND_NS
-from imumon.estimation.gyro_bias.stage import RestDetector
 from imumon.lab.diagnosis.diagnose import diagnose
 from imumon.lab.diagnosis.fit import FittedPart
 from imumon.lab.diagnosis.report import report
@@ -54,7 +53,7 @@ def _with_parameters(parts: Sequence[FittedPart]) -> str:
 
 def chamber_run(folder: Path) -> Run:
     """Return the record of the chamber."""
-    return read_runs(folder / "cooling-heating.csv", folder / "map.yaml", lambda _: [RestDetector()])[0]
+    return read_runs(folder / "cooling-heating.csv", folder / "map.yaml")[0]
 
 
 def split(run: Run, share: float) -> tuple[list[Run], list[Run]]:

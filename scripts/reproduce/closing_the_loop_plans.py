@@ -53,10 +53,10 @@ def planned(job: tuple[str, float, int]) -> list[Kept]:
         made = plan(known, question, MOST_S)
         took = time.perf_counter() - began
         label = f"{kind} at {size:g}"
-        if made.profile is None or made.expected is None:
+        if made.expected is None:
             found.append(Kept(label, question.name, math.nan, math.nan, math.nan, math.nan, took))
             continue
-        hours = made.profile.duration_s / 3600.0
+        hours = made.expected.profile.duration_s / 3600.0
         expected, reached = made.expected, _reached(known, made, seed)
         found.append(Kept(label, question.name, hours, expected.value, expected.needed, reached, took))
     return found
@@ -64,11 +64,10 @@ def planned(job: tuple[str, float, int]) -> list[Kept]:
 
 def _reached(known: Report, made: Plan, seed: int) -> float:
     """Return the evidence of a whole diagnosis, with one recording for training and one for the test."""
-    assert made.profile is not None
     assert made.expected is not None
     truth, rival = made.expected.truth, made.expected.rival
     answer = next(one for one in made.question.answers if one.name == truth)
-    content = scenario(known, made.question.channel, made.profile, answer)
+    content = scenario(known, made.question.channel, made.expected.profile, answer)
     train, test = (simulated_run(content, FRESH + 2 * seed + at) for at in (0, 1))
     degree = len(answer.declared) - 1
     diagnosis = diagnose([train], [test], f"polynomial {degree}", sensors=(made.question.channel[:-2],))

@@ -2,7 +2,7 @@
 
 import tempfile
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -89,7 +89,7 @@ def simulated_soak(seed: int) -> Soak:
 def during(record: Record, first: float, last: float) -> Record:
     """Return a record with only the blocks of a part of its time, as shares of the whole."""
     place = np.arange(len(record.means)) / len(record.means)
-    return replace(record, rest=record.rest & (place >= first) & (place < last))
+    return record._replace(rest=record.rest & (place >= first) & (place < last))
 
 
 def split(count: int, random: np.random.Generator) -> list[BoolArray]:

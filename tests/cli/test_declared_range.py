@@ -9,11 +9,9 @@ import numpy as np
 import pytest
 
 from imumon.allan.recording import read_channels
-from imumon.estimation.gyro_bias.stage import RestAndBias, RestDetector
+from imumon.estimation.gyro_bias.stage import RestAndBias
 from imumon.lab.calibration.cells import read_session
 from imumon.lab.diagnosis.runs import read_runs
-from imumon.pipeline import Estimator
-from imumon.protocols.device import DeviceFile
 from imumon.protocols.ranges import Ranges
 from imumon.recordings.folder import open_session
 from imumon.recordings.importing import import_table
@@ -27,13 +25,9 @@ MAP = "rate_hz: 1\naccel: {columns: [x, y, z], unit: g}\ngyro: {columns: [p, q, 
 DECLARED = "range: {accel_g: 0.9}\n"
 
 
-def rest(_: DeviceFile | None) -> list[Estimator]:
-    return [RestDetector()]
-
-
 READERS: dict[str, Callable[[Path], Iterable[str]]] = {
     "allan": lambda path: read_channels(path)[1],
-    "diagnose": lambda path: read_runs(path, None, rest)[0].warnings,
+    "diagnose": lambda path: read_runs(path)[0].warnings,
     "calibrate": lambda path: read_session(path)[1],
 }
 
@@ -67,7 +61,7 @@ def test_a_range_in_map_or_pipeline_file_holds_for_every_command(
 
 def test_a_table_read_with_its_map_has_the_range_of_the_map(sessions: dict[str, Path]) -> None:
     folder = sessions["map"].parent
-    assert told(read_runs(folder / "t.csv", folder / "map.yaml", rest)[0].warnings, "accel_z")
+    assert told(read_runs(folder / "t.csv", folder / "map.yaml")[0].warnings, "accel_z")
 
 
 @pytest.mark.parametrize("declared_by", ["map", "pipeline", "nobody"])

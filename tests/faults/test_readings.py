@@ -165,7 +165,7 @@ def read_by_each(session: Path) -> Iterator[tuple[str, Mapping[str, Any]]]:
     """Yield what each command that computes from samples has read of a session."""
     record, _ = read_session(session)
     yield "calibrate", {field.name: getattr(record.means, field.name) for field in fields(record.means)}
-    for run in read_runs(session, None):
+    for run in read_runs(session):
         yield "diagnose", {**run.mean, "rest": run.rest}
         yield "diagnose", {f"variance of {name}": values for name, values in run.variance.items()}
     for name, series in read_channels(session)[0].items():

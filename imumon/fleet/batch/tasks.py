@@ -222,14 +222,12 @@ def _calibrate(path: Path, job: Job) -> Iterator[Row]:
 
 
 def _diagnose(path: Path, job: Job) -> Iterator[Row]:
-    from imumon.estimation.gyro_bias.stage import RestDetector
     from imumon.files import write_text
     from imumon.lab.diagnosis.diagnose import diagnose
     from imumon.lab.diagnosis.report import report
     from imumon.lab.diagnosis.runs import read_runs
 
-    runs = read_runs(path, None, lambda _: [RestDetector()])
-    content = report(diagnose(runs, [], job.options.declared))
+    content = report(diagnose(read_runs(path), [], job.options.declared))
     file = job.file("reports", ".json")
     write_text(file, json.dumps(content, indent=2, ensure_ascii=False) + "\n")
     for name, channel in content["channels"].items():

@@ -144,6 +144,5 @@ def _figure(caption: str, curves: Mapping[str, Curve], **axes_settings: Any) -> 
             if sd.any():
                 axes.fill_between(x, y - 2 * sd, y + 2 * sd, color=colour, alpha=0.2, lw=0)
         axes.set(**axes_settings)
-        axes.legend(fontsize=6)
 
     return {caption: svg(draw)} if curves else {}

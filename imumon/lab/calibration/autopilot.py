@@ -20,16 +20,9 @@ from imumon.models.model import BiasModel
 
 Autopilot = Literal["ardupilot", "px4"]
 SUFFIX: dict[str, str] = {"ardupilot": ".param", "px4": ".params"}
-ARDUPILOT_REFERENCE_DEGC, ARDUPILOT_SCALE = 35.0, 1e6
-POINTS = 201
-"""Where the cubic is fitted to the curve."""
 LEAST_SPAN_DEGC = 10.0
 """ArduPilot takes no calibration over less."""
-INT, FLOAT = 6, 9
-"""MAVLink's types of a parameter, as QGroundControl's files have them."""
 KINDS = {"gyro": ("GYR", "G"), "accel": ("ACC", "A")}
-TO_BOARD = {"FRD": (1.0, 1.0, 1.0), "FLU": (1.0, -1.0, -1.0), None: (1.0, 1.0, 1.0)}
-"""What x, y, z of a model are times in the axes of the board; unstated ones are taken for the board's."""
 
 
 def parameters(
@@ -44,9 +37,8 @@ def parameters(
     `ids`: PX4's device identifiers of gyro and accelerometer.
     """
     check_ids(autopilot, ids)
-    names = {kind: [f"{kind}_{axis}" for axis in "xyz"] for kind in KINDS}
-    names = {kind: of for kind, of in names.items() if set(of) <= model.channels.keys()}
-    ranges = [model.channels[name].temperature_range_degc for of in names.values() for name in of]
+    sensors = [kind for kind in KINDS if all(f"{kind}_{axis}" in model.channels for axis in "xyz")]
+    ranges = [model.channels[f"{kind}_{axis}"].temperature_range_degc for kind in sensors for axis in "xyz"]
     low, high = max(one[0] for one in ranges), min(one[1] for one in ranges)
     if high - low < LEAST_SPAN_DEGC:
         raise bad_data(
@@ -61,22 +53,22 @@ def parameters(
         )
     if autopilot == "px4" and model.earth_rate == "included":
         notes.append("the gyros' constant holds the earth rate of the test, up to 15 °/h")
-    reference = ARDUPILOT_REFERENCE_DEGC if autopilot == "ardupilot" else 0.5 * (low + high)
-    degc = np.linspace(low, high, POINTS)
+    reference = 35.0 if autopilot == "ardupilot" else 0.5 * (low + high)
+    degc = np.linspace(low, high, 201)
     cubics = {
-        kind: [_cubic(model, name, degc, reference, notes) for name in of] for kind, of in names.items()
+        kind: [_cubic(model, f"{kind}_{axis}", degc, reference, notes) for axis in "xyz"] for kind in sensors
     }
-    if ids is not None and autopilot == "px4":
+    if ids and autopilot == "px4":
         return _px4(cubics, imu, ids, {"TMIN": low, "TMAX": high, "TREF": reference}), notes
     rows = {"ENABLE": 1.0, "TMIN": low, "TMAX": high}
     for kind, axes in cubics.items():
         for axis, cubic in zip("XYZ", axes, strict=True):
-            rows |= {f"{KINDS[kind][0]}{k}_{axis}": cubic[k] * ARDUPILOT_SCALE for k in (1, 2, 3)}
+            rows |= {f"{KINDS[kind][0]}{k}_{axis}": cubic[k] * 1e6 for k in (1, 2, 3)}
     return "".join(f"INS_TCAL{imu + 1}_{name},{value:.9g}\n" for name, value in rows.items()), notes
 
 
 def _px4(cubics: dict[str, list[list[float]]], imu: int, ids: tuple[int, int], degc: dict[str, float]) -> str:
-    """Return the columns of QGroundControl."""
+    """Return the columns of QGroundControl; the last one is MAVLink's type, 6 of an integer, 9 of a float."""
     rows: dict[str, float] = {}
     for (kind, axes), identifier in zip(cubics.items(), ids, strict=False):
         head = f"TC_{KINDS[kind][1]}{imu}"
@@ -86,14 +78,14 @@ def _px4(cubics: dict[str, list[list[float]]], imu: int, ids: tuple[int, int], d
             coefficients = (0.0 if kind == "accel" else constant, *others)
             rows |= {f"{head}_X{power}_{at}": value for power, value in enumerate(coefficients)}
     return "".join(
-        f"1\t1\t{name}\t{value:.9g}\t{INT if name.endswith(('_ENABLE', '_ID')) else FLOAT}\n"
+        f"1\t1\t{name}\t{value:.9g}\t{6 if name.endswith(('_ENABLE', '_ID')) else 9}\n"
         for name, value in rows.items()
     )
 
 
 def check_ids(autopilot: Autopilot | None, ids: tuple[int, int] | None) -> None:
     """Raise BAD_CONFIG where identifiers are needed and missing, which is known before any work."""
-    if autopilot == "px4" and ids is None:
+    if autopilot == "px4" and not ids:
         raise bad_config(
             "PX4 finds the calibration of a sensor by its identifier, which is not in the model",
             "give --device-ids GYRO ACCEL: sensor_gyro.device_id and sensor_accel.device_id of its log",
@@ -103,10 +95,11 @@ def check_ids(autopilot: Autopilot | None, ids: tuple[int, int] | None) -> None:
 def _cubic(model: BiasModel, name: str, degc: FloatArray, reference: float, notes: list[str]) -> list[float]:
     """Return the cubic of a channel in the axes of the board, from the constant up; note what it misses."""
     channel = model.channels[name]
-    value = TO_BOARD[model.axes]["xyz".index(name[-1])] * channel.value(degc)
+    turned = model.axes == "FLU" and name[-1] in "yz"  # unstated axes are taken for the board's
+    value = -channel.value(degc) if turned else channel.value(degc)
     coefficients = np.polynomial.polynomial.polyfit(degc - reference, value, 3)
     missed = np.polynomial.polynomial.polyval(degc - reference, coefficients) - value
-    error = float(np.sqrt(np.mean(missed**2)))
+    error = np.sqrt(np.mean(missed**2))
     if error > channel.residual_sd:
         notes.append(
             f"{name}: the cubic misses the curve by {error:.3g} {channel.unit} rms, more than the curve errs"

@@ -1,9 +1,9 @@
 """From recordings to a bias model."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import UTC, datetime
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -12,30 +12,27 @@ from imumon.effects.thermal_lag import OWN_LAG_S
 from imumon.errors import bad_config, bad_data
 from imumon.geodesy import DEG_PER_H
 from imumon.intake import RANGES
-from imumon.lab.calibration.cells import (
+from imumon.models.model import UNITS, BiasModel, ChannelModel, TrainedOn
+from imumon.recordings.reduced import ACCEL, GYRO
+from imumon.version import __version__
+
+from .cells import (
     BLOCK_S,
     LEAST_COVERED,
     ONE_WAY,
     Cells,
     Channel,
-    Record,
+    Records,
     channel_of,
     group,
     levels,
     one_way,
 )
-from imumon.lab.calibration.selection import Choice, choose, slow_variance, turn_on_offsets
-from imumon.models.curves.points import Points
-from imumon.models.model import UNITS, BiasModel, ChannelModel, TrainedOn
-from imumon.recordings.reduced import ACCEL, GYRO
-from imumon.version import __version__
+from .selection import Choice, choose, slow_variance, turn_on_offsets
 
 Name = TypeVar("Name", bound=str)
 Progress = Callable[[str], None]
 """Takes what is being done now."""
-MANY_LEVELS = 6
-MARGIN = 0.005
-"""Share of the span that the range is widened by, so that a level at its end is not now in and now out."""
 LEAST_SPAN_DEGC = 5.0
 LEAST_REST_S = 600.0
 WIDEST_HOLE = 0.4
@@ -44,30 +41,23 @@ MOST_LAG = 0.1
 """Share of the span that the temperature may be wrong by for that reason."""
 
 
-@dataclass(frozen=True, slots=True)
-class Finding:
-    """What was found of one channel."""
+class Finding(NamedTuple):
+    """What was found of one channel; `choice` is its curve, fitted to `points`.
+
+    `points` are those of each run less its turn-on `offset` from the mean of all, in the channel's unit,
+    (runs,); that is NaN where it cannot be determined.  `repeatability` is the standard deviation of the
+    offsets: None with fewer than two, and of an accelerometer in several poses, whose offsets are gravity's.
+    `lag_rms`: what a gyro `OWN_LAG_S` behind its thermometer would err by in this data.
+    """
 
     choice: Choice
     points: Channel
-    """What the curve was fitted to, each run less its turn-on offset."""
     offset: FloatArray
-    """Turn-on offset of each run from the mean of all, in the channel's unit, (runs,); NaN where it cannot
-    be determined."""
     lag_rms: float
-    """What a gyro `imumon.effects.thermal_lag.OWN_LAG_S` behind its thermometer would err by in this data."""
-    comparable: bool = True
-    """Whether the offsets are the sensor's own; those of an accelerometer in several poses are gravity's."""
-
-    @property
-    def repeatability(self) -> float | None:
-        """Standard deviation of the turn-on offsets; None with fewer than two, or with those of gravity."""
-        known = self.offset[np.isfinite(self.offset)]
-        return float(known.std(ddof=1)) if self.comparable and len(known) > 1 else None
+    repeatability: float | None
 
 
-@dataclass(frozen=True, slots=True)
-class Calibration:
+class Calibration(NamedTuple):
     """A model, what it rests on, and what the user should know."""
 
     model: BiasModel
@@ -82,7 +72,7 @@ class Calibration:
 
 
 def calibrate(
-    records: Sequence[Record],
+    records: Records,
     latitude_deg: float | None = None,
     heading_deg: float | None = None,
     serial: str | None = None,
@@ -138,7 +128,7 @@ def check_place(latitude_deg: float | None, heading_deg: float | None) -> None:
 
 
 def _all_channels(
-    records: Sequence[Record], cells: Cells, progress: Progress
+    records: Records, cells: Cells, progress: Progress
 ) -> tuple[dict[str, Finding], dict[str, ChannelModel], list[str]]:
     findings, channels, warnings = {}, {}, []
     centers = levels(cells)
@@ -159,10 +149,24 @@ def _all_channels(
         points = shifted.only(~(apart & is_accel))
         choice = choose(points, knots)
         missed = OWN_LAG_S * cells.rate * choice.curve.slope(cells.temperature)
-        lag_rms = float(np.sqrt(np.average(missed**2, weights=cells.seconds)))
-        own = not (cells.turned and is_accel)
-        findings[name] = Finding(choice, points, offset, lag_rms, own)
-        channels[name] = _channel_model(name, records[0], choice, points)
+        lag_rms = np.sqrt(np.average(missed**2, weights=cells.seconds))
+        known = offset[np.isfinite(offset)]
+        own = len(known) > 1 and not (cells.turned and is_accel)
+        repeatability = known.std(ddof=1) if own else None
+        findings[name] = Finding(choice, points, offset, lag_rms, repeatability)
+        low, high = float(points.temperature.min()), float(points.temperature.max())
+        margin = 0.005 * (high - low)  # or a level at an end would now be in and now out
+        constant = float(choice.curve.value(0.5 * (low + high))) if is_accel else 0.0
+        channels[name] = ChannelModel.model_validate(
+            {
+                "unit": UNITS[name],
+                "temperature_column": records[0].temperature_column(name),
+                "temperature_range_degc": [low - margin, high + margin],
+                "residual_sd": choice.residual_sd,
+                "held_out_rms": choice.held_out_rms,
+                "curve": choice.curve.minus(constant),
+            }
+        )
     return findings, channels, warnings
 
 
@@ -171,33 +175,17 @@ def knots_of(channel: Channel, centers: FloatArray) -> FloatArray:
 
     There a knot would only make the slope at the end uncertain, as in an interpolating spline ("not a knot").
     """
-    low, high = float(channel.temperature.min()), float(channel.temperature.max())
-    inner = centers[2:-2] if len(centers) > MANY_LEVELS else centers[1:-1]
+    low, high = channel.temperature.min(), channel.temperature.max()
+    inner = centers[2:-2] if len(centers) > 6 else centers[1:-1]
     least = (high - low) / (4 * len(centers))
     return np.concatenate([[low], inner[(inner > low + least) & (inner < high - least)], [high]])
 
 
-def _channel_model(name: str, record: Record, choice: Choice, points: Points) -> ChannelModel:
-    low, high = float(points.temperature.min()), float(points.temperature.max())
-    margin = MARGIN * (high - low)
-    constant = float(choice.curve.value(0.5 * (low + high))) if name in ACCEL else 0.0
-    return ChannelModel.model_validate(
-        {
-            "unit": UNITS[name],
-            "temperature_column": record.temperature_column(name),
-            "temperature_range_degc": [low - margin, high + margin],
-            "residual_sd": choice.residual_sd,
-            "held_out_rms": choice.held_out_rms,
-            "curve": choice.curve.minus(constant),
-        }
-    )
-
-
-def _trained_on(records: Sequence[Record], cells: Cells, findings: dict[str, Finding]) -> list[TrainedOn]:
+def _trained_on(records: Records, cells: Cells, findings: dict[str, Finding]) -> list[TrainedOn]:
     return [
         TrainedOn(
             session=records[run.record].name,
-            run=run.index,
+            run=run.number,
             sha256=records[run.record].sha256,
             rest_s=float(run.seconds.sum()),
             blocks=len(run.rows),
@@ -212,9 +200,9 @@ def _trained_on(records: Sequence[Record], cells: Cells, findings: dict[str, Fin
     ]
 
 
-def _remarks(records: Sequence[Record], cells: Cells, findings: dict[str, Finding]) -> list[str]:
-    devices = sorted({record.device for record in records if record.device is not None})
-    units = sorted({record.serial for record in records if record.serial is not None})
+def _remarks(records: Records, cells: Cells, findings: dict[str, Finding]) -> list[str]:
+    devices = sorted({record.device for record in records if record.device})
+    units = sorted({record.serial for record in records if record.serial})
     far = {
         name: f"{spread / DEG_PER_H:.3g}"
         for name, finding in findings.items()
@@ -237,11 +225,11 @@ def _remarks(records: Sequence[Record], cells: Cells, findings: dict[str, Findin
 
 
 def _common(names: Sequence[Name | None]) -> Name | None:
-    known = {name for name in names if name is not None}
+    known = {*names} - {None}
     return known.pop() if len(known) == 1 else None
 
 
-def check_columns(records: Sequence[Record]) -> None:
+def check_columns(records: Records) -> None:
     """Raise BAD_DATA when a record has no gyro, a constant one, no temperature, or others than the rest."""
     for record in records:
         if lacking := [name for name in GYRO if not record.means.has(name)]:
@@ -263,7 +251,7 @@ def check_columns(records: Sequence[Record]) -> None:
                 "a sensor that measures is never so quiet: is it switched off, or the column a constant?",
             )
     thermometers = {str(record.temperature_column(GYRO[0])) for record in records}
-    axes = {record.axes for record in records if record.axes is not None}
+    axes = {record.axes for record in records if record.axes}
     for what, found in (("thermometers", thermometers), ("body axes", axes)):
         if len(found) > 1:
             raise bad_data(
@@ -272,11 +260,11 @@ def check_columns(records: Sequence[Record]) -> None:
             )
 
 
-def check_coverage(records: Sequence[Record], cells: Cells) -> None:
+def check_coverage(records: Records, cells: Cells) -> None:
     """Raise BAD_DATA when time at rest, span, holes or rate do not allow a model."""
-    rest_s = float(cells.seconds.sum())
+    rest_s = cells.seconds.sum()
     if rest_s < LEAST_REST_S:
-        recorded_s = sum(float(record.means.span_s.sum()) for record in records)
+        recorded_s = sum(record.means.span_s.sum() for record in records)
         raise bad_data(
             f"{rest_s:.0f} s at rest, of {recorded_s:.0f} s with several samples in {BLOCK_S:g} s; a model"
             f" needs {LEAST_REST_S:.0f}",
@@ -284,7 +272,7 @@ def check_coverage(records: Sequence[Record], cells: Cells) -> None:
             f" {LEAST_COVERED * BLOCK_S:g} s at least",
         )
     known = np.sort(cells.temperature)
-    low, high = float(known[0]), float(known[-1])
+    low, high = known[0], known[-1]
     span = high - low
     if span < LEAST_SPAN_DEGC:
         raise bad_data(
@@ -292,8 +280,8 @@ def check_coverage(records: Sequence[Record], cells: Cells) -> None:
             f" {LEAST_SPAN_DEGC:g}",
             "record while the unit warms up or cools down over the range in which it will be used",
         )
-    at = int(np.argmax(np.diff(known)))
-    below, above = float(known[at]), float(known[at + 1])
+    at = np.argmax(np.diff(known))
+    below, above = known[at : at + 2]
     if above - below > WIDEST_HOLE * span:
         raise bad_data(
             f"nothing at rest from {below:.2f} to {above:.2f} °C, {(above - below) / span:.0%} of the span; a"

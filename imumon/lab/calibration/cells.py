@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -25,8 +25,6 @@ LEAST_COVERED = 0.5
 """A block whose samples span less than this share of it is passed over."""
 CELL_S = 300.0
 """Longest cell."""
-CELLS_PER_SPAN = 100
-"""Within a cell the temperature stays within this part of the span."""
 BANDS = 12
 """Levels of data in which the temperature dwells nowhere: bands of equal width."""
 TURNED = np.cos(np.deg2rad(5.0))
@@ -35,19 +33,18 @@ SHORTEST_RUN_S = 60.0
 ONE_WAY = "no session both warms and cools: what lag, hysteresis or warm-up do is then part of the curve"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Record:
-    """The block means of one recording."""
+class Record(NamedTuple):
+    """The block means over `COLUMNS` of one recording, and which blocks are at `rest` and complete, (n,).
+
+    `name` and `sha256`: where it comes from, and the fingerprint of its bytes.
+    """
 
     name: str
     sha256: str
-    """Where it comes from, and the fingerprint of its bytes."""
     device: str | None
     axes: BodyAxes | None
     means: Reduced
-    """Over `COLUMNS`."""
     rest: BoolArray
-    """Blocks at rest and complete, (n,)."""
     serial: str | None = None
 
     def temperature_column(self, channel: str) -> str | None:
@@ -55,6 +52,9 @@ class Record:
         axis = channel[-2:]
         own = ("temperature_estimate" + axis, "temperature_estimate", "temperature" + axis, "temperature")
         return next((name for name in own if self.means.has(name)), None)
+
+
+Records = Sequence[Record]
 
 
 def record_of(
@@ -91,52 +91,51 @@ def read_session(path: Path, count: Count = no_count) -> tuple[Record, list[str]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Channel(Points):
-    """A channel's means over cells, from all records."""
+    """A channel's means over cells, from all records.
+
+    `white` is the variance that the samples' own noise leaves in each mean, if it is white, `seconds` the
+    time at rest in its cell, and `run` goes from power-on to the next, or to another pose, (n,) each.
+    """
 
     white: FloatArray
-    """Variance that the samples' own noise leaves in the mean, if it is white, (n,)."""
     seconds: FloatArray
-    """Time at rest in the cell, (n,)."""
     run: IntArray
-    """From power-on to the next, or to another pose, (n,)."""
 
     def weighted(self, slow: float = 0.0) -> Self:
         """Return them with weights; `slow` is the variance of what varies slowly, which no cell averages."""
         variance = self.white + slow
-        least = float(variance[variance > 0].min(initial=np.inf))
+        least = variance[variance > 0].min(initial=np.inf)
         weight = 1.0 / np.maximum(variance, least if np.isfinite(least) else 1.0)
         return replace(self, weight=weight / weight.mean())
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Run:
-    """A stretch in one pose without a restart, long enough: its blocks at rest, (n,)."""
+class Run(NamedTuple):
+    """A stretch in one pose without a restart, long enough: that of this number in a record of that number.
+
+    `rows` are its blocks at rest in the record, with the cell, the time s, temperature °C and rate °C/s of
+    each, (n,).  `up` is the direction of the specific force in body axes, (3,), NaN without accelerometers;
+    `earth_rate` is in body axes, rad/s, (3,), None without place, heading or accelerometers.
+    """
 
     record: int
-    index: int
-    """Number of its record, and among the runs of that."""
+    number: int
     rows: IntArray
-    """Its blocks in the record."""
     cell: IntArray
     seconds: FloatArray
     temperature: FloatArray
     rate: FloatArray
-    """°C and °C/s."""
     up: FloatArray
-    """Direction of the specific force in body axes, (3,); NaN without accelerometers."""
     earth_rate: FloatArray | None
-    """In body axes, (3,) in rad/s; None without place, heading or accelerometers."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Cells:
-    """Blocks at rest of all records, grouped into runs and cells; arrays over the blocks of all, (n,)."""
+class Cells(NamedTuple):
+    """Blocks at rest of all records, grouped into runs and cells: of each, over all runs, the time that it
+    stands for, s, and temperature and rate, °C and °C/s, (n,)."""
 
-    runs: tuple[Run, ...]
+    runs: list[Run]
     seconds: FloatArray
     temperature: FloatArray
     rate: FloatArray
-    """Time that each block stands for, s; °C and °C/s."""
 
     @property
     def rate_rms(self) -> float:
@@ -146,12 +145,12 @@ class Cells:
     @property
     def turned(self) -> bool:
         """Whether not all runs are in one pose."""
-        return any(float(np.dot(run.up, self.runs[0].up)) < TURNED for run in self.runs)
+        return any(run.up @ self.runs[0].up < TURNED for run in self.runs)
 
 
 def one_way(temperatures: Sequence[FloatArray]) -> bool:
     """Return whether no run, of these temperatures in °C, both rises and falls by a fifth of the span."""
-    enough = 0.2 * float(np.ptp(np.concatenate(temperatures)))
+    enough = 0.2 * np.ptp(np.concatenate(temperatures))
     rise = [np.max(t - np.minimum.accumulate(t)) for t in temperatures]
     fall = [np.max(np.maximum.accumulate(t) - t) for t in temperatures]
     return bool(np.minimum(rise, fall).max() <= enough)
@@ -159,28 +158,35 @@ def one_way(temperatures: Sequence[FloatArray]) -> bool:
 
 def _main_temperature(record: Record) -> FloatArray:
     """Return the mean of the temperatures that the channels use, °C, (n,); NaN where no gyro is at rest."""
-    columns = {name for channel in GYRO if (name := record.temperature_column(channel)) is not None}
+    columns = {name for channel in GYRO if (name := record.temperature_column(channel))}
     mean = np.mean([record.means.of(name) for name in sorted(columns)], axis=0) if columns else np.nan
     return np.where(record.rest & np.isfinite(sum(map(record.means.of, GYRO))), mean, np.nan)
 
 
-def group(records: Sequence[Record], latitude_deg: float | None, heading_deg: float | None) -> Cells:
-    """Group the blocks at rest; runs shorter than `SHORTEST_RUN_S` are left out."""
+def group(records: Records, latitude_deg: float | None, heading_deg: float | None) -> Cells:
+    """Group the blocks at rest; runs shorter than `SHORTEST_RUN_S` are left out.
+
+    Within a cell the temperature stays within a hundredth of the span.
+    """
     temperatures = [_main_temperature(record) for record in records]
     known = np.concatenate([t[np.isfinite(t)] for t in temperatures])
-    width = float(np.ptp(known)) / CELLS_PER_SPAN if len(known) else 0.0
+    width = np.ptp(known) / 100 if len(known) else 0.0
     runs: list[Run] = []
     cells = 0
     for number, (record, temperature) in enumerate(zip(records, temperatures, strict=True)):
         for index, rows in enumerate(_runs(record, np.flatnonzero(np.isfinite(temperature)))):
-            seconds, t = _seconds(record, rows), temperature[rows]
+            samples = np.maximum(record.means.count[rows].max(axis=1), 2)
+            # A block stands for more than it spans: n samples span n - 1 periods.
+            seconds, t = record.means.span_s[rows] * samples / (samples - 1), temperature[rows]
             if seconds.sum() < SHORTEST_RUN_S:
                 continue
             start_s = np.asarray(record.means.start_ns[rows] * 1e-9, np.float64)
             cell = _cells(start_s, seconds, t, width) + cells
             cells = int(cell[-1]) + 1
             rate = np.gradient(t, start_s) if len(rows) > 1 else np.zeros(1)
-            up, earth = _up(record, rows), None
+            parts = [part[np.isfinite(part)] for part in (record.means.of(name)[rows] for name in ACCEL)]
+            accel = np.array([part.mean() if len(part) else np.nan for part in parts])
+            up, earth = accel / np.linalg.norm(accel), None
             if latitude_deg is not None and heading_deg is not None and np.isfinite(up).all():
                 north = north_in_body(up, np.deg2rad(heading_deg))
                 earth = earth_rate_along(up, north, np.deg2rad(latitude_deg))
@@ -189,13 +195,12 @@ def group(records: Sequence[Record], latitude_deg: float | None, heading_deg: fl
         np.concatenate([np.empty(0), *(getattr(run, name) for run in runs)])
         for name in ("seconds", "temperature", "rate")
     )
-    return Cells(tuple(runs), *every)
+    return Cells(runs, *every)
 
 
-def channel_of(
-    records: Sequence[Record], cells: Cells, name: str, level_centers: FloatArray
-) -> Channel | None:
-    """Return a channel's means over the cells, or None when it has no values, or none that vary."""
+def channel_of(records: Records, cells: Cells, name: str, level_centers: FloatArray) -> Channel | None:
+    """Return a channel's means over the cells, each of the nearest level, or None when it has no values, or
+    none that vary."""
     column = records[0].temperature_column(name)
     if column is None or not all(record.means.has(name) for record in records):
         return None
@@ -219,7 +224,7 @@ def channel_of(
         temperature=mean_temperature,
         value=_sum(cell, share * value),
         weight=whole,
-        level=nearest(mean_temperature, level_centers),
+        level=np.searchsorted(0.5 * (level_centers[1:] + level_centers[:-1]), mean_temperature),
         white=_sum(cell, share**2 * white),
         seconds=whole,
         run=run_of[first].astype(np.int64),
@@ -228,12 +233,10 @@ def channel_of(
 
 def levels(cells: Cells) -> FloatArray:
     """Return the temperature levels, °C upwards: where the temperature dwelt, else the middles of bands."""
-    if not cells.runs:
-        return np.empty(0)
     cell = np.concatenate([run.cell for run in cells.runs])
     seconds = _sum(cell, cells.seconds)
     temperature = _sum(cell, cells.seconds * cells.temperature) / seconds
-    low, width = float(temperature.min()), float(np.ptp(temperature)) / BANDS
+    low, width = temperature.min(), np.ptp(temperature) / BANDS
     order = np.argsort(temperature)
     dwelt = order[seconds[order] > 0.7 * CELL_S]
     t, s = temperature[dwelt], seconds[dwelt]
@@ -244,13 +247,7 @@ def levels(cells: Cells) -> FloatArray:
         if len(center) >= 4 and tight and s.sum() > 0.6 * seconds.sum():
             return center
     band = np.minimum(((temperature - low) / (width or 1.0)).astype(np.int64), BANDS - 1)
-    occupied = np.unique(band)
-    return np.array([np.average(temperature[band == b], weights=seconds[band == b]) for b in occupied])
-
-
-def nearest(temperature: FloatArray, centers: FloatArray) -> IntArray:
-    """Return the number of the level nearest to each temperature."""
-    return np.searchsorted(0.5 * (centers[1:] + centers[:-1]), temperature).astype(np.int64)
+    return np.array([np.average(temperature[band == b], weights=seconds[band == b]) for b in np.unique(band)])
 
 
 def _sum(cell: IntArray, parts: FloatArray) -> FloatArray:
@@ -275,12 +272,6 @@ def _runs(record: Record, rows: IntArray) -> list[IntArray]:
     return np.split(rows, begins[1:])
 
 
-def _seconds(record: Record, rows: IntArray) -> FloatArray:
-    """Return the time that each block stands for: n samples span n - 1 periods."""
-    samples = np.maximum(record.means.count[rows].max(axis=1), 2)
-    return np.asarray(record.means.span_s[rows] * samples / (samples - 1), np.float64)
-
-
 def _cells(time_s: FloatArray, seconds: FloatArray, temperature: FloatArray, width: float) -> IntArray:
     """Number cells of blocks in order: not longer than `CELL_S`, not wider than `width` °C."""
     number, first = np.zeros(len(time_s), np.int64), 0
@@ -290,10 +281,3 @@ def _cells(time_s: FloatArray, seconds: FloatArray, temperature: FloatArray, wid
             first = i
         number[i] = number[i - 1] + (first == i)
     return number
-
-
-def _up(record: Record, rows: IntArray) -> FloatArray:
-    """Return the direction of the mean specific force in body axes, (3,); NaN without accelerometers."""
-    parts = [part[np.isfinite(part)] for part in (record.means.of(name)[rows] for name in ACCEL)]
-    accel = np.array([part.mean() if len(part) else np.nan for part in parts])
-    return np.asarray(accel / np.linalg.norm(accel))

@@ -1,41 +1,32 @@
 """Bias and scale of an accelerometer triad from the length of gravity in several poses."""
 
-from dataclasses import dataclass
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.geodesy import MICRO_G, STANDARD_GRAVITY
 
-APART_DEG = 20.0
-"""Poses that differ by less are one."""
-ITERATIONS = 3
-"""Gauss-Newton steps: the length depends on the errors to first order, the direction does as well."""
-INDEPENDENT = 10.0
-"""Means that count as one, for noise that is slow and for what a model lacks."""
-LEAST_POSES, POSES_OF_MISALIGNMENT = 6, 9
-"""Poses from which bias and scale, and the misalignment as well, follow from the length of gravity."""
 
+class Length(NamedTuple):
+    """What follows from |f| = g of an accelerometer triad, at the middle of the temperatures; (3,) each.
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Length:
-    """What follows from |f| = g of an accelerometer triad, at the middle of the temperatures; (3,) each."""
+    `bias` is in m/s², `scale` the excess of the scale factors over 1, whose mean includes the error of the
+    assumed gravity.  `_per_half` is the linear change up to the warm end; the bias may be as curved as the
+    declared model.  A standard deviation is infinite where the poses do not determine the parameter.
+    `misalignment` is that of yz, xz and xy, rad; NaN with too few poses.  `before` and `after` are the rms of
+    |f| - g, m/s², with and without these errors.
+    """
 
     bias: FloatArray
     bias_per_half: FloatArray
-    """m/s², and its linear change up to the warm end; it may be as curved as the declared model."""
     scale: FloatArray
     scale_per_half: FloatArray
-    """Excess of the scale factors over 1; their mean includes the error of the assumed gravity."""
     misalignment: FloatArray
-    """Of yz, xz and xy, rad; NaN with too few poses."""
     bias_sd: FloatArray
     scale_sd: FloatArray
-    """Standard deviations; infinite where the poses do not determine the parameter."""
     before: float
     after: float
-    """rms of |f| - g, m/s², with and without these errors."""
 
     @classmethod
     def from_poses(cls, force: FloatArray, warmth: FloatArray) -> tuple[int, Self] | None:
@@ -47,12 +38,12 @@ class Length:
         `warmth` (n, d): powers of the scaled temperature that the bias may follow; the first is linear.
         """
         poses = _distinct(force / np.linalg.norm(force, axis=1, keepdims=True))
-        if poses < LEAST_POSES:
+        if poses < 6:
             return None
-        skewed = poses >= POSES_OF_MISALIGNMENT
+        skewed = poses >= 9  # then the misalignment follows as well
         true, found = force, np.zeros(1)
         before = _rms(np.linalg.norm(force, axis=1) - STANDARD_GRAVITY)
-        for _ in range(ITERATIONS):
+        for _ in range(3):  # Gauss-Newton steps: the direction depends on the errors as well
             size = np.linalg.norm(true, axis=1, keepdims=True)
             errors = _errors(true / size, warmth, skewed=skewed)
             columns = np.einsum("ij,ijk->ik", true / size, errors)
@@ -77,11 +68,10 @@ class Length:
         """Return it in words."""
         bias, bias_sd = (_listed(part / MICRO_G) for part in (self.bias, self.bias_sd))
         scale, scale_sd = (_listed(part * 1e6) for part in (self.scale, self.scale_sd))
-        before, after = self.before / MICRO_G, self.after / MICRO_G
         return (
             f"{poses} poses: by |f| = g the accelerometers have biases of {bias} µg (sd {bias_sd}) and scale"
-            f" errors of {scale} ppm (sd {scale_sd}) on x / y / z; |f| - g is {before:.0f} µg rms before and"
-            f" {after:.0f} after"
+            f" errors of {scale} ppm (sd {scale_sd}) on x / y / z; |f| - g is"
+            f" {self.before / MICRO_G:.0f} µg rms before and {self.after / MICRO_G:.0f} after"
         )
 
 
@@ -105,10 +95,10 @@ def _least_squares(columns: FloatArray, values: FloatArray) -> tuple[FloatArray,
     inverse = np.linalg.pinv(scaled, rcond=1e-6)
     determined = np.diag(inverse @ scaled)  # 1 where the columns determine a coefficient, else less
     residual = values - scaled @ (inverse @ values)
-    freedom = max(len(values) - round(float(determined.sum())), 1)
+    freedom = max(len(values) - round(determined.sum()), 1)
     variance = np.where(determined > 1.0 - 1e-3, (inverse**2).sum(axis=1), np.inf)
-    sd = np.sqrt(variance * float(residual @ residual) / freedom * INDEPENDENT)
-    return inverse @ values / norm, sd / norm
+    # Ten means count as one, for noise that is slow and for what a model lacks.
+    return inverse @ values / norm, np.sqrt(variance * (residual @ residual) / freedom * 10.0) / norm
 
 
 def _errors(up: FloatArray, warmth: FloatArray, *, skewed: bool) -> FloatArray:
@@ -119,22 +109,22 @@ def _errors(up: FloatArray, warmth: FloatArray, *, skewed: bool) -> FloatArray:
     """
     n, unit = len(up), np.eye(3)
     bias = np.broadcast_to(unit, (n, 3, 3))
-    scale = STANDARD_GRAVITY * up[:, :, np.newaxis] * unit
+    scale = STANDARD_GRAVITY * up[:, :, None] * unit
     misalignment = np.zeros((n, 3, 3))
     for at, (i, j) in enumerate(((1, 2), (0, 2), (0, 1))):
         misalignment[:, i, at] = STANDARD_GRAVITY * up[:, j]
         misalignment[:, j, at] = STANDARD_GRAVITY * up[:, i]
-    powers = [power[:, np.newaxis, np.newaxis] for power in warmth.T] or [np.zeros((n, 1, 1))]
+    powers = [power[:, None, None] for power in warmth.T] or [np.zeros((n, 1, 1))]
     curved = [power * bias for power in powers[1:]]
     slopes = [powers[0] * bias, powers[0] * scale]
     return np.concatenate([*curved, *([misalignment] if skewed else []), *slopes, bias, scale], axis=2)
 
 
 def _distinct(up: FloatArray) -> int:
-    """Return how many of the directions, (n, 3), differ from one another."""
+    """Return how many of the directions, (n, 3), differ from one another by 20° or more."""
     found: list[FloatArray] = []
-    limit = float(np.cos(np.radians(APART_DEG)))
+    limit = np.cos(np.radians(20.0))
     for one in up:
-        if all(float(one @ other) < limit for other in found):
+        if all(one @ other < limit for other in found):
             found.append(one)
     return len(found)

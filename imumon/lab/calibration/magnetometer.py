@@ -32,8 +32,6 @@ from imumon.filters.slots import SlotGatherer
 from imumon.filters.turns import PAUSE_S
 from imumon.models.model import MagnetometerModel
 
-STEP_RAD = np.radians(1.0)
-"""A reading counts when its direction differs by so much from the last that did: rest must not weigh more."""
 CELLS = 60
 _K = np.arange(CELLS) + 0.5
 _Z, _TURN = 1.0 - 2.0 * _K / CELLS, np.pi * (1.0 + np.sqrt(5.0)) * _K
@@ -44,45 +42,22 @@ LEAST_COVERAGE = 0.5
 """Of the cells.  With points on one side only, an ellipsoid's far side is extrapolated."""
 LEAST_POINTS = 100
 """For nine numbers and what is left over."""
-WORST_SD = 0.01
-"""Of the field's strength: an error of 0.6° of the heading where the field is level, 1.5° in Europe."""
-MOST_LEFT = 0.1
-"""Of the strength: what scatters more is another field at every place."""
-EARTH_UT = (22.0, 67.0)
-"""Strength of the earth's field, from Paraguay to Siberia (IGRF-13); in a house half or twice that."""
-BY_CHANCE = 3.0
-"""Times its mean: a square of nine normal differences is larger once in 1e4 times."""
 TRIANGLE = np.triu_indices(3)
 
 _WAYS = Rotation.create_group("O").as_matrix().round() + 0.0  # no negative zeros
 WAYS: FloatArray = _WAYS[np.argsort(-np.trace(_WAYS, axis1=1, axis2=2), kind="stable")]
 """The rotations that turn axes into axes, the identity first, (24, 3, 3)."""
-LOST = 0.01
-"""rad²: variance of a turn by missing samples beyond which it is not compared with the field."""
-SLOT_NS = 500_000_000
-"""A hand turns a unit by tenths of a radian meanwhile, and by less than half a circle."""
 LEAST_SLOTS = 20
 """For seven numbers and what is left over: ten seconds of turns."""
-GYRO_SCALE = 0.01
-"""Of gyros without calibration, each element of scale and misalignment, as in `AttitudeParameters`: what is
-fitted to such gyros is known to no better, rad."""
-WORST_AXES_SD = np.radians(10.0)
-"""A rotation that is known to no better does not determine axes, which are 90° apart."""
-MOST_UNFOLLOWED, BEYOND = 0.25, 3.0
-"""Of the squares of how the field went, and of what the fit of its strength left: what is left beyond both
-has not gone as the gyros turned, in any axes."""
-SIGMAS = 4.0
-"""An angle is reported as a mounting error from so many of its standard deviations on."""
 
 
 class MagnetometerFit(NamedTuple):
-    """A calibration, and what it was made of."""
+    """A calibration, and what it was made of: the readings as sent that counted, (n, 3), and the scatter of
+    the strength as sent, in their unit."""
 
     model: MagnetometerModel
     readings: FloatArray
-    """As sent, (n, 3); those that counted."""
     residual_before: float
-    """Scatter of the strength as sent, in the unit of the readings."""
 
 
 def fit_magnetometer(blocks: Iterable[SampleBlock], unit: str, source: str) -> MagnetometerFit:
@@ -107,13 +82,15 @@ def fit_magnetometer(blocks: Iterable[SampleBlock], unit: str, source: str) -> M
         which = _spread(field)
         readings, what = mag[which], f"{len(which)} readings in other directions, {LEAST_POINTS} are needed"
         model = _fitted(readings, middle, unit) if len(which) >= LEAST_POINTS else None
-        if model is None:
+        if not model:
             break
         field = model.corrected(mag)
-    if model is not None:
+    if model:
         left, known = model.residual_sd / model.field, model.fit_sd / model.field
-        if known <= WORST_SD and left <= MOST_LEFT and model.coverage >= LEAST_COVERAGE:
-            return MagnetometerFit(model, readings, float(np.linalg.norm(readings, axis=1).std()))
+        # 1 % makes an error of 0.6° of the heading where the field is level, of 1.5° in Europe; what scatters
+        # by more than 10 % is another field at every place.
+        if known <= 0.01 and left <= 0.1 and model.coverage >= LEAST_COVERAGE:
+            return MagnetometerFit(model, readings, np.linalg.norm(readings, axis=1).std())
         what = (
             f"{model.coverage:.0%} of the directions were measured, {LEAST_COVERAGE:.0%} are needed;"
             f" {left:.1%} of the field is left, and hard and soft iron are known to {known:.1%}"
@@ -124,9 +101,10 @@ def fit_magnetometer(blocks: Iterable[SampleBlock], unit: str, source: str) -> M
         seen = covered(up)
         what += f"; gravity was in {seen.mean():.0%} of the directions"
         missing = ~seen @ MIDDLES
-        axis = int(np.argmax(np.abs(missing)))
-        side = f"{'-' if missing[axis] < 0.0 else '+'}{'xyz'[axis]}"
-        advice += f"; next: turn the {side} axis up, and around there"
+        axis = np.argmax(np.abs(missing))
+        advice += (
+            f"; next: turn the {'-' if missing[axis] < 0.0 else '+'}{'xyz'[axis]} axis up, and around there"
+        )
     raise bad_data(f"{source}: {what}", advice)
 
 
@@ -136,8 +114,8 @@ def covered(directions: FloatArray) -> BoolArray:
 
 
 def _spread(field: FloatArray) -> list[int]:
-    """Return the rows whose direction differs by `STEP_RAD` from the last that was taken."""
-    rows, last, least = list[int](), np.zeros(3), float(np.cos(STEP_RAD))
+    """Return the rows whose direction differs by 1° from the last that was taken: rest weighs no more."""
+    rows, last, least = list[int](), np.zeros(3), np.cos(np.radians(1.0))
     with np.errstate(invalid="ignore"):  # where there is no field there is no direction
         directions = field / np.linalg.norm(field, axis=1, keepdims=True)
     for k, direction in enumerate(directions):
@@ -163,14 +141,14 @@ def _fitted(readings: FloatArray, middle: FloatArray, unit: str) -> Magnetometer
 
     `middle`, (3,): of the sphere from which the fit begins.
     """
-    size = float(np.linalg.norm(readings - middle, axis=1).mean())
+    size = np.linalg.norm(readings - middle, axis=1).mean()
     start = np.concatenate([middle, np.eye(3)[TRIANGLE] / size])
     solved = least_squares(_left, start, args=(readings,), x_scale="jac", method="lm")
-    parameters, jacobian, residual = (np.asarray(part) for part in (solved.x, solved.jac, solved.fun))
+    parameters, jacobian, residual = solved.x, solved.jac, solved.fun
     matrix = _symmetric(parameters[3:])
     if not solved.success or np.linalg.eigvalsh(matrix).min() <= 0.0:
         return None
-    variance = float(residual @ residual) / (len(residual) - len(parameters))
+    variance = residual @ residual / (len(residual) - len(parameters))
     scatter = variance * slower_than_white(residual)
     normal = np.linalg.pinv(jacobian.T @ jacobian, hermitian=True, rcond=1e-15)
     covariance = normal * scatter + _changed(jacobian, residual, scatter)
@@ -203,7 +181,8 @@ def _changed(jacobian: FloatArray, residual: FloatArray, scatter: float) -> Floa
         differ += sign * (normal @ jacobian[rows].T @ residual[rows])
         covariance += normal * scatter
     square = float(differ @ np.linalg.pinv(covariance, hermitian=True) @ differ)
-    beyond = max(0.0, 1.0 - len(differ) * BY_CHANCE / max(square, 1e-300))
+    # A square of nine normal differences is larger than thrice its mean once in 1e4 times.
+    beyond = max(0.0, 1.0 - len(differ) * 3.0 / max(square, 1e-300))
     return np.outer(differ, differ) / 4.0 * beyond
 
 
@@ -213,23 +192,21 @@ def slower_than_white(residual: FloatArray) -> float:
     The largest over lengths of means from 1 to a sixteenth of all: of those there are enough.
     """
     n, length, most = len(residual), 1, 1.0
-    variance = float(residual @ residual) / n
+    variance = residual @ residual / n
     while n // length >= 16 and variance > 0.0:
         means = residual[: n - n % length].reshape(-1, length).mean(1)
-        most = max(most, length * float(means @ means) / len(means) / variance)
+        most = max(most, length * (means @ means) / len(means) / variance)
         length *= 2
     return most
 
 
 class Axes(NamedTuple):
-    """The rotation from the magnetometer's axes to the gyros'."""
+    """The rotation from the magnetometer's axes to the gyros', (3, 3), the standard deviation of its angle,
+    rad, and whether the field went as the gyros turned, in these axes."""
 
     rotation: FloatArray
-    """(3, 3)."""
     sd: float
-    """Of its angle, rad."""
     follows: bool
-    """Whether the field went as the gyros turned, in these axes."""
 
     @property
     def way(self) -> int:
@@ -238,8 +215,8 @@ class Axes(NamedTuple):
 
     @property
     def is_significant(self) -> bool:
-        """Whether the gyros determine which axes these are."""
-        return self.follows and self.sd < WORST_AXES_SD
+        """Whether the gyros determine which axes these are: they are 90° apart, known to 10°."""
+        return self.follows and self.sd < np.radians(10.0)
 
     @property
     def angle(self) -> float:
@@ -250,9 +227,11 @@ class Axes(NamedTuple):
 def axes_of(blocks: Iterable[SampleBlock], model: MagnetometerModel) -> Axes | None:
     """Return the axes of a magnetometer that is calibrated; None where the gyros do not determine them.
 
-    Slots count whose turn is known from the end of the one before.
+    Slots count whose turn is known from the end of the one before, with a variance by missing samples below
+    0.01 rad².
     """
-    gatherer = SlotGatherer(6, SLOT_NS, turns=True)
+    # In half a second a hand turns a unit by tenths of a radian, and by less than half a circle.
+    gatherer = SlotGatherer(6, 500_000_000, turns=True)
     slots = [
         gatherer.process(block["device_time_ns"], block["segment"], np.hstack([gyro, mag]))
         for block in blocks
@@ -267,7 +246,7 @@ def axes_of(blocks: Iterable[SampleBlock], model: MagnetometerModel) -> Axes | N
     seconds = np.array([turn.seconds for turn in turns])
     uncertain = np.array([turn.coning @ turn.coning + turn.fast**2 + turn.missed for turn in turns])
     known = ~begins[1:] & (np.abs(1e-9 * np.diff(end_ns) - seconds[1:]) < PAUSE_S)
-    known &= (uncertain[1:] < LOST) & np.isfinite(last[1:] + last[:-1]).all(1)
+    known &= (uncertain[1:] < 0.01) & np.isfinite(last[1:] + last[:-1]).all(1)
     if known.sum() < LEAST_SLOTS:
         return None
     after = np.flatnonzero(known) + 1
@@ -299,18 +278,22 @@ def fitted_axes(
         turned = np.einsum("nij,nj->ni", rotation, after)
         return np.asarray(before - Rotation.from_rotvec(-by_bias @ bias).apply(turned)).reshape(-1)
 
-    way = min(WAYS, key=lambda one: float((residual(np.zeros(7), one) ** 2).sum()))
+    way = min(WAYS, key=lambda one: (residual(np.zeros(7), one) ** 2).sum())
     solved = least_squares(residual, np.zeros(7), args=(way,), x_scale="jac", method="lm")
-    left, jacobian = np.asarray(solved.fun), np.asarray(solved.jac)
-    variance = float(left @ left) / (len(left) - 7)
-    went = float(((field[:, 1] - field[:, 0]) ** 2).sum()) / len(left)
-    follows = variance < MOST_UNFOLLOWED * went or variance < (BEYOND * noise) ** 2
+    left, jacobian = solved.fun, solved.jac
+    variance = left @ left / (len(left) - 7)
+    went = ((field[:, 1] - field[:, 0]) ** 2).sum() / len(left)
+    # What is left beyond a quarter of how the field went, and beyond three times what the fit of its strength
+    # left, has not gone as the gyros turned, in any axes.
+    follows = variance < 0.25 * went or variance < (3.0 * noise) ** 2
     # A field that differs from place to place, and errors that go with the turns, are not white.
     slower = max(slower_than_white(axis) for axis in left.reshape(-1, 3).T)
     covariance = variance * slower * np.linalg.pinv(jacobian.T @ jacobian, hermitian=True)
-    sd = float(np.sqrt(np.linalg.eigvalsh(covariance[:3, :3])[-1]))
+    sd = np.sqrt(np.linalg.eigvalsh(covariance[:3, :3])[-1])
     found = Rotation.from_rotvec(solved.x[:3]).as_matrix() @ way
-    return Axes(found, float(np.hypot(sd, GYRO_SCALE)), follows)
+    # Of gyros without calibration each element of scale and misalignment is 0.01, as in `AttitudeParameters`:
+    # what is fitted to them is known to no better, rad.
+    return Axes(found, np.hypot(sd, 0.01), follows)
 
 
 def doubts(model: MagnetometerModel, axes: Axes | None, source: str) -> list[str]:
@@ -318,27 +301,35 @@ def doubts(model: MagnetometerModel, axes: Axes | None, source: str) -> list[str
 
     Raises BAD_DATA where the magnetometer has other axes than the gyros.
     """
-    found, (low, high) = list[str](), EARTH_UT
+    found = list[str]()
+    low, high = 22.0, 67.0  # from Paraguay to Siberia (IGRF-13); in a house half or twice that
     if model.unit == "uT" and not 0.5 * low < model.field < 2.0 * high:
-        what = f"the field is {model.field:.3g} uT strong, that of the earth {low:g} to {high:g}"
-        found.append(f"{what}: is the unit right? 1 gauss is 100 uT")
-    if axes is not None and not axes.follows:
-        what = "the field did not go as the gyros turned, in any axes"
-        return [*found, f"{what}, which are not checked: are unit and axes of the gyros right?"]
-    if axes is None or not axes.is_significant:
+        found.append(
+            f"the field is {model.field:.3g} uT strong, that of the earth {low:g} to {high:g}: is the unit"
+            " right? 1 gauss is 100 uT"
+        )
+    if axes and not axes.follows:
+        return [
+            *found,
+            "the field did not go as the gyros turned, in any axes, which are not checked: are unit and axes"
+            " of the gyros right?",
+        ]
+    if not axes or not axes.is_significant:
         return found
     if axes.way:
-        what = f"the magnetometer has not the gyros' axes: their x, y, z are its {named(WAYS[axes.way])}"
         raise bad_data(
-            f"{source}: {what}",
+            f"{source}: the magnetometer has not the gyros' axes: their x, y, z are its"
+            f" {named(WAYS[axes.way])}",
             "name the columns of mag in this order in the map or device file, and reverse what has a minus "
             "(in a device file by a negative scale); turns do not show which of the two it is: north of the "
             "magnetic equator the field must point down",
         )
-    if axes.angle >= SIGMAS * axes.sd:
-        turned = f"{np.degrees(axes.angle):.1f} ± {np.degrees(axes.sd):.1g}° against the gyros"
-        what = f"the magnetometer is turned by {turned}, which the model file does not hold"
-        found.append(f"{what}: headings are off by up to as much, and more where the field is steep")
+    if axes.angle >= 4.0 * axes.sd:
+        found.append(
+            f"the magnetometer is turned by {np.degrees(axes.angle):.1f} ± {np.degrees(axes.sd):.1g}° against"
+            " the gyros, which the model file does not hold: headings are off by up to as much, and more"
+            " where the field is steep"
+        )
     return found
 
 

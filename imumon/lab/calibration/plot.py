@@ -8,16 +8,14 @@ from matplotlib.figure import Figure
 
 from imumon.files import write_png
 from imumon.harmless import for_plot
-from imumon.lab.calibration import SHOWN
-from imumon.lab.calibration.calibration import Calibration
-from imumon.lab.calibration.magnetometer import MagnetometerFit
 from imumon.recordings.reduced import ACCEL
+
+from . import SHOWN
+from .calibration import Calibration
+from .magnetometer import MagnetometerFit
 
 COLUMNS = 3
 """Channels beside each other: those of one sensor."""
-PLANES = ((0, 1), (1, 2), (2, 0))
-MOST_POINTS = 1500
-"""More make the file large, and hide each other."""
 
 
 def write_calibration_plot(path: Path, result: Calibration, title: str) -> None:
@@ -45,7 +43,7 @@ def _draw(above: Axes, below: Axes, name: str, result: Calibration) -> None:
     unit, factor = SHOWN[model.unit]
     points, curve = finding.points, finding.choice.curve
     at = np.linspace(points.temperature.min(), points.temperature.max(), 400)
-    middle = float(curve.value(0.5 * (at[0] + at[-1]))) if name in ACCEL else 0.0
+    middle = curve.value(0.5 * (at[0] + at[-1])) if name in ACCEL else 0.0
     above.plot(points.temperature, factor * (points.value - middle), ".", ms=2, color="0.6", label="at rest")
     drawn = factor * (curve.value(at) - middle)
     above.plot(at, drawn, color="#d03c3c", lw=1.2, label=finding.choice.name)
@@ -57,8 +55,9 @@ def _draw(above: Axes, below: Axes, name: str, result: Calibration) -> None:
         fmt=".", ms=3, color="#3b78d8", ecolor="#b9cdf0", elinewidth=0.7,
         label="at rest, 1σ of the noise of its samples",
     )  # fmt: skip
-    label = f"residual, ±1σ: {sd:.2g} {unit}"
-    below.axhspan(-sd, sd, color="#d03c3c", alpha=0.35, lw=0, label=label, zorder=3)
+    below.axhspan(
+        -sd, sd, color="#d03c3c", alpha=0.35, lw=0, label=f"residual, ±1σ: {sd:.2g} {unit}", zorder=3
+    )
     below.set(xlabel="temperature [°C]", ylabel=f"bias minus the curve [{unit}]")
     for axes in (above, below):
         axes.grid(color="0.9", lw=0.5)
@@ -73,11 +72,10 @@ def write_magnetometer_plot(path: Path, fit: MagnetometerFit, title: str) -> Non
     model, turn = fit.model, np.linspace(0.0, 2.0 * np.pi, 200)
     unit = model.unit.replace("uT", "µT")
     circle = f"field, {model.field:.4g} {unit}"
-    every = 1 + len(fit.readings) // MOST_POINTS
-    readings = fit.readings[::every]
+    readings = fit.readings[:: 1 + len(fit.readings) // 1500]  # more make the file large, and hide each other
     field = model.corrected(readings)
     figure = Figure(figsize=(13.0, 4.8), layout="constrained")
-    for number, (i, j) in enumerate(PLANES):
+    for number, (i, j) in enumerate(((0, 1), (1, 2), (2, 0))):
         axes = figure.add_subplot(1, 3, number + 1)
         axes.plot(readings[:, i], readings[:, j], ".", ms=2, color="0.65", label="as sent")
         axes.plot(field[:, i], field[:, j], ".", ms=2, color="#3b78d8", label="corrected")

@@ -1,35 +1,28 @@
 """Which curve: the one that errs least at temperature levels left out of its fit; and the turn-on offsets."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse.csgraph import connected_components
 
-from imumon.blocks import FloatArray, IntArray
-from imumon.lab.calibration.cells import Channel
+from imumon.blocks import FloatArray
 from imumon.models.curves.network import fit_network, weights_of
 from imumon.models.curves.points import Points, folds
 from imumon.models.curves.polynomial import fit_polynomial
 from imumon.models.curves.spline import fit_spline, penalised_basis
 from imumon.models.model import Curve
 
-HIGHEST_ORDER = 9
+from .cells import Channel
+
 MOST_NEURONS = 3
 FOLDS = 5
 """Every fifth of the inner levels is left out at a time."""
-AS_GOOD = 1.05
-"""A simpler curve is preferred whose error is at most this much above the least."""
-
-_STIFFNESS = 1e-6
-"""Penalty of the curve that the offsets are estimated beside: enough to make it unique."""
-
 Fit = Callable[[Points], Curve]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Choice:
+class Choice(NamedTuple):
     """The curve chosen, fitted to all points, and what led to it.
 
     `held_out_rms` has the error at levels left out for each candidate, `residual_sd` is that of the chosen
@@ -50,7 +43,7 @@ def candidates(points: Points, knots: FloatArray) -> dict[str, Fit]:
     """
     levels = len(np.unique(points.level))
     remaining = levels - max(1, -(-(levels - 2) // FOLDS))
-    orders = range(1, min(HIGHEST_ORDER, remaining - 1) + 1)
+    orders = range(1, min(9, remaining - 1) + 1)
     found: dict[str, Fit] = {f"polynomial {k}": partial(fit_polynomial, order=k) for k in orders}
     found["spline"] = partial(fit_spline, knots=knots)
     for n in range(1, MOST_NEURONS + 1):
@@ -64,11 +57,12 @@ def choose(points: Channel, knots: FloatArray) -> Choice:
     tried = candidates(points, knots)
     residuals = {name: held_out(points, fit) for name, fit in tried.items()}
     rms = {name: _rms(points, residual) for name, residual in residuals.items()}
-    best = next(name for name in tried if rms[name] <= AS_GOOD * min(rms.values()))
+    # A simpler curve is preferred whose error is at most 5 % above the least.
+    best = next(name for name in tried if rms[name] <= 1.05 * min(rms.values()))
     curve = tried[best](points)
     known = np.isfinite(residuals[best])
     # Of the square at least a tenth is left.
-    noise = float(np.average(points.white[known], weights=points.weight[known]))
+    noise = np.average(points.white[known], weights=points.weight[known])
     beyond_white = max(rms[best] ** 2 - noise, 0.1 * rms[best] ** 2)
     return Choice(
         name=best,
@@ -83,8 +77,7 @@ def held_out(points: Points, fit: Fit) -> FloatArray:
     """Return the residual of each mean to a curve fitted without its level, (n,); NaN at the two edges."""
     residual = np.full(len(points), np.nan)
     for out in folds(points.level, FOLDS):
-        curve = fit(points.only(~out))
-        residual[out] = points.value[out] - curve.value(points.temperature[out])
+        residual[out] = points.value[out] - fit(points.only(~out)).value(points.temperature[out])
     return residual
 
 
@@ -105,7 +98,11 @@ def turn_on_offsets(points: Channel, runs: int, knots: FloatArray) -> FloatArray
     A run is compared only where others were at the same temperatures: with no level in common, an offset and
     a bend of the curve are the same.  The mean over the runs that can be compared is 0.
     """
-    together = _comparable(points.run, points.level, runs)
+    # Those that levels in common join, directly or through others, to the one with most data.
+    visited = np.zeros((runs, int(points.level.max()) + 1), np.int64)
+    visited[points.run, points.level] = 1
+    _, group = connected_components(visited @ visited.T, directed=False)
+    together = np.flatnonzero(group == group[np.argmax(np.bincount(points.run, minlength=runs))])
     offset = np.full(runs, np.nan)
     offset[together] = 0.0
     if len(together) < 2:
@@ -113,18 +110,9 @@ def turn_on_offsets(points: Channel, runs: int, knots: FloatArray) -> FloatArray
     points = points.only(np.isin(points.run, together))
     basis, penalty = penalised_basis(points, knots)
     root, m = np.sqrt(points.weight), len(penalty)
-    design = np.hstack([basis, points.run[:, np.newaxis] == together[1:]]) * root[:, np.newaxis]
+    design = np.hstack([basis, points.run[:, None] == together[1:]]) * root[:, None]
     normal = design.T @ design
-    normal[:m, :m] += _STIFFNESS * penalty
-    solved = np.linalg.solve(normal, design.T @ (points.value * root))
-    own = np.append(0.0, solved[m:])
+    normal[:m, :m] += 1e-6 * penalty  # enough to make the curve unique that they are estimated beside
+    own = np.append(0.0, np.linalg.solve(normal, design.T @ (points.value * root))[m:])
     offset[together] = own - own.mean()
     return offset
-
-
-def _comparable(run: IntArray, level: IntArray, runs: int) -> IntArray:
-    """Return the runs that levels in common join, directly or through others, to the one with most data."""
-    visited = np.zeros((runs, int(level.max()) + 1), np.int64)
-    visited[run, level] = 1
-    _, group = connected_components(visited @ visited.T, directed=False)
-    return np.flatnonzero(group == group[np.argmax(np.bincount(run, minlength=runs))])

@@ -6,30 +6,23 @@ from typing import NamedTuple
 
 import numpy as np
 
-from imumon.blocks import BoolArray, FloatArray, IntArray
+from imumon.blocks import BoolArray, FloatArray, IntArray, SampleBlock
 from imumon.clock.channel import CLOCK, block_noise
 from imumon.effects.base import Drive, Scale, Survey
 from imumon.effects.operators import play
-from imumon.lab.diagnosis.runs import Run
 from imumon.recordings.reduced import ACCEL
+
+from .runs import Names, Run, Runs
 
 BLOCK_S = 30.0
 LEAST_BLOCKS = 40
 """Of a training: ten for each coefficient of a cubic."""
-MOST_BLOCKS = 1200
-"""In a run: ten hours of blocks of 30 s.  Longer runs have longer blocks: a search takes no longer."""
-LEAST_SLOTS = 6
-"""Slots in a block: the differences between them show the white floor."""
 PARTS = 15
 """Of a block, whose differences show its white noise, where it has so many slots; 29 at most..."""
 LEAST_PARTS = 3
 """...and in any case: two of their differences, less their mean, are not zero."""
-REVERSAL_SHARE = 0.2
-"""A reversal of the temperature counts when it goes back by this share of the span."""
 BESIDE = 4
 """Slots on either side of a turn of the unit that are compared."""
-TURNED, SIGMAS = 0.1, 8.0
-"""m/s², 0.6° of tilt: from power-on to power-on accelerometers repeat better; and times the median change."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,20 +63,21 @@ class RunBlocks:
     def average(self, columns: FloatArray) -> FloatArray:
         """Return block means (n, k) of columns (slots, k), or (n,) of values (slots,)."""
         means, share = _block_means(columns.reshape(len(self.weight), -1), self.weight, self.slots_per_block)
-        return means[share >= 0.5].reshape(np.count_nonzero(share >= 0.5), *columns.shape[1:])
+        return means[share >= 0.5].reshape(len(self), *columns.shape[1:])
+
+
+Blocks = Sequence[RunBlocks]
 
 
 def make_blocks(
     run: Run,
-    channels: Sequence[str],
-    temperatures: Sequence[str],
-    drivers: Sequence[str] = (),
+    channels: Names,
+    temperatures: Names,
+    drivers: Names = (),
     block_s: float = BLOCK_S,
 ) -> RunBlocks:
     """Return means over the slots at rest with samples of every channel; `drivers` may drive effects, too."""
-    valid = run.at_rest
-    for name in channels:
-        valid = valid & np.isfinite(run.mean[name])
+    valid = run.at_rest & np.isfinite([run.mean[name] for name in channels]).all(axis=0)
     drives = _drives(run, temperatures, drivers)
     accel = next((drive.accel for drive in drives.values()), None)
     slots = max(1, round(block_s / run.slot_s))
@@ -97,7 +91,7 @@ def make_blocks(
         weight[valid] = count[valid] / count[whole if whole.any() else some].mean()
     values = [np.where(valid, run.mean[name], 0.0) for name in channels]
     temperature = [drive.temperature_degc for drive in drives.values()]
-    every = np.column_stack([run.time_s, pose.astype(np.float64), *values, *temperature])
+    every = np.column_stack([run.time_s, pose, *values, *temperature])
     means, share = _block_means(every, weight, slots)
     keep = share >= 0.5
     time_s, number, *columns = means[keep].T
@@ -115,15 +109,14 @@ def make_blocks(
     )
 
 
-def _drives(run: Run, temperatures: Sequence[str], drivers: Sequence[str]) -> dict[str, Drive]:
+def _drives(run: Run, temperatures: Names, drivers: Names) -> dict[str, Drive]:
     """Return what drives the effects, for each temperature that there is; missing values are interpolated."""
     bridged = {
         name: np.interp(run.time_s, run.time_s[known], run.mean[name][known])
         for name in (*ACCEL, *drivers, *temperatures)
         if name in run.mean and (known := np.isfinite(run.mean[name])).sum() > 1
     }
-    accel = np.column_stack([bridged[name] for name in ACCEL]) if bridged.keys() >= set(ACCEL) else None
-    others = {name: bridged[name] for name in drivers if name in bridged}
+    accel, others = SampleBlock(bridged).accel, {name: bridged[name] for name in drivers if name in bridged}
     there = [name for name in temperatures if name in bridged]
     return {name: Drive(run.time_s, bridged[name], accel, others) for name in there}
 
@@ -140,10 +133,11 @@ def poses(force: FloatArray, resting: BoolArray) -> tuple[IntArray, BoolArray]:
         total = np.cumsum(np.vstack([np.zeros(3), force[at]]), axis=0)
         means = (total[BESIDE:] - total[:-BESIDE]) / BESIDE
         change = np.abs(means[BESIDE:] - means[:-BESIDE]).max(axis=1)
-        turned = change > max(TURNED, SIGMAS * float(np.median(change)))
+        # 0.1 m/s² is 0.6° of tilt: from power-on to power-on accelerometers repeat better.
+        turned = change > max(0.1, 8.0 * np.median(change))
         edges = np.flatnonzero(np.diff(np.concatenate([[False], turned, [False]])))
         for start, stop in edges.reshape(-1, 2).tolist():
-            turns[at[start + int(np.argmax(change[start:stop])) + BESIDE]] = 1
+            turns[at[start + np.argmax(change[start:stop]) + BESIDE]] = 1
             beside = at[start : stop + 2 * BESIDE - 1]
             still[beside] &= beside[-1] - beside[0] >= len(beside)  # no gap: rest is declared
     return np.cumsum(turns), still
@@ -154,8 +148,7 @@ def in_one_pose(valid: BoolArray, pose: IntArray, slots: int) -> BoolArray:
     kept = valid.copy()
     for turn in np.flatnonzero(np.diff(pose)) + 1:
         block = slice(turn // slots * slots, (turn // slots + 1) * slots)
-        counts = np.bincount(pose[block][valid[block]], minlength=1)
-        kept[block] &= pose[block] == np.argmax(counts)
+        kept[block] &= pose[block] == np.argmax(np.bincount(pose[block][valid[block]], minlength=1))
     return kept
 
 
@@ -167,15 +160,18 @@ def at_poses(run: RunBlocks) -> RunBlocks:
         return run
     level = np.array([force[run.pose == pose].mean(axis=0) for pose in run.pose])
     accel = level[np.searchsorted(middle, run.run.time_s)]
-    drives = {name: replace(drive, accel=accel) for name, drive in run.drives.items()}
-    return replace(run, drives=drives)
+    return replace(run, drives={name: replace(drive, accel=accel) for name, drive in run.drives.items()})
 
 
-def common_block_s(runs: Sequence[Run]) -> float:
-    """Return the length of a block: 30 s, or more where a log has few samples in that, or a run is long."""
-    slot_s = max(run.slot_s for run in runs)
-    least_s = max(BLOCK_S, max(run.duration_s for run in runs) / MOST_BLOCKS)
-    return LEAST_SLOTS * slot_s * -(-least_s // (LEAST_SLOTS * slot_s))
+def common_block_s(runs: Runs) -> float:
+    """Return the length of a block: 30 s, or more where a log has few samples in that, or a run is long.
+
+    It has six slots at least, whose differences show the white floor.  A run has at most 1200 blocks, ten
+    hours of those of 30 s, so that a search takes no longer.
+    """
+    shortest_s = 6 * max(run.slot_s for run in runs)
+    least_s = max(BLOCK_S, max(run.duration_s for run in runs) / 1200)
+    return shortest_s * -(-least_s // shortest_s)
 
 
 def _block_means(columns: FloatArray, weight: FloatArray, width: int) -> tuple[FloatArray, FloatArray]:
@@ -183,7 +179,7 @@ def _block_means(columns: FloatArray, weight: FloatArray, width: int) -> tuple[F
     starts = np.arange(0, len(weight), width)
     count = np.add.reduceat(weight, starts)
     with np.errstate(invalid="ignore", divide="ignore"):
-        means = np.add.reduceat(columns * weight[:, np.newaxis], starts, axis=0) / count[:, np.newaxis]
+        means = np.add.reduceat(columns * weight[:, None], starts, axis=0) / count[:, None]
     return means, count / width
 
 
@@ -194,7 +190,7 @@ class WhiteFloor(NamedTuple):
     source: str
 
 
-def white_floor(channel: str, blocks: Sequence[RunBlocks]) -> WhiteFloor:
+def white_floor(channel: str, blocks: Blocks) -> WhiteFloor:
     """Return the white floor of a channel from the scatter inside blocks, the rms over these blocks.
 
     It is half the mean square difference of neighbouring parts of a block (an Allan variance), of a fifteenth
@@ -207,7 +203,7 @@ def white_floor(channel: str, blocks: Sequence[RunBlocks]) -> WhiteFloor:
         alike = [[one for one in blocks if one.slots_per_block == width] for width in sorted(widths)]
         floors = [(white_floor(channel, logs), sum(map(len, logs))) for logs in alike]
         variance = sum(number * one.sd**2 for one, number in floors) / sum(map(len, blocks))
-        return WhiteFloor(float(np.sqrt(variance)), floors[0][0].source)
+        return WhiteFloor(np.sqrt(variance), floors[0][0].source)
     slots, gaps = blocks[0].slots_per_block, np.concatenate([run.white for run in blocks]).mean()
     every = [np.where(one.weight > 0.0, one.run.mean[channel], np.nan) for one in blocks]
     values = [rows[: len(rows) // slots * slots].reshape(-1, slots) for rows in every]
@@ -219,13 +215,13 @@ def white_floor(channel: str, blocks: Sequence[RunBlocks]) -> WhiteFloor:
     differences = np.diff(parts[used], axis=1)
     if channel == CLOCK or not differences.any():  # no step leads from one run to the next
         rates = [part for each in values for part in (_means(each)[0], [np.nan])]
-        sd = block_noise(np.concatenate(rates)) * float(np.sqrt(gaps))
+        sd = block_noise(np.concatenate(rates)) * np.sqrt(gaps)
         return WhiteFloor(sd, "delays at the ends of blocks" if channel == CLOCK else "neighbouring blocks")
     spread = differences - differences.mean(axis=1, keepdims=True)
-    slots_of_part = step if whole.any() else 1.0 / float(np.mean(1.0 / count[used]))
+    slots_of_part = step if whole.any() else 1.0 / np.mean(1.0 / count[used])
     # The mean of k differences is (last - first) / k, which holds 2 / k² of the variance.
     of_part = np.mean(spread**2) / (2.0 * (1.0 - 1.0 / (number - 1) ** 2))
-    sd = float(np.sqrt(of_part * slots_of_part / slots * gaps))
+    sd = np.sqrt(of_part * slots_of_part / slots * gaps)
     return WhiteFloor(sd, f"means of {step * blocks[0].run.slot_s:.0f} s inside blocks")
 
 
@@ -235,13 +231,13 @@ def _means(values: FloatArray) -> tuple[FloatArray, IntArray]:
     return np.where(count > 0, np.nansum(values, axis=-1) / np.maximum(count, 1), np.nan), count
 
 
-def survey(runs: Sequence[RunBlocks], temperatures: Iterable[str], degree: int) -> Survey:
+def survey(runs: Blocks, temperatures: Iterable[str], degree: int) -> Survey:
     """Return what the training runs can show, with the drivers that there are beside temperature: that of the
     thermometer that varies most, for one of several may not."""
     of_all = {name: np.concatenate([run.temperature[name] for run in runs]) for name in temperatures}
-    temperature = max(of_all, key=lambda name: float(np.ptp(of_all[name])))
+    temperature = max(of_all, key=lambda name: np.ptp(of_all[name]))
     low, high = float(of_all[temperature].min()), float(of_all[temperature].max())
-    backlash = REVERSAL_SHARE * (high - low)
+    backlash = 0.2 * (high - low)
     forces = [force for run in runs if (force := run.force) is not None]
     others = {}
     for name in runs[0].drives[temperature].others:
@@ -252,7 +248,7 @@ def survey(runs: Sequence[RunBlocks], temperatures: Iterable[str], degree: int) 
         durations_s=[float(run.time_s[-1]) + run.block_s / 2 for run in runs],
         span_degc=high - low,
         reversals=sum(_reversals(run.temperature[temperature], backlash) for run in runs),
-        accel_range=max((float(np.ptp(force, axis=0).max()) for force in forces), default=0.0),
+        accel_range=max((np.ptp(force, axis=0).max() for force in forces), default=0.0),
         block_s=runs[0].block_s,
         degree=degree,
         scale=Scale(0.5 * (low + high), max(0.5 * (high - low), 1e-3)),

@@ -22,8 +22,9 @@ from imumon.effects.base import DrivenEffect, Effect, Scale, Survey
 from imumon.effects.library import EFFECTS
 from imumon.effects.product import Product
 from imumon.effects.temperature_curve import TemperatureCurve
-from imumon.lab.diagnosis.blocks import RunBlocks, WhiteFloor
-from imumon.lab.diagnosis.runs import unit_of
+
+from .blocks import Blocks, RunBlocks, WhiteFloor
+from .runs import unit_of
 
 OffsetPer = Literal["all", "run", "pose"]
 """What has a constant of the declared model: all runs one, each run one, or each pose of each run one."""
@@ -40,16 +41,14 @@ class Term(NamedTuple):
     spectrum: int = -1
 
 
-@dataclass(frozen=True, slots=True)
-class Part:
+class Part(NamedTuple):
     """An effect, and the numbers of the runs with separate coefficients of it (none: they are shared)."""
 
     effect: Effect
     separate_runs: tuple[int, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class Candidate:
+class Candidate(NamedTuple):
     """What may be added at once: one part, or more.
 
     With `free_start` the state at each power-on is fitted, too.  `choice_price` is 2 ln(choices) of (3).
@@ -82,29 +81,33 @@ class Candidate:
     def neighbours(self, survey: Survey, level: int) -> "list[Candidate]":
         """Return candidates with one parameter of one part changed, closer at each level."""
         may_start = self.parts[0].effect.free_start and level == 0 and len(self.parts) == 1
-        return ([replace(self, free_start=not self.free_start)] if may_start else []) + [
-            self.with_part(at, Part(effect, part.separate_runs))
+        return ([self._replace(free_start=not self.free_start)] if may_start else []) + [
+            self.with_effect(at, effect)
             for at, part in enumerate(self.parts)
             for effect in part.effect.refined(survey, level)
         ]
 
-    def with_part(self, at: int, part: Part) -> "Candidate":
-        """Return it with another part in the place of part number `at`."""
-        return replace(self, parts=(*self.parts[:at], part, *self.parts[at + 1 :]))
+    def with_effect(self, at: int, effect: Effect) -> "Candidate":
+        """Return it with another effect in part number `at`."""
+        part = self.parts[at]._replace(effect=effect)
+        return self._replace(parts=(*self.parts[:at], part, *self.parts[at + 1 :]))
+
+
+Model = Sequence[Candidate]
+"""What a model has beside its base."""
 
 
 def candidates(survey: Survey, kinds: Iterable[str]) -> list[Candidate]:
     """Return all candidates of these kinds that such runs can show, over their grids of theta."""
     of_a_driver = sum(issubclass(kind, (DrivenEffect, Product)) for kind in EFFECTS.values())
-    price = 2.0 * float(np.log(max(1, len(survey.others)) * of_a_driver))
+    price = 2.0 * np.log(max(1, len(survey.others)) * of_a_driver)
     every_run = tuple(range(survey.runs))
     found: list[Candidate] = []
     for kind in (EFFECTS[name] for name in kinds):
         grid = kind.grid(survey)
         if kind.scope == "event":
             for run, duration_s in enumerate(survey.durations_s):
-                here = [effect for effect in grid if effect.fits_in(duration_s, survey)]
-                found += [Candidate((Part(effect, (run,)),)) for effect in here]
+                found += [Candidate((Part(one, (run,)),)) for one in grid if one.fits_in(duration_s, survey)]
             continue
         if kind.scope == "run":
             found += [Candidate((Part(effect, every_run[1:]),)) for effect in grid]
@@ -114,7 +117,7 @@ def candidates(survey: Survey, kinds: Iterable[str]) -> list[Candidate]:
         found += [*shared, *(Candidate((Part(effect),), choice_price=price) for effect in driven)]
         found += [Candidate(_late_curve(effect, survey)) for effect in kind.of_curve(survey)]
         if kind.free_start:
-            found += [replace(one, free_start=True) for one in shared]
+            found += [one._replace(free_start=True) for one in shared]
         if kind.scope == "either" and survey.runs > 1:
             found += [Candidate((Part(effect, every_run),)) for effect in grid]
     return found
@@ -148,20 +151,19 @@ GainTable = Mapping[str, Scored]
 
 @dataclass(slots=True, eq=False)
 class Finding:
-    """An effect that the search added to a channel, or that is `of_present_model`.
+    """An effect that the search added to a channel, or that is `of_present_model`, with refined theta.
 
     `gain` is that over the model before it, `gain_over_axes` the same summed over the axes that show it, and
     `family_gains` has the gain of each family at that stage.  `removed_rms` is what it took away from the
     training then, in the channel's unit; `partner` is that of `Scored`.  `by_test`: only the test proves it.
+    `alternatives` are the best candidates of other families that these data do not separate from it.
     """
 
     candidate: Candidate
-    """With refined theta; coefficients come with the fit."""
     gain: float = 0.0
     gain_over_axes: float = 0.0
     family_gains: dict[str, float] = field(default_factory=dict)
     alternatives: dict[str, Candidate] = field(default_factory=dict)
-    """The best candidate of each other family that these data do not separate from it."""
     removed_rms: float = 0.0
     partner: str = ""
     by_test: bool = False
@@ -180,13 +182,13 @@ class Finding:
 
 @dataclass(slots=True)
 class Training:
-    """Training runs, and the columns of effects over them as block means, made once for each effect."""
+    """Training runs, and the columns over them, as block means, of the effects that one of their temperatures
+    drives, made once for each effect."""
 
-    runs: Sequence[RunBlocks]
+    runs: Blocks
     temperature_name: str
-    """Which temperature drives the effects."""
     _columns: list[FloatArray] = field(default_factory=list)
-    _made: dict[tuple[int, str], tuple[Effect, list[int]]] = field(default_factory=dict)
+    _made: dict[tuple[int, str], tuple[Effect, range]] = field(default_factory=dict)
 
     def terms(self, candidate: Candidate) -> tuple[list[Term], list[Term]]:
         """Return the terms of a candidate's coefficients, and those of its free start."""
@@ -219,20 +221,18 @@ class Training:
         ]
         return np.ascontiguousarray(np.reshape(rows, (len(terms), len(run_of_block))).T)
 
-    def design(self, model: Sequence[Candidate]) -> FloatArray:
+    def design(self, model: Model) -> FloatArray:
         """Return Z of (1) for some candidates, (n, k): of each its coefficients, then its free start."""
         return self.matrix([term for one in model for terms in self.terms(one) for term in terms])
 
-    def _indices(self, effect: Effect, method: str) -> list[int]:
+    def _indices(self, effect: Effect, method: str) -> range:
         """Return where the columns are that a method of an effect returns; they are made if need be."""
         key = (id(effect), method)  # the effect is kept beside it, so that no other can have its id
         if key not in self._made:
-            drives = [run.drives[self.temperature_name] for run in self.runs]
-            both = zip(self.runs, drives, strict=True)
-            means = [run.average(getattr(effect, method)(drive)) for run, drive in both]
-            first, width = len(self._columns), means[0].shape[1]
+            make, first = getattr(effect, method), len(self._columns)
+            means = [run.average(make(run.drives[self.temperature_name])) for run in self.runs]
             self._columns += [*np.concatenate(means).T]
-            self._made[key] = effect, list(range(first, first + width))
+            self._made[key] = effect, range(first, len(self._columns))
         return self._made[key][1]
 
 
@@ -241,23 +241,23 @@ class Channel:
     """One axis of a sensor with its declared model, over training and test; its unit is `unit`.
 
     The declared model is a polynomial of u = (T - middle) / half span, T in °C, whose constant is one for all
-    runs, or one for each run or pose.
+    runs, or one for each run or pose.  `floor` is the white noise of a block mean.
+
+    `faults`: what is wrong with its samples, and the rms that this alone makes of a smooth bias, below which
+    no effect can be found; infinite where nothing that is fitted would be the bias.
+    `present_effects`: those of the present model, whose curve is off the means already; None without one.
+    `fixed_effects`: those of them that stay as they are; a search begins with the others, fitted anew.
     """
 
     name: str
     floor: WhiteFloor
-    """White noise of a block mean."""
     degree: int
     offset_per: OffsetPer
     training: Training
-    test: Sequence[RunBlocks]
+    test: Blocks
     faults: Mapping[str, float] = field(default_factory=dict)
-    """What is wrong with its samples, and the rms that this alone makes of a smooth bias: a smaller effect
-    cannot be found.  It is infinite where nothing that is fitted would be the bias."""
     present_effects: tuple[Effect, ...] | None = None
-    """Effects of the present model, whose curve is off the means already; None without a present model."""
     fixed_effects: tuple[Effect, ...] = ()
-    """Those of them that stay as they are; a search begins with the others, and fits them anew."""
 
     @property
     def unit(self) -> str:
@@ -272,7 +272,7 @@ class Channel:
     @property
     def faulty(self) -> bool:
         """Whether one value of its samples is far too frequent: nothing that is fitted would be the bias."""
-        return bool(np.isinf(self.fault_rms))
+        return self.fault_rms == np.inf
 
     @property
     def total_floor(self) -> float:
@@ -310,7 +310,7 @@ class Channel:
     def powers(self, temperature: FloatArray, count: int) -> FloatArray:
         """Return the first `count` of 1, u, u², ..., (n, count)."""
         u = (temperature - self.scale.middle) / self.scale.half_span
-        return np.asarray(u[:, np.newaxis] ** np.arange(count))
+        return u[:, None] ** np.arange(count)
 
     def offset_numbers(self, run: RunBlocks) -> IntArray:
         """Return which of the constants of a run each of its blocks has, (n,), from 0."""
@@ -330,7 +330,7 @@ class Channel:
         means = np.concatenate([run.mean[self.name] for run in self.training.runs])
         for effect in self.fixed_effects:
             columns = self.training.design([Candidate((Part(effect),))])
-            means = means - columns @ np.asarray(effect.coefficients)
+            means = means - columns @ effect.coefficients
         return means
 
     @cached_property
@@ -340,13 +340,13 @@ class Channel:
         if self.offset_per == "all":
             return columns
         constants, which = self.offsets
-        return np.column_stack([columns, which[:, np.newaxis] == np.arange(1, len(constants))]).astype(float)
+        return np.column_stack([columns, which[:, None] == np.arange(1, len(constants))]).astype(float)
 
-    def design(self, model: Sequence[Candidate]) -> FloatArray:
+    def design(self, model: Model) -> FloatArray:
         """Return [X Z] of (1), (n, p + k)."""
         return np.column_stack([self.base, self.training.design(model)])
 
-    def residual_rms(self, model: Sequence[Candidate]) -> float:
+    def residual_rms(self, model: Model) -> float:
         """Return the rms that ordinary least squares leave of training with a model."""
         design = self.design(model)
         residual = self.y - design @ least_squares(design, self.y)
@@ -355,16 +355,17 @@ class Channel:
 
 def least_squares(columns: FloatArray, values: FloatArray) -> FloatArray:
     """Return the coefficients of ordinary least squares, the smallest where columns are collinear."""
-    norm = _norms(columns)
-    return np.asarray(np.linalg.lstsq(columns / norm, values, rcond=1e-10)[0] / norm)
+    norm = norms(columns)
+    return np.linalg.lstsq(columns / norm, values, rcond=1e-10)[0] / norm
 
 
 def pseudo_inverse(columns: FloatArray) -> FloatArray:
     """Return the matrix that gives these coefficients of values, (k, n); columns may have any unit."""
-    norm = _norms(columns)
-    return np.asarray(np.linalg.pinv(columns / norm, rcond=1e-10) / norm[:, np.newaxis])
+    norm = norms(columns)
+    return np.linalg.pinv(columns / norm, rcond=1e-10) / norm[:, None]
 
 
-def _norms(columns: FloatArray) -> FloatArray:
+def norms(columns: FloatArray) -> FloatArray:
+    """Return the norm of each column, (k,), or 1 where that is 0."""
     norm = np.linalg.norm(columns, axis=0)
-    return np.asarray(np.where(norm > 0, norm, 1.0))
+    return np.where(norm > 0, norm, 1.0)

@@ -9,6 +9,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,16 +18,17 @@ from imumon.effects.base import LEAST_SPAN_DEGC
 from imumon.effects.library import effects_for
 from imumon.errors import bad_config
 from imumon.geodesy import EARTH_RATE
-from imumon.lab.calibration.cells import ONE_WAY, one_way
-from imumon.lab.calibration.gravity import Length
-from imumon.lab.diagnosis import prepare
-from imumon.lab.diagnosis.blocks import LEAST_PARTS, RunBlocks, at_poses, common_block_s, survey, white_floor
-from imumon.lab.diagnosis.candidates import Channel, OffsetPer, Training, least_squares
-from imumon.lab.diagnosis.runs import SENSORS, Run, channels_of
-from imumon.lab.diagnosis.search import PROVEN_GAIN, STAGES, AxisSearch, Progress, search
-from imumon.lab.diagnosis.verdict import ChannelVerdict, decide
 from imumon.models.curves.polynomial import CUBIC
 from imumon.models.model import BiasModel
+
+from ..calibration.cells import ONE_WAY, one_way
+from ..calibration.gravity import Length
+from . import prepare
+from .blocks import LEAST_PARTS, Blocks, at_poses, common_block_s, survey, white_floor
+from .candidates import Channel, OffsetPer, Training, least_squares
+from .runs import SENSORS, Names, Runs, channels_of
+from .search import PROVEN_GAIN, STAGES, AxisSearch, Progress, search
+from .verdict import ChannelVerdict, decide
 
 HIGHEST_DEGREE = 8
 BLOCK_FRACTIONS, LEAST_SEARCH_BLOCKS = (1, 2, 3), 200
@@ -36,24 +38,21 @@ ON_POSES = (
     "a sensitivity of the gyros to g cannot be distinguished from the earth rate",
 )
 """With one constant for all poses, and with one in each."""
-EARTH_SPREAD = 2.1 * EARTH_RATE
-"""rad/s: most that the constants of a gyro in two poses differ by the earth rate, and by 5 % of its scale."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Prepared:
+class Prepared(NamedTuple):
     """What is diagnosed: training and test in blocks, and what is declared of them.
 
     `temperature_names` has the temperature of each channel, `degree` is that of the declared polynomial.
-    With a present `model`, its curve is off the blocks already.
+    With a present `model`, its curve is off the blocks already.  The search is in the shorter blocks of
+    `search_train`; where there are none, in those of `train`.
     """
 
-    train: Sequence[RunBlocks]
+    train: Blocks
     temperature_names: Mapping[str, str]
     degree: int
-    test: Sequence[RunBlocks] = ()
-    search_train: Sequence[RunBlocks] = ()
-    """The runs of `train` in shorter blocks, in which they are searched; empty: in those of `train`."""
+    test: Blocks = ()
+    search_train: Blocks = ()
     offset_per: OffsetPer = "all"
     model: BiasModel | None = None
 
@@ -68,8 +67,8 @@ class Diagnosis:
 
     declared: str
     verdicts: list[ChannelVerdict]
-    train: Sequence[RunBlocks]
-    test: Sequence[RunBlocks]
+    train: Blocks
+    test: Blocks
     caveats: list[str] = field(default_factory=list)
     model: BiasModel | None = None
     length: Length | None = None
@@ -87,7 +86,7 @@ def parse_declared(text: str) -> tuple[int, OffsetPer]:
     Raises BAD_CONFIG for anything else.
     """
     match = re.fullmatch(r"\s*polynomial\s+(\d+)(\s*\+\s*offset)?\s*", text)
-    if match is None or int(match[1]) > HIGHEST_DEGREE:
+    if not match or int(match[1]) > HIGHEST_DEGREE:
         raise bad_config(
             f"--declared {text!r} is not understood",
             f"use 'polynomial N', N from 0 to {HIGHEST_DEGREE}; '+ offset' for a constant of each run",
@@ -96,13 +95,13 @@ def parse_declared(text: str) -> tuple[int, OffsetPer]:
 
 
 def diagnose(
-    train: Sequence[Run],
-    test: Sequence[Run],
+    train: Runs,
+    test: Runs,
     declared: str = CUBIC,
-    progress: Progress = None,
-    sensors: Sequence[str] = SENSORS,
+    progress: Progress = lambda _: None,
+    sensors: Names = SENSORS,
     model: BiasModel | None = None,
-    drivers: Sequence[str] | None = None,
+    drivers: Names | None = None,
 ) -> Diagnosis:
     """Find what the declared model leaves over in the training runs, name it, and prove it on the test runs.
 
@@ -130,19 +129,19 @@ def diagnose(
 
 
 def _prepared(
-    train: Sequence[Run],
-    test: Sequence[Run],
+    train: Runs,
+    test: Runs,
     declared: str,
-    sensors: Sequence[str],
+    sensors: Names,
     model: BiasModel | None,
-    drivers: Sequence[str] | None,
+    drivers: Names | None,
     remarks: list[str],
 ) -> Prepared:
     """Return what is searched; on what is not, and on limits, it adds to the remarks."""
     degree, offset_per = parse_declared(declared)
     names = prepare.usable_channels(train, test, sensors, remarks)
     train, test = prepare.train_and_test(train, test, names, remarks)
-    if model is not None:
+    if model:
         of_units = [model.of_another(run.origin.serial) for run in (*train, *test) if run.origin]
         remarks += filter(None, dict.fromkeys(of_units))
         names = prepare.channels_with_model(names, model, remarks)
@@ -156,18 +155,20 @@ def _prepared(
     tested = prepare.usable_blocks(test, *columns, block_s, remarks, model)
     span = survey(training, temperatures, degree)
     if not span.thermal:
-        moves = f"moves by {span.span_degc:.1f} °C only ({LEAST_SPAN_DEGC:.0f} °C are needed)"
-        nothing = "no curve over temperature is fitted, and no effect of temperature can be found"
-        remarks.append(f"the temperature {moves}: {nothing}")
-    elif model is not None:  # else no curve is fitted, and that of the model stays as it is
+        remarks.append(
+            f"the temperature moves by {span.span_degc:.1f} °C only ({LEAST_SPAN_DEGC:.0f} °C are needed):"
+            " no curve over temperature is fitted, and no effect of temperature can be found"
+        )
+    elif model:  # else no curve is fitted, and that of the model stays as it is
         prepare.check_range(model, temperature_names, training)
     elif all(one_way([run.temperature[name] for run in training]) for name in temperatures):
         remarks.append(ONE_WAY)
     if not tested:
         remarks.append("no run can be used as a test: there is no independent proof")
     if len(training) < 2:
-        alike = "what depends on time and what depends on temperature may look alike"
-        remarks.append(f"one training run: {alike}")
+        remarks.append(
+            "one training run: what depends on time and what depends on temperature may look alike"
+        )
     # The same runs and no others: separate coefficients have the number of their run.
     search_train = [one.in_blocks_of(search_block_s(training)) for one in training]
     degree = degree if span.thermal else 0
@@ -181,13 +182,17 @@ def _length(data: Prepared, remarks: list[str]) -> Length | None:
         return None
     warmth = _channels(data, ["accel_x"], "pose", data.train)[0].base[:, 1 : data.degree + 1]
     poses, length = Length.from_poses(np.concatenate(forces), warmth) or (0, None)
-    if length is not None:
+    if length:
         remarks.append(length.described(poses))
     return length
 
 
 def search_sensor(
-    data: Prepared, axes: Sequence[str], kinds: Sequence[str], stages: int = STAGES, progress: Progress = None
+    data: Prepared,
+    axes: Names,
+    kinds: Names,
+    stages: int = STAGES,
+    progress: Progress = lambda _: None,
 ) -> list[list[AxisSearch]]:
     """Return the search in the axes of a sensor over each base that is possible, a list of its axes each.
 
@@ -197,8 +202,7 @@ def search_sensor(
     is_gyro = axes[0].startswith("gyro")
     possible: list[OffsetPer] = [data.offset_per] if is_gyro or axes[0].startswith(CLOCK) else []
     blocks = data.search_train or data.train
-    turned = any(run.pose.max() > run.pose.min() for run in blocks)
-    if not possible or (is_gyro and turned):
+    if not possible or (is_gyro and any(run.pose.max() > run.pose.min() for run in blocks)):
         possible.append("pose")
     found = []
     for offset_per in possible:
@@ -212,7 +216,7 @@ def search_sensor(
     return found
 
 
-def search_block_s(blocks: Sequence[RunBlocks]) -> float:
+def search_block_s(blocks: Blocks) -> float:
     """Return the length of the blocks to search in, s: three slots or more, which show the white floor."""
     longest, slots = max(map(len, blocks)), min(one.slots_per_block for one in blocks)
     fractions = [number for number in BLOCK_FRACTIONS if slots >= LEAST_PARTS * number]
@@ -220,10 +224,7 @@ def search_block_s(blocks: Sequence[RunBlocks]) -> float:
     return blocks[0].block_s / next(enough, fractions[-1])
 
 
-def _channels(
-    data: Prepared, names: Sequence[str], offset_per: OffsetPer, blocks: Sequence[RunBlocks]
-) -> list[Channel]:
-    """Return the axes of a sensor over one base, in these blocks of the training."""
+def _channels(data: Prepared, names: Names, offset_per: OffsetPer, blocks: Blocks) -> list[Channel]:
     test = data.test
     if offset_per == "pose":
         blocks, test = ([at_poses(run) for run in runs] for runs in (blocks, test))
@@ -233,9 +234,8 @@ def _channels(
     for name in names:
         training, floor = trainings[data.temperature_names[name]], white_floor(name, blocks)
         effects = None
-        if data.model is not None:  # what is a polynomial is part of the curve
-            every = data.model.channels[name].effects
-            effects = tuple(effect for effect in every if effect.polynomial() is None)
+        if data.model:  # what is a polynomial is part of the curve
+            effects = tuple(one for one in data.model.channels[name].effects if one.polynomial() is None)
         faults = prepare.faults([one.run for one in blocks], name, floor.sd)
         found.append(Channel(name, floor, data.degree, offset_per, training, test, faults, effects))
     return found
@@ -264,7 +264,8 @@ def likeliest(searched: Sequence[list[AxisSearch]], *, live: bool = False) -> li
             # Less the first of all; those of another run have another turn-on bias, too.
             constants = np.append(0.0, coefficients[channel.degree + 1 : channel.base.shape[1]])
             runs, number = channel.offsets[0][:, 0], number + len(constants) - 1
-            if max(np.ptp(constants[runs == run]) for run in np.unique(runs)) > EARTH_SPREAD:
+            # By the earth rate, and 5 % of a gyro's scale, those in two poses differ by no more.
+            if max(np.ptp(constants[runs == run]) for run in np.unique(runs)) > 2.1 * EARTH_RATE:
                 return -np.inf
         price = math.log(len(axes[0].channel.y)) * number
         return criterion + PROVEN_GAIN + (price if live else 0.0)

@@ -1,21 +1,22 @@
 """The extended model: what was declared, with the effects that are claimed, as a model file."""
 
-from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
 from numpy.polynomial import Chebyshev, Polynomial
 
+from imumon.effects.base import Effect
 from imumon.effects.temperature_curve import TemperatureCurve
-from imumon.lab.diagnosis.blocks import RunBlocks
-from imumon.lab.diagnosis.candidates import Channel
-from imumon.lab.diagnosis.diagnose import Diagnosis
-from imumon.lab.diagnosis.fit import Fit
-from imumon.lab.diagnosis.verdict import ChannelVerdict
 from imumon.models.curves.polynomial import HIGHEST_ORDER, PolynomialCurve
 from imumon.models.model import UNITS, BiasModel, ChannelModel, TrainedOn
 from imumon.version import __version__
+
+from .blocks import RunBlocks
+from .candidates import Channel
+from .diagnose import Diagnosis
+from .fit import Fit
+from .verdict import ChannelVerdict
 
 WIDENED = 1.01
 """Range of a curve over the one that it was fitted on, so that an end is not in and out by turns."""
@@ -27,9 +28,9 @@ def extended_model(diagnosis: Diagnosis) -> BiasModel:
 
     A jump, a turn-on offset and an amplitude that is another in each run are in the report alone.
     """
-    present, recorded = diagnosis.model, [one for one in diagnosis.train if one.run.origin is not None]
+    present, recorded = diagnosis.model, [one for one in diagnosis.train if one.run.origin]
     found = {one.name: _channel(one, present) for one in with_model(diagnosis)}
-    channels = {**(present.channels if present else {}), **found}
+    channels = (present.channels if present else {}) | found
     trained = [*map(trained_on, recorded)]
     earlier = present.trained_on if present and len(channels) > len(found) else []
     update: dict[str, Any] = {
@@ -39,7 +40,7 @@ def extended_model(diagnosis: Diagnosis) -> BiasModel:
         "trained_on": [*(one for one in earlier if one not in trained), *trained],
         "channels": channels,
     }
-    if present is not None:
+    if present:
         return present.model_copy(update=update)
     for name in ("device", "serial"):
         distinct = {getattr(one.run.origin, name) for one in recorded}
@@ -66,15 +67,15 @@ def _channel(verdict: ChannelVerdict, model: BiasModel | None) -> ChannelModel:
         "residual_sd": residual,
         "curve": PolynomialCurve(center_degc=middle, half_width_degc=half, coefficients=[0.0]),
     }
-    present = ChannelModel.model_validate(new) if model is None else model.channels[verdict.name]
+    present = model.channels[verdict.name] if model else ChannelModel.model_validate(new)
     return refitted(present, channel, without_unknown_constant(fitted, verdict.name, model), residual)
 
 
 def without_unknown_constant(fitted: Fit, name: str, model: BiasModel | None) -> Fit:
     """Return a fit whose constant, where it holds gravity, or an earth rate that the present model has not,
     is zero: at the middle the present bias stays."""
-    if name.startswith("accel") or (model is not None and model.earth_rate == "removed"):
-        return replace(fitted, declared=np.append(0.0, fitted.declared[1:]))
+    if name.startswith("accel") or (model and model.earth_rate == "removed"):
+        return fitted._replace(declared=np.append(0.0, fitted.declared[1:]))
     return fitted
 
 
@@ -85,23 +86,22 @@ def refitted(present: ChannelModel, channel: Channel, fitted: Fit, residual_sd: 
     """
     curve, middle, half = present.curve, channel.scale.middle, channel.scale.half_span
     low, high = middle - half, middle + half
-    more = Polynomial(fitted.declared, domain=[low, high])
+    total, others = Polynomial(fitted.declared, domain=[low, high]), list[Effect]()
     lasting = [part.effect.with_start(part.start) for part in fitted.parts if part.carries_over]
-    of_present = [one for one in present.effects if one.polynomial() is not None]
-    shapes = [(one, one.polynomial()) for one in (*of_present, *lasting)]
-    own = [shape for _, shape in shapes if shape is not None and shape.degree() <= HIGHEST_ORDER]
-    others = [one for one, shape in shapes if shape is None or shape.degree() > HIGHEST_ORDER]
     update: dict[str, Any] = {"residual_sd": residual_sd, "held_out_rms": {}, "effects": others}
-    if more.degree() > 0 or any(one.polynomial() is not None for one in lasting):
+    if total.degree() > 0 or any(one.polynomial() is not None for one in lasting):
         margin, (lowest, highest) = (WIDENED - 1.0) * half, present.temperature_range_degc
         update["temperature_range_degc"] = [max(low - margin, lowest), min(high + margin, highest)]
-    total = more
-    for shape in own:
-        total = total + shape.convert(domain=more.domain, window=more.window)
+    for effect in (*(one for one in present.effects if one.polynomial() is not None), *lasting):
+        shape = effect.polynomial()
+        if shape is None or shape.degree() > HIGHEST_ORDER:
+            others.append(effect)
+        else:
+            total = total + shape.convert(domain=total.domain, window=total.window)
     if isinstance(curve, PolynomialCurve):
         ends = curve.center_degc - curve.half_width_degc, curve.center_degc + curve.half_width_degc
-        own_curve = Chebyshev(curve.coefficients, ends).convert(more.domain)
-        coefficients = (total.convert(more.domain, Chebyshev) + own_curve).coef.tolist()
+        own_curve = Chebyshev(curve.coefficients, ends).convert(total.domain)
+        coefficients = (total.convert(total.domain, Chebyshev) + own_curve).coef.tolist()
         curve = PolynomialCurve(center_degc=middle, half_width_degc=half, coefficients=coefficients)
     else:
         constant, *powers = total.coef.tolist()
@@ -115,7 +115,7 @@ def refitted(present: ChannelModel, channel: Channel, fitted: Fit, residual_sd: 
 def trained_on(blocks: RunBlocks) -> TrainedOn:
     """Return what a model states of a run that it was fitted to."""
     origin, temperature = blocks.run.origin, np.concatenate(list(blocks.temperature.values()))
-    assert origin is not None
+    assert origin
     return TrainedOn(
         session=origin.session,
         run=origin.index,

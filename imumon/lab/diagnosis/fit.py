@@ -6,49 +6,44 @@ differences of neighbouring blocks.  That noise enters the sigmas only (`sigmas`
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from itertools import product
 from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import solve_triangular
 
 from imumon.blocks import BoolArray, FloatArray, IntArray
-from imumon.effects.base import Effect, Survey
-from imumon.lab.diagnosis.blocks import RunBlocks
-from imumon.lab.diagnosis.candidates import Candidate, Channel, Part, least_squares, pseudo_inverse
-from imumon.lab.diagnosis.likelihood import Likelihood
+from imumon.effects.base import Drive, Effect, Survey
 
-CARRY_SPREAD = 0.35
-"""Separate coefficients carry over when none is further from their mean than this share of it."""
+from .blocks import RunBlocks
+from .candidates import Candidate, Channel, Model, Part, least_squares, pseudo_inverse
+from .likelihood import Likelihood
+
 LEAST_TEST_BLOCKS = 10
 """Of fewer there is no rms of the test."""
 LEAST_OFFSET_BLOCKS = 4
 """With one constant: the mean of fewer takes too much of their own noise away."""
-CHANGE, OF_GRID = 0.01, 0.25
-"""Share by which a parameter is changed for the slope of the model in it, and distances of its grid, at most:
-a percent of a period is a cycle in a hundred."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class FittedPart:
-    """An effect of a fitted model."""
+class FittedPart(NamedTuple):
+    """An effect of a fitted model, with the coefficients that carry over.
+
+    `coefficients` are in the unit of the channel per unit of the column, (separate runs, k); where they are
+    shared `separate_runs` is empty, and they are (1, k).  `start` are those of `Effect.start_columns`,
+    (runs, m); empty when the start is not free.
+    """
 
     effect: Effect
-    """With the coefficients that carry over."""
     separate_runs: tuple[int, ...]
-    """The runs that have separate coefficients; empty where they are shared."""
     coefficients: FloatArray
-    """In the unit of the channel per unit of the column, (separate runs, k); (1, k) where they are shared."""
     start: FloatArray
-    """Coefficients of `Effect.start_columns`, (runs, m); empty when the start is not free."""
 
     @property
     def carries_over(self) -> bool:
-        """Whether it predicts another run: its coefficients are shared, or nearly the same in every run."""
+        """Whether it predicts another run: its coefficients are shared, or nearly the same in every run, none
+        further from their mean than 0.35 of it."""
         mean = self.coefficients.mean(axis=0)
-        spread = float(np.linalg.norm(self.coefficients - mean, axis=1).max())
-        same = self.effect.scope == "either" and spread <= CARRY_SPREAD * float(np.linalg.norm(mean))
+        spread = np.linalg.norm(self.coefficients - mean, axis=1).max()
+        same = self.effect.scope == "either" and spread <= 0.35 * float(np.linalg.norm(mean))
         return not self.separate_runs or same
 
     def known_in(self, run: int | None) -> bool:
@@ -56,20 +51,20 @@ class FittedPart:
         return run in self.separate_runs or (run is not None and self.effect.scope == "run")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Fit:
-    """An extended model fitted by ordinary least squares."""
+class Fit(NamedTuple):
+    """An extended model fitted by ordinary least squares; `residual` is y less it, (n,).
+
+    `declared` are the coefficients of the powers of u, (degree + 1,), with the constant to predict another
+    run by: the mean of the constants of runs or poses, of which further ones are differences from the first,
+    plus `mean_of_separate`, that over training of what does not carry over, such as jumps.
+    `constant_weights`, (p + k,), has the weight of each coefficient of [X Z] in it.
+    """
 
     declared: FloatArray
-    """Coefficients of the powers of u, (degree + 1,); the constant is the one to predict another run with."""
     constant_weights: FloatArray
-    """Weight of each coefficient of [X Z], (p + k,), in that constant: it is the mean of the constants of
-    runs or poses, of which further ones are differences from the first, plus `mean_of_separate`."""
     mean_of_separate: float
-    """Mean over training of what does not carry over, such as jumps."""
     parts: list[FittedPart]
     residual: FloatArray
-    """y less the model, (n,)."""
 
     @property
     def train_rms(self) -> float:
@@ -82,7 +77,7 @@ class Fit:
         return any(part.carries_over for part in self.parts)
 
 
-def fit(channel: Channel, model: Sequence[Candidate]) -> Fit:
+def fit(channel: Channel, model: Model) -> Fit:
     """Fit the declared model and candidates to training by ordinary least squares."""
     design, n_base, n_powers = channel.design(model), channel.base.shape[1], channel.degree + 1
     coefficients = least_squares(design, channel.y)
@@ -103,7 +98,7 @@ def fit(channel: Channel, model: Sequence[Candidate]) -> Fit:
     return Fit(declared, constant_weights, mean_of_separate, parts, channel.y - design @ coefficients)
 
 
-def _layout(channel: Channel, model: Sequence[Candidate]) -> Iterator[tuple[Candidate, slice, slice]]:
+def _layout(channel: Channel, model: Model) -> Iterator[tuple[Candidate, slice, slice]]:
     """Yield each candidate with its columns of the design, and those of its free start."""
     at = channel.base.shape[1]
     for one in model:
@@ -119,27 +114,26 @@ def _by_part(candidate: Candidate, values: FloatArray) -> list[FloatArray]:
     return [row.reshape(-1, part.effect.width) for part, row in zip(candidate.parts, rows, strict=True)]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Score:
+class Score(NamedTuple):
     """How a model does on runs that it was not fitted to, in the unit of the channel; NaN without a test.
 
-    *Predicted*: by what carries over; nothing of the test is used but a constant where the declared model has
-    one for each run or pose.  *Estimated*: with what does not carry over fitted to the test itself.  Of each
-    run there are both residuals, and which blocks count, (n,).
+    *Predicted*, as `rms` is: by what carries over; nothing of the test is used but a constant where the
+    declared model has one for each run or pose.  *Estimated*: with what does not carry over fitted to the
+    test itself.  Of each run there are both residuals, and which blocks count, (n,).
+
+    `coverage` is the share of the blocks inside the trained temperatures, `scored_share` that of those which
+    count: after the state at power-on is forgotten.  `continues_training`: whether a run of the test
+    continues a training run with separate coefficients.
     """
 
     rms: float
-    """Predicted."""
     estimated_rms: float
     coverage: float
-    """Share of the blocks inside the trained temperatures."""
     scored_share: float
-    """Share of those that count: after the state at power-on is forgotten."""
     predicted_residual: list[FloatArray]
     estimated_residual: list[FloatArray]
     counts: list[BoolArray]
     continues_training: bool
-    """Whether a run of the test continues a training run with separate coefficients."""
 
     @property
     def smaller_rms(self) -> float:
@@ -154,20 +148,23 @@ def score_test(channel: Channel, model: Fit, settled_as: Fit | None = None) -> S
     same for the models that are compared.
     """
     trained, predicted, estimated, counts, inside = channel.temperature, [], [], [], 0
-    both = product(model.parts, (_continued_run(channel, run) for run in channel.test))
-    continues = any(part.known_in(number) for part, number in both)
+    begun_in, continues = [run.run.name for run in channel.training.runs], False
     for run in channel.test:
-        t = run.temperature[channel.training.temperature_name]
+        # The training run that it continues; None where it has its own power-on.
+        continued = begun_in.index(run.run.begun_in) if run.run.begun_in in begun_in else None
+        continues |= any(part.known_in(continued) for part in model.parts)
+        temperature = channel.training.temperature_name
+        t, drive = run.temperature[temperature], run.drives[temperature]
         counting = (t >= trained.min()) & (t <= trained.max())
         inside += int(counting.sum())
         for part in (settled_as or model).parts:
-            settled = part.effect.settled(run.drives[channel.training.temperature_name])
-            counting &= run.average(settled.astype(np.float64)) > 0.99
-        residual = run.mean[channel.name] - _predicted_bias(channel, run, model)
+            counting &= run.average(part.effect.settled(drive).astype(np.float64)) > 0.99
+        residual = run.mean[channel.name] - _predicted_bias(channel, run, drive, model, continued)
         if channel.offset_per != "all":
             residual, counting = _without_offsets(residual, counting, channel.offset_numbers(run))
         predicted.append(residual)
-        estimated.append(residual - _estimated_bias(channel, run, model, residual, counting))
+        not_carried = [part for part in model.parts if not (part.carries_over or part.known_in(continued))]
+        estimated.append(residual - _estimated_bias(channel, run, drive, not_carried, residual, counting))
         counts.append(counting)
     coverage = inside / sum(map(len, counts)) if channel.test else np.nan
     scored_share = sum(int(part.sum()) for part in counts) / max(inside, 1) if channel.test else np.nan
@@ -177,64 +174,61 @@ def score_test(channel: Channel, model: Fit, settled_as: Fit | None = None) -> S
 
 def root_mean_square(values: FloatArray) -> float:
     """Return the rms of values; NaN without any."""
-    return float(np.sqrt(np.mean(values**2))) if len(values) else float("nan")
+    return float(np.sqrt(np.mean(values**2))) if len(values) else np.nan
 
 
 def _rms_of(residuals: Sequence[FloatArray], counts: Sequence[BoolArray]) -> float:
-    """Return the rms over the blocks that count; NaN when they are too few."""
     values = np.concatenate([np.empty(0), *(one[of] for one, of in zip(residuals, counts, strict=True))])
-    return root_mean_square(values) if len(values) >= LEAST_TEST_BLOCKS else float("nan")
-
-
-def _continued_run(channel: Channel, run: RunBlocks) -> int | None:
-    """Return the number of the training run that a run continues; None where it has its own power-on."""
-    names = [other.run.name for other in channel.training.runs]
-    return names.index(run.run.begun_in) if run.run.begun_in in names else None
+    return root_mean_square(values) if len(values) >= LEAST_TEST_BLOCKS else np.nan
 
 
 def _without_offsets(
     residual: FloatArray, counting: BoolArray, numbers: IntArray
 ) -> tuple[FloatArray, BoolArray]:
     """Return a residual less a constant for each number, and which blocks count: of numbers with enough."""
-    member = numbers[:, np.newaxis] == np.unique(numbers)
+    member = numbers[:, None] == np.unique(numbers)
     number = member[counting].sum(axis=0)
     mean = residual[counting] @ member[counting] / np.maximum(number, 1)
     return residual - member @ mean, counting & (member @ (number >= LEAST_OFFSET_BLOCKS))
 
 
-def _predicted_bias(channel: Channel, run: RunBlocks, model: Fit) -> FloatArray:
+def _predicted_bias(
+    channel: Channel, run: RunBlocks, drive: Drive, model: Fit, continued: int | None
+) -> FloatArray:
     temperature = run.temperature[channel.training.temperature_name]
     bias = channel.powers(temperature, len(model.declared)) @ model.declared
-    drive, continued = run.drives[channel.training.temperature_name], _continued_run(channel, run)
     for part in model.parts:
         if part.carries_over:
             bias = bias + run.average(part.effect.simulate(drive))
         elif continued in part.separate_runs:
             row = part.coefficients[part.separate_runs.index(continued)]
             bias = bias + run.average(part.effect.columns(drive)) @ row
-    return np.asarray(bias if continued is None else bias - model.mean_of_separate)
+    return bias if continued is None else bias - model.mean_of_separate
 
 
 def _estimated_bias(
-    channel: Channel, run: RunBlocks, model: Fit, residual: FloatArray, counting: BoolArray
+    channel: Channel,
+    run: RunBlocks,
+    drive: Drive,
+    parts: list[FittedPart],
+    residual: FloatArray,
+    counting: BoolArray,
 ) -> FloatArray:
-    """Return what does not carry over, fitted to the residual of the blocks that count, (n,).
+    """Return the parts that do not carry over, fitted to the residual of the blocks that count, (n,).
 
     That is a constant, the coefficients that each run may have, and one jump where the model has jumps.  What
     the training run has that this one continues is predicted, and is not fitted.
     """
-    continued = _continued_run(channel, run)
-    parts = [part for part in model.parts if not (part.carries_over or part.known_in(continued))]
-    if not parts or int(counting.sum()) < LEAST_TEST_BLOCKS:
+    if not parts or counting.sum() < LEAST_TEST_BLOCKS:
         return np.zeros(len(run))
-    drive, effects = run.drives[channel.training.temperature_name], [part.effect for part in parts]
+    effects = [part.effect for part in parts]
     of_effects = [run.average(one.columns(drive)) for one in effects if one.scope == "either"]
-    numbers = channel.offset_numbers(run)[:, np.newaxis]
+    numbers = channel.offset_numbers(run)[:, None]
     columns = np.column_stack([numbers == np.unique(numbers[counting]), *of_effects]).astype(float)
     if any(one.scope == "event" for one in effects):
         first = np.flatnonzero(counting)[_jump_at(columns[counting], residual[counting])]
         columns = np.column_stack([columns, np.arange(len(run)) >= first])
-    return np.asarray(columns @ least_squares(columns[counting], residual[counting]))
+    return columns @ least_squares(columns[counting], residual[counting])
 
 
 def _jump_at(columns: FloatArray, residual: FloatArray) -> int:
@@ -258,7 +252,7 @@ class PartSigma(NamedTuple):
 
 
 def sigmas(
-    channel: Channel, span: Survey, likelihood: Likelihood, model: Sequence[Candidate]
+    channel: Channel, span: Survey, likelihood: Likelihood, model: Model
 ) -> tuple[FloatArray, list[list[PartSigma]]]:
     """Return the covariance of the declared coefficients, (degree + 1, degree + 1), and the standard
     deviations of each candidate's parts, with the noise that the model is likeliest with.
@@ -275,8 +269,7 @@ def sigmas(
     whitened, _ = likelihood.whitened(np.column_stack([design, slopes, channel.y]), noise)
     columns, y = whitened[:, :-1], whitened[:, -1]
     inverse, pinv_a = pseudo_inverse(columns), pseudo_inverse(design)
-    freedom = max(len(y) - columns.shape[1], 1)
-    s = float(np.sqrt(np.sum((y - columns @ (inverse @ y)) ** 2) / freedom))
+    s = np.sqrt(np.sum((y - columns @ (inverse @ y)) ** 2) / max(len(y) - columns.shape[1], 1))
     m = inverse[design.shape[1] :]
     # L has that of each run on its diagonal: Y = pinv(A) L solves Y L^-1 = pinv(A), run by run.
     identities = np.vstack([np.eye(len(run), max(map(len, runs))) for run in runs])
@@ -299,7 +292,7 @@ def _theta(part: Part) -> dict[str, float]:
     return {name: value for name, value in found.items() if value > 0.0}
 
 
-def _slopes(channel: Channel, span: Survey, model: Sequence[Candidate]) -> FloatArray:
+def _slopes(channel: Channel, span: Survey, model: Model) -> FloatArray:
     """Return D of (9), how the model changes with the logarithm of each nonlinear parameter, (n, thetas)."""
     coefficients = least_squares(channel.design(model), channel.y)
     slopes = [np.empty((len(channel.y), 0))]
@@ -307,10 +300,12 @@ def _slopes(channel: Channel, span: Survey, model: Sequence[Candidate]) -> Float
         of_candidate = coefficients[where.start : starts.stop]
         for at, part in enumerate(one.parts):
             for name, value in _theta(part).items():
-                change = min(CHANGE, abs(part.effect.moved(name, OF_GRID, span) / value - 1.0))
+                # At most a quarter of its grid's distance: a percent of a period is a cycle in a hundred.
+                change = min(0.01, abs(part.effect.moved(name, 0.25, span) / value - 1.0))
                 values = value * (1.0 - change), value * (1.0 + change)
                 moved = (part.effect.model_copy(update={name: changed}) for changed in values)
-                both = (one.with_part(at, Part(effect, part.separate_runs)) for effect in moved)
-                ends = [channel.training.design([each]) @ of_candidate for each in both]
+                ends = [
+                    channel.training.design([one.with_effect(at, effect)]) @ of_candidate for effect in moved
+                ]
                 slopes.append(np.diff(np.column_stack(ends)) / (2.0 * change))
     return np.column_stack(slopes)

@@ -23,7 +23,8 @@ import numpy.typing as npt
 
 from imumon.blocks import BoolArray, FloatArray, IntArray
 from imumon.compiled import njit
-from imumon.lab.diagnosis.candidates import Term, Training
+
+from .candidates import Term, Training, norms
 
 Noise = tuple[float, float]
 """Flicker r and random walk q, variances over that of the white noise of a full block."""
@@ -34,12 +35,8 @@ WALK_S = 7200.0
 """s: q is the variance of the walk after this time."""
 NOISE_GRID = [(r, q) for r in (0.0, 0.3, 1.0, 3.0, 10.0, 100.0, 1e3) for q in (0.0, 1.0, 10.0, 100.0, 1e3)]
 """Half a decade to a decade apart; each likelihood is the largest over these."""
-COLLINEAR = 1e-5
-"""A column of which less is left beside the base (its norm, over that before) is not used."""
 AT_ONCE = 256
 """Candidates that are whitened at once: all would take gigabytes where there are days of them."""
-RIDGE = 1e-9
-"""On the diagonal of the normalised G, so that collinear columns can be solved for."""
 
 
 class Likelihood:
@@ -47,13 +44,11 @@ class Likelihood:
 
     def __init__(self, training: Training) -> None:
         self.n = sum(map(len, training.runs))
-        self.price = float(np.log(self.n))
-        """What a parameter costs in BIC."""
+        self.price = float(np.log(self.n))  # what a parameter costs in BIC
         self._training = training
+        # For each noise: Phi and cov w of (8), by run, and the diagonal of L, (n,).
         self._laws = {noise: [law(run.time_s, noise) for run in training.runs] for noise in NOISE_GRID}
-        """Phi and cov w of (8) for each noise, by run."""
         self._diagonal = {noise: self.whitened(np.empty((self.n, 0)), noise)[1] for noise in NOISE_GRID}
-        """Diagonal of L for each noise, (n,)."""
 
     def maximum(self, y: FloatArray, base: FloatArray) -> tuple[float, Noise]:
         """Return loglik of y (n,) beside a base (n, p) at its maximum over the grid, and the noise there."""
@@ -67,8 +62,8 @@ class Likelihood:
         """Return loglik of the later values given the early ones (n,), s, r and q fitted to these."""
         found = []
         for noise in NOISE_GRID:
-            innovation, sd = self.whitened(y[:, np.newaxis], noise)[0][:, 0], self._diagonal[noise]
-            variance = float(np.mean(innovation[early] ** 2))
+            innovation, sd = self.whitened(y[:, None], noise)[0][:, 0], self._diagonal[noise]
+            variance = np.mean(innovation[early] ** 2)
             loglik_early = -0.5 * early.sum() * np.log(variance) - np.log(sd[early]).sum()
             later = -0.5 * np.sum(innovation[~early] ** 2) / variance
             found.append((loglik_early, float(later - np.log(sd[~early] * np.sqrt(variance)).sum())))
@@ -100,8 +95,7 @@ class Likelihood:
         """Return v (n,) and Q (n, p) of (6)."""
         columns, _ = self.whitened(np.column_stack([base, y]), noise)
         base, y = columns[:, :-1], columns[:, -1]
-        norm = np.linalg.norm(base, axis=0)
-        left, values, _ = np.linalg.svd(base / np.where(norm > 0, norm, 1.0), full_matrices=False)
+        left, values, _ = np.linalg.svd(base / norms(base), full_matrices=False)
         basis = left[:, values > 1e-10 * values[0]] if len(values) else left  # without what adds nothing
         return y - basis @ (basis.T @ y), basis
 
@@ -136,7 +130,7 @@ def _by_size(candidates: Sequence[Sequence[int]], spectra: IntArray) -> list[_Gr
         numbers = [at for at, terms in enumerate(candidates) if len(terms) == size]
         terms = np.array([candidates[at] for at in numbers])
         of_terms = spectra[terms]
-        one_sign = (of_terms[:, :, np.newaxis] == of_terms[:, np.newaxis]).all(-1) & (of_terms[..., :1] >= 0)
+        one_sign = (of_terms[:, :, None] == of_terms[:, None]).all(-1) & (of_terms[..., :1] >= 0)
         found.append((np.array(numbers), terms, one_sign))
     return found
 
@@ -150,17 +144,18 @@ def _explained(
     """
     beside = rows - (rows @ basis) @ basis.T
     norm = np.linalg.norm(beside, axis=1)
-    usable = norm > COLLINEAR * np.linalg.norm(rows, axis=1)
-    beside /= np.where(usable, norm, np.inf)[:, np.newaxis]
+    usable = norm > 1e-5 * np.linalg.norm(rows, axis=1)  # else the base explains it
+    beside /= np.where(usable, norm, np.inf)[:, None]
     g_of_terms = beside @ residual
     explained = np.zeros(count)
     for numbers, terms, one_sign in groups:
         g, z = g_of_terms[terms], beside[terms]
-        # A term that the base explains has a zero row: one on the diagonal makes its coefficient zero.
-        diagonal = RIDGE + (~usable[terms])
-        gram = z @ z.transpose(0, 2, 1) + diagonal[:, :, np.newaxis] * np.eye(terms.shape[1])
-        c = np.linalg.solve(gram, g[:, :, np.newaxis])[:, :, 0]
-        both_signs = one_sign & (c[:, :, np.newaxis] * c[:, np.newaxis] < 0)
+        # A term that the base explains has a zero row: one on the diagonal makes its coefficient zero; 1e-9
+        # lets collinear columns be solved for.
+        diagonal = 1e-9 + (~usable[terms])
+        gram = z @ z.transpose(0, 2, 1) + diagonal[:, :, None] * np.eye(terms.shape[1])
+        c = np.linalg.solve(gram, g[:, :, None])[:, :, 0]
+        both_signs = one_sign & (c[:, :, None] * c[:, None] < 0)
         explained[numbers] = np.where(both_signs.any(axis=(1, 2)), 0.0, np.einsum("ij,ij->i", c, g))
     return explained
 
@@ -169,7 +164,7 @@ def law(time_s: FloatArray, noise: Noise) -> tuple[FloatArray, FloatArray]:
     """Return the diagonals of Phi and cov w of (8), (n, states), for blocks of one run, `time_s` (n,) after
     power-on.  Its processes begin stationary, the random walk at zero."""
     flicker, walk = noise
-    dt, of_each = np.diff(time_s, prepend=0.0)[:, np.newaxis], flicker / len(TAUS_S)
+    dt, of_each = np.diff(time_s, prepend=0.0)[:, None], flicker / len(TAUS_S)
     phi = np.column_stack([np.ones(len(dt)), np.exp(-dt / TAUS_S)])
     process = np.column_stack([walk * dt / WALK_S, of_each * -np.expm1(-2.0 * dt / TAUS_S)])
     process[0, 1:] = of_each

@@ -18,35 +18,29 @@ from imumon.effects.library import EFFECTS
 from imumon.effects.vibration import SECOND_NS
 from imumon.errors import ImumonError
 from imumon.geodesy import DEG_PER_H
-from imumon.lab.diagnosis import prepare
-from imumon.lab.diagnosis.blocks import LEAST_BLOCKS, common_block_s, make_blocks, survey
-from imumon.lab.diagnosis.candidates import Training
-from imumon.lab.diagnosis.diagnose import Prepared, likeliest, search_sensor
-from imumon.lab.diagnosis.extended import refitted, trained_on, without_unknown_constant
-from imumon.lab.diagnosis.fit import LEAST_TEST_BLOCKS, fit
-from imumon.lab.diagnosis.likelihood import Likelihood
-from imumon.lab.diagnosis.runs import DRIVERS, LONGEST_GAP_S, BoundedRun, Origin, Run, further_columns
-from imumon.lab.diagnosis.search import AxisSearch, gain_bar
-from imumon.lab.diagnosis.verdict import CLEAN_RESIDUAL
 from imumon.lane import LaneState, Level
 from imumon.models.model import BiasModel, ChannelModel, TrainedOn
 from imumon.models.predictor import BiasPredictor
 from imumon.recordings.reduced import ACCEL, GYRO, KeptSlots, gatherer_of, kept_slots
 
-LANE, RESIDUAL = "model", "Residual"
+from . import prepare
+from .blocks import LEAST_BLOCKS, common_block_s, make_blocks, survey
+from .candidates import Training
+from .diagnose import Prepared, likeliest, search_sensor
+from .extended import refitted, trained_on, without_unknown_constant
+from .fit import LEAST_TEST_BLOCKS, fit
+from .likelihood import Likelihood
+from .runs import DRIVERS, LONGEST_GAP_S, BoundedRun, Origin, Run, further_columns
+from .search import AxisSearch, gain_bar
+from .verdict import CLEAN_RESIDUAL
+
 FIRST_SEARCH_S, SEARCH_EVERY_S = 1200.0, 600.0
 """The first search has forty means of 30 s, the least that a diagnosis needs; the next ones follow at even
 distances, so that nothing stays unnoticed for longer."""
 DECISIVE = 8.0
 """Logarithm of the likelihood ratio (half a gain in BIC) by which a model wins: 1 in 3000 by chance."""
-REPLACED_AFTER = 2.0
-"""Times the age at which a challenger was found: by then the last model that was found takes its place."""
-HELD_NS = 10 * SECOND_NS
-"""Samples wait so long until they are reduced to seconds: short blocks then cost no more than long ones."""
 LASTING = [name for name, kind in EFFECTS.items() if kind.scope not in ("run", "event")]
 """Effects that a model file can have."""
-INK = (150, 155, 165)
-"""Colour of the effect in a chart: it reads on both themes, and is no axis' colour."""
 
 
 class Better(NamedTuple):
@@ -107,13 +101,18 @@ def _better(found: AxisSearch, gain: float, model: BiasModel) -> Better:
     return Better(channel.name, lacking.names, gain, before.train_rms, fitted.train_rms, better)
 
 
-class Challenger:
+class Challenger(NamedTuple):
     """A better model of some channels that runs beside the present one since it was found."""
 
-    def __init__(self, present: BiasModel, found: Sequence[Better], since_s: float) -> None:
-        channels = {**present.channels, **{one.channel: one.model for one in found}}
-        self.model, self.since_s = present.model_copy(update={"channels": channels}), since_s
-        self._present, self._names = present, [one.channel for one in found]
+    present: BiasModel
+    found: Sequence[Better]
+    since_s: float
+
+    @property
+    def model(self) -> BiasModel:
+        """The present one with the better channels."""
+        channels = self.present.channels | {one.channel: one.model for one in self.found}
+        return self.present.model_copy(update={"channels": channels})
 
     def compare(self, run: Run) -> tuple[float, float, float] | None:
         """Return how both models do on the part of a run that came later; None while that is too short.
@@ -122,14 +121,15 @@ class Challenger:
         that the present and the better model leave, over the channels that differ.  Temperatures outside
         those of the earlier part, from which the better model is, do not count.
         """
-        run = prepare.within_range(self.model, run, self._names, self.since_s)
+        names = [one.channel for one in self.found]
+        run = prepare.within_range(self.model, run, names, self.since_s)
         ratio, squares = 0.0, []
-        for model, sign in ((self._present, -1.0), (self.model, 1.0)):
-            blocks = prepare.residual(run, model, self._names)
+        for model, sign in ((self.present, -1.0), (self.model, 1.0)):
+            blocks = prepare.residual(run, model, names)
             early = blocks.time_s < self.since_s
             if min(early.sum(), (~early).sum()) < LEAST_TEST_BLOCKS:
                 return None
-            residuals = [blocks.mean[name] - blocks.mean[name][early].mean() for name in self._names]
+            residuals = [blocks.mean[name] - blocks.mean[name][early].mean() for name in names]
             likelihood = Likelihood(Training([blocks], "temperature"))
             ratio += sign * sum(likelihood.predictive(one, early) for one in residuals)
             squares.append(np.mean([one[~early] ** 2 for one in residuals]))
@@ -145,6 +145,8 @@ class LiveDiagnosis:
     returns the columns that other stages make: they drive nothing.
     """
 
+    columns: Sequence[Column] = ()
+
     def __init__(
         self, model: BiasModel, learn: bool = False, made: Callable[[], Collection[str]] = tuple
     ) -> None:
@@ -158,8 +160,8 @@ class LiveDiagnosis:
         self._pending: list[str] = []
         self._reported: set[str] = set()
         self._last_ns = 0
+        # The better model that has won on the run `_won_on`, to be kept when the session ends.
         self.offered: Challenger | None = None
-        """The better model that has won on the run `_won_on`, to be kept when the session ends."""
         self._begin()
 
     def _begin(self) -> None:
@@ -170,17 +172,13 @@ class LiveDiagnosis:
         self._lacking: list[Chart] = []
         self.state = ""
 
-    @property
-    def columns(self) -> Sequence[Column]:
-        """None: what it finds is reported."""
-        return []
-
     def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
         """Take samples; needs ``device_time_ns``, ``segment``, gyros and temperature, takes ``at_rest``."""
         if len(block) and self._gyros and all(name in block for name in self._gyros):
             self._waiting.append(block)
             since = int(self._waiting[0]["device_time_ns"][0])
-            if not 0 <= int(block["device_time_ns"][-1]) - since < HELD_NS:
+            # Short blocks wait, so that they cost no more than long ones.
+            if not 0 <= int(block["device_time_ns"][-1]) - since < 10 * SECOND_NS:
                 self._reduce()
         return {}
 
@@ -191,7 +189,6 @@ class LiveDiagnosis:
             more = [name for block in self._waiting for name in further_columns(block, made)]
             self._names = [*dict.fromkeys([*self._needed, *there, *more])]
             self._gatherer = gatherer_of(self._names, 1.0)
-            self._begin()
         for block in self._waiting:
             for slots in kept_slots(self._gatherer, block, self._names):
                 self._take(slots)
@@ -217,7 +214,6 @@ class LiveDiagnosis:
                     self._report(f"the model is not searched: {error.seen}")
 
     def _compare(self, challenger: Challenger, run: Run) -> None:
-        """Compare the model that runs beside the present one with it, on what came since it was found."""
         ratio, before, after = challenger.compare(run) or (0.0, np.nan, np.nan)
         change = f"{before / DEG_PER_H:.3g} become {after / DEG_PER_H:.3g} °/h"
         if ratio < -DECISIVE:
@@ -225,32 +221,37 @@ class LiveDiagnosis:
             self._report(f"the better model is dropped: what came later is less likely with it ({change})")
         elif ratio > DECISIVE:
             self.offered, self._won_on = challenger, run
-            won = f"a better model has won on what came later: {change} (likelihood ratio e^{ratio:.0f})"
-            self._report(f"{won}; it is kept with the session when that ends")
+            self._report(
+                f"a better model has won on what came later: {change} (likelihood ratio e^{ratio:.0f}); it is"
+                " kept with the session when that ends"
+            )
 
     def _search(self, run: Run, elapsed_s: float) -> None:
         """Search the run so far for what the model lacks, until a better one has won, and report that."""
-        if self._challenger is not None and self.offered is None:
+        if self._challenger and not self.offered:
             self._compare(self._challenger, run)
-        if self.offered is not None:
+        if self.offered:
             return
         found = better_models(run, self._model, self._gyros)
         if not found:
             self.state, self._lacking = "", []
             return
         worst = max(found, key=lambda one: one.before)
-        before, after = (max(getattr(one, key) for one in found) / DEG_PER_H for key in ("before", "after"))
+        before, after = worst.before / DEG_PER_H, max(one.after for one in found) / DEG_PER_H
         axes: dict[str, list[str]] = {}
-        for one in sorted(found, key=lambda one: -one.gain):
+        for one in found:
             axes.setdefault(" or ".join(one.names), []).append(one.channel[-1])
         what = "; ".join(f"{text} on {', '.join(sorted(letters))}" for text, letters in axes.items())
-        length_s = common_block_s([run])
         self.state = f"MODEL CAN BE BETTER: {what}: {before:.3g} become {after:.3g} °/h"
-        command = "imumon diagnose --train SESSION --model SESSION --out DIR"
-        self._report(f"{self.state} (rms of {length_s:.0f} s, gain {worst.gain:.0f}): {command}", what)
+        self._report(
+            f"{self.state} (rms of {common_block_s([run]):.0f} s, gain {worst.gain:.0f}):"
+            " imumon diagnose --train SESSION --model SESSION --out DIR",
+            what,
+        )
         challenger, beside = Challenger(self._model, found, elapsed_s), self._challenger
         self._lacking = _charts(run, self._model, challenger.model, worst)
-        if self._learn and (beside is None or elapsed_s >= REPLACED_AFTER * beside.since_s):
+        # At twice the age at which it was found, the last model that was found takes a challenger's place.
+        if self._learn and (not beside or elapsed_s >= 2.0 * beside.since_s):
             self._challenger = challenger
 
     def evidence(self, session: str, sha256: str) -> TrainedOn:
@@ -266,7 +267,7 @@ class LiveDiagnosis:
 
     def lanes(self) -> Mapping[str, LaneState]:
         """Return the lane ``model`` while there is a better one, in the place of what the watch reports."""
-        return {LANE: LaneState(self.state, Level.WAIT)} if self.state else {}
+        return {"model": LaneState(self.state, Level.WAIT)} if self.state else {}
 
     def notices(self) -> list[str]:
         """Return, once for each set of effects, what would be better, and what became of it; for the log."""
@@ -294,7 +295,8 @@ def _charts(run: Run, present: BiasModel, better: BiasModel, one: Better) -> lis
     notes, charts = (f"{' or '.join(one.names)}, gain {one.gain:.0f}",), []
     for key, x, label in (time, ("temperature", degc, "temperature [°C]")):
         dots = Curve(f"left, {axis}", x, points, AXIS_COLORS[axis], points=True, width=4.0)
-        drawn = Axis(label), Axis("bias [°/h]"), (dots, Curve(what, x, line, INK))
+        effect = Curve(what, x, line, (150, 155, 165))  # reads on both themes, and is no axis' colour
+        drawn = Axis(label), Axis("bias [°/h]"), (dots, effect)
         over = f"{title}, over {key}"
-        charts.append(Chart(f"model_lacks_over_{key}", RESIDUAL, over, *drawn, headline, notes))
+        charts.append(Chart(f"model_lacks_over_{key}", "Residual", over, *drawn, headline, notes))
     return charts

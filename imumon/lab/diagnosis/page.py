@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import matplotlib as mpl
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
+from jinja2 import Environment, PackageLoader, StrictUndefined
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -16,14 +16,15 @@ from imumon.errors import bad_data
 from imumon.files import write_text
 from imumon.geodesy import DEG_PER_H, MICRO_G
 from imumon.harmless import for_html, for_plot
-from imumon.lab.diagnosis.blocks import RunBlocks
-from imumon.lab.diagnosis.diagnose import Diagnosis
-from imumon.lab.diagnosis.prepare import residual, temperature_of
-from imumon.lab.diagnosis.report import report
-from imumon.lab.diagnosis.runs import Run, unit_of
-from imumon.lab.diagnosis.search import Progress
-from imumon.lab.diagnosis.verdict import ChannelVerdict
 from imumon.models.model import BiasModel
+
+from .blocks import RunBlocks
+from .diagnose import Diagnosis
+from .prepare import residual, temperature_of
+from .report import report
+from .runs import Run, unit_of
+from .search import Progress
+from .verdict import ChannelVerdict
 
 HOUR_S = 3600.0
 SCALES = {"rad/s": (1.0 / DEG_PER_H, "°/h"), "m/s^2": (1.0 / MICRO_G, "µg")}
@@ -38,7 +39,7 @@ def environment(package: str = "imumon.lab.diagnosis") -> Environment:
     """Return what fills in the pages of a package: whatever comes from outside is text, not markup."""
     found = Environment(
         loader=PackageLoader(package, "."),
-        autoescape=select_autoescape(default=True, default_for_string=True),
+        autoescape=True,
         undefined=StrictUndefined,
         finalize=for_html,
     )
@@ -53,30 +54,29 @@ def shown(unit: str) -> tuple[float, str]:
 
 
 def svg(draw: Callable[[Axes], None], size: tuple[float, float] = SIZE) -> str:
-    """Return what is drawn as SVG text."""
+    """Return what is drawn, with its legend, as SVG text."""
     settings: Any = {"svg.fonttype": "path", "svg.hashsalt": "imumon", "font.size": 8}
     with mpl.rc_context(settings):
         figure = Figure(figsize=size, layout="constrained")
-        draw(figure.add_subplot())
-        text = io.StringIO()
+        axes, text = figure.add_subplot(), io.StringIO()
+        draw(axes)
+        axes.legend(fontsize=6)
         figure.savefig(text, format="svg", metadata={"Date": None})
     content = text.getvalue()
     return content[content.index("<svg") :]
 
 
-def write_page(diagnosis: Diagnosis, path: Path, progress: Progress = None) -> None:
+def write_page(diagnosis: Diagnosis, path: Path, progress: Progress = lambda _: None) -> None:
     """Write report.html; raises OSError when that fails."""
     drawn, verdicts = {}, diagnosis.verdicts
     for verdict in verdicts:
-        if progress is not None:
-            progress(f"drawing {verdict.name}")
+        progress(f"drawing {verdict.name}")
         drawn[verdict.name] = _figures(diagnosis, verdict)
     first = max(verdicts, key=_weight)
     picture = svg(lambda axes: _draw_errors(axes, diagnosis, first), WIDE)
     page = environment().get_template("report.html.j2")
-    content = report(diagnosis, path.parent)
-    text = page.render(report=content, picture=picture, first=first, verdicts=verdicts, drawn=drawn)
-    write_text(path, text)
+    content = {"report": report(diagnosis, path.parent), "picture": picture, "first": first}
+    write_text(path, page.render(**content, verdicts=verdicts, drawn=drawn))
 
 
 def _errors(verdict: ChannelVerdict) -> tuple[float, float]:
@@ -99,13 +99,14 @@ def _curve(verdict: ChannelVerdict) -> list[tuple[float, float, float]]:
     columns = verdict.channel.powers(at, len(verdict.after.declared))
     spread = np.sqrt(np.einsum("ij,jk,ik->i", columns, verdict.declared_covariance, columns))
     values = columns @ verdict.after.declared
-    return list(zip(at.tolist(), values.tolist(), spread.tolist(), strict=True))
+    return list(zip(at, values, spread, strict=True))
 
 
 def _weight(verdict: ChannelVerdict) -> tuple[bool, float]:
     """Return what puts a channel on top of the page: that something is named, and the floors of its error."""
-    error = float(np.nan_to_num(verdict.test_before.rms, nan=verdict.before.train_rms))
-    return bool(verdict.claims), error / verdict.channel.floor.sd if verdict.channel.floor.sd > 0 else 0.0
+    error, floor = verdict.test_before.rms, verdict.channel.floor.sd
+    error = error if np.isfinite(error) else verdict.before.train_rms
+    return verdict.claimed, error / floor if floor > 0 else 0.0
 
 
 def _number(value: float | None, scale: float = 1.0, digits: int = 3) -> str:
@@ -116,7 +117,6 @@ def _number(value: float | None, scale: float = 1.0, digits: int = 3) -> str:
 
 
 def _figures(diagnosis: Diagnosis, verdict: ChannelVerdict) -> dict[str, str]:
-    """Return the plots of a channel, caption to SVG."""
     runs, column = diagnosis.train, verdict.channel.training.temperature_name
     scale, unit = shown(verdict.channel.unit)
     split = verdict.channel.training.split
@@ -129,7 +129,6 @@ def _figures(diagnosis: Diagnosis, verdict: ChannelVerdict) -> dict[str, str]:
             if verdict.claims:
                 axes.plot(over[at], before[at] - after[at], "-", lw=1, color=colour)
         axes.set(xlabel=label, ylabel=f"left of {verdict.name}, {unit}")
-        axes.legend(fontsize=6)
 
     hours, degc = [run.time_s / HOUR_S for run in runs], [run.temperature[column] for run in runs]
     return {
@@ -141,7 +140,6 @@ def _figures(diagnosis: Diagnosis, verdict: ChannelVerdict) -> dict[str, str]:
 
 
 def _draw_errors(axes: Axes, diagnosis: Diagnosis, verdict: ChannelVerdict) -> None:
-    """Draw the errors of runs one after another, and the white noise of a mean."""
     scale, unit = shown(verdict.channel.unit)
     if diagnosis.test:
         what, runs, score = "test", diagnosis.test, verdict.test_after
@@ -157,11 +155,10 @@ def _draw_errors(axes: Axes, diagnosis: Diagnosis, verdict: ChannelVerdict) -> N
     if verdict.claims:
         axes.plot(time, np.concatenate(after) * scale, ".", ms=4, color=AFTER, label="after")
     if not counts.all():
-        axes.plot(time[~counts], np.zeros(int((~counts).sum())), "k|", ms=4, label="not scored")
+        axes.plot(time[~counts], np.zeros_like(time[~counts]), "k|", ms=4, label="not scored")
     floor = verdict.channel.floor.sd * scale
     axes.axhspan(-floor, floor, color="0.85", zorder=0, label="white noise of a mean")
     axes.set(xlabel="time, h", ylabel=f"{what} error of {verdict.name}, {unit}")
-    axes.legend(fontsize=6)
 
 
 class Compared(NamedTuple):
@@ -176,7 +173,7 @@ class Compared(NamedTuple):
     @property
     def rms(self) -> list[float]:
         """Of what is left, less its mean: no model knows the turn-on offset, gravity or the earth rate."""
-        return [float(blocks.mean[self.channel].std()) for blocks in self.residuals]
+        return [blocks.mean[self.channel].std() for blocks in self.residuals]
 
 
 def compare(runs: Sequence[Run], models: tuple[BiasModel, BiasModel]) -> list[Compared]:
@@ -189,8 +186,9 @@ def compare(runs: Sequence[Run], models: tuple[BiasModel, BiasModel]) -> list[Co
         names = [name for name in models[0].channels if name in models[1].channels and name in run.mean]
         residuals = [residual(run, model, names) for model in models] if names else []
         if residuals and len(residuals[0]) > 1:
-            degc = [[temperature_of(name, model, [run]) for model in models] for name in names]
-            found += [Compared(run.name, *of, residuals) for of in zip(names, degc, strict=True)]
+            for name in names:
+                temperatures = [temperature_of(name, model, [run]) for model in models]
+                found.append(Compared(run.name, name, temperatures, residuals))
     if not found:
         raise bad_data(
             "there is nothing to compare: no channel of both models, or no 30 s at rest",
@@ -207,8 +205,6 @@ def write_comparison(compared: Sequence[Compared], names: tuple[str, str], sessi
 
 
 def _drawn(one: Compared, names: tuple[str, str], over: str) -> str:
-    """Return what both models leave of a channel, over time or temperature, as SVG text."""
-
     def draw(axes: Axes) -> None:
         scale, unit = shown(unit_of(one.channel))
         each = zip(one.residuals, one.temperatures, names, (BEFORE, AFTER), strict=True)
@@ -217,6 +213,5 @@ def _drawn(one: Compared, names: tuple[str, str], over: str) -> str:
             values = blocks.mean[one.channel]
             axes.plot(x, (values - values.mean()) * scale, ".", ms=3, color=colour, label=name)
         axes.set(xlabel=over, ylabel=f"{one.channel}, {unit}")
-        axes.legend(fontsize=6)
 
     return svg(draw)

@@ -4,6 +4,7 @@ For each question every answer is simulated, with the noise that was found, and 
 The evidence is the difference of the gains, in BIC, between the effect that the unit has and each rival.
 """
 
+import math
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,27 +14,24 @@ import numpy as np
 import yaml
 from pydantic import Field
 
-from imumon.blocks import SampleBlock
 from imumon.config import StrictModel
 from imumon.effects.base import ACCEL, LEAST_SPAN_DEGC, Positive
 from imumon.effects.library import EFFECTS, AnyEffect, effects_for
 from imumon.files import write_text
 from imumon.geodesy import DEG_PER_H, MICRO_G
-from imumon.lab.diagnosis.blocks import BLOCK_S, make_blocks, survey
-from imumon.lab.diagnosis.diagnose import Prepared, likeliest, search_block_s, search_sensor
-from imumon.lab.diagnosis.likelihood import TAUS_S
-from imumon.lab.diagnosis.report import NOTHING
-from imumon.lab.diagnosis.runs import Run, collect
-from imumon.lab.diagnosis.search import NEAR_GAIN, NEAR_SHARE, PROVEN_GAIN, AxisSearch, Progress
 from imumon.models.model import UNITS
 from imumon.simulation.unit import Scenario, SimulatedUnit
 from imumon.simulation.unit.motion import Turn
 from imumon.simulation.unit.scenario import Chamber, Step, Unit
 from imumon.simulation.unit.thermal import chamber_knots
 
-RATE_HZ = 4.0
-"""Enough for the scatter inside a second to give the white noise."""
-LATITUDE_DEG = 45.0
+from .blocks import BLOCK_S, make_blocks, survey
+from .diagnose import Prepared, likeliest, search_block_s, search_sensor
+from .likelihood import TAUS_S
+from .report import NOTHING
+from .runs import Run, collect
+from .search import NEAR_GAIN, NEAR_SHARE, PROVEN_GAIN, AxisSearch, Progress
+
 MARGIN = 1.4
 """The evidence that is planned for over what is needed: what is reached scatters."""
 TRIALS, PROOFS = 2, 3
@@ -44,20 +42,13 @@ LONG_S = 1e5
 """Correlation time of a process that stands for a random walk of an accelerometer."""
 SCALES = {"gyro": (np.pi / 180.0, DEG_PER_H), "accel": (1e3 * MICRO_G, MICRO_G)}
 """SI units in those of a bias and of an effect in a unit file."""
-SETTLED = 5.0
-"""Time constants after which a lag has decayed, or a warm-up."""
 SHORTEST_S = 1800.0
 SOAKS_S = (300.0, 1800.0)
 REPEATS = (1, 2, 4, 8)
 HELD_S = (3600.0, 7200.0, 14400.0, 28800.0)
 """Of what is tried: least length, soaks at both ends, repetitions, and times at one temperature."""
-SLOWER = 4.0
-"""Ratio of two rates of temperature between which a lag shows well."""
-POSES = (Turn(kind="turn", at_s=0.0, duration_s=10.0, roll_deg=90.0),) * 3 + (
-    Turn(kind="turn", at_s=0.0, duration_s=10.0, roll_deg=90.0, pitch_deg=90.0),
-    Turn(kind="turn", at_s=0.0, duration_s=10.0, pitch_deg=-180.0),
-)
-"""From level to each side, upside down, and to both ends."""
+POSES = (*({"roll_deg": 90.0},) * 3, {"roll_deg": 90.0, "pitch_deg": 90.0}, {"pitch_deg": -180.0})
+"""Turns from level to each side, upside down, and to both ends."""
 
 
 class Profile(NamedTuple):
@@ -85,7 +76,8 @@ def profiles(low: float, high: float, rate: float, tau_s: float, most_s: float, 
     at = 0.5 * (low + high)
     held = f"switched on in equilibrium at {at:.0f} °C and held"
     found = [Profile(held, Chamber(start_degc=at, steps=[Step(hold_s=s)]), s, 1, poses) for s in HELD_S]
-    soaks = sorted({*SOAKS_S, min(max(SETTLED * tau_s, SOAKS_S[0]), 2.0 * SOAKS_S[1])})
+    settled_s = 5.0 * tau_s  # by then a lag has decayed, or a warm-up
+    soaks = sorted({*SOAKS_S, min(max(settled_s, SOAKS_S[0]), 2.0 * SOAKS_S[1])})
     shapes: dict[str, list[Step]] = {}
     for soak_s in soaks if high - low >= LEAST_SPAN_DEGC and rate > 0.0 else ():
         shapes |= _thermal(low, high, rate, soak_s)
@@ -103,7 +95,7 @@ def _thermal(low: float, high: float, rate: float, soak_s: float) -> dict[str, l
     def to(target: float, how_fast: float = rate, soak: float = soak_s) -> Step:
         return Step(to_degc=target, rate_degc_per_min=how_fast, hold_s=soak)
 
-    quarter, slow = 0.25 * (high - low), rate / SLOWER
+    quarter, slow = 0.25 * (high - low), rate / 4.0  # between rates so far apart a lag shows well
     soaks = f"soaks of {soak_s / 60:.0f} min"
     fast, slowly = [to(high), to(low)], [to(high, slow), to(low, slow)]
     stairs = [to(low + at * quarter) for at in (1, 2, 3, 4, 3, 2, 1, 0)]
@@ -158,6 +150,7 @@ class Evidence(NamedTuple):
     """What a profile shows of the pair of answers that it separates worst, `truth` and its `rival`: mean and
     least difference of their gains in BIC over simulated units, and what is needed to separate them."""
 
+    profile: Profile
     value: float
     least: float
     needed: float
@@ -171,10 +164,9 @@ class Evidence(NamedTuple):
 
 
 class Plan(NamedTuple):
-    """The next experiment for a question; `why_not` is why there is no `profile` for it."""
+    """The evidence to expect of the next experiment for a question; `why_not` is why there is none."""
 
     question: Question
-    profile: Profile | None = None
     expected: Evidence | None = None
     why_not: str = ""
 
@@ -192,7 +184,7 @@ def open_questions(report: Report) -> list[Question]:
     return [first._replace(also=tuple(one.channel for one in others)) for first, *others in groups.values()]
 
 
-def plan(report: Report, question: Question, most_s: float, progress: Progress = None) -> Plan:
+def plan(report: Report, question: Question, most_s: float, progress: Progress = lambda _: None) -> Plan:
     """Return the shortest experiment that answers a question, with the evidence to expect of it.
 
     A shape is repeated only where that can decide, as evidence grows no faster than time, and none is
@@ -203,34 +195,36 @@ def plan(report: Report, question: Question, most_s: float, progress: Progress =
     if why_not := _impossible(question, inputs - {ACCEL}):
         return Plan(question, why_not=why_not)
     few = [name for name in EFFECTS if any(effect.name == name for effect in effects)]
-    every = effects_for(question.channel)
     times = [getattr(effect, key) for effect in effects for key in effect.nonlinear if key.endswith("_s")]
-    slowest_s, (low, high) = max(map(float, times), default=0.0), report.temperature_range_degc
-    tried: dict[str, tuple[Evidence, Profile]] = {}
+    slowest_s, (low, high) = max(times, default=0.0), report.temperature_range_degc
+    tried: dict[str, Evidence] = {}
     began_s, late = time.monotonic(), ""
     for profile in profiles(low, high, report.fastest_degc_per_min, slowest_s, most_s, ACCEL in inputs):
         if profile.times > 1:
-            found, shorter = tried[profile.shape]
-            if found.ratio * profile.duration_s < shorter.duration_s:
+            found = tried[profile.shape]
+            if found.ratio * profile.duration_s < found.profile.duration_s:
                 continue
         if tried and time.monotonic() - began_s > TIME_UP_S:
             late = f"; after {TIME_UP_S:.0f} s no further one was tried"
             break
-        if progress is not None:
-            progress(f"{question.name}: {profile.duration_s / 3600:.1f} h, {profile.title}")
+        progress(f"{question.name}: {profile.duration_s / 3600:.1f} h, {profile.title}")
         found = evidence(report, question, profile, range(TRIALS), few)
-        tried[profile.shape] = found, profile
+        tried[profile.shape] = found
         if found.ratio >= MARGIN:
             # What was chosen for its evidence has had luck as well: other units have to show it again.
-            proof = evidence(report, question, profile, range(TRIALS, TRIALS + PROOFS), every)
+            others, every = range(TRIALS, TRIALS + PROOFS), effects_for(question.channel)
+            proof = evidence(report, question, profile, others, every)
             if proof.least >= proof.needed:
-                return Plan(question, profile, proof)
+                return Plan(question, proof)
     if not tried:
         return Plan(question, why_not="no profile is so short")
-    found, profile = max(tried.values(), key=lambda one: one[0].ratio)
-    needed = f"{found.needed:.0f} in BIC that are needed for {found.truth} against {found.rival}"
-    best = f"{profile.duration_s / 3600:.1f} h {profile.title}, gives {found.value:.0f} of the {needed}"
-    return Plan(question, why_not=f"no experiment that was tried decides it; the best, {best}{late}")
+    found = max(tried.values(), key=lambda one: one.ratio)
+    why_not = (
+        f"no experiment that was tried decides it; the best, {found.profile.duration_s / 3600:.1f} h"
+        f" {found.profile.title}, gives {found.value:.0f} of the {found.needed:.0f} in BIC that are needed"
+        f" for {found.truth} against {found.rival}{late}"
+    )
+    return Plan(question, why_not=why_not)
 
 
 def _impossible(question: Question, others: set[str]) -> str:
@@ -247,7 +241,7 @@ def _impossible(question: Question, others: set[str]) -> str:
 def simulated_run(plan: Scenario, seed: int) -> Run:
     """Return what a diagnosis reads of a simulated session."""
     sent, truth = SimulatedUnit(plan, seed).run(plan.samples)
-    return collect([SampleBlock({**sent.columns, "at_rest": truth["at_rest"]})], plan.title)[0]
+    return collect([sent.with_columns({"at_rest": truth["at_rest"]})], plan.title)[0]
 
 
 def evidence(
@@ -264,13 +258,12 @@ def evidence(
             degree = len(truth.declared) - 1 if survey([blocks], ["temperature"], 0).thermal else 0
             shorter = blocks.in_blocks_of(search_block_s([blocks]))
             data = Prepared([shorter], {question.channel: "temperature"}, degree)
-            stages = max(1, len(truth.effects))
-            searches += likeliest(search_sensor(data, [question.channel], kinds, stages))
+            searches += likeliest(search_sensor(data, [question.channel], kinds, max(1, len(truth.effects))))
         for rival in question.answers:
             if rival is not truth:
                 each = [_difference(one, truth.name, rival.name) for one in searches]
                 value, needed = np.mean(each, axis=0).tolist()
-                found.append(Evidence(value, min(each)[0], needed, truth.name, rival.name))
+                found.append(Evidence(profile, value, min(each)[0], needed, truth.name, rival.name))
     return min(found, key=lambda one: one.ratio)
 
 
@@ -301,7 +294,9 @@ def scenario(report: Report, channel: str, profile: Profile, answer: Answer) -> 
     scaled = [one.with_coefficients(np.array(one.coefficients) / of_effect) for one in answer.effects]
     effects = [one.model_dump() for one in scaled]
     every = profile.duration_s / (len(POSES) + 1)
-    turns = [turn.model_copy(update={"at_s": (at + 1) * every}) for at, turn in enumerate(POSES)]
+    turns = [
+        Turn(kind="turn", at_s=(at + 1) * every, duration_s=10.0, **pose) for at, pose in enumerate(POSES)
+    ]
     unit = {
         f"{sensor}_noise": _noise(report, channel),
         "gyro_bias_deg_per_s" if sensor == "gyro" else "accel_bias_mg": {axis: [line]},
@@ -311,9 +306,9 @@ def scenario(report: Report, channel: str, profile: Profile, answer: Answer) -> 
         format="imumon-scenario/1",
         title=f"{profile.title}; {channel} has {answer.name}",
         unit=Unit.model_validate(unit),
-        rate_hz=RATE_HZ,
+        rate_hz=4.0,  # enough for the scatter inside a second to give the white noise
         duration_s=profile.duration_s,
-        latitude_deg=LATITUDE_DEG,
+        latitude_deg=45.0,
         chamber=profile.chamber,
         motion=[*turns] if profile.in_poses else [],
     )
@@ -322,8 +317,8 @@ def scenario(report: Report, channel: str, profile: Profile, answer: Answer) -> 
 def _noise(report: Report, name: str) -> dict[str, Any]:
     """Return white noise, flicker and walk of a channel, for all three axes, as a unit file has them."""
     channel, slow = report.channels[name], report.channels[name].slow_noise
-    density = channel.noise_floor_rms * float(np.sqrt(report.block_s))
-    each = slow.get("flicker_rms", 0.0) / float(np.sqrt(len(TAUS_S)))
+    density = channel.noise_floor_rms * math.sqrt(report.block_s)
+    each = slow.get("flicker_rms", 0.0) / math.sqrt(len(TAUS_S))
     walk = slow.get("random_walk_per_sqrt_s", 0.0)
     if name.startswith("gyro"):
         return {
@@ -332,23 +327,24 @@ def _noise(report: Report, name: str) -> dict[str, Any]:
             "random_walk_deg_per_h_per_sqrt_s": walk / DEG_PER_H,
         }
     flicker = [{"sd_ug": each / MICRO_G, "tau_s": tau} for tau in TAUS_S.tolist()]
-    slowest = {"sd_ug": walk * float(np.sqrt(0.5 * LONG_S)) / MICRO_G, "tau_s": LONG_S}
+    slowest = {"sd_ug": walk * math.sqrt(0.5 * LONG_S) / MICRO_G, "tau_s": LONG_S}
     return {"vrw_m_per_s_per_sqrt_s": density, "flicker": [*flicker, slowest]}
 
 
 def write_plan(report: Report, number: int, made: Plan, folder: Path) -> list[Path]:
     """Write the chamber's course, and a scenario for each answer; raises OSError when that fails."""
-    if made.profile is None:
+    if not made.expected:
         return []
-    times, degrees = (values.tolist() for values in chamber_knots(made.profile.chamber))
-    if times[-1] < made.profile.duration_s:
-        times, degrees = [*times, made.profile.duration_s], [*degrees, degrees[-1]]
+    profile = made.expected.profile
+    times, degrees = (values.tolist() for values in chamber_knots(profile.chamber))
+    if times[-1] < profile.duration_s:
+        times, degrees = [*times, profile.duration_s], [*degrees, degrees[-1]]
     rows = [f"{t:.0f},{degc:.2f}\n" for t, degc in zip(times, degrees, strict=True)]
     files = {f"{number}-chamber.csv": "".join(["time_s,temperature_degc\n", *rows])}
     for answer in made.question.answers:
-        content = scenario(report, made.question.channel, made.profile, answer)
+        planned = scenario(report, made.question.channel, profile, answer)
         name = "".join(letter if letter.isalnum() else "-" for letter in answer.name).strip("-")
-        data = content.model_dump(mode="json", exclude_unset=True)
+        data = planned.model_dump(mode="json", exclude_unset=True)
         files[f"{number}-{name}.yaml"] = yaml.safe_dump(data, sort_keys=False, allow_unicode=True)
     for name, text in files.items():
         write_text(folder / name, text)

@@ -8,37 +8,30 @@ from dataclasses import replace
 import numpy as np
 from scipy.ndimage import binary_opening
 
-from imumon.blocks import BoolArray, FloatArray
+from imumon.blocks import BoolArray, FloatArray, SampleBlock
 from imumon.clock.channel import CLOCK
 from imumon.columns import TEMPERATURES
 from imumon.effects.base import ACCEL, TEMPERATURE, Effect
 from imumon.effects.vibration import SECOND_NS
 from imumon.errors import bad_config, bad_data
 from imumon.filters.rounding import mean_error
-from imumon.lab.diagnosis.blocks import BLOCK_S, LEAST_BLOCKS, RunBlocks, common_block_s, make_blocks
-from imumon.lab.diagnosis.runs import CHANNELS, MOSTLY, SENSORS, SHORTEST_RUN_S, Run, channels_of, unit_of
 from imumon.models.curves.polynomial import PolynomialCurve
 from imumon.models.model import BiasModel
 from imumon.models.predictor import BiasPredictor
 
-Runs = Sequence[Run]
+from .blocks import BLOCK_S, LEAST_BLOCKS, Blocks, RunBlocks, common_block_s, make_blocks
+from .runs import CHANNELS, MOSTLY, SENSORS, SHORTEST_RUN_S, Names, Run, Runs, channels_of, unit_of
+
 STRETCHES = 12
 """Alternating stretches of a single run for training and test; of two halves one may lack an end of the
 temperatures, of single blocks both have the same flicker."""
-LONGEST_PAUSE_S = 60.0
-"""A recording that begins later than this after another, by the device's clock, begins at power-on."""
-LEAST_THERE = 0.6
-"""Share of its slots in which a channel that is used has samples: blocks are of slots with all channels."""
-MANY_GAPS = 0.2
-"""Share of a run left out that is reported."""
 CUBIC_DEGREE = 3
 """As what is assumed without a model: other curves keep their shape, and have a cubic added."""
-RESOLUTION = 1e-12
-"""Share of its value below which the changes of a channel are rounding in the computation of its means."""
 
 
-def usable_channels(train: Runs, test: Runs, sensors: Sequence[str], remarks: list[str]) -> list[str]:
-    """Return the channels that vary and that every training run has in most of its slots.
+def usable_channels(train: Runs, test: Runs, sensors: Names, remarks: list[str]) -> list[str]:
+    """Return the channels that vary and that every training run has in 60 % of its slots: blocks are of slots
+    with all channels.
 
     The clock of the device beside others only where all runs have it.
 
@@ -51,14 +44,14 @@ def usable_channels(train: Runs, test: Runs, sensors: Sequence[str], remarks: li
             f"there are {', '.join(there)}",
         )
     for name in channels_of(sensors, there):
-        lacking = [run.name for run in train if _share_there(run, name) <= LEAST_THERE]
-        if lacking:
+        if lacking := [run.name for run in train if _share_there(run, name) <= 0.6]:
             remarks.append(f"{name} is left out: {', '.join(lacking)} hardly has it")
             continue
-        low, high = ([by(run.mean[name]) for run in train] for by in (np.nanmin, np.nanmax))
-        if all(b - a <= RESOLUTION * max(abs(a), abs(b)) for a, b in zip(low, high, strict=True)):
-            value = float(np.nanmean(train[0].mean[name]))
-            remarks.append(f"{name} is left out: it has one value throughout, {value:g} {unit_of(name)}")
+        ends = [(np.nanmin(run.mean[name]), np.nanmax(run.mean[name])) for run in train]
+        # A change by less is rounding in the computation of its means.
+        if all(high - low <= 1e-12 * max(abs(low), abs(high)) for low, high in ends):
+            value = f"{np.nanmean(train[0].mean[name]):g} {unit_of(name)}"
+            remarks.append(f"{name} is left out: it has one value throughout, {value}")
         elif name != CLOCK or len(sensors) == 1 or all(CLOCK in run.mean for run in test):
             found.append(name)
     if not found:
@@ -82,8 +75,8 @@ def _has(run: Run, name: str) -> bool:
 def usable_drivers(
     train: Runs,
     test: Runs,
-    beside: Sequence[str],
-    wanted: Sequence[str] | None,
+    beside: Names,
+    wanted: Names | None,
     present: Sequence[Effect],
     remarks: list[str],
 ) -> list[str]:
@@ -95,8 +88,10 @@ def usable_drivers(
     there = dict.fromkeys(name for run in train for name in run.mean)
     possible = [name for name in there if name not in (*CHANNELS, *beside, TEMPERATURE)]
     if wanted is None and TEMPERATURE in there and TEMPERATURE not in beside:
-        why = "in a model that name means each channel's own thermometer; a map may give another"
-        remarks.append(f"no effect of the column {TEMPERATURE} is looked for: {why}")
+        remarks.append(
+            f"no effect of the column {TEMPERATURE} is looked for: in a model that name means each channel's"
+            " own thermometer; a map may give another"
+        )
     if lacking := [name for name in wanted or () if name not in possible]:
         raise bad_config(
             f"--drivers: {', '.join(lacking)} is not in the training data, or drives nothing",
@@ -120,7 +115,7 @@ def usable_drivers(
 
 
 def train_and_test(
-    train: Runs, test: Runs, channels: Sequence[str], remarks: list[str]
+    train: Runs, test: Runs, channels: Names, remarks: list[str]
 ) -> tuple[list[Run], list[Run]]:
     """Return the runs of training and test without what stands still.
 
@@ -134,22 +129,27 @@ def train_and_test(
         if run.origin and any((run.origin, run.start_ns) == (one.origin, one.start_ns) for one in train):
             remarks.append(f"{run.name}: not used as a test, the training has the same recording")
             continue
-        before = (one for one in (*found, *train) if -1.0 <= _pause_s(one, run) <= LONGEST_PAUSE_S)
+        # What begins later than a minute after another begins at power-on.
+        before = (one for one in (*found, *train) if -1.0 <= _pause_s(one, run) <= 60.0)
         if one := next(before, None):
-            what = "time since power-on, lag and loop go on as well"
-            remarks.append(f"{run.name} goes on where {one.name} ended, by the device's clock: {what}")
+            remarks.append(
+                f"{run.name} goes on where {one.name} ended, by the device's clock: time since power-on, lag"
+                " and loop go on as well"
+            )
         found.append(_continued(one, run) if one else run)
     if found or len(train) > 1:
         return train, found
     half, held_out = _divided(train[0], channels)
     if len(make_blocks(half, channels, TEMPERATURES, block_s=common_block_s(train))) < LEAST_BLOCKS:
         return train, found
-    what = f"every other {train[0].duration_s / STRETCHES / 60:.0f} min of the one run are held out as a test"
-    remarks.append(f"no test data: {what}, which is weaker than another power-on: slower noise is in both")
+    remarks.append(
+        f"no test data: every other {train[0].duration_s / STRETCHES / 60:.0f} min of the one run are held"
+        " out as a test, which is weaker than another power-on: slower noise is in both"
+    )
     return [half], [held_out]
 
 
-def _divided(run: Run, channels: Sequence[str]) -> tuple[Run, Run]:
+def _divided(run: Run, channels: Names) -> tuple[Run, Run]:
     """Return a run with every other stretch of the channels, and one with the others, the test; both have the
     whole course of everything else, and of time."""
     n = len(run.time_s)
@@ -191,7 +191,7 @@ def _continued(before: Run, after: Run) -> Run:
     )
 
 
-def without_standstill(run: Run, channels: Sequence[str], remarks: list[str]) -> Run:
+def without_standstill(run: Run, channels: Names, remarks: list[str]) -> Run:
     """Return a run without the slots in which a channel has one value for as long as a block.
 
     Noise never does that, but a stuck sensor, and one at its limit.  One whose digits are coarser than its
@@ -204,9 +204,9 @@ def without_standstill(run: Run, channels: Sequence[str], remarks: list[str]) ->
         if not still.any():
             continue
         still |= np.append(still[1:], False)  # the slot before the first that repeats has the value as well
-        share = float(still.sum() / np.isfinite(mean[name]).sum())
+        share = still.sum() / np.isfinite(mean[name]).sum()
         known = run.samples.get(name)
-        if share > 0.5 or (known is not None and known.step > known.scatter):
+        if share > 0.5 or (known and known.step > known.scatter):
             remarks.append(f"{run.name}: {name} does not change in {share:.0%} of its time: too few digits")
             continue
         still_s = still.sum() * run.slot_s
@@ -215,7 +215,7 @@ def without_standstill(run: Run, channels: Sequence[str], remarks: list[str]) ->
     return replace(run, mean=mean)
 
 
-def faults(runs: Sequence[Run], channel: str, floor: float) -> dict[str, float]:
+def faults(runs: Runs, channel: str, floor: float) -> dict[str, float]:
     """Return the worst fault of each kind in the samples of a channel, and what it makes of a smooth bias:
     digits too coarse for their noise to average what lies between them, and a value that is too frequent.
 
@@ -225,8 +225,8 @@ def faults(runs: Sequence[Run], channel: str, floor: float) -> dict[str, float]:
     for one in (run.samples[channel] for run in runs if channel in run.samples):
         error = mean_error(one.step, one.ratio) if one.step > 0.0 else 0.0
         if not error < 0.5 * floor:
-            times = f"about {1 / one.ratio:.2g} times the noise"
-            quantized[f"quantized: steps of {one.step:.3g} {unit}, {times}"] = error
+            what = f"quantized: steps of {one.step:.3g} {unit}, about {1 / one.ratio:.2g} times the noise"
+            quantized[what] = error
         if one.atom_share > 0.0:
             share = f"{one.atom_share:.1%} of the samples are {one.atom + 0.0:.4g} {unit}"
             frequent[f"frequent value, as of a dead-band, saturation or dropouts: {share}"] = np.inf
@@ -234,10 +234,10 @@ def faults(runs: Sequence[Run], channel: str, floor: float) -> dict[str, float]:
 
 
 def usable_blocks(
-    runs: Sequence[Run],
-    channels: Sequence[str],
-    temperatures: Sequence[str],
-    drivers: Sequence[str],
+    runs: Runs,
+    channels: Names,
+    temperatures: Names,
+    drivers: Names,
     block_s: float,
     remarks: list[str],
     model: BiasModel | None = None,
@@ -254,7 +254,7 @@ def usable_blocks(
         elif run.rest_share < MOSTLY:
             why = f"the unit moves: at rest for {run.rest_share:.0%} of its {run.duration_s / 60:.0f} min"
         else:
-            left = run if model is None else without_curves(run, model, channels)
+            left = without_curves(run, model, channels) if model else run
             blocks = make_blocks(left, channels, temperatures, drivers, block_s)
             few = f"too few means of {block_s:.0f} s at rest: {len(blocks)}"
             why = few if len(blocks) * block_s < SHORTEST_RUN_S else ""
@@ -264,22 +264,24 @@ def usable_blocks(
         found.append(blocks)
         there = run.count[channels[0]] > 0
         begun = np.argmax(there)  # what goes on from another run begins late
-        share = float((there & run.at_rest)[begun:].mean())
-        if share < 1.0 - MANY_GAPS:
+        share = (there & run.at_rest)[begun:].mean()
+        if share < 0.8:
             remarks.append(f"{run.name}: used in {share:.0%} of its time; gaps and motion are left out")
     total = sum(map(len, found))
     if training and total < LEAST_BLOCKS:
-        short = f"too short: the training data has {total} means of {block_s:.0f} s at rest"
-        needed = f"{LEAST_BLOCKS} are needed, {LEAST_BLOCKS * block_s / 60:.0f} min"
+        short = (
+            f"too short: the training data has {total} means of {block_s:.0f} s at rest; {LEAST_BLOCKS} are"
+            f" needed, {LEAST_BLOCKS * block_s / 60:.0f} min"
+        )
         raise bad_data(
-            "; ".join([short, needed, *remarks[earlier:]]),
+            "; ".join([short, *remarks[earlier:]]),
             "record the unit at rest for an hour or more while its temperature changes;"
             " if it was at rest and is not detected to be, add --at-rest",
         )
     return found
 
 
-def channels_with_model(channels: Sequence[str], model: BiasModel, remarks: list[str]) -> list[str]:
+def channels_with_model(channels: Names, model: BiasModel, remarks: list[str]) -> list[str]:
     """Return the channels that a model has; raises BAD_CONFIG where it has none of them."""
     if found := [name for name in channels if name in model.channels]:
         if others := [name for name in channels if name not in found]:
@@ -291,13 +293,13 @@ def channels_with_model(channels: Sequence[str], model: BiasModel, remarks: list
     )
 
 
-def temperature_of(channel: str, model: BiasModel | None, runs: Sequence[Run]) -> str:
+def temperature_of(channel: str, model: BiasModel | None, runs: Runs) -> str:
     """Return the temperature that a channel's curve is over: the model's, its axis', or one of every run.
 
     Raises BAD_DATA without any.
     """
     wanted = f"temperature_{channel[-1]}"
-    if model is not None:
+    if model:
         wanted = model.channels[channel].temperature_column.replace("_estimate", "")
     for name in (wanted, *TEMPERATURES):
         if name != channel and all(_has(run, name) for run in runs):
@@ -309,12 +311,12 @@ def temperature_of(channel: str, model: BiasModel | None, runs: Sequence[Run]) -
     )
 
 
-def check_range(model: BiasModel, temperatures: Mapping[str, str], runs: Sequence[RunBlocks]) -> None:
+def check_range(model: BiasModel, temperatures: Mapping[str, str], runs: Blocks) -> None:
     """Raise BAD_CONFIG for a model whose curves hold at no temperature of the runs, naming both ranges."""
     for name, temperature in temperatures.items():
         found = np.concatenate([run.temperature[temperature] for run in runs])
         low, high = model.channels[name].temperature_range_degc
-        if max(low, float(found.min())) >= min(high, float(found.max())):
+        if max(low, found.min()) >= min(high, found.max()):
             raise bad_config(
                 f"the bias model of {name} holds from {low:.2f} to {high:.2f} °C, the training data has"
                 f" {found.min():.2f} to {found.max():.2f} °C: they do not overlap",
@@ -322,13 +324,13 @@ def check_range(model: BiasModel, temperatures: Mapping[str, str], runs: Sequenc
             )
 
 
-def degree_of(model: BiasModel, channels: Sequence[str]) -> int:
+def degree_of(model: BiasModel, channels: Names) -> int:
     """Return the degree of the polynomial by which curves are fitted anew: their largest, or a cubic's."""
     curves = (model.channels[name].curve for name in channels)
     return max(len(c.coefficients) - 1 if isinstance(c, PolynomialCurve) else CUBIC_DEGREE for c in curves)
 
 
-def without_curves(run: Run, model: BiasModel, channels: Sequence[str]) -> Run:
+def without_curves(run: Run, model: BiasModel, channels: Names) -> Run:
     """Return a run with the curves of a model, and no effect beside them, taken from its channels."""
     curves = {}
     for name, channel in model.channels.items():
@@ -337,29 +339,28 @@ def without_curves(run: Run, model: BiasModel, channels: Sequence[str]) -> Run:
     return without_model(run, model.model_copy(update={"channels": curves}), channels)
 
 
-def without_model(run: Run, model: BiasModel, channels: Sequence[str]) -> Run:
+def without_model(run: Run, model: BiasModel, channels: Names) -> Run:
     """Return a run with what a model expects taken from its channels, effects integrated from power-on."""
     temperatures = [temperature_of(name, model, [run]) for name in channels]
-    force = [run.mean[f"accel_{axis}"] for axis in "xyz" if f"accel_{axis}" in run.mean]
     expected = BiasPredictor(model, channels).process(
         np.round(run.time_s * SECOND_NS).astype(np.int64),
         np.zeros(len(run.time_s), np.int64),
         np.column_stack([run.mean[name] for name in temperatures]),
-        np.column_stack(force) if len(force) == 3 else None,
+        SampleBlock(run.mean).accel,
         run.mean,
     )
     changed = {name: run.mean[name] - expected.bias[:, at] for at, name in enumerate(channels)}
-    return replace(run, mean={**run.mean, **changed})
+    return replace(run, mean=run.mean | changed)
 
 
-def residual(run: Run, model: BiasModel, channels: Sequence[str]) -> RunBlocks:
+def residual(run: Run, model: BiasModel, channels: Names) -> RunBlocks:
     """Return block means of what a model leaves of the channels, its effects integrated from power-on."""
     temperatures = dict.fromkeys(temperature_of(name, model, [run]) for name in channels)
     left = without_model(run, model, channels)
     return make_blocks(left, channels, [*temperatures], block_s=common_block_s([run]))
 
 
-def within_range(model: BiasModel, run: Run, channels: Sequence[str], until_s: float | None = None) -> Run:
+def within_range(model: BiasModel, run: Run, channels: Names, until_s: float | None = None) -> Run:
     """Return a run at rest only where its temperatures are inside the range that a model was fitted on, or
     those that the run itself had until then.
 

@@ -3,45 +3,41 @@
 import json
 import shlex
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from imumon.effects.base import ACCEL
 from imumon.effects.library import separated_by
 from imumon.files import plain, write_text
-from imumon.lab.calibration.cells import ONE_WAY
-from imumon.lab.diagnosis.candidates import Candidate
-from imumon.lab.diagnosis.diagnose import Diagnosis
-from imumon.lab.diagnosis.extended import with_model
-from imumon.lab.diagnosis.fit import Fit, FittedPart, fit, root_mean_square, score_test
-from imumon.lab.diagnosis.likelihood import WALK_S
-from imumon.lab.diagnosis.verdict import ChannelVerdict, Claim, explained_share
 from imumon.version import __version__
 
-FORMAT: Final = "imumon-diagnosis/1"
-MOST_RANKED = 6
-"""Effects in the ranking."""
+from ..calibration.cells import ONE_WAY
+from .candidates import Candidate
+from .diagnose import Diagnosis
+from .extended import with_model
+from .fit import Fit, FittedPart, fit, root_mean_square, score_test
+from .likelihood import WALK_S
+from .verdict import ChannelVerdict, Claim, explained_share
+
+Content = dict[str, Any]
 NOTHING = "nothing"
 """The answer that there is slow noise and no effect."""
-MOST_ANSWERS = 2
-"""Effects that are tried behind what is unexplained."""
 ISOTHERMAL = "at constant temperature, and run imumon allan on that."
 
 
-def report(diagnosis: Diagnosis, folder: Path | None = None) -> dict[str, Any]:
+def report(diagnosis: Diagnosis, folder: Path | None = None) -> Content:
     """Return the report as it is written into a folder; absent numbers are None."""
     present, scale, length = diagnosis.model, diagnosis.verdicts[0].channel.scale, diagnosis.length
     every = [(run.time_s, t) for run in diagnosis.train for t in run.temperature.values()]
     rates = np.concatenate([np.abs(np.diff(t) / np.diff(time_s)) for time_s, t in every])
     content = {
-        "format": FORMAT,
+        "format": "imumon-diagnosis/1",
         "imumon": __version__,
         "conclusion": conclusion(diagnosis),
         "next": [next_step(diagnosis, folder)._asdict()],
-        "declared_model": diagnosis.declared if present is None else f"model of {present.created}",
+        "declared_model": f"model of {present.created}" if present else diagnosis.declared,
         "block_s": diagnosis.train[0].block_s,
         **{
             key: [
@@ -52,9 +48,9 @@ def report(diagnosis: Diagnosis, folder: Path | None = None) -> dict[str, Any]:
         "independent_test": bool(diagnosis.test) and not diagnosis.held_out,
         "held_out": diagnosis.held_out,
         "temperature_range_degc": [scale.middle - scale.half_span, scale.middle + scale.half_span],
-        "fastest_degc_per_min": 60.0 * float(np.quantile(rates, 0.95)),
+        "fastest_degc_per_min": 60.0 * np.quantile(rates, 0.95),
         "caveats": diagnosis.caveats,
-        "length_of_gravity": length and {name: np.asarray(v).tolist() for name, v in asdict(length).items()},
+        "length_of_gravity": length and {key: np.asarray(v).tolist() for key, v in length._asdict().items()},
         "channels": {verdict.name: _channel(verdict) for verdict in diagnosis.verdicts},
     }
     return dict(plain(content))
@@ -65,14 +61,14 @@ def write_report(diagnosis: Diagnosis, path: Path) -> None:
     write_text(path, json.dumps(report(diagnosis, path.parent), indent=2, ensure_ascii=False) + "\n")
 
 
-def _channel(verdict: ChannelVerdict) -> dict[str, Any]:
+def _channel(verdict: ChannelVerdict) -> Content:
     channel, before, after = verdict.channel, verdict.test_before, verdict.test_after
     sets = [claim.finding.names for claim in verdict.claims if claim.finding.alternatives]
     train_before, train_after = verdict.before.train_rms, verdict.after.train_rms
     explained = explained_share(train_before, train_after, channel.total_floor)
     apart = [(first, other) for first, *others in sets for other in others]
-    ranked = sorted(verdict.search.tables[0].values(), key=lambda one: -one.gain)[:MOST_RANKED]
-    steps = [("what was assumed", verdict.before, float("nan"))]
+    ranked = sorted(verdict.search.tables[0].values(), key=lambda one: -one.gain)[:6]
+    steps = [("what was assumed", verdict.before, np.nan)]
     steps += [(done, fit(channel, model), gain) for done, model, gain in verdict.search.history]
     return {
         "verdict": verdict.row.state,
@@ -123,18 +119,18 @@ def _slow_noise(verdict: ChannelVerdict) -> dict[str, float]:
     search, channel = verdict.search, verdict.search.channel
     flicker, walk = noise = search.maximum(search.model)[1]
     residual, _ = search.likelihood.residual(channel.y, channel.design(search.model), noise)
-    sd = float(np.sqrt(residual @ residual / len(residual)))
+    sd = np.sqrt(residual @ residual / len(residual))
     excess = float(np.mean(residual**4) / np.mean(residual**2) ** 2) - 3.0
     return {
         "flicker": flicker,
         "random_walk": walk,
-        "flicker_rms": float(np.sqrt(flicker) * sd),
-        "random_walk_per_sqrt_s": float(np.sqrt(walk / WALK_S) * sd),
+        "flicker_rms": np.sqrt(flicker) * sd,
+        "random_walk_per_sqrt_s": np.sqrt(walk / WALK_S) * sd,
         "heavy_tails": len(residual) * max(excess, 0.0) ** 2 / 24.0 - search.likelihood.price,
     }
 
 
-def _effect(verdict: ChannelVerdict, claim: Claim) -> dict[str, Any]:
+def _effect(verdict: ChannelVerdict, claim: Claim) -> Content:
     finding, before = claim.finding, _alone(verdict).train_rms
     alone = _left(verdict, _alone(verdict, finding.candidate))
     after = alone["train_rms"]
@@ -152,7 +148,7 @@ def _effect(verdict: ChannelVerdict, claim: Claim) -> dict[str, Any]:
             "gain_bic": finding.gain,
             "test_gain": None,
             "pooled_gain_bic": finding.gain_over_axes,
-            "rms_explained": float(np.sqrt(max(before**2 - after**2, 0.0))),
+            "rms_explained": np.sqrt(max(before**2 - after**2, 0.0)),
             "explained_share_alone": explained_share(before, after, verdict.channel.floor.sd),
             "rivals_gain_bic": {name: value for name, value in finding.family_gains.items() if value > 0},
         },
@@ -160,7 +156,7 @@ def _effect(verdict: ChannelVerdict, claim: Claim) -> dict[str, Any]:
     }
 
 
-def _parameters(parts: Sequence[FittedPart]) -> dict[str, Any]:
+def _parameters(parts: Sequence[FittedPart]) -> Content:
     """Return the parameters of one part as they are, of several as lists."""
     each = []
     for part in parts:
@@ -174,7 +170,6 @@ def _parameters(parts: Sequence[FittedPart]) -> dict[str, Any]:
 
 
 def _alone(verdict: ChannelVerdict, *candidates: Candidate) -> Fit:
-    """Return the fit of these candidates alone, beside what is fitted anew of a present model."""
     return fit(verdict.channel, [*verdict.search.present, *candidates])
 
 
@@ -182,8 +177,7 @@ def _left(verdict: ChannelVerdict, fitted: Fit) -> dict[str, float]:
     return {"train_rms": fitted.train_rms, "test_rms": score_test(verdict.channel, fitted).rms}
 
 
-def _runs_left(verdict: ChannelVerdict) -> Iterator[dict[str, Any]]:
-    """Yield what each run of training and test is left with; NaN where nothing counts."""
+def _runs_left(verdict: ChannelVerdict) -> Iterator[Content]:
     channel, (before, after) = verdict.channel, (verdict.test_before, verdict.test_after)
     training = [channel.training.split(one.residual) for one in (verdict.before, verdict.after)]
     test = [
@@ -198,20 +192,20 @@ def _runs_left(verdict: ChannelVerdict) -> Iterator[dict[str, Any]]:
                 "blocks": len(last),
                 "before": root_mean_square(first),
                 "after": root_mean_square(last),
-                "mean": float(last.mean()) if len(last) else float("nan"),
+                "mean": last.mean() if len(last) else np.nan,
             }
 
 
-def _questions(verdict: ChannelVerdict) -> list[list[dict[str, Any]]]:
+def _questions(verdict: ChannelVerdict) -> list[list[Content]]:
     """Return what is open, each question as its answers: an effect that may be the one, or `NOTHING`, whether
     it carries over, and the model that has it, fitted to the training, with effects as in a model file."""
     claimed, opened = [finding.candidate for finding in verdict.findings], []
 
-    def answer(beside: Sequence[Candidate], one: Candidate | None) -> dict[str, Any]:
-        model = fit(verdict.channel, beside if one is None else [*beside, one])
+    def answer(beside: Sequence[Candidate], one: Candidate | None) -> Content:
+        model = fit(verdict.channel, [*beside, one] if one else beside)
         return {
-            "name": NOTHING if one is None else one.family,
-            "carries": one is None or one.shared,
+            "name": one.family if one else NOTHING,
+            "carries": not one or one.shared,
             "declared": model.declared.tolist(),
             "effects": [part.effect.model_dump() for part in model.parts if part.carries_over],
         }
@@ -226,7 +220,7 @@ def _questions(verdict: ChannelVerdict) -> list[list[dict[str, Any]]]:
         tried = [one.candidate for one in ranked if one.linear_gain > 0.0]
         # A chamber, or poses, can make these show themselves in another run.
         lasting = [one for one in tried if one.scope in ("shared", "either") and one not in claimed]
-        further = [one for one in lasting if {*one.parts[0].effect.inputs} <= {ACCEL}][:MOST_ANSWERS]
+        further = [one for one in lasting if {*one.parts[0].effect.inputs} <= {ACCEL}][:2]
         opened.append([answer(claimed, one) for one in (None, *further)])
     return opened
 
@@ -250,7 +244,7 @@ def conclusion(diagnosis: Diagnosis) -> str:
 def next_step(diagnosis: Diagnosis, folder: Path | None) -> NextStep:
     """Return the one thing to do next; `folder` is that of the report, None where there is none."""
     step = next(_steps(diagnosis, folder or Path()))
-    return step if folder is not None else step._replace(command="")
+    return step if folder else step._replace(command="")
 
 
 def _steps(diagnosis: Diagnosis, folder: Path) -> Iterator[NextStep]:
@@ -263,37 +257,50 @@ def _steps(diagnosis: Diagnosis, folder: Path) -> Iterator[NextStep]:
 
     unproven = {one.name for one in verdicts if one.channel.test and one.row.state == "not proven"}
     if names := which(lambda one: one.faulty or one.hidden or (one.channel.coarse and one.name in unproven)):
-        what = f"Record {names} again with a range and digits that its noise and bias fit in."
         yield NextStep(
-            what, "Its values hide what matters: one comes far too often, or their steps are coarse."
+            f"Record {names} again with a range and digits that its noise and bias fit in.",
+            "Its values hide what matters: one comes far too often, or their steps are coarse.",
         )
     if ONE_WAY in diagnosis.caveats:
-        why = "Until then what lag, hysteresis or warm-up do is part of the curve."
-        yield NextStep("Record a session in which the unit warms and cools, and train on that.", why)
+        yield NextStep(
+            "Record a session in which the unit warms and cools, and train on that.",
+            "Until then what lag, hysteresis or warm-up do is part of the curve.",
+        )
     if not chosen or any(one.by_test for one in verdicts):
-        why = "The test has chosen the effect." if chosen else "Without a test nothing is proven."
-        command = f"imumon diagnose {diagnosis.options} --test NEW --out {out}"
-        yield NextStep("Record another session from power-on and test on that.", why, command)
+        yield NextStep(
+            "Record another session from power-on and test on that.",
+            "The test has chosen the effect." if chosen else "Without a test nothing is proven.",
+            f"imumon diagnose {diagnosis.options} --test NEW --out {out}",
+        )
     if names := which(lambda one: one.shifted):
-        why = "What is left of the test is a constant, as of another turn-on bias; training has no such rest."
         what = 'Give --declared "polynomial N + offset" in place of --model'
         what = what if diagnosis.model else 'Add " + offset" to --declared'
-        yield NextStep(f"{what} for {names}, and diagnose again.", why)
+        yield NextStep(
+            f"{what} for {names}, and diagnose again.",
+            "What is left of the test is a constant, as of another turn-on bias; training has no such rest.",
+        )
     if names := which(lambda one: one.unexplained and not one.shifted):
-        beside = "what else may drive it (supply, load, pressure, another thermometer)"
-        why = "What is left jumps or comes in bursts, as no noise does, or it is slow noise of the unit."
-        yield NextStep(f"Record {names} beside {beside}, {ISOTHERMAL}", why)
-    sets = [one.finding for verdict in verdicts for one in verdict.claims if one.finding.alternatives]
-    for first, second, *_ in (finding.names for finding in sets):
-        why = f"{first} and {second} fit these recordings alike, and predict others differently."
-        command = f"imumon plan {out} --out {plan}"
-        yield NextStep(f"Record {separated_by(first, second)}.", why, command)
+        yield NextStep(
+            f"Record {names} beside what else may drive it (supply, load, pressure, another thermometer),"
+            f" {ISOTHERMAL}",
+            "What is left jumps or comes in bursts, as no noise does, or it is slow noise of the unit.",
+        )
+    sets = [one.finding.names for verdict in verdicts for one in verdict.claims if one.finding.alternatives]
+    for first, second, *_ in sets:
+        yield NextStep(
+            f"Record {separated_by(first, second)}.",
+            f"{first} and {second} fit these recordings alike, and predict others differently.",
+            f"imumon plan {out} --out {plan}",
+        )
     if useful := [one for one in with_model(diagnosis) if one.claims and one.predicts]:
         least = min(one.test_after.rms / one.test_before.rms for one in useful)
-        what = f"Use the model with what is named of {', '.join(one.name for one in useful)}."
-        command = f"imumon monitor PORT --device NAME --model {model}"
-        yield NextStep(what, f"Errors in the test fall by up to {1.0 - least:.0%}.", command)
+        yield NextStep(
+            f"Use the model with what is named of {', '.join(one.name for one in useful)}.",
+            f"Errors in the test fall by up to {1.0 - least:.0%}.",
+            f"imumon monitor PORT --device NAME --model {model}",
+        )
     if names := which(lambda one: one.row.state == "not proven"):
-        why = "What is left is little, noise or an effect too small to prove."
-        yield NextStep(f"Record {names} {ISOTHERMAL}", why)
+        yield NextStep(
+            f"Record {names} {ISOTHERMAL}", "What is left is little, noise or an effect too small to prove."
+        )
     yield NextStep("Nothing has to be added.", "The declared model is enough on these recordings.")

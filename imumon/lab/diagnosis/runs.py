@@ -13,18 +13,18 @@ from imumon.clock.channel import CLOCK, UNIT, rate_ppm, with_delay
 from imumon.columns import KNOWN, TEMPERATURES
 from imumon.effects.vibration import SECOND_NS, VIBRATION
 from imumon.errors import bad_data
+from imumon.estimation.gyro_bias.stage import RestDetector
 from imumon.filters.rounding import digits, grid_step
 from imumon.recordings.reduced import ACCEL, GYRO, KeptSlots, Reduced, reduce
-from imumon.recordings.source import Count, Stages, no_count, no_stages, open_recording
+from imumon.recordings.source import Count, no_count, open_recording
 
+Names = Sequence[str]
 CHANNELS = (*GYRO, *ACCEL)
 SENSORS = ("gyro", "accel", CLOCK)
 """What is diagnosed by default; the clock of the device only where all recordings have it."""
 DRIVERS = ("pressure", *(f"mag_{axis}" for axis in "xyz"))
 """Known columns that may drive a bias besides temperature and specific force."""
 READ = (*CHANNELS, *TEMPERATURES, *DRIVERS)
-FIRST_ROWS = 1000
-"""Rows from which the rate of a log is estimated."""
 LONGEST_GAP_S = 6 * 3600
 """A longer gap begins another run: the state of the unit after it is unknown."""
 SHORTEST_RUN_S = 300.0
@@ -35,8 +35,6 @@ MOST_SLOTS = 7200
 """Of a run in memory: two hours of seconds; a column takes 16 bytes of each."""
 KEPT = 100_000
 """Samples of a channel that are kept, evenly spaced over the recording, to bound the memory."""
-FREQUENT, TIMES_MORE = 0.01, 10.0
-"""A value with this share of all samples, and so many times more than its neighbours, is not by chance."""
 
 
 class Samples(NamedTuple):
@@ -68,31 +66,32 @@ class Origin:
 
 @dataclass(slots=True)
 class Run:
-    """One run from power-on in means of slots, of a second in most cases; a slot without samples is NaN."""
+    """One run from power-on in means of slots of `slot_s`; a slot without samples is NaN.
+
+    A slot has whole seconds, more than one where a log is slower than a sample a second.  `time_s` is its
+    middle since the first sample, `count` the samples in it, of each column, `mean` (SI units, °C) and
+    `variance` (NaN with fewer than two) theirs, and `rest` the share of the samples at rest, (n,) each.
+    `start_ns` is the device time of the first sample, None when it is not known, as `origin` is of what is
+    not from a file.  `samples` has statistics of the single samples of channels, in the whole recording.
+
+    `begun_in` names the run that began at this power-on, where that is another: its jumps persist in this
+    one.  A run that is `woven` alternates with parts of the training, so that any smooth course interpolates
+    it.  `warnings`: why its numbers may not be fit for an estimate, as where the device corrects its rates.
+    """
 
     name: str
     time_s: FloatArray
-    """Middle of each slot since the first sample, (n,)."""
     count: dict[str, FloatArray]
     mean: dict[str, FloatArray]
     variance: dict[str, FloatArray]
-    """Samples in each slot, their mean (SI units, °C) and variance (NaN with fewer than two), (n,) each."""
     rest: FloatArray
-    """Share of the samples at which the unit was at rest, (n,)."""
     origin: Origin | None = None
-    """None when it is not from a file."""
     start_ns: int | None = None
-    """Device time of the first sample; None when it is not known."""
     begun_in: str = ""
-    """Name of the run that began at this power-on, where that is another: its jumps persist in this one."""
     woven: bool = False
-    """Whether it alternates with parts of the training, so that any smooth course interpolates it."""
     warnings: tuple[str, ...] = ()
-    """Why its numbers may not be fit for an estimate; for example, the device corrected its rates itself."""
     slot_s: float = 1.0
-    """Whole seconds; more than one where a log is slower than a sample a second."""
     samples: Mapping[str, Samples] = field(default_factory=dict)
-    """Statistics of the single samples of channels, in the whole recording."""
 
     @property
     def duration_s(self) -> float:
@@ -115,12 +114,14 @@ class Run:
         return float(self.at_rest[self.there].mean()) if self.there.any() else 0.0
 
 
+Runs = Sequence[Run]
+
+
 def read_runs(
     path: Path,
-    map_path: Path | None,
-    stages: Stages = no_stages,
+    map_path: Path | None = None,
     at_rest: bool = False,
-    sensors: Sequence[str] = SENSORS,
+    sensors: Names = SENSORS,
     count: Count = no_count,
 ) -> list[Run]:
     """Read a session, or a table with its map (one that imumon wrote needs none), as runs from power-on.
@@ -129,16 +130,17 @@ def read_runs(
 
     Raises BAD_DATA when there is nothing to read, no run of five minutes, or a table that needs a map.
     """
-    recording = open_recording(path, stages, map_path, count)
+    recording = open_recording(path, lambda _: [RestDetector()], map_path, count)
     blocks, first = recording.blocks(), list[SampleBlock]()
-    while sum(map(len, first)) < FIRST_ROWS and (more := next(blocks, None)) is not None:
+    # The first thousand rows show the rate of a log.
+    while sum(map(len, first)) < 1000 and (more := next(blocks, None)) is not None:
         first.append(more)
     wanted = channels_of(sensors, first[0].columns) if first else []
     further, watcher = [*wanted], Watcher(wanted)
-    # Stages name what they made of a session, a map what was measured.  Of a table that imumon wrote nothing
-    # tells which of its further columns are made of the gyros themselves: they are not read.
-    if first and (recording.source.session is not None or map_path is not None):
-        further += further_columns(first[0], {one.name for stage in stages(None) for one in stage.columns})
+    # The detector names what it made of a session, a map what was measured.  Of a table that imumon wrote
+    # nothing tells which of its further columns are made of the gyros themselves: they are not read.
+    if first and (recording.source.session or map_path):
+        further += further_columns(first[0], {one.name for one in RestDetector().columns})
     samples: Iterable[SampleBlock] = watcher.through(chain(first, blocks))
     if CLOCK in sensors and CLOCK not in wanted:
         samples, further = with_delay(samples), [*further, CLOCK]
@@ -165,21 +167,19 @@ def further_columns(block: SampleBlock, made: Container[str]) -> list[str]:
     return [name for name in measured if name not in KNOWN and name not in made]
 
 
-def _slot_s(blocks: Sequence[SampleBlock], channels: Sequence[str]) -> float:
+def _slot_s(blocks: Sequence[SampleBlock], channels: Names) -> float:
     """Return the length of a slot in which a log has a sample: a second, or more for a slower one."""
     times = [np.empty(0, np.int64)]
     for block in blocks:
         known = [np.isfinite(block[name]) for name in channels if name in block]
         times += [block["device_time_ns"][np.any(known, axis=0)]] if known else []
     steps = np.diff(np.concatenate(times))
-    period_s = float(np.median(steps[steps > 0])) / SECOND_NS if (steps > 0).any() else 0.0
+    steps = steps[steps > 0]
     # A period of a second by a clock that is off by a percent is a second: few slots are empty then.
-    return float(max(1, np.ceil(period_s / 1.01)))
+    return float(max(1, np.ceil(np.median(steps) / SECOND_NS / 1.01))) if len(steps) else 1.0
 
 
-def collect(
-    blocks: Iterable[SampleBlock], name: str, further: Sequence[str] = (), slot_s: float = 1.0
-) -> list[Run]:
+def collect(blocks: Iterable[SampleBlock], name: str, further: Names = (), slot_s: float = 1.0) -> list[Run]:
     """Return the runs in a stream of samples with times; without ``at_rest`` it is taken as at rest.
 
     `further` are columns beside the known ones.  A log slower than a sample a second is too slow for a rest
@@ -190,8 +190,7 @@ def collect(
     another = np.diff(means.run, prepend=-1) != 0
     parts = np.split(np.arange(len(means)), np.flatnonzero(another | gap)[1:])
     names = [name] if len(parts) == 1 else [f"{name}, run {index + 1}" for index in range(len(parts))]
-    slow = means.quiet().astype(np.float64)
-    rest = slow if slot_s > 1.0 else np.nan_to_num(means.rest_share, nan=1.0)
+    rest = means.quiet().astype(np.float64) if slot_s > 1.0 else np.nan_to_num(means.rest_share, nan=1.0)
     return [_run(means, rest, rows, text) for rows, text in zip(parts, names, strict=True) if len(rows)]
 
 
@@ -243,9 +242,9 @@ def unit_of(channel: str) -> str:
 class Watcher:
     """Collects statistics of the samples of some channels while blocks pass."""
 
-    def __init__(self, channels: Sequence[str]) -> None:
+    def __init__(self, channels: Names) -> None:
+        # Samples, and the step to each from the one before, (n, 2).
         self._kept: dict[str, list[FloatArray]] = {name: [] for name in channels}
-        """Samples, and the step to each from the one before, (n, 2)."""
         self._stride, self._rows = 1, 0
 
     def through(self, blocks: Iterable[SampleBlock]) -> Iterator[SampleBlock]:
@@ -276,21 +275,22 @@ class Watcher:
 def _samples(values: FloatArray, steps: FloatArray) -> Samples:
     """Return the statistics; what a stuck sensor repeats counts once, so that no value of it is frequent."""
     fresh, known = steps != 0.0, np.isfinite(steps)
-    scatter = float(np.sqrt(np.mean(steps[known] ** 2) / 2.0))
+    scatter = np.sqrt(np.mean(steps[known] ** 2) / 2.0)
     moved = steps[known & fresh]
-    noise = float(np.sqrt(np.mean(moved**2) / 2.0)) if len(moved) else np.nan
+    noise = np.sqrt(np.mean(moved**2) / 2.0) if len(moved) else np.nan
     distinct, where = np.unique(values, return_inverse=True)
     count = np.bincount(where, weights=fresh)
     step = grid_step(distinct, len(values))
     rounded = digits(values) if step > 0.0 else None
-    found = Samples(step, scatter, np.inf if rounded is None else rounded.ratio)
-    at = int(np.argmax(count))
+    found = Samples(step, scatter, rounded.ratio if rounded else np.inf)
+    at = np.argmax(count)
     beside = max([*count[max(at - 1, 0) : at], *count[at + 1 : at + 2], 1.0])
-    share = float(count[at] / max(count.sum(), 1.0))
+    share = count[at] / max(count.sum(), 1.0)
     coarse = step > 0.0 and not step < noise
-    if coarse or len(distinct) < 3 or share < FREQUENT or count[at] < TIMES_MORE * beside:
+    # A percent of all samples, and ten times more than its neighbours have, are not by chance.
+    if coarse or len(distinct) < 3 or share < 0.01 or count[at] < 10.0 * beside:
         return found
-    return found._replace(atom=float(distinct[at]), atom_share=share)
+    return found._replace(atom=distinct[at], atom_share=share)
 
 
 class BoundedRun:
@@ -299,12 +299,12 @@ class BoundedRun:
     Gyros count at rest only, so that the rest of a slot counts in which the unit moved for a while.
     """
 
-    def __init__(self, names: Sequence[str]) -> None:
+    def __init__(self, names: Names) -> None:
         self._names = [*names, VIBRATION]
         self._gyros = [at for at, name in enumerate(names) if name in GYRO]
         self._accel = [at for at, name in enumerate(names) if name in ACCEL]
+        # Samples, and their sum; of the vibration seconds, as its scatter is that within a second.
         self._sums = np.zeros((MOST_SLOTS, 2, len(self._names)))
-        """Samples, and their sum; of the vibration seconds, as its scatter is that within a second."""
         self._width, self._last, self._begun_ns = 1, -1, 0
 
     def take(self, part: KeptSlots) -> float:
@@ -322,7 +322,7 @@ class BoundedRun:
         count = part.count[:, :-1].astype(np.float64)
         scatter = part.variance[:, self._accel] / (1.0 - 1.0 / np.maximum(count[:, self._accel], 2.0))
         shaken = (count[:, self._accel] > 1.0).all(axis=1) & (len(self._accel) == len(ACCEL))
-        count[:, self._gyros] *= (part.mean[:, -1] == 1.0)[:, np.newaxis]
+        count[:, self._gyros] *= (part.mean[:, -1] == 1.0)[:, None]
         count = np.column_stack([count, shaken])
         mean = np.where(count > 0, np.column_stack([part.mean[:, :-1], scatter.sum(axis=1)]), 0.0)
         np.add.at(self._sums, second // self._width, np.stack([count, mean * count], axis=1))
@@ -340,6 +340,6 @@ class BoundedRun:
             count={name: count[:, at] for name, at in there.items()},
             mean={name: mean[:, at] for name, at in there.items()},
             variance={},
-            rest=np.asarray((count[:, self._gyros] > 0).all(axis=1), np.float64),
+            rest=(count[:, self._gyros] > 0).all(axis=1).astype(np.float64),
             slot_s=float(self._width),
         )

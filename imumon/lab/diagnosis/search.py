@@ -13,8 +13,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from imumon.effects.base import Survey
-from imumon.lab.diagnosis.candidates import Candidate, Channel, Finding, GainTable, Part, Scored, candidates
-from imumon.lab.diagnosis.likelihood import Likelihood, Noise, noise_no_larger
+
+from .candidates import Candidate, Channel, Finding, GainTable, Model, Part, Scored, candidates
+from .likelihood import Likelihood, Noise, noise_no_larger
 
 PROVEN_GAIN = 8.0
 """Gain above which an effect is proven: e^-4 by chance."""
@@ -25,17 +26,13 @@ MOST_NAMES = 3
 """Families that are named in a set of those not separated."""
 STAGES = 5
 """Effects that are added to a channel, at most."""
-PAIR_LIST = 4
-"""Best candidates of each family that are tried in pairs."""
-LEAST_REMOVED = 0.3
-"""White floors (rms) that an effect takes away, at least..."""
 SECOND_SHARE, JUMP_SHARE = 0.2, 0.5
-"""...and this share of what each effect before it takes away; a second jump in a run counts from the other
-share on: the jumps of a telegraph noise are of one size."""
+"""Share of what each effect before it takes away that an effect takes away, at least; a second jump in a run
+counts from the other share on: the jumps of a telegraph noise are of one size."""
 REFINEMENTS = 4
 """Levels of the pattern search; steps are 0.35 of those of the level before."""
 
-Progress = Callable[[str], None] | None
+Progress = Callable[[str], None]
 """Takes what is done next."""
 
 
@@ -58,8 +55,7 @@ def search(
         active = [axis for axis in axes if not axis.finished]
         if not active:
             break
-        if progress is not None:
-            progress(f"effect {stage + 1} of {', '.join(axis.channel.name for axis in active)}")
+        progress(f"effect {stage + 1} of {', '.join(axis.channel.name for axis in active)}")
         for axis in active:
             axis.tabulate(pairs=stages > 1)
         _add_families(active, bar)
@@ -81,7 +77,7 @@ def _add_families(active: "Sequence[AxisSearch]", bar: float) -> None:
     axes = {axis.channel.name: axis for axis in active}
     tables = {name: dict(axis.tables[-1]) for name, axis in axes.items() if not axis.channel.faulty}
     added = set[str]()
-    while (selection := select(tables, bar)) is not None:
+    while selection := select(tables, bar):
         for name in selection.channels:
             if axes[name].add(selection):
                 added.add(name)
@@ -94,7 +90,7 @@ def _add_families(active: "Sequence[AxisSearch]", bar: float) -> None:
     why = f"the sum over the axes that show it is below the bar of {bar:.1f}"
     for name, table in tables.items():
         best = max(table.values(), key=attrgetter("gain"), default=None)
-        if best is not None and best.gain > 0.0:
+        if best and best.gain > 0.0:
             showing = [one for one in tables if _shows(tables[one], best.candidate.family, bar)]
             axes[name].refuse(best.candidate.family, best.gain, showing, why)
 
@@ -161,10 +157,10 @@ class AxisSearch:
         again = [one for one in channel.present_effects or () if one not in channel.fixed_effects]
         self.findings = [Finding(Candidate((Part(effect),)), of_present_model=True) for effect in again]
         self.tables: list[GainTable] = []
-        self.history: list[tuple[str, Sequence[Candidate], float]] = []
+        self.history: list[tuple[str, Model, float]] = []
         self.refused: list[dict[str, Any]] = []
         self.repeated_event = self.finished = False
-        self._maxima: dict[tuple[int, ...], tuple[Channel, Sequence[Candidate], float, Noise]] = {}
+        self._maxima: dict[tuple[int, ...], tuple[Channel, Model, float, Noise]] = {}
 
     @property
     def model(self) -> list[Candidate]:
@@ -176,7 +172,7 @@ class AxisSearch:
         """The effects of the present model that are fitted anew."""
         return [finding.candidate for finding in self.findings if finding.of_present_model]
 
-    def maximum(self, model: Sequence[Candidate]) -> tuple[float, Noise]:
+    def maximum(self, model: Model) -> tuple[float, Noise]:
         """Return loglik (2) of a model at its maximum, and the noise there."""
         key = (id(self.channel), *map(id, model))  # both are kept, so that no other has their id
         if key not in self._maxima:
@@ -184,13 +180,13 @@ class AxisSearch:
             self._maxima[key] = self.channel, model, *found
         return self._maxima[key][2:]
 
-    def criterion(self, model: Sequence[Candidate]) -> float:
+    def criterion(self, model: Model) -> float:
         """Return S (3) of a model."""
         number = self.channel.design(model).shape[1] + sum(one.n_nonlinear for one in model)
         price = number * self.likelihood.price + sum(one.choice_price for one in model)
         return float(2.0 * self.maximum(model)[0] - price)
 
-    def gains(self, tried: Sequence[Candidate], model: Sequence[Candidate]) -> list[Scored]:
+    def gains(self, tried: Model, model: Model) -> list[Scored]:
         """Return candidates with their gains (4) over a model.
 
         A free state at power-on must not be the effect: a candidate gains no more with it than beside it.
@@ -215,7 +211,7 @@ class AxisSearch:
             found.append(Scored(candidate, gain, linear_gain))
         return found
 
-    def refined(self, candidate: Candidate, model: Sequence[Candidate]) -> Scored:
+    def refined(self, candidate: Candidate, model: Model) -> Scored:
         """Return a candidate with theta refined beside a model: a pattern search around the grid."""
         (best,) = self.gains([candidate], model)
         for level in range(REFINEMENTS):
@@ -241,8 +237,8 @@ class AxisSearch:
         members = [self.refined(one.candidate, []) for one in best.values() if one.candidate.scope == "event"]
         single = [one for one in scored if len(one.candidate.parts) == 1]
         plain = [one for one in single if not (one.candidate.free_start or one.candidate.choice_price)]
-        for family in best:
-            members += [one for one in plain if one.candidate.family == family][-PAIR_LIST:]
+        for family in best:  # the best four of it
+            members += [one for one in plain if one.candidate.family == family][-4:]
         both = combinations(members, 2)
         pairs = [(one, two) for one, two in both if one.candidate.family != two.candidate.family]
         joint = [Candidate((*one.candidate.parts, *two.candidate.parts)) for one, two in pairs]
@@ -284,9 +280,12 @@ class AxisSearch:
         there = {finding.name for finding in self.findings}
         others = [other for other in selection.alternatives if other not in there]
         alternatives = {other: table[other].candidate for other in others[: MOST_NAMES - 1]}
-        gains = {**{other: one.gain for other, one in table.items()}, family: best.gain}
-        found = best.candidate, best.gain, selection.gain, gains, alternatives, removed, table[family].partner
-        self.findings.append(Finding(*found))
+        gains = {other: one.gain for other, one in table.items()} | {family: best.gain}
+        self.findings.append(
+            Finding(
+                best.candidate, best.gain, selection.gain, gains, alternatives, removed, table[family].partner
+            )
+        )
         if len(self.findings) > 1:
             self._refine_each(exchange=False)
         self.history.append((family, self.model, best.gain))
@@ -294,18 +293,20 @@ class AxisSearch:
 
     def refuse(self, family: str, gain: float, axes: Sequence[str], why: str) -> None:
         """Note what is not added at this stage, or dropped after it: with its gain here, and who shows it."""
-        row = {"stage": len(self.tables), "name": family, "axes": [*axes], "gain_bic": gain, "why": why}
-        self.refused.append(row)
+        self.refused.append(
+            {"stage": len(self.tables), "name": family, "axes": [*axes], "gain_bic": gain, "why": why}
+        )
 
-    def _removed_rms(self, candidate: Candidate, model: Sequence[Candidate]) -> float:
+    def _removed_rms(self, candidate: Candidate, model: Model) -> float:
         """Return sqrt(A² - B²), A and B the rms that least squares leave with a model and with both."""
         without, with_it = (self.channel.residual_rms(one) for one in (model, [*model, candidate]))
         return float(np.sqrt(max(without**2 - with_it**2, 0.0)))
 
     def _least_removed(self, candidate: Candidate, share: float) -> float:
-        """Return the rms that a candidate has to take away: of the floor, and of what each finding takes away
-        beside the others and the candidate; one of the same family alone, for two of a kind share it."""
-        least = [LEAST_REMOVED * self.channel.floor.sd, self.channel.fault_rms]
+        """Return the rms that a candidate has to take away: 0.3 white floors, and a share of what each
+        finding takes away beside the others and the candidate; one of the same family alone, for two of a
+        kind share it."""
+        least = [0.3 * self.channel.floor.sd, self.channel.fault_rms]
         for finding in self.findings:
             removed = finding.removed_rms
             if finding.name != candidate.family or candidate.scope == "event":
@@ -332,8 +333,7 @@ class AxisSearch:
             self.findings.remove(finding)
             if finding.of_present_model and not self.tables:
                 (part,) = finding.candidate.parts
-                fixed = (*self.channel.fixed_effects, part.effect)
-                self.channel = replace(self.channel, fixed_effects=fixed)
+                self.channel = replace(self.channel, fixed_effects=(*self.channel.fixed_effects, part.effect))
             else:
                 self.refuse(finding.name, gain, [self.channel.name], "dropped, needless beside the rest")
         if len(findings) == 1 and not findings[0].of_present_model:
@@ -341,8 +341,7 @@ class AxisSearch:
         before = [finding.name for finding in self.findings]
         self._refine_each(exchange=True)
         if changed := [finding.name for finding in self.findings if finding.name not in before]:
-            done = f"{' and '.join(changed)} fits better beside the rest"
-            self.history.append((done, self.model, float("nan")))
+            self.history.append((f"{' and '.join(changed)} fits better beside the rest", self.model, np.nan))
 
     def _refine_each(self, exchange: bool) -> None:
         """Refine each finding beside the others; with `exchange` an alternative may take its place."""

@@ -25,7 +25,7 @@ The rows, in their order; what is left is by the model with the claims, if any::
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import islice
 from typing import Any, NamedTuple
 
@@ -33,9 +33,10 @@ import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.effects.library import separated_by
-from imumon.lab.diagnosis.candidates import Channel, Finding
-from imumon.lab.diagnosis.fit import Fit, FittedPart, PartSigma, Score, fit, score_test, sigmas
-from imumon.lab.diagnosis.search import MOST_NAMES, AxisSearch
+
+from .candidates import Channel, Finding
+from .fit import Fit, FittedPart, PartSigma, Score, fit, score_test, sigmas
+from .search import MOST_NAMES, AxisSearch
 
 SMALL_RESIDUAL = 1.8
 """Total floors below which a residual is explained: slow noise of 1.5 of them leaves that."""
@@ -44,9 +45,6 @@ CLEAN_RESIDUAL = 1.3
 LEAST_EXPLAINED = 0.6
 """Explained share (10) from which on effects are named, in training and in the test.  With it nothing is
 named in 99 channels of causes that are no effect; on a chamber record true effects have 0.67 to 0.99."""
-LEAST_OF_BOTH = 0.25
-"""Share (10) of the mean squares of training and test, whatever is left: true effects of half a floor have
-0.28 or more; what a thermometer in steps of 1 °C makes of a steep curve mostly has less."""
 
 
 class Row(NamedTuple):
@@ -77,8 +75,7 @@ FLOORS_BY_TEST = 8.0
 library, had at most 5.4, true ones of a chamber record at least 90."""
 
 
-@dataclass(slots=True)
-class Claim:
+class Claim(NamedTuple):
     """An effect that is claimed, with its parts, and their sigmas, as fitted beside the other claims."""
 
     finding: Finding
@@ -88,34 +85,35 @@ class Claim:
 
 @dataclass(slots=True)
 class ChannelVerdict:
-    """What is claimed of a channel, and how well it does."""
+    """What is claimed of a channel, and how well it does.
+
+    `channel` is in the blocks that are scored, where the search may have been in shorter ones.  `before` is
+    the baseline, which is the declared model or the present one as it is, `after` that with the findings, and
+    `declared_covariance` of the coefficients of the declared model in it, (degree + 1, degree + 1).
+
+    `claims` are those of the `findings` that the present model has not, `remark` is why nothing else is
+    claimed, `left_out` what was found but made the test worse, and `refit` what was fitted anew of the
+    present model, its curve first; empty when that stays as it is.  What `predicts` goes into the model file;
+    else the declared model does: nothing of what is claimed carries over, or the constants of the test make
+    the prediction worse with it.
+    """
 
     search: AxisSearch
     channel: Channel
-    """In the blocks that are scored, where the search may have been in shorter ones."""
     before: Fit
     after: Fit
-    """The baseline, which is the declared model or the present one as it is; and that with the findings."""
     test_before: Score
     test_after: Score
     findings: Sequence[Finding]
-    """What is in the extended model."""
     claims: list[Claim]
-    """Those of the findings that the present model has not."""
     unexplained: bool
     """More than 1.8 total floors are left in training, or in the test after the named effects; or a session
     has two jumps."""
     remark: str
-    """Why nothing else is claimed."""
     left_out: Sequence[dict[str, Any]]
-    """What was found but made the test worse."""
     predicts: bool
-    """Whether the extended model goes into the model file; else the declared one does: nothing of what is
-    claimed carries over, or the constants of the test make the prediction worse with it."""
     refit: list[str]
-    """What was fitted anew of the present model, its curve first; empty when that stays as it is."""
     declared_covariance: FloatArray
-    """Of the coefficients of the declared model, (degree + 1, degree + 1)."""
 
     @property
     def name(self) -> str:
@@ -179,8 +177,9 @@ class ChannelVerdict:
         found = [one.finding for one in self.claims]
         # A name that is not told apart from another claim, and is claimed itself, is another one of it.
         again = {one.name: f"another {one.name}" for one in found}
-        others = [[again.get(name, name) for name in one.alternatives] for one in found]
-        each = [" or ".join([one.name, *more]) for one, more in zip(found, others, strict=True)]
+        each = [
+            " or ".join([one.name, *(again.get(name, name) for name in one.alternatives)]) for one in found
+        ]
         names = [f"({name})" if " or " in name and len(each) > 1 else name for name in dict.fromkeys(each)]
         text = self.row.sentence.format(names=" and ".join(names))
         if self.row.predicate == "claimed":
@@ -207,7 +206,7 @@ def _numbers(verdict: ChannelVerdict) -> str:
     """Return what is left, in white floors, of training and of the test: only that shows if it is all."""
     floor, score = verdict.channel.floor.sd, verdict.test_after
     before, after = verdict.before.train_rms / floor, verdict.after.train_rms / floor
-    changed = bool(verdict.claims or verdict.refit)
+    changed = verdict.claims or verdict.refit
     anew = "" if verdict.claims else f"{', '.join(verdict.refit)} fitted anew, "
     text = f"{anew}{before:.1f} white floors become {after:.2f} in training"
     text = text if changed else f"the declared model leaves {before:.2f} white floors in training"
@@ -255,8 +254,9 @@ def decide(search: AxisSearch, channel: Channel) -> ChannelVerdict:
     predicts = (not after.parts or after.carries_over) and not test_after.rms > test_before.rms
     if not predicts and not (test_after.continues_training and test_after.rms < test_before.rms):
         # Then only the declared model predicts, which is what the model file has.
-        left = test_before.predicted_residual
-        test_after = replace(test_after, rms=test_before.rms, predicted_residual=left)
+        test_after = test_after._replace(
+            rms=test_before.rms, predicted_residual=test_before.predicted_residual
+        )
     residual_rms = max(after.train_rms, test_after.smaller_rms) if claimed.new else after.train_rms
     model = [one.candidate for one in claimed.findings]
     covariance, part_sigmas = sigmas(search.channel, search.survey, search.likelihood, model)
@@ -346,7 +346,9 @@ def _refutation(channel: Channel, baseline: Fit, found: _Hypothesis) -> str:
     for what, (before, after), left, least in (
         ("the training", train, train[1], LEAST_EXPLAINED),
         ("the test", test, score.smaller_rms, LEAST_EXPLAINED),
-        ("all recordings", both, np.inf, LEAST_OF_BOTH),
+        # Of both, whatever is left: true effects of half a floor have 0.28 or more; what a thermometer in
+        # steps of 1 °C makes of a steep curve mostly has less.
+        ("all recordings", both, np.inf, 0.25),
     ):
         share = explained_share(before, after, floor)
         if left >= SMALL_RESIDUAL * floor and share < least:

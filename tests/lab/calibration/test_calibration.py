@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -146,13 +145,13 @@ def test_a_last_run_without_accelerometers_has_no_offset_of_theirs() -> None:
 
 @pytest.mark.usefixtures("fast")
 def test_sessions_of_different_units_are_reported() -> None:
-    one = replace(record(soak(600.0)), serial="SN1")
-    other = replace(record(soak(600.0), seed=1), serial="SN2", sha256="1" * 64)
+    one = record(soak(600.0))._replace(serial="SN1")
+    other = record(soak(600.0), seed=1)._replace(serial="SN2", sha256="1" * 64)
     assert "the sessions are of different units: SN1, SN2" in calibrate([one, other]).warnings
 
 
 def test_sessions_in_different_body_axes_are_refused() -> None:
-    records = [replace(record(soak(300.0)), axes=axes) for axes in ("FRD", None, "FLU")]
+    records = [record(soak(300.0))._replace(axes=axes) for axes in ("FRD", None, "FLU")]
     with pytest.raises(ImumonError, match="different body axes: FLU, FRD") as caught:
         calibrate(records)
     assert caught.value.reason is Reason.BAD_DATA
@@ -296,6 +295,6 @@ def test_what_goes_one_way_or_is_there_twice_is_reported() -> None:
     assert any("no session both warms and cools" in text for text in calibrate([one]).warnings)
     assert not any("no session both warms and cools" in text for text in calibrate([both]).warnings)
     assert any("there twice" in text for text in calibrate([one, one]).warnings)
-    of_two = [replace(one, serial="SN 1"), replace(both, serial="SN 2")]
+    of_two = [one._replace(serial="SN 1"), both._replace(serial="SN 2")]
     assert [calibrate(some).model.serial for some in (of_two[:1], of_two)] == ["SN 1", None]
     assert calibrate(of_two, serial="SN 3").model.serial == "SN 3"

@@ -229,16 +229,16 @@ def test_what_is_not_told_apart_is_one_verdict_with_one_next_step(lagging: Diagn
     (claim,) = verdict.claims
     assert claim.finding.name == "thermal_lag"
     others = {"dead_time": claim.finding.candidate}
-    both = replace(claim, finding=replace(claim.finding, alternatives=others))
+    both = claim._replace(finding=replace(claim.finding, alternatives=others))
     found = replace(lagging, verdicts=[replace(verdict, claims=[both])])
     assert found.verdicts[0].row.predicate == "claimed"
     assert conclusion(found) == "gyro_x: thermal_lag or dead_time, not told apart"
     assert "imumon plan" in next_step(found, tmp_path).command
-    chosen = replace(both, finding=replace(both.finding, by_test=True))
+    chosen = both._replace(finding=replace(both.finding, by_test=True))
     found = replace(lagging, verdicts=[replace(verdict, claims=[chosen])])
     assert "no independent proof" in conclusion(found)
     assert "--test NEW" in next_step(found, tmp_path).command
-    alone = replace(claim, finding=replace(claim.finding, alternatives={}))
+    alone = claim._replace(finding=replace(claim.finding, alternatives={}))
     found = replace(lagging, verdicts=[replace(verdict, claims=[alone])])
     assert conclusion(found) == "gyro_x: thermal_lag"
     assert "model.yaml" in next_step(found, tmp_path).command

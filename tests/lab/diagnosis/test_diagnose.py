@@ -11,7 +11,6 @@ import pytest
 from imumon.blocks import ColumnArray, FloatArray, SampleBlock
 from imumon.columns import KNOWN
 from imumon.errors import ImumonError, Reason
-from imumon.estimation.gyro_bias.stage import RestDetector
 from imumon.lab.diagnosis.diagnose import Diagnosis, diagnose
 from imumon.lab.diagnosis.extended import extended_model
 from imumon.lab.diagnosis.report import report
@@ -280,7 +279,7 @@ def test_any_log_will_do(rate: float, hours: float, gap_s: float, tmp_path: Path
         columns["temperature"] = temperature
         with TableWriter(tmp_path / f"{seed}.parquet", {name: KNOWN[name] for name in columns}) as writer:
             writer.write(SampleBlock(columns))
-        found += read_runs(tmp_path / f"{seed}.parquet", None, lambda _: [RestDetector()])
+        found += read_runs(tmp_path / f"{seed}.parquet")
     diagnosis = diagnose(found[:2], found[2:], sensors=("gyro",))
     finding = diagnosis.verdicts[0].claims[0].finding
     assert "thermal_lag" in finding.names
@@ -422,7 +421,7 @@ def test_a_jump_stays_where_the_test_goes_on_and_is_no_part_of_the_model_file() 
 @pytest.fixture(scope="module")
 def chamber_cycle() -> Run:
     folder = measured("chamber-cycle")
-    return read_runs(folder / "cooling-heating.csv", folder / "map.yaml", lambda _: [RestDetector()])[0]
+    return read_runs(folder / "cooling-heating.csv", folder / "map.yaml")[0]
 
 
 def test_what_is_found_in_a_measured_run_hangs_on_no_block_and_on_no_boundary_of_blocks(
@@ -538,7 +537,7 @@ def test_rates_that_the_device_has_corrected_are_reported(field: str, warned: bo
     text = "\n".join(sends if line.startswith("sends:") else line for line in text.splitlines())
     scenario = load_scenario("bumps-and-fan").model_copy(update={"duration_s": 320.0, "rate_hz": 20.0})
     record_session(scenario, parse_device(text, source), text, 1, tmp_path / "session", lambda _: None)
-    runs = read_runs(tmp_path / "session", None)
+    runs = read_runs(tmp_path / "session")
     assert any("UncompGyro" in said for said in runs[0].warnings) is warned
     train, test = three(nothing, SHORT_S)
     train[0] = replace(train[0], warnings=runs[0].warnings)

@@ -90,6 +90,6 @@ def test_a_bias_that_stays_within_a_step_is_not_known_to_be_complete() -> None:
     diagnosis = found(creep, 12.0)
     (verdict,) = diagnosis.verdicts
     assert verdict.test_after is not None
-    within = replace(verdict.test_after, rms=0.1 * verdict.channel.floor.sd)
+    within = verdict.test_after._replace(rms=0.1 * verdict.channel.floor.sd)
     verdict = replace(verdict, claims=[], unexplained=False, test_after=within)
     assert verdict.row.state == "too few digits"

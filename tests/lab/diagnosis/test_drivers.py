@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imumon.estimation.gyro_bias.stage import RestDetector
 from imumon.geodesy import DEG_PER_H
 from imumon.lab.diagnosis.diagnose import diagnose
 from imumon.lab.diagnosis.extended import extended_model
@@ -75,7 +74,7 @@ def recorded(folder: Path, seed: int) -> Path:
 def test_a_simulated_driver_is_found_in_a_log_and_followed_live(tmp_path: Path) -> None:
     (tmp_path / "map.yaml").write_text(MAP)
     tables = [recorded(tmp_path, seed) for seed in (1, 2, 3)]
-    runs = [read_runs(path, tmp_path / "map.yaml", lambda _: [RestDetector()])[0] for path in tables]
+    runs = [read_runs(path, tmp_path / "map.yaml")[0] for path in tables]
     diagnosis = diagnose(runs[:2], runs[2:], sensors=("gyro",))
     said = {v.name: [claim.finding.name for claim in v.claims] for v in diagnosis.verdicts}
     assert said == {"gyro_x": ["curve(supply_voltage)"], "gyro_y": [], "gyro_z": []}
