@@ -44,18 +44,18 @@ Missing values
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-from imumon.errors import ImumonError, Reason
-from imumon.version import __version__
+from .errors import ImumonError, Reason
+from .version import __version__
 
 if TYPE_CHECKING:
-    from imumon.blocks import SampleBlock
-    from imumon.columns import Column
-    from imumon.library.live import Live, open
-    from imumon.library.reading import read, read_blocks
-    from imumon.library.samples import Samples
-    from imumon.models.model import load_model
-    from imumon.pipeline import Estimator, Pipeline
-    from imumon.run.setup import Setup, load_setup
+    from .blocks import SampleBlock
+    from .columns import Column
+    from .library.live import Live, open
+    from .library.reading import read, read_blocks
+    from .library.samples import Samples
+    from .models.model import load_model
+    from .pipeline import Estimator, Pipeline
+    from .run.setup import Setup, load_setup
 
 __all__ = [
     "Column",

@@ -3,7 +3,7 @@
 import os
 import signal
 
-from imumon.errors import EXIT_INTERRUPTED
+from .errors import EXIT_INTERRUPTED
 
 
 def main() -> None:
@@ -11,7 +11,7 @@ def main() -> None:
     # Not where it is ignored, as under nohup.
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, lambda *_: os._exit(EXIT_INTERRUPTED))
-    from imumon.cli import main as command_line
+    from .cli import main as command_line
 
     command_line()
 

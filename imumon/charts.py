@@ -5,7 +5,7 @@ Plain data: who makes a chart knows nothing of who draws it.
 
 from typing import NamedTuple
 
-from imumon.blocks import FloatArray
+from .blocks import FloatArray
 
 Color = tuple[int, int, int]
 """Red, green, blue, 0 to 255 each."""

@@ -11,8 +11,8 @@ from typing import Annotated, Any, TypeVar, get_args
 import yaml
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
-from imumon.errors import ImumonError, bad_config
-from imumon.files import read_text
+from .errors import ImumonError, bad_config
+from .files import read_text
 
 DEEPEST = 50
 """Lists and mappings within each other; what imumon writes has ten at most."""

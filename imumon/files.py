@@ -8,7 +8,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from imumon.errors import ImumonError, Reason, bad_config, bad_data
+from .errors import ImumonError, Reason, bad_config, bad_data
 
 UNREADABLE = "give the path of a file that is there, and that you may read"
 LARGEST_TEXT = 4 << 20

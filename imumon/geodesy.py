@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from imumon.blocks import FloatArray
+from .blocks import FloatArray
 
 EARTH_RATE = 7.292115e-5
 """rad/s, WGS-84."""

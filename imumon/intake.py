@@ -10,10 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from imumon.blocks import NO_INT, BoolArray, ColumnArray, Columns, FloatArray, IntArray, SampleBlock, missing
-from imumon.filters.slots import SlotGatherer, Slots
-from imumon.geodesy import STANDARD_GRAVITY
-from imumon.protocols.ranges import Ranges
+from .blocks import NO_INT, BoolArray, ColumnArray, Columns, FloatArray, IntArray, SampleBlock, missing
+from .filters.slots import SlotGatherer, Slots
+from .geodesy import STANDARD_GRAVITY
+from .protocols.ranges import Ranges
 
 RANGES: dict[str, tuple[float, float, str]] = {
     "gyro_": (-1e3, 1e3, "rad/s"),

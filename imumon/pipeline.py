@@ -14,23 +14,23 @@ from types import MappingProxyType
 
 import numpy as np
 
-from imumon.blocks import NO_INT, ColumnArray, IntArray, SampleBlock, join, missing
-from imumon.charts import Chart
-from imumon.clock import DeviceClock, HostClock
-from imumon.clock.checks import Intervals, NominalRate, Repeats
-from imumon.clock.side import HeldReadings, SharedCounter, SideClock
-from imumon.columns import KNOWN, TIME_COLUMNS, Column, mistyped
-from imumon.errors import bad_config
-from imumon.intake import Intake
-from imumon.lane import LaneState
-from imumon.protocols.base import COMMON, MAIN, ByteArray, Timing
-from imumon.protocols.decoder import Decoder
-from imumon.protocols.device import DeviceFile
-from imumon.protocols.epochs import EpochAssembler
-from imumon.protocols.ranges import Ranges
-from imumon.stage import Estimator as Estimator
-from imumon.stage import GuardedStage, is_own, name_of
-from imumon.transport.statistics import Counters, StreamCounters
+from .blocks import NO_INT, ColumnArray, IntArray, SampleBlock, join, missing
+from .charts import Chart
+from .clock import DeviceClock, HostClock
+from .clock.checks import Intervals, NominalRate, Repeats
+from .clock.side import HeldReadings, SharedCounter, SideClock
+from .columns import KNOWN, TIME_COLUMNS, Column, mistyped
+from .errors import bad_config
+from .intake import Intake
+from .lane import LaneState
+from .protocols.base import COMMON, MAIN, ByteArray, Timing
+from .protocols.decoder import Decoder
+from .protocols.device import DeviceFile
+from .protocols.epochs import EpochAssembler
+from .protocols.ranges import Ranges
+from .stage import Estimator as Estimator
+from .stage import GuardedStage, is_own, name_of
+from .transport.statistics import Counters, StreamCounters
 
 BY_RATE = ("rows", "counter")
 """What dates rows with the nominal rate."""

@@ -7,7 +7,7 @@ from importlib.metadata import EntryPoint, entry_points
 from traceback import extract_tb
 from typing import Any, NamedTuple
 
-from imumon.errors import ImumonError, bad_config
+from .errors import ImumonError, bad_config
 
 STAGES = "imumon.stages"
 """Callables without arguments that return a stage (`imumon.stage.Estimator`)."""

@@ -9,13 +9,13 @@ from typing import Any, Protocol, TypeVar, get_args
 
 import numpy as np
 
-from imumon.blocks import Columns, SampleBlock, missing, nan_for_missing
-from imumon.charts import Chart, Curve
-from imumon.columns import NAME, Column, ColumnType
-from imumon.errors import bad_config
-from imumon.lane import LaneState
-from imumon.plugins import Plugin, described
-from imumon.units import parse_own_unit
+from .blocks import Columns, SampleBlock, missing, nan_for_missing
+from .charts import Chart, Curve
+from .columns import NAME, Column, ColumnType
+from .errors import bad_config
+from .lane import LaneState
+from .plugins import Plugin, described
+from .units import parse_own_unit
 
 STAGE = "callable that returns a stage"
 """What a plug-in offers in the group `imumon.plugins.STAGES`, in words."""

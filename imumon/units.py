@@ -6,7 +6,7 @@ from fractions import Fraction
 from functools import lru_cache
 from typing import NamedTuple
 
-from imumon.blocks import FloatArray
+from .blocks import FloatArray
 
 _PI = Fraction("3.1415926535897932384626433832795028841971693993751")
 _BASE = {"rad", "s", "m", "kg", "A", "K", "V", "N", "J", "W", "ohm", "Pa", "T", "Hz"}

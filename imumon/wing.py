@@ -86,7 +86,7 @@ def wings() -> tuple[Wing, ...]:
 
     Raises BAD_CONFIG when one of another package does not load.
     """
-    from imumon.plugins import WINGS, plugins  # not for --help: it loads importlib.metadata
+    from .plugins import WINGS, plugins  # not for --help: it loads importlib.metadata
 
     return *built_in(), *(plugin.offered for plugin in plugins(WINGS, NEEDED, is_wing))
 
