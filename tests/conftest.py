@@ -53,6 +53,11 @@ _LONG = (
 Some compute and some wait for a device in real time, in turn, so that no core is without work."""
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add `--all`."""
+    parser.addoption("--all", action="store_true", help="run the tests marked `long` too")
+
+
 def pytest_configure(config: pytest.Config) -> None:
     """Compile what has changed before the first of parallel tests, so that none has to wait, and none twice.
 
@@ -71,7 +76,7 @@ def pytest_collection(session: pytest.Session) -> None:
     """Let each of the parallel processes begin elsewhere: what one has compiled, the others find."""
     gc.disable()  # what is imported stays
     given = getattr(session.config, "workerinput", None)
-    if given is not None and session.config.args == session.config.getini("testpaths"):
+    if given is not None and _is_whole(session.config):
         files = sorted(_TESTS.rglob("test_*.py"))
         share = -(-len(files) // given["workercount"])
         first = int(given["workerid"].removeprefix("gw")) * share
@@ -80,9 +85,18 @@ def pytest_collection(session: pytest.Session) -> None:
                 importlib.import_module(".".join(path.relative_to(_TESTS.parent).with_suffix("").parts))
 
 
+def _is_whole(config: pytest.Config) -> bool:
+    """Return whether no file or test was named."""
+    return bool(config.args == config.getini("testpaths"))
+
+
 @pytest.hookimpl(tryfirst=True)  # xdist looks for the groups in the same hook
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Begin with the groups that take longest."""
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Leave out the long tests unless they or `--all` are named; begin with the groups that take longest."""
+    if _is_whole(config) and not config.getoption("all"):
+        long = [item for item in items if item.get_closest_marker("long")]
+        config.hook.pytest_deselected(items=long)
+        items[:] = [item for item in items if not item.get_closest_marker("long")]
     groups = [_group(item.nodeid) for item in items]
     place = {group: _LONG.index(group) if group in _LONG else len(_LONG) for group in groups}
     items.sort(key=lambda item: place[_group(item.nodeid)])

@@ -80,6 +80,7 @@ def run(package: Path, **environment: str) -> tuple[str, list[str]]:
     return done.stdout.strip(), sorted(re.findall(r"^compiling (?:made\.)?(\w+)", done.stderr, re.MULTILINE))
 
 
+@pytest.mark.long
 def test_an_edit_of_any_file_and_an_index_that_names_a_lost_class_compile_anew(package: Path) -> None:
     assert run(package) == ("7.0 1.5", ["inner", "outer", "unrelated"])
     assert run(package) == ("7.0 1.5", [])
@@ -93,6 +94,7 @@ def test_an_edit_of_any_file_and_an_index_that_names_a_lost_class_compile_anew(p
     assert run(package) == ("16.0 1.5", [])
 
 
+@pytest.mark.long
 def test_code_of_a_package_that_cannot_be_written_is_kept_elsewhere(package: Path, tmp_path: Path) -> None:
     (package / "__pycache__").write_text(
         "a file where the folder would be, as nobody stops root from writing"

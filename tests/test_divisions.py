@@ -71,6 +71,7 @@ def run(block: SampleBlock, setup: Setup, sizes: list[int]) -> SampleBlock:
     return join([*parts, pipeline.take()])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", SETUPS)
 def test_any_division_into_blocks_gives_the_same_bits(name: str, disturbed: SampleBlock) -> None:
     whole = run(disturbed, SETUPS[name], [len(disturbed)])

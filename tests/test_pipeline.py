@@ -62,6 +62,7 @@ def run(pieces: list[tuple[bytes, int]], take_every: int) -> tuple[SampleBlock, 
     return join([*blocks, pipeline.take()]), pipeline
 
 
+@pytest.mark.long
 @given(cuts=st.lists(st.integers(1, 57), max_size=12), take_every=st.integers(1, 50))
 @settings(max_examples=20, deadline=None)
 def test_samples_do_not_depend_on_chunks_or_blocks(cuts: list[int], take_every: int) -> None:
@@ -83,6 +84,7 @@ def test_samples_do_not_depend_on_chunks_or_blocks(cuts: list[int], take_every: 
     assert one.hexdigest() == many.hexdigest()
 
 
+@pytest.mark.long
 @given(together=st.lists(st.integers(1, 40), min_size=1, max_size=6), cut=st.integers(1, 57))
 @settings(max_examples=20, deadline=None)
 def test_reads_given_together_are_those_given_one_by_one(together: list[int], cut: int) -> None:

@@ -79,6 +79,7 @@ def test_every_script_imports(scripts: Path) -> None:
         import_module(name)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("command", commands(), ids=" ".join)
 def test_a_small_run_goes_to_its_end(
     command: tuple[str, ...],

@@ -70,6 +70,7 @@ def done(table: Path) -> subprocess.CompletedProcess[str]:
     )  # fmt: skip
 
 
+@pytest.mark.long
 def test_json_has_curve_and_terms_of_every_channel(done: subprocess.CompletedProcess[str]) -> None:
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)

@@ -46,6 +46,7 @@ def test_what_is_no_recording_is_refused_with_the_reason(tmp_path: Path) -> None
     assert "no two numbers" in refusal(write(tmp_path, columns() | nothing))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("factor", [1e-9, 1e-6, 1e-3])
 def test_times_in_another_unit_are_refused(tmp_path: Path, factor: float) -> None:
     made = columns()

@@ -164,6 +164,7 @@ def test_what_is_neither_a_session_nor_a_port_is_reported(tmp_path: Path) -> Non
     assert "its device must be named" in refused("/dev/ttyUSB77", "--latitude", 36)
 
 
+@pytest.mark.long
 def test_a_live_unit_is_aligned_through_its_port_and_recorded(tmp_path: Path) -> None:
     """In real time, so with a rough sigma."""
     file = tmp_path / "quick.yaml"

@@ -164,6 +164,7 @@ def test_decode_writes_the_same_numbers_as_csv(capture: Path, tmp_path: Path) ->
     assert [int(row[1]) for row in rows[1:]] == table["status"].to_pylist()
 
 
+@pytest.mark.long
 def test_a_recorded_session_replays_bit_for_bit(session: Path, tmp_path: Path) -> None:
     result = answer("replay", session, "--out", tmp_path / "a.parquet", "--speed", "max")
     assert result["identical_to_live"] is True
@@ -341,6 +342,7 @@ def shell(line: str, cwd: Path) -> subprocess.CompletedProcess[str]:
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("redirection", ["2>/dev/full", ">&- 2>&- <&-", "2> >(head -c 1 >/dev/null)"])
 def test_a_recording_does_not_depend_on_who_reads_its_messages(tmp_path: Path, redirection: str) -> None:
     with VirtualDevice(load_device("ax1"), tmp_path / "ahrs"):
@@ -443,6 +445,7 @@ def test_a_kill_and_a_closed_terminal_end_the_monitor_in_order_but_not_under_noh
     assert answer("replay", tmp_path / "s")["identical_to_live"] is True
 
 
+@pytest.mark.long
 def test_two_monitors_started_at_once_get_sessions_of_their_own(tmp_path: Path) -> None:
     with VirtualDevice(load_device("ax1"), tmp_path / "a"), VirtualDevice(load_device("ax1"), tmp_path / "b"):
         command = [IMUMON, "monitor", "--device", "ax1", "--view", "none", "--seconds", "1.5", "--json"]

@@ -56,6 +56,7 @@ def test_fields_that_share_bytes_are_reported(capture: Path, tmp_path: Path) -> 
     assert "share byte" not in done.stderr
 
 
+@pytest.mark.long
 def test_monitor_and_replay_doubt_a_wrong_unit(tmp_path: Path) -> None:
     wrong = device(tmp_path, (FORCE, FORCE.replace("1.0e-6", "1.0e-9")))
     with VirtualDevice(load_device("ax1"), tmp_path / "ahrs") as ahrs:
@@ -66,6 +67,7 @@ def test_monitor_and_replay_doubt_a_wrong_unit(tmp_path: Path) -> None:
     assert imumon("replay", tmp_path / "s").stderr.count(DOUBT) == 1
 
 
+@pytest.mark.long
 def test_a_wrong_checksum_in_the_file_is_not_blamed_on_the_baud_rate(tmp_path: Path) -> None:
     wrong = device(tmp_path, ("type: fletcher16-256", "type: crc16-modbus"))
     with VirtualDevice(load_device("ax1"), tmp_path / "ahrs") as ahrs:

@@ -22,6 +22,7 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("command", "told"), [(["replay", "--speed", "max"], '"rows": 300'), (["view"], '"samples": 300')]
 )
@@ -49,6 +50,7 @@ def test_a_session_in_the_browser_is_served_until_it_is_interrupted_and_its_read
     assert told in out
 
 
+@pytest.mark.long
 def test_without_a_display_a_native_view_reports_it(session: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in [name for name in os.environ if "DISPLAY" in name]:
         monkeypatch.delenv(name)

@@ -42,6 +42,7 @@ def recorded(path: str, baudrate: int, seconds: float, to: Path) -> float:
     return took_s
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", DEVICES)
 def test_the_device_sends_what_was_requested(name: str, tmp_path: Path) -> None:
     with VirtualDevice(load_device(name), tmp_path / "imu") as virtual:
@@ -65,6 +66,7 @@ def test_the_device_sends_what_was_requested(name: str, tmp_path: Path) -> None:
     assert np.isfinite(table["gyro_x"]).mean() > 0.95
 
 
+@pytest.mark.long
 def test_without_save_nothing_survives_power_off(tmp_path: Path) -> None:
     with VirtualDevice(load_device("vectornav"), tmp_path / "imu") as virtual:
         path = virtual.port.path
@@ -146,6 +148,7 @@ def test_a_device_that_only_sends_is_reported_as_deaf(tmp_path: Path) -> None:
     assert "sends, but no vectornav device answers" in done.stderr
 
 
+@pytest.mark.long
 def test_a_device_that_is_silent_is_found_by_asking_and_left_silent(tmp_path: Path) -> None:
     with VirtualDevice(load_device("microstrain"), tmp_path / "imu") as virtual:
         firmware = firmware_of(virtual)
@@ -173,6 +176,7 @@ def test_json_states_what_failed(tmp_path: Path) -> None:
     assert [item["answered"] for item in result["sent"]].count(None) >= 2
 
 
+@pytest.mark.long
 def test_on_its_own_imumon_sends_nothing(tmp_path: Path) -> None:
     with VirtualDevice(load_device("vectornav"), tmp_path / "imu") as virtual:
         path, firmware = virtual.port.path, firmware_of(virtual)

@@ -11,6 +11,7 @@ from support import tutorials
 from tests.data_folder import measured
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("page", tutorials.PAGES, ids=lambda page: page.stem)
 def test_tutorial(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     if "IMUMON_DATA" in page.read_text(encoding="utf-8"):

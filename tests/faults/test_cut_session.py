@@ -27,6 +27,7 @@ def cut(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("command", ["decode", "export", "replay", "allan", "report", "batch", "catalog"])
 def test_every_command_states_how_many_bytes_are_missing(cut: Path, tmp_path: Path, command: str) -> None:
     given = {

@@ -12,6 +12,7 @@ PATIENCE = LIMIT_S / EXIT_S
 """How long the end takes on a machine with nothing else to do, `scripts/soak killed` measures."""
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("rate_hz", "after_s"), [(100.0, 1.3), (1000.0, 6.2)])
 def test_a_killed_monitor_has_kept_what_is_older_than_promised(
     tmp_path: Path, rate_hz: float, after_s: float
@@ -20,5 +21,6 @@ def test_a_killed_monitor_has_kept_what_is_older_than_promised(
     assert age_s <= allowed_s(late_s)
 
 
+@pytest.mark.long
 def test_a_monitor_that_was_stopped_goes_on_and_ends_in_order(tmp_path: Path) -> None:
     assert not interrupt(tmp_path / "session", signal.SIGTERM, 0.5, PATIENCE)

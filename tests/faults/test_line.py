@@ -19,11 +19,13 @@ BRIEF = [
 ]
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("no_leaks")
 def test_a_line_that_fails_costs_what_it_touched_and_is_reported(tmp_path: Path) -> None:
     wrong = {name: o.wrong for name, o in strike_all(tmp_path, BRIEF, 1, 0.5, LIMIT_S) if o.wrong}
     assert not wrong
 
 
+@pytest.mark.long
 def test_what_another_process_takes_is_missing_and_reported(tmp_path: Path) -> None:
     assert not steal(tmp_path, 1, 0.5, LIMIT_S).wrong

@@ -77,6 +77,7 @@ TOLD = {
 }
 
 
+@pytest.mark.long
 def test_a_calibration_is_the_one_without_the_fault_and_counts_it(
     bench: dict[str, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -91,6 +92,7 @@ def test_a_calibration_is_the_one_without_the_fault_and_counts_it(
         assert texts.count("left out of all estimates") == texts.count("in all)"), fault
 
 
+@pytest.mark.long
 def test_a_thermometer_that_reads_zero_at_first_is_none_till_then(
     bench: dict[str, Path], tmp_path: Path
 ) -> None:
@@ -102,6 +104,7 @@ def test_a_thermometer_that_reads_zero_at_first_is_none_till_then(
     assert "temperature while its values are nothing but zero (" in " ".join(said)
 
 
+@pytest.mark.long
 def test_what_is_refused_states_what_was_left_out(bench: dict[str, Path], tmp_path: Path) -> None:
     dead = bench["a dead temperature"]
     columns = chamber() | {f"mag_{axis}": np.full(len(chamber()["gyro_x"]), 1e12) for axis in "xyz"}
@@ -145,6 +148,7 @@ def test_a_batch_and_a_catalog_have_the_figures_of_what_can_be(
     assert (np.nanmax(sent) == 1e10) == ("1e10" in fault)
 
 
+@pytest.mark.long
 def test_a_smoothed_replay_has_its_rows_where_they_were_sent(tmp_path: Path) -> None:
     n, rate_hz = 3000, 50.0
     found = {}
@@ -184,6 +188,7 @@ PLACE = st.tuples(
 )
 
 
+@pytest.mark.long
 @given(places=st.lists(PLACE, min_size=1, max_size=5))
 @settings(max_examples=2, deadline=None)
 def test_readings_that_cannot_be_change_what_losing_them_changes(
@@ -210,6 +215,7 @@ def complete() -> tuple[Columns, Record]:
         return clean, read_session(write_session(Path(folder) / "whole", clean, 1.0))[0]
 
 
+@pytest.mark.long
 @given(places=st.lists(PLACE, min_size=1, max_size=5))
 @settings(max_examples=3, deadline=None)
 def test_losing_readings_changes_means_by_what_they_weighed(

@@ -19,6 +19,7 @@ LENGTH_S = 210.0
 
 # With a latitude there is every stage, and the one that seeks the heading; without one the earth rate is in
 # the bias.
+@pytest.mark.long
 @pytest.mark.parametrize(("latitude_deg", "names"), [(None, SEVERE[:1] + SEVERE[-1:]), (48.0, SEVERE)])
 def test_every_stage_recovers_when_the_data_is_good_again(
     latitude_deg: float | None, names: list[str]
@@ -29,6 +30,7 @@ def test_every_stage_recovers_when_the_data_is_good_again(
         assert outcome.alive_after_s < SOON_S, name
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "latitude_deg"),
     [*((name, 48.0) for name in sorted(VARIANTS.keys() - {"4 kHz"})), ("0.01 Hz", None), ("no gyro", None)],

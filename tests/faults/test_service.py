@@ -15,6 +15,7 @@ from tests.faults.service import Service, wait_for_sessions
 from tests.waiting import LIMIT_S
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("no_leaks")
 def test_a_recording_that_is_killed_is_begun_again_and_both_sessions_are_good(tmp_path: Path) -> None:
     with VirtualDevice(load_device("ax1"), tmp_path / "ahrs") as ahrs:

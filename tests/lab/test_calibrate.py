@@ -61,6 +61,7 @@ def short(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return imported(tmp_path_factory.mktemp("short"), np.linspace(20.0, 23.0, 750))
 
 
+@pytest.mark.long
 def test_a_session_becomes_a_model(session: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     few_steps(monkeypatch)
     out = tmp_path / "model.yaml"
@@ -86,6 +87,7 @@ def test_a_session_becomes_a_model(session: Path, tmp_path: Path, monkeypatch: p
     assert "is there already" in again.stderr
 
 
+@pytest.mark.long
 def test_the_table_for_people_marks_what_is_chosen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     few_steps(monkeypatch)
     temperature = soak(300.0)[:3600:4]
@@ -153,6 +155,7 @@ def test_a_folder_that_is_not_there_is_reported(short: Path, tmp_path: Path) -> 
     assert imumon("calibrate", tmp_path / "nothing", "--out", tmp_path / "m.yaml").returncode == 4
 
 
+@pytest.mark.long
 def test_a_measured_chamber_cycle_gives_a_model_that_admits_its_residual(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -37,6 +37,7 @@ def tables(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.long
 def test_tables_are_diagnosed_into_report_page_and_model(tables: Path) -> None:
     paths = [tables / f"{name}.csv" for name in "abc"]
     out = tables / "found"
@@ -103,6 +104,7 @@ def test_a_declared_model_that_is_none_is_refused(tables: Path, declared: str) -
     assert "polynomial N" in done.stderr
 
 
+@pytest.mark.long
 def test_the_chamber_cycle_is_never_made_worse(tmp_path: Path) -> None:
     folder = measured("chamber-cycle")
     lines = (folder / "cooling-heating.csv").read_text(encoding="utf-8").splitlines()
@@ -132,6 +134,7 @@ def test_the_chamber_cycle_is_never_made_worse(tmp_path: Path) -> None:
     assert channels["gyro_y"]["unexplained"]
 
 
+@pytest.mark.long
 def test_the_worked_case_of_the_page_is_what_the_command_prints(tmp_path: Path) -> None:
     docs = Path(__file__).parents[2] / "docs"
     pages = (docs / "closing-the-loop.md", docs / "appendix" / "closing-the-loop-details.md")

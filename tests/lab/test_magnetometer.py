@@ -65,6 +65,7 @@ def test_a_figure_eight_becomes_part_of_the_model(tmp_path: Path) -> None:
     assert "not calibrated" not in done.stderr
 
 
+@pytest.mark.long
 def test_too_little_turned_is_refused(tmp_path: Path) -> None:
     done = imumon("magnetometer", imported(tmp_path, over=False), "--out", tmp_path / "unit.yaml")
     assert done.returncode == 4

@@ -202,6 +202,7 @@ def test_a_device_that_falls_silent_within_a_packet_is_silent(tmp_path: Path, re
         port.close()
 
 
+@pytest.mark.long
 def test_no_other_thread_counts_while_the_pipeline_decodes(
     device: VirtualDevice, record: Path | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -296,6 +296,7 @@ def _microstrain_stream() -> tuple[str, list[bytes]]:
     return "microstrain", _mip_epochs(60, split=True)
 
 
+@pytest.mark.long
 @given(chunk=st.integers(1, 3000), seed=st.integers(0, 50))
 @settings(max_examples=30, deadline=None)
 def test_any_chunking_gives_the_same_rows(chunk: int, seed: int) -> None:

@@ -117,6 +117,7 @@ def test_a_port_that_another_program_has_is_reported_and_tried_again(port: int) 
         assert publisher.state.dropped > 0
 
 
+@pytest.mark.long
 def test_a_viewer_that_does_not_read_is_reported_and_holds_nobody_up(port: int) -> None:
     with publishing(port) as publisher:
         stream = Stream(publisher.publish)

@@ -159,6 +159,7 @@ def test_what_the_system_does_not_take_is_counted() -> None:
         assert publisher.state.sent == 0
 
 
+@pytest.mark.long
 def test_monitor_publishes_what_it_records(receiver: Receiver, tmp_path: Path) -> None:
     with VirtualDevice(AX1, tmp_path / "ahrs") as ahrs:
         found = answer(

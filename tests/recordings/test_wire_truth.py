@@ -68,6 +68,7 @@ def whole(request: pytest.FixtureRequest, tmp_path: Path) -> bytes:
     return path.read_bytes()
 
 
+@pytest.mark.long
 def test_every_bit_of_every_length(whole: bytes, tmp_path: Path) -> None:
     def flipped() -> Iterator[tuple[str, bytes]]:
         for at, opcode in records(whole):

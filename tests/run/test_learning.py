@@ -77,6 +77,7 @@ def send(master: int, data: bytes) -> None:
         data = data[os.write(master, data[:PIECE]) :]
 
 
+@pytest.mark.long
 def test_a_lacking_model_is_warned_of_learned_live_and_the_next_session_is_better_by_as_much(
     present: Path, tmp_path: Path
 ) -> None:

@@ -279,6 +279,7 @@ def test_a_stage_that_fails_ends_neither_the_view_nor_the_recording(tmp_path: Pa
     assert summary.wire.bytes_on_disk == summary.counters.bytes_received
 
 
+@pytest.mark.long
 def test_a_device_that_sends_every_two_seconds_is_not_called_silent(tmp_path: Path) -> None:
     text = device_text("ax1")[0].replace("rate_hz: 100", "rate_hz: 0.5")
     slow, watcher = parse_device(text, "slow"), Watcher()

@@ -67,6 +67,7 @@ def calibrated(truth: SampleBlock) -> BiasModel:
     return BiasModel(made_by="test", created="now", channels=channels)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("known", ["heading", "model"])
 def test_the_bias_is_that_of_the_unit_whatever_is_known(session: Path, known: str) -> None:
     truth = truth_of(session)

@@ -33,6 +33,7 @@ def warming(n: int, starts_at: int) -> SampleBlock:
     )
 
 
+@pytest.mark.long
 @given(cuts=st.lists(st.integers(1, 2399), max_size=8), starts_at=st.integers(0, 900))
 @settings(max_examples=10, deadline=None)
 def test_a_channel_that_comes_late_is_the_same_whatever_the_blocks(cuts: list[int], starts_at: int) -> None:
@@ -77,6 +78,7 @@ def test_join_keeps_blocks_in_order() -> None:
     np.testing.assert_array_equal(joined["b"], [np.nan, 1.0])
 
 
+@pytest.mark.long
 def test_published_methods_run_beside_the_defaults_and_change_nothing_of_them() -> None:
     rng = np.random.default_rng(0)
     n = 4000

@@ -105,6 +105,7 @@ def colours_in(image: Path, colours: tuple[tuple[int, int, int], ...]) -> list[i
     return [int((np.abs(pixels - np.array(colour)).max(axis=2) < 12).sum()) for colour in colours]
 
 
+@pytest.mark.long
 @pytest.mark.viewer
 def test_viewer_shows_the_stream(publish: Publish, headless: StartViewer, port: int, tmp_path: Path) -> None:
     headless(port)
@@ -141,6 +142,7 @@ def test_viewer_shows_the_stream(publish: Publish, headless: StartViewer, port: 
     stream.run_until(is_drawn, "the rates are drawn")
 
 
+@pytest.mark.long
 @pytest.mark.viewer
 def test_a_viewer_that_comes_later_sees_all_from_the_start(
     publish: Publish, headless: StartViewer, port: int
@@ -161,6 +163,7 @@ def test_a_viewer_that_comes_later_sees_all_from_the_start(
     assert (publisher.restarts, publisher.dropped) == (0, 0)
 
 
+@pytest.mark.long
 @pytest.mark.viewer
 def test_an_open_viewer_goes_on_with_a_view_process_that_is_started_again(
     publish: Publish, headless: StartViewer, port: int
@@ -197,6 +200,7 @@ def test_stopped_viewer_costs_little_and_gets_what_it_missed(
     assert time.monotonic() - started < LIMIT_S
 
 
+@pytest.mark.long
 @pytest.mark.viewer
 def test_what_was_sent_last_is_shown_before_the_view_ends(
     publish: Publish, headless: StartViewer, port: int
@@ -211,6 +215,7 @@ def test_what_was_sent_last_is_shown_before_the_view_ends(
     assert wait_until(lambda: seen(port)["sample"][1] == stream.sent - 1), (seen(port), stream.sent)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("mode", ["native", "web"])
 def test_second_reader_gets_exact_samples_from_the_stream(
     publish: Publish, port: int, tmp_path: Path, mode: Mode
@@ -234,6 +239,7 @@ def test_second_reader_gets_exact_samples_from_the_stream(
     np.testing.assert_array_equal(accel, stream.column(ACCEL)[sample])
 
 
+@pytest.mark.long
 def test_killed_view_process_is_started_again_on_the_same_ports(publish: Publish, port: int) -> None:
     publisher = publish("web", port)
     stream = Stream(publisher.publish)
@@ -279,6 +285,7 @@ def test_on_this_machine_only_and_by_no_other_web_site_the_stream_is_read(
             assert (b"live-1" in shown) == (status == 200)
 
 
+@pytest.mark.long
 def test_without_any_viewer_publishing_goes_on_and_the_state_gives_the_reason(
     publish: Publish, port: int
 ) -> None:
@@ -308,6 +315,7 @@ def test_stopped_view_process_costs_bounded_memory_and_does_not_block_exit(
     assert time.monotonic() - started < LIMIT_S
 
 
+@pytest.mark.long
 def test_view_process_that_takes_nothing_is_started_again(
     publish: Publish, port: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:

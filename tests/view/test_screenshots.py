@@ -78,6 +78,7 @@ def test_an_empty_panel_is_one_without_colour_or_letters(tmp_path: Path) -> None
     assert not is_empty(rrb.TextDocumentView(origin="/a"), tmp_path / "a.png")
 
 
+@pytest.mark.long
 @pytest.mark.viewer
 @pytest.mark.usefixtures("vulkan")
 def test_a_real_viewer_shows_something_in_every_panel(tmp_path: Path) -> None:

@@ -140,6 +140,7 @@ def _in_terminal(
 SHOWN = ("Port open", "angular rate", "specific force", "temperature", "°/s", "packets")
 
 
+@pytest.mark.long
 def test_a_live_run_in_a_real_terminal(tmp_path: Path) -> None:
     columns, rows = 80, 24
 
@@ -163,6 +164,7 @@ def test_a_live_run_in_a_real_terminal(tmp_path: Path) -> None:
     assert "recorded" in text[text.index("\x1b[?1049l") :]
 
 
+@pytest.mark.long
 def test_keys_mark_without_a_view_too(tmp_path: Path) -> None:
     def is_marked(_: str) -> bool:
         return b"key m" in b"".join(wire.read_bytes() for wire in tmp_path.glob("sessions/*/wire.mcap"))

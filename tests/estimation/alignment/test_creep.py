@@ -116,6 +116,7 @@ def test_a_constant_creep_that_begins_after_half_a_turn_is_in_the_sigma(
     assert np.sqrt(np.mean(np.square(ratios))) < 1.8
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("mrad_per_s", "seconds"), [(0.05, 900.0), (0.02, 1800.0)])
 def test_a_constant_creep_that_has_ended_is_in_the_sigma_as_a_whole(
     mrad_per_s: float, seconds: float
@@ -142,6 +143,7 @@ def test_a_creep_before_the_last_fit_and_since_then_adds_up_as_an_angle() -> Non
     assert math.sqrt(first.sd**2 - last.sd**2) > 0.030
 
 
+@pytest.mark.long
 def test_a_creep_against_a_larger_bias_is_in_the_sigma() -> None:
     t = np.arange(406 * 20 + 1) / 20.0
     creep = math.radians(-5.0) / 3600.0 * np.clip(t - 106.0, 0.0, None)
@@ -156,6 +158,7 @@ def test_a_creep_against_a_larger_bias_is_in_the_sigma() -> None:
     assert np.abs(ratios).max() < 4.0
 
 
+@pytest.mark.long
 def test_a_short_first_position_of_a_noisy_gyro_does_not_widen_hours_of_rest() -> None:
     t = np.arange(4 * 3600 * 2 + 1) / 2.0
     bumped = Rotation.from_rotvec(np.outer(math.radians(0.5) * np.clip(t - 15.0, 0.0, 1.0), UP))

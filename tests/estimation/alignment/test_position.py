@@ -55,6 +55,7 @@ def test_a_gap_of_some_seconds_is_no_rest() -> None:
     assert stage.status.rest_s == pytest.approx(56.0, abs=0.5)
 
 
+@pytest.mark.long
 def test_an_hour_of_rest_is_as_good_as_it_should_be() -> None:
     block = samples(scenario(3600.0, rate_hz=4.0, arw=1e-3))
     stage, _ = aligned(block, {"accel_bias_sd_ug": 10.0, "gyro_bias_sd_deg_per_h": 0.0})

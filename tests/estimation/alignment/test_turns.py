@@ -74,6 +74,7 @@ def test_a_wobbling_hand_does_not_turn_the_second_position(
     assert sd < 0.3
 
 
+@pytest.mark.long
 def test_a_declared_scale_error_is_in_the_sigma_of_the_turn_and_of_coning() -> None:
     ratios = []
     for seed in range(6):
@@ -91,6 +92,7 @@ def stepped(t: FloatArray, turns: int, degrees: float, rest_s: float) -> Rotatio
     return Rotation.from_rotvec(math.radians(degrees) * np.outer(way, UP))
 
 
+@pytest.mark.long
 def test_an_error_of_scale_is_the_same_in_all_turns() -> None:
     ratios = []
     t = np.arange(round((12 * 20.0 + 11 * 4.0) * 20.0) + 1) / 20.0

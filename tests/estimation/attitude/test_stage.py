@@ -126,6 +126,7 @@ def test_a_heading_at_rest_does_not_drift() -> None:
     assert np.ptp(heading) < np.radians(0.02)  # the bias alone would turn it by seven degrees
 
 
+@pytest.mark.long
 def test_mixed_up_axes_are_reported_and_are_in_the_sigma_of_tilt_and_heading() -> None:
     made = scene()
     mixed = without_mag(made.block).with_columns({"gyro_z": -made.block["gyro_z"]})
@@ -308,6 +309,7 @@ def test_each_new_reference_of_a_free_heading_is_reported(heading_deg: float | N
     assert all(text.endswith(f"the relative heading counts from {reference:.0f}° again") for text in said)
 
 
+@pytest.mark.long
 def test_samples_too_far_apart_for_an_attitude_do_not_begin_one_anew() -> None:
     block = without_mag(scene(seconds=30.0).block)
     slow = block.with_columns({"device_time_ns": 50 * block["device_time_ns"]})  # 2 Hz

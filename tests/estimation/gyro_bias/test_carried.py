@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.estimation.gyro_bias.stage import RestAndBias
@@ -45,6 +46,7 @@ def model_of(truth: SampleBlock) -> BiasModel:
     return BiasModel(made_by="test", created="2026-01-01T00:00:00Z", channels=channels)
 
 
+@pytest.mark.long
 def test_a_change_that_the_temperature_explains_is_no_turn_and_does_not_cost_the_bias() -> None:
     scenario = carried()
     samples, truth = SimulatedUnit(scenario, 9).run(scenario.samples)

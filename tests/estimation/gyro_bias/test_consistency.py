@@ -40,6 +40,7 @@ def runs(truth: Truth, parameters: GyroBiasParameters) -> tuple[FloatArray, Floa
     return np.array(errors), np.concatenate(innovations)
 
 
+@pytest.mark.long
 def test_with_known_noise_errors_and_innovations_are_within_chi_square_bounds() -> None:
     known = GyroBiasParameters(
         assume_at_rest=True,
@@ -55,6 +56,7 @@ def test_with_known_noise_errors_and_innovations_are_within_chi_square_bounds() 
     assert np.abs(lagged).max() < 0.1
 
 
+@pytest.mark.long
 def test_with_nothing_known_the_claim_is_careful_not_bold() -> None:
     """The axes wander differently: each has its own bounds."""
     flicker = np.array([1.0, 2.0, 5.0]) * DPH
@@ -68,6 +70,7 @@ def test_with_nothing_known_the_claim_is_careful_not_bold() -> None:
     assert np.mean(innovations**2, axis=0) == pytest.approx(np.ones(3), abs=0.08)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("arw_deg", [0.03, 0.3])
 def test_the_sigma_is_true_of_a_gyro_that_mostly_flickers(arw_deg: float) -> None:
     """27 °/h in each decade are more than the white noise of a second, or of a hundredth."""
@@ -82,6 +85,7 @@ def test_the_sigma_is_true_of_a_gyro_that_mostly_flickers(arw_deg: float) -> Non
     assert np.mean(np.abs(z) > 5.0) < 2e-3
 
 
+@pytest.mark.long
 def test_without_a_model_the_claim_holds_while_it_moves_and_warms_up() -> None:
     t = np.arange(15000) / 10
     temperature = 25.0 + 20.0 * (1.0 - np.exp(-t / 400.0))
@@ -105,6 +109,7 @@ def test_without_a_model_the_claim_holds_while_it_moves_and_warms_up() -> None:
     assert largest < 5.0
 
 
+@pytest.mark.long
 def test_the_sigma_is_true_for_five_decades_of_flicker() -> None:
     """White noise and five decades of flicker of an MTi-28A: Allan deviation 127 deg/h at 1 s, floor 9."""
     white, sd, rate_hz, n = 127.0 * DPH, 12.0 * DPH, 10.0, 18000
@@ -125,6 +130,7 @@ def test_the_sigma_is_true_for_five_decades_of_flicker() -> None:
     assert 0.5 < np.sqrt(np.mean(normalised)) < 1.25
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("walk", "times"), [(2e-7, 3.0), (2e-5, 1.0)])  # as docs/random-error.md has it
 def test_a_walk_without_flicker_has_too_large_a_sigma_if_it_is_weak(walk: float, times: float) -> None:
     normalised = []
@@ -135,6 +141,7 @@ def test_a_walk_without_flicker_has_too_large_a_sigma_if_it_is_weak(walk: float,
     assert 1.0 / np.sqrt(np.mean(np.square(normalised))) == pytest.approx(times, rel=0.2)
 
 
+@pytest.mark.long
 def test_declared_noise_holds_though_a_fan_ran_in_the_first_rest() -> None:
     walk, rate_hz = 2e-6, 10.0
     declared = GyroBiasParameters(rate_random_walk_rad_per_s_per_sqrt_s=walk, assume_at_rest=True)

@@ -34,6 +34,7 @@ def warmed(gap_s: float, seed: int, slope: FloatArray = SLOPE) -> tuple[SampleBl
     return SampleBlock(columns), bias[seen]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("gap_s", [30.0, 60.0, 1100.0])
 def test_the_sigma_knows_of_a_gap_from_the_first_row_behind_it(gap_s: float) -> None:
     ratios = []
@@ -71,6 +72,7 @@ def test_with_a_model_the_lag_that_nobody_saw_is_in_the_sigma() -> None:
     assert (np.abs(vector(added)[first] - bias[first]) < 4.0 * behind).all()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kept", [0.02, 0.05, 0.2])
 def test_what_is_left_of_a_line_that_loses_most_packets_has_more_noise(kept: float) -> None:
     for seed in range(4):
@@ -88,6 +90,7 @@ def test_what_is_left_of_a_line_that_loses_most_packets_has_more_noise(kept: flo
         assert np.abs(error / vector(added, "gyro_bias_sd")[lossy]).max() < 4.0
 
 
+@pytest.mark.long
 def test_a_unit_that_was_turned_in_a_gap_has_another_earth_rate_in_its_bias() -> None:
     truth = Truth(RATE_HZ, arw=ARW / 50.0, flicker=0.02 * DPH)
     earth = EARTH_RATE * np.array([0.75, 0.0, -0.66])

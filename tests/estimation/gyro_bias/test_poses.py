@@ -66,6 +66,7 @@ def in_the_hand(
     return SampleBlock(columns), bias, earth, columns["at_rest"]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("per_g_deg", "place_known"), [(0.0, True), (0.01, False), (0.1, True), (0.1, False)]
 )
@@ -193,6 +194,7 @@ def test_a_second_that_contradicts_the_bias_is_in_doubt_until_another_confirms_i
     assert np.abs(z[t > 10.0]).max() < 5.0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [0, 1])
 def test_north_is_kept_through_steady_turns_though_the_gyros_feel_gravity(seed: int) -> None:
     """Turns of 90° within 2 s, also about the vertical, then 300 s in which the unit is only shaken."""

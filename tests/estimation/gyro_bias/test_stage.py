@@ -62,6 +62,7 @@ def test_rows_before_the_first_gyro_do_not_matter() -> None:
     assert time[0] == 0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("rate_hz", [1.0, 3.0, 10.0, 100.0, 2000.0])
 def test_any_rate(rate_hz: float) -> None:
     truth = Truth(rate_hz=rate_hz, flicker=DPH)

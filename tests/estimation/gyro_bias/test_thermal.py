@@ -42,6 +42,7 @@ def rms(block: SampleBlock, bias: FloatArray, stage: RestAndBias, from_s: float 
     return np.asarray(np.sqrt(np.mean(off**2, axis=0)))
 
 
+@pytest.mark.long
 def test_on_calibrated_data_and_thermal_it_is_one_filter() -> None:
     block, bias = warming(triangle(540.0))
     model = slope_model(SLOPE)
@@ -60,6 +61,7 @@ def test_zeroing_on_a_ramp_refers_to_its_end() -> None:
     assert np.abs(off).max() / DPH < 12.0  # the mean over the minute lags by 60 deg/h
 
 
+@pytest.mark.long
 def test_while_it_moves_the_bias_follows_the_temperature() -> None:
     temperature = triangle(540.0)
     block, bias = warming(temperature)
@@ -109,6 +111,7 @@ def test_the_sigma_widens_on_the_way_back_into_the_range() -> None:
     assert np.abs(ratio).max() < 2.0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [0, 1])
 def test_a_slope_is_learned(seed: int) -> None:
     t = np.arange(12000) / 10
@@ -119,6 +122,7 @@ def test_a_slope_is_learned(seed: int) -> None:
     assert learned.max() < 5.5
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("flicker", "seed"), [(0.0, 0), (2.0, 1), (2.0, 2)])
 def test_on_a_unit_without_slope_learning_costs_next_to_nothing(flicker: float, seed: int) -> None:
     t = np.arange(9000) / 10
@@ -129,6 +133,7 @@ def test_on_a_unit_without_slope_learning_costs_next_to_nothing(flicker: float, 
     assert ratio.max() <= 1.1
 
 
+@pytest.mark.long
 def test_the_temperature_estimate_is_preferred_to_the_reading() -> None:
     block, _ = warming(triangle(300.0))
     coarse = block.with_columns(
@@ -176,6 +181,7 @@ def test_noise_of_the_thermometer_is_no_evidence_that_there_is_no_slope(names: l
     assert np.abs(off / sd).max() < 2.5
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("mode", "noise_degc", "off_by_sigmas"),
     [("standard", 0.0, 24.0), ("learned", 0.03, 7.0), ("learned", 0.1, 24.0)],
@@ -193,6 +199,7 @@ def test_the_limits_of_temperature_are_as_the_page_has_them(
     assert np.abs(z).max() == pytest.approx(off_by_sigmas, rel=0.25)
 
 
+@pytest.mark.long
 def test_steps_of_a_degree_widen_the_sigma_in_motion_and_not_at_rest() -> None:
     t = np.arange(12000) / 10
     temperature = np.interp(t, [0, 900, 1200], [25.0, 40.0, 37.0])

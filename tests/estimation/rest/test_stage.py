@@ -204,6 +204,7 @@ def test_measured_streams_in_motion_are_never_rest(capture: str, device: str) ->
     assert not np.any(samples["at_rest"] == 1)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("thermometer", [True, False])
 def test_a_measured_chamber_run_of_a_standing_unit_is_rest(thermometer: bool) -> None:
     table = np.genfromtxt(measured("chamber-cycle/cooling-heating.csv"), delimiter=",", skip_header=1)

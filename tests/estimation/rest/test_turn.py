@@ -52,6 +52,7 @@ def found(
     return samples["device_time_ns"] * 1e-9, result["at_rest"], result["turn_hypothesis_z"]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("rate_dps", "minutes", "ramp_s"),
     [(0.5, 6, 0.5), (-0.5, 12, 10.0), (30.0, 6, 20.0), (0.5, 15, 120.0)],
@@ -90,6 +91,7 @@ def test_a_jump_that_is_not_about_the_vertical_is_bias_for_gravity_would_have_tu
     assert rest[t > 44.0].all()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", range(2))
 def test_a_turn_about_a_level_axis_is_no_rest_for_gravity_turns_as_the_gyros_say(seed: int) -> None:
     """0.5 °/s for 10 min: the means of two seconds are alike to their noise, as those of a rest are."""
@@ -104,6 +106,7 @@ def test_a_turn_about_a_level_axis_is_no_rest_for_gravity_turns_as_the_gyros_say
     assert rest[t > BEGIN_S + 620.0].all()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [0, 3])
 def test_a_turn_about_a_level_axis_that_slows_down_is_no_rest_in_another_pose(seed: int) -> None:
     """The sensitivity to gravity makes the prediction so wide that 200 °/h fit; gravity turns with them."""

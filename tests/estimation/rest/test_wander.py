@@ -18,6 +18,7 @@ def found(t: FloatArray, gyro: FloatArray, accel: FloatArray) -> tuple[FloatArra
     return result["at_rest"], result["turn_hypothesis_z"]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [11, 12])
 def test_a_ramp_of_temperature_leaves_no_hypothesis(seed: int) -> None:
     """The slope bends from 60 to 92 °/h/K: what seemed to be a turn at first goes with the temperature."""
@@ -32,6 +33,7 @@ def test_a_ramp_of_temperature_leaves_no_hypothesis(seed: int) -> None:
     assert np.abs(hypothesis[t > 800.0]).max() < 60.0
 
 
+@pytest.mark.long
 def test_a_step_of_the_vertical_rate_is_in_doubt_however_small_until_the_old_mean_is_back() -> None:
     t, gyro, accel = noise(900.0, 25.0, gyro_sd=5e-5)
     gyro[(t > 100.0) & (t < 700.0), 2] += 0.05 * DEG
@@ -52,6 +54,7 @@ def test_a_turn_that_begins_slowly_on_a_coarse_gyro_is_no_creep(seed: int) -> No
     assert not rest[t > 190.0].any()  # by then it is 0.17 °/s, ten times the wander
 
 
+@pytest.mark.long
 def test_a_turn_that_begins_slowly_on_a_coarse_gyro_is_detected_as_soon_as_noise_allows() -> None:
     rested = []
     for seed in range(20, 24):

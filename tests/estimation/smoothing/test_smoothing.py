@@ -64,6 +64,7 @@ def true_bias(truth: SampleBlock, vertical: float) -> FloatArray:
     return np.asarray(bias + turned)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "chamber",
     [
@@ -92,6 +93,7 @@ def test_the_smoothed_bias_errs_less_and_as_its_sigma_states(chamber: dict[str, 
     assert np.abs(z).max() < 5.0
 
 
+@pytest.mark.long
 def test_the_temperature_has_no_lag_left() -> None:
     chamber = {"start_degc": 20.0, "lag_s": 60.0, "steps": [{"to_degc": 30.0, "rate_degc_per_min": 4.0}]}
     late = slice(10 * RATE_HZ, None)
@@ -116,6 +118,7 @@ def test_the_temperature_has_no_lag_left() -> None:
     assert np.quantile(np.abs(np.concatenate(z)), 0.99) < 4.0
 
 
+@pytest.mark.long
 def test_the_earth_turns_the_other_way_backward() -> None:
     block, truth = recorded(5, latitude_deg=40.0)
     stage = smooth(block, 40.0)
@@ -127,6 +130,7 @@ def test_the_earth_turns_the_other_way_backward() -> None:
     assert stage.residuals["gyro_bias_z"] < 2.0
 
 
+@pytest.mark.long
 def test_a_jump_that_the_model_lacks_shows_in_the_disagreement() -> None:
     block, _ = recorded(6, motion=[])
     jump = np.where(np.arange(len(block)) > 150 * RATE_HZ, np.radians(0.3), 0.0)
@@ -147,6 +151,7 @@ def test_a_jump_that_the_model_lacks_shows_in_the_disagreement() -> None:
     assert any("contradict each other in gyro_bias_x" in text for text in stage.notices())
 
 
+@pytest.mark.long
 def test_a_slow_turn_that_is_taken_for_rest_is_doubted_in_both_directions() -> None:
     """0.05 °/s for 8 min: at its end a filter that runs backward sees a mean as steady as that of a bias."""
     t, gyro, accel = noise(780.0, 10.0, gyro_sd=4e-4)

@@ -50,6 +50,7 @@ def test_error_is_within_the_band_of_a_wobbling_temperature(noise: float) -> Non
     assert inside.mean() > 0.88
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("noise", [0.0, 0.005])
 def test_a_steady_rate_is_found_also_while_the_reading_flickers(noise: float) -> None:
     temperature = steady(0.5, 1.0)
@@ -384,6 +385,7 @@ def test_a_thermometer_read_every_minute_is_within_its_sigma(interval_s: float) 
     assert abs(result.rate[-1] * PER_HOUR - 5.0) < 2.0 * min(result.rate_sd[-1] * PER_HOUR, 1.5)
 
 
+@pytest.mark.long
 def test_a_swing_behind_steps_of_a_degree_is_not_taken_for_a_slow_error(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

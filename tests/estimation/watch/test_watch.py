@@ -89,6 +89,7 @@ def test_a_pause_forgets_the_extremes_of_the_temperature() -> None:
     assert state.scale[:, 1:] == pytest.approx(0.003)
 
 
+@pytest.mark.long
 def test_false_alarms_are_as_rare_as_promised() -> None:
     # The mean time to one is 0.8 h at least: of 60 times 0.1 h, 7.5 would have one at the most, in the mean.
     alarms = sum(alarm(*drive(seed, 0.1), 0.8) >= 0 for seed in range(60))
@@ -212,12 +213,14 @@ def watched(gyro_lag_s: float, size: int) -> tuple[ModelWatch, FloatArray]:
     return watch, np.concatenate([watch.process(part)["model_suspect"] for part in parts])
 
 
+@pytest.mark.long
 def test_a_unit_that_is_as_its_model_states_is_not_suspected() -> None:
     watch, _ = watched(0.0, 10_000)
     assert texts(watch) == {"model": "MODEL OK"}
     assert watch.notices() == []
 
 
+@pytest.mark.long
 def test_a_lag_that_the_model_lacks_is_suspected_whatever_the_blocks() -> None:
     watch, whole = watched(60.0, 3600)
     assert watch.lanes()["model"].text.startswith("MODEL SUSPECT: innovations follow")

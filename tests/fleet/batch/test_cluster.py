@@ -52,6 +52,7 @@ def program(queue: str, port: int) -> str:
     return str(found)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("queue", QUEUES)
 def test_a_batch_on_workers_that_a_queue_began(queue: str, tmp_path: Path) -> None:
     submit, cancel, asked = QUEUES[queue]

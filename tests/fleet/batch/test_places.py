@@ -95,6 +95,7 @@ def bucket(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
         server.wait()
 
 
+@pytest.mark.long
 def test_sessions_in_a_bucket(bucket: str, tmp_path: Path) -> None:
     found = find(f"{bucket}?region=us-east-1")
     assert found == [f"{bucket}/{name}?region=us-east-1" for name in ("one", "two")]

@@ -56,6 +56,7 @@ def table(out: Path) -> list[Row]:
     return sorted(rows, key=lambda row: (row["session"], row["channel"] or ""))
 
 
+@pytest.mark.long
 def test_command_resumes_and_lists_failures(sessions: Path, tmp_path: Path, client: Any) -> None:
     out, scheduler = tmp_path / "out", client.scheduler.address
     options = ("--out", out, "--scheduler", scheduler, "--timeout", 600)
@@ -77,6 +78,7 @@ def test_command_resumes_and_lists_failures(sessions: Path, tmp_path: Path, clie
     assert len(table(out)) == len(found) - 1 + len(first_channels(found))
 
 
+@pytest.mark.long
 def test_what_a_scheduler_lost_is_no_failure_and_is_done_by_the_same_command(
     sessions: Path, tmp_path: Path, client: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -128,6 +130,7 @@ def answers(address: str) -> bool:
         return False
 
 
+@pytest.mark.long
 def test_ctrl_c_on_a_terminal_states_in_one_line_how_to_go_on(tmp_path: Path) -> None:
     lab = tmp_path / "lab"
     first = tiny(lab / "s000", seconds=30.0)
@@ -225,6 +228,7 @@ def first_channels(rows: list[Row]) -> list[Row]:
     return [row for row in rows if row["session"].endswith("s00")]
 
 
+@pytest.mark.long
 def test_nothing_is_lost_or_doubled_when_a_worker_dies_with_results_not_yet_fetched(
     sessions: Path, tmp_path: Path
 ) -> None:
@@ -268,6 +272,7 @@ def _deadly(job: Job) -> list[Row]:
     return []
 
 
+@pytest.mark.long
 def test_a_defect_ends_no_batch(tmp_path: Path, client: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(running, "work", _defect)
     taken: list[Row] = []
@@ -276,6 +281,7 @@ def test_a_defect_ends_no_batch(tmp_path: Path, client: Any, monkeypatch: pytest
     assert taken[0]["error"] == "ZeroDivisionError: of a test"
 
 
+@pytest.mark.long
 def test_a_session_that_hangs_has_failed_and_the_others_are_done(tmp_path: Path, client: Any) -> None:
     good, taken = Job(str(tiny(tmp_path / "good")), DECODE, str(tmp_path), limit_s=600.0), list[Row]()
     with socket.create_server(("127.0.0.1", 0)) as silent:  # a server that never says a word
@@ -288,6 +294,7 @@ def test_a_session_that_hangs_has_failed_and_the_others_are_done(tmp_path: Path,
     assert not [*(tmp_path / "late").iterdir()]
 
 
+@pytest.mark.long
 def test_code_that_never_lets_go_of_the_interpreter_is_ended_too(tmp_path: Path) -> None:
     script = (
         "import re, sys, pathlib\nfrom imumon.fleet.batch.tasks import limited\n"
@@ -335,6 +342,7 @@ def test_every_command_has_rows_or_a_reason(command: Any, tmp_path: Path) -> Non
         assert [row["reason"] for row in rows] == ["bad data"]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("command", "rate_hz", "seconds"), [("calibrate", 1.0, 1500.0), ("diagnose", 2.0, 2400.0)]
 )

@@ -109,6 +109,7 @@ def test_a_model_without_session_has_a_unit(tmp_path: Path) -> None:
     assert (found.name, found.device, len(found.models)) == ("SN99", "ax1", 1)
 
 
+@pytest.mark.long
 def test_catalog_of_a_folder(folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     done = imumon("catalog", folder, "--out", out, "--json")
@@ -159,6 +160,7 @@ def only_session(folder: Path) -> dict[str, object]:
     return row
 
 
+@pytest.mark.long
 def test_a_session_that_grows_is_mended_or_is_another_one_is_replayed_again(tmp_path: Path) -> None:
     other, session = tiny(tmp_path / "other" / "s", seconds=20.0, seed=1), tmp_path / "lab" / "s"
     tiny(session, seconds=60.0)

@@ -73,6 +73,7 @@ class Watching:
         return lambda: self.unit(name).vitals.bytes_received > before + 58 * more
 
 
+@pytest.mark.long
 def test_a_unit_that_hangs_dies_or_floods_harms_no_other(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -161,6 +162,7 @@ def _sees_it_all(shown: list[ViewItem]) -> None:
     assert pages[-1].units == ("good", "stopped", "killed")
 
 
+@pytest.mark.long
 def test_the_command_follows_its_file_and_ends_in_order(tmp_path: Path) -> None:
     with feeding(tmp_path, "a", "b") as feeder:
         path = write_rack(tmp_path, feeder, "ax1", ["a"])
@@ -201,6 +203,7 @@ def test_the_command_follows_its_file_and_ends_in_order(tmp_path: Path) -> None:
         assert child.returncode == 1
 
 
+@pytest.mark.long
 def test_a_unit_whose_rack_is_gone_closes_its_session(tmp_path: Path) -> None:
     with feeding(tmp_path, "left") as feeder:
         (plan,) = load_rack(write_rack(tmp_path, feeder, "ax1")).values()

@@ -39,6 +39,7 @@ def errors(model_values: FloatArray, truth: FloatArray) -> float:
     return float(np.sqrt(np.mean((model_values - truth) ** 2)) / DEG_H)
 
 
+@pytest.mark.long
 def test_the_true_curves_and_slopes_are_found(soaked: Calibration) -> None:
     for j, name in enumerate(GYROS):
         channel = soaked.model.channels[name]

@@ -77,6 +77,7 @@ def test_the_corrected_field_is_the_field() -> None:
     assert fit.residual_before > 10.0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("swing", [(0.15, 0.15, 1.0), (0.0, 0.0, 3.0)])
 def test_few_directions_are_refused_with_what_to_turn(swing: tuple[float, float, float]) -> None:
     block, _ = figure_eight(1, swing=swing, over=False)
@@ -89,6 +90,7 @@ def test_few_directions_are_refused_with_what_to_turn(swing: tuple[float, float,
     assert "next" not in str(caught.value.hint)
 
 
+@pytest.mark.long
 def test_a_unit_that_did_not_turn_is_refused() -> None:
     block, _ = figure_eight(1, swing=(0.0, 0.0, 0.0), over=False)
     with pytest.raises(ImumonError, match="directions"):

@@ -46,6 +46,7 @@ def runs(seconds: int = 3000) -> tuple[list[Run], list[Run]]:
     return [with_columns(one, seed) for seed, one in enumerate(train)], [with_columns(test[0], 9)]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("sensor", "effect"), [("pressure", "warm_up"), ("housing", "thermal_lag")])
 def test_a_barometer_and_a_second_thermometer_are_diagnosed(sensor: str, effect: str) -> None:
     (verdict,) = diagnose(*runs(), sensors=(sensor,), drivers=[]).verdicts
@@ -70,6 +71,7 @@ def test_a_sensor_is_its_column_or_those_of_its_axes() -> None:
     assert channels_of(["gyro", "pressure", "nothing"], there) == ["gyro_x", "gyro_z", "pressure"]
 
 
+@pytest.mark.long
 def test_the_command_diagnoses_a_column_of_the_log_and_writes_no_model(tmp_path: Path) -> None:
     (tmp_path / "map.yaml").write_text(MAP, encoding="utf-8")
     train, test = runs(2000)

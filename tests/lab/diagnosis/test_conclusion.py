@@ -213,6 +213,7 @@ def stepped(seed: int, step_degc: float) -> list[Run]:
     return found
 
 
+@pytest.mark.long
 def test_the_steps_of_a_thermometer_are_no_effect_where_that_takes_hardly_anything_away() -> None:
     *train, test = stepped(7, 1.0)
     found = diagnose(train, [test])

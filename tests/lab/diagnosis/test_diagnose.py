@@ -95,6 +95,7 @@ def bent(temperature: FloatArray) -> FloatArray:
     return np.asarray(60.0 * np.tanh((temperature - 22.0) / 6.0) + 0.5 * temperature)
 
 
+@pytest.mark.long
 def test_a_curve_that_is_itself_late_is_a_lag_with_the_powers_that_it_needs() -> None:
     diagnosis = diagnose(*three(late_curve, 4000))
     found = report(diagnosis)["channels"]["gyro_x"]
@@ -121,6 +122,7 @@ def late_and_loose(time: FloatArray, temperature: FloatArray) -> FloatArray:
     return lag(time, temperature) + 6.0 * (temperature - loop)
 
 
+@pytest.mark.long
 def test_a_lag_and_a_loop_are_both_named() -> None:
     diagnosis = diagnose(*three(late_and_loose))
     found = report(diagnosis)["channels"]["gyro_x"]
@@ -195,6 +197,7 @@ def with_supply(train: list[Run], test: list[Run], sensitive: float) -> tuple[li
     return found[:2], found[2:]
 
 
+@pytest.mark.long
 def test_a_recorded_driver_is_named_and_goes_into_the_model_file(tmp_path: Path) -> None:
     train, test = with_supply(*three(nothing), 8.0)
     diagnosis = diagnose(train, test)
@@ -212,6 +215,7 @@ def test_a_recorded_driver_is_named_and_goes_into_the_model_file(tmp_path: Path)
     assert predictor.drivers == ("supply_voltage",)
 
 
+@pytest.mark.long
 def test_a_driver_that_does_nothing_is_not_named_and_one_that_is_not_there_is_refused() -> None:
     train, test = with_supply(*three(lag), 0.0)
     assert names(diagnose(train, test)) == ["thermal_lag"]
@@ -219,6 +223,7 @@ def test_a_driver_that_does_nothing_is_not_named_and_one_that_is_not_there_is_re
         diagnose(train, test, drivers=["load"])
 
 
+@pytest.mark.long
 def test_what_only_the_test_shows_is_not_called_nothing(complete: Diagnosis) -> None:
     train, test = three(nothing)
     shifted = test[0].mean["gyro_x"] + 3 * WHITE_DPH * DPH
@@ -251,6 +256,7 @@ def test_of_a_single_run_every_other_stretch_is_the_test_and_that_is_reported() 
     assert verdict.test_after.rms < 0.5 * verdict.test_before.rms
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("rate", "hours", "gap_s"),
     [(0.01, 30.0, 0.3), (0.2, 2.0, 0.3), (0.9, 1.0, 0.0), (10.0, 0.4, 0.3)],
@@ -302,6 +308,7 @@ def test_a_jump_is_named_estimated_in_the_test_and_left_out_of_the_model_file() 
     assert extended_model(diagnosis).channels["gyro_x"].effects == []
 
 
+@pytest.mark.long
 def test_a_known_model_is_taken_off_first_and_goes_into_the_file_with_what_it_lacked() -> None:
     knots = np.linspace(5.0, 45.0, 30)
     curve = SplineCurve(
@@ -354,6 +361,7 @@ def test_a_known_model_of_other_temperatures_is_refused_before_the_search() -> N
     assert done == []
 
 
+@pytest.mark.long
 def test_a_curve_that_was_fitted_with_the_effect_in_it_is_fitted_anew_until_nothing_is_found() -> None:
     def strong(time: FloatArray, temperature: FloatArray) -> FloatArray:
         return 8.0 * lag(time, temperature)
@@ -424,6 +432,7 @@ def chamber_cycle() -> Run:
     return read_runs(folder / "cooling-heating.csv", folder / "map.yaml")[0]
 
 
+@pytest.mark.long
 def test_what_is_found_in_a_measured_run_hangs_on_no_block_and_on_no_boundary_of_blocks(
     chamber_cycle: Run,
 ) -> None:

@@ -52,6 +52,7 @@ def found(bias: Bias, sigmas: float, seed: int = 1, times: float = 20.0, seconds
     return diagnose(runs[:2], runs[2:])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("sigmas", "times"), [(6.0, 20.0), (12.0, 20.0), (35.0, 20.0), (6.0, 4.0)])
 def test_of_a_complete_model_coarse_digits_leave_open_whether_something_is_missing(
     sigmas: float, times: float
@@ -71,6 +72,7 @@ def test_an_effect_that_the_digits_hide_is_not_reported_to_be_nothing() -> None:
     assert verdict.row.state in ("too few digits", "not proven", "named", "unexplained")
 
 
+@pytest.mark.long
 def test_an_effect_that_is_larger_than_the_digits_err_is_named_beside_them() -> None:
     (verdict,) = found(creep, 6.0, 100, 8.0, 4000).verdicts
     assert verdict.row.state == "named"
@@ -79,6 +81,7 @@ def test_an_effect_that_is_larger_than_the_digits_err_is_named_beside_them() -> 
     assert "steps as coarse may make up to" in verdict.summary
 
 
+@pytest.mark.long
 def test_with_digits_finer_than_the_noise_the_same_is_reported() -> None:
     (verdict,) = found(nothing, 0.5).verdicts
     assert verdict.row.state == "nothing missing"

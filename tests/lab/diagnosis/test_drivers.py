@@ -71,6 +71,7 @@ def recorded(folder: Path, seed: int) -> Path:
     return path
 
 
+@pytest.mark.long
 def test_a_simulated_driver_is_found_in_a_log_and_followed_live(tmp_path: Path) -> None:
     (tmp_path / "map.yaml").write_text(MAP)
     tables = [recorded(tmp_path, seed) for seed in (1, 2, 3)]

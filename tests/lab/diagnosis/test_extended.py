@@ -102,6 +102,7 @@ def bent(time: FloatArray, degc: FloatArray) -> FloatArray:
     return 12.0 + 20.0 * ((degc - 25.0) / 15.0) ** 2 + 40.0 * np.sin(2.0 * np.pi * time / 700.0)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("removed", [True, False])
 def test_the_earth_rate_of_the_data_goes_into_no_model_that_has_none(removed: bool) -> None:
     """The constant was that of the data, and the file still had: removed."""

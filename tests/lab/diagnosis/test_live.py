@@ -158,6 +158,7 @@ def test_a_period_is_named_whatever_it_is(period_s: float) -> None:
     assert said(session(swing), LiveDiagnosis(model())).startswith("MODEL CAN BE BETTER: periodic on x")
 
 
+@pytest.mark.long
 def test_after_a_week_a_period_of_less_than_an_hour_is_named() -> None:
     """As the session is then: slots of 128 s, whose noise is as of so many seconds."""
     slots, slot_s, period_s = 4725, 128.0, 3300.0

@@ -81,12 +81,14 @@ def biases(models: dict[str, BiasModel], other: tuple[SampleBlock, SampleBlock])
     }
 
 
+@pytest.mark.long
 def test_every_gyro_is_found_to_lag(models: dict[str, BiasModel]) -> None:
     for name in GYRO:
         effects = models["extended"].channels[name].effects
         assert "thermal_lag" in [effect.name for effect in effects]
 
 
+@pytest.mark.long
 def test_the_bias_in_motion_errs_much_less_with_the_extended_model(
     biases: dict[str, FloatArray], other: tuple[SampleBlock, SampleBlock]
 ) -> None:
@@ -97,6 +99,7 @@ def test_the_bias_in_motion_errs_much_less_with_the_extended_model(
     assert (errors["extended"] < np.array([0.2, 0.3, 0.8]) * errors["curve alone"]).all()
 
 
+@pytest.mark.long
 def test_the_division_into_blocks_does_not_matter(
     models: dict[str, BiasModel], biases: dict[str, FloatArray], other: tuple[SampleBlock, SampleBlock]
 ) -> None:

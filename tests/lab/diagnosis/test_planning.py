@@ -26,6 +26,7 @@ def open_report(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.long
 def test_a_plan_separates_what_was_not_told_apart_and_its_files_play(
     open_report: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -81,6 +81,7 @@ def test_a_perfect_accelerometer_in_several_poses_misses_nothing() -> None:
     assert diagnosis.length.after < 60 * MICRO_G
 
 
+@pytest.mark.long
 def test_bias_and_scale_follow_from_the_length_of_gravity_and_an_effect_is_named_beside_them() -> None:
     bias, scale = np.array([5e-3, -3e-3, 8e-3]) * STANDARD_GRAVITY, np.array([2e-3, -1e-3, 3e-3])
 
@@ -96,6 +97,7 @@ def test_bias_and_scale_follow_from_the_length_of_gravity_and_an_effect_is_named
     assert np.all(np.abs(length.bias - bias) < 5 * length.bias_sd + 100 * MICRO_G)  # the lag is no part of it
 
 
+@pytest.mark.long
 def test_a_scale_that_depends_on_temperature_is_a_product() -> None:
     def scaled(_: FloatArray, temperature: FloatArray, force: FloatArray) -> FloatArray:
         return np.asarray(3e-4 * force * ((temperature - 25) / 20)[:, np.newaxis])
@@ -104,6 +106,7 @@ def test_a_scale_that_depends_on_temperature_is_a_product() -> None:
     assert names(diagnosis) == [["product(temperature, accel)"]] * 3
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("mag", [False, True])
 def test_the_earth_rate_of_every_pose_is_nothing_that_is_missing(mag: bool) -> None:
     diagnosis = found("gyro", nothing, mag, 3000)
@@ -112,6 +115,7 @@ def test_the_earth_rate_of_every_pose_is_nothing_that_is_missing(mag: bool) -> N
     assert any("cannot be distinguished from the earth rate" in text for text in diagnosis.caveats)
 
 
+@pytest.mark.long
 def test_a_sensitivity_to_g_beyond_the_earth_rate_is_named() -> None:
     diagnosis = found(
         "gyro", lambda _, __, force: np.asarray(force @ np.diag([8.0, -9.0, 10.0])), False, 2400
@@ -119,6 +123,7 @@ def test_a_sensitivity_to_g_beyond_the_earth_rate_is_named() -> None:
     assert all("g_sensitivity" in each for each in names(diagnosis))
 
 
+@pytest.mark.long
 def test_a_jump_is_no_earth_rate_and_no_g_sensitivity() -> None:
     def jump(time: FloatArray, _: FloatArray, __: FloatArray) -> FloatArray:
         return np.asarray((time > 1700)[:, np.newaxis] * np.array([12.0, -9.0, 8.0]))
@@ -166,6 +171,7 @@ def test_a_turn_that_is_declared_as_rest_is_none(turn_s: int) -> None:
         assert len(set(blocks.pose)) == 6
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("turn_on_dph", [60.0, 200.0])
 def test_another_turn_on_bias_is_no_larger_earth_rate(turn_on_dph: float) -> None:
     """A loop was named, proven by the test."""

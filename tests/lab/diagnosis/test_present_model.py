@@ -195,6 +195,7 @@ def test_a_test_without_the_temperature_of_the_present_model_is_not_used_and_tha
         diagnose([train[0], bare], [])
 
 
+@pytest.mark.long
 def test_what_an_effect_explains_alone_is_beside_the_effects_of_the_present_model() -> None:
     """Without these nearly nothing was explained."""
 

@@ -116,6 +116,7 @@ def one_floor(runs: list[Run]) -> float:
     return float(np.nanstd(np.diff(slots)) / np.sqrt(2.0 * 30.0 / runs[0].slot_s))
 
 
+@pytest.mark.long
 def test_a_stuck_thermometer_of_one_axis_takes_no_curve_from_the_others() -> None:
     """No axis had a curve where the first thermometer was stuck."""
     runs = []

@@ -167,6 +167,7 @@ def test_recorded_output_configuration_is_reported_in_words(recording: str) -> N
     assert decoder.notices() == []
 
 
+@pytest.mark.long
 @given(st.integers(0, 9), chunkings, st.lists(st.integers(1, 90), min_size=1, max_size=10))
 @settings(max_examples=40, deadline=None)
 def test_any_chunking_gives_the_same_rows_times_and_counters(

@@ -185,6 +185,7 @@ def test_what_is_sent_is_truth_plus_white_noise() -> None:
     assert np.linalg.norm(force.mean(axis=0)) == pytest.approx(G, abs=2e-4)
 
 
+@pytest.mark.long
 def test_turn_on_biases_are_drawn_for_each_seed() -> None:
     unit = {
         "gyro_turn_on": {"sd_deg_per_h": 15, "offset_deg_per_h": [100, 0, 0]},
