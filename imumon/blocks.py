@@ -15,7 +15,7 @@ Columns = Mapping[str, ColumnArray]
 """By their names, (n,) each."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class SampleBlock:
     """Samples in order of arrival, one array per column.
 
@@ -70,7 +70,7 @@ class SampleBlock:
     def temperature(self) -> FloatArray | None:
         """Temperature in °C, (n, 1) or (n, 3) when there is one per axis, or None."""
         if "temperature" in self.columns:
-            return self.columns["temperature"][:, np.newaxis]
+            return self.columns["temperature"][:, None]
         return self.vector("temperature")
 
     @property

@@ -13,7 +13,7 @@ NAME = "^[a-z][a-z0-9_]*$"
 """Pattern of the names that device files, maps and stages give to columns."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Column:
     """A column: its name, unit ("1" when dimensionless), type and meaning."""
 

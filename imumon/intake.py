@@ -167,7 +167,7 @@ class Intake:
                 self._first = readings[:, np.argmax(there)]
                 silent[np.argmax(there)] = not self._first.any()  # the first is no repetition
             what = "nothing but its first reading" if self._first.any() else what
-            valid &= there & np.any(readings != self._first[:, np.newaxis], axis=0)
+            valid &= there & np.any(readings != self._first[:, None], axis=0)
         if valid.any():
             self._begun.add(sensor)
         return silent & ~np.maximum.accumulate(valid), f"{sensor} while its values are {what}"

@@ -38,7 +38,7 @@ UNDATED = NO_INT
 """Arrival time of bytes whose arrival was not recorded, as in a raw capture."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class PipelineCounters(Counters):
     """What became of every byte and packet, and of values (`left_out`); the keys of ``--json``."""
 

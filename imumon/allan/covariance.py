@@ -204,11 +204,11 @@ def _correlations(
     shifts = np.subtract.outer(places * m_j, places * m_i).ravel()
     products = np.outer(coefficients, coefficients).ravel() / (norm * float(m_i * m_j) ** integrals)
     lags, weights = _lags({int(shift) for shift in -shifts}, max(m_i, m_j))
-    shifted = np.abs(lags + shifts[:, np.newaxis])
+    shifted = np.abs(lags + shifts[:, None])
     rows = np.array([products @ noise(shifted) for noise in noises])
     # Positions of the differences in each kind of run, and pairs of them that are a lag apart.
     first, second = (np.maximum(runs.lengths + 1.0 - places[-1] * m, 0.0) for m in (m_i, m_j))
-    upper = np.minimum(first[:, np.newaxis], second[:, np.newaxis] - lags)
+    upper = np.minimum(first[:, None], second[:, None] - lags)
     pairs = runs.weights @ np.maximum(upper - np.maximum(0.0, -lags), 0.0)
     return rows, weights * pairs / ((runs.weights @ first) * (runs.weights @ second))
 

@@ -43,7 +43,7 @@ class Repeats:
         self._rows += n
         self._twice += int(stays.all(axis=0).sum())
         place, alone = np.arange(n), stays & ~stays[::-1]
-        run = place - np.maximum.accumulate(np.where(alone, -1 - self._run[:, np.newaxis], place), axis=1)
+        run = place - np.maximum.accumulate(np.where(alone, -1 - self._run[:, None], place), axis=1)
         self._run = run[:, -1]
         for which in np.flatnonzero((run >= STANDS).any(axis=1)).tolist():
             self._stands_at.setdefault(which, int(counts[which, np.argmax(run[which] >= STANDS)]))

@@ -110,7 +110,7 @@ class CommandLink:
                     return error.refused
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Stream:
     """What a device sent within a time: the columns with values, and why the numbers fit no estimate.
 

@@ -52,7 +52,7 @@ Answer = bytes | str | None
 """What a message answers to a request: a value, or in words why it is refused; None when it is no answer."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Request:
     """Something to send: what it means in words, and the bytes that go over the line.
 
@@ -100,7 +100,7 @@ def known(ask: Ask, question: Request) -> bytes | None:
         return None
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Wish:
     """What a user requested, None: as it is; and whether it is written into flash."""
 

@@ -71,7 +71,7 @@ def request(
     return Request(meaning, frame(command), answer, timeout_s)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Output:
     """What a binary output register holds: port, divisor, and the words of each group in order."""
 

@@ -42,7 +42,7 @@ FORGOTTEN = np.exp(-3.0)
 """Share of what an unknown state at power-on adds that no longer matters: three time constants of a lag."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Drive:
     """What drives the effects in one run from power-on."""
 
@@ -101,7 +101,7 @@ class Survey(NamedTuple):
         return self.span_degc >= LEAST_SPAN_DEGC
 
 
-@dataclass(slots=True)
+@dataclass
 class Memory:
     """What an effect carries from one block to the next; NaN at power-on."""
 

@@ -48,7 +48,7 @@ class WarmUp(Effect):
 
     def advance(self, memory: Memory, drive: Drive) -> FloatArray:  # noqa: ARG002 - time is its memory
         """Return the decay."""
-        return np.exp(-drive.time_s / self.time_constant_s)[:, np.newaxis]
+        return np.exp(-drive.time_s / self.time_constant_s)[:, None]
 
 
 class StressRelaxation(Effect):
@@ -123,7 +123,7 @@ class Drift(Effect):
 
     def advance(self, memory: Memory, drive: Drive) -> FloatArray:  # noqa: ARG002 - time is its memory
         """Return the hours."""
-        return (drive.time_s / 3600.0)[:, np.newaxis]
+        return (drive.time_s / 3600.0)[:, None]
 
 
 class Step(Effect):
@@ -153,7 +153,7 @@ class Step(Effect):
 
     def advance(self, memory: Memory, drive: Drive) -> FloatArray:  # noqa: ARG002 - time is its memory
         """Return whether the jump has been."""
-        return np.asarray(drive.time_s >= self.time_s, np.float64)[:, np.newaxis]
+        return np.asarray(drive.time_s >= self.time_s, np.float64)[:, None]
 
 
 class RunOffset(Effect):

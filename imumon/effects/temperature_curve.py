@@ -45,7 +45,7 @@ class TemperatureCurve(ScaledEffect):
     def advance(self, memory: Memory, drive: Drive) -> FloatArray:  # noqa: ARG002 - it has no memory
         """Return the powers of u."""
         u = (drive.of(self.driver) - self.middle) / self.half_span
-        return u[:, np.newaxis] ** np.arange(self.first_power, self.first_power + self.powers)
+        return u[:, None] ** np.arange(self.first_power, self.first_power + self.powers)
 
     def polynomial(self) -> Polynomial | None:
         """Return its powers as they are, of the temperature."""

@@ -23,7 +23,7 @@ class Vibration:
         count = ended.count.astype(np.float64)
         with np.errstate(invalid="ignore", divide="ignore"):
             unbiased = np.where(count > 1, ended.variance * count / (count - 1), np.nan).sum(axis=1)
-        found = held(ended.row, unbiased[:, np.newaxis], self._last, len(time_ns))
+        found = held(ended.row, unbiased[:, None], self._last, len(time_ns))
         if len(found):
             self._last = found[-1].copy()
         return found[:, 0]

@@ -19,7 +19,7 @@ from imumon.compiled import inner, njit
 from .turns import TURN, Turn, add_rate, begin_segment, begin_turn, turn_of
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Slots:
     """m slots of k columns that ended, in order."""
 

@@ -18,7 +18,7 @@ TIMES = {"host_time_ns": "datetime64[ns]", "device_time_ns": "timedelta64[ns]"}
 """Columns that date a row, the better first, and NumPy's type of such times."""
 
 
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Samples:
     """Samples in memory, with the unit of every column.
 

@@ -40,7 +40,7 @@ class Series(NamedTuple):
     values: Mapping[str, FloatArray]  # by their names in the table, (n,) each
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Damage:
     """What of a log could not be read: how many places, and the bytes there."""
 
@@ -52,7 +52,7 @@ class Damage:
         return self if end <= begin else Damage(self.places + 1, self.size + end - begin)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Log:
     """What is taken from a log."""
 

@@ -151,11 +151,11 @@ def _fitting(packets: ByteArray) -> Iterator[tuple[float, Checksum]]:
     for name in CHECKSUM_NAMES[1:]:
         check = Checksum(name)
         firsts = FIRSTS[: size - check.size - 1]
-        first, last = (begin[:, np.newaxis] + firsts).reshape(-1), begin + size - check.size
+        first, last = (begin[:, None] + firsts).reshape(-1), begin + size - check.size
         values = check.values(held, first, last.repeat(len(firsts))).reshape(n, -1)
         for big in (False, True)[: check.size]:
             stored = integers(held, last, check.size, big)
-            right = np.sum(values == stored[:, np.newaxis], axis=0)
+            right = np.sum(values == stored[:, None], axis=0)
             k = int(np.argmax(right))
             if right[k] >= max(LEAST_RIGHT, RIGHT * n) and len(np.unique(stored)) >= LEAST_RIGHT:
                 yield float(right[k]) / n, Checksum(name, int(firsts[k]), big)

@@ -153,8 +153,8 @@ class EpochAssembler:
             if name in block:
                 masks[~is_missing(block[name])] |= self._bit(name)
                 may[group] |= self._bit(name)
-        there = (packets.groups[:, np.newaxis] >> np.arange(len(may)) & 1).astype(np.bool_)
-        new: IntArray = np.where(there, masks[:, np.newaxis] & may, 0)
+        there = (packets.groups[:, None] >> np.arange(len(may)) & 1).astype(np.bool_)
+        new: IntArray = np.where(there, masks[:, None] & may, 0)
         # Columns of other groups (another message has the same quantity) go into the packet's first group.
         stray = masks & ~np.bitwise_or.reduce(np.where(there, may, 0), axis=1)
         new[np.arange(n), there.argmax(axis=1)] |= stray

@@ -35,7 +35,7 @@ Check = Callable[[ByteArray, IntArray, IntArray], BoolArray]
 """Takes the bytes, places and lengths of whole packets, (n,) each; returns which are right."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Frame:
     """How packets of one kind, or of several with different starts, are distinguished from other bytes."""
 
@@ -91,7 +91,7 @@ class Frame:
         return np.where(agree, np.where(there, length + len(self.tail), cut), length)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Found:
     """Packets among held bytes: where each begins, its length, and the number of its kind, (n,) each."""
 
@@ -318,7 +318,7 @@ class Checksum:
 
     def sealed(self, body: bytes) -> bytes:
         """Return the packet: the body and its checksum."""
-        return self.sealed_rows(np.frombuffer(body, np.uint8)[np.newaxis]).tobytes()
+        return self.sealed_rows(np.frombuffer(body, np.uint8)[None]).tobytes()
 
     def sealed_rows(self, bodies: ByteArray) -> ByteArray:
         """Return packets of bodies of one size, (n, size), with their checksums behind them or in place."""

@@ -134,7 +134,7 @@ class MavlinkDecoder(FamilyDecoder):
             at = found.at[rows]
             numbers = 1 if header == HEADERS[FIRST] else 3
             held[rows, 5 : 7 + numbers] = windows(found.held, at + header - numbers - 2, 2 + numbers)
-            there = np.arange(LONGEST) < found.held[at + 1][:, np.newaxis]
+            there = np.arange(LONGEST) < found.held[at + 1][:, None]
             held[rows, HEADERS[SECOND] :] = windows(padded, at + header, LONGEST) * there
         begins = np.arange(len(found)) * size
         return Found(held.reshape(-1), begins, np.full(len(found), size), found.kind)

@@ -110,7 +110,7 @@ def table(text: str, usual: str = MAIN) -> dict[int, "Message"]:
     }
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Message:
     """What packets with one identifier carry, or a field of a packet."""
 

@@ -30,7 +30,7 @@ LONGEST_NAME = 63
 """Of a variable in MATLAB."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Exported:
     """What was written."""
 

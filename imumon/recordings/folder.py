@@ -140,7 +140,7 @@ def read_metadata(path: Path) -> SessionMetadata:
         raise bad_data(error.seen, f"this version of imumon reads sessions of format {FORMAT}") from error
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Session:
     """A session on disk, as its metadata was when it was opened."""
 

@@ -41,7 +41,7 @@ Rows = tuple[IntArray, Mapping[str, Any], Callable[[int], str], Wrong]
 """Rows as they stand in a table: lines, cells by column, whole texts, and those of a wrong width."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class BadRow:
     """A row that cannot be taken: its line (text) or row (Parquet), from 1, why, and what it holds."""
 
@@ -50,7 +50,7 @@ class BadRow:
     text: str
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Part:
     """Rows of a table as they come."""
 

@@ -41,7 +41,7 @@ _NOT_AFTER = (
 _NO_RATE = "the times are too coarse for a rate; if no row is lost, give rate_hz: ... in place of time"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class ImportReport:
     """What became of a table: rows_out + rows_dropped = rows_in."""
 

@@ -24,7 +24,7 @@ JERK = 0.02
 """m/s² (0.1°): the mean specific force of a quiet slot is within this of its neighbours', beyond noise."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Reduced:
     """m columns of a recording over n slots; a slot without samples is not there."""
 
@@ -135,7 +135,7 @@ def kept_slots(gatherer: SlotGatherer, block: SampleBlock, names: Sequence[str])
         yield KeptSlots.of(gatherer.process(piece["device_time_ns"], piece["segment"], values))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class KeptSlots:
     """What is kept of m slots of k columns that ended; the fields are those of `Slots`."""
 

@@ -98,7 +98,7 @@ _Topic = tuple[str, str, BoolArray, Callable[[int], Message]]
 """Messages of a block: topic, type, which rows have one, (n,), and what makes that of a row."""
 
 
-@dataclass(slots=True)
+@dataclass
 class Stream:
     """How the samples of a stream become messages, block by block."""
 

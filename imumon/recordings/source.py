@@ -43,7 +43,7 @@ BATCH_BYTES = 1 << 19
 """Samples are handed on about as often as so many bytes were fed: thousands at once, as each block costs."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Source:
     """Something recorded, ready to be run over."""
 
@@ -288,7 +288,7 @@ def no_stages(_: DeviceFile | None) -> Sequence[Estimator]:
     return ()
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Recording:
     """A recording that is open; its samples can be read once."""
 

@@ -87,7 +87,7 @@ BLOCK_BYTES = 1 << 13
 """A block is sealed when it has so many bytes, or when it is flushed: so much is lost by one wrong bit."""
 
 
-@dataclass(slots=True)
+@dataclass
 class WireCounters:
     """What a `WireWriter` got, and what of it is in the file."""
 

@@ -52,7 +52,7 @@ KEPT_PLACES = 100
 """Damaged places of which the details are kept; all are counted."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Place:
     """A place of a wire file at which something is missing."""
 
@@ -74,7 +74,7 @@ class Place:
         )
 
 
-@dataclass(slots=True)
+@dataclass
 class Damage:
     """What a wire file lacks."""
 
@@ -94,7 +94,7 @@ class Damage:
             self.where.append(place)
 
 
-@dataclass(slots=True)
+@dataclass
 class WireSummary:
     """What a wire file held."""
 

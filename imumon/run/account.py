@@ -21,7 +21,7 @@ NAMED = 20
 """Outages that are named one by one."""
 
 
-@dataclass(slots=True)
+@dataclass
 class Outage:
     """A time without bytes: from the last byte before it to the port's return, Unix time, ns.
 
@@ -33,7 +33,7 @@ class Outage:
     ended_ns: int | None = None
 
 
-@dataclass(slots=True)
+@dataclass
 class Outages:
     """Finds the outages of a port in what comes from it."""
 

@@ -29,7 +29,7 @@ VIEWS = "view*.rrd"
 """What the view's recorder wrote; of an interrupted run it ends where that ended."""
 
 
-@dataclass(slots=True)
+@dataclass
 class Recovered:
     """What a recovery did."""
 

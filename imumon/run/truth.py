@@ -27,7 +27,7 @@ Estimate = tuple[FloatArray, FloatArray | None]
 """Values and their standard deviations, (n,) each."""
 
 
-@dataclass(slots=True, eq=False)
+@dataclass(eq=False)
 class Truth:
     """The truth of a simulated session, and the errors of what was compared with it.
 

@@ -48,7 +48,7 @@ class Verdict(Enum):
     SILENT = "silent"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Evidence:
     """What a candidate found at one baud rate, in bit/s; None where there is no line (``socket://``).
 

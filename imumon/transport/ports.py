@@ -36,7 +36,7 @@ _REASON_BY_ERRNO: dict[int, Reason] = {
 """Reason for which opening failed; everything else means that there is no such port."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class PortInfo:
     """A serial port that exists, as adapter and system call it.
 

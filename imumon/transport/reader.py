@@ -50,7 +50,7 @@ class EventKind(Enum):
     """A person ended that part."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Bytes:
     """Bytes as they were read at once, and the Unix time (ns) right after the read."""
 
@@ -58,7 +58,7 @@ class Bytes:
     time_ns: int
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Reads:
     """Several reads one after the other, as a recording has them: faster to go through than each alone.
 
@@ -88,7 +88,7 @@ class Reads:
             start = end
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Event:
     """What happened to the port, when (Unix time, ns), and the details for a person."""
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from imumon.errors import bad_config
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class PortSettings:
     """Where the bytes come from and how the line is set; raises BAD_CONFIG when a value cannot be.
 

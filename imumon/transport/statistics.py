@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from typing import ClassVar
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class StreamCounters:
     """What came of a stream of a device.
 
@@ -23,7 +23,7 @@ class StreamCounters:
     dated_by: str = ""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Counters:
     """What became of every byte: received = in packets + skipped + pending."""
 

@@ -69,7 +69,7 @@ class ViewItem:
         return None
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Samples(ViewItem):
     """Consecutive samples on the three timelines."""
 
@@ -88,21 +88,21 @@ class Samples(ViewItem):
         return len(self.block)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Event(ViewItem):
     """What happens at a moment."""
 
     at: Instant
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Numbers(Event):
     """Numbers that are not one per sample: packet rate, link load, losses."""
 
     values: Mapping[str, float]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class State(Event):
     """A lane (port, clock, device, ...) is in this state from now on."""
 
@@ -116,7 +116,7 @@ class State(Event):
         return f"state {self.lane}"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Log(Event):
     """A line for the log; the level is one of INFO, WARN, ERROR."""
 
@@ -124,7 +124,7 @@ class Log(Event):
     level: str = "INFO"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Status(Event):
     """The status card: what to show, as it is to be read, in order."""
 
@@ -133,7 +133,7 @@ class Status(Event):
     lasting = "status"  # there is one card
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Drawing(Event):
     """A chart, as it is from now on."""
 

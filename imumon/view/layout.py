@@ -72,7 +72,7 @@ class Line(NamedTuple):
     sd: str | None = None
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Strip:
     """A panel that draws columns over time; `panels.yaml` explains the fields.
 
@@ -145,7 +145,7 @@ class Strip:
                 half[:, at] = 2.0 * self._factor * rows.columns[line.sd]
         known = np.isfinite(values + half)
         if rows.clock is not None:
-            known &= (rows.clock >= rows.clock[-1] - 1e9 * RECENT_S)[:, np.newaxis]
+            known &= (rows.clock >= rows.clock[-1] - 1e9 * RECENT_S)[:, None]
         if not known.any():
             return None
         low, high = float((values - half)[known].min()), float((values + half)[known].max())
@@ -200,7 +200,7 @@ class Strip:
         return series_view(self.drawn, title, window, beside, ends)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Bands(Strip):
     """A panel that draws estimates inside their 2σ bands, in a `unit`."""
 

@@ -84,7 +84,7 @@ class Accelerometers:
         return self.prior + self.margin * float(squares.sum()) / max(int(np.count_nonzero(self.slots)), 1)
 
 
-@dataclass(slots=True)
+@dataclass
 class Gyros:
     """Size of the gyros' scale errors, and whether u has followed their turns: else axes may be mixed up."""
 

@@ -54,7 +54,7 @@ class Measurement(NamedTuple):
     rounding: FloatArray | float = 0.0  # largest error of the rate by rounding, rad/s, (3,)
 
 
-@dataclass(slots=True)
+@dataclass
 class Timing:
     """Times of the slot before, s: its end, the interval of its samples, and the shortest interval so far."""
 

@@ -21,7 +21,7 @@ REVERSALS = 3
 MOST_REPEAT_S = 60.0  # longest time that a reading is taken to be repeated, s
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Slot:
     """The readings of one slot; values are in °C, times in s.
 
@@ -57,7 +57,7 @@ class Slot:
         return replace(self, before=self.first, changes=max(self.changes - (self.first != self.before), 0))
 
 
-@dataclass(slots=True)
+@dataclass
 class Thermometer:
     """Running numbers that describe a thermometer; values are in °C, times in s."""
 

@@ -34,7 +34,7 @@ from .dataset import BatchOptions, Row
 from .places import fetched
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Job:
     """A session by its path or URL, what is to be done with it, and how long a worker may take.
 

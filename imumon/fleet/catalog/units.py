@@ -65,7 +65,7 @@ class Outlier(NamedTuple):
         return f"{self.what}: {values} (score {self.score:.1f})"
 
 
-@dataclass(slots=True, eq=False)
+@dataclass(eq=False)
 class Unit:
     """A unit: its sessions, the oldest first, its models, in the order of their data, and its worst outliers.
 

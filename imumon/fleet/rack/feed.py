@@ -31,7 +31,7 @@ MEMORY_S = 10.0
 """How often the memory is looked up, which takes some milliseconds."""
 
 
-@dataclass(slots=True)
+@dataclass
 class Vitals:
     """How a unit is, once a second.
 
@@ -100,7 +100,7 @@ class Feed:
                 self._vitals.bias, self._vitals.bias_sd = tuple(bias[known[-1]]), tuple(sd[known[-1]])
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class OfUnit(ViewItem):
     """An item of one unit; the title of the setup is its name."""
 
@@ -124,7 +124,7 @@ class OfUnit(ViewItem):
         return key and f"{self.setup.title}: {key}"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Overview(Event):
     """All units at a glance, as Markdown, and their names in order."""
 

@@ -83,7 +83,7 @@ class Process:
                 self._messages.put(self._ours.recv())
 
 
-@dataclass(slots=True)
+@dataclass
 class Unit:
     """A unit as the rack sees it, over all lives of its process.
 

@@ -89,7 +89,7 @@ def read_session(path: Path, count: Count = no_count) -> tuple[Record, list[str]
     return record, [f"{path}: {text}" for text in texts]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Channel(Points):
     """A channel's means over cells, from all records.
 

@@ -25,7 +25,7 @@ BESIDE = 4
 """Slots on either side of a turn of the unit that are compared."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class RunBlocks:
     """One run as means over n blocks at rest, of nominal length `block_s`; `pose` numbers their poses from 0.
 

@@ -149,7 +149,7 @@ GainTable = Mapping[str, Scored]
 """The candidate of each family that gains most."""
 
 
-@dataclass(slots=True, eq=False)
+@dataclass(eq=False)
 class Finding:
     """An effect that the search added to a channel, or that is `of_present_model`, with refined theta.
 
@@ -180,7 +180,7 @@ class Finding:
         return [self.name, *self.alternatives]
 
 
-@dataclass(slots=True)
+@dataclass
 class Training:
     """Training runs, and the columns over them, as block means, of the effects that one of their temperatures
     drives, made once for each effect."""

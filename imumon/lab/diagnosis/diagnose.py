@@ -57,7 +57,7 @@ class Prepared(NamedTuple):
     model: BiasModel | None = None
 
 
-@dataclass(slots=True)
+@dataclass
 class Diagnosis:
     """Verdicts on all channels, and caveats of the data.
 

@@ -52,7 +52,7 @@ class Samples(NamedTuple):
     atom_share: float = 0.0
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Origin:
     """Where a run comes from: session or table, its number in it, fingerprint of its bytes, and unit; two are
     the same whose bytes are, whatever their names."""
@@ -64,7 +64,7 @@ class Origin:
     serial: str | None = field(default=None, compare=False)
 
 
-@dataclass(slots=True)
+@dataclass
 class Run:
     """One run from power-on in means of slots of `slot_s`; a slot without samples is NaN.
 

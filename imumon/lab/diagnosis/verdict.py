@@ -83,7 +83,7 @@ class Claim(NamedTuple):
     sigmas: list[PartSigma]
 
 
-@dataclass(slots=True)
+@dataclass
 class ChannelVerdict:
     """What is claimed of a channel, and how well it does.
 

@@ -8,7 +8,7 @@ import numpy as np
 from imumon.blocks import BoolArray, FloatArray, IntArray
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Points:
     """Means of one channel at rest, each over a stretch of nearly constant temperature."""
 

@@ -30,7 +30,7 @@ _DATE = """_{0}year u16 1 year | _{0}month u8 1 month | _{0}day u8 1 day | _{0}h
 UTC = f"_utc_of_second u32 1 ns | {_DATE.format('utc_')} | utc_valid u8 1 validity bits of the UTC time"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Identifier(Message):
     """A data identifier without its format bits.
 

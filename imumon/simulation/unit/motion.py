@@ -23,7 +23,7 @@ _RATIOS = np.array([1.0, 1.27, 0.81])
 """Periods of the three swings to each other, so that they do not repeat together."""
 
 
-@dataclass(slots=True)
+@dataclass
 class Movement:
     """Motion at n times."""
 

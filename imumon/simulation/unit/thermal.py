@@ -61,9 +61,9 @@ class SensorTemperature:
 
     def process(self, time_s: FloatArray) -> FloatArray:
         """Return the temperatures (°C) at the next times (s), (n, 3)."""
-        around = self._lag.process(time_s, chamber_temperature(self._chamber, time_s)[:, np.newaxis])
+        around = self._lag.process(time_s, chamber_temperature(self._chamber, time_s)[:, None])
         rise = np.array(self._heating.rise_degc)
-        decay = np.exp(-time_s / self._heating.tau_s)[:, np.newaxis]
+        decay = np.exp(-time_s / self._heating.tau_s)[:, None]
         return np.asarray(around + (rise - rise * decay))
 
 
@@ -102,7 +102,7 @@ def chamber_log(scenario: Scenario, seed: int) -> tuple[FloatArray, FloatArray]:
     chamber, log = scenario.chamber, scenario.chamber.log
     assert log is not None
     time_s = np.arange(0.0, scenario.duration_s, log.interval_s)
-    wall = np.tile(chamber_temperature(chamber, time_s)[:, np.newaxis], 2)
+    wall = np.tile(chamber_temperature(chamber, time_s)[:, None], 2)
     true = Lags([0.0, chamber.lag_s]).process(time_s, wall)
     sensors = Thermometers(log.thermometer, 2, 1.0 / log.interval_s, seed, "chamber log")
     return time_s, sensors.process(0, true)

@@ -162,7 +162,7 @@ class LowPass:
             from scipy.signal import butter, sosfilt_zi  # takes 0.3 s, and not every unit has a filter
 
             self._sections = butter(2, cutoff_hz, fs=rate_hz, output="sos")
-            self._carried = sosfilt_zi(self._sections)[:, :, np.newaxis] * start
+            self._carried = sosfilt_zi(self._sections)[:, :, None] * start
 
     def process(self, values: FloatArray) -> FloatArray:
         """Return the next samples, filtered; both of shape (n, k)."""
