@@ -53,12 +53,14 @@ class Decoder:
         self._done: list[Packets] = []
         self._reported = set[str]()
         self._notices, self._warnings = list[str](), [*remarks]
-        self._held = bytearray()  # what may become a packet
-        self._rest = 0  # bytes at its front that were searched
-        self._overlap = 0  # bytes at its front that belong to the packet accepted last
+        self._parts: list[bytes] = []
+        self._waiting = 0  # bytes in the parts
+        self._rest = b""  # searched, and still part of what may become a packet
+        self._overlap = 0  # bytes at the front of the rest that belong to the packet accepted last
         # Bytes up to each end, counted from the first, arrived at these times.
         self._ends: list[IntArray] = []
         self._times: list[IntArray] = []
+        self._searched = 0  # bytes before the rest
         self._received = self._in_packets = self._checksum_errors = self._length_errors = 0
         self._names = [name for frame in frames for name in frame.names.values()]
         self._by_kind = np.zeros(len(self._names), np.int64)
@@ -90,9 +92,10 @@ class Decoder:
         self._times.append(arrivals_ns.copy())
         for start in range(0, len(data), CHUNK):
             part = bytes(data[start : start + CHUNK])
-            self._held += part
+            self._parts.append(part)
+            self._waiting += len(part)
             self._received += len(part)
-            if len(self._held) - self._rest > CHUNK:
+            if self._waiting > CHUNK:
                 self._search(final=False)
 
     def take(self) -> SampleBlock:
@@ -139,7 +142,7 @@ class Decoder:
         return Counters(
             bytes_received=self._received,
             bytes_in_packets=self._in_packets,
-            bytes_skipped=self._received - self._in_packets - self._rest + self._overlap,
+            bytes_skipped=self._received - self._in_packets - len(self._rest) + self._overlap,
             packets=int(self._by_kind.sum()),
             checksum_errors=self._checksum_errors,
             length_errors=self._length_errors,
@@ -159,21 +162,23 @@ class Decoder:
 
     def _search(self, final: bool) -> None:
         """Find the packets in what has come, and keep what may still become one."""
-        if len(self._held) == (0 if final else self._rest):
+        if not self._waiting and not (final and self._rest):
             return
-        held = np.frombuffer(bytes(self._held), np.uint8)
-        before = self._received - len(held)
+        data = b"".join([self._rest, *self._parts])
+        self._parts.clear()
+        self._waiting = 0
+        held = np.frombuffer(data, np.uint8)
         tried, found, rest, overlap = search(self._frames, held, final, self._overlap)
         self._count(found, tried, rest)
         ends, times = np.concatenate(self._ends), np.concatenate(self._times)
         if len(found):
-            last = before + found.at + found.length
+            last = self._searched + found.at + found.length
             packets = self._read(found, times[np.searchsorted(ends, last)])
             if len(packets.block):
                 self._done.append(packets)
-        del self._held[:rest]
-        self._rest, self._overlap = len(self._held), overlap
-        recent = int(np.searchsorted(ends, before + rest, "right"))
+        self._rest, self._overlap = data[rest:], overlap
+        self._searched += rest
+        recent = int(np.searchsorted(ends, self._searched, "right"))
         self._ends, self._times = [ends[recent:]], [times[recent:]]
 
     def _count(self, found: Found, tried: Found, rest: int) -> None:
