@@ -139,8 +139,7 @@ class Step(Effect):
     def grid(cls, survey: Survey) -> list[Self]:
         """Return times at the bounds of the blocks of the longest run."""
         blocks = int(max(survey.durations_s) / survey.block_s)
-        bounds = range(EDGE_BLOCKS, blocks - EDGE_BLOCKS + 1)
-        return [cls(time_s=index * survey.block_s) for index in bounds]
+        return [cls(time_s=index * survey.block_s) for index in range(EDGE_BLOCKS, blocks - EDGE_BLOCKS + 1)]
 
     def fits_in(self, duration_s: float, survey: Survey) -> bool:
         """Return whether the jump is not too near to an end of such a run."""

@@ -108,15 +108,20 @@ class ThermalLag(Follower):
     @classmethod
     def grid(cls, survey: Survey) -> list[Self]:
         """Return time constants up to a quarter of the shortest run."""
-        times = logarithmic(SHORTEST_S, survey.shortest_s / 4)
-        return [cls(time_constant_s=tau, **form) for form in cls.forms(survey) for tau in times]
+        return [
+            cls(time_constant_s=tau, **form)
+            for form in cls.forms(survey)
+            for tau in logarithmic(SHORTEST_S, survey.shortest_s / 4)
+        ]
 
     @classmethod
     def driven(cls, survey: Survey, driver: str) -> list[Self]:
         """Return time constants up to a quarter of the shortest run; power-on finds it in equilibrium."""
         scale = survey.others[driver]._asdict()
-        times = logarithmic(SHORTEST_S, survey.shortest_s / 4, RATIO**2)
-        return [cls(driver=driver, time_constant_s=tau, start_sd=0.0, **scale) for tau in times]
+        return [
+            cls(driver=driver, time_constant_s=tau, start_sd=0.0, **scale)
+            for tau in logarithmic(SHORTEST_S, survey.shortest_s / 4, RATIO**2)
+        ]
 
     def follow(self, memory: Memory, drive: Drive) -> FloatArray:
         """Return the lagged driver."""
@@ -158,8 +163,11 @@ class DeadTime(Follower):
     @classmethod
     def grid(cls, survey: Survey) -> list[Self]:
         """Return delays up to an eighth of the shortest run."""
-        delays = logarithmic(SHORTEST_S, survey.shortest_s / 8)
-        return [cls(delay_s=delay, **form) for form in cls.forms(survey) for delay in delays]
+        return [
+            cls(delay_s=delay, **form)
+            for form in cls.forms(survey)
+            for delay in logarithmic(SHORTEST_S, survey.shortest_s / 8)
+        ]
 
     def follow(self, memory: Memory, drive: Drive) -> FloatArray:
         """Return the delayed temperature, between those remembered on a straight line."""
@@ -208,8 +216,10 @@ class Hysteresis(Follower):
     def driven(cls, survey: Survey, driver: str) -> list[Self]:
         """Return backlashes of a tenth to four fifths of the span."""
         scale = survey.others[driver]._asdict()
-        widths = [share * 2 * scale["half_span"] for share in SHARES]
-        return [cls(driver=driver, half_width=width, slack=0.0, **scale) for width in widths]
+        return [
+            cls(driver=driver, half_width=share * 2 * scale["half_span"], slack=0.0, **scale)
+            for share in SHARES
+        ]
 
     @classmethod
     def of_curve(cls, survey: Survey) -> list[Self]:  # noqa: ARG003 - whatever the runs can show

@@ -10,6 +10,7 @@ from pydantic import BeforeValidator, Field, FiniteFloat, NonNegativeInt, model_
 from imumon.blocks import BoolArray, FloatArray
 from imumon.columns import BodyAxes
 from imumon.config import StrictModel, dump_yaml, load_yaml
+from imumon.effects.base import NotNegative, Positive
 from imumon.effects.library import AnyEffect
 from imumon.errors import ImumonError, bad_config
 from imumon.files import as_path, write_text
@@ -33,9 +34,9 @@ A tangent errs by half the curvature times the distance squared, a held value by
 near the end the tangent is better; far off both are guesses, and the held value is at least bounded."""
 
 Curve = Annotated[PolynomialCurve | SplineCurve | NetworkCurve, Field(discriminator="kind")]
-_NonNegative = Annotated[FiniteFloat, Field(ge=0.0)]
 _Range = Annotated[list[FiniteFloat], Field(min_length=2, max_length=2)]
 _Three = Annotated[list[FiniteFloat], Field(min_length=3, max_length=3)]
+_Matrix = Annotated[list[_Three], Field(min_length=3, max_length=3)]
 
 
 class ChannelModel(StrictModel):
@@ -47,9 +48,9 @@ class ChannelModel(StrictModel):
     """Column of the samples that the curve is over."""
     temperature_range_degc: _Range
     """Where the curve is supported by data."""
-    residual_sd: _NonNegative
+    residual_sd: NotNegative
     """Standard deviation of the bias about the curve, from levels that were left out of the fit."""
-    held_out_rms: dict[str, _NonNegative] = Field(default_factory=dict)
+    held_out_rms: dict[str, NotNegative] = Field(default_factory=dict)
     """rms error at levels that were left out, for each candidate curve."""
     curve: Curve
     effects: list[AnyEffect] = Field(default_factory=list)
@@ -104,12 +105,12 @@ class MagnetometerModel(StrictModel):
     hard_iron: _Three
     hard_iron_sd: _Three
     """Reading where there is no field."""
-    soft_iron: Annotated[list[_Three], Field(min_length=3, max_length=3)]
-    soft_iron_sd: Annotated[list[_Three], Field(min_length=3, max_length=3)]
+    soft_iron: _Matrix
+    soft_iron_sd: _Matrix
     """Symmetric; it leaves the mean strength of the field as it was read."""
-    field: Annotated[FiniteFloat, Field(gt=0.0)]
+    field: Positive
     """Strength of the field."""
-    residual_sd: _NonNegative
+    residual_sd: NotNegative
     """What a reading is off from that strength after the correction, noise and all."""
     coverage: Annotated[FiniteFloat, Field(ge=0.0, le=1.0)]
     """Share of the directions that were measured, 0 to 1."""
@@ -148,7 +149,7 @@ class TrainedOn(StrictModel):
     session: str
     run: NonNegativeInt = 0
     sha256: Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
-    rest_s: _NonNegative
+    rest_s: NotNegative
     blocks: NonNegativeInt
     temperature_range_degc: _Range
     offset: dict[str, FiniteFloat] = Field(default_factory=dict)
@@ -173,7 +174,7 @@ class BiasModel(StrictModel):
     latitude_deg: Annotated[FiniteFloat, Field(ge=-90.0, le=90.0)] | None = None
     heading_deg: FiniteFloat | None = None
     """With which it was removed."""
-    block_s: Annotated[FiniteFloat, Field(gt=0.0)] | None = None
+    block_s: Positive | None = None
     levels_degc: list[FiniteFloat] = Field(default_factory=list)
     trained_on: list[TrainedOn] = Field(default_factory=list)
     """The data."""

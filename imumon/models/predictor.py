@@ -13,8 +13,6 @@ from imumon.errors import bad_config
 
 from .model import REACH, BiasModel
 
-NO_DRIVERS: Mapping[str, FloatArray] = {}
-
 
 class Carrier:
     """Carries an effect along live: the bias that it adds, and how unsure its state at power-on leaves it.
@@ -107,7 +105,7 @@ class BiasPredictor:
         segment: IntArray,
         temperature: FloatArray,
         accel: FloatArray | None = None,
-        others: Mapping[str, FloatArray] = NO_DRIVERS,
+        others: Mapping[str, FloatArray] = {},
     ) -> Prediction:
         """Return the expected bias of the next samples.
 

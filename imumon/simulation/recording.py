@@ -109,9 +109,12 @@ def write_table(scenario: Scenario, seed: int, path: Path, progress: Progress) -
     OSError when the disk is full or fails; a file that was there before is untouched.
     """
     unit = SimulatedUnit(scenario, seed)
-    known = KNOWN | {"supply_voltage": Column("supply_voltage", "V")}
-    known = {name: Column(name, course.unit) for name, course in scenario.drivers.items()} | known
-    known |= {f"true_{c.name}": replace(c, name=f"true_{c.name}") for c in TRUTH_COLUMNS}
+    known = {
+        **{name: Column(name, course.unit) for name, course in scenario.drivers.items()},
+        **KNOWN,
+        "supply_voltage": Column("supply_voltage", "V"),
+        **{f"true_{c.name}": replace(c, name=f"true_{c.name}") for c in TRUTH_COLUMNS},
+    }
     with TableWriter(path, {}) as writer:
         for size in _sizes(scenario):
             sent, truth = unit.run(size)

@@ -105,9 +105,11 @@ class Aligner:
         by_lean = 0.5 * float(lean @ lean) - 2.0 * self.errors.accel_bias**2
         error = before.azimuth_error.then(error).then(AzimuthError(max(by_lean - variance, 0.0)))
         angle, sd = np.degrees([_turned(before.attitude, attitude), math.sqrt(max(variance, by_lean))])
-        begun_s, seconds = self.motion.begun_s, rest[0].begun_s - self.motion.begun_s
-        turned = f"by {angle:.2f}° ± {sd:.2f}° about the vertical"
-        self.events.append(f"alignment: the unit turned at {begun_s:.1f} s for {seconds:.1f} s {turned}")
+        begun_s = self.motion.begun_s
+        self.events.append(
+            f"alignment: the unit turned at {begun_s:.1f} s for {rest[0].begun_s - begun_s:.1f} s "
+            f"by {angle:.2f}° ± {sd:.2f}° about the vertical"
+        )
         before.fit = before.fit and before.fit.averaged()
         before.sums = np.empty((0, 7))  # its rows are not needed any more
         # A gyro that was not vertical before has another bias.

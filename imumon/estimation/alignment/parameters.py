@@ -11,6 +11,8 @@ from imumon.config import Retired, StrictModel
 
 ANY_WARM_UP = 1e-4, (100.0, 300.0, 1000.0)
 """Warm-up of accelerometers: sd of its amplitudes, g, and their time constants, s; assumed."""
+_Positive = Annotated[float, Field(gt=0.0, le=1e5)]
+_NotNegative = Annotated[float, Field(ge=0.0, le=1e5)]
 
 
 class KnownWarmUp(StrictModel):
@@ -27,12 +29,12 @@ class KnownWarmUp(StrictModel):
 
     amplitude_ug: Annotated[list[Annotated[float, Field(ge=-1e5, le=1e5)]], Field(min_length=3, max_length=3)]
     time_constant_s: Annotated[
-        list[Annotated[float, Field(gt=0.0, le=1e5)]],
+        list[_Positive],
         BeforeValidator(lambda given: [given] * 3 if isinstance(given, int | float) else given),
         Field(min_length=3, max_length=3),
     ]
-    amplitude_sd_ug: float | None = Field(default=None, gt=0.0, le=1e5)
-    time_constant_sd_s: float = Field(default=0.0, ge=0.0, le=1e5)
+    amplitude_sd_ug: _Positive | None = None
+    time_constant_sd_s: _NotNegative = 0.0
 
     def bias_g(self, time_s: FloatArray) -> FloatArray:
         """Return the bias at times since the first sample, s, (n,), in body axes, g, (n, 3)."""
@@ -76,10 +78,10 @@ class AlignmentParameters(StrictModel):
 
     settled_deg: float = Field(default=0.05, gt=0.0, le=90.0)
     observable_deg: float = Field(default=5.0, gt=0.0, le=60.0)
-    gyro_bias_sd_deg_per_h: float | None = Field(default=None, ge=0.0, le=1e5)
-    gyro_flicker_deg_per_h: float | None = Field(default=None, ge=0.0, le=1e5)
-    gyro_scale_sd_ppm: float | None = Field(default=None, ge=0.0, le=1e5)
-    accel_bias_sd_ug: float | None = Field(default=None, ge=0.0, le=1e5)
+    gyro_bias_sd_deg_per_h: _NotNegative | None = None
+    gyro_flicker_deg_per_h: _NotNegative | None = None
+    gyro_scale_sd_ppm: _NotNegative | None = None
+    accel_bias_sd_ug: _NotNegative | None = None
     known_warm_up: KnownWarmUp | None = None
     coarse_s: Retired = None
     corner_hz: Retired = None

@@ -71,10 +71,11 @@ class Alignment:
             "roll_drift": "change of roll since the first rest",
             "pitch_drift": "change of pitch since the first rest",
             "heading_magnetic": "heading of the body x axis from magnetic north",
+            "heading_gyro_mean": "heading by the gyro mean",
+            "heading_gyro_mean_sd": "its standard deviation, without sway and tilts",
+            "heading_hann_mean": "heading by the hann mean",
+            "heading_hann_mean_sd": "its standard deviation, without sway and tilts",
         }
-        for mean in ("gyro", "hann"):
-            texts[f"heading_{mean}_mean"] = f"heading by the {mean} mean"
-            texts[f"heading_{mean}_mean_sd"] = "its standard deviation, without sway and tilts"
         return [Column(name, "rad", description=text) for name, text in texts.items()]
 
     def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
@@ -174,10 +175,17 @@ class Alignment:
             return []
         rest_s, _, sd = np.array(self._aligner.history).T
         wanted = Curve("wanted", rest_s[[0, -1]], np.full(2, self._parameters.settled_deg), GREY)
-        curves = (Curve("σ", rest_s, np.degrees(sd), GREEN, width=2.0), wanted)
-        axes = Axis("time at rest [s]", log=True), Axis("σ [°]", log=True)
-        title, headline = "Sigma of the heading", f"{self.status.heading_text}; {self.status.to_go_text}"
-        return [Chart("alignment_progress", "Alignment", title, *axes, curves, headline=headline)]
+        return [
+            Chart(
+                "alignment_progress",
+                "Alignment",
+                "Sigma of the heading",
+                Axis("time at rest [s]", log=True),
+                Axis("σ [°]", log=True),
+                (Curve("σ", rest_s, np.degrees(sd), GREEN, width=2.0), wanted),
+                headline=f"{self.status.heading_text}; {self.status.to_go_text}",
+            )
+        ]
 
     def notices(self) -> list[str]:
         """Return motions and restarts so far, and conditions that limit the heading."""

@@ -85,8 +85,9 @@ class RestAndBias:
         slopes = (0.0, SLOPE_LEFT_PER_SIGMA if model else SLOPE_PER_SIGMA) if mode == "learned" else (0.0,)
         self._thermal = Thermal(model)
         latitude, heading = (None if a is None else math.radians(a) for a in (latitude_deg, heading_deg))
-        attitude = Attitude(latitude, heading)
-        self._estimator = Estimator(self._parameters, slopes, rest, self._thermal, attitude)
+        self._estimator = Estimator(
+            self._parameters, slopes, rest, self._thermal, Attitude(latitude, heading)
+        )
         self._timing = Timing()
         self._slots = SlotGatherer(GATHERED, round(SLOT_S * 1e9), turns=True)
         self._bias = self._estimator.output(0.0)
@@ -192,9 +193,12 @@ class RestAndBias:
 
     def notices(self) -> list[str]:
         """Return what is missing, assumed, or out of range, and how often the bias has jumped."""
-        jump = "at rest the rate contradicted the bias, so it has jumped"
-        jumps = f"{jump}, {self._estimator.jumps} times so far: the bias is estimated anew"
-        return [*self._notices, *self._thermal.notices, *([jumps] if self._estimator.jumps else [])]
+        jumps = self._estimator.jumps
+        jumped = (
+            f"at rest the rate contradicted the bias, so it has jumped, {jumps} times so far: the bias is "
+            "estimated anew"
+        )
+        return [*self._notices, *self._thermal.notices, *([jumped] if jumps else [])]
 
 
 class RestDetector(RestAndBias):

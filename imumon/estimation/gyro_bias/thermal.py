@@ -81,7 +81,7 @@ class Thermal:
 
         `behind` is the first row after it: what it knows of the rate (sd) holds, else `UNSEEN_RATE`.
         """
-        rate_sd = _first_of(behind, self._ends, "_rate_sd")[0]
+        rate_sd = self._first_of(behind, "_rate_sd")[0]
         unseen = np.where(np.isfinite(rate_sd), rate_sd, UNSEEN_RATE)
         return -OWN_LAG_S * math.expm1(-gap_s / OWN_LAG_S) * unseen
 
@@ -93,8 +93,8 @@ class Thermal:
         The three are zero without a model; curve and sd are NaN before the first temperature.
         """
         # The reading is used only where there is no estimate at all: mixed, both would jump.
-        temperature = _first_of(block, self._ends, "_estimate", "")
-        temperatures = np.stack([temperature, np.nan_to_num(_first_of(block, self._ends, "_estimate_sd"))])
+        temperature = self._first_of(block, "_estimate", "")
+        temperatures = np.stack([temperature, np.nan_to_num(self._first_of(block, "_estimate_sd"))])
         if self._predictor is None:
             return temperatures, np.zeros((3, len(block), 3))
         predicted = self._predictor.of_block(block, temperature)
@@ -104,17 +104,17 @@ class Thermal:
         if len(block) and not known.any():
             self.notices["the bias model lacks its temperature: the bias is taken as constant"] = None
         if (np.isfinite(temperature) & ~predicted.inside).any():
-            given = f"{self._low.max():.1f} to {self._high.min():.1f} °C"
-            text = f"the temperature is outside the bias model's range, {given}: the bias is extrapolated"
-            self.notices[text] = None
+            self.notices[
+                f"the temperature is outside the bias model's range, {self._low.max():.1f} to "
+                f"{self._high.min():.1f} °C: the bias is extrapolated"
+            ] = None
         total = np.where(known, curve - self._reference, 0.0)
         return temperatures, np.stack([total, curve, np.where(known, predicted.start_sd, np.nan)])
 
-
-def _first_of(block: SampleBlock, ends: list[list[str]], *kinds: str) -> FloatArray:
-    """Return the first column of these kinds that a block has, for each list of ends, (n, 3); else NaN."""
-    names = [[f"temperature{kind}{end}" for kind in kinds for end in each] for each in ends]
-    return block.stacked([next((name for name in one if name in block), "") for one in names])
+    def _first_of(self, block: SampleBlock, *kinds: str) -> FloatArray:
+        """Return the first column of these kinds that a block has for each gyro, (n, 3); else NaN."""
+        names = [[f"temperature{kind}{end}" for kind in kinds for end in ends] for ends in self._ends]
+        return block.stacked([next((name for name in one if name in block), "") for one in names])
 
 
 class BiasTrail:
@@ -148,13 +148,12 @@ class BiasTrail:
             lines.append(Curve(f"{axis}, model", at, channel.value(at) / DEG_PER_H, color, width=1.2))
             left[:, j] -= channel.value(degc[:, j]) / DEG_PER_H
         dots = "dots: estimates since the start; large: now"
-        note, over = f"line: model; {dots}" if lines else dots, [*lines, *_trails(degc, bias)]
+        note, over = f"line: model; {dots}" if lines else dots, (*lines, *_trails(degc, bias))
         axes = Axis("temperature [°C]"), Axis("bias [°/h]")
-        title = "Gyro bias over temperature"
-        charts = [Chart("gyro_bias", "Gyro bias", title, *axes, tuple(over), notes=(note,))]
+        charts = [Chart("gyro_bias", "Gyro bias", "Gyro bias over temperature", *axes, over, notes=(note,))]
         if lines:
-            title, over = "Gyro bias minus the calibrated curve", _trails(degc, left)
-            charts.append(Chart("gyro_bias_left", "Residual", title, *axes, tuple(over), notes=(dots,)))
+            title, over = "Gyro bias minus the calibrated curve", tuple(_trails(degc, left))
+            charts.append(Chart("gyro_bias_left", "Residual", title, *axes, over, notes=(dots,)))
         return charts
 
 

@@ -32,9 +32,9 @@ class RestParameters(StrictModel):
     """
 
     gyro_drift: float = Field(default=1e-4, ge=0.0, le=1.0)
-    accel_drift: float = Field(default=1.5e-3, ge=0.0, le=10.0)
+    accel_drift: _NotNegative = 1.5e-3
     undecided_s: float = Field(default=14400.0, ge=0.0, le=86400.0)
-    largest_jump: float = Field(default=0.017, ge=0.0, le=10.0)
+    largest_jump: _NotNegative = 0.017
     begins_turning: Retired = None  # as all of this type: a key of earlier versions, read and not used
     gyro_g_sensitivity: Retired = None
     gyro_walk: Retired = None

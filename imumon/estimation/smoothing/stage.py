@@ -107,9 +107,8 @@ def backward(record: Record, temperature: Estimator, bias: Estimator) -> dict[st
         "device_time_ns": last_ns - record.middle_ns,
         "segment": record.run.max(initial=0) - record.run,
         **{name: record.columns[name] for name in (*SENSORS[3:], *present)},
+        **{name: of_axis - record.columns[name] for name, of_axis in zip(SENSORS[:3], model.T, strict=True)},
     }
-    for name, modelled_bias in zip(SENSORS[:3], model.T, strict=True):
-        columns[name] = modelled_bias - record.columns[name]
     block = SampleBlock({name: np.ascontiguousarray(values[::-1]) for name, values in columns.items()})
     block = block.with_columns(temperature.process(block))
     block = block.with_columns(bias.process(block))
@@ -192,8 +191,10 @@ class SmoothedEstimates:
             if np.isfinite(one.sd).any():
                 value, sd = value_and_sd(f"{name}_smoothed", suffix)
                 self._values |= {value: one.value, sd: one.sd}
-                texts = {value: "with what came later", sd: "standard deviation with what came later"}
-                self.columns += tuple(Column(of, UNITS[name], description=texts[of]) for of in texts)
+                self.columns += (
+                    Column(value, UNITS[name], description="with what came later"),
+                    Column(sd, UNITS[name], description="standard deviation with what came later"),
+                )
 
     def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
         """Return the new columns of a block; the blocks must be the rows of the first run, in their order."""

@@ -93,8 +93,15 @@ def _chart(group: str, block: SampleBlock, interval_ns: float) -> Chart:
             f"{at:.4g} Hz: {factor * rms:.3g} {unit} rms" for at, rms in peaks(frequency, density, segments)
         ]
         notes.append(f"{axis}  " + ("   ".join(lines) or "no line above the noise"))
-    x, y = Axis("frequency [Hz]", log=True), Axis(f"amplitude spectral density [{unit}/√Hz]", log=True)
-    return Chart(f"spectrum_{group}", "Spectrum", title, x, y, tuple(curves), notes=tuple(notes))
+    return Chart(
+        f"spectrum_{group}",
+        "Spectrum",
+        title,
+        Axis("frequency [Hz]", log=True),
+        Axis(f"amplitude spectral density [{unit}/√Hz]", log=True),
+        tuple(curves),
+        notes=tuple(notes),
+    )
 
 
 def welch(values: FloatArray, interval_s: float, length: int) -> tuple[FloatArray, FloatArray, int]:
@@ -108,7 +115,7 @@ def welch(values: FloatArray, interval_s: float, length: int) -> tuple[FloatArra
     power = np.abs(np.fft.rfft(parts, axis=1)) ** 2
     density = 2.0 * interval_s * power.mean(axis=0) / float(window @ window)
     density[[0, -1]] /= 2.0
-    return np.arange(len(density)) / (length * interval_s), np.asarray(density), len(parts)
+    return np.arange(len(density)) / (length * interval_s), density, len(parts)
 
 
 def peaks(frequency: FloatArray, density: FloatArray, segments: int) -> list[tuple[float, float]]:

@@ -178,8 +178,10 @@ class MultipleModelRate:
         elif not no_value:
             self._outliers, self._outlier_degc = self._outliers + 1, slot.last
             if self._outliers >= GATE_SLOTS:
-                text = f"it leapt to {slot.last:g} °C, as no temperature does, and stuck there"
-                self.faults[f"{text}: taken for a fault of the thermometer until it changes"] = None
+                self.faults[
+                    f"it leapt to {slot.last:g} °C, as no temperature does, and stuck there: taken for a "
+                    "fault of the thermometer until it changes"
+                ] = None
         return outcome
 
     def _is_near(self, slot: Slot, filters: Filters) -> bool:
@@ -266,8 +268,7 @@ class TemperatureRate:
                 ("estimate_sd", "degC", sd),
                 ("rate_sd", "degC/s", sd),
             ):
-                column = f"{self.prefix}temperature_{result}{suffix}"
-                found.append(Column(column, unit, description=text))
+                found.append(Column(f"{self.prefix}temperature_{result}{suffix}", unit, description=text))
         return found
 
     def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:

@@ -241,5 +241,7 @@ def interpret(peaks: FloatArray, modelled: bool) -> tuple[str, str]:
         # A session that ran with a model has it.
         diagnose = f"imumon diagnose --train SESSION{' --model SESSION' * modelled} --out DIR"
         advice = f"{lacks} an effect such as {', '.join(suspected_by(named))}: {diagnose}"
-    where = f"on {axes} the innovations of the bias filter {does}"
-    return f"innovations {does}", f"MODEL SUSPECT: {where}; {advice}"
+    return (
+        f"innovations {does}",
+        f"MODEL SUSPECT: on {axes} the innovations of the bias filter {does}; {advice}",
+    )

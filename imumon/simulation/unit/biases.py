@@ -80,13 +80,21 @@ def gyro_bias(unit: UnitParameters, step_s: float, seed: int) -> Bias:
     turn_on, noise, loop = unit.gyro_turn_on, unit.gyro_noise, unit.gyro_hysteresis
     offset = White(turn_on.sd_deg_per_h, generator(seed, "gyro turn-on")).take(1)[0]
     offset = (turn_on.offset_deg_per_h + offset) * DEG_PER_H
-    effects: list[list[Effect]] = []
-    for axis, more in enumerate(_scaled(unit.gyro_effects_deg_per_h, DEG_PER_H)):
-        effects.append([RunOffset(coefficients=[offset[axis]]), *more])
+    effects = _scaled(unit.gyro_effects_deg_per_h, DEG_PER_H)
+    for axis, added in enumerate(effects):
+        added.insert(0, RunOffset(coefficients=[offset[axis]]))
         if loop is not None:
             width, height = loop.width_degc, loop.half_width_deg_per_h[axis] * DEG_PER_H
-            effect = Hysteresis(half_width=width, shape=loop.kind, slack=0.0, middle=0.0, half_span=width)
-            effects[-1].append(effect.with_coefficients([height]))
+            added.append(
+                Hysteresis(
+                    coefficients=[height],
+                    half_width=width,
+                    shape=loop.kind,
+                    slack=0.0,
+                    middle=0.0,
+                    half_span=width,
+                )
+            )
     flicker = [(np.array(part.sd_deg_per_h) * DEG_PER_H, part.tau_s) for part in noise.flicker]
     walk = np.array(noise.random_walk_deg_per_h_per_sqrt_s) * DEG_PER_H
     drift = RandomWalk(walk, step_s, generator(seed, "gyro random walk"))

@@ -13,7 +13,7 @@ from pydantic import Field, model_validator
 from imumon.blocks import BoolArray, ColumnArray, FloatArray
 from imumon.config import StrictModel
 
-from .parameters import NONE, Three
+from .parameters import NONE, NotNegative, Positive, Three
 
 EDGE_S = 2.0
 """How long it takes to get into motion and out of it, where a round of handling has room for that."""
@@ -36,11 +36,11 @@ class Movement:
 class _Timed(StrictModel):
     """An event; `_add` adds what it does by the time since its begin, negative before it."""
 
-    at_s: float = Field(ge=0.0)
+    at_s: NotNegative
 
 
 class _Lasting(_Timed):
-    duration_s: float = Field(gt=0.0)
+    duration_s: Positive
 
 
 class Attitude(StrictModel):
@@ -85,7 +85,7 @@ class Rotation(_Lasting):
 
 
 class _Shaking(_Timed):
-    frequency_hz: float = Field(gt=0.0)
+    frequency_hz: Positive
     acceleration_m_per_s2: Three = NONE  # amplitude north, east, down
     tilt_deg: Three = NONE  # amplitude of roll, pitch, heading
 
@@ -101,7 +101,7 @@ class Bump(_Shaking):
     """A knock against the table: it rings at a frequency, first with its amplitude, and dies away."""
 
     kind: Literal["bump"]
-    decay_s: float = Field(gt=0.0)
+    decay_s: Positive
 
     def _add(self, since_s: FloatArray, total: Movement) -> None:
         ringing = _within(since_s, RINGING * self.decay_s)
@@ -136,10 +136,10 @@ class Handling(_Timed):
 
     kind: Literal["handling"]
     rounds: int = Field(ge=1)
-    every_s: float = Field(gt=0.0)
-    rest_s: float = Field(gt=0.0)
+    every_s: Positive
+    rest_s: Positive
     swing_deg: Three = NONE
-    swing_period_s: float = Field(default=4.0, gt=0.0)
+    swing_period_s: Positive = 4.0
     travel_m: Three = NONE
     heading_deg: float = 0.0
 

@@ -7,6 +7,9 @@ from pydantic import BeforeValidator, Field
 from imumon.config import StrictModel
 from imumon.effects.library import AnyEffect
 
+Positive = Annotated[float, Field(gt=0.0)]
+NotNegative = Annotated[float, Field(ge=0.0)]
+
 
 def _one_or_three(value: Any) -> Any:
     if isinstance(value, int | float) and not isinstance(value, bool):
@@ -18,8 +21,7 @@ def _one_or_three(value: Any) -> Any:
 
 Three = Annotated[tuple[float, float, float], BeforeValidator(_one_or_three)]
 """A number for each of x, y, z; one number stands for all three."""
-_Positive = Annotated[float, Field(ge=0.0)]
-ThreePositive = Annotated[tuple[_Positive, _Positive, _Positive], BeforeValidator(_one_or_three)]
+ThreePositive = Annotated[tuple[NotNegative, NotNegative, NotNegative], BeforeValidator(_one_or_three)]
 """The same, none of them negative."""
 NONE = (0.0, 0.0, 0.0)
 
@@ -29,7 +31,7 @@ class Shape(StrictModel):
 
     amplitude: float
     at_degc: float
-    width_degc: float = Field(gt=0.0)
+    width_degc: Positive
     kind: Literal["tanh", "sin"]
 
 
@@ -39,7 +41,7 @@ class Polynomial(StrictModel):
     kind: Literal["polynomial"]
     coefficients: list[float] = Field(min_length=1, max_length=12)
     at_degc: float = 0.0
-    width_degc: float = Field(default=1.0, gt=0.0)
+    width_degc: Positive = 1.0
 
 
 Term = Annotated[Shape | Polynomial, Field(discriminator="kind")]
@@ -69,7 +71,7 @@ class Hysteresis(StrictModel):
     """y' = (T' - |T'| y) / w; or y = (T - p) / w with the play p, which follows T at a distance w."""
     half_width_deg_per_h: Three
     """h."""
-    width_degc: float = Field(gt=0.0)
+    width_degc: Positive
     """w."""
 
 
@@ -77,14 +79,14 @@ class GyroFlicker(StrictModel):
     """One Gauss-Markov process on each gyro, in equilibrium at power-on."""
 
     sd_deg_per_h: ThreePositive
-    tau_s: float = Field(gt=0.0)
+    tau_s: Positive
 
 
 class AccelFlicker(StrictModel):
     """One Gauss-Markov process on each accelerometer, in equilibrium at power-on."""
 
     sd_ug: ThreePositive
-    tau_s: float = Field(gt=0.0)
+    tau_s: Positive
 
 
 class GyroNoise(StrictModel):
@@ -120,23 +122,23 @@ class AccelWarmUp(StrictModel):
     """Bias after power-on: amplitude (1 - exp(-t / tau))."""
 
     amplitude_ug: Three
-    tau_s: float = Field(gt=0.0)
+    tau_s: Positive
 
 
 class SelfHeating(StrictModel):
     """Temperature of each sensor above its surroundings after power-on: rise (1 - exp(-t / tau))."""
 
     rise_degc: Three
-    tau_s: float = Field(gt=0.0)
+    tau_s: Positive
 
 
 class Thermometer(StrictModel):
     """One thermometer at each gyro and one on the board."""
 
-    step_degc: float = Field(default=0.05, ge=0.0)
-    noise_degc: float = Field(default=0.005, ge=0.0)
+    step_degc: NotNegative = 0.05
+    noise_degc: NotNegative = 0.005
     """Quantization step (0: none), and standard deviation of a reading before it is quantized."""
-    rate_hz: float | None = Field(default=None, gt=0.0)
+    rate_hz: Positive | None = None
     """New readings per second, held in between; None for one with each packet."""
 
 
@@ -158,4 +160,4 @@ class UnitParameters(StrictModel):
     accel_noise: AccelNoise = AccelNoise()
     self_heating: SelfHeating | None = None
     thermometer: Thermometer = Thermometer()
-    low_pass_hz: float | None = Field(default=None, gt=0.0)
+    low_pass_hz: Positive | None = None

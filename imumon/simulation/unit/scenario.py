@@ -16,7 +16,7 @@ from imumon.errors import ImumonError, bad_config
 from imumon.files import bundled, read_text
 
 from .motion import Attitude, Event
-from .parameters import Thermometer, UnitParameters
+from .parameters import NotNegative, Positive, Thermometer, UnitParameters
 
 FREE = {"pressure", "latitude", "longitude", "altitude"}
 """Known columns that a driver may be; the unit sends others itself."""
@@ -85,8 +85,8 @@ class Step(StrictModel):
     """One step of a chamber: to a temperature at a rate (where there is one), then hold."""
 
     to_degc: float | None = None
-    rate_degc_per_min: float | None = Field(default=None, gt=0.0)
-    hold_s: float = Field(default=0.0, ge=0.0)
+    rate_degc_per_min: Positive | None = None
+    hold_s: NotNegative = 0.0
 
     @model_validator(mode="after")
     def _complete(self) -> Self:
@@ -101,13 +101,13 @@ class Wobble(StrictModel):
     """A sine on top of the chamber's temperature."""
 
     amplitude_degc: float
-    period_s: float = Field(gt=0.0)
+    period_s: Positive
 
 
 class ChamberLog(StrictModel):
     """Two thermometers on a computer of their own: at the chamber's inner wall, and on the unit's case."""
 
-    interval_s: float = Field(default=10.0, gt=0.0)
+    interval_s: Positive = 10.0
     thermometer: Thermometer = Thermometer(step_degc=0.1, noise_degc=0.05)
     """Of either; the default is a thermocouple behind a data logger."""
 
@@ -118,7 +118,7 @@ class Chamber(StrictModel):
     start_degc: float  # at power-on, of chamber and unit
     steps: list[Step] = Field(default_factory=list)
     wobble: Wobble | None = None
-    lag_s: float = Field(default=0.0, ge=0.0)  # time constant of the unit behind the chamber; 0: none
+    lag_s: NotNegative = 0.0  # time constant of the unit behind the chamber; 0: none
     log: ChamberLog | None = None  # what is logged of the chamber beside the unit
 
 
@@ -134,7 +134,7 @@ class Course(StrictModel):
     unit: str
     at_s: list[float] = Field(min_length=1)
     value: list[float] = Field(min_length=1)  # the corners, times since power-on increasing
-    noise: float = Field(default=0.0, ge=0.0)  # standard deviation of a reading
+    noise: NotNegative = 0.0  # standard deviation of a reading
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

@@ -97,9 +97,8 @@ class SimulatedUnit:
         ticks = np.rint(index * ticks_per_sample).astype(np.int64)
         time_ns = ticks * self._tick_ns.numerator // self._tick_ns.denominator
         times = {"device_time_ns": time_ns, "segment": np.zeros(n, np.int64)}
-        counted = {**times, "packet_counter": index, "device_ticks": ticks}
-        samples = SampleBlock({**counted, **sent.rows(0, n).columns})
-        return samples, SampleBlock({**times, **truth.rows(0, n).columns})
+        counted = {**times, "packet_counter": index, "device_ticks": ticks, **sent.rows(0, n).columns}
+        return SampleBlock(counted), SampleBlock({**times, **truth.rows(0, n).columns})
 
     def _chunk(self, first: int) -> tuple[SampleBlock, SampleBlock]:
         """Return what is sent of the next `CHUNK` samples, and the truth."""
