@@ -97,7 +97,11 @@ class SampleBlock:
 
     def rows(self, start: int, stop: int) -> "SampleBlock":
         """Return samples start..stop as views."""
-        return SampleBlock({name: values[start:stop] for name, values in self.columns.items()})
+        return self.kept(slice(start, stop))
+
+    def kept(self, keep: BoolArray | IntArray | slice) -> "SampleBlock":
+        """Return the samples to keep."""
+        return SampleBlock({name: values[keep] for name, values in self.columns.items()})
 
 
 NO_INT = int(np.iinfo(np.int64).min)

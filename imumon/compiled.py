@@ -52,8 +52,10 @@ def inner(function: F) -> F:
 
 
 _TYPES: dict[Any, type[np.generic]] = {
-    **dict.fromkeys((int, npt.NDArray[np.int64]), np.int64),
-    **dict.fromkeys((float, npt.NDArray[np.float64]), np.float64),
+    int: np.int64,
+    float: np.float64,
+    npt.NDArray[np.int64]: np.int64,
+    npt.NDArray[np.float64]: np.float64,
 }
 
 

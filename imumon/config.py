@@ -132,7 +132,7 @@ def parse_yaml(text: str, model: type[Model], source: str) -> Model:
     except (yaml.YAMLError, ValueError, AttributeError, IndexError, TypeError, ArithmeticError) as error:
         # All but the first come from values such as a date with a month 13.
         raise bad_config(f"{source}: not valid YAML: {error}") from error
-    if root is None or not isinstance(data, dict):
+    if not isinstance(data, dict):
         kind = "an empty file" if data is None else f"a {type(data).__name__}"
         raise bad_config(f"{source}:1: expected a mapping of keys, got {kind}")
     try:
@@ -157,24 +157,29 @@ def dump_yaml(data: Mapping[str, Any], *, flow: bool | None = False) -> str:
 
     With `flow` lists are in one line; None: those without another list in them.
     """
-    style: Any = {"sort_keys": False, "allow_unicode": True, "width": 110, "default_flow_style": flow}
-    return str(yaml.dump(dict(data), Dumper=_Dumper, **style))
+    return str(
+        yaml.dump(
+            dict(data),
+            Dumper=_Dumper,
+            sort_keys=False,
+            allow_unicode=True,
+            width=110,
+            default_flow_style=flow,
+        )
+    )
 
 
 def _describe(item: Any, root: yaml.Node, source: str) -> str:
-    location: Location = tuple(item["loc"])
+    location: Location = item["loc"]
     line, path = _locate(root, location)
     where = f"{source}:{line}: {path}: " if path else f"{source}:{line}: "
     message = str(item["msg"]).removeprefix("Value error, ")
     kind = str(item["input"]).rpartition("/")[0] if location == ("format",) else ""
     if kind not in message and (option := OPTIONS.get(kind)):
         return f"{source}:{line}: this is a {option} file, which --{option} takes"
-    if item["type"] == "extra_forbidden":
-        return f"{where}unknown key"
-    if item["type"] == "missing":
-        return f"{where}this key is required"
-    if item["type"] == "value_error":
-        return where + message
+    texts = {"extra_forbidden": "unknown key", "missing": "this key is required", "value_error": message}
+    if item["type"] in texts:
+        return where + texts[item["type"]]
     if item["type"] == "list_type" and isinstance(item["input"], str | int | float):
         return f"{where}expected a list: [{_short(str(item['input']), 60)}]"
     return f"{where}{message}, got {_short(repr(item['input']), 60)}"

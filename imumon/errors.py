@@ -46,11 +46,14 @@ class Reason(Enum):
     @property
     def exit_code(self) -> int:
         """Exit code of the command line for this reason."""
-        if self in (Reason.BAD_CONFIG, Reason.EXISTS):
-            return EXIT_USAGE
-        if self is Reason.REFUSED:
-            return EXIT_NEGATIVE
-        return EXIT_DATA if self in (Reason.BAD_DATA, Reason.TIMEOUT) else EXIT_PORT
+        codes = {
+            Reason.BAD_CONFIG: EXIT_USAGE,
+            Reason.EXISTS: EXIT_USAGE,
+            Reason.REFUSED: EXIT_NEGATIVE,
+            Reason.BAD_DATA: EXIT_DATA,
+            Reason.TIMEOUT: EXIT_DATA,
+        }
+        return codes.get(self, EXIT_PORT)
 
 
 class ImumonError(Exception):

@@ -26,11 +26,11 @@ def bundled(kind: str) -> dict[str, Path]:
     return {path.stem: path for path in folder.glob("*.yaml")}
 
 
-def as_path(argument: str, value: object) -> Path:
-    """Return a path; raises BAD_CONFIG, naming the argument, for what is neither text nor a path."""
-    if not isinstance(value, str | Path):
-        raise bad_config(f"{argument}={value!r:.60}: expected a path")
-    return Path(value)
+def as_path(path: object) -> Path:
+    """Return the argument `path` of a call; raises BAD_CONFIG for what is neither text nor a path."""
+    if not isinstance(path, str | Path):
+        raise bad_config(f"path={path!r:.60}: expected a path")
+    return Path(path)
 
 
 def read_text(path: Path, reason: Reason = Reason.BAD_CONFIG, hint: str = "") -> str:

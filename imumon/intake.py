@@ -82,7 +82,7 @@ class Intake:
             self._limits[start] = low, high, f"beyond {low:g} to {high:g} {unit}".rstrip()
         self._clock = _Clock()
         self._still = {sensor: _Still(*limits) for sensor, limits in IMPOSSIBLE_AT_REST.items()}
-        self._unchanged = {sensor: _Unchanged(sensor) for sensor in IMPOSSIBLE_AT_REST}
+        self._unchanged = [_Unchanged(sensor) for sensor in IMPOSSIBLE_AT_REST]
         self._begun: set[str] = set()
         """Gyros and thermometers that have begun to read: not only zero, nor gyros their first reading."""
         self._first: FloatArray | None = None
@@ -105,7 +105,7 @@ class Intake:
             if not kept.all():
                 rows = kept
                 self._left_out["rows whose time does not go on"] += int((~kept).sum())
-                timely = SampleBlock({name: values[kept] for name, values in timely.columns.items()})
+                timely = timely.kept(kept)
         columns = dict(timely.columns)
         for name, values in timely.columns.items():
             limits = (one for start, one in self._limits.items() if name.startswith(start))
@@ -126,7 +126,7 @@ class Intake:
                 self._leave_out(names, silent, why, columns)
         taken = SampleBlock(columns)
         if is_dated:
-            for unchanged in self._unchanged.values():
+            for unchanged in self._unchanged:
                 unchanged.process(timely)
             self._force.look(taken)
         return Taken(taken, rows)
@@ -137,7 +137,7 @@ class Intake:
             what: f"left out of all estimates: {what}" + (f" ({count:,} in all)" if ended else "")
             for what, count in self._left_out.items()
         }
-        every |= {text: text for unchanged in self._unchanged.values() for text in unchanged.found.values()}
+        every |= {text: text for unchanged in self._unchanged for text in unchanged.found.values()}
         if (doubt := self._force.doubt(LEAST_S if ended else LONG_S)) is not None:
             every["force"] = doubt
         new = [text for what, text in every.items() if what not in self._reported]
@@ -331,8 +331,8 @@ class SpecificForce:
         beyond, n = self._beyond, self._readings
         if n < LEAST_READINGS or beyond <= BEYOND * n or self._span_ns < 1e9 * least_s:
             return None
-        seen = f"{beyond / n:.0%} of the specific force readings are not within {GRAVITIES[0]:g} to"
-        seen += f" {GRAVITIES[1]:g} times gravity but {self._sum / n:.2g} in the mean"
         return (
-            f"{seen}: are byte order, scale and unit right in the device file or map?  Else it fell or spun"
+            f"{beyond / n:.0%} of the specific force readings are not within {GRAVITIES[0]:g} to"
+            f" {GRAVITIES[1]:g} times gravity but {self._sum / n:.2g} in the mean: are byte order, scale and"
+            " unit right in the device file or map?  Else it fell or spun"
         )

@@ -10,7 +10,6 @@ import zlib
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from itertools import dropwhile
-from types import MappingProxyType
 
 import numpy as np
 
@@ -343,7 +342,7 @@ class Digest:
         self._rows = 0
         self._side: dict[str, Digest] = {}
 
-    def update(self, block: SampleBlock, side: Mapping[str, SampleBlock] = MappingProxyType({})) -> None:
+    def update(self, block: SampleBlock, side: Mapping[str, SampleBlock] = {}) -> None:
         """Add samples, and those of side streams."""
         for stream, rows in side.items():
             self._side.setdefault(stream, Digest()).update(rows)

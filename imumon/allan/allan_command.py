@@ -6,7 +6,16 @@ from typing import TYPE_CHECKING
 
 import click
 
-from imumon.cli.common import PATH, json_option, print_json, print_rows, print_table, show, warn
+from imumon.cli.common import (
+    json_option,
+    path_argument,
+    path_option,
+    print_json,
+    print_rows,
+    print_table,
+    show,
+    warn,
+)
 from imumon.cli.progress import reading_bar
 from imumon.files import check_outputs
 
@@ -15,10 +24,10 @@ if TYPE_CHECKING:
 
 
 @click.command("allan")
-@click.argument("recording", metavar="SESSION|TABLE", type=PATH)
-@click.option("--plot", type=PATH, help="Draw the curves, log-log, into this PNG.")
-@click.option("--noise-out", type=PATH, help="Write the terms as the noise section of a pipeline YAML.")
-@click.option("--kalibr", type=PATH, help="Write the terms as Kalibr's imu.yaml.")
+@path_argument("recording", metavar="SESSION|TABLE")
+@path_option("--plot", help="Draw the curves, log-log, into this PNG.")
+@path_option("--noise-out", help="Write the terms as the noise section of a pipeline YAML.")
+@path_option("--kalibr", help="Write the terms as Kalibr's imu.yaml.")
 @json_option
 def command(
     recording: Path, plot: Path | None, noise_out: Path | None, kalibr: Path | None, as_json: bool
@@ -84,7 +93,7 @@ def _show_terms(results: "dict[str, Result]") -> None:
 
 def _with_sd(result: "Result", term: str, factor: float) -> str:
     """Return the value with two digits of its standard deviation behind it: 1.234(56)."""
-    estimate = None if result.fit is None else result.fit.terms[term]
+    estimate = result.term(term)
     if estimate is None:
         return "-"
     value, sd = factor * estimate.value, factor * estimate.sd

@@ -54,6 +54,10 @@ class Result(NamedTuple):
     digits: Digits | None
     """Steps of the readings, where they are not far finer than the noise."""
 
+    def term(self, name: str) -> Estimate | None:
+        """Return a term, by `NAMES`; None where the data do not show it."""
+        return None if self.fit is None else self.fit.terms[name]
+
     @property
     def longest_tau_s(self) -> float:
         """The longest averaging time that can be trusted; NaN when there is none."""

@@ -266,9 +266,15 @@ def fit_terms(variances: FloatArray, division: Division, interval_s: float) -> F
         if column == MARKOV:
             time_s = problem.covariances.time * interval_s
             terms[NAMES[-1]] = Estimate(time_s, time_s * sd[TIME] / coefficient)
-    averaged = problem.start, problem.stop - 1
-    found = signed(solution.coefficients), problem.covariances.time
-    return Fit(terms, *found, *averaged, problem.model_error, withheld)
+    return Fit(
+        terms,
+        signed(solution.coefficients),
+        problem.covariances.time,
+        problem.start,
+        problem.stop - 1,
+        problem.model_error,
+        withheld,
+    )
 
 
 def usable_range(whole: Problem, interval_s: float) -> Problem:

@@ -46,11 +46,17 @@ def _remarks(result: Result, unit: str) -> Iterator[tuple[str, str]]:
             f"{50.0 * fit.model_error:.2g} %",
         )
     if fit.last < result.trusted - 1:
-        what = f"no sum of the terms describes longer averaging times {disturbance}: "
-        yield what + "only the angle random walk is reported", f"{tau_s[fit.last]:.2g} s"
+        yield (
+            f"no sum of the terms describes longer averaging times {disturbance}: "
+            "only the angle random walk is reported",
+            f"{tau_s[fit.last]:.2g} s",
+        )
     if fit.withheld == AMBIGUOUS:
-        what = "correlated noise describes the curve as well as bias instability or a random walk: "
-        yield what + "neither is reported; record for longer", ""
+        yield (
+            "correlated noise describes the curve as well as bias instability or a random walk: "
+            "neither is reported; record for longer",
+            "",
+        )
     if digits is not None:
         steps = f"{digits.step:.3g} {unit}, {1.0 / digits.ratio:.2g} times the noise"
         walk = fit.terms["angle_random_walk"]
@@ -67,20 +73,21 @@ def as_json(results: Mapping[str, Result]) -> dict[str, Any]:
 
 def _channel(group: str, result: Result) -> dict[str, Any]:
     fit, series, digits = result.fit, result.series, result.digits
-    terms = {} if fit is None else {name: term for name, term in fit.terms.items() if term is not None}
     kinds = {"oadev": result.allan, "mdev": result.modified, "ohdev": result.hadamard}
-    intervals = {name: {"low": of.low.tolist(), "high": of.high.tolist()} for name, of in kinds.items()}
     return {
         "tau_s": result.tau_s.tolist(),
         **{name: of.values.tolist() for name, of in kinds.items()},
         "unit": UNITS[group],
         **{
-            name: {**terms[name]._asdict(), "unit": style.unit} if name in terms else None
+            name: {**term._asdict(), "unit": style.unit} if (term := result.term(name)) else None
             for name, style in TERMS_OF[group].items()
         },
         "longest_tau_s": result.longest_tau_s,
         "confidence": CONFIDENCE,
-        **{f"{name}_interval": interval for name, interval in intervals.items()},
+        **{
+            f"{name}_interval": {"low": of.low.tolist(), "high": of.high.tolist()}
+            for name, of in kinds.items()
+        },
         "noise": result.noise,
         "fit_tau_s": None if fit is None else result.tau_s[[fit.first, fit.last]].tolist(),
         "model_error": None if fit is None else fit.model_error,
@@ -98,9 +105,7 @@ def _channel(group: str, result: Result) -> dict[str, Any]:
 
 def value_of(result: Result | None, term: str) -> float | None:
     """Return a term in SI units, None where the data do not show it."""
-    if result is None or result.fit is None:
-        return None
-    estimate = result.fit.terms[term]
+    estimate = None if result is None else result.term(term)
     return None if estimate is None else _rounded(estimate.value)
 
 
@@ -115,7 +120,7 @@ def write_noise(path: Path, results: Mapping[str, Result], source: Path) -> None
             for term, style in styles.items()
         }
         for group, styles in TERMS_OF.items()
-        if any(group_of(name) == group for name in results)
+        if group in map(group_of, results)
     }
     head = (
         f"# Noise of {source.name}, by Allan deviation; x, y, z; null: the data do not show it.\n"

@@ -23,7 +23,7 @@ def write_plot(path: Path, results: Mapping[str, Result], source: Path) -> None:
 
     Raises OSError when the file cannot be written; one that was there before is untouched.
     """
-    groups = [group for group in TERMS_OF if any(group_of(name) == group for name in results)]
+    groups = [group for group in TERMS_OF if group in map(group_of, results)]
     figure = Figure(figsize=(7.0 * len(groups), 5.6), layout="constrained")
     for number, group in enumerate(groups):
         axes = figure.add_subplot(1, len(groups), number + 1)

@@ -74,6 +74,7 @@ SECONDS = Number("seconds", min=0, min_open=True, max=1e9)
 """A length of time; the system cannot wait for much more."""
 PATH = click.Path(path_type=Path)
 path_option = partial(click.option, type=PATH)
+path_argument = partial(click.argument, type=PATH)
 TABLE = "Table to write: NAME.parquet, .csv, .npz, .mat, or .mcap (ROS 2)."
 json_option = click.option(
     "--json", "as_json", is_flag=True, help="Print one JSON object on standard output."
@@ -85,17 +86,14 @@ seed_option = click.option(
     "-s", "--seed", default=0, show_default=True, type=Whole(min=0), help="Seed of all noise."
 )
 seconds_option = click.option("--seconds", type=SECONDS, help="Stop after this time.")
-session_option = click.option(
-    "--out", type=PATH, help="Session folder of the recording; default: a new one in ./sessions."
+session_option = path_option(
+    "--out", help="Session folder of the recording; default: a new one in ./sessions."
 )
-pipeline_option = click.option(
+pipeline_option = path_option(
     "--pipeline",
-    type=PATH,
     help="Pipeline file (YAML): place, bias model and parameters of the estimators.",
 )
-model_option = click.option(
-    "--model", type=PATH, help="Model of the bias over temperature, a file of imumon calibrate."
-)
+model_option = path_option("--model", help="Model of the bias over temperature, a file of imumon calibrate.")
 serial_option = click.option("--serial", help="Serial number of the unit, for the catalog.")
 columns_option = click.option("--columns", help="Columns of the table, separated by commas; default: all.")
 window_option = click.option(
@@ -248,8 +246,10 @@ def chosen_view(view: View | None, bind: str = "127.0.0.1") -> View:
 
     mode = view or ("native" if has_display() else "web")
     if mode == "terminal" and not is_terminal():
-        what = "--view terminal: standard error is no terminal"
-        raise bad_config(what, "run it in a terminal, or use --view web or none")
+        raise bad_config(
+            "--view terminal: standard error is no terminal",
+            "run it in a terminal, or use --view web or none",
+        )
     if mode == "native" and not has_display():
         what = "--view native: there is no display here, so no window opens; --view web shows the run in a"
         warn([f"{what} browser, monitor --view terminal where it runs"])
@@ -257,8 +257,10 @@ def chosen_view(view: View | None, bind: str = "127.0.0.1") -> View:
         try:
             socket.create_server((bind, 0)).close()
         except (OSError, UnicodeError) as error:
-            what = f"--bind {bind}: is no IPv4 address of this computer"
-            raise bad_config(what, "`ip -4 addr` lists them; 0.0.0.0 is all") from error
+            raise bad_config(
+                f"--bind {bind}: is no IPv4 address of this computer",
+                "`ip -4 addr` lists them; 0.0.0.0 is all",
+            ) from error
         warn([f"--bind {bind}: every computer that reaches this one can read the live view"])
     return mode
 

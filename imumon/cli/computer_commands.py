@@ -13,12 +13,13 @@ from imumon.files import check_output, plain, results_folder, write_text
 from imumon.version import __version__
 
 from .common import (
-    PATH,
     SECONDS,
     Whole,
     device_help,
     json_option,
     note,
+    path_argument,
+    path_option,
     print_json,
     print_listing,
     print_table,
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
 
 
 @click.command("doctor")
-@click.argument("folder", type=PATH, default=Path("sessions"))
+@path_argument("folder", default=Path("sessions"))
 @json_option
 def doctor(folder: Path, as_json: bool) -> int:
     """Check packages, compiled code, disk, ports, viewer and display, and print what to do.
@@ -144,10 +145,9 @@ def plugins(as_json: bool) -> int:
     type=click.Path(dir_okay=False, path_type=Path),
     help="Write the proposed device file of an unknown device here; the file must not exist.",
 )
-@click.option(
+@path_option(
     "--save",
     "folder",
-    type=PATH,
     metavar="FOLDER",
     help="Keep the bytes of each baud rate (RATE.bin) and evidence.json in a new folder, to report a device.",
 )

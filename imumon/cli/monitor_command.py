@@ -201,10 +201,12 @@ def _rows(summary: "LiveSummary", progress: "Progress", views: _Views) -> dict[s
     from imumon.run.account import describe_disk, describe_span
     from imumon.run.narration import describe
 
-    rows = {"recorded": describe_span(summary.began_ns, summary.ended_ns)}
-    rows |= describe(progress)
-    rows["outages"] = summary.outages.describe()
-    rows["on disk"] = describe_disk(summary.session)
+    rows = {
+        "recorded": describe_span(summary.began_ns, summary.ended_ns),
+        **describe(progress),
+        "outages": summary.outages.describe(),
+        "on disk": describe_disk(summary.session),
+    }
     if summary.wire.bytes_unrecorded:
         rows["NOT RECORDED"] = f"{summary.wire.bytes_unrecorded:,} bytes: {summary.recording_problem}"
     for output in views.outputs:

@@ -14,7 +14,6 @@ from imumon.files import check_output
 from imumon.wing import offers
 
 from .common import (
-    PATH,
     TABLE,
     View,
     bind_option,
@@ -23,6 +22,8 @@ from .common import (
     json_option,
     make_setup,
     note,
+    path_argument,
+    path_option,
     print_json,
     print_result,
     print_rows,
@@ -57,9 +58,9 @@ CLOSE_S = 5.0
 
 
 @click.command("replay")
-@click.argument("session", type=PATH)
+@path_argument("session")
 @click.option("--speed", help="1: as recorded; N: N times as fast; max.  Default: 1 with a view, else max.")
-@click.option("--out", type=PATH, help=TABLE)
+@path_option("--out", help=TABLE)
 @columns_option
 @rate_option
 @click.option(
@@ -69,10 +70,9 @@ CLOSE_S = 5.0
     show_default=True,
     help="Show the run: in a window, in a browser, or not.",
 )
-@click.option(
+@path_option(
     "--compare-models",
     nargs=2,
-    type=PATH,
     metavar="A B",
     help="Only compare two bias models (files, or sessions that ran with one) on this session;"
     " --out PAGE.html.",
@@ -158,10 +158,17 @@ def replay(
     if setup.bias_model is not None:
         texts.insert(0, setup.bias_model.of_another(opened.metadata.serial, opened.metadata.axes))
     warn(filter(None, texts))
-    data = {"session": source.path} | exported_as_data(source, pipeline, exported)
-    data |= {"results_digest": digest.hexdigest()} | comparison.as_dict()
-    rows = {"samples": f"{exported.rows:,}, {comparison}", "losses": describe_losses(pipeline.counters)}
-    rows |= describe_streams(pipeline.counters, exported.tables)
+    data = {
+        "session": source.path,
+        **exported_as_data(source, pipeline, exported),
+        "results_digest": digest.hexdigest(),
+        **comparison.as_dict(),
+    }
+    rows = {
+        "samples": f"{exported.rows:,}, {comparison}",
+        "losses": describe_losses(pipeline.counters),
+        **describe_streams(pipeline.counters, exported.tables),
+    }
     for smoother in smoothers:
         data["disagreement"] = smoother.residuals
         text = ", ".join(f"{name} {value:.2f}" for name, value in smoother.residuals.items())
@@ -219,7 +226,7 @@ def _speed(text: str | None, view: str) -> float | None:
 
 
 @click.command("view")
-@click.argument("sessions", nargs=-1, required=True, metavar="SESSION...", type=PATH)
+@path_argument("sessions", nargs=-1, required=True, metavar="SESSION...")
 @click.option(
     "--align",
     type=click.Choice(["power-on", "host"]),
@@ -230,7 +237,7 @@ def _speed(text: str | None, view: str) -> float | None:
 @click.option(
     "--view", type=click.Choice(["native", "web"]), help="Default: native with a display, else web."
 )
-@click.option("--out", type=PATH, help="Write the comparison as NAME.rrd for Rerun, and show nothing.")
+@path_option("--out", help="Write the comparison as NAME.rrd for Rerun, and show nothing.")
 @bind_option
 @json_option
 def view(
@@ -327,8 +334,15 @@ def _log_session(
     span = describe_span(began_ns, ended_ns)
     if metadata.table is not None:  # when a table was measured is not known
         span = f"{metadata.duration_s:.1f} s, imported {wall_clock(began_ns, day=True)}"
-    data = {"session": path, "name": name, "created_ns": began_ns, "ended_ns": ended_ns}
-    data |= {"outages": outages.as_data(), "files": file_sizes(path), **counters.as_dict()}
+    data = {
+        "session": path,
+        "name": name,
+        "created_ns": began_ns,
+        "ended_ns": ended_ns,
+        "outages": outages.as_data(),
+        "files": file_sizes(path),
+        **counters.as_dict(),
+    }
     return data, {
         "recorded": span,
         "samples": f"{counters.samples:,}",

@@ -12,12 +12,13 @@ from imumon.files import check_output
 from imumon.wing import offers
 
 from .common import (
-    PATH,
     TABLE,
     columns_option,
     device_help,
     json_option,
     log,
+    path_argument,
+    path_option,
     print_json,
     print_result,
     rate_option,
@@ -36,9 +37,9 @@ KINDS = ["parquet", "csv", "npz", "mat", "mcap"]
 
 
 @click.command("decode")
-@click.argument("file", type=PATH)
+@path_argument("file")
 @click.option("--device", help=device_help + "  A session knows its own.")
-@click.option("--out", type=PATH, required=True, help=TABLE)
+@path_option("--out", required=True, help=TABLE)
 @columns_option
 @rate_option
 @json_option
@@ -98,9 +99,9 @@ def exported_as_data(source: "Source", pipeline: "Pipeline", exported: "Exported
 
 
 @click.command("export")
-@click.argument("session", type=PATH)
+@path_argument("session")
 @click.option("--to", "kind", required=True, type=click.Choice(KINDS), help="Format; mcap: ROS 2 messages.")
-@click.option("--out", type=PATH, help="Table to write; default: export.FORMAT in the session.")
+@path_option("--out", help="Table to write; default: export.FORMAT in the session.")
 @columns_option
 @json_option
 def export(session: Path, kind: str, out: Path | None, columns: str | None, as_json: bool) -> None:
@@ -121,10 +122,10 @@ def export(session: Path, kind: str, out: Path | None, columns: str | None, as_j
 
 
 @click.command("import")
-@click.argument("table", type=PATH)
-@click.option("--map", "map_path", type=PATH, help="YAML file: column and unit of each quantity.")
+@path_argument("table")
+@path_option("--map", "map_path", help="YAML file: column and unit of each quantity.")
 @click.option("--sensor", help="Inertial sensor or topic of a log; default: the first.")
-@click.option("--out", required=True, type=PATH, help="Session folder to make.")
+@path_option("--out", required=True, help="Session folder to make.")
 @serial_option
 @json_option
 def import_(
@@ -178,15 +179,19 @@ def import_(
     }
     data = {"session": out, **asdict(report)}
     if details is not None:
-        data |= {"sensor": details.sensor, "other_sensors": details.others, "scaling": details.scaling}
-        data["damage"] = asdict(details.damage)
+        data |= {
+            "sensor": details.sensor,
+            "other_sensors": details.others,
+            "scaling": details.scaling,
+            "damage": asdict(details.damage),
+        }
         others = f" (--sensor: {', '.join(details.others)})" if details.others else ""
         rows |= {"sensor": details.sensor + others, "scaling": details.scaling}
     print_result(as_json, data, rows)
 
 
 @click.command("mark")
-@click.argument("session", type=PATH)
+@path_argument("session")
 @click.argument("text")
 @click.option("--start", is_flag=True, help="A part of the recording called TEXT begins here.")
 @click.option("--stop", is_flag=True, help="The part called TEXT ends here.")
@@ -206,7 +211,7 @@ def mark(session: Path, text: str, start: bool, stop: bool) -> None:
 
 
 @click.command("recover")
-@click.argument("session", type=PATH)
+@path_argument("session")
 @click.option(
     "--device", help=device_help + "  Only where session.yaml is lost and wire.mcap does not hold it."
 )

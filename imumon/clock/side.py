@@ -47,7 +47,7 @@ class SideClock:
         main row a count stands for itself.
         """
         at = np.maximum(side.after, side.until - HISTORY) - self._first
-        main = {name: values[at] for name, values in self._main.columns.items()}
+        main = self._main.kept(at)
         ticks, device, host = main["ticks"], main["device_time_ns"], main["host_time_ns"]
         block = side.block
         counts = block.columns.get("device_ticks", missing(len(block), np.int64))

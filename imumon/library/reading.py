@@ -174,7 +174,7 @@ class _Run:
         since_s = (block[self._clock] - self._first_ns) * 1e-9
         self._over = self._over or (not side and bool(since_s.min() >= self._end_s))
         wanted: BoolArray = (since_s >= self._begin_s) & (since_s < self._end_s)
-        return SampleBlock({name: values[wanted] for name, values in block.columns.items()})
+        return block.kept(wanted)
 
     def _chosen(self, block: SampleBlock) -> SampleBlock:
         """Return the columns that are wanted.

@@ -54,8 +54,7 @@ class Samples:
     def __getitem__(self, key: str | slice) -> "ColumnArray | Samples":
         """Return a column, shape (n,), or the rows of a slice as views; side streams stay whole."""
         if isinstance(key, slice):
-            rows = {name: values[key] for name, values in self._table.columns.items()}
-            return Samples(SampleBlock(rows), self.columns, self.side)
+            return Samples(self._table.kept(key), self.columns, self.side)
         return nan_for_missing(self._table[key])
 
     def __contains__(self, name: object) -> bool:
@@ -135,7 +134,7 @@ class Samples:
         it would replace a file of a session; OSError when the disk is full or fails.  An existing file is
         replaced.
         """
-        out = as_path("path", path)
+        out = as_path(path)
         for stream, part in {MAIN: self, **self.side}.items():
             place = side_path(out, stream)
             if out.suffix == ".npz":

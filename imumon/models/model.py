@@ -220,7 +220,7 @@ def load_model(path: str | Path) -> BiasModel:
     Raises BAD_CONFIG, naming file and line, what was found and what was expected.
     """
     try:
-        return load_yaml(as_path("path", path), BiasModel)
+        return load_yaml(as_path(path), BiasModel)
     except ImumonError as error:
         hint = error.hint or f"a model file is what imumon calibrate writes, of format {FORMAT}"
         raise bad_config(error.seen, hint) from error

@@ -141,7 +141,7 @@ class EpochAssembler:
             more = _steps_within(block, row, place, len(of_group))
             found[name] = Epochs(gathered, of_group[:, AFTER], of_group[:, UNTIL], more)
         rows = np.flatnonzero(is_open.any(axis=1))
-        self._kept = SampleBlock({name: values[rows] for name, values in block.columns.items()})
+        self._kept = block.kept(rows)
         self._kept_epoch, self._kept_own = np.where(is_open, epoch, 0)[rows], own[rows]
         return found
 

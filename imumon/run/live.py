@@ -12,7 +12,6 @@ from dataclasses import asdict
 from itertools import groupby
 from pathlib import Path
 from queue import SimpleQueue
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -75,8 +74,14 @@ def rest_and_turn() -> SampleBlock:
     }
     noise["accel_z"] += STANDARD_GRAVITY
     noise["gyro_x"][-moving:] += 1.0
-    times = {"device_time_ns": np.arange(n) * 50_000_000, "segment": np.zeros(n, np.int64)}
-    return SampleBlock({**times, **noise, "temperature": np.linspace(25.0, 26.0, n).round(1)})
+    return SampleBlock(
+        {
+            "device_time_ns": np.arange(n) * 50_000_000,
+            "segment": np.zeros(n, np.int64),
+            **noise,
+            "temperature": np.linspace(25.0, 26.0, n).round(1),
+        }
+    )
 
 
 class LiveSummary(NamedTuple):
@@ -120,10 +125,10 @@ class DecodedPort:
         pipeline: Pipeline,
         report: Report,
         record: Sink = lambda _: None,
-        card: Mapping[str, str] = MappingProxyType({}),
+        card: Mapping[str, str] = {},
     ) -> None:
         self.pipeline = pipeline
-        self.pipeline.go_live()
+        pipeline.go_live()
         self._items: SimpleQueue[Item] = SimpleQueue()
         self._outages, self._clock = Outages(), Clock()
         self._began_ns = self._clock.now_ns()
@@ -151,7 +156,7 @@ class DecodedPort:
 
     def begin(self, publish: Sequence[Publish]) -> None:
         """Decode what has come and what comes, and show it to `publish` as view items."""
-        self.narrator.publish = tuple(publish)
+        self.narrator.publish = publish
         self._thread.start()
 
     def stop(self) -> LiveSummary | None:
@@ -233,8 +238,10 @@ class LiveRun(DecodedPort):
             self._writer = WireWriter(self.session.wire_path, metadata.for_wire() | {"port": str(settings)})
         except OSError as error:
             remove_empty(self.session)
-            what = f"the recording {self.session.wire_path} cannot be made: {error.strerror}"
-            raise bad_config(what, "give another folder") from error
+            raise bad_config(
+                f"the recording {self.session.wire_path} cannot be made: {error.strerror}",
+                "give another folder",
+            ) from error
         if isinstance(setup.model, BiasModel) and (text := setup.model.of_another(serial, device.axes)):
             self._report("WARN", text)
         self._recorder = Recorder(self._writer, self._report_problem, self._save)

@@ -31,8 +31,10 @@ def ask_for_mark(session: Path, kind: EventKind, text: str) -> None:
         raise bad_config("the text of the mark is empty", "name what is marked")
     opened = open_session(session)
     if not (opened.wire_path.exists() and is_recorded(opened.wire_path)):
-        what = f"{session} is not being recorded"
-        raise bad_config(what, "marks are made while imumon monitor runs; its summary names the session")
+        raise bad_config(
+            f"{session} is not being recorded",
+            "marks are made while imumon monitor runs; its summary names the session",
+        )
     append_request(opened.path, kind, text)
 
 

@@ -4,7 +4,6 @@ import math
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -52,8 +51,12 @@ JUMPED, ACQUIRING = LaneState("jumped", Level.BAD), LaneState("acquiring", Level
 SYNCHRONISED = LaneState("synchronised", Level.GOOD)
 MOTION = {0: LaneState("moving"), 1: LaneState("rest", Level.GOOD)}
 MARKS = {EventKind.MARK: "mark", EventKind.START: "start of part", EventKind.STOP: "end of part"}
-LEVELS = {EventKind.LOST: "ERROR"}
-LEVELS |= dict.fromkeys([EventKind.SILENT, EventKind.UNAVAILABLE, EventKind.SHARED], "WARN")
+LEVELS = {
+    EventKind.LOST: "ERROR",
+    EventKind.SILENT: "WARN",
+    EventKind.UNAVAILABLE: "WARN",
+    EventKind.SHARED: "WARN",
+}
 
 
 class Progress(NamedTuple):
@@ -83,7 +86,7 @@ class Narrator:
         card: Mapping[str, str],
     ) -> None:
         self._pipeline = pipeline
-        self.publish = tuple(publish)
+        self.publish = publish
         self._report, self._card = report, card
         self._timebase = Timebase()
         self._capacity = settings.capacity_bytes_per_s if settings is not None else None
@@ -122,7 +125,7 @@ class Narrator:
             if item.kind in PORT:
                 self._lane("port", PORT[item.kind], item.time_ns)
 
-    def samples(self, block: SampleBlock, side: Mapping[str, SampleBlock] = MappingProxyType({})) -> None:
+    def samples(self, block: SampleBlock, side: Mapping[str, SampleBlock] = {}) -> None:
         """Show samples and those of side streams, and what changed with them."""
         for stream, rows in side.items():
             self._emit(self._timebase.side(stream, rows))
@@ -259,8 +262,11 @@ class Narrator:
         damaged = now.lost + now.bytes_skipped > then.lost + then.bytes_skipped
         state = GARBLED if framed < GARBLED_BELOW * received else LOSSES if damaged else OK
         if state == GARBLED and self._lanes.get("data") != GARBLED:
-            text = f"only {framed / received:.0%} of the bytes are packets: wrong baud rate or device?"
-            self.log("ERROR", text, now_ns)
+            self.log(
+                "ERROR",
+                f"only {framed / received:.0%} of the bytes are packets: wrong baud rate or device?",
+                now_ns,
+            )
         self._lane("data", state, now_ns)
 
     def _lane(self, lane: str, state: LaneState, at: Instant | int) -> None:

@@ -82,9 +82,13 @@ class Comparison(NamedTuple):
 
     def as_dict(self) -> dict[str, object]:
         """Return it as ``--json`` has it."""
-        columns = {f"columns_{name}": value for name, value in self._asdict().items()}
-        del columns["columns_identical"], columns["columns_reason"]
-        return {"identical_to_live": self.identical, **columns}
+        return {
+            "identical_to_live": self.identical,
+            "columns_compared": self.compared,
+            "columns_differing": self.differing,
+            "columns_only_live": self.only_live,
+            "columns_only_replay": self.only_replay,
+        }
 
     def __str__(self) -> str:
         if self.identical is None:

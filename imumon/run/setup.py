@@ -229,7 +229,7 @@ class Setup(StrictModel):
     def with_options(self, **given: Any) -> "Setup":
         """Return the setup with what was given on the command line; None leaves what there is."""
         changed = {name: value for name, value in given.items() if value is not None}
-        return self.model_copy(update=changed).checked() if changed else self
+        return self.model_copy(update=changed).checked()
 
     def checked(self) -> "Setup":
         """Return the setup; raises BAD_CONFIG when its parts contradict each other."""
@@ -243,8 +243,8 @@ class Setup(StrictModel):
     def text(self) -> str | None:
         """Return the pipeline file that states this much, or None when nothing differs from the defaults."""
         defaults = Setup()
-        names = [name for name in Setup.model_fields if getattr(self, name) != getattr(defaults, name)]
-        return dump_yaml({"format": FORMAT, **self.model_dump(include=set(names))}) if names else None
+        names = {name for name in Setup.model_fields if getattr(self, name) != getattr(defaults, name)}
+        return dump_yaml({"format": FORMAT, **self.model_dump(include=names)}) if names else None
 
 
 def unused_keys(setup: Setup, device: DeviceFile | None) -> list[str]:
@@ -288,5 +288,5 @@ def load_setup(path: str | Path) -> Setup:
 
     Raises BAD_CONFIG, naming file and line, what was found and what was expected.
     """
-    text = read_text(as_path("path", path), hint=f"give a pipeline file (format: {FORMAT})")
+    text = read_text(as_path(path), hint=f"give a pipeline file (format: {FORMAT})")
     return parse_setup(text, str(path))

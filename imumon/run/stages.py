@@ -40,9 +40,8 @@ def pipeline_of(
     """
     setup = setup or Setup()
     device, declared = (sent.device, sent.range) if isinstance(sent, Source) else (sent, Ranges())
-    stages = [stage for stage in estimators(device, setup) if isinstance(stage, only)] if only else []
-    remarks = unused_keys(setup, device) if only else []
-    return Pipeline(device, [*stages, *more], setup.range.over(declared), remarks)
+    stages = [stage for stage in estimators(device, setup) if isinstance(stage, only)]
+    return Pipeline(device, [*stages, *more], setup.range.over(declared), unused_keys(setup, device))
 
 
 def estimators(device: DeviceFile | None, setup: Setup | None = None) -> list[Estimator]:

@@ -65,11 +65,15 @@ class Truth:
 
     def through(self, blocks: Iterator[SampleBlock]) -> Iterator[SampleBlock]:
         """Pass blocks of a replay on, and compare the estimates in them."""
-        sigmas = {name: name.replace("bias", "bias_sd") for name in GYROS}
-        sigmas |= {name: name.replace("estimate", "estimate_sd") for name in ESTIMATED}
+        sigmas = {
+            name: name.replace("bias", "bias_sd").replace("estimate", "estimate_sd")
+            for name in (*GYROS, *ESTIMATED)
+        }
         for block in blocks:
-            there = {name: block.columns.get(sd) for name, sd in sigmas.items() if name in block}
-            self.take(block, {name: (block[name], sigma) for name, sigma in there.items()})
+            estimates = {
+                name: (block[name], block.columns.get(sd)) for name, sd in sigmas.items() if name in block
+            }
+            self.take(block, estimates)
             yield block
 
     def as_data(self) -> dict[str, dict[str, Any]]:
@@ -79,9 +83,13 @@ class Truth:
             unit, factor = ("°/h", 1.0 / DEG_PER_H) if name in GYROS else ("°C", 1.0)
             count, squares, largest = sums.T
             rms = np.sqrt(squares / np.where(count > 0, count, np.nan))
-            errors = {"rms": factor * float(rms[0]), "rms_over_sigma": float(rms[1])}
-            errors["largest"] = factor * float(largest[0])
-            found[name] = {"unit": unit, "samples": int(count[0]), **errors}
+            found[name] = {
+                "unit": unit,
+                "samples": int(count[0]),
+                "rms": factor * float(rms[0]),
+                "rms_over_sigma": float(rms[1]),
+                "largest": factor * float(largest[0]),
+            }
         return found
 
     def rows(self) -> dict[str, str]:

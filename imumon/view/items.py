@@ -51,8 +51,6 @@ class Times(NamedTuple):
 class ViewItem:
     """What the view shows; where it waits in a queue, these are its costs."""
 
-    __slots__ = ()
-
     @property
     def nbytes(self) -> int:
         """Bytes that the item holds, roughly."""

@@ -102,8 +102,8 @@ def picture(chart: Chart) -> bytes:
             look: dict[str, Any] = {"lw": curve.width, "ls": "--" if curve.dashed else "-"}
             if curve.points:
                 look = {"ls": "", "marker": "o", "ms": curve.width}
-            look["color"] = [part / 255 for part in curve.color]
-            axes.plot(curve.x, curve.y, label=for_plot(curve.name) if curve.listed else None, **look)
+            name = for_plot(curve.name) if curve.listed else None
+            axes.plot(curve.x, curve.y, color=[part / 255 for part in curve.color], label=name, **look)
         _frame(axes, chart)
         if not any(np.isfinite(curve.x * curve.y).any() for curve in chart.curves):
             axes.axis("off")

@@ -107,9 +107,17 @@ def start_viewer(port: int, *arguments: str) -> subprocess.Popen[bytes]:
 
     Where one listens on the port already, the program that is started passes its source on to that one.
     """
-    listening = f"--port={port}", f"--bind={LOCALHOST}", "--hide-welcome-screen"
-    memory = f"--memory-limit={VIEWER_MEMORY}", f"--server-memory-limit={SERVER_MEMORY}"
-    return start_quietly([str(viewer_binary()), *listening, *memory, *arguments])
+    return start_quietly(
+        [
+            str(viewer_binary()),
+            f"--port={port}",
+            f"--bind={LOCALHOST}",
+            "--hide-welcome-screen",
+            f"--memory-limit={VIEWER_MEMORY}",
+            f"--server-memory-limit={SERVER_MEMORY}",
+            *arguments,
+        ]
+    )
 
 
 def viewer_port(preferred: int = VIEWER_PORT) -> int:

@@ -147,9 +147,12 @@ class _Handler(BaseHTTPRequestHandler):
         elif (body := self.server.files.get(path)) is None:
             self.send_error(HTTPStatus.NOT_FOUND)
         else:
-            headers = {"Content-Type": ASSETS[path], "Content-Security-Policy": POLICY}
-            # the page's progress bar asks for it
-            self._answer(HTTPStatus.OK, body, headers | {"rerun-final-length": str(len(body))})
+            headers = {
+                "Content-Type": ASSETS[path],
+                "Content-Security-Policy": POLICY,
+                "rerun-final-length": str(len(body)),  # the page's progress bar asks for it
+            }
+            self._answer(HTTPStatus.OK, body, headers)
 
     def _answer(self, status: HTTPStatus, body: bytes, headers: dict[str, str]) -> None:
         self.send_response(status)

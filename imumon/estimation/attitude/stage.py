@@ -85,8 +85,8 @@ class AttitudeEstimate:
         found = {column.name: missing(len(block), column.dtype) for column in self.columns}
         usable = np.flatnonzero((block["device_time_ns"] != NO_INT) & np.isfinite(gyro).all(axis=1))
         if len(usable):
-            block = SampleBlock({name: values[usable] for name, values in block.columns.items()})
-            for values, each in zip(found.values(), self._estimate(block), strict=True):
+            estimates = self._estimate(block.kept(usable))
+            for values, each in zip(found.values(), estimates, strict=True):
                 values[usable] = each
         return found
 
