@@ -39,7 +39,7 @@ TABLES = click.option("--tables", is_flag=True, help="Also write DIR/tables/SESS
 SUBCOMMANDS: dict[str, tuple[str, tuple[Any, ...]]] = {
     "decode": ("Count, mean and scatter of every channel as sent.", (TABLES,)),
     "replay": ("Count, mean and scatter of all channels and estimates.", (
-        TABLES, click.option("--pipeline", type=common.PATH,
+        TABLES, common.path_option("--pipeline",
             help="Pipeline file; default: as each session was recorded."),
     )),
     "allan": ("Noise of every channel, from its Allan curve.  The terms have standard deviations.", ()),
@@ -56,7 +56,7 @@ SUBCOMMANDS: dict[str, tuple[str, tuple[Any, ...]]] = {
 """What each does, and options of its own."""
 SHARED: tuple[Any, ...] = (
     click.argument("sessions", nargs=-1, required=True),
-    click.option("--out", required=True, type=common.PATH, help="Folder of the results."),
+    common.path_option("--out", required=True, help="Folder of the results."),
     click.option("--scheduler", help="Address of a Dask scheduler; default: processes on this computer."),
     click.option("--workers", type=common.Whole(min=1), default=os.cpu_count(), show_default=True,
         help="Number of processes on this computer."),

@@ -23,14 +23,12 @@ HEADS = (
 
 
 @click.command("catalog")
-@click.argument("folder", metavar="DIR", type=common.PATH)
-@click.option(
-    "--results", type=common.PATH, help="Folder of results of imumon batch replay; new sessions are added to"
+@common.path_argument("folder", metavar="DIR")
+@common.path_option(
+    "--results", help="Folder of results of imumon batch replay; new sessions are added to"
     " it.  Default: DIR/catalog."
 )  # fmt: skip
-@click.option(
-    "--out", type=common.PATH, help="Folder for sessions.parquet, units.parquet and models.parquet."
-)
+@common.path_option("--out", help="Folder for sessions.parquet, units.parquet and models.parquet.")
 @common.json_option
 def catalog(folder: Path, results: Path | None, out: Path | None, as_json: bool) -> None:
     """List the units of the sessions in DIR: temperatures, σ, losses, models, their drift, and outliers.
@@ -116,10 +114,9 @@ def _show(rows: Sequence[Sequence[str]]) -> None:
 
 @click.command("report")
 @click.argument("what", metavar="SESSION|UNIT")
-@click.option("--out", required=True, type=common.PATH, help="Page to write: NAME.html.")
-@click.option(
+@common.path_option("--out", required=True, help="Page to write: NAME.html.")
+@common.path_option(
     "--sessions",
-    type=common.PATH,
     default=Path("sessions"),
     show_default=True,
     help="Where the sessions of a UNIT are.",

@@ -16,11 +16,9 @@ if TYPE_CHECKING:
 
 
 @click.command("rack")
-@click.argument("file", type=common.PATH, metavar="RACK.YAML")
+@common.path_argument("file", metavar="RACK.YAML")
 @common.live_view_option
-@click.option(
-    "--out", type=common.PATH, default=Path("sessions"), show_default=True, help="Folder of the sessions."
-)
+@common.path_option("--out", default=Path("sessions"), show_default=True, help="Folder of the sessions.")
 @common.seconds_option
 @common.window_option
 @common.bind_option

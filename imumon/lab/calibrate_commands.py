@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any, Literal
 import click
 
 from imumon.cli.common import (
-    PATH,
     Whole,
     heading_option,
     json_option,
     latitude_option,
     note,
+    path_argument,
     path_option,
     print_json,
     print_rows,
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 
 @click.command("calibrate")
-@click.argument("sessions", nargs=-1, required=True, metavar="SESSION...", type=PATH)
+@path_argument("sessions", nargs=-1, required=True, metavar="SESSION...")
 @path_option("--out", required=True, help="Model file to write.")
 @path_option("--plot", help="Draw curves, points and residuals into this PNG.")
 @latitude_option
@@ -192,7 +192,7 @@ def _per_channel(result: "Calibration", of: "Callable[[Finding], float | None]")
 
 
 @click.command("magnetometer")
-@click.argument("session", type=PATH)
+@path_argument("session")
 @path_option("--out", required=True, help="Model file to write.")
 @path_option("--model", help="Model file of the unit; its other contents are kept.")
 @path_option("--plot", help="Draw readings and field into this PNG.")

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from imumon.cli.common import (
-    PATH,
     Number,
     json_option,
     log,
+    path_argument,
     path_option,
     print_json,
     print_rows,
@@ -184,7 +184,7 @@ def model_of(path: Path) -> BiasModel:
 
 
 @click.command("learn")
-@click.argument("folder", metavar="DIR", type=PATH)
+@path_argument("folder", metavar="DIR")
 @path_option("--model", "model_path", help="The present bias model: a file, or a session that ran with it.")
 @click.option("--device", help="Sessions of this device; needed where DIR has several.")
 @click.option("--serial", help="Sessions of the unit of this serial number; needed where DIR has several.")
@@ -269,7 +269,7 @@ def _resting_runs(session: Session, count: Count) -> list[Run]:
 
 
 @click.command("plan")
-@click.argument("report", type=PATH)
+@path_argument("report")
 @path_option("--out", required=True, help="Folder for chamber profiles and scenarios.")
 @click.option(
     "--hours",

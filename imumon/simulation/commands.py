@@ -11,12 +11,12 @@ from textwrap import fill
 import click
 
 from imumon.cli.common import (
-    PATH,
     SECONDS,
     Number,
     device_help,
     json_option,
     log,
+    path_option,
     print_result,
     seed_option,
     serial_option,
@@ -79,7 +79,7 @@ def demo(context: click.Context, options: tuple[str, ...]) -> int:
 @click.command("virtual")
 @click.option("--device", default=DEVICE, show_default=True, help=device_help)
 @click.option("--scenario", help="Unit and motion: a name of the list above, or a file; default: bench.")
-@click.option("--link", type=PATH, help="Symbolic link to the port, which imumon makes.")
+@path_option("--link", help="Symbolic link to the port, which imumon makes.")
 @click.option("--rate", type=Number(min=0, min_open=True, max=1e5), help="Packets per second.")
 @seed_option
 @click.option("--seconds", type=SECONDS, help="Stop after this time.")
@@ -118,9 +118,7 @@ def virtual(
 @click.command("simulate")
 @click.argument("scenario")
 @click.option("--device", help=f"{device_help}  Default: {DEVICE} for a session.")
-@click.option(
-    "--out", required=True, type=PATH, help="Session folder to make; or a table: NAME.parquet or NAME.csv."
-)
+@path_option("--out", required=True, help="Session folder to make; or a table: NAME.parquet or NAME.csv.")
 @serial_option
 @seed_option
 @click.option("--duration", type=SECONDS, help="Length of the simulation; default: that of the scenario.")
