@@ -101,7 +101,7 @@ class Configuration:
         link: CommandLink,
         device: DeviceFile,
         report: Report,
-        progress: Callable[[str], None] = lambda _: None,
+        progress: Callable[[str], None],
     ) -> None:
         self._link, self._family, self._device = link, link.family, device
         self._report, self._progress = report, progress

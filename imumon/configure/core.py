@@ -5,7 +5,7 @@ answers are distinguished from data.  `imumon.configure.configuration` sends.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pkgutil import resolve_name
 from typing import NamedTuple
@@ -280,7 +280,7 @@ class Family(ABC):
             raise bad_config(f"no baud rate {wish.baudrate}", f"there are: {there}")
 
 
-def no_rate(rate_hz: float, there: Sequence[float], why: str) -> ImumonError:
+def no_rate(rate_hz: float, there: Collection[float], why: str) -> ImumonError:
     """Return the error that a device has no such rate, with the two that are nearest."""
     nearest_two = sorted(sorted(there, key=lambda rate: abs(rate - rate_hz))[:2])
     near = " and ".join(f"{rate:.6g}" for rate in nearest_two)

@@ -282,16 +282,19 @@ class MipFirmware(Firmware):
             return DONE if known else UNKNOWN, INFO if code == DEVICE_INFO else None
         if code in (BASE_RATE, IMU_BASE_RATE, FILTER_BASE_RATE) and (self.family.modern or code != BASE_RATE):
             return DONE, data[:1] + USUAL_BASE_HZ.to_bytes(2, "big")
+        selector, rest = data[:1], data[1:]
         for name in self.family.settings:
             command_set, number, of = self.family.command(name)
-            if (command.kind, code) == (command_set, number) and data[1:].startswith(of):
-                if data[:1] == READ:
+            if (command.kind, code) == (command_set, number) and rest.startswith(of):
+                if selector == READ:
                     return DONE, of + self.volatile[name]
-                if data[:1] == SAVE:
+                if selector == SAVE:
                     self.save(name)
-                elif data[:1] == APPLY:
-                    self.obey(name, data[1 + len(of) :])
-                return DONE if data[:1] in (SAVE, APPLY) else INVALID, None
+                elif selector == APPLY:
+                    self.obey(name, rest.removeprefix(of))
+                else:
+                    return INVALID, None
+                return DONE, None
         return UNKNOWN, None
 
     def encoder(self, key: int, names: Sequence[str]) -> Encoder:

@@ -132,8 +132,7 @@ NO_OUTPUT = Output(0, 0, 0, ())
 
 def _canonical(name: str, value: bytes) -> bytes:
     """Return what is read as it would be written: newer firmware adds the number of the port."""
-    is_output = name in BINARY
-    return Output.read(value).value if is_output else value.split(b",")[0].lstrip(b"0") or b"0"
+    return Output.read(value).value if name in BINARY else value.split(b",")[0].lstrip(b"0") or b"0"
 
 
 class VectorNav(Family):

@@ -91,7 +91,7 @@ class WitMotion(Family):
             raise core.nothing_to_keep("--outputs")
         near = [code for code, rate in RATES.items() if abs(rate / rate_hz - 1) <= core.CLOSE_ENOUGH]
         if not near:
-            raise core.no_rate(rate_hz, tuple(RATES.values()), "the device has a list of rates")
+            raise core.no_rate(rate_hz, RATES.values(), "the device has a list of rates")
         return {CONTENT: content, RATE: bytes([near[0], 0])}
 
     def kinds(self, values: Values) -> list[PacketKind]:

@@ -192,21 +192,20 @@ class XsensFirmware(Firmware):
         kind, data = int(command.kind), command.payload
         if self.streaming and kind != GO_TO_CONFIG:
             return b""
+        answer = IDENTITY.get(kind, b"")
         if kind in (GO_TO_CONFIG, GO_TO_MEASUREMENT):
             self.streaming = kind == GO_TO_MEASUREMENT
-            return frame(kind + 1)
-        if kind == RESET:
+        elif kind == RESET:
             self.power_on()
-            return frame(kind + 1)
-        if kind in IDENTITY:
-            return frame(kind + 1, IDENTITY[kind])
-        if kind not in NAMED:
+        elif kind in NAMED:
+            name = NAMED[kind]
+            if data:
+                self.obey(name, data)
+                self.save(name)
+            answer = b"" if data and name == BAUD else self.volatile[name]
+        elif kind not in IDENTITY:
             return frame(mtdata.ERROR, bytes([INVALID_MESSAGE]))
-        name = NAMED[kind]
-        if data:
-            self.obey(name, data)
-            self.save(name)
-        return frame(kind + 1, b"" if data and name == BAUD else self.volatile[name])
+        return frame(kind + 1, answer)
 
     def obey(self, name: str, value: bytes) -> None:
         """Set a setting; a baud rate counts after a reset."""

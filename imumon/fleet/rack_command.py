@@ -60,7 +60,7 @@ def command(
     plans = load_rack(file)
     ending, lines = Ending(seconds), Lines()
     publisher = _publisher(file, mode, window, bind)
-    rack = Rack(out, lines.put, None if publisher is None else publisher.publish)
+    rack = Rack(out, lines.put, publisher.publish if publisher else lambda _: None)
     log: deque[str] = deque(maxlen=100)  # more lines than a terminal shows below the table, the newest first
 
     def step() -> None:
@@ -107,9 +107,7 @@ def _publisher(file: Path, mode: common.View, window: float, bind: str) -> "View
     from imumon.view.publisher import ViewPublisher
 
     setup = ViewSetup(
-        title=f"rack {file.stem}",
-        recording_id=f"rack-{file.stem}-{time.time_ns()}",
-        window_s=window,
+        title=f"rack {file.stem}", recording_id=f"rack-{file.stem}-{time.time_ns()}", window_s=window
     )
     return ViewPublisher(mode, setup, bind=bind, module="imumon.fleet.rack.view").start()
 

@@ -81,7 +81,7 @@ class DeviceFile(StrictModel):
         """Whether a person gave the rate of this stream."""
         return self._rate_given
 
-    def port_settings(self, url: str, baudrate: int | None = None) -> PortSettings:
+    def port_settings(self, url: str, baudrate: int | None) -> PortSettings:
         """Return how a port with this device is opened; at the first of its rates if none is given."""
         serial = self.serial
         rate = baudrate or serial.baudrates[0]

@@ -25,8 +25,6 @@ ByteOrder = Literal["big", "little"]
 Byte = Annotated[int, Field(ge=0, le=255)]
 ColumnName = Annotated[str, StringConstraints(pattern=NAME)]
 NumberName = Literal["u8", "i8", "u16", "i16", "u24", "i24", "u32", "i32", "u64", "i64", "f32", "f64"]
-IntegerName = Literal["u8", "u16", "u32"]
-ChecksumName = Literal[CHECKSUM_NAMES]  # type: ignore[valid-type]  # pydantic reads it when it runs
 
 ARBITRARY = "a.u."
 """Unit of a magnetometer that is not calibrated to a field strength."""
@@ -36,7 +34,7 @@ class LengthField(StrictModel):
     """A field that always holds the same length; another value marks a false sync or a damaged packet."""
 
     at: NonNegativeInt
-    type: IntegerName = "u8"
+    type: Literal["u8", "u16", "u32"] = "u8"
     byte_order: ByteOrder | None = None
     value: NonNegativeInt
 
@@ -44,7 +42,7 @@ class LengthField(StrictModel):
 class ChecksumField(StrictModel):
     """A checksum of the bytes from `first` to `last` and of `zeros` bytes behind, which are not sent."""
 
-    type: ChecksumName
+    type: Literal[CHECKSUM_NAMES]  # type: ignore[valid-type]  # pydantic reads it when it runs
     first: NonNegativeInt
     last: NonNegativeInt
     at: NonNegativeInt

@@ -40,8 +40,6 @@ def _with_increments(columns: Columns) -> list[ColumnArray]:
     return [interval, *(columns[column.name] * interval for column in RATES)]
 
 
-MEANS = Derived(INCREMENTS, RATES, _mean_rates, _with_increments)
-
 _TIME = "device_ticks f64*1e9"
 _FILTER = """gps_week u32 1 GPS week | gps_time_of_week f64 s GPS
   | ins_status u32 1 status of the filter, bits | hardware_status u32 1 status of the hardware, bits"""
@@ -69,7 +67,7 @@ class InertialSenseDecoder(FamilyDecoder):
     frames = (Frame({SYNC: "ISB"}, counted_length(4, 2, AROUND, LONGEST_PACKET), FLETCHER),)
     timing = Timing(tick_ns=Fraction(1))
     start, more, head = HEADER, AROUND, (2, 3)
-    derived = (MEANS,)
+    derived = (Derived(INCREMENTS, RATES, _mean_rates, _with_increments),)
 
     def wrap(self, key: int, payload: bytes) -> bytes:
         """Make a packet of a data set."""

@@ -16,17 +16,7 @@ from imumon.blocks import BoolArray, ColumnArray, IntArray
 
 from .base import ByteArray, Timing
 from .decoder import Layouts
-from .framing import (
-    CRCS,
-    IMPOSSIBLE,
-    INCOMPLETE,
-    Checksum,
-    Found,
-    Frame,
-    by_distance,
-    integers,
-    windows,
-)
+from .framing import CRCS, IMPOSSIBLE, INCOMPLETE, Checksum, Found, Frame, by_distance, integers, windows
 from .messages import FamilyDecoder, table
 from .numbers import Columns, Derived, known
 
@@ -47,9 +37,6 @@ def _to_celsius(columns: Columns) -> list[ColumnArray]:
 def _of_celsius(columns: Columns) -> list[ColumnArray]:
     raw = np.rint(np.nan_to_num(columns["temperature"]) * 100)
     return [np.where(np.isnan(columns["temperature"]), 0, np.where(raw == 0, 1, raw)).astype(np.int64)]
-
-
-CELSIUS = Derived(("_hundredths",), known("temperature"), _to_celsius, _of_celsius)
 
 
 _VECTORS = "accel i16*g/1000 | gyro i16*0.001 | mag i16*gauss/1000"
@@ -116,7 +103,7 @@ class MavlinkDecoder(FamilyDecoder):
     )
     timing = Timing(tick_ns=Fraction(1000))
     start, more, head = HEADERS[SECOND], HEADERS[SECOND], (7, 8, 9)
-    derived = (CELSIUS,)
+    derived = (Derived(("_hundredths",), known("temperature"), _to_celsius, _of_celsius),)
     _vehicle = -1  # component << 8 | number of the vehicle that is read
 
     def wrap(self, key: int, payload: bytes) -> bytes:

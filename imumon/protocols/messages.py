@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from functools import partial
 from math import pi
 from pkgutil import resolve_name
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -144,15 +144,8 @@ class Message:
 
 Placed = list[tuple[Message, int, int]]
 """Messages in a packet, where each begins, and its size."""
-
-
-class Alike(NamedTuple):
-    """Packets of one signature: their rows, and the first of them."""
-
-    rows: IntArray
-    packet: bytes
-    key: tuple[int, int, bytes]
-    """The signature: kind, length, and the bytes that identify what is in the packet."""
+Signature = tuple[int, int, bytes]
+"""Kind and length of a packet, and the bytes that identify what is in it."""
 
 
 class TableDecoder(Decoder):
@@ -173,7 +166,7 @@ class TableDecoder(Decoder):
     """Whether the most significant byte comes first."""
 
     def __init__(self) -> None:
-        self._layouts: dict[tuple[int, int, bytes], Record | None] = {}
+        self._layouts: dict[Signature, Record | None] = {}
         every = [
             Record(message.placed(0, message.size, self.big), self.derived)
             for message in self.messages.values()
@@ -200,8 +193,8 @@ class TableDecoder(Decoder):
         layout = Record(self._numbers(packet), self.derived)
         return layout if layout.columns else None
 
-    def _alike(self, found: Found) -> Iterator[Alike]:
-        """Yield the packets by their signatures, in the order of the first of each."""
+    def _alike(self, found: Found) -> Iterator[tuple[Signature, IntArray, bytes]]:
+        """Yield signatures, in the order in which they come, with the rows of their packets and the first."""
         left = np.arange(len(found))
         while len(left):
             one = int(left[0])
@@ -213,18 +206,18 @@ class TableDecoder(Decoder):
             if places:
                 heads = windows(found.held, found.at[left[same]], max(places) + 1)[:, places]
                 same[same] = np.all(heads == np.frombuffer(key, np.uint8), axis=1)
-            yield Alike(left[same], packet, (kind, size, key))
+            yield (kind, size, key), left[same], packet
             left = left[~same]
 
     def _by_layout(self, found: Found) -> Layouts:
         if len(self._layouts) > MOST_LAYOUTS:
             self._layouts.clear()
-        for alike in self._alike(found):
-            if alike.key not in self._layouts:
-                self._layouts[alike.key] = self._layout(alike.packet)
-            layout = self._layouts[alike.key]
+        for signature, rows, packet in self._alike(found):
+            if signature not in self._layouts:
+                self._layouts[signature] = self._layout(packet)
+            layout = self._layouts[signature]
             if layout is not None:
-                yield layout, alike.rows
+                yield layout, rows
 
     @abstractmethod
     def encoder(self, names: Sequence[str]) -> Encoder:

@@ -24,7 +24,7 @@ HIGH_RATE = 1 << 10
 """Bit of the status of IMU_SHORT: the rates have the scale of fast sensors."""
 FAST, FINE = 12_304_174.0, 67_108_864.0
 
-RAW_RATE = [f"_rate_{axis}" for axis in "xyz"]
+RAW_RATE = tuple(f"_rate_{axis}" for axis in "xyz")
 
 
 def _to_rates(columns: Columns) -> list[ColumnArray]:
@@ -37,8 +37,6 @@ def _of_rates(columns: Columns) -> list[ColumnArray]:
     scale = np.where(status & HIGH_RATE, FAST, FINE)
     return [np.rint(np.nan_to_num(columns[f"gyro_{axis}"]) * scale).astype(np.int64) for axis in "xyz"]
 
-
-RATES = Derived((*RAW_RATE,), known("gyro"), _to_rates, _of_rates)
 
 _SIGMAS = " | ".join(f"{name}_sigma f32 rad uncertainty of {name}" for name in ("roll", "pitch", "yaw"))
 _FILTER = "filter_status u32 1 mode of the filter and what it uses, bits"
@@ -86,7 +84,7 @@ class SbgDecoder(FamilyDecoder):
     frames = (Frame({SYNC: "sbgECom"}, counted_length(4, 2, AROUND, LONGEST_PACKET), _right),)
     timing = Timing(tick_ns=Fraction(1000), tick_bits=32)
     start, more, head = HEADER, AROUND, (2, 3)
-    derived = (RATES,)
+    derived = (Derived(RAW_RATE, known("gyro"), _to_rates, _of_rates),)
 
     def wrap(self, key: int, payload: bytes) -> bytes:
         """Make a frame of a log of class 0."""

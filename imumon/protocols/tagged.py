@@ -14,7 +14,7 @@ answer only to commands; taking them for packets would make noise of every FA in
 """
 
 from abc import abstractmethod
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
@@ -56,7 +56,7 @@ def _begin(packet: bytes) -> int:
     return 6 if packet[0] == 0xFA and packet[3] == 0xFF else 4
 
 
-def xbus_message(kind: int, payload: bytes = b"") -> bytes:
+def xbus_message(kind: int, payload: bytes) -> bytes:
     """Return an Xbus message without its checksum."""
     size = len(payload)
     return bytes([0xFA, 0xFF, kind, *([0xFF, size >> 8, size & 0xFF] if size >= 0xFF else [size])]) + payload
@@ -117,7 +117,7 @@ class TaggedDecoder(TableDecoder):
     """Decodes packets of identified fields by a table; a row for each packet that carries a known one."""
 
     form: Form
-    data: Collection[int]
+    data: Sequence[int]
     """Types of packets that carry data: others are messages."""
     type_names: Mapping[int, str] = {}
     """Names of the packet types."""
@@ -125,7 +125,6 @@ class TaggedDecoder(TableDecoder):
     big = True
 
     def __init__(self) -> None:
-        self._is_data = np.isin(np.arange(256), [*self.data])
         self._types = np.zeros(256, np.int64)
         self.frames = [replace(self.form.frame, fits=self._fit)]
         super().__init__()
@@ -158,19 +157,20 @@ class TaggedDecoder(TableDecoder):
     def _fit(self, held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
         """Return whether the payload of packets with a right checksum is what their type states."""
         fit = np.ones(len(at), np.bool_)
-        data = np.flatnonzero(self._is_data[held[at + KIND_AT]])
-        for alike in self._alike(Found(held, at[data], length[data], np.zeros(len(data), np.int64))):
-            fit[data[alike.rows]] = self._is_filled(alike.packet)
+        data = np.flatnonzero(np.isin(held[at + KIND_AT], self.data))
+        for _, rows, packet in self._alike(Found(held, at[data], length[data], np.zeros_like(data))):
+            fit[data[rows]] = self._is_filled(packet)
         return fit
 
     def _by_layout(self, found: Found) -> Layouts:
         kind = found.held[found.at + KIND_AT]
         self._types += np.bincount(kind, minlength=256)
-        for row in np.flatnonzero(~self._is_data[kind]).tolist():
+        is_data = np.isin(kind, self.data)
+        for row in np.flatnonzero(~is_data).tolist():
             packet = found.held[found.at[row] :][: found.length[row]].tobytes()
             for text in self._describe(int(kind[row]), self.form.payload(packet)):
                 self._report(text)
-        data = np.flatnonzero(self._is_data[kind])
+        data = np.flatnonzero(is_data)
         return ((layout, data[rows]) for layout, rows in super()._by_layout(found.only(data)))
 
     def _describe(self, kind: int, payload: bytes) -> Iterable[str]:

@@ -335,15 +335,15 @@ class VectorNavDecoder(TableDecoder):
 
     def _by_layout(self, found: Found) -> Layouts:
         """Yield the layouts; where calibrated quantities begin, the filtered ones step back."""
-        for alike in self._alike(found):
-            new = _factory(super()._numbers(alike.packet)) - self._factory
+        for _, rows, packet in self._alike(found):
+            new = _factory(super()._numbers(packet)) - self._factory
             if new:
-                first = int(alike.rows[0])
+                first = int(rows[0])
                 yield from super()._by_layout(found.only(np.arange(first)))
                 self._factory |= new
                 self._layouts.clear()
                 rest = found.only(np.arange(first, len(found)))
-                yield from ((layout, first + rows) for layout, rows in self._by_layout(rest))
+                yield from ((layout, first + later) for layout, later in self._by_layout(rest))
                 return
         yield from super()._by_layout(found)
 

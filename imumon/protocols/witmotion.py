@@ -39,12 +39,6 @@ def _degrees_of(columns: Columns) -> list[ColumnArray]:
     return [np.sign(v) * (np.abs(v) // 10_000_000 + np.abs(v) % 10_000_000 / 6e6) for v in values]
 
 
-DERIVED = (
-    utc_time("clock_", CLOCK),
-    utc_time("sample_", KNOWN["device_ticks"], per_s=1000),  # 0x61 has the time of the sample itself
-    Derived(("_longitude", "_latitude"), known("longitude", "latitude"), _degrees_of),
-)
-
 _ACCEL, _GYRO, _ANGLES = "accel i16*16*g/32768", "gyro i16*2000*pi/180/32768", "angles i16*pi/32768"
 _DOPS = " | ".join(f"gnss_{letter}dop u16*0.01 1 dilution" for letter in "phv")
 TYPES = table(f"""
@@ -94,7 +88,11 @@ class WitMotionDecoder(FamilyDecoder):
     timing = Timing(tick_ns=Fraction(1_000_000))
     start, more, head = HEADER, HEADER, (1,)
     apart = ("gnss",)
-    derived = DERIVED
+    derived = (
+        utc_time("clock_", CLOCK),
+        utc_time("sample_", KNOWN["device_ticks"], per_s=1000),  # 0x61 has the time of the sample itself
+        Derived(("_longitude", "_latitude"), known("longitude", "latitude"), _degrees_of),
+    )
     _still = np.zeros(ZEROS, np.bool_)  # whether the last rates were zero
 
     def wrap(self, key: int, payload: bytes) -> bytes:

@@ -103,7 +103,7 @@ def is_wrong_checksum(protocol: str, checksum_errors: int, bytes_received: int) 
     return protocol.startswith("fixed") and checksum_errors * HEADER_BYTES > bytes_received
 
 
-def baudrates_to_try(first: Iterable[int] = ()) -> list[int]:
+def baudrates_to_try(first: Iterable[int]) -> list[int]:
     """Return the rates in the order to try them: those of the known devices, then the common ones."""
     return list(dict.fromkeys((*first, *COMMON_BAUDRATES)))
 
@@ -148,11 +148,7 @@ def detect(
 
 
 def listen(
-    settings: PortSettings,
-    candidates: Candidates,
-    seconds: float,
-    data: bytearray,
-    others: bool,
+    settings: PortSettings, candidates: Candidates, seconds: float, data: bytearray, others: bool
 ) -> list[Evidence]:
     """Feed what arrives within `seconds` to every candidate, and add it to `data`; return the evidence.
 

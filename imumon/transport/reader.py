@@ -160,8 +160,7 @@ class Reader:
         if self._thread is not None:
             self._thread.join()
 
-    def _run(self, first: Port) -> None:
-        port: Port | None = first
+    def _run(self, port: Port | None) -> None:
         lost_ns: int | None = None
         try:
             while port is not None:

@@ -183,7 +183,7 @@ def looped(monkeypatch: pytest.MonkeyPatch, name: str, rate_hz: float | None = N
     link = CommandLink(cast(Port, port), family_of(port.device))
     link.streaming = True
     report = Report(port.device.name, port.settings.url)
-    return Looped(port, Configuration(link, port.device, report), report)
+    return Looped(port, Configuration(link, port.device, report, lambda _: None), report)
 
 
 def failed(one: Looped, wish: Wish) -> ImumonError:

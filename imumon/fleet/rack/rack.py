@@ -142,10 +142,7 @@ class Rack:
     """
 
     def __init__(
-        self,
-        folder: Path,
-        log: Callable[[str, str], None],
-        publish: Callable[[ViewItem], None] | None = None,
+        self, folder: Path, log: Callable[[str, str], None], publish: Callable[[ViewItem], None]
     ) -> None:
         self._folder, self._publish = folder, publish
         folder.mkdir(parents=True, exist_ok=True)
@@ -189,8 +186,7 @@ class Rack:
                 self._begin(unit)
         if time.monotonic() - self._overview_s >= OVERVIEW_S:
             self._overview_s = time.monotonic()
-            if self._publish is not None:
-                self._publish(Overview(_now(), markdown(self.rows), tuple(self._present)))
+            self._publish(Overview(_now(), markdown(self.rows), tuple(self._present)))
             with suppress(OSError):  # a disk that is full stops no recording
                 self._log.write()
 
@@ -285,7 +281,7 @@ class Rack:
         self._show(unit, Log(_now(), text, level))
 
     def _show(self, unit: Unit, *items: ViewItem) -> None:
-        if self._publish is not None and unit.setup is not None:
+        if unit.setup is not None:
             for item in items:
                 self._publish(OfUnit(unit.setup, item))
 

@@ -19,15 +19,7 @@ from ..device import DeviceFile
 from ..messages import Message, TableDevice, part
 from ..numbers import Number
 from ..tagged import XBUS, XBUS_DATA, TaggedDecoder
-from .fields import (
-    DERIVED,
-    DEVICE_TICKS_OF_UTC,
-    FRAMES,
-    IDENTIFIERS,
-    PRECISIONS,
-    UTC,
-    message_of,
-)
+from .fields import DERIVED, DEVICE_TICKS_OF_UTC, FRAMES, IDENTIFIERS, PRECISIONS, UTC, message_of
 
 MTDATA, MTDATA2 = 0x32, 0x36
 CONFIGURATION, ERROR, WARNING, OUTPUT_CONFIGURATION = 0x0D, 0x42, 0x43, 0xC1
@@ -69,10 +61,10 @@ def describe(kind: int, payload: bytes) -> Iterable[str]:
     elif kind == WARNING:
         yield f"the device reports a warning: {payload.hex(' ') or 'no details'}"
     elif kind == OUTPUT_CONFIGURATION and len(payload) % 4 == 0:
-        outputs = []
-        for code, rate in struct.iter_unpack(">HH", payload):
-            often = "with every packet" if rate == 0xFFFF else f"at {rate} Hz"
-            outputs.append(f"{identifier_name(code)} {often}")
+        outputs = [
+            f"{identifier_name(code)} {'with every packet' if rate == 0xFFFF else f'at {rate} Hz'}"
+            for code, rate in struct.iter_unpack(">HH", payload)
+        ]
         yield f"the device is configured to send {', '.join(outputs) or 'nothing'}"
     elif kind == CONFIGURATION:  # 98 bytes, and 20 for each device
         for at in range(98, len(payload) - 19, 20):
@@ -133,7 +125,7 @@ class MTData2Decoder(TaggedDecoder):
         return identifier_name(key)
 
 
-def find_fields(names: Sequence[str], precision: Precision = "float32") -> list[tuple[int, Message]]:
+def find_fields(names: Sequence[str], precision: Precision) -> list[tuple[int, Message]]:
     """Return codes and fields of these data identifiers in a precision, in the order given.
 
     Raises BAD_CONFIG when a name is not that of a data identifier.
