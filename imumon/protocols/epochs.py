@@ -8,8 +8,8 @@ a time of its own makes the group a side stream, for good.  Receivers are side s
 their data are older than the packets between which they come.
 
 An epoch is complete when a packet of its group comes with another time (or counter), or with a field that is
-there already; and at once when it has every field that any of the last `GENERATION` epochs
-had.  So a row waits for one epoch at the most.  Nothing is reordered and no field is lost.
+there already; and at once when it has every field that any epoch of this generation of `GENERATION` epochs
+or the one before had.  So a row waits for one epoch at the most.  Nothing is reordered and no field is lost.
 """
 
 from collections.abc import Sequence
@@ -214,6 +214,10 @@ def _steps_within(block: SampleBlock, row: IntArray, place: IntArray, n: int) ->
 
 @njit
 def _assign(work: _Work, end: bool) -> None:
+    """Give each new packet to the open epochs of its groups; with `end` end these epochs.
+
+    A packet joins the main row with the fields, `together`, of its groups that are not side streams.
+    """
     groups, own, main, held = work.groups, work.own, work.groups[0], len(work.epoch) - len(work.behind)
     for i in range(len(work.behind)):
         belongs, kind, key, mask = work.belongs[i], work.kind[i], work.key[i], work.masks[i]

@@ -37,7 +37,7 @@ Part = tuple[Number, ...]
 FACTORS = {
     "pi": pi, "deg": pi / 180, "g": STANDARD_GRAVITY, "gauss": 100.0, "kPa": 1000.0, "hPa": 100.0,
 }  # fmt: skip
-"""What numbers are times to be in the units of imumon, by the names that tables have for it."""
+"""Factors from the units of makers, by their names in the tables of messages, to those of imumon."""
 AXES = {"xyz": "xyz", "wxyz": "wxyz", "3x3": [f"{i}{j}" for i in "123" for j in "123"]}
 """Ends of the columns of a vector, a quaternion, a matrix."""
 _ROW = re.compile(r"(\S+) (\S+)(?: \[(\w*)\])?(?: >=(\d+))?:\s+(.*)", re.DOTALL)

@@ -88,7 +88,7 @@ class States:
         known = np.where(np.isfinite(self.degc), self.degc, degc)
         # What is within a sigma has not moved: else noise, which moves no bias, draws the slope to zero.
         known = np.where(np.isfinite(degc), np.clip(known, degc - degc_sd, degc + degc_sd), known)
-        warming, keeps = np.nan_to_num(known - self.degc), np.exp(-dt / TAUS_S)
+        warming, keeps = _where_known(known - self.degc), np.exp(-dt / TAUS_S)
         f, grows = np.zeros((3, STATES, STATES)), np.zeros((3, STATES))
         f[:] = np.diag([1.0, *keeps, 1.0, 1.0, 1.0, 1.0])
         f[:, WALK, SLOPE] = warming
@@ -103,6 +103,11 @@ class States:
         covariance[..., [WALK, SLOPE], [SLOPE, WALK]] += (walk * warming / 2.0)[..., None]
         mean = (f @ self.mean[..., None])[..., 0]
         return replace(self, mean=mean, covariance=covariance, time_s=time_s, degc=known)
+
+
+def _where_known(change: FloatArray) -> FloatArray:
+    """Return a change, zero where it is NaN; a tenth of the time of a slot less than by `nan_to_num`."""
+    return np.where(np.isnan(change), 0.0, change)
 
 
 def measurement_row(force: FloatArray) -> FloatArray:
@@ -137,8 +142,8 @@ class Prediction(States):
     def at(self, time_s: float, read: FloatArray) -> Self:
         """As `States.at`, but not of its own result: w has the whole dT, and what is not known of it."""
         then, (degc, sd), (degc_before, sd_before) = super().at(time_s, read), read, self.read
-        left = np.nan_to_num(degc - degc_before - (then.degc - self.degc))
-        unseen = np.nan_to_num(np.maximum(sd**2 - sd_before**2, 0.0))  # of a silent thermometer
+        left = _where_known(degc - degc_before - (then.degc - self.degc))
+        unseen = _where_known(np.maximum(sd**2 - sd_before**2, 0.0))  # of a silent thermometer
         mean, covariance = then.mean.copy(), then.covariance.copy()
         mean[:, WALK] += mean[:, SLOPE] * left
         covariance[:, WALK, WALK] += self.slope_square * (left**2 + unseen)

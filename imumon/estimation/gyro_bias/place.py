@@ -85,7 +85,8 @@ class Attitude:
                 self.earth = earth_rate_along(self.up, self.north, self.latitude)
             if self.unposed:  # the bias has to lose the earth rate again
                 self.unposed, added = False, np.full(3, EARTH_RATE**2)
-                self.heading_variance = 0.0 if self.heading is None else LOST_SD**2  # 0: it is bias
+                # Without a heading the level part of the earth rate stays in the bias.
+                self.heading_variance = 0.0 if self.heading is None else LOST_SD**2
         self.turn, self.lost = STILL, False
         return added
 

@@ -56,7 +56,7 @@ class Thermal:
         """How far outside of the calibrated range, °C, and variance by what has faded, (rad/s)², (3,)."""
 
     def variance(self, degc: FloatArray, sd: FloatArray, lag_degc: FloatArray) -> FloatArray:
-        """Return the variance, (rad/s)², (3,), added since the last call; temperatures that are NaN add none.
+        """Take the temperatures of now; return the variance that they add, (rad/s)², (3,); NaN adds none.
 
         `sd` is that of the state at power-on; in a gap the gyros' lag may change by `lag_degc` (sd), (3,).
         """

@@ -47,6 +47,10 @@ SLOWER = 16.0
 """In a trial (slow): largest variance of slot means over what the samples in a slot explain.  Assumed."""
 ROAD = np.array([2.5e-3, 0.021])
 """In a trial (road): largest rms of slot means, rad/s, m/s²: of sensors (0.1 °/s/√Hz, 1.5 mg/√Hz)."""
+WHITE = 1.5
+"""In a trial (white): largest variance of slot means over that by white samples in a slot.  Assumed."""
+LEAST_SAMPLES = 3.0  # in a slot, for the variance of its samples to mean anything
+OUTLIER = 9.0  # a square above so many times its mean, three sigmas, counts as this: one knock is no noise
 NOISE_CHANGE = 2.5  # factor of the variance from which on a trial has found a larger noise.  Assumed.
 
 
@@ -104,7 +108,8 @@ class QuietDetector:
 
         With noise of sd s, in steps, it is at most exp(-2 π² s²) half steps, and readings have the variance
         r = s² + 1/12 (Sheppard).  Not if s is below a third: where two readings alternate, r <= 1/4 shows
-        nothing of s, and the error is up to √(1/4 - r) steps.  A third of that is taken at least, as a sigma.
+        nothing of s, and the error is up to √(1/4 - r) steps.  Of that a third is taken, as a largest error
+        is three sigmas; the innovation takes half of the result, and the reported bias all of it.
         Readings that are all equal may have any step up to `UNSEEN_STEP`.
         """
         unseen = self.present & (self.step == 0.0) & (self.sample_noise < NO_NOISE)
@@ -185,7 +190,7 @@ class QuietDetector:
         spread = 2.0 / (9.0 * np.maximum(0.5 * (slot.samples - 1.0), 1.0))  # variance of the cube root
         factor = VARIANCE_FACTOR * (1.0 - spread + VARIANCE_SIGMAS * np.sqrt(spread)) ** 3
         limit = np.maximum(factor * self.sample_noise, 1e-12) + 12.0 * self.floor  # at least (1e-6)²; step²
-        return bool(((slot.variance > limit) & (slot.samples >= 3.0)).any())
+        return bool(((slot.variance > limit) & (slot.samples >= LEAST_SAMPLES)).any())
 
     def _learn(self, slot: Slot) -> None:
         """Learn the noise from second differences, in which a drift cancels."""
@@ -196,9 +201,9 @@ class QuietDetector:
         self.noise_slots += 1.0
         before, middle, last = self.mean[-3:]
         square = ((last - middle) - (middle - before)) ** 2 / 6.0
-        self.noise = self.noise + gain * (np.minimum(square, 9.0 * self.noise) - self.noise)
+        self.noise = self.noise + gain * (np.minimum(square, OUTLIER * self.noise) - self.noise)
         within = np.minimum(slot.variance, 4.0 * self.sample_noise + 12.0 * self.floor)
-        within = np.where(slot.samples >= 3.0, within, self.sample_noise)
+        within = np.where(slot.samples >= LEAST_SAMPLES, within, self.sample_noise)
         self.sample_noise = self.sample_noise + gain * (within - self.sample_noise)
         if self.quiet_slots >= TRIAL:
             self.unquiet = self.short_rests = 0
@@ -213,24 +218,28 @@ class QuietDetector:
         return np.asarray(np.maximum(square.mean(0) / 6.0, 1e-24))
 
     def _try_noise(self, count: FloatArray) -> None:
-        """Take the noise of the last slots, of `count` samples, (6,), if still, and the first or larger."""
+        """Take the noise of the last 16 slots for that of rest, if they look like rest.
+
+        Only where none is known, or a smaller one.  `count` is the number of samples of a slot, (6,).
+        """
         mean, noise = self.mean[-TRIAL:], self._white_variance()
         within = np.array([one.variance for one in self.latest])
-        enough = np.isfinite(within).all(0) & (count >= 3.0)
+        enough = np.isfinite(within).all(0) & (count >= LEAST_SAMPLES)
         samples = np.where(enough, within.mean(0), noise * count)
-        # Always that of rest: the variance of rounding, and QUIET_SD² or, if less, 9 times the known noise.
-        least = (np.minimum(QUIET_SD**2, 9.0 * self.noise) if self.noise_slots else QUIET_SD**2) + self.floor
+        # Always that of rest: the variance of rounding, and QUIET_SD² or, if less, that of an outlier.
+        disturbance = np.minimum(QUIET_SD**2, OUTLIER * self.noise) if self.noise_slots else QUIET_SD**2
+        least = disturbance + self.floor
         longer = [mean.reshape(-1, length, AXES).mean(1).var(0, ddof=1) for length in (4, 8)]
         ratio = np.array(longer) / np.maximum([noise / 4.0, noise / 8.0], least)
         coloured = ratio.reshape(2, 2, 3).mean(2) > LARGEST_COLOUR  # white noise averages out
         slow = enough & (noise * count > SLOWER * samples) & (noise > least)
-        second = np.diff(mean, 2, axis=0) ** 2 / np.maximum(noise, least)
+        second = np.diff(mean, 2, axis=0) ** 2 / np.maximum(noise, least)  # of 14 triples of slots
         first, last = (half.reshape(-1, 2, 3).sum((0, 2)) for half in (second[:7], second[7:]))
         uneven = np.maximum(first, last) > HALVES * np.minimum(first, last) + HALVES_OFFSET
         # Slots of one or two samples may be loud, and so may a gyro whose samples are white.
         loud = np.maximum(mean.var(0), noise).reshape(2, 3).mean(1) > ROAD**2
-        road = loud & (count.reshape(2, 3).max(1) >= 3.0)
-        white = (noise * count < 1.5 * samples) & (np.arange(AXES) < ACCEL.start)
+        road = loud & (count.reshape(2, 3).max(1) >= LEAST_SAMPLES)
+        white = (noise * count < WHITE * samples) & (np.arange(AXES) < ACCEL.start)
         if coloured.any() or slow.any() or uneven.any() or (np.repeat(road, 3) & ~white).any():
             return
         larger = noise > NOISE_CHANGE * self.noise + self.floor

@@ -38,7 +38,7 @@ LEAST_REST_S = 600.0
 WIDEST_HOLE = 0.4
 """Share of the span without data that a curve cannot bridge."""
 MOST_LAG = 0.1
-"""Share of the span that the temperature may be wrong by for that reason."""
+"""Share of the span that the temperature may be wrong by as the gyro lags behind its thermometer."""
 
 
 class Finding(NamedTuple):

@@ -81,7 +81,10 @@ def fit_magnetometer(blocks: Iterable[SampleBlock], unit: str, source: str) -> M
     for _ in range(2):  # first by the directions of the readings, then by those of the field
         which = _spread(field)
         readings, what = mag[which], f"{len(which)} readings in other directions, {LEAST_POINTS} are needed"
-        model = _fitted(readings, middle, unit) if len(which) >= LEAST_POINTS else None
+        if len(which) < LEAST_POINTS:
+            model = None
+            break
+        model, what = _fitted(readings, middle, unit), f"the {len(which)} readings are on no ellipsoid"
         if not model:
             break
         field = model.corrected(mag)
@@ -181,7 +184,7 @@ def _changed(jacobian: FloatArray, residual: FloatArray, scatter: float) -> Floa
         differ += sign * (normal @ jacobian[rows].T @ residual[rows])
         covariance += normal * scatter
     square = float(differ @ np.linalg.pinv(covariance, hermitian=True) @ differ)
-    # A square of nine normal differences is larger than thrice its mean once in 1e4 times.
+    # A square of nine normal differences is larger than thrice its mean once in 700 times.
     beyond = max(0.0, 1.0 - len(differ) * 3.0 / max(square, 1e-300))
     return np.outer(differ, differ) / 4.0 * beyond
 
