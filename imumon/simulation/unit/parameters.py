@@ -51,17 +51,19 @@ Item = TypeVar("Item")
 
 
 class OfAxes(StrictModel, Generic[Item]):
-    """What each axis has; the key that holds it names the unit."""
+    """What each axis has."""
 
     x: list[Item] = Field(default_factory=list)
     y: list[Item] = Field(default_factory=list)
     z: list[Item] = Field(default_factory=list)
 
 
-Curves = OfAxes[Term]
-"""A bias over temperature, as a sum of terms."""
-Effects = OfAxes[AnyEffect]
-"""Effects as in a model file."""
+class Curves(OfAxes[Term]):
+    """A bias over temperature of each axis, as a sum of terms; the key that holds it names the unit."""
+
+
+class Effects(OfAxes[AnyEffect]):
+    """Effects of each axis as in a model file, with coefficients in the unit of the key that holds it."""
 
 
 class Hysteresis(StrictModel):
