@@ -150,7 +150,7 @@ class _Handler(BaseHTTPRequestHandler):
             headers = {
                 "Content-Type": ASSETS[path],
                 "Content-Security-Policy": POLICY,
-                "rerun-final-length": str(len(body)),  # the page's progress bar asks for it
+                "rerun-final-length": str(len(body)),  # the page's progress bar needs it
             }
             self._answer(HTTPStatus.OK, body, headers)
 

@@ -138,7 +138,7 @@ def read_runs(
     wanted = channels_of(sensors, first[0].columns) if first else []
     further, watcher = [*wanted], Watcher(wanted)
     # The detector names what it made of a session, a map what was measured.  Of a table that imumon wrote
-    # nothing tells which of its further columns are made of the gyros themselves: they are not read.
+    # nothing shows which of its further columns are made of the gyros themselves: they are not read.
     if first and (recording.source.session or map_path):
         further += further_columns(first[0], {one.name for one in RestDetector().columns})
     samples: Iterable[SampleBlock] = watcher.through(chain(first, blocks))
