@@ -264,7 +264,6 @@ class WireReader:
             if opcode == wire.MESSAGE_OP:
                 channel, sequence, time_ns, _ = FIELDS.unpack_from(data, begin)
                 self._next_sequence = (sequence + 1) & SEQUENCE_MASK
-                self.summary.last_ns = max(self.summary.last_ns, time_ns)  # a mark may be older
                 begin += FIELDS.size
             if channel in _BEFORE_DATA:
                 self._pieces.append(data[begin + _BEFORE_DATA[channel] : end])
@@ -274,6 +273,7 @@ class WireReader:
                     yield from self._reads()
             else:
                 yield from self._reads()
+                self.summary.last_ns = max(self.summary.last_ns, time_ns)  # a mark may be older
                 try:
                     event = self._other(opcode, channel, data[begin:end], time_ns)
                 except BAD_RECORD:
@@ -298,6 +298,7 @@ class WireReader:
             ends = np.cumsum(np.fromiter(map(len, self._pieces), np.int64, len(self._pieces)))
             data = np.frombuffer(b"".join(self._pieces), np.uint8)
             batch = Reads(data, ends, np.array(self._arrivals_ns, np.int64))
+            self.summary.last_ns = max(self.summary.last_ns, *self._arrivals_ns)
             self._pieces, self._arrivals_ns, self._kept = [], [], 0
             self.summary.reads += len(ends)
             self.summary.bytes += len(data)

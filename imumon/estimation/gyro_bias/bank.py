@@ -85,12 +85,13 @@ class States:
         dt, (degc, degc_sd) = time_s - self.time_s, read
         if dt <= 0.0:
             return self
-        known = np.where(np.isfinite(self.degc), self.degc, degc)
+        known = np.where(np.isnan(self.degc), degc, self.degc)
         # What is within a sigma has not moved: else noise, which moves no bias, draws the slope to zero.
-        known = np.where(np.isfinite(degc), np.clip(known, degc - degc_sd, degc + degc_sd), known)
+        known = np.fmin(np.fmax(known, degc - degc_sd), degc + degc_sd)
         warming, keeps = _where_known(known - self.degc), np.exp(-dt / TAUS_S)
         f, grows = np.zeros((3, STATES, STATES)), np.zeros((3, STATES))
-        f[:] = np.diag([1.0, *keeps, 1.0, 1.0, 1.0, 1.0])
+        f[:] = np.eye(STATES)
+        f[:, FLICKER, FLICKER] *= keeps
         f[:, WALK, SLOPE] = warming
         grows[:, WALK], grows[:, FLICKER], grows[:, SLOPE] = dt, 1.0 - keeps**2, np.abs(warming)
         modes = (1,) * (self.mean.ndim - 2)
@@ -100,7 +101,9 @@ class States:
         warming = warming.reshape(3, *modes)
         walk = self.process[..., SLOPE] * np.abs(warming)
         covariance[..., WALK, WALK] += walk * warming**2 / 3.0
-        covariance[..., [WALK, SLOPE], [SLOPE, WALK]] += (walk * warming / 2.0)[..., None]
+        cross = walk * warming / 2.0
+        covariance[..., WALK, SLOPE] += cross
+        covariance[..., SLOPE, WALK] += cross
         mean = (f @ self.mean[..., None])[..., 0]
         return replace(self, mean=mean, covariance=covariance, time_s=time_s, degc=known)
 
@@ -179,11 +182,20 @@ def at_samples(
     few terms each, so they are the same whatever the division into blocks.
     """
     which = np.searchsorted(rows, np.arange(len(moving)), side="right")
-    terms, covariance, of_slot, turn = (np.array(one)[which] for one in zip(*every, strict=True))
+    terms, covariance, of_slot, turn = (np.array(one) for one in zip(*every, strict=True))
+    bias, variance = (one[which] for one in _at_force(terms, covariance, of_slot))
+    moves = moving & np.isfinite(force).all(1)
+    of_sample = which[moves]
+    bias[moves], variance[moves] = _at_force(terms[of_sample], covariance[of_sample], force[moves])
+    return bias, variance, turn[which]
+
+
+def _at_force(terms: FloatArray, covariance: FloatArray, force: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return t (1, f) and (1, f) C (1, f), (n, 3) each, of n biases at n specific forces, (n, 3)."""
     row = np.ones((len(force), 1, 4))
-    row[:, 0, 1:] = np.where((moving & np.isfinite(force).all(1))[:, None], force, of_slot)
+    row[:, 0, 1:] = force
     variance = ((covariance * row[:, None]).sum(3) * row).sum(2)
-    return (terms * row).sum(2), np.maximum(variance, 0.0), turn
+    return (terms * row).sum(2), np.maximum(variance, 0.0)
 
 
 @dataclass(frozen=True, eq=False)

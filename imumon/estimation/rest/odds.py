@@ -31,6 +31,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from imumon.blocks import FloatArray
+from imumon.filters.turns import cross_matrix
 from imumon.geodesy import DEG_PER_H, EARTH_RATE, STANDARD_GRAVITY
 
 from .slots import Measurement
@@ -110,7 +111,7 @@ def hidden_turn(measurements: Sequence[Measurement], force_variance: float) -> F
     if not (seconds > 0.0 and g > 0.5 * STANDARD_GRAVITY):
         return np.full(3, unseen)
     shown = min(unseen, 2.0 * force_variance / (g * seconds) ** 2)
-    tilt = np.cross(last.force, first.force) / g**2
+    tilt = cross_matrix(last.force) @ first.force / g**2
     return shown + (unseen - shown) * (last.force / g) ** 2 + (tilt / seconds) ** 2
 
 
@@ -145,7 +146,7 @@ def gravity(
         return 0.0
     seconds = measurements[-1].end_s - measurements[0].end_s
     phi = across @ _turned(measurements, bias)
-    tilt = np.cross(last, first) / g**2
+    tilt = cross_matrix(last) @ first / g**2
     still_variance = ((math.sqrt(2.0 * force_variance) + drift * seconds) / g) ** 2
     turn_variance = still_variance + variance.max() * seconds**2
     expected, tilted = (math.hypot(*angle) / math.sqrt(still_variance) for angle in (phi, tilt))
@@ -167,11 +168,11 @@ def heading(measurements: Sequence[Measurement], biases: FloatArray) -> FloatArr
     vectors = np.array([one.heading for one in measurements])
     force = np.array([one.force for one in measurements])
     up = force / np.linalg.norm(force, axis=1, keepdims=True)
-    angle = np.abs([_turned(measurements, bias) @ up[-1] for bias in biases])
+    angle = np.abs(_turned(measurements, biases) @ up[-1])
     if not vectors[:, 2].any():  # a yaw has two components
         up = np.array([[0.0, 0.0, 1.0]])
     north = vectors - (vectors * up).sum(1, keepdims=True) * up
-    turned = np.unwrap(np.arctan2(north @ np.cross(up[-1], north[0]), north @ north[0]))
+    turned = np.unwrap(np.arctan2(north @ (cross_matrix(up[-1]) @ north[0]), north @ north[0]))
     # If even in time, a second difference has 6 times the variance of a heading, and the change has it twice.
     measured, noise2 = abs(float(turned[-1])), float((np.diff(turned, 2) ** 2).mean()) / 3.0
     variance = noise2 + HEADING_NOISE**2 + (HEADING_ERROR * angle) ** 2
@@ -180,6 +181,7 @@ def heading(measurements: Sequence[Measurement], biases: FloatArray) -> FloatArr
 
 
 def _turned(measurements: Sequence[Measurement], bias: FloatArray) -> FloatArray:
-    """Return the angle turned since the first measurement, rad, (3,), for a bias, rad/s, (3,)."""
+    """Return the angle turned since the first measurement, rad, for one bias or n, rad/s, (..., 3)."""
     seconds = np.diff([one.end_s for one in measurements])
-    return seconds @ (np.array([one.rate for one in measurements[1:]]) - bias)
+    turned = seconds @ np.array([one.rate for one in measurements[1:]])
+    return np.asarray(turned - seconds.sum() * bias)

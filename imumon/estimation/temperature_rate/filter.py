@@ -12,7 +12,7 @@ Bar-Shalom, Li and Kirubarajan, Estimation with Applications to Tracking and Nav
 """
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -133,13 +133,20 @@ def mix(filters: Filters, dt: float) -> tuple[FloatArray, FloatArray, FloatArray
     differences from one of the modes, so that a large mean costs no digits.
     """
     x, mu = filters.x, filters.mu
-    differences = np.diff(np.eye(mu.shape[1]), axis=0)  # to each neighbour with half the probability
-    transition = np.eye(mu.shape[1]) - 0.5 * min(dt * CHANGE_PER_S, MOST_CHANGE) * differences.T @ differences
+    modes = mu.shape[1]
+    transition = np.eye(modes) + min(dt * CHANGE_PER_S, MOST_CHANGE) * _generator(modes)
     predicted = mu @ transition
     off = x - x[..., :1]
     mixed = (mu * off) @ transition / predicted
     second = (mu * (filters.p + off[:, None] * off)) @ transition / predicted
     return x[..., :1] + mixed, second - mixed[:, None] * mixed, predicted
+
+
+@cache
+def _generator(modes: int) -> FloatArray:
+    """Return the generator of the Markov chain of modes, half a change to each neighbour, (m, m)."""
+    differences = np.diff(np.eye(modes), axis=0)
+    return -0.5 * differences.T @ differences
 
 
 def predict(thermometer: Thermometer, filters: Filters, time_s: float) -> Filters:

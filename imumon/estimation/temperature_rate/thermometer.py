@@ -182,7 +182,8 @@ class Thermometer:
         """
         if 1e-5 < change <= LARGEST_STEP_DEGC:  # no readings that are equal but for their format
             self.changes = (*self.changes[1 - MEMORY_CHANGES :], change)
-            alike = [each for each in self.changes if each < 1.5 * min(self.changes)]
+            largest = 1.5 * min(self.changes)
+            alike = [each for each in self.changes if each < largest]
             self.step = sum(alike) / len(alike)
 
 
