@@ -95,7 +95,7 @@ def test_kinds_of_sites_and_what_is_reported_of_them() -> None:
     }
     pattern = (
         r"(\d+) sites have a heading.* in (\d+) \(60 s\) and (\d+) \(600 s\)\. .* "
-        r"below 1.8 in (\d+) and all (\d+), the largest below 5 in (\d+) and (\d+)"
+        r"below 1.8 in (\d+) \(60 s\) and all (\d+) \(600 s\), the largest below 5 in (\d+) and (\d+)"
     )
     assert numbers_in(ALIGNMENT, pattern) == [len(shown), *counts.values()]
 
@@ -257,7 +257,10 @@ BY_BIAS, BY_ACCEL = 0.0035 / LEVEL_RATE * DEGREE, 25e-6 * TAN * DEGREE
 BY_SCALE = 10e-6 / math.cos(math.radians(36.0)) * DEGREE
 """And by the errors that are declared in its example."""
 BY_TURN = math.degrees(EARTH_RATE * 10.0)
+
 """What a turn of half a circle in 10 s may be off by, as the earth rate moves through the axes, °."""
+WORTH_A_TURN = [LEVEL_RATE * math.radians(math.hypot(BY_TURN, 180e-6 * ppm)) / 2.0 for ppm in (10.0, 300.0)]
+"""Biases, °/h, that make as large an error as half a turn with scale errors of 10 and 300 ppm."""
 TWO_CREEPS = "3° in 280 s, half a turn, 3° in 280 s, biases of 2 °/h"
 LARGEST_JUMP = RestParameters().largest_jump / DEG_PER_H * (1.0 - 1e-9)
 """Largest jump of a bias that time decides, °/h."""
@@ -663,7 +666,7 @@ SENTENCES: list[tuple[str, str, Numbers]] = [
         "# have a heading at both times. The rms of z is below # in # (60 s) and in all # (600 s)",
         [
             Source(ALIGNMENT, "# sites have a heading at 60 and at 600 s"),
-            Source(ALIGNMENT, "rms of error over sigma is below # in # and all #, the largest"),
+            Source(ALIGNMENT, "rms of error over sigma is below # in # (60 s) and all # (600 s),"),
         ],
     ),
     (
@@ -727,7 +730,7 @@ SENTENCES: list[tuple[str, str, Numbers]] = [
             Source(SITES, f"| bias of 0.05 °/h, not declared |{' * |' * 12} # | * | # |"),
         ],
     ),
-    (ALIGNMENT, "a turn by more than 1 rad: #° in # s", [BY_TURN, 10]),
+    (ALIGNMENT, "and σ takes this: #° for # s and these # s", [BY_TURN, 8, 2]),
     (ALIGNMENT, "# % of half a turn is #°.", [1, 180 * 0.01]),
     (ALIGNMENT, "by half of it, #°", [90 * 0.01]),
     (
@@ -758,10 +761,11 @@ SENTENCES: list[tuple[str, str, Numbers]] = [
     (ALIGNMENT, "tan L, # µg at #° by #°", [750, 36, 750e-6 * TAN * DEGREE]),
     (
         ALIGNMENT,
-        "at #°, with half a turn in # s, if σ_b is above # °/h",
-        [36, 10, LEVEL_RATE * math.radians(BY_TURN / 2)],
+        "at #° half a turn of # s pays if σ_b is above # °/h (# ppm declared for the scale) or # °/h (the"
+        " default of # ppm)",
+        [36, 8, WORTH_A_TURN[0], 10, WORTH_A_TURN[1], 300],
     ),
-    (ALIGNMENT, "# sizes up to a factor of # from the median", [len(LOG_SIZES), math.exp(LOG_SIZES[-1])]),
+    (ALIGNMENT, "# sizes from 1/# to # times the median", [len(LOG_SIZES), *2 * [math.exp(LOG_SIZES[-1])]]),
     (
         ALIGNMENT,
         "From #° on it is more than the #° of",

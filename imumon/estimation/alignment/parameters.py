@@ -64,7 +64,7 @@ class AlignmentParameters(StrictModel):
         Standard deviation of a gyro's bias, from run to run.  Default: a regression on the noise, with a
         factor of 4.5 either way (one sigma), weighted by how well the earth rate then fits the rates.
     gyro_flicker_deg_per_h : float, optional
-        Standard deviation by which the bias changes from position to position: the bias instability.
+        Standard deviation of the part of the bias that is new in each position: the bias instability.
         Default: 0, with which the sigma of several positions is too small where the bias moves: declare it.
     gyro_scale_sd_ppm : float, optional
         Standard deviation of each element of a gyro's scale and misalignment: in turns between positions,

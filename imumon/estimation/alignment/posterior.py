@@ -65,7 +65,7 @@ class SensorErrors(NamedTuple):
 
     sizes: FloatArray  # of the gyros' biases, rad/s, (s, 3)
     log_prior: FloatArray  # log probabilities of these, (s,)
-    flicker: float  # change of the bias from position to position, rad/s
+    flicker: float  # of the part of the bias that is new in each position, rad/s
     scale: float  # of each element of E
     scale_declared: bool  # whether E changes the earth rate at rest
     accel_bias: float  # of β, g
