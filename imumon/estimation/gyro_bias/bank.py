@@ -19,7 +19,8 @@ rad/s: σg² = B² ln(τ3/τ2) / π: flicker has a variance of B² ln(ratio) / �
 
 Modes
 -----
-Five of the noise (one if declared) times those of the slope: static multiple models (Bar-Shalom, 2001, 11.6).
+Five of the noise (four flickers without walk, and a walk without flicker; one if declared) times those of the
+slope: static multiple models (Bar-Shalom, 2001, 11.6).
 White noise σ², (rad/s)² (of the mean of a second), is not known (West & Harrison, 1997, ch. 4): each filter
 has its mean x, its covariance P over σ², and of σ² an inverse-gamma posterior IG(a, β).  Gains do not depend
 on σ², and S here is the innovation covariance over σ².  The predictive density of a measurement is Student's
@@ -43,30 +44,23 @@ from imumon.geodesy import STANDARD_GRAVITY
 
 STATES = 8
 WALK, FLICKER, SLOPE, SENSITIVITY = 0, slice(1, 4), 4, slice(5, 8)
-TAUS_S = np.array([1.0, 30.0, 1000.0])
-"""Time constants of the flicker: from a second to the longest rest that matters."""
+TAUS_S = np.array([1.0, 30.0, 1000.0])  # of the flicker: from a second to the longest rest that matters
 FLOOR_OF_FLICKER = 0.664  # floor of the Allan deviation over B, sqrt(2 ln 2 / π) (IEEE 952)
 FLICKER_CORNERS_S = (100.0, 10.0, 1.0, 0.1)  # averaging times at which flicker overtakes white noise
-STRONG_FLICKER = 2.0
-"""Prior of flicker that overtakes at 1 s over that of any other level: it is not observable in the first
-seconds, and a gyro of 40 °/h was off by 8 sigmas in them."""
+STRONG_FLICKER = 2.0  # prior of corner 1 s over others: before it shows, a gyro of 40 °/h was off by 8 sigmas
 WALK_CORNER_S = 10.0  # averaging time at which a random walk overtakes white noise: both are equal at √3 σ/K
-SLOPE_PER_SIGMA = 3.6
-"""Standard deviation of the slope over σ, 1/°C: 60 °/h/°C for a gyro of 0.28 °/√h.  Assumed."""
+SLOPE_PER_SIGMA = 3.6  # sd of the slope over σ, 1/°C: 60 °/h/°C for a gyro of 0.28 °/√h.  Assumed.
 SLOPE_LEFT_PER_SIGMA = 0.25  # the same, 1/°C, of the slope that a model's curve leaves.  Assumed.
 SLOPE_DEGC = 30.0  # difference of temperature over which a slope changes by as much as itself
-SENSITIVITY_SD = math.radians(0.06) / STANDARD_GRAVITY
-"""Standard deviation of an entry of the matrix of sensitivity, rad/s per m/s², of an uncompensated gyro."""
+SENSITIVITY_SD = math.radians(0.06) / STANDARD_GRAVITY  # of m, rad/s per m/s², uncompensated.  Assumed.
 FASTER = math.log(TAUS_S[0] / 0.02) / math.log(TAUS_S[2] / TAUS_S[1])
-"""Variance of the flicker of single samples that is faster than g1, from 0.02 s on, over that of g1."""
-LEAST_WHITE = 1e-15
-"""Variance of the mean of a second, (rad/s)²: 0.0065 °/h, less than any gyro has.  Assumed."""
+"""Variance of the flicker of samples that is faster than g1, from 0.02 s on, over that of g1.  Assumed."""
+END_LESS_MEAN = 0.47  # Var(g1 after a second less its mean over it) / Var(g1): 1 + 2/e - 2 (1 - 1/e)
+LEAST_WHITE = 1e-15  # (rad/s)², of the mean of a second: 0.0065 °/h, less than any gyro has.  Assumed.
 MEMORY_S = 600.0  # time over which σ² is averaged, in measurements of about a second
-PRIOR_COUNT, DECLARED_COUNT = 3.0, 0.5 * MEMORY_S
-"""Shape a of a σ² that second differences of 16 slots have shown, and of a declared one."""
+PRIOR_COUNT, DECLARED_COUNT = 3.0, 0.5 * MEMORY_S  # shape a of a σ² by a trial of 16 slots; of a declared one
 LEAST_WEIGHT = 1e-4  # least weight of a mode over the largest, so that the mode may come back
-UNKNOWN, TURN_ON = 1e8, math.radians(3.0)
-"""Prior variance of w over σ², and least prior standard deviation of w, rad/s: turn-on biases of any gyro."""
+UNKNOWN, TURN_ON = 1e8, math.radians(3.0)  # prior variance of w over σ², and its least sd, rad/s.  Assumed.
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,18 +71,18 @@ class States:
     mean: FloatArray  # x, (3, ..., 8)
     covariance: FloatArray  # P, (3, ..., 8, 8)
     time_s: float
-    degc: FloatArray  # of each gyro, as far as it has moved, (3,)
-    read: FloatArray  # temperatures at the last measurement, and their sd, °C, (2, 3)
+    held_degc: FloatArray  # temperature of each gyro, with a dead band of its sd, (3,)
+    degc_and_sd: FloatArray  # temperature at the last measurement, and its sd, °C, (2, 3)
 
-    def at(self, time_s: float, read: FloatArray) -> Self:
-        """Return F x and F P Fᵀ + Q at a later time, and temperatures and sd, °C, (2, 3); NaN: no change."""
-        dt, (degc, degc_sd) = time_s - self.time_s, read
+    def at(self, time_s: float, degc_and_sd: FloatArray) -> Self:
+        """Return F x and F P Fᵀ + Q at a later time, and temperature and sd, °C, (2, 3); NaN: no change."""
+        dt, (degc, degc_sd) = time_s - self.time_s, degc_and_sd
         if dt <= 0.0:
-            return self
-        known = np.where(np.isnan(self.degc), degc, self.degc)
+            return self  # with its temperature
+        held = np.where(np.isnan(self.held_degc), degc, self.held_degc)
         # What is within a sigma has not moved: else noise, which moves no bias, draws the slope to zero.
-        known = np.fmin(np.fmax(known, degc - degc_sd), degc + degc_sd)
-        warming, keeps = _where_known(known - self.degc), np.exp(-dt / TAUS_S)
+        held = np.fmin(np.fmax(held, degc - degc_sd), degc + degc_sd)
+        warming, keeps = _where_known(held - self.held_degc), np.exp(-dt / TAUS_S)
         f, grows = np.zeros((3, STATES, STATES)), np.zeros((3, STATES))
         f[:] = np.eye(STATES)
         f[:, FLICKER, FLICKER] *= keeps
@@ -97,7 +91,7 @@ class States:
         modes = (1,) * (self.mean.ndim - 2)
         f, grows = f.reshape(3, *modes, STATES, STATES), grows.reshape(3, *modes, STATES)
         covariance = f @ self.covariance @ f.swapaxes(-1, -2)
-        np.einsum("...ii->...i", covariance)[...] += self.process * grows  # its diagonal
+        np.einsum("...ii->...i", covariance)[...] += self.process * grows  # Q, but for the walk of s
         warming = warming.reshape(3, *modes)
         walk = self.process[..., SLOPE] * np.abs(warming)
         covariance[..., WALK, WALK] += walk * warming**2 / 3.0
@@ -105,7 +99,7 @@ class States:
         covariance[..., WALK, SLOPE] += cross
         covariance[..., SLOPE, WALK] += cross
         mean = (f @ self.mean[..., None])[..., 0]
-        return replace(self, mean=mean, covariance=covariance, time_s=time_s, degc=known)
+        return replace(self, mean=mean, covariance=covariance, time_s=time_s, held_degc=held)
 
 
 def _where_known(change: FloatArray) -> FloatArray:
@@ -118,8 +112,7 @@ def measurement_row(force: FloatArray) -> FloatArray:
     return np.array([1.0, 1.0, 1.0, 1.0, 0.0, *force])
 
 
-TO_TERMS = np.vstack([measurement_row(np.zeros(3)), np.eye(STATES)[SENSITIVITY]])
-"""The terms of a `LinearBias` by the states, (4, 8)."""
+TO_TERMS = np.vstack([measurement_row(np.zeros(3)), np.eye(STATES)[SENSITIVITY]])  # `LinearBias.terms` of x
 
 
 class LinearBias(NamedTuple):
@@ -133,7 +126,7 @@ class LinearBias(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Prediction(States):
-    """The mixture of all modes, in absolute units."""
+    """The mixture of all modes, with Q and P in absolute units, not over σ²."""
 
     white: FloatArray  # variance of the white noise of a second, (rad/s)², (3,)
 
@@ -142,14 +135,15 @@ class Prediction(States):
         """E[s²], (rad/s/°C)², (3,)."""
         return self.mean[:, SLOPE] ** 2 + self.covariance[:, SLOPE, SLOPE]
 
-    def at(self, time_s: float, read: FloatArray) -> Self:
-        """As `States.at`, but not of its own result: w has the whole dT, and what is not known of it."""
-        then, (degc, sd), (degc_before, sd_before) = super().at(time_s, read), read, self.read
-        left = _where_known(degc - degc_before - (then.degc - self.degc))
-        unseen = _where_known(np.maximum(sd**2 - sd_before**2, 0.0))  # of a silent thermometer
+    def ahead_to(self, time_s: float, degc_and_sd: FloatArray) -> Self:
+        """As `at`, but w has all of dT, without the dead band; of its own result it would have it twice."""
+        (degc, sd), (degc_before, sd_before) = degc_and_sd, self.degc_and_sd
+        then = self.at(time_s, degc_and_sd)
+        left = _where_known(degc - degc_before - (then.held_degc - self.held_degc))
+        hidden = _where_known(np.maximum(sd**2 - sd_before**2, 0.0))  # by a silent thermometer
         mean, covariance = then.mean.copy(), then.covariance.copy()
         mean[:, WALK] += mean[:, SLOPE] * left
-        covariance[:, WALK, WALK] += self.slope_square * (left**2 + unseen)
+        covariance[:, WALK, WALK] += self.slope_square * (left**2 + hidden)
         return replace(then, mean=mean, covariance=covariance)
 
     def bias(self, force: FloatArray, of_mean: bool = False) -> tuple[FloatArray, FloatArray]:
@@ -162,8 +156,8 @@ class Prediction(States):
 
     def innovation(self, now: Measurement) -> tuple[FloatArray, FloatArray]:
         """Return a mean rate less its prediction, rad/s, and the variance of that, (3,) each."""
-        bias, variance = self.at(now.end_s, now.read).bias(now.force)
-        return now.rate - bias, variance + self.white / now.covered_s + 0.25 * now.rounding**2
+        bias, variance = self.ahead_to(now.end_s, now.degc_and_sd).bias(now.force)
+        return now.rate - bias, variance + self.white / now.covered_s + now.rounding_sd**2
 
     def output(self, added: FloatArray, force: FloatArray, turn: FloatArray) -> LinearBias:
         """Return the bias with `added` variance, (rad/s)², at the mean force of a slot, m/s², (3,) each."""
@@ -178,8 +172,7 @@ def at_samples(
     """Return bias t (1, f), variance (1, f) C (1, f) and turn hypothesis of samples, (n, 3) each.
 
     `every` bias but the first holds from its row on, (m,).  f is the specific force of the sample, (n, 3); at
-    rest, where its noise is no change of pose, and without accelerometers, that of the slot.  The sums are of
-    few terms each, so they are the same whatever the division into blocks.
+    rest, where its noise is no change of pose, and without accelerometers, that of the slot.
     """
     which = np.searchsorted(rows, np.arange(len(moving)), side="right")
     terms, covariance, of_slot, turn = (np.array(one) for one in zip(*every, strict=True))
@@ -192,10 +185,11 @@ def at_samples(
 
 def _at_force(terms: FloatArray, covariance: FloatArray, force: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return t (1, f) and (1, f) C (1, f), (n, 3) each, of n biases at n specific forces, (n, 3)."""
-    row = np.ones((len(force), 1, 4))
-    row[:, 0, 1:] = force
-    variance = ((covariance * row[:, None]).sum(3) * row).sum(2)
-    return (terms * row).sum(2), np.maximum(variance, 0.0)
+    h = np.ones((len(force), 1, 4))
+    h[:, 0, 1:] = force
+    # No matrix products: their order of sums may depend on n, so the bits on the division into blocks.
+    variance = ((covariance * h[:, None]).sum(3) * h).sum(2)
+    return (terms * h).sum(2), np.maximum(variance, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,7 +199,7 @@ class Bank(States):
     log_weight: FloatArray  # ln of the weight of each mode, but for a constant, (3, F)
     shape: float  # a, of all axes, which are measured at once
     scale: FloatArray  # β, (rad/s)², (3, F)
-    declared: bool  # whether flicker and walk are, so that Q σ² stays where σ² changes, as by a fan
+    declared: bool  # whether B and K are, so that Q σ² stays where σ² changes, as by a fan
 
     @classmethod
     def begin(
@@ -220,20 +214,29 @@ class Bank(States):
         `noise` are declared σ, rad/√s, B, rad/s, and K, rad/s/√s, (3,) each, or None; `slopes` standard
         deviations of the slope over σ, 1/°C; `white` is σ² as measured, (rad/s)², (3,).
         """
-        (sigma, b, k), count = noise, PRIOR_COUNT
+        sigma, b, k = noise
+        count = PRIOR_COUNT
         if sigma is not None:
             white, count = np.maximum(sigma**2, LEAST_WHITE), DECLARED_COUNT
         expected = count / (count - 1.0) * white  # E[σ²]
         process, log_prior = _modes(b, k, slopes, expected)
         variance = process.copy()
-        variance[..., WALK] = 0.0
+        variance[..., WALK] = 0.0  # it is set by `after`
         variance[..., SLOPE] *= SLOPE_DEGC
         variance[..., SENSITIVITY] = (SENSITIVITY_SD**2 / expected)[:, None, None]
-        scale = np.tile(count * white[:, None], process.shape[1])
-        start_s, zero = first.end_s - first.covered_s, np.zeros_like(variance)
-        covariance = variance[..., None] * np.eye(STATES)
-        prior = process, zero, covariance, start_s, first.read[0], first.read
-        return cls(*prior, log_prior, count, scale, b is not None).after(first, jumped=True)
+        before = cls(
+            process=process,
+            mean=np.zeros_like(variance),
+            covariance=variance[..., None] * np.eye(STATES),
+            time_s=first.end_s - first.covered_s,
+            held_degc=first.degc_and_sd[0],
+            degc_and_sd=first.degc_and_sd,
+            log_weight=log_prior,
+            shape=count,
+            scale=np.tile(count * white[:, None], process.shape[1]),
+            declared=b is not None,
+        )
+        return before.after(first, jumped=True)
 
     def fits(self, now: Measurement, sigmas: float) -> bool:
         """Return whether a mean is within so many sigmas of its prediction in each axis."""
@@ -245,18 +248,18 @@ class Bank(States):
 
         With `jumped` the bias may be any, so the mean rate shows nothing of modes and σ², which stay.
         """
-        prior = self.at(now.end_s, now.read)
+        prior = self.at(now.end_s, now.degc_and_sd)
         if jumped:
             prior = prior.wider(np.maximum(UNKNOWN * self.white, TURN_ON**2))
         h = measurement_row(now.force)
         cross = (prior.covariance.reshape(-1, STATES) @ h).reshape(prior.mean.shape)  # P Hᵀ
-        spread = cross @ h + 1.0 / now.covered_s  # S
+        spread = cross @ h + 1.0 / now.covered_s  # S = H P Hᵀ + R, over σ²
         innovation = now.rate[:, None] - prior.mean @ h
-        gain = cross / spread[..., None]
+        gain = cross / spread[..., None]  # K
         mean = prior.mean + gain * innovation[..., None]
         covariance = prior.covariance - gain[..., None] * cross[..., None, :]
-        read = np.where(np.isfinite(now.read[0]), now.read, prior.read)
-        bank = replace(prior, mean=mean, covariance=covariance, read=read)
+        degc_and_sd = np.where(np.isfinite(now.degc_and_sd[0]), now.degc_and_sd, prior.degc_and_sd)
+        bank = replace(prior, mean=mean, covariance=covariance, degc_and_sd=degc_and_sd)
         if jumped:
             return bank
         a, square = self.shape, innovation**2 / spread
@@ -291,10 +294,10 @@ class Bank(States):
         within = (white[:, None] @ flat).reshape(3, STATES, STATES)
         covariance = within + (off * w[..., None]).transpose(0, 2, 1) @ off
         process = (white[:, None] @ self.process)[:, 0]
-        # g1 at the end of a second is not its mean over it, by which it was updated: the difference, of
-        # 1 + 0.736 - 2 x 0.632 of its variance, dies away with g1.
-        covariance[:, FLICKER.start, FLICKER.start] += 0.47 * process[:, FLICKER.start]
-        return Prediction(process, mean, covariance, self.time_s, self.degc, self.read, white.sum(1))
+        # g1 at the end of a second is not its mean over it, by which it was updated; that dies away with g1.
+        covariance[:, FLICKER.start, FLICKER.start] += END_LESS_MEAN * process[:, FLICKER.start]
+        known = self.time_s, self.held_degc, self.degc_and_sd
+        return Prediction(process, mean, covariance, *known, white.sum(1))
 
     def wider(self, variance: FloatArray) -> "Bank":
         """Let the bias have changed by an unknown amount of this variance, (rad/s)², (3,) or (3, F)."""
@@ -302,8 +305,8 @@ class Bank(States):
         covariance[..., WALK, WALK] += variance.reshape(3, -1) / self.white
         return replace(self, covariance=covariance)
 
-    def with_noise_of(self, other: "Bank") -> "Bank":
-        """Take σ² and the mode weights of another bank; the covariance of the states, P σ², stays."""
+    def with_learned_noise(self, other: "Bank") -> "Bank":
+        """Take σ² and mode weights of another bank of these gyros; the covariance of states, P σ², stays."""
         ratio = self.white / other.white
         bank = replace(self, covariance=self.covariance * ratio[..., None, None])
         return bank._with_noise(other.log_weight, other.shape, other.scale)
@@ -311,7 +314,7 @@ class Bank(States):
     def with_white(self, white: FloatArray) -> "Bank":
         """Restart σ², the variance of the mean of a second, (rad/s)², (3,)."""
         scale = np.zeros_like(self.scale) + PRIOR_COUNT * white[:, None]
-        return self.with_noise_of(replace(self, shape=PRIOR_COUNT, scale=scale))
+        return self.with_learned_noise(replace(self, shape=PRIOR_COUNT, scale=scale))
 
 
 def _modes(
@@ -320,9 +323,9 @@ def _modes(
     """Return `States.process` over E[σ²], `white`, of each mode, (3, F, 8), and ln of the prior, (3, F)."""
     if b is None or k is None:
         corners = np.array(FLICKER_CORNERS_S)
-        b = np.tile([*1.0 / (FLOOR_OF_FLICKER * np.sqrt(corners)), 0.0], (3, 1))
-        k = np.tile([*0.0 * corners, math.sqrt(3.0) / WALK_CORNER_S], (3, 1))
-        prior = np.array([*np.where(corners == 1.0, STRONG_FLICKER, 1.0), 1.0])
+        b = np.tile(np.append(1.0 / (FLOOR_OF_FLICKER * np.sqrt(corners)), 0.0), (3, 1))
+        k = np.tile(np.append(0.0 * corners, math.sqrt(3.0) / WALK_CORNER_S), (3, 1))
+        prior = np.append(np.where(corners == 1.0, STRONG_FLICKER, 1.0), 1.0)
     else:
         b, k = ((one / np.sqrt(white))[:, None] for one in (b, k))
         prior = np.ones(1)

@@ -1,7 +1,4 @@
-"""Slot by slot: is the unit at rest, and what is the bias?
-
-The words are those of `imumon.estimation.rest`.
-"""
+"""Slot by slot: is the unit at rest, and what is the bias?  `imumon.estimation.rest` explains the words."""
 
 from collections.abc import Sequence
 
@@ -26,10 +23,7 @@ UNDO_SLOTS = 2  # motion that begins within so many slots after a measurement ta
 
 
 class Estimator:
-    """All that is carried from slot to slot.
-
-    `slopes` are standard deviations of the slope over temperature, over σ, 1/°C.
-    """
+    """Rest and bias; `slopes` are standard deviations of the slope over temperature, over σ, 1/°C."""
 
     def __init__(
         self,
@@ -48,10 +42,10 @@ class Estimator:
         """Begin after a restart of the device: the noise is what it was, the bias is not."""
         self.quiet.restart()
         self.thermal.restart()
-        self.attitude = self.attitude.anew()
+        self.attitude.restart()
         self.hypotheses: Hypotheses | None = None  # of the bias, from the first rest on
         self.pending: list[Slot] = []  # quiet slots of a measurement that is not complete
-        self.read = np.full((2, 3), np.nan)  # the last temperatures that were known, and their sd, °C
+        self.degc_and_sd = np.full((2, 3), np.nan)  # the last temperatures that were known, and their sd
         self.motion = Motion()  # estimates the bias before the first rest
 
     @property
@@ -65,10 +59,12 @@ class Estimator:
 
         There is no rest from an unquiet slot until a quiet second is decided on, nor while a turn is more
         likely than a changed bias, nor while gyros are silent that were not before.  Within a slot the stage
-        ends rest at a sample outside `QuietDetector.band`, and where readings are missing for long.
+        ends rest at a sample far from the mean, and where readings are missing for long.
         """
-        if self.quiet.unrest or not self.quiet.present[GYRO].all():
-            return self.quiet.unrest or ("a gyro is silent" if self.quiet.mean[-1, GYRO].any() else "")
+        if self.quiet.unrest:
+            return self.quiet.unrest
+        if not self.quiet.present[GYRO].all():
+            return "a gyro is silent" if np.isfinite(self.quiet.unread[GYRO]).any() else ""
         if self.hypotheses is None or self.hypotheses.moved:
             return QUIET_TOO_SHORT
         return "a turn is more likely than a changed bias" if self.hypotheses.turning else ""
@@ -76,9 +72,9 @@ class Estimator:
     def step(self, slot: Slot) -> FloatArray | float:
         """Take a slot; return normalised innovations, (3,), or NaN if it completes no measurement at rest."""
         innovation: FloatArray | float = np.nan
-        read = slot.mean[DEGC].reshape(2, 3)
-        self.read = np.where(np.isfinite(read[0]), read, self.read)
-        self._widen(self.thermal.variance(read[0], slot.mean[POWER_ON_SD], np.zeros(3)))
+        degc_and_sd = slot.mean[DEGC].reshape(2, 3)
+        self.degc_and_sd = np.where(np.isfinite(degc_and_sd[0]), degc_and_sd, self.degc_and_sd)
+        self._widen(self.thermal.take_temperature(degc_and_sd[0], slot.mean[POWER_ON_SD], np.zeros(3)))
         self.quiet.update(slot, np.repeat([self.limits.gyro_drift, self.limits.accel_drift], 3))
         if not self.quiet.present[GYRO].all():
             self.attitude.lost = True
@@ -86,14 +82,14 @@ class Estimator:
         if self.quiet.quiet_slots == 0:
             self._coast(slot)
         elif self.hypotheses is None:
-            self._begin()
+            self._begin(slot)
         else:
             if self.hypotheses.moved or self.hypotheses.turning:  # quiet, but it may be a steady turn
                 self._turn_attitude(slot, self.hypotheses)
             self.pending.append(slot)
             if self.quiet.noise_changed:
                 white = self._noise()[GYRO]  # as of a fan that starts
-                self.hypotheses.map(lambda bank: bank.with_white(white))
+                self.hypotheses.replace_each(lambda bank: bank.with_white(white))
                 self.pending = []
             elif self.quiet.is_rest and sum(one.length_s for one in self.pending) >= SECOND_S:
                 innovation = self._decide(self.hypotheses)
@@ -108,23 +104,23 @@ class Estimator:
         self.motion.interrupt(0.0)
         unseen = long and not self.parameters.assume_at_rest  # given rest does not turn
         self.attitude.lost |= unseen or self.quiet.quiet_slots == 0
-        self.read[0] = np.where(np.isfinite(degc), degc, self.read[0])
-        self._widen(self.thermal.variance(degc, np.full(3, np.nan), lag_degc))
+        self.degc_and_sd[0] = np.where(np.isfinite(degc), degc, self.degc_and_sd[0])
+        self._widen(self.thermal.take_temperature(degc, np.full(3, np.nan), lag_degc))
         if self.hypotheses is not None:
             self._widen(self.hypotheses.shown.prediction.slope_square * lag_degc**2)
         if long:
             self.quiet.restart()
-            self._interrupt()
+            self._end_rest()
 
     def _widen(self, variance: FloatArray) -> None:
         """Let the bias have changed by an unknown amount of this variance, (rad/s)², (3,)."""
         if self.hypotheses is not None and variance.any():
-            self.hypotheses.map(lambda bank: bank.wider(variance))
+            self.hypotheses.replace_each(lambda bank: bank.wider(variance))
 
     def _noise(self) -> FloatArray:
         """Return the variance of the mean of a second, (rad/s)² and (m/s²)², (6,)."""
         covered_s = sum(one.covered_s for one in self.quiet.latest) / len(self.quiet.latest)
-        return np.maximum(self.quiet.noise * covered_s, LEAST_WHITE)
+        return np.maximum(self.quiet.noise * covered_s, LEAST_WHITE)  # of accelerometers: so that it is not 0
 
     def _accel_noise(self) -> float:
         """Return the variance of the mean force of a second, (m/s²)²; ∞ if any of 16 slots lacks it."""
@@ -132,20 +128,24 @@ class Estimator:
         return float(self._noise()[ACCEL].max()) if known else np.inf
 
     def _measurement(self, slots: Sequence[Slot]) -> Measurement:
-        covered, last = np.array([one.covered_s for one in slots]), slots[-1]
-        total = float(covered.sum())
-        mean = covered / total @ np.array([one.mean for one in slots])
-        rate = mean[GYRO] - mean[MODELLED] - self.attitude.earth
-        force = np.where(np.isfinite(mean[ACCEL]), mean[ACCEL], self.force)
-        read = np.where(np.isfinite(mean[DEGC]), mean[DEGC], last.mean[DEGC]).reshape(2, 3)
+        covered = np.array([one.covered_s for one in slots])
+        covered_s = float(covered.sum())
+        mean = covered / covered_s @ np.array([one.mean for one in slots])
+        degc_and_sd = np.where(np.isfinite(mean[DEGC]), mean[DEGC], slots[-1].mean[DEGC])
         headings = np.array([one.mean[HEADING] for one in slots if np.isfinite(one.mean[HEADING]).all()])
-        heading = headings.mean(0) if len(headings) else mean[HEADING]  # it may be missing in some
-        length_s = sum(one.length_s for one in slots)
-        rounding = self.quiet.rounding_error[GYRO]
-        return Measurement(last.end_s, length_s, total, rate, force, read, heading, rounding)
+        return Measurement(
+            end_s=slots[-1].end_s,
+            length_s=sum(one.length_s for one in slots),
+            covered_s=covered_s,
+            rate=mean[GYRO] - mean[MODELLED] - self.attitude.earth,
+            force=np.where(np.isfinite(mean[ACCEL]), mean[ACCEL], self.force),
+            degc_and_sd=degc_and_sd.reshape(2, 3),
+            heading=headings.mean(0) if len(headings) else mean[HEADING],  # it may be missing in some slots
+            rounding_sd=0.5 * self.quiet.rounding_error[GYRO],  # as is explained there
+        )
 
-    def _interrupt(self) -> None:
-        """End the rest: drop a measurement that is not complete."""
+    def _end_rest(self) -> None:
+        """End the rest; harmless if repeated.  What may be motion is dropped: slots, and a rest in a turn."""
         if self.hypotheses is not None:
             self.hypotheses.move(undo=len(self.pending) < UNDO_SLOTS)
             if self.hypotheses.began_turning:
@@ -154,7 +154,7 @@ class Estimator:
 
     def _coast(self, slot: Slot) -> None:
         """Follow the turn of an unquiet slot; before the first rest estimate the bias from this turn."""
-        self._interrupt()
+        self._end_rest()
         if self.hypotheses is not None:
             self._turn_attitude(slot, self.hypotheses)
         elif slot.gap_s or np.isnan(slot.mean[ACCEL]).any():
@@ -164,31 +164,30 @@ class Estimator:
 
     def _turn_attitude(self, slot: Slot, hypotheses: Hypotheses) -> None:
         """Add a slot to the turn since the attitude was taken."""
-        bias, _ = hypotheses.shown.prediction.at(slot.end_s, self.read).bias(self.force)
+        bias, _ = hypotheses.shown.prediction.ahead_to(slot.end_s, self.degc_and_sd).bias(self.force)
         self.attitude.turn = self.attitude.turn.then(slot.turn.less(bias + slot.mean[MODELLED]))
-        unseen = slot.gap_s > 0.0 or not slot.mean[GYRO].all()  # what the unit lacks reads exactly zero
-        self.attitude.lost |= unseen and not slot.rest_given
+        self.attitude.lost |= (slot.gap_s > 0.0 or slot.lacks_gyro) and not slot.rest_given
 
     def _come_to_rest(self, slots: Sequence[Slot], hypotheses: Hypotheses) -> None:
         """Take the attitude of a rest by the first of these slots whose force is known."""
         force = next((one.mean[ACCEL] for one in slots if np.isfinite(one.mean[ACCEL]).all()), np.zeros(3))
-        prediction = hypotheses.shown.prediction.at(self.quiet.latest[-1].end_s, self.read)
+        prediction = hypotheses.shown.prediction.ahead_to(self.quiet.latest[-1].end_s, self.degc_and_sd)
         self._widen(self.attitude.come_to_rest(force, prediction))
 
-    def _begin(self) -> None:
+    def _begin(self, slot: Slot) -> None:
         """Begin the filters with the quiet slots there are, a second at least."""
-        self.motion.interrupt(self.quiet.latest[-1].length_s + self.quiet.latest[-1].gap_s)
+        self.motion.interrupt(slot.length_s + slot.gap_s)
         if not self.quiet.noise_slots or self.quiet.quiet_slots < SECOND_SLOTS:
             return
         slots = self.quiet.latest[-self.quiet.quiet_slots :]
-        self.attitude = self.attitude.anew()
+        self.attitude.restart()
         self.attitude.come_to_rest(self.force, None)
         seconds = range(0, len(slots), SECOND_SLOTS)
         measurements = [self._measurement(slots[k : k + SECOND_SLOTS]) for k in seconds]
         if not np.isfinite([one.rate for one in measurements]).all():
             return
         first, *others = measurements
-        bank = Bank.begin(self.parameters.per_axis, self.slopes, self._noise()[GYRO], first)
+        bank = Bank.begin(self.parameters.declared_noise, self.slopes, self._noise()[GYRO], first)
         for now in others:
             bank = bank.after(now)
         given = self.parameters.assume_at_rest
@@ -213,7 +212,7 @@ class Estimator:
             self.attitude.turn = STILL
         if hypotheses.began_turning and hypotheses.changes:  # another rate contradicts the first: begin anew
             self.quiet.restart()
-            self._interrupt()
+            self._end_rest()
         elif self.attitude.turn.seconds and not hypotheses.turning:
             self._come_to_rest(slots[::-1], hypotheses)
         return innovation / np.sqrt(variance)
@@ -226,7 +225,7 @@ class Estimator:
             any_pose = EARTH_RATE**2 + (SENSITIVITY_SD * STANDARD_GRAVITY) ** 2
             covariance[:, 0, 0] = variance + any_pose
             return LinearBias(terms, covariance, np.zeros(3), np.zeros(3))
-        prediction = self.hypotheses.shown.prediction.at(now_s, self.read)
+        prediction = self.hypotheses.shown.prediction.ahead_to(now_s, self.degc_and_sd)
         before, latest = self.hypotheses.ambiguities  # a single measurement may fit by chance
         turn = np.where(np.abs(before) > np.abs(latest), before, latest)
         turn = np.copysign(np.hypot(turn, self.quiet.rounding_error[GYRO]), turn)

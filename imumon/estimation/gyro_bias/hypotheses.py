@@ -16,12 +16,13 @@ to 1/2 it is rest, and the present bias is reported; above it is a turn, and the
 the reported one contains the difference, times the root of the probability of the other.  The first row that
 holds decides what becomes of the nominal bias:
 
-==================================================================  ===================================
+==================================================================  ====================================
+the rate has changed once, up to 4 s ago, and now the unit moves    it is the present bias again
 P(turn) above 1/4 (1/10 if the rate has changed), until below 1/20  it stays, through motion as well
 the rate has changed up to 16 s ago                                 it stays until the next rest, then follows
 the rate has changed before that                                    it becomes the present bias (a jump)
 else                                                                as of 16 to 32 s ago or the last rest
-==================================================================  ===================================
+==================================================================  ====================================
 """
 
 import math
@@ -35,24 +36,22 @@ from imumon.estimation.rest.slots import Measurement
 
 from .bank import Bank
 
-FIT_SIGMAS = 4.5
-"""Sigmas of an axis within which a mean fits; with 4, drifts of a warm-up contradicted the bias."""
+FIT_SIGMAS = 4.5  # of an axis, within which a mean fits; with 4, drifts of a warm-up contradicted the bias
 DOUBT, DOUBT_OF_CHANGE, UNLIKELY_TURN = 0.25, 0.1, 0.05
 """P(turn) from which on the nominal bias stays, where the rate creeps (as the bias of a unit that warms up)
 and where it has changed, and up to which it then follows again; by the gyros alone a turn of 36 °/h, below
 which turns are rare, has P(turn) 0.14."""
+EVEN = 0.5  # P(turn) up to which it is rest, and the present bias is reported
 LAG_S = 16.0  # by so much at least, and twice as much at most, the nominal bias lags behind the present one
-ONSET_S = 4.0  # a change that motion follows sooner is undone; an older one may end a turn in the first rest
-NEW_POSE = 0.3
-"""m/s²: a specific force that differs by more from the first one is that of another pose.  Assumed."""
+ONSET_S = 4.0  # a younger change is the onset of a motion; an older one may end a first turn.  Assumed.
+NEW_POSE = 0.3  # m/s²: a specific force that differs more from the first one is of another pose.  Assumed.
 BEGAN_LOG_RATIO = -8.0  # ln Λ by the heading up to which the recording began in a turn.  Assumed.
-UNDECIDED_GIVEN_S = 60.0
-"""Where rest is given, a new rate is the bias at once, and the difference is in sigma for so long."""
+UNDECIDED_GIVEN_S = 60.0  # if rest is given, a new rate is bias at once; the difference is in sigma so long
 RECENT = 16  # measurements of a rate that are kept: those that gravity and heading are compared over
 
 
 class Hypotheses:
-    """Both hypotheses, and the evidence between them; rates in rad/s.
+    """Present and nominal bias, and whether their difference is a turn; rates in rad/s.
 
     They begin with the filters after the `recent` measurements of the first rest.  Where `rest_given`, a new
     rate is bias at once: see `UNDECIDED_GIVEN_S`.
@@ -87,7 +86,7 @@ class Hypotheses:
     @property
     def turning(self) -> bool:
         """Whether a turn is more likely than a changed bias."""
-        return self.p_turn > 0.5 or self.began_turning
+        return self.p_turn > EVEN or self.began_turning
 
     @property
     def shown(self) -> Bank:
@@ -109,42 +108,50 @@ class Hypotheses:
         self.recent = [*self.recent[1 - RECENT :], now]
         self._learn(now)
         evidence = self.recent[-self.alike :]
-        if self.alike < odds.LEAST_MEASUREMENTS:  # the rate may just have changed
+        # Too few to show a tilt: then from before the change on, as angles are summed, or slot by slot.
+        if self.alike < odds.LEAST_MEASUREMENTS:
             evidence = self.recent if len(self.recent) >= odds.LEAST_MEASUREMENTS else [*parts]
         self._weigh(now, evidence, accel_noise)
-        began = self.first is self.recent[0] and not self.rest_given
+        began = self.first is self.recent[0] and not self.rest_given  # in the first rest, of `RECENT` at most
         self.hidden = odds.hidden_turn(self.recent, accel_noise / now.covered_s) if began else np.zeros(3)
         return self._follow(now)
 
     def _learn(self, now: Measurement) -> None:
+        """Update the present bias by the first table."""
         self.undo = None
         if self.test_copy.fits(now, FIT_SIGMAS):
             self.undo, self.present = self.present, self.present.after(now)
-            self.steady_s, self.alike = self.steady_s + now.length_s, self.alike + 1
+            self.steady_s += now.length_s
+            self.alike += 1
             return
         if self.nominal.fits(now, FIT_SIGMAS):
-            self.present, self.changes = self.nominal.after(now), 0
+            self.present = self.nominal.after(now)
+            self.changes = 0
         else:
-            any_bias = self.nominal.with_noise_of(self.present)
-            self.present, self.changes = any_bias.after(now, jumped=True), self.changes + 1
-        self.test_copy, self.steady_s, self.alike = self.present, now.length_s, 1
+            any_bias = self.nominal.with_learned_noise(self.present)
+            self.present = any_bias.after(now, jumped=True)
+            self.changes += 1
+        self.test_copy = self.present
+        self.steady_s, self.alike = now.length_s, 1
 
     def _weigh(self, now: Measurement, evidence: Sequence[Measurement], accel_noise: float) -> None:
+        """Update P(turn), and what the less likely hypothesis adds to sigma."""
         # A rate that lasts is no flicker of a second, so that is not in the variance.
-        nominal = self.nominal.prediction.at(now.end_s, now.read)
-        bias, variance = nominal.bias(now.force, of_mean=True)
-        present, own = self.present.prediction.bias(now.force, of_mean=True)
-        change, limits = present - bias, self.limits
+        prediction = self.nominal.prediction.ahead_to(now.end_s, now.degc_and_sd)
+        nominal, variance = prediction.bias(now.force, of_mean=True)
+        present, present_variance = self.present.prediction.bias(now.force, of_mean=True)
+        change = present - nominal
         size = max(math.hypot(*change), 1e-12)
+        limits = self.limits
         if self.rest_given:
-            self.p_turn = 0.5 if self.changes and self.steady_s <= UNDECIDED_GIVEN_S else 0.0
+            self.p_turn = EVEN if self.changes and self.steady_s <= UNDECIDED_GIVEN_S else 0.0
         else:
             accel_variance = accel_noise / evidence[0].covered_s
-            log_ratio = odds.gravity(evidence, bias, variance, change, accel_variance, limits.accel_drift)
-            by_heading, if_no_bias = odds.heading(evidence, np.stack([bias, np.zeros(3)]))
+            log_ratio = odds.gravity(evidence, nominal, variance, change, accel_variance, limits.accel_drift)
+            by_heading, if_no_bias = odds.heading(evidence, np.stack([nominal, np.zeros(3)]))
             log_ratio += by_heading
             explained = odds.changed_bias(size, max(self.changes - 1, 0), limits.largest_jump)
-            explained += odds.nominal_bias(size, float((change / size) ** 2 @ (variance + own)))
+            explained += odds.nominal_bias(size, float((change / size) ** 2 @ (variance + present_variance)))
             if self.first and self.changes and round(self.steady_s) > ONSET_S:
                 explained += odds.first_turn(self.first.rate, now.rate)
             too_long = self.steady_s > limits.undecided_s and size <= limits.largest_jump
@@ -157,17 +164,17 @@ class Hypotheses:
         if self.turning:
             square = (1.0 - self.p_turn) * change**2
         else:  # the variance of the mixture: that of the nominal bias, which may be vague by then, counts
-            square = self.p_turn * (change**2 + np.maximum(variance - own, 0.0))
+            square = self.p_turn * (change**2 + np.maximum(variance - present_variance, 0.0))
         self.ambiguities = np.stack([self.ambiguities[1], np.copysign(np.sqrt(square), change)])
         if self.began_turning:  # what the rate is if there is no bias
             self.ambiguities[:] = now.rate
 
     def _follow(self, now: Measurement) -> bool:
-        """Let the nominal bias follow if a turn is unlikely; return whether it has changed."""
+        """Update the nominal bias by the second table; return whether it has jumped."""
         begins = DOUBT_OF_CHANGE if self.changes else DOUBT
         self.doubted = self.p_turn > (UNLIKELY_TURN if self.doubted else begins)
-        if self.doubted:
-            self.nominal = self.nominal.with_noise_of(self.present)
+        if self.doubted:  # it learns the noise alone, which is the same in a turn
+            self.nominal = self.nominal.with_learned_noise(self.present)
         elif self.changes and round(self.steady_s) > LAG_S:
             self.nominal = self.test_copy = self.present
             self.changes, self.first = 0, None
@@ -186,17 +193,18 @@ class Hypotheses:
         if undo and self.undo is not None:
             self.present = self.undo
         self.undo = None
-        if self.changes == 1 and round(self.steady_s) <= ONSET_S:
-            self.present, self.changes, self.doubted = self.nominal, 0, False
+        if self.changes == 1 and round(self.steady_s) <= ONSET_S:  # after two it is no onset
+            self.present = self.nominal
+            self.changes, self.doubted = 0, False
         if not self.doubted:
             self.p_turn, self.ambiguities = 0.0, np.zeros((2, 3))
-        hidden, self.hidden = self.hidden, np.zeros(3)
-        if hidden.any():
-            self.map(lambda bank: bank.wider(hidden))
+        if self.hidden.any():
+            self.replace_each(lambda bank: bank.wider(self.hidden))
+            self.hidden = np.zeros(3)
         self.recent, self.alike = [], 0
 
-    def map(self, function: Callable[[Bank], Bank]) -> None:
-        """Apply a function to all filters."""
-        filters = self.present, self.nominal, self.test_copy
-        self.present, self.nominal, self.test_copy = map(function, filters)
+    def replace_each(self, function: Callable[[Bank], Bank]) -> None:
+        """Replace each bank by a function of it."""
+        banks = self.present, self.nominal, self.test_copy
+        self.present, self.nominal, self.test_copy = map(function, banks)
         self.undo = None if self.undo is None else function(self.undo)

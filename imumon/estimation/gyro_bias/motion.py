@@ -1,6 +1,6 @@
 """Bias of a unit that has never been at rest: gravity turns, by the gyros, with a bias that is not known.
 
-Once a minute twelve means of the specific force f, m/s², in axes that the gyros carry along (C rotates into
+Once a minute twelve integrals of the specific force f, m/s², in axes that gyros carry along (C rotates into
 them), are fitted (Gauss and Newton) by the specific force at rest g, upwards, m/s², and the bias, rad/s::
 
     ∫ C f dt = ∫ (g - [g x] ∫ C bias dt) dt + N(0, s²),    over a part of 5 s
@@ -21,15 +21,13 @@ from .bank import TURN_ON
 
 PART_S, PARTS = 5.0, 12  # a window is a minute: a bias of a degree per second turns it by a radian
 WINDOW_S = PARTS * PART_S
-ALIKE = 6.0
-"""Factor of the variance: accelerations of successive parts are alike, where the speed changes slowly."""
+ALIKE = 6.0  # factor of the variance: accelerations of successive parts are alike.  Assumed.
 LEAST_VARIANCE = 1e-4  # of the change of speed in a part, (m/s)²: 0.2 mg in 5 s.  Assumed.
-BIAS_WALK = 30.0 * DEG_PER_H
-"""Random walk of the bias, rad/s/sqrt(s): 230 °/h a minute, as 100 °/h/°C at 2 °C/min makes it."""
+BIAS_WALK = 30.0 * DEG_PER_H  # rad/s/√s: a walk of 230 °/h a minute, as 100 °/h/°C at 2 °C/min makes it
 
 
 class Motion:
-    """Bias by motion, rad/s, and its covariance, window by window."""
+    """Bias and its covariance, rad/s, from window to window."""
 
     def __init__(self) -> None:
         self.mean, self.covariance = np.zeros(3), TURN_ON**2 * np.eye(3)
@@ -39,7 +37,8 @@ class Motion:
     def interrupt(self, seconds: float) -> None:
         """Begin the window anew: it rested, or readings are missing.  The bias has walked meanwhile."""
         seconds += sum(turn.seconds for turn, _ in self.parts)
-        self.covariance, self.parts = self.covariance + BIAS_WALK**2 * seconds * np.eye(3), []
+        self.covariance += BIAS_WALK**2 * seconds * np.eye(3)
+        self.parts = []
 
     def take(self, turn: Turn, force: FloatArray) -> None:
         """Take a slot in motion and its mean specific force, m/s²."""
@@ -57,8 +56,9 @@ class Motion:
         # Up in body axes, on the average over the window.
         velocity = sum((turn.rotation.T @ v for turn, v in self.parts), np.zeros(3))
         vertical = velocity / np.linalg.norm(velocity)
-        prior, mean, variance = np.zeros((6, 6)), self.mean, 1.0
+        prior = np.zeros((6, 6))  # information on gravity, of which there is none, and bias
         prior[3:, 3:] = np.linalg.inv(self.covariance + BIAS_WALK**2 * seconds * np.eye(3))
+        mean, variance = self.mean, 1.0
         for _ in range(10):
             measured, design = self._linear(mean)
             normal = design.T @ design / variance
@@ -71,21 +71,25 @@ class Motion:
         self.mean, self.covariance = mean - (vertical @ mean) * vertical, covariance[3:, 3:]
         # About the vertical nothing is learned: the variance stays that of a turn-on bias.
         lacking = TURN_ON**2 - vertical @ self.covariance @ vertical
-        self.covariance = self.covariance + max(lacking, 0.0) * np.outer(vertical, vertical)
+        self.covariance += max(lacking, 0.0) * np.outer(vertical, vertical)
 
     def _linear(self, at: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return what is linear in gravity and bias (measured = design @ both), near some bias, rad/s."""
-        axes, angle = np.eye(3), np.zeros((3, 3))
+        """Return measured and design near the bias `at`, rad/s: measured = design @ (g, bias).
+
+        Carried along by the gyros less `at`, the axes turn too far by J (bias - at), J = ∫ C dt up to the
+        middle of a part.  So it has v = ∫ C f dt = g T + J (bias - at) x v, or v + B at = g T + B bias.
+        """
+        axes, up_to = np.eye(3), np.zeros((3, 3))  # and ∫ C dt up to the part, s
         measured, design = [], []
         for turn, velocity in self.parts:
-            excess, turned = turn.by_bias @ at, axes @ turn.by_bias
-            added = axes @ rotation_by(-0.5 * excess) @ velocity
-            # The angle by a bias up to the part, and half of that within it, turns the force.
-            by_bias = np.cross(angle + 0.5 * turned, added[:, None], axis=0)
-            measured.append(added + by_bias @ at)
-            design.append(np.hstack([turn.seconds * np.eye(3), by_bias]))
-            angle = angle + turned
-            axes = axes @ rotation_by(-excess) @ turn.rotation
+            angle = turn.by_bias @ at
+            within = axes @ turn.by_bias  # ∫ C dt of the part
+            v = axes @ rotation_by(-0.5 * angle) @ velocity
+            b = np.cross(up_to + 0.5 * within, v[:, None], axis=0)
+            measured.append(v + b @ at)
+            design.append(np.hstack([turn.seconds * np.eye(3), b]))
+            up_to = up_to + within
+            axes = axes @ rotation_by(-angle) @ turn.rotation
         return np.concatenate(measured), np.concatenate(design)
 
     @property
@@ -93,6 +97,6 @@ class Motion:
         """Return bias and variance until the next window ends, (3,) each; NaN where little is known."""
         variance = np.diag(self.covariance) + BIAS_WALK**2 * WINDOW_S
         # A bias that turns a window by half a turn may be a wrong minimum of the fit.
-        known = variance < (0.5 * TURN_ON) ** 2
+        known = variance < (0.5 * TURN_ON) ** 2  # half the sd of a turn-on bias.  Assumed.
         known &= float(np.linalg.norm(self.mean)) * WINDOW_S < np.pi
         return np.where(known, self.mean, np.nan), np.where(known, variance, np.nan)

@@ -14,9 +14,9 @@ from imumon.geodesy import EARTH_RATE, LEAST_HORIZONTAL, STANDARD_GRAVITY, earth
 
 from .bank import SENSITIVITY, Prediction
 
-SCALE_SD = 0.01  # error of an element of the matrix of scale and misalignment: consumer data sheets
-LOST_SD = 1.0
-"""Error of a heading that is not known, rad: by it the level earth rate is wrong by about itself."""
+SCALE_SD = 0.01  # error of an element of the matrix of scale and misalignment, of consumer gyros.  Assumed.
+LOST_SD = 1.0  # rad, of a heading that is not known: by it the level earth rate is wrong by about itself
+ANY_TURN_VARIANCE = 2.0 / 3.0 * EARTH_RATE**2  # (rad/s)², of an axis: mean of |(R - I) e|²/3 over all turns R
 
 
 class Attitude:
@@ -27,21 +27,21 @@ class Attitude:
 
     def __init__(self, latitude: float | None, heading: float | None) -> None:
         self.latitude, self.heading = latitude, heading
+        self.restart()
+
+    def restart(self) -> None:
+        """Begin before the first rest."""
         self.up = self.north = np.zeros(3)  # unit vectors; zero where not known
         self.earth = np.zeros(3)  # what is known of the earth rate, rad/s
         self.heading_variance = 0.0  # with latitude and heading, rad²
         self.turn = STILL  # since the last rest, less the bias
         self.lost = False  # whether readings were missing since the last rest
-        self.unposed = False  # whether the pose of this rest is not known, so that all earth rate is bias
-
-    def anew(self) -> "Attitude":
-        """Return the attitude before the first rest."""
-        return Attitude(self.latitude, self.heading)
+        self.pose_unknown = False  # whether that of this rest is not known, so that all earth rate is bias
 
     @property
     def uncertain_earth(self) -> FloatArray:
         """Variance of the error of the earth rate that is subtracted or taken for bias, (rad/s)², (3,)."""
-        if self.unposed:
+        if self.pose_unknown:
             return np.full(3, EARTH_RATE**2)
         return self._level_variance(self.heading_variance) + self._turned_earth()
 
@@ -59,7 +59,7 @@ class Attitude:
         if self.up.any() and self.latitude is not None and self.heading is not None:
             return np.zeros(3)
         if self.lost:
-            return np.full(3, 2.0 / 3.0 * EARTH_RATE**2)
+            return np.full(3, ANY_TURN_VARIANCE)
         if not self.turn.seconds:
             return np.zeros(3)
         change = self.turn.rotation.T - np.eye(3)
@@ -70,28 +70,30 @@ class Attitude:
 
         The mean specific force, m/s², is NaN or zero where not known; the prediction is None at first.
         """
+        added = self._turned_earth()  # by the turn alone; what else is known, or lost, replaces it
         size = float(np.linalg.norm(force))
-        is_new = (self.turn.seconds or self.lost) if self.up.any() else self.latitude is not None
-        if is_new and not size > 0.0:
-            # Of this pose nothing is known: up to the next rest the earth rate is part of the bias.
-            self.up, self.north, self.earth = np.zeros((3, 3))
-            self.unposed, self.lost = self.latitude is not None, True
-        added = self._turned_earth()
+        lost_pose = (self.turn.seconds or self.lost) if self.up.any() else self.latitude is not None
         if size > 0.0:
             before, self.up = self.up, force / size
             if self.latitude is not None and self.heading is not None:
-                added = self._find_north(before, self.heading, None if self.lost else prediction)
+                added = self._take_north(before, self.heading, None if self.lost else prediction)
             if self.latitude is not None:
                 self.earth = earth_rate_along(self.up, self.north, self.latitude)
-            if self.unposed:  # the bias has to lose the earth rate again
-                self.unposed, added = False, np.full(3, EARTH_RATE**2)
-                # Without a heading the level part of the earth rate stays in the bias.
+            if self.pose_unknown:
+                # The bias loses the earth rate again, or without a heading all but the level part of it.
+                self.pose_unknown, added = False, np.full(3, EARTH_RATE**2)
                 self.heading_variance = 0.0 if self.heading is None else LOST_SD**2
+        elif lost_pose:
+            # Of this pose, another one or the first, nothing is known: all earth rate is part of the bias.
+            self.up = self.north = self.earth = np.zeros(3)
+            self.pose_unknown = self.latitude is not None
+            added = np.full(3, ANY_TURN_VARIANCE)
         self.turn, self.lost = STILL, False
         return added
 
-    def _find_north(self, before: FloatArray, heading: float, prediction: Prediction | None) -> FloatArray:
-        """Find north where the place is known; `before` is up, (3,), at the last rest, or zero."""
+    def _take_north(self, before: FloatArray, heading: float, prediction: Prediction | None) -> FloatArray:
+        """Carry north on from the last rest, where up was `before`, (3,), zero at first; without a prediction
+        the turn is not known, and the heading is taken for the first one, to `LOST_SD`."""
         northward = self.north @ self.turn.rotation  # in the axes of now
         northward -= (northward @ self.up) * self.up
         length, variance = float(np.linalg.norm(northward)), LOST_SD**2

@@ -10,7 +10,7 @@ from imumon.blocks import NO_INT, BoolArray, ColumnArray, FloatArray, IntArray, 
 from imumon.charts import Chart
 from imumon.columns import Column, vector_columns
 from imumon.estimation.rest.parameters import GyroBiasParameters, RestParameters
-from imumon.estimation.rest.slots import ACCEL, GATHERED, GYRO, SENSORS, SLOT_S, Timing, heading_of
+from imumon.estimation.rest.slots import ACCEL, GATHERED, GYRO, GYRO_SETS, SENSORS, SLOT_S, Timing, heading_of
 from imumon.filters.slots import SlotGatherer, Slots
 from imumon.geodesy import DEG_PER_H, EARTH_RATE
 from imumon.models.model import BiasModel
@@ -21,8 +21,8 @@ from .place import Attitude
 from .thermal import BiasTrail, Thermal
 
 Mode = Literal["standard", "thermal", "learned"]
-LONGEST_PAUSE_S = 2.5
-"""A rest goes on over a pause as long as this; it holds as long where readings are missing."""
+LONGEST_PAUSE_S = 2.5  # over which a rest goes on, and holds where readings are missing.  Assumed.
+LEAST_READINGS = 16  # of a gyro that the unit has, not a stray one.  Assumed.
 REST = (
     Column("at_rest", "1", "int64", "1 while the unit is at rest, 0 while it moves or nothing is known"),
     *vector_columns("turn_hypothesis", "rad/s", "turn that may be a change of bias"),
@@ -81,12 +81,12 @@ class RestAndBias:
         heading_deg: float | None = None,
         rest: RestParameters | None = None,
     ) -> None:
-        self._parameters, rest = parameters or GyroBiasParameters(), rest or RestParameters()
+        self._parameters = parameters or GyroBiasParameters()
         slopes = (0.0, SLOPE_LEFT_PER_SIGMA if model else SLOPE_PER_SIGMA) if mode == "learned" else (0.0,)
         self._thermal = Thermal(model)
         latitude, heading = (None if a is None else math.radians(a) for a in (latitude_deg, heading_deg))
         self._estimator = Estimator(
-            self._parameters, slopes, rest, self._thermal, Attitude(latitude, heading)
+            self._parameters, slopes, rest or RestParameters(), self._thermal, Attitude(latitude, heading)
         )
         self._timing = Timing()
         self._slots = SlotGatherer(GATHERED, round(SLOT_S * 1e9), turns=True)
@@ -109,7 +109,7 @@ class RestAndBias:
         usable = np.isfinite(readings).any(1)
         (temperature, sd), (total, curve, power_on_sd) = self._thermal.process(block)
         absent = self._fill_absent(readings[:, GYRO])
-        segment = 4 * block["segment"] + absent.sum(1)  # one that comes late begins another
+        segment = GYRO_SETS * block["segment"] + absent.sum(1)  # a gyro that comes late begins another
         block = block.with_columns({"segment": segment})
         given = np.full(n, np.nan)  # is to be detected
         if self._parameters.assume_at_rest:
@@ -128,15 +128,25 @@ class RestAndBias:
         bias, sd = bias + total, np.sqrt(variance + turn**2)
         bias[absent] = sd[absent] = innovation[absent] = turn[absent] = np.nan
         self._trail.add(temperature[slots.row], bias[slots.row])
-        vectors = turn, bias, sd, readings[:, GYRO] - bias, innovation, bias - curve, sd
-        # A detector of rest alone has the first of them.
-        names = (column.name for column in self.columns)
-        return dict(zip(names, [rest, *np.hstack(vectors).T], strict=False))
+        vectors = {
+            "turn_hypothesis": turn,
+            "gyro_bias": bias,
+            "gyro_bias_sd": sd,
+            "gyro_corrected": readings[:, GYRO] - bias,
+            "zupt_innovation": innovation,
+            "gyro_random_error": bias - curve,
+            "gyro_random_error_sd": sd,
+        }
+        found: dict[str, ColumnArray] = {"at_rest": rest}
+        for j, axis in enumerate("xyz"):
+            found |= {f"{name}_{axis}": vector[:, j] for name, vector in vectors.items()}
+        return {column.name: found[column.name] for column in self.columns}
 
     def _fill_absent(self, gyro: FloatArray) -> BoolArray:
-        """Let gyros of less than 16 readings so far, beside one of more, read zero; return which, (n, 3)."""
+        """Let gyros of few readings so far, beside one of more, read zero; return which, (n, 3)."""
         count = np.cumsum(np.vstack([self._readings, np.isfinite(gyro)]), axis=0)
-        self._readings, present = count[-1], count[1:] >= 16  # not by a stray one
+        self._readings = count[-1]
+        present = count[1:] >= LEAST_READINGS
         absent: BoolArray = ~present & present.any(1, keepdims=True)
         gyro[absent] = 0.0
         return absent
@@ -147,19 +157,19 @@ class RestAndBias:
         """Return at_rest, (n,), innovations, (n, 3), and the bias before the first slot and behind each."""
         rest, innovation = np.zeros(len(block), np.int64), np.full((len(block), 3), np.nan)
         every, start = [self._bias], 0
-        for k, slot in enumerate(self._timing.slots(slots)):
+        for k, slot in enumerate(self._timing.make_slots(slots)):
             row = int(slots.row[k])
-            self._hold(rest, readings, start, row)
+            self._continue_rest(rest, readings, start, row)
             if slot.length_s > 0.0:
                 innovation[row] = self._estimator.step(slot)
-            now_s = self._look_ahead(block, slots, k, temperature[row])
-            self._bias, start = self._estimator.output(now_s), row
+            self._bias = self._estimator.output(self._look_ahead(block, slots, k, temperature[row]))
+            start = row
             every.append(self._bias)
-        self._hold(rest, readings, start, len(rest))
+        self._continue_rest(rest, readings, start, len(rest))
         return rest, innovation, every
 
     def _look_ahead(self, block: SampleBlock, slots: Slots, k: int, degc: FloatArray) -> float:
-        """Detect a restart or a gap by the first sample behind a slot; return until when to predict, s."""
+        """Restart, or bridge a gap, by the first sample behind a slot; return until when to predict, s."""
         row = int(slots.row[k])
         time_ns, segment = int(block["device_time_ns"][row]), block["segment"][row]
         if segment != slots.segment[k] or time_ns < slots.end_ns[k]:
@@ -170,17 +180,14 @@ class RestAndBias:
         if not gap_s:
             return self._timing.end_s
         lag = self._thermal.unseen_lag(gap_s, block.rows(row, row + 1))
-        self._estimator.bridge_gap(degc, lag, gap_s > max(LONGEST_PAUSE_S, 3.0 * self._timing.interval_s))
+        self._estimator.bridge_gap(degc, lag, gap_s > LONGEST_PAUSE_S)
         return behind_s
 
-    def _hold(self, rest: IntArray, readings: FloatArray, start: int, stop: int) -> None:
-        """Continue at_rest over the rows of the open slot; a sample outside the band of rest ends it."""
+    def _continue_rest(self, rest: IntArray, readings: FloatArray, start: int, stop: int) -> None:
+        """Continue at_rest over the rows of the open slot, up to a sample far from the mean."""
         rest[start:stop] = not self.unrest
         if start < stop and rest[start]:
-            low, high = self._estimator.quiet.band
-            outside = ((readings[start:stop] < low) | (readings[start:stop] > high)).any(1)
-            rest[start:stop] = ~np.maximum.accumulate(outside)
-            self._estimator.quiet.disturbed = bool(outside.any())
+            rest[start:stop] = self._estimator.quiet.resting(readings[start:stop])
 
     @property
     def unrest(self) -> str:

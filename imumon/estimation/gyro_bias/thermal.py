@@ -13,10 +13,8 @@ from imumon.models.model import BiasModel
 from imumon.models.predictor import BiasPredictor
 
 GYROS = ("gyro_x", "gyro_y", "gyro_z")
-MOVED_DEGC = 0.5
-"""The temperature has moved when it is this far from where it was last noted: noise does not count."""
-CORRELATION_DEGC = 5.0
-"""Errors of a curve at temperatures farther apart than about this have little to do with each other."""
+MOVED_DEGC = 0.5  # the temperature has moved when it is so far from where it was: no noise.  Assumed.
+CORRELATION_DEGC = 5.0  # errors of a curve so far apart are independent: they differ by √2 sd.  Assumed.
 MOST_POINTS = 250  # when more are kept, every second one is dropped, and from then on half as many are taken
 
 
@@ -34,47 +32,48 @@ class Thermal:
         self._predictor = None if model is None else BiasPredictor(model, GYROS)
         columns = ["temperature"] * 3 if self._predictor is None else self._predictor.temperature_columns
         ends = [name.removeprefix("temperature").removeprefix("_estimate") for name in columns]
+        # Endings of the columns of each gyro, the likeliest first: [["", "_x"], ["", "_y"], ["", "_z"]].
         self._ends = [[end] if end else ["", f"_{axis}"] for end, axis in zip(ends, "xyz", strict=True)]
-        """Endings of the columns that belong to each gyro, the likeliest first."""
-        self._reference = np.full(3, np.nan)
+        self._reference = np.full(3, np.nan)  # the curve at the first temperature, rad/s
         channels = [] if model is None else [model.channels[name] for name in GYROS]
+        # Of each gyro, (3,), empty without a model: range, °C; sd of residual, rad/s; rms slope, rad/s/°C.
         self._low, self._high = np.reshape([one.temperature_range_degc for one in channels], (-1, 2)).T
-        """Calibrated range of each gyro, °C, (3,); empty without a model, as are the next two."""
         self._residual = np.array([one.residual_sd for one in channels])
-        ranges = zip(channels, self._low, self._high, strict=True)
-        slopes = [one.slope(np.linspace(low, high, 101)) for one, low, high in ranges]
+        within = np.linspace(self._low, self._high, 101).T
+        slopes = [one.slope(degc) for one, degc in zip(channels, within, strict=True)]
         self._steepness = np.array([np.sqrt(np.mean(slope**2)) for slope in slopes])
-        """Standard deviation of a curve's residual, rad/s, and its rms slope, rad/s/°C."""
         self.notices: dict[str, None] = {}  # what was missing, or out of range, so far, in order
         self.restart()
 
     def restart(self) -> None:
         """Count the variance from now on."""
-        self._mark_degc = self._power_on_sd = np.full(3, np.nan)
-        """Temperature up to which the walk is counted, °C, and first sd of the state at power-on, rad/s."""
-        self._beyond_degc = self._faded = np.zeros(3)
-        """How far outside of the calibrated range, °C, and variance by what has faded, (rad/s)², (3,)."""
+        self._walked_degc = np.full(3, np.nan)  # up to which temperature the walk of the error is counted, °C
+        self._beyond_degc = np.zeros(3)  # how far outside of the calibrated range, °C
+        self._power_on_sd = np.full(3, np.nan)  # the first sd of the state at power-on, rad/s
+        self._faded = np.zeros(3)  # variance by what has faded of that state, (rad/s)²
 
-    def variance(self, degc: FloatArray, sd: FloatArray, lag_degc: FloatArray) -> FloatArray:
-        """Take the temperatures of now; return the variance that they add, (rad/s)², (3,); NaN adds none.
+    def take_temperature(self, degc: FloatArray, sd: FloatArray, lag_degc: FloatArray) -> FloatArray:
+        """Return the variance that a new temperature adds to the bias, (rad/s)², (3,); NaN adds none.
 
         `sd` is that of the state at power-on; in a gap the gyros' lag may change by `lag_degc` (sd), (3,).
         """
         if self._predictor is None:
             return np.zeros(3)
-        before2, faded = self._beyond_degc**2, self._faded
-        self._mark_degc = np.where(np.isfinite(self._mark_degc), self._mark_degc, degc)
-        moved = np.abs(degc - self._mark_degc)
+        self._walked_degc = np.where(np.isfinite(self._walked_degc), self._walked_degc, degc)
+        moved = np.abs(degc - self._walked_degc)
         far = moved >= MOVED_DEGC
-        self._mark_degc = np.where(far, degc, self._mark_degc)
+        self._walked_degc = np.where(far, degc, self._walked_degc)
         walk = np.where(far, 2.0 * self._residual**2 * moved / CORRELATION_DEGC, 0.0)
+        # Beyond the range the error is that of the slope times the way, and grows with it, out and back.
+        beyond_before = self._beyond_degc
         beyond = np.maximum(np.maximum(self._low - degc, degc - self._high), 0.0)
-        back = self._beyond_degc - beyond >= MOVED_DEGC
-        self._beyond_degc = np.where(back, beyond, np.fmax(self._beyond_degc, beyond))
+        back = beyond_before - beyond >= MOVED_DEGC
+        self._beyond_degc = np.where(back, beyond, np.fmax(beyond_before, beyond))
+        degc2 = np.abs(self._beyond_degc**2 - beyond_before**2) + lag_degc**2
+        faded_before = self._faded
         self._power_on_sd = np.where(np.isfinite(self._power_on_sd), self._power_on_sd, sd)
-        self._faded = np.fmax(self._faded, (sd - self._power_on_sd) ** 2)
-        degc2 = np.abs(self._beyond_degc**2 - before2) + lag_degc**2
-        return walk + self._steepness**2 * degc2 + self._faded - faded
+        self._faded = np.fmax(faded_before, (sd - self._power_on_sd) ** 2)
+        return walk + self._steepness**2 * degc2 + self._faded - faded_before
 
     def unseen_lag(self, gap_s: float, behind: SampleBlock) -> FloatArray:
         """Return by how much the lag of each gyro's temperature may have changed in a gap (sd), °C, (3,).
@@ -131,9 +130,11 @@ class BiasTrail:
         for point in points[np.isfinite(points).all(1)]:
             if self._count % self._every == 0:
                 self._points.append(point)
-            self._count, self._latest = self._count + 1, point[None]
+            self._count += 1
+            self._latest = point[None]
             if len(self._points) > MOST_POINTS:
-                self._points, self._every = self._points[::2], 2 * self._every
+                self._points = self._points[::2]
+                self._every *= 2
 
     def charts(self) -> list[Chart]:
         """Return charts of the bias and, with a model, of the bias less its curve; none without data."""

@@ -16,8 +16,5 @@ Of `imumon.estimation.gyro_bias` read `hypotheses` (tables: what a measurement d
   turns against the earth; of flicker of samples; of the unknown earth rate; of a turn that may hide in the
   first rest; and of the difference to the less likely hypothesis, with the error by rounding (`stage`).
 - What would another gyro need?  White noise is learned, flicker only among `FLICKER_CORNERS_S` (bank); else
-  declare B and K.  Assumed are the settings `gyro_drift`, `largest_jump`; `quiet.QUIET_SD`; `USUAL_CHANGE`,
-  `SLOWEST_TURN` (with `hypotheses.DOUBT`) and `UNSEEN_TURN` of odds; `SLOPE_PER_SIGMA`, `SENSITIVITY_SD` and
-  `TURN_ON` and `LEAST_WHITE` (bank); `SCALE_SD` (place); and `BIAS_WALK` (motion).
-- "Assumed.": plausible, and not measured.  "Ablation.": its price is in docs/appendix/ablation-results.md.
+  declare B and K.  "Assumed." at a constant: plausible, and not measured.
 """

@@ -36,13 +36,10 @@ from imumon.geodesy import DEG_PER_H, EARTH_RATE, STANDARD_GRAVITY
 
 from .slots import Measurement
 
-USUAL_CHANGE = 50.0 * DEG_PER_H
-"""Scale of the half-Cauchy density of changes of a bias, rad/s: of MEMS gyros.  Assumed."""
-SLOWEST_TURN, FASTEST_TURN = math.radians(0.01), math.radians(300.0)
-"""rad/s, between which turns are log-uniform.  Assumed."""
+USUAL_CHANGE = 50.0 * DEG_PER_H  # rad/s, scale of half-Cauchy changes of a bias: MEMS gyros.  Assumed.
+SLOWEST_TURN, FASTEST_TURN = math.radians(0.01), math.radians(300.0)  # rad/s, of log-uniform turns.  Assumed.
 LOG_RANGE = math.log(FASTEST_TURN / SLOWEST_TURN)  # D of the odds table, a natural logarithm
-OBLIQUE = 0.3
-"""Share of a rate across the vertical from which on gravity is compared: no turntable leans so much (17°)."""
+OBLIQUE = 0.3  # share of a rate across the vertical from which gravity is compared: no turntable leans by 17°
 EXCLUDED_SIGMAS = 4.0
 """An oblique turn by more than so many sigmas of the tilt is excluded where the unit has tilted by less than
 half as many, and the change is mostly about level axes."""
@@ -50,16 +47,12 @@ MOSTLY_LEVEL = 0.6
 """Share of the square of such a change that is about level axes: 2/3 if all axes change alike, below this of
 a turn about an axis that leans from the vertical by less than 50°.  Assumed."""
 HEADING_ERROR = 0.15  # error of a change of heading over that change: hard and soft iron.  Assumed.
-HEADING_NOISE = 0.01
-"""rad, least standard deviation of a heading: a device gives its yaw in steps, and filters it."""
-STUCK_HEADING = 0.05
-"""Prior probability that a magnetometer or a yaw does not turn with the unit: stuck, or iron turns along."""
+HEADING_NOISE = 0.01  # rad, least sd of a heading: a device gives its yaw in steps, and filters it.  Assumed.
+STUCK_HEADING = 0.05  # prior probability that a heading does not follow: stuck, or iron does.  Assumed.
 MOST_LOG_RATIO = 50.0  # ln Λ of an excluded turn; `hypotheses` clips ln(Λ_gravity Λ_heading) to ± this
 LEAST_LOG_RATIO = -2.0  # ln Λ from which on a rate that lasts for `undecided_s` is no turn.  Assumed.
-LEAST_MEASUREMENTS = 3
-"""Least number of measurements by which gravity is compared; the noise of the heading needs one more."""
-BEGAN_TURNING = 0.05
-"""Prior odds that the first rest was a turn, where two steady means cannot both be the bias.  Assumed."""
+LEAST_MEASUREMENTS = 3  # by which gravity is compared; the noise of the heading needs one more
+BEGAN_TURNING = 0.05  # prior odds that the first rest was a turn, if two means cannot both be bias.  Assumed.
 UNSEEN_TURN, UNSEEN_S = math.radians(0.1), 2.0
 """Standard deviation of a turn in the first moment of the first rest, rad/s, as steps of up to 0.09 °/s are
 always quiet; and the time, s, in which it falls by e, as no hand stays steady for long.  Assumed."""
@@ -149,11 +142,12 @@ def gravity(
     tilt = cross_matrix(last) @ first / g**2
     still_variance = ((math.sqrt(2.0 * force_variance) + drift * seconds) / g) ** 2
     turn_variance = still_variance + variance.max() * seconds**2
-    expected, tilted = (math.hypot(*angle) / math.sqrt(still_variance) for angle in (phi, tilt))
-    if expected > EXCLUDED_SIGMAS > 2.0 * tilted and level**2 > MOSTLY_LEVEL * size**2:
+    phi_sigmas, tilt_sigmas = (math.hypot(*angle) / math.sqrt(still_variance) for angle in (phi, tilt))
+    is_level = level**2 > MOSTLY_LEVEL * size**2
+    if is_level and phi_sigmas > EXCLUDED_SIGMAS and tilt_sigmas < 0.5 * EXCLUDED_SIGMAS:
         return MOST_LOG_RATIO
     log_oblique = -0.5 * ((tilt - phi) @ (tilt - phi)) / turn_variance
-    return math.log(2.0) - float(np.logaddexp(log_oblique + 0.5 * tilted**2, 0.0))
+    return math.log(2.0) - float(np.logaddexp(log_oblique + 0.5 * tilt_sigmas**2, 0.0))
 
 
 def heading(measurements: Sequence[Measurement], biases: FloatArray) -> FloatArray:
@@ -169,13 +163,14 @@ def heading(measurements: Sequence[Measurement], biases: FloatArray) -> FloatArr
     force = np.array([one.force for one in measurements])
     up = force / np.linalg.norm(force, axis=1, keepdims=True)
     angle = np.abs(_turned(measurements, biases) @ up[-1])
-    if not vectors[:, 2].any():  # a yaw has two components
-        up = np.array([[0.0, 0.0, 1.0]])
-    north = vectors - (vectors * up).sum(1, keepdims=True) * up
-    turned = np.unwrap(np.arctan2(north @ (cross_matrix(up[-1]) @ north[0]), north @ north[0]))
+    is_yaw = not vectors[:, 2].any()  # `heading_of` gives it two components
+    axis = np.array([[0.0, 0.0, 1.0]]) if is_yaw else up
+    north = vectors - (vectors * axis).sum(1, keepdims=True) * axis
+    turned = np.unwrap(np.arctan2(north @ (cross_matrix(axis[-1]) @ north[0]), north @ north[0]))
+    measured = abs(float(turned[-1]))
     # If even in time, a second difference has 6 times the variance of a heading, and the change has it twice.
-    measured, noise2 = abs(float(turned[-1])), float((np.diff(turned, 2) ** 2).mean()) / 3.0
-    variance = noise2 + HEADING_NOISE**2 + (HEADING_ERROR * angle) ** 2
+    noise_variance = float((np.diff(turned, 2) ** 2).mean()) / 3.0
+    variance = noise_variance + HEADING_NOISE**2 + (HEADING_ERROR * angle) ** 2
     follows = (measured**2 - (measured - angle) ** 2) / (2.0 * variance)  # ln L(turn) / L(no turn)
     return -np.asarray(np.logaddexp(math.log(1.0 - STUCK_HEADING) + follows, math.log(STUCK_HEADING)))
 

@@ -15,7 +15,7 @@ _PerAxisFromZero = _NotNegative | Annotated[list[_NotNegative], Field(min_length
 
 
 class RestParameters(StrictModel):
-    """What a resting unit may do; every key has a default, and the noise is learnt from the data.
+    """What a resting unit may do; the noise is learnt from the data.
 
     Parameters
     ----------
@@ -28,7 +28,7 @@ class RestParameters(StrictModel):
         A rate that P(turn) takes for a turn becomes bias when it has lasted so long, if gravity and heading
         together do not show a turn, and it differs from the last bias by no more than largest_jump.
     largest_jump : float
-        Largest change of a gyro's bias within one run of the unit, rad/s.
+        Largest change of a gyro's bias within one run of the unit, rad/s: 0.017 is 1 deg/s.
     """
 
     gyro_drift: float = Field(default=1e-4, ge=0.0, le=1.0)
@@ -63,10 +63,10 @@ class GyroBiasParameters(StrictModel):
     assume_at_rest: bool = False
     velocity_random_walk_m_per_s_per_sqrt_s: Retired = None
     zeroing_s: Retired = None
-    thermal_form: Literal["increments"] = Field(default="increments", exclude=True)  # no other was kept
+    thermal_form: Literal["increments"] = Field(default="increments", exclude=True)
 
     @property
-    def per_axis(self) -> list[FloatArray | None]:
+    def declared_noise(self) -> list[FloatArray | None]:
         """White noise, B and K as declared, in the units of the keys, (3,) each or None; B and K together."""
         b, k = self.bias_instability_rad_per_s, self.rate_random_walk_rad_per_s_per_sqrt_s
         if b is not None or k is not None:

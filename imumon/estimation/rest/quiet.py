@@ -14,42 +14,33 @@ import numpy as np
 
 from imumon.blocks import BoolArray, FloatArray
 
-from .slots import ACCEL, AXES, Slot
+from .slots import AXES, GYRO, Slot
 
 TRIAL = 16  # slots of a trial
-SECOND_SLOTS = 4
-"""Slots of a second: so many are quiet before rest is detected, if the noise is known; else `TRIAL`."""
-SHORT_RESTS = 2
-"""Short rests after which rest takes a trial's length: a slow tilt is quiet for single seconds.  Ablation."""
+SECOND_SLOTS = 4  # of a second: so many are quiet before it is rest, if the noise is known; else `TRIAL`
+SHORT_RESTS = 2  # after so many rest takes `TRIAL`: a slow tilt is quiet for single seconds.  Ablation.
 QUIET_TOO_SHORT, FAR_SAMPLE = "quiet for too short a time", "a single sample is far from the mean"
 LENGTHS = 2 ** np.arange(7)  # slots of the windows that are compared
 WIDTH = LENGTHS[:, None]
 CHI_SQUARE = 42.0  # three axes together: once in 2e8 for Gaussian noise of known variance
 QUIET_SD = np.repeat([3.5e-4, 5e-3], 3)
-"""Standard deviation q of a mean of a second that is always quiet, (6,), rad/s (72 °/h) and m/s² (0.03°): a
-step of one axis is, by √84 q/2 or 0.09 °/s at once, 0.18 °/s within a second, as of MEMS biases.  Assumed."""
-QUIET_VARIANCE = QUIET_SD**2 / np.maximum(1.0, 4.0 / WIDTH)
-"""q² of each window, (7, 6): less for L = 1 and 2, as a disturbance has had less time to act."""
-UNSEEN_STEP = np.repeat([np.radians(2000.0 / 2**15), 0.0], 3)
-"""rad/s, and not used for m/s²: the step of gyros that measure to 2000 °/s with 16 bits."""
-NO_NOISE = 1e-20
-"""Variance of the samples, (rad/s)² and (m/s²)², below which they do not change: rounding in a mean."""
-VARIANCE_SIGMAS, VARIANCE_FACTOR = 6.0, 2.0
-"""Motion: a variance of a slot's samples above so many chi-square sigmas, times a factor.  Assumed."""
+"""Sd q of a mean of a second that is always quiet, (6,), rad/s (72 °/h) and m/s² (0.03°): by `CHI_SQUARE`
+two may differ by √84 q in an axis, 0.18 °/s, and means of slots by half, as MEMS biases step.  Assumed."""
+QUIET_VARIANCE = QUIET_SD**2 / np.maximum(1.0, 4.0 / WIDTH)  # q², (7, 6): L = 1, 2 is less time to disturb
+UNSEEN_STEP = np.repeat([np.radians(2000.0 / 2**15), 0.0], 3)  # rad/s: gyros of 16 bits, ±2000 °/s; no m/s²
+# Of the variance of a slot's samples, (rad/s)² and (m/s²)²:
+NO_NOISE = 1e-20  # below this the samples do not change: rounding in a mean
+LEAST_SCATTER = 1e-12  # up to this it is never motion.  Assumed.
+VARIANCE_SIGMAS, VARIANCE_FACTOR = 6.0, 2.0  # motion is above: chi-square sigmas, and a factor.  Assumed.
 SPIKE_SIGMAS = 8.0  # a single sample so far from the mean at rest ends the rest.  Assumed.
-MEMORY_SLOTS = 1200.0  # slots over which the noise is averaged at rest: five minutes
-LARGEST_COLOUR = 5.0
-"""In a trial (coloured): largest variance of means of 4 and 8 slots over that of white noise.  Assumed."""
-HALVES, HALVES_OFFSET = 5.0, 20.0
-"""In a trial (uneven): the sum of squared second differences over v (6 each on average) of one half is at
-most so many times that of the other, plus so much: else a knock would be noise.  Assumed."""
-SLOWER = 16.0
-"""In a trial (slow): largest variance of slot means over what the samples in a slot explain.  Assumed."""
-ROAD = np.array([2.5e-3, 0.021])
-"""In a trial (road): largest rms of slot means, rad/s, m/s²: of sensors (0.1 °/s/√Hz, 1.5 mg/√Hz)."""
-WHITE = 1.5
-"""In a trial (white): largest variance of slot means over that by white samples in a slot.  Assumed."""
-LEAST_SAMPLES = 3.0  # in a slot, for the variance of its samples to mean anything
+MEMORY_SLOTS = 1200.0  # slots over which the noise is averaged at rest: five minutes.  Assumed.
+# In a trial, the largest that is rest.  Assumed.
+LARGEST_COLOUR = 5.0  # coloured: variance of means of 4 and 8 slots over that of white noise
+SLOWER = 16.0  # slow: variance of slot means over what the samples in a slot explain
+HALVES, HALVES_OFFSET = 5.0, 20.0  # uneven: factor of one half's sum of squares / v over the other's, offset
+ROAD = np.array([2.5e-3, 0.021])  # rms of slot means, rad/s, m/s²: of sensors (0.1 °/s/√Hz, 1.5 mg/√Hz)
+WHITE = 1.5  # white: variance of slot means over that by white samples in a slot
+LEAST_SAMPLES = 3.0  # in a slot, for the variance of its samples to mean anything.  Assumed.
 OUTLIER = 9.0  # a square above so many times its mean, three sigmas, counts as this: one knock is no noise
 NOISE_CHANGE = 2.5  # factor of the variance from which on a trial has found a larger noise.  Assumed.
 
@@ -61,13 +52,13 @@ class QuietDetector:
         # Means of 128 slots; an axis without reading keeps its last mean, 0 before the first.
         self.mean = np.zeros((2 * LENGTHS[-1], AXES))
         self.latest: list[Slot] = []  # 16 slots
-        self.unread = np.full(AXES, TRIAL)  # slots since the last reading of each axis; 16 before the first
+        self.unread = np.full(AXES, np.inf)  # slots since the last reading of each axis; ∞ before the first
         # Variance at rest of the mean of a slot, and of its samples, (rad/s)² and (m/s²)².
-        self.noise = self.sample_noise = np.zeros(AXES)
+        self.noise, self.sample_noise = np.zeros((2, AXES))
         self.noise_slots = 0.0  # slots that the noise is averaged over; 0 while it is not known
         self.noise_changed = False  # whether another noise has been found with this slot
         self.moving = ""  # what is not quiet in the latest slot; empty if all is
-        self.disturbed = False  # whether a single sample of the present slot was outside `band`
+        self.disturbed = False  # whether a single sample of the present slot was far from the mean
         # Step of the sensor, the least of all slots; 0 while it is not known, where `Slot.step` is ∞.
         self.step = np.zeros(AXES)
         self.pause = 0  # slots since the last quiet one
@@ -75,7 +66,7 @@ class QuietDetector:
 
     def restart(self) -> None:
         """Count anew after a gap or a restart of the device; the noise stays."""
-        self.slots = 0  # since now
+        self.slots = 0  # how many there were since
         self.quiet_slots = 0  # in a row; 0 in motion, and while the noise is not known unless rest is given
         self.unquiet = 0  # slots since the last rest of a trial's length that were not quiet
         self.short_rests = 0  # rests in a row, shorter than a trial, with pauses of a second at most
@@ -104,13 +95,15 @@ class QuietDetector:
 
     @property
     def rounding_error(self) -> FloatArray:
-        """Error of a mean by rounding to steps of the sensor, (6,).
+        """Error of a mean by rounding to steps of the sensor, (6,): the larger one of two.
 
-        With noise of sd s, in steps, it is at most exp(-2 π² s²) half steps, and readings have the variance
-        r = s² + 1/12 (Sheppard).  Not if s is below a third: where two readings alternate, r <= 1/4 shows
-        nothing of s, and the error is up to √(1/4 - r) steps.  Of that a third is taken, as a largest error
-        is three sigmas; the innovation takes half of the result, and the reported bias all of it.
+        With noise of sd s, in steps, it is at most exp(-2 π² s²) / 2 steps; the variance of readings is then
+        r = s² + 1/12 (Sheppard).  If s is below a third, two readings alternate: r, at most 1/4, does not
+        show s, and the error is up to √(1/4 - r) steps, which are taken for three sigmas.
         Readings that are all equal may have any step up to `UNSEEN_STEP`.
+
+        At rest it is the same in each mean, so filters cannot average it out: it is a sigma of the reported
+        bias.  By half of it as a sigma, two means that err in opposite directions fit (`FIT_SIGMAS`).
         """
         unseen = self.present & (self.step == 0.0) & (self.sample_noise < NO_NOISE)
         step = np.where(unseen, UNSEEN_STEP, self.step)
@@ -118,13 +111,14 @@ class QuietDetector:
         by_noise = 0.5 * np.exp(-2.0 * np.pi**2 * np.maximum(variance - 1.0 / 12.0, 0.0))
         return step * np.maximum(by_noise, np.sqrt(np.maximum(0.25 - variance, 0.0)) / 3.0)
 
-    @property
-    def band(self) -> tuple[FloatArray, FloatArray]:
-        """Lowest and highest reading of a unit at rest, (6,) each; infinite of absent axes."""
+    def resting(self, readings: FloatArray) -> BoolArray:
+        """Return which samples, (n, 6), of the present slot are at rest: one far from the mean ends it."""
         width = np.where(self.present, SPIKE_SIGMAS * np.sqrt(self.sample_noise + self.noise), np.inf)
         width = width + 4.0 * QUIET_SD + 1.5 * self.step  # the bias may step, and readings are rounded
         centre = self.mean[-SECOND_SLOTS:].mean(0)
-        return centre - width, centre + width
+        far = ((readings < centre - width) | (readings > centre + width)).any(1)
+        self.disturbed = bool(far.any())
+        return ~np.maximum.accumulate(far)
 
     def update(self, slot: Slot, drift: FloatArray) -> None:
         """Detect rest at the end of a slot; `drift`, rad/s² and m/s³, (6,), is permitted at rest.
@@ -132,22 +126,30 @@ class QuietDetector:
         Where rest is given, only the noise is estimated.
         """
         self._append(slot)
-        self.slots, self.quiet_slots, self.noise_changed = self.slots + 1, self.quiet_slots + 1, False
-        known = self.noise_slots > 0.0
-        self.moving, self.disturbed = self._motion(slot, drift), False
+        self.slots += 1
+        self.quiet_slots += 1
+        self.noise_changed = False
+        known = self.noise_slots > 0.0  # before this slot; `_append` may have dropped it
+        self.moving = self._motion(slot, drift)
+        self.disturbed = False
         if self.moving:  # the rest ends, if there was one
             self.pause += 1
-            short = 1 < self.quiet_slots <= TRIAL  # it counts this slot, too
-            self.short_rests = 0 if self.pause > SECOND_SLOTS else self.short_rests + short
+            if self.pause > SECOND_SLOTS:
+                self.short_rests = 0
+            elif 1 < self.quiet_slots <= TRIAL:  # it counts this slot, too
+                self.short_rests += 1
             self.quiet_slots, self.unquiet = 0, self.unquiet + 1
         elif known:
+            self.pause = 0
             self._learn(slot)
-        elif self.quiet_slots >= TRIAL:
+            if self.quiet_slots >= TRIAL:
+                self.unquiet = self.short_rests = 0
+        elif self.quiet_slots >= TRIAL:  # given rest
             noise = self._white_variance()
             self._set_noise(noise, noise * slot.samples)
         doubtful = not known or (self.unquiet >= SECOND_SLOTS and self.quiet_slots < TRIAL)
         if slot.rest_given is None and doubtful and self.slots >= TRIAL and self.slots % SECOND_SLOTS == 0:
-            self._try_noise(slot.samples)
+            self._take_trial(slot.samples)
 
     def _append(self, slot: Slot) -> None:
         """Append a slot; axes that appear or vanish end the rest, and the noise is learned anew."""
@@ -158,9 +160,10 @@ class QuietDetector:
         if (before != self.present).any():
             self.noise_slots = 0.0
             self.restart()
-        found = np.isfinite(slot.step) & ((slot.step < self.step) | (self.step == 0.0))
-        # That a sensor has steps is known by its first one, which ends no rest though it is outside `band`.
-        self.disturbed &= not (found & (self.step == 0.0)).any()
+        unknown = self.step == 0.0
+        found = np.isfinite(slot.step) & ((slot.step < self.step) | unknown)
+        # That a sensor has steps is known by its first one, which ends no rest though far from the mean.
+        self.disturbed &= not (found & unknown).any()
         self.step = np.where(found, slot.step, self.step)
 
     def _motion(self, slot: Slot, drift: FloatArray) -> str:
@@ -189,39 +192,35 @@ class QuietDetector:
         # Wilson and Hilferty, with half the degrees of freedom: samples may be filtered.
         spread = 2.0 / (9.0 * np.maximum(0.5 * (slot.samples - 1.0), 1.0))  # variance of the cube root
         factor = VARIANCE_FACTOR * (1.0 - spread + VARIANCE_SIGMAS * np.sqrt(spread)) ** 3
-        limit = np.maximum(factor * self.sample_noise, 1e-12) + 12.0 * self.floor  # at least (1e-6)²; step²
+        limit = np.maximum(factor * self.sample_noise, LEAST_SCATTER) + 12.0 * self.floor  # plus step²
         return bool(((slot.variance > limit) & (slot.samples >= LEAST_SAMPLES)).any())
 
     def _learn(self, slot: Slot) -> None:
         """Learn the noise from second differences, in which a drift cancels."""
-        self.pause = 0
-        if self.quiet_slots < 3:
+        if self.quiet_slots < 3:  # of three means
             return
         gain = max(1.0 / MEMORY_SLOTS, 1.0 / (self.noise_slots + 1.0))
         self.noise_slots += 1.0
         before, middle, last = self.mean[-3:]
-        square = ((last - middle) - (middle - before)) ** 2 / 6.0
-        self.noise = self.noise + gain * (np.minimum(square, OUTLIER * self.noise) - self.noise)
-        within = np.minimum(slot.variance, 4.0 * self.sample_noise + 12.0 * self.floor)
+        square = ((last - middle) - (middle - before)) ** 2 / 6.0  # of white noise its variance: 1 + 4 + 1
+        self.noise += gain * (np.minimum(square, OUTLIER * self.noise) - self.noise)
+        within = np.minimum(slot.variance, 4.0 * self.sample_noise + 12.0 * self.floor)  # 2 sigmas and a step
         within = np.where(slot.samples >= LEAST_SAMPLES, within, self.sample_noise)
-        self.sample_noise = self.sample_noise + gain * (within - self.sample_noise)
-        if self.quiet_slots >= TRIAL:
-            self.unquiet = self.short_rests = 0
+        self.sample_noise += gain * (within - self.sample_noise)
 
     def _set_noise(self, noise: FloatArray, sample_noise: FloatArray) -> None:
-        self.noise_changed, self.noise_slots = True, TRIAL - 2.0
         self.noise, self.sample_noise = noise, sample_noise
+        self.noise_slots = TRIAL - 2.0  # second differences
+        self.noise_changed = True
 
     def _white_variance(self) -> FloatArray:
         """Return the variance of the last slot means by their second differences: no drift is in it, (6,)."""
         square = np.diff(self.mean[-TRIAL:], 2, axis=0) ** 2
         return np.asarray(np.maximum(square.mean(0) / 6.0, 1e-24))
 
-    def _try_noise(self, count: FloatArray) -> None:
-        """Take the noise of the last 16 slots for that of rest, if they look like rest.
-
-        Only where none is known, or a smaller one.  `count` is the number of samples of a slot, (6,).
-        """
+    def _take_trial(self, count: FloatArray) -> None:
+        """Take the noise of the last 16 slots, of `count` samples, (6,), if they look like rest and none or a
+        smaller one is known."""
         mean, noise = self.mean[-TRIAL:], self._white_variance()
         within = np.array([one.variance for one in self.latest])
         enough = np.isfinite(within).all(0) & (count >= LEAST_SAMPLES)
@@ -229,21 +228,31 @@ class QuietDetector:
         # Always that of rest: the variance of rounding, and QUIET_SD² or, if less, that of an outlier.
         disturbance = np.minimum(QUIET_SD**2, OUTLIER * self.noise) if self.noise_slots else QUIET_SD**2
         least = disturbance + self.floor
-        longer = [mean.reshape(-1, length, AXES).mean(1).var(0, ddof=1) for length in (4, 8)]
-        ratio = np.array(longer) / np.maximum([noise / 4.0, noise / 8.0], least)
-        coloured = ratio.reshape(2, 2, 3).mean(2) > LARGEST_COLOUR  # white noise averages out
-        slow = enough & (noise * count > SLOWER * samples) & (noise > least)
-        second = np.diff(mean, 2, axis=0) ** 2 / np.maximum(noise, least)  # of 14 triples of slots
-        first, last = (half.reshape(-1, 2, 3).sum((0, 2)) for half in (second[:7], second[7:]))
-        uneven = np.maximum(first, last) > HALVES * np.minimum(first, last) + HALVES_OFFSET
-        # Slots of one or two samples may be loud, and so may a gyro whose samples are white.
-        loud = np.maximum(mean.var(0), noise).reshape(2, 3).mean(1) > ROAD**2
-        road = loud & (count.reshape(2, 3).max(1) >= LEAST_SAMPLES)
-        white = (noise * count < WHITE * samples) & (np.arange(AXES) < ACCEL.start)
-        if coloured.any() or slow.any() or uneven.any() or (np.repeat(road, 3) & ~white).any():
+        if _is_no_rest(mean, noise, least, samples, count):
             return
         larger = noise > NOISE_CHANGE * self.noise + self.floor
         larger |= samples > NOISE_CHANGE * self.sample_noise + self.floor
         if larger.any() or not self.noise_slots:
-            self.moving, self.quiet_slots, self.unquiet, self.short_rests = "", TRIAL, 0, 0
+            self.moving = ""
+            self.quiet_slots, self.unquiet, self.short_rests = TRIAL, 0, 0
             self._set_noise(noise, samples)
+
+
+def _is_no_rest(
+    mean: FloatArray, noise: FloatArray, least: FloatArray, samples: FloatArray, count: FloatArray
+) -> bool:
+    """Return whether slot means, (16, 6), are no rest: by variances, (6,); `least` is always rest."""
+    # White noise averages out in means of 4 and 8 slots; if it is coloured, it does not.
+    longer = [mean.reshape(-1, length, AXES).mean(1).var(0, ddof=1) for length in (4, 8)]
+    ratio = np.array(longer) / np.maximum([noise / 4.0, noise / 8.0], least)
+    coloured = ratio.reshape(2, 2, 3).mean(2) > LARGEST_COLOUR
+    slow = (noise * count > SLOWER * samples) & (noise > least)
+    # The 14 squares sum up to much more in one half than in the other, as by a knock.
+    square = np.diff(mean, 2, axis=0) ** 2 / np.maximum(noise, least)
+    halves = square.reshape(2, -1, 2, 3).sum((1, 3))
+    uneven = halves.max(0) > HALVES * halves.min(0) + HALVES_OFFSET
+    # On a road all is loud; so may be gyros whose samples are white, and slots of one or two samples.
+    loud = np.maximum(mean.var(0), noise).reshape(2, 3).mean(1) > ROAD**2
+    road = loud & (count.reshape(2, 3).max(1) >= LEAST_SAMPLES)
+    road[0] &= (noise * count >= WHITE * samples)[GYRO].any()
+    return bool(coloured.any() or slow.any() or uneven.any() or road.any())

@@ -21,9 +21,10 @@ REST_GIVEN, GATHERED = AXES + 15, AXES + 16
 """Columns that are gathered: gyros, rad/s; accelerometers, m/s²; what a model has added to the bias, rad/s;
 sd of its unknown state at power-on, rad/s; a vector that turns with the heading (`heading_of`); temperature
 of each gyro, °C, and its sd; 1 for given rest and 0 for given motion; and how many there are."""
+GYRO_SETS = 4  # a slot's segment: that of its samples times this, plus how many gyros the unit lacks
 COARSEST_STEPS = (0.035, 0.16)
-"""rad/s (2 °/s) and m/s² (1/61 g), coarser than 8 bits for ±250 °/s and ±2 g: a larger rms change of readings
-that rarely change is shaking, and no rounding."""
+"""rad/s (2 °/s) and m/s² (1/61 g): more than steps of 8 bits for ±250 °/s and ±2 g.  Where readings rarely
+change, but by more (rms), the unit shakes."""
 
 
 class Slot(NamedTuple):
@@ -38,6 +39,7 @@ class Slot(NamedTuple):
     variance: FloatArray  # of the samples of the six axes about the mean (n - 1), (rad/s)², (m/s²)², (6,)
     step: FloatArray  # of the sensor, (6,), if most readings are as the one before, but not all; else ∞
     turn: Turn
+    lacks_gyro: bool  # whether the unit lacks a gyro, which then reads zero
     rest_given: bool | None  # whether it was at rest throughout; None where that is to be detected
 
 
@@ -49,9 +51,9 @@ class Measurement(NamedTuple):
     covered_s: float  # by its samples: the variance of the mean rate is that of one second over this time
     rate: FloatArray  # less the thermal model and the known earth rate, rad/s, (3,)
     force: FloatArray  # m/s², (3,); the last known one where it is missing, zero before the first
-    read: FloatArray  # temperature of each gyro and its sd, °C, (2, 3); NaN where missing, as is the heading
-    heading: FloatArray  # a vector that turns with it (`heading_of`), (3,)
-    rounding: FloatArray | float = 0.0  # largest error of the rate by rounding, rad/s, (3,)
+    degc_and_sd: FloatArray  # temperature of each gyro, and its sd, °C, (2, 3); NaN where missing
+    heading: FloatArray  # a vector that turns with it (`heading_of`), (3,); NaN where missing
+    rounding_sd: FloatArray | float = 0.0  # of the rate, rad/s, (3,): see `QuietDetector.rounding_error`
 
 
 @dataclass
@@ -63,38 +65,41 @@ class Timing:
     interval_s: float = 0.0
     shortest_s: float = np.inf
 
-    def slots(self, ended: Slots) -> Iterator[Slot]:
+    def make_slots(self, ended: Slots) -> Iterator[Slot]:
         """Yield slots that ended, one after the other; a first sample alone covers no time."""
         count = ended.count[:, :AXES].astype(np.float64)
         several = np.where(count > 1.0, count, np.nan)
         variance = ended.variance[:, :AXES] * several / (several - 1.0)
-        # A step is the rms change of readings that rarely change.
-        changes, pairs = ended.changes[:, :AXES], ended.step_count[:, :AXES]
-        rare = (changes > 0) & (2 * changes <= pairs)
-        steps = np.where(rare, np.sqrt(ended.step_squares[:, :AXES] / np.maximum(changes, 1)), np.inf)
-        steps = np.where(steps <= np.repeat(COARSEST_STEPS, 3), steps, np.inf)
+        changes = ended.changes[:, :AXES]
+        rms = np.sqrt(ended.step_squares[:, :AXES] / np.maximum(changes, 1))
+        rare = (changes > 0) & (2 * changes <= ended.step_count[:, :AXES])
+        step = np.where(rare & (rms <= np.repeat(COARSEST_STEPS, 3)), rms, np.inf)
         for k, mean in enumerate(ended.mean):
-            given = float(ended.smallest[k, REST_GIVEN])
-            at_rest = None if np.isnan(given) else given == 1.0
             samples = int(ended.count[k, GYRO].max()) or int(ended.samples[k])
             first_ns, begins = int(ended.start_ns[k]), bool(ended.begins[k])
             if begins:
-                self.origin_ns, self.end_s = first_ns, 0.0
-                self.interval_s, self.shortest_s = 0.0, np.inf
-            start, end = self.since_origin_s(first_ns), self.since_origin_s(int(ended.end_ns[k]))
-            gap = 0.0 if begins else self.gap_s(start)
-            if begins or gap:
-                start -= (end - start) / (samples - 1) if samples > 1 else self.interval_s
+                self.origin_ns = first_ns
+                self.end_s = self.interval_s = 0.0
+                self.shortest_s = np.inf
+            first_s = self.since_origin_s(first_ns)
+            end_s = self.since_origin_s(int(ended.end_ns[k]))
+            gap_s = 0.0 if begins else self.gap_s(first_s)
+            if begins or gap_s:  # the first sample, too, covers an interval
+                start_s = first_s - ((end_s - first_s) / (samples - 1) if samples > 1 else self.interval_s)
             else:
-                start = self.end_s
-            length, covered, self.end_s = end - start, 0.0, end
-            if length > 0.0:
-                self.interval_s = length / samples
-                if not (begins or gap):  # these may be what a buffer held, all at once
+                start_s = self.end_s
+            self.end_s = end_s
+            length_s, covered_s = end_s - start_s, 0.0
+            if length_s > 0.0:
+                self.interval_s = length_s / samples
+                if not (begins or gap_s):  # these may be what a buffer held, all at once
                     self.shortest_s = min(self.shortest_s, self.interval_s)
-                covered = min(length, samples * self.shortest_s)
-            sensors = count[k], mean, variance[k], steps[k]
-            yield Slot(end, length, covered, gap, *sensors, ended.turns[k], at_rest)
+                covered_s = min(length_s, samples * self.shortest_s)
+            sensors = count[k], mean, variance[k], step[k]
+            lacks_gyro = bool(ended.segment[k] % GYRO_SETS)
+            given = float(ended.smallest[k, REST_GIVEN])
+            at_rest = None if np.isnan(given) else given == 1.0
+            yield Slot(end_s, length_s, covered_s, gap_s, *sensors, ended.turns[k], lacks_gyro, at_rest)
 
     def since_origin_s(self, time_ns: int) -> float:
         """Return the seconds since the first sample of the segment."""

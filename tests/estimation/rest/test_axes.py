@@ -87,3 +87,29 @@ def test_a_gyro_that_comes_late_has_a_bias_like_the_others_however_the_samples_c
     parts = [stage.process(samples.rows(a, b)) for a, b in pairwise(cuts)]
     for name, values in result.items():
         np.testing.assert_array_equal(np.concatenate([part[name] for part in parts]), values)
+
+
+def coarse(t: FloatArray, rate_dps: float) -> FloatArray:
+    """Return gyros with steps of 2000 °/s / 2^15, whose readings are all zero but for a turn about z."""
+    step, gyro = 2000.0 * DEG / 2**15, np.zeros((len(t), 3))
+    gyro[(t > 60.0) & (t < 64.0), 2] = rate_dps * DEG
+    return np.round(gyro / step) * step
+
+
+def test_gyros_that_read_zero_in_a_turn_about_another_axis_are_not_missing() -> None:
+    t, _, accel = noise(120.0, 50.0)
+    stage = RestAndBias(latitude_deg=45.0, heading_deg=0.0)
+    result = stage.process(block(t, coarse(t, 20.0), accel))
+    before, after = result["gyro_bias_sd_x"][[2900, -1]]
+    assert result["at_rest"][2900]
+    assert result["at_rest"][-1]
+    assert np.sqrt(after**2 - before**2) < 0.1 * EARTH_RATE * np.cos(np.pi / 4.0)
+
+
+def test_gyros_that_read_zero_before_they_fell_silent_are_missing() -> None:
+    t, _, accel = noise(120.0, 50.0)
+    stage = RestAndBias()
+    result = stage.process(without(block(t, coarse(t, 0.0), accel), "xyz", slice(3000, None)))
+    assert result["at_rest"][2900]
+    assert not result["at_rest"][t > 65.0].any()
+    assert stage.unrest == "a gyro is silent"
