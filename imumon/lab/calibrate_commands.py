@@ -28,7 +28,7 @@ from imumon.files import check_outputs, write_text
 from .calibration import SHOWN
 
 if TYPE_CHECKING:
-    from .calibration.calibration import Calibration, Finding
+    from .calibration.calibration import Calibration, ChannelFit
 
 
 @click.command("calibrate")
@@ -122,12 +122,12 @@ def calibrate(
 
 
 def _report(result: "Calibration", out: Path) -> dict[str, Any]:
-    model, cells = result.model, result.cells
+    model, at_rest = result.model, result.at_rest
     return {
         "out": out,
         "rest_s": result.rest_s,
-        "temperature_range_degc": [cells.temperature.min(), cells.temperature.max()],
-        "temperature_rate_rms_degc_per_s": cells.rate_rms,
+        "temperature_range_degc": [at_rest.temperature.min(), at_rest.temperature.max()],
+        "temperature_rate_rms_degc_per_s": at_rest.rate_rms,
         "levels_degc": model.levels_degc,
         "earth_rate": model.earth_rate,
         "runs": [run.model_dump() for run in model.trained_on],
@@ -136,57 +136,55 @@ def _report(result: "Calibration", out: Path) -> dict[str, Any]:
             name: {
                 "unit": model.channels[name].unit,
                 "temperature_column": model.channels[name].temperature_column,
-                "curve": finding.choice.name,
-                "held_out_rms": finding.choice.held_out_rms,
-                "fit_rms": finding.choice.fit_rms,
-                "residual_sd": finding.choice.residual_sd,
-                "lag_rms": finding.lag_rms,
-                "turn_on_sd": finding.repeatability,
+                "curve": fit.choice.name,
+                "held_out_rms": fit.choice.held_out_rms,
+                "fit_rms": fit.choice.fit_rms,
+                "residual_sd": fit.choice.residual_sd,
+                "lag_rms": fit.lag_rms,
+                "turn_on_sd": fit.repeatability,
             }
-            for name, finding in result.findings.items()
+            for name, fit in result.fits.items()
         },
     }
 
 
 def _show(result: "Calibration") -> None:
-    names = list(dict.fromkeys(name for f in result.findings.values() for name in f.choice.held_out_rms))
+    names = list(dict.fromkeys(name for f in result.fits.values() for name in f.choice.held_out_rms))
     heads = [name.replace("polynomial", "poly").replace("network", "net") for name in names]
     show("rms error at temperature levels left out; * is chosen")
     show(f"{'':14}" + "".join(f"{head:>9}" for head in heads))
-    for channel, finding in result.findings.items():
+    for channel, fit in result.fits.items():
         unit, factor = SHOWN[result.model.channels[channel].unit]
         cells = []
         for name in names:
-            value = finding.choice.held_out_rms.get(name)
-            mark = "*" if name == finding.choice.name else " "
+            value = fit.choice.held_out_rms.get(name)
+            mark = "*" if name == fit.choice.name else " "
             cells.append(f"{'-':>8} " if value is None else f"{value * factor:8.3g}{mark}")
         show(f"{channel:8}{unit:>6}" + "".join(cells))
 
 
 def _summary(result: "Calibration", out: Path) -> dict[str, str]:
-    model, cells = result.model, result.cells
+    model, at_rest = result.model, result.at_rest
     rows = {
         "at rest": f"{result.rest_s / 3600:.2f} h, {len(model.levels_degc)} temperature levels",
-        "temperature": f"{cells.temperature.min():.2f} to {cells.temperature.max():.2f} °C,"
-        f" {cells.rate_rms * 60:.2f} °C/min rms",
-        "residual": _per_channel(result, lambda finding: finding.choice.residual_sd),
-        "30 s of lag": _per_channel(result, lambda finding: finding.lag_rms) + ", if the gyro has it",
+        "temperature": f"{at_rest.temperature.min():.2f} to {at_rest.temperature.max():.2f} °C,"
+        f" {at_rest.rate_rms * 60:.2f} °C/min rms",
+        "residual": _per_channel(result, lambda fit: fit.choice.residual_sd),
+        "30 s of lag": _per_channel(result, lambda fit: fit.lag_rms) + ", if the gyro has it",
     }
-    if any(finding.repeatability is not None for finding in result.findings.values()):
-        rows["by pose" if cells.turned else "turn-on"] = _per_channel(
-            result, lambda finding: finding.repeatability
-        )
+    if any(fit.repeatability is not None for fit in result.fits.values()):
+        rows["by pose" if at_rest.turned else "turn-on"] = _per_channel(result, lambda fit: fit.repeatability)
     included = "in the constant of the gyro curves (--latitude, --heading)"
     rows["earth rate"] = "removed" if model.earth_rate == "removed" else included
     return {**rows, "model": str(out)}
 
 
-def _per_channel(result: "Calibration", of: "Callable[[Finding], float | None]") -> str:
+def _per_channel(result: "Calibration", of: "Callable[[ChannelFit], float | None]") -> str:
     """Return a number of each channel, those of one unit together."""
     parts: dict[str, list[str]] = {}
-    for name, finding in result.findings.items():
+    for name, fit in result.fits.items():
         unit, factor = SHOWN[result.model.channels[name].unit]
-        value = of(finding)
+        value = of(fit)
         parts.setdefault(unit, []).append("-" if value is None else f"{value * factor:.3g}")
     return "; ".join(f"{' '.join(values)} {unit}" for unit, values in parts.items())
 

@@ -14,7 +14,7 @@ from study import Cells, Options, Study, Table, matrix, rms
 from imumon.blocks import BoolArray, FloatArray
 from imumon.geodesy import DEG_PER_H
 from imumon.lab.calibration.calibration import calibrate, knots_of
-from imumon.lab.calibration.cells import Channel, Record, channel_of, group, levels, read_session, record_of
+from imumon.lab.calibration.cells import CellMeans, Record, channel_of, group, read_session, record_of
 from imumon.lab.calibration.selection import choose, held_out, slow_variance
 from imumon.models.curves.network import NetworkCurve, Scaled, fit_network, mean_square, starts, train
 from imumon.models.curves.points import Points
@@ -54,7 +54,7 @@ class Soak:
     bias: FloatArray
     slope: FloatArray
     centers: FloatArray
-    channels: list[Channel]
+    channels: list[CellMeans]
 
     def halfminutes(self, axis: int) -> Points:
         """Return means over 30 s of a gyro with their nearest level; every `EVERY`th of those on a level."""
@@ -79,8 +79,8 @@ def simulated_soak(seed: int) -> Soak:
     blocks = (unit.run(AT_ONCE)[0] for _ in range(scenario.samples // AT_ONCE))
     record = record_of(blocks, name, "0" * 64, axes=scenario.axes)
     cells = group([record], None, None)
-    centers = levels(cells)
-    channels = [channel_of([record], cells, name, centers) for name in GYRO]
+    centers = cells.levels
+    channels = [channel_of([record], cells, name) for name in GYRO]
     earth = matrix(SimulatedUnit(scenario, seed).run(1)[1], "rate")
     bias, slope = crs05_curves(INSIDE) + earth, crs05_slopes(INSIDE)
     return Soak(record, bias, slope, centers, [channel for channel in channels if channel is not None])
@@ -129,7 +129,7 @@ def residuals(curve: Curve, points: Points, parts: list[BoolArray]) -> list[floa
     return [rms(residual[part]) for part in parts]
 
 
-def sizes(title: str, points: list[Points], truth: FloatArray, channels: list[Channel]) -> Table:
+def sizes(title: str, points: list[Points], truth: FloatArray, channels: list[CellMeans]) -> Table:
     """Return S_r, the rms over the axes, of networks of each size: what splits show, and the truth."""
     rows: list[Cells] = []
     for n in SIZES:
@@ -231,10 +231,10 @@ def chamber(record: Record, share: float) -> Table:
     first, rest = during(record, 0.0, share), during(record, share, 1.0)
     model = calibrate([first])
     groups = group([first], None, None)
-    centers = levels(groups)
+    centers = groups.levels
     rows = []
     for axis, name in zip(AXES, GYRO, strict=True):
-        channel = channel_of([first], groups, name, centers)
+        channel = channel_of([first], groups, name)
         assert channel is not None
         knots = knots_of(channel, centers)
         points = channel.weighted(slow_variance(channel, knots))
@@ -247,12 +247,12 @@ def chamber(record: Record, share: float) -> Table:
         found = model.model.channels[name]
         t, value = rest.means.of(found.temperature_column)[rest.rest], rest.means.of(name)[rest.rest]
         inside = found.inside(t)
-        constant = float(np.average(channel.value, weights=channel.seconds))
+        constant = float(np.average(channel.value, weights=np.bincount(groups.cell, groups.seconds)))
         errors = {"constant": rms(value[inside] - constant)}
         errors |= {key: rms(value[inside] - curve.value(t[inside])) for key, curve in curves.items()}
         errors["chosen"] = rms(value[inside] - found.value(t[inside]))
         white = np.rad2deg(rms(np.sqrt(rest.means.mean_variance(name)[rest.rest])))
-        cells = [axis, *np.rad2deg(list(errors.values())), model.findings[name].choice.name]
+        cells = [axis, *np.rad2deg(list(errors.values())), model.fits[name].choice.name]
         rows.append([*cells, np.rad2deg(found.residual_sd), inside.mean(), white])
     heads = ["axis", *errors, "what was chosen", "promised", "inside", "noise of a block"]
     formats = ("", *[".3f"] * len(errors), "", ".3f", ".0%", ".4f")

@@ -209,13 +209,13 @@ def _calibrate(path: Path, job: Job) -> Iterator[Row]:
     found = calibrate([record], options.latitude_deg, options.heading_deg, serial)
     file = job.file("models", ".yaml")
     found.model.write(file)
-    for name, finding in found.findings.items():
-        channel, choice = found.model.channels[name], finding.choice
+    for name, fit in found.fits.items():
+        channel, choice = found.model.channels[name], fit.choice
         low, high = channel.temperature_range_degc
         yield {
             "channel": name, "unit": channel.unit, "curve": choice.name,
             "residual_sd": choice.residual_sd, "held_out_rms": choice.held_out_rms[choice.name],
-            "fit_rms": choice.fit_rms, "lag_rms": finding.lag_rms, "rest_s": found.rest_s,
+            "fit_rms": choice.fit_rms, "lag_rms": fit.lag_rms, "rest_s": found.rest_s,
             "lowest_degc": low, "highest_degc": high, "file": str(file),
             "warnings": [*warnings, *found.warnings],
         }  # fmt: skip

@@ -20,9 +20,9 @@ from imumon.models.model import BiasModel
 
 Autopilot = Literal["ardupilot", "px4"]
 SUFFIX: dict[str, str] = {"ardupilot": ".param", "px4": ".params"}
-LEAST_SPAN_DEGC = 10.0
-"""ArduPilot takes no calibration over less."""
-KINDS = {"gyro": ("GYR", "G"), "accel": ("ACC", "A")}
+LEAST_EXPORT_SPAN_DEGC = 10.0  # ArduPilot takes no calibration over less
+ARDUPILOT = {"gyro": "GYR", "accel": "ACC"}  # in the names of its parameters
+PX4 = {"gyro": "G", "accel": "A"}
 
 
 def parameters(
@@ -30,20 +30,22 @@ def parameters(
 ) -> tuple[str, list[str]]:
     """Return a model of `calibrate` as the parameters of an autopilot, and warnings about them.
 
-    Raises BAD_DATA when the span is too small; BAD_CONFIG when identifiers are missing.
+    Raises BAD_DATA when no sensor is complete or the span is small; BAD_CONFIG when identifiers are missing.
 
     `autopilot`: "ardupilot" or "px4".
     `imu`: number of the inertial sensor, from 0, as the logs count.
     `ids`: PX4's device identifiers of gyro and accelerometer.
     """
     check_ids(autopilot, ids)
-    sensors = [kind for kind in KINDS if all(f"{kind}_{axis}" in model.channels for axis in "xyz")]
+    sensors = [kind for kind in PX4 if all(f"{kind}_{axis}" in model.channels for axis in "xyz")]
+    if not sensors:
+        raise bad_data("no sensor of the model has a curve on each of x, y and z", "leave --export away")
     ranges = [model.channels[f"{kind}_{axis}"].temperature_range_degc for kind in sensors for axis in "xyz"]
-    low, high = max(one[0] for one in ranges), min(one[1] for one in ranges)
-    if high - low < LEAST_SPAN_DEGC:
+    low, high = max(coldest for coldest, _ in ranges), min(hottest for _, hottest in ranges)
+    if high - low < LEAST_EXPORT_SPAN_DEGC:
         raise bad_data(
             f"the channels are known from {low:.1f} to {high:.1f} °C only",
-            f"an autopilot's calibration needs {LEAST_SPAN_DEGC:g} °C at least: calibrate over more",
+            f"an autopilot's calibration needs {LEAST_EXPORT_SPAN_DEGC:g} °C at least: calibrate over more",
         )
     notes: list[str] = []
     if model.axes is None:
@@ -54,29 +56,30 @@ def parameters(
     if autopilot == "px4" and model.earth_rate == "included":
         notes.append("the gyros' constant holds the earth rate of the test, up to 15 °/h")
     reference = 35.0 if autopilot == "ardupilot" else 0.5 * (low + high)
-    degc = np.linspace(low, high, 201)
+    degc = np.linspace(low, high, 201)  # close enough together for any curve of a model
     cubics = {
         kind: [_cubic(model, f"{kind}_{axis}", degc, reference, notes) for axis in "xyz"] for kind in sensors
     }
-    if ids and autopilot == "px4":
+    if autopilot == "px4" and ids:  # which `check_ids` has made sure of
         return _px4(cubics, imu, ids, {"TMIN": low, "TMAX": high, "TREF": reference}), notes
     rows = {"ENABLE": 1.0, "TMIN": low, "TMAX": high}
     for kind, axes in cubics.items():
         for axis, cubic in zip("XYZ", axes, strict=True):
-            rows |= {f"{KINDS[kind][0]}{k}_{axis}": cubic[k] * 1e6 for k in (1, 2, 3)}
+            rows |= {f"{ARDUPILOT[kind]}{k}_{axis}": cubic[k] * 1e6 for k in (1, 2, 3)}
     return "".join(f"INS_TCAL{imu + 1}_{name},{value:.9g}\n" for name, value in rows.items()), notes
 
 
 def _px4(cubics: dict[str, list[list[float]]], imu: int, ids: tuple[int, int], degc: dict[str, float]) -> str:
     """Return the columns of QGroundControl; the last one is MAVLink's type, 6 of an integer, 9 of a float."""
     rows: dict[str, float] = {}
-    for (kind, axes), identifier in zip(cubics.items(), ids, strict=False):
-        head = f"TC_{KINDS[kind][1]}{imu}"
-        rows |= {f"TC_{KINDS[kind][1]}_ENABLE": 1, f"{head}_ID": identifier}
-        rows |= {f"{head}_{name}": value for name, value in degc.items()}
-        for at, (constant, *others) in enumerate(axes):
+    gyro_id, accel_id = ids
+    for kind, axes in cubics.items():
+        sensor = f"TC_{PX4[kind]}"
+        rows |= {f"{sensor}_ENABLE": 1, f"{sensor}{imu}_ID": accel_id if kind == "accel" else gyro_id}
+        rows |= {f"{sensor}{imu}_{name}": value for name, value in degc.items()}
+        for axis, (constant, *others) in enumerate(axes):
             coefficients = (0.0 if kind == "accel" else constant, *others)
-            rows |= {f"{head}_X{power}_{at}": value for power, value in enumerate(coefficients)}
+            rows |= {f"{sensor}{imu}_X{power}_{axis}": value for power, value in enumerate(coefficients)}
     return "".join(
         f"1\t1\t{name}\t{value:.9g}\t{6 if name.endswith(('_ENABLE', '_ID')) else 9}\n"
         for name, value in rows.items()

@@ -1,6 +1,6 @@
 """From recordings to a bias model."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from datetime import UTC, datetime
 from typing import NamedTuple, TypeVar
@@ -12,46 +12,33 @@ from imumon.effects.thermal_lag import OWN_LAG_S
 from imumon.errors import bad_config, bad_data
 from imumon.geodesy import DEG_PER_H
 from imumon.intake import RANGES
-from imumon.models.model import UNITS, BiasModel, ChannelModel, TrainedOn
+from imumon.models.model import BiasModel, ChannelModel, TrainedOn
 from imumon.recordings.reduced import ACCEL, GYRO
 from imumon.version import __version__
 
-from .cells import (
-    BLOCK_S,
-    LEAST_COVERED,
-    ONE_WAY,
-    Cells,
-    Channel,
-    Records,
-    channel_of,
-    group,
-    levels,
-    one_way,
-)
-from .selection import Choice, choose, slow_variance, turn_on_offsets
+from .cells import BLOCK_S, LEAST_COVERED, ONE_WAY, CellMeans, Records, RestBlocks, channel_of, group, one_way
+from .selection import Choice, choose, comparable_runs, slow_variance, turn_on_offsets
 
-Name = TypeVar("Name", bound=str)
-Progress = Callable[[str], None]
-"""Takes what is being done now."""
-LEAST_SPAN_DEGC = 5.0
+Name = TypeVar("Name")
+# What a model needs, all assumed.
+LEAST_SPAN_DEGC = 5.0  # of the temperature at rest
 LEAST_REST_S = 600.0
-WIDEST_HOLE = 0.4
-"""Share of the span without data that a curve cannot bridge."""
-MOST_LAG = 0.1
-"""Share of the span that the temperature may be wrong by as the gyro lags behind its thermometer."""
+WIDEST_HOLE = 0.4  # share of the span without data that a curve may bridge
+MOST_LAG = 0.1  # share of the span by which the temperature of a gyro `OWN_LAG_S` behind may be wrong, rms
+LEAST_LEVELS = 3  # of a channel: the two at the ends stay in each fit, and one has to be left out
 
 
-class Finding(NamedTuple):
-    """What was found of one channel; `choice` is its curve, fitted to `points`.
+class ChannelFit(NamedTuple):
+    """One channel: `choice` is its curve, fitted to `points`.
 
-    `points` are those of each run less its turn-on `offset` from the mean of all, in the channel's unit,
+    `points` are the means of each run less its turn-on `offset` from the mean of all, in the channel's unit,
     (runs,); that is NaN where it cannot be determined.  `repeatability` is the standard deviation of the
     offsets: None with fewer than two, and of an accelerometer in several poses, whose offsets are gravity's.
     `lag_rms`: what a gyro `OWN_LAG_S` behind its thermometer would err by in this data.
     """
 
     choice: Choice
-    points: Channel
+    points: CellMeans
     offset: FloatArray
     lag_rms: float
     repeatability: float | None
@@ -61,14 +48,14 @@ class Calibration(NamedTuple):
     """A model, what it rests on, and what the user should know."""
 
     model: BiasModel
-    findings: dict[str, Finding]
-    cells: Cells
+    fits: dict[str, ChannelFit]
+    at_rest: RestBlocks
     warnings: list[str]
 
     @property
     def rest_s(self) -> float:
         """Time at rest, s."""
-        return float(self.cells.seconds.sum())
+        return float(self.at_rest.seconds.sum())
 
 
 def calibrate(
@@ -76,44 +63,51 @@ def calibrate(
     latitude_deg: float | None = None,
     heading_deg: float | None = None,
     serial: str | None = None,
-    progress: Progress = lambda _: None,
+    progress: Callable[[str], None] = lambda _: None,
 ) -> Calibration:
     """Make a bias model of recordings of one unit.
 
     With latitude and heading, the earth rate is taken from the gyros (levelled by the accelerometers);
-    otherwise it stays in the constant of their curves.
+    otherwise it stays in the constant of their curves.  `progress` is called with what is being done.
 
     Raises BAD_DATA, with the numbers found, when the data does not allow a model; BAD_CONFIG when only one of
     latitude and heading is given, or the heading cannot be used.
     """
     check_place(latitude_deg, heading_deg)
     check_columns(records)
-    cells = group(records, latitude_deg, heading_deg)
-    check_coverage(records, cells)
-    if latitude_deg is not None and any(run.earth_rate is None for run in cells.runs):
+    at_rest = group(records, latitude_deg, heading_deg)
+    check_coverage(records, at_rest)
+    if latitude_deg is not None and any(run.earth_rate is None for run in at_rest.runs):
         raise bad_config(
             "the earth rate cannot be removed: the unit has no accelerometers",
             "leave --latitude and --heading away",
         )
-    findings, channels, warnings = _all_channels(records, cells, progress)
+    warnings: list[str] = []
+    fits = {}
+    for name in (*GYRO, *ACCEL):
+        progress(f"trying curves for {name}")
+        if fit := _fit_channel(name, records, at_rest, warnings):
+            fits[name] = fit
+    if not fits:
+        raise bad_data("no gyro ever changes at rest", "does the device set small rates to zero?")
     return Calibration(
         model=BiasModel(
             made_by=f"imumon {__version__}",
             created=f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}",
-            device=_common([record.device for record in records]),
-            serial=serial or _common([record.serial for record in records]),
-            axes=_common([record.axes for record in records]),
+            device=_common(record.device for record in records),
+            serial=serial or _common(record.serial for record in records),
+            axes=_common(record.axes for record in records),
             earth_rate="included" if latitude_deg is None else "removed",
             latitude_deg=latitude_deg,
             heading_deg=heading_deg,
             block_s=BLOCK_S,
-            levels_degc=[round(level, 3) for level in levels(cells).tolist()],
-            trained_on=_trained_on(records, cells, findings),
-            channels=channels,
+            levels_degc=[round(level, 3) for level in at_rest.levels.tolist()],
+            trained_on=_trained_on(at_rest, fits),
+            channels={name: _channel_model(name, fit, records) for name, fit in fits.items()},
         ),
-        findings=findings,
-        cells=cells,
-        warnings=[*warnings, *_remarks(records, cells, findings)],
+        fits=fits,
+        at_rest=at_rest,
+        warnings=warnings + _remarks(records, at_rest, fits),
     )
 
 
@@ -127,104 +121,110 @@ def check_place(latitude_deg: float | None, heading_deg: float | None) -> None:
         )
 
 
-def _all_channels(
-    records: Records, cells: Cells, progress: Progress
-) -> tuple[dict[str, Finding], dict[str, ChannelModel], list[str]]:
-    findings, channels, warnings = {}, {}, []
-    centers = levels(cells)
-    for name in (*GYRO, *ACCEL):
-        progress(f"trying curves for {name}")
-        channel, is_accel = channel_of(records, cells, name, centers), name in ACCEL
-        if channel is None:
-            continue
-        knots = knots_of(channel, centers)
-        channel = channel.weighted(slow_variance(channel, knots))
-        offset = turn_on_offsets(channel, len(cells.runs), knots)
-        apart = np.isnan(offset[channel.run])
-        if apart.any():
-            runs = ", ".join(str(run + 1) for run in np.unique(channel.run[apart]))
-            what = "left out" if is_accel else "taken as they are, without a turn-on offset"
-            warnings.append(f"{name}: runs {runs} have no temperature in common with the others: {what}")
-        shifted = replace(channel, value=channel.value - np.nan_to_num(offset)[channel.run])
-        points = shifted.only(~(apart & is_accel))
-        choice = choose(points, knots)
-        missed = OWN_LAG_S * cells.rate * choice.curve.slope(cells.temperature)
-        lag_rms = np.sqrt(np.average(missed**2, weights=cells.seconds))
-        known = offset[np.isfinite(offset)]
-        own = len(known) > 1 and not (cells.turned and is_accel)
-        repeatability = known.std(ddof=1) if own else None
-        findings[name] = Finding(choice, points, offset, lag_rms, repeatability)
-        low, high = float(points.temperature.min()), float(points.temperature.max())
-        margin = 0.005 * (high - low)  # or a level at an end would now be in and now out
-        constant = float(choice.curve.value(0.5 * (low + high))) if is_accel else 0.0
-        channels[name] = ChannelModel.model_validate(
-            {
-                "unit": UNITS[name],
-                "temperature_column": records[0].temperature_column(name),
-                "temperature_range_degc": [low - margin, high + margin],
-                "residual_sd": choice.residual_sd,
-                "held_out_rms": choice.held_out_rms,
-                "curve": choice.curve.minus(constant),
-            }
-        )
-    return findings, channels, warnings
+def _fit_channel(name: str, records: Records, at_rest: RestBlocks, warnings: list[str]) -> ChannelFit | None:
+    """Take the runs' offsets off a channel, and choose its curve; None without values for one."""
+    means = channel_of(records, at_rest, name)
+    if means is None:
+        return None
+    is_accel = name in ACCEL
+    compared = comparable_runs(means)
+    apart = ~np.isin(means.run, compared)
+    if apart.any():
+        runs = ", ".join(str(run + 1) for run in np.unique(means.run[apart]))
+        what = "left out" if is_accel else "taken as they are, without a turn-on offset"
+        warnings.append(f"{name}: runs {runs} have no temperature in common with the others: {what}")
+    if is_accel and len(np.unique(means.level[~apart])) < LEAST_LEVELS:
+        warnings.append(f"{name}: fewer than {LEAST_LEVELS} temperature levels: no curve")
+        return None
+    knots = knots_of(means, at_rest.levels)
+    means = means.weighted(slow_variance(means, knots))
+    offset = np.full(len(at_rest.runs), np.nan)
+    offset[compared] = turn_on_offsets(means.only(~apart), compared, knots)
+    points = replace(means, value=means.value - np.nan_to_num(offset)[means.run])  # none counts as 0
+    if is_accel:  # of a run without an offset the gravity of its pose would be taken for bias
+        points = points.only(~apart)
+    choice = choose(points, knots)
+    lag_error = OWN_LAG_S * at_rest.rate * choice.curve.slope(at_rest.temperature)
+    lag_rms = np.sqrt(np.average(lag_error**2, weights=at_rest.seconds))
+    repeats = len(compared) > 1 and not (is_accel and at_rest.turned)  # by pose the offsets are gravity's
+    repeatability = offset[compared].std(ddof=1) if repeats else None
+    return ChannelFit(choice, points, offset, lag_rms, repeatability)
 
 
-def knots_of(channel: Channel, centers: FloatArray) -> FloatArray:
+def _channel_model(name: str, fit: ChannelFit, records: Records) -> ChannelModel:
+    curve, temperature = fit.choice.curve, fit.points.temperature
+    low, high = float(temperature.min()), float(temperature.max())
+    margin = 0.005 * (high - low)  # or a level at an end would now be in and now out
+    if name in ACCEL:  # its constant has gravity in it: the curve is the change from the middle
+        curve = curve.minus(float(curve.value(0.5 * (low + high))))
+    return ChannelModel(
+        unit="m/s^2" if name in ACCEL else "rad/s",
+        temperature_column=str(records[0].temperature_column(name)),
+        temperature_range_degc=[low - margin, high + margin],
+        residual_sd=fit.choice.residual_sd,
+        held_out_rms=fit.choice.held_out_rms,
+        curve=curve,
+    )
+
+
+def knots_of(means: CellMeans, centers: FloatArray) -> FloatArray:
     """Return the knots of a channel's spline: its ends and its levels, but for the levels next to the ends.
 
     There a knot would only make the slope at the end uncertain, as in an interpolating spline ("not a knot").
+    With six levels or fewer those are knots too.
     """
-    low, high = channel.temperature.min(), channel.temperature.max()
+    low, high = means.temperature.min(), means.temperature.max()
     inner = centers[2:-2] if len(centers) > 6 else centers[1:-1]
-    least = (high - low) / (4 * len(centers))
+    least = (high - low) / (4 * len(centers))  # a quarter of the mean distance between levels.  Assumed.
     return np.concatenate([[low], inner[(inner > low + least) & (inner < high - least)], [high]])
 
 
-def _trained_on(records: Records, cells: Cells, findings: dict[str, Finding]) -> list[TrainedOn]:
+def _trained_on(at_rest: RestBlocks, fits: dict[str, ChannelFit]) -> list[TrainedOn]:
     return [
         TrainedOn(
-            session=records[run.record].name,
+            session=run.record.name,
             run=run.number,
-            sha256=records[run.record].sha256,
+            sha256=run.record.sha256,
             rest_s=float(run.seconds.sum()),
             blocks=len(run.rows),
             temperature_range_degc=[float(run.temperature.min()), float(run.temperature.max())],
             offset={
-                name: float(finding.offset[number])
-                for name, finding in findings.items()
-                if finding.repeatability is not None and np.isfinite(finding.offset[number])
+                name: float(fit.offset[index])
+                for name, fit in fits.items()
+                if fit.repeatability is not None and np.isfinite(fit.offset[index])
             },
         )
-        for number, run in enumerate(cells.runs)
+        for index, run in enumerate(at_rest.runs)
     ]
 
 
-def _remarks(records: Records, cells: Cells, findings: dict[str, Finding]) -> list[str]:
+def _remarks(records: Records, at_rest: RestBlocks, fits: dict[str, ChannelFit]) -> list[str]:
     devices = sorted({record.device for record in records if record.device})
     units = sorted({record.serial for record in records if record.serial})
-    far = {
+    differing = {
         name: f"{spread / DEG_PER_H:.3g}"
-        for name, finding in findings.items()
-        if name in GYRO
-        and (spread := finding.repeatability) is not None
-        and spread > finding.choice.residual_sd
+        for name, fit in fits.items()
+        if name in GYRO and (spread := fit.repeatability or 0.0) > fit.choice.residual_sd
     }
-    remarks = {
-        f"the sessions are of different devices: {', '.join(devices)}": len(devices) > 1,
-        f"the sessions are of different units: {', '.join(units)}": len(units) > 1,
-        "a session is there twice: it counts twice, and its repeatability means nothing": (
-            len({record.sha256 for record in records}) < len(records)
+    remarks = [
+        (len(devices) > 1, f"the sessions are of different devices: {', '.join(devices)}"),
+        (len(units) > 1, f"the sessions are of different units: {', '.join(units)}"),
+        (
+            len({record.sha256 for record in records}) < len(records),
+            "a session is there twice: it counts twice, and its repeatability means nothing",
         ),
-        ONE_WAY: one_way([run.temperature for run in cells.runs]),
-        f"{', '.join(far)}: the bias differs by {', '.join(far.values())} °/h between the poses, by g or by "
-        "the earth rate, which no curve over temperature has: the residual is that of one pose; imumon "
-        "diagnose finds which": cells.turned and bool(far),
-    }
-    return [text for text, applies in remarks.items() if applies]
+        (one_way([run.temperature for run in at_rest.runs]), ONE_WAY),
+        (
+            at_rest.turned and bool(differing),
+            f"{', '.join(differing)}: the bias differs by {', '.join(differing.values())} °/h between the"
+            " poses, by g or by the earth rate, which no curve over temperature has: the residual is that of"
+            " one pose; imumon diagnose finds which",
+        ),
+    ]
+    return [text for applies, text in remarks if applies]
 
 
-def _common(names: Sequence[Name | None]) -> Name | None:
+def _common(names: Iterable[Name | None]) -> Name | None:
     known = {*names} - {None}
     return known.pop() if len(known) == 1 else None
 
@@ -244,25 +244,26 @@ def check_columns(records: Records) -> None:
                 "let the device send its temperature, or name the column in the map with its unit; "
                 f"readings beyond {coldest:g} to {hottest:g} {unit}, and zero alone, are left out",
             )
-        values = {name: record.means.of(name) for name in GYRO} if len(record.means) > 1 else {}
-        if stuck := [name for name, of in values.items() if np.nanmin(of) == np.nanmax(of)]:
+        rates = {name: record.means.of(name) for name in GYRO} if len(record.means) > 1 else {}
+        if stuck := [name for name, rate in rates.items() if np.nanmin(rate) == np.nanmax(rate)]:
             raise bad_data(
-                f"{record.name}: {', '.join(stuck)} never changes from {values[stuck[0]][0]:g} rad/s",
+                f"{record.name}: {', '.join(stuck)} never changes from {rates[stuck[0]][0]:g} rad/s",
                 "a sensor that measures is never so quiet: is it switched off, or the column a constant?",
             )
-    thermometers = {str(record.temperature_column(GYRO[0])) for record in records}
-    axes = {record.axes for record in records if record.axes}
-    for what, found in (("thermometers", thermometers), ("body axes", axes)):
-        if len(found) > 1:
+    for what, names in (
+        ("thermometers", {str(record.temperature_column(GYRO[0])) for record in records}),
+        ("body axes", {record.axes for record in records if record.axes}),
+    ):
+        if len(names) > 1:
             raise bad_data(
-                f"the sessions have different {what}: {', '.join(sorted(found))}",
+                f"the sessions have different {what}: {', '.join(sorted(names))}",
                 "calibrate them apart: a model has one of them",
             )
 
 
-def check_coverage(records: Records, cells: Cells) -> None:
+def check_coverage(records: Records, at_rest: RestBlocks) -> None:
     """Raise BAD_DATA when time at rest, span, holes or rate do not allow a model."""
-    rest_s = cells.seconds.sum()
+    rest_s = at_rest.seconds.sum()
     if rest_s < LEAST_REST_S:
         recorded_s = sum(record.means.span_s.sum() for record in records)
         raise bad_data(
@@ -271,8 +272,8 @@ def check_coverage(records: Records, cells: Cells) -> None:
             f"let the unit stand still on a firm base for longer, with a sample every"
             f" {LEAST_COVERED * BLOCK_S:g} s at least",
         )
-    known = np.sort(cells.temperature)
-    low, high = known[0], known[-1]
+    temperature = np.sort(at_rest.temperature)
+    low, high = temperature[0], temperature[-1]
     span = high - low
     if span < LEAST_SPAN_DEGC:
         raise bad_data(
@@ -280,19 +281,19 @@ def check_coverage(records: Records, cells: Cells) -> None:
             f" {LEAST_SPAN_DEGC:g}",
             "record while the unit warms up or cools down over the range in which it will be used",
         )
-    at = np.argmax(np.diff(known))
-    below, above = known[at : at + 2]
+    widest = np.argmax(np.diff(temperature))
+    below, above = temperature[widest : widest + 2]
     if above - below > WIDEST_HOLE * span:
         raise bad_data(
             f"nothing at rest from {below:.2f} to {above:.2f} °C, {(above - below) / span:.0%} of the span; a"
             f" curve bridges {WIDEST_HOLE:.0%}",
             "record levels in between",
         )
-    wrong = OWN_LAG_S * cells.rate_rms
+    wrong = OWN_LAG_S * at_rest.rate_rms
     if wrong > MOST_LAG * span:
         raise bad_data(
-            f"the temperature moves at {60 * cells.rate_rms:.2f} °C/min (rms): a gyro {OWN_LAG_S:g} s behind "
-            f"its thermometer would be wrong by {wrong:.2f} °C, {wrong / span:.0%} of the {span:.2f} °C "
-            f"span; a model allows {MOST_LAG:.0%}",
+            f"the temperature moves at {60 * at_rest.rate_rms:.2f} °C/min (rms): a gyro {OWN_LAG_S:g} s"
+            f" behind its thermometer would be wrong by {wrong:.2f} °C, {wrong / span:.0%} of the"
+            f" {span:.2f} °C span; a model allows {MOST_LAG:.0%}",
             "heat and cool more slowly, hold levels, or cover a wider range",
         )

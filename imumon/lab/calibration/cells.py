@@ -19,17 +19,12 @@ from imumon.recordings.source import Count, no_count, open_recording
 from imumon.run.setup import Setup, unused_keys
 
 COLUMNS = (*GYRO, *ACCEL, *TEMPERATURES, "temperature_estimate", *(f"temperature_estimate_{a}" for a in AXES))
-BLOCK_S = 10.0
-"""Length of a block: long against the sample noise, short against a chamber's ramps."""
-LEAST_COVERED = 0.5
-"""A block whose samples span less than this share of it is passed over."""
-CELL_S = 300.0
-"""Longest cell."""
-BANDS = 12
-"""Levels of data in which the temperature dwells nowhere: bands of equal width."""
-TURNED = np.cos(np.deg2rad(5.0))
-"""A unit whose specific force turned by more is in another pose, and that begins a new run."""
-SHORTEST_RUN_S = 60.0
+BLOCK_S = 10.0  # length of a block: long against the sample noise, short against a chamber's ramps
+LEAST_COVERED = 0.5  # a block whose samples span less than this share of it is passed over
+CELL_S = 300.0  # longest cell: short against a level of half an hour.  Assumed.
+BANDS = 12  # levels of data in which the temperature dwells nowhere: bands of equal width
+COS_TURNED = np.cos(np.deg2rad(5.0))  # specific force that turned further: another pose, so another run
+SHORTEST_RUN_S = 60.0  # assumed
 ONE_WAY = "no session both warms and cools: what lag, hysteresis or warm-up do is then part of the curve"
 
 
@@ -81,24 +76,23 @@ def read_session(path: Path, count: Count = no_count) -> tuple[Record, list[str]
         lambda device: [TemperatureRate(parameters=device.temperature if device else None), RestDetector()],
         count=count,
     )
-    known = recording.name, recording.sha256(), recording.device, recording.source.axes, recording.serial
-    record = record_of(recording.blocks(), *known)
+    origin = recording.name, recording.sha256(), recording.device, recording.source.axes, recording.serial
+    record = record_of(recording.blocks(), *origin)
     if not len(record.means):
         raise bad_data(f"{path}: there is no sample in this session")
-    texts = [*recording.warnings(), *unused_keys(Setup(), recording.source.device)]
+    texts = *recording.warnings(), *unused_keys(Setup(), recording.source.device)
     return record, [f"{path}: {text}" for text in texts]
 
 
 @dataclass(frozen=True, eq=False)
-class Channel(Points):
+class CellMeans(Points):
     """A channel's means over cells, from all records.
 
-    `white` is the variance that the samples' own noise leaves in each mean, if it is white, `seconds` the
-    time at rest in its cell, and `run` goes from power-on to the next, or to another pose, (n,) each.
+    `white` is the variance that the samples' own noise leaves in each mean, if it is white, and `run` the
+    number of its run among all, (n,) each.
     """
 
     white: FloatArray
-    seconds: FloatArray
     run: IntArray
 
     def weighted(self, slow: float = 0.0) -> Self:
@@ -109,15 +103,15 @@ class Channel(Points):
         return replace(self, weight=weight / weight.mean())
 
 
-class Run(NamedTuple):
-    """A stretch in one pose without a restart, long enough: that of this number in a record of that number.
+class RestRun(NamedTuple):
+    """A stretch at rest in one pose and without a restart, long enough; `number` counts those of its record.
 
-    `rows` are its blocks at rest in the record, with the cell, the time s, temperature °C and rate °C/s of
-    each, (n,).  `up` is the direction of the specific force in body axes, (3,), NaN without accelerometers;
+    `rows` are its blocks in the record, with the cell (of all runs), the time s, temperature °C and rate °C/s
+    of each, (n,).  `up` is the direction of the specific force in body axes, (3,), NaN where it is not known;
     `earth_rate` is in body axes, rad/s, (3,), None without place, heading or accelerometers.
     """
 
-    record: int
+    record: Record
     number: int
     rows: IntArray
     cell: IntArray
@@ -128,42 +122,65 @@ class Run(NamedTuple):
     earth_rate: FloatArray | None
 
 
-class Cells(NamedTuple):
-    """Blocks at rest of all records, grouped into runs and cells: of each, over all runs, the time that it
-    stands for, s, and temperature and rate, °C and °C/s, (n,)."""
+class RestBlocks(NamedTuple):
+    """The blocks at rest of all records, run after run: of each the numbers of its run and its cell, the time
+    that it stands for, s, and temperature and its rate, °C and °C/s, (n,)."""
 
-    runs: list[Run]
+    runs: list[RestRun]
+    run: IntArray
+    cell: IntArray
     seconds: FloatArray
     temperature: FloatArray
     rate: FloatArray
 
     @property
     def rate_rms(self) -> float:
-        """Of the temperature, °C/s."""
+        """Rate of the temperature, rms over the time, °C/s."""
         return float(np.sqrt(np.average(self.rate**2, weights=self.seconds)))
 
     @property
     def turned(self) -> bool:
         """Whether not all runs are in one pose."""
-        return any(run.up @ self.runs[0].up < TURNED for run in self.runs)
+        return any(run.up @ self.runs[0].up < COS_TURNED for run in self.runs)
+
+    @property
+    def levels(self) -> FloatArray:
+        """Levels of temperature, °C upwards: where it dwelt, else the middles of bands."""
+        seconds = _sum(self.cell, self.seconds)
+        degc = _sum(self.cell, self.seconds * self.temperature) / seconds
+        width = np.ptp(degc) / BANDS
+        # The shares are assumed.  A cell that lasted long did not end by its width: the temperature dwelt.
+        order = np.argsort(degc)
+        dwelt = order[seconds[order] > 0.7 * CELL_S]
+        t, s = degc[dwelt], seconds[dwelt]
+        if len(t):
+            # Neighbours less than a quarter of a band apart are of one level.
+            level = np.cumsum(np.diff(t, prepend=t[0]) > 0.25 * width, dtype=np.int64)
+            centers = _sum(level, s * t) / _sum(level, s)
+            narrow = max(np.ptp(t[level == k]) for k in range(len(centers))) < width
+            # Bands are better where the levels are few or wide, or much of the time is between them.
+            if len(centers) >= 4 and narrow and s.sum() > 0.6 * seconds.sum():
+                return centers
+        band = np.minimum(((degc - degc.min()) / (width or 1.0)).astype(np.int64), BANDS - 1)
+        return np.array([np.average(degc[band == b], weights=seconds[band == b]) for b in np.unique(band)])
 
 
 def one_way(temperatures: Sequence[FloatArray]) -> bool:
     """Return whether no run, of these temperatures in °C, both rises and falls by a fifth of the span."""
-    enough = 0.2 * np.ptp(np.concatenate(temperatures))
     rise = [np.max(t - np.minimum.accumulate(t)) for t in temperatures]
     fall = [np.max(np.maximum.accumulate(t) - t) for t in temperatures]
-    return bool(np.minimum(rise, fall).max() <= enough)
+    return bool(np.minimum(rise, fall).max() <= 0.2 * np.ptp(np.concatenate(temperatures)))
 
 
 def _main_temperature(record: Record) -> FloatArray:
     """Return the mean of the temperatures that the channels use, °C, (n,); NaN where no gyro is at rest."""
-    columns = {name for channel in GYRO if (name := record.temperature_column(channel))}
-    mean = np.mean([record.means.of(name) for name in sorted(columns)], axis=0) if columns else np.nan
-    return np.where(record.rest & np.isfinite(sum(map(record.means.of, GYRO))), mean, np.nan)
+    columns = sorted({str(record.temperature_column(channel)) for channel in GYRO})
+    mean = np.mean([record.means.of(name) for name in columns], axis=0)
+    has_rates = np.isfinite([record.means.of(name) for name in GYRO]).all(axis=0)
+    return np.where(record.rest & has_rates, mean, np.nan)
 
 
-def group(records: Records, latitude_deg: float | None, heading_deg: float | None) -> Cells:
+def group(records: Records, latitude_deg: float | None, heading_deg: float | None) -> RestBlocks:
     """Group the blocks at rest; runs shorter than `SHORTEST_RUN_S` are left out.
 
     Within a cell the temperature stays within a hundredth of the span.
@@ -171,83 +188,70 @@ def group(records: Records, latitude_deg: float | None, heading_deg: float | Non
     temperatures = [_main_temperature(record) for record in records]
     known = np.concatenate([t[np.isfinite(t)] for t in temperatures])
     width = np.ptp(known) / 100 if len(known) else 0.0
-    runs: list[Run] = []
+    runs: list[RestRun] = []
     cells = 0
-    for number, (record, temperature) in enumerate(zip(records, temperatures, strict=True)):
-        for index, rows in enumerate(_runs(record, np.flatnonzero(np.isfinite(temperature)))):
+    for record, temperature in zip(records, temperatures, strict=True):
+        for number, rows in enumerate(_runs(record, np.flatnonzero(np.isfinite(temperature)))):
             samples = np.maximum(record.means.count[rows].max(axis=1), 2)
             # A block stands for more than it spans: n samples span n - 1 periods.
-            seconds, t = record.means.span_s[rows] * samples / (samples - 1), temperature[rows]
+            seconds = record.means.span_s[rows] * samples / (samples - 1)
             if seconds.sum() < SHORTEST_RUN_S:
                 continue
+            t = temperature[rows]
             start_s = np.asarray(record.means.start_ns[rows] * 1e-9, np.float64)
             cell = _cells(start_s, seconds, t, width) + cells
-            cells = int(cell[-1]) + 1
+            cells = cell[-1] + 1
             rate = np.gradient(t, start_s) if len(rows) > 1 else np.zeros(1)
             parts = [part[np.isfinite(part)] for part in (record.means.of(name)[rows] for name in ACCEL)]
-            accel = np.array([part.mean() if len(part) else np.nan for part in parts])
-            up, earth = accel / np.linalg.norm(accel), None
+            force = np.array([part.mean() if len(part) else np.nan for part in parts])
+            up = force / np.linalg.norm(force)
+            earth_rate = None
             if latitude_deg is not None and heading_deg is not None and np.isfinite(up).all():
                 north = north_in_body(up, np.deg2rad(heading_deg))
-                earth = earth_rate_along(up, north, np.deg2rad(latitude_deg))
-            runs.append(Run(number, index, rows, cell, seconds, t, rate, up, earth))
-    every = (
-        np.concatenate([np.empty(0), *(getattr(run, name) for run in runs)])
-        for name in ("seconds", "temperature", "rate")
+                earth_rate = earth_rate_along(up, north, np.deg2rad(latitude_deg))
+            runs.append(RestRun(record, number, rows, cell, seconds, t, rate, up, earth_rate))
+    return RestBlocks(
+        runs,
+        run=np.array([k for k, run in enumerate(runs) for _ in run.rows]),
+        cell=np.array([cell for run in runs for cell in run.cell]),
+        seconds=np.array([seconds for run in runs for seconds in run.seconds]),
+        temperature=np.array([temperature for run in runs for temperature in run.temperature]),
+        rate=np.array([rate for run in runs for rate in run.rate]),
     )
-    return Cells(runs, *every)
 
 
-def channel_of(records: Records, cells: Cells, name: str, level_centers: FloatArray) -> Channel | None:
+def channel_of(records: Records, at_rest: RestBlocks, name: str) -> CellMeans | None:
     """Return a channel's means over the cells, each of the nearest level, or None when it has no values, or
     none that vary."""
     column = records[0].temperature_column(name)
     if column is None or not all(record.means.has(name) for record in records):
         return None
     parts = []
-    for number, run in enumerate(cells.runs):
-        means, rows = records[run.record].means, run.rows
-        value = means.of(name)[rows]
+    for run in at_rest.runs:
+        means = run.record.means
+        value = means.of(name)
         if run.earth_rate is not None and name in GYRO:
-            value = value - run.earth_rate["xyz".index(name[-1])]
-        sent = value, means.mean_variance(name)[rows], means.of(column)[rows]
-        parts.append(np.column_stack([*sent, run.seconds, run.cell, np.full(len(rows), number)]))
+            value = value - run.earth_rate[GYRO.index(name)]
+        parts.append(np.column_stack([value, means.mean_variance(name), means.of(column)])[run.rows])
     blocks = np.concatenate(parts)
-    value, white, temperature, seconds, cells_of, run_of = blocks[np.isfinite(blocks).all(axis=1)].T
+    known = np.isfinite(blocks).all(axis=1)
+    value, white, temperature = blocks[known].T
     if not len(value) or np.ptp(value) == 0.0:
         return None
-    _, first, cell = np.unique(cells_of, return_index=True, return_inverse=True)
-    whole = _sum(cell, seconds)
-    share = seconds / whole[cell]
+    _, first, cell = np.unique(at_rest.cell[known], return_index=True, return_inverse=True)
+    seconds = at_rest.seconds[known]
+    cell_seconds = _sum(cell, seconds)
+    share = seconds / cell_seconds[cell]
+    centers = at_rest.levels
     mean_temperature = _sum(cell, share * temperature)
-    return Channel(
+    return CellMeans(
         temperature=mean_temperature,
         value=_sum(cell, share * value),
-        weight=whole,
-        level=np.searchsorted(0.5 * (level_centers[1:] + level_centers[:-1]), mean_temperature),
+        weight=cell_seconds,  # until `weighted`
+        level=np.searchsorted(0.5 * (centers[1:] + centers[:-1]), mean_temperature),
         white=_sum(cell, share**2 * white),
-        seconds=whole,
-        run=run_of[first].astype(np.int64),
+        run=at_rest.run[known][first],
     ).weighted()
-
-
-def levels(cells: Cells) -> FloatArray:
-    """Return the temperature levels, °C upwards: where the temperature dwelt, else the middles of bands."""
-    cell = np.concatenate([run.cell for run in cells.runs])
-    seconds = _sum(cell, cells.seconds)
-    temperature = _sum(cell, cells.seconds * cells.temperature) / seconds
-    low, width = temperature.min(), np.ptp(temperature) / BANDS
-    order = np.argsort(temperature)
-    dwelt = order[seconds[order] > 0.7 * CELL_S]
-    t, s = temperature[dwelt], seconds[dwelt]
-    if len(t):
-        cluster = np.cumsum(np.diff(t, prepend=t[0]) > 0.25 * width, dtype=np.int64)
-        center = _sum(cluster, s * t) / _sum(cluster, s)
-        tight = max(np.ptp(t[cluster == c]) for c in range(len(center))) < width
-        if len(center) >= 4 and tight and s.sum() > 0.6 * seconds.sum():
-            return center
-    band = np.minimum(((temperature - low) / (width or 1.0)).astype(np.int64), BANDS - 1)
-    return np.array([np.average(temperature[band == b], weights=seconds[band == b]) for b in np.unique(band)])
 
 
 def _sum(cell: IntArray, parts: FloatArray) -> FloatArray:
@@ -262,22 +266,23 @@ def _runs(record: Record, rows: IntArray) -> list[IntArray]:
     accel = np.column_stack([record.means.of(name)[rows] for name in ACCEL])
     with np.errstate(invalid="ignore", divide="ignore"):
         direction = accel / np.linalg.norm(accel, axis=1, keepdims=True)
-    begins, origin = [0], direction[0]
+    begins, origin = list[int](), direction[0]
     for i in range(1, len(rows)):
         # Without accelerometers the cosine is NaN, which is not less.
-        if restarted[i] or direction[i] @ origin < TURNED:
+        is_first = restarted[i] or direction[i] @ origin < COS_TURNED
+        if is_first:
             begins.append(i)
-        if begins[-1] == i or np.isnan(origin).any():
+        if is_first or np.isnan(origin).any():  # the pose of a run is that of the first block that has one
             origin = direction[i]
-    return np.split(rows, begins[1:])
+    return np.split(rows, begins)
 
 
-def _cells(time_s: FloatArray, seconds: FloatArray, temperature: FloatArray, width: float) -> IntArray:
+def _cells(start_s: FloatArray, seconds: FloatArray, temperature: FloatArray, width: float) -> IntArray:
     """Number cells of blocks in order: not longer than `CELL_S`, not wider than `width` °C."""
-    number, first = np.zeros(len(time_s), np.int64), 0
-    for i in range(1, len(time_s)):
-        over = time_s[i] + seconds[i] - time_s[first] > CELL_S + 1e-6
-        if over or abs(temperature[i] - temperature[first]) > width:
+    number, first = np.zeros(len(start_s), np.int64), 0  # and first block of the cell
+    for i in range(1, len(start_s)):
+        too_long = start_s[i] + seconds[i] - start_s[first] > CELL_S + 1e-6  # rounding is no excess
+        if too_long or abs(temperature[i] - temperature[first]) > width:
             first = i
         number[i] = number[i - 1] + (first == i)
     return number

@@ -8,12 +8,12 @@ from imumon.blocks import FloatArray
 from imumon.geodesy import MICRO_G, STANDARD_GRAVITY
 
 
-class Length(NamedTuple):
-    """What follows from |f| = g of an accelerometer triad, at the middle of the temperatures; (3,) each.
+class TriadErrors(NamedTuple):
+    """Errors of an accelerometer triad by |f| = g, at the middle of the temperatures; (3,) each.
 
     `bias` is in m/s², `scale` the excess of the scale factors over 1, whose mean includes the error of the
-    assumed gravity.  `_per_half` is the linear change up to the warm end; the bias may be as curved as the
-    declared model.  A standard deviation is infinite where the poses do not determine the parameter.
+    assumed gravity.  `_per_half` is the linear change from the middle to the warm end; the bias may be as
+    curved as the declared model.  A standard deviation is infinite where the poses do not determine it.
     `misalignment` is that of yz, xz and xy, rad; NaN with too few poses.  `before` and `after` are the rms of
     |f| - g, m/s², with and without these errors.
     """
@@ -35,37 +35,39 @@ class Length(NamedTuple):
         To first order |f| - g = u·b + g u·S u, with u the direction, b the bias, S scale and misalignment.
 
         `force` (n, 3): means of the specific force at rest, m/s².
-        `warmth` (n, d): powers of the scaled temperature that the bias may follow; the first is linear.
+        `warmth` (n, d): powers of the scaled temperature that the bias may follow, from the first on.
         """
-        poses = _distinct(force / np.linalg.norm(force, axis=1, keepdims=True))
-        if poses < 6:
+        direction = force / np.linalg.norm(force, axis=1, keepdims=True)
+        poses = _distinct(direction)
+        if poses < 6:  # unknowns: bias and scale of three axes
             return None
-        skewed = poses >= 9  # then the misalignment follows as well
-        true, found = force, np.zeros(1)
-        before = _rms(np.linalg.norm(force, axis=1) - STANDARD_GRAVITY)
+        skewed = poses >= 9  # then the three of misalignment follow as well
+        errors = _errors(direction, warmth, skewed)
+        found = np.zeros(errors.shape[2])
         for _ in range(3):  # Gauss-Newton steps: the direction depends on the errors as well
-            size = np.linalg.norm(true, axis=1, keepdims=True)
-            errors = _errors(true / size, warmth, skewed=skewed)
-            columns = np.einsum("ij,ijk->ik", true / size, errors)
-            excess = size[:, 0] - STANDARD_GRAVITY
-            values = excess if len(found) == 1 else excess + columns @ found
-            found, sd = _least_squares(columns, values)
             true = force - errors @ found
-        bias_slope, scale_slope, bias, scale = np.split(found[-12:], 4)
+            size = np.linalg.norm(true, axis=1, keepdims=True)
+            direction = true / size
+            errors = _errors(direction, warmth, skewed)
+            columns = np.einsum("ij,ijk->ik", direction, errors)
+            values = size[:, 0] - STANDARD_GRAVITY + columns @ found
+            found, sd = _least_squares(columns, values)
+        *others, bias_slope, scale_slope, bias, scale = found.reshape(-1, 3)  # in the order of `_errors`
+        *_, bias_sd, scale_sd = sd.reshape(-1, 3)
         return poses, cls(
             bias=bias,
             bias_per_half=bias_slope,
             scale=scale,
             scale_per_half=scale_slope,
-            misalignment=found[-15:-12] if skewed else np.full(3, np.nan),
-            bias_sd=sd[-6:-3],
-            scale_sd=sd[-3:],
-            before=before,
+            misalignment=others[-1] if skewed else np.full(3, np.nan),
+            bias_sd=bias_sd,
+            scale_sd=scale_sd,
+            before=_rms(np.linalg.norm(force, axis=1) - STANDARD_GRAVITY),
             after=_rms(values - columns @ found),
         )
 
     def described(self, poses: int) -> str:
-        """Return it in words."""
+        """Return bias and scale with their standard deviations as a sentence."""
         bias, bias_sd = (_listed(part / MICRO_G) for part in (self.bias, self.bias_sd))
         scale, scale_sd = (_listed(part * 1e6) for part in (self.scale, self.scale_sd))
         return (
@@ -92,39 +94,40 @@ def _least_squares(columns: FloatArray, values: FloatArray) -> tuple[FloatArray,
     norm = np.linalg.norm(columns, axis=0)
     norm = np.where(norm > 0, norm, 1.0)
     scaled = columns / norm
-    inverse = np.linalg.pinv(scaled, rcond=1e-6)
+    inverse = np.linalg.pinv(scaled, rcond=1e-6)  # below that share of the largest it is rounding.  Assumed.
     determined = np.diag(inverse @ scaled)  # 1 where the columns determine a coefficient, else less
     residual = values - scaled @ (inverse @ values)
     freedom = max(len(values) - round(determined.sum()), 1)
     variance = np.where(determined > 1.0 - 1e-3, (inverse**2).sum(axis=1), np.inf)
-    # Ten means count as one, for noise that is slow and for what a model lacks.
-    return inverse @ values / norm, np.sqrt(variance * (residual @ residual) / freedom * 10.0) / norm
+    # Ten means count as one, for noise that is slow and for what a model lacks.  Assumed.
+    sd = np.sqrt(variance * (residual @ residual) / freedom * 10.0)
+    return inverse @ values / norm, sd / norm
 
 
-def _errors(up: FloatArray, warmth: FloatArray, *, skewed: bool) -> FloatArray:
+def _errors(up: FloatArray, warmth: FloatArray, skewed: bool) -> FloatArray:
     """Return what each parameter adds to a reading, (n, 3, k).
 
-    The last twelve are the slopes over temperature of bias and scale, then bias and scale; before them, where
-    it is estimated, the misalignment.
+    Three parameters each have: the bias for each power of the temperature above the first, the misalignment
+    where it is estimated, the slopes over temperature of bias and scale, bias, and scale.
     """
-    n, unit = len(up), np.eye(3)
-    bias = np.broadcast_to(unit, (n, 3, 3))
-    scale = STANDARD_GRAVITY * up[:, :, None] * unit
+    n = len(up)
+    bias = np.broadcast_to(np.eye(3), (n, 3, 3))
+    scale = STANDARD_GRAVITY * up[:, :, None] * np.eye(3)
     misalignment = np.zeros((n, 3, 3))
     for at, (i, j) in enumerate(((1, 2), (0, 2), (0, 1))):
         misalignment[:, i, at] = STANDARD_GRAVITY * up[:, j]
         misalignment[:, j, at] = STANDARD_GRAVITY * up[:, i]
-    powers = [power[:, None, None] for power in warmth.T] or [np.zeros((n, 1, 1))]
+    powers = [power[:, None, None] for power in warmth.T] or [np.zeros((n, 1, 1))]  # d = 0: no slopes
     curved = [power * bias for power in powers[1:]]
     slopes = [powers[0] * bias, powers[0] * scale]
     return np.concatenate([*curved, *([misalignment] if skewed else []), *slopes, bias, scale], axis=2)
 
 
 def _distinct(up: FloatArray) -> int:
-    """Return how many of the directions, (n, 3), differ from one another by 20° or more."""
-    found: list[FloatArray] = []
+    """Return how many of the directions, (n, 3), differ from one another by 20° or more (assumed)."""
+    distinct: list[FloatArray] = []
     limit = np.cos(np.radians(20.0))
-    for one in up:
-        if all(one @ other < limit for other in found):
-            found.append(one)
-    return len(found)
+    for direction in up:
+        if all(direction @ other < limit for other in distinct):
+            distinct.append(direction)
+    return len(distinct)

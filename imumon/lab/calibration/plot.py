@@ -14,8 +14,7 @@ from . import SHOWN
 from .calibration import Calibration
 from .magnetometer import MagnetometerFit
 
-COLUMNS = 3
-"""Channels beside each other: those of one sensor."""
+CHANNELS_PER_ROW = 3  # those of one sensor
 
 
 def write_calibration_plot(path: Path, result: Calibration, title: str) -> None:
@@ -26,10 +25,10 @@ def write_calibration_plot(path: Path, result: Calibration, title: str) -> None:
 
     Raises OSError when the file cannot be written; one that was there before is untouched.
     """
-    columns, rows = min(COLUMNS, len(result.findings)), -(-len(result.findings) // COLUMNS)
+    columns, rows = min(CHANNELS_PER_ROW, len(result.fits)), int(np.ceil(len(result.fits) / CHANNELS_PER_ROW))
     figure = Figure(figsize=(4.8 * columns, 6.4 * rows), layout="constrained")
     grid = figure.add_gridspec(2 * rows, columns, height_ratios=(2, 1) * rows)
-    for number, name in enumerate(result.findings):
+    for number, name in enumerate(result.fits):
         row, column = divmod(number, columns)
         above, below = (figure.add_subplot(grid[2 * row + at, column]) for at in range(2))
         _draw(above, below, name, result)
@@ -39,14 +38,13 @@ def write_calibration_plot(path: Path, result: Calibration, title: str) -> None:
 
 def _draw(above: Axes, below: Axes, name: str, result: Calibration) -> None:
     """Draw a channel; an accelerometer minus its middle, as its constant is gravity's."""
-    finding, model = result.findings[name], result.model.channels[name]
+    fit, model = result.fits[name], result.model.channels[name]
     unit, factor = SHOWN[model.unit]
-    points, curve = finding.points, finding.choice.curve
+    points, curve = fit.points, fit.choice.curve
     at = np.linspace(points.temperature.min(), points.temperature.max(), 400)
     middle = curve.value(0.5 * (at[0] + at[-1])) if name in ACCEL else 0.0
     above.plot(points.temperature, factor * (points.value - middle), ".", ms=2, color="0.6", label="at rest")
-    drawn = factor * (curve.value(at) - middle)
-    above.plot(at, drawn, color="#d03c3c", lw=1.2, label=finding.choice.name)
+    above.plot(at, factor * (curve.value(at) - middle), color="#d03c3c", lw=1.2, label=fit.choice.name)
     above.set_title(name, loc="right")
     above.set(ylabel=f"bias minus its middle [{unit}]" if name in ACCEL else f"bias [{unit}]")
     noise, sd = factor * np.sqrt(points.white), factor * model.residual_sd
@@ -69,7 +67,8 @@ def write_magnetometer_plot(path: Path, fit: MagnetometerFit, title: str) -> Non
 
     Raises OSError when the file cannot be written; one that was there before is untouched.
     """
-    model, turn = fit.model, np.linspace(0.0, 2.0 * np.pi, 200)
+    model = fit.model
+    turn = np.linspace(0.0, 2.0 * np.pi, 200)
     unit = model.unit.replace("uT", "µT")
     circle = f"field, {model.field:.4g} {unit}"
     readings = fit.readings[:: 1 + len(fit.readings) // 1500]  # more make the file large, and hide each other

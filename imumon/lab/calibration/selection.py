@@ -7,19 +7,19 @@ from typing import NamedTuple
 import numpy as np
 from scipy.sparse.csgraph import connected_components
 
-from imumon.blocks import FloatArray
+from imumon.blocks import FloatArray, IntArray
 from imumon.models.curves.network import fit_network, weights_of
 from imumon.models.curves.points import Points, folds
 from imumon.models.curves.polynomial import fit_polynomial
 from imumon.models.curves.spline import fit_spline, penalised_basis
 from imumon.models.model import Curve
 
-from .cells import Channel
+from .cells import CellMeans
 
-MOST_NEURONS = 3
-FOLDS = 5
-"""Every fifth of the inner levels is left out at a time."""
-Fit = Callable[[Points], Curve]
+MOST_ORDER = 9  # of a polynomial.  Assumed.
+MOST_NEURONS = 3  # in a layer of a network: `crs05-soak` needs as many
+FOLDS = 5  # every fifth of the inner levels is left out at a time
+Fitter = Callable[[Points], Curve]
 
 
 class Choice(NamedTuple):
@@ -36,34 +36,35 @@ class Choice(NamedTuple):
     fit_rms: float
 
 
-def candidates(points: Points, knots: FloatArray) -> dict[str, Fit]:
+def candidate_curves(points: Points, knots: FloatArray) -> dict[str, Fitter]:
     """Return what the data can support, the simplest first, by the name in reports and in the model file.
 
     A curve may have at most so many coefficients that those levels which remain in a fold determine them.
     """
     levels = len(np.unique(points.level))
-    remaining = levels - max(1, -(-(levels - 2) // FOLDS))
-    orders = range(1, min(9, remaining - 1) + 1)
-    found: dict[str, Fit] = {f"polynomial {k}": partial(fit_polynomial, order=k) for k in orders}
-    found["spline"] = partial(fit_spline, knots=knots)
+    remaining = levels - int(np.ceil((levels - 2) / FOLDS))  # without the largest fold
+    orders = range(1, min(MOST_ORDER, remaining - 1) + 1)  # order k has k + 1 coefficients
+    fitters: dict[str, Fitter] = {f"polynomial {k}": partial(fit_polynomial, order=k) for k in orders}
+    fitters["spline"] = partial(fit_spline, knots=knots)
     for n in range(1, MOST_NEURONS + 1):
-        if 2 * weights_of(n) <= len(points) and remaining > 2 * n + 1:
-            found[f"network {n}"] = partial(fit_network, neurons=n)
-    return found
+        # It counts as a polynomial of order 2 n + 1, and needs two means for each weight.  Assumed.
+        if remaining > 2 * n + 1 and len(points) >= 2 * weights_of(n):
+            fitters[f"network {n}"] = partial(fit_network, neurons=n)
+    return fitters
 
 
-def choose(points: Channel, knots: FloatArray) -> Choice:
+def choose(points: CellMeans, knots: FloatArray) -> Choice:
     """Try every candidate on levels left out, and fit the best to all points."""
-    tried = candidates(points, knots)
-    residuals = {name: held_out(points, fit) for name, fit in tried.items()}
+    fitters = candidate_curves(points, knots)
+    residuals = {name: held_out(points, fitter) for name, fitter in fitters.items()}
     rms = {name: _rms(points, residual) for name, residual in residuals.items()}
-    # A simpler curve is preferred whose error is at most 5 % above the least.
-    best = next(name for name in tried if rms[name] <= 1.05 * min(rms.values()))
-    curve = tried[best](points)
+    # A simpler curve is preferred whose error is at most 5 % above the least.  Assumed.
+    best = next(name for name in fitters if rms[name] <= 1.05 * min(rms.values()))
+    curve = fitters[best](points)
     known = np.isfinite(residuals[best])
-    # Of the square at least a tenth is left.
-    noise = np.average(points.white[known], weights=points.weight[known])
-    beyond_white = max(rms[best] ** 2 - noise, 0.1 * rms[best] ** 2)
+    white = np.average(points.white[known], weights=points.weight[known])
+    # The noise is an estimate as well: at least a tenth of the square is left.  Assumed.
+    beyond_white = max(rms[best] ** 2 - white, 0.1 * rms[best] ** 2)
     return Choice(
         name=best,
         curve=curve,
@@ -73,15 +74,15 @@ def choose(points: Channel, knots: FloatArray) -> Choice:
     )
 
 
-def held_out(points: Points, fit: Fit) -> FloatArray:
+def held_out(points: Points, fitter: Fitter) -> FloatArray:
     """Return the residual of each mean to a curve fitted without its level, (n,); NaN at the two edges."""
     residual = np.full(len(points), np.nan)
     for out in folds(points.level, FOLDS):
-        residual[out] = points.value[out] - fit(points.only(~out)).value(points.temperature[out])
+        residual[out] = points.value[out] - fitter(points.only(~out)).value(points.temperature[out])
     return residual
 
 
-def slow_variance(points: Channel, knots: FloatArray) -> float:
+def slow_variance(points: CellMeans, knots: FloatArray) -> float:
     """Return the variance that the means have about a smooth curve beyond the white noise."""
     residual = points.value - fit_spline(points, knots).value(points.temperature)
     return max(float(np.mean(residual**2 - points.white)), 0.0)
@@ -92,27 +93,28 @@ def _rms(points: Points, residual: FloatArray) -> float:
     return float(np.sqrt(np.average(residual[known] ** 2, weights=points.weight[known])))
 
 
-def turn_on_offsets(points: Channel, runs: int, knots: FloatArray) -> FloatArray:
-    """Return the offset of each run, (runs,) in the channel's unit; NaN where it cannot be determined.
-
-    A run is compared only where others were at the same temperatures: with no level in common, an offset and
-    a bend of the curve are the same.  The mean over the runs that can be compared is 0.
-    """
-    # Those that levels in common join, directly or through others, to the one with most data.
-    visited = np.zeros((runs, int(points.level.max()) + 1), np.int64)
+def comparable_runs(points: CellMeans) -> IntArray:
+    """Return the runs that levels in common join, directly or through others, to the one with most data."""
+    visited = np.zeros((points.run.max() + 1, points.level.max() + 1), np.int64)
     visited[points.run, points.level] = 1
     _, group = connected_components(visited @ visited.T, directed=False)
-    together = np.flatnonzero(group == group[np.argmax(np.bincount(points.run, minlength=runs))])
-    offset = np.full(runs, np.nan)
-    offset[together] = 0.0
-    if len(together) < 2:
-        return offset
-    points = points.only(np.isin(points.run, together))
+    return np.flatnonzero(group == group[np.argmax(np.bincount(points.run))])
+
+
+def turn_on_offsets(points: CellMeans, runs: IntArray, knots: FloatArray) -> FloatArray:
+    """Return the offset of each of the comparable runs, (n,) in the channel's unit; their mean is 0.
+
+    Others have none: without a level in common, an offset and a bend of the curve are the same.
+    """
+    if len(runs) < 2:
+        return np.zeros(1)
+    # The offset of the first run is 0 for now; the others are estimated beside the curve.
     basis, penalty = penalised_basis(points, knots)
-    root, m = np.sqrt(points.weight), len(penalty)
-    design = np.hstack([basis, points.run[:, None] == together[1:]]) * root[:, None]
+    splines = len(penalty)
+    root = np.sqrt(points.weight)
+    design = np.hstack([basis, points.run[:, None] == runs[1:]]) * root[:, None]
     normal = design.T @ design
-    normal[:m, :m] += 1e-6 * penalty  # enough to make the curve unique that they are estimated beside
-    own = np.append(0.0, np.linalg.solve(normal, design.T @ (points.value * root))[m:])
-    offset[together] = own - own.mean()
-    return offset
+    normal[:splines, :splines] += 1e-6 * penalty  # small, for where no data determines the curve
+    others = np.linalg.solve(normal, design.T @ (points.value * root))[splines:]
+    from_first = np.append(0.0, others)
+    return np.asarray(from_first - from_first.mean())

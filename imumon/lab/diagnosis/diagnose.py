@@ -22,7 +22,7 @@ from imumon.models.curves.polynomial import CUBIC
 from imumon.models.model import BiasModel
 
 from ..calibration.cells import ONE_WAY, one_way
-from ..calibration.gravity import Length
+from ..calibration.gravity import TriadErrors
 from . import prepare
 from .blocks import LEAST_PARTS, Blocks, at_poses, common_block_s, survey, white_floor
 from .candidates import Channel, OffsetPer, Training, least_squares
@@ -71,7 +71,7 @@ class Diagnosis:
     test: Blocks
     caveats: list[str] = field(default_factory=list)
     model: BiasModel | None = None
-    length: Length | None = None
+    length: TriadErrors | None = None
     options: str = "--train SESSION"
 
     @property
@@ -175,13 +175,13 @@ def _prepared(
     return Prepared(training, temperature_names, degree, tested, search_train, offset_per, model)
 
 
-def _length(data: Prepared, remarks: list[str]) -> Length | None:
+def _length(data: Prepared, remarks: list[str]) -> TriadErrors | None:
     """Return what |f| = g determines of the accelerometers in several poses, and add that in words."""
     forces = [force for run in data.train if (force := run.force) is not None]
     if len(channels_of(["accel"], data.temperature_names)) < 3 or len(forces) < len(data.train):
         return None
     warmth = _channels(data, ["accel_x"], "pose", data.train)[0].base[:, 1 : data.degree + 1]
-    poses, length = Length.from_poses(np.concatenate(forces), warmth) or (0, None)
+    poses, length = TriadErrors.from_poses(np.concatenate(forces), warmth) or (0, None)
     if length:
         remarks.append(length.described(poses))
     return length

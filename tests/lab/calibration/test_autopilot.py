@@ -42,6 +42,12 @@ def model(degree: int = 3, kinds: str = "gyro accel", span: tuple[float, float] 
     return BiasModel(made_by="a test", created="2026-01-01T00:00:00Z", channels=channels)
 
 
+def incomplete() -> BiasModel:
+    """Return a model without the x axis of its only sensor."""
+    unit = model(kinds="gyro")
+    return unit.model_copy(update={"channels": {name: unit.channels[name] for name in ("gyro_y", "gyro_z")}})
+
+
 def of_ardupilot(text: str) -> dict[str, float]:
     return {name: float(value) for name, value in (line.split(",") for line in text.splitlines())}
 
@@ -105,11 +111,18 @@ def test_px4_has_the_constant_of_gyros_and_none_of_accelerometers() -> None:
     assert taken == pytest.approx(float(force.value(55.0) - force.value(25.0)), abs=0.02 * force.residual_sd)
 
 
+def test_px4_has_the_identifier_of_the_accelerometers_where_the_gyros_have_no_curve() -> None:
+    found = of_px4(parameters(model(kinds="accel"), "px4", 0, (2490378, 2621450))[0])
+    assert found["TC_A0_ID"] == (2621450.0, 6)
+    assert "TC_G0_ID" not in found
+
+
 @pytest.mark.parametrize(
     ("unit", "autopilot", "said"),
     [
         (model(span=(20.0, 28.0)), "ardupilot", "known from 20.0 to 28.0 °C only"),
         (model(), "px4", "finds the calibration of a sensor by its identifier"),
+        (incomplete(), "ardupilot", "no sensor of the model has a curve on each of x, y and z"),
     ],
 )
 def test_what_an_autopilot_could_not_use_is_refused(unit: BiasModel, autopilot: Autopilot, said: str) -> None:

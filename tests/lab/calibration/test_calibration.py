@@ -13,7 +13,7 @@ from imumon.geodesy import EARTH_RATE
 from imumon.intake import Intake
 from imumon.lab.calibration import selection
 from imumon.lab.calibration.calibration import Calibration, calibrate
-from imumon.lab.calibration.cells import channel_of, group, levels, record_of
+from imumon.lab.calibration.cells import channel_of, group, record_of
 from imumon.models.curves.points import folds
 from imumon.models.curves.polynomial import fit_polynomial
 from imumon.protocols.ranges import Ranges
@@ -55,18 +55,18 @@ def test_the_residual_is_that_of_the_truth(soaked: Calibration) -> None:
 
 
 def test_points_scatter_about_the_curve_by_the_noise_of_their_samples(soaked: Calibration) -> None:
-    for finding in soaked.findings.values():
-        points = finding.points
-        left = points.value - finding.choice.curve.value(points.temperature)
+    for fit in soaked.fits.values():
+        points = fit.points
+        left = points.value - fit.choice.curve.value(points.temperature)
         assert 0.8 < np.sqrt(np.mean(left**2 / points.white)) < 1.4
 
 
 def test_every_kind_of_curve_was_tried_and_the_worst_is_not_chosen(soaked: Calibration) -> None:
-    for finding in soaked.findings.values():
-        rms = finding.choice.held_out_rms
+    for fit in soaked.fits.values():
+        rms = fit.choice.held_out_rms
         assert {"polynomial 1", "polynomial 9", "spline", "network 1", "network 2", "network 3"} <= set(rms)
-        assert rms[finding.choice.name] <= 1.05 * min(rms.values())
-        assert rms["polynomial 1"] > 10 * rms[finding.choice.name]
+        assert rms[fit.choice.name] <= 1.05 * min(rms.values())
+        assert rms["polynomial 1"] > 10 * rms[fit.choice.name]
 
 
 def test_the_model_states_where_it_comes_from(soaked: Calibration) -> None:
@@ -87,7 +87,7 @@ def test_a_split_by_sample_shows_no_error_where_levels_left_out_do() -> None:
     t = np.repeat([*np.arange(-20.53, 46.0, 5.0), 48.08], 1800)
     records = [record(t)]
     cells = group(records, None, None)
-    points = channel_of(records, cells, "gyro_z", levels(cells))
+    points = channel_of(records, cells, "gyro_z")
     assert points is not None
     part = np.random.default_rng(0).permutation(len(points)) % 20
     curve = fit_polynomial(points.only(part < 13), 12)
@@ -112,14 +112,14 @@ def test_turn_on_offsets_are_found_and_the_curve_is_their_mean() -> None:
     records = [record(t, f"s{i}", seed=i, offset=offset) for i, offset in enumerate(offsets)]
     found = calibrate(records)
     for j, name in enumerate(GYROS):
-        finding = found.findings[name]
-        np.testing.assert_allclose(finding.offset / DEG_H, (offsets - offsets.mean()) / DEG_H, atol=1.0)
-        assert finding.repeatability is not None
-        assert finding.repeatability / DEG_H == pytest.approx(np.std([0, 30, -12], ddof=1), abs=1.0)
+        fit = found.fits[name]
+        np.testing.assert_allclose(fit.offset / DEG_H, (offsets - offsets.mean()) / DEG_H, atol=1.0)
+        assert fit.repeatability is not None
+        assert fit.repeatability / DEG_H == pytest.approx(np.std([0, 30, -12], ddof=1), abs=1.0)
         expected = true_bias(INSIDE)[:, j] + offsets.mean()
         assert errors(found.model.channels[name].value(INSIDE), expected) < 2.5
     assert [run.session for run in found.model.trained_on] == ["s0", "s1", "s2"]
-    assert found.model.trained_on[1].offset["gyro_x"] == found.findings["gyro_x"].offset[1]
+    assert found.model.trained_on[1].offset["gyro_x"] == found.fits["gyro_x"].offset[1]
 
 
 @pytest.mark.usefixtures("fast")
@@ -127,10 +127,26 @@ def test_runs_without_a_common_temperature_get_no_offset_and_that_is_reported() 
     t = soak(600.0)
     half = len(t) // 2
     found = calibrate([record(t[:half], "cold"), record(t[half + 500 :], "warm", seed=1)])
-    assert np.isnan(found.findings["gyro_x"].offset).any()
+    assert np.isnan(found.fits["gyro_x"].offset).any()
     assert any(
         "have no temperature in common with the others: taken as they are" in text for text in found.warnings
     )
+
+
+@pytest.mark.usefixtures("fast")
+def test_accelerometers_at_fewer_than_three_common_temperatures_have_no_curve_and_that_is_reported() -> None:
+    ripple = 0.2 * np.sin(np.arange(900) / 100.0)
+    alone = [
+        record(degc + ripple, seed=i, accel=(0.0, 0.0, GRAVITY)) for i, degc in enumerate((0, 10, 20, 30))
+    ]
+    block = samples(soak(300.0), accel=(0.0, 0.0, GRAVITY))
+    elsewhere = np.abs(np.arange(len(block)) - 3100) > 100
+    once = block.with_columns({name: np.where(elsewhere, np.nan, block[name]) for name in ACCELS})
+    for records in (alone, [record_of([once], "accelerometers at one level", "0" * 64)]):
+        found = calibrate(records)
+        assert set(found.model.channels) == set(found.fits) == set(GYROS)
+        for name in ACCELS:
+            assert f"{name}: fewer than 3 temperature levels: no curve" in found.warnings
 
 
 @pytest.mark.usefixtures("fast")
@@ -140,7 +156,7 @@ def test_a_last_run_without_accelerometers_has_no_offset_of_theirs() -> None:
     found = calibrate([record_of(parts, "three runs", "0" * 64)])
     runs = found.model.trained_on
     assert [set(run.offset) for run in runs] == [{*GYROS, *ACCELS}, {*GYROS, *ACCELS}, set(GYROS)]
-    assert np.isnan(found.findings["accel_z"].offset).tolist() == [False, False, True]
+    assert np.isnan(found.fits["accel_z"].offset).tolist() == [False, False, True]
     assert not any("in common" in text for text in found.warnings)
 
 
@@ -173,7 +189,7 @@ def test_a_restart_within_a_session_is_a_run_of_its_own() -> None:
     blocks = [samples(t, 0), samples(t, 1, offset=20.0 * DEG_H, segment=1)]
     found = calibrate([record_of(blocks, "s", "0" * 64)])
     assert [run.run for run in found.model.trained_on] == [0, 1]
-    assert np.ptp(found.findings["gyro_y"].offset) / DEG_H == pytest.approx(20.0, abs=1.5)
+    assert np.ptp(found.fits["gyro_y"].offset) / DEG_H == pytest.approx(20.0, abs=1.5)
 
 
 @pytest.mark.usefixtures("fast")
@@ -205,9 +221,9 @@ def test_a_bias_that_is_another_in_each_pose_is_reported_and_gravity_is_no_turn_
     down, up = (samples(t, accel=(0.0, 0.0, sign * GRAVITY)) for sign in (-1.0, 1.0))
     up = up.with_columns({"gyro_x": up["gyro_x"] + np.radians(20.0) / 3600.0})
     found = calibrate([record_of([one], name, name * 64) for name, one in (("0", down), ("1", up))])
-    assert found.cells.turned
+    assert found.at_rest.turned
     assert [text for text in found.warnings if text.startswith("gyro_x: the bias differs by 14.1 °/h")]
-    assert found.findings["accel_z"].repeatability is None
+    assert found.fits["accel_z"].repeatability is None
     assert "accel_z" not in found.model.trained_on[0].offset
 
 
@@ -277,6 +293,16 @@ def test_what_cannot_give_a_model_is_refused_with_its_numbers(
     assert caught.value.reason is Reason.BAD_DATA
     assert said in caught.value.seen
     assert caught.value.hint
+
+
+def test_gyros_that_change_in_motion_only_are_refused() -> None:
+    t = soak(300.0)
+    moving = np.arange(len(t)) > len(t) - 400
+    turns = np.where(moving, 0.3 * np.random.default_rng(1).standard_normal(len(t)), 0.0)
+    block = samples(t).with_columns({**dict.fromkeys(GYROS, turns), "at_rest": np.where(moving, 0, 1)})
+    with pytest.raises(ImumonError, match="no gyro ever changes at rest") as caught:
+        calibrate([record_of([block], "bench", "0" * 64)])
+    assert caught.value.reason is Reason.BAD_DATA
 
 
 def test_half_of_a_place_is_refused() -> None:

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.errors import ImumonError
-from imumon.lab.calibration.magnetometer import WAYS, Axes, axes_of, doubts, fit_magnetometer
+from imumon.lab.calibration.magnetometer import WAYS, MagnetometerAxes, axes_of, doubts, fit_magnetometer
 from imumon.models.model import MagnetometerModel
 
 FIELD = np.array([2.0, 20.0, -43.0])
@@ -44,7 +44,7 @@ def turns(
     return SampleBlock(columns | {f"mag_{a}": mag[:, j] for j, a in enumerate("xyz")})
 
 
-def found(block: SampleBlock) -> tuple[MagnetometerModel, Axes | None]:
+def found(block: SampleBlock) -> tuple[MagnetometerModel, MagnetometerAxes | None]:
     parts = [block.rows(0, 333), block.rows(333, len(block))]
     model = fit_magnetometer(parts, "uT", "test").model
     return model, axes_of(parts, model)
