@@ -18,33 +18,27 @@ BLOCK_S = 30.0
 LEAST_BLOCKS = 40
 """Of a training: ten for each coefficient of a cubic."""
 PARTS = 15
-"""Of a block, whose differences show its white noise, where it has so many slots; 29 at most..."""
+"""Parts of a block whose differences show its white noise, at least, where it has so many slots."""
 LEAST_PARTS = 3
-"""...and in any case: two of their differences, less their mean, are not zero."""
+"""Parts that a block of few slots has: two differences, less their mean, are not zero."""
 BESIDE = 4
 """Slots on either side of a turn of the unit that are compared."""
 
 
 @dataclass(frozen=True, eq=False)
 class RunBlocks:
-    """One run as means over n blocks at rest, of nominal length `block_s`; `pose` numbers their poses from 0.
-
-    `time_s`, the mean time of the samples since power-on, is (n,), as are `white`, the variance of the white
-    noise over that of a full block, each `mean` of a channel, in SI units, and each `temperature`, in °C.
-    The `drives` of the effects, for each temperature, have all slots, with gaps bridged, and so has `weight`:
-    samples in a slot over those of a whole one.  A block is a gap where these make less than half of it.
-    """
+    """One run as means over n blocks at rest; a block with less than half of its samples is left out."""
 
     run: Run
-    block_s: float
-    time_s: FloatArray
-    white: FloatArray
-    mean: dict[str, FloatArray]
-    temperature: dict[str, FloatArray]
-    drives: dict[str, Drive]
-    weight: FloatArray
+    block_s: float  # nominal length
+    time_s: FloatArray  # mean time of its samples since power-on, (n,)
+    white: FloatArray  # variance of the white noise over that of a full block, (n,)
+    mean: dict[str, FloatArray]  # of each channel, SI units, (n,)
+    temperature: dict[str, FloatArray]  # °C, (n,)
+    drives: dict[str, Drive]  # what drives effects, for each temperature, of all slots, with gaps bridged
+    weight: FloatArray  # samples in a slot at rest over those of a whole one, (slots,)
     slots_per_block: int
-    pose: IntArray
+    pose: IntArray  # number of its pose, from 0, (n,)
 
     @property
     def force(self) -> FloatArray | None:
@@ -62,51 +56,54 @@ class RunBlocks:
 
     def average(self, columns: FloatArray) -> FloatArray:
         """Return block means (n, k) of columns (slots, k), or (n,) of values (slots,)."""
-        means, share = _block_means(columns.reshape(len(self.weight), -1), self.weight, self.slots_per_block)
-        return means[share >= 0.5].reshape(len(self), *columns.shape[1:])
+        return _averaged(columns, self.weight, self.slots_per_block)[0]
 
 
 Blocks = Sequence[RunBlocks]
 
 
 def make_blocks(
-    run: Run,
-    channels: Names,
-    temperatures: Names,
-    drivers: Names = (),
-    block_s: float = BLOCK_S,
+    run: Run, channels: Names, temperatures: Names, drivers: Names = (), block_s: float = BLOCK_S
 ) -> RunBlocks:
     """Return means over the slots at rest with samples of every channel; `drivers` may drive effects, too."""
     valid = run.at_rest & np.isfinite([run.mean[name] for name in channels]).all(axis=0)
     drives = _drives(run, temperatures, drivers)
     accel = next((drive.accel for drive in drives.values()), None)
     slots = max(1, round(block_s / run.slot_s))
-    pose, resting = (np.zeros(len(valid), np.int64), valid) if accel is None else poses(accel, valid)
-    valid = in_one_pose(resting, pose, slots)
+    pose = np.zeros(len(valid), np.int64)
+    if accel is not None:
+        pose, valid = poses(accel, valid)
+    valid = in_one_pose(valid, pose, slots)
     count = run.count[channels[0]]
     some = count > 0
     whole = some & np.append(some[1:], False) & np.append(False, some[:-1])  # no gap cuts it
     weight = np.zeros(len(valid))
     if valid.any():
         weight[valid] = count[valid] / count[whole if whole.any() else some].mean()
-    values = [np.where(valid, run.mean[name], 0.0) for name in channels]
-    temperature = [drive.temperature_degc for drive in drives.values()]
-    every = np.column_stack([run.time_s, pose, *values, *temperature])
-    means, share = _block_means(every, weight, slots)
-    keep = share >= 0.5
-    time_s, number, *columns = means[keep].T
+    time_s, share = _averaged(run.time_s, weight, slots)
     return RunBlocks(
         run=run,
         block_s=block_s,
         time_s=time_s,
-        white=1.0 / share[keep],
-        mean=dict(zip(channels, columns, strict=False)),
-        temperature=dict(zip(drives, columns[len(channels) :], strict=True)),
+        white=1.0 / share,
+        mean={name: _averaged(np.where(valid, run.mean[name], 0.0), weight, slots)[0] for name in channels},
+        temperature={n: _averaged(drive.temperature_degc, weight, slots)[0] for n, drive in drives.items()},
         drives=drives,
         weight=weight,
         slots_per_block=slots,
-        pose=np.rint(number).astype(np.int64),
+        pose=np.rint(_averaged(pose, weight, slots)[0]).astype(np.int64),
     )
+
+
+def _averaged(values: FloatArray | IntArray, weight: FloatArray, width: int) -> tuple[FloatArray, FloatArray]:
+    """Return weighted means over blocks of so many slots, (n, ...) of (slots, ...), and the share of a full
+    one's weight that each has, (n,).  Those with less than half of it are left out."""
+    starts = np.arange(0, len(weight), width)
+    total = np.add.reduceat(weight, starts)
+    keep = total / width >= 0.5
+    sums = np.add.reduceat(values.reshape(len(weight), -1) * weight[:, None], starts, axis=0)
+    means = sums[keep] / total[keep, None]
+    return means.reshape(len(means), *values.shape[1:]), total[keep] / width
 
 
 def _drives(run: Run, temperatures: Names, drivers: Names) -> dict[str, Drive]:
@@ -116,9 +113,9 @@ def _drives(run: Run, temperatures: Names, drivers: Names) -> dict[str, Drive]:
         for name in (*ACCEL, *drivers, *temperatures)
         if name in run.mean and (known := np.isfinite(run.mean[name])).sum() > 1
     }
-    accel, others = SampleBlock(bridged).accel, {name: bridged[name] for name in drivers if name in bridged}
-    there = [name for name in temperatures if name in bridged]
-    return {name: Drive(run.time_s, bridged[name], accel, others) for name in there}
+    accel = SampleBlock(bridged).accel
+    others = {name: bridged[name] for name in drivers if name in bridged}
+    return {n: Drive(run.time_s, bridged[n], accel, others) for n in temperatures if n in bridged}
 
 
 def poses(force: FloatArray, resting: BoolArray) -> tuple[IntArray, BoolArray]:
@@ -127,19 +124,22 @@ def poses(force: FloatArray, resting: BoolArray) -> tuple[IntArray, BoolArray]:
 
     `force` is the specific force in m/s², (n, 3); slots that are not `resting` have the pose before them.
     """
-    at, still = np.flatnonzero(resting), resting.copy()
-    turns = np.zeros(len(force), np.int64)
-    if len(at) > 2 * BESIDE:
-        total = np.cumsum(np.vstack([np.zeros(3), force[at]]), axis=0)
+    turns, still = np.zeros(len(force), np.int64), resting.copy()
+    slots = np.flatnonzero(resting)
+    if len(slots) > 2 * BESIDE:
+        total = np.cumsum(np.vstack([np.zeros(3), force[slots]]), axis=0)
         means = (total[BESIDE:] - total[:-BESIDE]) / BESIDE
+        # change[i] leads from the mean of the resting slots i to i + 3 to that of i + 4 to i + 7.
         change = np.abs(means[BESIDE:] - means[:-BESIDE]).max(axis=1)
-        # 0.1 m/s² is 0.6° of tilt: from power-on to power-on accelerometers repeat better.
+        # 0.1 m/s² is 0.6° of tilt: accelerometers repeat better from power-on to power-on.  Eight: assumed.
         turned = change > max(0.1, 8.0 * np.median(change))
         edges = np.flatnonzero(np.diff(np.concatenate([[False], turned, [False]])))
         for start, stop in edges.reshape(-1, 2).tolist():
-            turns[at[start + np.argmax(change[start:stop]) + BESIDE]] = 1
-            beside = at[start : stop + 2 * BESIDE - 1]
-            still[beside] &= beside[-1] - beside[0] >= len(beside)  # no gap: rest is declared
+            # The next pose begins with the slot behind the largest change.
+            turns[slots[start + np.argmax(change[start:stop]) + BESIDE]] = 1
+            compared = slots[start : stop + 2 * BESIDE - 1]
+            # A turn that was detected is a gap; without one it is in slots that are declared at rest.
+            still[compared] &= compared[-1] - compared[0] >= len(compared)
     return np.cumsum(turns), still
 
 
@@ -155,11 +155,11 @@ def in_one_pose(valid: BoolArray, pose: IntArray, slots: int) -> BoolArray:
 def at_poses(run: RunBlocks) -> RunBlocks:
     """Return a run in which the specific force that drives effects is the mean of its pose: a reading that is
     to be explained must not explain its own noise."""
-    force, middle = run.force, 0.5 * (run.time_s[1:] + run.time_s[:-1])
-    if force is None:
+    if (force := run.force) is None:
         return run
-    level = np.array([force[run.pose == pose].mean(axis=0) for pose in run.pose])
-    accel = level[np.searchsorted(middle, run.run.time_s)]
+    of_pose = np.array([force[run.pose == pose].mean(axis=0) for pose in run.pose])
+    between_blocks_s = 0.5 * (run.time_s[1:] + run.time_s[:-1])
+    accel = of_pose[np.searchsorted(between_blocks_s, run.run.time_s)]
     return replace(run, drives={name: replace(drive, accel=accel) for name, drive in run.drives.items()})
 
 
@@ -171,16 +171,7 @@ def common_block_s(runs: Runs) -> float:
     """
     shortest_s = 6 * max(run.slot_s for run in runs)
     least_s = max(BLOCK_S, max(run.duration_s for run in runs) / 1200)
-    return shortest_s * -(-least_s // shortest_s)
-
-
-def _block_means(columns: FloatArray, weight: FloatArray, width: int) -> tuple[FloatArray, FloatArray]:
-    """Return weighted means over blocks of so many slots, and the sum of weights over that of a full one."""
-    starts = np.arange(0, len(weight), width)
-    count = np.add.reduceat(weight, starts)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        means = np.add.reduceat(columns * weight[:, None], starts, axis=0) / count[:, None]
-    return means, count / width
+    return shortest_s * float(np.ceil(least_s / shortest_s))
 
 
 class WhiteFloor(NamedTuple):
@@ -191,7 +182,18 @@ class WhiteFloor(NamedTuple):
 
 
 def white_floor(channel: str, blocks: Blocks) -> WhiteFloor:
-    """Return the white floor of a channel from the scatter inside blocks, the rms over these blocks.
+    """Return the white floor of a channel: rms over the blocks, logs of several rates each by itself."""
+    widths = sorted({run.slots_per_block for run in blocks})
+    if len(widths) == 1:
+        return _floor_of_one_rate(channel, blocks)
+    of_rates = [[run for run in blocks if run.slots_per_block == width] for width in widths]
+    floors = [(_floor_of_one_rate(channel, runs), sum(map(len, runs))) for runs in of_rates]
+    variance = sum(number * floor.sd**2 for floor, number in floors) / sum(map(len, blocks))
+    return WhiteFloor(np.sqrt(variance), floors[0][0].source)
+
+
+def _floor_of_one_rate(channel: str, blocks: Blocks) -> WhiteFloor:
+    """Return the white floor from the scatter inside blocks.
 
     It is half the mean square difference of neighbouring parts of a block (an Allan variance), of a fifteenth
     of it or less (2 s of 30 s): an output filter makes shorter ones too small and rounding too large, flicker
@@ -199,30 +201,31 @@ def white_floor(channel: str, blocks: Blocks) -> WhiteFloor:
     block lacks readings, its parts have fewer slots; where parts have none, or the same ones, neighbouring
     blocks are compared.  The clock's is that of the delays at both ends of a block.
     """
-    if len(widths := {one.slots_per_block for one in blocks}) > 1:  # logs of several rates, each by itself
-        alike = [[one for one in blocks if one.slots_per_block == width] for width in sorted(widths)]
-        floors = [(white_floor(channel, logs), sum(map(len, logs))) for logs in alike]
-        variance = sum(number * one.sd**2 for one, number in floors) / sum(map(len, blocks))
-        return WhiteFloor(np.sqrt(variance), floors[0][0].source)
-    slots, gaps = blocks[0].slots_per_block, np.concatenate([run.white for run in blocks]).mean()
-    every = [np.where(one.weight > 0.0, one.run.mean[channel], np.nan) for one in blocks]
-    values = [rows[: len(rows) // slots * slots].reshape(-1, slots) for rows in every]
-    step = max(1, slots // PARTS)
-    number = slots // step
-    parts, count = _means(np.concatenate(values)[:, : number * step].reshape(-1, number, step))
-    whole = (count == step).all(axis=1)
+    slots = blocks[0].slots_per_block
+    of_runs = [np.where(run.weight > 0.0, run.run.mean[channel], np.nan) for run in blocks]
+    in_blocks = [values[: len(values) // slots * slots].reshape(-1, slots) for values in of_runs]
+    # What gaps add to the variance of a full block, on the average.
+    by_gaps = np.concatenate([run.white for run in blocks]).mean()
+    width = max(1, slots // PARTS)  # slots of a part
+    number = slots // width
+    parts, count = _means(np.concatenate(in_blocks)[:, : number * width].reshape(-1, number, width))
+    whole = (count == width).all(axis=1)
     used = whole if whole.any() else (count > 0).all(axis=1)
     differences = np.diff(parts[used], axis=1)
-    if channel == CLOCK or not differences.any():  # no step leads from one run to the next
-        rates = [part for each in values for part in (_means(each)[0], [np.nan])]
-        sd = block_noise(np.concatenate(rates)) * np.sqrt(gaps)
+    if channel == CLOCK or not differences.any():
+        # NaN between runs: no step leads from one to the next.
+        means = [values for blocks_of_run in in_blocks for values in (_means(blocks_of_run)[0], [np.nan])]
+        sd = block_noise(np.concatenate(means)) * np.sqrt(by_gaps)
         return WhiteFloor(sd, "delays at the ends of blocks" if channel == CLOCK else "neighbouring blocks")
     spread = differences - differences.mean(axis=1, keepdims=True)
-    slots_of_part = step if whole.any() else 1.0 / np.mean(1.0 / count[used])
-    # The mean of k differences is (last - first) / k, which holds 2 / k² of the variance.
-    of_part = np.mean(spread**2) / (2.0 * (1.0 - 1.0 / (number - 1) ** 2))
-    sd = np.sqrt(of_part * slots_of_part / slots * gaps)
-    return WhiteFloor(sd, f"means of {step * blocks[0].run.slot_s:.0f} s inside blocks")
+    # The mean of k differences is (last - first) / k, and takes 2 / k² of the variance away; `LEAST_PARTS`
+    # and the six slots of `common_block_s` see to it that k is 2 or more.
+    k = number - 1
+    of_part = np.mean(spread**2) / (2.0 * (1.0 - 1.0 / k**2))
+    of_slot = of_part * (width if whole.any() else 1.0 / np.mean(1.0 / count[used]))
+    of_full_block = of_slot / slots
+    sd = np.sqrt(of_full_block * by_gaps)
+    return WhiteFloor(sd, f"means of {width * blocks[0].run.slot_s:.0f} s inside blocks")
 
 
 def _means(values: FloatArray) -> tuple[FloatArray, IntArray]:
@@ -237,17 +240,15 @@ def survey(runs: Blocks, temperatures: Iterable[str], degree: int) -> Survey:
     of_all = {name: np.concatenate([run.temperature[name] for run in runs]) for name in temperatures}
     temperature = max(of_all, key=lambda name: np.ptp(of_all[name]))
     low, high = float(of_all[temperature].min()), float(of_all[temperature].max())
-    backlash = 0.2 * (high - low)
     forces = [force for run in runs if (force := run.force) is not None]
     others = {}
     for name in runs[0].drives[temperature].others:
         values = np.concatenate([run.average(run.drives[temperature].others[name]) for run in runs])
-        half_span = 0.5 * float(np.ptp(values)) or 1.0
-        others[name] = Scale(0.5 * float(values.min() + values.max()), half_span)
+        others[name] = Scale(0.5 * float(values.min() + values.max()), 0.5 * float(np.ptp(values)) or 1.0)
     return Survey(
         durations_s=[float(run.time_s[-1]) + run.block_s / 2 for run in runs],
         span_degc=high - low,
-        reversals=sum(_reversals(run.temperature[temperature], backlash) for run in runs),
+        reversals=sum(_reversals(run.temperature[temperature], 0.2 * (high - low)) for run in runs),
         accel_range=max((np.ptp(force, axis=0).max() for force in forces), default=0.0),
         block_s=runs[0].block_s,
         degree=degree,

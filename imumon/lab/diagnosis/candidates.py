@@ -32,31 +32,30 @@ ALL_RUNS = -1
 
 
 class Term(NamedTuple):
-    """One column of Z: the index of a column that `Training` has made, and the number of the run outside of
-    which it is zero, or `ALL_RUNS`.  Terms of one `spectrum` of time constants (-1: none) have one sign: with
-    both, by generalised least squares, the candidate explains nothing."""
+    """One column of Z.
 
-    column: int
-    run: int
-    spectrum: int = -1
+    Terms of one `spectrum` of time constants have one sign: with both, by generalised least squares, the
+    candidate explains nothing.
+    """
+
+    column: int  # index of a column that `Training` has made
+    run: int  # number of the run outside of which it is zero, or `ALL_RUNS`
+    spectrum: int = -1  # -1: of none
 
 
 class Part(NamedTuple):
-    """An effect, and the numbers of the runs with separate coefficients of it (none: they are shared)."""
+    """An effect with shared or separate coefficients."""
 
     effect: Effect
-    separate_runs: tuple[int, ...] = ()
+    separate_runs: tuple[int, ...] = ()  # numbers of the runs with separate coefficients; none: shared
 
 
 class Candidate(NamedTuple):
-    """What may be added at once: one part, or more.
-
-    With `free_start` the state at each power-on is fitted, too.  `choice_price` is 2 ln(choices) of (3).
-    """
+    """What may be added at once: one part, or two that are shared."""
 
     parts: tuple[Part, ...]
-    free_start: bool = False
-    choice_price: float = 0.0
+    free_start: bool = False  # whether the state at each power-on is fitted, too
+    choice_price: float = 0.0  # 2 ln(choices) of (3)
 
     @property
     def family(self) -> str:
@@ -82,19 +81,15 @@ class Candidate(NamedTuple):
         """Return candidates with one parameter of one part changed, closer at each level."""
         may_start = self.parts[0].effect.free_start and level == 0 and len(self.parts) == 1
         return ([self._replace(free_start=not self.free_start)] if may_start else []) + [
-            self.with_effect(at, effect)
-            for at, part in enumerate(self.parts)
+            self.with_effect(number, effect)
+            for number, part in enumerate(self.parts)
             for effect in part.effect.refined(survey, level)
         ]
 
-    def with_effect(self, at: int, effect: Effect) -> "Candidate":
-        """Return it with another effect in part number `at`."""
-        part = self.parts[at]._replace(effect=effect)
-        return self._replace(parts=(*self.parts[:at], part, *self.parts[at + 1 :]))
-
-
-Model = Sequence[Candidate]
-"""What a model has beside its base."""
+    def with_effect(self, number: int, effect: Effect) -> "Candidate":
+        """Return it with another effect in one part."""
+        part = self.parts[number]._replace(effect=effect)
+        return self._replace(parts=(*self.parts[:number], part, *self.parts[number + 1 :]))
 
 
 def candidates(survey: Survey, kinds: Iterable[str]) -> list[Candidate]:
@@ -108,18 +103,17 @@ def candidates(survey: Survey, kinds: Iterable[str]) -> list[Candidate]:
         if kind.scope == "event":
             for run, duration_s in enumerate(survey.durations_s):
                 found += [Candidate((Part(one, (run,)),)) for one in grid if one.fits_in(duration_s, survey)]
-            continue
-        if kind.scope == "run":
+        elif kind.scope == "run":
             found += [Candidate((Part(effect, every_run[1:]),)) for effect in grid]
-            continue
-        shared = [Candidate((Part(effect),)) for effect in grid]
-        driven = [effect for driver in survey.others for effect in kind.driven(survey, driver)]
-        found += [*shared, *(Candidate((Part(effect),), choice_price=price) for effect in driven)]
-        found += [Candidate(_late_curve(effect, survey)) for effect in kind.of_curve(survey)]
-        if kind.free_start:
-            found += [one._replace(free_start=True) for one in shared]
-        if kind.scope == "either" and survey.runs > 1:
-            found += [Candidate((Part(effect, every_run),)) for effect in grid]
+        else:
+            shared = [Candidate((Part(effect),)) for effect in grid]
+            driven = [effect for driver in survey.others for effect in kind.driven(survey, driver)]
+            found += [*shared, *(Candidate((Part(effect),), choice_price=price) for effect in driven)]
+            found += [Candidate(_late_curve(effect, survey)) for effect in kind.of_curve(survey)]
+            if kind.free_start:
+                found += [candidate._replace(free_start=True) for candidate in shared]
+            if kind.scope == "either" and survey.runs > 1:
+                found += [Candidate((Part(effect, every_run),)) for effect in grid]
     return found
 
 
@@ -133,16 +127,12 @@ def _late_curve(late: Effect, survey: Survey) -> tuple[Part, ...]:
 
 
 class Scored(NamedTuple):
-    """A candidate with its gain (4) over a model.
-
-    `linear_gain` is the gain without the price of theta and of the choice.  `partner` is the family beside
-    which it gains so much, where neither gains it alone; else empty.
-    """
+    """A candidate with its gain (4) over a model."""
 
     candidate: Candidate
     gain: float
-    linear_gain: float
-    partner: str = ""
+    linear_gain: float  # the gain without the price of theta and of the choice
+    partner: str = ""  # the family beside which it gains so much, where neither gains it alone
 
 
 GainTable = Mapping[str, Scored]
@@ -151,22 +141,17 @@ GainTable = Mapping[str, Scored]
 
 @dataclass(eq=False)
 class Finding:
-    """An effect that the search added to a channel, or that is `of_present_model`, with refined theta.
-
-    `gain` is that over the model before it, `gain_over_axes` the same summed over the axes that show it, and
-    `family_gains` has the gain of each family at that stage.  `removed_rms` is what it took away from the
-    training then, in the channel's unit; `partner` is that of `Scored`.  `by_test`: only the test proves it.
-    `alternatives` are the best candidates of other families that these data do not separate from it.
-    """
+    """An effect that the search added to a channel, or that is `of_present_model`, with refined theta."""
 
     candidate: Candidate
-    gain: float = 0.0
-    gain_over_axes: float = 0.0
-    family_gains: dict[str, float] = field(default_factory=dict)
+    gain: float = 0.0  # over the model before it
+    gain_over_axes: float = 0.0  # the same, summed over the axes that show it
+    family_gains: dict[str, float] = field(default_factory=dict)  # of each family at that stage
+    # The best candidates of other families that these data do not separate from it.
     alternatives: dict[str, Candidate] = field(default_factory=dict)
-    removed_rms: float = 0.0
-    partner: str = ""
-    by_test: bool = False
+    removed_rms: float = 0.0  # what it took away from the training then, in the channel's unit
+    partner: str = ""  # that of `Scored`
+    by_test: bool = False  # only the test proves it
     of_present_model: bool = False
 
     @property
@@ -221,43 +206,41 @@ class Training:
         ]
         return np.ascontiguousarray(np.reshape(rows, (len(terms), len(run_of_block))).T)
 
-    def design(self, model: Model) -> FloatArray:
-        """Return Z of (1) for some candidates, (n, k): of each its coefficients, then its free start."""
-        return self.matrix([term for one in model for terms in self.terms(one) for term in terms])
+    def design(self, model: Sequence[Candidate]) -> FloatArray:
+        """Return Z of (1) for the candidates of a model, (n, k): columns of each, then of its free start."""
+        return self.matrix([term for candidate in model for terms in self.terms(candidate) for term in terms])
 
     def _indices(self, effect: Effect, method: str) -> range:
         """Return where the columns are that a method of an effect returns; they are made if need be."""
         key = (id(effect), method)  # the effect is kept beside it, so that no other can have its id
         if key not in self._made:
-            make, first = getattr(effect, method), len(self._columns)
+            make, made = getattr(effect, method), len(self._columns)
             means = [run.average(make(run.drives[self.temperature_name])) for run in self.runs]
             self._columns += [*np.concatenate(means).T]
-            self._made[key] = effect, range(first, len(self._columns))
+            self._made[key] = effect, range(made, len(self._columns))
         return self._made[key][1]
 
 
 @dataclass(frozen=True, eq=False)
 class Channel:
-    """One axis of a sensor with its declared model, over training and test; its unit is `unit`.
+    """One axis of a sensor with its declared model, over training and test.
 
     The declared model is a polynomial of u = (T - middle) / half span, T in °C, whose constant is one for all
-    runs, or one for each run or pose.  `floor` is the white noise of a block mean.
-
-    `faults`: what is wrong with its samples, and the rms that this alone makes of a smooth bias, below which
-    no effect can be found; infinite where nothing that is fitted would be the bias.
-    `present_effects`: those of the present model, whose curve is off the means already; None without one.
-    `fixed_effects`: those of them that stay as they are; a search begins with the others, fitted anew.
+    runs, or one for each run or pose.
     """
 
     name: str
-    floor: WhiteFloor
+    floor: WhiteFloor  # the white noise of a block mean
     degree: int
     offset_per: OffsetPer
     training: Training
     test: Blocks
+    # What is wrong with its samples, and the rms that this alone makes of a smooth bias, below which no
+    # effect can be found; infinite where nothing that is fitted would be the bias.
     faults: Mapping[str, float] = field(default_factory=dict)
+    # Those of the present model, whose curve is off the means already; None without one.
     present_effects: tuple[Effect, ...] | None = None
-    fixed_effects: tuple[Effect, ...] = ()
+    fixed_effects: tuple[Effect, ...] = ()  # those of them that stay as they are; others are fitted anew
 
     @property
     def unit(self) -> str:
@@ -329,8 +312,7 @@ class Channel:
         """y of (1), (n,): training block means less the effects that stay as they are."""
         means = np.concatenate([run.mean[self.name] for run in self.training.runs])
         for effect in self.fixed_effects:
-            columns = self.training.design([Candidate((Part(effect),))])
-            means = means - columns @ effect.coefficients
+            means = means - self.training.design([Candidate((Part(effect),))]) @ effect.coefficients
         return means
 
     @cached_property
@@ -342,15 +324,19 @@ class Channel:
         constants, which = self.offsets
         return np.column_stack([columns, which[:, None] == np.arange(1, len(constants))]).astype(float)
 
-    def design(self, model: Model) -> FloatArray:
+    def design(self, model: Sequence[Candidate]) -> FloatArray:
         """Return [X Z] of (1), (n, p + k)."""
         return np.column_stack([self.base, self.training.design(model)])
 
-    def residual_rms(self, model: Model) -> float:
+    def residual_rms(self, model: Sequence[Candidate]) -> float:
         """Return the rms that ordinary least squares leave of training with a model."""
         design = self.design(model)
-        residual = self.y - design @ least_squares(design, self.y)
-        return float(np.sqrt(np.mean(residual**2)))
+        return root_mean_square(self.y - design @ least_squares(design, self.y))
+
+
+def root_mean_square(values: FloatArray) -> float:
+    """Return the rms of values; NaN without any."""
+    return float(np.sqrt(np.mean(values**2))) if len(values) else np.nan
 
 
 def least_squares(columns: FloatArray, values: FloatArray) -> FloatArray:

@@ -41,43 +41,34 @@ ON_POSES = (
 
 
 class Prepared(NamedTuple):
-    """What is diagnosed: training and test in blocks, and what is declared of them.
-
-    `temperature_names` has the temperature of each channel, `degree` is that of the declared polynomial.
-    With a present `model`, its curve is off the blocks already.  The search is in the shorter blocks of
-    `search_train`; where there are none, in those of `train`.
-    """
+    """What is diagnosed: training and test in blocks, and what is declared of them."""
 
     train: Blocks
-    temperature_names: Mapping[str, str]
-    degree: int
+    temperature_names: Mapping[str, str]  # the temperature of each channel
+    degree: int  # of the declared polynomial
     test: Blocks = ()
-    search_train: Blocks = ()
+    search_train: Blocks = ()  # the training in the shorter blocks of the search; empty: in those of `train`
     offset_per: OffsetPer = "all"
-    model: BiasModel | None = None
+    model: BiasModel | None = None  # the present model, whose curve is off the blocks already
 
 
 @dataclass
 class Diagnosis:
-    """Verdicts on all channels, and caveats of the data.
-
-    `model` is the present one, or None.  `length` is what follows from |f| = g in several poses, `options`
-    are those of the command that made it, all but the test and the folder.
-    """
+    """Verdicts on all channels, and caveats of the data."""
 
     declared: str
     verdicts: list[ChannelVerdict]
     train: Blocks
     test: Blocks
     caveats: list[str] = field(default_factory=list)
-    model: BiasModel | None = None
-    length: TriadErrors | None = None
-    options: str = "--train SESSION"
+    model: BiasModel | None = None  # the present one
+    length: TriadErrors | None = None  # what follows from |f| = g in several poses
+    options: str = "--train SESSION"  # those of the command that made it, but for the test and the folder
 
     @property
     def held_out(self) -> bool:
         """Whether the test is part of the one run that there is."""
-        return any(one.run.woven for one in self.test)
+        return any(run.run.woven for run in self.test)
 
 
 def parse_declared(text: str) -> tuple[int, OffsetPer]:
@@ -119,10 +110,11 @@ def diagnose(
     for sensor in sensors:
         if names := channels_of([sensor], data.temperature_names):
             axes = likeliest(search_sensor(data, names, effects_for(names[0]), progress=progress))
-            base, found = axes[0].channel.offset_per, [axis.channel for axis in axes]
-            scored = zip(_channels(data, names, base, data.train), found, strict=True)
-            like = [replace(one, degree=by.degree, fixed_effects=by.fixed_effects) for one, by in scored]
-            verdicts += map(decide, axes, like)
+            # What is scored is in longer blocks, over the base that was likeliest in the search.
+            base = axes[0].channel.offset_per
+            for axis, channel in zip(axes, _channels(data, names, base, data.train), strict=True):
+                same = replace(channel, degree=axis.channel.degree, fixed_effects=axis.channel.fixed_effects)
+                verdicts.append(decide(axis, same))
             if names[0].startswith("gyro") and any(run.pose.any() for run in data.train):
                 remarks.append(f"several poses: {ON_POSES[base == 'pose']}")
     return Diagnosis(declared, verdicts, data.train, data.test, remarks, model, _length(data, remarks))
@@ -150,7 +142,8 @@ def _prepared(
     temperatures = [*dict.fromkeys(temperature_names.values())]
     effects = [effect for name in names for effect in model.channels[name].effects] if model else []
     others = prepare.usable_drivers(train, test, [*temperatures, *names], drivers, effects, remarks)
-    columns, block_s = (names, temperatures, others), common_block_s([*train, *test])
+    columns = names, temperatures, others
+    block_s = common_block_s([*train, *test])
     training = prepare.usable_blocks(train, *columns, block_s, remarks, model, training=True)
     tested = prepare.usable_blocks(test, *columns, block_s, remarks, model)
     span = survey(training, temperatures, degree)
@@ -170,9 +163,9 @@ def _prepared(
             "one training run: what depends on time and what depends on temperature may look alike"
         )
     # The same runs and no others: separate coefficients have the number of their run.
-    search_train = [one.in_blocks_of(search_block_s(training)) for one in training]
-    degree = degree if span.thermal else 0
-    return Prepared(training, temperature_names, degree, tested, search_train, offset_per, model)
+    search_train = [run.in_blocks_of(search_block_s(training)) for run in training]
+    curve_degree = degree if span.thermal else 0
+    return Prepared(training, temperature_names, curve_degree, tested, search_train, offset_per, model)
 
 
 def _length(data: Prepared, remarks: list[str]) -> TriadErrors | None:
@@ -188,11 +181,7 @@ def _length(data: Prepared, remarks: list[str]) -> TriadErrors | None:
 
 
 def search_sensor(
-    data: Prepared,
-    axes: Names,
-    kinds: Names,
-    stages: int = STAGES,
-    progress: Progress = lambda _: None,
+    data: Prepared, axes: Names, kinds: Names, stages: int = STAGES, progress: Progress = lambda _: None
 ) -> list[list[AxisSearch]]:
     """Return the search in the axes of a sensor over each base that is possible, a list of its axes each.
 
@@ -207,8 +196,7 @@ def search_sensor(
     found = []
     for offset_per in possible:
         channels = _channels(data, axes, offset_per, blocks)
-        temperatures = [data.temperature_names[name] for name in axes]
-        span = survey(channels[0].training.runs, temperatures, data.degree)
+        span = survey(channels[0].training.runs, [data.temperature_names[n] for n in axes], data.degree)
         found.append(search(channels, span, kinds, stages, progress))
         if any(channel.refits_model for channel in channels):
             fixed = [channel.with_model_fixed() for channel in channels]
@@ -218,7 +206,7 @@ def search_sensor(
 
 def search_block_s(blocks: Blocks) -> float:
     """Return the length of the blocks to search in, s: three slots or more, which show the white floor."""
-    longest, slots = max(map(len, blocks)), min(one.slots_per_block for one in blocks)
+    longest, slots = max(map(len, blocks)), min(run.slots_per_block for run in blocks)
     fractions = [number for number in BLOCK_FRACTIONS if slots >= LEAST_PARTS * number]
     enough = (number for number in fractions if number * longest >= LEAST_SEARCH_BLOCKS)
     return blocks[0].block_s / next(enough, fractions[-1])
@@ -228,15 +216,19 @@ def _channels(data: Prepared, names: Names, offset_per: OffsetPer, blocks: Block
     test = data.test
     if offset_per == "pose":
         blocks, test = ([at_poses(run) for run in runs] for runs in (blocks, test))
-    temperatures = dict.fromkeys(data.temperature_names[name] for name in names)
+    temperatures = {data.temperature_names[name] for name in names}
     trainings = {temperature: Training(blocks, temperature) for temperature in temperatures}
     found = []
     for name in names:
-        training, floor = trainings[data.temperature_names[name]], white_floor(name, blocks)
-        effects = None
-        if data.model:  # what is a polynomial is part of the curve
-            effects = tuple(one for one in data.model.channels[name].effects if one.polynomial() is None)
-        faults = prepare.faults([one.run for one in blocks], name, floor.sd)
+        training = trainings[data.temperature_names[name]]
+        floor = white_floor(name, blocks)
+        faults = prepare.faults([run.run for run in blocks], name, floor.sd)
+        # What is a polynomial is part of the curve.
+        effects = (
+            tuple(effect for effect in data.model.channels[name].effects if effect.polynomial() is None)
+            if data.model
+            else None
+        )
         found.append(Channel(name, floor, data.degree, offset_per, training, test, faults, effects))
     return found
 
@@ -249,6 +241,7 @@ def likeliest(searched: Sequence[list[AxisSearch]], *, live: bool = False) -> li
     `PROVEN_GAIN`: what they explain as well is no effect.  Larger ones are refused.  Live their number has no
     price: one session has hardly more poses than a sensitivity to g has coefficients.
     """
+    # Where poses are the only base there is nothing to prefer them to.
     several = len({axes[0].channel.offset_per for axes in searched}) > 1
 
     def order(every: list[AxisSearch]) -> float:
@@ -258,16 +251,15 @@ def likeliest(searched: Sequence[list[AxisSearch]], *, live: bool = False) -> li
             criterion -= PROVEN_GAIN
         if axes[0].channel.offset_per != "pose" or not several:
             return criterion
-        number = 0
         for channel, model in ((axis.channel, axis.model) for axis in axes):
             coefficients = least_squares(channel.design(model), channel.y)
             # Less the first of all; those of another run have another turn-on bias, too.
             constants = np.append(0.0, coefficients[channel.degree + 1 : channel.base.shape[1]])
-            runs, number = channel.offsets[0][:, 0], number + len(constants) - 1
+            runs = channel.offsets[0][:, 0]
             # By the earth rate, and 5 % of a gyro's scale, those in two poses differ by no more.
             if max(np.ptp(constants[runs == run]) for run in np.unique(runs)) > 2.1 * EARTH_RATE:
                 return -np.inf
-        price = math.log(len(axes[0].channel.y)) * number
-        return criterion + PROVEN_GAIN + (price if live else 0.0)
+        number = sum(len(axis.channel.offsets[0]) - 1 for axis in axes) if live else 0
+        return criterion + PROVEN_GAIN + math.log(len(axes[0].channel.y)) * number
 
     return max(searched, key=order)

@@ -28,8 +28,8 @@ def extended_model(diagnosis: Diagnosis) -> BiasModel:
 
     A jump, a turn-on offset and an amplitude that is another in each run are in the report alone.
     """
-    present, recorded = diagnosis.model, [one for one in diagnosis.train if one.run.origin]
-    found = {one.name: _channel(one, present) for one in with_model(diagnosis)}
+    present, recorded = diagnosis.model, [blocks for blocks in diagnosis.train if blocks.run.origin]
+    found = {verdict.name: _channel(verdict, present) for verdict in with_model(diagnosis)}
     channels = (present.channels if present else {}) | found
     trained = [*map(trained_on, recorded)]
     earlier = present.trained_on if present and len(channels) > len(found) else []
@@ -37,13 +37,13 @@ def extended_model(diagnosis: Diagnosis) -> BiasModel:
         "made_by": f"imumon {__version__}",
         "created": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}",
         "block_s": diagnosis.train[0].block_s,
-        "trained_on": [*(one for one in earlier if one not in trained), *trained],
+        "trained_on": [*(run for run in earlier if run not in trained), *trained],
         "channels": channels,
     }
     if present:
         return present.model_copy(update=update)
     for name in ("device", "serial"):
-        distinct = {getattr(one.run.origin, name) for one in recorded}
+        distinct = {getattr(blocks.run.origin, name) for blocks in recorded}
         update |= {name: distinct.pop()} if len(distinct) == 1 else {}
     return BiasModel(**update)
 
@@ -89,10 +89,10 @@ def refitted(present: ChannelModel, channel: Channel, fitted: Fit, residual_sd: 
     total, others = Polynomial(fitted.declared, domain=[low, high]), list[Effect]()
     lasting = [part.effect.with_start(part.start) for part in fitted.parts if part.carries_over]
     update: dict[str, Any] = {"residual_sd": residual_sd, "held_out_rms": {}, "effects": others}
-    if total.degree() > 0 or any(one.polynomial() is not None for one in lasting):
+    if total.degree() > 0 or any(effect.polynomial() is not None for effect in lasting):
         margin, (lowest, highest) = (WIDENED - 1.0) * half, present.temperature_range_degc
         update["temperature_range_degc"] = [max(low - margin, lowest), min(high + margin, highest)]
-    for effect in (*(one for one in present.effects if one.polynomial() is not None), *lasting):
+    for effect in (*(effect for effect in present.effects if effect.polynomial() is not None), *lasting):
         shape = effect.polynomial()
         if shape is None or shape.degree() > HIGHEST_ORDER:
             others.append(effect)

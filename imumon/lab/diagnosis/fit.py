@@ -9,13 +9,12 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import solve_triangular
 
 from imumon.blocks import BoolArray, FloatArray, IntArray
 from imumon.effects.base import Drive, Effect, Survey
 
 from .blocks import RunBlocks
-from .candidates import Candidate, Channel, Model, Part, least_squares, pseudo_inverse
+from .candidates import Candidate, Channel, Part, least_squares, pseudo_inverse, root_mean_square
 from .likelihood import Likelihood
 
 LEAST_TEST_BLOCKS = 10
@@ -25,22 +24,17 @@ LEAST_OFFSET_BLOCKS = 4
 
 
 class FittedPart(NamedTuple):
-    """An effect of a fitted model, with the coefficients that carry over.
-
-    `coefficients` are in the unit of the channel per unit of the column, (separate runs, k); where they are
-    shared `separate_runs` is empty, and they are (1, k).  `start` are those of `Effect.start_columns`,
-    (runs, m); empty when the start is not free.
-    """
+    """An effect of a fitted model; its own coefficients are those that carry over, the mean of the runs'."""
 
     effect: Effect
-    separate_runs: tuple[int, ...]
-    coefficients: FloatArray
-    start: FloatArray
+    separate_runs: tuple[int, ...]  # runs with coefficients of their own; none: they are shared
+    coefficients: FloatArray  # unit of the channel per unit of the column, (separate runs or 1, k)
+    start: FloatArray  # those of `Effect.start_columns`, (runs, m); empty when the start is not free
 
     @property
     def carries_over(self) -> bool:
         """Whether it predicts another run: its coefficients are shared, or nearly the same in every run, none
-        further from their mean than 0.35 of it."""
+        further from their mean than 0.35 of it (assumed)."""
         mean = self.coefficients.mean(axis=0)
         spread = np.linalg.norm(self.coefficients - mean, axis=1).max()
         same = self.effect.scope == "either" and spread <= 0.35 * float(np.linalg.norm(mean))
@@ -52,19 +46,17 @@ class FittedPart(NamedTuple):
 
 
 class Fit(NamedTuple):
-    """An extended model fitted by ordinary least squares; `residual` is y less it, (n,).
+    """An extended model fitted by ordinary least squares.
 
-    `declared` are the coefficients of the powers of u, (degree + 1,), with the constant to predict another
-    run by: the mean of the constants of runs or poses, of which further ones are differences from the first,
-    plus `mean_of_separate`, that over training of what does not carry over, such as jumps.
-    `constant_weights`, (p + k,), has the weight of each coefficient of [X Z] in it.
+    The declared constant is the one to predict another run by: the mean of the constants of runs or poses,
+    plus the mean over training of what does not carry over, such as jumps.
     """
 
-    declared: FloatArray
-    constant_weights: FloatArray
-    mean_of_separate: float
+    declared: FloatArray  # coefficients of the powers of u, (degree + 1,)
+    constant_weights: FloatArray  # weight of each coefficient of [X Z] in the declared constant, (p + k,)
+    mean_of_separate: float  # mean over training of what does not carry over
     parts: list[FittedPart]
-    residual: FloatArray
+    residual: FloatArray  # y less the model, (n,)
 
     @property
     def train_rms(self) -> float:
@@ -77,34 +69,40 @@ class Fit(NamedTuple):
         return any(part.carries_over for part in self.parts)
 
 
-def fit(channel: Channel, model: Model) -> Fit:
+def fit(channel: Channel, model: Sequence[Candidate]) -> Fit:
     """Fit the declared model and candidates to training by ordinary least squares."""
-    design, n_base, n_powers = channel.design(model), channel.base.shape[1], channel.degree + 1
+    design = channel.design(model)
     coefficients = least_squares(design, channel.y)
-    constant_weights, no_start = np.zeros(len(coefficients)), np.empty((0, 0))
-    constant_weights[0], constant_weights[n_powers:n_base] = 1.0, 1.0 / (n_base - n_powers + 1)
+    n_powers, n_base = channel.degree + 1, channel.base.shape[1]
+    # Constants are b_0, and b_0 plus each of the other coefficients of X: the mean of all has these weights.
+    constant_weights = np.zeros(len(coefficients))
+    constant_weights[0] = 1.0
+    constant_weights[n_powers:n_base] = 1.0 / (n_base - n_powers + 1)
+    no_start = np.empty((0, 0))
     parts = [FittedPart(one, (), np.array([one.coefficients]), no_start) for one in channel.fixed_effects]
-    for candidate, where, starts in _layout(channel, model):
-        runs = len(channel.training.runs) if candidate.free_start else 0
-        start_of_parts = coefficients[starts].reshape(len(candidate.parts), runs, -1 if runs else 0)
-        rows_of_parts = _by_part(candidate, coefficients[where])
-        for part, rows, start in zip(candidate.parts, rows_of_parts, start_of_parts, strict=True):
+    for candidate, of_effects, of_start in _layout(channel, model):
+        # A candidate with a free start has one part.
+        n_runs = len(channel.training.runs)
+        start = coefficients[of_start].reshape(n_runs, -1) if candidate.free_start else no_start
+        for part, rows in zip(candidate.parts, _by_part(candidate, coefficients[of_effects]), strict=True):
             effect = part.effect.with_coefficients(rows.mean(axis=0))
             parts.append(FittedPart(effect, part.separate_runs, rows, start))
+        # One part stands for all: where a candidate has two, both are shared, and carry over.
         if not parts[-1].carries_over:
-            constant_weights[where] = design[:, where].mean(axis=0)
+            constant_weights[of_effects] = design[:, of_effects].mean(axis=0)
     declared = np.append(constant_weights @ coefficients, coefficients[1:n_powers])
     mean_of_separate = float(constant_weights[n_base:] @ coefficients[n_base:])
     return Fit(declared, constant_weights, mean_of_separate, parts, channel.y - design @ coefficients)
 
 
-def _layout(channel: Channel, model: Model) -> Iterator[tuple[Candidate, slice, slice]]:
-    """Yield each candidate with its columns of the design, and those of its free start."""
-    at = channel.base.shape[1]
-    for one in model:
-        of_effect, of_start = map(len, channel.training.terms(one))
-        yield one, slice(at, at + of_effect), slice(at + of_effect, at + of_effect + of_start)
-        at += of_effect + of_start
+def _layout(channel: Channel, model: Sequence[Candidate]) -> Iterator[tuple[Candidate, slice, slice]]:
+    """Yield each candidate with its columns of the design: those of its effects, and of its free start."""
+    first = channel.base.shape[1]
+    for candidate in model:
+        n_effects, n_start = map(len, channel.training.terms(candidate))
+        middle = first + n_effects
+        yield candidate, slice(first, middle), slice(middle, middle + n_start)
+        first = middle + n_start
 
 
 def _by_part(candidate: Candidate, values: FloatArray) -> list[FloatArray]:
@@ -117,23 +115,18 @@ def _by_part(candidate: Candidate, values: FloatArray) -> list[FloatArray]:
 class Score(NamedTuple):
     """How a model does on runs that it was not fitted to, in the unit of the channel; NaN without a test.
 
-    *Predicted*, as `rms` is: by what carries over; nothing of the test is used but a constant where the
-    declared model has one for each run or pose.  *Estimated*: with what does not carry over fitted to the
-    test itself.  Of each run there are both residuals, and which blocks count, (n,).
-
-    `coverage` is the share of the blocks inside the trained temperatures, `scored_share` that of those which
-    count: after the state at power-on is forgotten.  `continues_training`: whether a run of the test
-    continues a training run with separate coefficients.
+    *Predicted*: by what carries over; nothing of the test is used but a constant where the declared model has
+    one for each run or pose.  *Estimated*: with what does not carry over fitted to the test itself.
     """
 
-    rms: float
+    rms: float  # predicted
     estimated_rms: float
-    coverage: float
-    scored_share: float
-    predicted_residual: list[FloatArray]
+    coverage: float  # share of the blocks inside the trained temperatures
+    scored_share: float  # share of these that count: after the state at power-on is forgotten
+    predicted_residual: list[FloatArray]  # of each run, (n,)
     estimated_residual: list[FloatArray]
-    counts: list[BoolArray]
-    continues_training: bool
+    counts: list[BoolArray]  # which blocks count
+    continues_training: bool  # whether a run continues a training run with separate coefficients
 
     @property
     def smaller_rms(self) -> float:
@@ -141,30 +134,33 @@ class Score(NamedTuple):
         return float(np.fmin(self.rms, self.estimated_rms))
 
 
-def score_test(channel: Channel, model: Fit, settled_as: Fit | None = None) -> Score:
+def score_test(channel: Channel, fitted: Fit, settled_as: Fit | None = None) -> Score:
     """Return how a fitted model does on the test runs, within the trained temperatures.
 
     Blocks count after the state at power-on is forgotten, of the model `settled_as` where one is given: the
     same for the models that are compared.
     """
-    trained, predicted, estimated, counts, inside = channel.temperature, [], [], [], 0
-    begun_in, continues = [run.run.name for run in channel.training.runs], False
+    trained = channel.temperature
+    names = [run.run.name for run in channel.training.runs]
+    temperature_name = channel.training.temperature_name
+    predicted, estimated, counts = [], [], []
+    inside, continues = 0, False
     for run in channel.test:
         # The training run that it continues; None where it has its own power-on.
-        continued = begun_in.index(run.run.begun_in) if run.run.begun_in in begun_in else None
-        continues |= any(part.known_in(continued) for part in model.parts)
-        temperature = channel.training.temperature_name
-        t, drive = run.temperature[temperature], run.drives[temperature]
+        continued = names.index(run.run.begun_in) if run.run.begun_in in names else None
+        continues |= any(part.known_in(continued) for part in fitted.parts)
+        t, drive = run.temperature[temperature_name], run.drives[temperature_name]
         counting = (t >= trained.min()) & (t <= trained.max())
         inside += int(counting.sum())
-        for part in (settled_as or model).parts:
+        for part in (settled_as or fitted).parts:
+            # All of a block has to be settled: a mean of 1, but for rounding.
             counting &= run.average(part.effect.settled(drive).astype(np.float64)) > 0.99
-        residual = run.mean[channel.name] - _predicted_bias(channel, run, drive, model, continued)
+        residual = run.mean[channel.name] - _predicted_bias(channel, run, drive, fitted, continued)
         if channel.offset_per != "all":
             residual, counting = _without_offsets(residual, counting, channel.offset_numbers(run))
         predicted.append(residual)
-        not_carried = [part for part in model.parts if not (part.carries_over or part.known_in(continued))]
-        estimated.append(residual - _estimated_bias(channel, run, drive, not_carried, residual, counting))
+        unknown = [part for part in fitted.parts if not (part.carries_over or part.known_in(continued))]
+        estimated.append(residual - _estimated_bias(channel, run, drive, unknown, residual, counting))
         counts.append(counting)
     coverage = inside / sum(map(len, counts)) if channel.test else np.nan
     scored_share = sum(int(part.sum()) for part in counts) / max(inside, 1) if channel.test else np.nan
@@ -172,38 +168,39 @@ def score_test(channel: Channel, model: Fit, settled_as: Fit | None = None) -> S
     return Score(rms, estimated_rms, coverage, scored_share, predicted, estimated, counts, continues)
 
 
-def root_mean_square(values: FloatArray) -> float:
-    """Return the rms of values; NaN without any."""
-    return float(np.sqrt(np.mean(values**2))) if len(values) else np.nan
-
-
 def _rms_of(residuals: Sequence[FloatArray], counts: Sequence[BoolArray]) -> float:
-    values = np.concatenate([np.empty(0), *(one[of] for one, of in zip(residuals, counts, strict=True))])
+    values = np.concatenate([np.empty(0), *(r[c] for r, c in zip(residuals, counts, strict=True))])
     return root_mean_square(values) if len(values) >= LEAST_TEST_BLOCKS else np.nan
 
 
 def _without_offsets(
     residual: FloatArray, counting: BoolArray, numbers: IntArray
 ) -> tuple[FloatArray, BoolArray]:
-    """Return a residual less a constant for each number, and which blocks count: of numbers with enough."""
+    """Return a residual less its mean over the blocks of each number, and which blocks count: those of
+    numbers with enough of them."""
     member = numbers[:, None] == np.unique(numbers)
-    number = member[counting].sum(axis=0)
-    mean = residual[counting] @ member[counting] / np.maximum(number, 1)
-    return residual - member @ mean, counting & (member @ (number >= LEAST_OFFSET_BLOCKS))
+    size = member[counting].sum(axis=0)
+    mean = residual[counting] @ member[counting] / np.maximum(size, 1)
+    return residual - member @ mean, counting & (member @ (size >= LEAST_OFFSET_BLOCKS))
 
 
 def _predicted_bias(
-    channel: Channel, run: RunBlocks, drive: Drive, model: Fit, continued: int | None
+    channel: Channel, run: RunBlocks, drive: Drive, fitted: Fit, continued: int | None
 ) -> FloatArray:
+    """Return what a fitted model predicts of a test run, (n,), which may continue a training run.
+
+    What does not carry over is known in a training run.  In any other its mean over training stands for it,
+    which the declared constant has in it.
+    """
     temperature = run.temperature[channel.training.temperature_name]
-    bias = channel.powers(temperature, len(model.declared)) @ model.declared
-    for part in model.parts:
+    bias = channel.powers(temperature, len(fitted.declared)) @ fitted.declared
+    for part in fitted.parts:
         if part.carries_over:
             bias = bias + run.average(part.effect.simulate(drive))
         elif continued in part.separate_runs:
             row = part.coefficients[part.separate_runs.index(continued)]
             bias = bias + run.average(part.effect.columns(drive)) @ row
-    return bias if continued is None else bias - model.mean_of_separate
+    return bias if continued is None else bias - fitted.mean_of_separate
 
 
 def _estimated_bias(
@@ -222,10 +219,10 @@ def _estimated_bias(
     if not parts or counting.sum() < LEAST_TEST_BLOCKS:
         return np.zeros(len(run))
     effects = [part.effect for part in parts]
-    of_effects = [run.average(one.columns(drive)) for one in effects if one.scope == "either"]
+    of_effects = [run.average(effect.columns(drive)) for effect in effects if effect.scope == "either"]
     numbers = channel.offset_numbers(run)[:, None]
     columns = np.column_stack([numbers == np.unique(numbers[counting]), *of_effects]).astype(float)
-    if any(one.scope == "event" for one in effects):
+    if any(effect.scope == "event" for effect in effects):
         first = np.flatnonzero(counting)[_jump_at(columns[counting], residual[counting])]
         columns = np.column_stack([columns, np.arange(len(run)) >= first])
     return columns @ least_squares(columns[counting], residual[counting])
@@ -234,12 +231,16 @@ def _estimated_bias(
 def _jump_at(columns: FloatArray, residual: FloatArray) -> int:
     """Return the block from which on a jump, beside the columns (n, k), explains most of a residual (n,).
 
-    By (7) with a jump z at each block: (z' v)² / (z' z - |Q' z|²).
+    By (7) of `likelihood` with a column z for each block, 0 before it and 1 from it on::
+
+        explained = g² / G,    g = z' v,    G = z' z - |z' Q|²
     """
-    basis = np.linalg.qr(columns)[0]
-    v = residual - basis @ (basis.T @ residual)
+    q = np.linalg.qr(columns)[0]
+    v = residual - q @ (q.T @ residual)
+    # For all z at once: z' v is the sum of v from a block to the end, and so is z' Q of the rows of Q.
     g = np.cumsum(v[::-1])[::-1]
-    gram = np.arange(len(v), 0, -1) - (np.cumsum(basis[::-1], axis=0)[::-1] ** 2).sum(axis=1)
+    z_q = np.cumsum(q[::-1], axis=0)[::-1]
+    gram = np.arange(len(v), 0, -1) - (z_q**2).sum(axis=1)
     explained = (g**2 / np.maximum(gram, 1e-9))[LEAST_OFFSET_BLOCKS : -LEAST_OFFSET_BLOCKS + 1]
     return LEAST_OFFSET_BLOCKS + int(np.argmax(explained))
 
@@ -252,37 +253,38 @@ class PartSigma(NamedTuple):
 
 
 def sigmas(
-    channel: Channel, span: Survey, likelihood: Likelihood, model: Model
+    channel: Channel, span: Survey, likelihood: Likelihood, model: Sequence[Candidate]
 ) -> tuple[FloatArray, list[list[PartSigma]]]:
     """Return the covariance of the declared coefficients, (degree + 1, degree + 1), and the standard
     deviations of each candidate's parts, with the noise that the model is likeliest with.
 
     theta is where the likelihood is largest, b and c are those of ordinary least squares beside it.  Near the
-    truth both are linear in the noise e.  With A = [X Z], D the slopes in ln theta, e = s L w, w white::
+    truth both are linear in the noise e.  With A = [X Z], D the slopes in ln theta, V = L L' of the noise,
+    e = s L w and w white, of variance 1, the errors are N w and P w::
 
-        error of ln theta = s M w,                       M the last rows of pinv(L^-1 [A D])            (9)
-        error of (b, c)   = s (pinv(A) L - pinv(A) D M) w
+        of ln theta:    N = s M,                          M the last rows of pinv(L^-1 [A D])           (9)
+        of (b, c):      P = s (pinv(A) L - pinv(A) D M)
     """
-    design, runs = channel.design(model), channel.training.runs
-    slopes = _slopes(channel, span, model)
-    noise = likelihood.maximum(channel.y, design)[1]
-    whitened, _ = likelihood.whitened(np.column_stack([design, slopes, channel.y]), noise)
+    a = channel.design(model)
+    d = _slopes(channel, span, model)
+    pinv_a = pseudo_inverse(a)
+    noise = likelihood.maximum(channel.y, a)[1]
+    whitened, _ = likelihood.whitened(np.column_stack([a, d, channel.y]), noise)
     columns, y = whitened[:, :-1], whitened[:, -1]
-    inverse, pinv_a = pseudo_inverse(columns), pseudo_inverse(design)
+    inverse = pseudo_inverse(columns)
     s = np.sqrt(np.sum((y - columns @ (inverse @ y)) ** 2) / max(len(y) - columns.shape[1], 1))
-    m = inverse[design.shape[1] :]
-    # L has that of each run on its diagonal: Y = pinv(A) L solves Y L^-1 = pinv(A), run by run.
-    identities = np.vstack([np.eye(len(run), max(map(len, runs))) for run in runs])
-    l_inverse, _ = likelihood.whitened(identities, noise)
-    of_runs = zip(channel.training.split(l_inverse), channel.training.split(pinv_a.T), strict=True)
-    solved = [solve_triangular(one[:, : len(one)], rows, trans="T", lower=True) for one, rows in of_runs]
-    linear = s * (np.concatenate(solved).T - (pinv_a @ slopes) @ m)
-    sd_of_log, sd = s * np.linalg.norm(m, axis=1), np.linalg.norm(linear, axis=1)
-    relative, found = iter(sd_of_log.tolist()), []
-    for one, where, _ in _layout(channel, model):
-        thetas = [{name: next(relative) * at for name, at in _theta(part).items()} for part in one.parts]
-        found.append([*map(PartSigma, _by_part(one, sd[where]), thetas)])
-    declared = np.vstack([fit(channel, model).constant_weights @ linear, linear[1 : channel.degree + 1]])
+    m = inverse[a.shape[1] :]
+    p = s * (likelihood.times_l(pinv_a, noise) - (pinv_a @ d) @ m)
+    sd_of_linear = np.linalg.norm(p, axis=1)
+    sd_of_log = iter((s * np.linalg.norm(m, axis=1)).tolist())  # in the order of the columns of D
+    found = []
+    for candidate, of_effects, _ in _layout(channel, model):
+        # The sd of theta is theta times that of its logarithm.
+        of_parts = [_theta(part).items() for part in candidate.parts]
+        thetas = [{name: theta * next(sd_of_log) for name, theta in items} for items in of_parts]
+        found.append([*map(PartSigma, _by_part(candidate, sd_of_linear[of_effects]), thetas)])
+    # The declared coefficients are a mean constant, and the powers as they are.
+    declared = np.vstack([fit(channel, model).constant_weights @ p, p[1 : channel.degree + 1]])
     return declared @ declared.T, found
 
 
@@ -292,20 +294,19 @@ def _theta(part: Part) -> dict[str, float]:
     return {name: value for name, value in found.items() if value > 0.0}
 
 
-def _slopes(channel: Channel, span: Survey, model: Model) -> FloatArray:
+def _slopes(channel: Channel, span: Survey, model: Sequence[Candidate]) -> FloatArray:
     """Return D of (9), how the model changes with the logarithm of each nonlinear parameter, (n, thetas)."""
     coefficients = least_squares(channel.design(model), channel.y)
     slopes = [np.empty((len(channel.y), 0))]
-    for one, where, starts in _layout(channel, model):
-        of_candidate = coefficients[where.start : starts.stop]
-        for at, part in enumerate(one.parts):
-            for name, value in _theta(part).items():
+    for candidate, of_effects, of_start in _layout(channel, model):
+        of_candidate = coefficients[of_effects.start : of_start.stop]
+        for at, part in enumerate(candidate.parts):
+            for name, theta in _theta(part).items():
                 # At most a quarter of its grid's distance: a percent of a period is a cycle in a hundred.
-                change = min(0.01, abs(part.effect.moved(name, 0.25, span) / value - 1.0))
-                values = value * (1.0 - change), value * (1.0 + change)
-                moved = (part.effect.model_copy(update={name: changed}) for changed in values)
-                ends = [
-                    channel.training.design([one.with_effect(at, effect)]) @ of_candidate for effect in moved
-                ]
-                slopes.append(np.diff(np.column_stack(ends)) / (2.0 * change))
+                change = min(0.01, abs(part.effect.moved(name, 0.25, span) / theta - 1.0))
+                values = theta * (1.0 - change), theta * (1.0 + change)
+                moved = [part.effect.model_copy(update={name: value}) for value in values]
+                designs = [channel.training.design([candidate.with_effect(at, effect)]) for effect in moved]
+                below, above = (design @ of_candidate for design in designs)
+                slopes.append((above - below) / (2.0 * change))
     return np.column_stack(slopes)

@@ -20,6 +20,7 @@ from functools import partial
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg import solve_triangular
 
 from imumon.blocks import BoolArray, FloatArray, IntArray
 from imumon.compiled import njit
@@ -52,11 +53,8 @@ class Likelihood:
 
     def maximum(self, y: FloatArray, base: FloatArray) -> tuple[float, Noise]:
         """Return loglik of y (n,) beside a base (n, p) at its maximum over the grid, and the noise there."""
-        found = []
-        for noise in NOISE_GRID:
-            residual, _ = self.residual(y, base, noise)
-            found.append((float(self._loglik(residual @ residual, noise)), noise))
-        return max(found)
+        residuals = {noise: self.residual(y, base, noise)[0] for noise in NOISE_GRID}
+        return max((float(self._loglik(v @ v, noise)), noise) for noise, v in residuals.items())
 
     def predictive(self, y: FloatArray, early: BoolArray) -> float:
         """Return loglik of the later values given the early ones (n,), s, r and q fitted to these."""
@@ -79,9 +77,9 @@ class Likelihood:
         if len(candidates) > AT_ONCE:
             parts = [candidates[at : at + AT_ONCE] for at in range(0, len(candidates), AT_ONCE)]
             return np.concatenate([self.scan(y, base, part, grid) for part in parts])
-        terms = list(dict.fromkeys(term for one in candidates for term in one))
+        terms = list(dict.fromkeys(term for candidate in candidates for term in candidate))
         place = {term: at for at, term in enumerate(terms)}
-        indices = [[place[term] for term in one] for one in candidates]
+        indices = [[place[term] for term in candidate] for candidate in candidates]
         groups = _by_size(indices, np.array([(term.spectrum, term.run) for term in terms]))
         columns, best = self._training.matrix(terms), np.full(len(candidates), -np.inf)
         for noise in grid:
@@ -104,6 +102,20 @@ class Likelihood:
         each = zip(self._laws[noise], self._training.runs, self._training.split(columns), strict=True)
         found = [whiten(*noise_law, run.white, rows) for noise_law, run, rows in each]
         return np.concatenate([rows for rows, _ in found]), np.concatenate([sd for _, sd in found])
+
+    def times_l(self, rows: FloatArray, noise: Noise) -> FloatArray:
+        """Return Y = rows L, (k, n), of rows (k, n).
+
+        L has that of each run on its diagonal, and L^-1 is what `whitened` returns of an identity: L^-1' Y' =
+        rows' is solved run by run.
+        """
+        most = max(map(len, self._training.runs))
+        l_inverse, _ = self.whitened(
+            np.vstack([np.eye(len(run), most) for run in self._training.runs]), noise
+        )
+        each = zip(self._training.split(l_inverse), self._training.split(rows.T), strict=True)
+        found = [solve_triangular(one[:, : len(one)], of_run, trans="T", lower=True) for one, of_run in each]
+        return np.concatenate(found).T
 
     def _loglik(self, rss: npt.ArrayLike, noise: Noise) -> FloatArray:
         """Return loglik by (2) of sums of squares of whitened residuals, s² = RSS / n."""

@@ -44,18 +44,13 @@ LASTING = [name for name, kind in EFFECTS.items() if kind.scope not in ("run", "
 
 
 class Better(NamedTuple):
-    """A better model of a channel.
-
-    `names` are the effects of which the present model lacks one, the best first; these data do not separate
-    them.  `gain` is in BIC over the present model, of all channels that lack an effect.  `before` and
-    `after` are the rms of the block means with the present model and a constant, and with the better model.
-    """
+    """A better model of a channel."""
 
     channel: str
-    names: list[str]
-    gain: float
-    before: float
-    after: float
+    names: list[str]  # effects of which the present model lacks one, not separated, the best first
+    gain: float  # in BIC over the present model, of all channels that lack an effect
+    before: float  # rms of the block means with the present model and a constant
+    after: float  # with the better model
     model: ChannelModel
 
 
@@ -68,10 +63,10 @@ def better_models(run: Run, model: BiasModel, channels: Sequence[str]) -> list[B
     """
     temperatures = {name: prepare.temperature_of(name, model, [run]) for name in channels}
     used = list(dict.fromkeys(temperatures.values()))
-    without_curves = prepare.without_curves(run, model, channels)
     effects = [effect for name in channels for effect in model.channels[name].effects]
     drivers = prepare.usable_drivers([run], [], used, None, effects, [])
-    blocks = make_blocks(without_curves, channels, used, drivers, common_block_s([run]))
+    left = prepare.without_curves(run, model, channels)
+    blocks = make_blocks(left, channels, used, drivers, common_block_s([run]))
     if len(blocks) < LEAST_BLOCKS:
         return []
     degree = prepare.CUBIC_DEGREE if survey([blocks], used, 0).thermal else 0
@@ -81,14 +76,14 @@ def better_models(run: Run, model: BiasModel, channels: Sequence[str]) -> list[B
     of_poses = [axes[0].channel.offset_per == "pose" for axes in searched]
     if found[0].channel.offset_per == "pose" and not all(of_poses):
         return []  # it may be the earth rate: `imumon diagnose` has more sessions to decide
-    lacking = [one for one in found if any(not finding.of_present_model for finding in one.findings)]
+    lacking = [axis for axis in found if any(not finding.of_present_model for finding in axis.findings)]
     present = [AxisSearch(one.channel.with_model_fixed(), one.survey, one.likelihood, []) for one in lacking]
-    gain = sum(one.criterion(one.model) for one in lacking) - sum(one.criterion([]) for one in present)
+    gain = sum(axis.criterion(axis.model) for axis in lacking) - sum(axis.criterion([]) for axis in present)
     if not gain > gain_bar(len(LASTING) * (2 if degree else 1), len(channels)):
         return []
     better = {axis: _better(axis, gain, model) for axis in lacking}
     # What a model leaves hardly above the white noise is too small to matter.
-    return [one for axis, one in better.items() if one.before >= CLEAN_RESIDUAL * axis.channel.floor.sd]
+    return [new for axis, new in better.items() if new.before >= CLEAN_RESIDUAL * axis.channel.floor.sd]
 
 
 def _better(found: AxisSearch, gain: float, model: BiasModel) -> Better:
@@ -106,12 +101,12 @@ class Challenger(NamedTuple):
 
     present: BiasModel
     found: Sequence[Better]
-    since_s: float
+    since_s: float  # time since power-on at which it was found
 
     @property
     def model(self) -> BiasModel:
         """The present one with the better channels."""
-        channels = self.present.channels | {one.channel: one.model for one in self.found}
+        channels = self.present.channels | {better.channel: better.model for better in self.found}
         return self.present.model_copy(update={"channels": channels})
 
     def compare(self, run: Run) -> tuple[float, float, float] | None:
@@ -121,7 +116,7 @@ class Challenger(NamedTuple):
         that the present and the better model leave, over the channels that differ.  Temperatures outside
         those of the earlier part, from which the better model is, do not count.
         """
-        names = [one.channel for one in self.found]
+        names = [better.channel for better in self.found]
         run = prepare.within_range(self.model, run, names, self.since_s)
         ratio, squares = 0.0, []
         for model, sign in ((self.present, -1.0), (self.model, 1.0)):
@@ -131,8 +126,8 @@ class Challenger(NamedTuple):
                 return None
             residuals = [blocks.mean[name] - blocks.mean[name][early].mean() for name in names]
             likelihood = Likelihood(Training([blocks], "temperature"))
-            ratio += sign * sum(likelihood.predictive(one, early) for one in residuals)
-            squares.append(np.mean([one[~early] ** 2 for one in residuals]))
+            ratio += sign * sum(likelihood.predictive(residual, early) for residual in residuals)
+            squares.append(np.mean([residual[~early] ** 2 for residual in residuals]))
         before, after = np.sqrt(squares).tolist()
         return ratio, before, after
 
@@ -236,11 +231,11 @@ class LiveDiagnosis:
         if not found:
             self.state, self._lacking = "", []
             return
-        worst = max(found, key=lambda one: one.before)
-        before, after = worst.before / DEG_PER_H, max(one.after for one in found) / DEG_PER_H
+        worst = max(found, key=lambda better: better.before)
+        before, after = worst.before / DEG_PER_H, max(better.after for better in found) / DEG_PER_H
         axes: dict[str, list[str]] = {}
-        for one in found:
-            axes.setdefault(" or ".join(one.names), []).append(one.channel[-1])
+        for better in found:
+            axes.setdefault(" or ".join(better.names), []).append(better.channel[-1])
         what = "; ".join(f"{text} on {', '.join(sorted(letters))}" for text, letters in axes.items())
         self.state = f"MODEL CAN BE BETTER: {what}: {before:.3g} become {after:.3g} °/h"
         self._report(
@@ -279,20 +274,20 @@ class LiveDiagnosis:
         return self._lacking
 
 
-def _charts(run: Run, present: BiasModel, better: BiasModel, one: Better) -> list[Chart]:
+def _charts(run: Run, present: BiasModel, better: BiasModel, worst: Better) -> list[Chart]:
     """Return what is left of a channel over time and temperature, and what the better model would take away.
 
     Block means at rest, °/h, minus their mean, the turn-on bias.  The line is the difference of the models.
     """
-    name, axis, what = one.channel, one.channel[-1], one.names[0]
+    name, axis, what = worst.channel, worst.channel[-1], worst.names[0]
     before, after = (prepare.residual(run, model, [name]) for model in (present, better))
     both = before.mean[name], before.mean[name] - after.mean[name]
     points, line = ((part - part.mean()) / DEG_PER_H for part in both)
     degc = before.temperature[prepare.temperature_of(name, present, [run])]
     time = "time", before.time_s / 60.0, "time since power-on [min]"
     title = f"Gyro {axis} minus the model, means of {before.block_s:.0f} s, and {what} through it"
-    headline = f"{one.before / DEG_PER_H:.3g} → {one.after / DEG_PER_H:.3g} °/h"
-    notes, charts = (f"{' or '.join(one.names)}, gain {one.gain:.0f}",), []
+    headline = f"{worst.before / DEG_PER_H:.3g} → {worst.after / DEG_PER_H:.3g} °/h"
+    notes, charts = (f"{' or '.join(worst.names)}, gain {worst.gain:.0f}",), []
     for key, x, label in (time, ("temperature", degc, "temperature [°C]")):
         dots = Curve(f"left, {axis}", x, points, AXIS_COLORS[axis], points=True, width=4.0)
         effect = Curve(what, x, line, (150, 155, 165))  # reads on both themes, and is no axis' colour

@@ -98,8 +98,7 @@ def _curve(verdict: ChannelVerdict) -> list[tuple[float, float, float]]:
     at = scale.middle + scale.half_span * np.array([-1.0, 0.0, 1.0])
     columns = verdict.channel.powers(at, len(verdict.after.declared))
     spread = np.sqrt(np.einsum("ij,jk,ik->i", columns, verdict.declared_covariance, columns))
-    values = columns @ verdict.after.declared
-    return list(zip(at, values, spread, strict=True))
+    return list(zip(at, columns @ verdict.after.declared, spread, strict=True))
 
 
 def _weight(verdict: ChannelVerdict) -> tuple[bool, float]:
@@ -200,18 +199,18 @@ def compare(runs: Sequence[Run], models: tuple[BiasModel, BiasModel]) -> list[Co
 def write_comparison(compared: Sequence[Compared], names: tuple[str, str], session: str, path: Path) -> None:
     """Write the page; raises OSError when that fails."""
     page, block_s = environment().get_template("compared.html.j2"), round(compared[0].residuals[0].block_s)
-    rows = [(one, [_drawn(one, names, over) for over in (OVER_TIME, OVER_DEGC)]) for one in compared]
+    rows = [(each, [_drawn(each, names, over) for over in (OVER_TIME, OVER_DEGC)]) for each in compared]
     write_text(path, page.render(rows=rows, names=names, session=session, block_s=block_s))
 
 
-def _drawn(one: Compared, names: tuple[str, str], over: str) -> str:
+def _drawn(compared: Compared, names: tuple[str, str], over: str) -> str:
     def draw(axes: Axes) -> None:
-        scale, unit = shown(unit_of(one.channel))
-        each = zip(one.residuals, one.temperatures, names, (BEFORE, AFTER), strict=True)
+        scale, unit = shown(unit_of(compared.channel))
+        each = zip(compared.residuals, compared.temperatures, names, (BEFORE, AFTER), strict=True)
         for blocks, column, name, colour in each:
             x = blocks.time_s / HOUR_S if over == OVER_TIME else blocks.temperature[column]
-            values = blocks.mean[one.channel]
+            values = blocks.mean[compared.channel]
             axes.plot(x, (values - values.mean()) * scale, ".", ms=3, color=colour, label=name)
-        axes.set(xlabel=over, ylabel=f"{one.channel}, {unit}")
+        axes.set(xlabel=over, ylabel=f"{compared.channel}, {unit}")
 
     return svg(draw)

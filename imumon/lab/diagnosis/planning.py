@@ -15,7 +15,8 @@ import yaml
 from pydantic import Field
 
 from imumon.config import StrictModel
-from imumon.effects.base import ACCEL, LEAST_SPAN_DEGC, Positive
+from imumon.effects.base import ACCEL as ACCEL_DRIVER
+from imumon.effects.base import LEAST_SPAN_DEGC, Positive
 from imumon.effects.library import EFFECTS, AnyEffect, effects_for
 from imumon.files import write_text
 from imumon.geodesy import DEG_PER_H, MICRO_G
@@ -41,7 +42,7 @@ TIME_UP_S = 150.0
 LONG_S = 1e5
 """Correlation time of a process that stands for a random walk of an accelerometer."""
 SCALES = {"gyro": (np.pi / 180.0, DEG_PER_H), "accel": (1e3 * MICRO_G, MICRO_G)}
-"""SI units in those of a bias and of an effect in a unit file."""
+"""Units of a bias and of an effect in a unit file, in SI: °/s and °/h, mg and µg."""
 SHORTEST_S = 1800.0
 SOAKS_S = (300.0, 1800.0)
 REPEATS = (1, 2, 4, 8)
@@ -62,7 +63,7 @@ class Profile(NamedTuple):
 
     @property
     def title(self) -> str:
-        """What is done, in words."""
+        """The experiment in words."""
         repeated = f", {self.times} times" if self.times > 1 else ""
         return f"{self.shape}{repeated}{', in six poses' if self.in_poses else ''}"
 
@@ -73,20 +74,21 @@ def profiles(low: float, high: float, rate: float, tau_s: float, most_s: float, 
     The unit was trained from `low` to `high`, °C, and reached the rate `rate`, °C/min; `tau_s` is the
     longest time constant of the effects in question (0 without one); with `poses` it has to be turned.
     """
-    at = 0.5 * (low + high)
-    held = f"switched on in equilibrium at {at:.0f} °C and held"
-    found = [Profile(held, Chamber(start_degc=at, steps=[Step(hold_s=s)]), s, 1, poses) for s in HELD_S]
-    settled_s = 5.0 * tau_s  # by then a lag has decayed, or a warm-up
+    middle = 0.5 * (low + high)
+    held = f"switched on in equilibrium at {middle:.0f} °C and held"
+    found = [Profile(held, Chamber(start_degc=middle, steps=[Step(hold_s=s)]), s, 1, poses) for s in HELD_S]
+    settled_s = 5.0 * tau_s  # by then a lag has decayed, or a warm-up; an hour has to do
     soaks = sorted({*SOAKS_S, min(max(settled_s, SOAKS_S[0]), 2.0 * SOAKS_S[1])})
     shapes: dict[str, list[Step]] = {}
-    for soak_s in soaks if high - low >= LEAST_SPAN_DEGC and rate > 0.0 else ():
-        shapes |= _thermal(low, high, rate, soak_s)
+    if high - low >= LEAST_SPAN_DEGC and rate > 0.0:
+        for soak_s in soaks:
+            shapes |= _thermal(low, high, rate, soak_s)
     for title, steps in shapes.items():
         for times in REPEATS:
             chamber = Chamber(start_degc=low, steps=steps * times)
             duration_s = max(float(chamber_knots(chamber)[0][-1]), SHORTEST_S)
             found.append(Profile(f"from {low:.0f} °C {title}", chamber, duration_s, times, poses))
-    return sorted((one for one in found if one.duration_s <= most_s), key=lambda one: one.duration_s)
+    return sorted((one for one in found if one.duration_s <= most_s), key=lambda profile: profile.duration_s)
 
 
 def _thermal(low: float, high: float, rate: float, soak_s: float) -> dict[str, list[Step]]:
@@ -98,12 +100,12 @@ def _thermal(low: float, high: float, rate: float, soak_s: float) -> dict[str, l
     quarter, slow = 0.25 * (high - low), rate / 4.0  # between rates so far apart a lag shows well
     soaks = f"soaks of {soak_s / 60:.0f} min"
     fast, slowly = [to(high), to(low)], [to(high, slow), to(low, slow)]
-    stairs = [to(low + at * quarter) for at in (1, 2, 3, 4, 3, 2, 1, 0)]
+    stairs = [to(low + n * quarter) for n in (1, 2, 3, 4, 3, 2, 1, 0)]
     return {
         f"warmed and cooled at {rate:.2g} °C/min with {soaks}": fast,
         f"warmed and cooled at {rate:.2g} and {slow:.2g} °C/min with {soaks}": [*fast, *slowly],
         f"in stairs of a quarter of the span with {soaks}": stairs,
-        "turned round inside the span": [to(low + at * quarter, soak=0.0) for at in (4, 2, 4, 0, 2, 0)],
+        "turned round inside the span": [to(low + n * quarter, soak=0.0) for n in (4, 2, 4, 0, 2, 0)],
     }
 
 
@@ -142,24 +144,23 @@ class Question(NamedTuple):
 
     @property
     def name(self) -> str:
-        """For people: which of these."""
+        """The question in words: which of its answers."""
         return " or ".join(answer.name for answer in self.answers)
 
 
 class Evidence(NamedTuple):
-    """What a profile shows of the pair of answers that it separates worst, `truth` and its `rival`: mean and
-    least difference of their gains in BIC over simulated units, and what is needed to separate them."""
+    """What a profile shows of the pair of answers that it separates worst, in BIC."""
 
     profile: Profile
-    value: float
-    least: float
-    needed: float
-    truth: str
+    value: float  # mean difference of their gains over simulated units
+    least: float  # least difference
+    needed: float  # difference that is needed to separate them
+    truth: str  # the answer that the units have
     rival: str
 
     @property
     def ratio(self) -> float:
-        """Of what is needed."""
+        """The evidence over what is needed."""
         return self.value / self.needed
 
 
@@ -192,33 +193,36 @@ def plan(report: Report, question: Question, most_s: float, progress: Progress =
     """
     effects = [effect for answer in question.answers for effect in answer.effects]
     inputs = {name for effect in effects for name in effect.inputs}
-    if why_not := _impossible(question, inputs - {ACCEL}):
+    if why_not := _impossible(question, inputs - {ACCEL_DRIVER}):
         return Plan(question, why_not=why_not)
-    few = [name for name in EFFECTS if any(effect.name == name for effect in effects)]
+    # The trials search among these alone, which takes less time; the proof among all, as `diagnose` does.
+    kinds = [name for name in EFFECTS if any(effect.name == name for effect in effects)]
     times = [getattr(effect, key) for effect in effects for key in effect.nonlinear if key.endswith("_s")]
-    slowest_s, (low, high) = max(times, default=0.0), report.temperature_range_degc
+    tau_s = max(times, default=0.0)
+    low, high = report.temperature_range_degc
     tried: dict[str, Evidence] = {}
     began_s, late = time.monotonic(), ""
-    for profile in profiles(low, high, report.fastest_degc_per_min, slowest_s, most_s, ACCEL in inputs):
+    for profile in profiles(low, high, report.fastest_degc_per_min, tau_s, most_s, ACCEL_DRIVER in inputs):
         if profile.times > 1:
             found = tried[profile.shape]
+            # Even if its evidence grew with the time, it would stay below what is needed.
             if found.ratio * profile.duration_s < found.profile.duration_s:
                 continue
         if tried and time.monotonic() - began_s > TIME_UP_S:
             late = f"; after {TIME_UP_S:.0f} s no further one was tried"
             break
         progress(f"{question.name}: {profile.duration_s / 3600:.1f} h, {profile.title}")
-        found = evidence(report, question, profile, range(TRIALS), few)
+        found = evidence(report, question, profile, range(TRIALS), kinds)
         tried[profile.shape] = found
         if found.ratio >= MARGIN:
             # What was chosen for its evidence has had luck as well: other units have to show it again.
-            others, every = range(TRIALS, TRIALS + PROOFS), effects_for(question.channel)
-            proof = evidence(report, question, profile, others, every)
+            others = range(TRIALS, TRIALS + PROOFS)
+            proof = evidence(report, question, profile, others, effects_for(question.channel))
             if proof.least >= proof.needed:
                 return Plan(question, proof)
     if not tried:
         return Plan(question, why_not="no profile is so short")
-    found = max(tried.values(), key=lambda one: one.ratio)
+    found = max(tried.values(), key=lambda shown: shown.ratio)
     why_not = (
         f"no experiment that was tried decides it; the best, {found.profile.duration_s / 3600:.1f} h"
         f" {found.profile.title}, gives {found.value:.0f} of the {found.needed:.0f} in BIC that are needed"
@@ -238,10 +242,10 @@ def _impossible(question: Question, others: set[str]) -> str:
     return ""
 
 
-def simulated_run(plan: Scenario, seed: int) -> Run:
+def simulated_run(experiment: Scenario, seed: int) -> Run:
     """Return what a diagnosis reads of a simulated session."""
-    sent, truth = SimulatedUnit(plan, seed).run(plan.samples)
-    return collect([sent.with_columns({"at_rest": truth["at_rest"]})], plan.title)[0]
+    sent, truth = SimulatedUnit(experiment, seed).run(experiment.samples)
+    return collect([sent.with_columns({"at_rest": truth["at_rest"]})], experiment.title)[0]
 
 
 def evidence(
@@ -252,25 +256,27 @@ def evidence(
     for truth in question.answers:
         if truth.name == NOTHING:
             continue  # that nothing is there shows in that an effect would show
-        planned, searches = scenario(report, question.channel, profile, truth), list[AxisSearch]()
+        experiment = scenario(report, question.channel, profile, truth)
+        searches = list[AxisSearch]()
         for seed in seeds:  # as `diagnose` does, for as many effects as the unit has
-            blocks = make_blocks(simulated_run(planned, seed), [question.channel], ["temperature"])
+            blocks = make_blocks(simulated_run(experiment, seed), [question.channel], ["temperature"])
             degree = len(truth.declared) - 1 if survey([blocks], ["temperature"], 0).thermal else 0
             shorter = blocks.in_blocks_of(search_block_s([blocks]))
             data = Prepared([shorter], {question.channel: "temperature"}, degree)
             searches += likeliest(search_sensor(data, [question.channel], kinds, max(1, len(truth.effects))))
         for rival in question.answers:
             if rival is not truth:
-                each = [_difference(one, truth.name, rival.name) for one in searches]
-                value, needed = np.mean(each, axis=0).tolist()
-                found.append(Evidence(profile, value, min(each)[0], needed, truth.name, rival.name))
-    return min(found, key=lambda one: one.ratio)
+                of_units = [_difference(searched, truth.name, rival.name) for searched in searches]
+                value, needed = np.mean(of_units, axis=0).tolist()
+                least, _ = min(of_units)
+                found.append(Evidence(profile, value, least, needed, truth.name, rival.name))
+    return min(found, key=lambda shown: shown.ratio)
 
 
 def _difference(searched: AxisSearch, truth: str, rival: str) -> tuple[float, float]:
     """Return by how much the gain of one effect exceeds another's, or nothing's, and what is needed of it."""
-    stages = [one.family_gains for one in searched.findings if one.name in (truth, rival)]
-    stages += [{name: one.gain for name, one in table.items()} for table in searched.tables[-1:]]
+    stages = [finding.family_gains for finding in searched.findings if finding.name in (truth, rival)]
+    stages += [{name: scored.gain for name, scored in table.items()} for table in searched.tables[-1:]]
     gains = stages[0] if stages else {}
     of_truth, of_rival = gains.get(truth, 0.0), max(gains.get(rival, 0.0), 0.0)
     if rival == NOTHING:
@@ -285,21 +291,22 @@ def scenario(report: Report, channel: str, profile: Profile, answer: Answer) -> 
     of_bias, of_effect = SCALES[sensor]
     # What an accelerometer has in its constant is gravity.
     constant = answer.declared[0] if sensor == "gyro" else 0.0
-    line = {
+    curve = {
         "kind": "polynomial",
         "coefficients": (np.array([constant, *answer.declared[1:]]) / of_bias).tolist(),
         "at_degc": 0.5 * (low + high),
         "width_degc": max(0.5 * (high - low), 1e-3),
     }
     scaled = [one.with_coefficients(np.array(one.coefficients) / of_effect) for one in answer.effects]
-    effects = [one.model_dump() for one in scaled]
-    every = profile.duration_s / (len(POSES) + 1)
+    effects = [effect.model_dump() for effect in scaled]
+    in_pose_s = profile.duration_s / (len(POSES) + 1)
     turns = [
-        Turn(kind="turn", at_s=(at + 1) * every, duration_s=10.0, **pose) for at, pose in enumerate(POSES)
+        Turn(kind="turn", at_s=number * in_pose_s, duration_s=10.0, **pose)
+        for number, pose in enumerate(POSES, 1)
     ]
     unit = {
         f"{sensor}_noise": _noise(report, channel),
-        "gyro_bias_deg_per_s" if sensor == "gyro" else "accel_bias_mg": {axis: [line]},
+        "gyro_bias_deg_per_s" if sensor == "gyro" else "accel_bias_mg": {axis: [curve]},
         "gyro_effects_deg_per_h" if sensor == "gyro" else "accel_effects_ug": {axis: effects},
     }
     return Scenario(
@@ -308,7 +315,7 @@ def scenario(report: Report, channel: str, profile: Profile, answer: Answer) -> 
         unit=Unit.model_validate(unit),
         rate_hz=4.0,  # enough for the scatter inside a second to give the white noise
         duration_s=profile.duration_s,
-        latitude_deg=45.0,
+        latitude_deg=45.0,  # assumed
         chamber=profile.chamber,
         motion=[*turns] if profile.in_poses else [],
     )
@@ -318,7 +325,7 @@ def _noise(report: Report, name: str) -> dict[str, Any]:
     """Return white noise, flicker and walk of a channel, for all three axes, as a unit file has them."""
     channel, slow = report.channels[name], report.channels[name].slow_noise
     density = channel.noise_floor_rms * math.sqrt(report.block_s)
-    each = slow.get("flicker_rms", 0.0) / math.sqrt(len(TAUS_S))
+    each = slow.get("flicker_rms", 0.0) / math.sqrt(len(TAUS_S))  # all have the same variance
     walk = slow.get("random_walk_per_sqrt_s", 0.0)
     if name.startswith("gyro"):
         return {
@@ -327,24 +334,25 @@ def _noise(report: Report, name: str) -> dict[str, Any]:
             "random_walk_deg_per_h_per_sqrt_s": walk / DEG_PER_H,
         }
     flicker = [{"sd_ug": each / MICRO_G, "tau_s": tau} for tau in TAUS_S.tolist()]
+    # Of the same growth at first: a Gauss-Markov process has the variance q tau / 2.
     slowest = {"sd_ug": walk * math.sqrt(0.5 * LONG_S) / MICRO_G, "tau_s": LONG_S}
     return {"vrw_m_per_s_per_sqrt_s": density, "flicker": [*flicker, slowest]}
 
 
-def write_plan(report: Report, number: int, made: Plan, folder: Path) -> list[Path]:
+def write_plan(report: Report, number: int, planned: Plan, folder: Path) -> list[Path]:
     """Write the chamber's course, and a scenario for each answer; raises OSError when that fails."""
-    if not made.expected:
+    if not planned.expected:
         return []
-    profile = made.expected.profile
+    profile = planned.expected.profile
     times, degrees = (values.tolist() for values in chamber_knots(profile.chamber))
     if times[-1] < profile.duration_s:
         times, degrees = [*times, profile.duration_s], [*degrees, degrees[-1]]
     rows = [f"{t:.0f},{degc:.2f}\n" for t, degc in zip(times, degrees, strict=True)]
     files = {f"{number}-chamber.csv": "".join(["time_s,temperature_degc\n", *rows])}
-    for answer in made.question.answers:
-        planned = scenario(report, made.question.channel, profile, answer)
+    for answer in planned.question.answers:
+        experiment = scenario(report, planned.question.channel, profile, answer)
         name = "".join(letter if letter.isalnum() else "-" for letter in answer.name).strip("-")
-        data = planned.model_dump(mode="json", exclude_unset=True)
+        data = experiment.model_dump(mode="json", exclude_unset=True)
         files[f"{number}-{name}.yaml"] = yaml.safe_dump(data, sort_keys=False, allow_unicode=True)
     for name, text in files.items():
         write_text(folder / name, text)

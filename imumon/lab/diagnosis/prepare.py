@@ -11,7 +11,8 @@ from scipy.ndimage import binary_opening
 from imumon.blocks import BoolArray, FloatArray, SampleBlock
 from imumon.clock.channel import CLOCK
 from imumon.columns import TEMPERATURES
-from imumon.effects.base import ACCEL, TEMPERATURE, Effect
+from imumon.effects.base import ACCEL as ACCEL_DRIVER
+from imumon.effects.base import TEMPERATURE, Effect
 from imumon.effects.vibration import SECOND_NS
 from imumon.errors import bad_config, bad_data
 from imumon.filters.rounding import mean_error
@@ -37,21 +38,24 @@ def usable_channels(train: Runs, test: Runs, sensors: Names, remarks: list[str])
 
     Raises BAD_CONFIG for a sensor that is not known and no column, BAD_DATA when there is no channel.
     """
-    found, there = [], {name: None for run in train for name in run.variance}
-    if lacking := [name for name in sensors if name not in SENSORS and not channels_of([name], there)]:
+    found = []
+    columns = {name: None for run in train for name in run.variance}
+    if unknown := [name for name in sensors if name not in SENSORS and not channels_of([name], columns)]:
         raise bad_config(
-            f"--channels: {', '.join(map(repr, lacking))} is not in the training data",
-            f"there are {', '.join(there)}",
+            f"--channels: {', '.join(map(repr, unknown))} is not in the training data",
+            f"there are {', '.join(columns)}",
         )
-    for name in channels_of(sensors, there):
-        if lacking := [run.name for run in train if _share_there(run, name) <= 0.6]:
+    for name in channels_of(sensors, columns):
+        if lacking := [run.name for run in train if _share_with(run, name) <= 0.6]:
             remarks.append(f"{name} is left out: {', '.join(lacking)} hardly has it")
             continue
         ends = [(np.nanmin(run.mean[name]), np.nanmax(run.mean[name])) for run in train]
         # A change by less is rounding in the computation of its means.
         if all(high - low <= 1e-12 * max(abs(low), abs(high)) for low, high in ends):
-            value = f"{np.nanmean(train[0].mean[name]):g} {unit_of(name)}"
-            remarks.append(f"{name} is left out: it has one value throughout, {value}")
+            remarks.append(
+                f"{name} is left out: it has one value throughout,"
+                f" {np.nanmean(train[0].mean[name]):g} {unit_of(name)}"
+            )
         elif name != CLOCK or len(sensors) == 1 or all(CLOCK in run.mean for run in test):
             found.append(name)
     if not found:
@@ -62,7 +66,7 @@ def usable_channels(train: Runs, test: Runs, sensors: Names, remarks: list[str])
     return found
 
 
-def _share_there(run: Run, name: str) -> float:
+def _share_with(run: Run, name: str) -> float:
     """Return the share of its slots with samples in which a run has a column."""
     return float(np.isfinite(run.mean[name][run.there]).mean()) if name in run.mean else 0.0
 
@@ -85,9 +89,9 @@ def usable_drivers(
 
     Raises BAD_CONFIG when one that is wanted is not there, BAD_DATA when a run hardly has one of the model.
     """
-    there = dict.fromkeys(name for run in train for name in run.mean)
-    possible = [name for name in there if name not in (*CHANNELS, *beside, TEMPERATURE)]
-    if wanted is None and TEMPERATURE in there and TEMPERATURE not in beside:
+    columns = dict.fromkeys(name for run in train for name in run.mean)
+    possible = [name for name in columns if name not in (*CHANNELS, *beside, TEMPERATURE)]
+    if wanted is None and TEMPERATURE in columns and TEMPERATURE not in beside:
         remarks.append(
             f"no effect of the column {TEMPERATURE} is looked for: in a model that name means each channel's"
             " own thermometer; a map may give another"
@@ -97,10 +101,11 @@ def usable_drivers(
             f"--drivers: {', '.join(lacking)} is not in the training data, or drives nothing",
             f"there are {', '.join(possible) or 'none'}; a map names others with other: {{NAME: ...}}",
         )
-    needed = [name for effect in present for name in effect.inputs if name != ACCEL]
+    needed = [name for effect in present for name in effect.inputs if name != ACCEL_DRIVER]
     found = []
     for name in dict.fromkeys([*(possible if wanted is None else wanted), *needed]):
-        runs = [run.name for run in (*train, *test) if _share_there(run, name) < 0.5 * run.slot_s / BLOCK_S]
+        # A driver may be slow: a value in every other block is enough.
+        runs = [run.name for run in (*train, *test) if _share_with(run, name) < 0.5 * run.slot_s / BLOCK_S]
         hardly = f"{name} is hardly recorded in {', '.join(runs)}"
         if runs and name in needed:
             raise bad_data(f"{hardly}, and the model has an effect of it", "give no model, but --declared")
@@ -126,17 +131,17 @@ def train_and_test(
     train, test = ([without_standstill(run, channels, remarks) for run in runs] for runs in (train, test))
     found = list[Run]()
     for run in test:
-        if run.origin and any((run.origin, run.start_ns) == (one.origin, one.start_ns) for one in train):
+        if run.origin and any((run.origin, run.start_ns) == (same.origin, same.start_ns) for same in train):
             remarks.append(f"{run.name}: not used as a test, the training has the same recording")
             continue
-        # What begins later than a minute after another begins at power-on.
-        before = (one for one in (*found, *train) if -1.0 <= _pause_s(one, run) <= 60.0)
-        if one := next(before, None):
+        # The last slot of a run may end a second late; what begins over a minute after has its own power-on.
+        possible = (other for other in (*found, *train) if -1.0 <= _pause_s(other, run) <= 60.0)
+        if before := next(possible, None):
             remarks.append(
-                f"{run.name} goes on where {one.name} ended, by the device's clock: time since power-on, lag"
-                " and loop go on as well"
+                f"{run.name} goes on where {before.name} ended, by the device's clock: time since power-on,"
+                " lag and loop go on as well"
             )
-        found.append(_continued(one, run) if one else run)
+        found.append(_continued(before, run) if before else run)
     if found or len(train) > 1:
         return train, found
     half, held_out = _divided(train[0], channels)
@@ -177,7 +182,7 @@ def _continued(before: Run, after: Run) -> Run:
         return {name: np.append(np.full(first, missing), values) for name, values in columns.items()}
 
     mean = later(after.mean)
-    for name in mean.keys() & before.mean.keys() - {*CHANNELS}:
+    for name in mean.keys() & (before.mean.keys() - {*CHANNELS}):
         mean[name][: len(before.time_s)] = before.mean[name]
     return replace(
         after,
@@ -197,16 +202,17 @@ def without_standstill(run: Run, channels: Names, remarks: list[str]) -> Run:
     Noise never does that, but a stuck sensor, and one at its limit.  One whose digits are coarser than its
     noise does so most of the time, and keeps its values.
     """
-    mean, least = dict(run.mean), round(common_block_s([run]) / run.slot_s)
+    mean = dict(run.mean)
     for name in (name for name in channels if name in mean):
         same = (np.diff(mean[name], prepend=np.nan) == 0.0) & ~(run.variance[name] > 0.0)
-        still = binary_opening(same, np.ones(least))
+        still = binary_opening(same, np.ones(round(common_block_s([run]) / run.slot_s)))
         if not still.any():
             continue
         still |= np.append(still[1:], False)  # the slot before the first that repeats has the value as well
         share = still.sum() / np.isfinite(mean[name]).sum()
-        known = run.samples.get(name)
-        if share > 0.5 or (known and known.step > known.scatter):
+        samples = run.samples.get(name)
+        # Where the digits are not known, a sensor is hardly stuck for most of the time.
+        if samples.step > samples.scatter if samples else share > 0.5:
             remarks.append(f"{run.name}: {name} does not change in {share:.0%} of its time: too few digits")
             continue
         still_s = still.sum() * run.slot_s
@@ -221,15 +227,17 @@ def faults(runs: Runs, channel: str, floor: float) -> dict[str, float]:
 
     `floor` is the white noise of a mean of a block.
     """
-    unit, quantized, frequent = unit_of(channel), dict[str, float](), dict[str, float]()
-    for one in (run.samples[channel] for run in runs if channel in run.samples):
-        error = mean_error(one.step, one.ratio) if one.step > 0.0 else 0.0
-        if not error < 0.5 * floor:
-            what = f"quantized: steps of {one.step:.3g} {unit}, about {1 / one.ratio:.2g} times the noise"
-            quantized[what] = error
-        if one.atom_share > 0.0:
-            share = f"{one.atom_share:.1%} of the samples are {one.atom + 0.0:.4g} {unit}"
+    quantized, frequent = dict[str, float](), dict[str, float]()
+    for samples in (run.samples[channel] for run in runs if channel in run.samples):
+        error = mean_error(samples.step, samples.ratio) if samples.step > 0.0 else 0.0
+        if not error < 0.5 * floor:  # true of NaN, too
+            step = f"{samples.step:.3g} {unit_of(channel)}, about {1 / samples.ratio:.2g} times the noise"
+            quantized[f"quantized: steps of {step}"] = error
+        if samples.atom_share > 0.0:
+            # + 0.0: of a zero without a minus.
+            share = f"{samples.atom_share:.1%} of the samples are {samples.atom + 0.0:.4g} {unit_of(channel)}"
             frequent[f"frequent value, as of a dead-band, saturation or dropouts: {share}"] = np.inf
+    # The worst of each kind.
     return dict(max(kind.items(), key=lambda item: item[1]) for kind in (quantized, frequent) if kind)
 
 
@@ -247,7 +255,8 @@ def usable_blocks(
 
     Raises BAD_DATA, and why, where they are too few for training.
     """
-    found, earlier = [], len(remarks)
+    found = []
+    earlier = len(remarks)
     for run in runs:
         if lacking := [name for name in (*channels, *temperatures) if not _has(run, name)]:
             why = f"it lacks {', '.join(lacking)}"
@@ -262,9 +271,9 @@ def usable_blocks(
             remarks.append(f"{run.name}: not used, {why}")
             continue
         found.append(blocks)
-        there = run.count[channels[0]] > 0
-        begun = np.argmax(there)  # what goes on from another run begins late
-        share = (there & run.at_rest)[begun:].mean()
+        recorded = run.count[channels[0]] > 0
+        begun = np.argmax(recorded)  # what goes on from another run begins late
+        share = (recorded & run.at_rest)[begun:].mean()
         if share < 0.8:
             remarks.append(f"{run.name}: used in {share:.0%} of its time; gaps and motion are left out")
     total = sum(map(len, found))
@@ -298,9 +307,12 @@ def temperature_of(channel: str, model: BiasModel | None, runs: Runs) -> str:
 
     Raises BAD_DATA without any.
     """
-    wanted = f"temperature_{channel[-1]}"
-    if model:
-        wanted = model.channels[channel].temperature_column.replace("_estimate", "")
+    # The estimate of a temperature is of the same thermometer; a channel without an axis has none of its own.
+    wanted = (
+        model.channels[channel].temperature_column.replace("_estimate", "")
+        if model
+        else f"temperature_{channel[-1]}"
+    )
     for name in (wanted, *TEMPERATURES):
         if name != channel and all(_has(run, name) for run in runs):
             return name
@@ -331,11 +343,13 @@ def degree_of(model: BiasModel, channels: Names) -> int:
 
 
 def without_curves(run: Run, model: BiasModel, channels: Names) -> Run:
-    """Return a run with the curves of a model, and no effect beside them, taken from its channels."""
-    curves = {}
-    for name, channel in model.channels.items():
-        parts = [effect for effect in channel.effects if effect.polynomial() is not None]
-        curves[name] = channel.model_copy(update={"effects": parts})
+    """Return a run less the curves of a model, of which polynomial effects are part; others are left in."""
+    curves = {
+        name: channel.model_copy(
+            update={"effects": [e for e in channel.effects if e.polynomial() is not None]}
+        )
+        for name, channel in model.channels.items()
+    }
     return without_model(run, model.model_copy(update={"channels": curves}), channels)
 
 
@@ -362,7 +376,7 @@ def residual(run: Run, model: BiasModel, channels: Names) -> RunBlocks:
 
 def within_range(model: BiasModel, run: Run, channels: Names, until_s: float | None = None) -> Run:
     """Return a run at rest only where its temperatures are inside the range that a model was fitted on, or
-    those that the run itself had until then.
+    inside those that the run itself had until `until_s`.
 
     Outside that range the curve continues as a straight line, and what is left there is no effect.
     """

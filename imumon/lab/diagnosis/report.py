@@ -8,16 +8,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from imumon.effects.base import ACCEL
+from imumon.effects.base import ACCEL as ACCEL_DRIVER
 from imumon.effects.library import separated_by
 from imumon.files import plain, write_text
 from imumon.version import __version__
 
 from ..calibration.cells import ONE_WAY
-from .candidates import Candidate
+from .candidates import Candidate, root_mean_square
 from .diagnose import Diagnosis
 from .extended import with_model
-from .fit import Fit, FittedPart, fit, root_mean_square, score_test
+from .fit import Fit, FittedPart, fit, score_test
 from .likelihood import WALK_S
 from .verdict import ChannelVerdict, Claim, explained_share
 
@@ -41,7 +41,7 @@ def report(diagnosis: Diagnosis, folder: Path | None = None) -> Content:
         "block_s": diagnosis.train[0].block_s,
         **{
             key: [
-                {"name": one.run.name, "blocks": len(one), "duration_s": one.run.duration_s} for one in runs
+                {"name": run.run.name, "blocks": len(run), "duration_s": run.run.duration_s} for run in runs
             ]
             for key, runs in (("train", diagnosis.train), ("test", diagnosis.test))
         },
@@ -67,7 +67,7 @@ def _channel(verdict: ChannelVerdict) -> Content:
     train_before, train_after = verdict.before.train_rms, verdict.after.train_rms
     explained = explained_share(train_before, train_after, channel.total_floor)
     apart = [(first, other) for first, *others in sets for other in others]
-    ranked = sorted(verdict.search.tables[0].values(), key=lambda one: -one.gain)[:6]
+    ranked = sorted(verdict.search.tables[0].values(), key=lambda scored: -scored.gain)[:6]
     steps = [("what was assumed", verdict.before, np.nan)]
     steps += [(done, fit(channel, model), gain) for done, model, gain in verdict.search.history]
     return {
@@ -135,8 +135,8 @@ def _effect(verdict: ChannelVerdict, claim: Claim) -> Content:
     alone = _left(verdict, _alone(verdict, finding.candidate))
     after = alone["train_rms"]
     sigma = [
-        {**one.nonlinear, "coefficients": rows if len(rows := one.coefficients.tolist()) > 1 else rows[0]}
-        for one in claim.sigmas
+        {**part.nonlinear, "coefficients": rows if len(rows := part.coefficients.tolist()) > 1 else rows[0]}
+        for part in claim.sigmas
     ]
     return {
         "name": finding.name,
@@ -179,10 +179,10 @@ def _left(verdict: ChannelVerdict, fitted: Fit) -> dict[str, float]:
 
 def _runs_left(verdict: ChannelVerdict) -> Iterator[Content]:
     channel, (before, after) = verdict.channel, (verdict.test_before, verdict.test_after)
-    training = [channel.training.split(one.residual) for one in (verdict.before, verdict.after)]
+    training = [channel.training.split(fitted.residual) for fitted in (verdict.before, verdict.after)]
     test = [
-        [of_run[counting] for of_run, counting in zip(one.predicted_residual, after.counts, strict=True)]
-        for one in (before, after)
+        [of_run[counting] for of_run, counting in zip(score.predicted_residual, after.counts, strict=True)]
+        for score in (before, after)
     ]
     for is_test, runs, residuals in ((False, channel.training.runs, training), (True, channel.test, test)):
         for run, first, last in zip(runs, *residuals, strict=True):
@@ -201,11 +201,11 @@ def _questions(verdict: ChannelVerdict) -> list[list[Content]]:
     it carries over, and the model that has it, fitted to the training, with effects as in a model file."""
     claimed, opened = [finding.candidate for finding in verdict.findings], []
 
-    def answer(beside: Sequence[Candidate], one: Candidate | None) -> Content:
-        model = fit(verdict.channel, [*beside, one] if one else beside)
+    def answer(beside: Sequence[Candidate], added: Candidate | None) -> Content:
+        model = fit(verdict.channel, [*beside, added] if added else beside)
         return {
-            "name": one.family if one else NOTHING,
-            "carries": not one or one.shared,
+            "name": added.family if added else NOTHING,
+            "carries": not added or added.shared,
             "declared": model.declared.tolist(),
             "effects": [part.effect.model_dump() for part in model.parts if part.carries_over],
         }
@@ -214,14 +214,14 @@ def _questions(verdict: ChannelVerdict) -> list[list[Content]]:
         if finding.alternatives:
             beside = [other for other in claimed if other is not finding.candidate]
             possible = (finding.candidate, *finding.alternatives.values())
-            opened.append([answer(beside, one) for one in possible])
+            opened.append([answer(beside, candidate) for candidate in possible])
     if verdict.unexplained:
-        ranked = sorted(verdict.search.tables[-1].values(), key=lambda one: -one.gain)
-        tried = [one.candidate for one in ranked if one.linear_gain > 0.0]
+        ranked = sorted(verdict.search.tables[-1].values(), key=lambda scored: -scored.gain)
+        tried = [scored.candidate for scored in ranked if scored.linear_gain > 0.0]
         # A chamber, or poses, can make these show themselves in another run.
         lasting = [one for one in tried if one.scope in ("shared", "either") and one not in claimed]
-        further = [one for one in lasting if {*one.parts[0].effect.inputs} <= {ACCEL}][:2]
-        opened.append([answer(claimed, one) for one in (None, *further)])
+        further = [one for one in lasting if {*one.parts[0].effect.inputs} <= {ACCEL_DRIVER}][:2]
+        opened.append([answer(claimed, candidate) for candidate in (None, *further)])
     return opened
 
 
@@ -253,7 +253,7 @@ def _steps(diagnosis: Diagnosis, folder: Path) -> Iterator[NextStep]:
     out, plan, model = (shlex.quote(str(path)) for path in (folder, folder / "next", folder / "model.yaml"))
 
     def which(holds: Callable[[ChannelVerdict], bool]) -> str:
-        return ", ".join(one.name for one in verdicts if holds(one))
+        return ", ".join(verdict.name for verdict in verdicts if holds(verdict))
 
     unproven = {one.name for one in verdicts if one.channel.test and one.row.state == "not proven"}
     if names := which(lambda one: one.faulty or one.hidden or (one.channel.coarse and one.name in unproven)):
@@ -266,20 +266,23 @@ def _steps(diagnosis: Diagnosis, folder: Path) -> Iterator[NextStep]:
             "Record a session in which the unit warms and cools, and train on that.",
             "Until then what lag, hysteresis or warm-up do is part of the curve.",
         )
-    if not chosen or any(one.by_test for one in verdicts):
+    if not chosen or any(verdict.by_test for verdict in verdicts):
         yield NextStep(
             "Record another session from power-on and test on that.",
             "The test has chosen the effect." if chosen else "Without a test nothing is proven.",
             f"imumon diagnose {diagnosis.options} --test NEW --out {out}",
         )
-    if names := which(lambda one: one.shifted):
-        what = 'Give --declared "polynomial N + offset" in place of --model'
-        what = what if diagnosis.model else 'Add " + offset" to --declared'
+    if names := which(lambda verdict: verdict.shifted):
+        what = (
+            'Give --declared "polynomial N + offset" in place of --model'
+            if diagnosis.model
+            else 'Add " + offset" to --declared'
+        )
         yield NextStep(
             f"{what} for {names}, and diagnose again.",
             "What is left of the test is a constant, as of another turn-on bias; training has no such rest.",
         )
-    if names := which(lambda one: one.unexplained and not one.shifted):
+    if names := which(lambda verdict: verdict.unexplained and not verdict.shifted):
         yield NextStep(
             f"Record {names} beside what else may drive it (supply, load, pressure, another thermometer),"
             f" {ISOTHERMAL}",
@@ -292,14 +295,14 @@ def _steps(diagnosis: Diagnosis, folder: Path) -> Iterator[NextStep]:
             f"{first} and {second} fit these recordings alike, and predict others differently.",
             f"imumon plan {out} --out {plan}",
         )
-    if useful := [one for one in with_model(diagnosis) if one.claims and one.predicts]:
-        least = min(one.test_after.rms / one.test_before.rms for one in useful)
+    if useful := [verdict for verdict in with_model(diagnosis) if verdict.claims and verdict.predicts]:
+        least = min(verdict.test_after.rms / verdict.test_before.rms for verdict in useful)
         yield NextStep(
-            f"Use the model with what is named of {', '.join(one.name for one in useful)}.",
+            f"Use the model with what is named of {', '.join(verdict.name for verdict in useful)}.",
             f"Errors in the test fall by up to {1.0 - least:.0%}.",
             f"imumon monitor PORT --device NAME --model {model}",
         )
-    if names := which(lambda one: one.row.state == "not proven"):
+    if names := which(lambda verdict: verdict.row.state == "not proven"):
         yield NextStep(
             f"Record {names} {ISOTHERMAL}", "What is left is little, noise or an effect too small to prove."
         )

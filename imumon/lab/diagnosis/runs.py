@@ -26,7 +26,7 @@ DRIVERS = ("pressure", *(f"mag_{axis}" for axis in "xyz"))
 """Known columns that may drive a bias besides temperature and specific force."""
 READ = (*CHANNELS, *TEMPERATURES, *DRIVERS)
 LONGEST_GAP_S = 6 * 3600
-"""A longer gap begins another run: the state of the unit after it is unknown."""
+"""A longer gap begins another run: the state of the unit after it is unknown.  Assumed."""
 SHORTEST_RUN_S = 300.0
 """A run that is shorter, or not as long at rest, is not used: it has fewer than ten means of 30 s."""
 MOSTLY = 0.5
@@ -38,27 +38,21 @@ KEPT = 100_000
 
 
 class Samples(NamedTuple):
-    """Statistics of the samples of a channel in a recording.
+    """Statistics of the samples of a channel in a recording."""
 
-    `step` is that of the grid on which the values lie, 0 when there is none; `scatter` the standard deviation
-    of a sample about its neighbour; `ratio` the noise before rounding, in steps, infinite where these are far
-    finer; `atom` the value that is far more frequent than its neighbours (NaN without one).
-    """
-
-    step: float
-    scatter: float
-    ratio: float = np.inf
-    atom: float = np.nan
-    atom_share: float = 0.0
+    step: float  # of the grid on which the values lie; 0 without one
+    scatter: float  # standard deviation of a sample about its neighbour
+    ratio: float = np.inf  # noise before rounding, in steps; infinite where these are far finer
+    atom: float = np.nan  # value that is far more frequent than its neighbours; NaN without one
+    atom_share: float = 0.0  # of the samples
 
 
 @dataclass(frozen=True)
 class Origin:
-    """Where a run comes from: session or table, its number in it, fingerprint of its bytes, and unit; two are
-    the same whose bytes are, whatever their names."""
+    """Where a run comes from; two are the same that have the same bytes, whatever their names."""
 
-    session: str = field(compare=False)
-    index: int
+    session: str = field(compare=False)  # or table
+    index: int  # number of the run in it
     sha256: str
     device: str | None = field(default=None, compare=False)
     serial: str | None = field(default=None, compare=False)
@@ -66,32 +60,21 @@ class Origin:
 
 @dataclass
 class Run:
-    """One run from power-on in means of slots of `slot_s`; a slot without samples is NaN.
-
-    A slot has whole seconds, more than one where a log is slower than a sample a second.  `time_s` is its
-    middle since the first sample, `count` the samples in it, of each column, `mean` (SI units, °C) and
-    `variance` (NaN with fewer than two) theirs, and `rest` the share of the samples at rest, (n,) each.
-    `start_ns` is the device time of the first sample, None when it is not known, as `origin` is of what is
-    not from a file.  `samples` has statistics of the single samples of channels, in the whole recording.
-
-    `begun_in` names the run that began at this power-on, where that is another: its jumps persist in this
-    one.  A run that is `woven` alternates with parts of the training, so that any smooth course interpolates
-    it.  `warnings`: why its numbers may not be fit for an estimate, as where the device corrects its rates.
-    """
+    """One run from power-on in means over n slots; a slot without samples is NaN."""
 
     name: str
-    time_s: FloatArray
-    count: dict[str, FloatArray]
-    mean: dict[str, FloatArray]
-    variance: dict[str, FloatArray]
-    rest: FloatArray
-    origin: Origin | None = None
-    start_ns: int | None = None
-    begun_in: str = ""
-    woven: bool = False
-    warnings: tuple[str, ...] = ()
-    slot_s: float = 1.0
-    samples: Mapping[str, Samples] = field(default_factory=dict)
+    time_s: FloatArray  # middle of each slot since the first sample, (n,)
+    count: dict[str, FloatArray]  # samples of each column, (n,)
+    mean: dict[str, FloatArray]  # of these, SI units or °C, (n,)
+    variance: dict[str, FloatArray]  # of these; NaN with fewer than two, (n,)
+    rest: FloatArray  # share of the samples at rest, (n,)
+    origin: Origin | None = None  # None of what is not from a file
+    start_ns: int | None = None  # device time of the first sample; None when it is not known
+    begun_in: str = ""  # name of the run that began at this power-on, if another: jumps in that persist
+    woven: bool = False  # whether it alternates with training, so that any smooth course interpolates it
+    warnings: tuple[str, ...] = ()  # why its numbers may be unfit, as where the device corrects its rates
+    slot_s: float = 1.0  # whole seconds: more than one where a log is slower than a sample a second
+    samples: Mapping[str, Samples] = field(default_factory=dict)  # of channels, in the whole recording
 
     @property
     def duration_s(self) -> float:
@@ -136,27 +119,29 @@ def read_runs(
     while sum(map(len, first)) < 1000 and (more := next(blocks, None)) is not None:
         first.append(more)
     wanted = channels_of(sensors, first[0].columns) if first else []
-    further, watcher = [*wanted], Watcher(wanted)
+    further = [*wanted]
     # The detector names what it made of a session, a map what was measured.  Of a table that imumon wrote
     # nothing shows which of its further columns are made of the gyros themselves: they are not read.
     if first and (recording.source.session or map_path):
-        further += further_columns(first[0], {one.name for one in RestDetector().columns})
+        further += further_columns(first[0], {column.name for column in RestDetector().columns})
+    watcher = Watcher(wanted)
     samples: Iterable[SampleBlock] = watcher.through(chain(first, blocks))
     if CLOCK in sensors and CLOCK not in wanted:
         samples, further = with_delay(samples), [*further, CLOCK]
-    every = collect(samples, recording.name, further, _slot_s(first, wanted))
-    runs = [run for run in every if run.duration_s >= SHORTEST_RUN_S]
+    # This reads the file; statistics, warnings and fingerprint are complete only behind it.
+    every_run = collect(samples, recording.name, further, _slot_s(first, wanted))
+    runs = [run for run in every_run if run.duration_s >= SHORTEST_RUN_S]
     if not runs:
-        longest = max((run.duration_s for run in every), default=0.0)
+        longest = max((run.duration_s for run in every_run), default=0.0)
         raise bad_data(
             f"{path}: too short: its longest run is {longest:.0f} s; {SHORTEST_RUN_S:.0f} s are needed",
             "record the unit at rest for an hour or more while its temperature changes",
         )
     warnings = tuple(f"{path}: {text}" for text in recording.warnings())
     sha256, statistics = recording.sha256(), watcher.samples()
-    for at, run in enumerate(runs):
+    for number, run in enumerate(runs):
         run.rest = np.ones_like(run.rest) if at_rest else run.rest
-        run.origin = Origin(recording.name, at, sha256, recording.device, recording.serial)
+        run.origin = Origin(recording.name, number, sha256, recording.device, recording.serial)
         run.warnings, run.samples = warnings, statistics
     return runs
 
@@ -204,20 +189,20 @@ def _run(means: Reduced, rest: FloatArray, rows: IntArray, name: str) -> Run:
         grid[slot] = values[rows]
         return grid
 
-    columns = {key: at for at, key in enumerate(means.names) if means.count[rows, at].any()}
-    mean = {key: on_grid(means.mean[:, at]) for key, at in columns.items()}
-    variance = {key: on_grid(means.variance[:, at]) for key, at in columns.items()}
-    if CLOCK in columns:
-        mean[CLOCK] = rate_ppm(on_grid(means.smallest[:, columns[CLOCK]]), means.slot_s)
+    indices = {name: at for at, name in enumerate(means.names) if means.count[rows, at].any()}
+    mean = {name: on_grid(means.mean[:, at]) for name, at in indices.items()}
+    variance = {name: on_grid(means.variance[:, at]) for name, at in indices.items()}
+    if CLOCK in indices:
+        mean[CLOCK] = rate_ppm(on_grid(means.smallest[:, indices[CLOCK]]), means.slot_s)
         variance[CLOCK] = np.full(n, np.nan)  # the samples of a slot are delays, no rates
     if variance.keys() >= set(ACCEL):
-        scatter = np.sum([variance[key] for key in ACCEL], axis=0)
+        scatter = np.sum([variance[axis] for axis in ACCEL], axis=0)
         if np.isfinite(scatter).mean() > 0.5:
             mean[VIBRATION] = scatter
     return Run(
         name=name,
         time_s=(np.arange(n, dtype=np.float64) + 0.5) * means.slot_s,
-        count={key: on_grid(means.count[:, at], 0.0) for key, at in columns.items()},
+        count={name: on_grid(means.count[:, at], 0.0) for name, at in indices.items()},
         mean=mean,
         variance=variance,
         rest=on_grid(rest, 0.0),
@@ -226,10 +211,10 @@ def _run(means: Reduced, rest: FloatArray, rows: IntArray, name: str) -> Run:
     )
 
 
-def channels_of(sensors: Iterable[str], there: Container[str]) -> list[str]:
-    """Return the columns there of sensors: of gyro gyro_x, gyro_y and gyro_z, of pressure itself."""
-    every = [name for sensor in sensors for name in (sensor, *(f"{sensor}_{axis}" for axis in "xyz"))]
-    return [name for name in dict.fromkeys(every) if name in there]
+def channels_of(sensors: Iterable[str], columns: Container[str]) -> list[str]:
+    """Return which of some columns are of sensors: of gyro gyro_x, gyro_y and gyro_z, of pressure itself."""
+    possible = [name for sensor in sensors for name in (sensor, *(f"{sensor}_{axis}" for axis in "xyz"))]
+    return [name for name in dict.fromkeys(possible) if name in columns]
 
 
 def unit_of(channel: str) -> str:
@@ -250,6 +235,7 @@ class Watcher:
     def through(self, blocks: Iterable[SampleBlock]) -> Iterator[SampleBlock]:
         """Yield the blocks unchanged."""
         for block in blocks:
+            # From the first of these rows whose number in the recording is a multiple of the stride.
             chosen = slice(-self._rows % self._stride, None, self._stride)
             self._rows += len(block)
             for name in self._kept.keys() & block.columns.keys():
@@ -277,26 +263,26 @@ def _samples(values: FloatArray, steps: FloatArray) -> Samples:
     fresh, known = steps != 0.0, np.isfinite(steps)
     scatter = np.sqrt(np.mean(steps[known] ** 2) / 2.0)
     moved = steps[known & fresh]
-    noise = np.sqrt(np.mean(moved**2) / 2.0) if len(moved) else np.nan
+    moved_scatter = np.sqrt(np.mean(moved**2) / 2.0) if len(moved) else np.nan  # without what is stuck
     distinct, where = np.unique(values, return_inverse=True)
     count = np.bincount(where, weights=fresh)
     step = grid_step(distinct, len(values))
     rounded = digits(values) if step > 0.0 else None
     found = Samples(step, scatter, rounded.ratio if rounded else np.inf)
-    at = np.argmax(count)
-    beside = max([*count[max(at - 1, 0) : at], *count[at + 1 : at + 2], 1.0])
-    share = count[at] / max(count.sum(), 1.0)
-    coarse = step > 0.0 and not step < noise
+    most = np.argmax(count)
+    beside = max([*count[max(most - 1, 0) : most], *count[most + 1 : most + 2], 1.0])
+    share = count[most] / max(count.sum(), 1.0)
+    coarse = step > 0.0 and not step < moved_scatter  # true of NaN, too
     # A percent of all samples, and ten times more than its neighbours have, are not by chance.
-    if coarse or len(distinct) < 3 or share < 0.01 or count[at] < 10.0 * beside:
+    if coarse or len(distinct) < 3 or share < 0.01 or count[most] < 10.0 * beside:
         return found
-    return found._replace(atom=distinct[at], atom_share=share)
+    return found._replace(atom=distinct[most], atom_share=share)
 
 
 class BoundedRun:
     """Sums over slots of 1, 2, 4, ... s: where they would be too many, neighbours are added in pairs.
 
-    Gyros count at rest only, so that the rest of a slot counts in which the unit moved for a while.
+    Of gyros only the seconds at rest are added, so that a slot keeps these where the unit moved in others.
     """
 
     def __init__(self, names: Names) -> None:
@@ -315,16 +301,16 @@ class BoundedRun:
         second = (part.start_ns - self._begun_ns) // SECOND_NS
         self._last = int(second[-1])
         while self._last // self._width >= MOST_SLOTS:
-            half = MOST_SLOTS // 2
-            self._sums[:half] = self._sums[::2] + self._sums[1::2]
-            self._sums[half:] = 0.0
+            self._sums[: MOST_SLOTS // 2] = self._sums[::2] + self._sums[1::2]
+            self._sums[MOST_SLOTS // 2 :] = 0.0
             self._width *= 2
         count = part.count[:, :-1].astype(np.float64)
-        scatter = part.variance[:, self._accel] / (1.0 - 1.0 / np.maximum(count[:, self._accel], 2.0))
-        shaken = (count[:, self._accel] > 1.0).all(axis=1) & (len(self._accel) == len(ACCEL))
+        # `KeptSlots` has variances about the mean over n, a run those over n - 1.
+        unbiased = part.variance[:, self._accel] / (1.0 - 1.0 / np.maximum(count[:, self._accel], 2.0))
+        has_vibration = (count[:, self._accel] > 1.0).all(axis=1) & (len(self._accel) == len(ACCEL))
         count[:, self._gyros] *= (part.mean[:, -1] == 1.0)[:, None]
-        count = np.column_stack([count, shaken])
-        mean = np.where(count > 0, np.column_stack([part.mean[:, :-1], scatter.sum(axis=1)]), 0.0)
+        count = np.column_stack([count, has_vibration])
+        mean = np.where(count > 0, np.column_stack([part.mean[:, :-1], unbiased.sum(axis=1)]), 0.0)
         np.add.at(self._sums, second // self._width, np.stack([count, mean * count], axis=1))
         return float(part.end_ns[-1] - self._begun_ns) / SECOND_NS
 

@@ -85,35 +85,26 @@ class Claim(NamedTuple):
 
 @dataclass
 class ChannelVerdict:
-    """What is claimed of a channel, and how well it does.
-
-    `channel` is in the blocks that are scored, where the search may have been in shorter ones.  `before` is
-    the baseline, which is the declared model or the present one as it is, `after` that with the findings, and
-    `declared_covariance` of the coefficients of the declared model in it, (degree + 1, degree + 1).
-
-    `claims` are those of the `findings` that the present model has not, `remark` is why nothing else is
-    claimed, `left_out` what was found but made the test worse, and `refit` what was fitted anew of the
-    present model, its curve first; empty when that stays as it is.  What `predicts` goes into the model file;
-    else the declared model does: nothing of what is claimed carries over, or the constants of the test make
-    the prediction worse with it.
-    """
+    """What is claimed of a channel, and how well it does."""
 
     search: AxisSearch
-    channel: Channel
-    before: Fit
-    after: Fit
+    channel: Channel  # in the blocks that are scored, where the search may have been in shorter ones
+    before: Fit  # the baseline: the declared model, or the present one as it is
+    after: Fit  # that with the findings
     test_before: Score
     test_after: Score
     findings: Sequence[Finding]
-    claims: list[Claim]
+    claims: list[Claim]  # those of the findings that the present model has not
     unexplained: bool
     """More than 1.8 total floors are left in training, or in the test after the named effects; or a session
     has two jumps."""
-    remark: str
-    left_out: Sequence[dict[str, Any]]
+    remark: str  # why nothing else is claimed
+    left_out: Sequence[dict[str, Any]]  # what was found but made the test worse
+    # Whether `after` goes into the model file, else `before` does: nothing of what is claimed carries over,
+    # or the constants of the test make the prediction worse with it.
     predicts: bool
-    refit: list[str]
-    declared_covariance: FloatArray
+    refit: list[str]  # what was fitted anew of the present model, its curve first; empty where it stays
+    declared_covariance: FloatArray  # of the declared coefficients of `after`, (degree + 1, degree + 1)
 
     @property
     def name(self) -> str:
@@ -174,16 +165,14 @@ class ChannelVerdict:
     @property
     def in_short(self) -> str:
         """The verdict in a few words."""
-        found = [one.finding for one in self.claims]
+        found = [claim.finding for claim in self.claims]
         # A name that is not told apart from another claim, and is claimed itself, is another one of it.
-        again = {one.name: f"another {one.name}" for one in found}
-        each = [
-            " or ".join([one.name, *(again.get(name, name) for name in one.alternatives)]) for one in found
-        ]
+        again = {finding.name: f"another {finding.name}" for finding in found}
+        each = [" or ".join([one.name, *(again.get(n, n) for n in one.alternatives)]) for one in found]
         names = [f"({name})" if " or " in name and len(each) > 1 else name for name in dict.fromkeys(each)]
         text = self.row.sentence.format(names=" and ".join(names))
         if self.row.predicate == "claimed":
-            text += "".join(more for name, more in BESIDE_CLAIMS.items() if getattr(self, name))
+            text += "".join(more for predicate, more in BESIDE_CLAIMS.items() if getattr(self, predicate))
         return text
 
     @property
@@ -193,7 +182,7 @@ class ChannelVerdict:
             return "; ".join([*self.channel.faults, self.in_short])
         reasons = [_numbers(self), *([self.remark] if self.remark else [])]
         reasons += [f"{item['name']} was found but made the test worse" for item in self.left_out]
-        pairs = [(one.finding.name, other) for one in self.claims for other in one.finding.alternatives]
+        pairs = [(claim.finding.name, other) for claim in self.claims for other in claim.finding.alternatives]
         if pairs:
             reasons.append(f"to separate: {'; '.join(dict.fromkeys(separated_by(*pair) for pair in pairs))}")
         if self.hidden:
@@ -208,8 +197,11 @@ def _numbers(verdict: ChannelVerdict) -> str:
     before, after = verdict.before.train_rms / floor, verdict.after.train_rms / floor
     changed = verdict.claims or verdict.refit
     anew = "" if verdict.claims else f"{', '.join(verdict.refit)} fitted anew, "
-    text = f"{anew}{before:.1f} white floors become {after:.2f} in training"
-    text = text if changed else f"the declared model leaves {before:.2f} white floors in training"
+    text = (
+        f"{anew}{before:.1f} white floors become {after:.2f} in training"
+        if changed
+        else f"the declared model leaves {before:.2f} white floors in training"
+    )
     if not verdict.channel.test:
         return f"{text}; without a test that is no proof"
     if not np.isfinite(score.rms):
@@ -242,7 +234,7 @@ class _Hypothesis(NamedTuple):
     @property
     def new(self) -> list[Finding]:
         """The findings that are not of the present model."""
-        return [one for one in self.findings if not one.of_present_model]
+        return [finding for finding in self.findings if not finding.of_present_model]
 
 
 def decide(search: AxisSearch, channel: Channel) -> ChannelVerdict:
@@ -258,13 +250,13 @@ def decide(search: AxisSearch, channel: Channel) -> ChannelVerdict:
             rms=test_before.rms, predicted_residual=test_before.predicted_residual
         )
     residual_rms = max(after.train_rms, test_after.smaller_rms) if claimed.new else after.train_rms
-    model = [one.candidate for one in claimed.findings]
+    model = [finding.candidate for finding in claimed.findings]
     covariance, part_sigmas = sigmas(search.channel, search.survey, search.likelihood, model)
     parts = iter(after.parts[len(channel.fixed_effects) :])
-    of_findings = [list(islice(parts, len(one.parts))) for one in model]
+    of_findings = [list(islice(parts, len(candidate.parts))) for candidate in model]
     claims = map(Claim, claimed.findings, of_findings, part_sigmas)
     refit = ["curve"] if channel.degree else []
-    refit += [one.name for one in claimed.findings if one.of_present_model]
+    refit += [finding.name for finding in claimed.findings if finding.of_present_model]
     return ChannelVerdict(
         search=search,
         channel=channel,
@@ -287,13 +279,13 @@ def _claimable(channel: Channel, search: AxisSearch, baseline: Fit, left_out: li
     """Return what is claimed, in the four steps of the module docstring; adds to `left_out`."""
 
     def hypothesis(findings: list[Finding]) -> _Hypothesis:
-        after = fit(channel, [one.candidate for one in findings])
+        after = fit(channel, [finding.candidate for finding in findings])
         test_before = score_test(channel, baseline, settled_as=after)
         return _Hypothesis(findings, after, test_before, score_test(channel, after))
 
     base = hypothesis([one for one in search.findings if one.of_present_model])  # nothing that was found
-    lasting = [one for one in search.findings if one.candidate.scope != "event"]  # 1
-    without_jumps = fit(channel, [one.candidate for one in lasting]).train_rms
+    lasting = [finding for finding in search.findings if finding.candidate.scope != "event"]  # 1
+    without_jumps = fit(channel, [finding.candidate for finding in lasting]).train_rms
     small_jumps = search.repeated_event or without_jumps < CLEAN_RESIDUAL * channel.floor.sd
     findings = lasting if small_jumps else search.findings
     trained = hypothesis(_not_refuted(channel, findings, left_out))  # 2
@@ -305,8 +297,8 @@ def _claimable(channel: Channel, search: AxisSearch, baseline: Fit, left_out: li
     small = SMALL_RESIDUAL * channel.total_floor
     residual_rms = trained.test_after.smaller_rms if trained.new else np.inf
     lacking = not trained.new or (trained.after.carries_over and residual_rms >= small)
-    if lacking and base.after.train_rms >= small and (one := _proven_by_test(channel, search, base)):
-        by_test = hypothesis([*base.findings, one])  # 4
+    if lacking and base.after.train_rms >= small and (proven := _proven_by_test(channel, search, base)):
+        by_test = hypothesis([*base.findings, proven])  # 4
         # What training proves goes first unless it leaves twice as much of the test.
         if 2.0 * by_test.test_after.rms < residual_rms:
             return by_test
@@ -317,11 +309,11 @@ def _not_refuted(channel: Channel, findings: list[Finding], left_out: list[Any])
     """Return what passes step 2; what does not carry over predicts nothing that could be refuted."""
     passed = list(findings)
     while passed and channel.test:
-        everything = fit(channel, [one.candidate for one in passed])
+        everything = fit(channel, [finding.candidate for finding in passed])
         predicting = {part.effect.label for part in everything.parts if part.carries_over}
         with_it, trials = score_test(channel, everything).estimated_rms, []
-        for finding in (one for one in passed if one.name in predicting and not one.of_present_model):
-            others = fit(channel, [one.candidate for one in passed if one is not finding])
+        for finding in (each for each in passed if each.name in predicting and not each.of_present_model):
+            others = fit(channel, [other.candidate for other in passed if other is not finding])
             without = score_test(channel, others, settled_as=everything).estimated_rms
             trials += [(without, finding)] if without < with_it else []
         if not trials:
@@ -365,18 +357,18 @@ def _proven_by_test(channel: Channel, search: AxisSearch, base: _Hypothesis) -> 
     Only effects count that make the training likelier, by more than their coefficients cost: the best of each
     family by the likelihood, and by least squares.
     """
-    if not channel.test or any(one.run.woven for one in channel.test):
+    if not channel.test or any(run.run.woven for run in channel.test):
         return None
     present = search.present
     plain = [one for one in search.candidates if one.shared and len(one.parts) == 1 and not one.free_start]
     hits: list[tuple[float, Finding]] = []
-    for leader in (one for table in search.tables for one in table.values()):
+    for leader in (scored for table in search.tables for scored in table.values()):
         if not (leader.linear_gain > 0.0 and leader.candidate.shared):
             continue
         # The likelihood looks at what is fast; of a slow course least squares see more.
-        of_family = [one for one in plain if one.family == leader.candidate.family]
+        of_family = [candidate for candidate in plain if candidate.family == leader.candidate.family]
         # There is one: what is late as a whole or has a free start is made of the plain ones of its family.
-        closest = min(of_family, key=lambda one: channel.residual_rms([*present, one]))
+        closest = min(of_family, key=lambda candidate: channel.residual_rms([*present, candidate]))
         for candidate in (leader.candidate, closest):
             after = fit(channel, [*present, candidate])
             without = score_test(channel, base.after, settled_as=after).rms
@@ -396,5 +388,5 @@ def chosen_by_test(hits: Sequence[tuple[float, Finding]]) -> Finding | None:
         by_name.setdefault(finding.name, finding)
     best, *others = by_name.values()
     best.family_gains = {name: finding.gain for name, finding in by_name.items()}
-    best.alternatives = {one.name: one.candidate for one in others[: MOST_NAMES - 1]}
+    best.alternatives = {other.name: other.candidate for other in others[: MOST_NAMES - 1]}
     return best

@@ -70,6 +70,21 @@ def test_what_stood_still_is_not_counted_again_as_a_value_that_comes_too_often(v
     assert faults([left], "gyro_x", 0.02) == {}
 
 
+def test_a_sensor_that_is_stuck_for_most_of_a_run_is_not_taken_for_one_of_too_few_digits() -> None:
+    """Its values were kept, as those of one whose digits are coarser than its noise."""
+
+    def frozen(values: FloatArray, _: FloatArray) -> FloatArray:
+        return np.where(np.arange(N) >= 12_000, 5.0, values)
+
+    remarks: list[str] = []
+    left = without_standstill(watched(frozen), ["gyro_x"], remarks)
+    assert remarks == ["a run: gyro_x is stuck or saturated for 360 s; they are left out"]
+    assert np.isfinite(left.mean["gyro_x"]).sum() == 240
+    rare = without_standstill(watched(lambda v, _: np.round(v / 9.0), sd=0.3), ["gyro_x"], remarks)
+    assert remarks[1].endswith("too few digits")
+    assert np.isfinite(rare.mean["gyro_x"]).all()
+
+
 @pytest.mark.parametrize("step", [0.0, 0.01, 0.5, 1.0])
 @pytest.mark.parametrize("scale", [1.0, 1e-5, 3e4])
 def test_sound_samples_have_no_fault_however_they_are_rounded(step: float, scale: float) -> None:
