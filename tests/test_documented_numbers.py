@@ -11,6 +11,8 @@ from typing import NamedTuple
 import pytest
 from scipy.optimize import brentq
 
+from imumon.allan.covariance import FLOOR_PER_INSTABILITY
+from imumon.allan.fit import SHOWN
 from imumon.estimation.alignment.parameters import AlignmentParameters
 from imumon.estimation.alignment.posterior import LOG_SIZES, sensor_errors
 from imumon.estimation.alignment.stage import LONGEST_GAP_S
@@ -23,6 +25,9 @@ from imumon.estimation.smoothing.stage import MEDIAN
 from imumon.estimation.temperature_rate.filter import CODE_MODELS, JERK_PSDS, MEAN_MODELS
 from imumon.estimation.temperature_rate.stage import RAMP_S
 from imumon.geodesy import DEG_PER_H, EARTH_RATE, STANDARD_GRAVITY
+from imumon.papers.self_alignment import CORNER, DAMPING
+from imumon.papers.stages import DEFAULT_STEP_DEGC
+from imumon.protocols.thermometer import TemperatureRateParameters
 
 DOCS = Path(__file__).parents[1] / "docs"
 ALIGNMENT = "appendix/alignment-details.md"
@@ -250,6 +255,9 @@ LEVEL_RATE = EARTH_RATE * math.cos(math.radians(36.0)) / DEG_PER_H
 """Horizontal earth rate at the latitude of the alignment's examples, °/h."""
 EARTH_DPH = EARTH_RATE / DEG_PER_H
 AT_50 = EARTH_DPH * math.cos(math.radians(50.0))
+NIGHT = "tutorials/a-night.md"
+PRINTED = math.sqrt(0.8 * STANDARD_GRAVITY)
+"""Corner of the alignment loop by the gains that its paper prints, rad/s."""
 DEGREE, TAN = math.degrees(1.0), math.tan(math.radians(36.0))
 AFTER_60_S, AFTER_600_S = (1e-3 * math.sqrt(3600.0 / s) / LEVEL_RATE * DEGREE for s in (60.0, 600.0))
 """Sigma of the heading by a noise of 0.001 °/√h, °."""
@@ -836,6 +844,76 @@ SENTENCES: list[tuple[str, str, Numbers]] = [
             Source(SPEED, "| live at 1000 Hz, share of a core | ≤ # |", lambda found: [100.0 * found[0][0]]),
             Source(SPEED, "| live at 1000 Hz, age p99, s | ≤ # |", lambda found: [1000.0 * found[0][0]]),
         ],
+    ),
+    (
+        NIGHT,
+        "consumer # to # °/√h, industrial #, high-end tactical #.",
+        [
+            Source("allan.md", "| consumer, as an MPU-6050 | # |"),
+            Source("allan.md", "| consumer, as a BMI160 | # |"),
+            Source("allan.md", "| industrial | # |"),
+            Source("allan.md", "| high-end tactical, as a fibre-optic gyro | # |"),
+        ],
+    ),
+    (
+        NIGHT,
+        "stops falling, at √(2 ln 2 / π) B = # B = # °/h",
+        [
+            FLOOR_PER_INSTABILITY,
+            Source(NIGHT, "instability °/h #(", lambda found: [FLOOR_PER_INSTABILITY * found[0][0]]),
+        ],
+    ),
+    (NIGHT, "in its place misses the curve by more than # standard deviations", [SHOWN]),
+    (
+        NIGHT,
+        "# °/h of y at # s make `gyroscope_random_walk: #e-7` (rad/s/√s)",
+        [
+            Source(
+                NIGHT,
+                "lowest deviation °/h # # # at τ s # # #",
+                lambda found: [
+                    found[0][1],
+                    found[0][4],
+                    1e7 * found[0][1] * DEG_PER_H * math.sqrt(3.0 / found[0][4]),
+                ],
+            )
+        ],
+    ),
+    (
+        "published.md",
+        "k = # 1/s and k_b = # rad/m, make one of √(k_b g) / 2π = # Hz with a damping of # |",
+        [3.5, 0.8, PRINTED / (2.0 * math.pi), 3.5 / (2.0 * PRINTED)],
+    ),
+    (
+        "published.md",
+        "as the text: k = # 1/s, k_b = # rad/m",
+        [2.0 * DAMPING * CORNER, CORNER**2 / STANDARD_GRAVITY],
+    ),
+    (
+        "published.md",
+        "(if absent #, as in the paper), `window_s` (#), `time_constant_s` (#), `buffer_size` (#)",
+        [
+            DEFAULT_STEP_DEGC,
+            *(
+                getattr(TemperatureRateParameters(), key)
+                for key in ("window_s", "time_constant_s", "buffer_size")
+            ),
+        ],
+    ),
+    (
+        "published.md",
+        "beside # °/h of the default, `sr_ukf` has #, `sr_rsukf` # and `stf` # °/h",
+        [
+            Source("random-error.md", "| the default, without declared noise | # |"),
+            Source("random-error.md", "| SR-UKF, with its best parameter | # |"),
+            Source("random-error.md", "| SR-RSUKF, with its best parameters | # |"),
+            Source("random-error.md", "| STF: it follows nearly every reading | # |"),
+        ],
+    ),
+    (
+        "published.md",
+        "makes # °/h on y; increments of the curve, as imumon has them, [#](",
+        [Source("tczupt.md", "as published, not increments of the curve: [# instead of # °/h]")],
     ),
 ]
 """Page, a sentence with # for its numbers, and what these are."""
