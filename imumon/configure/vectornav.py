@@ -216,7 +216,7 @@ class VectorNav(Family):
         found, fields = output.contents, "fields that imumon does not know"
         if found is not None:
             groups = [name for group, name in vectornav.GROUP_NAMES.items() if output.groups >> group - 1 & 1]
-            fields = f"{' '.join(groups)}: {', '.join(item.name for item, _ in found.fields)}"
+            fields = f"{' '.join(groups)}: {', '.join(item.name for item, *_ in found.fields)}"
         return f"{rate} on serial port {output.port}, {fields}"
 
 

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from functools import reduce
 from operator import or_
 
-from imumon.protocols.framing import Checksum, Frame, fixed_length
+from imumon.protocols.framing import Checksum, Frame
 from imumon.protocols.messages import TableDevice
 from imumon.protocols.witmotion import SIZE, TYPES
 
@@ -61,7 +61,7 @@ def _frames(content: bytes) -> list[str]:
 class WitMotion(Family):
     """Commands of a WitMotion module."""
 
-    answer_frame = Frame({b"\x55": "register"}, fixed_length(SIZE), Checksum("sum8"))
+    answer_frame = Frame({b"\x55": "register"}, SIZE, Checksum("sum8"))
     title = "WitMotion"
     verified = "codes of the vendor's sample code, and the virtual device; never a real unit"
     baud_codes = BAUD_CODES
@@ -107,7 +107,7 @@ class WitMotion(Family):
         return ", ".join(_frames(value)) or "nothing"
 
 
-WRITE = Frame({b"\xff\xaa": "write"}, fixed_length(5))
+WRITE = Frame({b"\xff\xaa": "write"}, 5)
 """A command; it has no checksum."""
 
 

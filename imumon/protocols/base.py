@@ -33,8 +33,7 @@ class Timing(NamedTuple):
     """How a device counts time."""
 
     counter_bits: int | None = None
-    """``packet_counter`` wraps at 2**counter_bits and rises by one a packet; None when there is no
-    counter."""
+    """``packet_counter`` wraps at 2**counter_bits and rises by one a packet; None: there is none."""
     tick_ns: Fraction | None = None
     """Nanoseconds per count of ``device_ticks``; None when the device sends no time."""
     tick_bits: int = 0

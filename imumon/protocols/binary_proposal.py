@@ -201,8 +201,7 @@ def _rising(
 ) -> Iterator[tuple[str, str, str]]:
     """Yield the packet counter and the clock with reason, keys and byte order; mark their bytes as known.
 
-    The counter rises by one a packet; the clock has 32 bits, and rises as time does in a unit that fits the
-    rate.
+    The counter rises by one a packet; the clock has 32 bits, and rises with time in a unit that fits `rate`.
     """
     for size, order in ((2, "big"), (2, "little"), (1, "little")):
         step, is_whole = _steps(before, after, known, size, order)

@@ -1,4 +1,4 @@
-"""Decoders: bytes to columns, whatever the family.  What a packet carries is a *layout*."""
+"""The decoder that all families share: what a packet carries is a *layout*."""
 
 from collections.abc import Iterable, Sequence
 
@@ -9,24 +9,24 @@ from imumon.columns import KNOWN, Column
 from imumon.transport.statistics import Counters
 
 from .base import CHUNK, ByteArray, Groups, Packets, Timing
-from .epochs import GENERATION
 from .framing import BAD_SUM, IMPOSSIBLE, Found, Frame, search
 from .numbers import Record
 
 MOST_NOTICES = 1000
-"""Different notices that a decoder gives at the most; more would be a stream of rubbish."""
+"""Different notices that a decoder gives at the most; more would be a stream of rubbish.  Assumed."""
+ENOUGH_PACKETS = 32  # after which a column that has not come is one that the device does not send; assumed
 ONLY_CORRECTED = (
     "only rates come from which the device's filter has taken its own estimate of the bias "
     "(gyro_compensated_*): what imumon finds is the rest of it; send calibrated rates as well, as "
     "MIP's ScaledGyro"
 )
-"""Warning of a device that sends no rate as it was calibrated in the factory."""
+"""Warning of a device, of any family, that sends no rate as it was calibrated in the factory."""
 Layouts = Iterable[tuple[Record, IntArray]]
 """Layouts, and which packets have each."""
 
 
 class Decoder:
-    """Turns a byte stream into columns, whatever the chunking; `take` returns what has come since.
+    """Turns a byte stream, however it is cut, into columns; `take` returns what has come since.
 
     It finds packets by frames, keeps count of every byte, and makes a row of each packet that has a layout.
 
@@ -57,14 +57,14 @@ class Decoder:
         self._waiting = 0  # bytes in the parts
         self._rest = b""  # searched, and still part of what may become a packet
         self._overlap = 0  # bytes at the front of the rest that belong to the packet accepted last
-        # Bytes up to each end, counted from the first, arrived at these times.
+        # End of each read, in bytes from the beginning of the stream, and when it arrived (Unix time, ns).
         self._ends: list[IntArray] = []
         self._times: list[IntArray] = []
         self._searched = 0  # bytes before the rest
         self._received = self._in_packets = self._checksum_errors = self._length_errors = 0
         self._names = [name for frame in frames for name in frame.names.values()]
         self._by_kind = np.zeros(len(self._names), np.int64)
-        self._of_kind = layouts
+        self._layout_of_kind = layouts
         self._columns = {"arrival_time_ns": KNOWN["arrival_time_ns"]}
         self._columns |= {column.name: column for layout in layouts for column in layout.columns}
         self._possible = self._columns | {column.name: column for column in possible}
@@ -131,7 +131,7 @@ class Decoder:
     def warnings(self) -> list[str]:
         """Return, once each, why numbers are unfit for an estimate, as when the device has corrected them."""
         corrected = "gyro_compensated_x" in self._columns and "gyro_x" not in self._columns
-        if corrected and self._by_kind.sum() >= GENERATION:
+        if corrected and self._by_kind.sum() >= ENOUGH_PACKETS:
             self._report(ONLY_CORRECTED, is_warning=True)
         new, self._warnings = self._warnings, []
         return new
@@ -142,7 +142,7 @@ class Decoder:
         return Counters(
             bytes_received=self._received,
             bytes_in_packets=self._in_packets,
-            bytes_skipped=self._received - self._in_packets - len(self._rest) + self._overlap,
+            bytes_skipped=self._received - self._in_packets - (len(self._rest) - self._overlap),
             packets=int(self._by_kind.sum()),
             checksum_errors=self._checksum_errors,
             length_errors=self._length_errors,
@@ -183,12 +183,12 @@ class Decoder:
 
     def _count(self, found: Found, tried: Found, rest: int) -> None:
         """Count the packets, their bytes once each, and the errors outside of them."""
-        ends = found.at + found.length
-        begins = np.maximum(found.at, np.concatenate([[self._overlap], ends])[:-1])
-        self._in_packets += int(np.sum(ends - begins))
+        # Where each packet ends, and before them the one of the last search: so k is the one before packet k.
+        ends = np.append(self._overlap, found.at + found.length)
+        self._in_packets += int(np.sum(ends[1:] - np.maximum(found.at, ends[:-1])))
         self._by_kind += np.bincount(found.kind, minlength=len(self._names))
-        covered = np.concatenate([[0], ends])[np.searchsorted(found.at, tried.at, "right")]
-        outside = (tried.at >= np.maximum(covered, self._overlap)) & (tried.at < rest)
+        end_before = ends[np.searchsorted(found.at, tried.at, "right")]
+        outside = (tried.at >= end_before) & (tried.at < rest)
         self._checksum_errors += int(np.sum(outside & (tried.length == BAD_SUM)))
         self._length_errors += int(np.sum(outside & (tried.length == IMPOSSIBLE)))
 
@@ -199,19 +199,19 @@ class Decoder:
     def _by_layout(self, found: Found) -> Layouts:
         """Yield the layouts of the packets; those without one have nothing for a row."""
         for kind in np.flatnonzero(np.bincount(found.kind)).tolist():
-            yield self._of_kind[kind], np.flatnonzero(found.kind == kind)
+            yield self._layout_of_kind[kind], np.flatnonzero(found.kind == kind)
 
     def _read(self, found: Found, arrival_ns: IntArray) -> Packets:
         """Return what the packets carry: a row for each that has something for a row, in order."""
         found = self._plain(found)
         parts = [*self._by_layout(found)]
-        rows = np.sort(np.concatenate([np.zeros(0, np.int64), *(mine for _, mine in parts)]))
+        rows = np.sort(np.concatenate([np.zeros(0, np.int64), *(mine for _, mine in parts)]), kind="stable")
         columns: dict[str, ColumnArray] = {"arrival_time_ns": arrival_ns[rows]}
-        groups = np.ones(len(rows), np.int64)
+        groups = np.ones(len(rows), np.int64)  # bit 0: the main one
         for layout, mine in parts:
-            place, values = np.searchsorted(rows, mine), layout.read(found.only(mine))
+            my_rows, values = np.searchsorted(rows, mine), layout.read(found.only(mine))
             if self.groups is not None:
-                groups[place] = self.groups.bits({*layout.of_column.values()})
+                groups[my_rows] = self.groups.bits({*layout.of_column.values()})
             for column in layout.columns:
                 self._columns.setdefault(column.name, column)
                 if len(mine) == len(rows):
@@ -219,5 +219,5 @@ class Decoder:
                     continue
                 if column.name not in columns:
                     columns[column.name] = missing(len(rows), column.dtype)
-                columns[column.name][place] = values[column.name]
+                columns[column.name][my_rows] = values[column.name]
         return Packets(SampleBlock(columns), groups)

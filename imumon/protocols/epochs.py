@@ -8,8 +8,9 @@ a time of its own makes the group a side stream, for good.  Receivers are side s
 their data are older than the packets between which they come.
 
 An epoch is complete when a packet of its group comes with another time (or counter), or with a field that is
-there already; and at once when it has every field that any epoch of this generation of `GENERATION` epochs
-or the one before had.  So a row waits for one epoch at the most.  Nothing is reordered and no field is lost.
+there already; and at once when it has every field that any epoch had in this generation, of `GENERATION`
+epochs, and the one before.  So a row waits for one epoch at the most.  Nothing is reordered, no field lost.
+An epoch is incomplete when it lacks a field that every epoch of the generation before had.
 """
 
 from collections.abc import Sequence
@@ -25,9 +26,10 @@ from .numbers import is_missing
 
 GENERATION = 32
 """Epochs after which it is known what an epoch may have; a field that is rarer comes out a row later."""
-NO_TIME, COUNTED, TIMED = range(3)
+NO_TIME, COUNTED, TIMED = range(3)  # what distinguishes epochs: nothing, the counter, the time of validity
 EPOCH, GROUP, AFTER, UNTIL = range(4)
 """Columns of the ended epochs: number, group, and main rows as `Epochs` counts them."""
+BITS = 62  # of a word of columns: the sign and one more are left free
 
 
 class Epochs(NamedTuple):
@@ -43,55 +45,43 @@ class Epochs(NamedTuple):
     """Steps of the packet counter within the epoch, (n,): packets that came besides the first."""
 
 
-BITS = 62
-"""Sets of columns of which each has a bit of its own in a word."""
-
-
-class _Group:
-    apart: int
+class _Group:  # State of a group; columns are bits, as in `_Work.masks`.
+    apart: int  # whether it is a side stream
     epoch: int  # number of the open epoch, 0: none
-    key_kind: int
+    key_kind: int  # of the open epoch, as is
     key: int
     mask: int  # columns that it has
     after: int  # main rows complete when it began
-    in_generation: int
-    generations: int
+    in_generation: int  # epochs of this generation
+    generations: int  # whole ones before it
     any_now: int  # columns that any epoch of this generation had
-    any_before: int
-    all_now: int
-    all_before: int
+    any_before: int  # columns that any of the generation before had
+    all_now: int  # columns that every epoch of this generation had
+    all_before: int  # columns that every one of the generation before had
     epochs: int
     packets: int
-    incomplete: int
-    latest: int  # of the first group alone: number of the latest epoch of all groups
-    ended: int  # and how many have ended in this call
+    incomplete: int  # epochs that lacked one of `all_before`
+    latest: int  # of the main group alone, for all: number of the latest epoch
+    ended: int  # and epochs that have ended in this call
 
 
 class _Work(NamedTuple):
     """What the assignment reads of each new packet, (n,), and what it writes."""
 
-    belongs: IntArray
-    """Groups, a bit each."""
-    kind: IntArray
-    key: IntArray
-    """What distinguishes epochs: nothing, the counter, or else the time of validity; and its value."""
-    masks: IntArray
-    """Columns, a bit for each set."""
-    may: IntArray
-    """Columns that each group may have."""
+    belongs: IntArray  # groups, a bit each
+    kind: IntArray  # `NO_TIME`, `COUNTED` or `TIMED`
+    key: IntArray  # counter or time of validity: with another kind or key an epoch is another
+    masks: IntArray  # columns, a bit for each set that always comes together
+    may: IntArray  # columns that each group may have, (groups,)
     groups: Sequence[_Group]
-    epoch: IntArray
-    """Epoch of each packet, kept and new, in each group; 0: none, (packets, groups)."""
-    own: IntArray
-    """The columns that it has there."""
-    ended: IntArray
-    """Of each epoch that ended: `EPOCH`, `GROUP`, `AFTER`, `UNTIL`, (packets * groups + groups, 4)."""
-    behind: IntArray
-    """Main rows that had begun before each packet of a side stream; -1 for others."""
+    epoch: IntArray  # of each packet, kept and new, in each group; 0: none, (packets, groups)
+    own: IntArray  # the columns that it has there
+    ended: IntArray  # `EPOCH`, `GROUP`, `AFTER`, `UNTIL` of each that ended, (packets * groups + groups, 4)
+    behind: IntArray  # main rows that had begun before each packet of a side stream; -1 for others
 
 
 class EpochAssembler:
-    """Puts packets together to epochs, whatever the division into blocks."""
+    """Puts packets together to epochs; how they are divided into blocks makes no difference."""
 
     def __init__(self, groups: Groups) -> None:
         self._groups = groups
@@ -131,18 +121,18 @@ class EpochAssembler:
         is_open = (epoch > 0) & (epoch == [group.epoch for group in self._state])
         found = {}
         for g, name in enumerate(self._groups.names):
-            of_group = ended[ended[:, GROUP] == g]
+            of_group = ended[ended[:, GROUP] == g]  # in the order of their numbers
             if g and not len(of_group):
                 continue
-            row = np.flatnonzero((epoch[:, g] > 0) & ~is_open[:, g])
-            self._state[g].packets += len(row)
-            place = np.searchsorted(of_group[:, EPOCH], epoch[row, g])
-            gathered = self._gather(name, block, row, own[row, g], place, len(of_group))
-            more = _steps_within(block, row, place, len(of_group))
+            packet = np.flatnonzero((epoch[:, g] > 0) & ~is_open[:, g])
+            self._state[g].packets += len(packet)
+            row = np.searchsorted(of_group[:, EPOCH], epoch[packet, g])
+            gathered = self._gather(name, block, packet, own[packet, g], row, len(of_group))
+            more = _steps_within(block, packet, row, len(of_group))
             found[name] = Epochs(gathered, of_group[:, AFTER], of_group[:, UNTIL], more)
-        rows = np.flatnonzero(is_open.any(axis=1))
-        self._kept = block.kept(rows)
-        self._kept_epoch, self._kept_own = np.where(is_open, epoch, 0)[rows], own[rows]
+        kept = np.flatnonzero(is_open.any(axis=1))
+        self._kept = block.kept(kept)
+        self._kept_epoch, self._kept_own = np.where(is_open, epoch, 0)[kept], own[kept]
         return found
 
     def _assigned(self, packets: Packets, end: bool) -> tuple[IntArray, IntArray, IntArray]:
@@ -153,11 +143,11 @@ class EpochAssembler:
             if name in block:
                 masks[~is_missing(block[name])] |= self._bit(name)
                 may[group] |= self._bit(name)
-        there = (packets.groups[:, None] >> np.arange(len(may)) & 1).astype(np.bool_)
-        new: IntArray = np.where(there, masks[:, None] & may, 0)
+        belongs = ((packets.groups[:, None] >> np.arange(len(may))) & 1).astype(np.bool_)
+        new: IntArray = np.where(belongs, masks[:, None] & may, 0)
         # Columns of other groups (another message has the same quantity) go into the packet's first group.
-        stray = masks & ~np.bitwise_or.reduce(np.where(there, may, 0), axis=1)
-        new[np.arange(n), there.argmax(axis=1)] |= stray
+        stray = masks & ~np.bitwise_or.reduce(np.where(belongs, may, 0), axis=1)
+        new[np.arange(n), belongs.argmax(axis=1)] |= stray
         none = missing(n, np.int64)
         counter, ticks = block.columns.get("packet_counter", none), block.columns.get("device_ticks", none)
         key = np.where(ticks != NO_INT, ticks, counter)
@@ -165,8 +155,7 @@ class EpochAssembler:
         epoch, own = np.vstack([self._kept_epoch, np.zeros_like(new)]), np.vstack([self._kept_own, new])
         ended, behind = np.zeros((epoch.size + len(may), 4), np.int64), np.full(n, -1, np.int64)
         self._state[0].ended = 0
-        work = _Work(packets.groups, kind, key, masks, may, self._state, epoch, own, ended, behind)
-        _assign(work, end)
+        _assign(_Work(packets.groups, kind, key, masks, may, self._state, epoch, own, ended, behind), end)
         aside = (behind >= 0) & (counter != NO_INT)
         self.counted_aside = list(zip(behind[aside].tolist(), counter[aside].tolist(), strict=True))
         return epoch, own, ended[: self._state[0].ended]
@@ -176,67 +165,74 @@ class EpochAssembler:
 
         Of more than `BITS` sets some share one: a row may begin too early, or a value may show twice.
         """
-        return 1 << self._bits.setdefault(self._groups.layouts[name], len(self._bits)) % BITS
+        return 1 << (self._bits.setdefault(self._groups.layouts[name], len(self._bits)) % BITS)
 
     def _gather(
-        self, stream: str, block: SampleBlock, row: IntArray, own: IntArray, place: IntArray, n: int
+        self, stream: str, block: SampleBlock, packet: IntArray, own: IntArray, row: IntArray, n: int
     ) -> SampleBlock:
-        """Return n rows of a stream: the packets `row` make the rows `place`; the first arrival counts."""
+        """Return n rows of a stream, to which these packets go with their own columns."""
         known = self._columns[stream]
         columns: dict[str, ColumnArray] = {}
         for name, values in block.columns.items():
-            taken = values[row]
+            taken = values[packet]
             present = ~is_missing(taken)
             if name in self._groups.of_column:
-                present &= own & self._bit(name) != 0
+                present &= (own & self._bit(name)) != 0
             if name not in known and name not in COMMON and not present.any():
                 continue
             known.add(name)
             columns[name] = missing(n, values.dtype)
+            # Assigned in order: of several values the last stays, but of times of arrival the first.
             order = slice(None, None, -1) if name == "arrival_time_ns" else slice(None)
-            columns[name][place[present][order]] = taken[present][order]
+            columns[name][row[present][order]] = taken[present][order]
         return SampleBlock(columns)
 
 
-def _steps_within(block: SampleBlock, row: IntArray, place: IntArray, n: int) -> IntArray:
-    """Return by how much the packet counter went on within each of n epochs, whose packets are these rows."""
-    if len(row) == n or "packet_counter" not in block:
+def _steps_within(block: SampleBlock, packet: IntArray, row: IntArray, n: int) -> IntArray:
+    """Return by how much the packet counter went on within each of n rows that these packets make."""
+    if len(packet) == n or "packet_counter" not in block:
         return np.zeros(n, np.int64)
-    counter = block["packet_counter"][row]
+    counter = block["packet_counter"][packet]
     there = counter != NO_INT
-    counter, place = counter[there], place[there]
+    counter, row = counter[there], row[there]
     first, last = np.zeros((2, n), np.int64)
-    first[place[::-1]], last[place] = counter[::-1], counter
-    packets = np.bincount(place, minlength=n)
-    # A counter that wrapped within the epoch went on by one a packet; the same one again is no step.
-    return np.where(last < first, packets - 1, np.minimum(last - first, packets - 1)).clip(0)
+    first[row[::-1]], last[row] = counter[::-1], counter
+    others = np.bincount(row, minlength=n) - 1  # packets besides the first
+    # A counter that wrapped within the row went on by one a packet; the same one again is no step.
+    return np.where(last < first, others, np.minimum(last - first, others)).clip(0)
 
 
 @njit
 def _assign(work: _Work, end: bool) -> None:
     """Give each new packet to the open epochs of its groups; with `end` end these epochs.
 
-    A packet joins the main row with the fields, `together`, of its groups that are not side streams.
+    Say the inertial packets have the times 10 and 20 ms, and behind them those of the magnetometer 10 and 21,
+    of a receiver 5 and 15.  The first magnetic field joins the main row of 10 ms.  The second is not of the
+    open row, 20 ms: it begins an epoch of its own.  The receiver's group is apart from the beginning.
     """
-    groups, own, main, held = work.groups, work.own, work.groups[0], len(work.epoch) - len(work.behind)
+    groups, own, main = work.groups, work.own, work.groups[0]
+    kept = len(work.epoch) - len(work.behind)
     for i in range(len(work.behind)):
+        row = kept + i
         belongs, kind, key, mask = work.belongs[i], work.kind[i], work.key[i], work.masks[i]
-        row, together = held + i, mask
+        # For the main row are the columns that groups that are apart leave, and those of the main group.
+        for_main = mask
         for g in range(1, len(groups)):
             if belongs >> g & 1 and groups[g].apart:
-                together &= ~own[row, g]
-        joined = belongs & 1 != 0
-        if joined:
-            together |= mask & work.may[0]
-        elif together and main.epoch:
-            joined = not _is_other(main, kind, key, together)
-        if joined:
-            own[row, 0] = together
+                for_main &= ~own[row, g]
+        joins = (belongs & 1) != 0
+        if joins:
+            for_main |= mask & work.may[0]
+        elif for_main and main.epoch:
+            joins = not _is_other(main, kind, key, for_main)
+        if joins:
+            own[row, 0] = for_main
             _add(0, row, kind, key, work)
         else:
-            work.behind[i] = main.epochs + (main.epoch != 0)
+            work.behind[i] = main.epochs + (main.epoch != 0)  # with the open one
         for g in range(1, len(groups)):
-            if belongs >> g & 1 and (groups[g].apart or not joined):
+            if belongs >> g & 1 and (groups[g].apart or not joins):
+                # A second time of its own, neither of which was that of the main row.
                 if groups[g].epoch and _is_other(groups[g], kind, key, own[row, g]):
                     groups[g].apart = 1
                 _add(g, row, kind, key, work)
@@ -256,14 +252,14 @@ def _is_other(group: _Group, kind: int, key: int, own: int) -> bool:
 @inner
 def _add(g: int, row: int, kind: int, key: int, work: _Work) -> None:
     """Add a packet to its group's epoch, which it may begin, or complete."""
-    group, own = work.groups[g], work.own[row, g]
+    group, main, own = work.groups[g], work.groups[0], work.own[row, g]
     if group.epoch and _is_other(group, kind, key, own):
         _end(g, work)
     if not group.epoch:
-        work.groups[0].latest += 1
-        group.epoch = work.groups[0].latest
+        main.latest += 1
+        group.epoch = main.latest
         group.key_kind, group.key, group.mask = kind, key, 0
-        group.after = work.groups[0].epochs
+        group.after = main.epochs
         if g == 0 and kind != NO_TIME:
             _pull(row, kind, key, work)
     work.epoch[row, g] = group.epoch
@@ -281,11 +277,16 @@ def _pull(row: int, kind: int, key: int, work: _Work) -> None:
         group = work.groups[g]
         if group.apart or not group.epoch or group.key_kind != kind or group.key != key:
             continue
-        if group.mask & (own[row, 0] | main.mask):
-            continue
+        first, taken = row, group.mask & (own[row, 0] | main.mask)
         for k in range(row):
             if epoch[k, g] == group.epoch:
-                own[k, 0] = own[k, g] | (own[k, 0] if epoch[k, 0] == main.epoch else 0)
+                first = min(first, k)
+                taken |= 0 if epoch[k, 0] == main.epoch else own[k, 0]  # by an earlier main row; stays there
+        if taken:
+            continue
+        for k in range(first, row):
+            if epoch[k, g] == group.epoch:
+                own[k, 0] |= own[k, g]
                 epoch[k, 0], epoch[k, g] = main.epoch, 0
         main.mask |= group.mask
         group.epoch = 0
@@ -294,14 +295,14 @@ def _pull(row: int, kind: int, key: int, work: _Work) -> None:
 @inner
 def _end(g: int, work: _Work) -> None:
     """End the open epoch of a group, and learn what epochs have."""
-    group, main = work.groups[g], work.groups[0]
+    group, main, mask = work.groups[g], work.groups[0], work.groups[g].mask
     ended = work.ended[main.ended]
     ended[EPOCH], ended[GROUP], ended[AFTER], ended[UNTIL] = group.epoch, g, group.after, main.epochs
     main.ended += 1
-    mask, always = group.mask, group.all_before
     group.epoch = 0
     group.epochs += 1
-    group.incomplete += group.generations > 0 and mask & always != always
+    if group.generations and group.all_before & ~mask:
+        group.incomplete += 1
     group.any_now |= mask
     group.all_now = mask if group.in_generation == 0 else group.all_now & mask
     group.in_generation += 1

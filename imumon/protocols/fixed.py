@@ -40,7 +40,7 @@ class LengthField(StrictModel):
 
 
 class ChecksumField(StrictModel):
-    """A checksum of the bytes from `first` to `last` and of `zeros` bytes behind, which are not sent."""
+    """A checksum of the bytes `first` <= k <= `last` and of `zeros` bytes behind, which are not sent."""
 
     type: Literal[CHECKSUM_NAMES]  # type: ignore[valid-type]  # pydantic reads it when it runs
     first: NonNegativeInt
@@ -52,6 +52,7 @@ class ChecksumField(StrictModel):
     @model_validator(mode="before")
     @classmethod
     def _without(cls, given: object) -> object:
+        # "checksum: none" needs no other keys.
         return {"type": given, "first": 0, "last": 0, "at": 0} if given == "none" else given
 
 
@@ -92,7 +93,7 @@ class NumberField(StrictModel):
     @property
     def names(self) -> list[str]:
         """The columns that this field fills, in their order."""
-        return self.columns if self.columns is not None else [self.column or ""]
+        return self.columns or [self.column or ""]
 
     @property
     def bits(self) -> int:
@@ -107,7 +108,7 @@ class NumberField(StrictModel):
             raise ValueError("packet_counter has 32 bits at most: a mask picks the lowest")
         for name in self.names:
             try:
-                self.scaled(name)
+                self.scaled(name)  # for its errors
             except ValueError as error:
                 raise ValueError(f"{name}: {error}") from error
         return self
@@ -120,6 +121,7 @@ class NumberField(StrictModel):
             raise ValueError("imumon sets this itself; the clock of a device is device_ticks")
         if name == "device_ticks":
             # A clock that counts in floating point is made whole nanoseconds; an integer one stays as sent.
+            # Where it begins is of no interest: an offset is passed over.
             to_ns = exact_conversion(self.unit, "ns")[0]
             return KNOWN[name], 1.0 if integer else float(scale * to_ns), 0.0
         if known is None or (self.unit == ARBITRARY and name.startswith("mag_")):
@@ -175,12 +177,12 @@ def timing_of(fields: Sequence[NumberField]) -> Timing:
     """Return how a device counts time; of several counters or clocks the last counts."""
     by_name = {name: field for field in fields for name in field.names}
     counter, ticks = by_name.get("packet_counter"), by_name.get("device_ticks")
-    tick_ns, tick_bits = None, 0
-    if ticks is not None and NUMBER_TYPES[ticks.type].integer:
-        tick_ns, tick_bits = ticks.scale * exact_conversion(ticks.unit, "ns")[0], ticks.bits
-    elif ticks is not None:
-        tick_ns = Fraction(1)
-    return Timing(counter.bits if counter else None, tick_ns, tick_bits)
+    counter_bits = counter.bits if counter else None
+    if ticks is None:
+        return Timing(counter_bits)
+    if NUMBER_TYPES[ticks.type].integer:
+        return Timing(counter_bits, ticks.scale * exact_conversion(ticks.unit, "ns")[0], ticks.bits)
+    return Timing(counter_bits, Fraction(1))
 
 
 class Packet(StrictModel):
@@ -229,7 +231,11 @@ class Packet(StrictModel):
         """All numbers of the packet in the order of the file."""
         return [
             Number(
-                *(column, field.type, scale, offset, field.mask or 0),
+                column,
+                field.type,
+                scale,
+                offset,
+                field.mask or 0,
                 at=field.at + k * NUMBER_TYPES[field.type].size,
                 group=MAIN,
                 big=(field.byte_order or self.byte_order) == "big",
@@ -255,7 +261,7 @@ class Packet(StrictModel):
         if field.type == "none":
             return None
         big = (field.byte_order or self.byte_order) == "big"
-        return Checksum(field.type, field.first, big, field.zeros, field.last + 1, field.at)
+        return Checksum(field.type, field.first, big, field.zeros, end=field.last + 1, at=field.at)
 
 
 def fixed_decoder(name: str, packets: Sequence[Packet]) -> Decoder:
@@ -263,7 +269,7 @@ def fixed_decoder(name: str, packets: Sequence[Packet]) -> Decoder:
     frames = [
         Frame({bytes(x.sync): x.name or name}, partial(_length, x), x.check, bytes(x.tail)) for x in packets
     ]
-    timing = timing_of([field for packet in packets[::-1] for field in packet.fields])
+    timing = timing_of([field for packet in packets[::-1] for field in packet.fields])  # the first's
     layouts = [Record(packet.numbers) for packet in packets]
     groups = Groups.of([layout.of_column for layout in layouts]) if len(packets) > 1 else None
     return Decoder(frames, timing, groups, layouts=layouts, remarks=[*_overlaps(packets)])
@@ -280,7 +286,7 @@ def _overlaps(packets: Sequence[Packet]) -> Iterator[str]:
 
 
 def _length(packet: Packet, held: ByteArray, at: IntArray) -> IntArray:
-    result = np.full(len(at), packet.length, np.int64)
+    result = np.full_like(at, packet.length)
     for place, byte in packet.length_bytes:
         agrees = held[np.minimum(at + place, len(held) - 1)] == byte
         result[(at + place < len(held)) & ~agrees] = IMPOSSIBLE

@@ -4,8 +4,8 @@ A frame begins with a sync pattern; its length is fixed, in a field, or follows 
 checksum shows whether it came whole.  A family of devices states this in a `Frame` for each kind of packet,
 and `Decoder` does the rest: every byte becomes part of a packet, is skipped, or is pending.
 
-The bytes are searched when somebody takes what they hold (live 12 times a second), not as they come: so a
-read of a few bytes costs next to nothing, and what is found does not depend on how the stream was cut.
+The bytes are searched when somebody takes what they hold, not as they come: so a read of a few bytes costs
+next to nothing, and what is found does not depend on how the stream was cut.
 
 How damage is survived: after a bad checksum or an impossible length the search goes on at the next byte.  A
 damaged packet that lost bytes and passes its check all the same (one in 256 with a sum of eight bits) ends
@@ -27,7 +27,7 @@ from imumon.blocks import BoolArray, IntArray
 from .base import ByteArray
 
 INCOMPLETE, NO_PACKET, IMPOSSIBLE, BAD_SUM = -1, -2, -3, -4
-"""Instead of a length: more bytes must come, nothing of this kind, no such length, the checksum differs."""
+"""Instead of a length: more bytes must come; nothing of this kind; errors: no such length, wrong checksum."""
 
 Lengths = Callable[[ByteArray, IntArray], IntArray]
 """Takes the bytes and places of sync patterns, (n,); returns the whole length or one of the codes, (n,)."""
@@ -40,60 +40,65 @@ class Frame:
     """How packets of one kind, or of several with different starts, are distinguished from other bytes."""
 
     names: Mapping[bytes, str]
-    """What packets begin with, differing in one byte, and what the counters call those that begin so."""
-    lengths: Lengths
+    """Sync patterns, all of the same 1 to 8 bytes, and what the counters call packets that begin so."""
+    lengths: Lengths | int  # or that of all packets
     check: Check | None = None
     """See `Check`; None: every packet is believed."""
     tail: bytes = b""
     """What may or may not follow a packet, and belongs to it."""
     fits: Check | None = None
-    """Tells of packets that came whole whether they can be of this kind by what is in them."""
+    """Tests whether what is in packets with a right checksum can be of this kind."""
 
     def candidates(self, held: ByteArray, final: bool) -> tuple[IntArray, IntArray, IntArray]:
-        """Return where packets may begin, their lengths or why there are none, and their kinds, (n,) each.
+        """Return where sync patterns begin, lengths of the packets or codes, and their kinds, (n,) each.
 
-        Also where only the first bytes are there.  A length is that with the tail.
+        Also patterns that the end of the bytes cuts off, of any kind.  A length is that with the tail.
         """
-        starts, size = {name[0] for name in self.names}, len(next(iter(self.names)))
-        at = np.flatnonzero(reduce(or_, [held == byte for byte in starts]))
-        at, cut = np.split(at, [np.searchsorted(at, len(held) - size, "right")])
-        begins, kind = integers(held, at, size), np.full(len(at), -1)
+        size = len(next(iter(self.names)))
+        first_bytes = {name[0] for name in self.names}
+        begins = np.flatnonzero(reduce(or_, [held == byte for byte in first_bytes]))
+        at, cut = np.split(begins, [np.searchsorted(begins, len(held) - size, "right")])
+        kind = np.full(len(at), -1)
+        sync = integers(held, at, size)
         for k, name in enumerate(self.names):
-            kind[begins == int.from_bytes(name.ljust(8, b"\0"), "little", signed=True)] = k
+            # As `integers` has it: an int64, which eight bytes may make negative.
+            kind[sync == int.from_bytes(name.ljust(8, b"\0"), "little", signed=True)] = k
         at, kind = at[kind >= 0], kind[kind >= 0]
-        begun = [any(name.startswith(held[k:].tobytes()) for name in self.names) for k in cut.tolist()]
-        cut = cut[np.array(begun, np.bool_)]
-        verdict = np.append(self._verdicts(held, at, final), np.full_like(cut, INCOMPLETE))
-        return np.append(at, cut), verdict, np.append(kind, np.zeros_like(cut))
+        begun = [k for k in cut if any(name.startswith(held[k:].tobytes()) for name in self.names)]
+        cut = np.array(begun, np.int64)
+        lengths = np.append(self._checked_lengths(held, at, final), np.full_like(cut, INCOMPLETE))
+        return np.append(at, cut), lengths, np.append(kind, np.zeros_like(cut))
 
-    def _verdicts(self, held: ByteArray, at: IntArray, final: bool) -> IntArray:
-        """Return the lengths of the packets at these places, with their tails, or why there are none."""
-        verdict = self.lengths(held, at)
-        verdict[(verdict > 0) & (at + verdict > len(held))] = INCOMPLETE
-        whole = np.flatnonzero(verdict > 0)
-        at, length = at[whole], verdict[whole]
+    def _checked_lengths(self, held: ByteArray, at: IntArray, final: bool) -> IntArray:
+        """Return the lengths of the packets that begin here, with their tails, or the codes of why not."""
+        lengths = self.lengths
+        checked = np.full_like(at, lengths) if isinstance(lengths, int) else lengths(held, at)
+        checked[(checked > 0) & (at + checked > len(held))] = INCOMPLETE
+        whole = np.flatnonzero(checked > 0)
+        at, length = at[whole], checked[whole]
         right = np.ones(len(at), np.bool_) if self.check is None else self.check(held, at, length)
         with_tail = self._with_tail(held, at, length, final) if self.tail else length
-        verdict[whole] = np.where(right, with_tail, BAD_SUM)
+        checked[whole] = np.where(right, with_tail, BAD_SUM)
         if self.fits is not None:
+            good = whole[right]
             fit = self.fits(held, at[right], length[right])
-            verdict[whole[right][~fit]] = IMPOSSIBLE
-        return verdict
+            checked[good[~fit]] = IMPOSSIBLE
+        return checked
 
     def _with_tail(self, held: ByteArray, at: IntArray, length: IntArray, final: bool) -> IntArray:
         """Return the lengths with that of the tail where it follows; `INCOMPLETE` where it may come yet."""
-        agree = np.ones(len(at), np.bool_)
+        agrees = np.ones(len(at), np.bool_)
         for k, byte in enumerate(self.tail):
             place = at + length + k
-            agree &= (place >= len(held)) | (held[np.minimum(place, len(held) - 1)] == byte)
-        there = at + length + len(self.tail) <= len(held)
+            agrees &= (place >= len(held)) | (held[np.minimum(place, len(held) - 1)] == byte)
+        is_whole = at + length + len(self.tail) <= len(held)
         cut = length if final else INCOMPLETE
-        return np.where(agree, np.where(there, length + len(self.tail), cut), length)
+        return np.where(agrees, np.where(is_whole, length + len(self.tail), cut), length)
 
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """Packets among held bytes: where each begins, its length, and the number of its kind, (n,) each."""
+    """Packets, or candidates: where each begins, its length (or code), number of its kind, (n,) each."""
 
     held: ByteArray
     at: IntArray
@@ -120,13 +125,13 @@ def windows(held: ByteArray, at: IntArray, size: int) -> ByteArray:
     """Return so many bytes from each place on, (n, size)."""
     if not size or not len(at):
         return np.zeros((len(at), size), np.uint8)
-    # Taken as items of one type they are copied as wholes, twenty times faster than byte by byte.
+    # Items of one type are copied as wholes, much faster than byte by byte.
     every = np.ndarray((len(held) - size + 1,), f"V{size}", held, strides=(1,))
     return every[at].view(np.uint8).reshape(-1, size)
 
 
 def integers(held: ByteArray, at: IntArray, size: int, big: bool = False) -> IntArray:
-    """Return the unsigned integers of `size` bytes that begin at these places."""
+    """Return the unsigned integers of `size` bytes that begin at these places (of 8 bytes: as int64)."""
     value = np.zeros(len(at), np.int64)
     for n, k in enumerate(range(size)[:: -1 if big else 1]):
         value |= held[at + k].astype(np.int64) << 8 * n
@@ -138,78 +143,78 @@ def candidates(frames: Sequence[Frame], held: ByteArray, final: bool) -> Found:
 
     The first frame counts that finds a packet there; or that may still find one, when more bytes come.
     """
-    tried, before = [], 0
+    of_frames, kinds_before = [], 0
     for frame in frames:
-        at, verdict, kind = frame.candidates(held, final)
-        tried.append((at, verdict, before + kind))
-        before += len(frame.names)
-    found = Found(held, *map(np.concatenate, zip(*tried, strict=True)))
+        at, length, kind = frame.candidates(held, final)
+        of_frames.append((at, length, kinds_before + kind))
+        kinds_before += len(frame.names)
+    found = Found(held, *map(np.concatenate, zip(*of_frames, strict=True)))
     if len(frames) == 1:
         return found
-    hopeless = (found.length <= 0) & (final | (found.length != INCOMPLETE))
-    order = np.argsort(2 * found.at + hopeless, kind="stable")
-    return found.only(order[np.diff(found.at[order], prepend=-1) > 0])
+    is_none = (found.length <= 0) & (final | (found.length != INCOMPLETE))
+    order = np.lexsort((is_none, found.at))  # by place; there what is no packet last, else as the frames are
+    is_first = np.diff(found.at[order], prepend=-1) > 0
+    return found.only(order[is_first])
 
 
 def search(frames: Sequence[Frame], held: ByteArray, final: bool, done: int) -> tuple[Found, Found, int, int]:
     """Return the candidates, the packets among them, where the rest begins, and how much of it is taken.
 
-    A candidate that is not complete holds back what follows; at the end of the data (`final`) it is passed
-    over, and stays pending when no packet follows.  The first `done` bytes are those of an earlier packet.
+    The rest, which more bytes may make a packet, begins with a candidate that is not complete; at the end of
+    the data (`final`) only where no packet follows.  What is taken of it is `done` in the next search.
     """
     tried = candidates(frames, held, final)
     is_checked = [frame.check is not None for frame in frames for _ in frame.names]
-    begins = np.zeros(len(held) + 1, np.bool_)
-    begins[tried.at] = True
-    of_interest = np.flatnonzero((tried.length > 0) | (tried.length == INCOMPLETE))
-    at, verdict = tried.at[of_interest], tried.length[of_interest]
+    is_sync = np.zeros(len(held) + 1, np.bool_)
+    is_sync[tried.at] = True
+    hopeful = np.flatnonzero((tried.length > 0) | (tried.length == INCOMPLETE))
+    at, lengths = tried.at[hopeful], tried.length[hopeful]
     # Most packets stand one directly behind the other: such a run is taken at once.
-    joined = (verdict[:-1] > 0) & (verdict[1:] > 0) & (at[1:] == at[:-1] + verdict[:-1])
-    stops = np.append(np.flatnonzero(~joined), len(at) - 1)
-    run_end = stops[np.searchsorted(stops, np.arange(len(at)))] + 1
-    runs: list[IntArray] = [of_interest[:0]]
-    k, rest, may_overlap = 0, len(held), True
+    adjoins = (lengths[:-1] > 0) & (lengths[1:] > 0) & (at[1:] == at[:-1] + lengths[:-1])
+    run_ends = np.append(np.flatnonzero(~adjoins), len(at) - 1)
+    last_of_run = run_ends[np.searchsorted(run_ends, np.arange(len(at)))]
+    runs: list[IntArray] = [hopeful[:0]]
+    k, rest = 0, len(held)
+    may_lack_bytes = True  # of the packet that ends at `done`; that of an earlier search had a checksum
     while k < len(at):
-        start, length = int(at[k]), int(verdict[k])
-        if start < done and (0 < length <= done - start or begins[done] or not may_overlap):
-            k += 1
+        start, length = int(at[k]), int(lengths[k])
+        is_believed = is_sync[done] or not may_lack_bytes
+        if start < done and (is_believed or 0 < length <= done - start):
+            k += 1  # a part of the packet that ends at `done`
         elif length > 0:
-            stop = int(run_end[k])
-            runs.append(of_interest[k:stop])
-            done, rest, k = int(at[stop - 1] + verdict[stop - 1]), len(held), stop
-            may_overlap = is_checked[tried.kind[of_interest[stop - 1]]]
+            last = int(last_of_run[k])
+            runs.append(hopeful[k : last + 1])
+            done = int(at[last] + lengths[last])
+            may_lack_bytes = is_checked[tried.kind[hopeful[last]]]
+            k, rest = last + 1, len(held)
         elif not final:
             rest = start
             break
-        else:
-            rest = min(rest, start) if start >= done else rest
+        else:  # passed over
+            if start >= done:
+                rest = min(rest, start)
             k += 1
     return tried, tried.only(np.concatenate(runs)), rest, max(done - rest, 0)
 
 
-def fixed_length(size: int) -> Lengths:
-    """Return the `Lengths` of packets that are all of one size."""
-    return partial(_counted, 0, 0, size, size)
+def counted_length(offset: int, size: int, overhead: int, longest: int) -> Lengths:
+    """Return the `Lengths` of packets that state how many bytes they have besides `overhead`, low byte first.
 
-
-def counted_length(at: int, size: int, more: int, longest: int) -> Lengths:
-    """Return the `Lengths` of packets that state how many bytes they have besides `more`, low byte first.
-
-    `at`, `size`: place and bytes of the number.  `longest`: longest packet that is believed.
+    `offset`, `size`: place and bytes of the number.  `longest`: longest packet that is believed.
     """
-    return partial(_counted, at, size, more, longest)
+    return partial(_counted, offset, size, overhead, longest)
 
 
-def _counted(at: int, size: int, more: int, longest: int, held: ByteArray, begin: IntArray) -> IntArray:
-    result = np.full(len(begin), INCOMPLETE, np.int64)
-    there = np.flatnonzero(begin + at + size <= len(held))
-    counted = more + integers(held, begin[there] + at, size)
-    result[there] = np.where(counted <= longest, counted, IMPOSSIBLE)
+def _counted(offset: int, size: int, overhead: int, longest: int, held: ByteArray, at: IntArray) -> IntArray:
+    result = np.full_like(at, INCOMPLETE)
+    there = np.flatnonzero(at + offset + size <= len(held))
+    stated = overhead + integers(held, at[there] + offset, size)
+    result[there] = np.where(stated <= longest, stated, IMPOSSIBLE)
     return result
 
 
 class Crc(NamedTuple):
-    """A cyclic redundancy check in the terms of Greg Cook's catalogue."""
+    """A cyclic redundancy check in the terms of Greg Cook's catalogue (reveng.sourceforge.io)."""
 
     width: int
     polynomial: int
@@ -232,7 +237,7 @@ CRCS = {
     "crc32-mpeg2": Crc(32, 0x04C11DB7, 0xFFFFFFFF, False, 0x00000000),
     "crc32c": Crc(32, 0x1EDC6F41, 0xFFFFFFFF, True, 0xFFFFFFFF),
 }
-"""CRCs by the names of the catalogue, with a hyphen behind the width."""
+"""CRCs by the names of the catalogue, whose CRC-16/ARC is here crc16-arc."""
 
 
 def _total(data: ByteArray, weights: npt.ArrayLike = 1) -> IntArray:
@@ -242,16 +247,15 @@ def _total(data: ByteArray, weights: npt.ArrayLike = 1) -> IntArray:
 
 
 def _words(data: ByteArray, order: str) -> IntArray:
-    even = np.pad(data, ((0, 0), (0, data.shape[1] % 2)))
-    return _total(even.view(f"{order}u2"))
+    return _total(np.pad(data, ((0, 0), (0, data.shape[1] % 2))).view(f"{order}u2"))
 
 
 def _fletcher(data: ByteArray, modulus: int) -> IntArray:
     second = _total(data, np.arange(data.shape[1], 0, -1))
-    return second % modulus << 8 | _total(data) % modulus
+    return second % modulus * 256 + _total(data) % modulus
 
 
-SIMPLE: dict[str, tuple[int, Callable[[ByteArray], IntArray]]] = {
+SUMS: dict[str, tuple[int, Callable[[ByteArray], IntArray]]] = {
     "sum8": (1, _total),
     "sum8-negated": (1, lambda data: -_total(data)),
     "xor8": (1, lambda data: np.bitwise_xor.reduce(data, axis=1).astype(np.int64)),
@@ -261,22 +265,22 @@ SIMPLE: dict[str, tuple[int, Callable[[ByteArray], IntArray]]] = {
     "fletcher16": (2, partial(_fletcher, modulus=255)),
     "fletcher16-256": (2, partial(_fletcher, modulus=256)),
 }
-"""Bytes of the others, and what takes rows of bytes, (n, size), to their checksums, (n,).
+"""Checksums that are no CRCs: their bytes, and what takes rows of bytes, (n, size), to their sums, (n,).
 
 sum8-negated makes the sum of all bytes and the checksum zero.  sum16-words-* adds numbers of 16 bits, low
 (le) or high byte (be) first; a last byte alone has zero for the other.  fletcher16 is modulo 255 (RFC 1145,
 second sum in the high byte); fletcher16-256 is the variant modulo 256 that MIP and UBX use.
 """
 
-CHECKSUM_NAMES = ("none", *SIMPLE, *CRCS)
+CHECKSUM_NAMES = ("none", *SUMS, *CRCS)
 
 
 @dataclass(frozen=True)
 class Checksum:
-    """A checksum of all bytes from `first` to before `end`, which stands at `at`.
+    """A checksum that stands at byte `at` of a packet, of its bytes first <= k < end.
 
-    Without these two it covers all, and stands in the last bytes of a packet.  `zeros` more bytes, and those
-    up to a multiple of `align`, which are not sent, count as if they followed the others (CRCs only).
+    Without `at` it stands in the last bytes, without `end` it covers all before it.  `zeros` more bytes, and
+    those up to a multiple of `align`, which are not sent, count as if they followed the others (CRCs only).
     """
 
     name: str
@@ -291,24 +295,24 @@ class Checksum:
     @property
     def size(self) -> int:
         """Bytes of the checksum."""
-        return CRCS[self.name].width // 8 if self.name in CRCS else SIMPLE[self.name][0]
+        return CRCS[self.name].width // 8 if self.name in CRCS else SUMS[self.name][0]
 
-    def values(self, held: ByteArray, first: IntArray, last: IntArray) -> IntArray:
-        """Return the checksums of the bytes from each first to before each last place."""
-        found, sizes = np.zeros(len(first), np.int64), last - first
-        for size in np.flatnonzero(np.bincount(sizes)).tolist():
+    def values(self, held: ByteArray, first: IntArray, end: IntArray) -> IntArray:
+        """Return the checksums of the bytes from each `first` to before each `end`."""
+        found, sizes = np.zeros(len(first), np.int64), end - first
+        for size in np.flatnonzero(np.bincount(sizes)).tolist():  # each size once
             which = np.flatnonzero(sizes == size)
             data = windows(held, first[which], size)
-            if self.name in SIMPLE:
-                found[which] = SIMPLE[self.name][1](data)
+            if self.name in SUMS:
+                found[which] = SUMS[self.name][1](data)
                 continue
             # CRCs are linear: each byte adds what its value and its distance to the end give.
-            zeros = self.zeros + -size % self.align
-            longest = size + zeros
-            table, empty = by_distance(CRCS[self.name], 1 << longest.bit_length())
-            distance = np.arange(longest - 1, zeros - 1, -1)
-            found[which] = np.bitwise_xor.reduce(table.take(data + 256 * distance), axis=1) ^ empty[longest]
-        return found & (1 << 8 * self.size) - 1
+            zeros = self.zeros + (-size % self.align)
+            covered = size + zeros
+            table, empty = by_distance(CRCS[self.name], 1 << covered.bit_length())  # so there are few tables
+            distance = np.arange(covered - 1, zeros - 1, -1, dtype=np.int32)
+            found[which] = np.bitwise_xor.reduce(table.take(data + 256 * distance), axis=1) ^ empty[covered]
+        return found & ((1 << 8 * self.size) - 1)
 
     def __call__(self, held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
         """Tell which packets are right; see `Check`."""

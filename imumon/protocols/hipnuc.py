@@ -32,7 +32,6 @@ PACKETS = table(f"""
 """)
 """Packets with one layout, by their tag."""
 
-
 _SHIP = ("heave", "surge", "sway")
 _PLACE = {"longitude": "deg", "latitude": "deg", "altitude": "m"}
 BITS = table(f"""
@@ -91,7 +90,7 @@ class HipnucDecoder(FamilyDecoder):
     messages = PACKETS | {OF_BITS: of_bits(sum(1 << bit for bit in BITS))}
     frames = (Frame({SYNC: "HiPNUC"}, counted_length(2, 2, HEADER, LONGEST), _right),)
     timing = Timing(tick_ns=Fraction(1000))
-    start, more = HEADER, HEADER
+    start, overhead = HEADER, HEADER
 
     def wrap(self, key: int, payload: bytes) -> bytes:
         """Make a frame of a packet with one layout: its tag goes before its numbers."""

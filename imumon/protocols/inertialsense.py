@@ -66,7 +66,7 @@ class InertialSenseDecoder(FamilyDecoder):
     messages = DATA_SETS
     frames = (Frame({SYNC: "ISB"}, counted_length(4, 2, AROUND, LONGEST_PACKET), FLETCHER),)
     timing = Timing(tick_ns=Fraction(1))
-    start, more, head = HEADER, AROUND, (2, 3)
+    start, overhead, head = HEADER, AROUND, (2, 3)
     derived = (Derived(INCREMENTS, RATES, _mean_rates, _with_increments),)
 
     def wrap(self, key: int, payload: bytes) -> bytes:

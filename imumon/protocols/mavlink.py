@@ -21,7 +21,8 @@ from .messages import FamilyDecoder, table
 from .numbers import Columns, Derived, known
 
 FIRST, SECOND = b"\xfe", b"\xfd"
-HEADERS = {FIRST: 6, SECOND: 10}
+FIRST_HEADER, SECOND_HEADER = 6, 10
+HEADERS = {FIRST: FIRST_HEADER, SECOND: SECOND_HEADER}
 SIGNATURE = 13
 SIGNED = 1
 COARSE = "rates of SCALED_IMU and RAW_IMU have steps of 206 deg/h; finer: HIGHRES_IMU, but PX4 corrects it"
@@ -67,17 +68,17 @@ _BEFORE_EXTRA = Checksum("crc16-mcrf4xx", zeros=1)
 
 
 def _number(held: ByteArray, at: IntArray, header: int) -> IntArray:
-    size = 1 if header == HEADERS[FIRST] else 3
+    size = 1 if header == FIRST_HEADER else 3
     return integers(held, at + header - size, size)
 
 
 def _length(header: int, held: ByteArray, at: IntArray) -> IntArray:
-    result = np.full(len(at), INCOMPLETE, np.int64)
+    result = np.full_like(at, INCOMPLETE)
     there = np.flatnonzero(at + header <= len(held))
     begin = at[there]
     number, size = _number(held, begin, header), header + 2 + held[begin + 1].astype(np.int64)
     good = np.isin(number, [*EXTRA])
-    if header == HEADERS[SECOND]:
+    if header == SECOND_HEADER:
         flags = held[begin + 2]
         size += SIGNATURE * (flags & SIGNED)
         good &= flags <= SIGNED
@@ -86,7 +87,7 @@ def _length(header: int, held: ByteArray, at: IntArray) -> IntArray:
 
 
 def _right(header: int, held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
-    signature = SIGNATURE * (held[at + 2] & SIGNED) if header == HEADERS[SECOND] else 0
+    signature = SIGNATURE * (held[at + 2] & SIGNED) if header == SECOND_HEADER else 0
     end, extra = at + length - signature, EXTRAS[_number(held, at, header)]
     # The CRC is linear: that of a zero in the place of the extra byte, and what this adds.
     crc = _BEFORE_EXTRA.values(held, at + 1, end - 2) ^ _OF_LAST_BYTE[extra]
@@ -102,7 +103,7 @@ class MavlinkDecoder(FamilyDecoder):
         for k, (sync, header) in enumerate(HEADERS.items())
     )
     timing = Timing(tick_ns=Fraction(1000))
-    start, more, head = HEADERS[SECOND], HEADERS[SECOND], (7, 8, 9)
+    start, overhead, head = SECOND_HEADER, SECOND_HEADER, (7, 8, 9)
     derived = (Derived(("_hundredths",), known("temperature"), _to_celsius, _of_celsius),)
     _vehicle = -1  # component << 8 | number of the vehicle that is read
 
@@ -114,15 +115,15 @@ class MavlinkDecoder(FamilyDecoder):
 
     def _plain(self, found: Found) -> Found:
         """Return the messages as those of version 2 with all their zeros."""
-        size = HEADERS[SECOND] + LONGEST
+        size = SECOND_HEADER + LONGEST
         held, padded = np.zeros((len(found), size), np.uint8), np.pad(found.held, (0, LONGEST))
         for kind, header in enumerate(HEADERS.values()):
             rows = np.flatnonzero(found.kind == kind)
             at = found.at[rows]
-            numbers = 1 if header == HEADERS[FIRST] else 3
+            numbers = 1 if header == FIRST_HEADER else 3
             held[rows, 5 : 7 + numbers] = windows(found.held, at + header - numbers - 2, 2 + numbers)
             there = np.arange(LONGEST) < found.held[at + 1][:, None]
-            held[rows, HEADERS[SECOND] :] = windows(padded, at + header, LONGEST) * there
+            held[rows, SECOND_HEADER:] = windows(padded, at + header, LONGEST) * there
         begins = np.arange(len(found)) * size
         return Found(held.reshape(-1), begins, np.full(len(found), size), found.kind)
 

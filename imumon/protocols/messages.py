@@ -5,14 +5,14 @@ devices send shorter messages and newer ones longer: what is behind the last num
 over, and numbers behind the end are absent.
 
 Packets are alike when their *signature* is the same: kind, length, and the bytes that identify what they
-carry.  The first packet of each signature is looked at in Python; all that are like it are read at once.
+carry.  The first packet of each signature is examined in Python; all that are like it are read at once.
 """
 
 import re
 from abc import abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from math import pi
 from pkgutil import resolve_name
 from typing import Any
@@ -30,14 +30,14 @@ from .framing import Found, Frame, windows
 from .numbers import NUMBER_TYPES, Derived, Number, Record, known, with_sources, write
 
 MOST_LAYOUTS = 4096
-"""Signatures that are remembered: so many come of random bytes alone."""
+"""Signatures whose layouts are kept: with more, which damaged data make, all begin anew.  Assumed."""
 Part = tuple[Number, ...]
 """Numbers that stand one behind the other."""
 
 FACTORS = {
     "pi": pi, "deg": pi / 180, "g": STANDARD_GRAVITY, "gauss": 100.0, "kPa": 1000.0, "hPa": 100.0,
 }  # fmt: skip
-"""Factors from the units of makers, by their names in the tables of messages, to those of imumon."""
+"""Factors to the units of imumon: from deg to rad, g to m/s^2, gauss to uT, kPa and hPa to Pa; and pi."""
 AXES = {"xyz": "xyz", "wxyz": "wxyz", "3x3": [f"{i}{j}" for i in "123" for j in "123"]}
 """Ends of the columns of a vector, a quaternion, a matrix."""
 _ROW = re.compile(r"(\S+) (\S+)(?: \[(\w*)\])?(?: >=(\d+))?:\s+(.*)", re.DOTALL)
@@ -59,16 +59,17 @@ def part(text: str) -> Part:
         if not more:
             found += (Number(None, "u8"),) * int(name)
             continue
-        kind, *scale = re.split("([*/+])", more[0])
+        kind = re.split("[*/+]", more[0])[0]
+        scale = re.findall("([*/+])([^*/+]+)", more[0])  # pairs of a sign and a term
         factor, offset = 1.0, 0.0
-        for sign, term in zip(scale[::2], scale[1::2], strict=True):
-            size = FACTORS.get(term) or float(term)
+        for sign, term in scale:
+            value = FACTORS.get(term) or float(term)
             if sign == "+":
-                offset = size
+                offset = value
             else:
-                factor = factor * size if sign == "*" else factor / size
-        is_whole = kind[0] in "ui" and "/" not in scale and all(map(str.isdecimal, scale[1::2]))
-        columns = _columns(name, more[1:], "int64" if is_whole else "float64")
+                factor = factor * value if sign == "*" else factor / value
+        stays_whole = all(sign != "/" and term.isdecimal() for sign, term in scale)
+        columns = _columns(name, more[1:], "int64" if kind[0] in "ui" and stays_whole else "float64")
         found += (Number(column, kind, factor, offset) for column in columns)
     return tuple(found)
 
@@ -84,9 +85,10 @@ def _columns(name: str, more: Sequence[str], dtype: ColumnType) -> Iterable[Colu
     else:
         unit, what = more
         stem, _, axes = name.rpartition("_")
-        for axis in AXES.get(axes, ()):
-            yield Column(f"{stem}_{axis}", unit, dtype, f"{what}, {axis}")
-        if axes not in AXES:
+        if axes in AXES:
+            for axis in AXES[axes]:
+                yield Column(f"{stem}_{axis}", unit, dtype, f"{what}, {axis}")
+        else:
             yield Column(name, unit, dtype, what)
 
 
@@ -123,7 +125,7 @@ class Message:
     least: int = 0
     """Bytes of the shortest payload that is read; `size` when 0."""
 
-    @property
+    @cached_property
     def size(self) -> int:
         """Bytes of the payload of today's devices."""
         return sum(NUMBER_TYPES[item.type].size for item in self.numbers)
@@ -161,7 +163,7 @@ class TableDecoder(Decoder):
     """Columns that are computed."""
     names: Sequence[str] = ()
     apart: Sequence[str] = ()
-    """As for `Groups.of`."""
+    """Groups that come first behind the main one, and those that never join its rows; see `Groups.of`."""
     big: bool = False
     """Whether the most significant byte comes first."""
 
@@ -194,20 +196,20 @@ class TableDecoder(Decoder):
         return layout if layout.columns else None
 
     def _alike(self, found: Found) -> Iterator[tuple[Signature, IntArray, bytes]]:
-        """Yield signatures, in the order in which they come, with the rows of their packets and the first."""
-        left = np.arange(len(found))
-        while len(left):
-            one = int(left[0])
-            kind, size = int(found.kind[one]), int(found.length[one])
-            packet = found.held[found.at[one] :][:size].tobytes()
+        """Yield each signature as it first comes, the rows of all its packets, and the first of these."""
+        is_left = np.ones(len(found), np.bool_)
+        while is_left.any():
+            first = int(np.argmax(is_left))
+            kind, size = int(found.kind[first]), int(found.length[first])
+            packet = found.held[found.at[first] :][:size].tobytes()
             places = [*self._signature(packet)]
-            same = (found.length[left] == size) & (found.kind[left] == kind)
-            key = bytes(packet[k] for k in places)
+            rows = np.flatnonzero(is_left & (found.length == size) & (found.kind == kind))
             if places:
-                heads = windows(found.held, found.at[left[same]], max(places) + 1)[:, places]
-                same[same] = np.all(heads == np.frombuffer(key, np.uint8), axis=1)
-            yield (kind, size, key), left[same], packet
-            left = left[~same]
+                # Packets with the bytes of the first at its places have these places, too.
+                heads = windows(found.held, found.at[rows], max(places) + 1)[:, places]
+                rows = rows[np.all(heads == heads[0], axis=1)]
+            is_left[rows] = False
+            yield (kind, size, bytes(packet[k] for k in places)), rows, packet
 
     def _by_layout(self, found: Found) -> Layouts:
         if len(self._layouts) > MOST_LAYOUTS:
@@ -235,7 +237,7 @@ class FamilyDecoder(TableDecoder):
     """Decodes packets that are each a message of a table."""
 
     start: int
-    more: int
+    overhead: int
     """Bytes before the payload; bytes of the packet besides the payload."""
     head: Sequence[int]
     """Places of the bytes that identify what a packet carries."""
@@ -256,7 +258,7 @@ class FamilyDecoder(TableDecoder):
         return self.head
 
     def _contents(self, packet: bytes) -> Placed:
-        message, size = self._message(self._key(packet)), len(packet) - self.more
+        message, size = self._message(self._key(packet)), len(packet) - self.overhead
         if message is None or size < (message.least or message.size):
             return []
         return [(message, self.start, min(size, message.size))]

@@ -42,7 +42,6 @@ WRAPPING = ("packet_counter", "device_ticks")
 
 _FLOAT32_MAX = float(np.finfo(np.float32).max)
 
-
 Columns = Mapping[str, ColumnArray]
 
 
@@ -235,7 +234,6 @@ class Record:
 
 
 DATE_PARTS = ("of_second", "year", "month", "day", "hour", "minute", "second")
-
 
 _VECTORS = {base: tuple(f"{base}_{axis}" for axis in "xyz") for base in ("accel", "gyro", "mag")} | {
     "q": ("q_w", "q_x", "q_y", "q_z"),

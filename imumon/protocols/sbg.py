@@ -83,7 +83,7 @@ class SbgDecoder(FamilyDecoder):
     messages = LOGS
     frames = (Frame({SYNC: "sbgECom"}, counted_length(4, 2, AROUND, LONGEST_PACKET), _right),)
     timing = Timing(tick_ns=Fraction(1000), tick_bits=32)
-    start, more, head = HEADER, AROUND, (2, 3)
+    start, overhead, head = HEADER, AROUND, (2, 3)
     derived = (Derived(RAW_RATE, known("gyro"), _to_rates, _of_rates),)
 
     def wrap(self, key: int, payload: bytes) -> bytes:

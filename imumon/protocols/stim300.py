@@ -85,7 +85,7 @@ class StimDecoder(FamilyDecoder):
 
     frames = (Frame({bytes([key]): f"datagram {key:02X}" for key in DATAGRAMS}, _length, CHECK, LINE_END),)
     timing = Timing(tick_ns=Fraction(TICK_NS), tick_bits=8)
-    start, more, head, big = 0, CRC_SIZE, (0,), True
+    start, overhead, head, big = 0, CRC_SIZE, (0,), True
 
     def __init__(self, device: "StimDevice") -> None:
         self.messages = datagrams(device.output, device.accel_range_g, device.rate_hz)

@@ -3,9 +3,9 @@
 ====  =======================================  ==============================  =========================
       packet                                   field                           checksum
 ====  =======================================  ==============================  =========================
-Xbus  FA, FF or 01, type, length (FF: 16 more  identifier (16 bits), size of   one byte: all but FA sum
-      bits follow), fields                     the data, data                  to zero
-MIP   75, 65, type, length, fields             size of the field, identifier,  two bytes: both sums of
+Xbus  FA; address FF or 01; type; length (FF:  identifier (16 bits), size of   one byte: all but FA sum
+      16 more bits follow); fields             the data, data                  to zero
+MIP   75; 65; type; length; fields             size of the field, identifier,  two bytes: both sums of
                                                data                            Fletcher, modulo 256
 ====  =======================================  ==============================  =========================
 
@@ -17,6 +17,7 @@ from abc import abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
@@ -30,30 +31,32 @@ from .framing import IMPOSSIBLE, INCOMPLETE, NO_PACKET, Checksum, Found, Frame, 
 from .messages import Message, Placed, TableDecoder
 from .numbers import is_missing, with_sources, write
 
-LONGEST_XBUS_PAYLOAD = 2048
+LONGEST_XBUS_PAYLOAD = 2048  # bytes that are believed, assumed
 KIND_AT = 2
 """Place of the packet type."""
-
-Place = tuple[int, int, int]
-"""Key of a field, where its data begin, and their bytes."""
+HEADER, LONG_HEADER = 4, 6  # bytes before the payload, and where an Xbus message has more than 254 of it
+Field = tuple[int, int, int]  # its key, where its data begin, and their bytes
+_SUM, _FLETCHER = Checksum("sum8-negated", first=1), Checksum("fletcher16-256")
 
 
 def xbus_lengths(held: ByteArray, at: IntArray) -> IntArray:
     """Return the length of the message at each place; see `imumon.protocols.framing.Lengths`."""
-    last = len(held) - 1
+    last = len(held) - 1  # read in the place of what has not come: such lengths are replaced below
     address, short, high, low = (held[np.minimum(at + k, last)].astype(np.int64) for k in (1, 3, 4, 5))
     long = high << 8 | low
-    extended = short == 0xFF
-    length = np.where(extended, long + 7, short + 5)
-    length[extended & (long > LONGEST_XBUS_PAYLOAD)] = IMPOSSIBLE
-    length[at + np.where(extended, 6, 4) > len(held)] = INCOMPLETE
+    is_long = short == 0xFF
+    header = np.where(is_long, LONG_HEADER, HEADER)
+    length = header + np.where(is_long, long, short) + 1  # the checksum
+    length[is_long & (long > LONGEST_XBUS_PAYLOAD)] = IMPOSSIBLE
+    length[at + header > len(held)] = INCOMPLETE
     other = (address != 0xFF) & (address != 0x01)
     length[other] = np.where(at[other] + 1 < len(held), NO_PACKET, INCOMPLETE)
     return length
 
 
-def _begin(packet: bytes) -> int:
-    return 6 if packet[0] == 0xFA and packet[3] == 0xFF else 4
+def _start(packet: bytes) -> int:
+    # Of the payload: only Xbus, of which FA is the first byte, has a long header.
+    return LONG_HEADER if packet[0] == 0xFA and packet[3] == 0xFF else HEADER
 
 
 def xbus_message(kind: int, payload: bytes) -> bytes:
@@ -67,50 +70,62 @@ class Form(NamedTuple):
 
     frame: Frame
     check: Checksum
-    message: Callable[[int, bytes], bytes]
-    """Returns a packet of a type and a payload, without its checksum."""
     longest: int
     """Most bytes of a payload."""
-    header: int
-    """Bytes of a field before its data: 3 as Xbus, 2 as MIP; 0: the payload is one field, of key 0."""
+    message: Callable[[int, bytes], bytes]
+    """Returns a packet of a type and a payload, without its checksum."""
+    field_header: int  # bytes of a field before its data; 0: the payload is one field, of key 0
+    read_header: Callable[[bytes, int], tuple[int, int]]  # key and size of the field at a place of a packet
+    header: Callable[[int, int], bytes]
+    """Returns what is before the data of a field with a key and so many bytes."""
 
     def payload(self, packet: bytes) -> bytes:
         """Return what is between header and checksum."""
-        return packet[_begin(packet) : -self.check.size]
+        return packet[_start(packet) : -self.check.size]
 
-    def places(self, packet: bytes) -> list[Place]:
+    def fields(self, packet: bytes) -> list[Field]:
         """Return the fields of a packet; the last may end behind it."""
-        at, end, found = _begin(packet), len(packet) - self.check.size, list[Place]()
-        if not self.header:
+        at, end = _start(packet), len(packet) - self.check.size
+        if not self.field_header:
             return [(0, at, end - at)]
-        while at + self.header <= end:
-            high, size = (
-                (packet[at], packet[at + 2]) if self.header == 3 else (packet[KIND_AT], packet[at] - 2)
-            )
+        found = list[Field]()
+        while at + self.field_header <= end:
+            key, size = self.read_header(packet, at)
             if size < 0:
                 break
-            found.append((high << 8 | packet[at + 1], at + self.header, size))
-            at += self.header + size
+            found.append((key, at + self.field_header, size))
+            at += self.field_header + size
         return found
 
     def packed(self, kind: int, fields: Sequence[tuple[int, bytes]]) -> bytes:
         """Return a packet of fields, without its checksum: of its type, and of their keys and data."""
-        payload = b""
-        for key, data in fields:
-            heads = (b"", bytes([len(data) + 2, key & 0xFF]), bytes([key >> 8, key & 0xFF, len(data)]))
-            payload += heads[max(self.header - 1, 0)] + data
-        return self.message(kind, payload)
+        return self.message(kind, b"".join(self.header(key, len(data)) + data for key, data in fields))
 
     def sealed(self, kind: int, *fields: tuple[int, bytes]) -> bytes:
         """Return a packet of fields."""
         return self.check.sealed(self.packed(kind, fields))
 
 
-_SUM, _FLETCHER = Checksum("sum8-negated", first=1), Checksum("fletcher16-256")
-XBUS = Form(Frame({b"\xfa": "Xbus"}, xbus_lengths, _SUM), _SUM, xbus_message, LONGEST_XBUS_PAYLOAD, 3)
-XBUS_DATA = XBUS._replace(header=0)
-MIP_FRAME = Frame({b"\x75\x65": "MIP"}, counted_length(3, 1, 6, 261), _FLETCHER)
-MIP = Form(MIP_FRAME, _FLETCHER, lambda kind, data: bytes([*b"\x75\x65", kind, len(data)]) + data, 255, 2)
+XBUS = Form(
+    Frame({b"\xfa": "Xbus"}, xbus_lengths, _SUM),
+    _SUM,
+    LONGEST_XBUS_PAYLOAD,
+    xbus_message,
+    field_header=3,
+    read_header=lambda packet, at: (packet[at] << 8 | packet[at + 1], packet[at + 2]),
+    header=lambda key, size: bytes([key >> 8, key & 0xFF, size]),
+)
+XBUS_DATA = XBUS._replace(field_header=0, header=lambda *_: b"")  # MTData
+MIP = Form(
+    Frame({b"\x75\x65": "MIP"}, counted_length(3, 1, HEADER + 2, HEADER + 257), _FLETCHER),
+    _FLETCHER,
+    255,
+    lambda kind, payload: bytes([*b"\x75\x65", kind, len(payload)]) + payload,
+    field_header=2,
+    # The size is that of the whole field; the same identifier is another field in another type of packet.
+    read_header=lambda packet, at: (packet[KIND_AT] << 8 | packet[at + 1], packet[at] - 2),
+    header=lambda key, size: bytes([size + 2, key & 0xFF]),
+)
 
 
 class TaggedDecoder(TableDecoder):
@@ -135,29 +150,28 @@ class TaggedDecoder(TableDecoder):
 
     def _contents(self, packet: bytes) -> Placed:
         found = []
-        for key, at, size in self.form.places(packet):
-            field = self._field(key, size)
-            if field is not None:
-                found.append((field, at, size))
+        for key, at, size in self.form.fields(packet):
+            message = self._field(key, size)
+            if message is not None:
+                found.append((message, at, size))
             else:
                 self._report(f"field {self._field_name(key)} of {size} bytes is not known and is passed over")
         return found
 
     def _signature(self, packet: bytes) -> Sequence[int]:
-        header, begin = self.form.header, _begin(packet)
-        heads = (range(at - header, at) for _, at, _ in self.form.places(packet))
-        return [*range(KIND_AT, begin), *(place for head in heads for place in head)]
+        headers = (range(at - self.form.field_header, at) for _, at, _ in self.form.fields(packet))
+        return [*range(KIND_AT, _start(packet)), *chain(*headers)]
 
     def _is_filled(self, packet: bytes) -> bool:
         """Return whether the fields of a packet end where its payload ends."""
-        fields = self.form.places(packet)
-        end = sum(fields[-1][1:]) if fields else _begin(packet)
-        return end == len(packet) - self.form.check.size
+        sizes = [self.form.field_header + size for _, _, size in self.form.fields(packet)]
+        return sum(sizes) == len(self.form.payload(packet))
 
     def _fit(self, held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
         """Return whether the payload of packets with a right checksum is what their type states."""
         fit = np.ones(len(at), np.bool_)
         data = np.flatnonzero(np.isin(held[at + KIND_AT], self.data))
+        # Of kind 0: there is one frame.
         for _, rows, packet in self._alike(Found(held, at[data], length[data], np.zeros_like(data))):
             fit[data[rows]] = self._is_filled(packet)
         return fit
@@ -168,10 +182,11 @@ class TaggedDecoder(TableDecoder):
         is_data = np.isin(kind, self.data)
         for row in np.flatnonzero(~is_data).tolist():
             packet = found.held[found.at[row] :][: found.length[row]].tobytes()
-            for text in self._describe(int(kind[row]), self.form.payload(packet)):
+            for text in self._describe(packet[KIND_AT], self.form.payload(packet)):
                 self._report(text)
         data = np.flatnonzero(is_data)
-        return ((layout, data[rows]) for layout, rows in super()._by_layout(found.only(data)))
+        for layout, rows in super()._by_layout(found.only(data)):
+            yield layout, data[rows]
 
     def _describe(self, kind: int, payload: bytes) -> Iterable[str]:
         """Return in words what a message that is not data reports to the user, if anything."""
@@ -192,7 +207,7 @@ class TaggedDecoder(TableDecoder):
 
         `kind` is the packet type, `fields` have their keys.  A field of which a row has no value is left out.
         """
-        longest = sum(self.form.header + field.size for _, field in fields)
+        longest = sum(self.form.field_header + field.size for _, field in fields)
         if longest > self.form.longest:
             raise bad_config(f"a packet with these fields has {longest} bytes, too many")
         return Encoder(partial(self._encode_fields, kind, fields))
@@ -208,16 +223,16 @@ class TaggedDecoder(TableDecoder):
             if there:  # a field without any column is sent as zero
                 present[:, k] = np.any(there, axis=0)
         packets = [b""] * len(block)
-        patterns, which = np.unique(present, axis=0, return_inverse=True)
-        for number, pattern in enumerate(patterns):
-            rows = np.flatnonzero(which.reshape(-1) == number)
+        for pattern in np.unique(present, axis=0):
+            rows = np.flatnonzero(np.all(present == pattern, axis=1))
             sent = [fields[k] for k in np.flatnonzero(pattern).tolist()]
             blank = form.packed(kind, [(key, bytes(field.size)) for key, field in sent])
-            places = form.places(blank + bytes(form.check.size))
+            # Without headers there is one field even when none is sent: not strict.
+            pairs = zip(sent, form.fields(blank + bytes(form.check.size)), strict=False)
             numbers = [
                 number
-                for (_, field), (_, at, size) in zip(sent, places, strict=False)
-                for number in field.placed(at, size, big=True)
+                for (_, message), (_, at, size) in pairs
+                for number in message.placed(at, size, big=True)
             ]
             of_rows = {name: values[rows] for name, values in columns.items()}
             sealed = form.check.sealed_rows(write("packet", numbers, blank, of_rows, len(rows)))

@@ -66,8 +66,7 @@ class TextField(NumberField):
 class Line(StrictModel):
     """A kind of line.
 
-    `values` is how many numbers or words it has, `separator` what stands between them: " " is any white
-    space.
+    `values` is how many numbers or words it has, `separator` what is between them: " " is any white space.
     """
 
     name: str = Field(pattern=r"^[a-z0-9_]+$")
@@ -247,7 +246,7 @@ def line_lengths(after_end: bool, held: ByteArray, at: IntArray) -> IntArray:
     ends = np.flatnonzero(held == LINE_END)
     k = np.searchsorted(ends, at, "right" if after_end else "left")
     there = k < len(ends)
-    result = np.full(len(at), INCOMPLETE, np.int64)
+    result = np.full_like(at, INCOMPLETE)
     result[there] = ends[k[there]] - at[there] + (0 if after_end else 1)
     result[~there & (len(held) - at > LONGEST_LINE)] = IMPOSSIBLE
     result[result > LONGEST_LINE] = IMPOSSIBLE

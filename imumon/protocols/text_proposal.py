@@ -50,7 +50,6 @@ QUANTITIES = {
 Guess = tuple[str, str, str]
 """Column of a field, empty where it is not known, its other keys, and why."""
 
-
 _Described = tuple[Mapping[str, Any], Sequence[int | str], Sequence[str]]
 """What lines may be: keys of their description, place or name of each column, and which lines."""
 

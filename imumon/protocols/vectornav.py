@@ -1,8 +1,9 @@
 """VectorNav VN-100 to VN-310: binary output (FA) with any mask of groups, and ASCII sentences ($VN).
 
 Facts from the vendor's SDK and the VN-100 manual.  A binary packet is FA, a byte that lists the groups
-that follow, a word for each that lists its fields, the fields, and a CRC; it has no length: that is the
-sum of the fields.  So a packet with a field that is not known cannot be read, and is passed over.
+that follow (bit 7: a second byte, too), a word for each that lists its fields (bit 15: one more word, but
+not of Common), the fields, and a CRC; it has no length: that is the sum of the fields.  So a packet with a
+field that is not known cannot be read, and is passed over.
 
 `AngRate`, `Accel` and `Mag` are what the device's filter has left: its own estimate of the gyro bias is
 already taken off.  `Uncomp...` and `Imu` are calibrated in the factory and no more; they make ``gyro``,
@@ -27,7 +28,7 @@ from .messages import Message, Placed, TableDecoder, part, table
 from .numbers import Number, Record
 from .text import line_frame, sentence_body, texts
 
-COMMON, TIME, IMU, GNSS1, ATTITUDE, INS, GNSS2, GNSS3 = 1, 2, 3, 4, 5, 6, 7, 12
+COMMON, TIME, IMU, GNSS1, ATTITUDE, INS, GNSS2, GNSS3 = *range(1, 8), 12  # bits from 1; second byte: from 8
 RECEIVERS = {GNSS1: "gnss1", GNSS2: "gnss2", GNSS3: "gnss3"}
 SIDE_GROUPS = ("mag", "temperature", "pressure", "attitude", "filter", *RECEIVERS.values())
 FILTERED = ("gyro", "accel", "mag")
@@ -46,6 +47,7 @@ DELTA_THETA = """delta_time f32 s time over which the increments were summed
   | delta_theta_xyz f32*deg rad rotation over the sample"""
 DELTA_VELOCITY = "delta_velocity_xyz f32 m/s velocity increment"
 FREE = "free_accel_xyz f32 m/s^2 acceleration without gravity"
+FREE_NED = "free_accel_ned_xyz f32 m/s^2 acceleration without gravity, north, east, down"
 VELOCITY_NED = "velocity_xyz f32 m/s velocity north, east, down"
 GPS_TIME = "gps_time u64 ns time since 1980-01-06 on the GPS clock"
 SYNC_TIME = "time_since_sync_in u64 ns time since the last pulse at the input"
@@ -128,7 +130,7 @@ _TABLES = {
 4 MagNed [mag]: mag_ned_xyz f32*gauss uT magnetic field, north, east, down
 5 AccelNed: accel_ned_xyz f32 m/s^2 acceleration with gravity, north, east, down
 6 LinearAccelBody: {FREE}
-7 LinearAccelNed: 12
+7 LinearAccelNed: {FREE_NED}
 8 YprU [attitude]: ypr_sigma_xyz f32*deg rad uncertainty of yaw, pitch, roll
 9 reserved: 12
 10 reserved: 28
@@ -153,9 +155,17 @@ _TABLES = {
 """,
     **{group: _RECEIVER.replace("GNSS", prefix) for group, prefix in RECEIVERS.items()},
 }
-BY_PLACE = {(group, bit): item for group, text in _TABLES.items() for bit, item in table(text).items()}
-"""Fields by group and bit."""
-
+FIELDS = {group: table(text) for group, text in _TABLES.items()}
+"""Fields of each group by their bits; of a further word they go on from 16."""
+BY_PLACE = {(group, bit): item for group, fields in FIELDS.items() for bit, item in fields.items()}
+PLACES = {
+    f"{GROUP_NAMES[group]}.{item.name}": (group, bit)
+    for (group, bit), item in BY_PLACE.items()
+    if group < 8 and bit < 15 and item.columns
+}
+"""Group and bit of the fields that can be sent, by GROUP.FIELD: those that need no second byte or word."""
+KNOWN_BITS = {group: sum(1 << bit for bit in fields) for group, fields in FIELDS.items()}
+KNOWN_GROUPS = 0x87F  # a bit each: 1 to 7 and 12
 SENTENCES = {
     name: Message(name, part(f"8 | {numbers.replace('f32', 'f64')}"))
     for name, numbers in {
@@ -168,62 +178,67 @@ SENTENCES = {
         "MAR": f"{FIELD} | {FORCE} | {RATE}",
         "YMR": f"{YPR} | {FIELD} | {FORCE} | {RATE}",
         "YBA": f"{YPR} | {FREE} | {RATE}",
-        "YIA": f"{YPR} | accel_ned_xyz f32 m/s^2 acceleration without gravity, north, east, down | {RATE}",
+        "YIA": f"{YPR} | {FREE_NED} | {RATE}",
         "IMU": "mag f32*gauss | accel f32 | gyro f32 | temperature f32 | pressure f32*kPa",
         "DTV": f"{DELTA_THETA} | {DELTA_VELOCITY}",
     }.items()
 }
 """What each ASCII sentence is as `_plain` writes it: eight bytes of $ and its name, and its numbers."""
-MOST_HEADER = 64
+XMODEM = Checksum("crc16-xmodem", first=1, big=True)
+MOST_HEADER = 64  # bytes of a header that is believed, assumed
 
 
 class Contents(NamedTuple):
-    """What a binary packet holds: its fields and where each begins, and where header and fields end."""
+    """What a binary packet holds: its fields, and where header and fields end."""
 
-    fields: list[tuple[Message, int]]
+    fields: Placed
     header: int
     end: int
 
     @property
-    def signature(self) -> list[int]:
+    def identifying(self) -> list[int]:
         """Places of the bytes that state what it holds: the header, and counts of repeated parts."""
-        counts = [at + REPEATS[item.name][1] for item, at in self.fields if item.name in REPEATS]
+        counts = [at + REPEATS[item.name][1] for item, at, _ in self.fields if item.name in REPEATS]
         return [*range(self.header), *counts]
 
 
 def read_contents(packet: bytes) -> Contents | int:
     """Return what a packet holds, or the code of why that is not known; see `framing.Lengths`."""
     try:
-        return _contents(packet) if packet[0] == 0xFA else IMPOSSIBLE
-    except IndexError:
+        return _contents(packet)
+    except IndexError:  # the bytes end before that is known
         return INCOMPLETE
 
 
 def _contents(packet: bytes) -> Contents | int:
-    groups = [1 + bit for bit in range(7) if packet[1] >> bit & 1]
-    at = 2
+    groups, at = packet[1] & 0x7F, 2
     if packet[1] & 0x80:
-        groups += [8 + bit for bit in range(8) if packet[2] >> bit & 1]
+        groups |= packet[2] << 7
         at = 3
-    items: list[Message] = []
-    for group in groups:
-        if group not in GROUP_NAMES:
+    if groups & ~KNOWN_GROUPS and len(packet) > MOST_HEADER + 2:
+        return IMPOSSIBLE  # as of most FA that begin no packet: known as soon as the whole header is there
+    listed = list[tuple[int, int]]()
+    while groups:
+        group = (groups & -groups).bit_length()  # the lowest
+        groups &= groups - 1
+        if group not in FIELDS:
             return IMPOSSIBLE
-        first, more = 0, True
+        bits, shift, more = 0, 0, True
         while more:
             if at > MOST_HEADER:
                 return IMPOSSIBLE
             word = packet[at] | packet[at + 1] << 8
-            at += 2
             more = group != COMMON and word >= 0x8000
-            places = [(group, first + k) for k in range(15 if more else 16) if word >> k & 1]
-            if not BY_PLACE.keys() >= {*places}:
+            bits |= (word & 0x7FFF if more else word) << shift
+            if bits & ~KNOWN_BITS[group]:
                 return IMPOSSIBLE
-            items += map(BY_PLACE.__getitem__, places)
-            first += 16
-    fields, end = list[tuple[Message, int]](), at
+            at += 2
+            shift += 16
+        listed.append((group, bits))
+    items = [item for group, bits in listed for bit, item in FIELDS[group].items() if bits >> bit & 1]
+    fields, end = Placed(), at
     for item in items:
-        fields.append((item, end))
+        fields.append((item, end, item.size))
         if item.name in REPEATS:
             more_bytes, counter = REPEATS[item.name]
             end += more_bytes * packet[end + counter]
@@ -235,22 +250,20 @@ def _contents(packet: bytes) -> Contents | int:
 
 def _lengths(held: ByteArray, at: IntArray) -> IntArray:
     """Return the length of the packet at each place, all that begin alike at once; see `framing.Lengths`."""
-    length, left = np.zeros(len(at), np.int64), np.arange(len(at))
-    while len(left):
-        found = read_contents(held[at[left[0]] :][:LONGEST_PACKET].tobytes())
-        if isinstance(found, int):
-            length[left[0]], left = found, left[1:]
-            continue
-        places = found.signature
-        alike = at[left] + places[-1] < len(held)
-        heads = windows(held, at[left[alike]], places[-1] + 1)[:, places]
-        alike[alike] = np.all(heads == heads[0], axis=1)
-        length[left[alike]] = found.end + 2
-        left = left[~alike]
+    data = held.tobytes()
+    length = np.zeros(len(at), np.int64)
+    while len(left := np.flatnonzero(length == 0)):
+        for k, start in enumerate(map(int, at[left])):
+            found = read_contents(data[start : start + LONGEST_PACKET])
+            if isinstance(found, int):
+                length[left[k]] = found
+                continue
+            places = found.identifying
+            alike = left[k:][at[left[k:]] + places[-1] < len(held)]
+            heads = windows(held, at[alike], places[-1] + 1)[:, places]
+            length[alike[np.all(heads == heads[0], axis=1)]] = found.end + 2
+            break
     return length
-
-
-XMODEM = Checksum("crc16-xmodem", first=1, big=True)
 
 
 def body_of(line: str) -> str | None:
@@ -260,7 +273,7 @@ def body_of(line: str) -> str | None:
 
 
 def _sentence(text: str) -> tuple[str, list[str], list[float]] | None:
-    """Return header, fields, numbers of a line that is right, else None: torn ones may have a fitting sum."""
+    """Return name, words, numbers (of `SENTENCES`) of a right line, else None: a torn one's sum may fit."""
     body = body_of(text)
     if body is None:
         return None
@@ -274,15 +287,7 @@ def _sentence(text: str) -> tuple[str, list[str], list[float]] | None:
         numbers = [float(field) for field in fields]
     except ValueError:
         return None
-    return (name, fields, numbers) if len(fields) == size and "_" not in body else None
-
-
-PLACES = {
-    f"{GROUP_NAMES[group]}.{item.name}": (group, bit)
-    for (group, bit), item in BY_PLACE.items()
-    if group < 8 and bit < 15 and item.columns
-}
-"""Group and bit of the fields that can be sent, by GROUP.FIELD: those that need no second byte or word."""
+    return (name, fields, numbers) if len(fields) == size and "_" not in body else None  # float("1_0") is 10
 
 
 def words_of(names: Iterable[str]) -> dict[int, int]:
@@ -298,24 +303,21 @@ def header_of(groups: int, words: Iterable[int]) -> bytes:
     return bytes([0xFA, groups & 0xFF]) + b"".join(word.to_bytes(2, "little") for word in words)
 
 
-def _factory(numbers: Sequence[Number]) -> frozenset[str]:
+def _calibrated(numbers: Sequence[Number]) -> frozenset[str]:
     """Return of which quantities there are numbers as they were calibrated in the factory."""
     names = {number.name for number in numbers}
     return frozenset(base for base in FILTERED if f"{base}_x" in names)
 
 
-def _renamed(numbers: Sequence[Number], factory: frozenset[str]) -> list[Number]:
+def _renamed(numbers: Sequence[Number], calibrated: frozenset[str]) -> list[Number]:
     """Return the numbers; those of the filter have the plain names where nothing comes as calibrated."""
-    bases = {*FILTERED} - factory
+    bases = {*FILTERED} - calibrated
     plain = {f"{base}_compensated_{axis}": f"{base}_{axis}" for base in bases for axis in "xyz"}
-    return [
-        number._replace(column=KNOWN[plain[number.name]]) if number.name in plain else number
-        for number in numbers
-    ]
+    return [n._replace(column=KNOWN[plain[n.name]]) if n.name in plain else n for n in numbers]
 
 
 class VectorNavDecoder(TableDecoder):
-    """Decodes binary outputs with any fields and ASCII sentences, mixed as they may come."""
+    """Decodes binary outputs with any fields and ASCII sentences, also mixed."""
 
     frames = (
         Frame({b"\xfa": "binary"}, _lengths, XMODEM),
@@ -325,47 +327,46 @@ class VectorNavDecoder(TableDecoder):
     timing = Timing(tick_ns=Fraction(1))
     messages = BY_PLACE
     names, apart = SIDE_GROUPS, (*RECEIVERS.values(),)
-
-    _factory: frozenset[str] = frozenset()  # quantities that have come as they were calibrated in the factory
+    _have_come: frozenset[str] = frozenset()  # quantities, as they were calibrated in the factory
 
     def __init__(self) -> None:
         super().__init__()
-        for name in ("roll", "pitch"):  # alignment calls its own otherwise where a device may send these
+        for name in ("roll", "pitch"):  # seldom sent, and alignment takes other names where they may be
             del self._possible[name]
 
     def _by_layout(self, found: Found) -> Layouts:
-        """Yield the layouts; where calibrated quantities begin, the filtered ones step back."""
-        for _, rows, packet in self._alike(found):
-            new = _factory(super()._numbers(packet)) - self._factory
+        """Yield the layouts; where a calibrated quantity first comes, the filtered one gets another name."""
+        for _, rows, packet in self._alike(found) if self._have_come < {*FILTERED} else ():
+            new = _calibrated(super()._numbers(packet)) - self._have_come
             if new:
                 first = int(rows[0])
                 yield from super()._by_layout(found.only(np.arange(first)))
-                self._factory |= new
+                self._have_come |= new  # the packets before have been read, under the old names
                 self._layouts.clear()
-                rest = found.only(np.arange(first, len(found)))
-                yield from ((layout, first + later) for layout, later in self._by_layout(rest))
+                for layout, later in self._by_layout(found.only(np.arange(first, len(found)))):
+                    yield layout, first + later
                 return
         yield from super()._by_layout(found)
 
     def _signature(self, packet: bytes) -> Sequence[int]:
         if packet[:1] == b"$":
             return range(8)
-        found = read_contents(packet)
-        return () if isinstance(found, int) else found.signature
+        found = read_contents(packet)  # none of a split packet
+        return () if isinstance(found, int) else found.identifying
 
     def _contents(self, packet: bytes) -> Placed:
         if packet[:1] == b"$":
             sentence = SENTENCES.get(packet[1:8].decode().strip())
             return [] if sentence is None else [(sentence, 0, sentence.size)]
         found = read_contents(packet)
-        return [] if isinstance(found, int) else [(item, at, item.size) for item, at in found.fields]
+        return [] if isinstance(found, int) else found.fields
 
     def _numbers(self, packet: bytes) -> list[Number]:
-        return _renamed(super()._numbers(packet), self._factory)
+        return _renamed(super()._numbers(packet), self._have_come)
 
     def _layout(self, packet: bytes) -> Record | None:
         layout = super()._layout(packet)
-        if layout is not None and "gyro_x" in layout.of_column and "gyro" not in self._factory:
+        if layout is not None and "gyro_x" in layout.of_column and "gyro" not in self._have_come:
             self._report(
                 "the angular rate is that of the device's filter, which has taken its own estimate of "
                 "the gyro bias off: what imumon finds is the rest of it; send UncompGyro, Imu or $VNIMU",
@@ -377,9 +378,8 @@ class VectorNavDecoder(TableDecoder):
         """Return sentences as records of their name and numbers; those that are no data are reported."""
         rows = np.flatnonzero(found.held[found.at] == ord("$"))
         records = dict[int, bytes]()
-        for row, line in zip(
-            rows.tolist(), texts(found.held, found.at[rows], found.length[rows]), strict=True
-        ):
+        lines = texts(found.held, found.at[rows], found.length[rows])
+        for row, line in zip(rows.tolist(), lines, strict=True):
             read = _sentence(line)
             assert read is not None
             name, words, numbers = read
@@ -396,5 +396,5 @@ class VectorNavDecoder(TableDecoder):
         header = header_of(sum(1 << group - 1 for group in words), words.values())
         places = sorted({PLACES[name] for name in names})
         numbers = [number for place in places for number in BY_PLACE[place].numbers]
-        sent = Message("binary output", tuple(_renamed(numbers, _factory(numbers))))
+        sent = Message("binary output", tuple(_renamed(numbers, _calibrated(numbers))))
         return Encoder(partial(self._encode, lambda payload: XMODEM.sealed(header + payload), sent))

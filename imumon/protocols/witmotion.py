@@ -16,7 +16,7 @@ from imumon.blocks import ColumnArray, IntArray
 from imumon.columns import KNOWN, Column
 
 from .base import ByteArray, Packets, Timing
-from .framing import INCOMPLETE, NO_PACKET, Checksum, Found, Frame, fixed_length
+from .framing import INCOMPLETE, NO_PACKET, Checksum, Found, Frame
 from .messages import FamilyDecoder, Message, part, table
 from .numbers import Columns, Derived, known, utc_time
 
@@ -25,7 +25,6 @@ SHORT, LONG = 20, 28
 COMBINED = 0x61
 ZEROS = 10
 """Frames in a row with three rates of zero, after which it is reported: with noise that needs much luck."""
-
 
 _DATE = """_{0}year u8+2000 1 year | _{0}month u8 1 month | _{0}day u8 1 day | _{0}hour u8 1 hour
   | _{0}minute u8 1 minute | _{0}second u8 1 second | _{0}of_second u16*{1} 1 ms"""
@@ -80,13 +79,13 @@ class WitMotionDecoder(FamilyDecoder):
     frames = (
         Frame(
             {bytes([0x55, kind]): item.name for kind, item in TYPES.items()} | {b"\x55\x5f": "register"},
-            fixed_length(SIZE),
+            SIZE,
             Checksum("sum8"),
         ),
         Frame({bytes([0x55, COMBINED]): "combined"}, _combined_lengths),
     )
     timing = Timing(tick_ns=Fraction(1_000_000))
-    start, more, head = HEADER, HEADER, (1,)
+    start, overhead, head = HEADER, HEADER, (1,)
     apart = ("gnss",)
     derived = (
         utc_time("clock_", CLOCK),

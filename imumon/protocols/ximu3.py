@@ -97,7 +97,7 @@ class XimuDecoder(FamilyDecoder):
         line_frame({b"%c," % key: f"{message.name} text" for key, message in MESSAGES.items()}, _numbers),
     )
     timing = Timing(tick_ns=Fraction(1000))
-    start, more, head = 1, 1, (0,)
+    start, overhead, head = 1, 1, (0,)
 
     def wrap(self, key: int, payload: bytes) -> bytes:
         """Make a binary message."""

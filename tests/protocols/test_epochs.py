@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 from dataclasses import asdict
 from functools import cache
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -14,8 +15,9 @@ from hypothesis import strategies as st
 from imumon.blocks import FloatArray, SampleBlock, join
 from imumon.clock.side import HeldReadings
 from imumon.pipeline import UNDATED, Digest, Pipeline
+from imumon.protocols.base import Groups, Packets
 from imumon.protocols.device import load_device
-from imumon.protocols.epochs import Epochs
+from imumon.protocols.epochs import EpochAssembler, Epochs
 from imumon.protocols.inertialsense import InertialSenseDecoder
 from imumon.protocols.mavlink import MavlinkDecoder
 from tests.data_folder import measured
@@ -340,6 +342,29 @@ def test_messages_with_the_same_quantity_lose_none_of_it(
         np.sort(values[np.isfinite(values)]), np.arange(1.0, len(parts) + 1), rtol=1e-6
     )
     assert _digest(main, side) == _digest(*run(device, data, chunk)[:2])
+
+
+@pytest.mark.parametrize("cuts", [[0, 4], [0, 1, 2, 3, 4]])
+def test_a_packet_of_two_groups_stays_in_the_main_row_that_took_one(cuts: list[int]) -> None:
+    groups = Groups.of([{"gyro": "imu", "mag": "mag"}, {"gyro": "imu"}, {"mag": "mag"}, {"temperature": "t"}])
+    nan = np.nan
+    columns = {
+        "device_ticks": np.array([5, 5, 5, 6]),  # mag and temperature; a row that has a mag; again; the next
+        "gyro": np.array([nan, 1.0, 2.0, 3.0]),
+        "mag": np.array([7.0, 8.0, nan, nan]),
+        "temperature": np.array([9.0, nan, nan, nan]),
+    }
+    belongs = np.array([0b110, 0b011, 0b001, 0b001])
+    assembler, main, mag = EpochAssembler(groups), list[SampleBlock](), list[SampleBlock]()
+    for a, b in pairwise(cuts):
+        block = SampleBlock({name: values[a:b] for name, values in columns.items()})
+        streams = assembler.process(Packets(block, belongs[a:b]), end=b == 4)
+        main.append(streams["imu"].block)
+        mag += [streams[name].block for name in ("mag",) if name in streams]
+    np.testing.assert_array_equal(join(main)["gyro"], [1.0, 2.0, 3.0])
+    np.testing.assert_array_equal(join(main)["mag"], [8.0, nan, nan])
+    np.testing.assert_array_equal(join(main)["temperature"], [9.0, nan, nan])
+    np.testing.assert_array_equal(join(mag)["mag"], [7.0])
 
 
 def test_a_barometer_beside_one_of_the_inertial_message_is_a_stream() -> None:

@@ -121,6 +121,7 @@ def test_rubbish_between_packets_is_no_harm(family: str, data: bytes, seed: int)
 FRAMED = """
 import sys
 import numpy as np
+import imumon.protocols.epochs  # has kernels
 from imumon.blocks import SampleBlock
 from imumon.protocols.device import device_names, load_device
 from imumon.protocols.decoder import Decoder

@@ -103,12 +103,21 @@ def test_a_recording_of_corrected_rates_alone_is_warned_of() -> None:
 def test_headers(header: str, names: list[str]) -> None:
     found = read_contents(bytes.fromhex(header) + bytes(64))
     assert not isinstance(found, int)
-    assert [item.name for item, _ in found.fields] == names
+    assert [item.name for item, *_ in found.fields] == names
 
 
 @pytest.mark.parametrize("header", ["fa00", "fa01 0000", "fa02 0004", "fa8001", "fa8181", "fa08 0080 0080"])
 def test_headers_that_nobody_knows(header: str) -> None:
     assert read_contents(bytes.fromhex(header) + bytes(8)) == IMPOSSIBLE
+
+
+def test_accelerations_with_gravity_and_without_have_columns_of_their_own() -> None:
+    with_gravity = XMODEM.sealed(bytes.fromhex("fa10 2000") + struct.pack("<3f", 0.5, 0.25, -9.5))
+    without = XMODEM.sealed(bytes.fromhex("fa10 8000") + struct.pack("<3f", 0.5, 0.25, 0.125))
+    line = sentence("$VNYIA,+1,+2,+3,+0.5,+0.25,+0.125,+0,+0,+0") + b"\r\n"
+    block = feed_in_chunks(VectorNavDecoder(), with_gravity + without + line, [7])
+    np.testing.assert_array_equal(block["accel_ned_z"], [-9.5, np.nan, np.nan])
+    np.testing.assert_array_equal(block["free_accel_ned_z"], [np.nan, 0.125, 0.125])
 
 
 @pytest.mark.parametrize("satellites", [0, 3, 20])

@@ -24,7 +24,6 @@ PRECISIONS = {
 FRAMES = {"ENU": 0x0, "NED": 0x4, "NWU": 0x8}
 """Reference frames of orientation, velocity and free acceleration, by their bits in the identifier."""
 
-
 _DATE = """_{0}year u16 1 year | _{0}month u8 1 month | _{0}day u8 1 day | _{0}hour u8 1 hour
   | _{0}minute u8 1 minute | _{0}second u8 1 second"""
 UTC = f"_utc_of_second u32 1 ns | {_DATE.format('utc_')} | utc_valid u8 1 validity bits of the UTC time"
