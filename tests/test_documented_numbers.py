@@ -429,12 +429,17 @@ ROWS: list[tuple[str, str, Numbers]] = [
     (
         "tczupt.md",
         "| the temperature changes in motion",
-        [Source(WARMING, '("standard", 0.0, #)'), 2, Source(WARMING, "SLOPE = #")],
+        [Source(WARMING, '("standard", 0.0, 0, False, #)'), 2, Source(WARMING, "SLOPE = #")],
     ),
     (
         "tczupt.md",
         '| `RestAndBias(mode="learned")` in Python',
-        [Source(WARMING, '("learned", #, #), ("learned", #, #)')],
+        [Source(WARMING, '("learned", #, 0, False, #), ("learned", #, 0, False, #)')],
+    ),
+    (
+        "tczupt.md",
+        "| `learned`, a thermometer whose readings scatter",
+        [Source(WARMING, '("learned", #, 2, True, *)'), Source(WARMING, '("learned", *, 2, True, #)'), 2],
     ),
     ("tczupt.md", "| a model, between two rests out of its range ", []),
     ("tczupt.md", "| slow turns that are called rest ", []),

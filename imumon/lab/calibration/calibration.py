@@ -247,7 +247,7 @@ def check_columns(records: Records) -> None:
         rates = {name: record.means.of(name) for name in GYRO} if len(record.means) > 1 else {}
         if stuck := [name for name, rate in rates.items() if np.nanmin(rate) == np.nanmax(rate)]:
             raise bad_data(
-                f"{record.name}: {', '.join(stuck)} never changes from {rates[stuck[0]][0]:g} rad/s",
+                f"{record.name}: {', '.join(stuck)} never changes from {np.nanmin(rates[stuck[0]]):g} rad/s",
                 "a sensor that measures is never so quiet: is it switched off, or the column a constant?",
             )
     for what, names in (

@@ -104,7 +104,9 @@ class ChannelVerdict:
     # or the constants of the test make the prediction worse with it.
     predicts: bool
     refit: list[str]  # what was fitted anew of the present model, its curve first; empty where it stays
-    declared_covariance: FloatArray  # of the declared coefficients of `after`, (degree + 1, degree + 1)
+    # Of the declared coefficients of `after`, (degree + 1, degree + 1); by the blocks of the search, as the
+    # sigmas of the claims, for its likelihood has the noise.
+    declared_covariance: FloatArray
 
     @property
     def name(self) -> str:

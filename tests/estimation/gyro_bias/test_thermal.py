@@ -183,17 +183,24 @@ def test_noise_of_the_thermometer_is_no_evidence_that_there_is_no_slope(names: l
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    ("mode", "noise_degc", "off_by_sigmas"),
-    [("standard", 0.0, 24.0), ("learned", 0.03, 7.0), ("learned", 0.1, 24.0)],
+    ("mode", "noise_degc", "seed", "estimated", "off_by_sigmas"),
+    [
+        ("standard", 0.0, 0, False, 24.0),
+        ("learned", 0.03, 0, False, 7.0),
+        ("learned", 0.1, 0, False, 24.0),
+        ("learned", 0.3, 2, True, 12.0),
+    ],
 )
 def test_the_limits_of_temperature_are_as_the_page_has_them(
-    mode: Mode, noise_degc: float, off_by_sigmas: float
+    mode: Mode, noise_degc: float, seed: int, estimated: bool, off_by_sigmas: float
 ) -> None:
     t = np.arange(20400) / 10
     temperature = np.interp(t, [0, 1980, 2040], [25.0, 25.0, 27.0])
     block, bias = warming(temperature)
-    noise = np.repeat(noise_degc * np.random.default_rng(0).standard_normal(2040), 10)
+    noise = np.repeat(noise_degc * np.random.default_rng(seed).standard_normal(2040), 10)
     block = with_rest(block.with_columns({"temperature": temperature + noise}), t < 1980.0)
+    if estimated:
+        block = block.with_columns(TemperatureRate().process(block))
     added = RestAndBias(GIVEN, mode=mode).process(block)
     z = ((vector(added) - bias) / vector(added, "gyro_bias_sd"))[-1]
     assert np.abs(z).max() == pytest.approx(off_by_sigmas, rel=0.25)
