@@ -126,6 +126,10 @@ def _figure() -> Any:
 def _frame(axes: Any, chart: Chart) -> None:
     from matplotlib.ticker import AutoMinorLocator, LogFormatter
 
+    class Between(LogFormatter):  # numbers between the decades where there are few, without exponents
+        def _num_to_string(self, x: float, *_: float) -> str:
+            return f"{x:g}"
+
     for name, scale in (("x", chart.x), ("y", chart.y)):
         axis = getattr(axes, f"{name}axis")
         axis.set_label_text(for_plot(scale.label))
@@ -134,8 +138,7 @@ def _frame(axes: Any, chart: Chart) -> None:
         elif any((np.asarray(getattr(curve, name)) > 0).any() for curve in chart.curves):
             axes.set(**{f"{name}scale": "log"})
             axis.set_major_formatter(lambda value, _: f"{value:g}")
-            # numbers between the decades where there are few
-            axis.set_minor_formatter(LogFormatter(minor_thresholds=(2.0, 1.0)))
+            axis.set_minor_formatter(Between(minor_thresholds=(2.0, 1.0)))
     axes.grid(which="major", color=FAINT, lw=0.8)
     axes.grid(which="minor", color=FAINT, lw=0.3)
     right = ROOM["right"]
