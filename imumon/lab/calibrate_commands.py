@@ -125,9 +125,9 @@ def _report(result: "Calibration", out: Path) -> dict[str, Any]:
     model, at_rest = result.model, result.at_rest
     return {
         "out": out,
-        "rest_s": result.rest_s,
+        "rest_s": at_rest.seconds.sum(),
         "temperature_range_degc": [at_rest.temperature.min(), at_rest.temperature.max()],
-        "temperature_rate_rms_degc_per_s": at_rest.rate_rms,
+        "temperature_rate_rms_degc_per_s": at_rest.rms(at_rest.rate),
         "levels_degc": model.levels_degc,
         "earth_rate": model.earth_rate,
         "runs": [run.model_dump() for run in model.trained_on],
@@ -166,9 +166,9 @@ def _show(result: "Calibration") -> None:
 def _summary(result: "Calibration", out: Path) -> dict[str, str]:
     model, at_rest = result.model, result.at_rest
     rows = {
-        "at rest": f"{result.rest_s / 3600:.2f} h, {len(model.levels_degc)} temperature levels",
+        "at rest": f"{at_rest.seconds.sum() / 3600:.2f} h, {len(model.levels_degc)} temperature levels",
         "temperature": f"{at_rest.temperature.min():.2f} to {at_rest.temperature.max():.2f} °C,"
-        f" {at_rest.rate_rms * 60:.2f} °C/min rms",
+        f" {at_rest.rms(at_rest.rate) * 60:.2f} °C/min rms",
         "residual": _per_channel(result, lambda fit: fit.choice.residual_sd),
         "30 s of lag": _per_channel(result, lambda fit: fit.lag_rms) + ", if the gyro has it",
     }

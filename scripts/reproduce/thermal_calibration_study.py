@@ -247,7 +247,7 @@ def chamber(record: Record, share: float) -> Table:
         found = model.model.channels[name]
         t, value = rest.means.of(found.temperature_column)[rest.rest], rest.means.of(name)[rest.rest]
         inside = found.inside(t)
-        constant = float(np.average(channel.value, weights=np.bincount(groups.cell, groups.seconds)))
+        constant = float(np.average(channel.value, weights=np.bincount(groups.cell_of_block, groups.seconds)))
         errors = {"constant": rms(value[inside] - constant)}
         errors |= {key: rms(value[inside] - curve.value(t[inside])) for key, curve in curves.items()}
         errors["chosen"] = rms(value[inside] - found.value(t[inside]))

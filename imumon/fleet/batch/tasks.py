@@ -215,7 +215,7 @@ def _calibrate(path: Path, job: Job) -> Iterator[Row]:
         yield {
             "channel": name, "unit": channel.unit, "curve": choice.name,
             "residual_sd": choice.residual_sd, "held_out_rms": choice.held_out_rms[choice.name],
-            "fit_rms": choice.fit_rms, "lag_rms": fit.lag_rms, "rest_s": found.rest_s,
+            "fit_rms": choice.fit_rms, "lag_rms": fit.lag_rms, "rest_s": float(found.at_rest.seconds.sum()),
             "lowest_degc": low, "highest_degc": high, "file": str(file),
             "warnings": [*warnings, *found.warnings],
         }  # fmt: skip

@@ -2,5 +2,5 @@
 
 import math
 
-# By the unit of a model: the unit that a person reads, and the factor to it; g is the standard gravity.
+# By the unit in the model file: the unit that is shown, and the factor to it; g is the standard gravity.
 SHOWN = {"rad/s": ("°/h", math.degrees(3600.0)), "m/s^2": ("mg", 1e3 / 9.80665)}

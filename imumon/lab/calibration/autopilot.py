@@ -21,7 +21,7 @@ from imumon.models.model import BiasModel
 Autopilot = Literal["ardupilot", "px4"]
 SUFFIX: dict[str, str] = {"ardupilot": ".param", "px4": ".params"}
 LEAST_EXPORT_SPAN_DEGC = 10.0  # ArduPilot takes no calibration over less
-ARDUPILOT = {"gyro": "GYR", "accel": "ACC"}  # in the names of its parameters
+ARDUPILOT = {"gyro": "GYR", "accel": "ACC"}  # sensors in the names of its parameters
 PX4 = {"gyro": "G", "accel": "A"}
 
 
@@ -66,20 +66,21 @@ def parameters(
     for kind, axes in cubics.items():
         for axis, cubic in zip("XYZ", axes, strict=True):
             rows |= {f"{ARDUPILOT[kind]}{k}_{axis}": cubic[k] * 1e6 for k in (1, 2, 3)}
+    # ArduPilot counts from 1.
     return "".join(f"INS_TCAL{imu + 1}_{name},{value:.9g}\n" for name, value in rows.items()), notes
 
 
 def _px4(cubics: dict[str, list[list[float]]], imu: int, ids: tuple[int, int], degc: dict[str, float]) -> str:
-    """Return the columns of QGroundControl; the last one is MAVLink's type, 6 of an integer, 9 of a float."""
     rows: dict[str, float] = {}
     gyro_id, accel_id = ids
     for kind, axes in cubics.items():
         sensor = f"TC_{PX4[kind]}"
         rows |= {f"{sensor}_ENABLE": 1, f"{sensor}{imu}_ID": accel_id if kind == "accel" else gyro_id}
         rows |= {f"{sensor}{imu}_{name}": value for name, value in degc.items()}
-        for axis, (constant, *others) in enumerate(axes):
-            coefficients = (0.0 if kind == "accel" else constant, *others)
+        for axis, cubic in enumerate(axes):
+            coefficients = [0.0, *cubic[1:]] if kind == "accel" else cubic
             rows |= {f"{sensor}{imu}_X{power}_{axis}": value for power, value in enumerate(coefficients)}
+    # The columns of QGroundControl: vehicle, component, name, value, MAVLink's type (6 integer, 9 float).
     return "".join(
         f"1\t1\t{name}\t{value:.9g}\t{6 if name.endswith(('_ENABLE', '_ID')) else 9}\n"
         for name, value in rows.items()
@@ -101,8 +102,7 @@ def _cubic(model: BiasModel, name: str, degc: FloatArray, reference: float, note
     turned = model.axes == "FLU" and name[-1] in "yz"  # unstated axes are taken for the board's
     value = -channel.value(degc) if turned else channel.value(degc)
     coefficients = np.polynomial.polynomial.polyfit(degc - reference, value, 3)
-    missed = np.polynomial.polynomial.polyval(degc - reference, coefficients) - value
-    error = np.sqrt(np.mean(missed**2))
+    error = np.sqrt(np.mean((np.polynomial.polynomial.polyval(degc - reference, coefficients) - value) ** 2))
     if error > channel.residual_sd:
         notes.append(
             f"{name}: the cubic misses the curve by {error:.3g} {channel.unit} rms, more than the curve errs"

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from datetime import UTC, datetime
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,13 +19,12 @@ from imumon.version import __version__
 from .cells import BLOCK_S, LEAST_COVERED, ONE_WAY, CellMeans, Records, RestBlocks, channel_of, group, one_way
 from .selection import Choice, choose, comparable_runs, slow_variance, turn_on_offsets
 
-Name = TypeVar("Name")
 # What a model needs, all assumed.
 LEAST_SPAN_DEGC = 5.0  # of the temperature at rest
 LEAST_REST_S = 600.0
 WIDEST_HOLE = 0.4  # share of the span without data that a curve may bridge
-MOST_LAG = 0.1  # share of the span by which the temperature of a gyro `OWN_LAG_S` behind may be wrong, rms
-LEAST_LEVELS = 3  # of a channel: the two at the ends stay in each fit, and one has to be left out
+MOST_LAG = 0.1  # share of the span, of the error of temperature (rms) of a gyro `OWN_LAG_S` behind it
+LEAST_LEVELS = 3  # of an accelerometer: the two at the ends stay in each fit, and one has to be left out
 
 
 class ChannelFit(NamedTuple):
@@ -34,7 +33,7 @@ class ChannelFit(NamedTuple):
     `points` are the means of each run less its turn-on `offset` from the mean of all, in the channel's unit,
     (runs,); that is NaN where it cannot be determined.  `repeatability` is the standard deviation of the
     offsets: None with fewer than two, and of an accelerometer in several poses, whose offsets are gravity's.
-    `lag_rms`: what a gyro `OWN_LAG_S` behind its thermometer would err by in this data.
+    `lag_rms`: error in this data of a sensor that is `OWN_LAG_S` behind its thermometer.
     """
 
     choice: Choice
@@ -51,11 +50,6 @@ class Calibration(NamedTuple):
     fits: dict[str, ChannelFit]
     at_rest: RestBlocks
     warnings: list[str]
-
-    @property
-    def rest_s(self) -> float:
-        """Time at rest, s."""
-        return float(self.at_rest.seconds.sum())
 
 
 def calibrate(
@@ -96,7 +90,7 @@ def calibrate(
             created=f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}",
             device=_common(record.device for record in records),
             serial=serial or _common(record.serial for record in records),
-            axes=_common(record.axes for record in records),
+            axes=next((record.axes for record in records if record.axes), None),  # no others: `check_columns`
             earth_rate="included" if latitude_deg is None else "removed",
             latitude_deg=latitude_deg,
             heading_deg=heading_deg,
@@ -128,33 +122,35 @@ def _fit_channel(name: str, records: Records, at_rest: RestBlocks, warnings: lis
         return None
     is_accel = name in ACCEL
     compared = comparable_runs(means)
-    apart = ~np.isin(means.run, compared)
-    if apart.any():
-        runs = ", ".join(str(run + 1) for run in np.unique(means.run[apart]))
+    is_compared = np.isin(means.run, compared)
+    if not is_compared.all():
+        runs = ", ".join(str(run + 1) for run in np.unique(means.run[~is_compared]))
         what = "left out" if is_accel else "taken as they are, without a turn-on offset"
         warnings.append(f"{name}: runs {runs} have no temperature in common with the others: {what}")
-    if is_accel and len(np.unique(means.level[~apart])) < LEAST_LEVELS:
+    if is_accel and len(np.unique(means.level[is_compared])) < LEAST_LEVELS:
         warnings.append(f"{name}: fewer than {LEAST_LEVELS} temperature levels: no curve")
         return None
     knots = knots_of(means, at_rest.levels)
-    means = means.weighted(slow_variance(means, knots))
+    # Weights come before the offsets, which are estimated with them: so the slow variance includes the
+    # offsets.  That makes the weights more alike, and no estimate biased.
+    weighted = means.weighted(slow_variance(means, knots))
     offset = np.full(len(at_rest.runs), np.nan)
-    offset[compared] = turn_on_offsets(means.only(~apart), compared, knots)
-    points = replace(means, value=means.value - np.nan_to_num(offset)[means.run])  # none counts as 0
+    offset[compared] = turn_on_offsets(weighted.only(is_compared), compared, knots)
+    to_subtract = np.nan_to_num(offset)  # 0 for a run without an offset
+    points = replace(weighted, value=weighted.value - to_subtract[weighted.run])
     if is_accel:  # of a run without an offset the gravity of its pose would be taken for bias
-        points = points.only(~apart)
+        points = points.only(is_compared)
     choice = choose(points, knots)
-    lag_error = OWN_LAG_S * at_rest.rate * choice.curve.slope(at_rest.temperature)
-    lag_rms = np.sqrt(np.average(lag_error**2, weights=at_rest.seconds))
-    repeats = len(compared) > 1 and not (is_accel and at_rest.turned)  # by pose the offsets are gravity's
-    repeatability = offset[compared].std(ddof=1) if repeats else None
+    lag_rms = at_rest.rms(OWN_LAG_S * at_rest.rate * choice.curve.slope(at_rest.temperature))
+    offsets_are_gravity = is_accel and at_rest.turned
+    repeatability = None if len(compared) < 2 or offsets_are_gravity else offset[compared].std(ddof=1)
     return ChannelFit(choice, points, offset, lag_rms, repeatability)
 
 
 def _channel_model(name: str, fit: ChannelFit, records: Records) -> ChannelModel:
     curve, temperature = fit.choice.curve, fit.points.temperature
     low, high = float(temperature.min()), float(temperature.max())
-    margin = 0.005 * (high - low)  # or a level at an end would now be in and now out
+    margin = 0.005 * (high - low)  # assumed: noise at a level at an end does not leave the range
     if name in ACCEL:  # its constant has gravity in it: the curve is the change from the middle
         curve = curve.minus(float(curve.value(0.5 * (low + high))))
     return ChannelModel(
@@ -168,10 +164,10 @@ def _channel_model(name: str, fit: ChannelFit, records: Records) -> ChannelModel
 
 
 def knots_of(means: CellMeans, centers: FloatArray) -> FloatArray:
-    """Return the knots of a channel's spline: its ends and its levels, but for the levels next to the ends.
+    """Return the knots of a channel's spline, °C upwards: its own ends, and the inner levels of `centers`.
 
-    There a knot would only make the slope at the end uncertain, as in an interpolating spline ("not a knot").
-    With six levels or fewer those are knots too.
+    The ends stand for the outermost levels.  With more than six levels (assumed) the level next to each end
+    is no knot, as it would only make the slope there uncertain ("not a knot" of an interpolating spline).
     """
     low, high = means.temperature.min(), means.temperature.max()
     inner = centers[2:-2] if len(centers) > 6 else centers[1:-1]
@@ -202,30 +198,26 @@ def _remarks(records: Records, at_rest: RestBlocks, fits: dict[str, ChannelFit])
     devices = sorted({record.device for record in records if record.device})
     units = sorted({record.serial for record in records if record.serial})
     differing = {
-        name: f"{spread / DEG_PER_H:.3g}"
+        name: f"{fit.repeatability / DEG_PER_H:.3g}"
         for name, fit in fits.items()
-        if name in GYRO and (spread := fit.repeatability or 0.0) > fit.choice.residual_sd
+        if name in GYRO and fit.repeatability and fit.repeatability > fit.choice.residual_sd
     }
-    remarks = [
-        (len(devices) > 1, f"the sessions are of different devices: {', '.join(devices)}"),
-        (len(units) > 1, f"the sessions are of different units: {', '.join(units)}"),
-        (
-            len({record.sha256 for record in records}) < len(records),
-            "a session is there twice: it counts twice, and its repeatability means nothing",
+    remarks = {
+        f"the sessions are of different devices: {', '.join(devices)}": len(devices) > 1,
+        f"the sessions are of different units: {', '.join(units)}": len(units) > 1,
+        "a session is there twice: it counts twice, and its repeatability means nothing": (
+            len({record.sha256 for record in records}) < len(records)
         ),
-        (one_way([run.temperature for run in at_rest.runs]), ONE_WAY),
-        (
-            at_rest.turned and bool(differing),
-            f"{', '.join(differing)}: the bias differs by {', '.join(differing.values())} °/h between the"
-            " poses, by g or by the earth rate, which no curve over temperature has: the residual is that of"
-            " one pose; imumon diagnose finds which",
-        ),
-    ]
-    return [text for applies, text in remarks if applies]
+        ONE_WAY: one_way([run.temperature for run in at_rest.runs]),
+        f"{', '.join(differing)}: the bias differs by {', '.join(differing.values())} °/h between the"
+        " poses, by g or by the earth rate, which no curve over temperature has: the residual is that of"
+        " one pose; imumon diagnose finds which": at_rest.turned and bool(differing),
+    }
+    return [text for text, applies in remarks.items() if applies]
 
 
-def _common(names: Iterable[Name | None]) -> Name | None:
-    known = {*names} - {None}
+def _common(values: Iterable[str | None]) -> str | None:
+    known = {*values} - {None}
     return known.pop() if len(known) == 1 else None
 
 
@@ -244,10 +236,11 @@ def check_columns(records: Records) -> None:
                 "let the device send its temperature, or name the column in the map with its unit; "
                 f"readings beyond {coldest:g} to {hottest:g} {unit}, and zero alone, are left out",
             )
-        rates = {name: record.means.of(name) for name in GYRO} if len(record.means) > 1 else {}
-        if stuck := [name for name, rate in rates.items() if np.nanmin(rate) == np.nanmax(rate)]:
+        lowest = {name: np.nanmin(record.means.of(name)) for name in GYRO}
+        stuck = [name for name in GYRO if lowest[name] == np.nanmax(record.means.of(name))]
+        if stuck and len(record.means) > 1:  # one block cannot vary
             raise bad_data(
-                f"{record.name}: {', '.join(stuck)} never changes from {np.nanmin(rates[stuck[0]]):g} rad/s",
+                f"{record.name}: {', '.join(stuck)} never changes from {lowest[stuck[0]]:g} rad/s",
                 "a sensor that measures is never so quiet: is it switched off, or the column a constant?",
             )
     for what, names in (
@@ -289,11 +282,12 @@ def check_coverage(records: Records, at_rest: RestBlocks) -> None:
             f" curve bridges {WIDEST_HOLE:.0%}",
             "record levels in between",
         )
-    wrong = OWN_LAG_S * at_rest.rate_rms
-    if wrong > MOST_LAG * span:
+    rate_rms = at_rest.rms(at_rest.rate)
+    lag_error_degc = OWN_LAG_S * rate_rms
+    if lag_error_degc > MOST_LAG * span:
         raise bad_data(
-            f"the temperature moves at {60 * at_rest.rate_rms:.2f} °C/min (rms): a gyro {OWN_LAG_S:g} s"
-            f" behind its thermometer would be wrong by {wrong:.2f} °C, {wrong / span:.0%} of the"
-            f" {span:.2f} °C span; a model allows {MOST_LAG:.0%}",
+            f"the temperature moves at {60 * rate_rms:.2f} °C/min (rms): a gyro {OWN_LAG_S:g} s"
+            f" behind its thermometer would be wrong by {lag_error_degc:.2f} °C,"
+            f" {lag_error_degc / span:.0%} of the {span:.2f} °C span; a model allows {MOST_LAG:.0%}",
             "heat and cool more slowly, hold levels, or cover a wider range",
         )

@@ -1,7 +1,16 @@
-"""From recordings to means at rest, cells, runs and levels: what curves are fitted to and left out by."""
+"""From recordings to means at rest.
+
+record  one recording, as means over blocks
+block   10 s of samples of one record
+run     the blocks at rest of one record, in one pose and without a restart between them
+cell    successive blocks of one run, of nearly one temperature: what curves are fitted to
+level   a temperature at which the unit dwelt, or a band of temperatures: each cell belongs to one
+fold    levels that are left out of a fit together (`selection`)
+"""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple, Self
 
@@ -20,11 +29,16 @@ from imumon.run.setup import Setup, unused_keys
 
 COLUMNS = (*GYRO, *ACCEL, *TEMPERATURES, "temperature_estimate", *(f"temperature_estimate_{a}" for a in AXES))
 BLOCK_S = 10.0  # length of a block: long against the sample noise, short against a chamber's ramps
-LEAST_COVERED = 0.5  # a block whose samples span less than this share of it is passed over
+LEAST_COVERED = 0.5  # a block whose samples span less than this share of it is left out
 CELL_S = 300.0  # longest cell: short against a level of half an hour.  Assumed.
-BANDS = 12  # levels of data in which the temperature dwells nowhere: bands of equal width
-COS_TURNED = np.cos(np.deg2rad(5.0))  # specific force that turned further: another pose, so another run
+COS_TURNED = np.cos(np.deg2rad(5.0))  # specific force that turned further: another pose.  Assumed.
 SHORTEST_RUN_S = 60.0  # assumed
+# Levels; all assumed.
+BANDS = 12  # of equal width, in data in which the temperature dwells nowhere
+DWELT_S = 0.7 * CELL_S  # a cell that lasted longer did not end by its width: the temperature dwelt
+SAME_LEVEL = 0.25  # of the width of a band: neighbours that are closer are of one level
+LEAST_LEVELS_DWELT = 4  # with fewer, bands are better
+LEAST_SHARE_DWELT = 0.6  # of the time: with less, much data is between the levels, and bands are better
 ONE_WAY = "no session both warms and cools: what lag, hysteresis or warm-up do is then part of the curve"
 
 
@@ -44,8 +58,8 @@ class Record(NamedTuple):
 
     def temperature_column(self, channel: str) -> str | None:
         """Return the column with the temperature of a channel: its own sensor's, estimated, if there is."""
-        axis = channel[-2:]
-        own = ("temperature_estimate" + axis, "temperature_estimate", "temperature" + axis, "temperature")
+        suffix = channel[-2:]  # of its axis: "_x"
+        own = ("temperature_estimate" + suffix, "temperature_estimate", "temperature" + suffix, "temperature")
         return next((name for name in own if self.means.has(name)), None)
 
 
@@ -60,7 +74,7 @@ def record_of(
     axes: BodyAxes | None = None,
     serial: str | None = None,
 ) -> Record:
-    """Reduce samples that went through the pipeline."""
+    """Reduce samples to a record; with temperature estimates and rest where stages have added them."""
     means = reduce(blocks, COLUMNS, BLOCK_S)
     rest = means.at_rest() & (means.span_s >= LEAST_COVERED * BLOCK_S)
     return Record(name, sha256, device, axes, means, rest, serial)
@@ -96,80 +110,82 @@ class CellMeans(Points):
     run: IntArray
 
     def weighted(self, slow: float = 0.0) -> Self:
-        """Return them with weights; `slow` is the variance of what varies slowly, which no cell averages."""
+        """Return them with weights of mean 1; `slow` is the variance of what no longer cell would average."""
         variance = self.white + slow
-        least = variance[variance > 0].min(initial=np.inf)
-        weight = 1.0 / np.maximum(variance, least if np.isfinite(least) else 1.0)
+        positive = variance[variance > 0.0]  # a cell without noise weighs as the best of these
+        weight = 1.0 / np.maximum(variance, min(positive, default=1.0))
         return replace(self, weight=weight / weight.mean())
 
 
 class RestRun(NamedTuple):
-    """A stretch at rest in one pose and without a restart, long enough; `number` counts those of its record.
+    """A run that is long enough; `number` counts the runs of its record.
 
-    `rows` are its blocks in the record, with the cell (of all runs), the time s, temperature °C and rate °C/s
-    of each, (n,).  `up` is the direction of the specific force in body axes, (3,), NaN where it is not known;
-    `earth_rate` is in body axes, rad/s, (3,), None without place, heading or accelerometers.
+    `rows` are its blocks in the record; of each the time that it stands for, s, and temperature, °C, (n,).
+    In body axes, (3,): `up` is the direction of the specific force, NaN without accelerometers; `earth_rate`,
+    rad/s, is None without place, heading or accelerometers.
     """
 
     record: Record
     number: int
     rows: IntArray
-    cell: IntArray
     seconds: FloatArray
     temperature: FloatArray
-    rate: FloatArray
     up: FloatArray
     earth_rate: FloatArray | None
 
 
-class RestBlocks(NamedTuple):
-    """The blocks at rest of all records, run after run: of each the numbers of its run and its cell, the time
-    that it stands for, s, and temperature and its rate, °C and °C/s, (n,)."""
+@dataclass(frozen=True, eq=False)
+class RestBlocks:
+    """The blocks of all runs, run after run: of each, (n,), the index of its run, the number of its cell over
+    all runs, the time that it stands for, s, and temperature and its rate, °C and °C/s."""
 
     runs: list[RestRun]
-    run: IntArray
-    cell: IntArray
+    run_of_block: IntArray
+    cell_of_block: IntArray
     seconds: FloatArray
     temperature: FloatArray
     rate: FloatArray
 
-    @property
-    def rate_rms(self) -> float:
-        """Rate of the temperature, rms over the time, °C/s."""
-        return float(np.sqrt(np.average(self.rate**2, weights=self.seconds)))
+    def rms(self, values: FloatArray) -> float:
+        """Return the root mean square of a value of each block, (n,), over the time."""
+        return float(np.sqrt(np.average(values**2, weights=self.seconds)))
 
     @property
     def turned(self) -> bool:
         """Whether not all runs are in one pose."""
         return any(run.up @ self.runs[0].up < COS_TURNED for run in self.runs)
 
-    @property
+    @cached_property
     def levels(self) -> FloatArray:
-        """Levels of temperature, °C upwards: where it dwelt, else the middles of bands."""
-        seconds = _sum(self.cell, self.seconds)
-        degc = _sum(self.cell, self.seconds * self.temperature) / seconds
-        width = np.ptp(degc) / BANDS
-        # The shares are assumed.  A cell that lasted long did not end by its width: the temperature dwelt.
-        order = np.argsort(degc)
-        dwelt = order[seconds[order] > 0.7 * CELL_S]
-        t, s = degc[dwelt], seconds[dwelt]
-        if len(t):
-            # Neighbours less than a quarter of a band apart are of one level.
-            level = np.cumsum(np.diff(t, prepend=t[0]) > 0.25 * width, dtype=np.int64)
-            centers = _sum(level, s * t) / _sum(level, s)
-            narrow = max(np.ptp(t[level == k]) for k in range(len(centers))) < width
-            # Bands are better where the levels are few or wide, or much of the time is between them.
-            if len(centers) >= 4 and narrow and s.sum() > 0.6 * seconds.sum():
-                return centers
-        band = np.minimum(((degc - degc.min()) / (width or 1.0)).astype(np.int64), BANDS - 1)
-        return np.array([np.average(degc[band == b], weights=seconds[band == b]) for b in np.unique(band)])
+        """Levels of temperature, °C upwards."""
+        seconds = _sum(self.cell_of_block, self.seconds)
+        return find_levels(seconds, _sum(self.cell_of_block, self.seconds * self.temperature) / seconds)
+
+
+def find_levels(seconds: FloatArray, temperature: FloatArray) -> FloatArray:
+    """Return the levels of cells, °C upwards: where the temperature dwelt, else the middles of bands.
+
+    `seconds`, `temperature` (n,): length and mean temperature, °C, of each cell.
+    """
+    band_width = np.ptp(temperature) / BANDS
+    upwards = np.argsort(temperature)
+    dwelt = upwards[seconds[upwards] > DWELT_S]
+    dwelt_s, degc = seconds[dwelt], temperature[dwelt]
+    if dwelt_s.sum() > LEAST_SHARE_DWELT * seconds.sum():
+        level = np.cumsum(np.diff(degc, prepend=degc[0]) > SAME_LEVEL * band_width, dtype=np.int64)
+        centers = _sum(level, dwelt_s * degc) / _sum(level, dwelt_s)
+        widest = max(np.ptp(degc[level == k]) for k in range(len(centers)))
+        if len(centers) >= LEAST_LEVELS_DWELT and widest < band_width:
+            return centers
+    band = np.minimum(((temperature - temperature.min()) / (band_width or 1.0)).astype(np.int64), BANDS - 1)
+    return np.array([np.average(temperature[band == k], weights=seconds[band == k]) for k in np.unique(band)])
 
 
 def one_way(temperatures: Sequence[FloatArray]) -> bool:
     """Return whether no run, of these temperatures in °C, both rises and falls by a fifth of the span."""
     rise = [np.max(t - np.minimum.accumulate(t)) for t in temperatures]
     fall = [np.max(np.maximum.accumulate(t) - t) for t in temperatures]
-    return bool(np.minimum(rise, fall).max() <= 0.2 * np.ptp(np.concatenate(temperatures)))
+    return bool(np.minimum(rise, fall).max() <= 0.2 * np.ptp(np.concatenate(temperatures)))  # assumed
 
 
 def _main_temperature(record: Record) -> FloatArray:
@@ -189,7 +205,7 @@ def group(records: Records, latitude_deg: float | None, heading_deg: float | Non
     known = np.concatenate([t[np.isfinite(t)] for t in temperatures])
     width = np.ptp(known) / 100 if len(known) else 0.0
     runs: list[RestRun] = []
-    cells = 0
+    cells, rates = list[int](), list[float]()
     for record, temperature in zip(records, temperatures, strict=True):
         for number, rows in enumerate(_runs(record, np.flatnonzero(np.isfinite(temperature)))):
             samples = np.maximum(record.means.count[rows].max(axis=1), 2)
@@ -199,9 +215,8 @@ def group(records: Records, latitude_deg: float | None, heading_deg: float | Non
                 continue
             t = temperature[rows]
             start_s = np.asarray(record.means.start_ns[rows] * 1e-9, np.float64)
-            cell = _cells(start_s, seconds, t, width) + cells
-            cells = cell[-1] + 1
-            rate = np.gradient(t, start_s) if len(rows) > 1 else np.zeros(1)
+            cells.extend(_cells(start_s, seconds, t, width) + (cells[-1] + 1 if cells else 0))
+            rates.extend(np.gradient(t, start_s) if len(rows) > 1 else [0.0])
             parts = [part[np.isfinite(part)] for part in (record.means.of(name)[rows] for name in ACCEL)]
             force = np.array([part.mean() if len(part) else np.nan for part in parts])
             up = force / np.linalg.norm(force)
@@ -209,14 +224,14 @@ def group(records: Records, latitude_deg: float | None, heading_deg: float | Non
             if latitude_deg is not None and heading_deg is not None and np.isfinite(up).all():
                 north = north_in_body(up, np.deg2rad(heading_deg))
                 earth_rate = earth_rate_along(up, north, np.deg2rad(latitude_deg))
-            runs.append(RestRun(record, number, rows, cell, seconds, t, rate, up, earth_rate))
+            runs.append(RestRun(record, number, rows, seconds, t, up, earth_rate))
     return RestBlocks(
         runs,
-        run=np.array([k for k, run in enumerate(runs) for _ in run.rows]),
-        cell=np.array([cell for run in runs for cell in run.cell]),
+        run_of_block=np.array([k for k, run in enumerate(runs) for _ in run.rows]),
+        cell_of_block=np.array(cells),
         seconds=np.array([seconds for run in runs for seconds in run.seconds]),
         temperature=np.array([temperature for run in runs for temperature in run.temperature]),
-        rate=np.array([rate for run in runs for rate in run.rate]),
+        rate=np.array(rates),
     )
 
 
@@ -238,30 +253,32 @@ def channel_of(records: Records, at_rest: RestBlocks, name: str) -> CellMeans | 
     value, white, temperature = blocks[known].T
     if not len(value) or np.ptp(value) == 0.0:
         return None
-    _, first, cell = np.unique(at_rest.cell[known], return_index=True, return_inverse=True)
+    # Cells without a value of this channel have no mean: those that have one are numbered anew.
+    _, first, cell = np.unique(at_rest.cell_of_block[known], return_index=True, return_inverse=True)
     seconds = at_rest.seconds[known]
     cell_seconds = _sum(cell, seconds)
     share = seconds / cell_seconds[cell]
-    centers = at_rest.levels
     mean_temperature = _sum(cell, share * temperature)
+    centers = at_rest.levels  # by the mean over the thermometers; the channel's own may differ from it
     return CellMeans(
         temperature=mean_temperature,
         value=_sum(cell, share * value),
-        weight=cell_seconds,  # until `weighted`
+        weight=cell_seconds,  # replaced by `weighted`
         level=np.searchsorted(0.5 * (centers[1:] + centers[:-1]), mean_temperature),
         white=_sum(cell, share**2 * white),
-        run=at_rest.run[known][first],
+        run=at_rest.run_of_block[known][first],
     ).weighted()
 
 
-def _sum(cell: IntArray, parts: FloatArray) -> FloatArray:
-    return np.bincount(cell, parts).astype(np.float64)
+def _sum(group: IntArray, values: FloatArray) -> FloatArray:
+    return np.bincount(group, values).astype(np.float64)
 
 
 def _runs(record: Record, rows: IntArray) -> list[IntArray]:
     """Divide blocks where the device restarted or was turned."""
     if not len(rows):
         return []
+    # A clock that goes back is a restart: decoding and import begin a segment there, or refuse it.
     restarted = np.diff(record.means.segment[rows], prepend=record.means.segment[rows[0]]) != 0
     accel = np.column_stack([record.means.of(name)[rows] for name in ACCEL])
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -278,8 +295,9 @@ def _runs(record: Record, rows: IntArray) -> list[IntArray]:
 
 
 def _cells(start_s: FloatArray, seconds: FloatArray, temperature: FloatArray, width: float) -> IntArray:
-    """Number cells of blocks in order: not longer than `CELL_S`, not wider than `width` °C."""
-    number, first = np.zeros(len(start_s), np.int64), 0  # and first block of the cell
+    """Number the cells of blocks: not longer than `CELL_S`, within `width` °C of the cell's first block."""
+    number = np.zeros(len(start_s), np.int64)
+    first = 0  # block of the cell
     for i in range(1, len(start_s)):
         too_long = start_s[i] + seconds[i] - start_s[first] > CELL_S + 1e-6  # rounding is no excess
         if too_long or abs(temperature[i] - temperature[first]) > width:

@@ -12,10 +12,10 @@ class TriadErrors(NamedTuple):
     """Errors of an accelerometer triad by |f| = g, at the middle of the temperatures; (3,) each.
 
     `bias` is in m/s², `scale` the excess of the scale factors over 1, whose mean includes the error of the
-    assumed gravity.  `_per_half` is the linear change from the middle to the warm end; the bias may be as
-    curved as the declared model.  A standard deviation is infinite where the poses do not determine it.
-    `misalignment` is that of yz, xz and xy, rad; NaN with too few poses.  `before` and `after` are the rms of
-    |f| - g, m/s², with and without these errors.
+    assumed gravity.  `_per_half` is the linear change from the middle to the warm end, over half the range;
+    the bias may follow higher powers as well.  A standard deviation is infinite where the poses do not
+    determine it.  `misalignment` is, for yz, xz and xy, half of what the angle between the two axes lacks to
+    90°, rad; NaN with too few poses.  `before` and `after`: rms of |f| - g, m/s², with and without these.
     """
 
     bias: FloatArray
@@ -35,35 +35,34 @@ class TriadErrors(NamedTuple):
         To first order |f| - g = u·b + g u·S u, with u the direction, b the bias, S scale and misalignment.
 
         `force` (n, 3): means of the specific force at rest, m/s².
-        `warmth` (n, d): powers of the scaled temperature that the bias may follow, from the first on.
+        `warmth` (n, d): powers 1 to d of the scaled temperature, -1 to 1, which the bias may follow.
         """
         direction = force / np.linalg.norm(force, axis=1, keepdims=True)
         poses = _distinct(direction)
-        if poses < 6:  # unknowns: bias and scale of three axes
+        if poses < 6:  # at least bias and scale of three axes are unknown
             return None
-        skewed = poses >= 9  # then the three of misalignment follow as well
-        errors = _errors(direction, warmth, skewed)
-        found = np.zeros(errors.shape[2])
-        for _ in range(3):  # Gauss-Newton steps: the direction depends on the errors as well
-            true = force - errors @ found
+        with_misalignment = poses >= 9  # three unknowns more
+        _, design = _design(direction, warmth, with_misalignment)
+        x = np.zeros(design.shape[2])  # no errors at first
+        for _ in range(3):  # Gauss-Newton steps (assumed): the direction depends on the errors as well
+            true = force - design @ x
             size = np.linalg.norm(true, axis=1, keepdims=True)
             direction = true / size
-            errors = _errors(direction, warmth, skewed)
-            columns = np.einsum("ij,ijk->ik", direction, errors)
-            values = size[:, 0] - STANDARD_GRAVITY + columns @ found
-            found, sd = _least_squares(columns, values)
-        *others, bias_slope, scale_slope, bias, scale = found.reshape(-1, 3)  # in the order of `_errors`
-        *_, bias_sd, scale_sd = sd.reshape(-1, 3)
+            names, design = _design(direction, warmth, with_misalignment)
+            columns = np.einsum("ij,ijk->ik", direction, design)
+            values = size[:, 0] - STANDARD_GRAVITY + columns @ x
+            x, x_sd = _least_squares(columns, values)
+        error, sd = (dict(zip(names, part.reshape(-1, 3), strict=True)) for part in (x, x_sd))
         return poses, cls(
-            bias=bias,
-            bias_per_half=bias_slope,
-            scale=scale,
-            scale_per_half=scale_slope,
-            misalignment=others[-1] if skewed else np.full(3, np.nan),
-            bias_sd=bias_sd,
-            scale_sd=scale_sd,
+            bias=error["bias"],
+            bias_per_half=error["bias_per_half"],
+            scale=error["scale"],
+            scale_per_half=error["scale_per_half"],
+            misalignment=error.get("misalignment", np.full(3, np.nan)),
+            bias_sd=sd["bias"],
+            scale_sd=sd["scale"],
             before=_rms(np.linalg.norm(force, axis=1) - STANDARD_GRAVITY),
-            after=_rms(values - columns @ found),
+            after=_rms(values - columns @ x),
         )
 
     def described(self, poses: int) -> str:
@@ -98,29 +97,28 @@ def _least_squares(columns: FloatArray, values: FloatArray) -> tuple[FloatArray,
     determined = np.diag(inverse @ scaled)  # 1 where the columns determine a coefficient, else less
     residual = values - scaled @ (inverse @ values)
     freedom = max(len(values) - round(determined.sum()), 1)
+    # The sum is the diagonal of (CᵀC)⁻¹, with C the scaled columns.  What differs from 1 by 1e-3 is assumed.
     variance = np.where(determined > 1.0 - 1e-3, (inverse**2).sum(axis=1), np.inf)
     # Ten means count as one, for noise that is slow and for what a model lacks.  Assumed.
     sd = np.sqrt(variance * (residual @ residual) / freedom * 10.0)
     return inverse @ values / norm, sd / norm
 
 
-def _errors(up: FloatArray, warmth: FloatArray, skewed: bool) -> FloatArray:
-    """Return what each parameter adds to a reading, (n, 3, k).
-
-    Three parameters each have: the bias for each power of the temperature above the first, the misalignment
-    where it is estimated, the slopes over temperature of bias and scale, bias, and scale.
-    """
-    n = len(up)
-    bias = np.broadcast_to(np.eye(3), (n, 3, 3))
+def _design(up: FloatArray, warmth: FloatArray, with_misalignment: bool) -> tuple[list[str], FloatArray]:
+    """Return the names of errors, and what each of their three parameters adds to a reading, (n, 3, k)."""
+    bias = np.broadcast_to(np.eye(3), (len(up), 3, 3))
     scale = STANDARD_GRAVITY * up[:, :, None] * np.eye(3)
-    misalignment = np.zeros((n, 3, 3))
-    for at, (i, j) in enumerate(((1, 2), (0, 2), (0, 1))):
-        misalignment[:, i, at] = STANDARD_GRAVITY * up[:, j]
-        misalignment[:, j, at] = STANDARD_GRAVITY * up[:, i]
-    powers = [power[:, None, None] for power in warmth.T] or [np.zeros((n, 1, 1))]  # d = 0: no slopes
-    curved = [power * bias for power in powers[1:]]
-    slopes = [powers[0] * bias, powers[0] * scale]
-    return np.concatenate([*curved, *([misalignment] if skewed else []), *slopes, bias, scale], axis=2)
+    misalignment = np.zeros_like(scale)
+    for pair, (i, j) in enumerate(((1, 2), (0, 2), (0, 1))):
+        misalignment[:, i, pair] = STANDARD_GRAVITY * up[:, j]
+        misalignment[:, j, pair] = STANDARD_GRAVITY * up[:, i]
+    # Without any power (d = 0) nothing is added, and the slopes over temperature are not determined.
+    first, *higher = [power[:, None, None] for power in warmth.T] or [np.zeros((len(up), 1, 1))]
+    errors = {f"bias of power {k}": power * bias for k, power in enumerate(higher, 2)}
+    if with_misalignment:
+        errors["misalignment"] = misalignment
+    errors |= {"bias_per_half": first * bias, "scale_per_half": first * scale, "bias": bias, "scale": scale}
+    return list(errors), np.concatenate(list(errors.values()), axis=2)
 
 
 def _distinct(up: FloatArray) -> int:

@@ -5,17 +5,17 @@ readings m_k to a sphere of radius 1::
 
     r_k = |W (m_k - b)| - 1,    A symmetric, det A = 1,    so F = det(W)^(-1/3)
 
-The covariance is that of least squares, with the scatter that is left, times how much slower than white it
-is: a field that differs from place to place does not average as noise does.  Where the two halves of the
-turns contradict each other, by a current that was switched on meanwhile, half their difference is added.
+The covariance is that of least squares, with the variance of the residuals, times how much slower than white
+they are: a field that differs from place to place does not average as noise does.  Where the two halves of
+the turns contradict each other, by a current that was switched on meanwhile, half their difference is added.
 
 The axes: the field stays where it is while the unit turns.  With C the gyros' turn from one moment to a later
 one, and P the matrix that takes the magnetometer's axes to the gyros'::
 
     P field_0 = C P field_1
 
-Of the 24 rotations that turn axes into axes the one is taken that leaves least; P and -P leave the same, as
-no turn shows whether a magnetometer has the field or its reverse.  From there least squares find the
+Of the 24 rotations that turn axes into axes the one is taken with the least residual; that of P and -P is the
+same, as no turn shows whether a magnetometer has the field or its reverse.  From there least squares find the
 rotation, with what else may be between the two: a constant bias of the gyros and a time by which the
 magnetometer is late.
 """
@@ -42,13 +42,16 @@ _Z = 1.0 - 2.0 * _STEP / CELLS
 _RADIUS = np.sqrt(1.0 - _Z**2)
 MIDDLES = np.column_stack([_RADIUS * np.cos(_LONGITUDE), _RADIUS * np.sin(_LONGITUDE), _Z])
 LEAST_COVERAGE = 0.5  # of the cells.  With points on one side an ellipsoid's far side is extrapolated.
-LEAST_POINTS = 100  # for nine numbers and what is left over
-SYMMETRIC = [[0, 1, 2], [1, 3, 4], [2, 4, 5]]  # places of an upper triangle in its matrix
+LEAST_POINTS = 100  # for nine numbers and their residual.  Assumed.
+# Relative to the field.  1 % makes an error of 0.6° of the heading where the field is level, of 1.5° in
+# Europe; what scatters by more than 10 % is another field at every place.
+MOST_SD, MOST_RESIDUAL = 0.01, 0.1
 
 # The rotations that turn axes into axes, the identity first, (24, 3, 3); without negative zeros.
-_WAYS = Rotation.create_group("O").as_matrix().round() + 0.0
-WAYS: FloatArray = np.array(sorted(_WAYS, key=lambda way: -np.trace(way)))
-LEAST_SLOTS = 20  # for seven numbers and what is left over: ten seconds of turns
+WAYS: FloatArray = np.array(
+    sorted(Rotation.create_group("O").as_matrix().round() + 0.0, key=lambda way: -np.trace(way))
+)
+LEAST_SLOTS = 20  # for seven numbers and their residual: ten seconds of turns.  Assumed.
 
 
 class MagnetometerFit(NamedTuple):
@@ -68,7 +71,7 @@ def fit_magnetometer(blocks: Iterable[SampleBlock], unit: str, source: str) -> M
 
     `unit` is that of the readings, `source` their name in messages.
     """
-    parts = [np.empty((0, 6))]
+    parts = [np.empty((0, 6))]  # for samples without any magnetometer
     for block in blocks:
         if (mag := block.mag) is not None:
             accel = np.full_like(mag, np.nan) if block.accel is None else block.accel
@@ -77,27 +80,24 @@ def fit_magnetometer(blocks: Iterable[SampleBlock], unit: str, source: str) -> M
     if not len(mag):
         raise bad_data(f"{source}: there is no magnetometer", "needs mag_x, mag_y, mag_z")
     middle = 0.5 * (mag.max(0) + mag.min(0))
-    field = mag - middle
-    for _ in range(2):  # first by the directions of the readings, then by those of the field
-        rows = _spread(field)
-        if len(rows) < LEAST_POINTS:
+    field = mag - middle  # of directions that hard and soft iron still distort
+    for _ in range(2):  # the second time by the directions of the corrected field
+        readings = mag[_spread(field)]
+        if len(readings) < LEAST_POINTS:
             raise _error(
-                source, f"{len(rows)} readings in other directions, {LEAST_POINTS} are needed", accel
+                source, f"{len(readings)} readings in other directions, {LEAST_POINTS} are needed", accel
             )
-        readings = mag[rows]
         if (fitted := _fitted(readings, middle, unit)) is None:
-            raise _error(source, f"the {len(rows)} readings are on no ellipsoid", accel)
+            raise _error(source, f"the {len(readings)} readings are on no ellipsoid", accel)
         model = fitted
         field = model.corrected(mag)
-    left, sd = model.residual_sd / model.field, model.fit_sd / model.field
-    # 1 % makes an error of 0.6° of the heading where the field is level, of 1.5° in Europe; what scatters
-    # by more than 10 % is another field at every place.
-    if sd <= 0.01 and left <= 0.1 and model.coverage >= LEAST_COVERAGE:
+    residual, sd = model.residual_sd / model.field, model.fit_sd / model.field
+    if sd <= MOST_SD and residual <= MOST_RESIDUAL and model.coverage >= LEAST_COVERAGE:
         return MagnetometerFit(model, readings, np.linalg.norm(readings, axis=1).std())
     raise _error(
         source,
-        f"{model.coverage:.0%} of the directions were measured, {LEAST_COVERAGE:.0%} are needed; {left:.1%}"
-        f" of the field is left, and hard and soft iron are known to {sd:.1%}",
+        f"{model.coverage:.0%} of the directions were measured, {LEAST_COVERAGE:.0%} are needed;"
+        f" {residual:.1%} of the field is left, and hard and soft iron are known to {sd:.1%}",
         accel,
     )
 
@@ -108,11 +108,10 @@ def _error(source: str, what: str, accel: FloatArray) -> ImumonError:
     if len(up := accel[np.isfinite(accel).all(1)]):
         measured = covered(up)
         what += f"; gravity was in {measured.mean():.0%} of the directions"
-        missing = ~measured @ MIDDLES
+        missing = ~measured @ MIDDLES  # the sum of the directions without a reading: where most of them are
         axis = np.argmax(np.abs(missing))
-        advice += (
-            f"; next: turn the {'-' if missing[axis] < 0.0 else '+'}{'xyz'[axis]} axis up, and around there"
-        )
+        sign = "-" if missing[axis] < 0.0 else "+"
+        advice += f"; next: turn the {sign}{'xyz'[axis]} axis up, and around there"
     return bad_data(f"{source}: {what}", advice)
 
 
@@ -122,9 +121,9 @@ def covered(directions: FloatArray) -> BoolArray:
 
 
 def _spread(field: FloatArray) -> list[int]:
-    """Return the rows whose direction differs by 1° from the last that was taken: rest weighs no more."""
+    """Return the rows whose direction is 1° from the last one taken: rest counts no more than motion."""
     rows, last = list[int](), np.zeros(3)
-    cos_same = np.cos(np.radians(1.0))
+    cos_same = np.cos(np.radians(1.0))  # assumed
     with np.errstate(invalid="ignore"):  # where there is no field there is no direction
         directions = field / np.linalg.norm(field, axis=1, keepdims=True)
     for k, direction in enumerate(directions):
@@ -134,9 +133,13 @@ def _spread(field: FloatArray) -> list[int]:
     return rows
 
 
-def _left(parameters: FloatArray, readings: FloatArray) -> FloatArray:
+def _symmetric(triangle: FloatArray) -> FloatArray:
+    return triangle[..., [[0, 1, 2], [1, 3, 4], [2, 4, 5]]]
+
+
+def _residual(parameters: FloatArray, readings: FloatArray) -> FloatArray:
     """Return |W (m - b)| - 1, (n,), by b and the upper triangle of W, (9,)."""
-    return np.asarray(np.linalg.norm((readings - parameters[:3]) @ parameters[3:][SYMMETRIC], axis=1) - 1.0)
+    return np.asarray(np.linalg.norm((readings - parameters[:3]) @ _symmetric(parameters[3:]), axis=1) - 1.0)
 
 
 def _fitted(readings: FloatArray, middle: FloatArray, unit: str) -> MagnetometerModel | None:
@@ -146,9 +149,9 @@ def _fitted(readings: FloatArray, middle: FloatArray, unit: str) -> Magnetometer
     """
     size = np.linalg.norm(readings - middle, axis=1).mean()
     start = np.concatenate([middle, np.eye(3)[np.triu_indices(3)] / size])
-    solved = least_squares(_left, start, args=(readings,), x_scale="jac", method="lm")
+    solved = least_squares(_residual, start, args=(readings,), x_scale="jac", method="lm")
     parameters, jacobian, residual = solved.x, solved.jac, solved.fun
-    w = parameters[3:][SYMMETRIC]
+    w = _symmetric(parameters[3:])
     if not solved.success or np.linalg.eigvalsh(w).min() <= 0.0:
         return None
     variance = residual @ residual / (len(residual) - len(parameters))
@@ -156,17 +159,17 @@ def _fitted(readings: FloatArray, middle: FloatArray, unit: str) -> Magnetometer
     inverse = np.linalg.pinv(jacobian.T @ jacobian, hermitian=True)
     covariance = inverse * scatter + _covariance_of_change(jacobian, residual, scatter)
     field = float(np.linalg.det(w)) ** (-1.0 / 3.0)
-    # The derivative of A = F W by each element: dA = F (dW - trace(dW W^-1) / 3 W), as F = det(W)^(-1/3).
-    dw = np.eye(6)[:, SYMMETRIC]
+    # By each element of the triangle, (6, 3, 3): A = F W has dA = F dW + dF W, and F = det(W)^(-1/3) has
+    # dF = -F/3 trace(dW W^-1), by Jacobi's formula.
+    dw = _symmetric(np.eye(6))
     trace = np.einsum("kij,ji->k", dw, np.linalg.inv(w))[:, None, None]
     da = field * (dw - trace / 3.0 * w)
-    soft_variance = np.einsum("kij,kl,lij->ij", da, covariance[3:, 3:], da)
     return MagnetometerModel(
         unit=unit,
         hard_iron=parameters[:3].tolist(),
         hard_iron_sd=np.sqrt(np.diag(covariance)[:3]).tolist(),
         soft_iron=(field * w).tolist(),
-        soft_iron_sd=np.sqrt(soft_variance).tolist(),
+        soft_iron_sd=np.sqrt(np.einsum("kij,kl,lij->ij", da, covariance[3:, 3:], da)).tolist(),
         field=field,
         residual_sd=field * float(np.sqrt(variance)),
         coverage=float(covered((readings - parameters[:3]) @ w).mean()),
@@ -176,7 +179,7 @@ def _fitted(readings: FloatArray, middle: FloatArray, unit: str) -> Magnetometer
 def _covariance_of_change(jacobian: FloatArray, residual: FloatArray, scatter: float) -> FloatArray:
     """Return the covariance, (9, 9), by what has changed between the halves of the turns.
 
-    It is the square of half their difference, less the share of it that scatter makes in the mean.
+    It is the square of half their difference, times the share of its chi-square beyond what scatter explains.
     """
     difference, covariance = np.zeros(9), np.zeros((9, 9))
     for sign, rows in zip((1.0, -1.0), np.array_split(np.arange(len(residual)), 2), strict=True):
@@ -184,9 +187,9 @@ def _covariance_of_change(jacobian: FloatArray, residual: FloatArray, scatter: f
         difference += sign * (inverse @ jacobian[rows].T @ residual[rows])
         covariance += inverse * scatter
     chi_square = float(difference @ np.linalg.pinv(covariance, hermitian=True) @ difference)
-    # Chi-square with nine degrees of freedom is larger than thrice its mean once in 700 times.
-    beyond = max(0.0, 1.0 - len(difference) * 3.0 / max(chi_square, 1e-300))
-    return np.outer(difference, difference) / 4.0 * beyond
+    # Of nine numbers that only scatter chi-square is 9 on average, and above 27 once in 700 times.
+    share_changed = 1.0 - 27.0 / chi_square if chi_square > 27.0 else 0.0
+    return share_changed * np.outer(difference, difference) / 4.0
 
 
 def slower_than_white(residual: FloatArray) -> float:
@@ -213,7 +216,7 @@ class MagnetometerAxes(NamedTuple):
 
     @property
     def way(self) -> int:
-        """Which of `WAYS` is next to it."""
+        """Index of the nearest of `WAYS`."""
         return int(np.einsum("kij,ij->k", WAYS, self.rotation).argmax())
 
     @property
@@ -233,30 +236,33 @@ def axes_of(blocks: Iterable[SampleBlock], model: MagnetometerModel) -> Magnetom
     Slots count whose turn is known from the end of the one before, with a variance by coning, fast motion and
     missing samples below 0.01 rad², the square of 6°.
     """
-    # In half a second a hand turns a unit by tenths of a radian, and by less than half a circle.
+    # In half a second, here in ns, a hand turns a unit by tenths of a radian, and by less than half a circle.
     gatherer = SlotGatherer(6, 500_000_000, turns=True)
     slots = [
         gatherer.process(block["device_time_ns"], block["segment"], np.hstack([gyro, mag]))
         for block in blocks
         if (gyro := block.gyro) is not None and (mag := block.mag) is not None and "device_time_ns" in block
     ]
-    turns = [turn for part in slots for turn in part.turns]
     if not slots:
         return None
+    # Turn k is from the end of slot k to that of slot k + 1; before the first slot there is none.
+    turns = [turn for part in slots for turn in part.turns][1:]
+    # The last value of a magnetometer slower than the gyros is older than the slot's end.  `late_s` of
+    # `fitted_axes` takes up the mean age; by how much it differs from slot to slot is part of the residual.
     last = np.concatenate([part.last for part in slots])
     end_ns = np.concatenate([part.end_ns for part in slots])
     begins = np.concatenate([part.begins for part in slots])
     seconds = np.array([turn.seconds for turn in turns])
     variance = np.array([turn.coning @ turn.coning + turn.fast**2 + turn.missed for turn in turns])
-    is_continuous = ~begins[1:] & (np.abs(1e-9 * np.diff(end_ns) - seconds[1:]) < PAUSE_S)
-    is_known = is_continuous & (variance[1:] < 0.01) & np.isfinite(last[1:] + last[:-1]).all(1)
-    if is_known.sum() < LEAST_SLOTS:
+    is_continuous = ~begins[1:] & (np.abs(1e-9 * np.diff(end_ns) - seconds) < PAUSE_S)
+    is_known = is_continuous & (variance < 0.01) & np.isfinite(last[1:] + last[:-1]).all(1)
+    known = np.flatnonzero(is_known)
+    if len(known) < LEAST_SLOTS:
         return None
-    after = np.flatnonzero(is_known) + 1
-    both = np.column_stack([after - 1, after])
+    both = np.column_stack([known, known + 1])  # slots before and after the turn
     field, rate = model.corrected(last[:, 3:]) / model.field, last[:, :3]
-    rotation = np.array([turns[k].rotation for k in after])
-    by_bias = np.array([turns[k].by_bias for k in after])
+    rotation = np.array([turns[k].rotation for k in known])
+    by_bias = np.array([turns[k].by_bias for k in known])
     return fitted_axes(field[both], rate[both], rotation, by_bias, model.residual_sd / model.field)
 
 
@@ -272,26 +278,27 @@ def fitted_axes(
     """
 
     def residual(x: FloatArray, way: FloatArray) -> FloatArray:
-        """Return what is left of the fields, (3n,), by rotation from `way`, bias and lateness, (7,).
+        """Return the residual of the fields, (3n,), by rotation from `way`, bias and lateness, (7,).
 
         A field that is late by tau is off by tau times its rate, -rate x field.
         """
         bias, late_s = x[3:6], x[6]
         in_body = field @ (Rotation.from_rotvec(x[:3]).as_matrix() @ way).T
-        before, after = np.moveaxis(in_body - late_s * np.cross(rate - bias, in_body), 1, 0)
+        on_time = in_body - late_s * np.cross(rate - bias, in_body)
+        before, after = on_time.swapaxes(0, 1)
         turned = np.einsum("nij,nj->ni", rotation, after)
         return np.asarray(before - Rotation.from_rotvec(-by_bias @ bias).apply(turned)).reshape(-1)
 
     way = min(WAYS, key=lambda one: (residual(np.zeros(7), one) ** 2).sum())
     solved = least_squares(residual, np.zeros(7), args=(way,), x_scale="jac", method="lm")
-    left, jacobian = solved.fun, solved.jac
-    variance = left @ left / (len(left) - 7)
-    change = ((field[:, 1] - field[:, 0]) ** 2).sum() / len(left)
-    # Where more is left than a quarter of how the field changed, and than three times what the fit of its
-    # strength left, it has not changed as the gyros turned, in any axes.  Assumed.
+    error, jacobian = solved.fun, solved.jac
+    variance = error @ error / (len(error) - 7)
+    change = ((field[:, 1] - field[:, 0]) ** 2).sum() / len(error)
+    # Where the residual is more than a quarter of how the field changed, and than three times that of the fit
+    # of its strength, it has not changed as the gyros turned, in any axes.  Assumed.
     follows = variance < 0.25 * change or variance < (3.0 * noise) ** 2
     # A field that differs from place to place, and errors that go with the turns, are not white.
-    slower = max(slower_than_white(axis) for axis in left.reshape(-1, 3).T)
+    slower = max(slower_than_white(axis) for axis in error.reshape(-1, 3).T)
     covariance = variance * slower * np.linalg.pinv(jacobian.T @ jacobian, hermitian=True)
     sd = np.sqrt(np.linalg.eigvalsh(covariance[:3, :3])[-1])
     to_gyros = Rotation.from_rotvec(solved.x[:3]).as_matrix() @ way
@@ -323,12 +330,12 @@ def doubts(model: MagnetometerModel, axes: MagnetometerAxes | None, source: str)
     if axes.way != 0:  # the first of `WAYS` is the identity
         raise bad_data(
             f"{source}: the magnetometer has not the gyros' axes: their x, y, z are its"
-            f" {named(WAYS[axes.way])}",
+            f" {way_as_text(WAYS[axes.way])}",
             "name the columns of mag in this order in the map or device file, and reverse what has a minus "
             "(in a device file by a negative scale); turns do not show which of the two it is: north of the "
             "magnetic equator the field must point down",
         )
-    if axes.angle >= 4.0 * axes.sd:
+    if axes.angle >= 4.0 * axes.sd:  # assumed
         warnings.append(
             f"the magnetometer is turned by {np.degrees(axes.angle):.1f} ± {np.degrees(axes.sd):.1g}° against"
             " the gyros, which the model file does not hold: headings are off by up to as much, and more"
@@ -337,10 +344,10 @@ def doubts(model: MagnetometerModel, axes: MagnetometerAxes | None, source: str)
     return warnings
 
 
-def named(way: FloatArray) -> str:
+def way_as_text(way: FloatArray) -> str:
     """Return which axes of the magnetometer the gyros' x, y, z are by one of `WAYS`, and by its reverse."""
     axes = np.abs(way).argmax(axis=1)
-    signs = np.sign(way[range(3), axes])
+    signs = way.sum(axis=1)  # a row has one element, 1 or -1, and zeros
     most_plus_first = sorted((signs, -signs), key=lambda of: -of.sum())
     return " or ".join(
         ", ".join(("+" if sign > 0.0 else "-") + "xyz"[axis] for sign, axis in zip(of, axes, strict=True))

@@ -21,7 +21,7 @@ def write_calibration_plot(path: Path, result: Calibration, title: str) -> None:
     """Draw each channel to a PNG: above curve and points, below the residuals.
 
     A residual has a bar of one standard deviation, the white noise of its samples; the band is the model's
-    `residual_sd`, of the bias about the curve without that noise: far narrower where the noise is all.
+    `residual_sd`, of the bias about the curve without that noise: far narrower where the scatter is noise.
 
     Raises OSError when the file cannot be written; one that was there before is untouched.
     """
@@ -37,11 +37,11 @@ def write_calibration_plot(path: Path, result: Calibration, title: str) -> None:
 
 
 def _draw(above: Axes, below: Axes, name: str, result: Calibration) -> None:
-    """Draw a channel; an accelerometer minus its middle, as its constant is gravity's."""
     fit, model = result.fits[name], result.model.channels[name]
     unit, factor = SHOWN[model.unit]
     points, curve = fit.points, fit.choice.curve
     at = np.linspace(points.temperature.min(), points.temperature.max(), 400)
+    # An accelerometer's constant is gravity's, so its curve is drawn minus its middle.
     middle = curve.value(0.5 * (at[0] + at[-1])) if name in ACCEL else 0.0
     above.plot(points.temperature, factor * (points.value - middle), ".", ms=2, color="0.6", label="at rest")
     above.plot(at, factor * (curve.value(at) - middle), color="#d03c3c", lw=1.2, label=fit.choice.name)
@@ -85,8 +85,7 @@ def write_magnetometer_plot(path: Path, fit: MagnetometerFit, title: str) -> Non
     figure.axes[0].legend(loc="upper right", fontsize=9, framealpha=0.9)
     figure.suptitle(
         f"{for_plot(title)}: scatter of the strength {fit.residual_before:.2g} {unit} as sent, "
-        f"{model.residual_sd:.2g} {unit} corrected; "
-        f"{model.coverage:.0%} of the directions",
+        f"{model.residual_sd:.2g} {unit} corrected; {model.coverage:.0%} of the directions",
         fontsize=11,
     )
     write_png(path, figure, 110)

@@ -17,7 +17,7 @@ from imumon.models.model import Curve
 from .cells import CellMeans
 
 MOST_ORDER = 9  # of a polynomial.  Assumed.
-MOST_NEURONS = 3  # in a layer of a network: `crs05-soak` needs as many
+MOST_NEURONS = 3  # in a layer of a network: the simulated unit of scenario `crs05-soak` needs as many
 FOLDS = 5  # every fifth of the inner levels is left out at a time
 Fitter = Callable[[Points], Curve]
 
@@ -25,8 +25,8 @@ Fitter = Callable[[Points], Curve]
 class Choice(NamedTuple):
     """The curve chosen, fitted to all points, and what led to it.
 
-    `held_out_rms` has the error at levels left out for each candidate, `residual_sd` is that of the chosen
-    one without what the samples' white noise explains; both in the channel's unit.
+    In the channel's unit: `held_out_rms`, error of each candidate at levels left out; `residual_sd`, that of
+    the chosen one without what the samples' white noise explains; `fit_rms`, that of the fit to all points.
     """
 
     name: str
@@ -37,28 +37,28 @@ class Choice(NamedTuple):
 
 
 def candidate_curves(points: Points, knots: FloatArray) -> dict[str, Fitter]:
-    """Return what the data can support, the simplest first, by the name in reports and in the model file.
+    """Return what the data can support, the preferred first, by the name in reports and in the model file.
 
-    A curve may have at most so many coefficients that those levels which remain in a fold determine them.
+    A curve has no more coefficients than levels remain when the largest fold is left out.
     """
     levels = len(np.unique(points.level))
-    remaining = levels - int(np.ceil((levels - 2) / FOLDS))  # without the largest fold
+    remaining = levels - int(np.ceil((levels - 2) / FOLDS))  # the two at the ends are in no fold
     orders = range(1, min(MOST_ORDER, remaining - 1) + 1)  # order k has k + 1 coefficients
     fitters: dict[str, Fitter] = {f"polynomial {k}": partial(fit_polynomial, order=k) for k in orders}
     fitters["spline"] = partial(fit_spline, knots=knots)
     for n in range(1, MOST_NEURONS + 1):
-        # It counts as a polynomial of order 2 n + 1, and needs two means for each weight.  Assumed.
+        # A network counts as a polynomial of order 2 n + 1, and needs two means for each weight.  Assumed.
         if remaining > 2 * n + 1 and len(points) >= 2 * weights_of(n):
             fitters[f"network {n}"] = partial(fit_network, neurons=n)
     return fitters
 
 
 def choose(points: CellMeans, knots: FloatArray) -> Choice:
-    """Try every candidate on levels left out, and fit the best to all points."""
+    """Return the candidate that errs least at levels left out, fitted to all points."""
     fitters = candidate_curves(points, knots)
     residuals = {name: held_out(points, fitter) for name, fitter in fitters.items()}
     rms = {name: _rms(points, residual) for name, residual in residuals.items()}
-    # A simpler curve is preferred whose error is at most 5 % above the least.  Assumed.
+    # An earlier candidate is preferred whose error is at most 5 % above the least.  Assumed.
     best = next(name for name in fitters if rms[name] <= 1.05 * min(rms.values()))
     curve = fitters[best](points)
     known = np.isfinite(residuals[best])
@@ -75,7 +75,7 @@ def choose(points: CellMeans, knots: FloatArray) -> Choice:
 
 
 def held_out(points: Points, fitter: Fitter) -> FloatArray:
-    """Return the residual of each mean to a curve fitted without its level, (n,); NaN at the two edges."""
+    """Return the residual of each mean to a curve fitted without its level, (n,); NaN at the end levels."""
     residual = np.full(len(points), np.nan)
     for out in folds(points.level, FOLDS):
         residual[out] = points.value[out] - fitter(points.only(~out)).value(points.temperature[out])
@@ -94,7 +94,7 @@ def _rms(points: Points, residual: FloatArray) -> float:
 
 
 def comparable_runs(points: CellMeans) -> IntArray:
-    """Return the runs that levels in common join, directly or through others, to the one with most data."""
+    """Return the runs that levels in common join, directly or through others, to the one of most cells."""
     visited = np.zeros((points.run.max() + 1, points.level.max() + 1), np.int64)
     visited[points.run, points.level] = 1
     _, group = connected_components(visited @ visited.T, directed=False)
@@ -102,7 +102,7 @@ def comparable_runs(points: CellMeans) -> IntArray:
 
 
 def turn_on_offsets(points: CellMeans, runs: IntArray, knots: FloatArray) -> FloatArray:
-    """Return the offset of each of the comparable runs, (n,) in the channel's unit; their mean is 0.
+    """Return the offset of each of the comparable runs, (runs,) in the channel's unit; their mean is 0.
 
     Others have none: without a level in common, an offset and a bend of the curve are the same.
     """
@@ -110,11 +110,10 @@ def turn_on_offsets(points: CellMeans, runs: IntArray, knots: FloatArray) -> Flo
         return np.zeros(1)
     # The offset of the first run is 0 for now; the others are estimated beside the curve.
     basis, penalty = penalised_basis(points, knots)
-    splines = len(penalty)
+    spline_terms = len(penalty)
     root = np.sqrt(points.weight)
     design = np.hstack([basis, points.run[:, None] == runs[1:]]) * root[:, None]
     normal = design.T @ design
-    normal[:splines, :splines] += 1e-6 * penalty  # small, for where no data determines the curve
-    others = np.linalg.solve(normal, design.T @ (points.value * root))[splines:]
-    from_first = np.append(0.0, others)
+    normal[:spline_terms, :spline_terms] += 1e-6 * penalty  # small, for where no data determines the curve
+    from_first = np.append(0.0, np.linalg.solve(normal, design.T @ (points.value * root))[spline_terms:])
     return np.asarray(from_first - from_first.mean())

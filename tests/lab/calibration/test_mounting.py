@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from imumon.blocks import FloatArray
-from imumon.lab.calibration.magnetometer import WAYS, fitted_axes, named
+from imumon.lab.calibration.magnetometer import WAYS, fitted_axes, way_as_text
 
 FIELD = np.array([0.4, 0.1, -0.9])
 
@@ -45,4 +45,4 @@ def test_turns_about_one_axis_with_iron_left_over_are_evidence_of_no_axes() -> N
 
 def test_a_way_is_named_with_its_reverse() -> None:
     swapped = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
-    assert named(swapped) == "+y, +x, -z or -y, -x, +z"
+    assert way_as_text(swapped) == "+y, +x, -z or -y, -x, +z"
