@@ -13,7 +13,7 @@ from imumon.blocks import FloatArray, SampleBlock
 from imumon.clock.channel import CLOCK, with_delay
 from imumon.lab.diagnosis.blocks import make_blocks, white_floor
 from imumon.lab.diagnosis.diagnose import diagnose
-from imumon.lab.diagnosis.runs import Run, collect
+from imumon.lab.diagnosis.runs import Run, collect, unit_of
 from tests.lab.diagnosis.units import ramps
 
 RATE_HZ = 20
@@ -75,7 +75,7 @@ def test_a_crystals_parabola_is_the_curve_of_the_clock_and_nothing_else_is_missi
     scale = verdict.channel.scale
     assert not verdict.claims
     assert not verdict.unexplained
-    assert verdict.channel.unit == "ppm"
+    assert unit_of(verdict.name) == "ppm"
     assert verdict.before.declared[2] / scale.half_span**2 == pytest.approx(PARABOLA_PPM, rel=0.15)
     assert verdict.before.declared[0] == pytest.approx(parabola(np.array([scale.middle]))[0], abs=0.5)
 

@@ -20,30 +20,28 @@ S is the BIC with its sign turned.  `choices`, of an effect of a driver other th
 specific force, is the number of such drivers times that of the kinds that have a driver; else 1.  The last
 terms of (3) and (5) are those of the extended BIC (Chen & Chen 2008, doi:10.1093/biomet/asn034).  That of (5)
 pays for a sum over the axes that show a family: by chance some always gain a little.  A gain is nearly twice
-the logarithm of a Bayes factor: as a guide, while nothing is missing it ever exceeds g with a probability of
+the logarithm of a Bayes factor: while nothing is missing, the probability that it ever exceeds g is about
 exp(-g / 2) at most, however often tested (Ville 1939; Shafer et al. 2011, doi:10.1214/10-STS347).  (4) is
 that of steps 1 to 4; in 5, and between bases, S alone counts, any r and q.
 
 **Search** (`search`), stepwise over all axes of a sensor, which share one physics.  1 to 4 are a stage:
 
-1. *Try.*  Each axis tries every candidate beside what it has, with theta of a grid.  At first, if a pair of
-   candidates gains more than any alone by 8 and by 15 %, a family gains what its pair does less the partner.
-2. *Choose.*  An axis *shows* a family that gains more than 0 (an event: 8) and over b - max(bar, 0.15 b),
-   b its best gain.  The family is chosen whose gain, summed over the axes that show it, is largest, if that
-   exceeds the bar; of those within max(10, 15 %), any other goes before an event, and the rest are
-   alternatives, not told apart.  The gains of a faulty axis (one value is too frequent) do not count.
-3. *Add.*  Each of these axes refines theta, adds it, and refines all its effects again.  It refuses (a) what
-   takes away less than 0.3 white floors, than rounding may make, or than a fifth of what any effect before
-   does; if that is an event, nothing else is added; (b) a second event of a family in a run: nothing else is
-   added, and from half of what each before takes away it is a `repeated_event`, which no effect explains.
+1. *Try.*  Each axis tries every candidate beside what it has, with theta of a grid; at first in pairs, too,
+   as two effects may hide one another.
+2. *Choose.*  An axis *shows* a family that gains there, unless it proves another in its place.  The family is
+   chosen whose gain, summed over the axes that show it, is largest, if that exceeds the bar; of those near it
+   any other goes before an event, and the rest are alternatives, not told apart.
+3. *Add.*  Each of these axes refines theta, adds it, and refines all its effects again.  It refuses what
+   takes away too little, and a second event of a family in a run.
 4. The axes that are left choose again, each without what it has refused, until no family exceeds the bar.
-   Axes to which nothing was added are finished; the others begin another stage, of at most five.
-5. *Drop.*  After the last stage each axis drops what gains 8 or less beside the rest (an only one that needed
-   no partner, as the sum over axes proves it, stays), takes alternatives that are likelier beside it, and
-   refines; before the first one with the effects of the present model.
+   Axes to which nothing was added are finished; the others begin another stage.
+5. *Drop.*  After the last stage each axis drops what the rest makes needless, takes alternatives that are
+   likelier beside it, and refines; before the first one with the effects of the present model.
 
 **Verdict** (`verdict`): of what was found, that is claimed which explains training and the test, if any.  It
 is fitted by ordinary least squares; of a test, what carries over is predicted, the rest estimated in it.
+Fit and test are in blocks of 30 s, the search and the sigmas, of its noise, in shorter ones where these are
+few: y, n, u and the white floor are then others.
 
 **Words.** *Slot*: a second of samples, or the period of a slower log; a *block* has the mean of its slots at
 rest. *Channel*: an axis, or another column. *Driver*: what an effect depends on, the temperature or another
@@ -57,6 +55,5 @@ Coefficients that are *shared* are one for all runs and carry over to others, *s
 An effect by which the rms of the residual falls from A to B *takes away* sqrt(A² - B²).
 
 **Read** runs, prepare, blocks (recordings to y); candidates (X, Z); likelihood (2, by 6 to 8); search (3 to
-5); fit (with sigmas, 9); verdict (with 10); diagnose, which calls them all; then what is made of it: report,
-page, extended, planning, live.
+5); fit (with sigmas, 9); verdict (10); diagnose, the caller; report, page, extended, planning, live.
 """

@@ -14,7 +14,7 @@ from imumon.recordings.reduced import ACCEL
 
 from .runs import Names, Run, Runs
 
-BLOCK_S = 30.0
+BLOCK_S = 30.0  # assumed; a log with fewer than six samples in that has longer blocks
 LEAST_BLOCKS = 40
 """Of a training: ten for each coefficient of a cubic."""
 PARTS = 15
@@ -120,10 +120,8 @@ def _drives(run: Run, temperatures: Names, drivers: Names) -> dict[str, Drive]:
 
 def poses(force: FloatArray, resting: BoolArray) -> tuple[IntArray, BoolArray]:
     """Return the number of the pose in each slot, (n,), one more after each turn of the unit; and the slots
-    that are `resting` without those in which it turns all the same, as where rest is declared.
-
-    `force` is the specific force in m/s², (n, 3); slots that are not `resting` have the pose before them.
-    """
+    that are `resting` without those in which it turns all the same, as where rest is declared.  `force`: the
+    specific force in m/s², (n, 3); slots that are not `resting` have the pose before them."""
     turns, still = np.zeros(len(force), np.int64), resting.copy()
     slots = np.flatnonzero(resting)
     if len(slots) > 2 * BESIDE:
@@ -139,7 +137,7 @@ def poses(force: FloatArray, resting: BoolArray) -> tuple[IntArray, BoolArray]:
             turns[slots[start + np.argmax(change[start:stop]) + BESIDE]] = 1
             compared = slots[start : stop + 2 * BESIDE - 1]
             # A turn that was detected is a gap; without one it is in slots that are declared at rest.
-            still[compared] &= compared[-1] - compared[0] >= len(compared)
+            still[compared] &= compared[-1] - compared[0] >= len(compared)  # whether there is a gap
     return np.cumsum(turns), still
 
 
@@ -195,11 +193,11 @@ def white_floor(channel: str, blocks: Blocks) -> WhiteFloor:
 def _floor_of_one_rate(channel: str, blocks: Blocks) -> WhiteFloor:
     """Return the white floor from the scatter inside blocks.
 
-    It is half the mean square difference of neighbouring parts of a block (an Allan variance), of a fifteenth
-    of it or less (2 s of 30 s): an output filter makes shorter ones too small and rounding too large, flicker
-    longer ones.  The differences are less the mean of their block, so that no ramp gets in.  Where every
-    block lacks readings, its parts have fewer slots; where parts have none, or the same ones, neighbouring
-    blocks are compared.  The clock's is that of the delays at both ends of a block.
+    It is half the mean square difference of neighbouring parts of a block (an Allan variance), less the mean
+    difference of the block, so that no ramp gets in.  A part is a fifteenth of a block or less (2 s of 30 s):
+    shorter ones would be too small by an output filter or too large by rounding, longer ones by flicker.
+    Where every block lacks readings, its parts have fewer slots; where parts have none, or the same ones,
+    neighbouring blocks are compared.  The clock's is that of the delays at both ends of a block.
     """
     slots = blocks[0].slots_per_block
     of_runs = [np.where(run.weight > 0.0, run.run.mean[channel], np.nan) for run in blocks]
@@ -223,8 +221,7 @@ def _floor_of_one_rate(channel: str, blocks: Blocks) -> WhiteFloor:
     k = number - 1
     of_part = np.mean(spread**2) / (2.0 * (1.0 - 1.0 / k**2))
     of_slot = of_part * (width if whole.any() else 1.0 / np.mean(1.0 / count[used]))
-    of_full_block = of_slot / slots
-    sd = np.sqrt(of_full_block * by_gaps)
+    sd = np.sqrt(of_slot / slots * by_gaps)
     return WhiteFloor(sd, f"means of {width * blocks[0].run.slot_s:.0f} s inside blocks")
 
 

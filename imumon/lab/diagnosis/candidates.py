@@ -24,7 +24,6 @@ from imumon.effects.product import Product
 from imumon.effects.temperature_curve import TemperatureCurve
 
 from .blocks import Blocks, RunBlocks, WhiteFloor
-from .runs import unit_of
 
 OffsetPer = Literal["all", "run", "pose"]
 """What has a constant of the declared model: all runs one, each run one, or each pose of each run one."""
@@ -34,13 +33,13 @@ ALL_RUNS = -1
 class Term(NamedTuple):
     """One column of Z.
 
-    Terms of one `spectrum` of time constants have one sign: with both, by generalised least squares, the
-    candidate explains nothing.
+    Terms of one `spectrum`, a distribution over time constants, have coefficients of one sign: a candidate
+    that generalised least squares give both signs explains nothing.
     """
 
     column: int  # index of a column that `Training` has made
     run: int  # number of the run outside of which it is zero, or `ALL_RUNS`
-    spectrum: int = -1  # -1: of none
+    spectrum: int = -1  # index of the first column of its effect, which names the spectrum; -1: of none
 
 
 class Part(NamedTuple):
@@ -118,7 +117,7 @@ def candidates(survey: Survey, kinds: Iterable[str]) -> list[Candidate]:
 
 
 def _late_curve(late: Effect, survey: Survey) -> tuple[Part, ...]:
-    """Return a curve that is itself late: powers less late powers, and those that are not declared."""
+    """Return a curve that is itself late: each power less itself late, and the powers above the declared."""
     more = late.width - survey.degree
     if more <= 0:
         return (Part(late),)
@@ -167,8 +166,7 @@ class Finding:
 
 @dataclass
 class Training:
-    """Training runs, and the columns over them, as block means, of the effects that one of their temperatures
-    drives, made once for each effect."""
+    """Training runs, and block means of the columns of effects of one temperature, made once for each."""
 
     runs: Blocks
     temperature_name: str
@@ -177,16 +175,16 @@ class Training:
 
     def terms(self, candidate: Candidate) -> tuple[list[Term], list[Term]]:
         """Return the terms of a candidate's coefficients, and those of its free start."""
-        of_effect, of_start = list[Term](), list[Term]()
+        effect_terms, start_terms = list[Term](), list[Term]()
         for part in candidate.parts:
             columns = self._indices(part.effect, "columns")
             runs = part.separate_runs or (ALL_RUNS,)
             spectrum = columns[0] if part.effect.one_sign else -1
-            of_effect += [Term(column, run, spectrum) for run in runs for column in columns]
+            effect_terms += [Term(column, run, spectrum) for run in runs for column in columns]
             if candidate.free_start:
                 columns = self._indices(part.effect, "start_columns")
-                of_start += [Term(column, run) for run in range(len(self.runs)) for column in columns]
-        return of_effect, of_start
+                start_terms += [Term(column, run) for run in range(len(self.runs)) for column in columns]
+        return effect_terms, start_terms
 
     @property
     def run_of_block(self) -> IntArray:
@@ -225,8 +223,7 @@ class Training:
 class Channel:
     """One axis of a sensor with its declared model, over training and test.
 
-    The declared model is a polynomial of u = (T - middle) / half span, T in °C, whose constant is one for all
-    runs, or one for each run or pose.
+    The declared model is a polynomial of u = (T - middle) / half span, T in °C; `offset_per` has a constant.
     """
 
     name: str
@@ -241,11 +238,6 @@ class Channel:
     # Those of the present model, whose curve is off the means already; None without one.
     present_effects: tuple[Effect, ...] | None = None
     fixed_effects: tuple[Effect, ...] = ()  # those of them that stay as they are; others are fitted anew
-
-    @property
-    def unit(self) -> str:
-        """Unit of its bias."""
-        return unit_of(self.name)
 
     @property
     def fault_rms(self) -> float:
@@ -323,6 +315,11 @@ class Channel:
             return columns
         constants, which = self.offsets
         return np.column_stack([columns, which[:, None] == np.arange(1, len(constants))]).astype(float)
+
+    @property
+    def offset_columns(self) -> slice:
+        """Columns of X for the constants but the first; their coefficients are differences from that."""
+        return slice(self.degree + 1, self.base.shape[1])
 
     def design(self, model: Sequence[Candidate]) -> FloatArray:
         """Return [X Z] of (1), (n, p + k)."""

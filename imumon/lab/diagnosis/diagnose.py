@@ -1,11 +1,9 @@
 """The whole diagnosis, runs in and verdicts out; and the engine that live search and plans use as well.
 
-The engine searches the axes of a sensor over each base X that is possible: the declared curve or the present
-model, this as it is or fitted anew, with or without a constant in each pose.  The base counts that is
-likeliest with what was found beside it.
+The engine searches the axes of a sensor over each base X that is possible, and takes the likeliest: the
+declared curve, or the present model as it is or fitted anew, with or without a constant in each pose.
 """
 
-import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -30,14 +28,10 @@ from .runs import SENSORS, Names, Runs, channels_of
 from .search import PROVEN_GAIN, STAGES, AxisSearch, Progress, search
 from .verdict import ChannelVerdict, decide
 
-HIGHEST_DEGREE = 8
+HIGHEST_DEGREE = 8  # assumed
+# Where no run has so many blocks (assumed), the search divides them by the first of `BLOCK_FRACTIONS` that
+# makes so many: among few blocks the one with a jump in it decides.
 BLOCK_FRACTIONS, LEAST_SEARCH_BLOCKS = (1, 2, 3), 200
-"""Runs of fewer blocks are searched in halves or thirds of them: of few the one with a jump in it decides."""
-ON_POSES = (
-    "what is named g_sensitivity holds the vertical earth rate as well, up to 15.04 °/h per g",
-    "a sensitivity of the gyros to g cannot be distinguished from the earth rate",
-)
-"""With one constant for all poses, and with one in each."""
 
 
 class Prepared(NamedTuple):
@@ -110,13 +104,21 @@ def diagnose(
     for sensor in sensors:
         if names := channels_of([sensor], data.temperature_names):
             axes = likeliest(search_sensor(data, names, effects_for(names[0]), progress=progress))
-            # What is scored is in longer blocks, over the base that was likeliest in the search.
-            base = axes[0].channel.offset_per
-            for axis, channel in zip(axes, _channels(data, names, base, data.train), strict=True):
-                same = replace(channel, degree=axis.channel.degree, fixed_effects=axis.channel.fixed_effects)
-                verdicts.append(decide(axis, same))
+            # The search may have been in shorter blocks than those that are scored; the base is the same.
+            per = axes[0].channel.offset_per
+            for axis, channel in zip(axes, _channels(data, names, per, data.train), strict=True):
+                scored = replace(
+                    channel, degree=axis.channel.degree, fixed_effects=axis.channel.fixed_effects
+                )
+                verdicts.append(decide(axis, scored))
             if names[0].startswith("gyro") and any(run.pose.any() for run in data.train):
-                remarks.append(f"several poses: {ON_POSES[base == 'pose']}")
+                remarks.append(
+                    "several poses: a sensitivity of the gyros to g cannot be distinguished from the"
+                    " earth rate"
+                    if per == "pose"
+                    else "several poses: what is named g_sensitivity holds the vertical earth rate as well,"
+                    " up to 15.04 °/h per g"
+                )
     return Diagnosis(declared, verdicts, data.train, data.test, remarks, model, _length(data, remarks))
 
 
@@ -134,8 +136,8 @@ def _prepared(
     names = prepare.usable_channels(train, test, sensors, remarks)
     train, test = prepare.train_and_test(train, test, names, remarks)
     if model:
-        of_units = [model.of_another(run.origin.serial) for run in (*train, *test) if run.origin]
-        remarks += filter(None, dict.fromkeys(of_units))
+        differences = [model.of_another(run.origin.serial) for run in (*train, *test) if run.origin]
+        remarks += filter(None, dict.fromkeys(differences))
         names = prepare.channels_with_model(names, model, remarks)
         degree = prepare.degree_of(model, names)
     temperature_names = {name: prepare.temperature_of(name, model, train) for name in names}
@@ -206,10 +208,11 @@ def search_sensor(
 
 def search_block_s(blocks: Blocks) -> float:
     """Return the length of the blocks to search in, s: three slots or more, which show the white floor."""
-    longest, slots = max(map(len, blocks)), min(run.slots_per_block for run in blocks)
-    fractions = [number for number in BLOCK_FRACTIONS if slots >= LEAST_PARTS * number]
-    enough = (number for number in fractions if number * longest >= LEAST_SEARCH_BLOCKS)
-    return blocks[0].block_s / next(enough, fractions[-1])
+    longest = max(map(len, blocks))
+    slots = min(run.slots_per_block for run in blocks)
+    possible = [divisor for divisor in BLOCK_FRACTIONS if slots >= LEAST_PARTS * divisor]
+    enough = (divisor for divisor in possible if divisor * longest >= LEAST_SEARCH_BLOCKS)
+    return blocks[0].block_s / next(enough, possible[-1])  # the shortest where none is enough
 
 
 def _channels(data: Prepared, names: Names, offset_per: OffsetPer, blocks: Blocks) -> list[Channel]:
@@ -241,25 +244,30 @@ def likeliest(searched: Sequence[list[AxisSearch]], *, live: bool = False) -> li
     `PROVEN_GAIN`: what they explain as well is no effect.  Larger ones are refused.  Live their number has no
     price: one session has hardly more poses than a sensitivity to g has coefficients.
     """
-    # Where poses are the only base there is nothing to prefer them to.
+    # Where poses are the only base, as of all sensors but gyros, there is nothing to prefer them to.
     several = len({axes[0].channel.offset_per for axes in searched}) > 1
 
-    def order(every: list[AxisSearch]) -> float:
+    def preference(every: list[AxisSearch]) -> float:
         axes = [axis for axis in every if not axis.channel.faulty] or every
-        criterion = sum(axis.criterion(axis.model) for axis in axes)
-        if any(axis.channel.refits_model for axis in axes) and not live:
-            criterion -= PROVEN_GAIN
-        if axes[0].channel.offset_per != "pose" or not several:
-            return criterion
-        for channel, model in ((axis.channel, axis.model) for axis in axes):
-            coefficients = least_squares(channel.design(model), channel.y)
-            # Less the first of all; those of another run have another turn-on bias, too.
-            constants = np.append(0.0, coefficients[channel.degree + 1 : channel.base.shape[1]])
-            runs = channel.offsets[0][:, 0]
-            # By the earth rate, and 5 % of a gyro's scale, those in two poses differ by no more.
-            if max(np.ptp(constants[runs == run]) for run in np.unique(runs)) > 2.1 * EARTH_RATE:
+        preferred = sum(axis.criterion(axis.model) for axis in axes)
+        if not live and any(axis.channel.refits_model for axis in axes):
+            preferred -= PROVEN_GAIN
+        if several and axes[0].channel.offset_per == "pose":
+            if any(map(_exceeds_earth_rate, axes)):
                 return -np.inf
-        number = sum(len(axis.channel.offsets[0]) - 1 for axis in axes) if live else 0
-        return criterion + PROVEN_GAIN + math.log(len(axes[0].channel.y)) * number
+            number = sum(len(axis.channel.offsets[0]) - 1 for axis in axes) if live else 0
+            # S has the price of these constants, which is given back.
+            preferred += PROVEN_GAIN + axes[0].likelihood.price * number
+        return preferred
 
-    return max(searched, key=order)
+    return max(searched, key=preference)
+
+
+def _exceeds_earth_rate(axis: AxisSearch) -> bool:
+    """Return whether the constants of a gyro in two poses of a run differ by more than the earth rate."""
+    channel = axis.channel
+    coefficients = least_squares(channel.design(axis.model), channel.y)
+    constants = np.append(0.0, coefficients[channel.offset_columns])  # less the first of all
+    runs = channel.offsets[0][:, 0]  # another run has another turn-on bias, too
+    # From along an axis to against it, and 5 % for the scale of the gyro (assumed).
+    return any(np.ptp(constants[runs == run]) > 2.1 * EARTH_RATE for run in np.unique(runs))

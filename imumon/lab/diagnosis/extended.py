@@ -57,11 +57,11 @@ def _channel(verdict: ChannelVerdict, model: BiasModel | None) -> ChannelModel:
     """Return the model of a channel: the present one, or none at all, with what was fitted."""
     fitted = verdict.after if verdict.predicts else verdict.before
     channel, rms = verdict.channel, (verdict.test_after if verdict.predicts else verdict.test_before).rms
-    middle, half = channel.scale.middle, channel.scale.half_span
+    middle, half = channel.scale
     rms = rms if np.isfinite(rms) else fitted.train_rms
     residual = float(np.sqrt(max(rms**2 - channel.floor.sd**2, 0.0)))
     new = {
-        "unit": channel.unit,
+        "unit": UNITS[verdict.name],
         "temperature_column": channel.training.temperature_name,
         "temperature_range_degc": [middle - WIDENED * half, middle + WIDENED * half],
         "residual_sd": residual,
@@ -84,11 +84,13 @@ def refitted(present: ChannelModel, channel: Channel, fitted: Fit, residual_sd: 
 
     To a curve that is no polynomial itself it is added as an effect.  The curve holds where it was fitted.
     """
-    curve, middle, half = present.curve, channel.scale.middle, channel.scale.half_span
+    curve = present.curve
+    middle, half = channel.scale
     low, high = middle - half, middle + half
-    total, others = Polynomial(fitted.declared, domain=[low, high]), list[Effect]()
+    total = Polynomial(fitted.declared, domain=[low, high])
+    others = list[Effect]()
     lasting = [part.effect.with_start(part.start) for part in fitted.parts if part.carries_over]
-    update: dict[str, Any] = {"residual_sd": residual_sd, "held_out_rms": {}, "effects": others}
+    update: dict[str, Any] = {"residual_sd": residual_sd, "held_out_rms": {}}
     if total.degree() > 0 or any(effect.polynomial() is not None for effect in lasting):
         margin, (lowest, highest) = (WIDENED - 1.0) * half, present.temperature_range_degc
         update["temperature_range_degc"] = [max(low - margin, lowest), min(high + margin, highest)]
@@ -98,18 +100,18 @@ def refitted(present: ChannelModel, channel: Channel, fitted: Fit, residual_sd: 
             others.append(effect)
         else:
             total = total + shape.convert(domain=total.domain, window=total.window)
-    if isinstance(curve, PolynomialCurve):
+    if isinstance(curve, PolynomialCurve):  # whose coefficients are those of a Chebyshev series
         ends = curve.center_degc - curve.half_width_degc, curve.center_degc + curve.half_width_degc
         own_curve = Chebyshev(curve.coefficients, ends).convert(total.domain)
         coefficients = (total.convert(total.domain, Chebyshev) + own_curve).coef.tolist()
         curve = PolynomialCurve(center_degc=middle, half_width_degc=half, coefficients=coefficients)
     else:
         constant, *powers = total.coef.tolist()
-        curve = curve.minus(-constant)
+        curve = curve.minus(-constant)  # a curve can only be lowered
         if any(powers):
             more_powers = TemperatureCurve(middle=middle, half_span=half, first_power=1, powers=len(powers))
             others.append(more_powers.with_coefficients(powers))
-    return present.model_copy(update={**update, "curve": curve})
+    return present.model_copy(update=update | {"curve": curve, "effects": others})
 
 
 def trained_on(blocks: RunBlocks) -> TrainedOn:

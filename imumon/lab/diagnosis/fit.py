@@ -20,7 +20,7 @@ from .likelihood import Likelihood
 LEAST_TEST_BLOCKS = 10
 """Of fewer there is no rms of the test."""
 LEAST_OFFSET_BLOCKS = 4
-"""With one constant: the mean of fewer takes too much of their own noise away."""
+"""Of those that share a constant: less the mean of fewer, too little is left of their own noise."""
 
 
 class FittedPart(NamedTuple):
@@ -48,13 +48,15 @@ class FittedPart(NamedTuple):
 class Fit(NamedTuple):
     """An extended model fitted by ordinary least squares.
 
-    The declared constant is the one to predict another run by: the mean of the constants of runs or poses,
-    plus the mean over training of what does not carry over, such as jumps.
+    The declared constant predicts another run.  There nobody knows the size of what does not carry over, such
+    as a jump: for these columns Z_s of Z their mean over training stands::
+
+        constant = constant_weights' (b, c) = mean of the constants of all runs or poses + mean of Z_s c_s
     """
 
-    declared: FloatArray  # coefficients of the powers of u, (degree + 1,)
-    constant_weights: FloatArray  # weight of each coefficient of [X Z] in the declared constant, (p + k,)
-    mean_of_separate: float  # mean over training of what does not carry over
+    declared: FloatArray  # coefficients of the powers of u, the constant first, (degree + 1,)
+    constant_weights: FloatArray  # (p + k,)
+    mean_of_separate: float  # that of Z_s c_s over training
     parts: list[FittedPart]
     residual: FloatArray  # y less the model, (n,)
 
@@ -73,25 +75,24 @@ def fit(channel: Channel, model: Sequence[Candidate]) -> Fit:
     """Fit the declared model and candidates to training by ordinary least squares."""
     design = channel.design(model)
     coefficients = least_squares(design, channel.y)
-    n_powers, n_base = channel.degree + 1, channel.base.shape[1]
-    # Constants are b_0, and b_0 plus each of the other coefficients of X: the mean of all has these weights.
+    offsets = channel.offset_columns
+    # Constants are b_0, and b_0 plus each offset from it: their mean.
     constant_weights = np.zeros(len(coefficients))
     constant_weights[0] = 1.0
-    constant_weights[n_powers:n_base] = 1.0 / (n_base - n_powers + 1)
+    constant_weights[offsets] = 1.0 / (offsets.stop - offsets.start + 1)
     no_start = np.empty((0, 0))
     parts = [FittedPart(one, (), np.array([one.coefficients]), no_start) for one in channel.fixed_effects]
-    for candidate, of_effects, of_start in _layout(channel, model):
+    for candidate, columns, start_columns in _layout(channel, model):
         # A candidate with a free start has one part.
         n_runs = len(channel.training.runs)
-        start = coefficients[of_start].reshape(n_runs, -1) if candidate.free_start else no_start
-        for part, rows in zip(candidate.parts, _by_part(candidate, coefficients[of_effects]), strict=True):
+        start = coefficients[start_columns].reshape(n_runs, -1) if candidate.free_start else no_start
+        for part, rows in zip(candidate.parts, _by_part(candidate, coefficients[columns]), strict=True):
             effect = part.effect.with_coefficients(rows.mean(axis=0))
             parts.append(FittedPart(effect, part.separate_runs, rows, start))
-        # One part stands for all: where a candidate has two, both are shared, and carry over.
-        if not parts[-1].carries_over:
-            constant_weights[of_effects] = design[:, of_effects].mean(axis=0)
-    declared = np.append(constant_weights @ coefficients, coefficients[1:n_powers])
-    mean_of_separate = float(constant_weights[n_base:] @ coefficients[n_base:])
+            if not parts[-1].carries_over:  # the only part of a candidate: where there are two, both do
+                constant_weights[columns] = design[:, columns].mean(axis=0)
+    declared = np.append(constant_weights @ coefficients, coefficients[1 : offsets.start])
+    mean_of_separate = float(constant_weights[offsets.stop :] @ coefficients[offsets.stop :])
     return Fit(declared, constant_weights, mean_of_separate, parts, channel.y - design @ coefficients)
 
 
@@ -160,7 +161,7 @@ def score_test(channel: Channel, fitted: Fit, settled_as: Fit | None = None) -> 
             residual, counting = _without_offsets(residual, counting, channel.offset_numbers(run))
         predicted.append(residual)
         unknown = [part for part in fitted.parts if not (part.carries_over or part.known_in(continued))]
-        estimated.append(residual - _estimated_bias(channel, run, drive, unknown, residual, counting))
+        estimated.append(residual - _estimated_bias(channel, run, unknown, residual, counting))
         counts.append(counting)
     coverage = inside / sum(map(len, counts)) if channel.test else np.nan
     scored_share = sum(int(part.sum()) for part in counts) / max(inside, 1) if channel.test else np.nan
@@ -176,8 +177,7 @@ def _rms_of(residuals: Sequence[FloatArray], counts: Sequence[BoolArray]) -> flo
 def _without_offsets(
     residual: FloatArray, counting: BoolArray, numbers: IntArray
 ) -> tuple[FloatArray, BoolArray]:
-    """Return a residual less its mean over the blocks of each number, and which blocks count: those of
-    numbers with enough of them."""
+    """Return a residual less its mean over the blocks of each number, and which count: those of enough."""
     member = numbers[:, None] == np.unique(numbers)
     size = member[counting].sum(axis=0)
     mean = residual[counting] @ member[counting] / np.maximum(size, 1)
@@ -189,8 +189,7 @@ def _predicted_bias(
 ) -> FloatArray:
     """Return what a fitted model predicts of a test run, (n,), which may continue a training run.
 
-    What does not carry over is known in a training run.  In any other its mean over training stands for it,
-    which the declared constant has in it.
+    What does not carry over goes on from a training run; in other runs the constant has its mean (`Fit`).
     """
     temperature = run.temperature[channel.training.temperature_name]
     bias = channel.powers(temperature, len(fitted.declared)) @ fitted.declared
@@ -200,29 +199,24 @@ def _predicted_bias(
         elif continued in part.separate_runs:
             row = part.coefficients[part.separate_runs.index(continued)]
             bias = bias + run.average(part.effect.columns(drive)) @ row
+    # Of a run that continues, its own is in the bias by now: the mean must not be in there as well.
     return bias if continued is None else bias - fitted.mean_of_separate
 
 
 def _estimated_bias(
-    channel: Channel,
-    run: RunBlocks,
-    drive: Drive,
-    parts: list[FittedPart],
-    residual: FloatArray,
-    counting: BoolArray,
+    channel: Channel, run: RunBlocks, parts: list[FittedPart], residual: FloatArray, counting: BoolArray
 ) -> FloatArray:
     """Return the parts that do not carry over, fitted to the residual of the blocks that count, (n,).
 
-    That is a constant, the coefficients that each run may have, and one jump where the model has jumps.  What
-    the training run has that this one continues is predicted, and is not fitted.
+    That is a constant, the coefficients that each run may have, and one jump where the model has jumps.
     """
     if not parts or counting.sum() < LEAST_TEST_BLOCKS:
         return np.zeros(len(run))
-    effects = [part.effect for part in parts]
-    of_effects = [run.average(effect.columns(drive)) for effect in effects if effect.scope == "either"]
+    drive = run.drives[channel.training.temperature_name]
+    of_runs = [run.average(part.effect.columns(drive)) for part in parts if part.effect.scope == "either"]
     numbers = channel.offset_numbers(run)[:, None]
-    columns = np.column_stack([numbers == np.unique(numbers[counting]), *of_effects]).astype(float)
-    if any(effect.scope == "event" for effect in effects):
+    columns = np.column_stack([numbers == np.unique(numbers[counting]), *of_runs]).astype(float)
+    if any(part.effect.scope == "event" for part in parts):
         first = np.flatnonzero(counting)[_jump_at(columns[counting], residual[counting])]
         columns = np.column_stack([columns, np.arange(len(run)) >= first])
     return columns @ least_squares(columns[counting], residual[counting])
@@ -264,6 +258,8 @@ def sigmas(
 
         of ln theta:    N = s M,                          M the last rows of pinv(L^-1 [A D])           (9)
         of (b, c):      P = s (pinv(A) L - pinv(A) D M)
+
+    Least squares take e for part of the model, pinv(A) e, and so they do D times the error of ln theta.
     """
     a = channel.design(model)
     d = _slopes(channel, span, model)
@@ -278,12 +274,14 @@ def sigmas(
     sd_of_linear = np.linalg.norm(p, axis=1)
     sd_of_log = iter((s * np.linalg.norm(m, axis=1)).tolist())  # in the order of the columns of D
     found = []
-    for candidate, of_effects, _ in _layout(channel, model):
+    for candidate, effect_columns, _ in _layout(channel, model):
         # The sd of theta is theta times that of its logarithm.
-        of_parts = [_theta(part).items() for part in candidate.parts]
-        thetas = [{name: theta * next(sd_of_log) for name, theta in items} for items in of_parts]
-        found.append([*map(PartSigma, _by_part(candidate, sd_of_linear[of_effects]), thetas)])
-    # The declared coefficients are a mean constant, and the powers as they are.
+        sd_of_theta = [
+            {name: theta * next(sd_of_log) for name, theta in _theta(part).items()}
+            for part in candidate.parts
+        ]
+        found.append([*map(PartSigma, _by_part(candidate, sd_of_linear[effect_columns]), sd_of_theta)])
+    # The declared coefficients are the constant, a weighted sum, and the powers as they are.
     declared = np.vstack([fit(channel, model).constant_weights @ p, p[1 : channel.degree + 1]])
     return declared @ declared.T, found
 
@@ -298,11 +296,12 @@ def _slopes(channel: Channel, span: Survey, model: Sequence[Candidate]) -> Float
     """Return D of (9), how the model changes with the logarithm of each nonlinear parameter, (n, thetas)."""
     coefficients = least_squares(channel.design(model), channel.y)
     slopes = [np.empty((len(channel.y), 0))]
-    for candidate, of_effects, of_start in _layout(channel, model):
-        of_candidate = coefficients[of_effects.start : of_start.stop]
+    for candidate, effect_columns, start_columns in _layout(channel, model):
+        of_candidate = coefficients[effect_columns.start : start_columns.stop]
         for at, part in enumerate(candidate.parts):
             for name, theta in _theta(part).items():
-                # At most a quarter of its grid's distance: a percent of a period is a cycle in a hundred.
+                # 1 %, or a quarter of the distance in its grid: of a short period, whose grid is fine, 1 %
+                # would be a whole cycle after a hundred.
                 change = min(0.01, abs(part.effect.moved(name, 0.25, span) / theta - 1.0))
                 values = theta * (1.0 - change), theta * (1.0 + change)
                 moved = [part.effect.model_copy(update={name: value}) for value in values]

@@ -53,8 +53,8 @@ class Likelihood:
 
     def maximum(self, y: FloatArray, base: FloatArray) -> tuple[float, Noise]:
         """Return loglik of y (n,) beside a base (n, p) at its maximum over the grid, and the noise there."""
-        residuals = {noise: self.residual(y, base, noise)[0] for noise in NOISE_GRID}
-        return max((float(self._loglik(v @ v, noise)), noise) for noise, v in residuals.items())
+        residuals = [(noise, self.residual(y, base, noise)[0]) for noise in NOISE_GRID]
+        return max((float(self._loglik(v @ v, noise)), noise) for noise, v in residuals)
 
     def predictive(self, y: FloatArray, early: BoolArray) -> float:
         """Return loglik of the later values given the early ones (n,), s, r and q fitted to these."""
@@ -70,10 +70,7 @@ class Likelihood:
     def scan(
         self, y: FloatArray, base: FloatArray, candidates: Sequence[Sequence[Term]], grid: Sequence[Noise]
     ) -> FloatArray:
-        """Return loglik of the base with each of the candidates, its maximum over a grid, (candidates,).
-
-        A candidate whose `spectrum` (`Term`) has both signs explains nothing.
-        """
+        """Return loglik of the base with each of the candidates, its maximum over a grid, (candidates,)."""
         if len(candidates) > AT_ONCE:
             parts = [candidates[at : at + AT_ONCE] for at in range(0, len(candidates), AT_ONCE)]
             return np.concatenate([self.scan(y, base, part, grid) for part in parts])
@@ -106,8 +103,7 @@ class Likelihood:
     def times_l(self, rows: FloatArray, noise: Noise) -> FloatArray:
         """Return Y = rows L, (k, n), of rows (k, n).
 
-        L has that of each run on its diagonal, and L^-1 is what `whitened` returns of an identity: L^-1' Y' =
-        rows' is solved run by run.
+        L^-1 of each run is what `whitened` returns of an identity: L^-1' Y' = rows' is solved run by run.
         """
         most = max(map(len, self._training.runs))
         l_inverse, _ = self.whitened(
@@ -129,9 +125,9 @@ def noise_no_larger(than: Noise) -> list[Noise]:
     return [noise for noise in NOISE_GRID if sum(noise) <= sum(than)]
 
 
+# The m candidates of k terms: which they are (m,), the indices of their terms (m, k), and whether the
+# coefficients of two terms, those of one spectrum in one run, have one sign (m, k, k).
 _Group = tuple[IntArray, IntArray, BoolArray]
-"""The m candidates of k terms: which they are (m,), the indices of their terms (m, k), and whether the
-coefficients of two terms, those of one spectrum in one run, have one sign (m, k, k)."""
 
 
 def _by_size(candidates: Sequence[Sequence[int]], spectra: IntArray) -> list[_Group]:

@@ -34,9 +34,9 @@ from .runs import DRIVERS, LONGEST_GAP_S, BoundedRun, Origin, Run, further_colum
 from .search import AxisSearch, gain_bar
 from .verdict import CLEAN_RESIDUAL
 
+# The first search has forty means of 30 s, the least that a diagnosis needs; the next ones follow at even
+# distances, so that nothing stays unnoticed for longer.
 FIRST_SEARCH_S, SEARCH_EVERY_S = 1200.0, 600.0
-"""The first search has forty means of 30 s, the least that a diagnosis needs; the next ones follow at even
-distances, so that nothing stays unnoticed for longer."""
 DECISIVE = 8.0
 """Logarithm of the likelihood ratio (half a gain in BIC) by which a model wins: 1 in 3000 by chance."""
 LASTING = [name for name, kind in EFFECTS.items() if kind.scope not in ("run", "event")]
@@ -57,9 +57,8 @@ class Better(NamedTuple):
 def better_models(run: Run, model: BiasModel, channels: Sequence[str]) -> list[Better]:
     """Return a better model of each channel that lacks an effect.
 
-    The search of the diagnosis, which begins with the present model, as it is and fitted anew.  At most one
-    effect of each channel is named, where the gain over the present model, of all channels that lack one,
-    pays for the choice of effect, channels and curve (extended BIC).
+    It is searched from the present model.  At most one effect of each channel is named, where the gain over
+    that model, of all channels that lack one, pays for choosing effect, channels and curve (extended BIC).
     """
     temperatures = {name: prepare.temperature_of(name, model, [run]) for name in channels}
     used = list(dict.fromkeys(temperatures.values()))
@@ -73,27 +72,29 @@ def better_models(run: Run, model: BiasModel, channels: Sequence[str]) -> list[B
     data = Prepared([blocks], temperatures, degree, model=model)
     searched = search_sensor(data, channels, LASTING, stages=1)
     found = likeliest(searched, live=True)
-    of_poses = [axes[0].channel.offset_per == "pose" for axes in searched]
-    if found[0].channel.offset_per == "pose" and not all(of_poses):
+    bases = {axes[0].channel.offset_per for axes in searched}
+    if found[0].channel.offset_per == "pose" and len(bases) > 1:
         return []  # it may be the earth rate: `imumon diagnose` has more sessions to decide
-    lacking = [axis for axis in found if any(not finding.of_present_model for finding in axis.findings)]
-    present = [AxisSearch(one.channel.with_model_fixed(), one.survey, one.likelihood, []) for one in lacking]
-    gain = sum(axis.criterion(axis.model) for axis in lacking) - sum(axis.criterion([]) for axis in present)
+    improved = [axis for axis in found if any(not finding.of_present_model for finding in axis.findings)]
+    # Not searched, but for their S: the present model as it is.
+    present = [AxisSearch(one.channel.with_model_fixed(), one.survey, one.likelihood, []) for one in improved]
+    gain = sum(axis.criterion(axis.model) for axis in improved) - sum(axis.criterion([]) for axis in present)
+    # With a curve it was chosen among two bases as well: the present curve and that fitted anew.
     if not gain > gain_bar(len(LASTING) * (2 if degree else 1), len(channels)):
         return []
-    better = {axis: _better(axis, gain, model) for axis in lacking}
+    better = {axis: _better(axis, gain, model) for axis in improved}
     # What a model leaves hardly above the white noise is too small to matter.
     return [new for axis, new in better.items() if new.before >= CLEAN_RESIDUAL * axis.channel.floor.sd]
 
 
 def _better(found: AxisSearch, gain: float, model: BiasModel) -> Better:
-    channel, lacking = found.channel, next(one for one in found.findings if not one.of_present_model)
-    present, before = model.channels[channel.name], fit(channel.with_model_fixed(), [])
-    fitted = fit(channel, found.model)
+    channel, present = found.channel, model.channels[found.channel.name]
+    added = next(one for one in found.findings if not one.of_present_model)
+    before, fitted = fit(channel.with_model_fixed(), []), fit(channel, found.model)
     # What is left holds the white noise of the means as well: the model's own error is no larger.
     lasting = without_unknown_constant(fitted, channel.name, model)
     better = refitted(present, channel, lasting, min(present.residual_sd, fitted.train_rms))
-    return Better(channel.name, lacking.names, gain, before.train_rms, fitted.train_rms, better)
+    return Better(channel.name, added.names, gain, before.train_rms, fitted.train_rms, better)
 
 
 class Challenger(NamedTuple):
@@ -125,6 +126,7 @@ class Challenger(NamedTuple):
             if min(early.sum(), (~early).sum()) < LEAST_TEST_BLOCKS:
                 return None
             residuals = [blocks.mean[name] - blocks.mean[name][early].mean() for name in names]
+            # Without a column of an effect the temperature does not matter.
             likelihood = Likelihood(Training([blocks], "temperature"))
             ratio += sign * sum(likelihood.predictive(residual, early) for residual in residuals)
             squares.append(np.mean([residual[~early] ** 2 for residual in residuals]))
@@ -164,7 +166,7 @@ class LiveDiagnosis:
         self._run_so_far = BoundedRun(self._names)
         self._next_search_s = FIRST_SEARCH_S
         self._challenger: Challenger | None = None
-        self._lacking: list[Chart] = []
+        self._charts: list[Chart] = []
         self.state = ""
 
     def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
@@ -190,10 +192,7 @@ class LiveDiagnosis:
         self._waiting = []
 
     def _take(self, slots: KeptSlots) -> None:
-        """Take the seconds that have ended, and search wherever that is due.
-
-        A new segment is a new run, and what comes after a long gap.
-        """
+        """Take the seconds that have ended, and search where due; a segment or a long gap begins a run."""
         for second in (slots[at : at + 1] for at in range(len(slots))):
             gap_ns = int(second.start_ns[0]) - self._last_ns
             self._last_ns = int(second.end_ns[0])
@@ -229,7 +228,7 @@ class LiveDiagnosis:
             return
         found = better_models(run, self._model, self._gyros)
         if not found:
-            self.state, self._lacking = "", []
+            self.state, self._charts = "", []
             return
         worst = max(found, key=lambda better: better.before)
         before, after = worst.before / DEG_PER_H, max(better.after for better in found) / DEG_PER_H
@@ -244,7 +243,7 @@ class LiveDiagnosis:
             what,
         )
         challenger, beside = Challenger(self._model, found, elapsed_s), self._challenger
-        self._lacking = _charts(run, self._model, challenger.model, worst)
+        self._charts = _charts(run, self._model, challenger.model, worst)
         # At twice the age at which it was found, the last model that was found takes a challenger's place.
         if self._learn and (not beside or elapsed_s >= 2.0 * beside.since_s):
             self._challenger = challenger
@@ -271,7 +270,7 @@ class LiveDiagnosis:
 
     def charts(self) -> Sequence[Chart]:
         """Return what the model leaves of the worst axis, with the effect that is missing."""
-        return self._lacking
+        return self._charts
 
 
 def _charts(run: Run, present: BiasModel, better: BiasModel, worst: Better) -> list[Chart]:

@@ -38,10 +38,7 @@ OVER_TIME, OVER_DEGC = "time since power-on, h", "temperature, °C"
 def environment(package: str = "imumon.lab.diagnosis") -> Environment:
     """Return what fills in the pages of a package: whatever comes from outside is text, not markup."""
     found = Environment(
-        loader=PackageLoader(package, "."),
-        autoescape=True,
-        undefined=StrictUndefined,
-        finalize=for_html,
+        loader=PackageLoader(package, "."), autoescape=True, undefined=StrictUndefined, finalize=for_html
     )
     found.filters["number"] = _number
     found.globals.update(errors=_errors, curve=_curve, shown=shown, unit_of=unit_of)
@@ -87,7 +84,7 @@ def _errors(verdict: ChannelVerdict) -> tuple[float, float]:
 
 def error_text(verdict: ChannelVerdict) -> str:
     """Return the error of the test, before and after where something is claimed; empty without a test."""
-    (factor, unit), (before, after) = shown(verdict.channel.unit), _errors(verdict)
+    (factor, unit), (before, after) = shown(unit_of(verdict.name)), _errors(verdict)
     becomes = f" → {_number(after, factor)}" if verdict.claims else ""
     return f"{_number(before, factor)}{becomes} {unit}" if np.isfinite(before) else ""
 
@@ -116,8 +113,8 @@ def _number(value: float | None, scale: float = 1.0, digits: int = 3) -> str:
 
 
 def _figures(diagnosis: Diagnosis, verdict: ChannelVerdict) -> dict[str, str]:
-    runs, column = diagnosis.train, verdict.channel.training.temperature_name
-    scale, unit = shown(verdict.channel.unit)
+    runs = diagnosis.train
+    scale, unit = shown(unit_of(verdict.name))
     split = verdict.channel.training.split
     before, after = (split(model.residual * scale) for model in (verdict.before, verdict.after))
 
@@ -129,7 +126,8 @@ def _figures(diagnosis: Diagnosis, verdict: ChannelVerdict) -> dict[str, str]:
                 axes.plot(over[at], before[at] - after[at], "-", lw=1, color=colour)
         axes.set(xlabel=label, ylabel=f"left of {verdict.name}, {unit}")
 
-    hours, degc = [run.time_s / HOUR_S for run in runs], [run.temperature[column] for run in runs]
+    hours = [run.time_s / HOUR_S for run in runs]
+    degc = [run.temperature[verdict.channel.training.temperature_name] for run in runs]
     return {
         "Training over time: what the declared model leaves (dots), and the effects (line)": svg(
             lambda axes: draw(axes, hours, OVER_TIME)
@@ -139,7 +137,7 @@ def _figures(diagnosis: Diagnosis, verdict: ChannelVerdict) -> dict[str, str]:
 
 
 def _draw_errors(axes: Axes, diagnosis: Diagnosis, verdict: ChannelVerdict) -> None:
-    scale, unit = shown(verdict.channel.unit)
+    scale, unit = shown(unit_of(verdict.name))
     if diagnosis.test:
         what, runs, score = "test", diagnosis.test, verdict.test_after
         before, counts = verdict.test_before.predicted_residual, np.concatenate(score.counts)
@@ -161,8 +159,7 @@ def _draw_errors(axes: Axes, diagnosis: Diagnosis, verdict: ChannelVerdict) -> N
 
 
 class Compared(NamedTuple):
-    """What each of two models leaves of a channel in a run, as block means at rest, and the temperature that
-    its curve is over."""
+    """Block means of what each of two models leaves of a channel, and the temperature of its curve."""
 
     run: str
     channel: str

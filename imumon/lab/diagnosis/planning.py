@@ -35,19 +35,19 @@ from .search import NEAR_GAIN, NEAR_SHARE, PROVEN_GAIN, AxisSearch, Progress
 
 MARGIN = 1.4
 """The evidence that is planned for over what is needed: what is reached scatters."""
+# Units on which a profile is tried, and others on which the evidence of the chosen one is stated.
 TRIALS, PROOFS = 2, 3
-"""Units on which a profile is tried, and others on which the evidence of the chosen one is stated."""
 TIME_UP_S = 150.0
 """s after which no further profile is tried for a question; the last one takes up to half a minute more."""
 LONG_S = 1e5
 """Correlation time of a process that stands for a random walk of an accelerometer."""
 SCALES = {"gyro": (np.pi / 180.0, DEG_PER_H), "accel": (1e3 * MICRO_G, MICRO_G)}
 """Units of a bias and of an effect in a unit file, in SI: °/s and °/h, mg and µg."""
+# Of what is tried: least length, soaks at both ends, repetitions, and times at one temperature.
 SHORTEST_S = 1800.0
 SOAKS_S = (300.0, 1800.0)
 REPEATS = (1, 2, 4, 8)
 HELD_S = (3600.0, 7200.0, 14400.0, 28800.0)
-"""Of what is tried: least length, soaks at both ends, repetitions, and times at one temperature."""
 POSES = (*({"roll_deg": 90.0},) * 3, {"roll_deg": 90.0, "pitch_deg": 90.0}, {"pitch_deg": -180.0})
 """Turns from level to each side, upside down, and to both ends."""
 
@@ -188,8 +188,7 @@ def open_questions(report: Report) -> list[Question]:
 def plan(report: Report, question: Question, most_s: float, progress: Progress = lambda _: None) -> Plan:
     """Return the shortest experiment that answers a question, with the evidence to expect of it.
 
-    A shape is repeated only where that can decide, as evidence grows no faster than time, and none is
-    tried after `TIME_UP_S`.
+    A shape is repeated only where that can decide, as evidence grows no faster than time.
     """
     effects = [effect for answer in question.answers for effect in answer.effects]
     inputs = {name for effect in effects for name in effect.inputs}
@@ -297,8 +296,10 @@ def scenario(report: Report, channel: str, profile: Profile, answer: Answer) -> 
         "at_degc": 0.5 * (low + high),
         "width_degc": max(0.5 * (high - low), 1e-3),
     }
-    scaled = [one.with_coefficients(np.array(one.coefficients) / of_effect) for one in answer.effects]
-    effects = [effect.model_dump() for effect in scaled]
+    effects = [
+        effect.with_coefficients(np.array(effect.coefficients) / of_effect).model_dump()
+        for effect in answer.effects
+    ]
     in_pose_s = profile.duration_s / (len(POSES) + 1)
     turns = [
         Turn(kind="turn", at_s=number * in_pose_s, duration_s=10.0, **pose)
@@ -323,10 +324,10 @@ def scenario(report: Report, channel: str, profile: Profile, answer: Answer) -> 
 
 def _noise(report: Report, name: str) -> dict[str, Any]:
     """Return white noise, flicker and walk of a channel, for all three axes, as a unit file has them."""
-    channel, slow = report.channels[name], report.channels[name].slow_noise
+    channel = report.channels[name]
     density = channel.noise_floor_rms * math.sqrt(report.block_s)
-    each = slow.get("flicker_rms", 0.0) / math.sqrt(len(TAUS_S))  # all have the same variance
-    walk = slow.get("random_walk_per_sqrt_s", 0.0)
+    each = channel.slow_noise.get("flicker_rms", 0.0) / math.sqrt(len(TAUS_S))  # all have the same variance
+    walk = channel.slow_noise.get("random_walk_per_sqrt_s", 0.0)
     if name.startswith("gyro"):
         return {
             "arw_deg_per_sqrt_h": np.degrees(density) * 60.0,
@@ -350,9 +351,10 @@ def write_plan(report: Report, number: int, planned: Plan, folder: Path) -> list
     rows = [f"{t:.0f},{degc:.2f}\n" for t, degc in zip(times, degrees, strict=True)]
     files = {f"{number}-chamber.csv": "".join(["time_s,temperature_degc\n", *rows])}
     for answer in planned.question.answers:
-        experiment = scenario(report, planned.question.channel, profile, answer)
         name = "".join(letter if letter.isalnum() else "-" for letter in answer.name).strip("-")
-        data = experiment.model_dump(mode="json", exclude_unset=True)
+        data = scenario(report, planned.question.channel, profile, answer).model_dump(
+            mode="json", exclude_unset=True
+        )
         files[f"{number}-{name}.yaml"] = yaml.safe_dump(data, sort_keys=False, allow_unicode=True)
     for name, text in files.items():
         write_text(folder / name, text)

@@ -31,10 +31,9 @@ CUBIC_DEGREE = 3
 
 
 def usable_channels(train: Runs, test: Runs, sensors: Names, remarks: list[str]) -> list[str]:
-    """Return the channels that vary and that every training run has in 60 % of its slots: blocks are of slots
-    with all channels.
+    """Return the channels that vary and that every training run has in 60 % of its slots (assumed).
 
-    The clock of the device beside others only where all runs have it.
+    Blocks are of slots with all of them.  The clock of the device beside others only where all runs have it.
 
     Raises BAD_CONFIG for a sensor that is not known and no column, BAD_DATA when there is no channel.
     """
@@ -46,8 +45,8 @@ def usable_channels(train: Runs, test: Runs, sensors: Names, remarks: list[str])
             f"there are {', '.join(columns)}",
         )
     for name in channels_of(sensors, columns):
-        if lacking := [run.name for run in train if _share_with(run, name) <= 0.6]:
-            remarks.append(f"{name} is left out: {', '.join(lacking)} hardly has it")
+        if without := [run.name for run in train if _share_with(run, name) <= 0.6]:
+            remarks.append(f"{name} is left out: {', '.join(without)} hardly has it")
             continue
         ends = [(np.nanmin(run.mean[name]), np.nanmax(run.mean[name])) for run in train]
         # A change by less is rounding in the computation of its means.
@@ -96,9 +95,9 @@ def usable_drivers(
             f"no effect of the column {TEMPERATURE} is looked for: in a model that name means each channel's"
             " own thermometer; a map may give another"
         )
-    if lacking := [name for name in wanted or () if name not in possible]:
+    if unknown := [name for name in wanted or () if name not in possible]:
         raise bad_config(
-            f"--drivers: {', '.join(lacking)} is not in the training data, or drives nothing",
+            f"--drivers: {', '.join(unknown)} is not in the training data, or drives nothing",
             f"there are {', '.join(possible) or 'none'}; a map names others with other: {{NAME: ...}}",
         )
     needed = [name for effect in present for name in effect.inputs if name != ACCEL_DRIVER]
@@ -212,7 +211,8 @@ def without_standstill(run: Run, channels: Names, remarks: list[str]) -> Run:
         share = still.sum() / np.isfinite(mean[name]).sum()
         samples = run.samples.get(name)
         # Where the digits are not known, a sensor is hardly stuck for most of the time.
-        if samples.step > samples.scatter if samples else share > 0.5:
+        coarse = samples.step > samples.scatter if samples else share > 0.5
+        if coarse:
             remarks.append(f"{run.name}: {name} does not change in {share:.0%} of its time: too few digits")
             continue
         still_s = still.sum() * run.slot_s
@@ -237,7 +237,6 @@ def faults(runs: Runs, channel: str, floor: float) -> dict[str, float]:
             # + 0.0: of a zero without a minus.
             share = f"{samples.atom_share:.1%} of the samples are {samples.atom + 0.0:.4g} {unit_of(channel)}"
             frequent[f"frequent value, as of a dead-band, saturation or dropouts: {share}"] = np.inf
-    # The worst of each kind.
     return dict(max(kind.items(), key=lambda item: item[1]) for kind in (quantized, frequent) if kind)
 
 
@@ -258,8 +257,8 @@ def usable_blocks(
     found = []
     earlier = len(remarks)
     for run in runs:
-        if lacking := [name for name in (*channels, *temperatures) if not _has(run, name)]:
-            why = f"it lacks {', '.join(lacking)}"
+        if missing := [name for name in (*channels, *temperatures) if not _has(run, name)]:
+            why = f"it lacks {', '.join(missing)}"
         elif run.rest_share < MOSTLY:
             why = f"the unit moves: at rest for {run.rest_share:.0%} of its {run.duration_s / 60:.0f} min"
         else:

@@ -19,6 +19,7 @@ from .diagnose import Diagnosis
 from .extended import with_model
 from .fit import Fit, FittedPart, fit, score_test
 from .likelihood import WALK_S
+from .runs import unit_of
 from .verdict import ChannelVerdict, Claim, explained_share
 
 Content = dict[str, Any]
@@ -65,14 +66,13 @@ def _channel(verdict: ChannelVerdict) -> Content:
     channel, before, after = verdict.channel, verdict.test_before, verdict.test_after
     sets = [claim.finding.names for claim in verdict.claims if claim.finding.alternatives]
     train_before, train_after = verdict.before.train_rms, verdict.after.train_rms
-    explained = explained_share(train_before, train_after, channel.total_floor)
     apart = [(first, other) for first, *others in sets for other in others]
     ranked = sorted(verdict.search.tables[0].values(), key=lambda scored: -scored.gain)[:6]
     steps = [("what was assumed", verdict.before, np.nan)]
     steps += [(done, fit(channel, model), gain) for done, model, gain in verdict.search.history]
     return {
         "verdict": verdict.row.state,
-        "unit": channel.unit,
+        "unit": unit_of(channel.name),
         "noise_floor_rms": channel.floor.sd,
         "noise_floor_from": channel.floor.source,
         "slow_noise": _slow_noise(verdict),
@@ -80,7 +80,9 @@ def _channel(verdict: ChannelVerdict) -> Content:
         "after": {"train_rms": train_after, "test_rms": after.rms, "test_rms_tracked": after.estimated_rms},
         "coverage": after.coverage,
         "scored": after.scored_share,
-        "explained_share": explained if verdict.claims else 0.0,
+        "explained_share": (
+            explained_share(train_before, train_after, channel.total_floor) if verdict.claims else 0.0
+        ),
         "curve": {
             "coefficients": verdict.after.declared.tolist(),
             "sigma": np.sqrt(np.diag(verdict.declared_covariance)).tolist(),
@@ -131,17 +133,17 @@ def _slow_noise(verdict: ChannelVerdict) -> dict[str, float]:
 
 
 def _effect(verdict: ChannelVerdict, claim: Claim) -> Content:
-    finding, before = claim.finding, _alone(verdict).train_rms
+    finding = claim.finding
     alone = _left(verdict, _alone(verdict, finding.candidate))
-    after = alone["train_rms"]
-    sigma = [
-        {**part.nonlinear, "coefficients": rows if len(rows := part.coefficients.tolist()) > 1 else rows[0]}
-        for part in claim.sigmas
-    ]
+    before, after = _alone(verdict).train_rms, alone["train_rms"]
     return {
         "name": finding.name,
         "parameters": _parameters(claim.parts),
-        "sigma": sigma,
+        "sigma": [
+            part.nonlinear
+            | {"coefficients": rows if len(rows := part.coefficients.tolist()) > 1 else rows[0]}
+            for part in claim.sigmas
+        ],
         "carried_over": any(part.carries_over for part in claim.parts),
         "evidence": {
             "proven_by": "test" if finding.by_test else "training",

@@ -197,8 +197,8 @@ def _run(means: Reduced, rest: FloatArray, rows: IntArray, name: str) -> Run:
         variance[CLOCK] = np.full(n, np.nan)  # the samples of a slot are delays, no rates
     if variance.keys() >= set(ACCEL):
         scatter = np.sum([variance[axis] for axis in ACCEL], axis=0)
-        if np.isfinite(scatter).mean() > 0.5:
-            mean[VIBRATION] = scatter
+        if np.isfinite(scatter).mean() > 0.5:  # in most seconds (assumed)
+            mean[VIBRATION] = scatter  # (m/s²)²
     return Run(
         name=name,
         time_s=(np.arange(n, dtype=np.float64) + 0.5) * means.slot_s,
@@ -270,10 +270,11 @@ def _samples(values: FloatArray, steps: FloatArray) -> Samples:
     rounded = digits(values) if step > 0.0 else None
     found = Samples(step, scatter, rounded.ratio if rounded else np.inf)
     most = np.argmax(count)
-    beside = max([*count[max(most - 1, 0) : most], *count[most + 1 : most + 2], 1.0])
+    padded = np.pad(count, 1)
+    beside = max(padded[most], padded[most + 2], 1.0)
     share = count[most] / max(count.sum(), 1.0)
     coarse = step > 0.0 and not step < moved_scatter  # true of NaN, too
-    # A percent of all samples, and ten times more than its neighbours have, are not by chance.
+    # A percent of all samples, and ten times more than its neighbours have, are not by chance (assumed).
     if coarse or len(distinct) < 3 or share < 0.01 or count[most] < 10.0 * beside:
         return found
     return found._replace(atom=distinct[most], atom_share=share)
@@ -289,7 +290,7 @@ class BoundedRun:
         self._names = [*names, VIBRATION]
         self._gyros = [at for at, name in enumerate(names) if name in GYRO]
         self._accel = [at for at, name in enumerate(names) if name in ACCEL]
-        # Samples, and their sum; of the vibration seconds, as its scatter is that within a second.
+        # [:, 0] number of samples, [:, 1] their sum; of vibration, a value a second, those of the seconds.
         self._sums = np.zeros((MOST_SLOTS, 2, len(self._names)))
         self._width, self._last, self._begun_ns = 1, -1, 0
 

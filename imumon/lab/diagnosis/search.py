@@ -1,7 +1,8 @@
 """Search for the effects that each axis of a sensor lacks: forward over all axes at once, then backward.
 
 The package docstring has the search in five steps, and the equations (3) to (5).  `search` runs the stages;
-`AxisSearch.tabulate` is step 1, `select` 2, `AxisSearch.add` 3, `_add_families` 4, `AxisSearch.eliminate` 5.
+`AxisSearch.tabulate` is step 1, `select` 2, `AxisSearch.add` 3, `_add_families` 4, `AxisSearch.eliminate` 5
+after the last stage, and `AxisSearch.fix_unproven` 5 before the first.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -19,23 +20,22 @@ from .likelihood import Likelihood, Noise, noise_no_larger
 
 PROVEN_GAIN = 8.0
 """Gain above which an effect is proven: e^-4 by chance."""
+# Families are not separated whose gains differ by less than `NEAR_GAIN`, or than this share of the best: no
+# column has exactly the shape of the physics, and for a large effect this misfit exceeds the noise.  Assumed.
 NEAR_GAIN = 10.0
 NEAR_SHARE = 0.15
-"""Families are not separated whose gains differ by less than `NEAR_GAIN`, or than this share of the best: no
-column has exactly the shape of the physics, and for a large effect this misfit exceeds the noise."""
 MOST_NAMES = 3
 """Families that are named in a set of those not separated."""
 STAGES = 5
 """Effects that are added to a channel, at most."""
+# Least rms that a further effect has to take away, over that of each effect before it; and a second jump in
+# a run, to count as one: the jumps of a telegraph noise are of one size.
 SECOND_SHARE = 0.2
 JUMP_SHARE = 0.5
-"""Least rms that a further effect has to take away, over that of each effect before it; and a second jump in
-a run, to count as one: the jumps of a telegraph noise are of one size."""
 REFINEMENTS = 4
 """Levels of the pattern search; steps are 0.35 of those of the level before."""
 
-Progress = Callable[[str], None]
-"""Takes a text: what is done next."""
+Progress = Callable[[str], None]  # takes a text: what is done next
 GAIN = attrgetter("gain")  # key to sort by
 
 
@@ -44,8 +44,7 @@ def search(
 ) -> "list[AxisSearch]":
     """Find what the axes of one sensor, over the same training runs, lack of these kinds of effects.
 
-    A present model's effects that are fitted anew are the first findings; those that these runs do not show
-    stay as they are.  At most `stages` effects are added to an axis.
+    At most `stages` effects are added to an axis.
     """
     tried = candidates(survey, kinds)
     # One for each training: where thermometers differ, channels have several.
@@ -55,7 +54,7 @@ def search(
     n_families = len({candidate.family for candidate in tried if not candidate.choice_price})
     bar = gain_bar(n_families, len(axes)) if len(axes) > 1 else PROVEN_GAIN
     for axis in axes:
-        axis.eliminate()
+        axis.fix_unproven()
     for stage in range(stages):
         active = [axis for axis in axes if not axis.finished]
         if not active:
@@ -168,7 +167,8 @@ class AxisSearch:
         self.refused: list[dict[str, Any]] = []  # what was not added or was dropped, as in report.json
         # Whether a run has several events, as two jumps, which no effect explains; whether nothing is added.
         self.repeated_event = self.finished = False
-        self._maxima: dict[tuple[int, ...], tuple[Channel, Sequence[Candidate], float, Noise]] = {}
+        # By id of the channel and candidates: these, so that no others can have their ids, and the maximum.
+        self._maxima: dict[tuple[int, ...], tuple[object, tuple[float, Noise]]] = {}
 
     @property
     def model(self) -> list[Candidate]:
@@ -182,11 +182,11 @@ class AxisSearch:
 
     def maximum(self, model: Sequence[Candidate]) -> tuple[float, Noise]:
         """Return loglik (2) of a model at its maximum, and the noise there."""
-        key = (id(self.channel), *map(id, model))  # both are kept, so that no other has their id
+        key = (id(self.channel), *map(id, model))
         if key not in self._maxima:
             found = self.likelihood.maximum(self.channel.y, self.channel.design(model))
-            self._maxima[key] = self.channel, model, *found
-        return self._maxima[key][2:]
+            self._maxima[key] = (self.channel, model), found
+        return self._maxima[key][1]
 
     def criterion(self, model: Sequence[Candidate]) -> float:
         """Return S (3) of a model."""
@@ -203,8 +203,8 @@ class AxisSearch:
             return []
         price = self.likelihood.price
         terms = [self.channel.training.terms(candidate) for candidate in tried]
-        complete = [[*of_effect, *of_start] for of_effect, of_start in terms]
-        starts = list(dict.fromkeys(tuple(of_start) for _, of_start in terms if of_start))
+        complete = [[*effect_terms, *start_terms] for effect_terms, start_terms in terms]
+        starts = list(dict.fromkeys(tuple(start_terms) for _, start_terms in terms if start_terms))
         before, noise = self.maximum(model)
         # Both in one scan, which whitens each column once.
         after = self.likelihood.scan(
@@ -213,12 +213,13 @@ class AxisSearch:
         ratios = (2.0 * (after - before)).tolist()
         ratio_of_start = dict(zip(starts, ratios[len(tried) :], strict=True))
         found = []
-        for candidate, (of_effect, of_start), ratio in zip(tried, terms, ratios[: len(tried)], strict=True):
-            linear_gain = ratio - (len(of_effect) + len(of_start)) * price
+        # Behind the ratios of what is tried come those of the starts alone.
+        for candidate, (effect_terms, start_terms), ratio in zip(tried, terms, ratios, strict=False):
+            linear_gain = ratio - (len(effect_terms) + len(start_terms)) * price
             gain = linear_gain - candidate.n_nonlinear * price - candidate.choice_price
-            if of_start:
-                beside_start = ratio - max(0.0, ratio_of_start[tuple(of_start)])
-                gain = min(gain, beside_start - len(of_effect) * price)
+            if start_terms:
+                beside_start = ratio - max(0.0, ratio_of_start[tuple(start_terms)])
+                gain = min(gain, beside_start - len(effect_terms) * price)
             found.append(Scored(candidate, gain, linear_gain))
         return found
 
@@ -342,25 +343,29 @@ class AxisSearch:
     def _others(self, finding: Finding) -> list[Candidate]:
         return [other.candidate for other in self.findings if other is not finding]
 
-    def eliminate(self) -> None:
-        """Drop what others, or a refused partner, make needless; refine what is left, each beside the others.
+    def fix_unproven(self) -> None:
+        """Before the first stage, leave as they are the effects of the present model that these runs do not
+        prove, and refine the others: so far all findings are of that model."""
+        for finding in [*self.findings]:
+            if self.criterion(self.model) - self.criterion(self._others(finding)) <= PROVEN_GAIN:
+                self.findings.remove(finding)
+                fixed = *self.channel.fixed_effects, finding.candidate.parts[0].effect
+                self.channel = replace(self.channel, fixed_effects=fixed)
+        self._refine_each(exchange=False)
 
-        An effect of the present model that these runs do not show, before anything is added, stays as it is.
+    def eliminate(self) -> None:
+        """After the last stage, drop what others, or a refused partner, make needless; refine the rest.
+
         A finding gives way to an alternative where that is likelier beside what was found later.
         """
-        findings = list(self.findings)
+        findings = [*self.findings]
         for finding in findings:
             # An only one was proven by the sum over the axes, unless it is the model's or needed a partner.
             if len(self.findings) == 1 and not (finding.of_present_model or finding.partner):
                 continue
             gain = self.criterion(self.model) - self.criterion(self._others(finding))
-            if gain > PROVEN_GAIN:
-                continue
-            self.findings.remove(finding)
-            if finding.of_present_model and not self.tables:  # nothing was added so far
-                (part,) = finding.candidate.parts
-                self.channel = replace(self.channel, fixed_effects=(*self.channel.fixed_effects, part.effect))
-            else:
+            if gain <= PROVEN_GAIN:
+                self.findings.remove(finding)
                 self.refuse(finding.name, gain, [self.channel.name], "dropped, needless beside the rest")
         if len(findings) == 1 and not findings[0].of_present_model:
             return  # it was refined when it was added, with nothing beside it, as now

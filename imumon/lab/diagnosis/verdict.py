@@ -14,14 +14,7 @@ What is claimed (`_claimable`):
    over (predicts the test) and leaves 1.8 f of it: of single effects, that is claimed which leaves least of
    it, if it takes away 8 w, has 0.6 of the excess over w, not f, and leaves less than half of what 3 leaves.
 
-The rows, in their order; what is left is by the model with the claims, if any::
-
-    faulty            one value of the samples is far too frequent (saturation, dead band, dropouts)
-    named             3 or 4 claims an effect; more may be unexplained, of training as below or of the test
-    unexplained       1.8 f or more are left of training, or a run has two jumps
-    too few digits    rounding may make w or more, and no test shows that 1.3 f or more are left
-    nothing missing   less than 1.3 w is left of the test
-    not proven        none of these: what is left is small, or only the test has it
+Predicates of `VERDICTS` are properties of `ChannelVerdict`; what is left is by the model with the claims.
 """
 
 from collections.abc import Sequence
@@ -45,6 +38,9 @@ CLEAN_RESIDUAL = 1.3
 LEAST_EXPLAINED = 0.6
 """Explained share (10) from which on effects are named, in training and in the test.  With it nothing is
 named in 99 channels of causes that are no effect; on a chamber record true effects have 0.67 to 0.99."""
+# The same of training and test together, whatever is left: true effects of half a floor have 0.28 or more;
+# what a thermometer in steps of 1 °C makes of a steep curve mostly has less.
+LEAST_OF_ALL = 0.25
 
 
 class Row(NamedTuple):
@@ -61,7 +57,7 @@ VERDICTS = (
     Row("unexplained", "unexplained", "unexplained"),
     Row("hidden", "too few digits", "too few digits to tell"),
     Row("clean", "nothing missing", "nothing is missing"),
-    Row("", "not proven", "nothing is proven"),
+    Row("", "not proven", "nothing is proven"),  # what is left is small, or only the test has it
 )
 BESIDE_CLAIMS = {
     "not_told_apart": ", not told apart",
@@ -104,8 +100,7 @@ class ChannelVerdict:
     # or the constants of the test make the prediction worse with it.
     predicts: bool
     refit: list[str]  # what was fitted anew of the present model, its curve first; empty where it stays
-    # Of the declared coefficients of `after`, (degree + 1, degree + 1); by the blocks of the search, as the
-    # sigmas of the claims, for its likelihood has the noise.
+    # Of the declared coefficients, (degree + 1, degree + 1), as fitted in the blocks of the search.
     declared_covariance: FloatArray
 
     @property
@@ -145,7 +140,7 @@ class ChannelVerdict:
         if self.unexplained or not channel.coarse or self.faulty:
             return False
         rms = test.smaller_rms if self.claims else test.rms
-        return not rms >= CLEAN_RESIDUAL * channel.total_floor
+        return not rms >= CLEAN_RESIDUAL * channel.total_floor  # true of NaN, too: without a test
 
     @property
     def clean(self) -> bool:
@@ -245,18 +240,20 @@ def decide(search: AxisSearch, channel: Channel) -> ChannelVerdict:
     claimed = _claimable(channel, search, baseline, left_out)
     _, after, test_before, test_after, remark = claimed
     # Jumps of the test itself may make the prediction worse, whatever else was found.
+    # Without a test its rms are NaN: nothing is worse, and `max` returns its first.
     predicts = (not after.parts or after.carries_over) and not test_after.rms > test_before.rms
     if not predicts and not (test_after.continues_training and test_after.rms < test_before.rms):
-        # Then only the declared model predicts, which is what the model file has.
+        # Then only the baseline predicts, which is what the model file has; the estimated rms stays.
         test_after = test_after._replace(
             rms=test_before.rms, predicted_residual=test_before.predicted_residual
         )
     residual_rms = max(after.train_rms, test_after.smaller_rms) if claimed.new else after.train_rms
     model = [finding.candidate for finding in claimed.findings]
+    # In the blocks of the search on purpose: its likelihood knows the noise.
     covariance, part_sigmas = sigmas(search.channel, search.survey, search.likelihood, model)
     parts = iter(after.parts[len(channel.fixed_effects) :])
-    of_findings = [list(islice(parts, len(candidate.parts))) for candidate in model]
-    claims = map(Claim, claimed.findings, of_findings, part_sigmas)
+    parts_of_each = [list(islice(parts, len(candidate.parts))) for candidate in model]
+    claims = map(Claim, claimed.findings, parts_of_each, part_sigmas)
     refit = ["curve"] if channel.degree else []
     refit += [finding.name for finding in claimed.findings if finding.of_present_model]
     return ChannelVerdict(
@@ -298,10 +295,10 @@ def _claimable(channel: Channel, search: AxisSearch, baseline: Fit, left_out: li
         trained = trained._replace(remark="there is more than one jump in a run")
     small = SMALL_RESIDUAL * channel.total_floor
     residual_rms = trained.test_after.smaller_rms if trained.new else np.inf
-    lacking = not trained.new or (trained.after.carries_over and residual_rms >= small)
-    if lacking and base.after.train_rms >= small and (proven := _proven_by_test(channel, search, base)):
+    still_open = not trained.new or (trained.after.carries_over and residual_rms >= small)
+    if still_open and base.after.train_rms >= small and (proven := _proven_by_test(channel, search, base)):
         by_test = hypothesis([*base.findings, proven])  # 4
-        # What training proves goes first unless it leaves twice as much of the test.
+        # What training proves goes first unless it leaves twice as much of the test (assumed).
         if 2.0 * by_test.test_after.rms < residual_rms:
             return by_test
     return trained
@@ -329,26 +326,33 @@ def _not_refuted(channel: Channel, findings: list[Finding], left_out: list[Any])
 def _refutation(channel: Channel, baseline: Fit, found: _Hypothesis) -> str:
     """Return what of training, or of the test, refutes a hypothesis; empty where nothing does.
 
-    What is estimated in the test, which takes away some of all slow noise, counts only where nothing is left,
-    and beside the training.
+    To estimate takes some of all slow noise away: it counts where nothing is left, and beside training only.
     """
     floor, white, score = channel.total_floor, channel.floor.sd, found.test_after
     if channel.test and not np.isfinite(score.rms):
         return "no block of the test can be scored with it"
-    train, test = (baseline.train_rms, found.after.train_rms), (found.test_before.rms, score.rms)
-    both = np.sqrt(np.nanmean(np.square([train, (test[0], score.smaller_rms)]), axis=0))
-    for what, (before, after), left, least in (
-        ("the training", train, train[1], LEAST_EXPLAINED),
-        ("the test", test, score.smaller_rms, LEAST_EXPLAINED),
-        # Of both, whatever is left: true effects of half a floor have 0.28 or more; what a thermometer in
-        # steps of 1 °C makes of a steep curve mostly has less.
-        ("all recordings", both, np.inf, 0.25),
-    ):
+
+    def too_little(what: str, before: float, after: float, least: float) -> str:
         share = explained_share(before, after, floor)
-        if left >= SMALL_RESIDUAL * floor and share < least:
-            floors = f"{before / white:.1f} white floors become {after / white:.1f}"
-            return f"it explains only {max(0.0, share):.0%} of {what}: {floors}"
-    return ""
+        return (
+            f"it explains only {max(0.0, share):.0%} of {what}:"
+            f" {before / white:.1f} white floors become {after / white:.1f}"
+            if share < least
+            else ""
+        )
+
+    train_before, train_after = baseline.train_rms, found.after.train_rms
+    why = too_little("the training", train_before, train_after, LEAST_EXPLAINED)
+    if why and train_after >= SMALL_RESIDUAL * floor:
+        return why
+    why = too_little("the test", found.test_before.rms, score.rms, LEAST_EXPLAINED)
+    if why and channel.test and score.smaller_rms >= SMALL_RESIDUAL * floor:
+        return why
+    # Whatever is left; without a test, whose rms is NaN, of the training alone.
+    both_before, both_after = np.sqrt(
+        np.nanmean(np.square([[train_before, found.test_before.rms], [train_after, score.smaller_rms]]), 1)
+    )
+    return too_little("all recordings", both_before, both_after, LEAST_OF_ALL)
 
 
 def _proven_by_test(channel: Channel, search: AxisSearch, base: _Hypothesis) -> Finding | None:
@@ -361,7 +365,6 @@ def _proven_by_test(channel: Channel, search: AxisSearch, base: _Hypothesis) -> 
     """
     if not channel.test or any(run.run.woven for run in channel.test):
         return None
-    present = search.present
     plain = [one for one in search.candidates if one.shared and len(one.parts) == 1 and not one.free_start]
     hits: list[tuple[float, Finding]] = []
     for leader in (scored for table in search.tables for scored in table.values()):
@@ -370,9 +373,9 @@ def _proven_by_test(channel: Channel, search: AxisSearch, base: _Hypothesis) -> 
         # The likelihood looks at what is fast; of a slow course least squares see more.
         of_family = [candidate for candidate in plain if candidate.family == leader.candidate.family]
         # There is one: what is late as a whole or has a free start is made of the plain ones of its family.
-        closest = min(of_family, key=lambda candidate: channel.residual_rms([*present, candidate]))
+        closest = min(of_family, key=lambda one: channel.residual_rms([*search.present, one]))
         for candidate in (leader.candidate, closest):
-            after = fit(channel, [*present, candidate])
+            after = fit(channel, [*search.present, candidate])
             without = score_test(channel, base.after, settled_as=after).rms
             with_it, floor = score_test(channel, after).rms, channel.floor.sd
             large = without**2 - with_it**2 >= (FLOORS_BY_TEST * floor) ** 2
