@@ -43,31 +43,32 @@ from imumon.estimation.rest.slots import Measurement
 from imumon.geodesy import STANDARD_GRAVITY
 
 STATES = 8
-WALK, FLICKER, SLOPE, SENSITIVITY = 0, slice(1, 4), 4, slice(5, 8)
+WALK, G1, FLICKER, SLOPE, SENSITIVITY = 0, 1, slice(1, 4), 4, slice(5, 8)
 TAUS_S = np.array([1.0, 30.0, 1000.0])  # of the flicker: from a second to the longest rest that matters
 FLOOR_OF_FLICKER = 0.664  # floor of the Allan deviation over B, sqrt(2 ln 2 / π) (IEEE 952)
 FLICKER_CORNERS_S = (100.0, 10.0, 1.0, 0.1)  # averaging times at which flicker overtakes white noise
-STRONG_FLICKER = 2.0  # prior of corner 1 s over others: before it shows, a gyro of 40 °/h was off by 8 sigmas
+STRONG_FLICKER = 2.0  # prior of corner 1 s over others: with 1, before it shows, B of 40 °/h was 8 sigmas off
 WALK_CORNER_S = 10.0  # averaging time at which a random walk overtakes white noise: both are equal at √3 σ/K
 SLOPE_PER_SIGMA = 3.6  # sd of the slope over σ, 1/°C: 60 °/h/°C for a gyro of 0.28 °/√h.  Assumed.
 SLOPE_LEFT_PER_SIGMA = 0.25  # the same, 1/°C, of the slope that a model's curve leaves.  Assumed.
 SLOPE_DEGC = 30.0  # difference of temperature over which a slope changes by as much as itself
 SENSITIVITY_SD = math.radians(0.06) / STANDARD_GRAVITY  # of m, rad/s per m/s², uncompensated.  Assumed.
+# Variance of the flicker of samples that is faster than g1, from 0.02 s on, over that of g1.  Assumed.
 FASTER = math.log(TAUS_S[0] / 0.02) / math.log(TAUS_S[2] / TAUS_S[1])
-"""Variance of the flicker of samples that is faster than g1, from 0.02 s on, over that of g1.  Assumed."""
 END_LESS_MEAN = 0.47  # Var(g1 after a second less its mean over it) / Var(g1): 1 + 2/e - 2 (1 - 1/e)
 LEAST_WHITE = 1e-15  # (rad/s)², of the mean of a second: 0.0065 °/h, less than any gyro has.  Assumed.
 MEMORY_S = 600.0  # time over which σ² is averaged, in measurements of about a second
 PRIOR_COUNT, DECLARED_COUNT = 3.0, 0.5 * MEMORY_S  # shape a of a σ² by a trial of 16 slots; of a declared one
 LEAST_WEIGHT = 1e-4  # least weight of a mode over the largest, so that the mode may come back
-UNKNOWN, TURN_ON = 1e8, math.radians(3.0)  # prior variance of w over σ², and its least sd, rad/s.  Assumed.
+UNKNOWN = 1e8  # variance over σ² of a w that may be any; its sd is `TURN_ON` at least.  Assumed.
+TURN_ON = math.radians(3.0)  # rad/s, sd of a bias that differs from one start to the next.  Assumed.
 
 
 @dataclass(frozen=True, eq=False)
 class States:
     """States of three axes, (3, ..., 8): those of all modes over σ², or of their mixture."""
 
-    process: FloatArray  # Q: of w per second, of each gi when it is in equilibrium, of s per °C, (3, ..., 8)
+    noise_scale: FloatArray  # K² of w, per s, σg² of each gi, q of s, per °C, and 0 of m, (3, ..., 8)
     mean: FloatArray  # x, (3, ..., 8)
     covariance: FloatArray  # P, (3, ..., 8, 8)
     time_s: float
@@ -78,22 +79,23 @@ class States:
         """Return F x and F P Fᵀ + Q at a later time, and temperature and sd, °C, (2, 3); NaN: no change."""
         dt, (degc, degc_sd) = time_s - self.time_s, degc_and_sd
         if dt <= 0.0:
-            return self  # with its temperature
+            return self
         held = np.where(np.isnan(self.held_degc), degc, self.held_degc)
         # What is within a sigma has not moved: else noise, which moves no bias, draws the slope to zero.
         held = np.fmin(np.fmax(held, degc - degc_sd), degc + degc_sd)
-        warming, keeps = _where_known(held - self.held_degc), np.exp(-dt / TAUS_S)
-        f, grows = np.zeros((3, STATES, STATES)), np.zeros((3, STATES))
+        axes = (3,) + (1,) * (self.mean.ndim - 2)  # alike in all modes
+        warming = _where_known(held - self.held_degc).reshape(axes)  # dT
+        keeps = np.exp(-dt / TAUS_S)
+        f, growth = np.zeros((*axes, STATES, STATES)), np.zeros((*axes, STATES))
         f[:] = np.eye(STATES)
-        f[:, FLICKER, FLICKER] *= keeps
-        f[:, WALK, SLOPE] = warming
-        grows[:, WALK], grows[:, FLICKER], grows[:, SLOPE] = dt, 1.0 - keeps**2, np.abs(warming)
-        modes = (1,) * (self.mean.ndim - 2)
-        f, grows = f.reshape(3, *modes, STATES, STATES), grows.reshape(3, *modes, STATES)
+        f[..., FLICKER, FLICKER] *= keeps
+        f[..., WALK, SLOPE] = warming
+        growth[..., WALK], growth[..., FLICKER], growth[..., SLOPE] = dt, 1.0 - keeps**2, np.abs(warming)
         covariance = f @ self.covariance @ f.swapaxes(-1, -2)
-        np.einsum("...ii->...i", covariance)[...] += self.process * grows  # Q, but for the walk of s
-        warming = warming.reshape(3, *modes)
-        walk = self.process[..., SLOPE] * np.abs(warming)
+        # Diagonal of Q: K² dt, σg² (1 - e^(-2 dt/τ)), q |dT|.
+        np.einsum("...ii->...i", covariance)[...] += self.noise_scale * growth
+        # Of w by the walk of s within the step: q |dT|³/3, and q dT |dT|/2 between both.
+        walk = self.noise_scale[..., SLOPE] * np.abs(warming)
         covariance[..., WALK, WALK] += walk * warming**2 / 3.0
         cross = walk * warming / 2.0
         covariance[..., WALK, SLOPE] += cross
@@ -103,7 +105,7 @@ class States:
 
 
 def _where_known(change: FloatArray) -> FloatArray:
-    """Return a change, zero where it is NaN; a tenth of the time of a slot less than by `nan_to_num`."""
+    """Return a change, zero where it is NaN; faster than `nan_to_num`, which was a tenth of a slot's time."""
     return np.where(np.isnan(change), 0.0, change)
 
 
@@ -136,7 +138,7 @@ class Prediction(States):
         return self.mean[:, SLOPE] ** 2 + self.covariance[:, SLOPE, SLOPE]
 
     def ahead_to(self, time_s: float, degc_and_sd: FloatArray) -> Self:
-        """As `at`, but w has all of dT, without the dead band; of its own result it would have it twice."""
+        """As `at`, but w has all of dT, without the dead band; of its own result dT would count twice."""
         (degc, sd), (degc_before, sd_before) = degc_and_sd, self.degc_and_sd
         then = self.at(time_s, degc_and_sd)
         left = _where_known(degc - degc_before - (then.held_degc - self.held_degc))
@@ -151,7 +153,7 @@ class Prediction(States):
         h = measurement_row(force)
         mean = self.mean @ h
         if of_mean:
-            h[FLICKER.start] = 0.0
+            h[G1] = 0.0
         return mean, np.maximum(self.covariance @ h @ h, 0.0)
 
     def innovation(self, now: Measurement) -> tuple[FloatArray, FloatArray]:
@@ -162,20 +164,20 @@ class Prediction(States):
     def output(self, added: FloatArray, force: FloatArray, turn: FloatArray) -> LinearBias:
         """Return the bias with `added` variance, (rad/s)², at the mean force of a slot, m/s², (3,) each."""
         covariance = TO_TERMS @ self.covariance @ TO_TERMS.T
-        covariance[:, 0, 0] += FASTER * self.process[:, FLICKER.start] + added
+        covariance[:, 0, 0] += FASTER * self.noise_scale[:, G1] + added
         return LinearBias(self.mean @ TO_TERMS.T, covariance, force, turn)
 
 
 def at_samples(
-    rows: IntArray, every: list[LinearBias], force: FloatArray, moving: BoolArray
+    rows: IntArray, biases: list[LinearBias], force: FloatArray, moving: BoolArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return bias t (1, f), variance (1, f) C (1, f) and turn hypothesis of samples, (n, 3) each.
 
-    `every` bias but the first holds from its row on, (m,).  f is the specific force of the sample, (n, 3); at
+    Each of `biases` but the first holds from its row on.  f is the specific force of the sample, (n, 3); at
     rest, where its noise is no change of pose, and without accelerometers, that of the slot.
     """
     which = np.searchsorted(rows, np.arange(len(moving)), side="right")
-    terms, covariance, of_slot, turn = (np.array(one) for one in zip(*every, strict=True))
+    terms, covariance, of_slot, turn = (np.array(one) for one in zip(*biases, strict=True))
     bias, variance = (one[which] for one in _at_force(terms, covariance, of_slot))
     moves = moving & np.isfinite(force).all(1)
     of_sample = which[moves]
@@ -203,11 +205,7 @@ class Bank(States):
 
     @classmethod
     def begin(
-        cls,
-        noise: Sequence[FloatArray | None],
-        slopes: Sequence[float],
-        white: FloatArray,
-        first: Measurement,
+        cls, noise: Sequence[FloatArray | None], slopes: Sequence[float], white: FloatArray, now: Measurement
     ) -> "Bank":
         """Return filters after the first measurement, before which nothing is known of the bias.
 
@@ -218,25 +216,26 @@ class Bank(States):
         count = PRIOR_COUNT
         if sigma is not None:
             white, count = np.maximum(sigma**2, LEAST_WHITE), DECLARED_COUNT
-        expected = count / (count - 1.0) * white  # E[σ²]
-        process, log_prior = _modes(b, k, slopes, expected)
-        variance = process.copy()
+        # `white` is β/a; after a trial E[σ²] is 1.5 times that, as few degrees of freedom leave it uncertain.
+        expected = count / (count - 1.0) * white
+        noise_scale, log_prior = _modes(b, k, slopes, expected)
+        variance = noise_scale.copy()
         variance[..., WALK] = 0.0  # it is set by `after`
         variance[..., SLOPE] *= SLOPE_DEGC
         variance[..., SENSITIVITY] = (SENSITIVITY_SD**2 / expected)[:, None, None]
         before = cls(
-            process=process,
+            noise_scale=noise_scale,
             mean=np.zeros_like(variance),
             covariance=variance[..., None] * np.eye(STATES),
-            time_s=first.end_s - first.covered_s,
-            held_degc=first.degc_and_sd[0],
-            degc_and_sd=first.degc_and_sd,
+            time_s=now.end_s - now.covered_s,
+            held_degc=now.degc_and_sd[0],
+            degc_and_sd=now.degc_and_sd,
             log_weight=log_prior,
             shape=count,
-            scale=np.tile(count * white[:, None], process.shape[1]),
+            scale=np.tile(count * white[:, None], noise_scale.shape[1]),
             declared=b is not None,
         )
-        return before.after(first, jumped=True)
+        return before.after(now, jumped=True)
 
     def fits(self, now: Measurement, sigmas: float) -> bool:
         """Return whether a mean is within so many sigmas of its prediction in each axis."""
@@ -253,9 +252,10 @@ class Bank(States):
             prior = prior.wider(np.maximum(UNKNOWN * self.white, TURN_ON**2))
         h = measurement_row(now.force)
         cross = (prior.covariance.reshape(-1, STATES) @ h).reshape(prior.mean.shape)  # P Hᵀ
-        spread = cross @ h + 1.0 / now.covered_s  # S = H P Hᵀ + R, over σ²
+        # S = H P Hᵀ + R, over σ².  Rounding is not in R: it is the same in each mean (`rounding_error`).
+        spread = cross @ h + 1.0 / now.covered_s
         innovation = now.rate[:, None] - prior.mean @ h
-        gain = cross / spread[..., None]  # K
+        gain = cross / spread[..., None]
         mean = prior.mean + gain * innovation[..., None]
         covariance = prior.covariance - gain[..., None] * cross[..., None, :]
         degc_and_sd = np.where(np.isfinite(now.degc_and_sd[0]), now.degc_and_sd, prior.degc_and_sd)
@@ -275,7 +275,7 @@ class Bank(States):
         bank = replace(self, log_weight=log_weight, shape=shape, scale=scale)
         if not self.declared:
             return bank
-        return replace(bank, process=self.process * (self.white / bank.white)[..., None])
+        return replace(bank, noise_scale=self.noise_scale * (self.white / bank.white)[..., None])
 
     @property
     def white(self) -> FloatArray:
@@ -287,17 +287,17 @@ class Bank(States):
         """Mean and covariance over all modes, in absolute units."""
         w = np.exp(self.log_weight)
         w = w / w.sum(1, keepdims=True)
-        white = w * self.white
+        weighted = w * self.white
         mean = (w[:, None] @ self.mean)[:, 0]
         off = self.mean - mean[:, None]
         flat = self.covariance.reshape(*w.shape, -1)
-        within = (white[:, None] @ flat).reshape(3, STATES, STATES)
+        within = (weighted[:, None] @ flat).reshape(3, STATES, STATES)
         covariance = within + (off * w[..., None]).transpose(0, 2, 1) @ off
-        process = (white[:, None] @ self.process)[:, 0]
+        noise_scale = (weighted[:, None] @ self.noise_scale)[:, 0]
         # g1 at the end of a second is not its mean over it, by which it was updated; that dies away with g1.
-        covariance[:, FLICKER.start, FLICKER.start] += END_LESS_MEAN * process[:, FLICKER.start]
-        known = self.time_s, self.held_degc, self.degc_and_sd
-        return Prediction(process, mean, covariance, *known, white.sum(1))
+        covariance[:, G1, G1] += END_LESS_MEAN * noise_scale[:, G1]
+        white = weighted.sum(1)
+        return Prediction(noise_scale, mean, covariance, self.time_s, self.held_degc, self.degc_and_sd, white)
 
     def wider(self, variance: FloatArray) -> "Bank":
         """Let the bias have changed by an unknown amount of this variance, (rad/s)², (3,) or (3, F)."""
@@ -320,7 +320,7 @@ class Bank(States):
 def _modes(
     b: FloatArray | None, k: FloatArray | None, slopes: Sequence[float], white: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return `States.process` over E[σ²], `white`, of each mode, (3, F, 8), and ln of the prior, (3, F)."""
+    """Return `noise_scale` over E[σ²], `white`, of each mode, (3, F, 8), and ln of the prior, (3, F)."""
     if b is None or k is None:
         corners = np.array(FLICKER_CORNERS_S)
         b = np.tile(np.append(1.0 / (FLOOR_OF_FLICKER * np.sqrt(corners)), 0.0), (3, 1))
@@ -329,9 +329,9 @@ def _modes(
     else:
         b, k = ((one / np.sqrt(white))[:, None] for one in (b, k))
         prior = np.ones(1)
-    process = np.zeros((*b.shape, len(slopes), STATES))
-    process[..., WALK] = k[..., None] ** 2
+    noise_scale = np.zeros((*b.shape, len(slopes), STATES))
+    noise_scale[..., WALK] = k[..., None] ** 2
     flicker_variance = b**2 * math.log(TAUS_S[2] / TAUS_S[1]) / math.pi
-    process[..., FLICKER] = flicker_variance[..., None, None]
-    process[..., SLOPE] = np.square(slopes) / SLOPE_DEGC
-    return process.reshape(3, -1, STATES), np.tile(np.log(np.repeat(prior, len(slopes))), (3, 1))
+    noise_scale[..., FLICKER] = flicker_variance[..., None, None]
+    noise_scale[..., SLOPE] = np.square(slopes) / SLOPE_DEGC
+    return noise_scale.reshape(3, -1, STATES), np.tile(np.log(np.repeat(prior, len(slopes))), (3, 1))

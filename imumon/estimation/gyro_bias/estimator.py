@@ -74,7 +74,7 @@ class Estimator:
         innovation: FloatArray | float = np.nan
         degc_and_sd = slot.mean[DEGC].reshape(2, 3)
         self.degc_and_sd = np.where(np.isfinite(degc_and_sd[0]), degc_and_sd, self.degc_and_sd)
-        self._widen(self.thermal.take_temperature(degc_and_sd[0], slot.mean[POWER_ON_SD], np.zeros(3)))
+        self._widen(self.thermal.take_temperature(degc_and_sd[0], slot.mean[POWER_ON_SD], 0.0))
         self.quiet.update(slot, np.repeat([self.limits.gyro_drift, self.limits.accel_drift], 3))
         if not self.quiet.present[GYRO].all():
             self.attitude.lost = True
@@ -145,7 +145,7 @@ class Estimator:
         )
 
     def _end_rest(self) -> None:
-        """End the rest; harmless if repeated.  What may be motion is dropped: slots, and a rest in a turn."""
+        """End a rest, if there is one: slots that may be motion are dropped, and a bias that is a turn."""
         if self.hypotheses is not None:
             self.hypotheses.move(undo=len(self.pending) < UNDO_SLOTS)
             if self.hypotheses.began_turning:
@@ -190,11 +190,11 @@ class Estimator:
         bank = Bank.begin(self.parameters.declared_noise, self.slopes, self._noise()[GYRO], first)
         for now in others:
             bank = bank.after(now)
-        given = self.parameters.assume_at_rest
-        self.hypotheses = Hypotheses(bank, measurements, self.limits, given)
+        given, hidden = self.parameters.assume_at_rest, np.zeros(3)
         if not given:
             parts = [self._measurement([slot]) for slot in slots]
-            self.hypotheses.hidden = odds.hidden_turn(parts, self._accel_noise() / parts[0].covered_s)
+            hidden = odds.hidden_turn(parts, self._accel_noise() / parts[0].covered_s)
+        self.hypotheses = Hypotheses(bank, measurements, self.limits, given, hidden)
 
     def _decide(self, hypotheses: Hypotheses) -> FloatArray | float:
         """Decide on a complete measurement; return normalised innovations, (3,), or NaN without a rate."""
@@ -227,7 +227,8 @@ class Estimator:
             return LinearBias(terms, covariance, np.zeros(3), np.zeros(3))
         prediction = self.hypotheses.shown.prediction.ahead_to(now_s, self.degc_and_sd)
         before, latest = self.hypotheses.ambiguities  # a single measurement may fit by chance
-        turn = np.where(np.abs(before) > np.abs(latest), before, latest)
-        turn = np.copysign(np.hypot(turn, self.quiet.rounding_error[GYRO]), turn)
+        ambiguity = np.where(np.abs(before) > np.abs(latest), before, latest)
+        # Rounding is added to it and not to the covariance, so that it is in the column of the turn as well.
+        with_rounding = np.hypot(ambiguity, self.quiet.rounding_error[GYRO])
         added = self.attitude.uncertain_earth + self.hypotheses.hidden
-        return prediction.output(added, self.force, turn)
+        return prediction.output(added, self.force, np.copysign(with_rounding, ambiguity))

@@ -13,16 +13,25 @@ neither            the rate has changed               the present bias may be an
 
 The present less the nominal bias is a turn with a probability P(turn), by `imumon.estimation.rest.odds`.  Up
 to 1/2 it is rest, and the present bias is reported; above it is a turn, and the nominal one is.  The sigma of
-the reported one contains the difference, times the root of the probability of the other.  The first row that
-holds decides what becomes of the nominal bias:
+the reported one contains the difference, times the root of the probability of the other.
 
-==================================================================  ====================================
-the rate has changed once, up to 4 s ago, and now the unit moves    it is the present bias again
-P(turn) above 1/4 (1/10 if the rate has changed), until below 1/20  it stays, through motion as well
-the rate has changed up to 16 s ago                                 it stays until the next rest, then follows
-the rate has changed before that                                    it becomes the present bias (a jump)
-else                                                                as of 16 to 32 s ago or the last rest
-==================================================================  ====================================
+What becomes of the nominal bias:
+
+====================  ================================================  =====================================
+event                 first row that holds                              the nominal bias
+====================  ================================================  =====================================
+rest, `_begin_rest`   the last rate was no turn (not `doubted`)         becomes the present one
+a mean, `_follow`     `doubted`: P(turn) above 1/4 (1/10 if the rate    stays
+..                    has changed), until below 1/20
+..                    the rate has changed up to 16 s ago               stays
+..                    the rate has changed before that                  becomes the present one: a jump
+..                    else                                              becomes that of 16 to 32 s ago
+motion, `move`        the rate has changed once, up to 4 s ago          replaces the present one: an onset
+====================  ================================================  =====================================
+
+In the first rest both biases may contain the same turn, which P(turn) cannot show.  If the heading turns as
+it would without any bias, the recording began in a turn (`began_turning`): it is no rest, and the whole rate
+is in sigma.  Another rate or motion ends it: then `Estimator` drops these hypotheses and begins anew.
 """
 
 import math
@@ -30,6 +39,7 @@ from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
+from imumon.blocks import FloatArray
 from imumon.estimation.rest import odds
 from imumon.estimation.rest.parameters import RestParameters
 from imumon.estimation.rest.slots import Measurement
@@ -37,10 +47,10 @@ from imumon.estimation.rest.slots import Measurement
 from .bank import Bank
 
 FIT_SIGMAS = 4.5  # of an axis, within which a mean fits; with 4, drifts of a warm-up contradicted the bias
+# P(turn) from which on the nominal bias stays, where the rate creeps (as the bias of a unit that warms up)
+# and where it has changed, and up to which it then follows again; by the gyros alone a turn of 36 °/h, below
+# which turns are rare, has P(turn) 0.14.
 DOUBT, DOUBT_OF_CHANGE, UNLIKELY_TURN = 0.25, 0.1, 0.05
-"""P(turn) from which on the nominal bias stays, where the rate creeps (as the bias of a unit that warms up)
-and where it has changed, and up to which it then follows again; by the gyros alone a turn of 36 °/h, below
-which turns are rare, has P(turn) 0.14."""
 EVEN = 0.5  # P(turn) up to which it is rest, and the present bias is reported
 LAG_S = 16.0  # by so much at least, and twice as much at most, the nominal bias lags behind the present one
 ONSET_S = 4.0  # a younger change is the onset of a motion; an older one may end a first turn.  Assumed.
@@ -53,21 +63,19 @@ RECENT = 16  # measurements of a rate that are kept: those that gravity and head
 class Hypotheses:
     """Present and nominal bias, and whether their difference is a turn; rates in rad/s.
 
-    They begin with the filters after the `recent` measurements of the first rest.  Where `rest_given`, a new
-    rate is bias at once: see `UNDECIDED_GIVEN_S`.
+    They begin with the filters after the `recent` measurements of the first rest, in which a turn of variance
+    `hidden`, (rad/s)², (3,), may hide.  Where rest is `given`, a new rate is bias at once.
     """
 
     def __init__(
-        self, bank: Bank, recent: list[Measurement], limits: RestParameters, rest_given: bool
+        self, bank: Bank, recent: list[Measurement], limits: RestParameters, given: bool, hidden: FloatArray
     ) -> None:
-        self.limits, self.rest_given = limits, rest_given
+        self.limits, self.rest_given = limits, given
         self.recent = recent  # measurements of this rest, `RECENT` at most; none in motion
-        # That of the first rest, while it may have been a turn: till another pose or bias.
-        self.first: Measurement | None = recent[0]
-        # The test copy is also the next nominal bias.
-        self.present = self.nominal = self.test_copy = bank
+        self.first: Measurement | None = recent[0]  # till another pose or bias, as this one may be a turn
+        self.present = self.nominal = self.test_copy = bank  # the test copy is the next nominal bias, too
         self.undo: Bank | None = None  # the present filters before the last second, for motion that follows
-        self.alike = 0  # how many of the recent measurements are of the present rate
+        self.steady_count = 0  # how many of the recent measurements are of the present rate
         self.changes = 0  # how often the rate has changed since it fitted the nominal bias
         self.steady_s = 0.0  # how long the present rate has lasted; whole seconds are compared with `LAG_S`
         self.p_turn = 0.0  # probability that the difference of both biases is a turn
@@ -75,8 +83,7 @@ class Hypotheses:
         self.ambiguities = np.zeros((2, 3))
         self.doubted = False  # whether the nominal bias stays, as the present rate may be a turn
         self.began_turning = False  # whether the recording did, by the heading
-        # Variance of a turn that may hide in the first rest, (rad/s)²; in motion the filters have it.
-        self.hidden = np.zeros(3)
+        self.hidden = hidden  # zero after the first rest: `move` gives it to the filters
 
     @property
     def moved(self) -> bool:
@@ -100,21 +107,24 @@ class Hypotheses:
         the variance of the mean force of a second, (m/s²)².
         """
         if self.moved:
-            if self.first and np.linalg.norm(now.force - self.first.force) > NEW_POSE:
-                self.first = None  # it was in a hand, and not on a turntable
-            if not self.doubted:
-                self.nominal = self.test_copy = self.present
-                self.changes, self.steady_s = 0, 0.0
+            self._begin_rest(now)
         self.recent = [*self.recent[1 - RECENT :], now]
         self._learn(now)
-        evidence = self.recent[-self.alike :]
+        evidence = self.recent[-self.steady_count :]
         # Too few to show a tilt: then from before the change on, as angles are summed, or slot by slot.
-        if self.alike < odds.LEAST_MEASUREMENTS:
+        if self.steady_count < odds.LEAST_MEASUREMENTS:
             evidence = self.recent if len(self.recent) >= odds.LEAST_MEASUREMENTS else [*parts]
         self._weigh(now, evidence, accel_noise)
-        began = self.first is self.recent[0] and not self.rest_given  # in the first rest, of `RECENT` at most
-        self.hidden = odds.hidden_turn(self.recent, accel_noise / now.covered_s) if began else np.zeros(3)
+        may_hide = self.first is self.recent[0] and not self.rest_given  # the first rest, all of it is kept
+        self.hidden = odds.hidden_turn(self.recent, accel_noise / now.covered_s) if may_hide else np.zeros(3)
         return self._follow(now)
+
+    def _begin_rest(self, now: Measurement) -> None:
+        if self.first and np.linalg.norm(now.force - self.first.force) > NEW_POSE:
+            self.first = None  # it was in a hand, and not on a turntable
+        if not self.doubted:
+            self.nominal = self.test_copy = self.present
+            self.changes, self.steady_s = 0, 0.0
 
     def _learn(self, now: Measurement) -> None:
         """Update the present bias by the first table."""
@@ -122,17 +132,16 @@ class Hypotheses:
         if self.test_copy.fits(now, FIT_SIGMAS):
             self.undo, self.present = self.present, self.present.after(now)
             self.steady_s += now.length_s
-            self.alike += 1
+            self.steady_count += 1
             return
         if self.nominal.fits(now, FIT_SIGMAS):
             self.present = self.nominal.after(now)
             self.changes = 0
         else:
-            any_bias = self.nominal.with_learned_noise(self.present)
-            self.present = any_bias.after(now, jumped=True)
+            self.present = self.nominal.with_learned_noise(self.present).after(now, jumped=True)
             self.changes += 1
         self.test_copy = self.present
-        self.steady_s, self.alike = now.length_s, 1
+        self.steady_s, self.steady_count = now.length_s, 1
 
     def _weigh(self, now: Measurement, evidence: Sequence[Measurement], accel_noise: float) -> None:
         """Update P(turn), and what the less likely hypothesis adds to sigma."""
@@ -141,24 +150,13 @@ class Hypotheses:
         nominal, variance = prediction.bias(now.force, of_mean=True)
         present, present_variance = self.present.prediction.bias(now.force, of_mean=True)
         change = present - nominal
-        size = max(math.hypot(*change), 1e-12)
-        limits = self.limits
-        if self.rest_given:
+        if self.rest_given:  # no sensor is compared: while the rate is new, both are as likely
             self.p_turn = EVEN if self.changes and self.steady_s <= UNDECIDED_GIVEN_S else 0.0
         else:
-            accel_variance = accel_noise / evidence[0].covered_s
-            log_ratio = odds.gravity(evidence, nominal, variance, change, accel_variance, limits.accel_drift)
+            accel_variance, drift = accel_noise / evidence[0].covered_s, self.limits.accel_drift
+            log_ratio = odds.gravity(evidence, nominal, variance, change, accel_variance, drift)
             by_heading, if_no_bias = odds.heading(evidence, np.stack([nominal, np.zeros(3)]))
-            log_ratio += by_heading
-            explained = odds.changed_bias(size, max(self.changes - 1, 0), limits.largest_jump)
-            explained += odds.nominal_bias(size, float((change / size) ** 2 @ (variance + present_variance)))
-            if self.first and self.changes and round(self.steady_s) > ONSET_S:
-                explained += odds.first_turn(self.first.rate, now.rate)
-            too_long = self.steady_s > limits.undecided_s and size <= limits.largest_jump
-            ratio = math.exp(max(min(log_ratio, odds.MOST_LOG_RATIO), -odds.MOST_LOG_RATIO))
-            is_bias = too_long and log_ratio >= odds.LEAST_LOG_RATIO
-            self.p_turn = 0.0 if is_bias else 1.0 / (1.0 + explained * ratio)
-            # A turn in the first rest is found by the heading, until another rate contradicts it.
+            self.p_turn = self._p_turn(now, change, variance + present_variance, log_ratio + by_heading)
             if self.first and not self.changes:
                 self.began_turning |= bool(if_no_bias < BEGAN_LOG_RATIO)
         if self.turning:
@@ -169,10 +167,23 @@ class Hypotheses:
         if self.began_turning:  # what the rate is if there is no bias
             self.ambiguities[:] = now.rate
 
+    def _p_turn(self, now: Measurement, change: FloatArray, variance: FloatArray, log_ratio: float) -> float:
+        """Return P(turn), by the change, its variance, and ln Λ of gravity and heading together."""
+        size = max(math.hypot(*change), 1e-12)  # rad/s: it is a divisor
+        too_long = self.steady_s > self.limits.undecided_s and size <= self.limits.largest_jump
+        if too_long and log_ratio >= odds.LEAST_LOG_RATIO:
+            return 0.0
+        explained = odds.changed_bias(size, max(self.changes - 1, 0), self.limits.largest_jump)
+        explained += odds.nominal_bias(size, float((change / size) ** 2 @ variance))
+        if self.first and self.changes and round(self.steady_s) > ONSET_S:
+            explained += odds.first_turn(self.first.rate, now.rate)
+        ratio = math.exp(max(min(log_ratio, odds.MOST_LOG_RATIO), -odds.MOST_LOG_RATIO))
+        return 1.0 / (1.0 + explained * ratio)
+
     def _follow(self, now: Measurement) -> bool:
         """Update the nominal bias by the second table; return whether it has jumped."""
-        begins = DOUBT_OF_CHANGE if self.changes else DOUBT
-        self.doubted = self.p_turn > (UNLIKELY_TURN if self.doubted else begins)
+        threshold = DOUBT_OF_CHANGE if self.changes else DOUBT
+        self.doubted = self.p_turn > (UNLIKELY_TURN if self.doubted else threshold)
         if self.doubted:  # it learns the noise alone, which is the same in a turn
             self.nominal = self.nominal.with_learned_noise(self.present)
         elif self.changes and round(self.steady_s) > LAG_S:
@@ -201,7 +212,7 @@ class Hypotheses:
         if self.hidden.any():
             self.replace_each(lambda bank: bank.wider(self.hidden))
             self.hidden = np.zeros(3)
-        self.recent, self.alike = [], 0
+        self.recent, self.steady_count = [], 0
 
     def replace_each(self, function: Callable[[Bank], Bank]) -> None:
         """Replace each bank by a function of it."""

@@ -71,7 +71,7 @@ class Attitude:
         The mean specific force, m/s², is NaN or zero where not known; the prediction is None at first.
         """
         added = self._turned_earth()  # by the turn alone; what else is known, or lost, replaces it
-        size = float(np.linalg.norm(force))
+        size = np.linalg.norm(force)
         lost_pose = (self.turn.seconds or self.lost) if self.up.any() else self.latitude is not None
         if size > 0.0:
             before, self.up = self.up, force / size
@@ -96,7 +96,7 @@ class Attitude:
         the turn is not known, and the heading is taken for the first one, to `LOST_SD`."""
         northward = self.north @ self.turn.rotation  # in the axes of now
         northward -= (northward @ self.up) * self.up
-        length, variance = float(np.linalg.norm(northward)), LOST_SD**2
+        length, variance = np.linalg.norm(northward), LOST_SD**2
         if prediction is not None and length > LEAST_HORIZONTAL:
             self.north = northward / length
             # By the bias, whose sensitivity meets a gravity that turns in body axes, by scale and
@@ -104,8 +104,8 @@ class Attitude:
             _, bias_variance = prediction.bias(STANDARD_GRAVITY * before)
             sensitivity = np.einsum("aii->a", prediction.covariance[:, SENSITIVITY, SENSITIVITY]) / 3.0
             bias_variance = bias_variance + STANDARD_GRAVITY**2 * sensitivity
-            by_bias = float((before @ self.turn.by_bias) ** 2 @ bias_variance)
-            by_scale = SCALE_SD**2 * float(np.sum(self.turn.scale_about(before) ** 2))
+            by_bias = (before @ self.turn.by_bias) ** 2 @ bias_variance
+            by_scale = SCALE_SD**2 * np.sum(self.turn.scale_about(before) ** 2)
             by_earth = (EARTH_RATE * self.turn.seconds) ** 2
             variance = min(variance, by_bias + by_scale + by_earth + self.turn.sampling_variance(before))
         else:

@@ -81,12 +81,12 @@ class RestAndBias:
         heading_deg: float | None = None,
         rest: RestParameters | None = None,
     ) -> None:
-        self._parameters = parameters or GyroBiasParameters()
         slopes = (0.0, SLOPE_LEFT_PER_SIGMA if model else SLOPE_PER_SIGMA) if mode == "learned" else (0.0,)
         self._thermal = Thermal(model)
         latitude, heading = (None if a is None else math.radians(a) for a in (latitude_deg, heading_deg))
+        attitude = Attitude(latitude, heading)
         self._estimator = Estimator(
-            self._parameters, slopes, rest or RestParameters(), self._thermal, Attitude(latitude, heading)
+            parameters or GyroBiasParameters(), slopes, rest or RestParameters(), self._thermal, attitude
         )
         self._timing = Timing()
         self._slots = SlotGatherer(GATHERED, round(SLOT_S * 1e9), turns=True)
@@ -107,25 +107,25 @@ class RestAndBias:
         readings = block.stacked(SENSORS)
         readings[time_ns == NO_INT] = np.nan
         usable = np.isfinite(readings).any(1)
-        (temperature, sd), (total, curve, power_on_sd) = self._thermal.process(block)
+        (temperature, sd), (modelled, curve, power_on_sd) = self._thermal.process(block)
         absent = self._fill_absent(readings[:, GYRO])
         segment = GYRO_SETS * block["segment"] + absent.sum(1)  # a gyro that comes late begins another
         block = block.with_columns({"segment": segment})
         given = np.full(n, np.nan)  # is to be detected
-        if self._parameters.assume_at_rest:
+        if self._estimator.parameters.assume_at_rest:
             given[:] = block.columns.get("at_rest", np.ones(n)) == 1
-        values = np.column_stack([readings, total, power_on_sd, heading_of(block), temperature, sd, given])
+        values = np.column_stack([readings, modelled, power_on_sd, heading_of(block), temperature, sd, given])
         slots = self._slots.process(np.where(usable, time_ns, NO_INT), segment, values)
-        rest, innovation, every = self._estimate(block, slots, readings, temperature)
+        rest, innovation, biases = self._estimate(block, slots, readings, temperature)
         # Rest ends where readings are missing for long, and at unknown times.
         latest = np.maximum.accumulate(np.where(usable, np.arange(n), -1))
         latest_ns = np.where(latest < 0, self._last_ns, time_ns[latest])
         rest[(time_ns == NO_INT) | (time_ns - latest_ns > int(LONGEST_PAUSE_S * 1e9))] = 0
         self._last_ns = int(latest_ns[-1]) if n else self._last_ns
-        if self._parameters.assume_at_rest:
+        if self._estimator.parameters.assume_at_rest:
             rest[:] = given
-        bias, variance, turn = at_samples(slots.row, every, readings[:, ACCEL], rest == 0)
-        bias, sd = bias + total, np.sqrt(variance + turn**2)
+        bias, variance, turn = at_samples(slots.row, biases, readings[:, ACCEL], rest == 0)
+        bias, sd = bias + modelled, np.sqrt(variance + turn**2)
         bias[absent] = sd[absent] = innovation[absent] = turn[absent] = np.nan
         self._trail.add(temperature[slots.row], bias[slots.row])
         vectors = {
@@ -156,19 +156,20 @@ class RestAndBias:
     ) -> tuple[IntArray, FloatArray, list[LinearBias]]:
         """Return at_rest, (n,), innovations, (n, 3), and the bias before the first slot and behind each."""
         rest, innovation = np.zeros(len(block), np.int64), np.full((len(block), 3), np.nan)
-        every, start = [self._bias], 0
+        biases, start = [self._bias], 0
         for k, slot in enumerate(self._timing.make_slots(slots)):
             row = int(slots.row[k])
             self._continue_rest(rest, readings, start, row)
             if slot.length_s > 0.0:
                 innovation[row] = self._estimator.step(slot)
-            self._bias = self._estimator.output(self._look_ahead(block, slots, k, temperature[row]))
+            until_s = self._restart_or_bridge_gap(block, slots, k, temperature[row])
+            biases.append(self._estimator.output(until_s))
             start = row
-            every.append(self._bias)
         self._continue_rest(rest, readings, start, len(rest))
-        return rest, innovation, every
+        self._bias = biases[-1]
+        return rest, innovation, biases
 
-    def _look_ahead(self, block: SampleBlock, slots: Slots, k: int, degc: FloatArray) -> float:
+    def _restart_or_bridge_gap(self, block: SampleBlock, slots: Slots, k: int, degc: FloatArray) -> float:
         """Restart, or bridge a gap, by the first sample behind a slot; return until when to predict, s."""
         row = int(slots.row[k])
         time_ns, segment = int(block["device_time_ns"][row]), block["segment"][row]

@@ -24,8 +24,6 @@ class Thermal:
     Within the calibrated range the error of the curve is a random walk over temperature; outside it the slope
     itself is unknown, on the way out and on the way back.  An unknown state at power-on fades: its sd at
     first less that now is by how much the bias has moved.
-
-    Raises BAD_CONFIG when the model lacks a gyro.
     """
 
     def __init__(self, model: BiasModel | None) -> None:
@@ -52,7 +50,7 @@ class Thermal:
         self._power_on_sd = np.full(3, np.nan)  # the first sd of the state at power-on, rad/s
         self._faded = np.zeros(3)  # variance by what has faded of that state, (rad/s)²
 
-    def take_temperature(self, degc: FloatArray, sd: FloatArray, lag_degc: FloatArray) -> FloatArray:
+    def take_temperature(self, degc: FloatArray, sd: FloatArray, lag_degc: FloatArray | float) -> FloatArray:
         """Return the variance that a new temperature adds to the bias, (rad/s)², (3,); NaN adds none.
 
         `sd` is that of the state at power-on; in a gap the gyros' lag may change by `lag_degc` (sd), (3,).

@@ -2,14 +2,14 @@
 
 - A *slot* (`slots`) is a quarter of a second, or one slow sample: mean and variance of each axis.
 - It is *quiet* (`quiet`) if means of slots differ by no more than noise and drift since the rest began, and
-  samples scatter no more than at rest.  A *trial* of 16 slots finds the noise; before it only given rest is.
+  samples scatter no more than at rest.  Before a *trial* of 16 slots finds the noise, only given rest is.
 - A *measurement* is the mean of a second of quiet slots; with it the filters of the bias are updated.
-- The *present bias* has all measurements.  The *nominal bias* is a prediction as if nothing had changed: from
-  16 to 32 s ago, or the end of the last rest; or from before the rate changed, while that may be a turn.
+- The *present bias* has all measurements.  The *nominal bias* is a prediction as if nothing had changed: by
+  those up to 16 to 32 s ago, or up to the last rest.  While a new rate may be a turn, it has none of that.
 - P(turn), by `odds`, is the probability that the present less the nominal bias is a turn.
 
 Of `imumon.estimation.gyro_bias` read `hypotheses` (tables: what a measurement does to both biases),
-`bank` (the Kalman filters) and `estimator`, which calls all of these slot by slot.
+`bank` (the Kalman filters) and `estimator`: slot by slot it calls these, `motion`, `place` and `thermal`.
 
 - Why is a slot no rest?  `Estimator.unrest`, from `QuietDetector.unrest` and P(turn).
 - Why is sigma so wide?  `Estimator.output` adds variances: of the filters, widened by gaps, temperature and

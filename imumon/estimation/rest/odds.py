@@ -1,8 +1,13 @@
 """P(turn): is a steady rate a turn, or the bias?  A Bayesian test of one hypothesis against three others.
 
 The present bias differs by the vector d, of size |d|, from the nominal bias, which is predicted as if nothing
-had changed (see `imumon.estimation.rest`).  In this *odds table* o is the odds of an explanation over a turn,
-by the prior and the gyros, and Λ the likelihood ratio of no turn over a turn, by another sensor::
+had changed (see `imumon.estimation.rest`); σ² is the variance of d along its direction.  |d| and σ are in °/h
+here.  Turns are log-uniform from 36 °/h (0.01 °/s) to 300 °/s: the density of their size is 1/(D |d|), D =
+ln(30000).  Slower ones are rare: c = 1 + (36/|d|)² divides it.  n is how often the rate had changed before,
+since a measurement fitted the nominal bias (`Hypotheses.changes` less one).
+
+In this *odds table* o is the odds of an explanation over a turn, by the prior and the gyros, and Λ the
+likelihood ratio of no turn over a turn, by another sensor; r is that of a turn over no turn::
 
     P(turn) = 1 / (1 + Λ_gravity Λ_heading (o_changed + o_nominal + o_first))
 
@@ -13,15 +18,11 @@ by the prior and the gyros, and Λ the likelihood ratio of no turn over a turn, 
     o_first   = 0.05 (size of the first rate / of this)³    the first rest was a turn, and this is the bias;
                                                             0 till 4 s after a change, or in a new pose
 
-    Λ_gravity = 2 / (1 + r)                                 a turn about a tilted axis tilts the unit by its
-                                                            angle; r is the ratio of such a turn over no turn
+    Λ_gravity = 2 / (1 + r)                                 an oblique turn tilts the unit by its angle
     Λ_heading = 1 / (0.95 r + 0.05)                         a turn turns magnetometer or yaw by its angle,
                                                             unless one is stuck or iron is near
 
-n is how often the rate had changed before, since a measurement fitted the nominal bias (`Hypotheses.changes`
-less one).  Turns are log-uniform from 36 °/h (0.01 °/s) to 300 °/s, so their density is 1/(D |d|), D =
-ln(30000); slower ones are rare: c = 1 + (36/|d|)² divides their density.  σ² is the variance of d along its
-direction.  |d| and σ are in °/h here.  o_changed is 1e-9 above `largest_jump`, Λ_gravity e⁵⁰ where excluded.
+o_changed is 1e-9 above `largest_jump`, Λ_gravity e⁵⁰ where a turn is excluded.
 After `undecided_s` it is no turn, unless Λ_gravity Λ_heading is below e⁻² or |d| above `largest_jump`.
 """
 
@@ -40,12 +41,12 @@ USUAL_CHANGE = 50.0 * DEG_PER_H  # rad/s, scale of half-Cauchy changes of a bias
 SLOWEST_TURN, FASTEST_TURN = math.radians(0.01), math.radians(300.0)  # rad/s, of log-uniform turns.  Assumed.
 LOG_RANGE = math.log(FASTEST_TURN / SLOWEST_TURN)  # D of the odds table, a natural logarithm
 OBLIQUE = 0.3  # share of a rate across the vertical from which gravity is compared: no turntable leans by 17°
+# A turn by more sigmas of the tilt is excluded if the unit has tilted by less than half as many, and the
+# change is mostly about level axes.
 EXCLUDED_SIGMAS = 4.0
-"""An oblique turn by more than so many sigmas of the tilt is excluded where the unit has tilted by less than
-half as many, and the change is mostly about level axes."""
+# Share of |d|² about level axes from which on it is: 2/3 if all axes change alike, less than this of a turn
+# about an axis that leans from the vertical by less than 50°.  Assumed.
 MOSTLY_LEVEL = 0.6
-"""Share of the square of such a change that is about level axes: 2/3 if all axes change alike, below this of
-a turn about an axis that leans from the vertical by less than 50°.  Assumed."""
 HEADING_ERROR = 0.15  # error of a change of heading over that change: hard and soft iron.  Assumed.
 HEADING_NOISE = 0.01  # rad, least sd of a heading: a device gives its yaw in steps, and filters it.  Assumed.
 STUCK_HEADING = 0.05  # prior probability that a heading does not follow: stuck, or iron does.  Assumed.
@@ -53,29 +54,24 @@ MOST_LOG_RATIO = 50.0  # ln Λ of an excluded turn; `hypotheses` clips ln(Λ_gra
 LEAST_LOG_RATIO = -2.0  # ln Λ from which on a rate that lasts for `undecided_s` is no turn.  Assumed.
 LEAST_MEASUREMENTS = 3  # by which gravity is compared; the noise of the heading needs one more
 BEGAN_TURNING = 0.05  # prior odds that the first rest was a turn, if two means cannot both be bias.  Assumed.
+# Standard deviation of a turn in the first moment of the first rest, rad/s, as steps of up to 0.09 °/s are
+# always quiet; and the time, s, in which it falls by e, as no hand stays steady for long.  Assumed.
 UNSEEN_TURN, UNSEEN_S = math.radians(0.1), 2.0
-"""Standard deviation of a turn in the first moment of the first rest, rad/s, as steps of up to 0.09 °/s are
-always quiet; and the time, s, in which it falls by e, as no hand stays steady for long.  Assumed."""
 
 
 def changed_bias(size: float, changes: int, largest: float) -> float:
     """Return the odds that the bias has changed, by |d| and n; none changes by more than `largest`, rad/s."""
     if size > largest:
         return 1e-9  # and not 0: gravity and heading may still exclude a turn
-    u = size / USUAL_CHANGE
-    return 2.0 * LOG_RANGE * _rarity(size) / (math.pi * (u + 1.0 / u) * (1.0 + changes))
+    u, rarity = size / USUAL_CHANGE, 1.0 + (SLOWEST_TURN / size) ** 2
+    return 2.0 * LOG_RANGE * rarity / (math.pi * (u + 1.0 / u) * (1.0 + changes))
 
 
 def nominal_bias(size: float, variance: float) -> float:
     """Return the odds that nothing has changed, by |d| and σ², rad/s; high where the prediction is vague."""
     sigma = math.sqrt(variance + 1e-24)
     density = 2.0 * math.exp(-0.5 * (size / sigma) ** 2) / (math.sqrt(2.0 * math.pi) * sigma)
-    return density * size * LOG_RANGE * _rarity(size)
-
-
-def _rarity(size: float) -> float:
-    """Return c, by which turns of this rate, which is not 0, are rarer than log-uniform ones."""
-    return 1.0 + (SLOWEST_TURN / size) ** 2
+    return density * size * LOG_RANGE * (1.0 + (SLOWEST_TURN / size) ** 2)
 
 
 def first_turn(first: FloatArray, now: FloatArray) -> float:
@@ -85,7 +81,7 @@ def first_turn(first: FloatArray, now: FloatArray) -> float:
     scale of biases nothing is known (density 1/scale), so that a bias of size m has the density 1/m³.  The
     earth rate may be in both means, and so its square in that of both sizes.
     """
-    larger = (float(first @ first) + EARTH_RATE**2) / (float(now @ now) + EARTH_RATE**2)
+    larger = (first @ first + EARTH_RATE**2) / (now @ now + EARTH_RATE**2)
     return BEGAN_TURNING * math.sqrt(larger) ** 3
 
 
@@ -119,7 +115,7 @@ def gravity(
     """Return ln Λ by how the unit has tilted.
 
     The nominal bias, its variance, and the `change` d from it are in rad/s, (3,); `force_variance` is that of
-    a measurement, (m/s²)², and `drift` of accelerometers in m/s³.  From the first measurement to the last,
+    a measurement, (m/s²)² or ∞; accelerometers `drift`, m/s³.  From the first measurement to the last,
     T seconds, the unit tilts by t, rad; its gyros less the bias turn by phi, rad, both across the vertical.
     Though d is oblique, half of the turns are about the vertical, as d may contain flicker of level axes::
 
@@ -131,7 +127,7 @@ def gravity(
     """
     first, last = measurements[0].force, measurements[-1].force
     g = math.hypot(*last)
-    if len(measurements) < LEAST_MEASUREMENTS or not g > 0.5 * STANDARD_GRAVITY:
+    if len(measurements) < LEAST_MEASUREMENTS or not (g > 0.5 * STANDARD_GRAVITY and force_variance < np.inf):
         return 0.0
     across = np.eye(3) - np.outer(last, last) / g**2
     level, size = math.hypot(*(across @ change)), math.hypot(*change)
@@ -139,12 +135,13 @@ def gravity(
         return 0.0
     seconds = measurements[-1].end_s - measurements[0].end_s
     phi = across @ _turned(measurements, bias)
-    tilt = cross_matrix(last) @ first / g**2
-    still_variance = ((math.sqrt(2.0 * force_variance) + drift * seconds) / g) ** 2
-    turn_variance = still_variance + variance.max() * seconds**2
-    phi_sigmas, tilt_sigmas = (math.hypot(*angle) / math.sqrt(still_variance) for angle in (phi, tilt))
-    is_level = level**2 > MOSTLY_LEVEL * size**2
-    if is_level and phi_sigmas > EXCLUDED_SIGMAS and tilt_sigmas < 0.5 * EXCLUDED_SIGMAS:
+    tilt = cross_matrix(last) @ first / g**2  # a turn by phi moves f by -phi x f, so that this is phi
+    still_sd = (math.sqrt(2.0 * force_variance) + drift * seconds) / g
+    turn_variance = still_sd**2 + variance.max() * seconds**2
+    phi_sigmas = math.hypot(*phi) / still_sd
+    tilt_sigmas = math.hypot(*tilt) / still_sd
+    mostly_level = level**2 > MOSTLY_LEVEL * size**2
+    if mostly_level and phi_sigmas > EXCLUDED_SIGMAS and tilt_sigmas < 0.5 * EXCLUDED_SIGMAS:
         return MOST_LOG_RATIO
     log_oblique = -0.5 * ((tilt - phi) @ (tilt - phi)) / turn_variance
     return math.log(2.0) - float(np.logaddexp(log_oblique + 0.5 * tilt_sigmas**2, 0.0))
@@ -169,7 +166,7 @@ def heading(measurements: Sequence[Measurement], biases: FloatArray) -> FloatArr
     turned = np.unwrap(np.arctan2(north @ (cross_matrix(axis[-1]) @ north[0]), north @ north[0]))
     measured = abs(float(turned[-1]))
     # If even in time, a second difference has 6 times the variance of a heading, and the change has it twice.
-    noise_variance = float((np.diff(turned, 2) ** 2).mean()) / 3.0
+    noise_variance = (np.diff(turned, 2) ** 2).mean() / 3.0
     variance = noise_variance + HEADING_NOISE**2 + (HEADING_ERROR * angle) ** 2
     follows = (measured**2 - (measured - angle) ** 2) / (2.0 * variance)  # ln L(turn) / L(no turn)
     return -np.asarray(np.logaddexp(math.log(1.0 - STUCK_HEADING) + follows, math.log(STUCK_HEADING)))

@@ -20,25 +20,28 @@ TRIAL = 16  # slots of a trial
 SECOND_SLOTS = 4  # of a second: so many are quiet before it is rest, if the noise is known; else `TRIAL`
 SHORT_RESTS = 2  # after so many rest takes `TRIAL`: a slow tilt is quiet for single seconds.  Ablation.
 QUIET_TOO_SHORT, FAR_SAMPLE = "quiet for too short a time", "a single sample is far from the mean"
-LENGTHS = 2 ** np.arange(7)  # slots of the windows that are compared
-WIDTH = LENGTHS[:, None]
+LENGTHS = 2 ** np.arange(7)  # L, slots of the windows that are compared
+LENGTH_COLUMN = LENGTHS[:, None]  # L beside the six axes, (7, 1)
 CHI_SQUARE = 42.0  # three axes together: once in 2e8 for Gaussian noise of known variance
+# Sd q of a mean of a second that is always quiet, (6,), rad/s (72 °/h) and m/s² (0.03°): by `CHI_SQUARE` two
+# may differ by √84 q in an axis, 0.18 °/s, and means of slots by half, as MEMS biases step.  Assumed.
 QUIET_SD = np.repeat([3.5e-4, 5e-3], 3)
-"""Sd q of a mean of a second that is always quiet, (6,), rad/s (72 °/h) and m/s² (0.03°): by `CHI_SQUARE`
-two may differ by √84 q in an axis, 0.18 °/s, and means of slots by half, as MEMS biases step.  Assumed."""
-QUIET_VARIANCE = QUIET_SD**2 / np.maximum(1.0, 4.0 / WIDTH)  # q², (7, 6): L = 1, 2 is less time to disturb
+# q² of a window, (7, 6): for less than a second it is in proportion to the time.
+QUIET_VARIANCE = QUIET_SD**2 / np.maximum(1.0, SECOND_SLOTS / LENGTH_COLUMN)
 UNSEEN_STEP = np.repeat([np.radians(2000.0 / 2**15), 0.0], 3)  # rad/s: gyros of 16 bits, ±2000 °/s; no m/s²
 # Of the variance of a slot's samples, (rad/s)² and (m/s²)²:
 NO_NOISE = 1e-20  # below this the samples do not change: rounding in a mean
 LEAST_SCATTER = 1e-12  # up to this it is never motion.  Assumed.
 VARIANCE_SIGMAS, VARIANCE_FACTOR = 6.0, 2.0  # motion is above: chi-square sigmas, and a factor.  Assumed.
-SPIKE_SIGMAS = 8.0  # a single sample so far from the mean at rest ends the rest.  Assumed.
+# A sample farther from the mean than these together ends a rest: noise, q, steps of the sensor.  Assumed.
+SPIKE_SIGMAS, SPIKE_QUIET_SDS, SPIKE_STEPS = 8.0, 4.0, 1.5
 MEMORY_SLOTS = 1200.0  # slots over which the noise is averaged at rest: five minutes.  Assumed.
-# In a trial, the largest that is rest.  Assumed.
+# In a trial, the largest that is rest; assumed, as is what they are factors of.
 LARGEST_COLOUR = 5.0  # coloured: variance of means of 4 and 8 slots over that of white noise
 SLOWER = 16.0  # slow: variance of slot means over what the samples in a slot explain
 HALVES, HALVES_OFFSET = 5.0, 20.0  # uneven: factor of one half's sum of squares / v over the other's, offset
-ROAD = np.array([2.5e-3, 0.021])  # rms of slot means, rad/s, m/s²: of sensors (0.1 °/s/√Hz, 1.5 mg/√Hz)
+# Rms of slot means, which pass 2 Hz, rad/s and m/s²: of sensors of 0.1 °/s/√Hz and 1.5 mg/√Hz, one-sided.
+ROAD = np.array([2.5e-3, 0.021])
 WHITE = 1.5  # white: variance of slot means over that by white samples in a slot
 LEAST_SAMPLES = 3.0  # in a slot, for the variance of its samples to mean anything.  Assumed.
 OUTLIER = 9.0  # a square above so many times its mean, three sigmas, counts as this: one knock is no noise
@@ -61,13 +64,13 @@ class QuietDetector:
         self.disturbed = False  # whether a single sample of the present slot was far from the mean
         # Step of the sensor, the least of all slots; 0 while it is not known, where `Slot.step` is ∞.
         self.step = np.zeros(AXES)
-        self.pause = 0  # slots since the last quiet one
+        self.pause = 0  # unquiet slots since the last rest; it is as long if a gap is in it, so it stays
         self.restart()
 
     def restart(self) -> None:
         """Count anew after a gap or a restart of the device; the noise stays."""
         self.slots = 0  # how many there were since
-        self.quiet_slots = 0  # in a row; 0 in motion, and while the noise is not known unless rest is given
+        self.quiet_slots = 0  # of this rest; 0 in motion, or if neither noise is known nor rest given
         self.unquiet = 0  # slots since the last rest of a trial's length that were not quiet
         self.short_rests = 0  # rests in a row, shorter than a trial, with pauses of a second at most
 
@@ -101,7 +104,6 @@ class QuietDetector:
         r = s² + 1/12 (Sheppard).  If s is below a third, two readings alternate: r, at most 1/4, does not
         show s, and the error is up to √(1/4 - r) steps, which are taken for three sigmas.
         Readings that are all equal may have any step up to `UNSEEN_STEP`.
-
         At rest it is the same in each mean, so filters cannot average it out: it is a sigma of the reported
         bias.  By half of it as a sigma, two means that err in opposite directions fit (`FIT_SIGMAS`).
         """
@@ -113,10 +115,10 @@ class QuietDetector:
 
     def resting(self, readings: FloatArray) -> BoolArray:
         """Return which samples, (n, 6), of the present slot are at rest: one far from the mean ends it."""
-        width = np.where(self.present, SPIKE_SIGMAS * np.sqrt(self.sample_noise + self.noise), np.inf)
-        width = width + 4.0 * QUIET_SD + 1.5 * self.step  # the bias may step, and readings are rounded
+        tolerance = np.where(self.present, SPIKE_SIGMAS * np.sqrt(self.sample_noise + self.noise), np.inf)
+        tolerance += SPIKE_QUIET_SDS * QUIET_SD + SPIKE_STEPS * self.step
         centre = self.mean[-SECOND_SLOTS:].mean(0)
-        far = ((readings < centre - width) | (readings > centre + width)).any(1)
+        far = ((readings < centre - tolerance) | (readings > centre + tolerance)).any(1)
         self.disturbed = bool(far.any())
         return ~np.maximum.accumulate(far)
 
@@ -126,24 +128,13 @@ class QuietDetector:
         Where rest is given, only the noise is estimated.
         """
         self._append(slot)
-        self.slots += 1
-        self.quiet_slots += 1
         self.noise_changed = False
-        known = self.noise_slots > 0.0  # before this slot; `_append` may have dropped it
+        known = self.noise_slots > 0.0
         self.moving = self._motion(slot, drift)
         self.disturbed = False
-        if self.moving:  # the rest ends, if there was one
-            self.pause += 1
-            if self.pause > SECOND_SLOTS:
-                self.short_rests = 0
-            elif 1 < self.quiet_slots <= TRIAL:  # it counts this slot, too
-                self.short_rests += 1
-            self.quiet_slots, self.unquiet = 0, self.unquiet + 1
-        elif known:
-            self.pause = 0
+        self._count()
+        if known and not self.moving:
             self._learn(slot)
-            if self.quiet_slots >= TRIAL:
-                self.unquiet = self.short_rests = 0
         elif self.quiet_slots >= TRIAL:  # given rest
             noise = self._white_variance()
             self._set_noise(noise, noise * slot.samples)
@@ -153,11 +144,12 @@ class QuietDetector:
 
     def _append(self, slot: Slot) -> None:
         """Append a slot; axes that appear or vanish end the rest, and the noise is learned anew."""
-        before, self.latest = self.present, [*self.latest[1 - TRIAL :], slot]
+        present_before = self.present
+        self.latest = [*self.latest[1 - TRIAL :], slot]
         readable = np.isfinite(slot.mean[:AXES])
         self.unread = np.where(readable, 0, self.unread + 1)
         self.mean = np.vstack([self.mean[1:], np.where(readable, slot.mean[:AXES], self.mean[-1])])
-        if (before != self.present).any():
+        if (present_before != self.present).any():
             self.noise_slots = 0.0
             self.restart()
         unknown = self.step == 0.0
@@ -165,6 +157,24 @@ class QuietDetector:
         # That a sensor has steps is known by its first one, which ends no rest though far from the mean.
         self.disturbed &= not (found & unknown).any()
         self.step = np.where(found, slot.step, self.step)
+
+    def _count(self) -> None:
+        """Count the slot as one of rest, or of motion, which ends a rest."""
+        self.slots += 1
+        if self.moving:
+            self.unquiet += 1
+            self.pause += 1
+            if self.pause > SECOND_SLOTS:
+                self.short_rests = 0
+            elif 0 < self.quiet_slots < TRIAL:
+                self.short_rests += 1
+            self.quiet_slots = 0
+        else:
+            self.quiet_slots += 1
+            if self.noise_slots:
+                self.pause = 0
+                if self.quiet_slots >= TRIAL:
+                    self.unquiet = self.short_rests = 0
 
     def _motion(self, slot: Slot, drift: FloatArray) -> str:
         """Return what in a slot is not quiet; empty if all is, or rest is given."""
@@ -181,11 +191,12 @@ class QuietDetector:
     def _windows_differ(self, drift_per_slot: FloatArray) -> bool:
         """Return whether means of windows differ by more than noise and drift, rad/s and m/s², (6,)."""
         sums = self.mean[::-1].cumsum(0)  # of the latest 1, 2, 3 ... slots
+        # Of the window of the latest L slots less that of the L before; the sum of 2 L has both.
         change = 2.0 * sums[LENGTHS - 1] - sums[2 * LENGTHS - 1]
-        excess = np.maximum(np.abs(change) / WIDTH - drift_per_slot * WIDTH, 0.0)
-        square = excess**2 / (2.0 * np.maximum(self.noise / WIDTH, QUIET_VARIANCE + self.floor))
-        differ = (square.reshape(-1, 2, 3).sum(2) > CHI_SQUARE).any(1)
-        return bool(differ[self.quiet_slots >= 2 * LENGTHS].any())
+        excess = np.maximum(np.abs(change) / LENGTH_COLUMN - drift_per_slot * LENGTH_COLUMN, 0.0)
+        square = excess**2 / (2.0 * np.maximum(self.noise / LENGTH_COLUMN, QUIET_VARIANCE + self.floor))
+        differ = (square.reshape(-1, 2, 3).sum(2) > CHI_SQUARE).any(1)  # (length, sensor, axis)
+        return bool(differ[self.quiet_slots + 1 >= 2 * LENGTHS].any())  # with this slot
 
     def _scatters(self, slot: Slot) -> bool:
         """Return whether a slot of three samples or more scatters more than at rest (chi-square)."""
@@ -221,14 +232,14 @@ class QuietDetector:
     def _take_trial(self, count: FloatArray) -> None:
         """Take the noise of the last 16 slots, of `count` samples, (6,), if they look like rest and none or a
         smaller one is known."""
-        mean, noise = self.mean[-TRIAL:], self._white_variance()
+        noise = self._white_variance()
         within = np.array([one.variance for one in self.latest])
         enough = np.isfinite(within).all(0) & (count >= LEAST_SAMPLES)
         samples = np.where(enough, within.mean(0), noise * count)
-        # Always that of rest: the variance of rounding, and QUIET_SD² or, if less, that of an outlier.
-        disturbance = np.minimum(QUIET_SD**2, OUTLIER * self.noise) if self.noise_slots else QUIET_SD**2
-        least = disturbance + self.floor
-        if _is_no_rest(mean, noise, least, samples, count):
+        disturbance = QUIET_SD**2
+        if self.noise_slots:  # q is large beside a small noise, so that alone would permit its motion
+            disturbance = np.minimum(disturbance, OUTLIER * self.noise)
+        if _is_no_rest(self.mean[-TRIAL:], noise, disturbance + self.floor, samples, count):
             return
         larger = noise > NOISE_CHANGE * self.noise + self.floor
         larger |= samples > NOISE_CHANGE * self.sample_noise + self.floor
@@ -243,16 +254,15 @@ def _is_no_rest(
 ) -> bool:
     """Return whether slot means, (16, 6), are no rest: by variances, (6,); `least` is always rest."""
     # White noise averages out in means of 4 and 8 slots; if it is coloured, it does not.
-    longer = [mean.reshape(-1, length, AXES).mean(1).var(0, ddof=1) for length in (4, 8)]
-    ratio = np.array(longer) / np.maximum([noise / 4.0, noise / 8.0], least)
-    coloured = ratio.reshape(2, 2, 3).mean(2) > LARGEST_COLOUR
+    ratio = [mean.reshape(-1, k, AXES).mean(1).var(0, ddof=1) / np.maximum(noise / k, least) for k in (4, 8)]
+    coloured = np.reshape(ratio, (2, 2, 3)).mean(2) > LARGEST_COLOUR  # (length, sensor, axis)
     slow = (noise * count > SLOWER * samples) & (noise > least)
     # The 14 squares sum up to much more in one half than in the other, as by a knock.
     square = np.diff(mean, 2, axis=0) ** 2 / np.maximum(noise, least)
-    halves = square.reshape(2, -1, 2, 3).sum((1, 3))
+    halves = square.reshape(2, -1, 2, 3).sum((1, 3))  # (half, square, sensor, axis)
     uneven = halves.max(0) > HALVES * halves.min(0) + HALVES_OFFSET
     # On a road all is loud; so may be gyros whose samples are white, and slots of one or two samples.
-    loud = np.maximum(mean.var(0), noise).reshape(2, 3).mean(1) > ROAD**2
-    road = loud & (count.reshape(2, 3).max(1) >= LEAST_SAMPLES)
-    road[0] &= (noise * count >= WHITE * samples)[GYRO].any()
-    return bool(coloured.any() or slow.any() or uneven.any() or road.any())
+    loud = np.maximum(mean.var(0), noise).reshape(2, 3).mean(1) > ROAD**2  # (sensor, axis)
+    loud &= count.reshape(2, 3).max(1) >= LEAST_SAMPLES
+    loud[0] &= (noise * count >= WHITE * samples)[GYRO].any()  # that of the gyros
+    return bool(coloured.any() or slow.any() or uneven.any() or loud.any())

@@ -11,20 +11,20 @@ from imumon.filters.slots import Slots
 from imumon.filters.turns import PAUSE_INTERVALS, PAUSE_S, Turn
 
 SLOT_S = 0.25
+# Gyro x, y, z in rad/s, then accelerometer x, y, z in m/s².
 SENSORS = tuple(f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz")
-"""Gyro x, y, z in rad/s, then accelerometer x, y, z in m/s²."""
 AXES = len(SENSORS)
 GYRO, ACCEL = slice(0, 3), slice(3, 6)
+# Columns that `RestAndBias.process` stacks and gathers: gyros, rad/s; accelerometers, m/s²; what a model has
+# added to the bias, rad/s; sd of its unknown state at power-on, rad/s; `heading_of` the block; temperature of
+# each gyro, °C, and its sd; 1 for given rest and 0 for given motion; and how many there are.
 MODELLED, POWER_ON_SD, HEADING = (slice(AXES + 3 * i, AXES + 3 * i + 3) for i in range(3))
 DEGC = slice(AXES + 9, AXES + 15)
 REST_GIVEN, GATHERED = AXES + 15, AXES + 16
-"""Columns that are gathered: gyros, rad/s; accelerometers, m/s²; what a model has added to the bias, rad/s;
-sd of its unknown state at power-on, rad/s; a vector that turns with the heading (`heading_of`); temperature
-of each gyro, °C, and its sd; 1 for given rest and 0 for given motion; and how many there are."""
 GYRO_SETS = 4  # a slot's segment: that of its samples times this, plus how many gyros the unit lacks
+# rad/s (2 °/s) and m/s² (1/61 g): more than steps of 8 bits for ±250 °/s and ±2 g.  Where readings rarely
+# change, but by more (rms), the unit shakes.
 COARSEST_STEPS = (0.035, 0.16)
-"""rad/s (2 °/s) and m/s² (1/61 g): more than steps of 8 bits for ±250 °/s and ±2 g.  Where readings rarely
-change, but by more (rms), the unit shakes."""
 
 
 class Slot(NamedTuple):
@@ -76,7 +76,7 @@ class Timing:
         step = np.where(rare & (rms <= np.repeat(COARSEST_STEPS, 3)), rms, np.inf)
         for k, mean in enumerate(ended.mean):
             samples = int(ended.count[k, GYRO].max()) or int(ended.samples[k])
-            first_ns, begins = int(ended.start_ns[k]), bool(ended.begins[k])
+            first_ns, begins = int(ended.start_ns[k]), ended.begins[k]
             if begins:
                 self.origin_ns = first_ns
                 self.end_s = self.interval_s = 0.0
