@@ -123,7 +123,8 @@ def gravity(
         oblique turn:                    t ~ N(phi, v + s² T²), s² = variance of the bias, its largest axis
         L(turn) = (L(oblique) + L(no turn)) / 2
 
-    Densities are taken without their norms, for with them a standing unit was turning in measured data.
+    Densities are taken without their norms: with them a turn would be less likely by the ratio of the
+    variances, so the longer it lasts, however well it fits.
     """
     first, last = measurements[0].force, measurements[-1].force
     g = math.hypot(*last)
