@@ -48,7 +48,7 @@ class FittedPart(NamedTuple):
 class Fit(NamedTuple):
     """An extended model fitted by ordinary least squares.
 
-    The declared constant predicts another run.  There nobody knows the size of what does not carry over, such
+    The declared constant predicts another run.  There the size of what does not carry over is not known, such
     as a jump: for these columns Z_s of Z their mean over training stands::
 
         constant = constant_weights' (b, c) = mean of the constants of all runs or poses + mean of Z_s c_s
