@@ -123,8 +123,7 @@ def gravity(
         oblique turn:                    t ~ N(phi, v + s² T²), s² = variance of the bias, its largest axis
         L(turn) = (L(oblique) + L(no turn)) / 2
 
-    Densities are taken without their norms: with them a turn would be less likely by the ratio of the
-    variances, so the longer it lasts, however well it fits.
+    Densities are taken without their norms, which make a turn less likely the longer it lasts.
     """
     first, last = measurements[0].force, measurements[-1].force
     g = math.hypot(*last)
