@@ -297,8 +297,9 @@ class WireReader:
         if self._pieces:
             ends = np.cumsum(np.fromiter(map(len, self._pieces), np.int64, len(self._pieces)))
             data = np.frombuffer(b"".join(self._pieces), np.uint8)
-            batch = Reads(data, ends, np.array(self._arrivals_ns, np.int64))
-            self.summary.last_ns = max(self.summary.last_ns, *self._arrivals_ns)
+            times_ns = np.array(self._arrivals_ns, np.int64)
+            batch = Reads(data, ends, times_ns)
+            self.summary.last_ns = max(self.summary.last_ns, int(times_ns.max()))
             self._pieces, self._arrivals_ns, self._kept = [], [], 0
             self.summary.reads += len(ends)
             self.summary.bytes += len(data)

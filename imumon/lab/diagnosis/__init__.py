@@ -30,7 +30,7 @@ that of steps 1 to 4; in 5, and between bases, S alone counts, any r and q.
    as two effects may hide one another.
 2. *Choose.*  An axis *shows* a family that gains there, unless it proves another in its place.  The family is
    chosen whose gain, summed over the axes that show it, is largest, if that exceeds the bar; of those near it
-   any other goes before an event, and the rest are alternatives, not told apart.
+   any other goes before an event, and the rest are alternatives to it.
 3. *Add.*  Each of these axes refines theta, adds it, and refines all its effects again.  It refuses what
    takes away too little, and a second event of a family in a run.
 4. The axes that are left choose again, each without what it has refused, until no family exceeds the bar.
