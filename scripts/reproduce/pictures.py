@@ -130,10 +130,10 @@ def smoothed_bias() -> list[Axes]:
         error = (of[f"{name}_y"] - columns["true"][:, 1]) / DEG_PER_H
         above.plot(t[part], error[part], linewidth=1.0, label=label)
         below.plot(t[part], (of[f"{name}_sd_y"] / DEG_PER_H)[part], linewidth=1.0, label=label)
-    above.set(ylabel="error, °/h", xlim=(0.0, 480.0), ylim=(-100.0, 250.0))
-    below.set(ylabel="σ, °/h", xlim=(0.0, 480.0), ylim=(0.0, 250.0))
+    above.set(ylabel="error, °/h", xlim=(0.0, 480.0), ylim=(-100.0, 400.0))
+    below.set(ylabel="σ, °/h", xlim=(0.0, 480.0), ylim=(0.0, 400.0))
     for ax in drawn:
-        ax.fill_between(t, *ax.get_ylim(), where=record.columns["at_rest"] == 1, color="0.85", zorder=0)
+        ax.fill_between(t, *ax.get_ylim(), where=columns["at_rest"] == 1, color="0.85", zorder=0)
     return drawn
 
 

@@ -54,8 +54,8 @@ def tables(given: Options) -> Iterator[Table]:
 def smoothed(name: str, seconds: int, seed: int) -> tuple[Forward, SmoothedEstimates, dict[str, FloatArray]]:
     """Simulate and smooth a scenario.
 
-    Returns the forward record, what smoothed it, and at its slots the smoothed columns and, as `true`, the
-    bias with the earth rate of the latest rest, (n, 3).
+    Returns the forward record, what smoothed it, and at its slots the smoothed columns, `at_rest`, and as
+    `true` the bias with the earth rate of the latest rest, (n, 3).
     """
     scenario = load_scenario(name).played(RATE_HZ, "FRD")
     n = seconds * RATE_HZ
@@ -66,7 +66,8 @@ def smoothed(name: str, seconds: int, seed: int) -> tuple[Forward, SmoothedEstim
     stage = SmoothedEstimates(forward, backward(forward, TemperatureRate(), RestAndBias(mode="learned")))
     rows = np.minimum(forward.stop - 1, n - 1)
     columns = {key: values[rows] for key, values in stage.process(SampleBlock({"row": np.arange(n)})).items()}
-    return forward, stage, columns | {"true": (made.bias + made.earth)[rows]}
+    columns |= {"true": (made.bias + made.earth)[rows], "at_rest": made.samples["at_rest"][rows]}
+    return forward, stage, columns
 
 
 def measured(name: str, seconds: int, seed: int) -> FloatArray:
