@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import pytest
 from pictures import PICTURES as DRAWN
 from support.screenshots import CROPS, SHOWN
 from support.tutorials import ROOT
@@ -41,3 +42,11 @@ def test_under_each_figure_stands_the_command_that_draws_it() -> None:
     readme = set(re.findall(r"\(docs/(\S+\.png)\)", Path(ROOT / "README.md").read_text(encoding="utf-8")))
     there = {file.relative_to(DOCS).as_posix() for kind in ("png", "svg") for file in DOCS.rglob(f"*.{kind}")}
     assert used | readme == COMMANDS.keys() == there
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", sorted(DRAWN.keys() - {"closing-the-loop/chamber-cycle"}))
+def test_each_figure_that_needs_no_measured_data_is_drawn(name: str) -> None:
+    drawn = DRAWN[name]()
+    assert drawn
+    assert all(ax.has_data() for ax in drawn)
