@@ -971,8 +971,8 @@ def test_numbers_of_a_sentence_are_those_of_its_sources(page: str, sentence: str
 
 
 def test_errors_of_the_temperature_rate_beside_the_published_filter() -> None:
-    rate = "([\\d.]+) °/h; error/σ ([\\d.]+)"
-    pattern = rf"\| {rate} \| `fir` {rate}, so".replace("°/h", "°C/h")
+    rate = r"([\d.]+) °C/h; error/σ ([\d.]+)"
+    pattern = rf"\| {rate}, because .* \| `fir` {rate}: its"
     step, time_ns, reading, truth = heated_unit()
     begun = slice(BEGUN_S * HEATED_HZ, None)
     measured = []
@@ -981,6 +981,22 @@ def test_errors_of_the_temperature_rate_beside_the_published_filter() -> None:
         error = (found - truth)[begun]
         measured += [3600.0 * math.sqrt(np.mean(error**2)), math.sqrt(np.mean((error / sd[begun]) ** 2))]
     assert numbers_in("published.md", pattern) == pytest.approx(measured, rel=0.03)
+
+
+def mean_of_cut(bias: float, noise: float) -> float:
+    """Return the mean of noisy readings that are cut toward zero to whole numbers."""
+    steps, of = np.arange(1.0, bias + 10.0 * noise + 2.0), math.sqrt(2.0) * noise
+    above = sum(math.erfc((step - bias) / of) for step in steps)
+    return 0.5 * (above - sum(math.erfc((step + bias) / of) for step in steps))
+
+
+def test_errors_of_rates_that_are_cut_toward_zero() -> None:
+    (table,) = (each for each in tables("devices-others.md") if each[0][1] == "noise of half a step")
+    for row in table[1:]:
+        steps, *shown = map(float, numbers(row))
+        assert shown[0] == round(steps / DEG_PER_H * 1e-3)
+        errors = [(steps - mean_of_cut(steps, noise)) / DEG_PER_H * 1e-3 for noise in (0.5, 1.0, 3.0)]
+        assert shown[1:] == pytest.approx(errors, abs=0.5)
 
 
 def test_counts_of_the_attitude_page() -> None:
