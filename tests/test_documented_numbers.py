@@ -970,6 +970,7 @@ def test_numbers_of_a_sentence_are_those_of_its_sources(page: str, sentence: str
     compare(shown, sources)
 
 
+@pytest.mark.long
 def test_errors_of_the_temperature_rate_beside_the_published_filter() -> None:
     rate = r"([\d.]+) °C/h; error/σ ([\d.]+)"
     pattern = rf"\| {rate}, because .* \| `fir` {rate}: its"
