@@ -115,10 +115,8 @@ def chunks() -> Result:
         functions[f"whole {size}"] = partial(feed_all, device.decoder(), cut(data, size), False)
         functions[f"taken {size}"] = partial(feed_all, device.decoder(), cut(data, size), True)
     ns = {name: time / PACKETS for name, time in measure(functions).items()}
-    rows = []
-    for size in CHUNKS:
-        feed, taken = ns[f"whole {size}"], ns[f"taken {size}"]
-        rows.append([size, feed, 1e3 / feed, ns["NumPy"] / feed, taken])
+    times = [(size, ns[f"whole {size}"], ns[f"taken {size}"]) for size in CHUNKS]
+    rows: list[Cells] = [[size, feed, 1e3 / feed, ns["NumPy"] / feed, taken] for size, feed, taken in times]
     heads = ["chunk bytes", "feed ns/packet", "million/s", "× NumPy", "feed + take ns/packet"]
     title = f"## 58-byte packet, {len(device.decoder().columns)} columns, Fletcher checksum"
     note = f"NumPy, aligned packets, no search, no checksum: {ns['NumPy']:.1f} ns/packet."

@@ -63,7 +63,8 @@ def zupt() -> Result:
         }
     )
     note = "300 s at 100 Hz in blocks of 10 s, from the start on: the first minute is filtered twice."
-    return [Table("## Gyro bias", ["", "µs per sample of three axes"], [*cost.items()], note, ("", ".3f"))], []
+    table = Table("## Gyro bias", ["", "µs per sample of three axes"], [*cost.items()], note, ("", ".3f"))
+    return [table], []
 
 
 def random_error() -> Result:
