@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from pictures import BEGUN_S, HEATED_HZ, heated_unit
+from pictures import heated_unit
 from scipy.optimize import brentq
 
 from imumon.allan.covariance import FLOOR_PER_INSTABILITY
@@ -975,7 +975,7 @@ def test_errors_of_the_temperature_rate_beside_the_published_filter() -> None:
     rate = r"([\d.]+) °C/h; error/σ ([\d.]+)"
     pattern = rf"\| {rate}, because .* \| `fir` {rate}: its"
     step, time_ns, reading, truth = heated_unit()
-    begun = slice(BEGUN_S * HEATED_HZ, None)
+    begun = slice(int(np.searchsorted(time_ns, 300 * 10**9)), None)
     measured = []
     for method in (MultipleModelRate(), FirRate(Params(step, 300.0, 180.0, 1000))):
         _, found, _, sd = method.process(time_ns, np.zeros(len(time_ns), np.int64), reading)

@@ -48,13 +48,9 @@ def axes(title: str, rows: int, x: str = "s") -> list[Axes]:
     return drawn
 
 
-HEATED_HZ, BEGUN_S = 10, 300
-"""Readings a second of the unit that heats itself; s after which every method has begun."""
-
-
 def heated_unit() -> tuple[float, IntArray, FloatArray, FloatArray]:
     """Return step, times (ns), readings and true rate (°C/s) of a unit that heats itself from 34 to 67 °C."""
-    step, t = 0.05, np.arange(3 * 3600 * HEATED_HZ) / HEATED_HZ
+    step, t = 0.05, np.arange(3 * 3600 * 10) / 10.0
     temperature = 67.3 - 33.0 * np.exp(-t / 2700.0) + 0.25 * np.sin(2.0 * np.pi * t / 3600.0)
     noise = 0.002 * np.random.default_rng(1).standard_normal(len(t))
     reading = step * np.round((temperature + noise) / step)
@@ -66,11 +62,11 @@ def temperature_rate() -> list[Axes]:
     difference_s = 180
     step, time_ns, reading, truth = heated_unit()
     t, segment = time_ns * 1e-9, np.zeros(len(time_ns), np.int64)
-    width, difference = difference_s * HEATED_HZ, np.full(len(t), np.nan)
+    width, difference = int(np.searchsorted(t, difference_s)), np.full(len(t), np.nan)
     difference[width:] = (reading[width:] - reading[:-width]) / difference_s
     fir, bank = FirRate(Params(step, 300.0, 180.0, 1000)), MultipleModelRate()
     above, middle, below = drawn = axes("A unit that heats itself, read in steps of 0.05 °C", 3, "min")
-    shown = slice(BEGUN_S * HEATED_HZ, None, 50)
+    shown = slice(int(np.searchsorted(t, 300.0)), None, 50)  # after five minutes every method has begun
     for name, rate, color in (("differences over 180 s", difference, "C0"), ("truth", truth, "k")):
         above.plot(t[shown] / 60.0, PER_HOUR * rate[shown], color, linewidth=0.9, label=name)
     above.set(ylabel="rate, °C/h")
