@@ -973,7 +973,7 @@ def test_numbers_of_a_sentence_are_those_of_its_sources(page: str, sentence: str
 @pytest.mark.long
 def test_errors_of_the_temperature_rate_beside_the_published_filter() -> None:
     rate = r"([\d.]+) °C/h; error/σ ([\d.]+)"
-    pattern = rf"\| {rate}, because .* \| `fir` {rate}: its"
+    pattern = rf"\| {rate}: σ is .* \| `fir` {rate}: its"
     step, time_ns, reading, truth = heated_unit()
     begun = slice(int(np.searchsorted(time_ns, 300 * 10**9)), None)
     measured = []
