@@ -720,7 +720,7 @@ SENTENCES: list[tuple[str, str, Numbers]] = [
     (METHOD, "in the turn, # ppm | half of σ_E times the angle | | | #° |", [10, 90 * 10e-6]),
     (
         METHOD,
-        "root of the sum of squares** | | **#°** | **#°** | **#°** |",
+        "the root of the sum of squares | | #° | #° | #° |",
         [
             math.hypot(AFTER_60_S, BY_BIAS, BY_ACCEL, BY_SCALE),
             math.hypot(AFTER_600_S, BY_BIAS, BY_ACCEL, BY_SCALE),
@@ -768,6 +768,11 @@ SENTENCES: list[tuple[str, str, Numbers]] = [
         [3600.0 * (1e-3 * DEGREE / LEVEL_RATE / 0.05) ** 2, 0.001, 36, LONGEST_S / 60.0],
     ),
     (ALIGNMENT, "# min of rest here end the command", [LONGEST_S / 60.0]),
+    (
+        ALIGNMENT,
+        "By 150° the noise counts # times as much as by 180°, by 90° # times.",
+        [1.0 / math.sin(math.radians(0.5 * angle)) for angle in (150.0, 90.0)],
+    ),
     (ALIGNMENT, "without `--seconds`: # min of rest, and no heading", [HOPELESS_S / 60.0]),
     (
         ALIGNMENT,
@@ -805,7 +810,7 @@ SENTENCES: list[tuple[str, str, Numbers]] = [
     ),
     (
         ALIGNMENT,
-        '"swell" [below](#what-is-measured): #° at 60 s, #° at 600 s',
+        'In the row "swell" *: #° at 60 s, #° at 600 s',
         [Source(SITES, f"| swell, 1000 µrad at 14 and 15 s |{' * |' * 8} # |{' * |' * 5} # |")],
     ),
     (
@@ -820,8 +825,8 @@ SENTENCES: list[tuple[str, str, Numbers]] = [
     ),
     (
         ALIGNMENT,
-        "the same with # °/h, at 36° | the heading is turned by #° and the rate is # % longer. For some seconds"
-        " a heading up to # σ off",
+        "the same with # °/h, at 36° | the heading is turned by #° and the rate is # % longer. For some"
+        " seconds a heading up to # σ off",
         [
             3,
             math.degrees(math.atan(3.0 / LEVEL_RATE)),
