@@ -15,8 +15,15 @@ from scipy.optimize import brentq
 
 from imumon.allan.covariance import FLOOR_PER_INSTABILITY
 from imumon.allan.fit import SHOWN
+from imumon.cli.align_command import HOPELESS_S, LONGEST_S
 from imumon.estimation.alignment.parameters import AlignmentParameters
-from imumon.estimation.alignment.posterior import LOG_SIZES, sensor_errors
+from imumon.estimation.alignment.posterior import (
+    LOG_SIZES,
+    P_WORSE,
+    P_WORSE_THAN_DECLARED,
+    WORSE,
+    sensor_errors,
+)
 from imumon.estimation.alignment.stage import LONGEST_GAP_S
 from imumon.estimation.attitude.fusion import TAU_ACC_S
 from imumon.estimation.attitude.sigma import CONFIRMING_TURN, IRON
@@ -34,7 +41,7 @@ from imumon.papers.stages import DEFAULT_STEP_DEGC
 from imumon.protocols.thermometer import TemperatureRateParameters
 
 DOCS = Path(__file__).parents[1] / "docs"
-ALIGNMENT = "appendix/alignment-details.md"
+ALIGNMENT, METHOD = "appendix/alignment-details.md", "appendix/alignment-method.md"
 NUMBER = re.compile(r"-?\d+(?:\.\d+)?")
 
 
@@ -91,7 +98,7 @@ def test_rows_of_a_page_are_those_of_the_appendix(page: str, appendix: str, at_l
 def test_kinds_of_sites_and_what_is_reported_of_them() -> None:
     sites, _, creeps = tables("appendix/alignment-site-results.md")
     kinds = [len(sites) - 1, len(creeps) - 1]
-    assert numbers_in(ALIGNMENT, r"runs (\d+) kinds of sites and (\d+) of creeps") == kinds
+    assert numbers_in(ALIGNMENT, r"simulates (\d+) kinds of sites and (\d+) of creeps") == kinds
     assert numbers_in("appendix/README.md", r"on (\d+) kinds of sites and (\d+) of creeps") == kinds
     value = {name: [float(row[k].strip("% ")) for row in sites[1:]] for k, name in enumerate(sites[0]) if k}
     shown = [
@@ -102,11 +109,13 @@ def test_kinds_of_sites_and_what_is_reported_of_them() -> None:
         for what, limit in (("over the better mean", 1.5), ("rms z", 1.8), ("max z", 5.0))
         for s in (60, 600)
     }
+    assert numbers_in(ALIGNMENT, r"(\d+) of the (\d+) sites have a heading") == [len(shown), kinds[0]]
     pattern = (
-        r"(\d+) sites have a heading.* in (\d+) \(60 s\) and (\d+) \(600 s\)\. .* "
-        r"below 1.8 in (\d+) \(60 s\) and all (\d+) \(600 s\), the largest below 5 in (\d+) and (\d+)"
+        r"at most 1.5 times that of the better [^|]* \| (\d+) \| (\d+) \| "
+        r"\| rms of error over sigma at most 1.8 \| (\d+) \| (\d+) \| "
+        r"\| largest error over sigma at most 5 \| (\d+) \| (\d+) \|"
     )
-    assert numbers_in(ALIGNMENT, pattern) == [len(shown), *counts.values()]
+    assert numbers_in(ALIGNMENT, pattern) == list(counts.values())
 
 
 def median_bias(arw: float) -> float:
@@ -478,7 +487,7 @@ ROWS: list[tuple[str, str, Numbers]] = [
         "| a turn within a gap ",
         [
             LONGEST_GAP_S,
-            Source(ALIGNMENT, "After a turn at 150 s of rest this is # s later (# s where that fit"),
+            Source(ALIGNMENT, "in a test # s after a turn by 5°, and # s after one by 30°"),
         ],
     ),
     ("alignment.md", "| accelerometers that log gravity", []),
@@ -680,69 +689,74 @@ SENTENCES: list[tuple[str, str, Numbers]] = [
     (
         "alignment.md",
         "Of [# sites]",
-        [Source(ALIGNMENT, "runs # kinds of sites and")],
+        [Source(ALIGNMENT, "simulates # kinds of sites and")],
     ),
     (
         "alignment.md",
         "# have a heading at both times. The rms of z is below # in # (60 s) and in all # (600 s)",
         [
-            Source(ALIGNMENT, "# sites have a heading at 60 and at 600 s"),
-            Source(ALIGNMENT, "rms of error over sigma is below # in # (60 s) and all # (600 s),"),
+            Source(ALIGNMENT, "# of the 88 sites have a heading at 60 and at 600 s"),
+            Source(ALIGNMENT, "| rms of error over sigma at most # | # | # |"),
         ],
     ),
     (
-        ALIGNMENT,
-        "the noise is # °/√h / √(1/60 h) = # °/h, or #°. The bias of # °/h makes #°, # µrad tan #° are #°,"
-        " and # ppm / cos #° are #°. The root of the sum of squares is #°.",
+        METHOD,
+        "where Ω cos L is # °/h, for N = # °/√h",
+        [LEVEL_RATE, 0.001],
+    ),
+    (
+        METHOD,
+        "| noise | N / (√t Ω cos L), or more | #° | #° | #° |",
+        [AFTER_60_S, AFTER_600_S, AFTER_600_S],
+    ),
+    (
+        METHOD,
+        "| gyros' bias, # °/h | σ_b / (Ω cos L) | #° | #° |",
+        [0.0035, BY_BIAS, BY_BIAS],
+    ),
+    (
+        METHOD,
+        "| accelerometers' bias, # µg | σ_β tan L | #° | #° |",
+        [25, BY_ACCEL, BY_ACCEL],
+    ),
+    (
+        METHOD,
+        "| gyros' scale at rest, # ppm, if declared | σ_E / cos L; after half a turn σ_E | #° | #° | #° |",
+        [10, BY_SCALE, BY_SCALE, 10e-6 * DEGREE],
+    ),
+    (METHOD, "| half of Ω times # s | | | #° |", [10, BY_TURN / 2]),
+    (METHOD, "in the turn, # ppm | half of σ_E times the angle | | | #° |", [10, 90 * 10e-6]),
+    (
+        METHOD,
+        "the root of the sum of squares | | #° | #° | #° |",
         [
-            0.001,
-            AFTER_60_S * LEVEL_RATE / DEGREE,
-            AFTER_60_S,
-            *(0.0035, BY_BIAS),
-            25,
-            36,
-            BY_ACCEL,
-            10,
-            36,
-            BY_SCALE,
             math.hypot(AFTER_60_S, BY_BIAS, BY_ACCEL, BY_SCALE),
+            math.hypot(AFTER_600_S, BY_BIAS, BY_ACCEL, BY_SCALE),
+            math.hypot(AFTER_600_S, 10e-6 * DEGREE, BY_TURN / 2, 90 * 10e-6),
         ],
     ),
     (
-        ALIGNMENT,
-        "600 s: the noise is #°, with the bias σ is #°.",
-        [AFTER_600_S, math.hypot(AFTER_600_S, BY_BIAS, BY_ACCEL, BY_SCALE)],
+        METHOD,
+        "With the default of # ppm the scale in the turn makes #°, and σ is #°, as in the row",
+        [300, 90 * 300e-6, math.hypot(AFTER_600_S, BY_TURN / 2, 90 * 300e-6)],
     ),
     (
-        ALIGNMENT,
-        "noise #°, half of #° is #°, and half of # ppm of 180° is #°. σ is #°. With the default of # ppm the"
-        " scale makes #°, and σ is #°, as in the row",
-        [
-            AFTER_600_S,
-            BY_TURN,
-            BY_TURN / 2,
-            10,
-            90 * 10e-6,
-            math.hypot(AFTER_600_S, BY_TURN / 2, 90 * 10e-6),
-            300,
-            90 * 300e-6,
-            math.hypot(AFTER_600_S, BY_TURN / 2, 90 * 300e-6),
-        ],
-    ),
-    (
-        ALIGNMENT,
-        "the scale makes #°, and σ is #°, as in the row",
+        METHOD,
+        "in the turn makes #°, and σ is #°, as in the row",
         [0.027, Source(SITES, f"| half a turn, biases of 2 °/h |{' * |' * 14} # |")],
     ),
+    (METHOD, "# °/h make #° in 60 s", [36, 36 * 60 / 3600]),
+    (METHOD, "# °/h make #° in 600 s", [2, 2 * 600 / 3600 / 2]),
     (
-        ALIGNMENT,
-        "After a turn at 150 s of rest this is # s later (# s where that fit",
-        [Source("../tests/estimation/alignment/test_turns.py", "[(5.0, #), (30.0, #)]")],
+        METHOD,
+        'angle: #° for "0.3° in 600 s, steadily", whose error is #°',
+        [
+            Source(SITES, f"| 0.3° in 600 s, steadily |{' * |' * 14} # |"),
+            Source(SITES, f"| 0.3° in 600 s, steadily |{' * |' * 12} # |"),
+        ],
     ),
-    (ALIGNMENT, "# °/h make #° in 60 s", [36, 36 * 60 / 3600]),
-    (ALIGNMENT, "# °/h make #° in 600 s", [2, 2 * 600 / 3600 / 2]),
     (
-        ALIGNMENT,
+        METHOD,
         "# °/h of each, # times the median, still shows in the lengths: after 600 s the rms error is #°, and"
         " σ #°",
         [
@@ -751,9 +765,52 @@ SENTENCES: list[tuple[str, str, Numbers]] = [
             Source(SITES, f"| bias of 0.05 °/h, not declared |{' * |' * 12} # | * | # |"),
         ],
     ),
-    (ALIGNMENT, "and σ takes this: #° for # s and these # s", [BY_TURN, 8, 2]),
+    (METHOD, "For N below # °/√h it is # °/h, as for", [0.002, median_bias(0.002)]),
+    (METHOD, "| #, from 1/# to # times a median |", [len(LOG_SIZES), *2 * [math.exp(LOG_SIZES[-1])]]),
+    (METHOD, "| # to # 000 times the median |", [WORSE.max(axis=1).min(), WORSE.max() / 1000.0]),
+    (METHOD, "two or all) | # % | # % |", [100 * P_WORSE, 100 * P_WORSE_THAN_DECLARED]),
+    (ALIGNMENT, "| Ω, L | the earth rate, # °/h, *It is # °/h at #° |", [EARTH_DPH, LEVEL_RATE, 36]),
+    (
+        ALIGNMENT,
+        "(# s for # °/√h at #°), at the latest after # min of rest.",
+        [3600.0 * (1e-3 * DEGREE / LEVEL_RATE / 0.05) ** 2, 0.001, 36, LONGEST_S / 60.0],
+    ),
+    (ALIGNMENT, "# min of rest here end the command", [LONGEST_S / 60.0]),
+    (
+        ALIGNMENT,
+        "By 150° the noise counts # times as much as by 180°, by 90° # times.",
+        [1.0 / math.sin(math.radians(0.5 * angle)) for angle in (150.0, 90.0)],
+    ),
+    (ALIGNMENT, "without `--seconds`: # min of rest, and no heading", [HOPELESS_S / 60.0]),
+    (
+        ALIGNMENT,
+        "and σ takes this as one sigma: #° for # s and # s of calm",
+        [BY_TURN, 8, 2],
+    ),
+    (ALIGNMENT, "σ ends at ½ Ω t, #° for # s", [BY_TURN / 2, 8]),
+    (ALIGNMENT, "after half a turn σ ends at #°, higher", [90 * 300e-6]),
     (ALIGNMENT, "# % of half a turn is #°.", [1, 180 * 0.01]),
     (ALIGNMENT, "by half of it, #°", [90 * 0.01]),
+    (
+        ALIGNMENT,
+        "in a test # s after a turn by #°, and # s after one by #°",
+        [
+            Source("../tests/estimation/alignment/test_turns.py", "[(5.0, #), (30.0, 91.0)]"),
+            Source("../tests/estimation/alignment/test_turns.py", "[(#, 31.0), (30.0, 91.0)]"),
+            Source("../tests/estimation/alignment/test_turns.py", "[(5.0, 31.0), (30.0, #)]"),
+            Source("../tests/estimation/alignment/test_turns.py", "[(5.0, 31.0), (#, 91.0)]"),
+        ],
+    ),
+    (
+        ALIGNMENT,
+        "With # °/h and half a turn the heading is #° off after 10 min, and σ is #°",
+        [Source("../tests/estimation/alignment/test_creep.py", "SAME_DPH, OFF_DEG, SD_DEG = #, #, #")],
+    ),
+    (
+        ALIGNMENT,
+        "its error at 60 s is # times that of the better mean",
+        [Source(SITES, f"| settling 200 µrad, 60 s |{' * |' * 7} # |")],
+    ),
     (
         ALIGNMENT,
         "where an accelerometer jumps: at 60 s # times",
@@ -761,36 +818,47 @@ SENTENCES: list[tuple[str, str, Numbers]] = [
     ),
     (
         ALIGNMENT,
-        '"swell": #° at 60 s, #° at 600 s',
+        'In the row "swell" *: #° at 60 s, #° at 600 s',
         [Source(SITES, f"| swell, 1000 µrad at 14 and 15 s |{' * |' * 8} # |{' * |' * 5} # |")],
     ),
     (
         ALIGNMENT,
-        "# °/h: #° off, # % longer, up to # σ, then no heading. # °/h at #°: #° off, # % longer",
+        "At #° # °/h turn the heading by #° and lengthen the rate by # %",
+        [
+            50,
+            0.2,
+            math.degrees(math.atan(0.2 / AT_50)),
+            100.0 * (math.hypot(1.0, 0.2 / AT_50) - 1.0),
+        ],
+    ),
+    (
+        ALIGNMENT,
+        "the same with # °/h, at 36° | the heading is turned by #° and the rate is # % longer. For some"
+        " seconds a heading up to # σ off",
         [
             3,
             math.degrees(math.atan(3.0 / LEVEL_RATE)),
             100.0 * (math.hypot(1.0, 3.0 / LEVEL_RATE) - 1.0),
             Source(SITES, f"| bias of 3 °/h of the gyro that points east |{' * |' * 18} # |"),
-            0.2,
-            50,
-            math.degrees(math.atan(0.2 / AT_50)),
-            100.0 * (math.hypot(1.0, 0.2 / AT_50) - 1.0),
         ],
     ),
     (ALIGNMENT, "not in σ: # ppm are #°", [300, 300e-6 * DEGREE / math.cos(math.radians(36.0))]),
-    (ALIGNMENT, "tan L, # µg at #° by #°", [750, 36, 750e-6 * TAN * DEGREE]),
+    (
+        ALIGNMENT,
+        "default of # µg alone leaves #° at #°, #° at #° and #° at #°",
+        [750, *(of for at in (36, 50, 60) for of in (750e-6 * math.tan(math.radians(at)) * DEGREE, at))],
+    ),
+    (ALIGNMENT, "in one position σ ends at #° (36°)", [750e-6 * TAN * DEGREE]),
     (
         ALIGNMENT,
         "at #° half a turn of # s pays if σ_b is above # °/h (# ppm declared for the scale) or # °/h (the"
         " default of # ppm)",
         [36, 8, WORTH_A_TURN[0], 10, WORTH_A_TURN[1], 300],
     ),
-    (ALIGNMENT, "# sizes from 1/# to # times the median", [len(LOG_SIZES), *2 * [math.exp(LOG_SIZES[-1])]]),
     (
         ALIGNMENT,
-        "From #° on it is more than the #° of",
-        [math.ceil(math.degrees(math.atan(math.radians(0.05) / 750e-6))), 0.05],
+        "Above #° of latitude it is so",
+        [math.floor(math.degrees(math.atan(math.radians(0.05) / 750e-6)))],
     ),
     (
         ALIGNMENT,

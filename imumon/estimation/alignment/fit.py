@@ -2,7 +2,7 @@
 
 A horizontal vector is complex: forward + i left.  y, rad/s, is the horizontal rate by the gyros, less what
 the tilt makes of the vertical one, and α, rad, the angle by the accelerometers: tilt about forward + i that
-about left.  t begins with the record.  Equations have the numbers of docs/appendix/alignment-details.md::
+about left.  t begins with the record.  Equations have the numbers of docs/appendix/alignment-method.md::
 
     gyros            y = c + b + Σ A_k ds_k/dt + noise,              s_k = 1 - exp(-t/τ_k)      (4)
     accelerometers   α = Σ A_k s_k + Σ B_j w_j + walk + noise,       w_j = 1 - exp(-t/T_j)      (5)

@@ -178,3 +178,21 @@ def test_a_short_first_position_of_a_noisy_gyro_does_not_widen_hours_of_rest() -
         sds.append(math.degrees(stage.status.shown.sd))
         assert not abs(error_deg(stage.status.shown.heading, heading)) > 4.0 * sds[-1]
     assert max(sds) < 1.8
+
+
+SAME_DPH, OFF_DEG, SD_DEG = 1.0, 0.1, 0.02
+
+
+@pytest.mark.long
+def test_a_creep_of_the_same_rate_in_both_positions_is_not_in_the_sigma() -> None:
+    """It looks like a bias of the vertical gyro: a known limit."""
+    t = np.arange(round(608.0 * 20.0) + 1) / 20.0
+    angle = math.radians(SAME_DPH) / 3600.0 * t + math.pi * np.clip((t - 300.0) / 8.0, 0.0, 1.0)
+    found = []
+    for seed in range(4):
+        block, heading = sent(Rotation.from_rotvec(np.outer(angle, UP)), 20.0, seed=seed)
+        _, out = aligned(block, {"accel_bias_sd_ug": 30.0})
+        found.append([error_deg(out["heading"][-1], heading), math.degrees(out["heading_sd"][-1])])
+    off, sd = np.mean(found, axis=0)
+    assert off == pytest.approx(OFF_DEG, abs=0.02)
+    assert sd == pytest.approx(SD_DEG, abs=0.005)

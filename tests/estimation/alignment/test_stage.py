@@ -364,3 +364,15 @@ def test_it_goes_on_from_a_snapshot() -> None:
     expected, found = first.process(rest), second.process(rest)
     for name, values in expected.items():
         np.testing.assert_array_equal(values, found[name], err_msg=name)
+
+
+@pytest.mark.parametrize("latitude", [35.0, 37.0])
+@pytest.mark.parametrize("declared", [{}, {"gyro_bias_sd_deg_per_h": 0.0035}])
+def test_a_latitude_that_is_wrong_by_a_degree_is_in_the_sigma(
+    latitude: float, declared: dict[str, float]
+) -> None:
+    # The lengths of the rates do not fit, as with a large bias.
+    plan = scenario(150.0, arw=1e-3, rate_hz=20.0, warm_up=(0.0, 100.0))
+    stage, _ = aligned(samples(plan), {"accel_bias_sd_ug": 30.0} | declared, latitude)
+    assert math.degrees(stage.status.shown.sd) > 1.0
+    assert any("contradict the declared bias" in notice for notice in stage.notices()) == bool(declared)
