@@ -24,7 +24,8 @@ from imumon.estimation.rest.parameters import RestParameters
 from imumon.estimation.smoothing.stage import MEDIAN
 from imumon.estimation.temperature_rate.filter import CODE_MODELS, JERK_PSDS, MEAN_MODELS
 from imumon.estimation.temperature_rate.stage import RAMP_S
-from imumon.geodesy import DEG_PER_H, EARTH_RATE, STANDARD_GRAVITY
+from imumon.geodesy import DEG_PER_H, EARTH_RATE, MICRO_G, STANDARD_GRAVITY
+from imumon.papers.local_level import TO_INSTABILITY
 from imumon.papers.self_alignment import CORNER, DAMPING
 from imumon.papers.stages import DEFAULT_STEP_DEGC
 from imumon.protocols.thermometer import TemperatureRateParameters
@@ -224,6 +225,17 @@ def least_and_largest(found: list[list[float]]) -> list[float]:
     return [min(map(min, found)), max(map(max, found))]
 
 
+def largest_walk(lowest: list[float], unit: float, axis: int, scales: tuple[float, float]) -> list[float]:
+    """Return lowest deviation in both units, its τ, and the walk that it allows, of the axis with most.
+
+    `lowest`: three deviations and three τ; `scales`: of the deviation and of the walk in SI units.
+    """
+    walks = [unit * s * math.sqrt(3.0 / tau) for s, tau in zip(lowest[:3], lowest[3:], strict=True)]
+    assert walks.index(max(walks)) == axis
+    deviation = lowest[axis]
+    return [deviation, scales[0] * unit * deviation, lowest[3 + axis], scales[1] * walks[axis]]
+
+
 def shown_and_excess(found: list[list[float]]) -> list[float]:
     """Return the share of records with a term, %, and by how much the term is too large in them, %."""
     return [found[0][0], 100.0 * (found[0][1] - 1.0)]
@@ -260,6 +272,9 @@ LEVEL_RATE = EARTH_RATE * math.cos(math.radians(36.0)) / DEG_PER_H
 EARTH_DPH = EARTH_RATE / DEG_PER_H
 AT_50 = EARTH_DPH * math.cos(math.radians(50.0))
 NIGHT = "tutorials/a-night.md"
+CRS05 = "../configs/units/crs05.yaml"
+LOWEST_OF_GYROS = "lowest deviation °/h # # # at τ s # # #"
+LOWEST_OF_ACCELS = "lowest deviation µg # # # at τ s # # #"
 PRINTED = math.sqrt(0.8 * STANDARD_GRAVITY)
 """Corner of the alignment loop by the gains that its paper prints, rad/s."""
 DEGREE, TAN = math.degrees(1.0), math.tan(math.radians(36.0))
@@ -925,8 +940,8 @@ SENTENCES: list[tuple[str, str, Numbers]] = [
     ),
     (
         SPEED_DETAILS,
-        "take # ms per second of data at 100 Hz and # ms at 400 Hz: # µs and # µs a sample. The section `zupt` "
-        "has # µs a sample",
+        "take # ms per second of data at 100 Hz and # ms at 400 Hz: # µs and # µs a sample. The section "
+        "`zupt` has # µs a sample",
         [
             Source(
                 SPEED,
@@ -953,27 +968,55 @@ SENTENCES: list[tuple[str, str, Numbers]] = [
     ),
     (
         NIGHT,
-        "stops falling, at √(2 ln 2 / π) B = # B = # °/h",
+        "angle random walk # °/√h and bias instability # °/h on each gyro, velocity random walk # m/s/√h",
+        [
+            Source(CRS05, "arw_deg_per_sqrt_h: #"),
+            Source(CRS05, "sd_deg_per_h: #, tau_s: 10}", lambda found: [TO_INSTABILITY * found[0][0]]),
+            Source(CRS05, "vrw_m_per_s_per_sqrt_s: #e-3", lambda found: [0.06 * found[0][0]]),
+        ],
+    ),
+    (
+        NIGHT,
+        "gets flat, at # B, here # × # = # °/h",
         [
             FLOOR_PER_INSTABILITY,
+            FLOOR_PER_INSTABILITY,
+            Source(NIGHT, "instability °/h #("),
             Source(NIGHT, "instability °/h #(", lambda found: [FLOOR_PER_INSTABILITY * found[0][0]]),
         ],
     ),
-    (NIGHT, "in its place misses the curve by more than # standard deviations", [SHOWN]),
+    (NIGHT, "only if the curve needs it by more than # of its standard deviations", [SHOWN]),
     (
         NIGHT,
-        "# °/h of y at # s make `gyroscope_random_walk: #e-7` (rad/s/√s)",
+        "White noise alone would be at # °/h at # s",
         [
-            Source(
-                NIGHT,
-                "lowest deviation °/h # # # at τ s # # #",
-                lambda found: [
-                    found[0][1],
-                    found[0][4],
-                    1e7 * found[0][1] * DEG_PER_H * math.sqrt(3.0 / found[0][4]),
-                ],
-            )
+            Source(NIGHT, "random walk °/√h #(", lambda found: [found[0][0] / math.sqrt(819.2 / 3600.0)]),
+            819,
         ],
+    ),
+    (
+        NIGHT,
+        "| two hours | # ± # |",
+        [Source(NIGHT, "instability °/h #(#)", lambda found: [found[0][0], 0.01 * found[0][1]])],
+    ),
+    (
+        NIGHT,
+        "| `gyroscope_random_walk` | z: # °/h = #e-6 rad/s at # s | #e-7 (rad/s/√s) |",
+        [
+            Source(NIGHT, LOWEST_OF_GYROS, lambda found: largest_walk(found[0], DEG_PER_H, 2, (1e6, 1e7))),
+        ],
+    ),
+    (
+        NIGHT,
+        "| `accelerometer_random_walk` | x: # µg = #e-5 m/s² at # s | #e-6 (m/s²/√s) |",
+        [
+            Source(NIGHT, LOWEST_OF_ACCELS, lambda found: largest_walk(found[0], MICRO_G, 0, (1e5, 1e6))),
+        ],
+    ),
+    (
+        NIGHT,
+        "(1 °/h is #e-6 rad/s, 1 µg is #e-6 m/s².)",
+        [1e6 * DEG_PER_H, 1e6 * MICRO_G],
     ),
     (
         "published.md",
@@ -1047,7 +1090,7 @@ def test_what_a_packet_costs() -> None:
     compare(shaped(SPEED_DETAILS, sentence)[0], [feed, take])
     sentence = "costs # times as much per packet as in 64 KiB chunks, and a `take` after each of them # times"
     compare(shaped(SPEED_DETAILS, sentence)[0], [*times])
-    live = "takes every # ms: # times # ms a second are # % of a core, at any rate. The packets add # % at 100 Hz"
+    live = "takes every # ms: # times # ms a second are # % of a core, at any rate. The packets add # % at"
     takes, share = 1.0 / BATCH_S, 100.0 * cost["65536"][0] * 1e-7
     compare(shaped(SPEED_DETAILS, live)[0], [1e3 * BATCH_S, takes, take / 1e3, takes * take * 1e-4, share])
 
