@@ -542,6 +542,18 @@ def test_each_row_of_what_fails_has_its_sources(page: str) -> None:
         assert k in heads or k + 1 in heads or line.startswith(known), f"{page}: no source of {line}"
 
 
+def share_of_a_core(part: str, before: str) -> tuple[str, str, Numbers]:
+    """Return the row of a part of a live run; `before`: cells of the table before that of the part."""
+    sources: Numbers = [Source(SPEED, f"| {rate} Hz {before}| #% |") for rate in (100, 1000)]
+    return "performance.md", f"| {part} | * | # % | # % |", sources
+
+
+def hour_replayed(recording: str, first: int) -> tuple[str, str, Numbers]:
+    """Return the row of the seconds of an hour; `first`: the first of two numbers of `SPEEDS`."""
+    of = Source(SPEED, SPEEDS, lambda found: [3600.0 / one for one in found[0][first : first + 2]])
+    return "performance.md", f"| {recording} | # s | # s |", [of]
+
+
 SENTENCES: list[tuple[str, str, Numbers]] = [
     (
         "attitude.md",
@@ -846,31 +858,13 @@ SENTENCES: list[tuple[str, str, Numbers]] = [
         "wanders about its curve by # to # °/h",
         [Source(SOAK, "residual # # # °/h;", least_and_largest)],
     ),
-    *(
-        (
-            "performance.md",
-            f"| {part} | * | # % | # % |",
-            [Source(SPEED, f"| {rate} Hz {before}| #% |") for rate in (100, 1000)],
-        )
-        for part, before in {
-            "monitor": "",
-            "view process": "| *% ",
-            "both: imumon": "| *% | *% ",
-            "Rerun's viewer": "| *% | *% | *% ",
-        }.items()
-    ),
-    *(
-        (
-            "performance.md",
-            f"| {recording} | # s | # s |",
-            [Source(SPEED, SPEEDS, lambda found, k=k: [3600.0 / one for one in found[0][k : k + 2]])],
-        )
-        for k, recording in {
-            0: "at rest",
-            2: "at rest, with `--latitude`: the search for north runs, too",
-            4: "handled, with rests of 10 s",
-        }.items()
-    ),
+    share_of_a_core("monitor", ""),
+    share_of_a_core("view process", "| *% "),
+    share_of_a_core("both: imumon", "| *% | *% "),
+    share_of_a_core("Rerun's viewer", "| *% | *% | *% "),
+    hour_replayed("at rest", 0),
+    hour_replayed("at rest, with `--latitude`: the search for north runs, too", 2),
+    hour_replayed("handled, with rests of 10 s", 4),
     (
         "performance.md",
         "**A recording of an hour** is processed in # s",
@@ -910,7 +904,7 @@ SENTENCES: list[tuple[str, str, Numbers]] = [
     ),
     (
         "performance.md",
-        "needs # s to answer `--help`. A small file is decoded in # s",
+        "`--help` needs # s, and decoding a small file # s",
         [
             Source(SPEED, "| longest --help, CPU s | * | # |"),
             Source(SPEED, "| decode of a small file, CPU s | * | # |"),
@@ -918,7 +912,7 @@ SENTENCES: list[tuple[str, str, Numbers]] = [
     ),
     (
         "performance.md",
-        "a packet takes # to # µs, by device. Live it is some # % of a core",
+        "a packet takes # to # µs, by device. Live, decoding takes some # % of a core",
         [
             Source(SPEED, "| bno08x-rvc | 19 | 8 | # |", lambda found: [found[0][0] / 1e3]),
             Source(SPEED, "| motioncal | 142 | 13 | # |", lambda found: [found[0][0] / 1e3]),
