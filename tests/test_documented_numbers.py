@@ -8,7 +8,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 import pytest
+from pictures import heated_unit
 from scipy.optimize import brentq
 
 from imumon.allan.covariance import FLOOR_PER_INSTABILITY
@@ -23,8 +25,10 @@ from imumon.estimation.rest.odds import changed_bias
 from imumon.estimation.rest.parameters import RestParameters
 from imumon.estimation.smoothing.stage import MEDIAN
 from imumon.estimation.temperature_rate.filter import CODE_MODELS, JERK_PSDS, MEAN_MODELS
-from imumon.estimation.temperature_rate.stage import RAMP_S
+from imumon.estimation.temperature_rate.stage import RAMP_S, MultipleModelRate
 from imumon.geodesy import DEG_PER_H, EARTH_RATE, MICRO_G, STANDARD_GRAVITY
+from imumon.papers.dense_zupt import DenseSettings
+from imumon.papers.fir import FirRate, Params
 from imumon.papers.local_level import TO_INSTABILITY
 from imumon.papers.self_alignment import CORNER, DAMPING
 from imumon.papers.stages import DEFAULT_STEP_DEGC
@@ -254,9 +258,12 @@ def turn_at(probability: float) -> float:
 NOWHERE = math.nan
 """A number of a page that no committed table, test or constant has: not compared."""
 ABLATION, ATTITUDE, FIELD = (f"appendix/{name}-results.md" for name in ("ablation", "attitude", "field"))
-ALLAN, ATTITUDE_DETAILS, REST, SMOOTHING, RATE, RANDOM = (
+ALLAN, ATTITUDE_DETAILS, REST, SMOOTHING, RATE, RANDOM, PUBLISHED = (
     f"appendix/{name}-details.md"
-    for name in ("allan", "attitude", "rest-detector", "smoothing", "temperature-rate", "random-error")
+    for name in (
+        *("allan", "attitude", "rest-detector", "smoothing", "temperature-rate", "random-error"),
+        "published",
+    )
 )
 SITES, SPEED, TCZUPT = (
     f"appendix/{name}.md" for name in ("alignment-site-results", "performance-table", "tczupt-results")
@@ -275,6 +282,7 @@ NIGHT = "tutorials/a-night.md"
 CRS05 = "../configs/units/crs05.yaml"
 LOWEST_OF_GYROS = "lowest deviation °/h # # # at τ s # # #"
 LOWEST_OF_ACCELS = "lowest deviation µg # # # at τ s # # #"
+DENSE = DenseSettings(0.25)
 PRINTED = math.sqrt(0.8 * STANDARD_GRAVITY)
 """Corner of the alignment loop by the gains that its paper prints, rad/s."""
 DEGREE, TAN = math.degrees(1.0), math.tan(math.radians(36.0))
@@ -1013,18 +1021,29 @@ SENTENCES: list[tuple[str, str, Numbers]] = [
         [1e6 * DEG_PER_H, 1e6 * MICRO_G],
     ),
     (
-        "published.md",
+        PUBLISHED,
         "k = # 1/s and k_b = # rad/m, make one of √(k_b g) / 2π = # Hz with a damping of # |",
         [3.5, 0.8, PRINTED / (2.0 * math.pi), 3.5 / (2.0 * PRINTED)],
     ),
     (
-        "published.md",
+        PUBLISHED,
         "as the text: k = # 1/s, k_b = # rad/m",
         [2.0 * DAMPING * CORNER, CORNER**2 / STANDARD_GRAVITY],
     ),
     (
+        PUBLISHED,
+        "| random walk of the bias | # °/h/√s, so # °/h in an hour |",
+        [DENSE.bias_random_walk / DEG_PER_H, DENSE.bias_random_walk / DEG_PER_H * math.sqrt(3600.0)],
+    ),
+    (PUBLISHED, "| first bias of the gyros, σ | # °/h |", [DENSE.bias_sd / DEG_PER_H]),
+    (
+        PUBLISHED,
+        "the two filters agree to #·10⁻¹² °/h",
+        [Source(TCZUPT, "by increments differ by at most #e-12 deg/h")],
+    ),
+    (
         "published.md",
-        "(if absent #, as in the paper), `window_s` (#), `time_constant_s` (#), `buffer_size` (#)",
+        "(if absent #, as in the paper), `window_s` (#), `time_constant_s` (#), `buffer_size` (# changes",
         [
             DEFAULT_STEP_DEGC,
             *(
@@ -1035,7 +1054,7 @@ SENTENCES: list[tuple[str, str, Numbers]] = [
     ),
     (
         "published.md",
-        "beside # °/h of the default, `sr_ukf` has #, `sr_rsukf` # and `stf` # °/h",
+        "| # °/h | `sr_ukf` #, `sr_rsukf` # °/h, with their best parameters; `stf` # °/h",
         [
             Source("random-error.md", "| the default, without declared noise | # |"),
             Source("random-error.md", "| SR-UKF, with its best parameter | # |"),
@@ -1045,8 +1064,29 @@ SENTENCES: list[tuple[str, str, Numbers]] = [
     ),
     (
         "published.md",
-        "makes # °/h on y; increments of the curve, as imumon has them, [#](",
-        [Source("tczupt.md", "as published, not increments of the curve: [# instead of # °/h]")],
+        "An exponential mean of # s has #. All but `stf` are equal within the scatter, # to # °/h",
+        [
+            Source("random-error.md", "| exponential mean, # s | # |"),
+            Source("random-error.md", "equal within the scatter of the runs (# to # °/h)"),
+        ],
+    ),
+    (
+        "published.md",
+        "| #, #, # °/h | the filter of `dense_*` with the curve as in `dense_zupt` #, #, # °/h;",
+        [
+            Source(TCZUPT, "| none | imumon thermal | # # # |"),
+            Source(TCZUPT, "| none | increments of the reading (0.05 degC steps) | # # # |"),
+        ],
+    ),
+    (
+        "published.md",
+        "and the rate by `fir` #, #, # °/h",
+        [Source(TCZUPT, "| none | slope x FIR rate | # # # |")],
+    ),
+    (
+        "published.md",
+        "at a latitude of #° a bias of 1 °/h towards east turns the heading by #°",
+        [36.0, math.degrees(math.atan(1.0 / LEVEL_RATE))],
     ),
 ]
 """Page, a sentence with # for its numbers, and what these are."""
@@ -1056,6 +1096,36 @@ SENTENCES: list[tuple[str, str, Numbers]] = [
 def test_numbers_of_a_sentence_are_those_of_its_sources(page: str, sentence: str, sources: Numbers) -> None:
     (shown,) = shaped(page, sentence)
     compare(shown, sources)
+
+
+@pytest.mark.long
+def test_errors_of_the_temperature_rate_beside_the_published_filter() -> None:
+    rate = r"([\d.]+) °C/h; error/σ ([\d.]+)"
+    pattern = rf"\| {rate}, because .* \| `fir` {rate}: its"
+    step, time_ns, reading, truth = heated_unit()
+    begun = slice(int(np.searchsorted(time_ns, 300 * 10**9)), None)
+    measured = []
+    for method in (MultipleModelRate(), FirRate(Params(step, 300.0, 180.0, 1000))):
+        _, found, _, sd = method.process(time_ns, np.zeros(len(time_ns), np.int64), reading)
+        error = (found - truth)[begun]
+        measured += [3600.0 * math.sqrt(np.mean(error**2)), math.sqrt(np.mean((error / sd[begun]) ** 2))]
+    assert numbers_in("published.md", pattern) == pytest.approx(measured, rel=0.03)
+
+
+def mean_of_cut(bias: float, noise: float) -> float:
+    """Return the mean of noisy readings that are cut toward zero to whole numbers."""
+    steps, of = np.arange(1.0, bias + 10.0 * noise + 2.0), math.sqrt(2.0) * noise
+    above = sum(math.erfc((step - bias) / of) for step in steps)
+    return 0.5 * (above - sum(math.erfc((step + bias) / of) for step in steps))
+
+
+def test_errors_of_rates_that_are_cut_toward_zero() -> None:
+    (table,) = (each for each in tables("devices-others.md") if each[0][1] == "noise of half a step")
+    for row in table[1:]:
+        steps, *shown = map(float, numbers(row))
+        assert shown[0] == round(steps / DEG_PER_H * 1e-3)
+        errors = [(steps - mean_of_cut(steps, noise)) / DEG_PER_H * 1e-3 for noise in (0.5, 1.0, 3.0)]
+        assert shown[1:] == pytest.approx(errors, abs=0.5)
 
 
 def test_counts_of_the_attitude_page() -> None:

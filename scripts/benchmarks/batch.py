@@ -63,8 +63,7 @@ def _jobs(folder: Path, number: int, seconds: float, command: Any) -> list[Job]:
         path.mkdir()
         for name in ("session.yaml", "wire.mcap"):
             shutil.copyfile(first / name, path / name)
-    options = BatchOptions(command=command)
-    return [Job(str(folder / f"{at:06}"), options, str(folder)) for at in range(number)]
+    return [Job(str(folder / f"{at:06}"), BatchOptions(command=command), str(folder)) for at in range(number)]
 
 
 def _run(jobs: Sequence[Job], number: int) -> tuple[float, float, list[Row]]:

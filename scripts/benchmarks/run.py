@@ -1,6 +1,7 @@
 """Command line of scripts/benchmark: sections by name, as Markdown tables."""
 
 import argparse
+import gc
 from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
@@ -8,6 +9,7 @@ from pathlib import Path
 from study import Cells, Table
 
 from benchmarks.measure import Bar, machine
+from imumon.cli import NEW_OBJECTS
 
 SECTIONS = {
     "start": "sessions",
@@ -36,6 +38,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options = parser.parse_args(arguments)
     if unknown := set(options.sections) - every.keys():
         parser.error(f"no section {', '.join(sorted(unknown))}; there are: {', '.join(every)}")
+    gc.set_threshold(NEW_OBJECTS)  # as the command line sets it
     host, bars = machine(), list[Bar]()
     command = " ".join(["scripts/benchmark", *options.sections])
     texts = [f"# Measured figures\n\nWritten by `{command} --markdown FILE`; not edited by hand.\n\n{host}\n"]

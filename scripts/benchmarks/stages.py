@@ -64,7 +64,7 @@ def zupt() -> Result:
     )
     note = "300 s at 100 Hz in blocks of 10 s, from the start on: the first minute is filtered twice."
     table = Table("## Gyro bias", ["", "µs per sample of three axes"], [*cost.items()], note, ("", ".3f"))
-    return [table], [Bar("gyro bias, standard, us per sample", 0.2, cost["stage, standard"], at_most=True)]
+    return [table], []
 
 
 def random_error() -> Result:

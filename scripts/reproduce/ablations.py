@@ -65,7 +65,7 @@ def ablation(
         for name, change in islice(chosen.items(), most):
             with changed(change):
                 rows.append(row(name, list(islice(outcomes(given.seeds, given.data), most)), base))
-        seeds = f"  Seeds {given.seeds[0]} to {given.seeds[-1]}."
-        yield Table(title + seeds, HEADS, rows, formats=FORMATS)
+            full = f"{title}  Seeds {given.seeds[0]} to {given.seeds[-1]}."
+            yield Table(full, HEADS, rows, formats=FORMATS)
 
     return Study(tables, seeds=2, first=3000, page=PAGE)

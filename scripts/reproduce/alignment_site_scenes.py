@@ -274,8 +274,7 @@ def record(scene: Scene, seconds: float, seed: int) -> Record:
         x, y, _ = body.T @ forward(body @ np.array([0.0, 0.0, -1.0]))
         heading += math.atan2(y, x)
         level = level @ np.array([[x, -y], [y, x]])
-    block = sent(np.arange(n) / scene.rate_hz, gyro=gyro, accel=accel)
-    return Record(block, heading, level)
+    return Record(sent(np.arange(n) / scene.rate_hz, gyro=gyro, accel=accel), heading, level)
 
 
 def _attitude(scene: Scene, heading: FloatArray, rng: np.random.Generator) -> Rotation:

@@ -43,8 +43,7 @@ def dense_filter(
     """
     n = len(gyro)
     drift = np.zeros((n, 3)) if drift is None else drift
-    first = accel[: max(1, round(1.0 / settings.interval_s))].mean(0)
-    state = begin(settings, first, up)
+    state = begin(settings, accel[: max(1, round(1.0 / settings.interval_s))].mean(0), up)
     state.bias = bias
     long = replace(settings, interval_s=settings.interval_s * every)
     run = DenseRun(np.empty((n, 3)), np.empty((n, 3)), np.full((n, 3), np.nan))

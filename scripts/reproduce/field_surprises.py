@@ -109,8 +109,7 @@ def broken_start(rng: np.random.Generator, reading_degc: float, seconds: float) 
     """Return a thermometer that has not measured yet when it is read first."""
     rate = rng.uniform(-1.0, 1.0) / 60.0
     scene = plain(900.0, 20.0, lambda t: 25.0 + rate * t)
-    misread = np.where(scene.t < seconds, reading_degc, np.nan)
-    return replace(scene, misread=misread, step_degc=0.0625)
+    return replace(scene, misread=np.where(scene.t < seconds, reading_degc, np.nan), step_degc=0.0625)
 
 
 def warm_up(rng: np.random.Generator) -> Truth:

@@ -122,8 +122,7 @@ def bias_rows(seeds: range, _: Path) -> Iterator[Row]:
             others = (method(estimates) - record.bias - record.earth for method in DEFAULTS.values())
             errors.append([of[motion].ravel() for of in (error, *others)])
         ours, *peers = (rms(np.concatenate(parts)) / DEG_PER_H for parts in zip(*errors, strict=True))
-        found = dict(zip(DEFAULTS, peers, strict=True))
-        yield Row("bias", name, "°/h", ours, np.concatenate(ratios), found)
+        yield Row("bias", name, "°/h", ours, np.concatenate(ratios), dict(zip(DEFAULTS, peers, strict=True)))
 
 
 def moving_rows(seeds: range, _: Path) -> Iterator[Row]:

@@ -22,6 +22,7 @@ from tczupt_study import LATITUDE_DEG, ZEROING
 from tczupt_study import simulate as ramp_test
 from thermometers import PER_HOUR
 
+from imumon.blocks import FloatArray, IntArray
 from imumon.estimation.attitude.stage import AttitudeEstimate
 from imumon.estimation.gyro_bias.stage import RestAndBias, RestDetector
 from imumon.estimation.rest.parameters import GyroBiasParameters
@@ -47,20 +48,25 @@ def axes(title: str, rows: int, x: str = "s") -> list[Axes]:
     return drawn
 
 
-def temperature_rate() -> list[Axes]:
-    """Draw rates of a unit that heats itself from 34 to 67 °C, read in steps of 0.05 °C at 10 Hz."""
-    step, rate_hz, difference_s = 0.05, 10, 180
-    t = np.arange(3 * 3600 * rate_hz) / rate_hz
+def heated_unit() -> tuple[float, IntArray, FloatArray, FloatArray]:
+    """Return step, times (ns), readings and true rate (°C/s) of a unit that heats itself from 34 to 67 °C."""
+    step, t = 0.05, np.arange(3 * 3600 * 10) / 10.0
     temperature = 67.3 - 33.0 * np.exp(-t / 2700.0) + 0.25 * np.sin(2.0 * np.pi * t / 3600.0)
-    truth = np.gradient(temperature, t)
     noise = 0.002 * np.random.default_rng(1).standard_normal(len(t))
     reading = step * np.round((temperature + noise) / step)
-    time_ns, segment = np.rint(t * 1e9).astype(np.int64), np.zeros(len(t), np.int64)
-    width, difference = difference_s * rate_hz, np.full(len(t), np.nan)
+    return step, np.rint(t * 1e9).astype(np.int64), reading, np.gradient(temperature, t)
+
+
+def temperature_rate() -> list[Axes]:
+    """Draw rates of a unit that heats itself, read in steps of 0.05 °C at 10 Hz."""
+    difference_s = 180
+    step, time_ns, reading, truth = heated_unit()
+    t, segment = time_ns * 1e-9, np.zeros(len(time_ns), np.int64)
+    width, difference = int(np.searchsorted(t, difference_s)), np.full(len(t), np.nan)
     difference[width:] = (reading[width:] - reading[:-width]) / difference_s
     fir, bank = FirRate(Params(step, 300.0, 180.0, 1000)), MultipleModelRate()
     above, middle, below = drawn = axes("A unit that heats itself, read in steps of 0.05 °C", 3, "min")
-    shown = slice(5 * 60 * rate_hz, None, 50)  # after five minutes every method has begun
+    shown = slice(int(np.searchsorted(t, 300.0)), None, 50)  # after five minutes every method has begun
     for name, rate, color in (("differences over 180 s", difference, "C0"), ("truth", truth, "k")):
         above.plot(t[shown] / 60.0, PER_HOUR * rate[shown], color, linewidth=0.9, label=name)
     above.set(ylabel="rate, °C/h")
