@@ -33,12 +33,14 @@ from imumon.estimation.rest.parameters import RestParameters
 from imumon.estimation.smoothing.stage import MEDIAN
 from imumon.estimation.temperature_rate.filter import CODE_MODELS, JERK_PSDS, MEAN_MODELS
 from imumon.estimation.temperature_rate.stage import RAMP_S, MultipleModelRate
-from imumon.geodesy import DEG_PER_H, EARTH_RATE, STANDARD_GRAVITY
+from imumon.geodesy import DEG_PER_H, EARTH_RATE, MICRO_G, STANDARD_GRAVITY
 from imumon.papers.dense_zupt import DenseSettings
 from imumon.papers.fir import FirRate, Params
+from imumon.papers.local_level import TO_INSTABILITY
 from imumon.papers.self_alignment import CORNER, DAMPING
 from imumon.papers.stages import DEFAULT_STEP_DEGC
 from imumon.protocols.thermometer import TemperatureRateParameters
+from imumon.run.live import BATCH_S
 
 DOCS = Path(__file__).parents[1] / "docs"
 ALIGNMENT, METHOD = "appendix/alignment-details.md", "appendix/alignment-method.md"
@@ -83,7 +85,7 @@ def numbers_in(page: str, pattern: str) -> list[float]:
         (ALIGNMENT, "alignment-site-results.md", 6),
         ("alignment.md", "alignment-site-results.md", 4),
         ("batch.md", "performance-table.md", 2),
-        ("performance.md", "performance-table.md", 7),
+        ("appendix/performance-details.md", "performance-table.md", 1),
         ("smoothing.md", "smoothing-details.md", 2),
     ],
 )
@@ -236,6 +238,17 @@ def least_and_largest(found: list[list[float]]) -> list[float]:
     return [min(map(min, found)), max(map(max, found))]
 
 
+def largest_walk(lowest: list[float], unit: float, axis: int, scales: tuple[float, float]) -> list[float]:
+    """Return lowest deviation in both units, its τ, and the walk that it allows, of the axis with most.
+
+    `lowest`: three deviations and three τ; `scales`: of the deviation and of the walk in SI units.
+    """
+    walks = [unit * s * math.sqrt(3.0 / tau) for s, tau in zip(lowest[:3], lowest[3:], strict=True)]
+    assert walks.index(max(walks)) == axis
+    deviation = lowest[axis]
+    return [deviation, scales[0] * unit * deviation, lowest[3 + axis], scales[1] * walks[axis]]
+
+
 def shown_and_excess(found: list[list[float]]) -> list[float]:
     """Return the share of records with a term, %, and by how much the term is too large in them, %."""
     return [found[0][0], 100.0 * (found[0][1] - 1.0)]
@@ -264,6 +277,9 @@ ALLAN, ATTITUDE_DETAILS, REST, SMOOTHING, RATE, RANDOM, PUBLISHED = (
 SITES, SPEED, TCZUPT = (
     f"appendix/{name}.md" for name in ("alignment-site-results", "performance-table", "tczupt-results")
 )
+SPEED_DETAILS = "appendix/performance-details.md"
+SPEEDS = "| x real time | # | # | # | # | # | # |"
+"""Of a replay: at rest, with a latitude, handled; each at 100 and at 400 Hz."""
 SOAK, JUMPED = "tutorials/soak.md", "../tests/estimation/smoothing/test_smoothing.py"
 SURPRISES = "../scripts/reproduce/field_surprises.py"
 WARMING = "../tests/estimation/gyro_bias/test_thermal.py"
@@ -272,6 +288,9 @@ LEVEL_RATE = EARTH_RATE * math.cos(math.radians(36.0)) / DEG_PER_H
 EARTH_DPH = EARTH_RATE / DEG_PER_H
 AT_50 = EARTH_DPH * math.cos(math.radians(50.0))
 NIGHT = "tutorials/a-night.md"
+CRS05 = "../configs/units/crs05.yaml"
+LOWEST_OF_GYROS = "lowest deviation °/h # # # at τ s # # #"
+LOWEST_OF_ACCELS = "lowest deviation µg # # # at τ s # # #"
 DENSE = DenseSettings(0.25)
 PRINTED = math.sqrt(0.8 * STANDARD_GRAVITY)
 """Corner of the alignment loop by the gains that its paper prints, rad/s."""
@@ -538,6 +557,18 @@ def test_each_row_of_what_fails_has_its_sources(page: str) -> None:
     known = tuple(row.lower() for where, row, _ in ROWS if where == page)
     for k, line in enumerate(rows):
         assert k in heads or k + 1 in heads or line.startswith(known), f"{page}: no source of {line}"
+
+
+def share_of_a_core(part: str, before: str) -> tuple[str, str, Numbers]:
+    """Return the row of a part of a live run; `before`: cells of the table before that of the part."""
+    sources: Numbers = [Source(SPEED, f"| {rate} Hz {before}| #% |") for rate in (100, 1000)]
+    return "performance.md", f"| {part} | * | # % | # % |", sources
+
+
+def hour_replayed(recording: str, first: int) -> tuple[str, str, Numbers]:
+    """Return the row of the seconds of an hour; `first`: the first of two numbers of `SPEEDS`."""
+    of = Source(SPEED, SPEEDS, lambda found: [3600.0 / one for one in found[0][first : first + 2]])
+    return "performance.md", f"| {recording} | # s | # s |", [of]
 
 
 SENTENCES: list[tuple[str, str, Numbers]] = [
@@ -903,28 +934,97 @@ SENTENCES: list[tuple[str, str, Numbers]] = [
         "wanders about its curve by # to # °/h",
         [Source(SOAK, "residual # # # °/h;", least_and_largest)],
     ),
+    share_of_a_core("monitor", ""),
+    share_of_a_core("view process", "| *% "),
+    share_of_a_core("both: imumon", "| *% | *% "),
+    share_of_a_core("Rerun's viewer", "| *% | *% | *% "),
+    hour_replayed("at rest", 0),
+    hour_replayed("at rest, with `--latitude`: the search for north runs, too", 2),
+    hour_replayed("handled, with rests of 10 s", 4),
     (
         "performance.md",
-        "took # % of a core at 100 Hz and # % at 1 kHz",
-        [Source(SPEED, f"| {rate} Hz | *% | *% | #% |") for rate in (100, 1000)],
+        "**A recording of an hour** is processed in # s",
+        [Source(SPEED, SPEEDS, lambda found: [3600.0 / found[0][1]])],
     ),
     (
         "performance.md",
-        "At # times real time an hour",
-        [Source(SPEED, "| replay at 400 Hz, at rest, x real time | ≥ 250 | # |")],
+        "all packets that came within # ms. A batch costs almost the same with # samples (# Hz) as with #",
+        [1e3 * BATCH_S, 100.0 * BATCH_S, 100, 1000.0 * BATCH_S],
     ),
     (
         "performance.md",
+        "arrived at the computer # ms ago (median), and in # % of the looks at most # ms ago. Up to # ms",
+        [
+            Source(SPEED, "| 1000 Hz | *% | *% | *% | *% | # |"),
+            99,
+            Source(SPEED, "| 1000 Hz | *% | *% | *% | *% | * | # |"),
+            1e3 * BATCH_S,
+        ],
+    ),
+    (
+        "performance.md",
+        "takes # s of the # s. `imumon decode`",
+        [
+            Source(SPEED, "| path | * | # |", lambda found: [3.6 * found[0][0]]),
+            Source(SPEED, SPEEDS, lambda found: [3600.0 / found[0][1]]),
+        ],
+    ),
+    (
+        "performance.md",
+        "`allan` needs the rest detector: # s for an hour at # Hz. The curves of six channels then take # s",
+        [
+            Source(SPEED, "| RestAndBias | * | # |", lambda found: [3.6 * found[0][0]]),
+            400,
+            Source(SPEED, "| Allan analysis of an hour at 400 Hz, six channels, s | * | # |"),
+        ],
+    ),
+    (
+        "performance.md",
+        "`--help` needs # s, and decoding a small file # s",
+        [
+            Source(SPEED, "| longest --help, CPU s | * | # |"),
+            Source(SPEED, "| decode of a small file, CPU s | * | # |"),
+        ],
+    ),
+    (
+        "performance.md",
+        "a packet takes # to # µs, by device. Live, decoding takes some # % of a core",
+        [
+            Source(SPEED, "| bno08x-rvc | 19 | 8 | # |", lambda found: [found[0][0] / 1e3]),
+            Source(SPEED, "| motioncal | 142 | 13 | # |", lambda found: [found[0][0] / 1e3]),
+            Source(SPEED_DETAILS, "0.27 ms a second are # % of a core"),
+        ],
+    ),
+    (
+        SPEED_DETAILS,
         "The packet of # bytes costs # µs",
         [58, Source(SPEED, "| 65536 | # |", lambda found: [found[0][0] / 1000.0])],
     ),
     (
-        "performance.md",
+        SPEED_DETAILS,
         "less than # % of a core, and 99 % of the samples in the viewer within # ms",
         [
             Source(SPEED, "| live at 1000 Hz, share of a core | ≤ # |", lambda found: [100.0 * found[0][0]]),
             Source(SPEED, "| live at 1000 Hz, age p99, s | ≤ # |", lambda found: [1000.0 * found[0][0]]),
         ],
+    ),
+    (
+        SPEED_DETAILS,
+        "take # ms per second of data at 100 Hz and # ms at 400 Hz: # µs and # µs a sample. The section "
+        "`zupt` has # µs a sample",
+        [
+            Source(
+                SPEED,
+                "| RestAndBias | # | # |",
+                lambda found: [*found[0], 10.0 * found[0][0], 2.5 * found[0][1]],
+            ),
+            Source(SPEED, "| stage, standard | # |"),
+        ],
+    ),
+    (
+        SPEED_DETAILS,
+        "in compiled code, and takes # µs",
+        [Source(SPEED, "| VQF with its bias, for comparison | # |")],
     ),
     (
         NIGHT,
@@ -938,27 +1038,55 @@ SENTENCES: list[tuple[str, str, Numbers]] = [
     ),
     (
         NIGHT,
-        "stops falling, at √(2 ln 2 / π) B = # B = # °/h",
+        "angle random walk # °/√h and bias instability # °/h on each gyro, velocity random walk # m/s/√h",
+        [
+            Source(CRS05, "arw_deg_per_sqrt_h: #"),
+            Source(CRS05, "sd_deg_per_h: #, tau_s: 10}", lambda found: [TO_INSTABILITY * found[0][0]]),
+            Source(CRS05, "vrw_m_per_s_per_sqrt_s: #e-3", lambda found: [0.06 * found[0][0]]),
+        ],
+    ),
+    (
+        NIGHT,
+        "gets flat, at # B, here # × # = # °/h",
         [
             FLOOR_PER_INSTABILITY,
+            FLOOR_PER_INSTABILITY,
+            Source(NIGHT, "instability °/h #("),
             Source(NIGHT, "instability °/h #(", lambda found: [FLOOR_PER_INSTABILITY * found[0][0]]),
         ],
     ),
-    (NIGHT, "in its place misses the curve by more than # standard deviations", [SHOWN]),
+    (NIGHT, "only if the curve needs it by more than # of its standard deviations", [SHOWN]),
     (
         NIGHT,
-        "# °/h of y at # s make `gyroscope_random_walk: #e-7` (rad/s/√s)",
+        "White noise alone would be at # °/h at # s",
         [
-            Source(
-                NIGHT,
-                "lowest deviation °/h # # # at τ s # # #",
-                lambda found: [
-                    found[0][1],
-                    found[0][4],
-                    1e7 * found[0][1] * DEG_PER_H * math.sqrt(3.0 / found[0][4]),
-                ],
-            )
+            Source(NIGHT, "random walk °/√h #(", lambda found: [found[0][0] / math.sqrt(819.2 / 3600.0)]),
+            819,
         ],
+    ),
+    (
+        NIGHT,
+        "| two hours | # ± # |",
+        [Source(NIGHT, "instability °/h #(#)", lambda found: [found[0][0], 0.01 * found[0][1]])],
+    ),
+    (
+        NIGHT,
+        "| `gyroscope_random_walk` | z: # °/h = #e-6 rad/s at # s | #e-7 (rad/s/√s) |",
+        [
+            Source(NIGHT, LOWEST_OF_GYROS, lambda found: largest_walk(found[0], DEG_PER_H, 2, (1e6, 1e7))),
+        ],
+    ),
+    (
+        NIGHT,
+        "| `accelerometer_random_walk` | x: # µg = #e-5 m/s² at # s | #e-6 (m/s²/√s) |",
+        [
+            Source(NIGHT, LOWEST_OF_ACCELS, lambda found: largest_walk(found[0], MICRO_G, 0, (1e5, 1e6))),
+        ],
+    ),
+    (
+        NIGHT,
+        "(1 °/h is #e-6 rad/s, 1 µg is #e-6 m/s².)",
+        [1e6 * DEG_PER_H, 1e6 * MICRO_G],
     ),
     (
         PUBLISHED,
@@ -1091,10 +1219,15 @@ def test_what_a_packet_costs() -> None:
     take = (cost["1024"][1] - cost["1024"][0]) * packets / 1000.0
     times = [cost["1024"][k] / cost["65536"][k] for k in (0, 1)]
     sentence = "`feed` adds about # µs, each `take` about # µs"
-    compare(shaped("performance.md", sentence)[0], [feed, take])
+    compare(shaped(SPEED_DETAILS, sentence)[0], [feed, take])
     sentence = "costs # times as much per packet as in 64 KiB chunks, and a `take` after each of them # times"
-    compare(shaped("performance.md", sentence)[0], [*times])
-    missed = sum(row[-1] == "FAIL" for row in tables(SPEED)[-1])
-    assert ["none", "one", "two", "three", "four", "five", "six"][missed] in text("performance.md").partition(
-        "In the present table "
-    )[2][:5]
+    compare(shaped(SPEED_DETAILS, sentence)[0], [*times])
+    live = "takes every # ms: # times # ms a second are # % of a core, at any rate. The packets add # % at"
+    takes, share = 1.0 / BATCH_S, 100.0 * cost["65536"][0] * 1e-7
+    compare(shaped(SPEED_DETAILS, live)[0], [1e3 * BATCH_S, takes, take / 1e3, takes * take * 1e-4, share])
+
+
+def test_missed_limits_are_those_of_the_table() -> None:
+    missed = [row[0] for row in tables(SPEED)[-1] if row[-1] == "FAIL"]
+    (shown,) = (table for table in tables(SPEED_DETAILS) if table[0][0] == "limit")
+    assert [row[0] for row in shown[1:]] == missed

@@ -1,1 +1,1 @@
-"""Speed of the paths that every byte or sample takes; see docs/performance.md."""
+"""Speed of the paths that every byte or sample takes; see docs/appendix/performance-details.md."""
