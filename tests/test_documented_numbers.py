@@ -939,12 +939,12 @@ SENTENCES: list[tuple[str, str, Numbers]] = [
     share_of_a_core("both: imumon", "| *% | *% "),
     share_of_a_core("Rerun's viewer", "| *% | *% | *% "),
     hour_replayed("at rest", 0),
-    hour_replayed("at rest, with `--latitude`: the search for north runs, too", 2),
+    hour_replayed("at rest, with `--latitude`, so with the search for north", 2),
     hour_replayed("handled, with rests of 10 s", 4),
     (
         "performance.md",
-        "**A recording of an hour** is processed in # s",
-        [Source(SPEED, SPEEDS, lambda found: [3600.0 / found[0][1]])],
+        "**A recording of an hour** at # Hz is processed in # s",
+        [400, Source(SPEED, SPEEDS, lambda found: [3600.0 / found[0][1]])],
     ),
     (
         "performance.md",
@@ -953,7 +953,8 @@ SENTENCES: list[tuple[str, str, Numbers]] = [
     ),
     (
         "performance.md",
-        "arrived at the computer # ms ago (median), and in # % of the looks at most # ms ago. Up to # ms",
+        "is # ms old (median), counted from its arrival at the computer, and in # % of the "
+        "readings at most # ms. Up to # ms",
         [
             Source(SPEED, "| 1000 Hz | *% | *% | *% | *% | # |"),
             99,
