@@ -796,7 +796,7 @@ SENTENCES: list[tuple[str, str, Numbers]] = [
             Source(SITES, f"| bias of 0.05 °/h, not declared |{' * |' * 12} # | * | # |"),
         ],
     ),
-    (METHOD, "For N below # °/√h it is # °/h, as for", [0.002, median_bias(0.002)]),
+    (METHOD, "but at least # °/h (its value for N = # °/√h)", [median_bias(0.002), 0.002]),
     (METHOD, "| #, from 1/# to # times a median |", [len(LOG_SIZES), *2 * [math.exp(LOG_SIZES[-1])]]),
     (METHOD, "| # to # 000 times the median |", [WORSE.max(axis=1).min(), WORSE.max() / 1000.0]),
     (METHOD, "two or all) | # % | # % |", [100 * P_WORSE, 100 * P_WORSE_THAN_DECLARED]),
@@ -806,19 +806,19 @@ SENTENCES: list[tuple[str, str, Numbers]] = [
         "(# s for # °/√h at #°), at the latest after # min of rest.",
         [3600.0 * (1e-3 * DEGREE / LEVEL_RATE / 0.05) ** 2, 0.001, 36, LONGEST_S / 60.0],
     ),
-    (ALIGNMENT, "# min of rest here end the command", [LONGEST_S / 60.0]),
+    (ALIGNMENT, "# min of rest in the last position end the command", [LONGEST_S / 60.0]),
     (
         ALIGNMENT,
-        "By 150° the noise counts # times as much as by 180°, by 90° # times.",
+        "the noise counts # times as much by 150° as by 180°, and # times by 90°.",
         [1.0 / math.sin(math.radians(0.5 * angle)) for angle in (150.0, 90.0)],
     ),
     (ALIGNMENT, "without `--seconds`: # min of rest, and no heading", [HOPELESS_S / 60.0]),
     (
         ALIGNMENT,
-        "and σ takes this as one sigma: #° for # s and # s of calm",
+        "as one sigma: #° for # s and # s of calm",
         [BY_TURN, 8, 2],
     ),
-    (ALIGNMENT, "σ ends at ½ Ω t, #° for # s", [BY_TURN / 2, 8]),
+    (ALIGNMENT, "σ ends at ½ Ω t, #° for a turn of # s", [BY_TURN / 2, 8]),
     (ALIGNMENT, "after half a turn σ ends at #°, higher", [90 * 300e-6]),
     (ALIGNMENT, "# % of half a turn is #°.", [1, 180 * 0.01]),
     (ALIGNMENT, "by half of it, #°", [90 * 0.01]),
@@ -882,13 +882,13 @@ SENTENCES: list[tuple[str, str, Numbers]] = [
     (ALIGNMENT, "in one position σ ends at #° (36°)", [750e-6 * TAN * DEGREE]),
     (
         ALIGNMENT,
-        "at #° half a turn of # s pays if σ_b is above # °/h (# ppm declared for the scale) or # °/h (the"
+        "at #° half a turn of # s (t = # s) pays if σ_b is above # °/h (# ppm declared for the scale) or # °/h (the"
         " default of # ppm)",
-        [36, 8, WORTH_A_TURN[0], 10, WORTH_A_TURN[1], 300],
+        [36, 8, 10, WORTH_A_TURN[0], 10, WORTH_A_TURN[1], 300],
     ),
     (
         ALIGNMENT,
-        "Above #° of latitude it is so",
+        "whose latitude is above #°, north or south",
         [math.floor(math.degrees(math.atan(math.radians(0.05) / 750e-6)))],
     ),
     (
@@ -898,7 +898,7 @@ SENTENCES: list[tuple[str, str, Numbers]] = [
     ),
     (
         ALIGNMENT,
-        '"at 60°": # σ at most',
+        '"at 60°, any attitude": # σ at most',
         [Source(SITES, f"| at 60°, any attitude, settling 50 µrad, 60 s |{' * |' * 18} # |")],
     ),
     (
