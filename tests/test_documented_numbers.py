@@ -882,8 +882,8 @@ SENTENCES: list[tuple[str, str, Numbers]] = [
     (ALIGNMENT, "in one position σ ends at #° (36°)", [750e-6 * TAN * DEGREE]),
     (
         ALIGNMENT,
-        "at #° half a turn of # s (t = # s) pays if σ_b is above # °/h (# ppm declared for the scale) or # °/h (the"
-        " default of # ppm)",
+        "at #° half a turn of # s (t = # s) pays if σ_b is above # °/h (# ppm declared for the scale) or "
+        "# °/h (the default of # ppm)",
         [36, 8, 10, WORTH_A_TURN[0], 10, WORTH_A_TURN[1], 300],
     ),
     (
