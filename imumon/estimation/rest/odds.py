@@ -142,7 +142,7 @@ def log_ratio_by_gravity(
         return EXCLUDED_LOG_RATIO
     log_oblique = -0.5 * ((tilt - phi) @ (tilt - phi)) / turn_variance
     log_still = -0.5 * tilt_sigmas**2
-    # -ln((L(oblique) + L(no turn)) / 2 / L(no turn))
+    # Λ_gravity = 2 / (1 + 1/Λ0), Λ0 = L(no turn) / L(oblique)
     return math.log(2.0) - float(np.logaddexp(log_oblique - log_still, 0.0))
 
 
@@ -168,7 +168,7 @@ def log_ratio_by_heading(measurements: Sequence[Measurement], biases: FloatArray
     # If even in time, a second difference has 6 times the variance of a heading, and the change has it twice.
     noise_variance = (np.diff(turned, 2) ** 2).mean() / 3.0
     variance = noise_variance + HEADING_NOISE**2 + (HEADING_ERROR * angle) ** 2
-    follows = (measured**2 - (measured - angle) ** 2) / (2.0 * variance)  # ln L(turn) / L(no turn)
+    follows = (measured**2 - (measured - angle) ** 2) / (2.0 * variance)  # -ln Λ0, Λ0 = L(no turn) / L(turn)
     return -np.asarray(np.logaddexp(math.log(1.0 - STUCK_HEADING) + follows, math.log(STUCK_HEADING)))
 
 
