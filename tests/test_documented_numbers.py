@@ -28,7 +28,7 @@ from imumon.estimation.alignment.stage import LONGEST_GAP_S
 from imumon.estimation.attitude.fusion import TAU_ACC_S
 from imumon.estimation.attitude.sigma import CONFIRMING_TURN, IRON
 from imumon.estimation.gyro_bias.bank import SENSITIVITY_SD
-from imumon.estimation.rest.odds import changed_bias
+from imumon.estimation.rest.odds import of_changed_bias
 from imumon.estimation.rest.parameters import RestParameters
 from imumon.estimation.smoothing.stage import MEDIAN
 from imumon.estimation.temperature_rate.filter import CODE_MODELS, JERK_PSDS, MEAN_MODELS
@@ -256,7 +256,7 @@ def shown_and_excess(found: list[list[float]]) -> list[float]:
 
 def odds_of_change(dph: float) -> float:
     """Return the odds of a changed bias over a turn, by a change of the rate of so many °/h."""
-    return changed_bias(dph * DEG_PER_H, 0, RestParameters().largest_jump)
+    return of_changed_bias(dph * DEG_PER_H, 0, RestParameters().largest_jump)
 
 
 def turn_at(probability: float) -> float:

@@ -36,8 +36,8 @@ VARIANTS: dict[str, Change] = {
     "nominal bias stays from P(turn) of 0.1 on": [(hypotheses, "DOUBT", 0.1)],
     "a mean fits by 5.5 sigma, not 4.5": [(hypotheses, "FIT_SIGMAS", 5.5)],
     "no test by gravity": [(odds, "OBLIQUE", 1e9)],
-    "a vague prediction does not explain a rate": [(odds, "nominal_bias", lambda *_: 0.0)],
-    "rest after one second, however short the last rests": [(quiet, "SHORT_RESTS", 10**9)],
+    "a vague prediction does not explain a rate": [(odds, "of_nominal_bias", lambda *_: 0.0)],
+    "rest after one second, however short the last rests": [(quiet, "SHORT_RUNS", 10**9)],
     "no turn may hide in the first rest": [(odds, "hidden_turn", lambda *_: np.zeros(3))],
 }
 

@@ -22,10 +22,10 @@ event                 first row that holds                              the nomi
 ====================  ================================================  =====================================
 rest, `_begin_rest`   the last rate was no turn (not `doubted`)         becomes the present one
 a mean, `_follow`     `doubted`: P(turn) above 1/4 (1/10 if the rate    stays
-..                    has changed), until below 1/20
-..                    the rate has changed up to 16 s ago               stays
-..                    the rate has changed before that                  becomes the present one: a jump
-..                    else                                              becomes that of 16 to 32 s ago
+                      has changed), until below 1/20
+a mean                the rate has changed up to 16 s ago               stays
+a mean                the rate has changed before that                  becomes the present one: a jump
+a mean                else                                              becomes that of 16 to 32 s ago
 motion, `move`        the rate has changed once, up to 4 s ago          replaces the present one: an onset
 ====================  ================================================  =====================================
 
@@ -47,11 +47,11 @@ from imumon.estimation.rest.slots import Measurement
 from .bank import Bank
 
 FIT_SIGMAS = 4.5  # of an axis, within which a mean fits; with 4, drifts of a warm-up contradicted the bias
-# P(turn) from which on the nominal bias stays, where the rate creeps (as the bias of a unit that warms up)
-# and where it has changed, and up to which it then follows again; by the gyros alone a turn of 36 °/h, below
-# which turns are rare, has P(turn) 0.14.
+# P(turn) above which the nominal bias stays while the rate creeps, as the bias of a unit that warms up;
+# above which it stays where the rate has changed: by the gyros alone a turn of 36 °/h, the slowest, has 0.14;
+# and up to which it then follows again.
 DOUBT, DOUBT_OF_CHANGE, UNLIKELY_TURN = 0.25, 0.1, 0.05
-EVEN = 0.5  # P(turn) up to which it is rest, and the present bias is reported
+EVEN = 0.5  # P(turn) up to which it is rest, and the present bias is reported; of a new rate in given rest
 LAG_S = 16.0  # by so much at least, and twice as much at most, the nominal bias lags behind the present one
 ONSET_S = 4.0  # a younger change is the onset of a motion; an older one may end a first turn.  Assumed.
 NEW_POSE = 0.3  # m/s²: a specific force that differs more from the first one is of another pose.  Assumed.
@@ -75,9 +75,9 @@ class Hypotheses:
         self.first: Measurement | None = recent[0]  # till another pose or bias, as this one may be a turn
         self.present = self.nominal = self.test_copy = bank  # the test copy is the next nominal bias, too
         self.undo: Bank | None = None  # the present filters before the last second, for motion that follows
-        self.steady_count = 0  # how many of the recent measurements are of the present rate
         self.changes = 0  # how often the rate has changed since it fitted the nominal bias
         self.steady_s = 0.0  # how long the present rate has lasted; whole seconds are compared with `LAG_S`
+        self.steady_count = 0  # how many of the recent measurements are of the present rate
         self.p_turn = 0.0  # probability that the difference of both biases is a turn
         # What the less likely hypothesis adds to sigma, rad/s, by the last two measurements.
         self.ambiguities = np.zeros((2, 3))
@@ -115,7 +115,8 @@ class Hypotheses:
         if self.steady_count < odds.LEAST_MEASUREMENTS:
             evidence = self.recent if len(self.recent) >= odds.LEAST_MEASUREMENTS else [*parts]
         self._weigh(now, evidence, accel_noise)
-        may_hide = self.first is self.recent[0] and not self.rest_given  # the first rest, all of it is kept
+        # In the first rest, all of which is kept: no motion, jump or other pose since the first measurement.
+        may_hide = self.recent[0] is self.first and not self.rest_given
         self.hidden = odds.hidden_turn(self.recent, accel_noise / now.covered_s) if may_hide else np.zeros(3)
         return self._follow(now)
 
@@ -147,22 +148,27 @@ class Hypotheses:
         """Update P(turn), and what the less likely hypothesis adds to sigma."""
         # A rate that lasts is no flicker of a second, so that is not in the variance.
         prediction = self.nominal.prediction.ahead_to(now.end_s, now.degc_and_sd)
-        nominal, variance = prediction.bias(now.force, of_mean=True)
+        nominal, nominal_variance = prediction.bias(now.force, of_mean=True)
         present, present_variance = self.present.prediction.bias(now.force, of_mean=True)
         change = present - nominal
-        if self.rest_given:  # no sensor is compared: while the rate is new, both are as likely
+        if self.rest_given:  # no sensor is compared
             self.p_turn = EVEN if self.changes and self.steady_s <= UNDECIDED_GIVEN_S else 0.0
         else:
-            accel_variance, drift = accel_noise / evidence[0].covered_s, self.limits.accel_drift
-            log_ratio = odds.gravity(evidence, nominal, variance, change, accel_variance, drift)
-            by_heading, if_no_bias = odds.heading(evidence, np.stack([nominal, np.zeros(3)]))
-            self.p_turn = self._p_turn(now, change, variance + present_variance, log_ratio + by_heading)
+            noise, drift = accel_noise / evidence[0].covered_s, self.limits.accel_drift
+            by_gravity = odds.log_ratio_by_gravity(evidence, nominal, nominal_variance, change, noise, drift)
+            by_heading, if_no_bias = odds.log_ratio_by_heading(evidence, np.stack([nominal, np.zeros(3)]))
+            # Of the change: after a jump both errors are independent.  Else the present bias has all data of
+            # the nominal one, the variance is the difference (Hausman), and this is a bound.
+            variance = nominal_variance + present_variance
+            self.p_turn = self._p_turn(now, change, variance, by_gravity + by_heading)
             if self.first and not self.changes:
                 self.began_turning |= bool(if_no_bias < BEGAN_LOG_RATIO)
-        if self.turning:
+        # If bias 2 holds with probability p, the mean square error of bias 1, which is reported, is
+        # (1 - p) P1 + p (d² + P2) = P1 + p (d² + P2 - P1).
+        if self.turning:  # the present bias is bias 2, and d² is far above P2 - P1
             square = (1.0 - self.p_turn) * change**2
-        else:  # the variance of the mixture: that of the nominal bias, which may be vague by then, counts
-            square = self.p_turn * (change**2 + np.maximum(variance - present_variance, 0.0))
+        else:
+            square = self.p_turn * (change**2 + np.maximum(nominal_variance - present_variance, 0.0))
         self.ambiguities = np.stack([self.ambiguities[1], np.copysign(np.sqrt(square), change)])
         if self.began_turning:  # what the rate is if there is no bias
             self.ambiguities[:] = now.rate
@@ -171,13 +177,13 @@ class Hypotheses:
         """Return P(turn), by the change, its variance, and ln Λ of gravity and heading together."""
         size = max(math.hypot(*change), 1e-12)  # rad/s: it is a divisor
         too_long = self.steady_s > self.limits.undecided_s and size <= self.limits.largest_jump
-        if too_long and log_ratio >= odds.LEAST_LOG_RATIO:
+        if too_long and log_ratio >= odds.EVIDENT_LOG_RATIO:
             return 0.0
-        explained = odds.changed_bias(size, max(self.changes - 1, 0), self.limits.largest_jump)
-        explained += odds.nominal_bias(size, float((change / size) ** 2 @ variance))
+        explained = odds.of_changed_bias(size, max(self.changes - 1, 0), self.limits.largest_jump)
+        explained += odds.of_nominal_bias(size, float((change / size) ** 2 @ variance))
         if self.first and self.changes and round(self.steady_s) > ONSET_S:
-            explained += odds.first_turn(self.first.rate, now.rate)
-        ratio = math.exp(max(min(log_ratio, odds.MOST_LOG_RATIO), -odds.MOST_LOG_RATIO))
+            explained += odds.of_first_turn(self.first.rate, now.rate)
+        ratio = math.exp(max(min(log_ratio, odds.EXCLUDED_LOG_RATIO), -odds.EXCLUDED_LOG_RATIO))
         return 1.0 / (1.0 + explained * ratio)
 
     def _follow(self, now: Measurement) -> bool:
@@ -197,10 +203,8 @@ class Hypotheses:
         return False
 
     def move(self, undo: bool) -> None:
-        """Coast while the unit moves: a change of a few seconds was how the motion began.
-
-        With `undo` the last measurement is taken back: motion may begin before it is detected.
-        """
+        """Coast while the unit moves: a change of a few seconds was how the motion began.  With `undo` the
+        last measurement is taken back: motion may begin before it is detected."""
         if undo and self.undo is not None:
             self.present = self.undo
         self.undo = None

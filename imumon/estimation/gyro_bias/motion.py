@@ -36,16 +36,15 @@ class Motion:
 
     def interrupt(self, seconds: float) -> None:
         """Begin the window anew: it rested, or readings are missing.  The bias has walked meanwhile."""
-        seconds += sum(turn.seconds for turn, _ in self.parts)
-        self.covariance += BIAS_WALK**2 * seconds * np.eye(3)
+        self.covariance += BIAS_WALK**2 * (seconds + sum(turn.seconds for turn, _ in self.parts)) * np.eye(3)
         self.parts = []
 
     def take(self, turn: Turn, force: FloatArray) -> None:
-        """Take a slot in motion and its mean specific force, m/s²."""
+        """Take a slot in motion, in whose axes the specific force is taken as constant, m/s², (3,)."""
         full_s = PART_S - 0.5 * SLOT_S
         if not self.parts or self.parts[-1][0].seconds >= full_s:
             self.parts.append((STILL, np.zeros(3)))
-        whole, velocity = self.parts[-1]
+        whole, velocity = self.parts[-1]  # and `by_bias` is ∫ C dt of the slot
         self.parts[-1] = whole.then(turn), velocity + whole.rotation @ (turn.by_bias @ force)
         if len(self.parts) == PARTS and self.parts[-1][0].seconds >= full_s:
             self._fit()
@@ -53,22 +52,23 @@ class Motion:
 
     def _fit(self) -> None:
         seconds = sum(turn.seconds for turn, _ in self.parts)
-        # Up in body axes, on the average over the window.
+        # Up in body axes, on the average over the window: each part in the axes of its end.
         velocity = sum((turn.rotation.T @ v for turn, v in self.parts), np.zeros(3))
         vertical = velocity / np.linalg.norm(velocity)
         prior = np.zeros((6, 6))  # information on gravity, of which there is none, and bias
         prior[3:, 3:] = np.linalg.inv(self.covariance + BIAS_WALK**2 * seconds * np.eye(3))
-        mean, variance = self.mean, 1.0
-        for _ in range(10):
-            measured, design = self._linear(mean)
+        bias, variance = self.mean, 1.0  # where the fit is linear, rad/s; of a part, (m/s)²
+        for _ in range(10):  # as the start, assumed
+            measured, design = self._linear(bias)
             normal = design.T @ design / variance
             right = design.T @ measured / variance + prior[:, 3:] @ self.mean
             covariance = np.asarray(np.linalg.inv(normal + prior))
             found = covariance @ right
             left = measured - design @ found
             free = len(left) - np.trace(covariance @ normal)
-            variance, mean = ALIKE * max(float(left @ left) / free, LEAST_VARIANCE), found[3:]
-        self.mean, self.covariance = mean - (vertical @ mean) * vertical, covariance[3:, 3:]
+            variance = ALIKE * max(float(left @ left) / free, LEAST_VARIANCE)
+            bias = found[3:]
+        self.mean, self.covariance = bias - (vertical @ bias) * vertical, covariance[3:, 3:]
         # About the vertical nothing is learned: the variance stays that of a turn-on bias.
         lacking = TURN_ON**2 - vertical @ self.covariance @ vertical
         self.covariance += max(lacking, 0.0) * np.outer(vertical, vertical)

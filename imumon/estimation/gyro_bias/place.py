@@ -33,7 +33,7 @@ class Attitude:
         """Begin before the first rest."""
         self.up = self.north = np.zeros(3)  # unit vectors; zero where not known
         self.earth = np.zeros(3)  # what is known of the earth rate, rad/s
-        self.heading_variance = 0.0  # with latitude and heading, rad²
+        self.heading_variance = 0.0  # of north, rad²
         self.turn = STILL  # since the last rest, less the bias
         self.lost = False  # whether readings were missing since the last rest
         self.pose_unknown = False  # whether that of this rest is not known, so that all earth rate is bias
@@ -46,9 +46,9 @@ class Attitude:
         return self._level_variance(self.heading_variance) + self._turned_earth()
 
     def _level_variance(self, heading_variance: float) -> FloatArray:
-        """Return the variance of the horizontal earth rate by that of the heading, rad², (3,)."""
+        """Return the variance of the level earth rate by that of the heading, rad², (3,)."""
         level = EARTH_RATE * (1.0 if self.latitude is None else math.cos(self.latitude))
-        return level**2 * heading_variance * (1.0 - self.up**2)
+        return level**2 * heading_variance * (1.0 - self.up**2)  # east² ≤ 1 - up²: the error is eastward
 
     def _turned_earth(self) -> FloatArray:
         """Return the variance of what the turn does to the earth rate that is taken for bias, (rad/s)², (3,).
@@ -70,43 +70,48 @@ class Attitude:
 
         The mean specific force, m/s², is NaN or zero where not known; the prediction is None at first.
         """
-        added = self._turned_earth()  # by the turn alone; what else is known, or lost, replaces it
         size = np.linalg.norm(force)
-        lost_pose = (self.turn.seconds or self.lost) if self.up.any() else self.latitude is not None
+        turned = self.lost or self.turn.seconds > 0.0
         if size > 0.0:
-            before, self.up = self.up, force / size
-            if self.latitude is not None and self.heading is not None:
-                added = self._take_north(before, self.heading, None if self.lost else prediction)
-            if self.latitude is not None:
-                self.earth = earth_rate_along(self.up, self.north, self.latitude)
-            if self.pose_unknown:
-                # The bias loses the earth rate again, or without a heading all but the level part of it.
-                self.pose_unknown, added = False, np.full(3, EARTH_RATE**2)
-                self.heading_variance = 0.0 if self.heading is None else LOST_SD**2
-        elif lost_pose:
+            added = self._take_pose(force / size, prediction)
+        elif turned if self.up.any() else self.latitude is not None:
             # Of this pose, another one or the first, nothing is known: all earth rate is part of the bias.
             self.up = self.north = self.earth = np.zeros(3)
             self.pose_unknown = self.latitude is not None
             added = np.full(3, ANY_TURN_VARIANCE)
+        else:
+            added = self._turned_earth()
         self.turn, self.lost = STILL, False
         return added
 
+    def _take_pose(self, up: FloatArray, prediction: Prediction | None) -> FloatArray:
+        """Take up, (3,), and what follows of north and earth rate; return what that adds to the variance."""
+        added = self._turned_earth()
+        before, self.up = self.up, up
+        if self.latitude is not None:
+            if self.heading is not None:
+                added = self._take_north(before, self.heading, prediction)
+            self.earth = earth_rate_along(up, self.north, self.latitude)
+        if self.pose_unknown:
+            # The bias loses the earth rate again, or without a heading all but the level part of it.
+            self.pose_unknown, added = False, np.full(3, EARTH_RATE**2)
+            self.heading_variance = 0.0 if self.heading is None else LOST_SD**2
+        return added
+
     def _take_north(self, before: FloatArray, heading: float, prediction: Prediction | None) -> FloatArray:
-        """Carry north on from the last rest, where up was `before`, (3,), zero at first; without a prediction
-        the turn is not known, and the heading is taken for the first one, to `LOST_SD`."""
+        """Carry north on from the last rest, where up was `before`, (3,), zero at first; where the turn since
+        then is not known, the heading is taken for the first one, to `LOST_SD`."""
         northward = self.north @ self.turn.rotation  # in the axes of now
         northward -= (northward @ self.up) * self.up
         length, variance = np.linalg.norm(northward), LOST_SD**2
-        if prediction is not None and length > LEAST_HORIZONTAL:
+        if prediction is not None and not self.lost and length > LEAST_HORIZONTAL:
             self.north = northward / length
-            # By the bias, whose sensitivity meets a gravity that turns in body axes, by scale and
-            # misalignment, by missing samples, and by the earth's turn meanwhile.
+            # Errors of the turn about the old vertical.  A sensitivity is one of the bias: gravity turns.
             _, bias_variance = prediction.bias(STANDARD_GRAVITY * before)
             sensitivity = np.einsum("aii->a", prediction.covariance[:, SENSITIVITY, SENSITIVITY]) / 3.0
-            bias_variance = bias_variance + STANDARD_GRAVITY**2 * sensitivity
-            by_bias = (before @ self.turn.by_bias) ** 2 @ bias_variance
+            by_bias = (before @ self.turn.by_bias) ** 2 @ (bias_variance + STANDARD_GRAVITY**2 * sensitivity)
             by_scale = SCALE_SD**2 * np.sum(self.turn.scale_about(before) ** 2)
-            by_earth = (EARTH_RATE * self.turn.seconds) ** 2
+            by_earth = (EARTH_RATE * self.turn.seconds) ** 2  # which turned meanwhile
             variance = min(variance, by_bias + by_scale + by_earth + self.turn.sampling_variance(before))
         else:
             self.north = north_in_body(self.up, heading)

@@ -47,8 +47,8 @@ class RestAndBias:
     Neither noise nor bias of the sensors needs to be known.  Rest is decided at the end of each slot of a
     quarter of a second; a single sample far from the mean ends it at that sample.
 
-    ``turn_hypothesis_{x,y,z}`` is the difference between a steady turn and a changed bias, rad/s, times the
-    root of the probability of what is not shown; and the error by rounding.  Its square is in the variance.
+    ``turn_hypothesis_{x,y,z}`` is in sigma: the difference between a steady turn and a changed bias, rad/s,
+    times the root of the probability of what is not shown, with the error by rounding (root of squares).
 
     ``gyro_bias_{x,y,z}`` is the bias of the raw rate, with what is not known of the earth rate: all of it, or
     without a heading its level part.  It is NaN until the unit was at rest for some seconds, or for a minute
@@ -81,6 +81,7 @@ class RestAndBias:
         heading_deg: float | None = None,
         rest: RestParameters | None = None,
     ) -> None:
+        # Sd of the slope over σ, 1/°C: each makes a mode of the filters.
         slopes = (0.0, SLOPE_LEFT_PER_SIGMA if model else SLOPE_PER_SIGMA) if mode == "learned" else (0.0,)
         self._thermal = Thermal(model)
         latitude, heading = (None if a is None else math.radians(a) for a in (latitude_deg, heading_deg))
@@ -107,11 +108,12 @@ class RestAndBias:
         readings = block.stacked(SENSORS)
         readings[time_ns == NO_INT] = np.nan
         usable = np.isfinite(readings).any(1)
+        absent = self._absent(readings[:, GYRO])
+        readings[:, GYRO][absent] = 0.0
         (temperature, sd), (modelled, curve, power_on_sd) = self._thermal.process(block)
-        absent = self._fill_absent(readings[:, GYRO])
         segment = GYRO_SETS * block["segment"] + absent.sum(1)  # a gyro that comes late begins another
         block = block.with_columns({"segment": segment})
-        given = np.full(n, np.nan)  # is to be detected
+        given = np.full(n, np.nan)  # rest is to be detected
         if self._estimator.parameters.assume_at_rest:
             given[:] = block.columns.get("at_rest", np.ones(n)) == 1
         values = np.column_stack([readings, modelled, power_on_sd, heading_of(block), temperature, sd, given])
@@ -119,7 +121,7 @@ class RestAndBias:
         rest, innovation, biases = self._estimate(block, slots, readings, temperature)
         # Rest ends where readings are missing for long, and at unknown times.
         latest = np.maximum.accumulate(np.where(usable, np.arange(n), -1))
-        latest_ns = np.where(latest < 0, self._last_ns, time_ns[latest])
+        latest_ns = np.where(latest < 0, self._last_ns, time_ns[latest])  # -1: none yet in this block
         rest[(time_ns == NO_INT) | (time_ns - latest_ns > int(LONGEST_PAUSE_S * 1e9))] = 0
         self._last_ns = int(latest_ns[-1]) if n else self._last_ns
         if self._estimator.parameters.assume_at_rest:
@@ -128,28 +130,16 @@ class RestAndBias:
         bias, sd = bias + modelled, np.sqrt(variance + turn**2)
         bias[absent] = sd[absent] = innovation[absent] = turn[absent] = np.nan
         self._trail.add(temperature[slots.row], bias[slots.row])
-        vectors = {
-            "turn_hypothesis": turn,
-            "gyro_bias": bias,
-            "gyro_bias_sd": sd,
-            "gyro_corrected": readings[:, GYRO] - bias,
-            "zupt_innovation": innovation,
-            "gyro_random_error": bias - curve,
-            "gyro_random_error_sd": sd,
-        }
-        found: dict[str, ColumnArray] = {"at_rest": rest}
-        for j, axis in enumerate("xyz"):
-            found |= {f"{name}_{axis}": vector[:, j] for name, vector in vectors.items()}
-        return {column.name: found[column.name] for column in self.columns}
+        # In the order of `columns`, of which a detector of rest has the first four.
+        vectors = np.hstack([turn, bias, sd, readings[:, GYRO] - bias, innovation, bias - curve, sd])
+        return {column.name: values for column, values in zip(self.columns, (rest, *vectors.T), strict=False)}
 
-    def _fill_absent(self, gyro: FloatArray) -> BoolArray:
-        """Let gyros of few readings so far, beside one of more, read zero; return which, (n, 3)."""
+    def _absent(self, gyro: FloatArray) -> BoolArray:
+        """Return which gyros the unit lacks, (n, 3): those of few readings so far, beside one of more."""
         count = np.cumsum(np.vstack([self._readings, np.isfinite(gyro)]), axis=0)
         self._readings = count[-1]
         present = count[1:] >= LEAST_READINGS
-        absent: BoolArray = ~present & present.any(1, keepdims=True)
-        gyro[absent] = 0.0
-        return absent
+        return ~present & present.any(1, keepdims=True)
 
     def _estimate(
         self, block: SampleBlock, slots: Slots, readings: FloatArray, temperature: FloatArray
@@ -185,10 +175,9 @@ class RestAndBias:
         return behind_s
 
     def _continue_rest(self, rest: IntArray, readings: FloatArray, start: int, stop: int) -> None:
-        """Continue at_rest over the rows of the open slot, up to a sample far from the mean."""
-        rest[start:stop] = not self.unrest
-        if start < stop and rest[start]:
-            rest[start:stop] = self._estimator.quiet.resting(readings[start:stop])
+        """Continue rest over the rows of the open slot, up to a sample far from the mean."""
+        if start < stop and not self.unrest:
+            rest[start:stop] = self._estimator.quiet.rest_until_far(readings[start:stop])
 
     @property
     def unrest(self) -> str:
@@ -201,12 +190,13 @@ class RestAndBias:
 
     def notices(self) -> list[str]:
         """Return what is missing, assumed, or out of range, and how often the bias has jumped."""
-        jumps = self._estimator.jumps
-        jumped = (
-            f"at rest the rate contradicted the bias, so it has jumped, {jumps} times so far: the bias is "
-            "estimated anew"
-        )
-        return [*self._notices, *self._thermal.notices, *([jumped] if jumps else [])]
+        found = [*self._notices, *self._thermal.notices]
+        if jumps := self._estimator.jumps:
+            found.append(
+                f"at rest the rate contradicted the bias, so it has jumped, {jumps} times so far: "
+                "the bias is estimated anew"
+            )
+        return found
 
 
 class RestDetector(RestAndBias):

@@ -1,6 +1,7 @@
 """Temperature: a thermal bias model as a known input, the variance that it adds, and charts of the bias."""
 
 import math
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -29,9 +30,9 @@ class Thermal:
     def __init__(self, model: BiasModel | None) -> None:
         self._predictor = None if model is None else BiasPredictor(model, GYROS)
         columns = ["temperature"] * 3 if self._predictor is None else self._predictor.temperature_columns
-        ends = [name.removeprefix("temperature").removeprefix("_estimate") for name in columns]
-        # Endings of the columns of each gyro, the likeliest first: [["", "_x"], ["", "_y"], ["", "_z"]].
-        self._ends = [[end] if end else ["", f"_{axis}"] for end, axis in zip(ends, "xyz", strict=True)]
+        suffixes = [name.removeprefix("temperature").removeprefix("_estimate") for name in columns]
+        # Suffixes that the columns of each gyro may have, the likeliest first.
+        self._suffixes = [[own] if own else ["", f"_{a}"] for own, a in zip(suffixes, "xyz", strict=True)]
         self._reference = np.full(3, np.nan)  # the curve at the first temperature, rad/s
         channels = [] if model is None else [model.channels[name] for name in GYROS]
         # Of each gyro, (3,), empty without a model: range, °C; sd of residual, rad/s; rms slope, rad/s/°C.
@@ -57,38 +58,35 @@ class Thermal:
         """
         if self._predictor is None:
             return np.zeros(3)
+        # Within the range: a random walk, in steps of `MOVED_DEGC` at least.
         self._walked_degc = np.where(np.isfinite(self._walked_degc), self._walked_degc, degc)
         moved = np.abs(degc - self._walked_degc)
         far = moved >= MOVED_DEGC
         self._walked_degc = np.where(far, degc, self._walked_degc)
         walk = np.where(far, 2.0 * self._residual**2 * moved / CORRELATION_DEGC, 0.0)
-        # Beyond the range the error is that of the slope times the way, and grows with it, out and back.
+        # Beyond the range: the error of the slope times the way, out and, by a hysteresis, back.
         beyond_before = self._beyond_degc
         beyond = np.maximum(np.maximum(self._low - degc, degc - self._high), 0.0)
         back = beyond_before - beyond >= MOVED_DEGC
         self._beyond_degc = np.where(back, beyond, np.fmax(beyond_before, beyond))
         degc2 = np.abs(self._beyond_degc**2 - beyond_before**2) + lag_degc**2
+        # By the state at power-on: as much as has faded of its sd.
         faded_before = self._faded
         self._power_on_sd = np.where(np.isfinite(self._power_on_sd), self._power_on_sd, sd)
         self._faded = np.fmax(faded_before, (sd - self._power_on_sd) ** 2)
         return walk + self._steepness**2 * degc2 + self._faded - faded_before
 
     def unseen_lag(self, gap_s: float, behind: SampleBlock) -> FloatArray:
-        """Return by how much the lag of each gyro's temperature may have changed in a gap (sd), °C, (3,).
-
-        `behind` is the first row after it: what it knows of the rate (sd) holds, else `UNSEEN_RATE`.
-        """
+        """Return by how much the lag of each gyro's temperature may have changed in a gap (sd), °C, (3,), by
+        the rate (sd) that the first row `behind` it has, else by `UNSEEN_RATE`."""
         rate_sd = self._first_of(behind, "_rate_sd")[0]
         unseen = np.where(np.isfinite(rate_sd), rate_sd, UNSEEN_RATE)
-        return -OWN_LAG_S * math.expm1(-gap_s / OWN_LAG_S) * unseen
+        return -OWN_LAG_S * math.expm1(-gap_s / OWN_LAG_S) * unseen  # lag of first order behind this rate
 
     def process(self, block: SampleBlock) -> tuple[FloatArray, FloatArray]:
         """Return the temperature of each gyro and its sd, °C, (2, n, 3), estimated where possible, and three
-        by the model, rad/s, (3, n, 3): what is added to the bias since the first temperature, the curve, and
-        the sd of its unknown state at power-on.
-
-        The three are zero without a model; curve and sd are NaN before the first temperature.
-        """
+        by the model, rad/s, (3, n, 3), zero without one: what is added to the bias since the first
+        temperature, the curve, and the sd of its unknown state at power-on; both NaN before that."""
         # The reading is used only where there is no estimate at all: mixed, both would jump.
         temperature = self._first_of(block, "_estimate", "")
         temperatures = np.stack([temperature, np.nan_to_num(self._first_of(block, "_estimate_sd"))])
@@ -110,8 +108,8 @@ class Thermal:
 
     def _first_of(self, block: SampleBlock, *kinds: str) -> FloatArray:
         """Return the first column of these kinds that a block has for each gyro, (n, 3); else NaN."""
-        names = [[f"temperature{kind}{end}" for kind in kinds for end in ends] for ends in self._ends]
-        return block.stacked([next((name for name in one if name in block), "") for one in names])
+        names = [[f"temperature{kind}{end}" for kind in kinds for end in ends] for ends in self._suffixes]
+        return block.stacked([next((name for name in of_gyro if name in block), "") for of_gyro in names])
 
 
 class BiasTrail:
@@ -119,7 +117,7 @@ class BiasTrail:
 
     def __init__(self, model: BiasModel | None) -> None:
         self._channels = [] if model is None else [model.channels[name] for name in GYROS]
-        self._points, self._latest = list[FloatArray](), np.empty((0, 6))
+        self._points, self._latest = list[FloatArray](), np.zeros(6)
         self._every, self._count = 1, 0
 
     def add(self, temperature: FloatArray, bias: FloatArray) -> None:
@@ -129,7 +127,7 @@ class BiasTrail:
             if self._count % self._every == 0:
                 self._points.append(point)
             self._count += 1
-            self._latest = point[None]
+            self._latest = point
             if len(self._points) > MOST_POINTS:
                 self._points = self._points[::2]
                 self._every *= 2
@@ -147,7 +145,8 @@ class BiasTrail:
             lines.append(Curve(f"{axis}, model", at, channel.value(at) / DEG_PER_H, color, width=1.2))
             left[:, j] -= channel.value(degc[:, j]) / DEG_PER_H
         dots = "dots: estimates since the start; large: now"
-        note, over = f"line: model; {dots}" if lines else dots, (*lines, *_trails(degc, bias))
+        note = f"line: model; {dots}" if lines else dots
+        over = (*lines, *_trails(degc, bias))
         axes = Axis("temperature [°C]"), Axis("bias [°/h]")
         charts = [Chart("gyro_bias", "Gyro bias", "Gyro bias over temperature", *axes, over, notes=(note,))]
         if lines:
@@ -156,10 +155,8 @@ class BiasTrail:
         return charts
 
 
-def _trails(degc: FloatArray, bias: FloatArray) -> list[Curve]:
-    """Return where each axis has been, and where it is now, the last point, larger; °C and °/h, (n, 3)."""
-    curves = []
+def _trails(degc: FloatArray, bias: FloatArray) -> Iterator[Curve]:
+    """Yield where each axis has been, and where it is now, the last point, larger; °C and °/h, (n, 3)."""
     for (axis, color), x, y in zip(AXIS_COLORS.items(), degc.T, bias.T, strict=True):
-        curves.append(Curve(f"{axis}, estimate", x[:-1], y[:-1], color, points=True, width=2.5))
-        curves.append(Curve(f"now {axis}", x[-1:], y[-1:], color, points=True, width=9.0, listed=False))
-    return curves
+        yield Curve(f"{axis}, estimate", x[:-1], y[:-1], color, points=True, width=2.5)
+        yield Curve(f"now {axis}", x[-1:], y[-1:], color, points=True, width=9.0, listed=False)

@@ -1,11 +1,11 @@
 """Is the unit at rest, and is a steady rate the bias or a turn?  Rest and bias are one estimator.
 
 - A *slot* (`slots`) is a quarter of a second, or one slow sample: mean and variance of each axis.
-- It is *quiet* (`quiet`) if means of slots differ by no more than noise and drift since the rest began, and
+- It is *quiet* (`quiet`) if means of slots differ by no more than noise and drift since the quiet began, and
   samples scatter no more than at rest.  Before a *trial* of 16 slots finds the noise, only given rest is.
 - A *measurement* is the mean of a second of quiet slots; with it the filters of the bias are updated.
-- The *present bias* has all measurements.  The *nominal bias* is a prediction as if nothing had changed: by
-  those up to 16 to 32 s ago, or up to the last rest.  While a new rate may be a turn, it has none of that.
+- The *present bias* has all measurements.  The *nominal bias* is a prediction as if nothing had changed: it
+  has those of earlier rests and up to 16 to 32 s ago, but none of a rate that may be a turn.
 - P(turn), by `odds`, is the probability that the present less the nominal bias is a turn.
 
 Of `imumon.estimation.gyro_bias` read `hypotheses` (tables: what a measurement does to both biases),
@@ -16,5 +16,5 @@ Of `imumon.estimation.gyro_bias` read `hypotheses` (tables: what a measurement d
   turns against the earth; of flicker of samples; of the unknown earth rate; of a turn that may hide in the
   first rest; and of the difference to the less likely hypothesis, with the error by rounding (`stage`).
 - What would another gyro need?  White noise is learned, flicker only among `FLICKER_CORNERS_S` (bank); else
-  declare B and K.  "Assumed." at a constant: plausible, and not measured.
+  declare flicker B and random walk K.  "Assumed.": plausible, not measured.  "Ablation.": measured.
 """

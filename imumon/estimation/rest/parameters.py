@@ -8,7 +8,7 @@ from pydantic import Field
 from imumon.blocks import FloatArray
 from imumon.config import Retired, StrictModel
 
-_Positive = Annotated[float, Field(gt=0.0, le=10.0)]
+_Positive = Annotated[float, Field(gt=0.0, le=10.0)]  # more than 10 of any unit is a slip of the unit
 _NotNegative = Annotated[float, Field(ge=0.0, le=10.0)]
 _PerAxis = _Positive | Annotated[list[_Positive], Field(min_length=3, max_length=3)]
 _PerAxisFromZero = _NotNegative | Annotated[list[_NotNegative], Field(min_length=3, max_length=3)]
@@ -63,7 +63,7 @@ class GyroBiasParameters(StrictModel):
     assume_at_rest: bool = False
     velocity_random_walk_m_per_s_per_sqrt_s: Retired = None
     zeroing_s: Retired = None
-    thermal_form: Literal["increments"] = Field(default="increments", exclude=True)
+    thermal_form: Literal["increments"] = Field(default="increments", exclude=True)  # retired, but checked
 
     @property
     def declared_noise(self) -> list[FloatArray | None]:

@@ -10,7 +10,7 @@ from imumon.blocks import FloatArray, SampleBlock
 from imumon.filters.slots import Slots
 from imumon.filters.turns import PAUSE_INTERVALS, PAUSE_S, Turn
 
-SLOT_S = 0.25
+SLOT_S = 0.25  # of a slot; a slower sample is one by itself
 # Gyro x, y, z in rad/s, then accelerometer x, y, z in m/s².
 SENSORS = tuple(f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz")
 AXES = len(SENSORS)
@@ -21,7 +21,7 @@ GYRO, ACCEL = slice(0, 3), slice(3, 6)
 MODELLED, POWER_ON_SD, HEADING = (slice(AXES + 3 * i, AXES + 3 * i + 3) for i in range(3))
 DEGC = slice(AXES + 9, AXES + 15)
 REST_GIVEN, GATHERED = AXES + 15, AXES + 16
-GYRO_SETS = 4  # a slot's segment: that of its samples times this, plus how many gyros the unit lacks
+GYRO_SETS = 4  # the segment of a slot is that of the samples times this, plus how many gyros the unit lacks
 # rad/s (2 °/s) and m/s² (1/61 g): more than steps of 8 bits for ±250 °/s and ±2 g.  Where readings rarely
 # change, but by more (rms), the unit shakes.
 COARSEST_STEPS = (0.035, 0.16)
@@ -58,7 +58,7 @@ class Measurement(NamedTuple):
 
 @dataclass
 class Timing:
-    """Times of the slot before, s: its end, the interval of its samples, and the shortest interval so far."""
+    """What the times of a slot are reckoned from: end and interval of the one before, s, and the shortest."""
 
     origin_ns: int = 0
     end_s: float = 0.0
@@ -67,6 +67,7 @@ class Timing:
 
     def make_slots(self, ended: Slots) -> Iterator[Slot]:
         """Yield slots that ended, one after the other; a first sample alone covers no time."""
+        # Statistics of all slots at once; then the times, one after the other.
         count = ended.count[:, :AXES].astype(np.float64)
         several = np.where(count > 1.0, count, np.nan)
         variance = ended.variance[:, :AXES] * several / (several - 1.0)
@@ -108,7 +109,7 @@ class Timing:
     def gap_s(self, start_s: float) -> float:
         """Return the length of the gap before a sample; 0 if it follows."""
         pause = start_s - self.end_s
-        return pause if pause > max(PAUSE_S, PAUSE_INTERVALS * self.interval_s) and self.interval_s else 0.0
+        return pause if self.interval_s and pause > max(PAUSE_S, PAUSE_INTERVALS * self.interval_s) else 0.0
 
 
 def heading_of(block: SampleBlock) -> FloatArray:

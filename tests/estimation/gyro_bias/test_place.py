@@ -99,4 +99,4 @@ def test_a_heading_of_which_one_axis_is_missing_decides_nothing() -> None:
         )
         for k in range(8)
     ]
-    assert (odds.heading(slots, np.zeros((1, 3))) == 0.0).all()
+    assert (odds.log_ratio_by_heading(slots, np.zeros((1, 3))) == 0.0).all()
