@@ -55,10 +55,10 @@ SLOPE_DEGC = 30.0  # difference of temperature over which a slope changes by as 
 SENSITIVITY_SD = math.radians(0.06) / STANDARD_GRAVITY  # of m, rad/s per m/s², uncompensated.  Assumed.
 # Variance of the flicker of samples that is faster than g1, from 0.02 s on, over that of g1.  Assumed.
 FASTER = math.log(TAUS_S[0] / 0.02) / math.log(TAUS_S[2] / TAUS_S[1])
-END_LESS_MEAN = 0.47  # Var(g1 after a second less its mean over it) / Var(g1): 1 + 2/e - 2 (1 - 1/e)
+END_LESS_MEAN = 0.47  # Var(g1 after its τ, a second, less its mean over it) / Var(g1): 1 + 2/e - 2 (1 - 1/e)
 LEAST_WHITE = 1e-15  # (rad/s)², of the mean of a second: 0.0065 °/h, less than any gyro has.  Assumed.
 MEMORY_S = 600.0  # time over which σ² is averaged, in measurements of about a second
-PRIOR_COUNT, DECLARED_COUNT = 3.0, 0.5 * MEMORY_S  # shape a of a σ² by a trial of 16 slots; of a declared one
+PRIOR_SHAPE, DECLARED_SHAPE = 3.0, 0.5 * MEMORY_S  # shape a of a σ² by a trial of 16 slots; of a declared one
 LEAST_WEIGHT = 1e-4  # least weight of a mode over the largest, so that the mode may come back
 UNKNOWN = 1e8  # variance over σ² of a w that may be any; its sd is `TURN_ON` at least.  Assumed.
 TURN_ON = math.radians(3.0)  # rad/s, sd of a bias that differs from one start to the next.  Assumed.
@@ -92,7 +92,7 @@ class States:
         f[..., WALK, SLOPE] = warming
         growth[..., WALK], growth[..., FLICKER], growth[..., SLOPE] = dt, 1.0 - keeps**2, np.abs(warming)
         covariance = f @ self.covariance @ f.swapaxes(-1, -2)
-        # Diagonal of Q: K² dt, σg² (1 - e^(-2 dt/τ)), q |dT|.
+        # Diagonal of Q, added through a view: K² dt, σg² (1 - e^(-2 dt/τ)), q |dT|.
         np.einsum("...ii->...i", covariance)[...] += self.noise_scale * growth
         # Of w by the walk of s within the step: q |dT|³/3, and q dT |dT|/2 between both.
         walk = self.noise_scale[..., SLOPE] * np.abs(warming)
@@ -138,13 +138,14 @@ class Prediction(States):
         return self.mean[:, SLOPE] ** 2 + self.covariance[:, SLOPE, SLOPE]
 
     def ahead_to(self, time_s: float, degc_and_sd: FloatArray) -> Self:
-        """As `at`, but w has all of dT, without the dead band; of its own result dT would count twice."""
+        """As `at`, and w follows dT within the dead band, too; not of its own result, which has it already."""
         (degc, sd), (degc_before, sd_before) = degc_and_sd, self.degc_and_sd
         then = self.at(time_s, degc_and_sd)
         left = _where_known(degc - degc_before - (then.held_degc - self.held_degc))
         hidden = _where_known(np.maximum(sd**2 - sd_before**2, 0.0))  # by a silent thermometer
         mean, covariance = then.mean.copy(), then.covariance.copy()
         mean[:, WALK] += mean[:, SLOPE] * left
+        # dT within the band may be noise of the thermometer: all that it does, s dT, is in the variance, too.
         covariance[:, WALK, WALK] += self.slope_square * (left**2 + hidden)
         return replace(then, mean=mean, covariance=covariance)
 
@@ -213,9 +214,9 @@ class Bank(States):
         deviations of the slope over σ, 1/°C; `white` is σ² as measured, (rad/s)², (3,).
         """
         sigma, b, k = noise
-        count = PRIOR_COUNT
+        count = PRIOR_SHAPE
         if sigma is not None:
-            white, count = np.maximum(sigma**2, LEAST_WHITE), DECLARED_COUNT
+            white, count = np.maximum(sigma**2, LEAST_WHITE), DECLARED_SHAPE
         # `white` is β/a; after a trial E[σ²] is 1.5 times that, as few degrees of freedom leave it uncertain.
         expected = count / (count - 1.0) * white
         noise_scale, log_prior = _modes(b, k, slopes, expected)
@@ -267,7 +268,7 @@ class Bank(States):
         minus_log = 0.5 * np.log(spread * self.scale) + (a + 0.5) * np.log1p(0.5 * square / self.scale)
         weight = self.log_weight - minus_log
         weight = np.maximum(weight - weight.max(1, keepdims=True), np.log(LEAST_WEIGHT))
-        shape = min(a + 0.5, 0.5 * MEMORY_S)
+        shape = min(a + 0.5, 0.5 * MEMORY_S)  # older measurements count less and less
         scale = shape / (a + 0.5) * (self.scale + 0.5 * square)
         return bank._with_noise(weight, shape, np.maximum(scale, (shape - 1.0) * LEAST_WHITE))
 
@@ -313,8 +314,8 @@ class Bank(States):
 
     def with_white(self, white: FloatArray) -> "Bank":
         """Restart σ², the variance of the mean of a second, (rad/s)², (3,)."""
-        scale = np.zeros_like(self.scale) + PRIOR_COUNT * white[:, None]
-        return self.with_learned_noise(replace(self, shape=PRIOR_COUNT, scale=scale))
+        scale = np.zeros_like(self.scale) + PRIOR_SHAPE * white[:, None]
+        return self.with_learned_noise(replace(self, shape=PRIOR_SHAPE, scale=scale))
 
 
 def _modes(

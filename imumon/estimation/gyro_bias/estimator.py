@@ -57,9 +57,8 @@ class Estimator:
     def unrest(self) -> str:
         """Why the unit does not rest; empty where it does.
 
-        There is no rest from an unquiet slot until a quiet second is decided on, nor while a turn is more
-        likely than a changed bias, nor while gyros are silent that were not before.  Within a slot the stage
-        ends rest at a sample far from the mean, and where readings are missing for long.
+        There is no rest from an unquiet slot until a quiet second is decided on, while a turn is more likely
+        than a changed bias, or while known gyros are silent.  Within a slot the stage ends rest by samples.
         """
         if self.quiet.unrest:
             return self.quiet.unrest
@@ -186,7 +185,7 @@ class Estimator:
         measurements = [self._measurement(slots[k : k + SECOND_SLOTS]) for k in seconds]
         if not np.isfinite([one.rate for one in measurements]).all():
             return
-        first, *others = measurements
+        first, *others = measurements  # the others count in σ² once more, which weighs little yet (its shape)
         bank = Bank.begin(self.parameters.declared_noise, self.slopes, self._noise()[GYRO], first)
         for now in others:
             bank = bank.after(now)
@@ -210,11 +209,11 @@ class Estimator:
         self.jumps += jumped
         if jumped:  # what seemed to be a turn was the bias
             self.attitude.turn = STILL
-        if hypotheses.began_turning and hypotheses.changes:  # another rate contradicts the first: begin anew
+        if hypotheses.began_turning and hypotheses.changes:  # the turn that the recording began in is over
             self.quiet.restart()
             self._end_rest()
         elif self.attitude.turn.seconds and not hypotheses.turning:
-            self._come_to_rest(slots[::-1], hypotheses)
+            self._come_to_rest(slots[::-1], hypotheses)  # the latest first
         return innovation / np.sqrt(variance)
 
     def output(self, now_s: float) -> LinearBias:
