@@ -138,7 +138,7 @@ class Prediction(States):
         return self.mean[:, SLOPE] ** 2 + self.covariance[:, SLOPE, SLOPE]
 
     def ahead_to(self, time_s: float, degc_and_sd: FloatArray) -> Self:
-        """As `at`, and w follows dT within the dead band, too; not of its own result, which has it already."""
+        """As `at`, and w follows dT within the dead band, too; not of its own result, which has that."""
         (degc, sd), (degc_before, sd_before) = degc_and_sd, self.degc_and_sd
         then = self.at(time_s, degc_and_sd)
         left = _where_known(degc - degc_before - (then.held_degc - self.held_degc))
