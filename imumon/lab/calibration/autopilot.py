@@ -63,20 +63,26 @@ def parameters(
     if autopilot == "px4" and ids:  # which `check_ids` has made sure of
         return _px4(cubics, imu, ids, {"TMIN": low, "TMAX": high, "TREF": reference}), notes
     rows = {"ENABLE": 1.0, "TMIN": low, "TMAX": high}
-    for kind, axes in cubics.items():
-        for axis, cubic in zip("XYZ", axes, strict=True):
-            rows |= {f"{ARDUPILOT[kind]}{k}_{axis}": cubic[k] * 1e6 for k in (1, 2, 3)}
+    rows |= {
+        f"{ARDUPILOT[kind]}{k}_{axis}": cubic[k] * 1e6
+        for kind, axes in cubics.items()
+        for axis, cubic in zip("XYZ", axes, strict=True)
+        for k in (1, 2, 3)
+    }
     # ArduPilot counts from 1.
     return "".join(f"INS_TCAL{imu + 1}_{name},{value:.9g}\n" for name, value in rows.items()), notes
 
 
 def _px4(cubics: dict[str, list[list[float]]], imu: int, ids: tuple[int, int], degc: dict[str, float]) -> str:
     rows: dict[str, float] = {}
-    gyro_id, accel_id = ids
+    identifier = dict(zip(PX4, ids, strict=True))
     for kind, axes in cubics.items():
         sensor = f"TC_{PX4[kind]}"
-        rows |= {f"{sensor}_ENABLE": 1, f"{sensor}{imu}_ID": accel_id if kind == "accel" else gyro_id}
-        rows |= {f"{sensor}{imu}_{name}": value for name, value in degc.items()}
+        rows |= {
+            f"{sensor}_ENABLE": 1,
+            f"{sensor}{imu}_ID": identifier[kind],
+            **{f"{sensor}{imu}_{name}": value for name, value in degc.items()},
+        }
         for axis, cubic in enumerate(axes):
             coefficients = [0.0, *cubic[1:]] if kind == "accel" else cubic
             rows |= {f"{sensor}{imu}_X{power}_{axis}": value for power, value in enumerate(coefficients)}

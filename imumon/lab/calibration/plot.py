@@ -39,17 +39,18 @@ def write_calibration_plot(path: Path, result: Calibration, title: str) -> None:
 def _draw(above: Axes, below: Axes, name: str, result: Calibration) -> None:
     fit, model = result.fits[name], result.model.channels[name]
     unit, factor = SHOWN[model.unit]
-    points, curve = fit.points, fit.choice.curve
+    points = fit.points
+    left = points.value - fit.choice.curve.value(points.temperature)
     at = np.linspace(points.temperature.min(), points.temperature.max(), 400)
-    # An accelerometer's constant is gravity's, so its curve is drawn minus its middle.
-    middle = curve.value(0.5 * (at[0] + at[-1])) if name in ACCEL else 0.0
-    above.plot(points.temperature, factor * (points.value - middle), ".", ms=2, color="0.6", label="at rest")
-    above.plot(at, factor * (curve.value(at) - middle), color="#d03c3c", lw=1.2, label=fit.choice.name)
+    # About the curve of the model: of an accelerometer that is without the constant, which is gravity's.
+    bias = left + model.curve.value(points.temperature)
+    above.plot(points.temperature, factor * bias, ".", ms=2, color="0.6", label="at rest")
+    above.plot(at, factor * model.curve.value(at), color="#d03c3c", lw=1.2, label=fit.choice.name)
     above.set_title(name, loc="right")
     above.set(ylabel=f"bias minus its middle [{unit}]" if name in ACCEL else f"bias [{unit}]")
     noise, sd = factor * np.sqrt(points.white), factor * model.residual_sd
     below.errorbar(
-        points.temperature, factor * (points.value - curve.value(points.temperature)), noise,
+        points.temperature, factor * left, noise,
         fmt=".", ms=3, color="#3b78d8", ecolor="#b9cdf0", elinewidth=0.7,
         label="at rest, 1σ of the noise of its samples",
     )  # fmt: skip
