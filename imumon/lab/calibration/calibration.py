@@ -84,7 +84,7 @@ def calibrate(
     devices = sorted({record.device for record in records if record.device})
     units = sorted({record.serial for record in records if record.serial})
     return Calibration(
-        model=BiasModel(
+        BiasModel(
             made_by=f"imumon {__version__}",
             created=f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}",
             device=devices[0] if len(devices) == 1 else None,
@@ -98,9 +98,9 @@ def calibrate(
             trained_on=_trained_on(at_rest, fits),
             channels={name: _channel_model(name, fit, records[0]) for name, fit in fits.items()},
         ),
-        fits=fits,
-        at_rest=at_rest,
-        warnings=warnings + _remarks(at_rest, fits, devices, units),
+        fits,
+        at_rest,
+        warnings + _remarks(at_rest, fits, devices, units),
     )
 
 
@@ -115,7 +115,7 @@ def check_place(latitude_deg: float | None, heading_deg: float | None) -> None:
 
 
 def _fit_channel(name: str, at_rest: RestBlocks, warnings: list[str]) -> ChannelFit | None:
-    """Take the runs' offsets off a channel, and choose its curve; None without one, with a warning."""
+    """Take the runs' offsets off a channel, and choose its curve; without one a warning is added."""
     means = channel_of(at_rest, name)
     is_accel = name in ACCEL
     if means is None:
@@ -136,7 +136,7 @@ def _fit_channel(name: str, at_rest: RestBlocks, warnings: list[str]) -> Channel
         warnings.append(f"{name}: fewer than {LEAST_LEVELS} temperature levels: no curve")
         return None
     knots = knots_of(means, at_rest.levels)
-    # The weights come first, so their slow variance includes the offsets: too equal, but nothing is biased.
+    # The weights are needed for the offsets, and include them: too equal, which biases no estimate.
     weighted = reweighted(means, knots)
     offset = np.full(len(at_rest.runs), np.nan)
     offset[compared] = turn_on_offsets(weighted.only(is_compared), compared, knots)
@@ -148,7 +148,7 @@ def _fit_channel(name: str, at_rest: RestBlocks, warnings: list[str]) -> Channel
     lag_rms = at_rest.rms(OWN_LAG_S * at_rest.rate * choice.curve.slope(at_rest.temperature_of(name)))
     if len(compared) < 2 or (is_accel and at_rest.turned):  # alone, or gravity's
         return ChannelFit(choice, points, lag_rms, np.full_like(offset, np.nan), None)
-    return ChannelFit(choice, points, lag_rms, offset, float(offset[compared].std(ddof=1)))
+    return ChannelFit(choice, points, lag_rms, offset, offset[compared].std(ddof=1))
 
 
 def _channel_model(name: str, fit: ChannelFit, record: Record) -> ChannelModel:

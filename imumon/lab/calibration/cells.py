@@ -185,8 +185,8 @@ def find_rest(records: Sequence[Record], latitude_deg: float | None, heading_deg
     run_of_block = np.array([k for k, run in enumerate(runs) for _ in run.rows])
     blocks = [np.column_stack([run.start_s, run.seconds, run.temperature, run.rate]) for run in runs]
     start_s, seconds, temperature, rate = np.concatenate([np.empty((0, 4)), *blocks]).T  # also of no run
-    at_rest = [degc for record in records for degc in _main_temperature(record) if np.isfinite(degc)]
-    width = np.ptp(at_rest) / CELLS_IN_SPAN if at_rest else 0.0
+    rest_degc = [degc for record in records for degc in _main_temperature(record) if np.isfinite(degc)]
+    width = np.ptp(rest_degc) / CELLS_IN_SPAN if rest_degc else 0.0
     cell_of_block = _cells(run_of_block, start_s, seconds, temperature, width)
     earth_rate = np.zeros((len(runs), 3))
     if latitude_deg is not None and heading_deg is not None:
@@ -199,9 +199,8 @@ def find_rest(records: Sequence[Record], latitude_deg: float | None, heading_deg
 def _main_temperature(record: Record) -> FloatArray:
     """Return the mean over the gyros' thermometers, °C, (n,); NaN unless at rest with all gyros."""
     columns = sorted({record.temperature_column(channel) for channel in GYRO})
-    mean = np.mean([record.means.of(name) for name in columns], axis=0)
-    has_rates = np.isfinite([record.means.of(name) for name in GYRO]).all(axis=0)
-    return np.where(record.rest & has_rates, mean, np.nan)
+    is_used = record.rest & np.isfinite([record.means.of(name) for name in GYRO]).all(axis=0)
+    return np.where(is_used, np.mean([record.means.of(name) for name in columns], axis=0), np.nan)
 
 
 def _rest_runs(record: Record) -> Iterator[RestRun]:
@@ -217,7 +216,7 @@ def _rest_runs(record: Record) -> Iterator[RestRun]:
         parts = [part[np.isfinite(part)] for part in (means.of(name)[rows] for name in ACCEL)]
         force = np.array([part.mean() if len(part) else np.nan for part in parts])
         up = force / np.linalg.norm(force)
-        start_s = np.asarray(means.start_ns[rows] * 1e-9, np.float64)
+        start_s = np.asarray(means.start_ns[rows] * 1e-9)
         rate = np.gradient(temperature[rows], start_s) if len(rows) > 1 else np.zeros(1)
         yield RestRun(record, number, rows, start_s, seconds, temperature[rows], rate, up)
 

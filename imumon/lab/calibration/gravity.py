@@ -50,7 +50,7 @@ class TriadErrors(NamedTuple):
             length = np.linalg.norm(true, axis=1, keepdims=True)
             direction = true / length
             names, design = _design(direction, warmth, with_misalignment)
-            # What each error adds to |f|, uᵀ D; and |f| - g of the readings.
+            # What each error adds to |f|, uᵀ D, and what |f| of the readings has beyond g.
             columns = np.einsum("ij,ijk->ik", direction, design)
             excess = length[:, 0] - STANDARD_GRAVITY + columns @ x
             x, x_sd = _least_squares(columns, excess)
@@ -69,8 +69,8 @@ class TriadErrors(NamedTuple):
 
     def described(self, poses: int) -> str:
         """Return bias and scale with their standard deviations as a sentence."""
-        in_ppm = self.bias / MICRO_G, self.bias_sd / MICRO_G, self.scale * 1e6, self.scale_sd * 1e6
-        bias, bias_sd, scale, scale_sd = (" / ".join(f"{value:.0f}" for value in part) for part in in_ppm)
+        millionths = self.bias / MICRO_G, self.bias_sd / MICRO_G, self.scale * 1e6, self.scale_sd * 1e6
+        bias, bias_sd, scale, scale_sd = (" / ".join(f"{value:.0f}" for value in part) for part in millionths)
         return (
             f"{poses} poses: by |f| = g the accelerometers have biases of {bias} µg (sd {bias_sd}) and scale"
             f" errors of {scale} ppm (sd {scale_sd}) on x / y / z; |f| - g is"

@@ -46,11 +46,11 @@ LEAST_COVERAGE = 0.5  # of the cells.  With points on one side an ellipsoid's fa
 LEAST_POINTS = 100  # for nine numbers and their residual.  Assumed.
 MOST_SD = 0.01  # of the field: an error of the heading of 0.6° where the field is level, of 1.5° in Europe
 MOST_RESIDUAL = 0.1  # of the field: what scatters by more is another field at every place
-MOST_CHI_SQUARE = 27.0  # of nine numbers that only scatter: it is 9 on average, and more once in 700 times
+MOST_CHI_SQUARE = 27.0  # of nine numbers that only scatter it is 9 on average, and more once in 700 times
 
-# The rotations that turn axes into axes, the identity first, (24, 3, 3); without negative zeros.
-WAYS: FloatArray = np.array(
-    sorted(Rotation.create_group("O").as_matrix().round() + 0.0, key=lambda way: -np.trace(way))
+# An axis map is a rotation that turns axes into axes.  The identity is first, (24, 3, 3); no zero is -0.
+AXIS_MAPS: FloatArray = np.array(
+    sorted(Rotation.create_group("O").as_matrix().round() + 0.0, key=lambda axis_map: -np.trace(axis_map))
 )
 LEAST_SLOTS = 20  # for seven numbers and their residual: ten seconds of turns.  Assumed.
 
@@ -217,9 +217,9 @@ class MagnetometerAxes(NamedTuple):
     follows: bool  # whether the field went as the gyros turned, in these axes
 
     @property
-    def way(self) -> int:
-        """Index of the nearest of `WAYS`."""
-        return int(np.einsum("kij,ij->k", WAYS, self.rotation).argmax())
+    def nearest(self) -> int:
+        """Index of the nearest of `AXIS_MAPS`."""
+        return int(np.einsum("kij,ij->k", AXIS_MAPS, self.rotation).argmax())
 
     @property
     def is_significant(self) -> bool:
@@ -233,11 +233,8 @@ class MagnetometerAxes(NamedTuple):
 
 
 def axes_of(blocks: Iterable[SampleBlock], model: MagnetometerModel) -> MagnetometerAxes | None:
-    """Return the axes of a magnetometer that is calibrated; None where the gyros do not determine them.
-
-    Slots count whose turn is known from the end of the one before.
-    """
-    # The last slot is not finished: there are others.
+    """Return the axes of a magnetometer that is calibrated; None where the gyros do not determine them."""
+    # The last slot is not finished: there are enough.
     # In half a second, here in ns, a hand turns a unit by tenths of a radian, and by less than half a circle.
     gatherer = SlotGatherer(6, 500_000_000, turns=True)
     slots = [
@@ -255,10 +252,11 @@ def axes_of(blocks: Iterable[SampleBlock], model: MagnetometerModel) -> Magnetom
     end_ns = np.concatenate([part.end_ns for part in slots])
     begins = np.concatenate([part.begins for part in slots])
     seconds = np.array([turn.seconds for turn in turns])
+    # Coning and fast motion are standard deviations, rad; what samples are missing is a variance.
     variance = np.array([turn.coning @ turn.coning + turn.fast**2 + turn.missed for turn in turns])
     is_continuous = ~begins[1:] & (np.abs(1e-9 * np.diff(end_ns) - seconds) < PAUSE_S)
     is_complete = np.isfinite(last).all(1)
-    # The limit is the square of 6°, in rad².  Assumed.
+    # Turns that are known to 6°, 0.01 rad², between slots that have gyros and field.  Assumed.
     known = np.flatnonzero(is_complete[1:] & is_complete[:-1] & is_continuous & (variance < 0.01))
     if len(known) < LEAST_SLOTS:
         return None
@@ -284,18 +282,18 @@ def fitted_axes(
     `noise`: scatter of the field over its strength.
     """
 
-    def residual(x: FloatArray, way: FloatArray) -> FloatArray:
-        # Of the fields, (3n,), by rotation from `way`, bias and lateness, (7,).
+    def residual(x: FloatArray, axis_map: FloatArray) -> FloatArray:
+        # Of the fields, (3n,), by rotation from `axis_map`, bias and lateness, (7,).
         # A field that is late by tau is off by tau times its rate, -rate x field.
         bias, late_s = x[3:6], x[6]
-        in_body = field @ (Rotation.from_rotvec(x[:3]).as_matrix() @ way).T
+        in_body = field @ (Rotation.from_rotvec(x[:3]).as_matrix() @ axis_map).T
         on_time = in_body - late_s * np.cross(rate - bias, in_body)
         before, after = on_time.swapaxes(0, 1)
         turned = np.einsum("nij,nj->ni", rotation, after)
         return np.asarray(before - Rotation.from_rotvec(-by_bias @ bias).apply(turned)).reshape(-1)
 
-    way = min(WAYS, key=lambda one: (residual(np.zeros(7), one) ** 2).sum())
-    solved = least_squares(residual, np.zeros(7), args=(way,), x_scale="jac", method="lm")
+    axis_map = min(AXIS_MAPS, key=lambda one: (residual(np.zeros(7), one) ** 2).sum())
+    solved = least_squares(residual, np.zeros(7), args=(axis_map,), x_scale="jac", method="lm")
     error, jacobian = solved.fun, solved.jac
     variance = error @ error / (len(error) - 7)
     change = ((field[:, 1] - field[:, 0]) ** 2).sum() / len(error)
@@ -306,8 +304,8 @@ def fitted_axes(
     slower = max(slower_than_white(axis) for axis in error.reshape(-1, 3).T)
     covariance = variance * slower * np.linalg.pinv(jacobian.T @ jacobian, hermitian=True)
     sd = np.sqrt(np.linalg.eigvalsh(covariance[:3, :3])[-1])
-    to_gyros = Rotation.from_rotvec(solved.x[:3]).as_matrix() @ way
-    # Nor is the angle known better than to 0.01 rad: each element of scale and misalignment of gyros without
+    to_gyros = Rotation.from_rotvec(solved.x[:3]).as_matrix() @ axis_map
+    # Nor is the angle known better than the gyros' scale and misalignment, which are 0.01 (rad) without
     # calibration, as in `AttitudeParameters`.
     return MagnetometerAxes(to_gyros, np.hypot(sd, 0.01), follows)
 
@@ -331,10 +329,10 @@ def doubts(model: MagnetometerModel, axes: MagnetometerAxes | None, source: str)
         )
     if not axes or not axes.is_significant:
         return warnings
-    if axes.way != 0:  # the first of `WAYS` is the identity
+    if axes.nearest != 0:  # the first of `AXIS_MAPS` is the identity
         raise bad_data(
             f"{source}: the magnetometer has not the gyros' axes: their x, y, z are its"
-            f" {way_as_text(WAYS[axes.way])}",
+            f" {axis_map_as_text(AXIS_MAPS[axes.nearest])}",
             "name the columns of mag in this order in the map or device file, and reverse what has a minus "
             "(in a device file by a negative scale); turns do not show which of the two it is: north of the "
             "magnetic equator the field must point down",
@@ -348,10 +346,10 @@ def doubts(model: MagnetometerModel, axes: MagnetometerAxes | None, source: str)
     return warnings
 
 
-def way_as_text(way: FloatArray) -> str:
-    """Return which axes of the magnetometer the gyros' x, y, z are by one of `WAYS`, and by its reverse."""
-    axes = np.abs(way).argmax(axis=1)
-    signs = way.sum(axis=1)  # a row has one element, 1 or -1, and zeros
+def axis_map_as_text(axis_map: FloatArray) -> str:
+    """Return which axes of the magnetometer the gyros' x, y, z are, by an axis map and by its reverse."""
+    axes = np.abs(axis_map).argmax(axis=1)
+    signs = axis_map.sum(axis=1)  # a row has one element, 1 or -1, and zeros
     names = [
         ", ".join(("+" if sign > 0.0 else "-") + "xyz"[axis] for sign, axis in zip(row, axes, strict=True))
         for row in (signs, -signs)

@@ -18,8 +18,8 @@ from imumon.models.model import Curve
 from .cells import CellMeans, weight_of
 
 MOST_ORDER = 9  # of a polynomial.  Assumed.
-MOST_NEURONS = 3  # in a layer of a network: the simulated unit of scenario `crs05-soak` needs as many
-FOLDS = 5  # every fifth of the inner levels is left out at a time
+MOST_NEURONS = 3  # in a layer of a network: a simulated unit (scenario `crs05-soak`) needs as many
+FOLDS = 5  # every fifth of the inner levels is left out at a time.  Assumed.
 Fitter = Callable[[Points], Curve]
 
 
@@ -81,9 +81,9 @@ def held_out(points: Points, fitter: Fitter) -> FloatArray:
 
 def reweighted(points: CellMeans, knots: FloatArray) -> CellMeans:
     """Return the means with weights by all their variance about a smooth curve, not the white noise alone."""
-    residual = points.value - fit_spline(points, knots).value(points.temperature)
-    slow = max(float(np.mean(residual**2 - points.white)), 0.0)  # longer cells would not reduce it
-    return replace(points, weight=weight_of(points.white + slow))
+    excess = (points.value - fit_spline(points, knots).value(points.temperature)) ** 2 - points.white
+    # The mean excess is the variance of what is slow: longer cells would not reduce it.
+    return replace(points, weight=weight_of(points.white + max(float(excess.mean()), 0.0)))
 
 
 def _rms(points: Points, residual: FloatArray) -> float:
