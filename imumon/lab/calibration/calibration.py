@@ -24,7 +24,7 @@ LEAST_SPAN_DEGC = 5.0  # of the temperature at rest
 LEAST_REST_S = 600.0
 WIDEST_HOLE = 0.4  # share of the span without data that a curve may bridge
 MOST_LAG = 0.1  # share of the span: rms error of the temperature of a gyro `OWN_LAG_S` behind it
-# The two at the ends stay in each fit, and one has to be left out.  Gyros have three, by `WIDEST_HOLE`.
+# Of an accelerometer: the two at the ends stay in each fit, one is left out.  Gyros have it: `WIDEST_HOLE`.
 LEAST_LEVELS = 3
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from imumon.blocks import FloatArray
 from imumon.geodesy import MICRO_G, STANDARD_GRAVITY
 
-COS_OTHER_POSE = np.cos(np.radians(20.0))  # another pose is at least so far from each other.  Assumed.
+COS_OTHER_POSE = np.cos(np.radians(20.0))  # directions that differ by more are two poses.  Assumed.
 
 
 class TriadErrors(NamedTuple):
